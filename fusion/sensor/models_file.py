@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from fusion.base import InputError
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import PARAMETERS, LoadModel
 
+R = TypeVar("R")
 FORMAT = 1
 MODELS_FILE = "models.json"
 LOAD_MODEL_FILE = "load.json"
@@ -84,46 +85,46 @@ def models_text(models: ModelsFile) -> str:
 
 def read_models(path: Path) -> ModelsFile:
     """Read models.json, or the one in a folder of results; `InputError` names what cannot be read."""
-    file = path / MODELS_FILE if path.is_dir() else path
+
+    def parsed(content: dict[str, Any]) -> ModelsFile:
+        sensor, entries = content["sensor"], tuple(_read_entry(item) for item in content["models"])
+        return ModelsFile(str(content["name"]), str(sensor["name"]), str(sensor["serial"]), entries)
+
+    return read_stored(path, MODELS_FILE, "step", parsed)
+
+
+def read_stored(
+    path: Path, name: str, command: str, parsed: Callable[[dict[str, Any]], R], what: str = "models"
+) -> R:
+    """Return what a file of models, or of `what`, that a command wrote holds, or the one of this name in a folder."""
+    file = path / name if path.is_dir() else path
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:
-            found = f"format {content['format']}"
-            raise InputError(file, "format", found=found, expected=f"format {FORMAT}; shakercal step writes it anew")
-        sensor = content["sensor"]
-        entries = tuple(_read_entry(item) for item in content["models"])
-        return ModelsFile(str(content["name"]), str(sensor["name"]), str(sensor["serial"]), entries)
+            told, expected = f"format {content['format']}", f"format {FORMAT}; shakercal {command} writes it anew"
+            raise InputError(file, "format", found=told, expected=expected)
+        return parsed(content)
     except OSError as error:
         raise InputError(file, "", found=error.strerror or str(error), expected="a file that can be read") from error
-    except (KeyError, TypeError, ValueError) as error:
-        found = f"no key {error}" if isinstance(error, KeyError) else str(error)
-        raise InputError(file, "", found=found, expected="models as shakercal step writes them") from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        told = f"no key {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(file, "", found=told, expected=f"{what} as shakercal {command} writes them") from error
 
 
 def _entry(entry: ModelEntry) -> dict[str, Any]:
     """One model as nested dictionaries; what a reader wants to see beside what is read back."""
-    model = entry.model
-    system = model.system
+    model, system = entry.model, entry.model.system
+    named = ("channel", "component", "unit", "method", "recording", "sample_rate_hz", "noise")
+    modes = zip(model.frequency_hz.tolist(), model.damping_ratio.tolist(), model.residue.tolist(), strict=True)
+    reals = zip(model.real_hz.tolist(), model.real_residue.tolist(), strict=True)
     return {
-        "channel": entry.channel,
-        "component": entry.component,
-        "unit": entry.unit,
-        "method": entry.method,
-        "recording": entry.recording,
-        "sample_rate_hz": entry.sample_rate_hz,
-        "noise": entry.noise,
+        **{name: getattr(entry, name) for name in named},
         "dof": entry.dof if np.isfinite(entry.dof) else None,
         "static_gain": model.static_gain,
         "modes": [
-            {"frequency_hz": f, "damping_ratio": z, "residue_re": r.real, "residue_im": r.imag}
-            for f, z, r in zip(
-                model.frequency_hz.tolist(), model.damping_ratio.tolist(), model.residue.tolist(), strict=True
-            )
+            {"frequency_hz": f, "damping_ratio": z, "residue_re": r.real, "residue_im": r.imag} for f, z, r in modes
         ],
-        "real_poles": [
-            {"frequency_hz": f, "residue": r}
-            for f, r in zip(model.real_hz.tolist(), model.real_residue.tolist(), strict=True)
-        ],
+        "real_poles": [{"frequency_hz": f, "residue": r} for f, r in reals],
         "parameters": list(model.names),
         "covariance": None if model.covariance is None else model.covariance.tolist(),
         "zeros": [[zero.real, zero.imag] for zero in system.zeros.tolist()],
@@ -175,26 +176,12 @@ def model_text(models: Sequence[LoadModel], campaign: str, sensor: str, program:
     return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
 
-def read_load_models(path: str | Path) -> tuple[LoadModel, ...]:
+def read_load_models(path: Path) -> tuple[LoadModel, ...]:
     """Read load.json, or the one in a folder of results; `InputError` names what cannot be read.
 
     Where one load cannot tell two solutions apart both are there, with `solutions` = 2.
-
-    >>> from fusion import read_load_models
-    >>> models = read_load_models("my-loads/load")  # doctest: +SKIP
     """
-    file = Path(path) / LOAD_MODEL_FILE if Path(path).is_dir() else Path(path)
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        if content["format"] != FORMAT:
-            found = f"format {content['format']}"
-            raise InputError(file, "format", found=found, expected=f"format {FORMAT}; shakercal load writes it anew")
-        return tuple(_load_model(item) for item in content["models"])
-    except OSError as error:
-        raise InputError(file, "", found=error.strerror or str(error), expected="a file that can be read") from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        found = f"no key {error}" if isinstance(error, KeyError) else str(error)
-        raise InputError(file, "", found=found, expected="models as shakercal load writes them") from error
+    return read_stored(path, LOAD_MODEL_FILE, "load", lambda content: tuple(_load_model(item) for item in content["models"]))
 
 
 def parameter_units(component: str) -> dict[str, str]:

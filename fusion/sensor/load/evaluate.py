@@ -101,12 +101,12 @@ def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], 
     refused: list[InputError] = []
     for place, component in enumerate(LOAD_COMPONENTS):
         own = [release for release in releases if release.record.component == component]
-        moving = [_moving(release.input.manifest, place) for release in own]
+        moving = [_moving(release.manifest, place) for release in own]
         if own and moving[0].value > 0.0:
             series.append(_series(own, moving, place))
         elif own:
             expected = "what of the sensor moves with its spring, above 0: only ratios of masses show in a resonance"
-            refused.append(InputError(own[0].input.manifest.rig_path, moving[0].key, found="0", expected=expected))
+            refused.append(InputError(own[0].manifest.rig_path, moving[0].key, found="0", expected=expected))
             text = f"left out: {moving[0].key} is 0, so that stiffness cannot be told"
             notices.append(Notice("warning", text, component))
     if not series and refused:
@@ -136,7 +136,7 @@ def _moving(manifest: Manifest, component: int) -> Moving:
 
 def _series(releases: Sequence[Release], moving: Sequence[Moving], component: int) -> LoadSeries:
     """The records of one component with their masses, the lightest load first; all drive the same output."""
-    masses = [_load(release.input.manifest, component) for release in releases]
+    masses = [_load(release.manifest, component) for release in releases]
     order = sorted(range(len(releases)), key=lambda place: masses[place][0])
     releases, masses = [releases[place] for place in order], [masses[place] for place in order]
     moving = [moving[place] for place in order]
@@ -146,15 +146,15 @@ def _series(releases: Sequence[Release], moving: Sequence[Moving], component: in
             decays.append(free_decay(release.record, release.driven, release.reading))
             modes.append(record_modes(decays[-1]))
         except ValueError as error:
-            raise InputError.told_by(error, release.input.manifest.path, f"daq.channel.{release.driven}") from error
+            raise InputError.told_by(error, release.manifest.path, f"daq.channel.{release.driven}") from error
     first = releases[0]
     for release, own in zip(releases, moving, strict=True):
-        manifest = release.input.manifest
+        manifest = release.manifest
         if release.driven != first.driven:
             expected = f"{first.driven}, the output that is driven in {first.name}"
             raise InputError(manifest.path, "daq.channel", found=release.driven, expected=expected)
         if own != moving[0]:
-            expected = f"{moving[0].value:g} as in {first.input.manifest.rig_path.name}"
+            expected = f"{moving[0].value:g} as in {first.manifest.rig_path.name}"
             raise InputError(manifest.rig_path, own.key, found=f"{own.value:g}", expected=expected)
     return LoadSeries(
         output=_output([release.reading for release in releases]),

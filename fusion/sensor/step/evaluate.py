@@ -40,7 +40,7 @@ def evaluate_component(
 ) -> tuple[ComponentResult, tuple[Notice, ...]]:
     """Return what the releases of one component, which all drive the same output, say of it."""
     first, fitted = releases[0], fit_component(releases, settings)
-    component, channel, manifest = first.record.component, first.driven, first.input.manifest
+    component, channel, manifest = first.record.component, first.driven, first.manifest
     unit, used, notices = sensitivity_unit(first.record.unit, component), fitted.chosen, [*fitted.notices]
     stated, _ = stated_gain(manifest, channel, component)
     names = tuple(release.name for release in used)
@@ -64,7 +64,7 @@ def evaluate_component(
         return result, tuple(notices)
     fits = [(release, release.fit) for release in used if release.fit is not None]
     models = [fit.model for _, fit in fits if fit.model is not None]
-    mountings = [release.input.manifest.mounting for release in used]
+    mountings = [release.manifest.mounting for release in used]
     pooled = pool_models(models, mountings, scale_uncertainty(manifest, channel))
     figures, of_indices = index_quantities(pooled, stated, unit, first.record.sample_rate_hz)
     notices += [Notice(n.severity, f"{r.driven}: {n.text}", r.name) for r, fit in fits for n in fit.notices]
@@ -100,7 +100,7 @@ def _remarks(
         yield Notice("info", f"the model of {channel} rests on {result.reason}", where)
     if len(result.used) == 1:
         yield Notice("info", "one release only: what releases scatter by is not in U", where)
-    elif len({release.input.manifest.mounting for release in result.chosen}) == 1:
+    elif len({release.manifest.mounting for release in result.chosen}) == 1:
         text = "all releases of a component are of one mounting: what mounting anew changes is not in U"
         yield Notice("info", text, "releases")
     for notice in of_indices:

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from fusion.base import typeset
@@ -205,8 +204,18 @@ def draw_model(name: str, component: ComponentResult, pooled: Pooled) -> Picture
 def draw_convergence(name: str, losses: list[tuple[str, str, FloatArray, int | None]]) -> Picture:
     """Loss over the order or the generations of every method that has such a curve; a ring where an order was taken."""
     with sheet(name, 2.7, 1, len(losses)) as drawn:
-        for place, (axes, curve) in enumerate(zip(drawn.panels, losses, strict=True)):
-            _draw_loss(axes, *curve, colour=COLOURS[place % 5])
+        for axes, colour, (label, over, loss, chosen) in zip(drawn.panels, COLOURS, losses, strict=False):
+            number, marker = np.arange(1, len(loss) + 1), "o" if len(loss) <= 20 else ""
+            shown = loss / float(loss.min()) if loss.min() > 0.0 else loss
+            axes.plot(number, shown, color=colour, linewidth=0.9, marker=marker, markersize=3.5, zorder=2)
+            if chosen is not None:
+                axes.plot(number[chosen], shown[chosen], "o", color=BLACK, markersize=6.5, fillstyle="none")
+            if shown.max() > 20.0 * shown.min() > 0.0:
+                axes.set_yscale("log")
+                decades(axes.yaxis)
+            axes.set_xlabel(over)
+            axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+            panel_label(axes, label)
         drawn.panels[0].set_ylabel("loss over the smallest")
         caption = (
             "Loss as each method defines it. SIM: of the equation error over the order, where it stops to fall the "
@@ -225,21 +234,6 @@ def _losses(rows: tuple[MethodRow, ...]) -> Iterator[tuple[str, str, FloatArray,
             yield LABELS[method].partition(",")[0], "order", fit.convergence, chosen
         elif method in OVER_GENERATION and len(fit.convergence) > 1:
             yield LABELS[method], "generation", fit.convergence, None
-
-
-def _draw_loss(axes: Axes, label: str, over: str, loss: FloatArray, chosen: int | None, *, colour: str) -> None:
-    """One curve of losses."""
-    number, marker = np.arange(1, len(loss) + 1), "o" if len(loss) <= 20 else ""
-    shown = loss / float(loss.min()) if loss.min() > 0.0 else loss
-    axes.plot(number, shown, color=colour, linewidth=0.9, marker=marker, markersize=3.5, zorder=2)
-    if chosen is not None:
-        axes.plot(number[chosen], shown[chosen], "o", color=BLACK, markersize=6.5, fillstyle="none")
-    if shown.max() > 20.0 * shown.min() > 0.0:
-        axes.set_yscale("log")
-        decades(axes.yaxis)
-    axes.set_xlabel(over)
-    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-    panel_label(axes, label)
 
 
 def _modes_hz(model: ModalModel) -> FloatArray:

@@ -14,7 +14,7 @@ from fusion.estimation.uncertainty import NamedQuantity, Quantity
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Sensor
 from fusion.sensor.models_file import ModelEntry
-from fusion.sensor.step.records import Pooled, StepInput, StepSettings, effective_dof, output_entries, read_step
+from fusion.sensor.step.records import Pooled, StepSettings, effective_dof, output_entries, read_step
 from shaker.arrays import FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.indices import Indices, indices
@@ -35,18 +35,15 @@ UNNAMED = "not stated"
 class Release:
     """One recording: its record, what every output shows, and the model of the driven output.
 
-    `readings`: of the outputs that can be read, the driven one `driven` first; `fit`: None where no model was found.
+    `record`: without the uncertainty of the load, which all releases share; `readings`: of the outputs that can be
+    read, the driven one `driven` first; `fit`: None where no model was found.
     """
 
-    input: StepInput
+    manifest: Manifest
+    record: StepRecord
     driven: str
     readings: tuple[Reading, ...]
-    fit: StepFit | None
-
-    @property
-    def record(self) -> StepRecord:
-        """The outputs, with the load as it is stated."""
-        return self.input.record
+    fit: StepFit | None = None
 
     @property
     def name(self) -> str:
@@ -195,16 +192,15 @@ def read_recording(manifest: Manifest) -> tuple[Release, tuple[Notice, ...]]:
         raise InputError(manifest.path, key, found=told, expected=expected)
     if abs(driven.static_gain) <= CLEAR * driven.u_static_gain:
         told = f"a change of {driven.steady - driven.baseline:.2g} {driven.unit}, no more than noise"
-        raise InputError(
-            manifest.path, key, found=told, expected=f"a step in the output that {driven.component} drives"
-        )
+        expected = f"a step in the output that {driven.component} drives"
+        raise InputError(manifest.path, key, found=told, expected=expected)
     cut = [f"output {other.channel} was clipped and is left out" for other in readings.values() if other.clipped]
     notices = [
         *(Notice("warning", text, record.name) for text in cut),
         *(Notice(notice.severity, f"{name}: {notice.text}", record.name) for notice in driven.notices),
     ]
     others = [reading for reading in readings.values() if not reading.clipped]
-    return Release(source, name, (driven, *others), None), (*source.notices, *notices)
+    return Release(manifest, record, name, (driven, *others)), (*source.notices, *notices)
 
 
 def fit_release(
@@ -217,7 +213,7 @@ def fit_release(
     modes, real_poles = structure or (settings.modes, settings.real_poles)
     try:
         fit = fit_step(
-            replace(release.record, u_amplitude=0.0),
+            release.record,
             release.driven,
             reading=release.reading,
             modes=modes,
@@ -321,11 +317,9 @@ def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted
     if not chosen:
         return Fitted(own, (), reason, tuple(notices))
     wanted = common_structure(chosen)
-    modes, poles = (
-        f"{count or 'no'} {what}{'' if count == 1 else 's'}"
-        for count, what in zip(wanted, ("mode", "real pole"), strict=True)
-    )
-    text = f"{modes} and {poles}, as others show"
+    counted = zip(wanted, ("mode", "real pole"), strict=True)
+    text = " and ".join(f"{count or 'no'} {what}{'' if count == 1 else 's'}" for count, what in counted)
+    text = f"{text}, as others show"
     alike: dict[str, Release] = {}
     anew: list[str] = []
     for release in chosen:
@@ -360,14 +354,15 @@ LABELS: dict[Method, str] = {
 
 def compare_methods(release: Release, settings: StepSettings) -> tuple[tuple[MethodRow, ...], tuple[Notice, ...]]:
     """Return what every method makes of a release; a notice says which of them finds nothing, and what each remarks."""
-    record = replace(release.record, u_amplitude=0.0)
     rng = np.random.default_rng(SEED)
     rows: list[MethodRow] = []
     notices: list[Notice] = []
     structure = {"modes": settings.modes, "real_poles": settings.real_poles}
     for method in METHODS:
         try:
-            (fit,) = compare(record, release.driven, rng=rng, reading=release.reading, methods=(method,), **structure)
+            (fit,) = compare(
+                release.record, release.driven, rng=rng, reading=release.reading, methods=(method,), **structure
+            )
         except FAILURES as error:
             notices.append(Notice("info", f"{LABELS[method]}: no model ({error})", release.name))
             continue
@@ -394,7 +389,7 @@ def static_gains(releases: Sequence[Release], unit: str) -> Iterator[StaticGain]
     The mean of the releases by weight 1/u²; where they scatter by more than is stated of each, u is that of the
     scatter, with its degrees of freedom. The load's and the output's scale err for all releases alike.
     """
-    manifest, component = releases[0].input.manifest, releases[0].record.component
+    manifest, component = releases[0].manifest, releases[0].record.component
     for channel in dict.fromkeys(reading.channel for release in releases for reading in release.readings):
         own = [reading for release in releases for reading in release.readings if reading.channel == channel]
         value, u = [reading.static_gain for reading in own], [reading.u_static_gain for reading in own]

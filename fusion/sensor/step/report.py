@@ -108,7 +108,7 @@ RELEASES: list[Column[Output]] = [
     word("recording", lambda output: output.release.name),
     word("component", lambda output: output.component.component),
     word("release", lambda output: output.release.record.release),
-    word("mounting", lambda output: output.release.input.manifest.mounting),
+    word("mounting", lambda output: output.release.manifest.mounting),
     word("channel", lambda output: output.reading.channel),
     word("driven", lambda output: yes_or_no(output.driven)),
     word("used", lambda output: yes_or_no(output.used)),
@@ -211,21 +211,8 @@ def texts(evaluation: StepEvaluation) -> dict[str, str | bytes]:
 # HDF5 file
 
 FIT_FIELDS = (
-    "method",
-    "model",
-    "sample_rate_hz",
-    "decimation",
-    "order",
-    "variance_accounted",
-    "convergence",
-    "duration_s",
-    "onset_s",
-    "u_onset_s",
-    "release_s",
-    "u_release_s",
-    "time_s",
-    "fitted",
-    "residual",
+    *("method", "model", "sample_rate_hz", "decimation", "order", "variance_accounted", "convergence", "duration_s"),
+    *("onset_s", "u_onset_s", "release_s", "u_release_s", "time_s", "fitted", "residual"),
 )
 
 
