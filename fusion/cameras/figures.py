@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -38,12 +40,13 @@ from fusion.report.style import (
     RED,
     WIDTH_IN,
     Picture,
+    Sheet,
     decades,
-    drawing,
     finish,
     lay_out,
-    new_figure,
     panel_label,
+    sheet,
+    square_corners,
 )
 from photogram.calibration.result import Calibration
 from photogram.camera import RIG_PARAMETERS
@@ -72,23 +75,24 @@ LONGEST_NAME = 16
 BINS = 40
 
 
-def picture_panels(count: int, size_px: IntArray, below_in: float = 0.0) -> tuple[Figure, list[Axes]]:
-    """Figure of the page's width with panels side by side that show one picture area each in equal scales."""
+@contextmanager
+def picture_sheet(name: str, count: int, size_px: IntArray, below_in: float = 0.0) -> Iterator[Sheet]:
+    """Give a figure of the page's width with laid out panels side by side that show one picture area each, to scale."""
     width = (WIDTH_IN - sum(MARGIN_IN) - (count - 1) * BETWEEN_IN) / count
     height = float(np.clip(width * size_px[1] / size_px[0], FLATTEST_IN, TALLEST_IN))
     bottom = AXIS_IN + below_in
-    figure = new_figure(height + TOP_IN + bottom)
-    panels = list(figure.subplots(1, count, squeeze=False)[0])
-    for axes in panels:
-        axes.set_xlim(-0.5, size_px[0] - 0.5)
-        axes.set_ylim(size_px[1] - 0.5, -0.5)  # y down
-        axes.set_aspect("equal")
-        axes.set_xlabel("x / px")
-        bordered(axes)
-    panels[0].set_ylabel("y / px")
-    left, right = MARGIN_IN
-    lay_out(figure, panels, left=left, right=right, bottom=bottom, top=TOP_IN, gap=(BETWEEN_IN, 0.1), label=0.48)
-    return figure, panels
+    with sheet(name, height + TOP_IN + bottom, 1, count) as drawn:
+        for axes in drawn.panels:
+            axes.set_xlim(-0.5, size_px[0] - 0.5)
+            axes.set_ylim(size_px[1] - 0.5, -0.5)  # y down
+            axes.set_aspect("equal")
+            axes.set_xlabel("x / px")
+            bordered(axes)
+        drawn.panels[0].set_ylabel("y / px")
+        left, right = MARGIN_IN
+        layout: dict[str, Any] = {"left": left, "right": right, "bottom": bottom, "top": TOP_IN, "label": 0.48}
+        lay_out(drawn.figure, drawn.panels, gap=(BETWEEN_IN, 0.1), **layout)
+        yield drawn
 
 
 def bordered(axes: Axes) -> None:
@@ -159,8 +163,8 @@ def draw_distortion(calibration: Calibration, side: Side) -> Picture:
         seen = seen[[*corners, corners[0]]]
     except (QhullError, ValueError):
         pass  # points that span no area are their own outline
-    with drawing(f"distortion-{side}"):
-        figure, panels = picture_panels(3, camera.size_px, BAR_IN)
+    with picture_sheet(f"distortion-{side}", 3, camera.size_px, BAR_IN) as drawn:
+        panels = drawn.panels
         length = np.linalg.norm(field.displacement_px, axis=-1)
         _draw_contours(panels[0], field, length, "displacement / px", log=False)
         some = (slice(2, None, 4), slice(2, None, 4))  # directions on a coarse grid
@@ -184,16 +188,15 @@ def draw_distortion(calibration: Calibration, side: Side) -> Picture:
             "seen and the distortion is extrapolated. Right: the principal point, against the middle of the picture, "
             "with the ellipse that holds it with 95 %."
         )
-        return finish(figure, f"distortion-{side}", f"Lens distortion of the {side} camera", caption)
+        return finish(drawn.figure, drawn.name, f"Lens distortion of the {side} camera", caption)
 
 
 def draw_correlation(calibration: Calibration) -> Picture:
     """Correlation coefficients of all parameters of the pair."""
     coefficients = correlation(covariance_of(calibration.rig))
     names = [name.replace(".", " ") for name in RIG_PARAMETERS]
-    with drawing("correlation"):
-        figure = new_figure(6.9)
-        axes = figure.subplots()
+    with sheet("correlation", 6.9) as drawn:
+        (axes,) = drawn.panels
         shown = axes.imshow(coefficients, cmap=colormaps["RdBu_r"].with_extremes(bad=LIGHT), vmin=-1.0, vmax=1.0)
         for edge in GROUPS:
             axes.axhline(edge - 0.5, color=BLACK, linewidth=0.7)
@@ -206,15 +209,15 @@ def draw_correlation(calibration: Calibration) -> Picture:
                 axes.text(j, i, text, ha="center", va="center", fontsize=5.5, color="white")
         bordered(axes)
         axes.tick_params(length=2.0)
-        lay_out(figure, [axes], left=1.1, right=1.1, bottom=0.95, top=0.1)
-        bar = figure.colorbar(shown, cax=axes.inset_axes((1.03, 0.0, 0.025, 1.0)))
+        bar = drawn.figure.colorbar(shown, cax=axes.inset_axes((1.03, 0.0, 0.025, 1.0)))
         bar.set_label("correlation coefficient")
         caption = (
             f"Coefficients beyond ±{STRONG:g} are written in hundredths. Parameters that answer for each other, "
             "as k1, k2 and k3, or principal point and tangential distortion, are each less certain than what they do "
             "together: judge them by the uncertainty of the distortion. Grey: held fixed."
         )
-        return finish(figure, "correlation", "Correlation of the parameters", caption)
+        layout: dict[str, Any] = {"left": 1.1, "right": 1.1, "bottom": 0.95, "top": 0.1, "label": 0.52}
+        return drawn.picture("Correlation of the parameters", caption, **layout)
 
 
 def draw_shape(calibration: Calibration) -> Picture | None:
@@ -222,27 +225,24 @@ def draw_shape(calibration: Calibration) -> Picture | None:
     shape = target_shape(calibration)
     if shape is None:
         return None
-    with drawing("shape"):
-        extent = 1e3 * np.ptp(shape.lattice_m, axis=0) + 4e3 * calibration.target.spacing_m
-        figure, panels = picture_panels(2, extent, BAR_IN)
-        spacing_mm = 1e3 * calibration.target.spacing_m
-        corner = 0.47 * spacing_mm * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-        squares = PolyCollection(list(1e3 * shape.lattice_m[:, None, :] + corner), linewidth=0.0, cmap="viridis")
+    extent = 1e3 * np.ptp(shape.lattice_m, axis=0) + 4e3 * calibration.target.spacing_m
+    spacing_mm = 1e3 * calibration.target.spacing_m
+    with picture_sheet("shape", 2, extent, BAR_IN) as drawn:
+        panels, corners = drawn.panels, square_corners(1e3 * shape.lattice_m, 0.94 * spacing_mm)
+        squares = PolyCollection(list(corners), linewidth=0.0, cmap="viridis")
         squares.set_array(1e6 * shape.height_m)
         squares.set_rasterized(len(shape.height_m) > RASTER_ABOVE)
         panels[0].add_collection(squares)
         colour_bar(panels[0], squares, "height / µm")
-        panel_label(
-            panels[0],
-            f"height, from {two_digits(1e6 * shape.height_m.min())} to {two_digits(1e6 * shape.height_m.max())} µm",
-        )
+        low, high = (two_digits(1e6 * end) for end in (shape.height_m.min(), shape.height_m.max()))
+        panel_label(panels[0], f"height, from {low} to {high} µm")
         arrows(panels[1], 1e3 * shape.lattice_m, 1e6 * shape.inside_m, 1.5 * spacing_mm, BLUE, "µm")
         inside = np.hypot(*shape.inside_m.T)
         panel_label(panels[1], f"in the plane, rms {two_digits(1e6 * float(np.sqrt(np.mean(inside**2))))} µm")
-        low = 1e3 * shape.lattice_m.min(axis=0) - 2.0 * spacing_mm
+        corner = 1e3 * shape.lattice_m.min(axis=0) - 2.0 * spacing_mm
         for axes in panels:
-            axes.set_xlim(low[0], low[0] + extent[0])
-            axes.set_ylim(low[1], low[1] + extent[1])
+            axes.set_xlim(corner[0], corner[0] + extent[0])
+            axes.set_ylim(corner[1], corner[1] + extent[1])
             axes.set_xlabel("x / mm")
         panels[0].set_ylabel("y / mm")
         caption = (
@@ -250,7 +250,7 @@ def draw_shape(calibration: Calibration) -> Picture | None:
             "a rigid body, in the target's frame. Left: out of the plane; right: in it, strongly enlarged "
             "(arrow below). A bow tells a bent plate, a gradient in the plane a print with unequal scales."
         )
-        return finish(figure, "shape", "Shape of the target", caption)
+        return finish(drawn.figure, drawn.name, "Shape of the target", caption)
 
 
 def _draw_contours(axes: Axes, field: Distortion, values: FloatArray, label: str, *, log: bool) -> None:
@@ -298,19 +298,16 @@ def draw_residuals(calibration: Calibration, side: Side) -> Picture:
     size = (calibration.rig.left if side == "left" else calibration.rig.right).size_px
     position, residual, _ = used_points(calibration, side)
     cells = residual_map(position, residual, cell_px(calibration, side))
-    with drawing(f"residuals-{side}"):
-        figure, panels = picture_panels(2, size, KEY_IN)
+    with picture_sheet(f"residuals-{side}", 2, size, KEY_IN) as drawn:
+        panels = drawn.panels
         arrows(panels[0], position, residual, LONGEST_SHARE * float(size[0]), SIDE_COLOUR[side], "px")
-        panel_label(
-            panels[0],
-            f"all {len(position)} points, rms length {two_digits(calibration.rms_sides_px[SIDES.index(side)])} px",
-        )
+        rms_px = two_digits(calibration.rms_sides_px[SIDES.index(side)])
+        panel_label(panels[0], f"all {len(position)} points, rms length {rms_px} px")
         length = np.hypot(*cells.mean_px.T)
         clear = length > MEAN_QUANTILE * cells.within_px / np.sqrt(cells.count)
         arrows(panels[1], cells.centre_px, cells.mean_px, 0.95 * cells.side_px, np.where(clear, RED, GREY), "px")
-        panel_label(
-            panels[1], f"mean per cell of {cells.side_px:.0f} px, systematic part {two_digits(cells.systematic_px)} px"
-        )
+        systematic = two_digits(cells.systematic_px)
+        panel_label(panels[1], f"mean per cell of {cells.side_px:.0f} px, systematic part {systematic} px")
         panels[1].set_ylabel("")
         caption = (
             "Found minus modelled positions, strongly enlarged (arrow below each panel; the two scales differ). Left: "
@@ -319,40 +316,35 @@ def draw_residuals(calibration: Calibration, side: Side) -> Picture:
             "of the cells' means, their noise taken off: what lens model and target leave, beside a scatter of "
             f"{two_digits(cells.within_px)} px within the cells."
         )
-        return finish(figure, f"residuals-{side}", f"Residuals of the {side} camera", caption)
+        return finish(drawn.figure, drawn.name, f"Residuals of the {side} camera", caption)
 
 
 def draw_distribution(calibration: Calibration) -> Picture:
     """How long the residuals are in units of their standard uncertainty, beside what normal noise gives."""
-    lengths = {
-        side: np.concatenate(
-            [np.empty(0), *(p.normalised[p.used] for p in pictures(calibration, side) if p is not None)]
-        )
-        for side in SIDES
-    }
+    lengths: dict[Side, FloatArray] = {}
+    for side in SIDES:
+        known = [picture.normalised[picture.used] for picture in pictures(calibration, side) if picture is not None]
+        lengths[side] = np.concatenate([np.empty(0), *known])
     every = np.concatenate(list(lengths.values()))
     scale = float(np.sqrt(np.mean(every**2) / 2.0)) if len(every) else 1.0
-    with drawing("distribution"):
-        figure = new_figure(2.7)
-        panels = figure.subplots(1, 2)
-        _draw_density(panels[0], lengths, scale)
-        _draw_exceedance(panels[1], lengths, scale)
-        lay_out(figure, panels, gap=(0.75, 0.1))
+    with sheet("distribution", 2.7, 1, 2) as drawn:
+        _draw_density(drawn.panels[0], lengths, scale)
+        _draw_exceedance(drawn.panels[1], lengths, scale)
         caption = (
             "Length d of the residuals in units of their standard uncertainty: the points' own noise and what was "
             "added to it. Left: density; right: share of points beyond d. Normal noise of that size follows the solid "
             f"line, exp(−d²/2); dashed: the same for {scale:.2f} times the noise, the size found. Points above the "
             "lines on the right are outliers that the rule for dropping them has kept, or a systematic part."
         )
-        return finish(figure, "distribution", "Distribution of the residuals", caption)
+        layout: dict[str, Any] = {"left": 0.72, "top": 0.12, "gap": (0.75, 0.1), "label": 0.52}
+        return drawn.picture("Distribution of the residuals", caption, **layout)
 
 
 def draw_pictures(calibration: Calibration) -> Picture:
     """Rms of the residuals picture by picture, points left out and pictures dropped."""
     whole = [item for item in calibration.dropped if item.points == 0]
-    with drawing("pictures"):
-        figure = new_figure(2.6)
-        axes = figure.subplots()
+    with sheet("pictures", 2.6) as drawn:
+        (axes,) = drawn.panels
         for offset, side in zip((-0.21, 0.21), SIDES, strict=True):
             _draw_bars(axes, calibration, side, offset)
         top = 1.3 * float(np.nanmax([p.rms_px for side in SIDES for p in pictures(calibration, side) if p is not None]))
@@ -363,22 +355,20 @@ def draw_pictures(calibration: Calibration) -> Picture:
             axes.plot(start + np.arange(len(whole)), np.full(len(whole), 0.05 * top), "x", color=RED, label="dropped")
         for place, item in enumerate(whole if len(whole) <= MOST_NAMES else []):
             name = item.name if len(item.name) <= LONGEST_NAME else "…" + item.name[1 - LONGEST_NAME :]
-            axes.text(
-                start + place, 0.12 * top, name, rotation=90, ha="center", va="bottom", fontsize=6.5, parse_math=False
-            )
+            look: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "bottom", "fontsize": 6.5}
+            axes.text(start + place, 0.12 * top, name, parse_math=False, **look)
         axes.set_xlim(0.4, start + len(whole) - (0.4 if whole else 0.5))
         axes.set_xticks(range(1, len(calibration.views) + 1, 1 + len(calibration.views) // 30))
         axes.set_xlabel("view")
         axes.set_ylabel("rms length / px")
         axes.grid(visible=False, axis="x")
         axes.legend(ncols=5, loc="upper right")
-        lay_out(figure, [axes])
         caption = (
             "Rms length of the residuals in every picture; numbers in the bars count the points left out, crosses are "
             "pictures dropped as a whole. Lines: rms over all pictures of the camera. A picture that stands out was "
             "blurred, or the target moved between the exposures of the two cameras."
         )
-        return finish(figure, "pictures", "Residuals picture by picture", caption)
+        return drawn.picture("Residuals picture by picture", caption, left=0.72, top=0.12, label=0.52)
 
 
 def _draw_density(axes: Axes, lengths: dict[Side, FloatArray], scale: float) -> None:
@@ -388,9 +378,8 @@ def _draw_density(axes: Axes, lengths: dict[Side, FloatArray], scale: float) -> 
     for side, values in lengths.items():
         if len(values):
             counts, _ = np.histogram(values, bins=edges)
-            axes.stairs(
-                counts / (len(values) * np.diff(edges)), edges, color=SIDE_COLOUR[side], linewidth=1.1, label=side
-            )
+            density = counts / (len(values) * np.diff(edges))
+            axes.stairs(density, edges, color=SIDE_COLOUR[side], linewidth=1.1, label=side)
     fine = np.linspace(0.0, reach, 181)
     for size, dashes in ((1.0, "-"), (scale, "--")):
         axes.plot(fine, fine / size**2 * np.exp(-0.5 * (fine / size) ** 2), dashes, color=BLACK, linewidth=0.9)
@@ -433,6 +422,5 @@ def _draw_bars(axes: Axes, calibration: Calibration, side: Side, offset: float) 
             text: dict[str, Any] = {"ha": "center", "fontsize": 7.0, "color": INK[side]}
             axes.annotate(str(left_out), (x, 0.0), (0, 2.5), textcoords="offset points", **text)
     level = calibration.rms_sides_px[SIDES.index(side)]
-    axes.axhline(
-        level, color=SIDE_COLOUR[side], linewidth=0.9, linestyle="--", label=f"{side}, all {two_digits(level)} px"
-    )
+    label = f"{side}, all {two_digits(level)} px"
+    axes.axhline(level, color=SIDE_COLOUR[side], linewidth=0.9, linestyle="--", label=label)

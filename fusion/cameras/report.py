@@ -40,7 +40,7 @@ from fusion.cameras.figures import (
     draw_residuals,
     draw_shape,
     figure_of,
-    picture_panels,
+    picture_sheet,
     view_colours,
 )
 from fusion.report.folder import origin_frame, render_page
@@ -53,12 +53,11 @@ from fusion.report.style import (
     RASTER_ABOVE,
     RED,
     Picture,
-    drawing,
     finish,
     lay_out,
-    new_figure,
     padded,
     panel_label,
+    sheet,
 )
 from fusion.report.table import Headline, Table
 from photogram.calibration.result import Calibration, Parameter
@@ -317,23 +316,21 @@ def draw_cameras(calibration: Calibration) -> dict[str, list[Picture]]:
 def draw_coverage(calibration: Calibration) -> Picture:
     """All points of both cameras in their picture areas; cells without a point are grey."""
     rig = calibration.rig
-    with drawing("coverage"):
-        figure, panels = picture_panels(2, np.maximum(rig.left.size_px, rig.right.size_px))
-        for axes, side in zip(panels, SIDES, strict=True):
+    with picture_sheet("coverage", 2, np.maximum(rig.left.size_px, rig.right.size_px)) as drawn:
+        for axes, side in zip(drawn.panels, SIDES, strict=True):
             _draw_points(axes, calibration, side)
         caption = (
             "Found points over the picture area of either camera, one colour per view in the order of the session, "
             "numbers at outermost points where there is room; red crosses are points left out. Grey cells hold no "
             "point: there the lens distortion is extrapolated. A good session reaches all corners."
         )
-        return finish(figure, "coverage", "Where the target was seen", caption)
+        return finish(drawn.figure, drawn.name, "Where the target was seen", caption)
 
 
 def draw_views(calibration: Calibration) -> Picture:
     """Tilt, turn and distance of the target in every view, and the scene from above."""
-    with drawing("views"):
-        figure = new_figure(3.0)
-        panels = figure.subplots(1, 3)
+    with sheet("views", 3.0, 1, 3) as drawn:
+        panels = drawn.panels
         colours = view_colours(len(calibration.views))
         tilt = np.degrees(tilts_rad(calibration))
         _draw_tilts(panels[0], float(np.hypot(*tilt.T).max()))
@@ -344,7 +341,7 @@ def draw_views(calibration: Calibration) -> Picture:
         panels[1].set_xlabel("turn in the left picture / °")
         panels[1].set_ylabel("distance from the left camera / mm")
         _draw_scene(panels[2], calibration, colours)
-        lay_out(figure, panels, left=0.62, top=0.28, gap=(0.72, 0.1), label=0.5)
+        lay_out(drawn.figure, panels, left=0.62, top=0.28, gap=(0.72, 0.1), label=0.5)
         _mark(panels[0], tilt, colours)
         _mark(panels[1], np.stack([turn, distance], axis=1), colours)
         caption = (
@@ -354,7 +351,7 @@ def draw_views(calibration: Calibration) -> Picture:
             "scene in the plane of the baseline and the left camera's axis, with the optical axes dashed and the "
             "target's outline."
         )
-        return finish(figure, "views", "How the target was held", caption)
+        return finish(drawn.figure, drawn.name, "How the target was held", caption)
 
 
 def _draw_points(axes: Axes, calibration: Calibration, side: Side) -> None:

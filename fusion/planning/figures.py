@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,12 +20,9 @@ from fusion.report.style import (
     GREY,
     ORANGE,
     RED,
-    as_file,
     decades,
-    drawing,
-    lay_out,
-    new_figure,
     panel_label,
+    sheet,
     thin_out,
 )
 from shaker.arrays import FloatArray
@@ -45,19 +43,17 @@ LABELLED = 12  # lines of a panel that are named, the highest
 def draw_plan(plan: Plan, kind: str) -> bytes:
     """Draw condition number and uncertainty of every point over the camera rate, as a file (png, svg, pdf)."""
     rates = np.linspace(*plan.request.limits_hz, COLUMNS * RATES_PER_COLUMN)
-    single = len(plan.points) == 1
-    with drawing("plan"):
-        figure = new_figure(1.0 + (2.0 if single else 0.62 * len(plan.points)))
-        panels = figure.subplots(len(plan.points), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
-        for index, axes in enumerate(panels):
+    height = 1.0 + (2.0 if len(plan.points) == 1 else 0.62 * len(plan.points))
+    with sheet("plan", height, len(plan.points), sharex=True, sharey=True) as drawn:
+        for index, axes in enumerate(drawn.panels):
             _draw_point(axes, plan, index, rates)
-        panels[-1].set_xlabel("camera rate / Hz")
-        panels[-1].set_xlim(rates[0], rates[-1])
-        panels[-1].set_ylim(1.0, TOP)
-        decades(panels[-1].yaxis)
-        lay_out(figure, panels, top=0.55, gap=(0.5, 0.2))
-        _legend(figure, plan)
-        return as_file(figure, kind)
+        last = drawn.panels[-1]
+        last.set_xlabel("camera rate / Hz")
+        last.set_xlim(rates[0], rates[-1])
+        last.set_ylim(1.0, TOP)
+        decades(last.yaxis)
+        _legend(drawn.figure, plan)
+        return drawn.file(kind, top=0.55, gap=(0.5, 0.2))
 
 
 def _draw_point(axes: Axes, plan: Plan, index: int, rates: FloatArray) -> None:
@@ -102,14 +98,11 @@ def _legend(figure: Figure, plan: Plan) -> None:
 def draw_lines(lists: Sequence[LineList], kind: str) -> bytes:
     """Draw spectrum, noise floor and lines of every channel, as a file (png, svg, pdf)."""
     panels = [(item, c) for item in lists for c in range(len(item.channels))]
-    with drawing("lines"):
-        figure = new_figure(0.7 + 2.3 * len(panels))
-        every = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
-        for axes, (item, c) in zip(every, panels, strict=True):
+    with sheet("lines", 0.7 + 2.3 * len(panels), len(panels), sharex=False) as drawn:
+        for axes, (item, c) in zip(drawn.panels, panels, strict=True):
             _draw_channel(axes, item, c)
-        every[-1].set_xlabel("frequency / Hz")
-        lay_out(figure, every, top=0.25, gap=(0.5, 0.42))
-        return as_file(figure, kind)
+        drawn.panels[-1].set_xlabel("frequency / Hz")
+        return drawn.file(kind, top=0.25, gap=(0.5, 0.42))
 
 
 def _draw_channel(axes: Axes, item: LineList, c: int) -> None:
@@ -128,16 +121,9 @@ def _draw_channel(axes: Axes, item: LineList, c: int) -> None:
             colour = RED
         axes.plot(place, entry.amplitude[c], marker="v", color=colour, markersize=4.0, linestyle="")
         if rank < LABELLED:
-            axes.annotate(
-                f"{entry.frequency_hz:.5g} {DETAILS.split(entry.what)[0].strip()}",
-                (place, float(entry.amplitude[c])),
-                xytext=(0, 5),
-                textcoords="offset points",
-                fontsize=5.5,
-                rotation=90,
-                ha="center",
-                color=colour,
-            )
+            text = f"{entry.frequency_hz:.5g} {DETAILS.split(entry.what)[0].strip()}"
+            look: dict[str, Any] = {"fontsize": 5.5, "rotation": 90, "ha": "center", "color": colour}
+            axes.annotate(text, (place, float(entry.amplitude[c])), (0, 5), textcoords="offset points", **look)
     floor = item.floor[:, c] if len(item.floor_hz) else amplitude[amplitude > 0.0]
     axes.set_ylim(0.2 * float(np.min(floor)), 1e4 * float(amplitude.max()))
     decades(axes.yaxis)
