@@ -21,7 +21,14 @@ from fusion.recording.manifest import ChannelEntry
 from fusion.report.provenance import Provenance, write_provenance
 from fusion.sensor.identify.evaluate import evaluate_identification
 from fusion.sensor.identify.fit import JointFit, joint_fits, mechanics, modelled
-from fusion.sensor.identify.measured import IdentifySettings, Prepared, placement_errors, prepare, read_campaign, sight
+from fusion.sensor.identify.measured import (
+    IdentifySettings,
+    Prepared,
+    placement_errors,
+    prepare,
+    read_campaign,
+    transducer_placement,
+)
 from fusion.sensor.identify.report import read_sensor_models
 from fusion.simulate.chirp import (
     Chirp,
@@ -368,7 +375,7 @@ def _by_name(errors: tuple[PlacementError, ...]) -> dict[str, PlacementError]:
 
 def test_rows_change_as_the_place_and_the_direction_do():
     entry = _entry("top", "load")
-    seen = sight(entry)
+    seen = transducer_placement(entry)
     found = _by_name(placement_errors(_entry("base", "base"), [entry], "1"))
     for axis, u in enumerate(UNSURE["point_uncertainty"]):
         moved = Placement(seen.point_m + u * np.eye(3)[axis], seen.direction)
@@ -410,7 +417,7 @@ def test_another_mounting_is_another_unknown_and_what_is_exact_is_none():
 def test_a_gyroscope_reads_how_the_body_turns_wherever_it_is():
     keys = {"name": "gyro", "quantity": "angular_velocity", "body": "load", "direction": [0.0, 1.0, 0.0]}
     entry = ChannelEntry.model_validate({**keys, "direction_uncertainty": 5e-3})
-    assert sight(entry).row.tolist() == [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    assert transducer_placement(entry).row.tolist() == [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
     errors = placement_errors(entry, [], "1")
     assert [error.name for error in errors] == [f"gyro: direction gyro along (0, 1, 0) {axis} [1]" for axis in (0, 1)]
     for error in errors:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
@@ -19,7 +19,6 @@ from fusion.sensitivity.body import inertia_errors, rigid_load
 from fusion.sensor.transfer.evaluate import KINDS, evaluate_transfer
 from fusion.sensor.transfer.records import FoundResonance, ReferenceResult, TransferSettings
 from shaker.arrays import FloatArray, Notice
-from shaker.frf.result import TransferFunction
 from shaker.identification.measured import (
     AT_THE_BASE,
     MeasuredTransfer,
@@ -28,6 +27,7 @@ from shaker.identification.measured import (
     RelativeError,
 )
 from shaker.labels import LOAD_UNITS
+from shaker.sine.phasor import Phasors
 
 # What a user may choose of an identification.
 
@@ -82,7 +82,7 @@ class IdentifySettings:
 # Where the channels of a transfer recording measure, and what is uncertain of it, by names that hold everywhere.
 
 
-def sight(entry: ChannelEntry) -> Placement:
+def transducer_placement(entry: ChannelEntry) -> Placement:
     """Return where and along what a channel measures, of an angular velocity about what."""
     turning = TRANSDUCERS[entry.quantity].turning
     return Placement(np.zeros(3) if turning else placed_at(entry), unit_direction(entry), turning)
@@ -134,7 +134,8 @@ class Campaign:
 def read_campaign(path: Path, *, allow_outside: bool = False) -> Campaign:
     """Read the manifests of a campaign folder, or of one recording, and check that they tell of one sensor.
 
-    Raises `InputError` where no recording has transfer functions.
+    Sines count where they have results of these very files. Raises `InputError` where no recording has transfer
+    functions.
     """
     folder = (path.parent if path.is_file() else path).resolve()
     manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in find_recordings(path)]
@@ -144,30 +145,21 @@ def read_campaign(path: Path, *, allow_outside: bool = False) -> Campaign:
         where = manifests[0].path if len(manifests) == 1 else path
         expected = f"a recording of the kind {', '.join(KINDS[:-1])} or {KINDS[-1]}, which shows a transfer function"
         raise InputError(where, "excitation.kind", found=f"only {kinds}", expected=expected)
-    sines, notices = _sines([manifest for manifest in manifests if manifest.excitation.kind == "sine"])
-    _check_one_sensor([*transfers, *(item.manifest for item in sines)])
-    files = [file for manifest in (*transfers, *(item.manifest for item in sines)) for file in manifest.files]
+    results = [(manifest, _results(manifest)) for manifest in manifests if manifest.excitation.kind == "sine"]
+    sines = tuple(EvaluatedSines(manifest, place) for manifest, place in results if place is not None)
+    missing = [manifest.name for manifest, place in results if place is None]
+    notices = []
+    if len(missing) == 1:
+        text = "this recording of sines has no results of `shakercal run`, which would add its sensitivity"
+        notices.append(Notice("info", text, missing[0]))
+    elif missing:
+        text = "recordings of sines have no results of `shakercal run`, which would add their sensitivity"
+        notices.append(Notice("info", f"{len(missing)} {text}", "campaign"))
+    used = [*transfers, *(item.manifest for item in sines)]
+    _check_one_sensor(used)
+    files = [file for manifest in used for file in manifest.files]
     hashes = hash_files([*files, *(item.results / RESULT_FILE for item in sines)], folder)
-    return Campaign(folder.name, folder, transfers, sines, hashes, notices)
-
-
-def _sines(manifests: list[Manifest]) -> tuple[tuple[EvaluatedSines, ...], tuple[Notice, ...]]:
-    """Return the recordings of sines with results of these very files, and a remark on those without."""
-    found, missing = [], []
-    for manifest in manifests:
-        results = _results(manifest)
-        if results is None:
-            missing.append(manifest.name)
-        else:
-            found.append(EvaluatedSines(manifest, results))
-    if not missing:
-        return tuple(found), ()
-    text = (
-        f"{len(missing)} recordings of sines have no results of `shakercal run`, which would add their sensitivity"
-        if len(missing) > 1
-        else "this recording of sines has no results of `shakercal run`, which would add its sensitivity"
-    )
-    return tuple(found), (Notice("info", text, missing[0] if len(missing) == 1 else "campaign"),)
+    return Campaign(folder.name, folder, transfers, sines, hashes, tuple(notices))
 
 
 def _results(manifest: Manifest) -> Path | None:
@@ -246,45 +238,44 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
     base = _base_entry(manifest, entries, drive)
     evaluation = evaluate_transfer(manifest, SETTINGS, {})
     result = next(result for result in evaluation.references if result.name == base.name)
-    tops = [entries[channel] for channel in result.transfer.ratio.channels if _on_load(entries[channel], drive)]
+    measured_by = [entries[channel] for channel in result.transfer.ratio.channels]
+    tops = [entry for entry in measured_by if entry.body == "load" and _shows_motion(entry, drive)]
     if not tops:
         expected = f'a {_wanted(drive)} with body = "load"'
         raise InputError(manifest.path, "excitation.response", found="none on the load", expected=expected)
-    clock, u_clock = _clock(manifest, [base, *tops])
-    transfer, errors = _selected(result, [entry.name for entry in tops], name)
+    blocks = [daq for daq in manifest.daq if any(entry in daq.channel for entry in (base, *tops))]
+    clock = blocks[0] if len(blocks) == 1 else manifest.daq[0]
+    ratio, errors = _load_over_base(manifest, result, [entry.name for entry in tops], name, band_hz)
     measured = MeasuredTransfer(
         name=name,
-        ratio=transfer.ratio,
-        tops=tuple(sight(entry) for entry in tops),
-        base=sight(base),
+        ratio=ratio,
+        tops=tuple(transducer_placement(entry) for entry in tops),
+        base=transducer_placement(base),
         drive=drive,
         mass_matrix=body.mass_matrix,
         errors=errors,
         inertia_errors=inertia_errors(manifest, body),
-        line_correlation=transfer.line_correlation,
-        added_decay_per_s=transfer.added_decay_per_s,
-        clock=clock,
-        u_clock=u_clock,
+        line_correlation=result.transfer.line_correlation,
+        added_decay_per_s=result.transfer.added_decay_per_s,
+        clock=f"clock of {clock.name}",
+        u_clock=clock.clock_uncertainty,
         placement_errors=placement_errors(base, tops, manifest.mounting),
     )
-    found = tuple(item for item in result.resonances if item.response in transfer.ratio.channels)
+    found = tuple(item for item in result.resonances if item.response in ratio.channels)
     alone = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
-    notices = tuple(_named(notice, name) for notice in evaluation.notices if notice.where not in alone)
-    return Prepared(manifest, _in_band(measured, manifest, band_hz), found), (
-        *notices,
-        *_left_out(manifest, base, name),
-    )
-
-
-def _left_out(manifest: Manifest, base: ChannelEntry, name: str) -> Iterator[Notice]:
-    """Say what is stated and not used."""
+    notices = [
+        replace(notice, where=f"{name}: {notice.where}" if notice.where else name)
+        for notice in evaluation.notices
+        if notice.where not in alone
+    ]
     others = [reference for reference in manifest.excitation.reference if reference != base.name]
     if others:
-        yield Notice("info", f"of several references {base.name} is used, {', '.join(others)} left out", name)
+        text = f"of several references {base.name} is used, {', '.join(others)} left out"
+        notices.append(Notice("info", text, name))
     if manifest.rig.load is not None and manifest.rig.load.elastic_frequency is not None:
-        yield Notice(
-            "warning", "the load is taken as rigid although its joint is stated (load.elastic_frequency)", name
-        )
+        text = "the load is taken as rigid although its joint is stated (load.elastic_frequency)"
+        notices.append(Notice("warning", text, name))
+    return Prepared(manifest, measured, found), tuple(notices)
 
 
 def drive_of(manifest: Manifest) -> FloatArray:
@@ -313,18 +304,13 @@ def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: Flo
     named = [entries[name] for name in manifest.excitation.reference if name in entries]
     for entry in named:
         if entry.body == "base" and _shows_motion(entry, drive):
-            if abs(float(sight(entry).row @ drive)) < _ALONG * float(np.linalg.norm(drive)):
+            if abs(float(transducer_placement(entry).row @ drive)) < _ALONG * float(np.linalg.norm(drive)):
                 found = f'"{entry.name}", which looks across excitation.direction'
                 raise InputError(manifest.path, "excitation.reference", found, "a motion along the excitation")
             return entry
     expected = f'a {_wanted(drive)} with body = "base", over which the motion of the load is taken'
     told = ", ".join(f'"{entry.name}" ({entry.quantity} of {entry.body or "no body"})' for entry in named)
     raise InputError(manifest.path, "excitation.reference", found=told or "nothing", expected=expected)
-
-
-def _on_load(entry: ChannelEntry, drive: FloatArray) -> bool:
-    """Whether a channel measures how the load moves."""
-    return entry.body == "load" and _shows_motion(entry, drive)
 
 
 def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
@@ -339,46 +325,30 @@ def _wanted(drive: FloatArray) -> str:
     return f"{', '.join(shown[:-1])} or {shown[-1]}"
 
 
-def _clock(manifest: Manifest, entries: Sequence[ChannelEntry]) -> tuple[str, float]:
-    """Return name and relative uncertainty of the clock that counts: the block's own, the first one's of several."""
-    blocks = [daq for daq in manifest.daq if any(entry in daq.channel for entry in entries)]
-    clock = blocks[0] if len(blocks) == 1 else manifest.daq[0]
-    return f"clock of {clock.name}", clock.clock_uncertainty
-
-
-def _selected(
-    result: ReferenceResult, channels: Sequence[str], recording: str
-) -> tuple[TransferFunction, tuple[RelativeError, ...]]:
-    """Return the ratios of some responses with the covariance of their noise, and their common errors.
+def _load_over_base(
+    manifest: Manifest,
+    result: ReferenceResult,
+    channels: Sequence[str],
+    recording: str,
+    band_hz: tuple[float, float] | None,
+) -> tuple[Phasors, tuple[RelativeError, ...]]:
+    """Return the ratios of some responses in the band with the covariance of their noise, and their common errors.
 
     A delay has the sign it has in a run (a signal that is later than stated), and a clock's tie is one recording's own.
     """
-    places = [result.transfer.ratio.channels.index(channel) for channel in channels]
     ratio = replace(result.transfer.ratio, covariance=result.random_covariance).select(channels)
+    frequency, chosen = ratio.frequency_hz, np.ones(len(ratio.frequency_hz), dtype=np.bool_)
+    if band_hz is not None:
+        chosen = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
+        if not np.any(chosen):
+            found = f"{band_hz[0]:g} to {band_hz[1]:g} Hz"
+            expected = f"a --band that holds lines between {frequency[0]:.6g} and {frequency[-1]:.6g} Hz"
+            raise InputError(manifest.path, "excitation.band", found=found, expected=expected)
+    places = [result.transfer.ratio.channels.index(channel) for channel in channels]
     errors = []
     for error in result.errors:
         relative = error.relative[:, places] * (-1.0 if error.name.endswith(": delay") else 1.0)
         name = f"{error.name} [{recording}]" if error.name.startswith("clock ") else error.name
         if np.any(relative != 0.0):
-            errors.append(RelativeError(name, relative))
-    coherence, averages = result.transfer.coherence[:, places], result.transfer.averages
-    return replace(result.transfer, ratio=ratio, coherence=coherence, averages=averages), tuple(errors)
-
-
-def _in_band(measured: MeasuredTransfer, manifest: Manifest, band_hz: tuple[float, float] | None) -> MeasuredTransfer:
-    """Return the lines inside the band, and refuse a band that holds none."""
-    if band_hz is None:
-        return measured
-    frequency = measured.ratio.frequency_hz
-    chosen = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
-    if not np.any(chosen):
-        found = f"{band_hz[0]:g} to {band_hz[1]:g} Hz"
-        expected = f"a --band that holds lines between {frequency[0]:.6g} and {frequency[-1]:.6g} Hz"
-        raise InputError(manifest.path, "excitation.band", found=found, expected=expected)
-    errors = tuple(RelativeError(error.name, error.relative[chosen]) for error in measured.errors)
-    return replace(measured, ratio=measured.ratio.at_lines(chosen), errors=errors)
-
-
-def _named(notice: Notice, name: str) -> Notice:
-    """A remark on a channel with the recording it belongs to."""
-    return replace(notice, where=f"{name}: {notice.where}" if notice.where else name)
+            errors.append(RelativeError(name, relative[chosen]))
+    return ratio.at_lines(chosen), tuple(errors)

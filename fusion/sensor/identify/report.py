@@ -376,9 +376,13 @@ def model_text(evaluation: IdentifyEvaluation) -> str:
     return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
 
-def read_model(path: Path) -> SensorFile:
-    """Read model.json, or the one in a folder of results; `InputError` names what cannot be read."""
-    file = path / MODEL_FILE if path.is_dir() else path
+def read_sensor_models(path: str | Path) -> SensorFile:
+    """Read model.json, or the one in a folder of results; `InputError` names what cannot be read.
+
+    >>> from fusion import read_sensor_models
+    >>> sensor = read_sensor_models("my-masses/identify")["Fz"].sensor  # doctest: +SKIP
+    """
+    file = Path(path) / MODEL_FILE if Path(path).is_dir() else Path(path)
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:
