@@ -397,7 +397,7 @@ def _quantity(
     effective = sum(wide) ** 2 / fourth if fourth > 0.0 else np.inf
     budget = {name: float(np.sqrt(variance)) for name, variance in by_name.items() if variance > 0.0}
     u = float(np.sqrt(sum(variances)))
-    return Quantity(head.name, head.label, head.component, value, u, effective, head.unit, head.recording, budget)
+    return Quantity(value, u, effective, head.unit, head.name, head.label, head.component, head.recording, budget)
 
 
 def _with_normalised(found: Sequence[Quantity]) -> Iterator[Quantity]:
@@ -408,7 +408,7 @@ def _with_normalised(found: Sequence[Quantity]) -> Iterator[Quantity]:
             value, k = quantity.value / quantity.expanded, coverage_factor(quantity.dof)
             label = "deviation over its U"
             name = "load_mass_normalised_deviation"
-            yield Quantity(name, label, quantity.component, value, 1.0 / k, quantity.dof, "1", "", {})
+            yield Quantity(value, 1.0 / k, quantity.dof, "1", name, label, quantity.component, "", {})
 
 
 Told = Iterator[tuple[Head, FloatArray]]

@@ -11,7 +11,7 @@ import numpy as np
 
 from fusion.base import InputError, as_input_error
 from fusion.campaign.repeats import BETWEEN, WITHIN, nested
-from fusion.estimation.uncertainty import coverage_factor
+from fusion.estimation.uncertainty import NamedQuantity
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Load, Part, Sensor
 from shaker.arrays import FloatArray, Notice
@@ -144,11 +144,6 @@ class Component(NamedTuple):
     wide: FloatArray
     dof: FloatArray
 
-    def spread_over(self, each: float, share: float) -> Component:
-        """Return this per `each` recordings of a mounting, with a share in the mean."""
-        factor = share / each
-        return Component(self.variance / each, self.variance * factor, self.wide * factor, self.dof)
-
 
 def components(carried: Carried, gradient: FloatArray) -> Iterator[tuple[str, Component]]:
     """Yield what recordings, then mountings, scatter by in Q numbers, each by itself; `gradient` (Q, V) of the mean.
@@ -164,26 +159,24 @@ def components(carried: Carried, gradient: FloatArray) -> Iterator[tuple[str, Co
     reading = carried.value @ gradient.T
     effects = [np.einsum("qv,nvr->nqr", gradient, effect) for effect in carried.effects]
     known: FloatArray = np.zeros(len(gradient))
+
+    def beyond(form: FloatArray, dof: int, each: float, share: float) -> Component:
+        """What a mean square exceeds stated errors by, of `each` recordings of a mounting, with a share in the mean."""
+        square = np.einsum("nq,nm,mq->q", reading, form, reading) / dof
+        stated = sum((np.einsum("nqr,nm,mqr->q", e, form, e) for e in effects), np.zeros(len(square))) / dof
+        variance = np.maximum(square - stated - known, 0.0)
+        enlarged = np.where(variance > 0.0, square * (1.0 + 2.0 / dof), 1.0)
+        wide = np.where(variance > 0.0, variance + square * (2.0 / dof), 0.0)
+        factor = share / each
+        return Component(variance / each, variance * factor, wide * factor, dof * (wide / enlarged) ** 2)
+
     if forms.within_dof:
-        within = _beyond(reading, effects, forms.within, forms.within_dof, known)
+        within = beyond(forms.within, forms.within_dof, 1.0, 1.0 / count)
         known = within.variance
-        yield WITHIN, within.spread_over(1.0, 1.0 / count)
+        yield WITHIN, within
     if forms.between_dof:
-        found = _beyond(reading, effects, forms.between, forms.between_dof, known)
         share = sum(carried.mountings.count(kind) ** 2 for kind in set(carried.mountings)) / count**2
-        yield BETWEEN, found.spread_over(forms.each, share)
-
-
-def _beyond(
-    reading: FloatArray, effects: Sequence[FloatArray], form: FloatArray, dof: int, known: FloatArray
-) -> Component:
-    """What a mean square of readings (N, Q) exceeds stated errors by, and a variance that is known beyond them."""
-    square = np.einsum("nq,nm,mq->q", reading, form, reading) / dof
-    stated = sum((np.einsum("nqr,nm,mqr->q", effect, form, effect) for effect in effects), np.zeros(len(square))) / dof
-    variance = np.maximum(square - stated - known, 0.0)
-    enlarged = np.where(variance > 0.0, square * (1.0 + 2.0 / dof), 1.0)
-    wide = np.where(variance > 0.0, variance + square * (2.0 / dof), 0.0)
-    return Component(variance, variance, wide, dof * (wide / enlarged) ** 2)
+        yield BETWEEN, beyond(forms.between, forms.between_dof, forms.each, share)
 
 
 # What an evaluated rotation test consists of.
@@ -229,32 +222,16 @@ class RotationRecording:
 
 
 @dataclass(frozen=True)
-class Quantity:
-    """One number of the result with its standard uncertainty and the degrees of freedom behind that.
+class Quantity(NamedQuantity):
+    """One number of the result.
 
-    `name` for files, `label` for readers; `component`: Fx … Mz, x, y, z, or all forces together ("joint"); `recording`:
-    the folder of the one it belongs to, empty where it rests on several. `budget`: standard uncertainty by cause.
+    `component`: Fx … Mz, x, y, z, or all forces together ("joint"); `recording`: the folder of the one it belongs to,
+    empty where it rests on several. `budget`: standard uncertainty by cause.
     """
 
-    name: str
-    label: str
     component: str
-    value: float
-    u: float
-    dof: float
-    unit: str
     recording: str
     budget: dict[str, float]
-
-    @property
-    def k(self) -> float:
-        """Return the coverage factor for 95 %."""
-        return coverage_factor(self.dof)
-
-    @property
-    def expanded(self) -> float:
-        """Return U = k·u."""
-        return self.k * self.u
 
 
 @dataclass(frozen=True)

@@ -271,7 +271,6 @@ def _terms(recording: RotationRecording) -> Iterator[Quantity]:
         row = recording.inverse[i]
         coefficient, noise = fit.coefficient @ row, float(row @ fit.noise @ row)
         u = np.sqrt(noise * np.diag(fit.inverse))
-        tail = (fit.dof, LOAD_UNITS[i], recording.name)
         for place, name in enumerate(fit.terms):
             value, spread = float(coefficient[place]), float(u[place])
             if name.startswith("sin "):
@@ -282,7 +281,8 @@ def _terms(recording: RotationRecording) -> Iterator[Quantity]:
                 along = pair / value if value > 0.0 else np.array([1.0, 0.0])
                 spread = float(np.sqrt(noise * along @ fit.inverse[place : place + 2, place : place + 2] @ along))
             label = _term_name(name)
-            yield Quantity(label.replace(" ", "_"), label, LOAD_COMPONENTS[i], value, spread, *tail, {})
+            head = (LOAD_UNITS[i], label.replace(" ", "_"), label, LOAD_COMPONENTS[i], recording.name)
+            yield Quantity(value, spread, fit.dof, *head, {})
 
 
 def _term_name(name: str) -> str:
