@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import ArrayLike
 from scipy.stats import binom, chi2
 
@@ -52,3 +54,9 @@ def _real(values: ArrayLike) -> np.ndarray:
     """Return values as real ones (Q,)."""
     flat = np.atleast_1d(np.asarray(values)).ravel()
     return np.concatenate([flat.real, flat.imag]) if np.iscomplexobj(flat) else flat.astype(np.float64)
+
+
+def refused(words: str, call: Callable[..., object], /, *arguments: Any, error: Any = ValueError, **named: Any) -> None:
+    """Assert that a call with these arguments ends with an error that says these words, a regular expression."""
+    with pytest.raises(error, match=words):
+        call(*arguments, **named)

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from contracts import refused
 from scipy.spatial.transform import Rotation
 
 from photogram.calibration.file import read_calibration, write_calibration
@@ -49,6 +50,11 @@ def _file(folder: Path, name: str, text: str) -> Path:
     return folder / name
 
 
+def _imported(folder: Path, text: str, *options: object) -> ImportedCalibration:
+    """What is read from a file with this content."""
+    return import_calibration(_file(folder, "calibration", text), *options)
+
+
 def _storage(path: Path, content: dict[str, object]) -> Path:
     """Write a file as OpenCV writes it; the suffix decides between YAML, XML and JSON."""
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
@@ -81,21 +87,20 @@ def _opencv(matrices: tuple[str, str], distortions: tuple[str, str], rotation: s
         (("left_K", "right_K"), ("left_distortion", "right_distortion")),
     ],
 )
-def test_opencv_storage(tmp_path: Path, suffix: str, names: tuple[tuple[str, str], tuple[str, str]]) -> None:
+def test_opencv_storage(tmp_path, suffix, names):
     path = _storage(tmp_path / f"stereo.{suffix}", _opencv(*names))
     _assert_same(import_calibration(path, SIZE, "mm"))
 
 
-def test_opencv_in_two_files_with_the_size_in_one(tmp_path: Path) -> None:
+def test_opencv_in_two_files_with_the_size_in_one(tmp_path):
     content = _opencv(("M1", "M2"), ("D1", "D2"))
     inner = _storage(tmp_path / "intrinsics.yml", {k: content[k] for k in ("M1", "D1", "M2", "D2")})
     outer = {"R": content["R"], "T": content["T"], "image_width": SIZE[0], "image_height": SIZE[1]}
     _assert_same(import_calibration(inner, None, "mm", _storage(tmp_path / "extrinsics.yml", outer)))
-    with pytest.raises(ValueError, match=r"intrinsics\.yml: expected the rotation R .* second file"):
-        import_calibration(inner, SIZE, "mm")
+    refused(r"intrinsics\.yml: expected the rotation R .* second file", import_calibration, inner, SIZE, "mm")
 
 
-def test_opencv_plain_json_with_objects_and_a_rotation_vector(tmp_path: Path) -> None:
+def test_opencv_plain_json_with_objects_and_a_rotation_vector(tmp_path):
     content = {
         "left": {"camera_matrix": K_LEFT.tolist(), "dist_coeffs": [*D_LEFT, 0, 0, 0]},
         "right": {"camera_matrix": K_RIGHT.tolist(), "dist_coeffs": [D_RIGHT.tolist()]},
@@ -103,29 +108,19 @@ def test_opencv_plain_json_with_objects_and_a_rotation_vector(tmp_path: Path) ->
         "T": (1e-3 * T_MM).tolist(),
         "imageSize": list(SIZE),
     }
-    _assert_same(import_calibration(_file(tmp_path, "rig.json", json.dumps(content)), None, "m"))
+    _assert_same(_imported(tmp_path, json.dumps(content), None, "m"))
 
 
-def test_opencv_needs_a_unit_and_a_size(tmp_path: Path) -> None:
-    path = _storage(tmp_path / "s.yml", _opencv(("M1", "M2"), ("D1", "D2")))
-    with pytest.raises(ValueError, match="length_unit: expected m or mm"):
-        import_calibration(path, SIZE)
-    with pytest.raises(ValueError, match="image_size: expected width and height"):
-        import_calibration(path, None, "mm")
-    assert import_calibration(path, SIZE, "m").rig.right_from_left.translation_m[0] == pytest.approx(-151.5)
-
-
-def test_a_model_with_more_coefficients_is_refused_by_name(tmp_path: Path) -> None:
+def test_opencv_needs_a_unit_and_a_size_and_both_cameras(tmp_path):
     content = _opencv(("M1", "M2"), ("D1", "D2"))
-    content["D2"] = np.append(D_RIGHT, [0.1, 0, 0])
-    with pytest.raises(ValueError, match=r"D2: expected the distortion k1 k2 p1 p2 k3, found k4 = 0\.1"):
-        import_calibration(_storage(tmp_path / "s.yml", content), SIZE, "mm")
-
-
-def test_one_camera_is_refused_by_name(tmp_path: Path) -> None:
-    path = _storage(tmp_path / "mono.yml", {"camera_matrix": K_LEFT, "distortion_coefficients": D_LEFT})
-    with pytest.raises(ValueError, match=r"mono\.yml: camera_matrix: .* single one"):
-        import_calibration(path, SIZE, "mm")
+    path = _storage(tmp_path / "s.yml", content)
+    refused("length_unit: expected m or mm", import_calibration, path, SIZE)
+    refused("image_size: expected width and height", import_calibration, path, None, "mm")
+    assert import_calibration(path, SIZE, "m").rig.right_from_left.translation_m[0] == pytest.approx(-151.5)
+    many = _storage(tmp_path / "s.yml", {**content, "D2": np.append(D_RIGHT, [0.1, 0, 0])})
+    refused(r"D2: expected the distortion k1 k2 p1 p2 k3, found k4 = 0\.1", import_calibration, many, SIZE, "mm")
+    alone = _storage(tmp_path / "mono.yml", {"camera_matrix": K_LEFT, "distortion_coefficients": D_LEFT})
+    refused(r"mono\.yml: camera_matrix: .* single one", import_calibration, alone, SIZE, "mm")
 
 
 def _matlab(old: bool) -> dict[str, object]:
@@ -148,30 +143,28 @@ def _matlab(old: bool) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("old", [False, True])
-def test_matlab(tmp_path: Path, old: bool) -> None:
-    _assert_same(import_calibration(_file(tmp_path, "stereo.json", json.dumps(_matlab(old)))))
+def test_matlab(tmp_path, old):
+    _assert_same(_imported(tmp_path, json.dumps(_matlab(old))))
 
 
-def test_matlab_with_two_radial_coefficients_and_a_unit_nobody_knows(tmp_path: Path) -> None:
+def test_matlab_with_two_radial_coefficients_and_a_unit_nobody_knows(tmp_path):
     content = _matlab(old=False)
     for name in ("CameraParameters1", "CameraParameters2"):
         camera = content[name]
         camera["RadialDistortion"], camera["WorldUnits"] = camera["RadialDistortion"][:2], "squares"
     path = _file(tmp_path, "stereo.json", json.dumps(content))
-    with pytest.raises(ValueError, match="length_unit"):
-        import_calibration(path)
+    refused("length_unit", import_calibration, path)
     two = [1, 1, 1, 1, 0]
     _assert_same(import_calibration(path, length_unit="mm"), (D_LEFT * two, D_RIGHT * two))
 
 
-def test_matlab_essential_matrix_reveals_a_transposed_rotation(tmp_path: Path) -> None:
+def test_matlab_essential_matrix_reveals_a_transposed_rotation(tmp_path):
     content = _matlab(old=False)
     cross = np.cross(np.eye(3), T_MM) * -1.0
     content["EssentialMatrix"] = (cross @ ROTATION).tolist()
-    _assert_same(import_calibration(_file(tmp_path, "a.json", json.dumps(content))))
+    _assert_same(_imported(tmp_path, json.dumps(content)))
     content["PoseCamera2"] = {"R": ROTATION.T.tolist(), "Translation": T_MM.tolist()}
-    with pytest.raises(ValueError, match="EssentialMatrix"):
-        import_calibration(_file(tmp_path, "b.json", json.dumps(content)))
+    refused("EssentialMatrix", import_calibration, _file(tmp_path, "b.json", json.dumps(content)))
 
 
 def _bouguet(skew: str = "0.00000") -> str:
@@ -194,13 +187,13 @@ def _bouguet(skew: str = "0.00000") -> str:
     )
 
 
-def test_bouguet(tmp_path: Path) -> None:
-    _assert_same(import_calibration(_file(tmp_path, "Calib_Results_stereo.txt", _bouguet()), SIZE))
+def test_bouguet(tmp_path):
+    _assert_same(_imported(tmp_path, _bouguet(), SIZE))
 
 
-def test_bouguet_column_vectors_and_image_size(tmp_path: Path) -> None:
+def test_bouguet_column_vectors_and_image_size(tmp_path):
     text = _bouguet().replace("   ", " ;\n ") + "\nnx = 1280;\nny = 1024;"
-    _assert_same(import_calibration(_file(tmp_path, "c.m", text.replace("± [ 1.00000 ;\n 2.00000 ]", ";"))))
+    _assert_same(_imported(tmp_path, text.replace("± [ 1.00000 ;\n 2.00000 ]", ";")))
 
 
 def _dice_xml(model: str, relative: bool, digits: int = 12) -> str:
@@ -233,35 +226,35 @@ def _dice_xml(model: str, relative: bool, digits: int = 12) -> str:
 
 
 @pytest.mark.parametrize("relative", [True, False])
-def test_dice_xml(tmp_path: Path, relative: bool) -> None:
-    _assert_same(import_calibration(_file(tmp_path, "cal.xml", _dice_xml("OPENCV_LENS_DISTORTION", relative))))
-    radial = import_calibration(_file(tmp_path, "r.xml", _dice_xml("K1R3_K2R5_K3R7", relative)))
+def test_dice_xml(tmp_path, relative):
+    _assert_same(_imported(tmp_path, _dice_xml("OPENCV_LENS_DISTORTION", relative)))
+    radial = _imported(tmp_path, _dice_xml("K1R3_K2R5_K3R7", relative))
     _assert_same(radial, (RADIAL_LEFT, RADIAL_RIGHT))
-    none = import_calibration(_file(tmp_path, "n.xml", _dice_xml("NO_LENS_DISTORTION", relative)))
+    none = _imported(tmp_path, _dice_xml("NO_LENS_DISTORTION", relative))
     _assert_same(none, (np.zeros(5), np.zeros(5)))
 
 
-def test_dice_model_linear_in_the_radius_is_a_longer_focal_length_and_told(tmp_path: Path) -> None:
+def test_dice_model_linear_in_the_radius_is_a_longer_focal_length_and_told(tmp_path):
     text = _dice_xml("K1R1_K2R2_K3R3", True)
     for old, new in ((-0.08, 0.015), (0.05, 0.0), (0.02, 0.0), (-0.07, 0.015), (0.03, 0.0), (0.01, 0.0)):
         text = text.replace(f'"{old:.12g}" />\n<Parameter name="', f'"{new:.12g}" />\n<Parameter name="')
-    imported = import_calibration(_file(tmp_path, "cal.xml", text))
+    imported = _imported(tmp_path, text)
     np.testing.assert_allclose(imported.rig.left.parameters[:2], 1.015 * K_LEFT[[0, 1], [0, 1]], rtol=1e-6)
     assert any("K1R3_K2R5_K3R7 would be right there" in notice.text for notice in imported.notices)
 
 
-def test_dice_rotation_with_few_digits_is_told(tmp_path: Path) -> None:
-    imported = import_calibration(_file(tmp_path, "cal.xml", _dice_xml("OPENCV_LENS_DISTORTION", True, digits=4)))
+def test_dice_rotation_with_few_digits_is_told(tmp_path):
+    imported = _imported(tmp_path, _dice_xml("OPENCV_LENS_DISTORTION", True, digits=4))
     assert [notice.where for notice in imported.notices if notice.severity == "warning"] == ["rotation"]
     with pytest.raises(ValueError, match="rotation: expected an orthonormal matrix"):
-        import_calibration(_file(tmp_path, "bad.xml", _dice_xml("OPENCV_LENS_DISTORTION", True, digits=2)))
+        _imported(tmp_path, _dice_xml("OPENCV_LENS_DISTORTION", True, digits=2))
 
 
-def test_dice_polynomial_in_odd_powers_is_fitted_by_even_ones(tmp_path: Path) -> None:
+def test_dice_polynomial_in_odd_powers_is_fitted_by_even_ones(tmp_path):
     text = _dice_xml("K1R2_K2R4_K3R6", True)
     for old, new in ((-0.08, -1e-3), (0.05, 2e-3), (-0.07, 1.5e-3), (0.03, -1e-3)):
         text = text.replace(f'"{old:.12g}"', f'"{new:.12g}"')
-    imported = import_calibration(_file(tmp_path, "cal.xml", text))
+    imported = _imported(tmp_path, text)
     x, y = POINTS_M[:, 0] / POINTS_M[:, 2], POINTS_M[:, 1] / POINTS_M[:, 2]
     radius = np.hypot(x, y)
     grown = radius + (-1e-3 * radius**2 + 2e-3 * radius**4 + 0.02 * radius**6)  # DICe_Camera.cpp, sensor_to_image
@@ -285,8 +278,8 @@ def _dice_text(fs: tuple[float, float] = (0.0, 0.0), size: bool = True, matrix: 
 
 @pytest.mark.parametrize("matrix", [False, True])
 @pytest.mark.parametrize("size", [False, True])
-def test_dice_text(tmp_path: Path, matrix: bool, size: bool) -> None:
-    imported = import_calibration(_file(tmp_path, "cal.txt", _dice_text(size=size, matrix=matrix)), SIZE)
+def test_dice_text(tmp_path, matrix, size):
+    imported = _imported(tmp_path, _dice_text(size=size, matrix=matrix), SIZE)
     _assert_same(imported, (RADIAL_LEFT, RADIAL_RIGHT))
 
 
@@ -298,8 +291,8 @@ def _skewed(matrix: np.ndarray, distortion: np.ndarray, points_m: np.ndarray, sk
 
 
 @pytest.mark.parametrize("fs", [(-2.5, 1.5), (0.0, 0.3)])
-def test_skew_is_taken_up_by_a_turn_as_far_as_it_can(tmp_path: Path, fs: tuple[float, float]) -> None:
-    imported = import_calibration(_file(tmp_path, "cal.txt", _dice_text(fs)))
+def test_skew_is_taken_up_by_a_turn_as_far_as_it_can(tmp_path, fs):
+    imported = _imported(tmp_path, _dice_text(fs))
     rig = imported.rig
     expected = (
         _skewed(K_LEFT, RADIAL_LEFT, POINTS_M, fs[0]),
@@ -322,11 +315,10 @@ def test_skew_is_taken_up_by_a_turn_as_far_as_it_can(tmp_path: Path, fs: tuple[f
             assert remaining < 5e-3
 
 
-def test_a_large_skew_is_refused(tmp_path: Path) -> None:
+def test_a_large_skew_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"left camera: a skew of 40 px cannot be taken over: up to \d\.\d+ px"):
-        import_calibration(_file(tmp_path, "cal.txt", _dice_text((40.0, 0.0))))
-    with pytest.raises(ValueError, match="left camera: a skew of 64"):
-        import_calibration(_file(tmp_path, "b.txt", _bouguet("0.02")), SIZE)
+        _imported(tmp_path, _dice_text((40.0, 0.0)))
+    refused("left camera: a skew of 64", import_calibration, _file(tmp_path, "b.txt", _bouguet("0.02")), SIZE)
 
 
 def _vic3d(split: bool, size: bool = True) -> str:
@@ -334,15 +326,9 @@ def _vic3d(split: bool, size: bool = True) -> str:
     world = Rotation.from_euler("xyz", [179.9, 9.0, 0.05], degrees=True)
     shift = np.array([-60.0, 0.5, 18.0])
     poses = [(world, shift), (Rotation.from_matrix(ROTATION) * world, ROTATION @ shift + T_MM)]
-    parts = [
-        '<?xml version="1.0" encoding="ISO-8859-1"?>',
-        "<!DOCTYPE vpml>",
-        '<project dir="C:/Üb">',
-        " <calibration>",
-    ]
+    parts = ['<?xml version="1.0" encoding="ISO-8859-1"?>\n<!DOCTYPE vpml>\n<project dir="C:/Üb">\n <calibration>']
     for index, (matrix, distortion) in enumerate(((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT))):
-        inner = f"{matrix[0, 2]!r} {matrix[1, 2]!r} {matrix[0, 0]!r} {matrix[1, 1]!r} 0.0".replace("np.float64", "")
-        inner = inner.replace("(", "").replace(")", "")
+        inner = f"{matrix[0, 2]} {matrix[1, 2]} {matrix[0, 0]} {matrix[1, 1]} 0.0"
         radial = f"{distortion[0]} {distortion[1]} {distortion[4]}"
         angles = poses[index][0].as_euler("xyz", degrees=True)
         outer = " ".join(f"{v:.12g}" for v in (*angles, *poses[index][1]))
@@ -353,36 +339,27 @@ def _vic3d(split: bool, size: bool = True) -> str:
 
 
 @pytest.mark.parametrize("split", [False, True])
-def test_vic3d(tmp_path: Path, split: bool) -> None:
+def test_vic3d(tmp_path, split):
     path = tmp_path / "project.xml"
     path.write_text(_vic3d(split), encoding="latin-1")
     _assert_same(import_calibration(path), (RADIAL_LEFT, RADIAL_RIGHT))
-    path.write_text(
-        _vic3d(split, size=False)
-        .upper()
-        .replace("ENCODING", "encoding")
-        .replace("VERSION", "version")
-        .replace("<?XML", "<?xml")
-        .replace("Ü", "U"),
-        encoding="latin-1",
-    )
+    loud = _vic3d(split, size=False).upper().replace("Ü", "U")
+    for word in ("encoding", "version", "xml"):
+        loud = loud.replace(word.upper(), word, 1)
+    path.write_text(loud, encoding="latin-1")
     _assert_same(import_calibration(path, SIZE), (RADIAL_LEFT, RADIAL_RIGHT))
-
-
-def test_vic3d_zipped(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "a.z3d", "w") as archive:
-        archive.writestr("project.xml", _vic3d(True).encode("latin-1"))
+        archive.writestr("project.xml", _vic3d(split).encode("latin-1"))
     _assert_same(import_calibration(tmp_path / "a.z3d"), (RADIAL_LEFT, RADIAL_RIGHT))
 
 
-def test_round_trip_through_the_calibration_file(tmp_path: Path) -> None:
-    imported = import_calibration(_file(tmp_path, "stereo.json", json.dumps(_matlab(old=False))))
+def test_round_trip_through_the_calibration_file(tmp_path):
+    imported = _imported(tmp_path, json.dumps(_matlab(old=False)))
     write_calibration(tmp_path / "top.json", imported.rig)
     again = read_calibration(tmp_path / "top.json")
     for first, second in zip(imported.rig.project(POINTS_M), again.project(POINTS_M), strict=True):
         np.testing.assert_allclose(first, second, atol=1e-9)
-    with pytest.raises(ValueError, match=r"top\.json: .* one of this program"):
-        import_calibration(tmp_path / "top.json")
+    refused(r"top\.json: .* one of this program", import_calibration, tmp_path / "top.json")
 
 
 @pytest.mark.parametrize(
@@ -404,7 +381,7 @@ def test_round_trip_through_the_calibration_file(tmp_path: Path) -> None:
         ("fc_left = [ 1 2 3 ]", "fc_left: expected 2 numbers"),
     ],
 )
-def test_what_cannot_be_read_is_told_in_one_sentence(tmp_path: Path, text: str, message: str) -> None:
+def test_what_cannot_be_read_is_told_in_one_sentence(tmp_path, text, message):
     path = _file(tmp_path, "calibration.txt", text)
     with pytest.raises(ValueError, match=message) as caught:
         import_calibration(path, SIZE, "mm")
@@ -412,11 +389,11 @@ def test_what_cannot_be_read_is_told_in_one_sentence(tmp_path: Path, text: str, 
     assert "\n" not in str(caught.value)
 
 
-def test_exchanged_width_and_height_are_told(tmp_path: Path) -> None:
-    imported = import_calibration(_file(tmp_path, "cal.txt", _dice_text(size=False)), (600, 800))
+def test_exchanged_width_and_height_are_told(tmp_path):
+    imported = _imported(tmp_path, _dice_text(size=False), (600, 800))
     assert {n.where for n in imported.notices if n.severity == "warning"} == {"left camera", "right camera"}
     with pytest.raises(ValueError, match="image_size: expected 1280x1024 as in the file, found 1024x1280"):
-        import_calibration(_file(tmp_path, "sized.txt", _dice_text()), (1024, 1280))
+        _imported(tmp_path, _dice_text(), (1024, 1280))
 
 
 # Calibrations of other programs against what those programs, and the recordings they belong to, say.
@@ -459,12 +436,9 @@ def _epipolar_px(rig: StereoRig, left_px: np.ndarray, right_px: np.ndarray) -> n
     return np.asarray((right * lines).sum(axis=1) / gradient * rig.left.matrix[0, 0])
 
 
-def test_vic3d_calibration_fits_the_matches_of_its_recording(data_dir: Path, tmp_path: Path) -> None:
-    table = np.genfromtxt(
-        data_dir / "gt4_stereo" / "GT4-0273_0_epipolar_sift_r16.csv", delimiter=",", names=True, dtype=np.float64
-    )
-    left = np.column_stack([table["x"], table["y"]])
-    right = np.column_stack([table["r2_x"], table["r2_y"]])
+def test_vic3d_calibration_fits_the_matches_of_its_recording(data_dir, tmp_path):
+    table = np.genfromtxt(data_dir / "gt4_stereo" / "GT4-0273_0_epipolar_sift_r16.csv", delimiter=",", names=True)
+    left, right = (np.column_stack([table[f"{name}x"], table[f"{name}y"]]) for name in ("", "r2_"))
     residuals = {sign: _epipolar_px(_gt4(tmp_path, sign), left, right) for sign in (1.0, 0.0, -1.0)}
     spread = {sign: 1.4826 * np.median(np.abs(e - np.median(e))) for sign, e in residuals.items()}
     assert abs(np.median(residuals[1.0])) < 0.1
@@ -474,7 +448,7 @@ def test_vic3d_calibration_fits_the_matches_of_its_recording(data_dir: Path, tmp
     assert median[1.0] < median[0.0] < median[-1.0]
 
 
-def test_vic3d_project(data_dir: Path) -> None:
+def test_vic3d_project(data_dir):
     imported = import_calibration(data_dir / "static_stereo" / "cal.xml")
     rig = imported.rig
     assert imported.format == "VIC-3D"
@@ -485,10 +459,9 @@ def test_vic3d_project(data_dir: Path) -> None:
     assert all(notice.severity == "info" for notice in imported.notices)
 
 
-def test_dice_text_of_a_peer(data_dir: Path) -> None:
+def test_dice_text_of_a_peer(data_dir):
     path = data_dir / "dotgrid_stereo" / "peer_cal.txt"
-    with pytest.raises(ValueError, match="image_size"):
-        import_calibration(path)
+    refused("image_size", import_calibration, path)
     imported = import_calibration(path, (2448, 2048))
     rig = imported.rig
     np.testing.assert_allclose(rig.left.parameters[:4], [12577.41, 12575.82, 1202.508, 1056.028], atol=0.2)

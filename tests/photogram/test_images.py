@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from contracts import refused
 
 from photogram.images import NoiseModel, fit_noise_model, open_sequence, saturated_fraction
 from photogram.point_tables import read_point_tables
@@ -41,23 +42,17 @@ def write_packed_tiff(path: Path, values: np.ndarray) -> None:
 
 def write_cih(folder: Path, data: bytes, bits: int, frames: int, **other: object) -> Path:
     entries = {
-        "Total Frame": frames,
-        "Image Width": 64,
-        "Image Height": 48,
-        "Color Type": "Mono",
-        "Color Bit": bits,
-        "File Format": "MRaw",
-        "EffectiveBit Depth": 12,
-        "EffectiveBit Side": "Lower",
+        **{"Total Frame": frames, "Image Width": 64, "Image Height": 48, "Color Type": "Mono", "Color Bit": bits},
+        **{"File Format": "MRaw", "EffectiveBit Depth": 12, "EffectiveBit Side": "Lower"},
+        **{key.replace("_", " "): value for key, value in other.items()},
     }
-    entries |= {key.replace("_", " "): value for key, value in other.items()}
     header = folder / "video.cih"
     header.write_text("#Camera Information Header\n" + "\n".join(f"{key} : {value}" for key, value in entries.items()))
     (folder / "video.mraw").write_bytes(data)
     return header
 
 
-def test_twelve_bits_survive_every_container(tmp_path: Path, grey12: np.ndarray) -> None:
+def test_twelve_bits_survive_every_container(tmp_path, grey12):
     cv2.imwrite(str(tmp_path / "lzw.tif"), grey12)
     tifffile.imwrite(tmp_path / "plain.tif", grey12)
     tifffile.imwrite(tmp_path / "zlib.tiff", grey12, compression="zlib", predictor=True)
@@ -70,7 +65,7 @@ def test_twelve_bits_survive_every_container(tmp_path: Path, grey12: np.ndarray)
         np.testing.assert_array_equal(sequence.read(0), grey12, err_msg=name)
 
 
-def test_bit_depth_follows_the_stored_type(tmp_path: Path, grey12: np.ndarray) -> None:
+def test_bit_depth_follows_the_stored_type(tmp_path, grey12):
     tifffile.imwrite(tmp_path / "a.tif", (grey12 >> 4).astype(np.uint8))
     tifffile.imwrite(tmp_path / "b.tif", grey12)
     assert open_sequence([tmp_path / "a.tif"]).full_scale == 255
@@ -78,7 +73,7 @@ def test_bit_depth_follows_the_stored_type(tmp_path: Path, grey12: np.ndarray) -
 
 
 @pytest.mark.parametrize("options", [{}, {"compression": "zlib"}])
-def test_pages_of_one_file_are_frames(tmp_path: Path, grey12: np.ndarray, options: dict[str, str]) -> None:
+def test_pages_of_one_file_are_frames(tmp_path, grey12, options):
     stack = np.stack([grey12, grey12[::-1], grey12[:, ::-1]])
     tifffile.imwrite(tmp_path / "stack.tif", stack, photometric="minisblack", **options)
     sequence = open_sequence([tmp_path / "stack.tif"], bit_depth=12)
@@ -86,7 +81,7 @@ def test_pages_of_one_file_are_frames(tmp_path: Path, grey12: np.ndarray, option
     np.testing.assert_array_equal(np.stack([sequence.read(frame) for frame in range(3)]), stack)
 
 
-def test_files_are_frames_in_the_order_given(tmp_path: Path, grey12: np.ndarray) -> None:
+def test_files_are_frames_in_the_order_given(tmp_path, grey12):
     paths = [tmp_path / "b.png", tmp_path / "a.png"]
     for shift, path in enumerate(paths):
         cv2.imwrite(str(path), grey12 + shift)
@@ -96,7 +91,7 @@ def test_files_are_frames_in_the_order_given(tmp_path: Path, grey12: np.ndarray)
     np.testing.assert_array_equal(sequence.read(1), grey12 + 1)
 
 
-def test_high_speed_video_in_8_12_and_16_bits(tmp_path: Path, grey12: np.ndarray) -> None:
+def test_high_speed_video_in_8_12_and_16_bits(tmp_path, grey12):
     stack = np.stack([grey12, grey12[::-1]])
     low = (stack >> 4).astype(np.uint8)
     cases = [
@@ -111,7 +106,7 @@ def test_high_speed_video_in_8_12_and_16_bits(tmp_path: Path, grey12: np.ndarray
         np.testing.assert_array_equal(np.stack([sequence.read(frame) for frame in range(2)]), truth)
 
 
-def test_the_xml_header_says_the_same(tmp_path: Path, grey12: np.ndarray) -> None:
+def test_the_xml_header_says_the_same(tmp_path, grey12):
     write_cih(tmp_path, pack_12(grey12), 12, 1)
     (tmp_path / "video.cihx").write_text(
         "binary\n<cih><frameInfo><totalFrame>1</totalFrame></frameInfo><imageDataInfo><resolution><width>64</width>"
@@ -122,38 +117,19 @@ def test_the_xml_header_says_the_same(tmp_path: Path, grey12: np.ndarray) -> Non
     np.testing.assert_array_equal(open_sequence([tmp_path / "video.cihx"]).read(0), grey12)
 
 
-def test_grey_values_beyond_the_bit_depth_are_refused(tmp_path: Path, grey12: np.ndarray) -> None:
-    tifffile.imwrite(tmp_path / "shifted.tif", grey12 << 4)
-    with pytest.raises(ValueError, match=r"shifted.tif: expected grey values up to 4095 \(bit depth 12\)"):
-        open_sequence([tmp_path / "shifted.tif"], bit_depth=12).read(0)
-
-
-def test_eight_bit_files_are_no_twelve_bit_images(tmp_path: Path) -> None:
-    tifffile.imwrite(tmp_path / "low.tif", np.zeros((8, 9), np.uint8))
-    with pytest.raises(ValueError, match=r"low.tif: expected images of bit depth 12, found 8 bits"):
-        open_sequence([tmp_path / "low.tif"], bit_depth=12)
-
-
 @pytest.mark.parametrize("suffix", ["tif", "png"])
 @pytest.mark.parametrize("compression", ["none", "zlib"])
-def test_truncated_files_are_refused(tmp_path: Path, grey12: np.ndarray, suffix: str, compression: str) -> None:
+def test_truncated_files_are_refused(tmp_path, grey12, suffix, compression):
     path = tmp_path / f"cut.{suffix}"
     if suffix == "tif":
         tifffile.imwrite(path, grey12, compression=compression)
     else:
         cv2.imwrite(str(path), grey12)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises((ValueError, OSError), match=rf"cut.{suffix}: truncated"):
-        open_sequence([path])
+    refused(rf"cut.{suffix}: truncated", open_sequence, [path], error=(ValueError, OSError))
 
 
-def test_truncated_video_is_refused(tmp_path: Path, grey12: np.ndarray) -> None:
-    header = write_cih(tmp_path, pack_12(grey12), 12, 2)
-    with pytest.raises(ValueError, match=r"video.mraw: truncated, expected 9216 bytes for 2 frames, found 4608"):
-        open_sequence([header])
-
-
-def test_damaged_pixels_are_named_when_read(tmp_path: Path, grey12: np.ndarray) -> None:
+def test_damaged_pixels_are_named_when_read(tmp_path, grey12):
     path = tmp_path / "bad.tif"
     tifffile.imwrite(path, grey12, compression="zlib")
     data = bytearray(path.read_bytes())
@@ -161,46 +137,42 @@ def test_damaged_pixels_are_named_when_read(tmp_path: Path, grey12: np.ndarray) 
         start = tiff.pages[0].dataoffsets[0]
     data[start : start + 40] = bytes(40)
     path.write_bytes(bytes(data))
-    with pytest.raises(ValueError, match=r"bad.tif: not a readable TIFF file"):
-        open_sequence([path]).read(0)
+    refused(r"bad.tif: not a readable TIFF file", open_sequence([path]).read, 0)
 
 
-def test_wrong_files_are_named(tmp_path: Path, grey12: np.ndarray) -> None:
+def test_wrong_files_are_named(tmp_path, grey12):
     colour = np.zeros((48, 64, 3), np.uint8)
     cv2.imwrite(str(tmp_path / "colour.png"), colour)
     tifffile.imwrite(tmp_path / "colour.tif", colour, photometric="rgb")
-    tifffile.imwrite(tmp_path / "float.tif", grey12.astype(np.float32))
-    tifffile.imwrite(tmp_path / "first.tif", grey12)
-    tifffile.imwrite(tmp_path / "small.tif", grey12[:-1])
-    tifffile.imwrite(tmp_path / "shallow.tif", grey12.astype(np.uint8))
-    tifffile.imwrite(tmp_path / "stack.tif", np.stack([grey12, grey12]), photometric="minisblack")
-    (tmp_path / "junk.tif").write_bytes(b"junk" * 50)
-    (tmp_path / "junk.png").write_bytes(b"junk" * 50)
-    (tmp_path / "film.avi").write_bytes(b"junk" * 50)
-    cases = [
-        (["colour.png"], "colour.png: expected a grey image, found colour"),
-        (["colour.tif"], "colour.tif: expected a grey image"),
-        (["float.tif"], "float.tif: expected 8, 12 or 16 bits per pixel"),
-        (["first.tif", "small.tif"], "small.tif: expected 64 x 48 px, found 64 x 47"),
-        (["first.tif", "shallow.tif"], "shallow.tif: expected 16 bits per pixel, found 8"),
-        (["first.tif", "stack.tif"], "stack.tif: expected one image per file, found 2 pages"),
-        (["junk.tif"], "junk.tif: not a readable TIFF file"),
-        (["junk.png"], "junk.png: not a readable PNG file"),
-        (["film.avi"], "film.avi: expected a .tif"),
-        (["absent.tif"], "absent.tif: no such file"),
-    ]
-    for names, message in cases:
+    stack = np.stack([grey12, grey12])
+    pictures = {"float": grey12.astype(np.float32), "first": grey12, "small": grey12[:-1], "shifted": grey12 << 4}
+    for name, pixels in {**pictures, "shallow": grey12.astype(np.uint8), "stack": stack}.items():
+        tifffile.imwrite(tmp_path / f"{name}.tif", pixels, photometric="minisblack")
+    for name in ("junk.tif", "junk.png", "film.avi"):
+        (tmp_path / name).write_bytes(b"junk" * 50)
+    write_cih(tmp_path, pack_12(grey12), 12, 2)
+    for names, depth, message in (
+        (["colour.png"], None, "colour.png: expected a grey image, found colour"),
+        (["colour.tif"], None, "colour.tif: expected a grey image"),
+        (["float.tif"], None, "float.tif: expected 8, 12 or 16 bits per pixel"),
+        (["first.tif", "small.tif"], None, "small.tif: expected 64 x 48 px, found 64 x 47"),
+        (["first.tif", "shallow.tif"], None, "shallow.tif: expected 16 bits per pixel, found 8"),
+        (["first.tif", "stack.tif"], None, "stack.tif: expected one image per file, found 2 pages"),
+        (["junk.tif"], None, "junk.tif: not a readable TIFF file"),
+        (["junk.png"], None, "junk.png: not a readable PNG file"),
+        (["film.avi"], None, "film.avi: expected a .tif"),
+        (["absent.tif"], None, "absent.tif: no such file"),
+        (["shallow.tif"], 12, "shallow.tif: expected images of bit depth 12, found 8 bits"),
+        (["shifted.tif"], 12, r"shifted.tif: expected grey values up to 4095 \(bit depth 12\)"),
+        (["video.cih"], None, "video.mraw: truncated, expected 9216 bytes for 2 frames, found 4608"),
+        ([], None, "paths: expected at least one image file"),
+    ):
         with pytest.raises((ValueError, OSError), match=message) as caught:
-            open_sequence([tmp_path / name for name in names])
+            open_sequence([tmp_path / name for name in names], bit_depth=depth).read(0)
         assert "\n" not in str(caught.value)
 
 
-def test_an_empty_list_is_refused() -> None:
-    with pytest.raises(ValueError, match="paths: expected at least one image file"):
-        open_sequence([])
-
-
-def test_saturated_fraction_counts_inside_the_area() -> None:
+def test_saturated_fraction_counts_inside_the_area():
     image = np.zeros((10, 10), np.uint16)
     image[:2] = 4095
     left = np.zeros((10, 10), bool)
@@ -209,7 +181,7 @@ def test_saturated_fraction_counts_inside_the_area() -> None:
     assert saturated_fraction(image, 4095, left) == pytest.approx(0.5)
 
 
-def test_real_video_has_75_frames(data_dir: Path) -> None:
+def test_real_video_has_75_frames(data_dir):
     sequence = open_sequence([data_dir / "undersampled_video" / "data_showcase.cih"])
     assert (len(sequence), sequence.size_px, sequence.full_scale) == (75, (640, 40), 255)
     assert sequence.read(74).std() > 10
@@ -227,7 +199,7 @@ def residuals(seed: int, low: float = 0.03, high: float = 0.85, count: int = 200
     return truth * SENSOR.full_scale, (stored - truth * SENSOR.full_scale) ** 2
 
 
-def test_read_and_shot_noise_come_back() -> None:
+def test_read_and_shot_noise_come_back():
     model = fit_noise_model(*residuals(1))
     assert model.read_variance_grey2 == pytest.approx(36.0 + 1 / 12, rel=0.05)
     assert model.variance_per_grey == pytest.approx(1 / 8, rel=0.02)
@@ -235,41 +207,34 @@ def test_read_and_shot_noise_come_back() -> None:
     np.testing.assert_allclose(model.variance(grey), SENSOR.variance(grey), rtol=0.02)
 
 
-def test_the_fit_is_unbiased() -> None:
+def test_the_fit_is_unbiased():
     """Mean over 60 small samples; relative weights taken from the scattering bins would pull it down by 2·2/125."""
     grey = np.array([300.0, 3000.0])
     ratio = [fit_noise_model(*residuals(seed, count=4000)).variance(grey) / SENSOR.variance(grey) for seed in range(60)]
     np.testing.assert_allclose(np.mean(ratio, axis=0), 1.0, atol=0.02)
 
 
-def test_outliers_are_not_noise() -> None:
+def test_outliers_are_not_noise():
     grey, squares = residuals(2)
     wrong = np.random.default_rng(3).random(len(squares)) < 0.02
     model = fit_noise_model(grey, np.where(wrong, 300.0**2, squares))
-    np.testing.assert_allclose(
-        model.variance(np.array([200.0, 3000.0])), SENSOR.variance(np.array([200.0, 3000.0])), rtol=0.06
-    )
+    levels = np.array([200.0, 3000.0])
+    np.testing.assert_allclose(model.variance(levels), SENSOR.variance(levels), rtol=0.06)
 
 
-def test_equal_brightness_gives_a_constant() -> None:
+def test_equal_brightness_gives_a_constant():
     model = fit_noise_model(*residuals(4, 0.50, 0.52))
     assert model.variance_per_grey == 0.0
     assert model.read_variance_grey2 == pytest.approx(float(SENSOR.variance(np.array(0.51 * 4095))), rel=0.02)
+    refused("residual_grey2: expected an array of shape", fit_noise_model, np.zeros(100), np.zeros(99))
+    refused("grey: expected at least 50 finite", fit_noise_model, np.full(100, np.nan), np.zeros(100))
+    refused("variance_per_grey: expected a finite variance", NoiseModel, 1.0, -1.0)
 
 
-def test_noise_free_images_keep_their_rounding() -> None:
+def test_noise_free_images_keep_their_rounding():
     grey, _ = residuals(5)
     np.testing.assert_array_equal(fit_noise_model(grey, np.zeros_like(grey)).variance(grey[:3]), 1 / 12)
     np.testing.assert_array_equal(NoiseModel(4.0, 0.0).variance(np.array([-5.0, 5.0])), 4.0)
-
-
-def test_wrong_calls_are_named() -> None:
-    with pytest.raises(ValueError, match="residual_grey2: expected an array of shape"):
-        fit_noise_model(np.zeros(100), np.zeros(99))
-    with pytest.raises(ValueError, match="grey: expected at least 50 finite pixels, found 0"):
-        fit_noise_model(np.full(100, np.nan), np.zeros(100))
-    with pytest.raises(ValueError, match="variance_per_grey: expected a finite variance"):
-        NoiseModel(1.0, -1.0)
 
 
 # Tables of other programs: layout of the published PTB data set, csv with a column frame, and wrong files.
@@ -281,7 +246,7 @@ def ptb_row(x: int, y: int, point: np.ndarray, moved: np.ndarray, status: str = 
     return f"{x} {y} {status} " + " ".join(f"{value:.6f}" for value in (*point, *moved))
 
 
-def test_ptb_layout_with_millimetres_and_error_codes(tmp_path: Path) -> None:
+def test_ptb_layout_with_millimetres_and_error_codes(tmp_path):
     rng = np.random.default_rng(2)
     points = rng.uniform(-50, 50, (3, 3))
     keys = [(4, 7), (4, 8), (5, 7)]
@@ -298,16 +263,12 @@ def test_ptb_layout_with_millimetres_and_error_codes(tmp_path: Path) -> None:
     assert table.position_m.shape == (3, 3, 3)
     np.testing.assert_allclose(table.reference_m, points * 1e-3, atol=1e-9)
     np.testing.assert_allclose(table.position_m[2, 1:], (points[1:] + 2) * 1e-3, atol=1e-9)
-    assert np.isnan(table.position_m).all(axis=2).tolist() == [
-        [False, False, False],
-        [False, True, False],
-        [True, False, False],
-    ]
+    assert np.argwhere(np.isnan(table.position_m).all(axis=2)).tolist() == [[1, 1], [2, 0]]
     assert table.frames[1].endswith("result_A1.txt")
 
 
 @pytest.mark.parametrize("separator", [",", ";", "\t", "  "])
-def test_one_table_with_a_column_frame(tmp_path: Path, separator: str) -> None:
+def test_one_table_with_a_column_frame(tmp_path, separator):
     rows = [["frame", "point", "x", "y", "z"]]
     rows += [
         [str(frame), str(n), f"{n}.5", str(frame), "nan" if n == 2 else "1e-1"] for n in range(3) for frame in (0, 1)
@@ -322,7 +283,7 @@ def test_one_table_with_a_column_frame(tmp_path: Path, separator: str) -> None:
     assert np.isnan(table.position_m[:, 2]).all()
 
 
-def test_rows_are_points_where_there_is_no_identity(tmp_path: Path) -> None:
+def test_rows_are_points_where_there_is_no_identity(tmp_path):
     paths = [tmp_path / "a.txt", tmp_path / "b.txt"]
     paths[0].write_text("1 2 3 8\n4 5 6 8\n")
     paths[1].write_text("# comment\n1 2 4 8\n\n4 5 7 8\n")
@@ -343,19 +304,16 @@ def test_rows_are_points_where_there_is_no_identity(tmp_path: Path) -> None:
         ("1 2 3 4\n", ["x", "y", "z", "x0"], r"columns: expected x0 y0 z0, found x0"),
     ],
 )
-def test_wrong_tables_are_named(tmp_path: Path, text: str, columns: list[str], message: str) -> None:
+def test_wrong_tables_are_named(tmp_path, text, columns, message):
     path = tmp_path / "t.txt"
     path.write_text(text)
-    with pytest.raises(ValueError, match=message):
-        read_point_tables([path], columns)
+    refused(message, read_point_tables, [path], columns)
 
 
-def test_missing_files_and_unequal_lengths_are_named(tmp_path: Path) -> None:
-    (tmp_path / "a.txt").write_text("1 2 3\n")
-    (tmp_path / "b.txt").write_text("1 2 3\n4 5 6\n")
-    with pytest.raises(OSError, match=r"c.txt: no such file"):
-        read_point_tables([tmp_path / "c.txt"], ["x", "y", "z"])
-    with pytest.raises(ValueError, match=r"b.txt: expected 1 rows as in .*a.txt, found 2"):
-        read_point_tables([tmp_path / "a.txt", tmp_path / "b.txt"], ["x", "y", "z"])
-    with pytest.raises(ValueError, match=r"files: expected at least one table"):
-        read_point_tables([], ["x", "y", "z"])
+def test_tables_of_unequal_length_are_named(tmp_path):
+    for name, text in (("a.txt", "1 2 3\n"), ("b.txt", "1 2 3\n4 5 6\n")):
+        (tmp_path / name).write_text(text)
+    a, b, c = (tmp_path / f"{name}.txt" for name in "abc")
+    refused(r"c.txt: no such file", read_point_tables, [c], ["x", "y", "z"], error=OSError)
+    refused(r"b.txt: expected 1 rows as in .*a.txt, found 2", read_point_tables, [a, b], ["x", "y", "z"])
+    refused(r"files: expected at least one table", read_point_tables, [], ["x", "y", "z"])

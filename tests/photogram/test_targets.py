@@ -1,0 +1,569 @@
+"""Targets in rendered and real pictures: corners, chessboards, ChArUco boards, dot grids, and why one is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from board_pictures import SENSOR, camera_of, charuco, chessboard, errors, picture, pose_of, truth_px
+from contracts import coverage_contract, refused
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
+
+from photogram.arrays import FloatArray
+from photogram.camera import Camera
+from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.images import NoiseModel
+from photogram.synthetic.board import Board, render_board
+from photogram.targets.charuco import find_charuco
+from photogram.targets.chessboard import find_chessboard, lattice_bend
+from photogram.targets.crossing import NO_CROSSING, OUTSIDE, SATURATED, refine_corners
+from photogram.targets.dots import find_dots
+from photogram.targets.ellipse import Ellipses, fit_ellipses
+from photogram.targets.view import Target, TargetNotFound, TargetView, find_target, picture_noise
+
+slow = partial(pytest.param, marks=pytest.mark.slow)
+NOISE = NoiseModel(36.0, 0.125)
+
+
+def _axes(camera: object, pose: object, board: object, index: FloatArray) -> FloatArray:
+    half = 0.5 * np.eye(2)
+    return np.stack(
+        [truth_px(camera, pose, board, index + h) - truth_px(camera, pose, board, index - h) for h in half], axis=1
+    )
+
+
+@pytest.mark.parametrize(("blur_px", "square_px"), [(0.5, 16.0), (2.0, 40.0), slow(1.0, 16.0), slow(0.5, 40.0)])
+def test_bias_is_below_a_hundredth_of_a_pixel(blur_px, square_px):
+    board, camera = chessboard(), camera_of(900.0)
+    pose = pose_of(board, camera, square_px, (0.5, -0.4, 0.3))
+    index = board.index.astype(int)
+    image = render_board(camera, pose, board, blur_px, slant=0.3) * SENSOR.full_scale
+    truth, axes = truth_px(camera, pose, board, index), _axes(camera, pose, board, index)
+    start = truth + np.random.default_rng(1).uniform(-1, 1, truth.shape)
+    corners = refine_corners(image, start, axes, NOISE, SENSOR.full_scale, lattice_bend(index, truth))
+    assert (corners.status == 0).all()
+    error = corners.position_px - truth
+    assert np.abs(error.mean(axis=0)).max() < 0.002
+    assert np.abs(error).max() < 0.01
+    np.testing.assert_allclose(np.median(corners.blur_px), blur_px, rtol=0.05)
+
+
+@pytest.mark.slow
+def test_covariance_is_the_scatter_and_the_peer_scatters_more():
+    import cv2
+
+    board, camera = chessboard(), camera_of()
+    pose = pose_of(board, camera, 30.0, (0.4, -0.3, 0.2))
+    index = board.index.astype(int)
+    truth, axes = truth_px(camera, pose, board, index), _axes(camera, pose, board, index)
+    bend = lattice_bend(index, truth)
+    whitened, error, peer = [], [], []
+    clean = render_board(camera, pose, board, slant=0.3)
+    for seed in range(12):
+        image = SENSOR.digitise(clean, np.random.default_rng(seed))
+        corners = refine_corners(image, truth + 0.3, axes, picture_noise(image), SENSOR.full_scale, bend)
+        error.append(corners.position_px - truth)
+        whitened.append(np.linalg.solve(np.linalg.cholesky(corners.covariance_px2), error[-1][..., None]))
+        found = truth.astype(np.float32).reshape(-1, 1, 2)
+        cv2.cornerSubPix((image / 16).astype(np.uint8), found, (9, 9), (-1, -1), (3, 100, 1e-4))
+        peer.append(found.reshape(-1, 2) - truth)
+    assert 0.93 < np.std(whitened) < 1.07
+    assert np.std(error) < 0.3 * np.std(peer)
+
+
+def test_noise_of_the_picture_is_found():
+    board, camera = chessboard(), camera_of()
+    noise = picture_noise(picture(camera, pose_of(board, camera, 40.0, (0.3, 0.2, 0.1)), board))
+    grey = np.array([400.0, 3000.0])
+    np.testing.assert_allclose(noise.variance(grey), SENSOR.variance(grey), rtol=0.1)
+
+
+def test_failed_corners_say_why():
+    board, camera = chessboard(), camera_of()
+    pose = pose_of(board, camera, 40.0, (0.0, 0.0, 0.0))
+    image = picture(camera, pose, board).astype(np.float64)
+    truth = truth_px(camera, pose, board, np.array([[4, 2], [4, 3]]))
+    axes = np.tile(40.0 * np.eye(2), (4, 1, 1))
+    bright = np.where(image > 1500, SENSOR.full_scale, image)
+    start = np.concatenate([truth[:1], truth[:1] + 20.0, [[1.0, 1.0]], truth[1:]])
+    corners = refine_corners(image, start, axes, NOISE, SENSOR.full_scale)
+    assert list(corners.status) == [0, NO_CROSSING, OUTSIDE, 0]
+    assert np.isnan(corners.position_px[1:3]).all()
+    over = refine_corners(bright, truth, axes[:2], NOISE, SENSOR.full_scale)
+    assert (over.status == SATURATED).all()
+
+
+# Chessboards: truth from rendered pictures, orientation, and every reason for which a picture is refused.
+
+CAMERA = camera_of()
+BOARD = chessboard()
+POSE = pose_of(BOARD, CAMERA, 36.0, (0.4, -0.3, 0.2))
+
+
+@pytest.mark.parametrize(("turn", "blur_px"), [(0.0, 0.7), (2.5, 2.0), *map(slow, (1.2, -1.5, 0.0), (0.7, 0.7, 2.0))])
+def test_corners_are_where_they_are_in_any_orientation(turn, blur_px):
+    pose = pose_of(BOARD, CAMERA, 32.0, (0.0, 0.0, turn))
+    pose = RigidTransform(POSE.rotation @ pose.rotation, pose.translation_m)
+    middle = pose.rotation @ np.array([BOARD.extent_m[:2].mean(), BOARD.extent_m[2:].mean(), 0.0])
+    pose = RigidTransform(pose.rotation, np.array([0.0, 0.0, pose.translation_m[2]]) - middle)
+    view = find_chessboard(picture(CAMERA, pose, BOARD, blur_px=blur_px), BOARD.target, "a", SENSOR.full_scale)
+    error, whitened = errors(CAMERA, pose, BOARD, view)
+    assert len(view.index) == 54
+    assert np.abs(error).max() < 0.025
+    assert 0.75 < whitened.std() < 1.3
+    assert abs(view.blur_px - blur_px) < 0.05 * blur_px + 0.02
+
+
+@pytest.mark.parametrize("size", [(8, 6), (6, 6), (7, 7)])
+def test_symmetric_boards_are_taken_upright(size):
+    board = chessboard(size)
+    pose = pose_of(board, CAMERA, 34.0, (0.3, 0.3, -0.3))
+    view = find_chessboard(picture(CAMERA, pose, board), board.target, "a", SENSOR.full_scale)
+    assert np.abs(errors(CAMERA, pose, board, view)[0]).max() < 0.02
+
+
+# ChArUco boards: truth from rendered pictures, both patterns, partial views, reasons of refusal.
+
+CHARUCO = charuco()
+CHARUCO_POSE = pose_of(CHARUCO, CAMERA, 40.0, (0.4, -0.3, 0.2))
+
+
+@pytest.mark.parametrize("dictionary", ["DICT_4X4_50", slow("DICT_6X6_250"), slow("DICT_APRILTAG_36h11")])
+@pytest.mark.parametrize("legacy", [False, True])
+def test_corners_of_both_patterns_without_naming_the_dictionary(dictionary, legacy):
+    board = charuco(dictionary=dictionary, legacy=legacy)
+    target = dataclasses.replace(board.target, dictionary=None)
+    view = find_charuco(picture(CAMERA, CHARUCO_POSE, board), target, "a", SENSOR.full_scale)
+    error, whitened = errors(CAMERA, CHARUCO_POSE, board, view)
+    assert len(view.index) == 40
+    assert np.abs(error).max() < 0.015
+    assert 0.75 < whitened.std() < 1.3
+
+
+@pytest.mark.parametrize(("share", "blur_px"), [(0.5, 0.7), (0.75, 1.2)])
+def test_the_size_of_the_markers_plays_no_part(share, blur_px):
+    board = dataclasses.replace(CHARUCO, marker_share=share)
+    view = find_charuco(picture(CAMERA, CHARUCO_POSE, board, blur_px=blur_px), CHARUCO.target, "a", SENSOR.full_scale)
+    error, whitened = errors(CAMERA, CHARUCO_POSE, board, view)
+    assert np.abs(error.mean(axis=0)).max() < 0.003
+    assert whitened.std() < 1.35
+
+
+@pytest.mark.parametrize("legacy", [False, True])
+def test_a_part_of_the_board_is_enough(legacy):
+    board = charuco(legacy=legacy)
+    pose = pose_of(board, CAMERA, 44.0, (0.2, -0.2, 0.1), shift_px=220.0)
+    view = find_charuco(picture(CAMERA, pose, board), board.target, "a", SENSOR.full_scale)
+    assert 10 < len(view.index) < 40
+    assert np.abs(errors(CAMERA, pose, board, view)[0]).max() < 0.02
+
+
+BLANK = np.tile(np.arange(640.0) % 7 * 300, (480, 1))
+HALF_OUTSIDE = pose_of(BOARD, CAMERA, 36.0, (0.2, -0.2, 0.1), shift_px=260.0)
+
+
+@pytest.mark.parametrize(
+    ("board", "reason", "change"),
+    [
+        (BOARD, "overexposed", lambda image: np.minimum(image * 2.0, SENSOR.full_scale)),
+        (CHARUCO, "overexposed", lambda image: np.minimum(image * 2.0, SENSOR.full_scale)),
+        (BOARD, "underexposed", lambda image: image * 0.02),
+        (CHARUCO, "underexposed", lambda image: image * 0.02),
+        (BOARD, "blurred", lambda image: gaussian_filter(image.astype(float), 6.0)),
+        (CHARUCO, "blurred", lambda image: gaussian_filter(image.astype(float), 5.0)),
+        (CHARUCO, "mirrored", lambda image: image[:, ::-1]),
+        (BOARD, "no chessboard", lambda _: BLANK),
+        (BOARD, "runs over the edge", lambda _: picture(CAMERA, HALF_OUTSIDE, BOARD)),
+        (BOARD, ".", lambda _: picture(CAMERA, POSE, charuco((10, 7)))),
+    ],
+)
+def test_bad_pictures_are_refused_with_the_reason(board, reason, change):
+    image = change(picture(CAMERA, POSE if board is BOARD else CHARUCO_POSE, board)).astype(np.uint16)
+    refused(reason, find_target, image, board.target, "a", SENSOR.full_scale, error=TargetNotFound)
+
+
+@pytest.mark.parametrize(
+    ("board", "reason", "change"),
+    [
+        *((BOARD, "another target", {"size": size}) for size in ((8, 5), (11, 6))),
+        *(slow(BOARD, "another target", {"size": size}) for size in ((10, 7), (9, 5), (7, 5))),
+        *((CHARUCO, "another target", {"size": size}) for size in ((7, 5), (11, 8), (9, 4))),
+        (CHARUCO, "no markers", {"dictionary": "DICT_6X6_50"}),
+    ],
+)
+def test_another_board_is_told(board, reason, change):
+    image = picture(CAMERA, POSE if board is BOARD else CHARUCO_POSE, board)
+    with pytest.raises(TargetNotFound, match=reason):
+        find_target(image, dataclasses.replace(board.target, **change), "a", SENSOR.full_scale)
+
+
+def test_an_unknown_dictionary_is_a_wrong_call():
+    target = dataclasses.replace(CHARUCO.target, dictionary="4X4")
+    refused("DICT_4X4_50", find_charuco, picture(CAMERA, CHARUCO_POSE, CHARUCO), target, "a", SENSOR.full_scale)
+
+
+# Dot grids in rendered pictures: every dot at its place, and a clear answer where there is no grid to use.
+
+SIZE = (800, 640)
+WIDE = Camera.from_parameters(np.array([1500.0, 1500, 402, 317, -0.15, 0.1, 0, 0, 0]), np.array(SIZE))
+SPACING_M = 4e-3
+RINGS = Board(Target("dots", SPACING_M), radius=0.22, rings=(5, 3), hole=0.09, lattice=(-3, 8, -3, 6))
+PLAIN = Board(Target("dots", SPACING_M, (9, 6)), radius=0.25)
+ASYMMETRIC = Board(Target("asymmetric-dots", SPACING_M, (4, 11)), radius=0.35)
+FACING_UP = np.diag([1.0, -1, -1])
+
+
+def pose(board: Board, turn: float = 0.0, tilt: float = 0.0, distance_m: float = 0.16) -> RigidTransform:
+    """Camera-from-target with the board's middle on the axis, tilted about its y axis, then turned in the picture."""
+    upright = FACING_UP if board.rings else np.eye(3)
+    rotation = rotation_from_vector(np.array([0, 0, turn])) @ rotation_from_vector(np.array([0, tilt, 0])) @ upright
+    middle = (board.points_m.min(axis=0) + board.points_m.max(axis=0)) / 2
+    return RigidTransform(rotation, np.array([0, 0, distance_m]) - rotation @ middle)
+
+
+@cache
+def clean(board: Board, pose: tuple[float, ...], blur_px: float) -> np.ndarray:
+    return render_board(WIDE, RigidTransform.from_pose(np.array(pose)), board, blur_px=blur_px)
+
+
+def shown(board: Board, where: RigidTransform, noise: float = 1.0, blur_px: float = 0.8) -> np.ndarray:
+    grey = 255 * clean(board, tuple(where.pose), blur_px)
+    return np.clip(np.rint(grey + np.random.default_rng(0).normal(0, noise, grey.shape)), 0, 255).astype(np.uint8)
+
+
+def find(image: np.ndarray, board: Board) -> TargetView:
+    return find_dots(image, board.target, "a", 255)
+
+
+def off_px(view: TargetView, where: RigidTransform) -> np.ndarray:
+    """How far (N,) the seen centres lie off the images of the dots' centres, which perspective hardly moves here."""
+    points = np.column_stack([view.index, np.zeros(len(view.index))]) * SPACING_M
+    return np.linalg.norm(WIDE.project(where.apply(points)) - view.position_px, axis=1)
+
+
+@pytest.mark.parametrize("board", [RINGS, PLAIN, ASYMMETRIC])
+@pytest.mark.parametrize("tilt", [slow(0.0), 0.5, slow(-0.87)])
+def test_every_dot_is_found_at_its_place(board, tilt):
+    where = pose(board, turn=0.2, tilt=tilt, distance_m=0.19)
+    view = find(shown(board, where), board)
+    assert set(map(tuple, view.index.tolist())) >= set(map(tuple, board.index.astype(int).tolist())) or board.rings
+    assert len(view.index) >= (0.95 * len(board.index) if tilt > -0.8 else 50 if board.rings else len(board.index))
+    assert off_px(view, where).max() < 0.35
+    assert view.radius == pytest.approx(board.radius, rel=0.02)
+    assert view.blur_px == pytest.approx(np.hypot(0.8, np.sqrt(1 / 12)), rel=0.25)
+
+
+def test_centres_are_right_to_a_hundredth_of_a_pixel_where_perspective_is_absent():
+    where = pose(RINGS, turn=0.3)
+    view = find(shown(RINGS, where, noise=0.5), RINGS)
+    assert off_px(view, where).max() < 0.03
+    assert np.sqrt((off_px(view, where) ** 2).mean()) < 0.015
+
+
+@settings(deadline=None, max_examples=2)
+@given(turn=st.floats(-np.pi, np.pi), tilt=st.floats(-0.6, 0.6))
+def test_rings_name_the_dots_at_any_turn(turn, tilt):
+    where = pose(RINGS, turn, tilt)
+    view = find(shown(RINGS, where), RINGS)
+    assert len(view.index) > 60
+    assert off_px(view, where).max() < 0.35
+
+
+def test_arms_of_equal_length_are_told_apart_by_handedness():
+    board = Board(Target("dots", SPACING_M), radius=0.22, rings=(4, 4), hole=0.09, lattice=(-2, 6, -2, 6))
+    for turn in (0.0, 2.0):
+        where = pose(board, turn, 0.3, 0.2)
+        assert off_px(find(shown(board, where), board), where).max() < 0.35
+
+
+def test_plain_grid_runs_to_the_right():
+    for turn in (0.4, np.pi - 0.4):
+        view = find(shown(PLAIN, pose(PLAIN, turn)), PLAIN)
+        along = view.position_px[view.index[:, 0] == 8].mean(axis=0) - view.position_px[view.index[:, 0] == 0].mean(
+            axis=0
+        )
+        down = view.position_px[view.index[:, 1] == 5].mean(axis=0) - view.position_px[view.index[:, 1] == 0].mean(
+            axis=0
+        )
+        assert along[0] > 0
+        assert along[0] * down[1] - along[1] * down[0] > 0
+
+
+def test_asymmetric_grid_agrees_with_opencv():
+    import cv2
+
+    image = shown(ASYMMETRIC, pose(ASYMMETRIC, 0.1, 0.2))
+    found, centres = cv2.findCirclesGrid(image, (4, 11), flags=cv2.CALIB_CB_ASYMMETRIC_GRID)
+    assert found
+    view = find(image, ASYMMETRIC)
+    place = {tuple(index): position for index, position in zip(view.index.tolist(), view.position_px, strict=True)}
+    ours = np.array([place[(2 * i + j % 2, j)] for j in range(11) for i in range(4)])
+    assert np.linalg.norm(ours - centres.reshape(-1, 2), axis=1).max() < 0.5
+
+
+def test_asymmetric_grid_of_odd_rows_has_one_labelling():
+    where = pose(ASYMMETRIC, 2.5)
+    assert off_px(find(shown(ASYMMETRIC, where), ASYMMETRIC), where).max() < 0.1
+
+
+def test_bright_dots_on_a_dark_plate():
+    where = pose(RINGS, 1.0)
+    assert off_px(find(255 - shown(RINGS, where), RINGS), where).max() < 0.1
+
+
+def test_missing_dots_dirt_and_falling_light_do_no_harm():
+    where = pose(RINGS, 0.1, 0.3)
+    image = shown(RINGS, where).astype(float)
+    y, x = np.indices(image.shape)
+    rng = np.random.default_rng(4)
+    for centre in WIDE.project(where.apply(SPACING_M * np.array([[1.0, 1, 0], [2, -1, 0], [-1, 3, 0], [3, 2, 0]]))):
+        image[np.hypot(x - centre[0], y - centre[1]) < 16] = 200
+    for centre in rng.uniform(50, 600, (60, 2)):
+        image[np.hypot(x - centre[0], y - centre[1]) < rng.uniform(1, 3)] *= 0.5
+    image *= 0.3 + 0.7 * x / SIZE[0]
+    view = find(np.clip(image, 0, 255).astype(np.uint8), RINGS)
+    assert not {(1, 1), (2, -1), (-1, 3), (3, 2)} & set(map(tuple, view.index.tolist()))
+    assert len(view.index) > 60
+    assert np.quantile(off_px(view, where), 0.8) < 0.2
+
+
+def test_twelve_bits_are_used():
+    where = pose(RINGS, 0.1)
+    image = (16 * render_board(WIDE, where, RINGS) * 255).astype(np.uint16)
+    assert off_px(find_dots(image, RINGS.target, "a", 4095), where).max() < 0.03
+
+
+def noise() -> np.ndarray:
+    return np.random.default_rng(0).normal(120, 3, SIZE[::-1])
+
+
+def speckle() -> np.ndarray:
+    return np.where(gaussian_filter(np.random.default_rng(1).normal(size=SIZE[::-1]), 3.0) > 0, 200, 30)
+
+
+CHESS = Board(Target("chessboard", SPACING_M, (9, 6)))
+MARKED = Board(Target("charuco", SPACING_M, (9, 7), "DICT_4X4_50"))
+EVEN_ROWS = Board(Target("asymmetric-dots", SPACING_M, (5, 8)), radius=0.3)
+
+
+@pytest.mark.parametrize(
+    ("reason", "target", "image"),
+    [
+        slow("mirrored", RINGS.target, lambda: shown(RINGS, pose(RINGS))[:, ::-1]),
+        ("mirrored", RINGS.target, lambda: shown(RINGS, pose(RINGS, 1.0))[:, ::-1]),
+        slow("mirrored", RINGS.target, lambda: shown(RINGS, pose(RINGS, 3.0))[:, ::-1]),
+        ("mirrored", EVEN_ROWS.target, lambda: shown(EVEN_ROWS, pose(EVEN_ROWS))[:, ::-1]),
+        ("ring markers, expected three", RINGS.target, lambda: shown(RINGS, pose(RINGS))[:, 380:]),
+        ("give the number of dots", Target("dots", SPACING_M), lambda: shown(PLAIN, pose(PLAIN))),
+        ("runs over the edge", PLAIN.target, lambda: shown(PLAIN, pose(PLAIN, distance_m=0.12))[:, :420]),
+        (
+            "runs over the edge",
+            ASYMMETRIC.target,
+            lambda: shown(ASYMMETRIC, pose(ASYMMETRIC, 0, 0, 0.12))[:, :420],
+        ),
+        ("expected 7 x 5", Target("dots", SPACING_M, (7, 5)), lambda: shown(PLAIN, pose(PLAIN))),
+        (".", RINGS.target, noise),
+        (".", RINGS.target, lambda: np.full(SIZE[::-1], 120)),
+        (".", RINGS.target, speckle),
+        (".", RINGS.target, lambda: shown(CHESS, pose(CHESS, 0.1))),
+        (".", PLAIN.target, lambda: shown(MARKED, pose(MARKED, 0.1))),
+        slow(".", PLAIN.target, lambda: shown(CHESS, pose(CHESS, 0.1))),
+        slow(".", RINGS.target, lambda: shown(MARKED, pose(MARKED, 0.1))),
+        ("blurred", RINGS.target, lambda: shown(RINGS, pose(RINGS), blur_px=6.0)),
+        ("overexposed", RINGS.target, lambda: np.minimum(1.6 * shown(RINGS, pose(RINGS)), 255)),
+    ],
+)
+def test_what_is_no_usable_grid_is_refused_with_the_reason(reason, target, image):
+    refused(reason, find_dots, image().astype(np.uint8), target, "a", 255, error=TargetNotFound)
+
+
+# The dot grid with ring markers as two real cameras saw it, 14 times.
+
+RING_GRID = Target("dots", 3.5e-3)
+
+
+def view_of(folder: Path, number: int, camera: int) -> TargetView:
+    import cv2
+
+    path = folder / "dotgrid_stereo" / f"CalB-sys2-{number:04d}_{camera}.jpeg"
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    return find_dots(image, RING_GRID, path.name, 255)
+
+
+def common(first: TargetView, second: TargetView) -> tuple[np.ndarray, np.ndarray]:
+    """Positions of the dots that both views show, in the same order."""
+    there = {tuple(index): position for index, position in zip(second.index.tolist(), second.position_px, strict=True)}
+    pairs = [
+        (position, there[tuple(index)])
+        for index, position in zip(first.index.tolist(), first.position_px, strict=True)
+        if tuple(index) in there
+    ]
+    return np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
+
+
+def plane_residual_px(from_px: np.ndarray, to_px: np.ndarray) -> float:
+    """Rms distance per axis from the best homography between two views."""
+    import cv2
+
+    matrix, _ = cv2.findHomography(from_px, to_px, 0)
+    seen = cv2.perspectiveTransform(from_px.reshape(-1, 1, 2), matrix).reshape(-1, 2)
+    return float(np.sqrt(np.mean((seen - to_px) ** 2)))
+
+
+def check(left: TargetView, right: TargetView) -> None:
+    """76 dots, the rings where the target's description has them, and both cameras see one plane."""
+    for view in (left, right):
+        assert len(view.index) >= 76
+        place = {tuple(index): position for index, position in zip(view.index.tolist(), view.position_px, strict=True)}
+        origin, x_ring, y_ring = place[0, 0], place[5, 0], place[0, 3]
+        assert x_ring[0] - origin[0] > 1000
+        assert y_ring[1] - origin[1] < -600
+        assert origin[0] < 800
+        assert origin[1] > 1000
+        assert view.radius == pytest.approx(0.2025, abs=0.001)
+    here, there = common(left, right)
+    assert len(here) >= 72
+    assert plane_residual_px(here, there) < 0.15
+
+
+@pytest.mark.parametrize("number", [1])
+def test_all_dots_of_a_stereo_pair(data_dir, number):
+    check(view_of(data_dir, number, 0), view_of(data_dir, number, 1))
+
+
+@pytest.mark.slow
+def test_every_one_of_the_28_pictures_is_found(data_dir):
+    for number in range(1, 15):
+        check(view_of(data_dir, number, 0), view_of(data_dir, number, 1))
+
+
+@pytest.mark.slow
+def test_centres_repeat_to_two_hundredths_of_a_pixel(data_dir):
+    first, second = (view_of(data_dir, number, 1) for number in (12, 13))
+    here, there = common(first, second)
+    assert plane_residual_px(here, there) < 0.02 * np.sqrt(2)
+
+
+# Ellipses of dots against rendered ones: centres without bias, covariance that holds.
+
+OVERSAMPLING = 8
+BACKGROUND, CONTRAST = 180.0, -150.0
+
+
+def ellipse_shape(radius: float, rng: np.random.Generator) -> np.ndarray:
+    """S (2, 2) of an ellipse of this mean radius, turned and flattened at random as up to 45° of tilt do."""
+    angle, flat = rng.uniform(0, np.pi), rng.uniform(0.7, 1.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return turn @ np.diag([radius**2 / flat, radius**2 * flat]) @ turn.T
+
+
+def render_dot(centre: np.ndarray, shape: np.ndarray, sigma: float, size: int, slope: float = 0.0) -> np.ndarray:
+    """Picture (size, size) of one dark ellipse, blurred and averaged over the pixels, by oversampling."""
+    fine = (np.arange(size * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5
+    offset = np.stack(np.meshgrid(fine, fine), axis=-1) - centre
+    normal = offset @ np.linalg.inv(shape)
+    square = np.maximum((normal * offset).sum(axis=-1), 1e-9)
+    outside = (square - np.sqrt(square)) / np.linalg.norm(normal, axis=-1)
+    covered = np.clip(0.5 - outside * OVERSAMPLING, 0, 1)
+    blurred = gaussian_filter(covered, sigma * OVERSAMPLING)
+    pixels = blurred.reshape(size, OVERSAMPLING, size, OVERSAMPLING).mean(axis=(1, 3))
+    x, y = np.meshgrid(np.arange(size), np.arange(size))
+    light = 1 + slope * (x - centre[0]) - 0.5 * slope * (y - centre[1])
+    return (BACKGROUND + CONTRAST * pixels) * light
+
+
+def fit(image: np.ndarray, start: np.ndarray, shape: np.ndarray, ring: bool = False) -> Ellipses:
+    return fit_ellipses(image, start[None], 1.1 * shape[None], np.array([30.0]), np.array([ring]))
+
+
+def dot(radius: float, sigma: float, slope: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    size = int(2.6 * radius + 8 * sigma + 12)
+    centre = size / 2 + rng.uniform(-0.5, 0.5, 2)
+    shape = ellipse_shape(radius, rng)
+    return centre, shape, render_dot(centre, shape, sigma, size, slope)
+
+
+@pytest.mark.parametrize(
+    ("radius", "sigma", "slope"), [(3, 0.7, 0), (5, 1, 0.004), (10, 0.6, 0.005), (30, 2, 0.002), (20, 5, 0)]
+)
+def test_centre_has_no_bias_at_any_size_and_blur(radius, sigma, slope):
+    for seed in range(6):
+        centre, shape, image = dot(radius, sigma, slope, seed)
+        found = fit(image, centre + 0.2, shape)
+        assert np.abs(found.centre_px[0] - centre).max() < 0.005
+        assert found.radius_px[0] == pytest.approx(radius, rel=0.004)
+        assert found.blur_px[0] == pytest.approx(np.hypot(sigma, np.sqrt(1 / 12)), rel=0.05)
+        assert found.contrast[0] == pytest.approx(CONTRAST, rel=0.04)
+
+
+def test_the_truth_is_covered():
+    rng = np.random.default_rng(4)
+    centre, shape, image = dot(8.0, 0.8, 0.0, 0)
+
+    def estimate(_: int) -> tuple[np.ndarray, np.ndarray]:
+        found = fit(image + rng.normal(0, 2.0, image.shape), centre, shape)
+        return found.centre_px[0], found.covariance_px2[0]
+
+    coverage_contract(estimate, fit(image, centre, shape).centre_px[0], 60)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("radius", "sigma", "noise"), [(4, 0.8, 1.0), (8, 0.8, 2.0), (20, 2.0, 3.0)])
+def test_covariance_is_the_scatter(radius, sigma, noise):
+    rng = np.random.default_rng(1)
+    normalised = []
+    for seed in range(4):
+        centre, shape, image = dot(radius, sigma, 0.0, seed)
+        middle = fit(image, centre, shape).centre_px[0]
+        for _ in range(100):
+            found = fit(image + rng.normal(0, noise, image.shape), centre, shape)
+            lower = np.linalg.cholesky(found.covariance_px2[0])
+            normalised.append(np.linalg.solve(lower, found.centre_px[0] - middle))
+    assert 0.95 < np.std(normalised) < 1.1
+
+
+@pytest.mark.slow
+def test_covariance_holds_for_shot_noise():
+    rng = np.random.default_rng(2)
+    centre, shape, image = dot(9.0, 1.0, 0.0, 3)
+    normalised = []
+    for _ in range(400):
+        found = fit(image + rng.normal(0, 0.25 * np.sqrt(image)), centre, shape)
+        normalised.append(np.linalg.solve(np.linalg.cholesky(found.covariance_px2[0]), found.centre_px[0] - centre))
+    assert 0.95 < np.std(normalised) < 1.1
+
+
+def test_ring_is_placed_by_its_outer_edge():
+    centre, shape, image = dot(20.0, 1.2, 0.0, 5)
+    hole = render_dot(centre + np.array([1.5, -1.0]), 0.3**2 * shape, 1.2, len(image))
+    found = fit(image + (BACKGROUND - hole), centre + 0.3, shape, ring=True)
+    assert np.abs(found.centre_px[0] - centre).max() < 0.005
+
+
+def test_roughness_tells_a_square_from_a_disc():
+    centre, shape, image = dot(15.0, 1.0, 0.0, 7)
+    y, x = np.indices(image.shape)
+    square = gaussian_filter(
+        np.where(np.maximum(abs(x - centre[0]), abs(y - centre[1])) < 13.3, BACKGROUND + CONTRAST, BACKGROUND), 1.0
+    )
+    round_one, square_one = fit(image, centre, shape), fit(square, centre, 15.0**2 * np.eye(2))
+    assert round_one.roughness_px[0] < 0.02
+    assert not square_one.roughness_px[0] < 1.0
+
+
+def test_what_is_no_dot_gives_nan():
+    flat = np.full((40, 40), 100.0)
+    found = fit(flat, np.array([20.0, 20.0]), 36.0 * np.eye(2))
+    assert np.isnan(found.centre_px).all()
+    assert np.isnan(found.covariance_px2).all()
+
+
+def test_a_start_of_another_length_is_refused():
+    with pytest.raises(ValueError, match="reach_px: expected an array of shape"):
+        fit_ellipses(np.zeros((9, 9)), np.zeros((2, 2)), np.ones((2, 2, 2)), np.ones(3), np.zeros(2, dtype=bool))
