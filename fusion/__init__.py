@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from fusion.sensitivity.load import LoadResult
     from fusion.sensitivity.ratio import Sensitivity
     from fusion.sensor.compensate.evaluate import evaluate_compensation
-    from fusion.sensor.compensate.run import read_compensation_filters
+    from fusion.sensor.compensate.report import read_compensation_filters
     from fusion.sensor.decouple.evaluate import DecoupleSettings, evaluate_decoupling, read_decoupling_filter
     from fusion.sensor.elastomer.evaluate import evaluate_element
     from fusion.sensor.identify.evaluate import evaluate_identification
@@ -71,7 +71,7 @@ _MODULES = {
     "load_for_command": "fusion.recording.load",
     "load_manifest": "fusion.recording.load",
     "make_plan": "fusion.planning.plan",
-    "read_compensation_filters": "fusion.sensor.compensate.run",
+    "read_compensation_filters": "fusion.sensor.compensate.report",
     "read_decoupling_filter": "fusion.sensor.decouple.evaluate",
     "read_load_models": "fusion.sensor.models_file",
     "read_recorded": "fusion.campaign.recorded",

@@ -162,7 +162,7 @@ def _compensate_options(parser: Parser) -> None:
 @command(_compensate_options)
 def compensate(options: argparse.Namespace) -> None:
     """Filters that give a sensor the resonance, damping or bandwidth one wants."""
-    from fusion.sensor.compensate.run import run_compensate
+    from fusion.sensor.compensate.report import run_compensate
     from fusion.sensor.compensate.source import Wish
 
     wish = Wish(

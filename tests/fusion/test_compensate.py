@@ -21,7 +21,7 @@ from support import rows
 from fusion.base import InputError
 from fusion.cli import main
 from fusion.sensor.compensate.evaluate import CompensateEvaluation, evaluate_compensation, white_noise
-from fusion.sensor.compensate.run import header_text, json_text, read_compensation_filters
+from fusion.sensor.compensate.report import header_text, json_text, read_compensation_filters
 from fusion.sensor.compensate.source import Wish, read_sources
 from fusion.sensor.models_file import MODELS_FILE, ModelEntry, ModelsFile, model_text, models_text, read_models
 from shaker.compensation.filter import CompensationFilter

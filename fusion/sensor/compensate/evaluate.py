@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
@@ -14,6 +14,7 @@ from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.sensor.compensate.source import (
     COMMAND,
+    STATED,
     CompensatedChannel,
     CompensatedRecording,
     Figures,
@@ -44,8 +45,7 @@ from shaker.compensation.filter import (
     sampled,
 )
 from shaker.compensation.force_feedback import FeedbackRun, HapticLoop, largest_stable_gain, push, simulate_feedback
-from shaker.lti.indices import LABELS, Indices, indices
-from shaker.lti.system import LinearSystem
+from shaker.lti.indices import LABELS, indices
 from shaker.release.load_model import LoadModel
 
 # The force-feedback check: a loop through the sensor without filter, with one for no load, and with its own.
@@ -103,21 +103,15 @@ def check_haptics(results: Sequence[SubjectResult], wish: Wish) -> Haptics | Non
     loop = HapticLoop(HAND_STIFFNESS, HAND_DAMPING, HANDLE_MASS, HANDLE_DAMPING, wish.ball_stiffness, 0.0, rate)
     limits = [largest_stable_gain(loop, sensor, sections) for sections in ways.values()]
     shared = min(BEYOND * limits[1], HALF * limits[2])
-    cases = [
-        _case(name, replace(loop, force_gain=HALF * limit), shared, sensor, sections)
-        for (name, sections), limit in zip(ways.items(), limits, strict=True)
-    ]
+    cases = []
+    hand = push(np.arange(round(PUSH_S * rate)) / rate, PUSH_M, PUSH_S)
+    for (name, sections), limit in zip(ways.items(), limits, strict=True):
+        alone, together = (
+            simulate_feedback(replace(loop, force_gain=gain), sensor, sections, hand, wall_m=WALL_M)
+            for gain in (HALF * limit, shared)
+        )
+        cases.append(HapticCase(name, limit, alone.tracking_error, together))
     return Haptics(found.subject.name, mass, shared, wish.ball_stiffness, tuple(cases))
-
-
-def _case(name: str, loop: HapticLoop, shared: float, sensor: LinearSystem, sections: Sections | None) -> HapticCase:
-    """One case at half its own largest gain, and at the shared one."""
-    hand = push(np.arange(round(PUSH_S * loop.sample_rate_hz)) / loop.sample_rate_hz, PUSH_M, PUSH_S)
-    alone, together = (
-        simulate_feedback(replace(loop, force_gain=gain), sensor, sections, hand, wall_m=WALL_M)
-        for gain in (loop.force_gain, shared)
-    )
-    return HapticCase(name, loop.force_gain / HALF, alone.tracking_error, together)
 
 
 # A recording whose outputs go through their filters.
@@ -126,7 +120,6 @@ def _case(name: str, loop: HapticLoop, shared: float, sensor: LinearSystem, sect
 NOISE_FACTOR = float(np.sqrt(20.0))
 """Standard deviation of third differences over that of white noise: √(1 + 9 + 9 + 1)."""
 MEDIAN_TO_STD = 1.482602218505602
-STATED = "sensor"
 
 
 @dataclass(frozen=True)
@@ -159,14 +152,6 @@ def read_outputs(path: Path, *, allow_outside: bool = False) -> OutputRecord:
     return OutputRecord(manifest, names, unit, np.stack(found.values), found.rate_hz, found.start_s, found.notices)
 
 
-def rig_load_mass(manifest: Manifest) -> float | None:
-    """Return the mass in kg that the rig says stands on the sensor, None where it names no load."""
-    rig = manifest.rig
-    if rig.load is None:
-        return None
-    return rig.load.mass + sum(part.mass for part in rig.part if part.body == "load")
-
-
 def apply(
     record: OutputRecord, results: Sequence[SubjectResult], wish: Wish
 ) -> tuple[CompensatedRecording, tuple[Notice, ...]]:
@@ -175,52 +160,37 @@ def apply(
     Each filter starts settled at the mean of the record's first target period. The noise of the output is read from its
     third differences.
     """
-    filtered, skipped = [], []
+    filtered, skipped, notices = [], [], record.notices
     for name, values in zip(record.channels, record.values, strict=True):
-        own = [one for one in results if one.subject.channel in (name, STATED)]
-        if own:
-            filtered.append(_channel(name, values, record, own[0], wish))
-        else:
+        made = next((one.filters[0] for one in results if one.subject.channel in (name, STATED)), None)
+        if made is None:
             skipped.append(name)
+        else:
+            filtered.append(_filtered(name, values, record, made, wish))
     if not filtered:
         known = ", ".join(one.subject.channel for one in results)
         found = f"outputs {', '.join(record.channels)}"
         raise InputError(record.manifest.path, "daq.channel", found=found, expected=f"one of the channels {known}")
-    notices = record.notices
-    if skipped:
-        text = f"left out, since no filter is for it: {', '.join(skipped)}"
-        notices = (*notices, Notice("info", text, record.manifest.folder.name))
     name = record.manifest.folder.name
+    if skipped:
+        notices = (*notices, Notice("info", f"left out, since no filter is for it: {', '.join(skipped)}", name))
     return CompensatedRecording(name, record.sample_rate_hz, record.start_s, tuple(filtered)), notices
 
 
-def _channel(
-    name: str, values: FloatArray, record: OutputRecord, result: SubjectResult, wish: Wish
-) -> CompensatedChannel:
+def _filtered(name: str, values: FloatArray, record: OutputRecord, made: LoadFilter, wish: Wish) -> CompensatedChannel:
     """One output after its filter."""
-    subject, found = result.subject, result.filters[0]
+    subject, rate_hz, own_hz = made.subject, record.sample_rate_hz, made.sections.sample_rate_hz
     if subject.channel != STATED and subject.unit != record.unit:
         expected = f"{subject.unit}, the unit of the model of {name}"
         raise InputError(record.manifest.path, "sensor.unit", found=record.unit, expected=expected)
-    if found.sections.sample_rate_hz != record.sample_rate_hz:
-        told = f"{found.sections.sample_rate_hz:g} Hz"
-        raise InputError(
-            record.manifest.path,
-            "daq",
-            found=f"{record.sample_rate_hz:g} Hz",
-            expected=f"samples at {told}, the rate of the filter",
-        )
-    first = max(1, min(len(values), round(record.sample_rate_hz / found.compensation.target.frequency_hz)))
-    run = CompensationWithUncertainty(
-        found.compensation,
-        record.sample_rate_hz,
-        wish.discretisation,
-        level=float(np.mean(values[:first])),
-        noise=white_noise(values),
-    )
-    signal = run(values[None])
-    unit = record.unit if not wish.calibrated else result.output_unit
-    return CompensatedChannel(name, unit, found.sections.gain * values, signal.value[0], signal.u[0], signal.u_noise)
+    if own_hz != rate_hz:
+        expected = f"samples at {own_hz:g} Hz, the rate of the filter"
+        raise InputError(record.manifest.path, "daq", found=f"{rate_hz:g} Hz", expected=expected)
+    first = max(1, min(len(values), round(rate_hz / made.compensation.target.frequency_hz)))
+    level, noise = float(np.mean(values[:first])), white_noise(values)
+    run = CompensationWithUncertainty(made.compensation, rate_hz, wish.discretisation, level=level, noise=noise)
+    signal, unit = run(values[None]), made.output_unit if wish.calibrated else record.unit
+    return CompensatedChannel(name, unit, made.sections.gain * values, signal.value[0], signal.u[0], signal.u_noise)
 
 
 def white_noise(values: FloatArray) -> float:
@@ -237,8 +207,10 @@ def with_load(wish: Wish, sources: Sources, record: OutputRecord | None) -> Wish
     if len(wish.load_masses) > 1:
         expected = "one load mass with --apply, that of the recording"
         raise InputError(COMMAND, "--load-mass", found=f"{len(wish.load_masses)}", expected=expected)
-    mass = rig_load_mass(record.manifest)
-    return wish if wish.load_masses or mass is None else replace(wish, load_masses=(mass,))
+    rig = record.manifest.rig
+    if wish.load_masses or rig.load is None:
+        return wish
+    return replace(wish, load_masses=(rig.load.mass + sum(part.mass for part in rig.part if part.body == "load"),))
 
 
 # What the user should know of a compensation.
@@ -253,64 +225,50 @@ BETTER = 1.05
 """Factor by which another damping ratio widens the band from which it is named."""
 
 
-def of_subject(result: SubjectResult) -> Iterator[Notice]:
-    """Say of a channel what all its loads share."""
-    if result.subject.is_scheduled and len(result.filters) == 1:
-        load = result.subject.load_text(result.filters[0].load_mass or 0.0)
-        text = f"the filter is made for a load of {load}; --load-mass names others"
-        yield Notice("info", text, result.subject.name)
+def remarks(result: SubjectResult, wish: Wish) -> Iterator[Notice]:
+    """Say what limits the filters of a channel."""
+    subject = result.subject
+    for made in result.filters:
+        several = made.load_mass is not None and len(result.filters) > 1
+        where = f"{subject.name}, {subject.load_text(made.load_mass or 0.0)}" if several else subject.name
+        if wish.real_hz is not None and not len(made.compensation.sensor.real_hz):
+            yield Notice("info", "the model has no real pole that --real-pole could move", where)
+        for severity, text in (*_of_design(made, wish), *_of_effects(made)):
+            yield Notice(severity, text, where)  # type: ignore[arg-type]
 
 
-def of_filter(result: SubjectResult, found: LoadFilter, wish: Wish) -> Iterator[Notice]:
-    """Say of one filter what limits it."""
-    where = result.subject.name
-    if found.load_mass is not None and len(result.filters) > 1:
-        where += f", {result.subject.load_text(found.load_mass)}"
-    if wish.real_hz is not None and not len(found.compensation.sensor.real_hz):
-        yield Notice("info", "the model has no real pole that --real-pole could move", where)
-    for severity, text in (*_model(found), *_target(found, wish), *_left(found), *_samples(found)):
-        yield Notice(severity, text, where)  # type: ignore[arg-type]
-
-
-def _model(found: LoadFilter) -> Iterator[tuple[str, str]]:
-    """Whether the model is known well enough."""
-    sensor = found.compensation.sensor
+def _of_design(made: LoadFilter, wish: Wish) -> Iterator[tuple[str, str]]:
+    """Whether the model is known well enough, the target the best for the permitted error, and a wanted band kept."""
+    sensor, target, error = made.compensation.sensor, made.compensation.target, wish.permitted_error
     if sensor.covariance is None:
         yield "info", "the model has no covariance: what its errors do to the signal is not known"
-        return
     for hertz, damping, u in zip(sensor.frequency_hz, sensor.damping_ratio, sensor.u, strict=False):
-        if u > WIDTH_SHARE * damping * hertz:
+        if u > WIDTH_SHARE * damping * hertz:  # never of an unknown u, which is NaN
             yield (
                 "warning",
                 f"u of the mode at {hertz:.4g} Hz is {100 * u / (damping * hertz):.0f} % of half the width of its "
                 "resonance: around it the uncertainty of the compensated signal is a first-order figure only",
             )
-
-
-def _target(found: LoadFilter, wish: Wish) -> Iterator[tuple[str, str]]:
-    """Whether the target is the best for the permitted error, and whether a wanted band is kept."""
-    target, error = found.compensation.target, wish.permitted_error
-    reached, percent = band_ratio(target.damping_ratio, error), 100 * error
-    best = best_damping((1.0 - KEPT_SHARE) * error)
+    reached, best = band_ratio(target.damping_ratio, error), best_damping((1.0 - KEPT_SHARE) * error)
     if wish.damping_ratio is not None and band_ratio(best, error) > BETTER * reached:
         yield (
             "info",
-            f"ζ = {target.damping_ratio:g} keeps ±{percent:g} % of one mode to {reached * target.frequency_hz:.4g} Hz; "
+            f"ζ = {target.damping_ratio:g} keeps ±{100 * error:g} % of one mode to "
+            f"{reached * target.frequency_hz:.4g} Hz; "
             f"ζ = {best:.3f} keeps it to {band_ratio(best, error) * target.frequency_hz:.4g} Hz",
         )
     if wish.bandwidth_hz is not None:
-        hertz = np.linspace(0.0, wish.bandwidth_hz, 500)
-        gain = np.abs(found.compensation.compensated.response(hertz))
+        gain = np.abs(made.compensation.compensated.response(np.linspace(0.0, wish.bandwidth_hz, 500)))
         worst = float(np.max(np.abs(gain / gain[0] - 1.0)))
         if worst > error * (1.0 + 1e-9):
             text = f"up to {wish.bandwidth_hz:g} Hz the gain leaves the static one by {100 * worst:.3g} %"
             yield "warning", f"{text}, since the target is that of another load"
 
 
-def _left(found: LoadFilter) -> Iterator[tuple[str, str]]:
-    """Modes of the sensor that the filter leaves."""
-    kept = found.compensation.system.poles
-    for mode in found.after.indices.modes:
+def _of_effects(made: LoadFilter) -> Iterator[tuple[str, str]]:
+    """Which modes of the sensor the filter leaves, and what sampling and noise cost."""
+    kept = made.compensation.system.poles
+    for mode in made.after.indices.modes:
         share = mode.step_share
         if np.min(np.abs(kept - mode.pole)) > 1e-9 * abs(mode.pole) and share is not None and share > LARGE_ERROR:
             yield (
@@ -318,19 +276,15 @@ def _left(found: LoadFilter) -> Iterator[tuple[str, str]]:
                 f"a mode at {mode.natural_hz:.4g} Hz (ζ = {mode.damping_ratio:.3g}) stays and swings by "
                 f"{100 * share:.2g} % of a step; --modes compensates it too",
             )
-
-
-def _samples(found: LoadFilter) -> Iterator[tuple[str, str]]:
-    """What sampling and noise cost."""
-    if found.discretisation_error > LARGE_ERROR:
+    if made.discretisation_error > LARGE_ERROR:
         yield (
             "warning",
-            f"at {found.sections.sample_rate_hz:g} Hz the sampled filter is off the continuous one by up to "
-            f"{100 * found.discretisation_error:.2g} % below {found.band_hz:.4g} Hz; a higher rate makes it better",
+            f"at {made.sections.sample_rate_hz:g} Hz the sampled filter is off the continuous one by up to "
+            f"{100 * made.discretisation_error:.2g} % below {made.band_hz:.4g} Hz; a higher rate makes it better",
         )
-    if found.noise_gain / found.sections.gain > LARGE_NOISE:
-        times = found.noise_gain / abs(found.sections.gain)
-        yield "warning", f"white noise rises {times:.3g}-fold; a lower target frequency or --low-pass passes less of it"
+    if made.noise_factor > LARGE_NOISE:
+        text = f"white noise rises {made.noise_factor:.3g}-fold; "
+        yield "warning", f"{text}a lower target frequency or --low-pass passes less of it"
 
 
 # Everything a compensation found, as it is written and shown.
@@ -350,6 +304,11 @@ class CompensateEvaluation:
     versions: dict[str, str]
     input_hashes: dict[str, str]
     duration_s: float
+
+    @property
+    def filters(self) -> list[LoadFilter]:
+        """Those of all channels and loads."""
+        return [made for result in self.subjects for made in result.filters]
 
 
 # Filters for every channel and load, and what they do before and after.
@@ -378,15 +337,20 @@ def evaluate_compensation(
     subjects = [_subject(subject, wish, rate) for subject in chosen(sources, wish.channels)]
     applied, more = (None, ()) if record is None else apply(record, subjects, wish)
     haptics = check_haptics(subjects, wish)
-    remarks = [notice for result in subjects for notice in of_subject(result)]
-    remarks += [notice for result in subjects for one in result.filters for notice in of_filter(result, one, wish)]
+    notices = list(sources.notices)
+    for result in subjects:
+        if result.subject.is_scheduled and len(result.filters) == 1:
+            load = result.subject.load_text(result.filters[0].load_mass or 0.0)
+            text = f"the filter is made for a load of {load}; --load-mass names others"
+            notices.append(Notice("info", text, result.subject.name))
+    notices += [notice for result in subjects for notice in remarks(result, wish)]
     return CompensateEvaluation(
         name=sources.name,
         wish=wish,
         subjects=tuple(subjects),
         applied=applied,
         haptics=haptics,
-        notices=(*sources.notices, *remarks, *more),
+        notices=(*notices, *more),
         settings=wish.settings,
         versions=versions(),
         input_hashes=dict(hashes),
@@ -419,15 +383,20 @@ def _filter(
     """One filter and what it does; `samples`: their rate in Hz, and how many sections the filter shall have."""
     rate_hz, count = samples
     sections = filled(sampled(design, rate_hz, wish.discretisation), count)
+    gain = white_noise_gain(sections)
     before, after = _figures(design, alone=True), _figures(design, alone=False)
     band = wish.bandwidth_hz or after.indices.band_10_hz or design.target.frequency_hz
     band = min(band, 0.5 * rate_hz, 2.0 * design.target.frequency_hz)
     error = np.abs(discretisation_error(design, sections, np.linspace(0.0, band, BAND_POINTS)))
     after_s = AFTER_PERIODS / design.target.frequency_hz
-    gain = white_noise_gain(sections)
     off = OFF_FREQUENCY if len(design.sensor.frequency_hz) else OFF_FREQUENCY[:0]
-    others = _other_loads(subject, mass, wish)
+    loads = np.zeros(0)
+    if isinstance(subject.model, LoadModel) and mass is not None:
+        loads = np.unique(np.array([*wish.load_masses, *subject.model.load_masses, mass]))
+    detuned = [with_frequency(design.sensor, 1.0 + by) for by in off]
+    loaded = [subject.dynamics(float(load), 1, real_poles=False).system for load in loads]
     return LoadFilter(
+        subject=subject,
         load_mass=mass,
         compensation=design,
         sections=sections,
@@ -439,9 +408,9 @@ def _filter(
         discretisation_error=float(np.max(error)),
         after_s=after_s,
         off_frequency=off,
-        off_ringing=_ringing(design, [with_frequency(design.sensor, 1.0 + by) for by in off], after_s),
-        off_load=others,
-        load_ringing=_ringing(design, [_loaded(subject, float(load)) for load in others], after_s),
+        off_ringing=np.array([residual_ringing(design, sensor, after_s) for sensor in detuned]),
+        off_load=loads,
+        load_ringing=np.array([residual_ringing(design, sensor, after_s) for sensor in loaded]),
     )
 
 
@@ -452,46 +421,18 @@ def _figures(design: Compensation, *, alone: bool) -> Figures:
     """
     sensor = design.sensor
 
-    def whole(vector: FloatArray) -> LinearSystem:
-        return moved(sensor, vector) if alone else moved(sensor, vector).times(design.system)
+    def values(vector: FloatArray) -> FloatArray:
+        system = moved(sensor, vector) if alone else moved(sensor, vector).times(design.system)
+        return np.array([np.nan if value is None else value for value in indices(system).figures().values()])
 
     found = indices(sensor.system if alone else design.compensated, 1.0 if alone else design.compensated.static_gain)
-    known = _known(sensor.covariance, sensor.vector, lambda vector: _values(indices(whole(vector))))
-    return Figures(found, dict.fromkeys(LABELS) if known is None else known)
-
-
-def _known(
-    covariance: FloatArray | None, vector: FloatArray, values: Callable[[FloatArray], FloatArray]
-) -> dict[str, float | None] | None:
-    """Standard uncertainties of the figures, None without a covariance."""
-    if covariance is None:
-        return None
-    u = np.sqrt(np.diag(covariance))
+    if sensor.covariance is None:
+        return Figures(found, dict.fromkeys(LABELS))
+    u = np.sqrt(np.diag(sensor.covariance))
     jacobian = np.zeros((len(LABELS), len(u)))
     for place in np.flatnonzero(u):
-        shift = np.eye(len(u))[place] * min(u[place], 0.5 * abs(vector[place]))
-        jacobian[:, place] = (values(vector + shift) - values(vector - shift)) / (2.0 * shift[place])
-    spread = np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", jacobian, covariance, jacobian), 0.0))
-    return {name: float(one) if np.isfinite(one) else None for name, one in zip(LABELS, spread, strict=True)}
-
-
-def _values(found: Indices) -> FloatArray:
-    """All figures as numbers, NaN where there is none."""
-    return np.array([np.nan if value is None else value for value in found.figures().values()])
-
-
-def _other_loads(subject: Subject, mass: float | None, wish: Wish) -> FloatArray:
-    """The loads in kg with which a filter is tried: those wanted, else those that the model was fitted to."""
-    if not isinstance(subject.model, LoadModel) or mass is None:
-        return np.zeros(0)
-    return np.unique(np.array([*wish.load_masses, *subject.model.load_masses, mass]))
-
-
-def _loaded(subject: Subject, load_mass: float) -> LinearSystem:
-    """The whole sensor with a load."""
-    return subject.dynamics(load_mass, 1, real_poles=False).system
-
-
-def _ringing(design: Compensation, sensors: Sequence[LinearSystem], after_s: float) -> FloatArray:
-    """Residual ringing with other sensors."""
-    return np.array([residual_ringing(design, sensor, after_s) for sensor in sensors])
+        shift = np.eye(len(u))[place] * min(u[place], 0.5 * abs(sensor.vector[place]))
+        jacobian[:, place] = (values(sensor.vector + shift) - values(sensor.vector - shift)) / (2.0 * shift[place])
+    spread = np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", jacobian, sensor.covariance, jacobian), 0.0))
+    known = {name: float(one) if np.isfinite(one) else None for name, one in zip(LABELS, spread, strict=True)}
+    return Figures(found, known)

@@ -39,12 +39,6 @@ DRAWN = 20_000
 """Samples of a recording that are drawn at the most."""
 
 
-def label(result: SubjectResult, made: LoadFilter) -> str:
-    """Channel and load of a filter."""
-    mass = "" if made.load_mass is None else f", load {result.subject.load_text(made.load_mass)}"
-    return f"{result.subject.name}{mass}"
-
-
 def frequencies(made: LoadFilter) -> FloatArray:
     """Frequencies (K,) in Hz of the curves of a filter: two decades below its modes to half the sampling rate."""
     known = [*made.compensation.sensor.frequency_hz, *made.compensation.sensor.real_hz]
@@ -53,9 +47,9 @@ def frequencies(made: LoadFilter) -> FloatArray:
     return np.unique(np.concatenate([even, *(f * (1.0 + np.linspace(-0.05, 0.05, 101)) for f in known)]))
 
 
-def draw_bode(name: str, result: SubjectResult, made: LoadFilter, permitted_error: float) -> Picture:
+def draw_bode(name: str, made: LoadFilter, permitted_error: float) -> Picture:
     """Gain and phase over the static gain before and after, the band of the permitted error, and the sampled filter."""
-    design, hertz, title = made.compensation, frequencies(made), label(result, made)
+    design, hertz, title = made.compensation, frequencies(made), made.name
     sensor = design.sensor.system.response(hertz) / design.sensor.static_gain
     after = sensor * design.system.response(hertz) / design.gain
     sampled = sensor * made.sections.response(hertz) / made.sections.gain
@@ -89,9 +83,9 @@ def draw_bode(name: str, result: SubjectResult, made: LoadFilter, permitted_erro
         return drawn.picture(f"{title}: gain and phase before and after", caption, gap=(0.5, 0.18))
 
 
-def draw_step(name: str, result: SubjectResult, made: LoadFilter) -> Picture:
+def draw_step(name: str, made: LoadFilter) -> Picture:
     """The response to a step over its final value before and after."""
-    design, title = made.compensation, label(result, made)
+    design, title = made.compensation, made.name
     time = np.linspace(0.0, STEP_PERIODS / design.target.frequency_hz, STEP_POINTS)
     before = design.sensor.system.step(time) / design.sensor.static_gain
     after = design.compensated.step(time) / design.compensated.static_gain
@@ -110,13 +104,12 @@ def draw_step(name: str, result: SubjectResult, made: LoadFilter) -> Picture:
 
 def draw_noise(evaluation: CompensateEvaluation) -> Picture:
     """What every filter makes of noise over frequency."""
-    made = [(result, one) for result in evaluation.subjects for one in result.filters]
     with sheet("noise", 2.8) as drawn:
         (axes,) = drawn.panels
-        for place, (result, one) in enumerate(made):
-            hertz, white = frequencies(one), one.noise_gain / abs(one.sections.gain)
-            gain = np.abs(one.sections.response(hertz) / one.sections.gain)
-            text = f"{label(result, one)} (white noise × {white:.3g})"
+        for place, made in enumerate(evaluation.filters):
+            hertz = frequencies(made)
+            gain = np.abs(made.sections.response(hertz) / made.sections.gain)
+            text = f"{made.name} (white noise × {made.noise_factor:.3g})"
             axes.loglog(hertz, gain, color=COLOURS[place % len(COLOURS)], label=text)
         plain_logarithm(axes.yaxis, (1.0,))
         _label(axes, "frequency / Hz", "gain of the filter", "noise")
@@ -130,14 +123,14 @@ def draw_mismatch(name: str, result: SubjectResult) -> Picture | None:
     first, subject = result.filters[0], result.subject
     if len(first.off_load) > 1:
         scale, unit = (MILLI, "g") if subject.load_unit == "N" else (1.0, "(kg·m²)")
-        axis, own = f"load / {unit}", "filter for {}"
+        axis, loads = f"load / {unit}", [subject.load_text(one.load_mass or 0.0) for one in result.filters]
         curves = [
-            (own.format(subject.load_text(one.load_mass or 0.0)), scale * one.off_load, one.load_ringing)
-            for one in result.filters
+            (f"filter for {load}", scale * one.off_load, one.load_ringing)
+            for load, one in zip(loads, result.filters, strict=True)
         ]
     elif len(first.off_frequency):
         axis = "frequency of the sensor off by / %"
-        curves = [(label(result, one), PERCENT * one.off_frequency, one.off_ringing) for one in result.filters]
+        curves = [(one.name, PERCENT * one.off_frequency, one.off_ringing) for one in result.filters]
     else:
         return None
     with sheet(name, 2.8) as drawn:

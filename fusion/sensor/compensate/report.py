@@ -1,16 +1,26 @@
-"""The page of a compensation filter."""
+"""What compensation filters leave: files for a program and in C, tables, page, and the lines of the terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from operator import itemgetter
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, rounded
-from fusion.report.numbers import measured, number
-from fusion.report.table import Headline, Table
+from fusion.base import DASH, InputError, rounded
+from fusion.report.folder import Command
+from fusion.report.h5 import write_value
+from fusion.report.numbers import capital, measured, number, signed
+from fusion.report.provenance import hash_files
+from fusion.report.table import Column, Headline, Table, columns_of, csv_text, on_page, table
 from fusion.sensor.compensate.evaluate import (
     HAND_DAMPING,
     HAND_STIFFNESS,
@@ -18,6 +28,10 @@ from fusion.sensor.compensate.evaluate import (
     PUSH_M,
     PUSH_S,
     CompensateEvaluation,
+    HapticCase,
+    evaluate_compensation,
+    read_outputs,
+    with_load,
 )
 from fusion.sensor.compensate.figures import (
     draw_bode,
@@ -26,12 +40,30 @@ from fusion.sensor.compensate.figures import (
     draw_mismatch,
     draw_noise,
     draw_step,
-    label,
+    frequencies,
 )
-from fusion.sensor.compensate.source import Figures, LoadFilter, SubjectResult
-from shaker.compensation.filter import band_ratio, best_damping
+from fusion.sensor.compensate.source import (
+    COMMAND,
+    Figures,
+    LoadFilter,
+    Sources,
+    SubjectResult,
+    Wish,
+    read_sources,
+    stated,
+)
+from fusion.sensor.models_file import FORMAT, read_stored
+from shaker.compensation.effects import gain_band
+from shaker.compensation.filter import Sections, band_ratio, best_damping
 from shaker.lti.indices import LABELS, unit_of
 
+JSON_FILE, HEADER_FILE = "compensation.json", "compensation.h"
+HEADER = files("fusion.report").joinpath("templates", HEADER_FILE)
+"""Start, step and switch in C, between the places for the program, the size and the tables."""
+CONVENTIONS = (
+    "y = gain * product of sections; a section is (b0 + b1/z + b2/z^2)/(1 + a1/z + a2/z^2), sos rows b0 b1 b2 1 a1 a2, "
+    "each of static gain 1; continuous: gain * product (s - zero)/(s - pole), rad/s; numbers are exact doubles"
+)
 EXPANDED = 2.0
 GRAM, MILLI, PERCENT = 1e3, 1e3, 100.0
 SHOWN = (
@@ -52,6 +84,120 @@ PRINTED = {"band_10_hz": "±10 % band", "overshoot": "overshoot", "settling_2_s"
 ERRORS = (0.01, 0.02, 0.05, 0.1, 0.2)
 
 
+# Filters as JSON and C.
+
+
+@dataclass(frozen=True)
+class StoredFilter:
+    """A filter read back from compensation.json: for a channel and a load in kg, None where it is not modelled."""
+
+    channel: str
+    component: str
+    load_mass: float | None
+    sections: Sections
+
+
+def json_text(evaluation: CompensateEvaluation) -> str:
+    """Return the content of compensation.json."""
+    content = {
+        "format": FORMAT,
+        "name": evaluation.name,
+        "program": evaluation.versions.get("shakercal", ""),
+        "conventions": CONVENTIONS,
+        "filters": [_entry(made) for made in evaluation.filters],
+    }
+    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def read_compensation_filters(path: str | Path) -> tuple[StoredFilter, ...]:
+    """Read compensation.json, or the one in a folder, to the last bit; `InputError` names what cannot be read.
+
+    >>> from fusion import read_compensation_filters
+    >>> filters = read_compensation_filters("my-steps/step/compensate")  # doctest: +SKIP
+    """
+
+    def stored(item: dict[str, Any]) -> StoredFilter:
+        sos, mass = np.array(item["sos"], dtype=np.float64), item["load_mass_kg"]
+        sections = Sections(sos, float(item["gain"]), float(item["sample_rate_hz"]))
+        load_mass = None if mass is None else float(mass)
+        return StoredFilter(str(item["channel"]), str(item["component"]), load_mass, sections)
+
+    def parsed(content: dict[str, Any]) -> tuple[StoredFilter, ...]:
+        return tuple(stored(item) for item in content["filters"])
+
+    return read_stored(Path(path), JSON_FILE, "compensate", parsed, "filters")
+
+
+def _entry(made: LoadFilter) -> dict[str, Any]:
+    """One filter as nested dictionaries."""
+    design, sections, subject = made.compensation, made.sections, made.subject
+    sensor, target, system = design.sensor, design.target, design.system
+    return {
+        "channel": subject.channel,
+        "component": subject.component,
+        "input_unit": subject.unit,
+        "output_unit": made.output_unit,
+        "load_mass_kg": made.load_mass,
+        "sensor": {
+            **{name: getattr(sensor, name).tolist() for name in ("frequency_hz", "damping_ratio", "real_hz")},
+            "static_gain": sensor.static_gain,
+            "u": [None if np.isnan(u) else float(u) for u in sensor.u],
+        },
+        "target": {name: getattr(target, name) for name in ("frequency_hz", "damping_ratio", "real_hz", "low_pass_hz")},
+        "continuous": {
+            "zeros": [[zero.real, zero.imag] for zero in system.zeros.tolist()],
+            "poles": [[pole.real, pole.imag] for pole in system.poles.tolist()],
+            "gain": system.gain,
+        },
+        "sample_rate_hz": sections.sample_rate_hz,
+        "gain": sections.gain,
+        "sos": sections.sos.tolist(),
+        "white_noise_gain": made.noise_gain,
+        "discretisation_error": made.discretisation_error,
+    }
+
+
+def header_text(evaluation: CompensateEvaluation) -> str:
+    """Return the C header: tables of all filters, and start, step and switch as the program runs them."""
+    most = max(len(result.filters[0].sections.sos) for result in evaluation.subjects)
+    tables = "\n".join(line for result in evaluation.subjects for line in _table(result))
+    program = f"shakercal {evaluation.versions.get('shakercal', '')}".strip()
+    frame = HEADER.read_text(encoding="utf-8")
+    return frame.replace("@PROGRAM@", program).replace("@MOST@", str(most)).replace("@TABLES@", tables)
+
+
+def _table(result: SubjectResult) -> Iterator[str]:
+    """The coefficients of a channel, load by load."""
+    first, subject, loads = result.filters[0], result.subject, result.filters
+    name = "compensate_" + re.sub(r"\W", "_", subject.name.replace(" for ", "_"), flags=re.ASCII)
+    count, rate, target = len(first.sections.sos), first.sections.sample_rate_hz, first.compensation.target
+    told = (
+        f"{subject.name}: {subject.unit} to {first.output_unit}, {rate:.12g} Hz, to "
+        f"{target.frequency_hz:.6g} Hz, damping ratio {target.damping_ratio:.4g}"
+    )
+    yield f"/* {told.replace('*/', '* /')} */"  # without what would end a comment
+    rows = [row for made in loads for row in made.sections.sos.tolist()]
+    yield from _array(f"{name}_sos", [value for row in rows for value in (*row[:3], *row[4:])], 5)
+    yield from _array(f"{name}_gain", [made.sections.gain for made in loads], 1)
+    yield from _array(f"{name}_load_mass", [made.load_mass or 0.0 for made in loads], 1)
+    yield f"static const shakercal_table {name} = {{{count}, {len(loads)}, {rate.hex()},"
+    yield f"    {name}_load_mass, {name}_gain, {name}_sos}};"
+    yield ""
+
+
+def _array(name: str, values: Sequence[float], per_line: int) -> Iterator[str]:
+    """An array of doubles, each to the last bit, with its decimal form beside it."""
+    yield f"static const double {name}[{len(values)}] = {{"
+    for start in range(0, len(values), per_line):
+        part = values[start : start + per_line]
+        told = ", ".join(f"{value:.6g}" for value in part)
+        yield f"    {', '.join(value.hex() for value in part)}, /* {told} */"
+    yield "};"
+
+
+# Numbers of all filters, and the page.
+
+
 class NumberRow(NamedTuple):
     """One number of one filter in compensate.csv; what does not apply is empty."""
 
@@ -66,10 +212,9 @@ class NumberRow(NamedTuple):
 
 def quantity_rows(evaluation: CompensateEvaluation) -> Iterator[NumberRow]:
     """One row per number."""
-    for result in evaluation.subjects:
-        for made in result.filters:
-            for number_ in _numbers(result, made):
-                yield NumberRow(result.subject.channel, result.subject.component, made.load_mass, *number_)
+    for made in evaluation.filters:
+        for told in _numbers(made):
+            yield NumberRow(made.subject.channel, made.subject.component, made.load_mass, *told)
 
 
 def over(top: str, bottom: str) -> str:
@@ -80,197 +225,173 @@ def over(top: str, bottom: str) -> str:
     return "/".join(parts)
 
 
-def _numbers(result: SubjectResult, found: LoadFilter) -> Iterator[tuple[str, float | None, float | None, str]]:
+def _numbers(made: LoadFilter) -> Iterator[tuple[str, float | None, float | None, str]]:
     """Name, value, u and unit of everything told of one filter."""
-    sensor, target = found.compensation.sensor, found.compensation.target
+    sensor, target = made.compensation.sensor, made.compensation.target
     modes = len(sensor.frequency_hz)
     names = [f"sensor_{name}_{m + 1}" for name in ("frequency_hz", "damping_ratio") for m in range(modes)]
     names += [f"sensor_real_hz_{q + 1}" for q in range(len(sensor.real_hz))] + ["sensor_static_gain"]
-    gain_unit = over(result.subject.unit, result.subject.load_unit)
+    gain_unit = over(made.subject.unit, made.subject.load_unit)
     for name, value, u in zip(names, sensor.vector, sensor.u, strict=True):
         unit = "Hz" if "_hz" in name else gain_unit if name == "sensor_static_gain" else "1"
         yield name, float(value), None if np.isnan(u) else float(u), unit
     yield "target_frequency_hz", target.frequency_hz, None, "Hz"
     yield "target_damping_ratio", target.damping_ratio, None, "1"
-    for when, figures in (("before", found.before), ("after", found.after)):
-        for name, value_ in figures.indices.figures().items():
-            yield f"{when}_{name}", value_, figures.u[name], unit_of(name) or "1"
-    yield "white_noise_gain", found.noise_gain, None, over(result.output_unit, result.subject.unit)
-    yield "noise", found.noise, None, result.output_unit
-    yield "discretisation_error", found.discretisation_error, None, "1"
-    for off, ringing in zip(found.off_frequency, found.off_ringing, strict=True):
+    for when, figures in (("before", made.before), ("after", made.after)):
+        for name, value in figures.indices.figures().items():
+            yield f"{when}_{name}", value, figures.u[name], unit_of(name) or "1"
+    yield "white_noise_gain", made.noise_gain, None, over(made.output_unit, made.subject.unit)
+    yield "noise", made.noise, None, made.output_unit
+    yield "discretisation_error", made.discretisation_error, None, "1"
+    for off, ringing in zip(made.off_frequency, made.off_ringing, strict=True):
         yield f"ringing_frequency_{off:+g}", float(ringing), None, "1"
-    for load, ringing in zip(found.off_load, found.load_ringing, strict=True):
+    for load, ringing in zip(made.off_load, made.load_ringing, strict=True):
         yield f"ringing_load_{load:.12g}_kg", float(ringing), None, "1"
 
 
 def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
-    """Of the first filter: band, overshoot, settling, each before and after."""
-    result = evaluation.subjects[0]
-    found = result.filters[0]
-    where = label(result, found)
-    wanted = (("band_10_hz", "±10 % of the static gain up to"), ("overshoot", "Overshoot"))
+    """Of the first filter: band, overshoot, settling, each before and after, and noise."""
+    made = evaluation.filters[0]
+    labels = {
+        "band_10_hz": "±10 % of the static gain up to",
+        "overshoot": "Overshoot",
+        "settling_2_s": "2 % settling",
+    }
     told = [
-        Headline(text, cell(found.after, name), f"before: {cell(found.before, name)}; {where}")
-        for name, text in (*wanted, ("settling_2_s", "2 % settling"))
+        Headline(text, cell(made.after, name), f"before: {cell(made.before, name)}; {made.name}")
+        for name, text in labels.items()
     ]
-    times = found.noise_gain / abs(found.sections.gain)
-    remark = f"white noise at {found.sections.sample_rate_hz:g} Hz; {where}"
-    return [*told, Headline("Noise", f"× {times:.3g}", remark)]
+    remark = f"white noise at {made.sections.sample_rate_hz:g} Hz; {made.name}"
+    return [*told, Headline("Noise", f"× {made.noise_factor:.3g}", remark)]
 
 
-def cell(figures: Figures, name: str) -> str:
-    """A figure with U and unit."""
+def cell(figures: Figures, name: str, *, plain: bool = False) -> str:
+    """A figure with U and unit, as HTML or as `plain` text for the terminal."""
     value, u = figures.indices.figures()[name], figures.u[name]
     if value is None or not np.isfinite(value):
-        return DASH if value is None else "no end"
-    percent = name == "overshoot"
-    scale, unit = (PERCENT, "%") if percent else SCALE[unit_of(name)]
-    if u is None:
-        return f"{scale * value:.5g} {unit}".strip()
-    return measured(scale * value, EXPANDED * scale * u, unit)
+        return "no end" if value is not None else "none" if plain else DASH
+    scale, unit = (PERCENT, "%") if name == "overshoot" else SCALE[unit_of(name)]
+    expanded = 0.0 if u is None else EXPANDED * scale * u
+    if plain:
+        told = rounded(scale * value, expanded)
+        body = told.value if told.expanded == DASH else f"({told.value} ± {told.expanded})"
+        return f"{body}{f'e{told.exponent}' if told.exponent else ''} {unit}".strip()
+    return f"{scale * value:.5g} {unit}".strip() if u is None else measured(scale * value, expanded, unit)
 
 
-def index_tables(evaluation: CompensateEvaluation) -> list[Table]:
-    """Figures before and after, one table per filter."""
-    tables = []
-    for result in evaluation.subjects:
-        for found in result.filters:
-            rows = [(LABELS[name].capitalize() if LABELS[name][0].islower() else LABELS[name],
-                     cell(found.before, name), cell(found.after, name)) for name in SHOWN]  # fmt: skip
-            known = found.compensation.sensor.covariance is not None
-            caption = f"{label(result, found)}: before and after" + (", with U (k = 2)" if known else "")
-            tables.append(Table(caption, ("figure", "sensor", "compensated"), "lrr", tuple(rows)))
-    return tables
+def index_table(made: LoadFilter) -> Table | None:
+    """Figures of one filter before and after."""
+    columns: list[Column[str]] = [
+        on_page("figure", lambda name: capital(LABELS[name]), "l"),
+        on_page("sensor", lambda name: cell(made.before, name)),
+        on_page("compensated", lambda name: cell(made.after, name)),
+    ]
+    known = made.compensation.sensor.covariance is not None
+    return table(f"{made.name}: before and after{', with U (k = 2)' if known else ''}", columns, SHOWN)
 
 
-def filter_table(evaluation: CompensateEvaluation) -> Table:
-    """Every filter: what it cancels, what it puts there, what it costs."""
-    rows = []
-    for result in evaluation.subjects:
-        for found in result.filters:
-            design = found.compensation
-            u = design.sensor.u
-            poles = [
-                measured(f, 0.0 if np.isnan(u[m]) else EXPANDED * u[m])
-                for m, f in enumerate([*design.sensor.frequency_hz])
-            ]
-            damped = [f"{zeta:.4g}" for zeta in design.sensor.damping_ratio]
-            rows.append(
-                (
-                    label(result, found),
-                    Markup("; ").join([*poles, *(f"real {hertz:.5g}" for hertz in design.sensor.real_hz)]),
-                    "; ".join(damped) or DASH,
-                    f"{design.target.frequency_hz:.6g}",
-                    f"{design.target.damping_ratio:.4g}",
-                    f"{found.sections.sample_rate_hz:g}",
-                    f"{found.noise_gain / abs(found.sections.gain):.3g}",
-                    DASH if found.noise is None else f"{number(found.noise)} {result.output_unit}",
-                    f"{PERCENT * found.discretisation_error:.2g}",
-                )
-            )
-    head = ("filter", "from / Hz", "ζ", "to / Hz", "to ζ", "rate / Hz", "noise ×", "noise after", "sampling / %")
-    return Table("Filters, with U (k = 2) where it is known", head, "lrrrrrrrr", tuple(rows))
+def _poles(made: LoadFilter) -> Markup:
+    """Frequencies in Hz that a filter takes out of the sensor."""
+    sensor = made.compensation.sensor
+    modes = [
+        measured(hertz, 0.0 if np.isnan(u) else EXPANDED * u)
+        for hertz, u in zip(sensor.frequency_hz, sensor.u, strict=False)
+    ]
+    return Markup("; ").join([*modes, *(f"real {hertz:.5g}" for hertz in sensor.real_hz)])
+
+
+FILTERS: list[Column[LoadFilter]] = [
+    on_page("filter", lambda made: made.name, "l"),
+    on_page("from / Hz", _poles),
+    on_page("ζ", lambda made: "; ".join(f"{zeta:.4g}" for zeta in made.compensation.sensor.damping_ratio) or DASH),
+    on_page("to / Hz", lambda made: f"{made.compensation.target.frequency_hz:.6g}"),
+    on_page("to ζ", lambda made: f"{made.compensation.target.damping_ratio:.4g}"),
+    on_page("rate / Hz", lambda made: f"{made.sections.sample_rate_hz:g}"),
+    on_page("noise ×", lambda made: f"{made.noise_factor:.3g}"),
+    on_page("noise after", lambda made: DASH if made.noise is None else f"{number(made.noise)} {made.output_unit}"),
+    on_page("sampling / %", lambda made: f"{PERCENT * made.discretisation_error:.2g}"),
+]
+"""What every filter cancels, what it puts there, what it costs."""
 
 
 def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
     """Residual ringing with other loads, one row per filter; else with a frequency that is off."""
     tables = []
     for result in evaluation.subjects:
-        first = result.filters[0]
+        first, subject = result.filters[0], result.subject
         loads = len(first.off_load) > 1
-        head = [result.subject.load_text(float(load)) for load in first.off_load] if loads else []
-        head = head or [_signed_percent(off) for off in first.off_frequency]
+        if loads:
+            head, what = [subject.load_text(float(load)) for load in first.off_load], "with other loads"
+        else:
+            head = [f"{signed(PERCENT * off, '+g')} %" if off else "0 %" for off in first.off_frequency]
+            what = "with a sensor whose frequency is off"
         rows = [
-            (
-                label(result, found),
-                *(f"{PERCENT * r:.3g}" for r in (found.load_ringing if loads else found.off_ringing)),
-            )
-            for found in result.filters
+            (made.name, *(f"{PERCENT * r:.3g}" for r in (made.load_ringing if loads else made.off_ringing)))
+            for made in result.filters
         ]
-        what = "with other loads" if loads else "with a sensor whose frequency is off"
-        caption = f"{result.subject.name}: residual ringing {what}, % of the step after {MILLI * first.after_s:.3g} ms"
+        caption = f"{subject.name}: residual ringing {what}, % of the step after {MILLI * first.after_s:.3g} ms"
         if head:
             tables.append(Table(caption, ("filter for", *head), "l" + "r" * len(head), tuple(rows)))
     return tables
 
 
-def _signed_percent(share: float) -> str:
-    """A share in % with its sign, none before zero."""
-    return f"{PERCENT * share:+g} %".replace("-", "\N{MINUS SIGN}") if share else "0 %"
-
-
 def haptics_table(evaluation: CompensateEvaluation) -> Table | None:
     """How stiff the force feedback may be made with each treatment of the signal, and how well it then tracks."""
-    found = evaluation.haptics
-    if found is None:
+    check = evaluation.haptics
+    if check is None:
         return None
-    rows = []
-    for case in found.cases:
+
+    def at_shared(case: HapticCase) -> str:
         error = case.run.tracking_error
-        at_shared = f"{PERCENT * error:.3g} %" if np.isfinite(error) and case.run.stable else "runs away"
-        rows.append((case.name, f"{case.largest_gain:.4g}", f"{PERCENT * case.own_error:.3g} %", at_shared))
-    head = ("signal", "largest stable K", "tracking error at half of it", f"at K = {found.gain:.3g}")
-    caption = f"{found.channel}: force feedback with a load of {GRAM * found.load_mass:.4g} g"
-    return Table(caption, head, "lrrr", tuple(rows))
+        return f"{PERCENT * error:.3g} %" if np.isfinite(error) and case.run.stable else "runs away"
 
-
-def damping_table(evaluation: CompensateEvaluation) -> Table:
-    """The damping ratio with the widest band for a permitted error, and that band over the natural frequency."""
-    ratios = sorted({*ERRORS, evaluation.wish.permitted_error})
-    target = evaluation.subjects[0].filters[0].compensation.target
-    rows = [
-        (
-            f"±{PERCENT * error:g} %",
-            f"{best_damping(error):.4f}",
-            f"{band_ratio(best_damping(error) * (1 + 1e-12), error):.4f}",
-            f"{band_ratio(target.damping_ratio, error):.4f}",
-        )
-        for error in ratios
+    columns: list[Column[HapticCase]] = [
+        on_page("signal", lambda case: case.name, "l"),
+        on_page("largest stable K", lambda case: f"{case.largest_gain:.4g}"),
+        on_page("tracking error at half of it", lambda case: f"{PERCENT * case.own_error:.3g} %"),
+        on_page(f"at K = {check.gain:.3g}", at_shared),
     ]
-    head = ("permitted error", "best ζ", "band / fn", f"band / fn with ζ = {target.damping_ratio:.4g}")
-    return Table("One mode: the damping ratio with the widest band", head, "lrrr", tuple(rows))
+    caption = f"{check.channel}: force feedback with a load of {GRAM * check.load_mass:.4g} g"
+    return table(caption, columns, check.cases)
+
+
+def damping_table(evaluation: CompensateEvaluation) -> Table | None:
+    """The damping ratio with the widest band for a permitted error, and that band over the natural frequency."""
+    own = evaluation.filters[0].compensation.target.damping_ratio
+    columns: list[Column[float]] = [
+        on_page("permitted error", lambda error: f"±{PERCENT * error:g} %", "l"),
+        on_page("best ζ", lambda error: f"{best_damping(error):.4f}"),
+        on_page("band / fn", lambda error: f"{band_ratio(best_damping(error) * (1 + 1e-12), error):.4f}"),
+        on_page(f"band / fn with ζ = {own:.4g}", lambda error: f"{band_ratio(own, error):.4f}"),
+    ]
+    ratios = sorted({*ERRORS, evaluation.wish.permitted_error})
+    return table("One mode: the damping ratio with the widest band", columns, ratios)
 
 
 def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
     """Lines for the terminal, with U (k = 2) where it is known."""
-    for result in evaluation.subjects:
-        for found in result.filters:
-            target, rate = found.compensation.target, found.sections.sample_rate_hz
-            from_hz, from_damping = (plain(found.before, name) for name in ("natural_hz", "damping_ratio"))
-            yield f"{label(result, found)}"
-            yield f"  natural frequency: {from_hz} -> {target.frequency_hz:.6g} Hz"
-            yield f"  damping ratio: {from_damping} -> {target.damping_ratio:.4g}"
-            for name, text in PRINTED.items():
-                yield f"  {text}: {plain(found.before, name)} -> {plain(found.after, name)}"
-            yield f"  white noise at {rate:g} Hz: × {found.noise_gain / abs(found.sections.gain):.3g}"
+    for made in evaluation.filters:
+        target = made.compensation.target
+        yield made.name
+        yield f"  natural frequency: {cell(made.before, 'natural_hz', plain=True)} -> {target.frequency_hz:.6g} Hz"
+        yield f"  damping ratio: {cell(made.before, 'damping_ratio', plain=True)} -> {target.damping_ratio:.4g}"
+        for name, text in PRINTED.items():
+            yield f"  {text}: {cell(made.before, name, plain=True)} -> {cell(made.after, name, plain=True)}"
+        yield f"  white noise at {made.sections.sample_rate_hz:g} Hz: × {made.noise_factor:.3g}"
 
 
-def plain(figures: Figures, name: str) -> str:
-    """A figure with U and unit as plain text."""
-    value, u = figures.indices.figures()[name], figures.u[name]
-    if value is None or not np.isfinite(value):
-        return "none" if value is None else "no end"
-    scale, unit = (PERCENT, "%") if name == "overshoot" else SCALE[unit_of(name)]
-    told = rounded(scale * value, 0.0 if u is None else EXPANDED * scale * u)
-    power = f"e{told.exponent}" if told.exponent else ""
-    body = told.value if told.expanded == DASH else f"({told.value} ± {told.expanded})"
-    return f"{body}{power} {unit}".strip()
-
-
-def page_context(evaluation: CompensateEvaluation) -> dict[str, Any]:
+def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
-    filters = [(result, made) for result in evaluation.subjects for made in result.filters]
     error, applied = evaluation.wish.permitted_error, evaluation.applied
     mismatches = [draw_mismatch(f"mismatch-{n}", result) for n, result in enumerate(evaluation.subjects)]
     return {
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation),
-        "filters": filter_table(evaluation),
+        "filters": table("Filters, with U (k = 2) where it is known", FILTERS, evaluation.filters),
         "damping": damping_table(evaluation),
         "parts": [
-            (label(*made), [draw_bode(f"bode-{n}", *made, error), draw_step(f"step-{n}", *made)], table)
-            for n, (made, table) in enumerate(zip(filters, index_tables(evaluation), strict=True))
+            (made.name, [draw_bode(f"bode-{n}", made, error), draw_step(f"step-{n}", made)], index_table(made))
+            for n, made in enumerate(evaluation.filters)
         ],
         "noise": [draw_noise(evaluation)],
         "mismatch": [picture for picture in mismatches if picture is not None],
@@ -309,3 +430,113 @@ def _loop(evaluation: CompensateEvaluation) -> str:
         "pushes back with the force of the ball and K times its difference to what the sensor tells, one sample late. "
         "Tracking error: rms of applied less fed-back force over rms of the latter while the ball is touched."
     )
+
+
+# The result folder.
+
+
+def _fill(file: h5py.File, evaluation: CompensateEvaluation) -> None:
+    """Fill the HDF5 file: every filter, then the filtered channels with their standard uncertainty."""
+    file.attrs["name"] = evaluation.name
+    filters = file.create_group("filters", track_order=True)
+    for made in evaluation.filters:
+        group = filters.create_group(made.name)
+        group.attrs["channel"], group.attrs["component"] = made.subject.channel, made.subject.component
+        group.attrs["input_unit"], group.attrs["output_unit"] = made.subject.unit, made.output_unit
+        _write_filter(group, made)
+    applied = evaluation.applied
+    if applied is not None:
+        group = file.create_group("compensated", track_order=True)
+        group.attrs["recording"] = applied.name
+        group.attrs["sample_rate_hz"], group.attrs["start_s"] = applied.sample_rate_hz, applied.start_s
+        for one in applied.channels:
+            own = group.create_group(one.channel)
+            own.attrs["unit"], own.attrs["u_noise"] = one.unit, one.u_noise
+            write_value(own, "value", one.value)
+            write_value(own, "u", one.u)
+
+
+def _write_filter(group: h5py.Group, made: LoadFilter) -> None:
+    """Coefficients, the sensor's parameters with covariance, and curves over frequency."""
+    design, hertz = made.compensation, frequencies(made)
+    for name in ("load_mass", "noise_gain", "noise", "band_hz", "discretisation_error", "after_s"):
+        value = getattr(made, name)
+        if value is not None:
+            group.attrs[name] = value
+    for name in ("off_frequency", "off_ringing", "off_load", "load_ringing"):
+        write_value(group, name, getattr(made, name))
+    write_value(group, "sos", made.sections.sos)
+    group.attrs["gain"], group.attrs["sample_rate_hz"] = made.sections.gain, made.sections.sample_rate_hz
+    write_value(group, "sensor", design.sensor.vector)
+    if design.sensor.covariance is not None:
+        write_value(group, "covariance", design.sensor.covariance)
+        band = gain_band(design, hertz)
+        write_value(group, "u_gain", band.u_gain)
+        write_value(group, "u_phase_rad", band.u_phase_rad)
+    write_value(group, "frequency_hz", hertz)
+    write_value(group, "before", design.sensor.system.response(hertz))
+    write_value(group, "filter", design.system.response(hertz))
+    write_value(group, "filter_for_samples", made.sections.response(hertz))
+
+
+def _texts(evaluation: CompensateEvaluation) -> dict[str, str | bytes]:
+    """Filters, numbers, and the filtered recording with U (k = 2) of every sample."""
+    texts: dict[str, str | bytes] = {
+        JSON_FILE: json_text(evaluation),
+        HEADER_FILE: header_text(evaluation),
+        "compensate.csv": csv_text(columns_of(NumberRow), quantity_rows(evaluation)),
+    }
+    applied = evaluation.applied
+    if applied is not None:
+        names = ["time_s", *(name for one in applied.channels for name in (one.channel, f"U_{one.channel}"))]
+        samples = [applied.time_s, *(part for one in applied.channels for part in (one.value, EXPANDED * one.u))]
+        columns: list[Column[list[float]]] = [Column(name, itemgetter(place)) for place, name in enumerate(names)]
+        texts["compensated.csv"] = csv_text(columns, np.stack(samples, axis=1).tolist())
+    return texts
+
+
+FILES = (JSON_FILE, HEADER_FILE, "compensate.csv", "compensated.csv")
+COMPENSATE = Command("compensate", "compensate", FILES, _texts, _fill, _context, printed)
+
+
+def _sources(models: Sequence[Path], sensor: tuple[float | None, float | None]) -> Sources:
+    """Models from files, or the stated sensor; one of the two."""
+    frequency, damping = sensor
+    if models:
+        if frequency is not None or damping is not None:
+            expected = "either models or --sensor-frequency with --sensor-damping"
+            raise InputError(COMMAND, "", found="both", expected=expected)
+        return read_sources(models)
+    if frequency is None or damping is None:
+        expected = "models.json, load.json, a folder with one, or --sensor-frequency with --sensor-damping"
+        raise InputError(COMMAND, "", found="nothing of it", expected=expected)
+    return stated(frequency, damping)
+
+
+def run_compensate(
+    models: Sequence[Path],
+    sensor: tuple[float | None, float | None],
+    wish: Wish,
+    output: Path | None,
+    *,
+    recording: Path | None = None,
+    force: bool = False,
+    allow_outside: bool = False,
+) -> None:
+    """Make the filters of some models or of a stated `sensor` (Hz, damping ratio), write them and print the summary.
+
+    Results stand in folder `compensate` beside the first model, or in the working folder, or in `output`.
+    """
+    sources = _sources(models, sensor)
+    record = None if recording is None else read_outputs(recording, allow_outside=allow_outside)
+    beside = sources.files[0].parent if sources.files else Path.cwd()
+    if wish.load_masses and not any(subject.is_scheduled for subject in sources.subjects):
+        found = ", ".join(f"{mass:g} kg" for mass in wish.load_masses)
+        raise InputError(COMMAND, "--load-mass", found=found, expected="a model over the load (load.json) for it")
+
+    def evaluate(hashes: dict[str, str]) -> CompensateEvaluation:
+        return evaluate_compensation(sources, with_load(wish, sources, record), record, hashes)
+
+    read = [*sources.files, *(() if record is None else record.manifest.files)]
+    folder = beside / COMPENSATE.name if output is None else output
+    COMPENSATE.run(hash_files(read, beside), folder, evaluate, force=force)

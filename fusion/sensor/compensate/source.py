@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fusion.base import InputError
-from fusion.sensor.models_file import LOAD_MODEL_FILE, MODELS_FILE, ModelEntry, read_load_models, read_models
+from fusion.sensor.models_file import (
+    LOAD_MODEL_FILE,
+    MODELS_FILE,
+    ModelEntry,
+    read_load_models,
+    read_models,
+    read_stored,
+)
 from shaker.arrays import FloatArray, Notice
 from shaker.compensation.effects import target_for_bandwidth, target_for_frequency
 from shaker.compensation.filter import (
@@ -21,6 +28,7 @@ from shaker.compensation.filter import (
     Target,
     loaded_dynamics,
     modal_dynamics,
+    single_mode,
 )
 from shaker.labels import load_unit
 from shaker.lti.indices import Indices
@@ -31,6 +39,8 @@ from shaker.release.load_model import LoadModel
 
 
 COMMAND = "shakercal compensate"
+STATED = "sensor"
+"""Channel of a sensor that is stated by numbers."""
 
 
 @dataclass(frozen=True)
@@ -72,12 +82,11 @@ class Wish:
 
     def target(self, sensor: SensorDynamics) -> Target:
         """Return the target for a sensor."""
+        more = (self.permitted_error, self.real_hz, self.low_pass_hz)
         if self.bandwidth_hz is not None:
-            more = (self.permitted_error, self.real_hz, self.low_pass_hz)
             return target_for_bandwidth(sensor, self.bandwidth_hz, *more)
         frequency = float(self.frequency_hz or 0.0)
         if self.damping_ratio is None:
-            more = (self.permitted_error, self.real_hz, self.low_pass_hz)
             return target_for_frequency(sensor, frequency, *more)
         return Target(frequency, self.damping_ratio, self.real_hz, self.low_pass_hz)
 
@@ -90,18 +99,9 @@ class Wish:
             "discretisation": self.discretisation,
             "calibrated": int(self.calibrated),
         }
-        for name in (
-            "frequency_hz",
-            "damping_ratio",
-            "bandwidth_hz",
-            "real_hz",
-            "low_pass_hz",
-            "sample_rate_hz",
-            "ball_stiffness",
-        ):
-            value = getattr(self, name)
-            if value is not None:
-                given[name] = value
+        optional = ("frequency_hz", "damping_ratio", "bandwidth_hz", "real_hz", "low_pass_hz", "sample_rate_hz")
+        chosen_ones = {name: getattr(self, name) for name in (*optional, "ball_stiffness")}
+        given |= {name: value for name, value in chosen_ones.items() if value is not None}
         if self.load_masses:
             given["load_masses_kg"] = ", ".join(f"{mass:.12g}" for mass in self.load_masses)
         if self.channels:
@@ -177,10 +177,15 @@ def read_sources(paths: Sequence[Path]) -> Sources:
     return Sources(found[0].name, tuple(subjects), files, tuple(notice for one in found for notice in one.notices))
 
 
-def stated(sensor: SensorDynamics) -> Sources:
-    """Return a sensor that is stated by numbers."""
-    told = f"stated: {sensor.frequency_hz[0]:g} Hz, ζ = {sensor.damping_ratio[0]:g}"
-    return Sources("stated sensor", (Subject("sensor", "", "1", "1", sensor, told),), ())
+def stated(frequency_hz: float, damping_ratio: float) -> Sources:
+    """Return a sensor of one mode that is stated by numbers."""
+    if not damping_ratio < 1.0:
+        expected = "a damping ratio below 1, of a sensor that oscillates"
+        raise InputError(COMMAND, "--sensor-damping", found=f"{damping_ratio:g}", expected=expected)
+    told = f"stated: {frequency_hz:g} Hz, ζ = {damping_ratio:g}"
+    return Sources(
+        "stated sensor", (Subject(STATED, "", "1", "1", single_mode(frequency_hz, damping_ratio), told),), ()
+    )
 
 
 def chosen(sources: Sources, channels: Sequence[str]) -> tuple[Subject, ...]:
@@ -200,20 +205,11 @@ def _read(path: Path) -> Sources:
         if file == path:
             expected = f"{MODELS_FILE} of shakercal step or {LOAD_MODEL_FILE} of shakercal load in it"
             raise InputError(path, "", found="none of them", expected=expected)
-    return _of_loads(file) if _holds_loads(file) else _of_steps(file)
 
+    def over_loads(content: dict[str, Any]) -> bool:
+        return bool(content["models"]) and "moving_mass" in content["models"][0]
 
-def _holds_loads(file: Path) -> bool:
-    """Whether a file holds models over the load."""
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        models = content["models"]
-        return bool(models) and "moving_mass" in models[0]
-    except OSError as error:
-        raise InputError(file, "", found=error.strerror or str(error), expected="a file that can be read") from error
-    except (ValueError, KeyError, TypeError) as error:
-        expected = "models as shakercal step or shakercal load writes them"
-        raise InputError(file, "", found=f"something else ({error})", expected=expected) from error
+    return _of_loads(file) if read_stored(file, "", "step or shakercal load", over_loads) else _of_steps(file)
 
 
 def _of_steps(file: Path) -> Sources:
@@ -226,21 +222,12 @@ def _of_steps(file: Path) -> Sources:
         more = before is None or abs(entry.model.static_gain) > abs(before.model.static_gain)
         if own or (more and (before is None or before.component != before.channel)):
             best[entry.channel] = entry
-    subjects = [
-        Subject(
-            channel=entry.channel,
-            component=entry.component,
-            unit=entry.unit,
-            load_unit=load_unit(entry.component),
-            model=entry.model,
-            source=f"{entry.method}, {entry.recording}",
-            sample_rate_hz=entry.sample_rate_hz,
-            noise=entry.noise,
-        )
-        for entry in best.values()
-    ]
-    if not subjects:
+    if not best:
         raise InputError(file, "models", found="none", expected="at least one model")
+    subjects = []
+    for one in best.values():
+        what = (one.channel, one.component, one.unit, load_unit(one.component), one.model)
+        subjects.append(Subject(*what, f"{one.method}, {one.recording}", one.sample_rate_hz, one.noise))
     return Sources(models.name, tuple(subjects), (file,))
 
 
@@ -258,8 +245,10 @@ def _of_loads(file: Path) -> Sources:
             notices.append(Notice("warning", text, model.channel))
         told = "two masses" if model.is_rigid else "three masses"
         subject = Subject(model.channel, model.component, model.unit, load_unit(model.component), model, told)
-        loads = ", ".join(subject.load_text(load) for load in model.load_masses)
-        subjects.append(replace(subject, source=f"{told}, fitted to loads of {loads}") if loads else subject)
+        if model.load_masses:
+            loads = ", ".join(subject.load_text(load) for load in model.load_masses)
+            subject = replace(subject, source=f"{told}, fitted to loads of {loads}")
+        subjects.append(subject)
     return Sources(file.parent.resolve().name, tuple(subjects), (file,), tuple(notices))
 
 
@@ -276,7 +265,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class LoadFilter:
-    """The filter of a subject with one load: continuous, for samples, and what it does.
+    """The filter of a `subject` with one load: continuous, for samples, and what it does.
 
     `load_mass` in kg, None where the load is not modelled. `noise_gain`: of white noise at the sampling rate;
     `noise`: standard deviation after the filter in the filter's output unit, None where that of the output is not
@@ -285,6 +274,7 @@ class LoadFilter:
     likewise with other loads, empty where the load is not modelled. Ringing from `after_s` on.
     """
 
+    subject: Subject
     load_mass: float | None
     compensation: Compensation
     sections: Sections
@@ -300,6 +290,22 @@ class LoadFilter:
     off_load: FloatArray
     load_ringing: FloatArray
 
+    @property
+    def name(self) -> str:
+        """Channel and load."""
+        load = "" if self.load_mass is None else f", load {self.subject.load_text(self.load_mass)}"
+        return f"{self.subject.name}{load}"
+
+    @property
+    def output_unit(self) -> str:
+        """Unit of what the filter puts out: that of the load where it is calibrated."""
+        return self.subject.load_unit if self.compensation.calibrated else self.subject.unit
+
+    @property
+    def noise_factor(self) -> float:
+        """Standard deviation of white noise out over in, for a filter of static gain 1."""
+        return self.noise_gain / abs(self.sections.gain)
+
 
 @dataclass(frozen=True)
 class SubjectResult:
@@ -307,11 +313,6 @@ class SubjectResult:
 
     subject: Subject
     filters: tuple[LoadFilter, ...]
-
-    @property
-    def output_unit(self) -> str:
-        """Unit of what the filter puts out: that of the load where it is calibrated."""
-        return self.subject.load_unit if self.filters[0].compensation.calibrated else self.subject.unit
 
 
 @dataclass(frozen=True)
