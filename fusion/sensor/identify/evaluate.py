@@ -41,31 +41,13 @@ INTERNAL_MASS = "internal mass: mass"
 """Label under which a load names the uncertainty of the mass inside the sensor."""
 
 
-@dataclass(frozen=True)
-class FoundMass:
-    """The internal mass found in place of the one stated: what is found, `mass_kg` with `u_mass_kg`, and by recording
-    `stated_kg` and `load_kg`, the mass along the component of what is mounted on the sensor.
-    """
-
-    mass_kg: float
-    u_mass_kg: float
-    stated_kg: Mapping[str, float]
-    load_kg: Mapping[str, float]
-
-    def factor(self, recording: str) -> float:
-        """Return the factor of a sensitivity, (m + m_i stated)/(m + m_i found)."""
-        load = self.load_kg[recording]
-        return (load + self.stated_kg[recording]) / (load + self.mass_kg)
-
-    def relative(self, recording: str) -> float:
-        """Return the relative change of a sensitivity for one standard uncertainty of the internal mass."""
-        return -self.u_mass_kg / (self.load_kg[recording] + self.mass_kg)
-
-
-def sensitivities(recordings: Sequence[Recorded], masses: Mapping[int, FoundMass]) -> tuple[MeasuredSensitivity, ...]:
+def sensitivities(
+    recordings: Sequence[Recorded], changes: Mapping[int, Mapping[str, tuple[float, float]]]
+) -> tuple[MeasuredSensitivity, ...]:
     """Return the sensitivity of the output of every driven component over frequency, all recordings together.
 
-    `masses`: for the load components whose internal mass was found, with which the loads are taken anew.
+    `changes`: of the load components whose internal mass was found, with which the loads are taken anew, by recording
+    the factor of a sensitivity and its relative change for one standard uncertainty of that mass.
     """
     sensor = next((recorded.sensor for recorded in recordings if recorded.sensor is not None), None)
     if sensor is None:
@@ -74,12 +56,12 @@ def sensitivities(recordings: Sequence[Recorded], masses: Mapping[int, FoundMass
     groups: dict[int, list[Drive]] = {}
     for drive in (drive for recorded in recordings for drive in recorded.drives):
         groups.setdefault(driven_component(drive.direction, capacity), []).append(drive)
-    found = [_sensitivity(sensor, j, group, masses.get(j)) for j, group in sorted(groups.items())]
+    found = [_sensitivity(sensor, j, group, changes.get(j)) for j, group in sorted(groups.items())]
     return tuple(item for item in found if item is not None)
 
 
 def _sensitivity(
-    sensor: SensorFacts, component: int, drives: Sequence[Drive], mass: FoundMass | None
+    sensor: SensorFacts, component: int, drives: Sequence[Drive], changes: Mapping[str, tuple[float, float]] | None
 ) -> MeasuredSensitivity | None:
     """Return output over load of one component at every driven line, ascending in frequency."""
     channel = main_output(sensor, component, drives)
@@ -90,12 +72,11 @@ def _sensitivity(
     parts = [drive_ratio(drive, component, [channel]) for drive in usable]
     value, whole = np.array([ratio[0] for ratio, _ in parts]), over_lines([part for _, part in parts])
     errors: tuple[RelativeError, ...] = ()
-    if mass is not None:
-        factor = np.array([mass.factor(drive.recording) for drive in usable], dtype=np.complex128)
+    if changes is not None:
+        factor, own = np.array([changes[drive.recording] for drive in usable], dtype=np.complex128).T
         kept = tuple(influence for influence in whole.influences if influence.label != INTERNAL_MASS)
         value, whole = value * factor, replace(whole, influences=kept).scaled(factor[:, None])
-        own = np.array([[mass.relative(drive.recording)] for drive in usable], dtype=np.complex128)
-        errors = (RelativeError(INTERNAL_MASS, own),)
+        errors = (RelativeError(INTERNAL_MASS, own[:, None]),)
     static = 0.0 if sensor.static is None else float(sensor.static[sensor.channels.index(channel), component])
     return MeasuredSensitivity(
         channel=channel,
@@ -286,8 +267,8 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
     driven = {item.component for item in prepared}
     added = sine_transfers(campaign.sines, names, settings.band_hz)
     fits = joint_fits([*prepared, *(item for item in added if item.component in driven)], settings)
-    masses = {fit.component: _found_mass(fit, campaign.sines, names) for fit in fits if fit.mass_is_free}
-    measured = {item.component: item for item in sensitivities(recorded, masses)}
+    changes = {fit.component: _by_found_mass(fit, campaign.sines, names) for fit in fits if fit.mass_is_free}
+    measured = {item.component: item for item in sensitivities(recorded, changes)}
     sensor = next((manifest.rig.sensor for manifest in manifests if manifest.rig.sensor is not None), None)
     components = []
     for fit in fits:
@@ -321,16 +302,21 @@ def _recorded(sine: EvaluatedSines, name: str) -> Recorded:
     return replace(recorded, name=name, drives=tuple(replace(drive, recording=name) for drive in recorded.drives))
 
 
-def _found_mass(fit: JointFit, sines: Sequence[EvaluatedSines], names: Mapping[Path, str]) -> FoundMass:
-    """Return the internal mass found, with the masses of the sine recordings."""
-    found = fit.identification[mass_name(fit.component)]
-    stated, loads = {}, {}
+def _by_found_mass(
+    fit: JointFit, sines: Sequence[EvaluatedSines], names: Mapping[Path, str]
+) -> dict[str, tuple[float, float]]:
+    """Return by recording what the internal mass found, in place of the one stated, makes of a sensitivity.
+
+    Its factor, (m + m_i stated)/(m + m_i found) with the mass m of what is mounted on the sensor, and its relative
+    change for one standard uncertainty of the internal mass, -u(m_i)/(m + m_i found).
+    """
+    found, changes = fit.identification[mass_name(fit.component)], {}
     for manifest in (sine.manifest for sine in sines):
         if manifest.rig.sensor is not None and manifest.rig.load is not None:
-            name = names[manifest.path]
-            loads[name] = load_along(manifest, fit.component)
-            stated[name] = stated_mass(manifest.rig.sensor, fit.component)[0]
-    return FoundMass(found.value, found.u, stated, loads)
+            load, (stated, _) = load_along(manifest, fit.component), stated_mass(manifest.rig.sensor, fit.component)
+            whole = load + found.value
+            changes[names[manifest.path]] = (load + stated) / whole, -found.u / whole
+    return changes
 
 
 def _component(

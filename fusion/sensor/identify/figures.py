@@ -26,12 +26,13 @@ from fusion.report.style import (
     padded,
     panel_label,
     plain_logarithm,
-    power_text,
+    power_of_ten,
     sheet,
     static_axis,
 )
 from fusion.sensor.identify.evaluate import FEWEST_LINES, ComponentResult
 from fusion.sensor.identify.fit import SensitivityResult
+from fusion.sensor.identify.measured import mass_unit
 from fusion.sensor.transfer.figures import uncertainty
 from shaker.arrays import BoolArray, ComplexArray, FloatArray
 from shaker.frf.chain import common_covariance
@@ -201,9 +202,7 @@ def draw_explained(name: str, component: ComponentResult, item: SensitivityResul
         curves.append(("chain alone", np.asarray(best.sensitivity * best.chain.response(hertz))))
         curves.append(("both", best.model(hertz)))
     label = f"output {measured.channel} per {measured.component}"
-    power = int(np.floor(np.log10(float(np.abs(measured.value).max()))))
-    power = 0 if -2 <= power < 4 else power
-    sign, factor = np.sign(curves[0][1][0].real), 10.0**power
+    sign, (factor, tens) = np.sign(curves[0][1][0].real), power_of_ten(np.abs(measured.value))
     with sheet(name, 4.6, 2, heights=(1.4, 1.0)) as drawn:
         upper, lower = drawn.panels
         size = np.abs(measured.value) / factor
@@ -218,7 +217,7 @@ def draw_explained(name: str, component: ComponentResult, item: SensitivityResul
         ends = [*(size - u_size), *(size + u_size), *(np.abs(curve).min() / factor for _, curve in curves), *static]
         upper.set_ylim(padded(min(ends), max(ends)))
         upper.set_xlim(0.0, float(hertz[-1]))
-        upper.set_ylabel(f"magnitude / {f'{power_text(power)} ' if power else ''}{typeset(measured.unit)}")
+        upper.set_ylabel(f"magnitude / {tens}{typeset(measured.unit)}")
         lower.set_ylabel("phase / rad")
         lower.set_xlabel("frequency / Hz")
         lower.axhline(0.0, color=GREY, linewidth=0.7)
@@ -237,7 +236,7 @@ def draw_outputs_over_load(name: str, component: ComponentResult) -> Picture:
     """Output over force of several load masses, and how far it stays within the error permitted."""
     model, permitted = component.model, component.bands[0].permitted
     highest = max(model.resonance_hz(Load(kg, "force")) for kg in component.loads)
-    hertz, unit = np.linspace(0.0, highest, POINTS), "kg" if component.fit.component < 3 else "kg·m²"
+    hertz, unit = np.linspace(0.0, highest, POINTS), mass_unit(component.fit.component)
     with sheet(name, 3.3) as drawn:
         (axes,) = drawn.panels
         axes.axhspan(-100.0 * permitted, 100.0 * permitted, color=GREY, alpha=0.15, linewidth=0, zorder=1)

@@ -119,28 +119,20 @@ def _why_pitching(peaks_hz: Sequence[float], found: Identification) -> str:
     )
 
 
-def _structure(model: str, component: int, group: Sequence[Prepared]) -> Structure:
-    """Return the structure of a model for a driven component."""
-    if model == "translation":
-        return Suspension((component,))
-    if model == "adapter":
-        return ChainStructure(component)
-    if component not in _PITCHES_WITH:
-        expected = (
-            "a drive along x or y for --model pitching, or about them, which shifts and turns a load whose centre of "
-            "mass is not at the origin"
-        )
-        raise InputError(
-            group[0].manifest.path, "excitation.direction", found=MOTION_COMPONENTS[component], expected=expected
-        )
-    return Suspension((component, _PITCHES_WITH[component]))
-
-
 def _fitted(
     model: str, component: int, group: Sequence[Prepared], settings: IdentifySettings, *, free: bool
 ) -> Identification:
     """Fit a model to all curves of a group; what is `free` inside the sensor is fitted, else as stated."""
-    structure = _structure(model, component, group)
+    structure: Structure = ChainStructure(component) if model == "adapter" else Suspension((component,))
+    if model == "pitching":
+        if component not in _PITCHES_WITH:
+            expected = (
+                "a drive along x or y for --model pitching, or about them, which shifts and turns a load whose centre "
+                "of mass is not at the origin"
+            )
+            driven = MOTION_COMPONENTS[component]
+            raise InputError(group[0].manifest.path, "excitation.direction", found=driven, expected=expected)
+        structure = Suspension((component, _PITCHES_WITH[component]))
     names = [parameter.name for parameter in structure.parameters]
     each = [name for name in names if name.startswith("damping_")] if settings.damping == "each" else []
     inside = {} if free else {mass_name(component): component for component in reversed(range(6))}
@@ -386,26 +378,21 @@ def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
 
 def _without_sensitivity(fit: JointFit, found: FloatArray, covariance: FloatArray, sensor: Sensor | None) -> Modelled:
     """Return a model without a chain, its sensitivity the static one that is stated, else one output per force."""
-    static, u_static, unit, which = _static(fit, sensor)
-    whole = np.zeros((4, 4))
-    whole[0, 0], whole[1:, 1:] = u_static**2, covariance
-    mass = max(float(found[2]), 0.0)
-    model = SensorModel(static, float(found[0]), float(found[1]), mass, NO_CHAIN, whole, unit)
-    lines = np.concatenate([item.measured.ratio.frequency_hz for item in fit.prepared])
-    text = (
-        f"no sensitivity over frequency was evaluated for {LOAD_COMPONENTS[fit.component]}, for which `shakercal run` "
-        f"has to evaluate sines of {_FEWEST_LINES} frequencies or more: the model has {which} and no chain"
-    )
-    return Modelled(model, (float(lines.min()), float(lines.max())), None, (Notice("info", text, fit.axis),))
-
-
-def _static(fit: JointFit, sensor: Sensor | None) -> tuple[float, float, str, str]:
-    """Return the static sensitivity of the component's output with its u, unit and name, else one per force."""
     component = LOAD_COMPONENTS[fit.component]
+    static, u_static, unit, which = 1.0, 0.0, "1", "an output of one per force"
     if sensor is not None and sensor.static_sensitivity is not None:
         column = np.array(sensor.static_sensitivity)[:, fit.component]
         place = sensor.channels.index(component) if component in sensor.channels else int(np.argmax(np.abs(column)))
         if column[place] != 0.0:
-            u = abs(float(column[place])) * sensor.static_sensitivity_uncertainty
-            return float(column[place]), u, sensitivity_unit(sensor.unit, component), "the static sensitivity stated"
-    return 1.0, 0.0, sensitivity_unit("1", component), "an output of one per force"
+            static, unit, which = float(column[place]), sensor.unit, "the static sensitivity stated"
+            u_static = abs(static) * sensor.static_sensitivity_uncertainty
+    whole = np.zeros((4, 4))
+    whole[0, 0], whole[1:, 1:] = u_static**2, covariance
+    stiffness, damping, mass = float(found[0]), float(found[1]), max(float(found[2]), 0.0)
+    model = SensorModel(static, stiffness, damping, mass, NO_CHAIN, whole, sensitivity_unit(unit, component))
+    lines = np.concatenate([item.measured.ratio.frequency_hz for item in fit.prepared])
+    text = (
+        f"no sensitivity over frequency was evaluated for {component}, for which `shakercal run` has to evaluate sines "
+        f"of {_FEWEST_LINES} frequencies or more: the model has {which} and no chain"
+    )
+    return Modelled(model, (float(lines.min()), float(lines.max())), None, (Notice("info", text, fit.axis),))

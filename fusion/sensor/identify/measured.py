@@ -296,7 +296,7 @@ def load_along(manifest: Manifest, component: int) -> float:
 
 def mass_unit(component: int) -> str:
     """Return the unit of what resists an acceleration component."""
-    return "kg" if LOAD_UNITS[component] == "N" else "kg.m^2"
+    return "kg" if LOAD_UNITS[component] == "N" else "kg·m²"
 
 
 def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: FloatArray) -> ChannelEntry:

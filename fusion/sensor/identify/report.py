@@ -28,7 +28,7 @@ from fusion.sensor.identify.evaluate import (
     of_curve,
 )
 from fusion.sensor.identify.figures import curve_pictures, sensitivity_pictures
-from fusion.sensor.identify.measured import IdentifySettings, Prepared, read_campaign
+from fusion.sensor.identify.measured import IdentifySettings, Prepared, mass_unit, read_campaign
 from shaker.identification.measured import ParameterEstimate
 from shaker.identification.sensitivity import CHAIN_WORDS, SensitivityFit
 from shaker.identification.sensor import CHAIN_PARAMETERS, SENSOR_PARAMETERS, Chain, ChainKind, SensorModel, UsableBand
@@ -186,7 +186,7 @@ def explanations_table(component: ComponentResult) -> Table | None:
 def bands_table(component: ComponentResult) -> Table | None:
     """Usable band without correction for each load mass, None where there is none."""
     columns: list[Column[tuple[float, UsableBand]]] = [
-        on_page(f"load / {_mass_unit(component)}", lambda row: f"{row[0]:.6g}"),
+        on_page(f"load / {mass_unit(component.fit.component)}", lambda row: f"{row[0]:.6g}"),
         on_page("up to", lambda row: _edge(row[1])),
         on_page("U / %", lambda row: _relative(row[1].upper_hz, row[1].u_upper_hz)),
         on_page("ends by", lambda row: LIMITS[row[1].limit], "l"),
@@ -203,10 +203,11 @@ def recordings_table(component: ComponentResult) -> Table | None:
         frequency = item.measured.ratio.frequency_hz
         return f"{frequency.min():.6g} to {frequency.max():.6g}"
 
+    unit = mass_unit(component.fit.component)
     columns: list[Column[Prepared]] = [
         on_page("recording", lambda item: item.measured.name, "l"),
         on_page("kind", lambda item: item.manifest.excitation.kind, "l"),
-        on_page("load", lambda item: measured(item.load_kg, K * item.u_load_kg, _mass_unit(component))),
+        on_page("load", lambda item: measured(item.load_kg, K * item.u_load_kg, unit)),
         on_page("load over base", lambda item: ", ".join(item.measured.ratio.channels), "l"),
         on_page("lines", lambda item: f"{len(item.measured.ratio.frequency_hz)}"),
         on_page("band / Hz", band),
@@ -252,11 +253,6 @@ def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
 def _edge(band: UsableBand) -> str:
     """Edge of a band with U."""
     return measured(band.upper_hz, K * band.u_upper_hz, "Hz") if np.isfinite(band.upper_hz) else "no limit"
-
-
-def _mass_unit(component: ComponentResult) -> str:
-    """Unit of what resists an acceleration along the component."""
-    return "kg" if component.fit.component < 3 else "kg·m²"
 
 
 def _scaled(estimate: ParameterEstimate) -> tuple[float, float, str]:
