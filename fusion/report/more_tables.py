@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from fusion.base import DASH, prefix, rounded, typeset
 from fusion.estimation.consistency import CommonEstimate
-from fusion.estimation.fuse import REMAINING, Acceleration, untested
+from fusion.estimation.fuse import REMAINING, Acceleration, Untested, untested
 from fusion.estimation.uncertainty import Polar, Uncertainty, element_covariance, polar
 from fusion.instruments.vibrometer import FEWEST_POINTS, PointRatios, PointSpread, axis_name
 from fusion.phasors.setup import LineStationarity, line_stationarity
@@ -17,6 +17,7 @@ from fusion.phasors.timing import ClockResult
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.numbers import (
     acceleration,
+    capital,
     common_exponent,
     degrees_of_freedom,
     driven_channel,
@@ -30,16 +31,17 @@ from fusion.report.numbers import (
     number,
     phase,
     short,
+    signed,
     small,
     static_sensitivity,
     times_ten,
 )
-from fusion.report.table import Table
+from fusion.report.table import Column, Table, on_page, table
 from fusion.report.tables import PREFIXED, chi_square_table, consistency_table
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.distributions import Propagated, RealSpread
 from fusion.sensitivity.load import BudgetEntry, budget
-from fusion.sensitivity.ratio import ParasiticLoads, parasitic_loads
+from fusion.sensitivity.ratio import parasitic_loads
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
@@ -48,7 +50,6 @@ from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
 LONGEST = 15
 """Most unknowns that one table lists: those that deviate most."""
-MINUS = "\N{MINUS SIGN}"
 
 
 def consistency_tables(evaluation: Evaluation) -> list[Table]:
@@ -84,39 +85,37 @@ def _estimates_table(results: list[Acceleration]) -> Table | None:
     rows = []
     for result in results:
         tested = [u for u in result.unknowns if u.remaining < REMAINING and np.isfinite(u.deviation)]
-        for unknown in sorted(tested, key=lambda u: -abs(u.deviation))[:LONGEST]:
-            rows.append((result.body, unknown.name, *_stated(unknown), *_found(unknown)))
-    head = ("body", "unknown", "stated u", "unit", "asked for", "estimate / u", "deviation", "u left / u")
+        rows += [(result.body, u) for u in sorted(tested, key=lambda u: -abs(u.deviation))[:LONGEST]]
+    columns: list[Column[tuple[str, CommonEstimate]]] = [
+        on_page("body", lambda row: row[0], "l"),
+        on_page("unknown", lambda row: row[1].name, "l"),
+        on_page("stated u", lambda row: f"{row[1].u:.2g}"),
+        on_page("unit", lambda row: "" if row[1].unit == "1" else row[1].unit, "l"),
+        on_page("asked for", lambda row: signed(row[1].wanted, ".2g")),
+        on_page("estimate / u", lambda row: signed(row[1].estimate, "+.2f")),
+        on_page("deviation", lambda row: signed(row[1].deviation, "+.2f")),
+        on_page("u left / u", lambda row: f"{row[1].remaining:.2f}"),
+    ]
     caption = (
         "What the readings say of the stated unknowns: the value they ask for, the estimate with what is stated, its "
         "deviation (standard normal if all is as stated) and what remains of u"
     )
-    return Table(caption, head, "llrlrrrr", tuple(rows)) if rows else None
-
-
-def _stated(unknown: CommonEstimate) -> tuple[str, str]:
-    """Standard uncertainty of an unknown with its unit."""
-    return f"{unknown.u:.2g}", "" if unknown.unit == "1" else unknown.unit
-
-
-def _found(unknown: CommonEstimate) -> tuple[str, ...]:
-    """Estimate of an unknown: value asked for, estimate, deviation, remaining share."""
-    numbers = (f"{unknown.wanted:.2g}", f"{unknown.estimate:+.2f}", f"{unknown.deviation:+.2f}")
-    return (*(text.replace("-", MINUS) for text in numbers), f"{unknown.remaining:.2f}")
+    return table(caption, columns, rows)
 
 
 def _untested_table(results: list[Acceleration]) -> Table | None:
     """Unknowns that matter and that nothing in these data tests."""
-    rows = []
-    for result in results:
-        for row in untested(result):
-            effect = f"{100.0 * row.relative:.2g}" if np.isfinite(row.relative) else DASH
-            unit = "" if row.unit == "1" else row.unit
-            share = f"{100.0 * row.share:.0f}"
-            rows.append((result.body, row.name, f"{row.u:.2g}", unit, row.component, effect, share))
-    head = ("body", "unknown", "stated u", "unit", "touches most", "by / % of it", "share of its variance / %")
+    columns: list[Column[tuple[str, Untested]]] = [
+        on_page("body", lambda row: row[0], "l"),
+        on_page("unknown", lambda row: row[1].name, "l"),
+        on_page("stated u", lambda row: f"{row[1].u:.2g}"),
+        on_page("unit", lambda row: "" if row[1].unit == "1" else row[1].unit, "l"),
+        on_page("touches most", lambda row: row[1].component, "l"),
+        on_page("by / % of it", lambda row: f"{100.0 * row[1].relative:.2g}" if np.isfinite(row[1].relative) else DASH),
+        on_page("share of its variance / %", lambda row: f"{100.0 * row[1].share:.0f}"),
+    ]
     caption = "Not tested by these data: taken as stated, an error beyond that would not be noticed"
-    return Table(caption, head, "llrllrr", tuple(rows)) if rows else None
+    return table(caption, columns, [(result.body, unknown) for result in results for unknown in untested(result)])
 
 
 # The report's tables of uncertainty: budgets of the driven component, and what other loads explain of the outputs.
@@ -131,26 +130,22 @@ SMALLEST_SLOPE = 1e-6
 def budget_tables(evaluation: Evaluation) -> list[Table]:
     """Budgets of the driven sensitivity, load and acceleration at the strongest line, largest contributions first."""
     line, component = main_line(evaluation), driven_component(evaluation)
-    found, load = evaluation.sensitivity, evaluation.load
-    tables = []
-    if found is not None and np.isfinite(found.value[line, driven_channel(evaluation), component]):
-        what = f"{found.channels[driven_channel(evaluation)]} per {LOAD_COMPONENTS[component]}"
-        tables.append(_budget_table(found.budget, line, driven_element(evaluation), what, found.frequency_hz[line]))
-    if load is not None and load.observed[line, component]:
-        what, value = f"load {LOAD_COMPONENTS[component]}", load.value[:, [component]]
-        entries = _budget_of(load.uncertainty, value, component)
-        tables.append(_budget_table(entries, line, 0, what, load.frequency_hz[line]))
+    sensitivity, load = evaluation.sensitivity, evaluation.load
     motion = acceleration(evaluation, "load", "fused")
+    tables = []
+    if sensitivity is not None and np.isfinite(sensitivity.value[line, driven_channel(evaluation), component]):
+        what = f"{sensitivity.channels[driven_channel(evaluation)]} per {LOAD_COMPONENTS[component]}"
+        place, frequency = driven_element(evaluation), sensitivity.frequency_hz[line]
+        tables.append(_budget_table(sensitivity.budget, line, place, what, frequency))
+    if load is not None and load.observed[line, component]:
+        entries = budget(load.uncertainty.at([component]), load.value[:, [component]])
+        what = f"load {LOAD_COMPONENTS[component]}"
+        tables.append(_budget_table(entries, line, 0, what, load.frequency_hz[line]))
     if motion is not None and motion.observed[line, component]:
-        what, value = f"acceleration {MOTION_COMPONENTS[component]} of the load", motion.phasors.value[:, [component]]
-        entries = _budget_of(motion.uncertainty, value, component)
+        entries = budget(motion.uncertainty.at([component]), motion.phasors.value[:, [component]])
+        what = f"acceleration {MOTION_COMPONENTS[component]} of the load"
         tables.append(_budget_table(entries, line, 0, what, motion.phasors.frequency_hz[line]))
     return tables
-
-
-def _budget_of(uncertainty: Uncertainty, value: ComplexArray, component: int) -> tuple[BudgetEntry, ...]:
-    """Budget of one component, of values (K, 1)."""
-    return budget(uncertainty.at([component]), value)
 
 
 def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: str, frequency_hz: float) -> Table:
@@ -201,28 +196,26 @@ def _slope(value: float, share: float) -> str:
 
 def other_loads_table(evaluation: Evaluation) -> Table | None:
     """What the other load components explain of each output at the strongest line, by the static sensitivity."""
-    found, outputs, load = evaluation.sensitivity, evaluation.outputs, evaluation.load
+    sensitivity, outputs, load = evaluation.sensitivity, evaluation.outputs, evaluation.load
     sensor, static = evaluation.manifest.rig.sensor, static_sensitivity(evaluation)
-    if found is None or outputs is None or load is None or sensor is None or static is None:
+    if sensitivity is None or outputs is None or load is None or sensor is None or static is None:
         return None
     line, component = main_line(evaluation), driven_component(evaluation)
     shares = parasitic_loads(outputs, load, static, component, sensor.static_sensitivity_uncertainty)
-    rows = [_share_row(shares, line, c, name) for c, name in enumerate(outputs.phasors.channels)]
-    frequency = f"{found.frequency_hz[line]:.4f}"
+    rows: list[tuple[str, ...]] = []
+    for c, name in enumerate(outputs.phasors.channels):
+        if not np.isfinite(shares.value[line, c]):
+            rows.append((name, DASH, DASH, DASH, DASH))
+            continue
+        share = shares.element(line, c)
+        parts = [
+            fixed(100.0 * part, 100.0 * share.k * u, 0) for part, u in ((share.re, share.u_re), (share.im, share.u_im))
+        ]
+        rows.append((name, *parts, factor(share.k), degrees_of_freedom(share.dof)))
+    frequency = f"{sensitivity.frequency_hz[line]:.4f}"
     head = ("output", "in phase / %", "across / %", "k", "dof")
     caption = f"Share of each output that loads beside {LOAD_COMPONENTS[component]} explain at {frequency} Hz, with U"
     return Table(caption, head, "lrrrr", tuple(rows))
-
-
-def _share_row(shares: ParasiticLoads, line: int, channel: int, name: str) -> tuple[str, ...]:
-    """Share of one output, as parts in phase with it and across."""
-    if not np.isfinite(shares.value[line, channel]):
-        return name, DASH, DASH, DASH, DASH
-    share = shares.element(line, channel)
-    parts = (
-        fixed(100.0 * part, 100.0 * share.k * u, 0) for part, u in ((share.re, share.u_re), (share.im, share.u_im))
-    )
-    return name, *parts, factor(share.k), degrees_of_freedom(share.dof)
 
 
 # The report's tables of parallel vibrometer points: each point, what they spread and rock, and each one's ratio.
@@ -258,11 +251,11 @@ def _points_table(spread: PointSpread, line: int) -> Table:
         rows.append(
             (
                 name,
-                *(f"{1e3 * lever:.1f}".replace("-", "\N{MINUS SIGN}") for lever in spread.place_m[place]),
+                *(signed(1e3 * lever, ".1f") for lever in spread.place_m[place]),
                 measured(found.magnitude, found.expanded_magnitude),
                 phase(found),
-                _signed(100.0 * (abs(ratio) - 1.0), 3),
-                _signed(1e3 * float(np.angle(ratio)), 2),
+                signed(100.0 * (abs(ratio) - 1.0), "+.3f"),
+                signed(1e3 * float(np.angle(ratio)), "+.2f"),
                 number(100.0 * left) if _has_rest(spread) else DASH,
             )
         )
@@ -316,7 +309,6 @@ def _ratios_table(spread: PointSpread, ratios: PointRatios) -> Table:
     for line, frequency in enumerate(spread.frequency_hz):
         (found,) = elements(mean, uncertainty, line)
         fused = complex(ratios.fused[line])
-        known = bool(np.isfinite(fused))
         rows.append(
             (
                 f"{frequency:.4f}",
@@ -324,8 +316,8 @@ def _ratios_table(spread: PointSpread, ratios: PointRatios) -> Table:
                 number(100.0 * float(ratios.magnitude_spread[line] / ratios.mean_magnitude[line])),
                 phase(found),
                 number(1e3 * float(ratios.phase_spread_rad[line])),
-                _signed(100.0 * (ratios.mean_magnitude[line] / abs(fused) - 1.0), 3) if known else DASH,
-                _signed(1e3 * float(np.angle(mean[line, 0] / fused)), 2) if known else DASH,
+                signed(100.0 * (ratios.mean_magnitude[line] / abs(fused) - 1.0), "+.3f"),
+                signed(1e3 * float(np.angle(mean[line, 0] / fused)), "+.2f"),
             )
         )
     unit = times_ten(exponent, typeset(sensitivity_unit(ratios.unit, ratios.component)))
@@ -349,11 +341,6 @@ def _has_rest(spread: PointSpread) -> bool:
     return len(spread.channels) > FEWEST_POINTS
 
 
-def _signed(value: float, places: int) -> str:
-    """A difference with its sign."""
-    return f"{value:+.{places}f}".replace("-", "\N{MINUS SIGN}")
-
-
 # The report's tables of a Monte Carlo run: 95 % intervals of the draws beside those of first-order propagation.
 
 
@@ -364,44 +351,33 @@ def monte_carlo_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def _table(result: Propagated, draws: int) -> Table:
-    """Magnitude, phase and region of every quantity at every driven line."""
+    """Both intervals of magnitude and phase of every quantity at every driven line, the region, and the verdict."""
     rows = []
     for line, frequency in enumerate(result.frequency_hz):
         for element, name in enumerate(result.elements):
             if np.isfinite(result.value[line, element]):
-                rows.append((f"{frequency:.4f}", name, *_row(result, draws, line, element)))
-    head = ("frequency / Hz", "quantity", *_columns("magnitude"), *_columns("phase / rad"), "in the region", "")
-    title = result.name[0].upper() + result.name[1:]
+                size = _real_cells(result.magnitude, line, element, result.unit[element])
+                turn = _real_cells(result.phase, line, element, "")
+                region = f"{100.0 * result.first_holds[line, element]:.1f} %"
+                rows.append((f"{frequency:.4f}", name, *size, *turn, region, _verdict(result, draws, line, element)))
+    head = ["frequency / Hz", "quantity"]
+    for what in ("magnitude", "phase / rad"):
+        head += [f"{what}, Monte Carlo", "first order", "apart / u"]
     strong = [np.where(result.weak, 0.0, what.u_end / what.first_u) for what in (result.magnitude, result.phase)]
     good = float(np.nanmax(strong, initial=0.0))
-    caption = f"{title}: shortest 95 % intervals of {draws} draws, whose number determines their ends to {good:.2g} u"
-    return Table(caption, head, "ll" + "r" * 7 + "l", tuple(rows))
-
-
-def _columns(what: str) -> tuple[str, str, str]:
-    """Heads of the columns of a real quantity."""
-    return f"{what}, Monte Carlo", "first order", "apart / u"
-
-
-def _row(result: Propagated, draws: int, line: int, element: int) -> tuple[str, ...]:
-    """Cells of one quantity: both intervals of magnitude and phase, how far they are apart, the region, the verdict."""
-    unit, cells = result.unit[element], []
-    for what, own in ((result.magnitude, unit), (result.phase, "")):
-        cells += _real_cells(what, line, element, own)
-    return (*cells, f"{100.0 * result.first_holds[line, element]:.1f} %", _verdict(result, draws, line, element))
+    intervals = f"shortest 95 % intervals of {draws} draws"
+    caption = f"{capital(result.name)}: {intervals}, whose number determines their ends to {good:.2g} u"
+    return Table(caption, (*head, "in the region", ""), "ll" + "r" * 7 + "l", tuple(rows))
 
 
 def _verdict(result: Propagated, draws: int, line: int, element: int) -> str:
-    """Whether first-order propagation holds."""
-    small = result.refuted(draws, line, element, too_small=True)
-    if small:
-        return f"first-order U too small: {', '.join(small)}"
+    """Whether first-order propagation holds: in how many digits both ways agree, or that only the region is judged."""
+    too_small = result.refuted(draws, line, element, too_small=True)
+    if too_small:
+        return f"first-order U too small: {', '.join(too_small)}"
     large = result.refuted(draws, line, element)
-    return f"first-order U larger than need be: {', '.join(large)}" if large else _digits(result, line, element)
-
-
-def _digits(result: Propagated, line: int, element: int) -> str:
-    """In how many digits both ways agree, or that only the region is judged."""
+    if large:
+        return f"first-order U larger than need be: {', '.join(large)}"
     if result.weak[line, element]:
         return "region confirmed; magnitude and phase say little"
     digits = int(min(result.magnitude.digits[line, element], result.phase.digits[line, element]))
@@ -413,8 +389,8 @@ def _real_cells(spread: RealSpread, line: int, element: int, unit: str) -> list[
     ends = [float(end[line, element]) for end in (spread.low, spread.high, spread.first_low, spread.first_high)]
     u = float(spread.first_u[line, element])
     apart = float(max(spread.d_low[line, element], spread.d_high[line, element]))
-    told = f"{apart / u:.2f}" if u > 0.0 and np.isfinite(apart) else DASH
-    return [_interval(ends[0], ends[1], u, unit), _interval(ends[2], ends[3], u, unit), told]
+    distance = f"{apart / u:.2f}" if u > 0.0 and np.isfinite(apart) else DASH
+    return [_interval(ends[0], ends[1], u, unit), _interval(ends[2], ends[3], u, unit), distance]
 
 
 def _interval(low: float, high: float, u: float, unit: str) -> str:
@@ -467,17 +443,8 @@ def channels_table(evaluation: Evaluation) -> Table | None:
         factor, letter = prefix(np.array([abs(value)])) if channel.unit in PREFIXED else (1.0, "")
         amplitude = measured(element.magnitude / factor, element.expanded_magnitude / factor, letter + channel.unit)
         rest = Markup("{} {}").format(short(channel.residual_rms / factor), typeset(letter + channel.unit))
-        rows.append(
-            (
-                channel.name,
-                channel.daq,
-                channel.quantity,
-                f"{channel.sample_rate_hz:g}",
-                amplitude,
-                phase(element),
-                rest,
-            )
-        )
+        known = (channel.name, channel.daq, channel.quantity, f"{channel.sample_rate_hz:g}")
+        rows.append((*known, amplitude, phase(element), rest))
     head = ("channel", "DAQ", "quantity", "rate / Hz", "amplitude", "phase / rad", "residual rms")
     caption = "Channels at the strongest line; U (95 %) from the scatter alone"
     return Table(caption, head, "lllrrrr", tuple(rows)) if rows else None
@@ -485,15 +452,24 @@ def channels_table(evaluation: Evaluation) -> Table | None:
 
 def drift_table(evaluation: Evaluation) -> Table | None:
     """Return the changes of the driven lines over the record, one row per instrument; None without any."""
-    found = line_stationarity(evaluation.channels, evaluation.stereo, evaluation.lines, evaluation.clocks)
-    if not found:
-        return None
-    head = ("instrument", "line / Hz", "blocks", "periods in each", "amplitude / %", "phase / mrad", "chance of noise")
+    drifts = line_stationarity(evaluation.channels, evaluation.stereo, evaluation.lines, evaluation.clocks)
+    columns: list[Column[LineStationarity]] = [
+        on_page("instrument", lambda drift: drift.name, "l"),
+        on_page("line / Hz", lambda drift: f"{drift.frequency_hz:.4f}"),
+        on_page("blocks", lambda drift: str(drift.blocks)),
+        on_page("periods in each", lambda d: f"{d.periods:.0f}" if d.whole else f"{d.periods:.2f}, not whole"),
+        on_page("amplitude / %", lambda drift: fixed(100.0 * drift.amplitude, 200.0 * drift.u_amplitude, 0)),
+        on_page("phase / mrad", lambda drift: fixed(1e3 * drift.phase_rad, 2e3 * drift.u_phase_rad, 0)),
+        on_page(
+            "chance of noise",
+            lambda d: f"{d.chance:.2g}" if d.chance >= LEAST_CHANCE else f"below {LEAST_CHANCE:g}",
+        ),
+    ]
     caption = (
         "Change of amplitude and phase over the record, with U (k = 2) that has the rates of the clocks in it, from "
         "blocks of whole periods or beats"
     )
-    return Table(caption, head, "lrrrrrr", tuple(_drift_cells(drift) for drift in found))
+    return table(caption, columns, drifts)
 
 
 def clocks_table(evaluation: Evaluation) -> Table | None:
@@ -510,19 +486,6 @@ def clocks_table(evaluation: Evaluation) -> Table | None:
     rows = tuple((name, *(column[place] for column in columns)) for place, name in enumerate(names))
     head = ("", *(clock.daq for clock in evaluation.clocks))
     return Table("Camera trigger and clocks, U (k = 2)", head, "l" + "r" * len(columns), rows)
-
-
-def _drift_cells(drift: LineStationarity) -> tuple[str, ...]:
-    """One instrument at one line."""
-    return (
-        drift.name,
-        f"{drift.frequency_hz:.4f}",
-        str(drift.blocks),
-        f"{drift.periods:.0f}" if drift.whole else f"{drift.periods:.2f}, not whole",
-        fixed(100.0 * drift.amplitude, 200.0 * drift.u_amplitude, 0),
-        fixed(1e3 * drift.phase_rad, 2e3 * drift.u_phase_rad, 0),
-        f"{drift.chance:.2g}" if drift.chance >= LEAST_CHANCE else f"below {LEAST_CHANCE:g}",
-    )
 
 
 def _trigger_cells(clock: ClockResult) -> list[str]:

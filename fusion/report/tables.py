@@ -28,6 +28,7 @@ from fusion.report.numbers import (
     microseconds,
     number,
     polar_cells,
+    signed,
     static_value,
     times_ten,
 )
@@ -120,15 +121,11 @@ def consistency_table(evaluation: Evaluation) -> Table | None:
     rows = []
     for result in evaluation.accelerations:
         for entry in result.consistency:
-            deviation = f"{entry.normalised_deviation:.2f}" if np.isfinite(entry.normalised_deviation) else DASH
-            ratio = entry.ratio
-            known = bool(np.isfinite(ratio))
-            amplitude = f"{100.0 * (abs(ratio) - 1.0):+.3f}".replace("-", "\N{MINUS SIGN}") if known else DASH
-            turn = f"{1e3 * np.angle(ratio):+.2f}".replace("-", "\N{MINUS SIGN}") if known else DASH
+            amplitude = signed(100.0 * (abs(entry.ratio) - 1.0), "+.3f")
+            turn = signed(1e3 * float(np.angle(entry.ratio)), "+.2f")
             use = ("fused, suspect" if entry.suspect else "fused") if entry.used else "compared only"
-            rows.append(
-                (result.body, result.source, entry.instrument, str(entry.channels), deviation, amplitude, turn, use)
-            )
+            who = (result.body, result.source, entry.instrument, str(entry.channels))
+            rows.append((*who, signed(entry.normalised_deviation), amplitude, turn, use))
     head = ("body", "result", "instrument", "channels", "normalised deviation", "amplitude / %", "phase / mrad", "use")
     caption = "Each instrument against the prediction of all others (normalised deviation: 1 is expected)"
     return Table(caption, head, "lllrrrrl", tuple(dict.fromkeys(rows))) if rows else None
@@ -149,9 +146,10 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
     """Key figures of the stereo pairs, one column each."""
     if not stereo:
         return None
+    lost = [(item, int(np.sum(~np.isfinite(item.motion.pose).all(axis=1)))) for item in stereo]
     rows = [
         ("body", *(item.body for item in stereo)),
-        ("frames, of which without a result", *(f"{len(item.time_s)}, {_failed(item)}" for item in stereo)),
+        ("frames, of which without a result", *(f"{len(item.time_s)}, {failed}" for item, failed in lost)),
         ("first exposure / s", *(f"{item.time_s[0]:.6f}" for item in stereo)),
         ("exposure / µs", *(_exposure(item) for item in stereo)),
         ("subsets", *(str(len(item.subsets_px)) if item.subsets_px is not None else DASH for item in stereo)),
@@ -246,14 +244,6 @@ def _source_row(results: Sequence[Acceleration], line: int, component: int) -> t
         below = turn if turn in (WEAK, DASH) else Markup("{} rad").format(turn)
         cells.append(Markup('{}<br><span class="below">{}<br>k = {}</span>').format(amplitude, below, factor))
     return tuple(cells)
-
-
-def _failed(stereo: StereoResult) -> int:
-    """Number of frames without a result."""
-    return int(np.sum(~np.isfinite(stereo.motion.pose).all(axis=1)))
-
-
-# A template and its context become one self-contained HTML page.
 
 
 # The report's table of takes: how far the reference channel tied them, and what drifted between them.
