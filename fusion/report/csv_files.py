@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.estimation.uncertainty import Polar, element_covariance, polar
+from fusion.estimation.uncertainty import Polar, Quantity, element_covariance, polar
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report.table import Column, R, csv_text, word
 from fusion.sensitivity.analyse import Evaluation
@@ -49,6 +49,18 @@ def polar_columns(size: str, value: Callable[[R], Polar]) -> list[Column[R]]:
         return Column(field.replace("magnitude", size), lambda row: getattr(value(row), field))
 
     return [column(field.name) for field in fields(Polar)]
+
+
+def quantity_columns(quantity: Callable[[R], Quantity]) -> list[Column[R]]:
+    """Return the six columns of a real quantity."""
+    return [
+        Column("value", lambda row: quantity(row).value),
+        Column("u", lambda row: quantity(row).u),
+        Column("U", lambda row: quantity(row).expanded),
+        Column("k", lambda row: quantity(row).k),
+        word("unit", lambda row: quantity(row).unit),
+        Column("dof", lambda row: quantity(row).dof),
+    ]
 
 
 def _element_columns(of: str, size: str, origin: str) -> list[Column[Element]]:

@@ -19,9 +19,9 @@ from fusion.recording.load import Manifest
 from fusion.sensor.rotate.readings import (
     JOINT,
     Carried,
-    Quantity,
     Repeats,
     RotationEvaluation,
+    RotationQuantity,
     RotationRecording,
     Weighed,
     air_density,
@@ -181,7 +181,7 @@ def _of_fit(weights: WeightFit, records: Sequence[Turned]) -> Iterator[Notice]:
         yield Notice("warning", text, "channels")
 
 
-def _of_load(found: Sequence[Quantity]) -> Iterator[Notice]:
+def _of_load(found: Sequence[RotationQuantity]) -> Iterator[Notice]:
     """Whether the load weighs what was weighed."""
     for quantity in found:
         if quantity.name == "load_mass_normalised_deviation" and abs(quantity.value) > 1.0:
@@ -327,7 +327,7 @@ class _Inputs:
         return Mean(*(np.mean(parts, axis=0) for parts in zip(*found, strict=True))) if found else None
 
 
-def quantities(campaign: Campaign) -> tuple[Quantity, ...]:
+def quantities(campaign: Campaign) -> tuple[RotationQuantity, ...]:
     """Return every number that the recordings tell, each with its uncertainty by cause.
 
     Derivatives are central differences over one standard uncertainty of every input.
@@ -388,7 +388,7 @@ def _quantity(
     variances: Sequence[float],
     wide: Sequence[float],
     dof: Sequence[float],
-) -> Quantity:
+) -> RotationQuantity:
     """One number with its budget; effective degrees of freedom by Welch and Satterthwaite (JCGM 100, G.4)."""
     by_name: dict[str, float] = {}
     for name, variance in zip(names, variances, strict=True):
@@ -397,10 +397,12 @@ def _quantity(
     effective = sum(wide) ** 2 / fourth if fourth > 0.0 else np.inf
     budget = {name: float(np.sqrt(variance)) for name, variance in by_name.items() if variance > 0.0}
     u = float(np.sqrt(sum(variances)))
-    return Quantity(value, u, effective, head.unit, head.name, head.label, head.component, head.recording, budget)
+    return RotationQuantity(
+        value, u, effective, head.unit, head.name, head.label, head.component, head.recording, budget
+    )
 
 
-def _with_normalised(found: Sequence[Quantity]) -> Iterator[Quantity]:
+def _with_normalised(found: Sequence[RotationQuantity]) -> Iterator[RotationQuantity]:
     """All numbers, and behind the load's deviation in kg that over its U: within ±1 the two masses agree."""
     for quantity in found:
         yield quantity
@@ -408,7 +410,7 @@ def _with_normalised(found: Sequence[Quantity]) -> Iterator[Quantity]:
             value, k = quantity.value / quantity.expanded, coverage_factor(quantity.dof)
             label = "deviation over its U"
             name = "load_mass_normalised_deviation"
-            yield Quantity(value, 1.0 / k, quantity.dof, "1", name, label, quantity.component, "", {})
+            yield RotationQuantity(value, 1.0 / k, quantity.dof, "1", name, label, quantity.component, "", {})
 
 
 Told = Iterator[tuple[Head, FloatArray]]

@@ -222,7 +222,7 @@ class RotationRecording:
 
 
 @dataclass(frozen=True)
-class Quantity(NamedQuantity):
+class RotationQuantity(NamedQuantity):
     """One number of the result.
 
     `component`: Fx … Mz, x, y, z, or all forces together ("joint"); `recording`: the folder of the one it belongs to,
@@ -247,7 +247,7 @@ class RotationEvaluation:
     gravity: Known
     air: Known
     weights: WeightFit
-    quantities: tuple[Quantity, ...]
+    quantities: tuple[RotationQuantity, ...]
     repeats: tuple[Repeats, ...]
     notices: tuple[Notice, ...]
     settings: dict[str, str | float | int]
@@ -255,7 +255,7 @@ class RotationEvaluation:
     input_hashes: dict[str, str]
     duration_s: float
 
-    def find(self, name: str, component: str = JOINT, recording: str = "") -> Quantity | None:
+    def find(self, name: str, component: str = JOINT, recording: str = "") -> RotationQuantity | None:
         """Return a quantity, None where the recordings do not tell it."""
         wanted = (name, component, recording)
         return next((q for q in self.quantities if (q.name, q.component, q.recording) == wanted), None)

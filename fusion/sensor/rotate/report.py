@@ -12,28 +12,25 @@ import numpy as np
 from fusion.base import DASH, typeset
 from fusion.campaign.repeats import BETWEEN, WITHIN
 from fusion.recording.load import load_for_command
+from fusion.report.csv_files import quantity_columns
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.numbers import capital, degrees_of_freedom, factor, measured, plain, short, signed, small, subject_of
 from fusion.report.table import Column, Headline, Table, csv_text, on_page, table, word
 from fusion.sensor.rotate.evaluate import UNTOLD, evaluate_rotation
 from fusion.sensor.rotate.figures import draw_deviations, draw_readings
-from fusion.sensor.rotate.readings import JOINT, Quantity, Repeats, RotationEvaluation, RotationRecording
+from fusion.sensor.rotate.readings import JOINT, Repeats, RotationEvaluation, RotationQuantity, RotationRecording
 from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.harmonics import Known
 from shaker.static_rotation.masses import FORCES
 
 NONE, ALL = "-", "all"
 """Component of what has none, recording of what rests on all."""
-QUANTITIES: list[Column[Quantity]] = [
+NUMBERS: list[Column[RotationQuantity]] = quantity_columns(lambda q: q)
+QUANTITIES: list[Column[RotationQuantity]] = [
     word("name", lambda q: q.name),
     word("component", lambda q: q.component or NONE),
-    Column("value", lambda q: q.value),
-    Column("u", lambda q: q.u),
-    Column("U", lambda q: q.expanded),
-    Column("k", lambda q: q.k),
-    word("unit", lambda q: q.unit),
-    Column("dof", lambda q: q.dof),
+    *NUMBERS,
     word("recording", lambda q: q.recording or ALL),
 ]
 MILLIMETRE, MILLIRADIAN, GRAM, MILLI = 1e3, 1e3, 1e3, 1e3
@@ -58,7 +55,7 @@ CLEAR = 2.0
 """Amplitude over its standard uncertainty from which a harmonic is given a value of its own."""
 
 
-def _in_small_unit(q: Quantity, *, with_unit: bool = False) -> str:
+def _in_small_unit(q: RotationQuantity, *, with_unit: bool = False) -> str:
     """Value with U in g, mm or mrad."""
     scale, unit = SCALED.get(q.unit, (1.0, q.unit))
     return measured(scale * q.value, scale * q.expanded, unit if with_unit else "")
@@ -78,7 +75,7 @@ def headlines(evaluation: RotationEvaluation) -> list[Headline]:
     return told
 
 
-MASS_COLUMNS: list[Column[Quantity]] = [
+MASS_COLUMNS: list[Column[RotationQuantity]] = [
     on_page("quantity", lambda q: capital(q.label), "l"),
     on_page("by", lambda q: q.component, "l"),
     on_page("mass", lambda q: measured(q.value, q.expanded, q.unit)),
@@ -91,11 +88,11 @@ MASS_COLUMNS: list[Column[Quantity]] = [
 def differences_table(evaluation: RotationEvaluation) -> Table | None:
     """How far axes are apart and the load is from what was weighed."""
 
-    def over_its_u(q: Quantity) -> str:
+    def over_its_u(q: RotationQuantity) -> str:
         normalised = evaluation.find(NORMALISED, q.component) if q.name == "load_mass_deviation" else None
         return DASH if normalised is None else signed(normalised.value)
 
-    columns: list[Column[Quantity]] = [
+    columns: list[Column[RotationQuantity]] = [
         on_page("difference", lambda q: capital(q.label), "l"),
         on_page("by", lambda q: q.component, "l"),
         on_page("value", lambda q: _in_small_unit(q, with_unit=True)),
@@ -108,10 +105,10 @@ def differences_table(evaluation: RotationEvaluation) -> Table | None:
 def centres_table(evaluation: RotationEvaluation) -> Table | None:
     """Centres of mass in sensor axes, in mm."""
 
-    def coordinate(axis: str) -> Column[dict[str, Quantity]]:
+    def coordinate(axis: str) -> Column[dict[str, RotationQuantity]]:
         return on_page(axis, lambda places: _in_small_unit(places[axis]) if axis in places else DASH)
 
-    columns: list[Column[dict[str, Quantity]]] = [
+    columns: list[Column[dict[str, RotationQuantity]]] = [
         on_page("place", lambda places: f"{capital(next(iter(places.values())).label)} / mm", "l"),
         *map(coordinate, AXES),
     ]
@@ -190,7 +187,7 @@ def _groups(recording: RotationRecording) -> list[tuple[str, list[int]]]:
     return [(kind, places) for kind, places in groups if places]
 
 
-AXIS: list[Column[Quantity]] = [
+AXIS: list[Column[RotationQuantity]] = [
     on_page("recording", lambda q: q.recording, "l"),
     on_page("quantity", lambda q: capital(q.label), "l"),
     on_page("component", lambda q: q.component, "l"),
@@ -259,12 +256,12 @@ def _harmonics_table(recording: RotationRecording, places: Sequence[int]) -> Tab
     return Table(caption, ("term", *heads), "l" + "r" * len(heads), cells)
 
 
-def _named(evaluation: RotationEvaluation, names: Sequence[str]) -> list[Quantity]:
+def _named(evaluation: RotationEvaluation, names: Sequence[str]) -> list[RotationQuantity]:
     """Quantities of some names, in the order of the names."""
     return [q for name in names for q in evaluation.quantities if q.name == name]
 
 
-def _terms(recording: RotationRecording) -> Iterator[Quantity]:
+def _terms(recording: RotationRecording) -> Iterator[RotationQuantity]:
     """Offset, amplitudes of the harmonics, drift and sense of every load component, with the noise's uncertainty."""
     fit = recording.fit
     for i in recording.told:
@@ -282,7 +279,7 @@ def _terms(recording: RotationRecording) -> Iterator[Quantity]:
                 spread = float(np.sqrt(noise * along @ fit.inverse[place : place + 2, place : place + 2] @ along))
             label = _term_name(name)
             head = (LOAD_UNITS[i], label.replace(" ", "_"), label, LOAD_COMPONENTS[i], recording.name)
-            yield Quantity(value, spread, fit.dof, *head, {})
+            yield RotationQuantity(value, spread, fit.dof, *head, {})
 
 
 def _term_name(name: str) -> str:
@@ -291,14 +288,14 @@ def _term_name(name: str) -> str:
     return f"harmonic {rest}" if kind in ("cos", "sin") else name
 
 
-def _printed(q: Quantity) -> str:
+def _printed(q: RotationQuantity) -> str:
     """Value with U and unit for the terminal; places, angles and differences in the smaller unit."""
     whole = q.unit == "kg" and "difference" not in q.name and "deviation" not in q.name
     scale, unit = (1.0, q.unit) if whole else SCALED.get(q.unit, (1.0, q.unit))
     return plain(scale * q.value, scale * q.expanded, unit)
 
 
-def _budget(caption: str, found: Sequence[Quantity]) -> Table:
+def _budget(caption: str, found: Sequence[RotationQuantity]) -> Table:
     """Contributions to some quantities, largest first for the last of them."""
     names = sorted(
         {name for q in found for name, u in q.budget.items() if name != UNTOLD or u > SMALLEST_UNTOLD * q.u},

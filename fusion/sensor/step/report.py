@@ -15,6 +15,7 @@ from fusion.base import DASH, rounded, typeset
 from fusion.campaign.executor import one_blas_thread
 from fusion.estimation.uncertainty import NamedQuantity, Quantity, coverage_factor
 from fusion.recording.load import load_for_command
+from fusion.report.csv_files import quantity_columns
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.numbers import capital, degrees_of_freedom, factor, measured, number, plain, short, signed
@@ -140,12 +141,7 @@ class Number(NamedTuple):
 
 NUMBERS: list[Column[Number]] = [
     *(word(name, attrgetter(name)) for name in ("component", "channel", "name")),
-    Column("value", lambda row: row.quantity.value),
-    Column("u", lambda row: row.quantity.u),
-    Column("U", lambda row: row.quantity.expanded),
-    Column("k", lambda row: row.quantity.k),
-    word("unit", lambda row: row.quantity.unit),
-    Column("dof", lambda row: row.quantity.dof),
+    *quantity_columns(lambda row: row.quantity),
     word("recordings", lambda row: ", ".join(row.recordings)),
 ]
 
