@@ -352,7 +352,7 @@ def run(options: argparse.Namespace) -> int:
             settings,
             force=options.force,
             allow_outside=options.allow_outside,
-            workers=options.scheduler or options.workers,
+            workers=options.workers if options.scheduler is None else options.scheduler,
             progress=progress,
         )
     (print_campaign if is_campaign(options.recording) else print_outcomes)(outcomes)
