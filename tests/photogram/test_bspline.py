@@ -1,16 +1,22 @@
-"""B-splines: SciPy's exact prefilter, polynomials, finite differences, Monte Carlo of the noise gains."""
+"""B-splines against SciPy, polynomials, differences and Monte Carlo; kernels that follow what they call."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
+from contracts import refused
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
+import photogram.kernels
 from photogram.bspline import (
     PADDING_PX,
     Spline,
@@ -28,7 +34,7 @@ from photogram.subsets.reference import AFFINE_SUMS, CURVED_SUMS, RUN_SUMS, affi
 
 @pytest.mark.parametrize("degree", [3, 5])
 @pytest.mark.parametrize("shape", [(8, 9), (37, 90), (130, 65)])
-def test_coefficients_and_values_are_scipys(degree: int, shape: tuple[int, int]) -> None:
+def test_coefficients_and_values_are_scipys(degree, shape):
     rng = np.random.default_rng(3)
     image = rng.normal(size=shape)
     spline = spline_of_image(image, degree)
@@ -40,7 +46,7 @@ def test_coefficients_and_values_are_scipys(degree: int, shape: tuple[int, int])
 
 
 @pytest.mark.parametrize("degree", [3, 5, 7])
-def test_the_spline_passes_through_the_pixels(degree: int) -> None:
+def test_the_spline_passes_through_the_pixels(degree):
     image = np.random.default_rng(4).integers(0, 4096, (20, 24), dtype=np.uint16)
     rows, columns = np.indices(image.shape)
     points = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
@@ -49,7 +55,7 @@ def test_the_spline_passes_through_the_pixels(degree: int) -> None:
 
 
 @pytest.mark.parametrize("degree", [3, 5, 7])
-def test_polynomials_of_the_degree_are_exact_far_from_the_border(degree: int) -> None:
+def test_polynomials_of_the_degree_are_exact_far_from_the_border(degree):
     x = np.arange(121.0) - 60.0
     image = np.add.outer((x / 10) ** degree, (x / 10) ** (degree - 1))
     points = np.random.default_rng(5).uniform(57, 63, (200, 2))
@@ -60,7 +66,7 @@ def test_polynomials_of_the_degree_are_exact_far_from_the_border(degree: int) ->
     np.testing.assert_allclose(gradients[:, 1], degree * v ** (degree - 1) / 10, atol=1e-8)
 
 
-def test_speckle_is_interpolated_to_the_known_accuracy(make_texture) -> None:
+def test_speckle_is_interpolated_to_the_known_accuracy(make_texture):
     texture = make_texture(seed=6, s=1.5)
     image = texture.image((64, 64))
     points = np.random.default_rng(6).uniform(12, 52, (2000, 2))
@@ -72,7 +78,7 @@ def test_speckle_is_interpolated_to_the_known_accuracy(make_texture) -> None:
     assert error[5] > 2 * error[7]
 
 
-def test_points_outside_the_image_are_nan() -> None:
+def test_points_outside_the_image_are_nan():
     spline = spline_of_image(np.ones((10, 12)))
     values, gradients = evaluate(spline, np.array([[-0.01, 5], [11.01, 5], [5, 9.01], [np.nan, 5], [11, 9]]))
     assert np.isnan(values).tolist() == [True, True, True, True, False]
@@ -80,7 +86,7 @@ def test_points_outside_the_image_are_nan() -> None:
 
 
 @pytest.mark.parametrize("degree", [3, 5, 7])
-def test_noise_gains_are_those_of_noise(degree: int) -> None:
+def test_noise_gains_are_those_of_noise(degree):
     noise = np.random.default_rng(7).normal(size=(400, 400))
     spline = spline_of_image(noise, degree)
     places = np.stack(np.meshgrid(np.arange(10.0, 390), np.arange(10.0, 390)), axis=-1).reshape(-1, 2)
@@ -91,13 +97,10 @@ def test_noise_gains_are_those_of_noise(degree: int) -> None:
             assert np.var(gradients[:, 0]) == pytest.approx(slope_noise_gain(degree), rel=0.02)
 
 
-def test_wrong_input_is_named() -> None:
-    with pytest.raises(ValueError, match="degree: expected 3, 5 or 7, found 4"):
-        spline_of_image(np.ones((10, 10)), 4)
-    with pytest.raises(ValueError, match="image: expected at least 8 x 8 px"):
-        spline_of_image(np.ones((5, 10)))
-    with pytest.raises(ValueError, match="degree: expected 3, 5 or 7"):
-        Spline(np.ones((16, 16)), 2)
+def test_wrong_input_is_named():
+    refused("degree: expected 3, 5 or 7, found 4", spline_of_image, np.ones((10, 10)), 4)
+    refused("image: expected at least 8 x 8 px", spline_of_image, np.ones((5, 10)))
+    refused("degree: expected 3, 5 or 7", Spline, np.ones((16, 16)), 2)
 
 
 # Values along lines of points against the point-by-point evaluation, which goes by another formula for the weights.
@@ -122,7 +125,7 @@ def check(degree: int, start: tuple[float, float], step: tuple[float, float], co
     angle=st.one_of(st.floats(-0.1, 0.1), st.floats(-np.pi, np.pi)),
     count=st.integers(1, 44),
 )
-def test_lines_of_any_direction(degree: int, x: float, y: float, length: float, angle: float, count: int) -> None:
+def test_lines_of_any_direction(degree, x, y, length, angle, count):
     step = (length * np.cos(angle), length * np.sin(angle))
     last_x, last_y = x + (count - 1) * step[0], y + (count - 1) * step[1]
     assume(0 <= last_x <= 69 and 0 <= last_y <= 63)
@@ -143,13 +146,11 @@ def test_lines_of_any_direction(degree: int, x: float, y: float, length: float, 
         ((0.5, 20.0), (1.0 - 1e-14, -1e-14), 31),
     ],
 )
-def test_lines_along_pixels_and_edges(
-    degree: int, start: tuple[float, float], step: tuple[float, float], count: int
-) -> None:
+def test_lines_along_pixels_and_edges(degree, start, step, count):
     check(degree, start, step, count)
 
 
-def test_nothing_but_the_line_is_written() -> None:
+def test_nothing_but_the_line_is_written():
     grey = np.full(40, -1.0)
     sample_line(SPLINES[5].coefficients, 5, 20.3, 30.1, 0.999, 0.2, grey[4:17])
     assert np.all(grey[:4] == -1.0)
@@ -176,7 +177,7 @@ def run(grey, mean, pixels, start, dx, sums):
 
 
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 31, 441])
-def test_sums_of_any_length(count: int) -> None:
+def test_sums_of_any_length(count):
     rng = np.random.default_rng(count)
     grey, mean, pixels = rng.uniform(0, 4095, count), 2000.0, rng.normal(0, 300, (3, count))
     (dx, dy), (affine, curved) = rng.integers(-10, 11, (2, count)).astype(float), (np.empty(9), np.empty(6))
@@ -190,7 +191,7 @@ def test_sums_of_any_length(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 8, 21])
-def test_sums_of_a_run_within_a_row(count: int) -> None:
+def test_sums_of_a_run_within_a_row(count):
     rng = np.random.default_rng(count)
     grey, mean, pixels, sums = rng.uniform(0, 4095, count), 2000.0, rng.normal(0, 3, (4, 40)), np.empty(RUN_SUMS)
     run(grey, mean, pixels, 13, -7.5, sums)
@@ -200,7 +201,7 @@ def test_sums_of_a_run_within_a_row(count: int) -> None:
         assert abs(found - terms.sum()) <= 1e-14 * np.abs(terms).sum()
 
 
-def test_a_kernel_keeps_its_own_options_whoever_calls_it_first() -> None:
+def test_a_kernel_keeps_its_own_options_whoever_calls_it_first():
     """Python rounds every operation by itself; so does a kernel that a function of other options is compiled with."""
     kernel = njit()(basis.py_func)
 
@@ -217,7 +218,7 @@ def test_a_kernel_keeps_its_own_options_whoever_calls_it_first() -> None:
     assert found.tobytes() == expected.tobytes()
 
 
-def test_lanes_give_the_same_bits_in_any_function() -> None:
+def test_lanes_give_the_same_bits_in_any_function():
     rng = np.random.default_rng(9)
     coefficients, lines = rng.uniform(0, 4095, (40, 48)), rng.uniform(8, 12, (50, 2))
 
@@ -238,6 +239,59 @@ def test_lanes_give_the_same_bits_in_any_function() -> None:
     assert results[0].tobytes() == results[1].tobytes()
 
 
-def test_options_by_which_copies_of_a_kernel_differ_are_none() -> None:
-    with pytest.raises(TypeError, match="fastmath"):
-        njit(fastmath=True)
+def test_options_by_which_copies_of_a_kernel_differ_are_none():
+    refused("fastmath", njit, fastmath=True, error=TypeError)
+
+
+# A cached kernel must not outlive a change in another file that it was compiled from.
+
+CALLED = """
+from numba import njit
+
+OFFSET = {offset}
+
+@njit(inline="always")
+def shifted(x):
+    return x + OFFSET
+"""
+KERNEL = """
+from small._kernel import njit
+from small.called import shifted
+
+@njit()
+def kernel(x):
+    return 10 * shifted(x)
+"""
+RUN = "from small.calls import kernel; print(kernel(1), sum(kernel.stats.cache_hits.values()))"
+
+
+def in_another_process(folder: Path) -> list[str]:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder.parent / "kernels")}
+    done = subprocess.run(
+        [sys.executable, "-c", RUN], cwd=folder, check=True, capture_output=True, text=True, env=environment
+    )
+    return done.stdout.split()
+
+
+def checkout(folder: Path) -> Path:
+    package = folder / "small"
+    package.mkdir(parents=True)
+    source = Path(photogram.kernels.__file__).read_text(encoding="utf-8")
+    called = CALLED.format(offset=1)
+    for name, text in (("__init__", ""), ("_kernel", source), ("calls", KERNEL), ("called", called)):
+        (package / f"{name}.py").write_text(text, encoding="utf-8")
+    return package / "called.py"
+
+
+def test_a_kernel_follows_the_functions_that_it_calls(tmp_path):
+    called = checkout(tmp_path / "one")
+    assert in_another_process(tmp_path / "one") == ["20", "0"]
+    assert in_another_process(tmp_path / "one") == ["20", "1"]
+    called.write_text(CALLED.format(offset=2), encoding="utf-8")
+    assert in_another_process(tmp_path / "one") == ["30", "0"]
+
+
+def test_a_second_checkout_finds_the_kernels_of_the_first(tmp_path):
+    for name, hits in (("one", "0"), ("other", "1")):
+        checkout(tmp_path / name)
+        assert in_another_process(tmp_path / name) == ["20", hits]

@@ -1,22 +1,27 @@
-"""Bundle adjustment of a stereo pair, on points projected by OpenCV with known truth."""
+"""Calibration of a stereo pair on points that OpenCV projected with known truth, and the file that keeps it."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from photogram.calibration.bundle import ellipse_centres, make_shape, see
+from photogram.calibration.file import read_calibration, write_calibration
 from photogram.calibration.result import Calibration
 from photogram.calibration.session import calibrate_pair
 from photogram.calibration.start import target_pose
-from photogram.camera import Camera, StereoRig
+from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector, skew, vector_from_rotation
-from photogram.targets.view import Target, TargetKind, TargetView
+from photogram.targets.view import Target, TargetView
 
 SIZE = np.array([1280, 1024])
 SPACING = 0.012
@@ -72,6 +77,12 @@ def _views(
     return pairs
 
 
+def _session(seed: int, count: int, **options: Any) -> list[tuple[TargetView, TargetView]]:
+    """Views of the target at random poses."""
+    rng = np.random.default_rng(seed)
+    return _views(rng, _poses(rng, count), **options)
+
+
 def _errors(rig: StereoRig, truth: StereoRig = RIG) -> np.ndarray:
     turn = vector_from_rotation(rig.right_from_left.rotation @ truth.right_from_left.rotation.T)
     shift = rig.right_from_left.translation_m - truth.right_from_left.translation_m
@@ -86,11 +97,10 @@ def _in_order(calibration: Calibration) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_parameters_come_back_within_their_covariance() -> None:
+def test_parameters_come_back_within_their_covariance():
     normalised, lengths = [], []
     for seed in range(12):
-        rng = np.random.default_rng(seed)
-        calibration = calibrate_pair(_views(rng, _poses(rng, 10)), TARGET)
+        calibration = calibrate_pair(_session(seed, 10), TARGET)
         error = _errors(calibration.rig)
         normalised.append(error / np.sqrt(np.diagonal(calibration.rig.covariance)))
         lengths.append(error @ np.linalg.solve(calibration.rig.covariance, error))
@@ -102,28 +112,24 @@ def test_parameters_come_back_within_their_covariance() -> None:
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_derivatives_of_the_model(side: int) -> None:
+def test_derivatives_of_the_model(side):
     (pose,) = _poses(np.random.default_rng(1), 1)
     camera, relative = ((RIG.left, RigidTransform.identity()), (RIG.right, RIG.right_from_left))[side]
     seen = see(camera, relative, pose, FLAT, 0.0)
     assert np.abs(seen.pixel - _opencv_pixels(camera, relative @ pose, FLAT)).max() < 1e-9
     for number in range(6):
-        step = np.zeros(6)
-        step[number] = 1e-6
+        step = 1e-6 * np.eye(6)[number]
         moved = [
             RigidTransform(rotation_from_vector(s * step[3:]) @ pose.rotation, pose.translation_m + s * step[:3])
             for s in (1, -1)
         ]
         ahead, behind = (_opencv_pixels(camera, relative @ there, FLAT) for there in moved)
         assert np.abs((ahead - behind) / 2e-6 - seen.by_pose[:, :, number]).max() < 1e-4
-    by_x = (
-        see(camera, relative, pose, FLAT + np.array([1e-7, 0, 0]), 0.0).pixel
-        - see(camera, relative, pose, FLAT, 0.0).pixel
-    )
+    by_x = see(camera, relative, pose, FLAT + np.array([1e-7, 0, 0]), 0.0).pixel - seen.pixel
     assert np.abs(by_x / 1e-7 - seen.by_point[:, :, 0]).max() < 0.5  # of some 6000 px/m
 
 
-def test_ellipse_centre_is_that_of_a_fitted_ellipse() -> None:
+def test_ellipse_centre_is_that_of_a_fitted_ellipse():
     """Independent: OpenCV's direct ellipse fit to densely projected rim points, without and with lens distortion."""
     (pose,) = _poses(np.random.default_rng(3), 1, tilt=0.7)
     angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
@@ -139,7 +145,7 @@ def test_ellipse_centre_is_that_of_a_fitted_ellipse() -> None:
         assert np.abs(bias).max() > 0.02, "the correction matters in this view"
 
 
-def test_ellipse_centre_is_the_pole_of_the_line_at_infinity() -> None:
+def test_ellipse_centre_is_the_pole_of_the_line_at_infinity():
     """The conic's centre by its matrix, that of the dot's circle seen by a homography; derivatives by differences."""
     rotation = rotation_from_vector(np.array([0.6, -0.4, 0.2]))
     centre, radius, normal = np.array([0.03, -0.02, 0.4]), 0.02, rotation[:, 2]
@@ -158,18 +164,16 @@ def test_ellipse_centre_is_the_pole_of_the_line_at_infinity() -> None:
         assert np.abs((ahead - behind) / 2e-6 - by_turn[:, axis]).max() < 1e-8
 
 
-def test_outlying_points_and_pictures_are_named_and_left_out() -> None:
+def test_outlying_points_and_pictures_are_named_and_left_out():
     rng = np.random.default_rng(5)
     pairs = _views(rng, _poses(rng, 10))
     left, right = pairs[2]
     moved = left.position_px.copy()
     moved[[3, 30]] += [[2.0, 0.0], [0.0, -1.0]]
     pairs[2] = (replace(left, position_px=moved), right)
-    shaken = pairs[7][1]
-    pairs[7] = (
-        pairs[7][0],
-        replace(shaken, position_px=shaken.position_px + rng.normal(0, 1.0, shaken.position_px.shape)),
-    )
+    still, shaken = pairs[7]
+    off_px = rng.normal(0, 1.0, shaken.position_px.shape)
+    pairs[7] = (still, replace(shaken, position_px=shaken.position_px + off_px))
     calibration = calibrate_pair(pairs, TARGET)
     told = {item.name: item for item in calibration.dropped}
     assert told["L2"].points == 2
@@ -178,10 +182,9 @@ def test_outlying_points_and_pictures_are_named_and_left_out() -> None:
     assert np.abs(_errors(calibration.rig) / np.sqrt(np.diagonal(calibration.rig.covariance))).max() < 4.5
 
 
-def test_a_mirrored_or_exchanged_picture_is_dropped() -> None:
+def test_a_mirrored_or_exchanged_picture_is_dropped():
     """A mirrored chessboard looks like one from another place: only its partner tells."""
-    rng = np.random.default_rng(6)
-    pairs = _views(rng, _poses(rng, 9))
+    pairs = _session(6, 9)
     left = pairs[4][0]
     mirrored = left.position_px * [-1, 1] + [SIZE[0] - 1, 0]
     pairs[4] = (replace(left, position_px=mirrored, index=left.index * [-1, 1] + [11, 0]), pairs[4][1])
@@ -193,13 +196,10 @@ def test_a_mirrored_or_exchanged_picture_is_dropped() -> None:
     ("kind", "size", "turn"),
     [("dots", (12, 9), -1), ("chessboard", (12, 10), -1), ("dots", (9, 9), 1j), ("dots", (9, 9), -1j)],
 )
-def test_a_target_numbered_from_another_corner(kind: TargetKind, size: tuple[int, int], turn: complex) -> None:
+def test_a_target_numbered_from_another_corner(kind, size, turn):
     """A target that looks alike after a turn; a turn of the lattice is a product in the complex plane."""
-    rng = np.random.default_rng(14)
-    target = Target(kind, SPACING, size)
-    pairs = _views(rng, _poses(rng, 8))
-    cut = []
-    for left, right in pairs:
+    target, cut = Target(kind, SPACING, size), []
+    for left, right in _session(14, 8):
         sides = []
         for view in (left, right):
             kept = (view.index < size).all(axis=1)
@@ -218,23 +218,19 @@ def test_a_target_numbered_from_another_corner(kind: TargetKind, size: tuple[int
     assert found.rms_px == pytest.approx(plain.rms_px, rel=1e-3)
 
 
-def test_left_and_right_in_different_order_are_refused() -> None:
-    rng = np.random.default_rng(7)
-    pairs = _views(rng, _poses(rng, 8))
+def test_left_and_right_in_different_order_are_refused():
+    pairs = _session(7, 8)
     mixed = [(pairs[n][0], pairs[(n + 3) % 8][1]) for n in range(8)]
-    with pytest.raises(ValueError, match="do not belong together"):
-        calibrate_pair(mixed, TARGET)
+    refused("do not belong together", calibrate_pair, mixed, TARGET)
 
 
-def test_too_few_and_too_similar_views_are_refused() -> None:
+def test_too_few_and_too_similar_views_are_refused():
     rng = np.random.default_rng(8)
-    with pytest.raises(ValueError, match="at least 3"):
-        calibrate_pair(_views(rng, _poses(rng, 2)), TARGET)
-    with pytest.raises(ValueError, match="nearly one angle"):
-        calibrate_pair(_views(rng, _poses(rng, 6, tilt=0.01)), TARGET)
+    refused("at least 3", calibrate_pair, _views(rng, _poses(rng, 2)), TARGET)
+    refused("nearly one angle", calibrate_pair, _views(rng, _poses(rng, 6, tilt=0.01)), TARGET)
 
 
-def test_views_turned_about_one_axis_only_are_flagged() -> None:
+def test_views_turned_about_one_axis_only_are_flagged():
     rng = np.random.default_rng(9)
     poses = []
     for angle in np.linspace(-0.5, 0.5, 9):
@@ -245,9 +241,8 @@ def test_views_turned_about_one_axis_only_are_flagged() -> None:
     assert "horizontal axis" in notice.text
 
 
-def test_scale_uncertainty_lies_along_the_baseline() -> None:
-    rng = np.random.default_rng(10)
-    pairs = _views(rng, _poses(rng, 8))
+def test_scale_uncertainty_lies_along_the_baseline():
+    pairs = _session(10, 8)
     plain, scaled = calibrate_pair(pairs, TARGET), calibrate_pair(pairs, TARGET, scale_u=1e-3)
     added = scaled.rig.covariance - plain.rig.covariance
     baseline = scaled.rig.right_from_left.translation_m
@@ -257,20 +252,21 @@ def test_scale_uncertainty_lies_along_the_baseline() -> None:
     assert not any(item.where == "scale" for item in scaled.notices)
 
 
-def test_views_of_one_camera_alone_still_count() -> None:
-    rng = np.random.default_rng(11)
-    pairs = _views(rng, _poses(rng, 10))
+def test_views_of_one_camera_alone_still_count():
+    pairs = _session(11, 10)
     both = calibrate_pair(pairs[:6], TARGET)
     more = calibrate_pair([*pairs[:6], *((left, None) for left, _ in pairs[6:])], TARGET)
     u_both, u_more = (np.sqrt(np.diagonal(c)) for c in (both.rig.covariance, more.rig.covariance))
     assert (u_more[:9] < u_both[:9]).all()
 
 
-def test_a_bowed_target_is_found_where_it_is_asked_for() -> None:
+def test_a_bowed_target_is_found_where_it_is_asked_for():
     rng = np.random.default_rng(12)
     place = (FLAT - FLAT.mean(axis=0))[:, :2]
     height = 2e-4 * (place[:, 0] / place[:, 0].max()) ** 2
     pairs = _views(rng, _poses(rng, 12), points=FLAT + np.column_stack([np.zeros((len(FLAT), 2)), height]))
+    for kind in ("flat", "bowed", "free"):
+        assert np.array_equal(make_shape(kind, INDEX, SPACING).points_m, FLAT), "shapes start flat"
     flat, bowed = (calibrate_pair(pairs, TARGET, shape) for shape in ("flat", "bowed"))
     assert flat.rms_px > 1.5 * bowed.rms_px
     assert bowed.sigma_factor == pytest.approx(1.0, abs=0.05)
@@ -278,7 +274,7 @@ def test_a_bowed_target_is_found_where_it_is_asked_for() -> None:
     assert np.abs(found - (height - height.mean())).max() < 1.5e-5
 
 
-def test_points_off_the_lattice_are_found_where_asked_for() -> None:
+def test_points_off_the_lattice_are_found_where_asked_for():
     rng = np.random.default_rng(13)
     print_error = rng.normal(0, 3e-5, FLAT.shape) * [1, 1, 0.5]
     pairs = _views(rng, _poses(rng, 14), points=FLAT + print_error)
@@ -294,7 +290,7 @@ def test_points_off_the_lattice_are_found_where_asked_for() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(st.tuples(*[st.floats(-0.5, 0.5)] * 2), st.floats(-3, 3), st.floats(0.4, 0.6))
-def test_target_pose_comes_back(tilt: tuple[float, float], turn: float, depth: float) -> None:
+def test_target_pose_comes_back(tilt, turn, depth):
     rotation = rotation_from_vector(np.array([*tilt, 0.0])) @ rotation_from_vector(np.array([0.0, 0.0, turn]))
     pose = RigidTransform(rotation, np.array([0, 0, depth]) - rotation @ FLAT.mean(axis=0))
     (pair,) = _views(np.random.default_rng(0), [pose])
@@ -305,6 +301,137 @@ def test_target_pose_comes_back(tilt: tuple[float, float], turn: float, depth: f
         assert error @ np.linalg.solve(covariance, error) < 40  # χ² of six: 40 is exceeded once in 2 million
 
 
-def test_shapes_start_flat() -> None:
-    for kind in ("flat", "bowed", "free"):
-        assert np.array_equal(make_shape(kind, INDEX, SPACING).points_m, FLAT)
+# The calibration file: what is written comes back, and every wrong file is refused by file and key.
+
+EXAMPLE = """{"format": 1, "image_size": [1280, 1024],
+ "left":  {"matrix": [[3200, 0, 640], [0, 3200, 512], [0, 0, 1]], "distortion": [-0.08, 0.05, 0, 0, 0]},
+ "right": {"matrix": [[3200, 0, 640], [0, 3200, 512], [0, 0, 1]], "distortion": [-0.08, 0.05, 0, 0, 0]},
+ "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation": [-0.15, 0, 0],
+ "reprojection_rms": 0.05, "covariance": null}"""
+
+
+def rig(covariance: np.ndarray | None) -> StereoRig:
+    matrix = np.array([[3201.123456789, 0, 639.5], [0, 3199.87654321, 511.25], [0, 0, 1]])
+    left = Camera(matrix, np.array([-0.08, 0.05, 1e-4, -2e-4, 0.3]), np.array([1280, 1024]))
+    right = Camera(matrix + np.diag([1 / 3, 1 / 7, 0]), np.zeros(5), np.array([1280, 1024]))
+    pose = RigidTransform.from_pose(np.array([-0.15, 1 / 3e3, 0.02, 0.01, 0.34, -0.005]))
+    return StereoRig(left, right, pose, covariance)
+
+
+def full_covariance() -> np.ndarray:
+    root = np.random.default_rng(0).normal(size=(24, 24)) * np.logspace(-6, 0, 24)[:, None]
+    covariance = root @ root.T
+    return (covariance + covariance.T) / 2
+
+
+def changed(tmp_path: Path, **changes: Any) -> Path:
+    path = tmp_path / "top.json"
+    path.write_text(json.dumps(json.loads(EXAMPLE) | changes))
+    return path
+
+
+def test_the_formats_example_is_read(tmp_path):
+    path = tmp_path / "top.json"
+    path.write_text(EXAMPLE)
+    found = read_calibration(path)
+    np.testing.assert_array_equal(found.left.size_px, [1280, 1024])
+    np.testing.assert_array_equal(found.right.distortion, [-0.08, 0.05, 0, 0, 0])
+    np.testing.assert_array_equal(found.right_from_left.translation_m, [-0.15, 0, 0])
+    assert found.covariance is None
+
+
+@pytest.mark.parametrize("covariance", [None, full_covariance()], ids=["without", "with"])
+def test_what_is_written_comes_back(tmp_path, covariance):
+    path = tmp_path / "top.json"
+    write_calibration(path, rig(covariance), 0.0421)
+    found, expected = read_calibration(path), rig(covariance)
+    for side in ("left", "right"):
+        np.testing.assert_array_equal(getattr(found, side).parameters, getattr(expected, side).parameters)
+    np.testing.assert_allclose(found.right_from_left.rotation, expected.right_from_left.rotation, atol=1e-15)
+    np.testing.assert_array_equal(found.right_from_left.translation_m, expected.right_from_left.translation_m)
+    if covariance is None:
+        assert found.covariance is None
+    else:
+        np.testing.assert_array_equal(found.covariance, covariance)
+    assert json.loads(path.read_text())["reprojection_rms"] == 0.0421
+    assert [entry.name for entry in tmp_path.iterdir()] == ["top.json"]
+
+
+def test_parameters_left_out_of_the_covariance_have_none(tmp_path):
+    names = ["translation.x", "left.fx"]
+    block = {"parameters": names, "matrix": [[4e-10, 1e-6], [1e-6, 0.25]]}
+    covariance = read_calibration(changed(tmp_path, covariance=block)).covariance
+    x, fx = (RIG_PARAMETERS.index(name) for name in names)
+    expected = np.zeros((24, 24))
+    expected[x, x], expected[fx, fx], expected[x, fx], expected[fx, x] = 4e-10, 0.25, 1e-6, 1e-6
+    np.testing.assert_array_equal(covariance, expected)
+
+
+def test_a_rotation_of_few_digits_is_made_exact(tmp_path):
+    angle = 0.3
+    rotation = np.round([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]], 7)
+    found = read_calibration(changed(tmp_path, rotation=rotation.tolist())).right_from_left.rotation
+    np.testing.assert_allclose(found.T @ found, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(found, rotation, atol=1e-7)
+
+
+CAMERA = json.loads(EXAMPLE)["left"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 1e-5, 1]]}, "rotation: expected an orthonormal"),
+        ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "rotation: .*reflection"),
+        ({"rotation": [[1, 0], [0, 1]]}, r"rotation: expected an array of shape \(3, 3\)"),
+        ({"rotation": [[1, 0, 0], [0, 1], [0, 0, 1]]}, "rotation: expected rows of one length"),
+        ({"translation": [0.1, 0.2]}, "translation: expected an array"),
+        ({"translation": [0.1, "0.2", 0]}, "translation: expected numbers, found '0.2'"),
+        ({"translation": [0.1, True, 0]}, "translation: expected numbers, found True"),
+        ({"translation": [0.1, float("nan"), 0]}, "translation: expected finite"),
+        ({"format": 2}, "format: expected 1, found 2"),
+        ({"image_size": [1280.5, 1024]}, "image_size: expected two whole"),
+        ({"image_size": [0, 1024]}, "image_size: expected two whole"),
+        ({"units": "mm"}, "units: unknown key"),
+        ({"left": CAMERA | {"skew": 0}}, "left.skew: unknown key"),
+        ({"left": {"matrix": CAMERA["matrix"]}}, "left.distortion: missing key"),
+        ({"right": CAMERA | {"distortion": [0, 0, 0, 0]}}, "right.distortion: expected an array"),
+        ({"right": CAMERA | {"matrix": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}}, "right.matrix: expected"),
+        ({"right": 3}, "right: expected an object"),
+        ({"reprojection_rms": "good"}, "reprojection_rms: expected numbers"),
+        ({"covariance": [1]}, "covariance: expected an object"),
+        ({"covariance": {"parameters": [], "matrix": []}}, "covariance.parameters: expected a list"),
+        ({"covariance": {"parameters": ["left.f"], "matrix": [[1]]}}, "covariance.parameters: .* found 'left.f'"),
+        ({"covariance": {"parameters": ["left.fx"] * 2, "matrix": [[1, 0], [0, 1]]}}, "each name once"),
+        ({"covariance": {"parameters": ["left.fx"], "matrix": [[1, 0]]}}, "covariance.matrix: expected an array"),
+        ({"covariance": {"parameters": ["left.fx"], "matrix": [[-1]]}}, "covariance: expected"),
+        ({"covariance": {"parameters": ["left.fx", "left.fy"], "matrix": [[1, 2], [2, 1]]}}, "covariance: expected"),
+    ],
+)
+def test_wrong_content_is_refused_by_file_and_key(tmp_path, changes, message):
+    path = changed(tmp_path, **changes)
+    with pytest.raises(ValueError, match=message) as caught:
+        read_calibration(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+@pytest.mark.parametrize("key", list(json.loads(EXAMPLE)))
+def test_every_key_is_required(tmp_path, key):
+    content = {other: value for other, value in json.loads(EXAMPLE).items() if other != key}
+    (tmp_path / "top.json").write_text(json.dumps(content))
+    refused(f"top.json: {key}: missing key", read_calibration, tmp_path / "top.json")
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1, 2]", '{"format": 1, "format": 1}', "\x80"])
+def test_what_is_no_calibration_text_is_refused_by_file(tmp_path, text):
+    (tmp_path / "top.json").write_bytes(text.encode("latin-1"))
+    refused(r"top\.json: ", read_calibration, tmp_path / "top.json")
+
+
+def test_cameras_of_two_sizes_cannot_be_written_and_an_absent_file_not_read(tmp_path):
+    refused(r"absent\.json", read_calibration, tmp_path / "absent.json", error=OSError)
+    one = rig(None)
+    other = Camera(one.right.matrix, one.right.distortion, np.array([640, 512]))
+    with pytest.raises(ValueError, match="images of one size"):
+        write_calibration(tmp_path / "top.json", StereoRig(one.left, other, one.right_from_left))
+    assert not list(tmp_path.iterdir())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -89,7 +88,15 @@ def _text(check: EpipolarCheck) -> str:
     return " | ".join(notice.text for notice in check.notices)
 
 
-def test_residual_is_the_distance_from_opencvs_epipolar_line() -> None:
+RIG, SCENE = _rig(), _scene()
+
+
+def _checked(rigs: list[StereoRig], **options: float) -> EpipolarCheck:
+    """The check of the moving body, by the rig as calibrated, of what the rigs of every frame see."""
+    return check_epipolar(_tracks(SCENE, rigs, **options), RIG)
+
+
+def test_residual_is_the_distance_from_opencvs_epipolar_line():
     rig, rng = _rig(), np.random.default_rng(3)
     left, right = rig.project(rng.uniform([-0.1, -0.1, 0.7], [0.1, 0.1, 0.9], (50, 3)))
     right = right + rng.normal(0.0, 2.0, right.shape)
@@ -103,7 +110,7 @@ def test_residual_is_the_distance_from_opencvs_epipolar_line() -> None:
     np.testing.assert_allclose(np.abs(found), np.abs(expected), atol=1e-4)
 
 
-def test_derivatives_are_those_of_the_residual() -> None:
+def test_derivatives_are_those_of_the_residual():
     rig = replace(_rig(None), left=replace(_rig().left, distortion=np.zeros(5)))
     rig = replace(rig, right=replace(rig.right, distortion=np.zeros(5)))
     left, right = rig.project(np.random.default_rng(1).uniform([-0.1, -0.1, 0.7], [0.1, 0.1, 0.9], (20, 3)))
@@ -117,7 +124,7 @@ def test_derivatives_are_those_of_the_residual() -> None:
         np.testing.assert_allclose(by_right[:, axis], numeric_right / 2e-3, atol=1e-6)
 
 
-def test_course_has_the_stated_noise() -> None:
+def test_course_has_the_stated_noise():
     rig, scene = _rig(), _scene(200)
     check = check_epipolar(_tracks(scene, [rig] * 200), rig)
     scatter = check.course_px[1:].std(axis=0, ddof=1)
@@ -125,7 +132,7 @@ def test_course_has_the_stated_noise() -> None:
     assert check.notices == ()
 
 
-def test_no_alarm_without_cause() -> None:
+def test_no_alarm_without_cause():
     """60 recordings, each with a rig drawn from the calibration's covariance: mean residuals of 0.05 px are normal."""
     nominal, scene = _rig(), _scene(24)
     sigma = np.sqrt(np.diagonal(nominal.covariance))
@@ -142,22 +149,21 @@ def test_no_alarm_without_cause() -> None:
 
 @pytest.mark.parametrize(("axis", "name"), [(0, "x axis"), (2, "optical axis")])
 @pytest.mark.parametrize("angle_rad", [5e-4, -1e-3])
-def test_a_turned_camera_is_told_with_its_angle(axis: int, name: str, angle_rad: float) -> None:
-    rig, scene = _rig(), _scene()
-    text = _text(check_epipolar(_tracks(scene, [_turned(rig, axis, angle_rad)] * FRAMES), rig))
+def test_a_turned_camera_is_told_with_its_angle(axis, name, angle_rad):
+    text = _text(_checked([_turned(RIG, axis, angle_rad)] * FRAMES))
     assert text.startswith("the cameras no longer are what was calibrated: the epipolar residual is ")
     assert "the calibration explains 0." in text
     found = float(text.split(f" mrad about its {name}")[0].rpartition(" ")[2])
     assert found == pytest.approx(1e3 * angle_rad, abs=0.03)
 
 
-def test_a_turn_across_the_plane_of_sight_is_not_seen() -> None:
-    """It shifts points along their epipolar lines, which nothing in the pictures reveals: a limit, not a feature."""
-    rig, scene = _rig(), _scene()
-    assert check_epipolar(_tracks(scene, [_turned(rig, 1, 5e-4)] * FRAMES), rig).notices == ()
+def test_a_turn_across_the_plane_of_sight_and_a_few_millipixels_are_not_told():
+    """The turn shifts points along their epipolar lines, which nothing in the pictures reveals: no feature, a limit."""
+    assert _checked([_turned(RIG, 1, 5e-4)] * FRAMES).notices == ()
+    assert _checked([RIG] * 20 + [_turned(RIG, 0, 0.003 / 3200)] * 20, noise_px=1e-3).notices == ()
 
 
-def test_without_a_covariance_a_tenth_of_a_pixel_is_trusted() -> None:
+def test_without_a_covariance_a_tenth_of_a_pixel_is_trusted():
     rig, scene = _rig(None), _scene()
     small = _tracks(scene, [_turned(rig, 0, 0.08 / 3200)] * FRAMES)
     large = _tracks(scene, [_turned(rig, 0, 0.12 / 3200)] * FRAMES)
@@ -167,71 +173,54 @@ def test_without_a_covariance_a_tenth_of_a_pixel_is_trusted() -> None:
 
 
 @pytest.mark.parametrize("frame", [2, 17, 38])
-def test_a_jump_is_told_with_its_frame_and_size(frame: int) -> None:
-    rig, scene = _rig(), _scene()
-    moved = _turned(rig, 0, 0.02 / 3200)
-    text = _text(check_epipolar(_tracks(scene, [rig] * frame + [moved] * (FRAMES - frame)), rig))
+def test_a_jump_is_told_with_its_frame_and_size(frame):
+    moved = _turned(RIG, 0, 0.02 / 3200)
+    text = _text(_checked([RIG] * frame + [moved] * (FRAMES - frame)))
     assert f"a camera moved during the recording, before frame {frame} (counted from 0)" in text
     assert float(text.split("changes by ")[1].split(" px")[0]) == pytest.approx(0.02, abs=0.005)
 
 
-def test_a_turn_about_the_axis_that_keeps_the_mean_is_found_by_its_slope() -> None:
-    rig, scene = _rig(), _scene()
-    about = _turned(rig, 2, 1e-4)
-    tracks = _tracks(scene, [rig] * 20 + [about] * 20)
-    check = check_epipolar(tracks, rig)
+def test_a_turn_about_the_axis_that_keeps_the_mean_is_found_by_its_slope():
+    about = _turned(RIG, 2, 1e-4)
+    check = _checked([RIG] * 20 + [about] * 20)
     step = check.course_px[20:].mean(axis=0) - check.course_px[:20].mean(axis=0)
     assert abs(step[1]) > MOVED_PX
     assert "before frame 20" in _text(check)
 
 
-def test_a_drift_is_told_as_a_drift() -> None:
-    rig, scene = _rig(), _scene()
-    rigs = [_turned(rig, 0, 0.03 / 3200 * frame / FRAMES) for frame in range(FRAMES)]
-    text = _text(check_epipolar(_tracks(scene, rigs), rig))
+def test_a_drift_is_told_as_a_drift():
+    rigs = [_turned(RIG, 0, 0.03 / 3200 * frame / FRAMES) for frame in range(FRAMES)]
+    text = _text(_checked(rigs))
     assert "a camera drifts during the recording" in text
     assert float(text.split("changes by ")[1].split(" px")[0]) == pytest.approx(0.03, abs=0.005)
 
 
-def test_a_change_of_a_few_millipixels_is_no_news() -> None:
-    rig, scene = _rig(), _scene()
-    moved = _turned(rig, 0, 0.003 / 3200)
-    assert check_epipolar(_tracks(scene, [rig] * 20 + [moved] * 20, noise_px=1e-3), rig).notices == ()
-
-
-def test_a_body_that_goes_far_shows_the_lens_and_no_moving_camera() -> None:
-    rig, scene = _rig(), _scene()
-    far = _Scene(scene.points_m, np.linspace(-0.04, 0.04, FRAMES)[:, None] * np.array([1.0, 0.3, 0.0]))
+def test_a_body_that_goes_far_shows_the_lens_and_no_moving_camera():
+    far = _Scene(SCENE.points_m, np.linspace(-0.04, 0.04, FRAMES)[:, None] * np.array([1.0, 0.3, 0.0]))
     bent = np.zeros(24)
     bent[4], bent[13] = 0.007, -0.007  # k1 of both lenses: 0.1 px at the edge of the picture
-    check = check_epipolar(_tracks(far, [rig.perturbed(bent)] * FRAMES), _rig(None))
+    check = check_epipolar(_tracks(far, [RIG.perturbed(bent)] * FRAMES), _rig(None))
     assert np.ptp(check.course_px[:, 0]) > 2 * MOVED_PX
     assert check.notices == ()
 
 
-def test_missing_points_and_outliers_do_not_disturb() -> None:
-    rig, scene = _rig(), _scene()
-    tracks = _tracks(scene, [rig] * FRAMES)
+def test_missing_points_and_outliers_do_not_disturb_and_too_few_say_nothing():
+    tracks = _tracks(SCENE, [RIG] * FRAMES)
     position = tracks.right.position_px.copy()
     position[:, 3] += 1.5  # a wrong match, constant in time
     position[10:, 20:60] = np.nan
     position[25] = np.nan
-    check = check_epipolar(replace(tracks, right=replace(tracks.right, position_px=position)), rig)
+    check = check_epipolar(replace(tracks, right=replace(tracks.right, position_px=position)), RIG)
     assert check.notices == ()
     assert np.isnan(check.residual_px[3])
     assert np.isnan(check.course_px[25]).all()
     assert np.isfinite(np.delete(check.course_px, 25, axis=0)).all()
+    few = check_epipolar(_tracks(_Scene(SCENE.points_m[:5], SCENE.displacement_m), [RIG] * FRAMES), RIG)
+    assert few.notices == ()
+    assert np.isnan(few.mean_px).all()
 
 
-def test_too_few_points_say_nothing() -> None:
-    rig, scene = _rig(), _scene()
-    few = _Scene(scene.points_m[:5], scene.displacement_m)
-    check = check_epipolar(_tracks(few, [rig] * FRAMES), rig)
-    assert check.notices == ()
-    assert np.isnan(check.mean_px).all()
-
-
-def test_a_real_pair_at_fifteen_places_of_a_stage(data_dir: Path) -> None:
+def test_a_real_pair_at_fifteen_places_of_a_stage(data_dir):
     """The published calibration has no uncertainties and is 0.12 px off; the cameras stood still meanwhile."""
     folder = data_dir / "duodic_rigid"
     points = np.load(folder / "matched_points.npz")
