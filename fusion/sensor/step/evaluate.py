@@ -148,11 +148,9 @@ def evaluate_steps(
     if all(result.pooled is None for result in components):
         why = next(notice for notice in notices if notice.severity == "warning")
         raise ComputeError(f"no model was found of any output ({why.where}: {why.text}); see docs/steps.md, limits")
-    rig = manifests[0].rig
     return StepEvaluation(
         name=name,
-        rig=rig.name,
-        sensor=rig.sensor,
+        rig=manifests[0].rig,
         components=tuple(components),
         notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_settings(),
@@ -166,7 +164,6 @@ def _read(manifests: Sequence[Manifest], settings: StepSettings) -> tuple[dict[s
     """Releases of one rig by component; those of one component must drive the same output."""
     first_rig, releases, notices = manifests[0].rig_path, defaultdict[str, list[Release]](list), list[Notice]()
     for manifest in manifests:
-        manifest.check_command("step")
         if manifest.rig_path.resolve() != first_rig.resolve():
             expected = f"{first_rig}, the rig of {manifests[0].folder.name}"
             raise InputError(manifest.path, "rig", found=str(manifest.rig_path), expected=expected)

@@ -12,7 +12,7 @@ import numpy as np
 from fusion.base import InputError
 from fusion.estimation.uncertainty import NamedQuantity, Quantity
 from fusion.recording.load import Manifest
-from fusion.recording.manifest import Sensor
+from fusion.recording.manifest import Rig
 from fusion.sensor.models_file import ModelEntry
 from fusion.sensor.step.records import Pooled, StepSettings, effective_dof, output_entries, read_step
 from shaker.arrays import FloatArray, Notice
@@ -152,8 +152,7 @@ class StepEvaluation:
     """All releases of one sensor, one result per load component, notices and origin."""
 
     name: str
-    rig: str
-    sensor: Sensor | None
+    rig: Rig
     components: tuple[ComponentResult, ...]
     notices: tuple[Notice, ...]
     settings: dict[str, str | float | int]

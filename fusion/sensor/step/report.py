@@ -18,7 +18,17 @@ from fusion.recording.load import load_for_command
 from fusion.report.csv_files import quantity_columns
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.numbers import capital, degrees_of_freedom, factor, measured, number, plain, short, signed
+from fusion.report.numbers import (
+    capital,
+    degrees_of_freedom,
+    factor,
+    measured,
+    number,
+    plain,
+    short,
+    signed,
+    subject_of,
+)
 from fusion.report.style import power_text
 from fusion.report.table import Column, Headline, Table, csv_text, on_page, table, word
 from fusion.sensor.models_file import MODELS_FILE, ModelsFile, models_text
@@ -193,14 +203,15 @@ def texts(evaluation: StepEvaluation) -> dict[str, str | bytes]:
         parameters += [Number(c.component, c.channel, one.name, one, c.used) for one in c.parameters]
         indices += [Number(c.component, c.channel, one.name, one, c.used) for one in c.figures]
         indices += [Number(c.component, gain.channel, "read_static_gain", gain, names) for gain in c.gains]
-    sensor = ("", "") if evaluation.sensor is None else (evaluation.sensor.name, evaluation.sensor.serial)
+    sensor = evaluation.rig.sensor
+    named = ("", "") if sensor is None else (sensor.name, sensor.serial)
     entries = tuple(component.entry for component in components if component.entry is not None)
     return {
         "releases.csv": csv_text(RELEASES, outputs),
         "models.csv": csv_text(NUMBERS, parameters),
         "indices.csv": csv_text(NUMBERS, indices),
         "methods.csv": csv_text(BY_METHOD, (ByMethod(c, row) for c in components for row in c.methods)),
-        MODELS_FILE: models_text(ModelsFile(evaluation.name, *sensor, entries)),
+        MODELS_FILE: models_text(ModelsFile(evaluation.name, *named, entries)),
     }
 
 
@@ -271,11 +282,10 @@ PRINTED = {
 
 def page_context(evaluation: StepEvaluation) -> dict[str, Any]:
     """Return what the page shows; methods where more than one was asked for."""
-    compared, components, sensor = evaluation.settings["method"] == "all", evaluation.components, evaluation.sensor
+    compared, components = evaluation.settings["method"] == "all", evaluation.components
     count, names = sum(len(c.releases) for c in components), ", ".join(c.component for c in components)
-    named = [] if sensor is None else [("Sensor", f"{sensor.name} {sensor.serial}".strip())]
     return {
-        "subject": [("Rig", evaluation.rig), *named, ("Recordings", f"{count} of {names}")],
+        "subject": [*subject_of(evaluation.rig), ("Recordings", f"{count} of {names}")],
         "headlines": headlines(evaluation),
         "summary": summary_table(evaluation),
         "components": [
