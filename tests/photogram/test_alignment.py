@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from alignment_factory import BODY_M, NOISE, TARGET, World, displaced, make_world, off, shaken, target_pose, turned
+from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
@@ -64,20 +65,25 @@ def poses(world: World) -> list[Evidence]:
         found.append(
             KnownPoses(
                 (name,) * count,
-                tuple(pose for pose, _, _ in seen),
-                np.array([covariance for _, covariance, _ in seen]),
-                (displaced_in_place(true, u * rng.normal(size=6)),) * count,
+                *stacked(seen)[:2],
+                (displaced_pose(true.rotation, true.translation_m, u * rng.normal(size=6)),) * count,
                 np.zeros((count, 6, 6)),
-                np.stack([effects for _, _, effects in seen], axis=1),
+                stacked(seen)[2],
                 {name: np.repeat(np.diag(u)[:, None], count, axis=1)},
             )
         )
     return found
 
 
-def displaced_in_place(pose: RigidTransform, step: np.ndarray) -> RigidTransform:
-    """A pose moved by a step, turned about the body's own origin."""
-    return RigidTransform(rotation_from_vector(step[3:]) @ pose.rotation, pose.translation_m + step[:3])
+def stacked(seen: list[tuple]) -> tuple[tuple[RigidTransform, ...], np.ndarray, np.ndarray]:
+    """Poses, their covariances (V, 6, 6) and the calibration's effects on them (P, V, 6)."""
+    poses, covariances, effects = zip(*seen, strict=True)
+    return poses, np.array(covariances), np.stack(effects, axis=1)
+
+
+def displaced_pose(turn: np.ndarray, shift: np.ndarray, step: np.ndarray) -> RigidTransform:
+    """A pose moved by a step (6,), turned about the body's own origin."""
+    return RigidTransform(rotation_from_vector(step[3:]) @ turn, shift + step[:3])
 
 
 def datum_points(world: World) -> list[Evidence]:
@@ -104,15 +110,17 @@ def other_pair(world: World) -> list[Evidence]:
     if not own:
         return other_pair(world)
     names = tuple(f"common view {number}" for number in range(len(own)))
+    poses, covariances, effects = stacked(own)
+    others, covariances_of_others, effects_on_others = stacked(known)
     return [
         KnownPoses(
             names,
-            tuple(pose for pose, _, _ in own),
-            np.array([covariance for _, covariance, _ in own]),
-            tuple(placed @ pose for pose, _, _ in known),
-            np.array([turn @ covariance @ turn.T for _, covariance, _ in known]),
-            np.stack([effects for _, _, effects in own], axis=1),
-            {"calibration of the other": np.stack([effects @ turn.T for _, _, effects in known], axis=1)},
+            poses,
+            covariances,
+            tuple(placed @ pose for pose in others),
+            turn @ covariances_of_others @ turn.T,
+            effects,
+            {"calibration of the other": effects_on_others @ turn.T},
             StatedFrame("pose of the other", u),
         )
     ]
@@ -128,7 +136,7 @@ KINDS: dict[str, Callable[[World], list[Evidence]]] = {
 }
 
 
-def test_without_errors_the_pose_is_exact() -> None:
+def test_without_errors_the_pose_is_exact():
     world = make_world(3)
     seen = world.sensor_from_camera.inverse()
     true = BODY_M + np.random.default_rng(0).uniform(-0.05, 0.05, (5, 3))
@@ -139,7 +147,7 @@ def test_without_errors_the_pose_is_exact() -> None:
     assert (found.dof, found.enlargement, found.notices) == (9, 1.0, ())
 
 
-def test_effects_on_a_target_pose_are_those_of_the_perturbed_rig() -> None:
+def test_effects_on_a_target_pose_are_those_of_the_perturbed_rig():
     world = make_world(4)
     steps = calibration_steps(world.rig)
     views = world.view(world.sensor_from_camera @ target_pose(world.rng, 0.3), U_PX)
@@ -153,7 +161,7 @@ def test_effects_on_a_target_pose_are_those_of_the_perturbed_rig() -> None:
 
 @settings(max_examples=3, deadline=None)
 @given(st.integers(0, 1000), st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6))
-def test_another_sensor_frame_moves_the_pose_and_turns_its_covariance(seed: int, moved: list[float]) -> None:
+def test_another_sensor_frame_moves_the_pose_and_turns_its_covariance(seed, moved):
     world = make_world(5)
     known = points(world)
     other_from_sensor = RigidTransform.from_pose(np.array(moved))
@@ -171,24 +179,17 @@ def test_another_sensor_frame_moves_the_pose_and_turns_its_covariance(seed: int,
     assert second.chi2 == pytest.approx(first.chi2, rel=1e-6)
 
 
-def test_two_points_leave_the_turn_about_their_line_open() -> None:
+def test_two_points_leave_the_turn_about_their_line_open():
     world = make_world(6)
     known = points(world, 3)
-    first = KnownPoints(
-        known.names[:2],
-        known.camera_m[:2],
-        known.camera_covariance_m2[:2],
-        known.sensor_m[:2],
-        known.sensor_covariance_m2[:2],
-        known.calibration[:, :2],
-    )
+    points_of = (known.camera_m, known.camera_covariance_m2, known.sensor_m, known.sensor_covariance_m2)
+    first = KnownPoints(known.names[:2], *(array[:2] for array in points_of), known.calibration[:, :2])
     with pytest.raises(OpenPose, match=r"^rotation about .* is open: add three points or faces"):
         align([first], world.sensor_from_camera)
-    with pytest.raises(ValueError, match="expected a first pose"):
-        align([first])
+    refused("expected a first pose", align, [first])
 
 
-def test_parallel_faces_leave_three_components_open() -> None:
+def test_parallel_faces_leave_three_components_open():
     world = make_world(7)
     first = faces(world)[0]
     with pytest.raises(OpenPose) as caught:
@@ -196,7 +197,7 @@ def test_parallel_faces_leave_three_components_open() -> None:
     assert [name.split()[0] for name in caught.value.components] == ["rotation", "position"]
 
 
-def test_one_wrong_point_is_named_and_enlarges_the_uncertainty() -> None:
+def test_one_wrong_point_is_named_and_enlarges_the_uncertainty():
     world = make_world(8)
     known = points(world)
     wrong = known.sensor_m.copy()
@@ -210,7 +211,7 @@ def test_one_wrong_point_is_named_and_enlarges_the_uncertainty() -> None:
     assert (bad.u > 2 * good.u).all()
 
 
-def test_a_face_stated_at_the_wrong_height_is_named() -> None:
+def test_a_face_stated_at_the_wrong_height_is_named():
     world = make_world(9)
     known = [points(world), *faces(world)]
     wrong = known[2]
@@ -218,16 +219,15 @@ def test_a_face_stated_at_the_wrong_height_is_named() -> None:
     assert align(known).notices[0].where == "face 1"
 
 
-def test_a_calibration_taken_for_exact_is_less_uncertain() -> None:
+def test_a_calibration_taken_for_exact_is_less_uncertain():
     found = align([points(make_world(10))])
     difference = found.covariance - found.held_covariance
     assert np.linalg.eigvalsh(difference).min() > -1e-9 * np.trace(difference)
     assert np.trace(difference) > 0
 
 
-def test_wrong_calls_say_what_was_expected() -> None:
-    with pytest.raises(ValueError, match="u: expected an array of shape"):
-        StatedFrame("datum", np.zeros(3))
+def test_wrong_calls_say_what_was_expected():
+    refused("u: expected an array of shape", StatedFrame, "datum", np.zeros(3))
     with pytest.raises(ValueError, match="normal: expected a unit vector"):
         KnownFace("f", np.zeros((3, 3)), np.zeros((3, 3, 3)), np.zeros(3), np.ones(3), np.zeros((0, 3, 3)))
     camera = np.array([[0.0, 0, 1], [np.nan, 0, 1]])
@@ -266,8 +266,9 @@ def everything(world: World) -> list[Evidence]:
     return [*directions(world), *axes(world)]
 
 
-def rough(world: World, u: np.ndarray) -> KnownPoses:
+def rough(world: World) -> KnownPoses:
     """A pose known before, wrong by what it states."""
+    u = np.repeat([1e-3, 5e-3], 3)
     stated = displaced(world.sensor_from_camera, -u * world.rng.normal(size=6))
     moved = np.eye(6)
     moved[:3] = displacement_jacobian(stated.translation_m)
@@ -279,10 +280,7 @@ def rough(world: World, u: np.ndarray) -> KnownPoses:
 MOTION_KINDS: dict[str, Callable[[World], list[Evidence]]] = {
     "all": everything,
     "axes": axes,
-    "directions, and a position known before": lambda world: [
-        *directions(world),
-        rough(world, np.array([1e-3] * 3 + [5e-3] * 3)),
-    ],
+    "directions, and a position known before": lambda world: [*directions(world), rough(world)],
 }
 
 
@@ -307,17 +305,17 @@ def check_rigs(kind: str, cases: int) -> None:
 
 
 @pytest.mark.parametrize("kind", [*KINDS, *MOTION_KINDS])
-def test_a_few_rigs_are_covered_by_their_uncertainty(kind: str) -> None:
+def test_a_few_rigs_are_covered_by_their_uncertainty(kind):
     check_rigs(kind, 2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [*KINDS, *MOTION_KINDS])
-def test_a_hundred_rigs_are_covered_by_their_uncertainty(kind: str) -> None:
+def test_a_hundred_rigs_are_covered_by_their_uncertainty(kind):
     check_rigs(kind, 100)
 
 
-def test_each_motion_leaves_open_what_it_cannot_say() -> None:
+def test_each_motion_leaves_open_what_it_cannot_say_and_needs_a_first_pose():
     world = make_world(2)
     along_z, along_x, about_x, about_y = everything(world)
     truth = world.sensor_from_camera
@@ -333,14 +331,10 @@ def test_each_motion_leaves_open_what_it_cannot_say() -> None:
         assert caught.value.components == tuple(components.split("|"))
         assert ("a motion in another direction" in str(caught.value)) == ("rotation" in components)
     assert align([about_x, about_y], truth).u[:3].max() < 1e-4
+    refused("start: expected a first pose", align, [along_z, along_x, about_x, about_y])
 
 
-def test_motion_alone_does_not_start_the_search() -> None:
-    with pytest.raises(ValueError, match="start: expected a first pose"):
-        align(everything(make_world(2)))
-
-
-def test_a_direction_that_is_wrong_is_named() -> None:
+def test_a_direction_that_is_wrong_is_named():
     world = make_world(3)
     evidence = everything(world)
     elsewhere = shaken(world, rotation_from_vector(np.array([0, 0, 4e-3])) @ X, U_DIRECTION, "along x")
@@ -350,7 +344,7 @@ def test_a_direction_that_is_wrong_is_named() -> None:
     assert found.enlargement > 2
 
 
-def test_the_major_axis_of_an_ellipse_is_the_motion() -> None:
+def test_the_major_axis_of_an_ellipse_is_the_motion():
     direction, minor = np.array([0.6, 0.0, 0.8]), np.array([0.8, 0.0, -0.6])
     phasor = np.concatenate([(2e-4 * direction + 3e-7j * minor) * np.exp(0.7j), np.zeros(3)])
     covariance = np.kron(np.eye(2), np.diag([1e-16] * 3 + [1e-14] * 3))
@@ -369,20 +363,15 @@ def spun(rng: np.random.Generator, reach_rad: float, frames: int) -> tuple[Rigid
     turns = rotation_from_vector(rng.uniform(-0.8, 1, frames)[:, None] * reach_rad * direction)
     root = np.linalg.cholesky(NOISE)
     first = displaced(RigidTransform.identity(), root @ rng.normal(size=6))
-    noisy = [displaced_pose(turn, point, root @ rng.normal(size=6)) @ first for turn in turns]
+    noisy = [displaced_pose(turn, point - turn @ point, root @ rng.normal(size=6)) @ first for turn in turns]
     covariance = np.broadcast_to(NOISE, (frames, 6, 6))
     pose = np.array([frame.pose for frame in noisy])
     return RigidMotion(pose, covariance, np.zeros(frames), np.full(frames, 9), np.zeros(3)), point, direction
 
 
-def displaced_pose(turn: np.ndarray, point: np.ndarray, step: np.ndarray) -> RigidTransform:
-    """The pose of a frame, with noise of its translation and its rotation."""
-    return RigidTransform(rotation_from_vector(step[3:]) @ turn, point - turn @ point + step[:3])
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("reach_rad", [2e-3, 0.08])
-def test_an_axis_is_covered_by_its_covariance(reach_rad: float) -> None:
+def test_an_axis_is_covered_by_its_covariance(reach_rad):
     rng = np.random.default_rng(1)
     whitened, reduced = [], []
     for _ in range(150):
@@ -397,7 +386,7 @@ def test_an_axis_is_covered_by_its_covariance(reach_rad: float) -> None:
     assert np.mean(reduced) == pytest.approx(1.0, abs=0.06)
 
 
-def test_an_axis_agrees_with_a_general_optimiser_at_any_angle() -> None:
+def test_an_axis_agrees_with_a_general_optimiser_at_any_angle():
     rng = np.random.default_rng(4)
     motion, point, direction = spun(rng, 2.5, 30)
     axis = fit_axis(motion)
@@ -412,7 +401,7 @@ def test_an_axis_agrees_with_a_general_optimiser_at_any_angle() -> None:
     np.testing.assert_allclose(across(direction) @ (axis.line[:3] - point), 0, atol=2e-6)
 
 
-def test_a_wobbling_axis_is_less_certain() -> None:
+def test_a_wobbling_axis_is_less_certain():
     rng = np.random.default_rng(5)
     steady, _, _ = spun(rng, 0.05, 40)
     wobbling = replace(steady, pose=steady.pose + 3e-6 * rng.normal(size=steady.pose.shape))
@@ -421,12 +410,10 @@ def test_a_wobbling_axis_is_less_certain() -> None:
     assert np.trace(second.covariance) > 4 * np.trace(first.covariance)
 
 
-def test_a_body_at_rest_has_no_axis() -> None:
+def test_a_body_at_rest_has_no_axis():
     motion, _, _ = spun(np.random.default_rng(6), 1e-9, 20)
-    with pytest.raises(ValueError, match="expected a body that turns"):
-        fit_axis(motion)
-    with pytest.raises(ValueError, match="expected at least 3 frames"):
-        fit_axis(replace(motion, pose=np.full((20, 6), np.nan)))
+    refused("expected a body that turns", fit_axis, motion)
+    refused("expected at least 3 frames", fit_axis, replace(motion, pose=np.full((20, 6), np.nan)))
 
 
 # What a calibration's errors do to a pose: the derivatives by its parameters against errors that are known.
@@ -446,9 +433,8 @@ def _aligned(rig: StereoRig, steps: np.ndarray, views: Views, placed: RigidTrans
 def _seen(world: World, u_px: float) -> tuple[Views, RigidTransform]:
     """Views of the target at a pose, and that pose as it is stated."""
     placed = world.sensor_from_camera @ target_pose(world.rng, 0.3)
-    turn = rotation_from_vector(U_ROTATION_RAD * world.rng.normal(size=3))
-    shift = U_PLACE_M * world.rng.normal(size=3)
-    return world.view(placed, u_px), RigidTransform(turn @ placed.rotation, placed.translation_m + shift)
+    step = np.repeat([U_PLACE_M, U_ROTATION_RAD], 3) * world.rng.normal(size=6)
+    return world.view(placed, u_px), displaced_pose(placed.rotation, placed.translation_m, step)
 
 
 def _between(start: RigidTransform, end: RigidTransform) -> np.ndarray:
@@ -457,7 +443,7 @@ def _between(start: RigidTransform, end: RigidTransform) -> np.ndarray:
     return np.concatenate([end.translation_m - turn @ start.translation_m, vector_from_rotation(turn)])
 
 
-def test_another_calibration_moves_the_pose_as_its_derivatives_say() -> None:
+def test_another_calibration_moves_the_pose_as_its_derivatives_say():
     world = make_world(3)
     steps = calibration_steps(world.rig)
     views, placed = _seen(world, 0.01)
@@ -473,7 +459,7 @@ def test_another_calibration_moves_the_pose_as_its_derivatives_say() -> None:
 
 
 @pytest.mark.slow
-def test_a_pose_moved_with_the_true_calibration_scatters_as_with_an_exact_one() -> None:
+def test_a_pose_moved_with_the_true_calibration_scatters_as_with_an_exact_one():
     whitened = []
     for seed in range(80):
         world = make_world(seed)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import doctest
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from contracts import refused
 
 import photogram
 from photogram import Camera, RigidTransform
@@ -44,11 +44,10 @@ def test_an_unknown_name_is_refused_and_known_ones_are_listed():
 @pytest.mark.parametrize(
     "reader", ["open_sequence", "read_picture", "read_calibration", "import_calibration", "read_point_tables"]
 )
-def test_readers_take_texts_as_paths(reader, tmp_path: Path):
+def test_readers_take_texts_as_paths(reader, tmp_path):
     read, path = getattr(photogram, reader), str(tmp_path / "missing.png")
     arguments = {"open_sequence": ([path],), "read_point_tables": ([path], ("x", "y", "z"))}.get(reader, (path,))
-    with pytest.raises(FileNotFoundError, match="missing"):
-        read(*arguments)
+    refused("missing", read, *arguments, error=FileNotFoundError)
 
 
 def test_results_print_in_one_line_with_sizes():
