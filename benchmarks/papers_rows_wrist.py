@@ -11,7 +11,7 @@ from papers_rows import EXPLAINED, HOLDS, NOT, OPEN, ROUNDED, WRONG, Row
 from published_formulas import rounding_range, supported_deflection
 from scipy.optimize import brentq
 
-from fusion.sensor.elastomer.evaluate import Column, spread
+from fusion.sensor.elastomer.evaluate import ComparedColumn, spread
 from shaker.compensation.filter import band_ratio, single_mode
 from shaker.elastomer.frame import platform_family
 from shaker.elastomer.geometry import PublishedStatics, beam_stiffness, guided_stiffness
@@ -142,7 +142,8 @@ def _platforms() -> str:
 def differences() -> list[float]:
     """Return (max - min)/max of the four models of Table 6, by component."""
     columns = [
-        Column(name, "stated", np.array([*hertz, np.nan, np.nan]), np.zeros(6)) for name, hertz in paper.MODELS.items()
+        ComparedColumn(name, "stated", np.array([*hertz, np.nan, np.nan]), np.zeros(6))
+        for name, hertz in paper.MODELS.items()
     ]
     return [float(value) for value in spread(columns)[:4]]
 

@@ -22,7 +22,7 @@ from fusion.cli import main
 from fusion.recording.values import _models_in
 from fusion.sensor.elastomer.definition import ElementFile, read_definition
 from fusion.sensor.elastomer.evaluate import (
-    Column,
+    ComparedColumn,
     ElementEvaluation,
     dominant,
     evaluate_element,
@@ -192,7 +192,7 @@ def test_spread_is_that_of_the_published_table():
     for name, values in table.items():
         frequency = np.full(6, np.nan)
         frequency[[0, 2, 4, 5]] = values
-        columns.append(Column(name, "stated", frequency, np.zeros(6)))
+        columns.append(ComparedColumn(name, "stated", frequency, np.zeros(6)))
     found = 100.0 * spread(columns)
     assert found[[0, 2, 4, 5]] == pytest.approx([4.53, 2.57, 5.65, 3.97], abs=0.006)
     assert np.isnan(found[[1, 3]]).all()

@@ -125,8 +125,14 @@ def evaluate_decoupling(
     inputs = _read(manifests)
     fit = _fitted(manifests, inputs)
     target = _target(fit, settings)
-    decoupler = _designed(fit, target)
-    frequency_hz = _lines(fit, target)
+    try:
+        decoupler = design_decoupling(fit.model, target, Recorded(fit.sample_rate_hz, fit.noise, fit.amplitude))
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise ComputeError(f"no filter was found: {error}") from error
+    modes_hz = fit.model.frequency_hz
+    highest = max(float(modes_hz.max()), float(target.frequency_hz.max()))
+    spaced = np.geomspace(float(modes_hz.min()) / 100.0, min(FARTHEST * highest, 0.45 * fit.sample_rate_hz), LINES)
+    frequency_hz = np.unique(np.concatenate([spaced, modes_hz]))
     stages = crosstalks(fit.model, decoupler, fit.noise, frequency_hz, np.random.default_rng(settings.seed), DRAWS)
     capacity = _capacity(manifests[0], fit.model.components)
     deviation = _deviation(decoupler, stages[-1], capacity)
@@ -167,20 +173,15 @@ def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
             if found != expected:
                 told = f"{expected} as in {first.folder.name}"
                 raise InputError(item.manifest.path, f"daq.channel ({key})", found=str(found), expected=told)
-    missing = missing_loads(record.channels, [item.record.component for item in inputs], _static(first))
+    stated = None if first.rig.sensor is None else first.rig.sensor.static_sensitivity
+    static = None if stated is None else np.asarray(stated, dtype=np.float64)
+    released = list(dict.fromkeys(item.record.component for item in inputs))
+    missing = missing_loads(record.channels, released, static)
     if missing:
         expected = f"a release of every load that the sensor measures; missing: {', '.join(missing)}"
-        found = ", ".join(dict.fromkeys(item.record.component for item in inputs))
-        raise InputError(first.rig_path.parent, "excitation.component", found=found, expected=expected)
+        where = first.rig_path.parent
+        raise InputError(where, "excitation.component", found=", ".join(released), expected=expected)
     return inputs
-
-
-def _static(manifest: Manifest) -> FloatArray | None:
-    """The stated static sensitivities (C, 6), None where there are none."""
-    sensor = manifest.rig.sensor
-    if sensor is None or sensor.static_sensitivity is None:
-        return None
-    return np.asarray(sensor.static_sensitivity, dtype=np.float64)
 
 
 def _fitted(manifests: Sequence[Manifest], inputs: Sequence[StepInput]) -> MultiFit:
@@ -205,23 +206,6 @@ def _target(fit: MultiFit, settings: DecoupleSettings) -> Target:
             f"wanted frequency {wanted:g} Hz: expected below a quarter of the sampling rate, {fit.sample_rate_hz:g} Hz"
         )
     return Target(np.full(count, wanted), np.full(count, settings.damping_ratio))
-
-
-def _designed(fit: MultiFit, target: Target) -> DecouplingFilter:
-    """The filter for the noise of the records and loads of the size of the releases."""
-    try:
-        return design_decoupling(fit.model, target, Recorded(fit.sample_rate_hz, fit.noise, fit.amplitude))
-    except (ValueError, np.linalg.LinAlgError) as error:
-        raise ComputeError(f"no filter was found: {error}") from error
-
-
-def _lines(fit: MultiFit, target: Target) -> FloatArray:
-    """Frequencies in Hz, evenly spaced on a logarithmic scale, and those of the modes."""
-    highest = max(float(fit.model.frequency_hz.max()), float(target.frequency_hz.max()))
-    top = min(FARTHEST * highest, 0.45 * fit.sample_rate_hz)
-    low = float(fit.model.frequency_hz.min()) / 100.0
-    spaced = np.geomspace(low, top, LINES)
-    return np.unique(np.concatenate([spaced, fit.model.frequency_hz]))
 
 
 def _capacity(manifest: Manifest, components: Sequence[str]) -> FloatArray | None:
@@ -278,7 +262,13 @@ RECURSION = (
 
 
 def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
-    """Return the text of decoupling.json."""
+    """Return the text of decoupling.json, with the model and its standard uncertainties where they are known."""
+    names = ("frequency_hz", "damping_ratio", "real_hz", "real_residue")
+    known = {**{name: getattr(model, name).tolist() for name in names}, "residue": _pairs(model.residue)}
+    u: dict[str, Any] = {}
+    if model.covariance is not None:
+        u = {f"u_{name}": getattr(model.u, name).tolist() for name in names[:3]}
+        u |= {"u_residue": _pairs(model.u.residue), "u_real_residue": model.u.real_residue.tolist()}
     content = {
         "format": FORMAT,
         "kind": KIND,
@@ -296,7 +286,7 @@ def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
         "poles": _pairs(decoupler.poles),
         "driven": _pairs(decoupler.driven),
         "shown": _pairs(decoupler.shown),
-        "model": _model(model),
+        "model": {**known, **u},
     }
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
@@ -326,25 +316,8 @@ def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
             target_damping=np.array(content["target"]["damping_ratio"], dtype=np.float64),
         )
     except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
         expected = "a decoupling.json written by shakercal decouple"
         raise InputError(path, "", found=str(error), expected=expected) from error
-
-
-def _model(model: MultiModel) -> dict[str, Any]:
-    """The model with standard uncertainties."""
-    found: dict[str, Any] = {
-        name: getattr(model, name).tolist() for name in ("frequency_hz", "damping_ratio", "real_hz", "real_residue")
-    }
-    found["residue"] = _pairs(model.residue)
-    if model.covariance is not None:
-        found["u_frequency_hz"] = model.u.frequency_hz.tolist()
-        found["u_damping_ratio"] = model.u.damping_ratio.tolist()
-        found["u_real_hz"] = model.u.real_hz.tolist()
-        found["u_residue"] = _pairs(model.u.residue)
-        found["u_real_residue"] = model.u.real_residue.tolist()
-    return found
 
 
 def _pairs(values: NDArray[np.complex128]) -> Any:

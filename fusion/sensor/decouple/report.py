@@ -17,8 +17,18 @@ from fusion.recording.load import load_for_command
 from fusion.report.csv_files import sensitivity_unit
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.numbers import common_exponent, fixed, measured, number, small, times_ten
-from fusion.report.table import Headline, Table, columns_of, csv_text
+from fusion.report.numbers import (
+    capital,
+    common_exponent,
+    fixed,
+    measured,
+    number,
+    signed,
+    small,
+    subject_of,
+    times_ten,
+)
+from fusion.report.table import Column, Headline, Table, columns_of, csv_text, on_page, table
 from fusion.sensor.decouple.evaluate import (
     DecoupleEvaluation,
     DecoupleSettings,
@@ -28,7 +38,8 @@ from fusion.sensor.decouple.evaluate import (
 )
 from fusion.sensor.decouple.figures import STAGE_NAMES, draw_crosstalk, draw_step
 from shaker.arrays import FloatArray
-from shaker.decoupling.filter import Crosstalk
+from shaker.decoupling.fit import ReleaseFit
+from shaker.decoupling.order import Trial
 from shaker.labels import load_unit
 
 
@@ -66,14 +77,13 @@ class CrosstalkRow(NamedTuple):
 def model_rows(evaluation: DecoupleEvaluation) -> Iterator[ModelRow]:
     """Rows of model.csv: poles, ranks, static gains, residues."""
     model, u = evaluation.fit.model, evaluation.fit.model.u
-    poles = (
-        ("frequency_hz", model.frequency_hz, u.frequency_hz, "Hz"),
-        ("damping_ratio", model.damping_ratio, u.damping_ratio, "1"),
-        ("real_hz", model.real_hz, u.real_hz, "Hz"),
-    )
-    for name, values, spreads, unit in poles:
-        for i, (value, spread) in enumerate(zip(values, spreads, strict=True)):
-            yield ModelRow(name, i + 1, "", "", float(value), float(spread), K * float(spread), K, unit)
+
+    def row(name: str, place: int | str, outputs: tuple[str, str], value: Any, spread: Any, unit: str) -> ModelRow:
+        return ModelRow(name, place, *outputs, float(value), float(spread), K * float(spread), K, unit)
+
+    for name, unit in (("frequency_hz", "Hz"), ("damping_ratio", "1"), ("real_hz", "Hz")):
+        for i, (value, spread) in enumerate(zip(getattr(model, name), getattr(u, name), strict=True)):
+            yield row(name, i + 1, ("", ""), value, spread, unit)
     for i, rank in enumerate(evaluation.fit.ranks):
         kind, place = ("rank", i) if i < len(model.frequency_hz) else ("real_rank", i - len(model.frequency_hz))
         yield ModelRow(kind, place + 1, "", "", rank.rank, "", "", "", "1")
@@ -86,13 +96,10 @@ def model_rows(evaluation: DecoupleEvaluation) -> Iterator[ModelRow]:
     for d, component in enumerate(model.components):
         unit = sensitivity_unit(model.unit, component)
         for c, channel in enumerate(model.channels):
-            spread = float(spread_static[c, d])
-            yield ModelRow("static_gain", "", channel, component, float(static[c, d]), spread, K * spread, K, unit)
-            for name, table, spreads in residues:
-                for i, (value, own) in enumerate(zip(table[:, c, d], spreads[:, c, d], strict=True)):
-                    yield ModelRow(
-                        name, i + 1, channel, component, float(value), float(own), K * float(own), K, f"{unit}/s"
-                    )
+            yield row("static_gain", "", (channel, component), static[c, d], spread_static[c, d], unit)
+            for name, residue, spreads in residues:
+                for i, (value, spread) in enumerate(zip(residue[:, c, d], spreads[:, c, d], strict=True)):
+                    yield row(name, i + 1, (channel, component), value, spread, f"{unit}/s")
 
 
 def static_u(evaluation: DecoupleEvaluation) -> FloatArray:
@@ -120,31 +127,26 @@ def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[CrosstalkRow]:
                 yield CrosstalkRow(stage.stage, quantity, frequency, reading, load, *tail)
 
 
-def largest(evaluation: DecoupleEvaluation, stage: Crosstalk) -> tuple[float, float, str]:
-    """Return the cross-talk in a step that may be largest, by value and U, in rated loads, and which it is."""
-    ratio, best = evaluation.scale / evaluation.scale[:, None], (-1.0, 0.0, "")
-    for i, reading in enumerate(stage.components):
-        for j, load in enumerate(stage.components):
-            value = float(stage.peak[i, j] * ratio[i, j])
-            expanded = K * float(stage.u_peak[i, j] * ratio[i, j])
-            if i != j and evaluation.comparable(i, j) and value + expanded > sum(best[:2]):
-                best = (value, expanded, f"{reading} while {load} steps")
-    return best
+def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float, str]]:
+    """Yield for every stage the cross-talk in a step that may be largest, with U in % of rated loads, and which."""
+    ratio = evaluation.scale / evaluation.scale[:, None]
+    for stage in evaluation.stages:
+        value, expanded, which = -1.0, 0.0, ""
+        for (i, reading), (j, load) in product(enumerate(stage.components), repeat=2):
+            size, U = float(stage.peak[i, j] * ratio[i, j]), K * float(stage.u_peak[i, j] * ratio[i, j])
+            if i != j and evaluation.comparable(i, j) and size + U > value + expanded:
+                value, expanded, which = size, U, f"{reading} while {load} steps"
+        if which:
+            yield f"cross-talk in a step, {STAGE_NAMES[stage.stage]}", 100 * value, 100 * expanded, which
 
 
 def headlines(evaluation: DecoupleEvaluation) -> list[Headline]:
     """Return the largest cross-talk at every stage and what the filter makes of the sensor."""
-    found = []
-    for stage in evaluation.stages:
-        value, expanded, which = largest(evaluation, stage)
-        if which:
-            label = f"Cross-talk in a step, {STAGE_NAMES[stage.stage]}"
-            found.append(Headline(label, measured(100 * value, 100 * expanded, "%"), which))
+    told = [Headline(capital(what), measured(value, U, "%"), which) for what, value, U, which in largest(evaluation)]
     target = evaluation.decoupler
     label = f"{target.target_hz[0]:.6g} Hz, ζ = {target.target_damping[0]:g}"
     late = 1e6 * target.delay / target.sample_rate_hz
-    found.append(Headline("Dynamics behind the filter", label, f"{target.delay} samples ({late:.3g} µs) late"))
-    return found
+    return [*told, Headline("Dynamics behind the filter", label, f"{target.delay} samples ({late:.3g} µs) late")]
 
 
 def modes_table(evaluation: DecoupleEvaluation) -> Table:
@@ -204,57 +206,36 @@ def static_table(evaluation: DecoupleEvaluation) -> Table:
     return Table(caption, head, "l" + "r" * value.shape[1], rows)
 
 
-def noise_table(evaluation: DecoupleEvaluation) -> Table:
-    """Return the noise of the loads behind the filter beside that of the static matrix."""
-    rows = tuple(
-        (
-            name,
-            number(float(noise / gain)),
-            number(float(noise)),
-            number(float(gain)),
-            typeset(load_unit(name)),
-        )
-        for name, noise, gain in zip(
-            evaluation.fit.model.components, evaluation.noise, evaluation.noise_gain, strict=True
-        )
-    )
-    head = ("load", "static matrix", "filter", "gain", "unit")
-    return Table("Noise of a sample (standard deviation) by the outputs' noise", head, "lrrrl", rows)
-
-
-def releases_table(evaluation: DecoupleEvaluation) -> Table:
-    """Return what was found of every release."""
-    rows = tuple(
-        (
-            release.record,
-            release.component,
-            release.release or DASH,
-            measured(1e3 * release.middle_s, 1e3 * K * release.u_middle_s),
-            measured(1e3 * release.duration_s, 1e3 * K * release.u_duration_s) if release.duration_s else "step",
-            {"ramp": "line", "smooth": "half a cosine"}[release.shape],
-            measured(100 * (release.gain - 1), 100 * K * release.u_gain),
-            small(float(release.misfit.max())),
-        )
-        for release in evaluation.fit.releases
-    )
-    head = ("recording", "load", "released by", "middle / ms", "duration / ms", "along", "size − mean / %", "misfit")
-    return Table("Releases, with U (k = 2); misfit: largest residual over the noise", head, "lllrrlrr", rows)
-
-
-def trials_table(evaluation: DecoupleEvaluation) -> Table:
-    """Return the numbers of poles that were tried."""
-    rows = tuple(
-        (
-            str(t.modes),
-            str(t.reals),
-            f"{t.misfit:.4f}",
-            f"{t.criterion:.0f}".replace("-", "−"),
-            "yes" if t.kept else "no",
-        )
-        for t in evaluation.fit.trials
-    )
-    head = ("modes", "real poles", "residual² over noise²", "criterion", "kept")
-    return Table("Numbers of poles that were tried (around the releases)", head, "rrrrl", rows)
+NOISE: list[Column[tuple[str, float, float]]] = [
+    on_page("load", lambda row: row[0], "l"),
+    on_page("static matrix", lambda row: number(row[1] / row[2])),
+    on_page("filter", lambda row: number(row[1])),
+    on_page("gain", lambda row: number(row[2])),
+    on_page("unit", lambda row: typeset(load_unit(row[0])), "l"),
+]
+"""Noise of the loads behind the filter beside that of the static matrix: rows of load, noise, gain."""
+RELEASES: list[Column[ReleaseFit]] = [
+    on_page("recording", lambda release: release.record, "l"),
+    on_page("load", lambda release: release.component, "l"),
+    on_page("released by", lambda release: release.release or DASH, "l"),
+    on_page("middle / ms", lambda release: measured(1e3 * release.middle_s, 1e3 * K * release.u_middle_s)),
+    on_page(
+        "duration / ms",
+        lambda release: (
+            measured(1e3 * release.duration_s, 1e3 * K * release.u_duration_s) if release.duration_s else "step"
+        ),
+    ),
+    on_page("along", lambda release: {"ramp": "line", "smooth": "half a cosine"}[release.shape], "l"),
+    on_page("size − mean / %", lambda release: measured(100 * (release.gain - 1), 100 * K * release.u_gain)),
+    on_page("misfit", lambda release: small(float(release.misfit.max()))),
+]
+TRIALS: list[Column[Trial]] = [
+    on_page("modes", lambda trial: str(trial.modes)),
+    on_page("real poles", lambda trial: str(trial.reals)),
+    on_page("residual² over noise²", lambda trial: f"{trial.misfit:.4f}"),
+    on_page("criterion", lambda trial: signed(trial.criterion, ".0f")),
+    on_page("kept", lambda trial: "yes" if trial.kept else "no", "l"),
+]
 
 
 def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
@@ -265,11 +246,9 @@ def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
         text = rounded(float(model.frequency_hz[i]), K * float(u.frequency_hz[i]))
         told.append(f"({text.value} ± {text.expanded})")
     yield f"{len(told)} modes common to {len(model.channels)} outputs: {', '.join(told)} Hz (k = 2)"
-    for stage in evaluation.stages:
-        value, expanded, which = largest(evaluation, stage)
-        if which:
-            text = rounded(100 * value, 100 * expanded)
-            yield f"cross-talk in a step, {STAGE_NAMES[stage.stage]}: ({text.value} ± {text.expanded}) %, {which}"
+    for what, value, U, which in largest(evaluation):
+        text = rounded(value, U)
+        yield f"{what}: ({text.value} ± {text.expanded}) %, {which}"
     target, gain = evaluation.decoupler, evaluation.noise_gain
     yield (
         f"filter to {target.target_hz[0]:.6g} Hz, damping ratio {target.target_damping[0]:g}: "
@@ -280,41 +259,31 @@ def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
 
 def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
+    fit, names = evaluation.fit, evaluation.fit.model.components
+    counts = [f"{name} {sum(release.component == name for release in fit.releases)}" for name in names]
+    outputs = f"{', '.join(fit.model.channels)} at {fit.sample_rate_hz:g} Hz"
+    within = evaluation.frequency_hz <= evaluation.decoupler.target_hz.max()
+    noise = zip(names, evaluation.noise.tolist(), evaluation.noise_gain.tolist(), strict=True)
     return {
-        "subject": _subject(evaluation),
+        "subject": [
+            *subject_of(evaluation.manifests[0].rig),
+            ("Releases", ", ".join(counts)),
+            ("Outputs", outputs),
+        ],
         "headlines": headlines(evaluation),
         "crosstalk": [draw_crosstalk(evaluation)],
         "peaks": peak_tables(evaluation),
         "steps": [draw_step(evaluation)],
         "modes": modes_table(evaluation),
         "static": static_table(evaluation),
-        "noise": noise_table(evaluation),
-        "releases": releases_table(evaluation),
-        "trials": trials_table(evaluation),
-        "deviation": f"{100 * float(evaluation.deviation[_within(evaluation)].max()):.2g}",
+        "noise": table("Noise of a sample (standard deviation) by the outputs' noise", NOISE, noise),
+        "releases": table("Releases, with U (k = 2); misfit: largest residual over the noise", RELEASES, fit.releases),
+        "trials": table("Numbers of poles that were tried (around the releases)", TRIALS, fit.trials),
+        "deviation": f"{100 * float(evaluation.deviation[within].max()):.2g}",
     }
 
 
-def _within(evaluation: DecoupleEvaluation) -> Any:
-    """Which frequencies lie below that of the wanted dynamics."""
-    return evaluation.frequency_hz <= evaluation.decoupler.target_hz.max()
-
-
-def _subject(evaluation: DecoupleEvaluation) -> list[tuple[str, str]]:
-    """What was released: rig, sensor, recordings."""
-    rig = evaluation.manifests[0].rig
-    facts = [("Rig", rig.name)]
-    if rig.sensor is not None:
-        facts.append(("Sensor", f"{rig.sensor.name} {rig.sensor.serial}".strip()))
-    model = evaluation.fit.model
-    counts = [
-        f"{name} {sum(release.component == name for release in evaluation.fit.releases)}" for name in model.components
-    ]
-    facts.append(("Releases", ", ".join(counts)))
-    facts.append(("Outputs", f"{', '.join(model.channels)} at {evaluation.fit.sample_rate_hz:g} Hz"))
-    return facts
-
-
+FILES = ("decoupling.json", "model.csv", "crosstalk.csv")
 MODEL_FIELDS = ("channels", "components", "unit", "frequency_hz", "damping_ratio", "residue", "real_hz", "real_residue")
 
 
@@ -349,7 +318,6 @@ def _texts(evaluation: DecoupleEvaluation) -> dict[str, str | bytes]:
     }
 
 
-FILES = ("decoupling.json", "model.csv", "crosstalk.csv")
 DECOUPLE = Command("decouple", "decouple", FILES, _texts, _fill, _context, printed)
 
 

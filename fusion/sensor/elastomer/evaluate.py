@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -43,7 +43,7 @@ class Fact(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Column:
+class ComparedColumn:
     """Natural frequencies by one model or measurement: `frequency_hz`, `u_hz` (6,), NaN where there is none.
 
     `kind`: "formula", "frame", "solid", "measured" or "stated". `u_hz` 0 of what is computed or given without it.
@@ -95,7 +95,7 @@ class ElementEvaluation:
     frame: FrameModel
     sensitivity: dict[str, FloatArray]
     solid: SolidStudy | None
-    columns: tuple[Column, ...]
+    columns: tuple[ComparedColumn, ...]
     fits: tuple[PlatformFit, ...]
     mounted: Mounted | None
     notices: tuple[Notice, ...]
@@ -110,7 +110,7 @@ class ElementEvaluation:
         return spread(self.columns)
 
 
-def spread(columns: Sequence[Column]) -> FloatArray:
+def spread(columns: Sequence[ComparedColumn]) -> FloatArray:
     """Return (max - min)/max (6,) over columns, NaN where fewer than two have a value: as the paper's Table 6."""
     values = np.stack([column.frequency_hz for column in columns])
     filled = np.isfinite(values)
@@ -127,32 +127,12 @@ MODE_OF = dict(zip(LOAD_COMPONENTS, NAMES, strict=True))
 """Which mode a load component excites."""
 
 
-def formula_column(definition: Definition) -> Column:
-    """Return √(k/m)/2π along the axes from the closed form and the platform's mass; turns have none."""
-    beams, mass = definition.beams, definition.platform.mass_kg
-    stiffness = beam_stiffness(beams, definition.file.platform.half_size)
-    along = oscillator_hz(stiffness.x, mass)
-    return _exact("beam formulas", "formula", {"Tx": along, "Ty": along, "Tz": oscillator_hz(stiffness.z, mass)})
-
-
-def model_columns(frame: FrameModel, solid: SolidStudy | None) -> list[Column]:
-    """Return frame and, where it was asked for, solid."""
-    found = [Column("frame", "frame", frame.modes.frequency_hz, np.zeros(6))]
-    return found + ([Column("solid", "solid", solid.finest.frequency_hz, np.zeros(6))] if solid else [])
-
-
-def stated_columns(definition: Definition) -> list[Column]:
-    """Return the columns of GEOMETRY.toml."""
-    return [_exact(item.name, "stated", item.stated) for item in definition.file.stated]
-
-
-def measured_column(definition: Definition) -> tuple[Column | None, list[Notice]]:
+def measured_column(definition: Definition) -> tuple[ComparedColumn | None, list[Notice]]:
     """Return the mode of every measured model that swings most after a step, with its standard uncertainty."""
     path = definition.file.measured
     if path is None:
         return None, []
-    value, u = np.full(6, np.nan), np.full(6, np.nan)
-    notices = []
+    value, u, notices = np.full(6, np.nan), np.full(6, np.nan), []
     for entry in read_models(path).driven:
         name = MODE_OF.get(entry.component)
         if name is None or not len(entry.model.frequency_hz):
@@ -161,7 +141,7 @@ def measured_column(definition: Definition) -> tuple[Column | None, list[Notice]
             continue
         place = NAMES.index(name)
         value[place], u[place] = dominant(entry.model)
-    return Column("measured", "measured", value, u), notices
+    return ComparedColumn("measured", "measured", value, u), notices
 
 
 def dominant(model: ModalModel) -> tuple[float, float]:
@@ -172,10 +152,9 @@ def dominant(model: ModalModel) -> tuple[float, float]:
     return float(model.frequency_hz[place]), u
 
 
-def _exact(name: str, kind: str, known: dict[str, float]) -> Column:
-    """A column of numbers without uncertainty."""
-    value: FloatArray = np.array([known.get(mode, np.nan) for mode in NAMES])
-    return Column(name, kind, value, np.zeros(6))
+def _exact(name: str, kind: str, known: Mapping[str, float]) -> ComparedColumn:
+    """A column of numbers without uncertainty, by the name of their mode."""
+    return ComparedColumn(name, kind, np.array([known.get(mode, np.nan) for mode in NAMES]), np.zeros(6))
 
 
 # The numbers of the beam formulas: as the publication's formulas give them, and as mechanics does.
@@ -193,7 +172,9 @@ def statics_facts(definition: Definition, frame: FrameModel) -> tuple[Fact, ...]
     stiffness = printed.stiffness(PRINTED_SHARE)
     ratio = printed.force_ratio / 4.0
     guided, cantilever = "compliant beams guided at mid-span", "compliant beams as cantilevers"
-    shear = beams.material.shear_modulus_pa
+    shear, needed = beams.material.shear_modulus_pa, required_stiffness(first, mass)
+    point_hz = (oscillator_hz(stiffness, mass), oscillator_hz(point, mass))
+    told, same = f"platform and parts, {1e3 * mass:.4g} g", f"{first:.1f} Hz with the same mass"
     return (
         Fact("shear_modulus", "shear modulus G", printed.shear_modulus_pa, shear, "Pa", "E/(1+μ) printed for E/2(1+μ)"),
         Fact("force_ratio", "F_Q/F_c, eq. 10", printed.force_ratio, ratio, "1", f"{cantilever}; printed value 8"),
@@ -201,22 +182,8 @@ def statics_facts(definition: Definition, frame: FrameModel) -> tuple[Fact, ...]
         Fact("stiffness_point", "k, platform a point, eq. 11", stiffness, point, "N/m", f"F_Q = 0.4 F; {guided}"),
         Fact("stiffness_x", "k along x, y with the platform", None, closed.x, "N/m", "closed form, no turning"),
         Fact("stiffness_z", "k along z with the platform", None, closed.z, "N/m", "closed form, no turning"),
-        Fact(
-            "frequency_point",
-            "f of k and the moving mass, eq. 17",
-            oscillator_hz(stiffness, mass),
-            oscillator_hz(point, mass),
-            "Hz",
-            f"platform and parts, {1e3 * mass:.4g} g",
-        ),
-        Fact(
-            "stiffness_needed",
-            "k that the frame's Tx asks of one oscillator",
-            None,
-            required_stiffness(first, mass),
-            "N/m",
-            f"{first:.1f} Hz with the same mass",
-        ),
+        Fact("frequency_point", "f of k and the moving mass, eq. 17", *point_hz, "Hz", told),
+        Fact("stiffness_needed", "k that the frame's Tx asks of one oscillator", None, needed, "N/m", same),
     )
 
 
@@ -281,15 +248,13 @@ def frame_shapes(definition: Definition, model: FrameModel) -> list[Shape]:
     found = []
     for mode, name in enumerate(NAMES):
         nodes, own = model.node_motion(mode), model.platform_motion(mode)
-        rest, motion = [], []
-        for ends, section in zip(frame.beam, frame.section, strict=True):
-            corners, moves = _beam(frame.node_m[ends], nodes[ends], section)
-            rest.append(corners)
-            motion.append(moves)
-        rest += blocks
-        motion += [np.stack([(rigid_motion(corner) @ own)[:3] for corner in block]) for block in blocks]
-        faces = [np.stack(parts)[:, SIDES].reshape(-1, 4, 3) for parts in (rest, motion)]
-        found.append(Shape(name, float(model.modes.frequency_hz[mode]), faces[0], faces[1]))
+        solids = [
+            _beam(frame.node_m[ends], nodes[ends], section)
+            for ends, section in zip(frame.beam, frame.section, strict=True)
+        ]
+        solids += [(block, np.stack([(rigid_motion(corner) @ own)[:3] for corner in block])) for block in blocks]
+        rest, motion = (np.stack(parts)[:, SIDES].reshape(-1, 4, 3) for parts in zip(*solids, strict=True))
+        found.append(Shape(name, float(model.modes.frequency_hz[mode]), rest, motion))
     return found
 
 
@@ -369,11 +334,21 @@ def evaluate_element(
     half_size = file.platform.half_size
     frame = solve_frame(definition.beams, half_size, definition.platform, file.frame.pieces, consistent)
     study = _solid(definition, progress) if solid else None
+    stiffness, mass = beam_stiffness(definition.beams, half_size), definition.platform.mass_kg
+    along = oscillator_hz(stiffness.x, mass)
+    closed = {"Tx": along, "Ty": along, "Tz": oscillator_hz(stiffness.z, mass)}  # the closed form has no turns
+    columns = [
+        _exact("beam formulas", "formula", closed),
+        ComparedColumn("frame", "frame", frame.modes.frequency_hz, np.zeros(6)),
+    ]
+    columns += [] if study is None else [ComparedColumn("solid", "solid", study.finest.frequency_hz, np.zeros(6))]
     measured, notices = measured_column(definition)
-    columns = [formula_column(definition), *model_columns(frame, study)]
-    columns += [measured] if measured is not None else []
-    columns += stated_columns(definition)
-    fits = _fits(definition)
+    columns += [] if measured is None else [measured]
+    columns += [_exact(item.name, "stated", item.stated) for item in file.stated]
+    fits: tuple[PlatformFit, ...] = ()
+    wanted = file.fit
+    if wanted is not None:
+        fits = platform_family(definition.beams, wanted.half_sizes, wanted.frequencies.stated)
     notices += [*_of_frame(definition, frame), *_of_solid(frame, study), *_of_fits(fits)]
     return ElementEvaluation(
         name=file.name,
@@ -416,20 +391,13 @@ def _solid(definition: Definition, progress: ProgressCallback) -> SolidStudy:
     return SolidStudy(refinements, tuple(models[:-1]), models[-1])
 
 
-def _fits(definition: Definition) -> tuple[PlatformFit, ...]:
-    """Platform data sought from frequencies, at every half-size."""
-    wanted = definition.file.fit
-    if wanted is None:
-        return ()
-    return platform_family(definition.beams, wanted.half_sizes, wanted.frequencies.stated)
-
-
 def _of_frame(definition: Definition, frame: FrameModel) -> list[Notice]:
     """Names that fit badly, modes between, and what rules the result."""
     found = []
-    own = np.diag(frame.modes.participation)
-    for name, share in zip(NAMES, own, strict=True):
-        if share < np.max(frame.modes.participation[:, NAMES.index(name)]):
+    for name, share, highest in zip(
+        NAMES, np.diag(frame.modes.participation), frame.modes.participation.max(axis=0), strict=True
+    ):
+        if share < highest:
             text = f"named after a motion of which {100.0 * share:.0f} % is in it, and more in another mode"
             found.append(Notice("info", text, name))
     if len(frame.modes.others_hz):
@@ -445,10 +413,9 @@ def _of_solid(frame: FrameModel, study: SolidStudy | None) -> list[Notice]:
     """Whether the mesh suffices, and where frame and solid are far apart and why."""
     if study is None:
         return []
-    found = []
-    change = converged(study.meshes)
-    if np.max(np.abs(change)) > CONVERGED:
-        worst = int(np.argmax(np.abs(change)))
+    found, change = [], converged(study.meshes)
+    worst = int(np.argmax(np.abs(change)))
+    if abs(change[worst]) > CONVERGED:
         text = f"{NAMES[worst]} changed by {100.0 * change[worst]:.1f} % with the last mesh; refine [solid] further"
         found.append(Notice("warning", text, "solid"))
     for place, name in enumerate(NAMES):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,9 +18,7 @@ from fusion.report.style import Picture
 from fusion.report.table import Column, Headline, Table, columns_of, csv_text, on_page, table, word
 from fusion.sensor.elastomer.definition import read_definition
 from fusion.sensor.elastomer.evaluate import (
-    Column as ComparedColumn,
-)
-from fusion.sensor.elastomer.evaluate import (
+    ComparedColumn,
     ElementEvaluation,
     Fact,
     evaluate_element,
@@ -29,8 +27,8 @@ from fusion.sensor.elastomer.evaluate import (
 )
 from fusion.sensor.elastomer.figures import draw_compared, draw_hand, draw_shapes
 from shaker.arrays import FloatArray
-from shaker.elastomer.frame import NAMES, PlatformFit
-from shaker.elastomer.solid import converged
+from shaker.elastomer.frame import NAMES, PlatformFit, RigidPart
+from shaker.elastomer.solid import SolidModel, converged
 
 SPREAD = "spread"
 """Column of comparison.csv: (max - min)/max of a mode over all columns, as a ratio."""
@@ -87,45 +85,46 @@ class ComparisonRow(NamedTuple):
     u_hz: float
 
 
+def _number(fact: Fact, value: float | None) -> str:
+    """A number of the beam formulas."""
+    if value is None:
+        return DASH
+    return _plain(value) if fact.unit in ("N/m", "Pa") else f"{value:.4g}"
+
+
+def _plain(value: float) -> str:
+    """Four significant digits with a power of ten, as HTML."""
+    return measured(float(f"{value:.4g}"), 0.0)
+
+
+def _or_nan(value: float | None) -> float:
+    """A number, NaN where there is none."""
+    return np.nan if value is None else value
+
+
 STATICS: list[Column[Fact]] = [
     word("name", lambda fact: fact.name),
     on_page("quantity", lambda fact: fact.label, "l"),
     Column(
-        "printed",
-        lambda fact: np.nan if fact.printed is None else fact.printed,
-        "formula as printed",
-        lambda fact: _number(fact.printed, fact),
+        "printed", lambda fact: _or_nan(fact.printed), "formula as printed", lambda fact: _number(fact, fact.printed)
     ),
-    Column(
-        "right",
-        lambda fact: np.nan if fact.right is None else fact.right,
-        "right",
-        lambda fact: _number(fact.right, fact),
-    ),
+    Column("right", lambda fact: _or_nan(fact.right), "right", lambda fact: _number(fact, fact.right)),
     Column("unit", lambda fact: fact.unit, "unit", lambda fact: fact.unit.replace("1", DASH), "l"),
     word("remark", lambda fact: fact.remark, "remark"),
 ]
+
+
+def _in_milli(name: str, head: str, value: Callable[[RigidPart], float]) -> Column[PlatformFit]:
+    """A number of the fitted platform, on pages in thousandths of its unit."""
+    return Column(name, lambda fit: float(value(fit.platform)), head, lambda fit: f"{MILLI * value(fit.platform):.2f}")
+
+
 PLATFORM: list[Column[PlatformFit]] = [
     Column("half_size_m", lambda fit: fit.half_size_m, "half-size / mm", lambda fit: f"{MILLI * fit.half_size_m:g}"),
-    Column("mass_kg", lambda fit: fit.platform.mass_kg, "mass / g", lambda fit: f"{MILLI * fit.platform.mass_kg:.2f}"),
-    Column(
-        "height_m",
-        lambda fit: fit.platform.height_m,
-        "height / mm",
-        lambda fit: f"{MILLI * fit.platform.height_m:.2f}",
-    ),
-    Column(
-        "gyration_x_m",
-        lambda fit: float(fit.platform.gyration_m[0]),
-        "gyration x, y / mm",
-        lambda fit: f"{MILLI * fit.platform.gyration_m[0]:.2f}",
-    ),
-    Column(
-        "gyration_z_m",
-        lambda fit: float(fit.platform.gyration_m[2]),
-        "gyration z / mm",
-        lambda fit: f"{MILLI * fit.platform.gyration_m[2]:.2f}",
-    ),
+    _in_milli("mass_kg", "mass / g", lambda part: part.mass_kg),
+    _in_milli("height_m", "height / mm", lambda part: part.height_m),
+    _in_milli("gyration_x_m", "gyration x, y / mm", lambda part: part.gyration_m[0]),
+    _in_milli("gyration_z_m", "gyration z / mm", lambda part: part.gyration_m[2]),
     Column(
         "largest_misfit",
         lambda fit: fit.misfit,
@@ -167,25 +166,29 @@ def comparison_rows(evaluation: ElementEvaluation) -> Iterator[ComparisonRow]:
 
 def headlines(evaluation: ElementEvaluation) -> list[Headline]:
     """Frequencies of the frame, those of the solid below."""
-    found, solid = [], evaluation.solid
-    frequency = evaluation.frame.modes.frequency_hz
-    for label, place in (("Tx", 0), ("Tz", 2), ("Rx", 3), ("Rz", 5)):
+    told, solid = [], evaluation.solid
+    for name in ("Tx", "Tz", "Rx", "Rz"):
+        place = NAMES.index(name)
         remark = "" if solid is None else f"solid: {solid.finest.frequency_hz[place]:.0f} Hz"
-        found.append(Headline(f"{label}, frame", f"{frequency[place]:.1f} Hz", remark))
-    return found
+        told.append(Headline(f"{name}, frame", f"{evaluation.frame.modes.frequency_hz[place]:.1f} Hz", remark))
+    return told
+
+
+def _by_mode(caption: str, head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Table:
+    """A table whose last columns are the modes."""
+    return Table(caption, (*head, *NAMES), "l" + "r" * (len(head) + 5), tuple(rows))
 
 
 def comparison_table(evaluation: ElementEvaluation) -> Table:
     """Natural frequencies by every model and measurement, and how far they are apart."""
     rows = []
     for column in evaluation.columns:
-        texts = [_texts(column, place) for place in range(6)]
-        rows.append((column.name, *(value for value, _ in texts)))
-        if any(expanded for _, expanded in texts):
-            rows.append((f"U of {column.name}", *(expanded or DASH for _, expanded in texts)))
+        values, expanded = zip(*(_with_u(column, place) for place in range(6)), strict=True)
+        rows.append((column.name, *values))
+        if any(expanded):
+            rows.append((f"U of {column.name}", *(text or DASH for text in expanded)))
     rows.append(("(max − min)/max / %", *(_percent(value) for value in evaluation.spread)))
-    caption = "Natural frequencies in Hz; U: k = 2"
-    return Table(caption, ("model", *NAMES), "lrrrrrr", tuple(rows))
+    return _by_mode("Natural frequencies in Hz; U: k = 2", ("model",), rows)
 
 
 def stiffness_table(evaluation: ElementEvaluation) -> Table:
@@ -203,37 +206,35 @@ def participation_table(evaluation: ElementEvaluation) -> Table:
         (name, f"{modes.frequency_hz[place]:.1f}", *(f"{100.0 * share:.1f}" for share in modes.participation[place]))
         for place, name in enumerate(NAMES)
     ]
-    caption = "Frame: share of each rigid motion's mass that moves in a mode / %"
-    return Table(caption, ("mode", "Hz", *NAMES), "lrrrrrrr", tuple(rows))
+    return _by_mode("Frame: share of each rigid motion's mass that moves in a mode / %", ("mode", "Hz"), rows)
 
 
 def convergence_table(evaluation: ElementEvaluation) -> Table | None:
     """The solid on every mesh."""
-    study = evaluation.solid
+    study, frame = evaluation.solid, evaluation.frame.modes.frequency_hz
     if study is None:
         return None
-    rows = []
-    for refinement, model in zip(study.refinements, study.meshes, strict=True):
-        rows.append((f"mesh {refinement}", f"{model.unknowns}", *(f"{value:.1f}" for value in model.frequency_hz)))
-    rows.append(("change with the last mesh / %", "", *(_percent(value) for value in converged(study.meshes))))
-    label = f"mesh {study.refinements[-2]}, platform that does not bend"
-    rows.append((label, f"{study.rigid.unknowns}", *(f"{value:.1f}" for value in study.rigid.frequency_hz)))
-    frame = evaluation.frame.modes.frequency_hz
-    rows.append(("frame less solid / %", "", *(_percent(value) for value in frame / study.finest.frequency_hz - 1.0)))
-    apart = frame / study.rigid.frequency_hz - 1.0
-    rows.append(("frame less that of a rigid platform / %", "", *(_percent(value) for value in apart)))
-    caption = "Solid: natural frequencies in Hz as the mesh gets finer"
-    return Table(caption, ("mesh", "unknowns", *NAMES), "lrrrrrrr", tuple(rows))
+
+    def on_mesh(label: str, model: SolidModel) -> tuple[str, ...]:
+        return label, f"{model.unknowns}", *(f"{value:.1f}" for value in model.frequency_hz)
+
+    def apart(label: str, ratios: FloatArray) -> tuple[str, ...]:
+        return label, "", *(_percent(value) for value in ratios)
+
+    rows = [on_mesh(f"mesh {n}", model) for n, model in zip(study.refinements, study.meshes, strict=True)]
+    rows += [
+        apart("change with the last mesh / %", converged(study.meshes)),
+        on_mesh(f"mesh {study.refinements[-2]}, platform that does not bend", study.rigid),
+        apart("frame less solid / %", frame / study.finest.frequency_hz - 1.0),
+        apart("frame less that of a rigid platform / %", frame / study.rigid.frequency_hz - 1.0),
+    ]
+    return _by_mode("Solid: natural frequencies in Hz as the mesh gets finer", ("mesh", "unknowns"), rows)
 
 
 def sensitivity_table(evaluation: ElementEvaluation) -> Table:
     """Percent of frequency per percent of a dimension."""
-    rows = [
-        (DIMENSION_LABELS[name], *(signed(value) for value in values))
-        for name, values in evaluation.sensitivity.items()
-    ]
-    caption = "What tolerances do: change of the frame's frequencies in % per % of"
-    return Table(caption, ("dimension", *NAMES), "lrrrrrr", tuple(rows))
+    rows = [(DIMENSION_LABELS[name], *map(signed, values)) for name, values in evaluation.sensitivity.items()]
+    return _by_mode("What tolerances do: change of the frame's frequencies in % per % of", ("dimension",), rows)
 
 
 def mounted_table(evaluation: ElementEvaluation) -> Table | None:
@@ -251,13 +252,14 @@ def mounted_table(evaluation: ElementEvaluation) -> Table | None:
 
 def printed(evaluation: ElementEvaluation) -> Iterator[str]:
     """Lines for the terminal."""
-    width = max(len(column.name) for column in evaluation.columns)
-    yield f"{'':{width}}  " + "  ".join(f"{name:>14}" for name in NAMES) + "  Hz"
+    lines: list[tuple[str, ...]] = [("", *NAMES)]
     for column in evaluation.columns:
-        cells = (_cell(column, place) for place in range(6))
-        yield f"{column.name:{width}}  " + "  ".join(f"{cell:>14}" for cell in cells)
-    label = "spread"
-    yield f"{label:{width}}  " + "  ".join(f"{_percent(value) + ' %':>14}" for value in evaluation.spread)
+        pairs = [_with_u(column, place) for place in range(6)]
+        lines.append((column.name, *(f"{value} ± {expanded}" if expanded else value for value, expanded in pairs)))
+    lines.append(("spread", *(f"{_percent(value)} %" for value in evaluation.spread)))
+    width = max(len(column.name) for column in evaluation.columns)
+    for label, *cells in lines:
+        yield f"{label:{width}}  {'  '.join(f'{cell:>14}' for cell in cells)}{'' if label else '  Hz'}"
     stiffness = evaluation.frame.stiffness
     yield f"stiffness (frame): kx {stiffness[0]:.4g} N/m, kz {stiffness[2]:.4g} N/m"
     if evaluation.mounted is not None:
@@ -270,13 +272,7 @@ def printed(evaluation: ElementEvaluation) -> Iterator[str]:
         yield f"fitted platform, half-size {MILLI * fit.half_size_m:g} mm: {told}"
 
 
-def _cell(column: ComparedColumn, place: int) -> str:
-    """One frequency, with U where it is measured."""
-    value, expanded = _texts(column, place)
-    return f"{value} ± {expanded}" if expanded else value
-
-
-def _texts(column: ComparedColumn, place: int) -> tuple[str, str]:
+def _with_u(column: ComparedColumn, place: int) -> tuple[str, str]:
     """One frequency and its U, which is empty of what is not measured."""
     value, u = float(column.frequency_hz[place]), float(column.u_hz[place])
     if not np.isfinite(value):
@@ -285,18 +281,6 @@ def _texts(column: ComparedColumn, place: int) -> tuple[str, str]:
         return f"{value:.6g}" if column.kind == "stated" else f"{value:.1f}", ""
     text = rounded(value, 2.0 * u, 0)
     return text.value, text.expanded
-
-
-def _number(value: float | None, fact: Fact) -> str:
-    """A number of the beam formulas."""
-    if value is None:
-        return DASH
-    return _plain(value) if fact.unit in ("N/m", "Pa") else f"{value:.4g}"
-
-
-def _plain(value: float) -> str:
-    """Four significant digits with a power of ten, as HTML."""
-    return measured(float(f"{value:.4g}"), 0.0)
 
 
 def _percent(value: float) -> str:
@@ -336,12 +320,9 @@ def _subject(evaluation: ElementEvaluation) -> list[tuple[str, str]]:
     gyration = part.gyration_m * 1e3
     rigid = f"{2e3 * size:g} mm square, {1e3 * part.mass_kg:.4g} g, centre {1e3 * part.height_m:.4g} mm high, "
     rigid += f"gyration {gyration[0]:.4g}, {gyration[1]:.4g}, {gyration[2]:.4g} mm"
+    elastic = f"E {1e-9 * material.youngs_modulus_pa:g} GPa, ν {material.poisson_ratio:g}, "
     return [
-        (
-            "Material",
-            f"E {1e-9 * material.youngs_modulus_pa:g} GPa, ν {material.poisson_ratio:g}, "
-            f"{material.density_kgm3:g} kg/m³",
-        ),
+        ("Material", f"{elastic}{material.density_kgm3:g} kg/m³"),
         ("Cross beams", cross),
         ("Compliant beams", compliant),
         ("Platform and parts", rigid),
@@ -366,11 +347,16 @@ def _fill(file: h5py.File, evaluation: ElementEvaluation) -> None:
     definition = evaluation.definition
     write_value(file, "beams", definition.beams)
     write_value(file, "platform", definition.platform)
-    _write_frame(file.create_group("frame", track_order=True), evaluation)
+    group, model = file.create_group("frame", track_order=True), evaluation.frame
+    for name in ("node_m", "beam", "rigid", "clamped"):
+        write_value(group, name, getattr(model.frame, name))
+    write_value(group, "modes", model.modes)
+    write_value(group, "stiffness", model.stiffness)
+    write_value(group, "node_motion", model.frame.reduction @ model.modes.shape)
     if evaluation.solid is not None:
         group = file.create_group("solid", track_order=True)
-        for refinement, model in zip(evaluation.solid.refinements, evaluation.solid.meshes, strict=True):
-            write_fields(group.create_group(f"mesh_{refinement}", track_order=True), model)
+        for refinement, mesh in zip(evaluation.solid.refinements, evaluation.solid.meshes, strict=True):
+            write_fields(group.create_group(f"mesh_{refinement}", track_order=True), mesh)
         write_fields(group.create_group("rigid_platform", track_order=True), evaluation.solid.rigid)
     columns = file.create_group("comparison", track_order=True)
     for column in evaluation.columns:
@@ -382,16 +368,6 @@ def _fill(file: h5py.File, evaluation: ElementEvaluation) -> None:
         write_value(own, "frequency_hz", fit.frequency_hz)
         own.attrs["largest_misfit"] = fit.misfit
     write_value(file, "mounted", evaluation.mounted)
-
-
-def _write_frame(group: h5py.Group, evaluation: ElementEvaluation) -> None:
-    """Nodes, beams and modes of the frame."""
-    model = evaluation.frame
-    for name in ("node_m", "beam", "rigid", "clamped"):
-        write_value(group, name, getattr(model.frame, name))
-    write_value(group, "modes", model.modes)
-    write_value(group, "stiffness", model.stiffness)
-    write_value(group, "node_motion", model.frame.reduction @ model.modes.shape)
 
 
 def _files(evaluation: ElementEvaluation) -> dict[str, str | bytes]:
