@@ -30,6 +30,7 @@ from fusion.cameras.facts import (
     target_shape,
     used_points,
 )
+from fusion.report.numbers import signed
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -146,11 +147,10 @@ def figure_of(axes: Axes) -> Figure:
 
 
 def two_digits(value: float) -> str:
-    """Two significant digits without an exponent, with a typographic minus."""
-    if not np.isfinite(value):
-        return "–"
-    places = 0 if value == 0.0 else max(0, 1 - int(f"{value:.1e}".partition("e")[2]))
-    return f"{value:.{places}f}".replace("-", "−")
+    """Two significant digits without an exponent."""
+    known = np.isfinite(value) and value != 0.0
+    places = max(0, 1 - int(f"{value:.1e}".partition("e")[2])) if known else 0
+    return signed(value, f".{places}f")
 
 
 def draw_distortion(calibration: Calibration, side: Side) -> Picture:
@@ -205,7 +205,7 @@ def draw_correlation(calibration: Calibration) -> Picture:
         axes.set_yticks(range(len(names)), names, fontsize=7.0)
         for i, j in np.argwhere(np.abs(coefficients) >= STRONG):
             if i != j:
-                text = str(int(100 * coefficients[i, j])).replace("-", "−")
+                text = signed(np.trunc(100 * coefficients[i, j]), ".0f")
                 axes.text(j, i, text, ha="center", va="center", fontsize=5.5, color="white")
         bordered(axes)
         axes.tick_params(length=2.0)

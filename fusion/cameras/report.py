@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -44,7 +45,7 @@ from fusion.cameras.figures import (
     view_colours,
 )
 from fusion.report.folder import origin_frame, render_page
-from fusion.report.numbers import measured, small, times_ten
+from fusion.report.numbers import measured, signed, small, times_ten
 from fusion.report.provenance import Provenance
 from fusion.report.style import (
     BLACK,
@@ -176,7 +177,7 @@ def correlations_table(calibration: Calibration) -> Table:
     first, second = np.triu_indices(len(found), 1)
     order = np.argsort(-np.abs(found[first, second]))[:STRONGEST]
     rows = tuple(
-        (RIG_PARAMETERS[first[n]], RIG_PARAMETERS[second[n]], _signed(f"{found[first[n], second[n]]:+.4f}"))
+        (RIG_PARAMETERS[first[n]], RIG_PARAMETERS[second[n]], signed(float(found[first[n], second[n]]), "+.4f"))
         for n in order
     )
     return Table("Strongest correlations", ("parameter", "with", "coefficient"), "llr", rows)
@@ -219,7 +220,7 @@ def views_table(calibration: Calibration) -> Table:
                 _pair(*(f"{int(p.used.sum())} of {len(p.used)}" if p is not None else DASH for p in both)),
                 _pair(*(f"{p.rms_px:.3f}" if p is not None and p.used.any() else DASH for p in both)),
                 f"{tilt[place]:.1f}",
-                _signed(f"{turn[place]:.1f}"),
+                signed(float(turn[place]), ".1f"),
                 measured(1e3 * distance.value, 2e3 * distance.u),
             )
         )
@@ -293,26 +294,6 @@ def _pair(left: str, right: str) -> Markup:
     return Markup("{}<br>{}").format(left, right)
 
 
-def _signed(text: str) -> str:
-    """Number with a typographic minus."""
-    return text.replace("-", "\N{MINUS SIGN}")
-
-
-def draw_cameras(calibration: Calibration) -> dict[str, list[Picture]]:
-    """All figures of a calibration, by the section of the page that shows them."""
-    return {
-        "coverage": [draw_coverage(calibration), draw_views(calibration)],
-        "residuals": [
-            *(draw_residuals(calibration, side) for side in SIDES),
-            draw_distribution(calibration),
-            draw_pictures(calibration),
-        ],
-        "lens": [draw_distortion(calibration, side) for side in SIDES],
-        "correlation": [draw_correlation(calibration)],
-        "shape": [picture for picture in [draw_shape(calibration)] if picture is not None],
-    }
-
-
 def draw_coverage(calibration: Calibration) -> Picture:
     """All points of both cameras in their picture areas; cells without a point are grey."""
     rig = calibration.rig
@@ -362,14 +343,8 @@ def _draw_points(axes: Axes, calibration: Calibration, side: Side) -> None:
     patches = [Rectangle((x0, y0), x1 - x0, y1 - y0) for x0, y0, x1, y1 in cells]
     axes.add_collection(PatchCollection(patches, facecolor=LIGHT, edgecolor="white", linewidth=0.6))
     colours = view_colours(len(calibration.views))
-    axes.scatter(
-        position[:, 0],
-        position[:, 1],
-        s=np.clip(POINTS_DRAWN / len(view), 2.0, 7.0),
-        c=colours[view],
-        linewidths=0.0,
-        rasterized=len(view) > RASTER_ABOVE,
-    )
+    size_pt, many = np.clip(POINTS_DRAWN / len(view), 2.0, 7.0), len(view) > RASTER_ABOVE
+    axes.scatter(position[:, 0], position[:, 1], s=size_pt, c=colours[view], linewidths=0.0, rasterized=many)
     left_out = [p.position_px[~p.used] for p in pictures(calibration, side) if p is not None]
     crosses = np.concatenate([np.empty((0, 2)), *left_out])
     axes.plot(*crosses.T, "x", color=RED, markersize=3.5, markeredgewidth=0.9)
@@ -408,9 +383,8 @@ def _draw_scene(axes: Axes, calibration: Calibration, colours: FloatArray) -> No
     middle = 0.5 * (z0 + z1)
     outline = np.array([[x, y, middle] for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0))])
     for view, colour in zip(calibration.views, colours, strict=True):
-        axes.plot(
-            *(plane @ view.left_from_target.apply(outline).T), color=colour, linewidth=1.0, solid_capstyle="round"
-        )
+        target = plane @ view.left_from_target.apply(outline).T
+        axes.plot(*target, color=colour, linewidth=1.0, solid_capstyle="round")
     reach = 1.15 * float(np.linalg.norm(target_middles_m(calibration), axis=1).max())
     for name, place, direction in (("left", np.zeros(3), np.array([0.0, 0.0, 1.0])), ("right", centre, axis)):
         ends = plane @ np.stack([place, place + reach * direction]).T
@@ -437,15 +411,8 @@ def _number(axes: Axes, place: FloatArray, views: Iterable[int]) -> None:
         if (np.abs(taken - shown) < NUMBER_PT).all(axis=1).any():
             continue
         taken = np.vstack([taken, shown])
-        axes.annotate(
-            str(view + 1),
-            (float(point[0]), float(point[1])),
-            (3.5, 2.0),
-            textcoords="offset points",
-            fontsize=6.5,
-            path_effects=HALO,
-            zorder=4,
-        )
+        look: dict[str, Any] = {"fontsize": 6.5, "path_effects": HALO, "zorder": 4}
+        axes.annotate(str(view + 1), (float(point[0]), float(point[1])), (3.5, 2.0), textcoords="offset points", **look)
 
 
 def _at_least(values: FloatArray, span: float) -> tuple[float, float]:
@@ -460,12 +427,24 @@ def render_camera_report(calibration: Calibration, name: str, provenance: Proven
 
     `provenance`: hashes of the pictures, settings, versions and the names of the files written beside the page.
     """
+    shape = draw_shape(calibration)
+    drawn = {
+        "coverage": [draw_coverage(calibration), draw_views(calibration)],
+        "residuals": [
+            *(draw_residuals(calibration, side) for side in SIDES),
+            draw_distribution(calibration),
+            draw_pictures(calibration),
+        ],
+        "lens": [draw_distortion(calibration, side) for side in SIDES],
+        "correlation": [draw_correlation(calibration)],
+        "shape": [] if shape is None else [shape],
+    }
     context = {
         "name": name,
         "subject": subject(calibration),
         "verdict": verdict(calibration),
         "headlines": camera_headlines(calibration),
-        "pictures": draw_cameras(calibration),
+        "pictures": drawn,
         "views": views_table(calibration),
         "dropped": dropped_table(calibration),
         "residuals": residuals_table(calibration),
