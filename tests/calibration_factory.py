@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -65,12 +65,7 @@ def make_calibration(session: Session | None = None, seed: int = 0) -> Calibrati
         _view(place, poses[place], rig, shape, residuals[place], seen[place][1], used[place], covariance, session)
         for place in range(session.views)
     )
-    estimate = rig.perturbed(delta[:24])
-    return _calibration(StereoRig(*_parts(estimate), covariance[:24, :24]), views, shape, session)
-
-
-def _parts(rig: StereoRig) -> tuple[Camera, Camera, RigidTransform]:
-    return rig.left, rig.right, rig.right_from_left
+    return _calibration(replace(rig.perturbed(delta[:24]), covariance=covariance[:24, :24]), views, shape, session)
 
 
 def _poses(count: int, rng: np.random.Generator) -> list[RigidTransform]:
@@ -96,12 +91,6 @@ def _shape(bow_m: float) -> FloatArray:
     return flat
 
 
-def _unmodelled(pixel: FloatArray, amplitude_px: float) -> FloatArray:
-    """A distortion of short wavelength that the lens model cannot follow."""
-    phase = 2 * np.pi * pixel / 900.0
-    return np.asarray(amplitude_px * np.stack([np.sin(phase[..., 1]), np.cos(phase[..., 0])], axis=-1))
-
-
 def _look(
     rig: StereoRig, pose: RigidTransform, shape: FloatArray, session: Session, rng: np.random.Generator, alone: bool
 ) -> tuple[FloatArray, BoolArray]:
@@ -110,9 +99,9 @@ def _look(
     inside = np.asarray(((pixel > 12) & (pixel < SIZE_PX - 12)).all(axis=-1))
     if alone:
         inside[1] = False
-    noise = rng.normal(0.0, session.noise_px, pixel.shape)
-    errors: FloatArray = noise + _unmodelled(pixel, session.unmodelled_px)
-    return errors, inside
+    phase = 2 * np.pi * pixel / 900.0  # a distortion of short wavelength that the lens model cannot follow
+    unmodelled = session.unmodelled_px * np.stack([np.sin(phase[..., 1]), np.cos(phase[..., 0])], axis=-1)
+    return rng.normal(0.0, session.noise_px, pixel.shape) + unmodelled, inside
 
 
 def _jacobian(rig: StereoRig, pose: RigidTransform, shape: FloatArray) -> FloatArray:
@@ -173,16 +162,11 @@ def _view(
     pictures = []
     for side, name in enumerate(session.names):
         seen = inside[side]
-        found = CalibratedPicture(
-            name=f"{name}-{place + 1:02d}.tif",
-            index=LATTICE[seen],
-            position_px=(modelled[side] + residual[side])[seen],
-            residual_px=residual[side][seen],
-            normalised=np.linalg.norm(residual[side][seen], axis=1)
-            / np.hypot(session.noise_px, session.unmodelled_px / 2),
-            used=used[side][seen],
-        )
-        pictures.append(found if seen.any() else None)
+        place_px, off_px = (modelled[side] + residual[side])[seen], residual[side][seen]
+        normalised = np.linalg.norm(off_px, axis=1) / np.hypot(session.noise_px, session.unmodelled_px / 2)
+        file = f"{name}-{place + 1:02d}.tif"
+        picture = CalibratedPicture(file, LATTICE[seen], place_px, off_px, normalised, used[side][seen])
+        pictures.append(picture if seen.any() else None)
     own = slice(24 + 6 * place, 30 + 6 * place)
     return CalibratedView(pose, covariance[own, own], *pictures)
 
@@ -221,11 +205,7 @@ def _calibration(rig: StereoRig, views: tuple[CalibratedView, ...], shape: Float
         ),
         notices=(
             Notice("info", "the target is bent by 60 µm; its shape was estimated", "target"),
-            Notice(
-                "warning",
-                "the lower left corner of the right picture is empty; add views with the target there",
-                "coverage",
-            ),
+            Notice("warning", "the lower left corner of the right picture is empty; add views there", "coverage"),
         ),
     )
 
@@ -245,14 +225,8 @@ def _rms(residual: FloatArray) -> float:
 def _parameters(rig: StereoRig) -> tuple[Parameter, ...]:
     """All 24 with the state that their value and uncertainty give."""
     assert rig.covariance is not None
-    value = np.concatenate(
-        [
-            rig.left.parameters,
-            rig.right.parameters,
-            np.zeros(3),  # the rotation's parameters are a small turn beside the rotation itself
-            rig.right_from_left.translation_m,
-        ]
-    )
+    turn = np.zeros(3)  # the rotation's parameters are a small turn beside the rotation itself
+    value = np.concatenate([rig.left.parameters, rig.right.parameters, turn, rig.right_from_left.translation_m])
     found = []
     for name, size, u, unit in zip(RIG_PARAMETERS, value, np.sqrt(np.diagonal(rig.covariance)), UNITS, strict=True):
         state: Determined = "indistinct" if unit == "1" and abs(size) < 2 * u else "determined"
