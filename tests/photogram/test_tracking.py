@@ -1,23 +1,29 @@
-"""Whole tracks of an analytic scene: a textured disc before a plain background, two cameras 30° apart."""
+"""Tracks of analytic scenes, what must not change them, and real recordings."""
 
 from __future__ import annotations
 
 import gc
 import tracemalloc
 import weakref
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
+from contracts import refused
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
 
-from photogram.camera import Camera, StereoRig
+from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence, open_sequence
+from photogram.motion import RigidMotion, fit_motion
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.search import predict_warp
 from photogram.subsets.track import (
+    Tracks,
     TrackSettings,
     follow_sequence,
     match_stereo,
@@ -25,6 +31,7 @@ from photogram.subsets.track import (
     track_sequence,
     track_stereo,
 )
+from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, view_of
 
 SIZE = (320, 256)
 FOCAL, DISTANCE_M, PIXEL_M = 1500.0, 0.5, 0.5 / 1500.0
@@ -54,9 +61,8 @@ def on_plane(camera_from_left: RigidTransform, pixels: np.ndarray) -> np.ndarray
 
 def scene(texture, camera_from_left: RigidTransform, shift_m=(0.0, 0.0), seed=0, noise=6.0) -> np.ndarray:
     """A disc with speckle of about 4 px before a plain background, 12 bit."""
-    points = on_plane(camera_from_left, np.indices(SIZE[::-1])[::-1].reshape(2, -1).T.astype(float)) - np.asarray(
-        shift_m
-    )
+    pixels = np.indices(SIZE[::-1])[::-1].reshape(2, -1).T.astype(float)
+    points = on_plane(camera_from_left, pixels) - np.asarray(shift_m)
     disc = 1.0 / (1.0 + np.exp((np.hypot(*points.T) - DISC_M) / (0.4 * PIXEL_M)))
     speckle = np.concatenate([texture(part) for part in np.array_split(points / PIXEL_M, 64)])
     clean = 300 + disc * (1500 + 400 * speckle)
@@ -84,7 +90,7 @@ def true_right(rig: StereoRig, left_px: np.ndarray, shift_m=(0.0, 0.0)) -> np.nd
     return rig.project(np.column_stack([plane, np.full(len(plane), DISTANCE_M)]))[1]
 
 
-def test_two_views_thirty_degrees_apart_need_no_start(pair, rig: StereoRig) -> None:
+def test_two_views_thirty_degrees_apart_need_no_start(pair, rig):
     grid = np.stack(np.meshgrid(np.arange(100.0, 221, 24), np.arange(70.0, 190, 24)), axis=-1).reshape(-1, 2)
     tracks = match_stereo(*pair, grid, TrackSettings())
     assert np.mean(tracks.status == TrackStatus.OK) == 1.0
@@ -93,7 +99,7 @@ def test_two_views_thirty_degrees_apart_need_no_start(pair, rig: StereoRig) -> N
     assert np.all(tracks.zncc > 0.95)
 
 
-def test_the_path_of_a_stereo_pair(texture, pair, rig: StereoRig) -> None:
+def test_the_path_of_a_stereo_pair(texture, pair, rig):
     shifts = PIXEL_M * 1.5 * np.column_stack([np.sin(np.arange(6.0)), np.cos(np.arange(6.0)) - 1])
     frames = [
         [scene(texture, view, shift, seed=10 * k + side) for k, shift in enumerate(shifts)]
@@ -120,14 +126,14 @@ def test_the_path_of_a_stereo_pair(texture, pair, rig: StereoRig) -> None:
         assert np.abs(error - (tracks.right.position_px[0] - true_right(rig, points))).max() < 0.03
 
 
-def test_a_wrong_calibration_is_said(pair, rig: StereoRig) -> None:
+def test_a_wrong_calibration_is_said(pair, rig):
     tilt = RigidTransform.from_pose(np.array([0, 0, 0, 0.004, 0, 0]))
     wrong = StereoRig(rig.left, rig.right, tilt @ rig.right_from_left)
     tracks = track_stereo(sequence([pair[0]] * 2), sequence([pair[1]] * 2), wrong, TrackSettings())
     assert any("epipolar" in notice.text and notice.where == "stereo calibration" for notice in tracks.notices)
 
 
-def test_speckle_finer_than_the_pixels_is_said(make_texture) -> None:
+def test_speckle_finer_than_the_pixels_is_said(make_texture):
     image = 2000 + 400 * make_texture(seed=25, s=0.55, waves=100).image((160, 120))
     frames = [np.round(image + np.random.default_rng(k).normal(0, 6, image.shape)).astype(np.uint16) for k in range(3)]
     tracks = track_stereo(sequence(frames), sequence(frames[::-1]), None, TrackSettings())
@@ -136,7 +142,7 @@ def test_speckle_finer_than_the_pixels_is_said(make_texture) -> None:
     assert np.all(tracks.speckle_px < 3.0)
 
 
-def test_jumps_of_many_pixels_are_found_again(make_texture) -> None:
+def test_jumps_of_many_pixels_are_found_again(make_texture):
     texture = make_texture(seed=22, s=1.3, waves=60)
     jumps = np.array([[0, 0], [9.3, -4.2], [-8.6, 9.7], [0.2, 0.1]])
     frames = [
@@ -148,7 +154,7 @@ def test_jumps_of_many_pixels_are_found_again(make_texture) -> None:
     np.testing.assert_allclose(tracks.position_px - points, np.broadcast_to(jumps[:, None], (4, 4, 2)), atol=5e-3)
 
 
-def test_saturated_absent_and_leaving_subsets_are_told_apart(make_texture) -> None:
+def test_saturated_absent_and_leaving_subsets_are_told_apart(make_texture):
     texture = make_texture(seed=23, s=1.3, waves=60)
     frames = [
         np.round(2000 + 400 * texture.image((120, 90), lambda p, s=shift: p - [s, 0])).astype(np.uint16)
@@ -158,17 +164,13 @@ def test_saturated_absent_and_leaving_subsets_are_told_apart(make_texture) -> No
         frame[55:70, 60:80] = 4095
     points = np.array([[40.0, 30.0], [68.0, 62.0], [np.nan, np.nan], [106.0, 30.0]])
     tracks = track_sequence(sequence(frames), points, TrackSettings())
-    assert tracks.status[:, 0].tolist() == [TrackStatus.OK] * 3
-    assert tracks.status[:, 1].tolist() == [TrackStatus.SATURATED] * 3
-    assert tracks.status[:, 2].tolist() == [TrackStatus.NO_START] * 3
-    assert tracks.status[:, 3].tolist() == [TrackStatus.OK, TrackStatus.OK, TrackStatus.LEFT_IMAGE]
-    lost = tracks.status != TrackStatus.OK
-    assert np.isnan(tracks.position_px[lost]).all()
-    assert np.isnan(tracks.covariance_px2[lost]).all()
-    assert np.isnan(tracks.zncc[lost]).all()
+    first = [TrackStatus.OK, TrackStatus.SATURATED, TrackStatus.NO_START, TrackStatus.OK]
+    assert tracks.status.tolist() == [first, first, [*first[:3], TrackStatus.LEFT_IMAGE]]
+    for found in (tracks.position_px, tracks.covariance_px2, tracks.zncc):
+        assert np.isnan(found[tracks.status != TrackStatus.OK]).all()
 
 
-def test_frames_in_batches_lead_to_the_same_tracks(make_texture) -> None:
+def test_frames_in_batches_lead_to_the_same_tracks(make_texture):
     """The engine for a GPU, here on torch's CPU device, in place of the compiled one; one frame is blank."""
     texture, rng = make_texture(seed=25), np.random.default_rng(25)
     images = [
@@ -188,7 +190,7 @@ def test_frames_in_batches_lead_to_the_same_tracks(make_texture) -> None:
 
 
 @pytest.mark.parametrize("step", [0.1, 1.2, 2.9])
-def test_a_vibration_sampled_too_slowly_is_foretold(step: float) -> None:
+def test_a_vibration_sampled_too_slowly_is_foretold(step):
     """Sines of any phase step from frame to frame, about any mean, obey the recursion exactly."""
     frames = np.arange(8)
     warps = np.zeros((8, 5, 6))
@@ -197,16 +199,13 @@ def test_a_vibration_sampled_too_slowly_is_foretold(step: float) -> None:
     np.testing.assert_allclose(predict_warp(list(warps[:7])), warps[7], atol=1e-9)
 
 
-def test_wrong_pairs_are_named(pair, rig: StereoRig) -> None:
+def test_wrong_pairs_are_named(pair, rig):
     blank = np.full(SIZE[::-1], 100, np.uint16)
     blank += np.random.default_rng(3).integers(0, 5, blank.shape, dtype=np.uint16)
     run = partial(track_stereo, rig=rig, settings=TrackSettings())
-    with pytest.raises(ValueError, match="right: expected 2 frames as in left, found 1"):
-        run(sequence([pair[0]] * 2), sequence([pair[1]]))
-    with pytest.raises(ValueError, match="right: expected the body of frame 0"):
-        run(sequence([pair[0]]), sequence([blank]))
-    with pytest.raises(ValueError, match="radius_px: expected at least 3"):
-        TrackSettings(radius_px=2)
+    refused("right: expected 2 frames as in left, found 1", run, sequence([pair[0]] * 2), sequence([pair[1]]))
+    refused("right: expected the body of frame 0", run, sequence([pair[0]]), sequence([blank]))
+    refused("radius_px: expected at least 3", TrackSettings, radius_px=2)
 
 
 # Frames stream: what a series needs does not grow with its length, but for the numbers that it is after.
@@ -215,13 +214,13 @@ WANDERING = ((0, 0), (1, 0), (2, 1), (1, 2), (0, 1))
 MOST_HELD = 4  # per camera: the first frame, the present one, and what a reader is about to hand out
 
 
+@dataclass
 class RollingReader:
     """Frames made when they are asked for: one image rolled by a few pixels. Counts how many are alive at once."""
 
-    def __init__(self, image: np.ndarray) -> None:
-        self.image = image
-        self.alive = 0
-        self.most_alive = 0
+    image: np.ndarray
+    alive: int = 0
+    most_alive: int = 0
 
     def __call__(self, index: int) -> np.ndarray:
         right, down = WANDERING[index % len(WANDERING)]
@@ -239,16 +238,10 @@ class RollingReader:
         return ImageSequence(tuple(f"frame {k}" for k in range(frames)), (width, height), 4095, self)
 
 
-@pytest.fixture(scope="module")
-def speckle() -> Callable[[int, int], np.ndarray]:
-    def make(width: int, height: int) -> np.ndarray:
-        from scipy import ndimage
-
-        white = np.random.default_rng(30).normal(size=(height, width))
-        smooth = ndimage.gaussian_filter(white, 1.6, mode="wrap")
-        return np.round(2000 + 400 * smooth / smooth.std()).astype(np.uint16)
-
-    return make
+def speckle(width: int, height: int) -> np.ndarray:
+    white = np.random.default_rng(30).normal(size=(height, width))
+    smooth = ndimage.gaussian_filter(white, 1.6, mode="wrap")
+    return np.round(2000 + 400 * smooth / smooth.std()).astype(np.uint16)
 
 
 def peak_bytes(sequence: ImageSequence, points: np.ndarray) -> int:
@@ -263,7 +256,7 @@ def peak_bytes(sequence: ImageSequence, points: np.ndarray) -> int:
         tracemalloc.stop()
 
 
-def test_ten_times_the_frames_need_no_more_memory(speckle: Callable[[int, int], np.ndarray]) -> None:
+def test_ten_times_the_frames_need_no_more_memory():
     reader = RollingReader(speckle(320, 256))
     points = np.stack(np.meshgrid(np.arange(50.0, 300, 90), np.arange(50.0, 240, 70)), axis=-1).reshape(-1, 2)
     track_sequence(reader.sequence(2), points, TrackSettings())  # imports and kernels are not counted
@@ -274,7 +267,7 @@ def test_ten_times_the_frames_need_no_more_memory(speckle: Callable[[int, int], 
     assert reader.alive == 0
 
 
-def test_a_stereo_pair_holds_a_few_frames_of_each_camera(speckle: Callable[[int, int], np.ndarray]) -> None:
+def test_a_stereo_pair_holds_a_few_frames_of_each_camera():
     image = speckle(200, 160)
     readers = RollingReader(image), RollingReader(np.roll(image, (0, 3), axis=(0, 1)))
     left, right = (reader.sequence(20) for reader in readers)
@@ -289,7 +282,7 @@ def test_a_stereo_pair_holds_a_few_frames_of_each_camera(speckle: Callable[[int,
 # A real scene at rest, three stereo pairs: whatever moves is noise.
 
 
-def test_nothing_moves_by_more_than_its_noise(data_dir: Path) -> None:
+def test_nothing_moves_by_more_than_its_noise(data_dir):
     folder = data_dir / "static_stereo"
     left, right = (open_sequence([folder / f"img_000{k}_{side}.tif" for k in range(3)]) for side in (0, 1))
     stereo = track_stereo(left, right, None, TrackSettings(radius_px=13))
@@ -310,7 +303,7 @@ FIRST_X_PX, SPACING_PX, EDGES_Y_PX = 20.0, 40.0, 20.0
 INNER_POINTS = range(1, 7)
 
 
-def test_frames_follow_every_hundredth_sample(data_dir: Path) -> None:
+def test_frames_follow_every_hundredth_sample(data_dir):
     """The series has column 0 = vertical, in metres; its points lie 40 px apart (found by correlation, not published).
 
     Seven subsets around each of six points are averaged, which spans the beam like the points of the series do.
@@ -336,7 +329,7 @@ COUNT = 300
     ("image", "column", "bound_px"),
     [pytest.param("0000_1", "r2", 0.05, marks=pytest.mark.slow), ("0273_0", "t1", 0.02)],
 )
-def test_positions_are_those_of_the_peer(data_dir: Path, image: str, column: str, bound_px: float) -> None:
+def test_positions_are_those_of_the_peer(data_dir, image, column, bound_px):
     folder = data_dir / "gt4_stereo"
     table = np.genfromtxt(folder / "GT4-0273_0_epipolar_sift_r16.csv", delimiter=",", names=True)
     table = table[np.linspace(0, len(table) - 1, COUNT).astype(int)]
@@ -347,3 +340,168 @@ def test_positions_are_those_of_the_peer(data_dir: Path, image: str, column: str
     peer = np.column_stack([table[f"{column}_x"], table[f"{column}_y"]])
     distance = np.hypot(*(tracks.position_px[0] - peer).T)
     assert np.nanmedian(distance) <= bound_px
+
+
+# What must not change a track: where the image's corner lies, light, the order of frames and subsets, a mirror.
+
+FULL_SCALE = 65535
+PLANE_SIZE = (132, 120)
+POINTS = np.stack(np.meshgrid([46.0, 65.0, 86.0], [44.0, 60.0, 75.0]), axis=-1).reshape(-1, 2)
+SHIFTS = np.array([[0.0, 0.0], [0.62, -0.35], [1.31, -0.9], [0.84, -0.48], [-0.77, 0.52]])
+TURNS = 4e-3 * np.array([0.0, 1.0, 1.7, 1.2, -1.1])
+NOISE_GREY = 6.0
+SAME_PX = 1e-5  # the same arithmetic on the same pixels but for rounding and the image's rim
+FEW = settings(max_examples=8, deadline=None)
+Images = Sequence[np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def frames(make_texture) -> list[np.ndarray]:
+    """A plane that shifts and turns, 12 bit with noise."""
+    texture = make_texture(seed=41, s=1.5, waves=60)
+    middle, images = np.array(PLANE_SIZE) / 2, []
+    for k, (shift, turn) in enumerate(zip(SHIFTS, TURNS, strict=True)):
+        back = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        clean = 2000 + 400 * texture.image(PLANE_SIZE, lambda p, s=shift, b=back: (p - middle - s) @ b + middle)
+        noise = np.random.default_rng(50 + k).normal(0.0, NOISE_GREY, clean.shape)
+        images.append(np.round(clean + noise).astype(np.uint16))
+    return images
+
+
+@pytest.fixture(scope="module")
+def tracks(frames: Images) -> Tracks:
+    return follow(frames)
+
+
+def follow(images: Images, points: np.ndarray = POINTS, degree: int = 5) -> Tracks:
+    images = [np.ascontiguousarray(image) for image in images]
+    tracks = track_sequence(sequence(images, FULL_SCALE), points, TrackSettings(degree=degree))
+    assert np.all(tracks.status == TrackStatus.OK)
+    return tracks
+
+
+def test_the_frames_move_as_they_should(tracks):
+    """The truth that the invariants start from."""
+    for k, (shift, turn) in enumerate(zip(SHIFTS, TURNS, strict=True)):
+        rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        truth = (POINTS - np.array(PLANE_SIZE) / 2) @ rotation.T + np.array(PLANE_SIZE) / 2 + shift
+        np.testing.assert_allclose(tracks.position_px[k], truth, atol=0.01)
+
+
+@FEW
+@given(right=st.integers(0, 12), down=st.integers(0, 12))
+def test_whole_pixels_shift_the_tracks(frames, tracks, right, down):
+    corner = np.array([right, down])
+    cut = follow([image[down:, right:] for image in frames], POINTS - corner)
+    np.testing.assert_allclose(cut.position_px + corner, tracks.position_px, atol=SAME_PX)
+
+
+@FEW
+@given(data=st.data())
+def test_light_and_contrast_of_a_frame_leave_the_positions(frames, tracks, data):
+    """Whole gains and offsets, so that no grey value is rounded again; the reference keeps its own."""
+    lit = [frames[0]]
+    for image in frames[1:]:
+        gain, offset = data.draw(st.integers(1, 12)), data.draw(st.integers(-500, 8000))
+        lit.append((gain * image.astype(np.int64) + offset).astype(np.uint16))
+    changed = follow(lit)
+    np.testing.assert_allclose(changed.position_px, tracks.position_px, atol=SAME_PX)
+    np.testing.assert_allclose(changed.zncc, tracks.zncc, atol=1e-9)
+
+
+@FEW
+@given(power=st.integers(1, 4), degree=st.sampled_from([3, 5]))
+def test_a_power_of_two_of_the_grey_values_changes_no_bit(frames, power, degree):
+    plain, scaled = (follow([image << bits for image in frames], degree=degree) for bits in (0, power))
+    np.testing.assert_array_equal(scaled.position_px, plain.position_px)
+    np.testing.assert_array_equal(scaled.covariance_px2, plain.covariance_px2)
+    np.testing.assert_array_equal(scaled.noise_grey, 2**power * plain.noise_grey)
+
+
+@pytest.mark.parametrize("degree", [3, 5])
+def test_a_transposed_or_mirrored_scene_gives_transposed_or_mirrored_tracks(frames, degree):
+    plain = follow(frames, degree=degree)
+    width, height = PLANE_SIZE
+    turned = follow([image.T for image in frames], POINTS[:, ::-1], degree)
+    np.testing.assert_allclose(turned.position_px[..., ::-1], plain.position_px, atol=SAME_PX)
+    np.testing.assert_allclose(turned.covariance_px2[..., ::-1, ::-1], plain.covariance_px2, rtol=1e-3)
+    across = follow([image[:, ::-1] for image in frames], POINTS * [-1, 1] + [width - 1, 0], degree)
+    np.testing.assert_allclose(across.position_px * [-1, 1] + [width - 1, 0], plain.position_px, atol=SAME_PX)
+    upside = follow([image[::-1] for image in frames], POINTS * [1, -1] + [0, height - 1], degree)
+    np.testing.assert_allclose(upside.position_px * [1, -1] + [0, height - 1], plain.position_px, atol=SAME_PX)
+
+
+@FEW
+@given(order=st.permutations(range(1, len(SHIFTS))))
+def test_the_order_of_the_frames_moves_a_subset_by_less_than_a_tenth_of_its_uncertainty(frames, tracks, order):
+    """Time reversed among the orders: another order is another start, and the end must not know it."""
+    order = [0, *order]
+    shuffled = follow([frames[k] for k in order])
+    moved = shuffled.position_px - tracks.position_px[order]
+    assert np.all(np.abs(moved) < 0.1 * sigma_px(tracks)[order])
+
+
+def test_time_reversed_leads_back(frames, tracks):
+    """With the last frame as the reference the subsets return to where they came from, within the noise of a pair."""
+    back = follow(frames[::-1], tracks.position_px[-1])
+    missed = (back.position_px[-1] - POINTS) / (np.sqrt(2.0) * sigma_px(tracks)[-1])
+    assert np.sqrt(np.mean(missed**2)) < 1.0
+    assert np.abs(missed).max() < 3.0
+
+
+@FEW
+@given(order=st.permutations(range(len(POINTS))), last=st.integers(1, len(SHIFTS) - 1))
+def test_neither_the_order_of_subsets_nor_the_future_matters(frames, tracks, order, last):
+    shuffled = follow(frames[: last + 1], POINTS[order])
+    np.testing.assert_allclose(shuffled.position_px, tracks.position_px[: last + 1, order], atol=1e-9)
+
+
+def sigma_px(tracks: Tracks) -> np.ndarray:
+    """Stated standard uncertainties (F,N,2)."""
+    return np.sqrt(np.diagonal(tracks.covariance_px2, axis1=2, axis2=3))
+
+
+@pytest.fixture(scope="module")
+def stereo() -> tuple[StereoRig, list[list[np.ndarray]]]:
+    """A round speckled face before two cameras, 24° apart, at rest and in two other poses."""
+    pixel_m, focal = 2e-4, 1500.0
+    texture = speckle_texture((0.04, 0.04), 5 * pixel_m, pixel_m / 4, 1.2 * pixel_m, np.random.default_rng(42))
+    axes = np.eye(3)
+    face = Face(np.zeros(3), axes[0], axes[1], np.array([0.017, 0.017]), True, texture, 0.6 * pixel_m)
+    camera = Camera(np.array([[focal, 0, 110], [0, focal, 100], [0, 0, 1.0]]), np.zeros(5), np.array([220, 200]))
+    places = [
+        RigidTransform(np.eye(3), np.array([0, 0, focal * pixel_m]))
+        @ RigidTransform.from_pose(np.array([0, 0, 0, 0, angle, 0]))
+        for angle in np.radians([-12.0, 12.0])
+    ]
+    poses = np.array([np.zeros(6), [1e-4, -8e-5, 2e-4, 1e-3, -2e-3, 3e-3], [-9e-5, 5e-5, -3e-4, -2e-3, 1e-3, 1e-3]])
+    sensor, rng = ImageSensor(12, 16.0, 3.0), np.random.default_rng(43)
+    images = []
+    for place in places:
+        view = view_of(camera, place)
+        images.append([sensor.digitise(render(view, face, pose[None], np.ones(1)), rng) for pose in poses])
+    return StereoRig(camera, camera, places[1] @ places[0].inverse()), images
+
+
+def motion_of(rig: StereoRig, left: Images, right: Images, origin_m: np.ndarray) -> RigidMotion:
+    """Motion of what both cameras see, in the left camera's frame."""
+    seen = track_stereo(sequence(left), sequence(right), rig, TrackSettings())
+    positions = seen.left.position_px, seen.right.position_px
+    points = triangulate(rig, *positions, seen.left.covariance_px2, seen.right.covariance_px2)
+    return fit_motion(points, None, origin_m)
+
+
+def test_swapped_cameras_see_the_same_motion(stereo):
+    """The left camera lays the grid, so other subsets are followed: the same motion within its uncertainty."""
+    rig, (left, right) = stereo
+    swap = StereoRig(rig.right, rig.left, rig.right_from_left.inverse())
+    origin = np.array([0.0, 0.0, 0.3])
+    plain = motion_of(rig, left, right, origin)
+    swapped = motion_of(swap, right, left, rig.right_from_left.apply(origin))
+    turn = np.kron(np.eye(2), rig.right_from_left.rotation.T)
+    difference = swapped.pose @ turn.T - plain.pose
+    covariance = plain.covariance + turn @ swapped.covariance @ turn.T
+    assert np.all(np.abs(plain.pose[1:]) > 10 * np.sqrt(np.diagonal(covariance[1:], axis1=1, axis2=2)))
+    for k in (1, 2):
+        # the mean of χ² with six degrees of freedom: both share most of their noise
+        assert difference[k] @ np.linalg.solve(covariance[k], difference[k]) < 6.0
