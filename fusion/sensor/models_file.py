@@ -93,9 +93,7 @@ def read_models(path: Path) -> ModelsFile:
     return read_stored(path, MODELS_FILE, "step", parsed)
 
 
-def read_stored(
-    path: Path, name: str, command: str, parsed: Callable[[dict[str, Any]], R], what: str = "models"
-) -> R:
+def read_stored(path: Path, name: str, command: str, parsed: Callable[[dict[str, Any]], R], what: str = "models") -> R:
     """Return what a file of models, or of `what`, that a command wrote holds, or the one of this name in a folder."""
     file = path / name if path.is_dir() else path
     try:
@@ -176,12 +174,19 @@ def model_text(models: Sequence[LoadModel], campaign: str, sensor: str, program:
     return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
 
-def read_load_models(path: Path) -> tuple[LoadModel, ...]:
+def read_load_models(path: str | Path) -> tuple[LoadModel, ...]:
     """Read load.json, or the one in a folder of results; `InputError` names what cannot be read.
 
     Where one load cannot tell two solutions apart both are there, with `solutions` = 2.
+
+    >>> from fusion import read_load_models
+    >>> models = read_load_models("my-loads/load")  # doctest: +SKIP
     """
-    return read_stored(path, LOAD_MODEL_FILE, "load", lambda content: tuple(_load_model(item) for item in content["models"]))
+
+    def parsed(content: dict[str, Any]) -> tuple[LoadModel, ...]:
+        return tuple(_load_model(item) for item in content["models"])
+
+    return read_stored(Path(path), LOAD_MODEL_FILE, "load", parsed)
 
 
 def parameter_units(component: str) -> dict[str, str]:

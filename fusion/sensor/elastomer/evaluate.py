@@ -32,12 +32,15 @@ from shaker.mechanics import MassChain, oscillator_hz, required_stiffness
 
 
 class Fact(NamedTuple):
-    """A number of the beam formulas: `printed` by the publication's formula, `right` by what stands in its place."""
+    """A number of the beam formulas: `printed` by the publication's formula, `right` by what stands in its place.
+
+    NaN where there is none.
+    """
 
     name: str
     label: str
-    printed: float | None
-    right: float | None
+    printed: float
+    right: float
     unit: str
     remark: str
 
@@ -180,10 +183,10 @@ def statics_facts(definition: Definition, frame: FrameModel) -> tuple[Fact, ...]
         Fact("force_ratio", "F_Q/F_c, eq. 10", printed.force_ratio, ratio, "1", f"{cantilever}; printed value 8"),
         Fact("beam_share", "F_Q/F, eq. 10", printed.beam_share, ratio / (2 * ratio + 4), "1", "printed value 0.4"),
         Fact("stiffness_point", "k, platform a point, eq. 11", stiffness, point, "N/m", f"F_Q = 0.4 F; {guided}"),
-        Fact("stiffness_x", "k along x, y with the platform", None, closed.x, "N/m", "closed form, no turning"),
-        Fact("stiffness_z", "k along z with the platform", None, closed.z, "N/m", "closed form, no turning"),
+        Fact("stiffness_x", "k along x, y with the platform", np.nan, closed.x, "N/m", "closed form, no turning"),
+        Fact("stiffness_z", "k along z with the platform", np.nan, closed.z, "N/m", "closed form, no turning"),
         Fact("frequency_point", "f of k and the moving mass, eq. 17", *point_hz, "Hz", told),
-        Fact("stiffness_needed", "k that the frame's Tx asks of one oscillator", None, needed, "N/m", same),
+        Fact("stiffness_needed", "k that the frame's Tx asks of one oscillator", np.nan, needed, "N/m", same),
     )
 
 

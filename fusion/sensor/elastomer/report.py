@@ -85,9 +85,9 @@ class ComparisonRow(NamedTuple):
     u_hz: float
 
 
-def _number(fact: Fact, value: float | None) -> str:
+def _number(fact: Fact, value: float) -> str:
     """A number of the beam formulas."""
-    if value is None:
+    if np.isnan(value):
         return DASH
     return _plain(value) if fact.unit in ("N/m", "Pa") else f"{value:.4g}"
 
@@ -97,18 +97,11 @@ def _plain(value: float) -> str:
     return measured(float(f"{value:.4g}"), 0.0)
 
 
-def _or_nan(value: float | None) -> float:
-    """A number, NaN where there is none."""
-    return np.nan if value is None else value
-
-
 STATICS: list[Column[Fact]] = [
     word("name", lambda fact: fact.name),
     on_page("quantity", lambda fact: fact.label, "l"),
-    Column(
-        "printed", lambda fact: _or_nan(fact.printed), "formula as printed", lambda fact: _number(fact, fact.printed)
-    ),
-    Column("right", lambda fact: _or_nan(fact.right), "right", lambda fact: _number(fact, fact.right)),
+    Column("printed", lambda fact: fact.printed, "formula as printed", lambda fact: _number(fact, fact.printed)),
+    Column("right", lambda fact: fact.right, "right", lambda fact: _number(fact, fact.right)),
     Column("unit", lambda fact: fact.unit, "unit", lambda fact: fact.unit.replace("1", DASH), "l"),
     word("remark", lambda fact: fact.remark, "remark"),
 ]
