@@ -42,7 +42,7 @@ from photogram.geometry import RigidTransform
 from photogram.motion import deformation, fit_motion
 from photogram.subsets.track import StereoTracks, Tracks
 from shaker.io.channel import RawChannel
-from shaker.lines.aliasing import exposure_gain
+from shaker.sine.aliasing import exposure_gain
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -78,7 +78,7 @@ def draw_trigger(evaluation: Evaluation) -> bytes:
         upper.legend(loc="upper right", ncols=2)
         lower.set_ylabel("trigger / V")
         lower.set_xlabel("time / s")
-        lay_out(figure, [upper, lower])
+        lay_out([upper, lower])
         return as_file(figure, "png")
 
 
@@ -117,7 +117,7 @@ def draw_spectrum(evaluation: Evaluation) -> bytes:
         axes.set_ylim(0, 1.5)
         axes.set_xlabel("frequency / Hz")
         axes.set_ylabel("acceleration / (m/s²)")
-        lay_out(figure, [axes])
+        lay_out([axes])
         return as_file(figure, "png")
 
 
@@ -145,7 +145,7 @@ def draw_displacement(stereo: StereoResult) -> bytes:
         lower.set_xlabel("time / s")
         upper.legend(loc="upper right", ncols=2)
         upper.set_ylim(-0.56, 0.68)
-        lay_out(figure, [upper, lower])
+        lay_out([upper, lower])
         return as_file(figure, "png")
 
 
@@ -161,7 +161,7 @@ def draw_axis(stereo: StereoResult) -> bytes:
             axes.set_ylim(low, high + 0.25 * (high - low))
         upper.legend(loc="upper right", ncols=2)
         lower.set_xlabel("time / s")
-        lay_out(figure, [upper, lower])
+        lay_out([upper, lower])
         return as_file(figure, "png")
 
 
@@ -201,5 +201,5 @@ def draw_sweep(points: Sequence[SweepPoint], static: float) -> bytes:
         lower.set_xlabel("frequency / Hz")
         upper.legend(loc="lower left")
         upper.set_xlim(0.0, fine[-1])
-        lay_out(figure, [upper, lower])
+        lay_out([upper, lower])
         return as_file(figure, "png")

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from shaker.lines.aliasing import alias_frequency
+from shaker.sine.aliasing import alias_frequency
 from shaker.sine.fit import fit_sines
 
 FloatArray = NDArray[np.float64]

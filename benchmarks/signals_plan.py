@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.lines.aliasing import nearest_clear_rate
 from shaker.lines.rate_planner import Lines, RatePlan, Sampling, lines_of, plan_at
+from shaker.sine.aliasing import nearest_clear_rate
 from shaker.sine.fit import fit_sines
 
 FloatArray = NDArray[np.float64]

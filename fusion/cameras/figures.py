@@ -92,7 +92,7 @@ def picture_sheet(name: str, count: int, size_px: IntArray, below_in: float = 0.
         drawn.panels[0].set_ylabel("y / px")
         left, right = MARGIN_IN
         layout: dict[str, Any] = {"left": left, "right": right, "bottom": bottom, "top": TOP_IN, "label": 0.48}
-        lay_out(drawn.figure, drawn.panels, gap=(BETWEEN_IN, 0.1), **layout)
+        lay_out(drawn.panels, gap=(BETWEEN_IN, 0.1), **layout)
         yield drawn
 
 

@@ -322,7 +322,7 @@ def draw_views(calibration: Calibration) -> Picture:
         panels[1].set_xlabel("turn in the left picture / °")
         panels[1].set_ylabel("distance from the left camera / mm")
         _draw_scene(panels[2], calibration, colours)
-        lay_out(drawn.figure, panels, left=0.62, top=0.28, gap=(0.72, 0.1), label=0.5)
+        lay_out(panels, left=0.62, top=0.28, gap=(0.72, 0.1), label=0.5)
         _mark(panels[0], tilt, colours)
         _mark(panels[1], np.stack([turn, distance], axis=1), colours)
         caption = (

@@ -159,7 +159,7 @@ def draw_points(spread: PointSpread, line: int, place: int) -> Picture:
         phase.set_yticks(range(len(names)), [])
         amplitude.set_xlabel("amplitude from the mean / %")
         phase.set_xlabel("phase from the mean / mrad")
-        lay_out(drawn.figure, drawn.panels, gap=(0.75, 0.2), top=0.35, right=0.15)
+        lay_out(drawn.panels, gap=(0.75, 0.2), top=0.35, right=0.15)
         # Names are longer than numbers: the left side of their panel moves to the right.
         box, shift = amplitude.get_position(), 0.55 / drawn.figure.get_size_inches()[0]
         amplitude.set_position((box.x0 + shift, box.y0, box.width - shift, box.height))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -87,8 +87,7 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
 
 
 def lay_out(
-    figure: Figure,
-    panels: Iterable[Axes],
+    panels: Sequence[Axes],
     *,
     left: float = 0.72,
     right: float = 0.12,
@@ -98,9 +97,10 @@ def lay_out(
     label: float = 0.52,
 ) -> None:
     """Margins, gaps (across, down) and the distance of the y labels from their panel, all in inches."""
+    figure, grid = panels[0].get_figure(root=True), panels[0].get_gridspec()
+    if figure is None:
+        raise ValueError("panels: expected those of a figure, found others")
     width, height = figure.get_size_inches()
-    every = list(panels)
-    grid = every[0].get_gridspec()
     across, down = (grid.ncols, grid.nrows) if grid is not None else (1, 1)
     panel_width = (width - left - right - (across - 1) * gap[0]) / across
     panel_height = (height - bottom - top - (down - 1) * gap[1]) / down
@@ -112,7 +112,7 @@ def lay_out(
         wspace=gap[0] / panel_width,
         hspace=gap[1] / panel_height,
     )
-    for axes in every:
+    for axes in panels:
         axes.yaxis.set_label_coords(-label / (axes.get_position().width * width), 0.5)
 
 
@@ -140,12 +140,12 @@ class Sheet:
 
     def picture(self, title: str, caption: str, **layout: Any) -> Picture:
         """Lay the panels out (`lay_out`, below a row of panel labels) and turn the figure into SVG text."""
-        lay_out(self.figure, self.panels, **{"top": 0.24, "left": 0.78, "label": 0.58, **layout})
+        lay_out(self.panels, **{"top": 0.24, "left": 0.78, "label": 0.58, **layout})
         return finish(self.figure, self.name, title, caption)
 
     def file(self, kind: str, **layout: Any) -> bytes:
         """Lay the panels out (`lay_out`) and turn the figure into a png, svg or pdf file without a date."""
-        lay_out(self.figure, self.panels, **layout)
+        lay_out(self.panels, **layout)
         return as_file(self.figure, kind)
 
 
