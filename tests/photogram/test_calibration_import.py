@@ -150,12 +150,10 @@ def test_matlab(tmp_path, old):
 def test_matlab_with_two_radial_coefficients_and_a_unit_nobody_knows(tmp_path):
     content = _matlab(old=False)
     for name in ("CameraParameters1", "CameraParameters2"):
-        camera = content[name]
-        camera["RadialDistortion"], camera["WorldUnits"] = camera["RadialDistortion"][:2], "squares"
-    path = _file(tmp_path, "stereo.json", json.dumps(content))
-    refused("length_unit", import_calibration, path)
+        content[name] |= {"RadialDistortion": content[name]["RadialDistortion"][:2], "WorldUnits": "squares"}
+    refused("length_unit", _imported, tmp_path, json.dumps(content))
     two = [1, 1, 1, 1, 0]
-    _assert_same(import_calibration(path, length_unit="mm"), (D_LEFT * two, D_RIGHT * two))
+    _assert_same(_imported(tmp_path, json.dumps(content), None, "mm"), (D_LEFT * two, D_RIGHT * two))
 
 
 def test_matlab_essential_matrix_reveals_a_transposed_rotation(tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -19,7 +19,6 @@ from photogram.camera import Camera, StereoRig
 from photogram.direct import (
     LEAST_FILLED,
     BodyView,
-    DirectFit,
     compare_cells,
     fit_direct,
     image_noise,
@@ -54,17 +53,20 @@ POSES = np.array(
 Stereo = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform]
 
 
+def two_places(tilt: float = 0.0) -> list[RigidTransform]:
+    """Camera from body of two cameras that see pixels of PIXEL_M, 28° apart."""
+    away = RigidTransform(np.eye(3), np.array([0, 0, FOCAL * PIXEL_M]))
+    turns = (np.array([0, 0, 0, tilt, angle, 0]) for angle in np.radians([-14.0, 14.0]))
+    return [away @ RigidTransform.from_pose(turn) for turn in turns]
+
+
 def rendered(poses: np.ndarray, half_m: tuple[float, float], middle: tuple[int, int], seed: int) -> Stereo:
     """A speckled face before two cameras, 28° apart: both cameras' images, rig, body_from_left."""
     texture = speckle_texture((0.04, 0.04), 5 * PIXEL_M, PIXEL_M / 4, 1.2 * PIXEL_M, np.random.default_rng(seed))
     face = Face(np.zeros(3), np.eye(3)[0], np.eye(3)[1], np.array(half_m), False, texture, 0.6 * PIXEL_M)
     matrix = np.array([[FOCAL, 0, middle[0]], [0, FOCAL, middle[1]], [0, 0, 1.0]])
     camera, rng = Camera(matrix, np.zeros(5), 2 * np.array(middle)), np.random.default_rng(seed + 1)
-    places = [
-        RigidTransform(np.eye(3), np.array([0, 0, FOCAL * PIXEL_M]))
-        @ RigidTransform.from_pose(np.array([0, 0, 0, 0, angle, 0]))
-        for angle in np.radians([-14.0, 14.0])
-    ]
+    places = two_places()
     left, right = (
         sequence([SENSOR.digitise(render(view_of(camera, place), face, pose[None], np.ones(1)), rng) for pose in poses])
         for place in places
@@ -142,7 +144,7 @@ def test_a_dark_frame_is_lost_alone(scene, body):
     assert any("in 1 of 3 frames the motion could not be fitted" in notice.text for notice in found.notices)
 
 
-def test_noise_is_found_in_the_first_frame_that_can_be_fitted(scene):
+def test_noise_is_found_in_the_first_frame_that_can_be_fit_direct(scene):
     (left, right), *others = scene
     found = measure_body((chosen(left, 0, None, 1), chosen(right, 0, None, 1)), *others, SEPTIC)
     assert np.isfinite(found.motion.pose[2]).all()
@@ -271,14 +273,7 @@ def plate() -> Scene:
     face = Face(np.zeros(3), axes[0], axes[1], np.array([0.017, 0.017]), True, texture, 0.6 * PIXEL_M)
     matrix = np.array([[FOCAL, 0, 110], [0, FOCAL, 100], [0, 0, 1.0]])
     camera = Camera(matrix, np.array([-0.1, 0.1, 2e-4, -1e-4, 0.0]), np.array([220, 200]))
-    places = tuple(
-        PlacedCamera(
-            camera,
-            RigidTransform(np.eye(3), np.array([0, 0, FOCAL * PIXEL_M]))
-            @ RigidTransform.from_pose(np.array([0, 0, 0, 0.1, angle, 0])),
-        )
-        for angle in np.radians([-14.0, 14.0])
-    )
+    places = tuple(PlacedCamera(camera, place) for place in two_places(0.1))
     views = [view_of(place.camera, place.camera_from_body) for place in places]
     images = [[render(view, face, pose[None], np.ones(1)) for view in views] for pose in (np.zeros(6), POSE)]
     return Scene((places[0], places[1]), face, (images[0][0], images[0][1]), (images[1][0], images[1][1]))
@@ -309,11 +304,6 @@ def model() -> NoiseModel:
     return NoiseModel(SENSOR.read_noise_grey**2 + 1 / 12, 1 / SENSOR.electrons_per_grey)
 
 
-def fitted(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidTransform) -> DirectFit:
-    fit = fit_direct(views, targets, start)
-    return fit
-
-
 def sigma(covariance: np.ndarray) -> np.ndarray:
     return np.sqrt(np.diagonal(covariance))
 
@@ -321,7 +311,7 @@ def sigma(covariance: np.ndarray) -> np.ndarray:
 def test_a_motion_is_found_without_noise_from_a_pixel_away(plate):
     """What is left of the interpolation is a few ten-thousandths of a pixel."""
     views = body_views(plate, None, model())
-    fit = fitted(views, splines(plate.moved, None), RigidTransform.identity())
+    fit = fit_direct(views, splines(plate.moved, None), RigidTransform.identity())
     error = fit.moved.pose - POSE
     assert np.max(np.abs(POSE[:3])) > 0.4 * PIXEL_M * 0.9
     assert np.max(np.abs(error[:2])) < 2e-4 * PIXEL_M
@@ -335,7 +325,7 @@ def test_scatter_is_the_stated_one_and_close_to_the_bound(plate):
     views = body_views(plate, rng, model())
     start, found, stated, noise = RigidTransform.from_pose(POSE), [], [], []
     for _ in range(TRIALS):
-        fit = fitted(views, splines(plate.moved, rng), start)
+        fit = fit_direct(views, splines(plate.moved, rng), start)
         found.append(fit.moved.pose)
         stated.append(np.diagonal(fit.covariance))
         noise.append(fit.noise)
@@ -354,7 +344,7 @@ def test_the_camera_noise_is_found(plate):
     rng = np.random.default_rng(12)
     views = body_views(plate, rng, NoiseModel(1.0, 0.0))
     targets = splines(plate.moved, rng)
-    fit = fitted(views, targets, RigidTransform.from_pose(POSE))
+    fit = fit_direct(views, targets, RigidTransform.from_pose(POSE))
     for view, target in zip(views, targets, strict=True):
         found = image_noise(view, target, fit.moved)
         level = np.array([600.0, 1500.0, 3000.0])
@@ -365,12 +355,9 @@ def test_the_lamp_does_not_matter(plate):
     """Gain and offset of all cells are free: a lamp that dims and stray light change the pose by rounding only."""
     rng = np.random.default_rng(13)
     views = body_views(plate, rng, model())
-    plain = fitted(views, splines(plate.moved, None), RigidTransform.identity())
-    lit = fitted(
-        views,
-        [spline_of_image(image * 0.8 * SENSOR.full_scale + 40) for image in plate.moved],
-        RigidTransform.identity(),
-    )
+    plain = fit_direct(views, splines(plate.moved, None), RigidTransform.identity())
+    dimmed = [spline_of_image(image * 0.8 * SENSOR.full_scale + 40) for image in plate.moved]
+    lit = fit_direct(views, dimmed, RigidTransform.identity())
     assert np.all(np.abs(lit.moved.pose - plain.moved.pose) < 0.02 * sigma(rest_covariance(views, 1.0)))
 
 
@@ -379,11 +366,11 @@ def test_what_moves_in_front_of_the_body_is_left_out(plate):
     rng = np.random.default_rng(14)
     views = body_views(plate, rng, model())
     targets = splines(plate.moved, rng)
-    clean = fitted(views, targets, RigidTransform.from_pose(POSE))
+    clean = fit_direct(views, targets, RigidTransform.from_pose(POSE))
     covered = plate.moved[0].copy()
     covered[90:104] = 0.6
     hidden = [spline_of_image(SENSOR.digitise(covered, rng)), targets[1]]
-    fit = fitted(views, hidden, RigidTransform.from_pose(POSE))
+    fit = fit_direct(views, hidden, RigidTransform.from_pose(POSE))
     assert fit.cells <= clean.cells - 8
     assert np.all(np.abs(fit.moved.pose - POSE) < 5 * sigma(fit.covariance))
 
@@ -399,8 +386,8 @@ def test_a_body_that_is_not_there_has_no_motion(plate):
 def test_the_order_of_the_cameras_does_not_matter(plate):
     rng = np.random.default_rng(16)
     views, targets = body_views(plate, rng, model()), splines(plate.moved, rng)
-    one = fitted(views, targets, RigidTransform.identity())
-    other = fitted(views[::-1], targets[::-1], RigidTransform.identity())
+    one = fit_direct(views, targets, RigidTransform.identity())
+    other = fit_direct(views[::-1], targets[::-1], RigidTransform.identity())
     np.testing.assert_allclose(one.moved.pose, other.moved.pose, atol=1e-12)
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-6, atol=1e-25)
 

@@ -196,35 +196,23 @@ def test_missing_points_are_passed_over():
     np.testing.assert_allclose(found.pose[3], alone.pose[0], atol=1e-14)
 
 
-def test_points_missing_in_the_reference_do_not_count():
-    _, points = sample(3, 30, shaking(3), 13)
-    position = points.position_m.copy()
+def test_points_missing_in_the_reference_or_without_a_covariance_do_not_count():
+    reference, points = sample(3, 30, shaking(3), 13)
+    position, covariance = points.position_m.copy(), points.covariance_m2.copy()
     position[0, :5] = np.nan
-    found = fit_motion(of(position, points.covariance_m2), None, ORIGIN)
-    np.testing.assert_array_equal(found.points, 25)
+    np.testing.assert_array_equal(fit_motion(of(position, covariance), None, ORIGIN).points, 25)
+    covariance[:, 0], covariance[:, 1], covariance[:, 2] = 0.0, -NOISE, np.nan
+    np.testing.assert_array_equal(fit_motion(of(points.position_m, covariance), reference, ORIGIN).points, 27)
 
 
-def test_points_on_one_line_give_no_motion():
+def test_planar_points_give_all_six_components_and_points_on_one_line_none():
+    reference, pose = body(25, depth=0.0), shaking(3)
+    found = fit_motion(of(np.stack([moved(reference, one) for one in pose])), reference, ORIGIN)
+    np.testing.assert_allclose(found.pose, pose, atol=1e-12)
     line = np.outer(np.linspace(0, 0.1, 9), [1.0, 2.0, 0.5])
     found = fit_motion(of(np.stack([line, moved(line, np.full(6, 1e-3))])), line, ORIGIN)
     assert np.isnan(found.pose).all()
     np.testing.assert_array_equal(found.points, 0)
-
-
-def test_planar_points_give_all_six_components():
-    reference, pose = body(25, depth=0.0), shaking(3)
-    found = fit_motion(of(np.stack([moved(reference, one) for one in pose])), reference, ORIGIN)
-    np.testing.assert_allclose(found.pose, pose, atol=1e-12)
-
-
-def test_covariances_that_are_none_take_the_point_out():
-    reference, points = sample(2, 30, shaking(2), 14)
-    covariance = points.covariance_m2.copy()
-    covariance[:, 0] = 0.0
-    covariance[:, 1] = -NOISE
-    covariance[:, 2] = np.nan
-    found = fit_motion(of(points.position_m, covariance), reference, ORIGIN)
-    np.testing.assert_array_equal(found.points, 27)
 
 
 def test_another_reference_pose_is_a_composition():

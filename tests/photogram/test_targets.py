@@ -240,6 +240,10 @@ def find(image: np.ndarray, board: Board) -> TargetView:
     return find_dots(image, board.target, "a", 255)
 
 
+def by_index(view: TargetView) -> dict[tuple[int, ...], np.ndarray]:
+    return {tuple(index): position for index, position in zip(view.index.tolist(), view.position_px, strict=True)}
+
+
 def off_px(view: TargetView, where: RigidTransform) -> np.ndarray:
     """How far (N,) the seen centres lie off the images of the dots' centres, which perspective hardly moves here."""
     points = np.column_stack([view.index, np.zeros(len(view.index))]) * SPACING_M
@@ -284,12 +288,9 @@ def test_arms_of_equal_length_are_told_apart_by_handedness():
 def test_plain_grid_runs_to_the_right():
     for turn in (0.4, np.pi - 0.4):
         view = find(shown(PLAIN, pose(PLAIN, turn)), PLAIN)
-        along = view.position_px[view.index[:, 0] == 8].mean(axis=0) - view.position_px[view.index[:, 0] == 0].mean(
-            axis=0
-        )
-        down = view.position_px[view.index[:, 1] == 5].mean(axis=0) - view.position_px[view.index[:, 1] == 0].mean(
-            axis=0
-        )
+        (x, y), seen = view.index.T, view.position_px
+        along = seen[x == 8].mean(axis=0) - seen[x == 0].mean(axis=0)
+        down = seen[y == 5].mean(axis=0) - seen[y == 0].mean(axis=0)
         assert along[0] > 0
         assert along[0] * down[1] - along[1] * down[0] > 0
 
@@ -300,20 +301,18 @@ def test_asymmetric_grid_agrees_with_opencv():
     image = shown(ASYMMETRIC, pose(ASYMMETRIC, 0.1, 0.2))
     found, centres = cv2.findCirclesGrid(image, (4, 11), flags=cv2.CALIB_CB_ASYMMETRIC_GRID)
     assert found
-    view = find(image, ASYMMETRIC)
-    place = {tuple(index): position for index, position in zip(view.index.tolist(), view.position_px, strict=True)}
+    place = by_index(find(image, ASYMMETRIC))
     ours = np.array([place[(2 * i + j % 2, j)] for j in range(11) for i in range(4)])
     assert np.linalg.norm(ours - centres.reshape(-1, 2), axis=1).max() < 0.5
 
 
-def test_asymmetric_grid_of_odd_rows_has_one_labelling():
-    where = pose(ASYMMETRIC, 2.5)
-    assert off_px(find(shown(ASYMMETRIC, where), ASYMMETRIC), where).max() < 0.1
-
-
-def test_bright_dots_on_a_dark_plate():
+def test_bright_dots_and_twelve_bits_and_odd_rows_are_found_too():
     where = pose(RINGS, 1.0)
     assert off_px(find(255 - shown(RINGS, where), RINGS), where).max() < 0.1
+    fine = (16 * render_board(WIDE, where, RINGS) * 255).astype(np.uint16)
+    assert off_px(find_dots(fine, RINGS.target, "a", 4095), where).max() < 0.03
+    turned = pose(ASYMMETRIC, 2.5)
+    assert off_px(find(shown(ASYMMETRIC, turned), ASYMMETRIC), turned).max() < 0.1
 
 
 def test_missing_dots_dirt_and_falling_light_do_no_harm():
@@ -330,12 +329,6 @@ def test_missing_dots_dirt_and_falling_light_do_no_harm():
     assert not {(1, 1), (2, -1), (-1, 3), (3, 2)} & set(map(tuple, view.index.tolist()))
     assert len(view.index) > 60
     assert np.quantile(off_px(view, where), 0.8) < 0.2
-
-
-def test_twelve_bits_are_used():
-    where = pose(RINGS, 0.1)
-    image = (16 * render_board(WIDE, where, RINGS) * 255).astype(np.uint16)
-    assert off_px(find_dots(image, RINGS.target, "a", 4095), where).max() < 0.03
 
 
 def noise() -> np.ndarray:
@@ -397,13 +390,9 @@ def view_of(folder: Path, number: int, camera: int) -> TargetView:
 
 def common(first: TargetView, second: TargetView) -> tuple[np.ndarray, np.ndarray]:
     """Positions of the dots that both views show, in the same order."""
-    there = {tuple(index): position for index, position in zip(second.index.tolist(), second.position_px, strict=True)}
-    pairs = [
-        (position, there[tuple(index)])
-        for index, position in zip(first.index.tolist(), first.position_px, strict=True)
-        if tuple(index) in there
-    ]
-    return np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
+    here, there = by_index(first), by_index(second)
+    both = [index for index in here if index in there]
+    return np.array([here[index] for index in both]), np.array([there[index] for index in both])
 
 
 def plane_residual_px(from_px: np.ndarray, to_px: np.ndarray) -> float:
@@ -419,7 +408,7 @@ def check(left: TargetView, right: TargetView) -> None:
     """76 dots, the rings where the target's description has them, and both cameras see one plane."""
     for view in (left, right):
         assert len(view.index) >= 76
-        place = {tuple(index): position for index, position in zip(view.index.tolist(), view.position_px, strict=True)}
+        place = by_index(view)
         origin, x_ring, y_ring = place[0, 0], place[5, 0], place[0, 3]
         assert x_ring[0] - origin[0] > 1000
         assert y_ring[1] - origin[1] < -600
@@ -549,9 +538,8 @@ def test_ring_is_placed_by_its_outer_edge():
 def test_roughness_tells_a_square_from_a_disc():
     centre, shape, image = dot(15.0, 1.0, 0.0, 7)
     y, x = np.indices(image.shape)
-    square = gaussian_filter(
-        np.where(np.maximum(abs(x - centre[0]), abs(y - centre[1])) < 13.3, BACKGROUND + CONTRAST, BACKGROUND), 1.0
-    )
+    inside = np.maximum(abs(x - centre[0]), abs(y - centre[1])) < 13.3
+    square = gaussian_filter(np.where(inside, BACKGROUND + CONTRAST, BACKGROUND), 1.0)
     round_one, square_one = fit(image, centre, shape), fit(square, centre, 15.0**2 * np.eye(2))
     assert round_one.roughness_px[0] < 0.02
     assert not square_one.roughness_px[0] < 1.0
@@ -562,8 +550,5 @@ def test_what_is_no_dot_gives_nan():
     found = fit(flat, np.array([20.0, 20.0]), 36.0 * np.eye(2))
     assert np.isnan(found.centre_px).all()
     assert np.isnan(found.covariance_px2).all()
-
-
-def test_a_start_of_another_length_is_refused():
-    with pytest.raises(ValueError, match="reach_px: expected an array of shape"):
-        fit_ellipses(np.zeros((9, 9)), np.zeros((2, 2)), np.ones((2, 2, 2)), np.ones(3), np.zeros(2, dtype=bool))
+    starts = np.zeros((2, 2)), np.ones((2, 2, 2)), np.ones(3), np.zeros(2, dtype=bool)
+    refused("reach_px: expected an array of shape", fit_ellipses, np.zeros((9, 9)), *starts)
