@@ -1,18 +1,19 @@
-"""The sensor model against state-space simulation, its bands and their U, and the correction of phasors and records."""
-
-from __future__ import annotations
+"""The sensor model against simulation and a real calibration: its bands, their U, the correction by it."""
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
+from real_data import SHOCK, SHOCK_RATE_HZ, Shock, as_sensor, read_shock
 from scipy import signal
 from sensitivity_factory import DAMPING, FREQUENCY, LAG, STATIC, STIFFNESS, lag, measured, resonance
 
+from shaker.arrays import FloatArray
 from shaker.identification.sensitivity import fit_chain, sensor_model
 from shaker.identification.sensor import (
     NO_CHAIN,
@@ -26,7 +27,6 @@ from shaker.identification.sensor import (
 )
 from shaker.sine.phasor import Phasors
 
-FloatArray = NDArray[np.float64]
 MASS, INTERNAL = 4.236, 0.769
 DRIVES: tuple[Drive, ...] = ("base", "force")
 
@@ -71,11 +71,10 @@ def state_space(drive: Drive, time_s: float) -> signal.StateSpace:
 
 
 @pytest.mark.parametrize("drive", DRIVES)
-def test_output_factor_is_that_of_the_equations_of_motion(drive: Drive) -> None:
+def test_output_factor_is_that_of_the_equations_of_motion(drive):
     one, load = model(Chain("lag", np.array([LAG]))), Load(MASS, drive)
     at = np.array([1.0, 300.0, 1000.0, 1490.0, 1600.0, 6000.0])
-    system = state_space(drive, LAG)
-    s = 2j * np.pi * at
+    system, s = state_space(drive, LAG), 2j * np.pi * at
     response = np.stack([system.C @ np.linalg.solve(x * np.eye(3) - system.A, system.B)[:, 0] for x in s])
     expected = response[:, 0] if drive == "force" else -response[:, 1] / (MASS * response[:, 0])
     assert np.allclose(one.output_factor(at, load), expected, rtol=1e-9)
@@ -88,7 +87,7 @@ def test_output_factor_is_that_of_the_equations_of_motion(drive: Drive) -> None:
     damping=st.floats(100.0, 1e5),
     chain=st.sampled_from(CHAINS),
 )
-def test_derivatives(drive: Drive, mass: float, damping: float, chain: Chain) -> None:
+def test_derivatives(drive, mass, damping, chain):
     one, load, at = model(chain, damping), Load(mass, drive), np.array([20.0, 700.0, 1900.0])
     slopes = one.log_slopes(at, load)
     values = np.array([STATIC, STIFFNESS, damping, INTERNAL, *chain.parameters, mass])
@@ -105,7 +104,7 @@ def test_derivatives(drive: Drive, mass: float, damping: float, chain: Chain) ->
 
 
 @pytest.mark.parametrize(("permitted", "share"), [(0.05, 0.2182), (0.10, 0.3015), (0.01, 0.0995)])
-def test_published_bands_of_a_lightly_damped_sensor(permitted: float, share: float) -> None:
+def test_published_bands_of_a_lightly_damped_sensor(permitted, share):
     one, load = model(damping=1e-3), Load(MASS, "force")
     band = usable_band(one, load, permitted)
     assert band.upper_hz / one.resonance_hz(load) == pytest.approx(share, abs=6e-5)
@@ -113,7 +112,7 @@ def test_published_bands_of_a_lightly_damped_sensor(permitted: float, share: flo
     assert band.limit == "rise"
 
 
-def test_band_of_a_well_damped_sensor_is_that_of_the_textbook() -> None:
+def test_band_of_a_well_damped_sensor_is_that_of_the_textbook():
     """ζ = 0.6: |H| never exceeds 1.05, and falls to 0.95 at 0.84 f₀ (the largest root of |H|² = 0.95²)."""
     total = MASS + INTERNAL
     one, load = model(damping=1.2 * np.sqrt(STIFFNESS * total)), Load(MASS, "force")
@@ -123,7 +122,7 @@ def test_band_of_a_well_damped_sensor_is_that_of_the_textbook() -> None:
     assert band.upper_hz / one.resonance_hz(load) == pytest.approx(np.sqrt(square.max()), rel=1e-9)
 
 
-def test_band_of_a_moving_base_is_that_of_the_chain() -> None:
+def test_band_of_a_moving_base_is_that_of_the_chain():
     base = Load(MASS, "base")
     band = usable_band(model(Chain("lag", np.array([LAG])), damping=1e-6), base, 0.05)
     assert band.upper_hz == pytest.approx(np.sqrt(0.95**-2 - 1.0) / (2.0 * np.pi * LAG), rel=1e-6)
@@ -142,7 +141,7 @@ def test_band_of_a_moving_base_is_that_of_the_chain() -> None:
         ("base", Chain("second_order", np.array([LAG, 2e-9])), None),
     ],
 )
-def test_uncertainty_of_the_edge_is_that_of_draws(drive: Drive, chain: Chain, phase: float | None) -> None:
+def test_uncertainty_of_the_edge_is_that_of_draws(drive, chain, phase):
     one, load, rng = model(chain, relative=0.01), Load(MASS, drive, 0.02), np.random.default_rng(4)
     band = usable_band(one, load, 0.05, phase)
     edges = [usable_band(*drawn(one, load, rng), 0.05, phase).upper_hz for _ in range(200)]
@@ -150,7 +149,7 @@ def test_uncertainty_of_the_edge_is_that_of_draws(drive: Drive, chain: Chain, ph
     assert np.mean(edges) == pytest.approx(band.upper_hz, abs=4.0 * band.u_upper_hz / np.sqrt(200))
 
 
-def test_sensitivity_and_mechanics_join() -> None:
+def test_sensitivity_and_mechanics_join():
     """Draws of the truth: the joint parameters err as their joint covariance says, that of b with the lag included."""
     rng = np.random.default_rng(6)
     mechanics = np.array([STIFFNESS, DAMPING, INTERNAL])
@@ -174,7 +173,7 @@ def test_sensitivity_and_mechanics_join() -> None:
         sensor_model(fit_chain(measured(lag(FREQUENCY)), "lag", None), mechanics, root @ root.T)
 
 
-def test_phasors_are_corrected_with_the_uncertainty_of_the_model() -> None:
+def test_phasors_are_corrected_with_the_uncertainty_of_the_model():
     one, load = model(Chain("lag", np.array([LAG])), relative=0.003), Load(MASS, "force", 0.01)
     at, force = np.array([100.0, 700.0, 1200.0]), np.array([[10.0 + 2.0j], [5.0j], [-3.0 + 0.0j]])
     output = force * one.output_factor(at, load)[:, None]
@@ -183,8 +182,7 @@ def test_phasors_are_corrected_with_the_uncertainty_of_the_model() -> None:
     corrected = correct_phasors(phasors, one, load)
     assert corrected.phasors.unit == ("N",)
     assert np.allclose(corrected.phasors.value, force, rtol=1e-12)
-    rng = np.random.default_rng(8)
-    size = 1e-4 * STATIC
+    rng, size = np.random.default_rng(8), 1e-4 * STATIC
     draws = []
     for _ in range(2000):
         other, moved = drawn(one, load, rng)
@@ -194,8 +192,7 @@ def test_phasors_are_corrected_with_the_uncertainty_of_the_model() -> None:
     for line in range(3):
         expected = np.cov(spread[:, line].real, spread[:, line].imag)
         assert np.allclose(corrected.covariance[line], expected, atol=0.12 * expected.trace())
-    with pytest.raises(ValueError, match="phasors: expected the output in V/V, found V"):
-        correct_phasors(replace(phasors, unit=("V",)), one, load)
+    refused("phasors: expected the output in V/V, found V", correct_phasors, replace(phasors, unit=("V",)), one, load)
 
 
 RATE, BAND = 100e3, 4000.0
@@ -210,14 +207,12 @@ def pulse(time_s: FloatArray) -> FloatArray:
 def simulated(rate: float = RATE, seconds: float = 0.04) -> tuple[FloatArray, FloatArray]:
     """Force and output of a sensor that rings at 1.48 kHz, simulated in time at ten times the rate."""
     time = np.arange(round(10 * rate * seconds)) / (10 * rate)
-    force = pulse(time)
-    system = state_space("force", LAG)
+    force, system = pulse(time), state_space("force", LAG)
     start = np.linalg.solve(system.A, -system.B[:, 0] * force[0])
-    output = signal.lsim(system, force, time, X0=start)[1]
-    return force[::10], np.asarray(output)[::10]
+    return force[::10], np.asarray(signal.lsim(system, force, time, X0=start)[1])[::10]
 
 
-def test_record_is_corrected() -> None:
+def test_record_is_corrected():
     one, load = model(Chain("lag", np.array([LAG]))), Load(MASS, "force")
     force, output = simulated()
     assert np.abs(output / STATIC - force).max() > 10.0
@@ -230,7 +225,7 @@ def test_record_is_corrected() -> None:
 
 @settings(max_examples=15, deadline=None)
 @given(delay=st.floats(-3e-4, 3e-4), place=st.integers(0, 200), size=st.floats(1.0, 1e6))
-def test_one_end_does_not_see_the_other(delay: float, place: int, size: float) -> None:
+def test_one_end_does_not_see_the_other(delay, place, size):
     one, load = model(Chain("delay", np.array([delay]))), Load(MASS, "base")
     output = np.random.default_rng(0).standard_normal(3000)
     plain = correct_record(output, RATE, one, load, BAND)
@@ -241,7 +236,7 @@ def test_one_end_does_not_see_the_other(delay: float, place: int, size: float) -
     assert reach[far].max() < 1e-4 * reach.max()
 
 
-def test_correction_is_linear_and_a_constant_is_divided_by_the_static_factor() -> None:
+def test_correction_is_linear_and_a_constant_is_divided_by_the_static_factor():
     one, load = model(Chain("second_order", np.array([LAG, 2e-9]))), Load(MASS, "base")
     found = correct_record(np.full(4000, 1e-4), RATE, one, load, BAND)
     assert np.allclose(found.force, 1e-4 / STATIC / (1.0 + INTERNAL / MASS), rtol=2e-5)
@@ -249,7 +244,7 @@ def test_correction_is_linear_and_a_constant_is_divided_by_the_static_factor() -
     assert found.notices == ()
 
 
-def test_uncertainty_of_a_record_is_that_of_draws() -> None:
+def test_uncertainty_of_a_record_is_that_of_draws():
     one, load = model(Chain("lag", np.array([LAG])), relative=0.002), Load(MASS, "force", 0.01)
     _, output = simulated()
     u_noise = 0.05 * STATIC
@@ -260,8 +255,7 @@ def test_uncertainty_of_a_record_is_that_of_draws() -> None:
         other, moved = drawn(one, load, rng)
         read = output + u_noise * rng.standard_normal(len(output))
         draws.append(correct_record(read, RATE, other, moved, BAND).force)
-    inner = slice(found.settling, -found.settling)
-    ratio = (np.std(draws, axis=0) / found.u)[inner]
+    ratio = (np.std(draws, axis=0) / found.u)[slice(found.settling, -found.settling)]
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.06)  # the model's few causes err alike at all times
     assert np.abs(ratio - 1.0).max() < 0.4
     assert np.allclose(
@@ -269,7 +263,7 @@ def test_uncertainty_of_a_record_is_that_of_draws() -> None:
     )
 
 
-def test_what_lies_beyond_the_band_is_said() -> None:
+def test_what_lies_beyond_the_band_is_said():
     one, load = model(), Load(MASS, "base")
     time = np.arange(4000) / RATE
     tone = STATIC * np.cos(2.0 * np.pi * 9000.0 * time)
@@ -279,19 +273,73 @@ def test_what_lies_beyond_the_band_is_said() -> None:
     assert "above 4000 Hz, which is removed, not corrected" in notice.text
 
 
-def test_wrong_calls_are_refused() -> None:
+def test_wrong_calls_are_refused():
     one, load = model(), Load(MASS, "base")
     with pytest.raises(ValueError, match="band_hz: expected up to 40000 Hz for 100000 Hz, found 45000"):
         correct_record(np.zeros(4000), RATE, one, load, 45e3)
-    with pytest.raises(ValueError, match="output: expected more than"):
-        correct_record(np.zeros(100), RATE, one, load, 1000.0)
-    with pytest.raises(ValueError, match="permitted: expected a share"):
-        usable_band(one, load, 1.0)
-    with pytest.raises(ValueError, match="permitted_phase_rad"):
-        usable_band(one, load, 0.1, 4.0)
-    with pytest.raises(ValueError, match="mass, u_mass"):
-        Load(0.0, "base")
-    with pytest.raises(ValueError, match="stiffness: expected k > 0"):
-        replace(one, stiffness=-1.0)
+    refused("output: expected more than", correct_record, np.zeros(100), RATE, one, load, 1000.0)
+    refused("permitted: expected a share", usable_band, one, load, 1.0)
+    refused("permitted_phase_rad", usable_band, one, load, 0.1, 4.0)
+    refused("mass, u_mass", Load, 0.0, "base")
+    refused("stiffness: expected k > 0", replace, one, stiffness=-1.0)
     with pytest.raises(ValueError, match="load: expected a mass that with the internal one is above 0"):
         usable_band(replace(one, internal_mass=-0.1), Load(0.05, "force"), 0.1)
+
+
+SEISMIC = Load(1.0, "force")
+
+
+@pytest.fixture(scope="module")
+def shock(data_dir: Path) -> Shock:
+    folder = data_dir / "accelerometer_calibration"
+    if not folder.is_dir():
+        pytest.skip(f"no real data: {folder} does not exist")
+    return read_shock(folder)
+
+
+def test_files_are_labelled_right_and_phases_are_degrees(shock):
+    assert (len(shock.frequency_hz), len(shock.input), len(shock.output)) == (49, 18000, 18000)
+    ratio = np.abs(np.fft.rfft(shock.output)[1:6] / np.fft.rfft(shock.input)[1:6])
+    assert ratio == pytest.approx(np.abs(shock.value[0]), rel=0.025)
+    # Read as rad the table would delay the output by 28 µs; the shock says less than 1 µs.
+    assert abs(shock.delay_s()) < 1e-6
+    fit = shock.fit(delay=False)
+    assert fit.damping_ratio / (np.pi * fit.frequency_hz) < 1e-6
+
+
+def test_model_of_the_table_predicts_the_shock(shock):
+    fit = shock.fit(delay=True)
+    assert fit.chi_squared / fit.dof == pytest.approx(1.0, abs=0.3)
+    error = shock.error(fit.model)
+    assert error.std() < 0.021
+    assert error[SHOCK].std() < 0.05
+    static = shock.error(lambda f: np.full(len(f), np.abs(shock.value[0]) + 0j))
+    assert error.std() < 0.9 * static.std()
+    assert np.abs(error).max() < 0.65 * np.abs(static).max()
+
+
+def test_what_the_model_lacks_is_the_ringing(shock):
+    error = np.abs(np.fft.rfft(shock.error(shock.fit(delay=True).model))) ** 2
+    frequency = np.fft.rfftfreq(len(shock.input), 1.0 / SHOCK_RATE_HZ)
+    ringing = (frequency > 40e3) & (frequency < 70e3)
+    assert error[ringing].sum() > 0.7 * error.sum()
+
+
+@pytest.mark.parametrize(("permitted", "tolerance"), [(0.01, 0.04), (0.05, 0.03), (0.10, 0.01)])
+def test_band_of_the_model_is_where_the_table_rises(shock, permitted, tolerance):
+    band = usable_band(as_sensor(shock.fit(delay=True)), SEISMIC, permitted)
+    rise = np.abs(shock.value) / np.abs(shock.value[0])
+    measured = float(np.interp(1.0 + permitted, rise, shock.frequency_hz))
+    assert (band.limit, band.upper_hz) == ("rise", pytest.approx(measured, rel=tolerance))
+
+
+def test_corrected_output_has_the_peak_of_the_shock(shock):
+    fit = shock.fit(delay=True)
+    sensor, rigid = as_sensor(fit), SensorModel(1.0, 1e20, 0.0, 0.0, NO_CHAIN, np.zeros((4, 4)), "1/N")
+    assert np.allclose(sensor.output_factor(shock.frequency_hz, SEISMIC), fit.model(shock.frequency_hz), rtol=2e-3)
+    true, plain = (
+        correct_record(record, SHOCK_RATE_HZ, rigid, SEISMIC, 20e3).force for record in (shock.input, shock.output)
+    )
+    corrected = correct_record(shock.output, SHOCK_RATE_HZ, sensor, SEISMIC, 20e3).force
+    assert corrected.max() / true.max() == pytest.approx(1.0, abs=0.008)
+    assert plain.max() / true.max() / np.abs(shock.value[0]) > 1.025

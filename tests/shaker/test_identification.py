@@ -1,25 +1,21 @@
 """One fit of several loads: exact recovery, published pair, named errors, coverage, what the data cannot tell."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
+from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from identification_factory import ALONG_Z, FloatArray, again, oscillator, recording, rigid_mass
 
 from shaker.identification.fit import Identification, identify
-from shaker.identification.measured import InertiaError, MeasuredCurve, MeasuredTransfer, Placement, RelativeError
+from shaker.identification.measured import InertiaError, MeasuredCurve, Placement, RelativeError
 from shaker.identification.oscillator import fit_resonance
 from shaker.identification.structures import Suspension
 from shaker.mechanics import Mechanics, poles, respond
 
 K, B, MI = 4.753e8, 900.0, 1.28
 LOADS = (4.236, 8.798)
-VERTICAL = Suspension((2,))
-GRID_HZ = 0.78125
+VERTICAL, GRID_HZ = Suspension((2,)), 0.78125
 
 
 def lines(mass: float, k: float = K, count: int = 200) -> FloatArray:
@@ -28,18 +24,7 @@ def lines(mass: float, k: float = K, count: int = 200) -> FloatArray:
     return np.asarray(GRID_HZ * (middle + np.arange(count) - count // 2), dtype=np.float64)
 
 
-def twin(
-    load: float,
-    *,
-    noise: float = 1e-6,
-    rng: np.random.Generator | None = None,
-    internal: float = MI,
-    k: float = K,
-    b: float = B,
-    z_load: float = 0.0,
-    z_scale: float = 0.0,
-    name: str | None = None,
-) -> MeasuredTransfer:
+def twin(load, *, noise=1e-06, rng=None, internal=MI, k=K, b=B, z_load=0.0, z_scale=0.0, name=None):
     """A load on its sensor, stated to 0.3 g and 0.2 % of scale, off by `z_load` and `z_scale` of these."""
     mass = load + internal + 3e-4 * z_load
     frequency = lines(mass, k)
@@ -65,9 +50,7 @@ def told(found: Identification, where: str) -> str:
     loads=st.tuples(st.floats(0.5, 4.0), st.floats(1.3, 5.0)),
     internal=st.floats(0.0, 1.5),
 )
-def test_parameters_come_back_from_curves_without_noise(
-    k: float, zeta: float, loads: tuple[float, float], internal: float
-) -> None:
+def test_parameters_come_back_from_curves_without_noise(k, zeta, loads, internal):
     masses = (loads[0], loads[0] * loads[1])
     b = 2.0 * zeta * np.sqrt(k * masses[0])
     recordings = []
@@ -77,8 +60,7 @@ def test_parameters_come_back_from_curves_without_noise(
         value = oscillator(2j * np.pi * frequency, mass + internal, k, b)
         recordings.append(recording(f"{mass}", frequency, value, rigid_mass(mass), ALONG_Z, noise=1e-6))
     found = identify(recordings, VERTICAL)
-    assert found.value("stiffness_z") == pytest.approx(k, rel=1e-5)
-    assert found.value("damping_z") == pytest.approx(b, rel=1e-5)
+    assert (found.value("stiffness_z"), found.value("damping_z")) == pytest.approx((k, b), rel=1e-5)
     assert found.value("internal_mass") == pytest.approx(internal, abs=2e-5 * masses[0])
     for mode, mass in zip(found.modes, masses, strict=True):
         assert mode.frequency_hz == pytest.approx(np.sqrt(k / (mass + internal)) / (2.0 * np.pi), rel=1e-6)
@@ -86,7 +68,7 @@ def test_parameters_come_back_from_curves_without_noise(
         assert mode.u_quality == pytest.approx(mode.quality * mode.u_damping_ratio / mode.damping_ratio)
 
 
-def test_published_pair_of_resonances_gives_one_stiffness_and_another_internal_mass() -> None:
+def test_published_pair_of_resonances_gives_one_stiffness_and_another_internal_mass():
     # Nitsche et al. 2019, Fig. 12: 1477.35 Hz with 4.236 kg, 1092.97 Hz with 8.798 kg; Q from their k, m and b.
     recordings = []
     for load, f0, quality in ((4.236, 1477.35, 66.45), (8.798, 1092.97, 41.95)):
@@ -105,7 +87,7 @@ def test_published_pair_of_resonances_gives_one_stiffness_and_another_internal_m
         assert alone.value("stiffness_z") == pytest.approx(k, rel=2e-4)
 
 
-def test_resonances_that_no_load_on_a_spring_has_are_named() -> None:
+def test_resonances_that_no_load_on_a_spring_has_are_named():
     # Same table, the low peaks: 404.69 Hz and 270.31 Hz.
     recordings = []
     for load, f0 in ((4.236, 404.69), (8.798, 270.31)):
@@ -119,9 +101,8 @@ def test_resonances_that_no_load_on_a_spring_has_are_named() -> None:
     assert "pitching" in told(found, "internal_mass")
 
 
-def test_one_recording_agrees_with_the_fit_of_one_resonance() -> None:
-    rng = np.random.default_rng(4)
-    record = twin(4.236, noise=0.05, rng=rng)
+def test_one_recording_agrees_with_the_fit_of_one_resonance():
+    record = twin(4.236, noise=0.05, rng=np.random.default_rng(4))
     found = identify([again(record, noise=0.05)], VERTICAL, known={"internal_mass": (MI, 0.0)}, gain=["top 1"])
     fit = fit_resonance(
         MeasuredCurve(record.ratio.frequency_hz, record.ratio.value[:, 0], record.ratio.covariance), "transmissibility"
@@ -136,9 +117,8 @@ def test_one_recording_agrees_with_the_fit_of_one_resonance() -> None:
     assert found.chi_squared == pytest.approx(fit.chi_squared, rel=1e-4)
 
 
-def test_bars_of_the_twin() -> None:
-    rng = np.random.default_rng(8)
-    worst = np.zeros(3)
+def test_bars_of_the_twin():
+    rng, worst = np.random.default_rng(8), np.zeros(3)
     for _ in range(10):
         draws = rng.standard_normal(3)
         recordings = [
@@ -153,15 +133,14 @@ def test_bars_of_the_twin() -> None:
     squares = np.sum([change**2 for change in found.budget.values()], axis=0)
     np.testing.assert_allclose(squares, found.covariance.diagonal(), rtol=1e-9)
     lag = found["lag_z"]
-    assert lag.value == pytest.approx(found.value("damping_z") / found.value("stiffness_z"))
-    assert lag.unit == "s"
+    assert (lag.value, lag.unit) == (pytest.approx(found.value("damping_z") / found.value("stiffness_z")), "s")
     relative = [found.u("damping_z") / B, found.u("stiffness_z") / K]
     r = found.correlation[0, 1]
     expected = np.sqrt(relative[0] ** 2 + relative[1] ** 2 - 2.0 * r * relative[0] * relative[1])
     assert lag.u == pytest.approx(lag.value * expected, rel=1e-3)
 
 
-def test_stated_masses_dominate_where_the_noise_is_small() -> None:
+def test_stated_masses_dominate_where_the_noise_is_small():
     # Without noise m_i = (ω₂² m₂ - ω₁² m₁)/(ω₁² - ω₂²): its derivatives by the loads, in closed form.
     found = identify([twin(load) for load in LOADS], VERTICAL)
     w = [K / (load + MI) for load in LOADS]
@@ -172,14 +151,14 @@ def test_stated_masses_dominate_where_the_noise_is_small() -> None:
     assert remaining["top: scale"] < 0.01  # H tends to 1 below the resonance, so that the curve tells its scale
 
 
-def test_a_clock_moves_the_stiffness_by_twice_its_error() -> None:
+def test_a_clock_moves_the_stiffness_by_twice_its_error():
     found = identify([again(twin(load), noise=1e-6, u_clock=1e-4) for load in LOADS], VERTICAL)
     assert found.u("stiffness_z") / K == pytest.approx(2e-4, rel=0.01)
     assert found.u("internal_mass") < 1e-4
     assert [unknown.name for unknown in found.unknowns] == ["clock"]
 
 
-def test_gain_and_delay_that_nobody_stated() -> None:
+def test_gain_and_delay_that_nobody_stated():
     recordings = []
     for load, gain, delay in zip(LOADS, (3.0 * np.exp(1j), 0.4), (2e-5, -3e-6), strict=True):
         record = twin(load)
@@ -193,7 +172,7 @@ def test_gain_and_delay_that_nobody_stated() -> None:
     np.testing.assert_allclose(found.model[1], recordings[1].ratio.value, atol=1e-4)
 
 
-def test_a_window_that_adds_decay_is_no_damping() -> None:
+def test_a_window_that_adds_decay_is_no_damping():
     frequency = lines(LOADS[0] + MI)
     value = oscillator(40.0 + 2j * np.pi * frequency, LOADS[0] + MI, K, B)
     record = recording("blow", frequency, value, rigid_mass(LOADS[0]), ALONG_Z, noise=1e-5, added_decay_per_s=40.0)
@@ -203,7 +182,7 @@ def test_a_window_that_adds_decay_is_no_damping() -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(mass=st.floats(0.1, 10.0), time=st.floats(0.1, 10.0))
-def test_units_scale(mass: float, time: float) -> None:
+def test_units_scale(mass, time):
     rng = np.random.default_rng(6)
     recordings = [twin(load, noise=0.02, rng=rng) for load in LOADS]
     first = identify(recordings, VERTICAL)
@@ -219,7 +198,7 @@ def test_units_scale(mass: float, time: float) -> None:
         assert other.u(name) == pytest.approx(units[place] * first.u(name), rel=1e-3)
 
 
-def test_correlated_lines_widen_the_uncertainty() -> None:
+def test_correlated_lines_widen_the_uncertainty():
     kernel = np.array([1.0, 4 / 9, 1 / 36]) + 0j
     record = twin(LOADS[0], noise=0.02)
     alone, together = (
@@ -230,7 +209,7 @@ def test_correlated_lines_widen_the_uncertainty() -> None:
     assert together.u("stiffness_z") == pytest.approx(widening * alone.u("stiffness_z"), rel=0.02)
 
 
-def test_equal_loads_leave_the_internal_mass_open_and_say_so() -> None:
+def test_equal_loads_leave_the_internal_mass_open_and_say_so():
     rng = np.random.default_rng(9)
     recordings = [twin(4.236, noise=1e-3, rng=rng, name=name) for name in ("first", "second")]
     found = identify(recordings, VERTICAL)
@@ -246,7 +225,7 @@ def test_equal_loads_leave_the_internal_mass_open_and_say_so() -> None:
     assert "cannot tell the internal mass" in told(nearly, "internal_mass")
 
 
-def test_a_stated_mass_passes_through_where_the_curves_say_nothing_of_it() -> None:
+def test_a_stated_mass_passes_through_where_the_curves_say_nothing_of_it():
     found = identify([twin(4.236)], VERTICAL, known={"internal_mass": (MI, 0.004)})
     assert found.u("internal_mass") == pytest.approx(0.004, rel=1e-6)
     u_mass = np.hypot(0.004, 3e-4)
@@ -254,7 +233,7 @@ def test_a_stated_mass_passes_through_where_the_curves_say_nothing_of_it() -> No
     assert "cannot tell it better" in told(found, "internal_mass")
 
 
-def test_a_misfit_enlarges_the_uncertainty_and_is_named() -> None:
+def test_a_misfit_enlarges_the_uncertainty_and_is_named():
     frequency = lines(4.236 + MI)
     s = 2j * np.pi * frequency
     value = oscillator(s, 4.236 + MI, K, B) + 0.05 / (1.0 + s / (2.0 * np.pi * 1480.0 * (0.004 + 1j)))
@@ -268,22 +247,21 @@ def test_a_misfit_enlarges_the_uncertainty_and_is_named() -> None:
     assert told(good, "identification") == ""
 
 
-def test_curves_without_a_resonance_tell_nothing_and_say_so() -> None:
-    rng = np.random.default_rng(1)
-    frequency = np.linspace(20.0, 120.0, 101)
+def test_curves_without_a_resonance_tell_nothing_and_say_so():
+    rng, frequency = np.random.default_rng(1), np.linspace(20.0, 120.0, 101)
     for value in (np.ones(101) + 0j, np.zeros(101) + 0j):
         found = identify([recording("a", frequency, value, rigid_mass(5.0), ALONG_Z, noise=0.01, rng=rng)], VERTICAL)
         warned = {notice.where for notice in found.notices if notice.severity == "warning"}
         assert {"stiffness_z", "damping_z", "internal_mass"} <= warned
 
 
-def test_a_scale_that_is_off_by_more_than_stated_is_named() -> None:
+def test_a_scale_that_is_off_by_more_than_stated_is_named():
     found = identify([twin(load, z_scale=8.0, noise=1e-3) for load in LOADS], VERTICAL)
     assert "8 times its standard uncertainty" in told(found, "top: scale")
     assert found.value("stiffness_z") == pytest.approx(K, rel=1e-3)
 
 
-def test_response_and_poles_of_any_mechanics_have_the_derivatives_they_say() -> None:
+def test_response_and_poles_of_any_mechanics_have_the_derivatives_they_say():
     rng = np.random.default_rng(12)
     size, terms = 3, 5
     square = rng.standard_normal((1 + terms, 3, size, size))
@@ -310,12 +288,12 @@ def test_response_and_poles_of_any_mechanics_have_the_derivatives_they_say() -> 
         assert np.linalg.svd(matrix, compute_uv=False)[-1] < 1e-9 * np.linalg.norm(matrix)
 
 
-def test_what_cannot_be_fitted_is_refused_with_a_reason() -> None:
+def test_what_cannot_be_fitted_is_refused_with_a_reason():
     record = twin(4.236)
     line = record.ratio.at_lines(np.arange(1))
     few = recording("few", line.frequency_hz, line.value, record.mass_matrix, ALONG_Z, noise=1e-3)
     across = again(record, noise=1e-3, base=Placement(np.zeros(3), np.array([1.0, 0.0, 0.0])))
-    refused: list[tuple[list[MeasuredTransfer], dict[str, Any], str]] = [
+    wrong = [
         ([], {}, "records: expected one recording or more"),
         ([record, record], {}, "records: expected different names"),
         ([record], {"known": {"mass": (1.0, 0.0)}}, "known: expected some of stiffness_z"),
@@ -326,18 +304,15 @@ def test_what_cannot_be_fitted_is_refused_with_a_reason() -> None:
         ([few], {}, "more real values than unknowns"),
         ([again(record, noise=0.0)], {}, "covariance of 4.236 kg: expected positive definite"),
     ]
-    for records, words, message in refused:
-        with pytest.raises(ValueError, match=message):
-            identify(records, VERTICAL, **words)
-    with pytest.raises(ValueError, match="name: expected one of"):
-        identify([record], VERTICAL).value("damping_x")
+    for records, words, message in wrong:
+        refused(message, identify, records, VERTICAL, **words)
+    refused("name: expected one of", identify([record], VERTICAL).value, "damping_x")
 
 
-def test_covariances_from_few_periods_still_give_the_scatter() -> None:
+def test_covariances_from_few_periods_still_give_the_scatter():
     # 8 degrees of freedom at every line: weights 1/s² alone would understate the scatter of b by a quarter.
     rng = np.random.default_rng(17)
-    deviation = []
-    mass = LOADS[0] + MI
+    deviation, mass = [], LOADS[0] + MI
     frequency = lines(mass, count=60)
     value = oscillator(2j * np.pi * frequency, mass, K, B)
     for _ in range(120):
@@ -351,9 +326,8 @@ def test_covariances_from_few_periods_still_give_the_scatter() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [2e-3, 5e-2])
-def test_intervals_hold_the_truth(noise: float) -> None:
-    rng = np.random.default_rng(21)
-    trials = 300
+def test_intervals_hold_the_truth(noise):
+    rng, trials = np.random.default_rng(21), 300
     deviation = np.zeros((trials, 3))
     for trial in range(trials):
         draws = rng.standard_normal(3)

@@ -1,22 +1,32 @@
-"""Chains of masses: against state space, closed forms and integration; what a yielding mount does to a resonance."""
+"""Chains of masses and of responses: against state space, tables, closed forms and integration."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy import linalg, signal
 
+from shaker.arrays import FloatArray
+from shaker.frf.chain import (
+    PoleModel,
+    ResponseTable,
+    common_covariance,
+    filter_poles,
+    pole_response,
+    product,
+    ratio_unit,
+    split_ratio,
+    table_response,
+)
 from shaker.identification.fit import Identification, identify
 from shaker.identification.measured import InertiaError, MeasuredTransfer, Placement
 from shaker.identification.structures import ChainStructure, Stage
 from shaker.mechanics import MassChain, oscillator_hz, required_stiffness, shared_spring
 from shaker.sine.phasor import Phasors
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 FREQUENCY = np.geomspace(5.0, 5000.0, 60)
 TRIPLE = MassChain(
     ("adapter", "sensor", "load"),
@@ -60,7 +70,7 @@ def chains(most: int = 5) -> st.SearchStrategy[MassChain]:
 
 @settings(max_examples=25, deadline=None)
 @given(chain=chains())
-def test_every_stage_moves_as_state_space_says(chain: MassChain) -> None:
+def test_every_stage_moves_as_state_space_says(chain):
     a, b, c = state_space(chain)
     s = 2j * np.pi * FREQUENCY
     driven = b @ np.stack([np.ones(len(s)), s])
@@ -74,7 +84,7 @@ def test_every_stage_moves_as_state_space_says(chain: MassChain) -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(chain=chains())
-def test_modes_are_the_eigenvalues_of_state_space(chain: MassChain) -> None:
+def test_modes_are_the_eigenvalues_of_state_space(chain):
     roots = linalg.eigvals(state_space(chain)[0])
     frequency, damping = chain.modes()
     size = 2.0 * np.pi * frequency
@@ -87,7 +97,7 @@ def test_modes_are_the_eigenvalues_of_state_space(chain: MassChain) -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(chain=chains())
-def test_slowly_moved_a_chain_moves_as_one_and_forces_act_alike_both_ways(chain: MassChain) -> None:
+def test_slowly_moved_a_chain_moves_as_one_and_forces_act_alike_both_ways(chain):
     slow = np.array([1e-3])
     for stage in chain.stages:
         assert chain.transfer(slow, stage).value[0, 0] == pytest.approx(1.0, abs=1e-8)
@@ -97,7 +107,7 @@ def test_slowly_moved_a_chain_moves_as_one_and_forces_act_alike_both_ways(chain:
     assert static == pytest.approx(np.sum(1.0 / chain.stiffness), rel=1e-6)
 
 
-def test_derivatives_are_those_of_differences() -> None:
+def test_derivatives_are_those_of_differences():
     frequency = np.array([100.0, 900.0, 1500.0, 3000.0])
     found = TRIPLE.transfer(frequency, "load", "adapter").by_term[:, 0]
     theta = np.concatenate([TRIPLE.mass, TRIPLE.stiffness, TRIPLE.damping])
@@ -122,9 +132,7 @@ FINE = np.geomspace(20.0, 40000.0, 40000)
 
 @pytest.mark.parametrize("mount_mass", [0.3, 3.0, 12.0])
 @pytest.mark.parametrize("mount_stiffness", [2e7, 4e8, 5e9])
-def test_load_over_adapter_has_one_peak_whatever_the_mount_and_load_over_base_two(
-    mount_mass: float, mount_stiffness: float
-) -> None:
+def test_load_over_adapter_has_one_peak_whatever_the_mount_and_load_over_base_two(mount_mass, mount_stiffness):
     mass, stiffness = np.array([mount_mass, 7.73]), np.array([mount_stiffness, 4.75e8])
     chain = MassChain(("adapter", "sensor"), mass, stiffness, np.array([150.0, 700.0]))
     above = peaks(np.abs(chain.transfer(FINE, "sensor", "adapter").value[:, 0]))
@@ -133,7 +141,7 @@ def test_load_over_adapter_has_one_peak_whatever_the_mount_and_load_over_base_tw
     assert peaks(np.abs(chain.transfer(FINE, "sensor").value[:, 0])) == pytest.approx(modes, rel=0.01)
 
 
-def test_one_spring_and_internal_mass_of_several_resonances() -> None:
+def test_one_spring_and_internal_mass_of_several_resonances():
     """Nitsche et al. (2018): 1477.35 and 1092.97 Hz with 4.236 and 8.798 kg, exactly; of more loads their line."""
     stiffness, internal = shared_spring(TWO_RESONANCES, TWO_LOADS)
     assert (stiffness, internal) == (pytest.approx(4.753e8, rel=2e-4), pytest.approx(1.280, abs=1e-3))
@@ -141,8 +149,7 @@ def test_one_spring_and_internal_mass_of_several_resonances() -> None:
     loads = np.array([0.5, 2.0, 4.236, 7.0, 8.798])
     resonances = np.sqrt(4.75e8 / (loads + 1.28)) / (2.0 * np.pi)
     assert shared_spring(resonances, loads) == pytest.approx((4.75e8, 1.28), rel=1e-9)
-    with pytest.raises(ValueError, match="two different loads"):
-        shared_spring(TWO_RESONANCES, np.array([4.0, 4.0]))
+    refused("two different loads", shared_spring, TWO_RESONANCES, np.array([4.0, 4.0]))
 
 
 TRUE = {"k": 4.753e8, "b_adapter": 2600.0, "b": 699.0, "m_adapter": 2.4, "m_i": 0.769}
@@ -152,8 +159,7 @@ def recording(component: int, load: float, k_adapter: float, rng: np.random.Gene
     """Load over the base below the mount, in closed form, with circular noise of 3e-4 of the largest |H|."""
     frequency = np.arange(300.0, 4500.0, 6.25)
     s = 2j * np.pi * frequency
-    lower = k_adapter + TRUE["b_adapter"] * s
-    spring = TRUE["k"] + TRUE["b"] * s
+    lower, spring = k_adapter + TRUE["b_adapter"] * s, TRUE["k"] + TRUE["b"] * s
     upper = (load + TRUE["m_i"]) * s**2 + spring
     value = lower * spring / ((TRUE["m_adapter"] * s**2 + lower + spring) * upper - spring**2)
     u = 3e-4 * np.abs(value).max()
@@ -179,7 +185,7 @@ def fitted(component: int, k_adapter: float) -> tuple[Identification, FloatArray
 
 
 @pytest.mark.parametrize("component", [1, 5])
-def test_a_yielding_mount_is_found_from_the_base_below_it(component: int) -> None:
+def test_a_yielding_mount_is_found_from_the_base_below_it(component):
     found, true = fitted(component, 6e8)
     values = np.array([estimate.value for estimate in found.estimates])
     scaled = found.covariance / np.multiply.outer(true, true)
@@ -189,7 +195,7 @@ def test_a_yielding_mount_is_found_from_the_base_below_it(component: int) -> Non
     assert stiffness.u < 2e-3 * stiffness.value
 
 
-def test_a_mount_whose_resonance_lies_above_the_band_is_found_with_what_certainty_there_is() -> None:
+def test_a_mount_whose_resonance_lies_above_the_band_is_found_with_what_certainty_there_is():
     """A narrow curved valley: mount and sensor may share stiffness and mass in many ways that hardly differ."""
     found, true = fitted(1, 1.6e9)
     assert found.modes[1].frequency_hz > 4600.0  # of lines up to 4500 Hz
@@ -198,7 +204,7 @@ def test_a_mount_whose_resonance_lies_above_the_band_is_found_with_what_certaint
     assert 0.03 < found.u("stiffness_y_adapter") / found.value("stiffness_y_adapter") < 0.15
 
 
-def test_stages_without_a_mass_of_their_own_and_the_names_of_all() -> None:
+def test_stages_without_a_mass_of_their_own_and_the_names_of_all():
     joint = ChainStructure(2, (Stage("sensor"), Stage("joint", own_mass=False)))
     names = [parameter.name for parameter in joint.parameters]
     assert names == ["stiffness_z", "stiffness_z_joint", "damping_z", "damping_z_joint", "internal_mass"]
@@ -207,7 +213,7 @@ def test_stages_without_a_mass_of_their_own_and_the_names_of_all() -> None:
     assert {p.unit for p in turning.parameters} == {"N·m/rad", "N·m·s/rad", "kg·m²"}
 
 
-def test_dampers_act_between_neighbours_and_a_hand_lowers_the_resonance() -> None:
+def test_dampers_act_between_neighbours_and_a_hand_lowers_the_resonance():
     """Pedestal, sensor and hand: a common motion of all three is damped by the damper to the ground alone."""
     stages = ("pedestal", "sensor", "hand")
     damping = MassChain(stages, np.ones(3), np.ones(3), np.array([5.0, 3.0, 2.0])).matrices[1]
@@ -218,25 +224,166 @@ def test_dampers_act_between_neighbours_and_a_hand_lowers_the_resonance() -> Non
         assert held.modes()[0][0] == pytest.approx(oscillator_hz(1.3e6, 0.05 + hand), rel=1e-3)
 
 
-def test_an_oscillator_has_the_frequency_of_its_spring_and_mass() -> None:
+def test_an_oscillator_has_the_frequency_of_its_spring_and_mass():
     assert oscillator_hz(1.824e5, 0.049) == pytest.approx(307.07, abs=0.01)
     assert required_stiffness(oscillator_hz(3.0, 0.7), 0.7) == pytest.approx(3.0)
-    with pytest.raises(ValueError, match="stiffness, mass: expected both above 0"):
-        oscillator_hz(1.0, 0.0)
+    refused("stiffness, mass: expected both above 0", oscillator_hz, 1.0, 0.0)
 
 
 @pytest.mark.parametrize("stages", [(), ("a", "a"), ("base",)])
-def test_stages_need_names_of_their_own(stages: tuple[str, ...]) -> None:
+def test_stages_need_names_of_their_own(stages):
     with pytest.raises(ValueError, match="stages: expected different names"):
         MassChain(stages, np.ones(len(stages)), np.ones(len(stages)), np.ones(len(stages)))
 
 
-def test_a_stage_that_is_not_there_and_a_wrong_axis_are_named() -> None:
-    with pytest.raises(ValueError, match="stage: expected one of base, adapter, sensor, load, found top"):
-        TRIPLE.transfer(FREQUENCY, "top")
-    with pytest.raises(ValueError, match="damping: expected none negative"):
-        MassChain(("a",), np.ones(1), np.ones(1), -np.ones(1))
-    with pytest.raises(ValueError, match="stiffness: expected an array of shape"):
-        MassChain(("a",), np.ones(1), np.ones(2), np.ones(1))
-    with pytest.raises(ValueError, match="component: expected one of 0 to 5, found 6"):
-        ChainStructure(6)
+def test_a_stage_that_is_not_there_and_a_wrong_axis_are_named():
+    refused("stage: expected one of base, adapter, sensor, load, found top", TRIPLE.transfer, FREQUENCY, "top")
+    refused("damping: expected none negative", MassChain, ("a",), np.ones(1), np.ones(1), -np.ones(1))
+    refused("stiffness: expected an array of shape", MassChain, ("a",), np.ones(1), np.ones(2), np.ones(1))
+    refused("component: expected one of 0 to 5, found 6", ChainStructure, 6)
+
+
+DECADES_HZ = np.geomspace(10.0, 5000.0, 400)
+LOWPASS = filter_poles("butterworth", 4, 10e3)
+HIGHPASS = filter_poles("butterworth", 2, 2.0, "highpass")
+OCTAVES = np.array([10.0, 20, 40, 80, 160, 315, 630, 1250, 2500, 5000])
+
+
+def _table(frequency: np.ndarray, value: np.ndarray, u: float = 1e-4) -> ResponseTable:
+    return ResponseTable(frequency, np.abs(value), np.angle(value), u * np.abs(value), np.full(len(frequency), u))
+
+
+def _phasors(value: np.ndarray, unit: tuple[str, ...] = ("m/s", "V")) -> Phasors:
+    lines, channels = value.shape
+    covariance = np.tile(np.eye(2 * channels) * 1e-4, (lines, 1, 1))
+    names = tuple("abcdef"[:channels])
+    return Phasors(np.linspace(10.0, 1000.0, lines), value, covariance, names, unit, np.full(lines, 9.0))
+
+
+@pytest.mark.parametrize("kind", ["butterworth", "bessel"])
+@pytest.mark.parametrize("band", ["lowpass", "highpass"])
+@pytest.mark.parametrize("order", [1, 4, 8])
+def test_standard_filters_are_those_of_scipy(kind, band, order):
+    design = signal.butter if kind == "butterworth" else lambda *a, **k: signal.bessel(*a, **k, norm="mag")
+    b, a = design(order, 2.0 * np.pi * 800.0, band, analog=True)
+    _, expected = signal.freqs(b, a, 2.0 * np.pi * DECADES_HZ)
+    found = pole_response(DECADES_HZ, filter_poles(kind, order, 800.0, band)).value
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
+    corner = pole_response(np.array([800.0]), filter_poles(kind, order, 800.0, band)).value
+    assert np.abs(corner[0]) == pytest.approx(np.sqrt(0.5), rel=1e-9)
+
+
+def test_a_resonance_is_an_oscillator():
+    ratio = DECADES_HZ / 3000.0
+    found = pole_response(DECADES_HZ, filter_poles("resonance", 2, 3000.0, damping=0.02)).value
+    np.testing.assert_allclose(found, 1.0 / (1.0 - ratio**2 + 0.04j * ratio), rtol=1e-12)
+
+
+def test_gain_and_delay_stand_before_the_poles():
+    model = PoleModel(np.zeros(1, complex), np.array([-6.0, -6e5], complex), 3.0, 160.0, 2e-5)
+    found = pole_response(np.array([160.0, 1000.0]), model).value
+    assert np.abs(found[0]) == pytest.approx(3.0)
+    late = pole_response(np.array([1000.0]), replace(model, delay_s=0.0)).value[0]
+    assert found[1] == pytest.approx(late * np.exp(-2j * np.pi * 1000.0 * 2e-5))
+
+
+@pytest.mark.parametrize(
+    "model", [LOWPASS, HIGHPASS, PoleModel(np.zeros(1, complex), np.array([-6.0, -6e5], complex), 2.0, 160.0)]
+)
+def test_errors_are_what_a_small_change_makes(model):
+    step = 1e-6
+    response = pole_response(DECADES_HZ, model, u_gain=step, u_frequency=step, u_delay_s=step * 1e-6)
+    larger = replace(model, zeros=model.zeros * (1 + step), poles=model.poles * (1 + step))
+    changed = (
+        replace(model, gain=model.gain * (1 + step)),
+        larger,
+        replace(model, delay_s=model.delay_s + step * 1e-6),
+    )
+    for error, other in zip(response.errors, changed, strict=True):
+        change = pole_response(DECADES_HZ, other).value / response.value - 1.0
+        np.testing.assert_allclose(error, change, atol=2e-3 * np.abs(error).max() + 1e-14)
+    np.testing.assert_allclose(response.u_magnitude**2, np.sum(response.errors.real**2, axis=0))
+
+
+@pytest.mark.parametrize("model", [LOWPASS, HIGHPASS, replace(LOWPASS, delay_s=5e-5)])
+@pytest.mark.parametrize("knots", [OCTAVES, np.geomspace(10, 5000, 28), np.linspace(10, 5000, 101)])
+def test_an_interpolated_table_errs_no_more_than_it_says(model, knots):
+    found = table_response(_table(knots, pole_response(knots, model).value, 0.0), DECADES_HZ)
+    error = np.abs(found.value / pole_response(DECADES_HZ, model).value - 1.0)
+    assert np.mean(error > 2.0 * np.hypot(found.u_magnitude, found.u_phase_rad) + 1e-7) < 0.02
+    true, given = pole_response(DECADES_HZ, model).value, pole_response(knots, model).value
+    phase = np.interp(DECADES_HZ, knots, np.unwrap(np.angle(given)))
+    linear = np.interp(DECADES_HZ, knots, np.abs(given)) * np.exp(1j * phase)
+    assert error.max() < 0.5 * np.abs(linear / true - 1.0).max()
+
+
+def test_a_table_is_met_at_its_points_and_a_delay_is_exact_between_them():
+    knots = np.array([0.0, 300.0, 700.0, 1500.0])
+    late = np.exp(-2j * np.pi * knots * 2e-4)
+    np.testing.assert_allclose(table_response(_table(knots, late), knots).value, late, rtol=1e-12)
+    between = np.array([11.0, 444.4, 1100.0])
+    np.testing.assert_allclose(table_response(_table(knots, late), between).value, np.exp(-2j * np.pi * between * 2e-4))
+
+
+def test_scattered_points_are_an_error_of_the_interpolation():
+    rng, knots = np.random.default_rng(4), np.linspace(10.0, 5000.0, 40)
+    scatter = 1e-3 * (rng.standard_normal(40) + 1j * rng.standard_normal(40))
+    said = table_response(_table(knots, 1.0 + scatter, 0.0), DECADES_HZ)
+    error = np.abs(said.value - 1.0)
+    assert np.mean(error > 2.0 * np.hypot(said.u_magnitude, said.u_phase_rad)) < 0.15
+    assert 0.5e-3 < np.median(said.u_magnitude) < 4e-3
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_short_tables(count):
+    knots = np.linspace(100.0, 400.0, count) if count > 1 else np.array([100.0])
+    wanted = knots if count == 1 else np.array([100.0, 250.0, 400.0])
+    found = table_response(_table(knots, np.full(count, 2.0 + 0j)), wanted)
+    np.testing.assert_allclose(found.value, 2.0)
+    np.testing.assert_allclose(found.u_magnitude, 1e-4)
+
+
+def test_elements_multiply_and_their_errors_add_in_squares():
+    parts = [pole_response(DECADES_HZ, model, u_gain=u) for model, u in ((LOWPASS, 3e-3), (HIGHPASS, 4e-3))]
+    both = product(parts)
+    np.testing.assert_allclose(both.value, parts[0].value * parts[1].value)
+    np.testing.assert_allclose(both.u_magnitude, 5e-3)
+    assert len(both.causes) == 6
+
+
+def test_common_errors_add_a_covariance_that_cancels_in_what_is_shared():
+    value = np.array([[1.0 + 1.0j, 2.0 - 1.0j]])
+    errors = np.array([[[0.01, 0.01]], [[0.02j, 0.02j]]])
+    draws = np.random.default_rng(5).standard_normal((200_000, 2))
+    drawn = value * (1.0 + draws @ errors[:, 0, :])
+    stacked = np.concatenate([drawn.real, drawn.imag], axis=1)
+    np.testing.assert_allclose(common_covariance(value, errors)[0], np.cov(stacked.T), atol=2e-5)
+
+
+def test_units_of_ratios():
+    assert ratio_unit("m/s^2", "N") == "(m/s^2)/N"
+    assert ratio_unit("V/V", "m/s^2") == "(V/V)/(m/s^2)"
+    assert ratio_unit("m", "m") == "1"
+    for above, below in (("m/s^2", "N"), ("V/V", "m/s^2"), ("m", "N"), ("m/s", "N.m")):
+        assert split_ratio(ratio_unit(above, below)) == (above, below)
+    assert split_ratio("m/s^2") == ("m/s^2", "")
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: PoleModel(poles=np.array([-1 + 2j])), "poles: expected each complex root with its conjugate"),
+        (lambda: PoleModel(poles=np.array([1 + 0j])), "poles: expected real parts of at most 0, found 1"),
+        (lambda: PoleModel(gain=0.0), "gain: expected a number other than 0"),
+        (lambda: filter_poles("bessel", 0, 1.0), "order: expected 1 to 12, found 0"),
+        (lambda: filter_poles("resonance", 3, 1.0), "order: expected 2"),
+        (lambda: filter_poles("butterworth", 2, 0.0), "corner_hz: expected a frequency above 0"),
+        (lambda: pole_response(np.zeros(1), HIGHPASS), "frequency_hz: expected frequencies other than a zero"),
+        (lambda: table_response(_table(OCTAVES, OCTAVES + 0j), np.array([5e3, 6e3])), "found 6000"),
+        (lambda: _table(OCTAVES[::-1], OCTAVES + 0j), "ascending"),
+        (lambda: _table(OCTAVES, 0j * OCTAVES), "magnitude: expected positive values"),
+    ],
+)
+def test_wrong_calls_are_refused_by_name(call, message):
+    with pytest.raises(ValueError, match=message.replace("(", r"\(")):
+        call()  # type: ignore[operator]

@@ -1,19 +1,20 @@
-"""Noise of a line against its known density, and coverage of the regions made of it."""
-
-from __future__ import annotations
+"""Noise of a line, drifts over blocks, phasors, band-limited interpolation: against known densities and arithmetic."""
 
 import numpy as np
 import pytest
+from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.special import polygamma
 from scipy.stats import f as fisher
+from scipy.stats import kstest
 
-from shaker.sine.fit import fit_sines
+from shaker.arrays import FloatArray
+from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.noise import LineNoise, level_at_lines, line_noise, neighbour_bins
+from shaker.sine.phasor import Phasors, derivative_factor, stack_phasors
+from shaker.timebase.edges import PASS_BAND, kernel_reach, resampled
 
-FloatArray = NDArray[np.float64]
 CAMERA_HZ, FRAMES = 52.874, 211
 
 
@@ -26,13 +27,12 @@ def noise_of(residual: FloatArray, line_bin: list[float], *, blocks: bool = True
 def slow_noise(rng: np.random.Generator, samples: int, corner: float) -> FloatArray:
     """Return noise of density 1 + corner/j at bin j, cut from a record 16 times as long."""
     length = 16 * samples
-    bins = np.maximum(np.arange(length // 2 + 1) / 16.0, 1.0 / 16.0)
-    shape = np.sqrt(1.0 + corner / bins)
+    shape = np.sqrt(1.0 + corner / np.maximum(np.arange(length // 2 + 1) / 16.0, 1.0 / 16.0))
     shape[0] = 0.0
     return np.asarray(np.fft.irfft(np.fft.rfft(rng.normal(size=length)) * shape, n=length)[:samples])
 
 
-def test_level_and_degrees_of_freedom_are_honest_for_white_noise() -> None:
+def test_level_and_degrees_of_freedom_are_honest_for_white_noise():
     rng = np.random.default_rng(1)
     bins, line = np.delete(np.arange(150.0, 247.0), 48)[None], np.array([198.0])
     found = [level_at_lines(rng.exponential(size=(1, 96, 1)), bins, line) for _ in range(500)]
@@ -43,9 +43,8 @@ def test_level_and_degrees_of_freedom_are_honest_for_white_noise() -> None:
     assert np.std(np.log(levels)) == pytest.approx(np.sqrt(polygamma(1, dof / 2)), rel=0.15)
 
 
-def test_lines_close_together_take_none_of_the_level_away() -> None:
-    rng = np.random.default_rng(2)
-    time = np.arange(400) / 400.0
+def test_lines_close_together_take_none_of_the_level_away():
+    rng, time = np.random.default_rng(2), np.arange(400) / 400.0
     lines = 20.4 + 3.3 * np.arange(8)
     levels = []
     for _ in range(100):
@@ -55,13 +54,13 @@ def test_lines_close_together_take_none_of_the_level_away() -> None:
     assert np.mean(levels) == pytest.approx(4.0, rel=0.03)
 
 
-def test_slow_noise_is_seen_where_it_lies() -> None:
+def test_slow_noise_is_seen_where_it_lies():
     rng = np.random.default_rng(3)
     levels = np.array([noise_of(slow_noise(rng, 212, 20.0)[:, None], [2.0, 60.0]).variance[:, 0] for _ in range(300)])
     np.testing.assert_allclose(np.mean(levels, axis=0), 1.0 + 20.0 / np.array([2.0, 60.0]), rtol=0.2)
 
 
-def test_a_mains_line_is_no_noise() -> None:
+def test_a_mains_line_is_no_noise():
     rng = np.random.default_rng(4)
     mains = 10.0 * np.cos(2 * np.pi * 40.3 * np.arange(FRAMES) / FRAMES)
     noise = rng.normal(size=(200, FRAMES))
@@ -72,9 +71,8 @@ def test_a_mains_line_is_no_noise() -> None:
     assert np.median(loud) == pytest.approx(np.median(quiet) + leaked, rel=0.05)
 
 
-def test_noise_is_no_smaller_than_the_scatter_between_blocks() -> None:
-    rng = np.random.default_rng(5)
-    time = np.arange(4000) / 4000.0
+def test_noise_is_no_smaller_than_the_scatter_between_blocks():
+    rng, time = np.random.default_rng(5), np.arange(4000) / 4000.0
     wander = np.cumsum(rng.normal(size=4000)) / np.sqrt(4000)
     series = (300.0 * (1.0 + 0.05 * wander) * np.cos(2 * np.pi * 100.0 * time) + rng.normal(size=4000))[:, None]
     fit = fit_sines(time, series, np.array([100.0]), ["x"], ["m"])
@@ -89,9 +87,8 @@ def test_noise_is_no_smaller_than_the_scatter_between_blocks() -> None:
     assert plain.variance[0, 0] < 0.5 * raised.variance[0, 0]
 
 
-def test_a_steady_growth_is_no_noise() -> None:
-    rng = np.random.default_rng(8)
-    time = np.arange(4000) / 4000.0
+def test_a_steady_growth_is_no_noise():
+    rng, time = np.random.default_rng(8), np.arange(4000) / 4000.0
     growing = 300.0 * np.exp(0.02j * (time - 0.5)) * (1.0 + 0.03 * (time - 0.5))
     wave = (growing * np.exp(2j * np.pi * 100.0 * time)).real
     levels = []
@@ -102,7 +99,7 @@ def test_a_steady_growth_is_no_noise() -> None:
     assert np.mean(levels) == pytest.approx(1.0, abs=0.1)
 
 
-def test_few_bins_give_no_level() -> None:
+def test_few_bins_give_no_level():
     assert line_noise(np.ones((16, 1)), 16, np.array([3.0])) is None
     bins = neighbour_bins(211, np.array([2.0, 0.5]))
     assert bins is not None
@@ -110,13 +107,13 @@ def test_few_bins_give_no_level() -> None:
     assert 2 not in bins
 
 
-def test_nothing_left_is_no_noise() -> None:
+def test_nothing_left_is_no_noise():
     assert np.all(noise_of(np.zeros((300, 2)), [20.0]).variance < 1e-60)
 
 
 @settings(max_examples=20, deadline=None)
 @given(scale=st.floats(1e-9, 1e9), seed=st.integers(0, 1000))
-def test_the_level_scales_and_follows_its_channel(scale: float, seed: int) -> None:
+def test_the_level_scales_and_follows_its_channel(scale, seed):
     residual = np.random.default_rng(seed).normal(size=(211, 3)) * [1.0, 5.0, 0.2]
     noise, scaled = noise_of(residual, [2.0, 30.5]), noise_of(scale * residual[:, ::-1], [2.0, 30.5])
     np.testing.assert_allclose(scaled.variance, scale**2 * noise.variance[:, ::-1], rtol=1e-6)
@@ -152,7 +149,187 @@ def coverage(trials: int, seed: int, corner_hz: float) -> tuple[float, float]:
     ("corner_hz", "trials"),
     [(5.0, 300), *(pytest.param(corner, 900, marks=pytest.mark.slow) for corner in (5.0, 1.0, 0.0))],
 )
-def test_regions_of_a_slow_beat_cover(corner_hz: float, trials: int) -> None:
+def test_regions_of_a_slow_beat_cover(corner_hz, trials):
     stated, white = coverage(trials, 6 if trials == 300 else 7, corner_hz)
     assert 0.92 < stated < (0.985 if trials == 300 else 0.986)  # 97 % scatter by 1 % in 300 trials
     assert white < 0.6 or corner_hz < 5.0
+
+
+def found(time: FloatArray, values: FloatArray, frequency: list[float]) -> Stationarity:
+    names = [str(c) for c in range(values.shape[1])]
+    result = stationarity(time, values, np.array(frequency), names)
+    assert result is not None
+    return result
+
+
+def test_drifts_of_amplitude_and_phase_are_read_exactly_without_noise():
+    time = np.arange(8000) / 2000.0
+    middle = time - time.mean()
+    grows = (3.0 + 0.01 * middle) * np.cos(2 * np.pi * 106.25 * time + 0.3)
+    turns = 3.0 * np.cos(2 * np.pi * 106.25 * time + 0.3 + 1e-3 * middle)
+    result = found(time, np.column_stack([grows, turns]), [106.25])
+    assert (result.periods, result.whole, len(result.time_s)) == (42.0, True, 10)
+    np.testing.assert_allclose(result.amplitude_per_s[0], [0.01, 0.0], atol=1e-6)
+    np.testing.assert_allclose(result.phase_rad_per_s[0], [0.0, 1e-3], atol=1e-6)
+    np.testing.assert_allclose(np.abs(result.value[:, 0, 0]), 3.0 + 0.01 * (result.time_s - time.mean()), rtol=1e-5)
+    assert result.u.max() < 1e-6  # the drift is no noise
+    assert result.p_value.max() < 1e-6
+
+
+@pytest.mark.parametrize(("frequency", "blocks", "periods"), [(106.25, 2, 1.0), (115.748, 10, 4.0)])
+def test_blocks_of_an_undersampled_line_hold_whole_beats(frequency, blocks, periods):
+    # 106.25 - 2·52.874 = 0.502 Hz: two beats in 3.99 s; 115.748 - 2·52.874 = 10 Hz: forty.
+    rng, time = np.random.default_rng(2), np.arange(FRAMES) / CAMERA_HZ
+    values = 300.0 * np.cos(2 * np.pi * frequency * time)[:, None] + rng.normal(size=(FRAMES, 1))
+    result = found(time, values, [frequency])
+    assert (len(result.time_s), result.periods, result.whole) == (blocks, periods, True)
+    assert result.block_s == pytest.approx(periods / abs(frequency - 2 * CAMERA_HZ), rel=0.01)
+    assert np.abs(result.value - 300.0).max() < 5.0 * result.u.max()
+
+
+def test_noise_alone_has_even_chances():
+    rng = np.random.default_rng(3)
+    time = np.sort(rng.uniform(0.0, 4.0, 240))  # on no grid
+    line = 40.0 * np.cos(2 * np.pi * 20.0 * time)[:, None]
+    results = [found(time, line + rng.normal(size=(240, 2)), [20.0]) for _ in range(150)]
+    chances = np.concatenate([result.p_value.ravel() for result in results])
+    assert kstest(chances, "uniform").pvalue > 1e-3
+    slopes = np.concatenate([(result.amplitude_per_s / result.u_amplitude_per_s).ravel() for result in results])
+    assert np.std(slopes) == pytest.approx(1.0, abs=0.15)
+
+
+def test_slow_noise_is_no_drift():
+    rng = np.random.default_rng(4)
+    time, length = np.arange(FRAMES) / CAMERA_HZ, 8 * FRAMES
+    frequency = np.fft.rfftfreq(length, 1.0 / CAMERA_HZ)
+    shape = np.sqrt(1.0 + 5.0 / np.maximum(frequency, frequency[1]))
+    noise = np.fft.irfft(np.fft.rfft(rng.normal(size=(200, length))) * shape)[:, :FRAMES]
+    line = 500.0 * np.cos(2 * np.pi * 106.25 * time)
+    alarms = [found(time, (line + series)[:, None], [106.25]).p_value[0, 0] < 0.01 for series in noise]
+    assert np.mean(alarms) < 0.03
+
+
+def test_a_drift_is_told_from_noise():
+    rng, time = np.random.default_rng(5), np.arange(FRAMES) / CAMERA_HZ
+    drifting = 500.0 * (1.0 + 2e-3 * (time - time.mean())) * np.cos(2 * np.pi * 115.748 * time)
+    results = [found(time, (drifting + rng.normal(size=FRAMES))[:, None], [115.748]) for _ in range(50)]
+    slope = np.array([result.amplitude_per_s[0, 0] for result in results])
+    u = np.array([result.u_amplitude_per_s[0, 0] for result in results])
+    assert abs(slope.mean() - 1.0) < 4.0 * slope.std() / np.sqrt(50)
+    assert slope.std() == pytest.approx(np.median(u), rel=0.4)
+    assert np.mean([result.p_value[0, 0] < 1e-3 for result in results]) > 0.95
+
+
+def test_halves_where_there_are_no_two_beats_and_nothing_where_they_are_too_short():
+    time = np.arange(150) / CAMERA_HZ  # 1.4 beats
+    values = np.cos(2 * np.pi * 106.25 * time)[:, None]
+    result = found(time, values, [106.25])
+    assert (len(result.time_s), result.whole) == (2, False)
+    assert result.periods == pytest.approx(0.71, abs=0.01)
+    assert stationarity(time[:40], values[:40], np.array([106.25]), ["x"]) is None
+
+
+def test_missing_rows_are_left_out():
+    time = np.arange(1000) / 1000.0
+    values = np.cos(2 * np.pi * 50.0 * time)[:, None]
+    values[100:150] = np.nan
+    np.testing.assert_allclose(found(time, values, [50.0]).value, 1.0, atol=1e-9)
+
+
+def _random_phasors(rng: np.random.Generator, lines: int = 2, channels: int = 3) -> Phasors:
+    root = rng.normal(size=(lines, 2 * channels, 2 * channels))
+    return Phasors(
+        frequency_hz=np.array([106.25, 425.0])[:lines],
+        value=rng.normal(size=(lines, channels)) + 1j * rng.normal(size=(lines, channels)),
+        covariance=root @ root.swapaxes(1, 2),
+        channels=tuple("abc"[:channels]),
+        unit=("m",) * channels,
+        dof=np.full(lines, 10.0),
+    )
+
+
+def test_second_derivative_of_a_displacement_is_its_acceleration():
+    # The published load mass: 0.4277 mm at 106.2495 Hz is 190.6131 m/s^2.
+    factor = derivative_factor(np.array([106.2495]), 2)
+    assert (factor[0] * 0.4277e-3, factor[0].imag) == (pytest.approx(-190.6131, rel=1e-6), 0.0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0.1, 5e4), st.integers(-3, 3), st.integers(-3, 3))
+def test_derivatives_add_up(frequency, first, second):
+    f = np.array([frequency])
+    both = derivative_factor(f, first) * derivative_factor(f, second)
+    np.testing.assert_allclose(both, derivative_factor(f, first + second), rtol=1e-12)
+
+
+def test_covariance_of_scaled_phasors_agrees_with_drawn_samples():
+    rng = np.random.default_rng(4)
+    phasors = _random_phasors(rng, lines=1)
+    factor = np.array([[0.5 - 2.0j, 3.0 + 0.0j, 1.0j]])
+    draws = rng.multivariate_normal(np.zeros(6), phasors.covariance[0], size=40_000)
+    scaled = (draws[:, :3] + 1j * draws[:, 3:]) * factor
+    expected = np.cov(np.concatenate([scaled.real, scaled.imag], axis=1).T)
+    got = phasors.scaled(factor).covariance[0]
+    np.testing.assert_allclose(got, expected, atol=0.03 * np.abs(expected).max())
+
+
+def test_selection_keeps_values_and_covariances_together():
+    phasors = _random_phasors(np.random.default_rng(1))
+    picked = phasors.select(["c", "a"])
+    np.testing.assert_array_equal(picked.value, phasors.value[:, [2, 0]])
+    np.testing.assert_array_equal(picked.covariance[:, 1, 2], phasors.covariance[:, 0, 5])
+    np.testing.assert_array_equal(picked.u_im[:, 0] ** 2, phasors.covariance[:, 5, 5])
+    refused(r"channels: expected some of a, b, c, found d", phasors.select, ["d"])
+
+
+def test_stacking_undoes_selection_for_independent_channels():
+    phasors = _random_phasors(np.random.default_rng(2))
+    joined = stack_phasors([phasors.select(["a", "b"]), phasors.select(["c"])])
+    assert joined.channels == phasors.channels
+    np.testing.assert_array_equal(joined.value, phasors.value)
+    np.testing.assert_array_equal(joined.select(["a", "b"]).covariance, phasors.select(["a", "b"]).covariance)
+    np.testing.assert_array_equal(joined.covariance[:, 0, 2], 0.0)
+
+
+def test_lines_can_be_picked():
+    phasors = _random_phasors(np.random.default_rng(3))
+    picked = phasors.at_lines(np.array([False, True]))
+    assert picked.frequency_hz.tolist() == [425.0]
+    np.testing.assert_array_equal(picked.value[0], phasors.value[1])
+
+
+def test_wrong_shapes_are_refused_by_name():
+    with pytest.raises(ValueError, match=r"covariance: expected an array of shape \(1, 2, 2\), found \(1, 1, 1\)"):
+        Phasors(np.ones(1), np.ones((1, 1), complex), np.ones((1, 1, 1)), ("a",), ("m",), np.ones(1))
+    with pytest.raises(ValueError, match="unit: expected 1 units"):
+        Phasors(np.ones(1), np.ones((1, 1), complex), np.ones((1, 2, 2)), ("a",), (), np.ones(1))
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    share=st.floats(0.2, 1.0),
+    place=st.floats(0.0, PASS_BAND),
+    phase=st.floats(0.0, 6.3),
+    stretch=st.floats(-1e-3, 1e-3),
+)
+def test_a_line_in_the_pass_band_keeps_amplitude_and_phase(share, place, phase, stretch):
+    time, reach = np.arange(3000.0), kernel_reach(share)
+    position = np.arange(reach + 0.3, 3000 - reach, (1.0 + stretch) / share)
+    found = resampled(np.cos(2.0 * np.pi * place * share * time + phase), position, share)
+    np.testing.assert_allclose(found, np.cos(2.0 * np.pi * place * share * position + phase), atol=3e-5)
+
+
+@pytest.mark.parametrize("place", [0.6, 0.75, 0.95])
+def test_what_would_fold_into_the_pass_band_is_taken_out(place):
+    time, reach = np.arange(3000.0), kernel_reach(0.5)
+    found = resampled(np.cos(np.pi * place * time), np.arange(reach + 0.3, 3000 - reach, 2.0), 0.5)
+    assert np.abs(found).max() < 2e-5
+
+
+def test_samples_are_met_and_positions_beyond_the_record_refused():
+    samples = np.random.default_rng(1).standard_normal(200)
+    reach = kernel_reach(1.0)
+    place = np.arange(reach, 200 - reach).astype(float)
+    np.testing.assert_allclose(resampled(samples, place), samples[reach : 200 - reach], atol=1e-12)
+    refused("position: expected", resampled, samples, np.array([199.0]))
+    refused("share: expected a number above 0", resampled, samples, place, 1.5)

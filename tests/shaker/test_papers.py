@@ -1,7 +1,5 @@
 """Numbers of three publications from the program's functions; the page docs/papers.md holds every one of its rows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -15,6 +13,7 @@ import papers_rows_wrist as wrist_rows
 import published_load as load_paper
 import published_wrist as wrist_paper
 import pytest
+from contracts import refused
 from published_formulas import (
     damping_from_phase,
     damping_from_sensitivity,
@@ -48,8 +47,7 @@ M_I, G = 0.769, 9.8125  # m/s², Braunschweig: not printed
 M1, M2 = 4.236, 8.798
 K1, K2 = required_stiffness(1477.35, M1 + M_I), required_stiffness(1092.97, M2 + M_I)
 B1, B2 = 699.18, 1566.01
-FORMULA = PublishedStatics(wrist_paper.BEAMS)
-OMEGA = np.sqrt(3.94e7)
+FORMULA, OMEGA = PublishedStatics(wrist_paper.BEAMS), np.sqrt(3.94e7)
 
 
 class Number(NamedTuple):
@@ -178,11 +176,11 @@ LOAD = [
 
 
 @pytest.mark.parametrize("number", [*SHAKER, *WRIST, *LOAD], ids=lambda number: number.name)
-def test_number(number: Number) -> None:
+def test_number(number):
     assert number.computed() == pytest.approx(number.expected, abs=number.within, rel=0.0)
 
 
-def test_the_page_holds_what_the_program_computes() -> None:
+def test_the_page_holds_what_the_program_computes():
     """Row by row, so that a change of any of them is seen."""
     text = PAGE.read_text(encoding="utf-8")
     for name, lines in papers.tables().items():
@@ -192,7 +190,7 @@ def test_the_page_holds_what_the_program_computes() -> None:
 
 
 @pytest.mark.parametrize(("k", "b", "mass"), [(K1, B1, M1 + M_I), (K2, B2, M2 + M_I)])
-def test_equation_10_on_a_curve(k: float, b: float, mass: float) -> None:
+def test_equation_10_on_a_curve(k, b, mass):
     """An oscillator with the printed k, b, m at the paper's lines: b comes back from the right width only."""
     frequency = 0.78125 * np.arange(1100.0, 2200.0)
     s = 2j * np.pi * frequency
@@ -207,7 +205,7 @@ def test_equation_10_on_a_curve(k: float, b: float, mass: float) -> None:
 
 
 @pytest.mark.parametrize("form", ["exact", "series"])
-def test_equations_1_and_2_are_a_first_order_lag(form: str) -> None:
+def test_equations_1_and_2_are_a_first_order_lag(form):
     """Neither the drop to 95.3 % nor the −0.25 rad: these would need 31 times the damping."""
     at = np.array([800.0, 1000.0])
     response = signal.freqs([K1], [B1, K1], 2.0 * np.pi * at)[1]
@@ -221,7 +219,7 @@ def test_equations_1_and_2_are_a_first_order_lag(form: str) -> None:
     assert damping_from_sensitivity(0.953, 1000.0, K1) / B1 == pytest.approx(31.0, abs=0.3)
 
 
-def test_series_departs_where_it_is_said_to() -> None:
+def test_series_departs_where_it_is_said_to():
     magnitude, phase = series_limits_hz(K1, 21800.0)
     exact, series = (relative_sensitivity(np.array([magnitude]), K1, 21800.0, form)[0] for form in ("exact", "series"))
     assert series / exact == pytest.approx(0.99, abs=1e-9)
@@ -231,7 +229,7 @@ def test_series_departs_where_it_is_said_to() -> None:
 
 
 @pytest.mark.parametrize(("component", "kilohertz"), [("Fx", 88), ("My", 187), ("Mz", 3073), ("Fz", 435)])
-def test_no_common_rate_gives_the_stated_frequencies(component: str, kilohertz: float) -> None:
+def test_no_common_rate_gives_the_stated_frequencies(component, kilohertz):
     """At the rate that would be needed it has the stated frequency; four rates, all outside what the digits permit."""
     stated = wrist_paper.MODELS["DE"][wrist_paper.COMPONENTS.index(component)]
     system = replace(wrist_paper.evolved(component), sample_rate_hz=1e3 * kilohertz)
@@ -240,13 +238,13 @@ def test_no_common_rate_gives_the_stated_frequencies(component: str, kilohertz: 
     assert not low <= stated <= high
 
 
-def test_false_poles_are_told() -> None:
+def test_false_poles_are_told():
     assert any("turns its sign" in notice.text for notice in figures("20").notices)
     assert any("half the sampling rate" in n.text for n in indices(wrist_paper.transfer_function(), 1.0, 1e5).notices)
     assert figures("Fx").notices == ()
 
 
-def test_equation_19_in_the_order_of_the_augmented_data_vector() -> None:
+def test_equation_19_in_the_order_of_the_augmented_data_vector():
     """θ = [b3 a3 b2 a2 b1 a1 b0] is equation 20."""
     theta = [0.0083, 0.5841, 0.0047, -0.2608, -0.0011, -1.3076, 0.0037]
     numerator, denominator = np.array(theta[::-2]), np.array([1.0, *theta[-2::-2]])
@@ -255,13 +253,13 @@ def test_equation_19_in_the_order_of_the_augmented_data_vector() -> None:
 
 
 @pytest.mark.parametrize(("half_size_m", "grams"), [(10e-3, 5.34), (18e-3, 16.6)])
-def test_table_3_fits_any_platform(half_size_m: float, grams: float) -> None:
+def test_table_3_fits_any_platform(half_size_m, grams):
     fit = fit_platform(wrist_paper.BEAMS, half_size_m, {"Tx": 1660.0, "Tz": 2025.0, "Rx": 3577.0, "Rz": 5094.0})
     assert fit.misfit < 1e-6
     assert 1e3 * fit.platform.mass_kg == pytest.approx(grams, rel=0.01)
 
 
-def test_how_equation_20_came_about() -> None:
+def test_how_equation_20_came_about():
     """Equation error at 100 kHz takes noise for damping and a false pole; output error does not."""
     record = wrist_rows.simulated_release()
     biased = fit_sim(record, "Fx", order=3)
@@ -275,16 +273,15 @@ def test_how_equation_20_came_about() -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "hertz", "off"),
-    [(0, 499.1, -0.2), (1, 491.0, 1.0), (2, 455.6, 1.2), (3, 420.6, 7.0), (4, 369.4, 15.4)],
+    ("place", "hertz", "off"), [(0, 499.1, -0.2), (1, 491.0, 1.0), (2, 455.6, 1.2), (3, 420.6, 7.0), (4, 369.4, 15.4)]
 )
-def test_equation_14_over_the_load(place: int, hertz: float, off: float) -> None:
+def test_equation_14_over_the_load(place, hertz, off):
     """m_L of equation 14 holds cover and pillar."""
     assert first_mode_hz(load_paper.TWO_MASS, 0.151 + load_paper.LOADS_KG[place]) == pytest.approx(hertz, abs=0.05)
     assert load_rows.deviations(load_paper.TWO_MASS, 0.151)[place] == pytest.approx(off, abs=0.06)
 
 
-def test_three_masses_explain_every_load_and_two_those_below_98_g() -> None:
+def test_three_masses_explain_every_load_and_two_those_below_98_g():
     three = load_rows.three_mass()
     limit = formula_limit(three, 0.05)
     assert np.abs(load_rows.deviations(three)).max() < 1.0
@@ -292,7 +289,7 @@ def test_three_masses_explain_every_load_and_two_those_below_98_g() -> None:
     assert limit.load_mass == pytest.approx(0.081, abs=2e-3)
 
 
-def test_equations_3_follow_from_equation_2_and_a_stiff_coupling_is_equation_5() -> None:
+def test_equations_3_follow_from_equation_2_and_a_stiff_coupling_is_equation_5():
     """Poles and static gain of the model against the matrices of equation 2."""
     k, c, kl, cl, load = 2.36e6, 6.0, 1.89e6, 4.0, 0.048
     model = LoadModel("Fy", "Fy", "V", 0.24, k, c, kl, cl, sensitivity=3.0)
@@ -306,7 +303,7 @@ def test_equations_3_follow_from_equation_2_and_a_stiff_coupling_is_equation_5()
     assert np.allclose(stiff.system(0.05).response(hertz), rigid.system(0.05).response(hertz), rtol=1e-3)
 
 
-def test_a_release_changes_the_overshoot_and_not_the_decay() -> None:
+def test_a_release_changes_the_overshoot_and_not_the_decay():
     """Damping by the poles is the same however long the release takes: equation 9 reads the release as damping."""
     short, long = (load_rows.release_of_overshoot(value, 0.004) for value in (0.97, 0.90))
     assert short < 3.9e-4 < long
@@ -318,7 +315,7 @@ def test_a_release_changes_the_overshoot_and_not_the_decay() -> None:
 
 
 @pytest.mark.parametrize("component", ["Fx", "Mz", "Fz"])
-def test_random_systems_lie_inside_the_rounding_range_and_come_close(component: str) -> None:
+def test_random_systems_lie_inside_the_rounding_range_and_come_close(component):
     centre, last = wrist_paper.evolved_digits(component)
     box = rounding_range(centre, last, wrist_paper.RATE_HZ)
     rng, hertz, radius = np.random.default_rng(5), [], []
@@ -336,7 +333,7 @@ def test_random_systems_lie_inside_the_rounding_range_and_come_close(component: 
     assert box.always_oscillates == (len(hertz) == len(radius))
 
 
-def test_rounding_ranges_in_closed_form() -> None:
+def test_rounding_ranges_in_closed_form():
     """z² - 2c z + 1 with |c - 0.9| ≤ 0.05 has z = exp(±j·arccos c); a first order never oscillates."""
     pair = rounding_range(np.array([1, -1.8, 1.0]), np.array([0, 0.2, 0]), 2 * np.pi)
     assert pair.natural_hz == pytest.approx([np.arccos(0.95), np.arccos(0.85)], rel=1e-12)
@@ -345,13 +342,9 @@ def test_rounding_ranges_in_closed_form() -> None:
     assert first.radius == pytest.approx(0.95)
 
 
-def test_wrong_arguments_are_refused() -> None:
-    with pytest.raises(ValueError, match="k: expected a stiffness above 0, found 0"):
-        relative_sensitivity(np.ones(1), 0.0, 1.0)
-    with pytest.raises(ValueError, match="relative: expected more than 0 and at most 1"):
-        damping_from_sensitivity(1.2, 1000.0, K1)
-    with pytest.raises(ValueError, match="phase_rad: expected a phase between"):
-        damping_from_phase(-2.0, 800.0, K1)
+def test_wrong_arguments_are_refused():
+    refused("k: expected a stiffness above 0, found 0", relative_sensitivity, np.ones(1), 0.0, 1.0)
+    refused("relative: expected more than 0 and at most 1", damping_from_sensitivity, 1.2, 1000.0, K1)
+    refused("phase_rad: expected a phase between", damping_from_phase, -2.0, 800.0, K1)
     for arguments, name in (((np.ones(3), np.ones(2), 1e5), "last_digit"), ((np.ones(1), np.ones(1), 1e5), "denom")):
-        with pytest.raises(ValueError, match=name):
-            rounding_range(*arguments)
+        refused(name, rounding_range, *arguments)

@@ -1,17 +1,21 @@
-"""CSV, LVM and scans: what laboratories' programs write, and the two ways of reading it against each other."""
+"""CSV, LVM, scans and universal files 58 and 58b: what programs write, by the byte; pyuff as the second opinion."""
 
-from __future__ import annotations
-
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import pyuff
+import universal_factory as uff
+from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shaker.io import read_channels, text
+from shaker.io import universal as sets
 from shaker.io.channel import RawChannel
 from shaker.io.text import read_scan_asc
+from shaker.io.universal import read_universal_functions, read_universal_shapes
 
 
 def read(folder: Path, content: str | bytes, suffix: str = ".csv", rate: float | None = None) -> dict[str, RawChannel]:
@@ -35,7 +39,7 @@ def read(folder: Path, content: str | bytes, suffix: str = ".csv", rate: float |
     ],
 )
 @pytest.mark.parametrize("block", [8, 1 << 20])
-def test_csv_dialects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str, block: int) -> None:
+def test_csv_dialects(tmp_path, monkeypatch, content, block):
     monkeypatch.setattr(text, "BLOCK", block)
     found = read(tmp_path, content)
     force, other = (next(c for name, c in found.items() if name.startswith(start)) for start in ("Fz", "Fx"))
@@ -45,25 +49,23 @@ def test_csv_dialects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: 
     assert force.sample_rate_hz == pytest.approx(2.0)
 
 
-def test_csv_channels_answer_to_their_names_without_units(tmp_path: Path) -> None:
+def test_csv_channels_answer_to_their_names_without_units(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text('"Fz [N]",Fz [kN],"a, top (g)"\n1,2,3\n4,5,6\n')
     assert list(read_channels(path, sample_rate_hz=1.0)) == ["Fz [N]", "Fz [kN]", "a, top (g)"]
     assert read_channels(path, ["a, top"], 1.0)["a, top"].unit == "g"
     np.testing.assert_array_equal(read_channels(path, ["Fz [kN]"], 1.0)["Fz [kN]"].samples, [2.0, 5.0])
-    with pytest.raises(ValueError, match=r'a\.csv: expected a channel "Fz", found'):
-        read_channels(path, ["Fz"], 1.0)
+    refused(r'a\.csv: expected a channel "Fz", found', read_channels, path, ["Fz"], 1.0)
 
 
-def test_csv_columns_of_text_do_not_matter_to_others(tmp_path: Path) -> None:
+def test_csv_columns_of_text_do_not_matter_to_others(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("clock;Fz;state\n;N;\n12:00:01;1,5;ok\n12:00:02;2,5;late\n")
     np.testing.assert_array_equal(read_channels(path, ["Fz"], 1.0)["Fz"].samples, [1.5, 2.5])
-    with pytest.raises(ValueError, match=r"a\.csv: line 3: expected numbers, found '12:00:01;1,5;ok'"):
-        read_channels(path, ["Fz", "state"], 1.0)
+    refused(r"a\.csv: line 3: expected numbers, found '12:00:01;1,5;ok'", read_channels, path, ["Fz", "state"], 1.0)
 
 
-def test_csv_latin_1_and_the_unit_1(tmp_path: Path) -> None:
+def test_csv_latin_1_and_the_unit_1(tmp_path):
     found = read(tmp_path, "time;Drehung;Dehnung\ns;°;1\n0;1;2\n1;nan;4\n".encode("latin-1"))
     assert [channel.unit for channel in found.values()] == ["°", "1"]
     np.testing.assert_array_equal(found["Drehung"].samples, [1.0, np.nan])
@@ -87,7 +89,7 @@ def test_csv_latin_1_and_the_unit_1(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("block", [6, 1 << 20])
-def test_csv_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str, message: str, block: int) -> None:
+def test_csv_errors(tmp_path, monkeypatch, content, message, block):
     monkeypatch.setattr(text, "BLOCK", block)
     with pytest.raises(ValueError, match=r"a\.csv: ") as caught:
         read(tmp_path, content)
@@ -96,9 +98,7 @@ def test_csv_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: st
 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_whole_blocks_and_single_lines_read_the_same(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
+def test_whole_blocks_and_single_lines_read_the_same(tmp_path_factory, data):
     """Numbers of any spelling, empty cells, remarks and line ends: both ways agree with `float` to the last bit."""
     delimiter = data.draw(st.sampled_from([",", ";", "\t"]))
     number = st.floats(allow_nan=False, allow_infinity=False, width=64)
@@ -117,7 +117,7 @@ def test_whole_blocks_and_single_lines_read_the_same(
     np.testing.assert_array_equal(np.stack([c.samples for c in found.values()], axis=1), expected)
 
 
-def test_long_columns_grow_block_by_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_columns_grow_block_by_block(tmp_path, monkeypatch):
     monkeypatch.setattr(text, "BLOCK", 1000)
     rng = np.random.default_rng(0)
     table = rng.normal(size=(5000, 3)) * 10.0 ** rng.integers(0, 9, (5000, 1))
@@ -135,7 +135,7 @@ def lvm(body: str, channels: str, x: str = "No", separator: str = "\t", point: s
     return (HEAD.format(name=name, point=point, x=x) + END + "\n" + channels + END + body).replace("\t", separator)
 
 
-def test_lvm_with_a_time_column_of_every_channel(tmp_path: Path) -> None:
+def test_lvm_with_a_time_column_of_every_channel(tmp_path):
     channels = "Channels\t2\nSamples\t3\t2\nX0\t0\t0\nDelta_X\t0.5\t1.0\nY_Unit_Label\tV\tA\n"
     body = "X_Value\tU\tX_Value\tI\tComment\n0.0\t1\t10.0\t4\t\n0.5\t2\t11.0\t5\tlate\n1.0\t3\t\t\t\n"
     found = read(tmp_path, lvm(body, channels, "Multi"), ".lvm")
@@ -145,7 +145,7 @@ def test_lvm_with_a_time_column_of_every_channel(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("separator", "point"), [(",", "."), (";", ","), ("\t", ","), (";", ".")])
-def test_lvm_separators(tmp_path: Path, separator: str, point: str) -> None:
+def test_lvm_separators(tmp_path, separator, point):
     channels = f"Channels\t2\nSamples\t2\t2\nDelta_X\t0{point}25\t0{point}25\n"
     body = f"X_Value\tU\tU\tComment\n\t1{point}5\t-2\n\t2{point}5E+1\t-3\n"
     found = read(tmp_path, lvm(body, channels, separator=separator, point=point), ".lvm")
@@ -154,7 +154,7 @@ def test_lvm_separators(tmp_path: Path, separator: str, point: str) -> None:
     assert found["U #1"].sample_rate_hz == 4.0
 
 
-def test_lvm_special_blocks_are_passed_over(tmp_path: Path) -> None:
+def test_lvm_special_blocks_are_passed_over(tmp_path):
     special = "***Start_Special***\t\nSamples\t99\nHarmonic\t3\n***End_Special***\t\n\n"
     channels = "Channels\t1\nSamples\t2\nX0\t{x0}\nDelta_X\t0.5\n"
     body = "X_Value\tU\tComment\n\t1\n\t2\n\n"
@@ -163,7 +163,7 @@ def test_lvm_special_blocks_are_passed_over(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("block", [16, 100, 1 << 20])
-def test_lvm_in_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int) -> None:
+def test_lvm_in_blocks(tmp_path, monkeypatch, block):
     """Headers and rows cut anywhere, remarks in some rows, and the line numbers of errors."""
     monkeypatch.setattr(text, "BLOCK", block)
     channels = "Channels\t1\nSamples\t4\nX0\t{x0}\nDelta_X\t0.5\n"
@@ -172,8 +172,7 @@ def test_lvm_in_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: i
     np.testing.assert_array_equal(read(tmp_path, content, ".lvm")["U"].samples, [1, 2, 3, 4, 1, 2, 3, 4])
     wrong = content[:-4] + "\tx\n"
     line = wrong.count("\n")
-    with pytest.raises(ValueError, match=rf"a\.lvm: line {line}: expected numbers, found 'x'"):
-        read(tmp_path, wrong, ".lvm")
+    refused(rf"a\.lvm: line {line}: expected numbers, found 'x'", read, tmp_path, wrong, ".lvm")
 
 
 STAMPED = (
@@ -189,7 +188,7 @@ def segments(second: str, point: str = ".") -> str:
 
 
 @pytest.mark.parametrize("point", [".", ","])
-def test_lvm_segments_are_joined_and_gaps_refused(tmp_path: Path, point: str) -> None:
+def test_lvm_segments_are_joined_and_gaps_refused(tmp_path, point):
     channel = read(tmp_path, segments("12.25", point), ".lvm")["U"]
     np.testing.assert_array_equal(channel.samples, np.arange(7) + 0.25)
     assert (channel.sample_rate_hz, channel.unit) == (2.0, "Volts")
@@ -199,7 +198,7 @@ def test_lvm_segments_are_joined_and_gaps_refused(tmp_path: Path, point: str) ->
         read(tmp_path, segments("15.25", point), ".lvm")
 
 
-def test_lvm_column_of_a_decimated_file_rules_its_header(tmp_path: Path) -> None:
+def test_lvm_column_of_a_decimated_file_rules_its_header(tmp_path):
     channels = STAMPED.format(n=100, second="10", step="0.001")
     body = "X_Value\tU\n" + "".join(f"{0.016 * i:.3f}\t{i}\n" for i in range(7))
     assert read(tmp_path, lvm(body, channels, "One"), ".lvm")["U"].sample_rate_hz == pytest.approx(62.5, rel=1e-12)
@@ -219,7 +218,7 @@ def _write_asc(path: Path, points: np.ndarray, blocks: np.ndarray, interval: flo
 
 @pytest.mark.parametrize("by_rows", [True, False])
 @pytest.mark.parametrize("count", [1, 8])
-def test_scanning_vibrometer_text(tmp_path: Path, by_rows: bool, count: int) -> None:
+def test_scanning_vibrometer_text(tmp_path, by_rows, count):
     rng = np.random.default_rng(0)
     points, blocks = rng.normal(size=(count, 3)), rng.normal(size=(3, count, 50))
     path = tmp_path / "Scan_time.asc"
@@ -234,11 +233,171 @@ def test_scanning_vibrometer_text(tmp_path: Path, by_rows: bool, count: int) -> 
     np.testing.assert_array_equal(read_channels(path, [f"3/{count}"])[f"3/{count}"].samples, scan.samples[2, -1])
 
 
-def test_scan_with_a_torn_block_is_refused(tmp_path: Path) -> None:
+def test_scan_with_a_torn_block_is_refused(tmp_path):
     path = tmp_path / "torn.asc"
     _write_asc(path, np.ones((2, 3)), np.ones((3, 2, 50)), 1e-3, True)
     path.write_text("\n".join(path.read_text().splitlines()[:-3]))
-    with pytest.raises(
-        ValueError, match=r"torn\.asc: expected whole blocks of 2 points with 50 samples \(100 numbers\)"
-    ):
-        read_channels(path)
+    refused(r"torn\.asc: expected whole blocks of 2 points with 50 samples \(100 numbers\)", read_channels, path)
+
+
+RNG, X = np.random.default_rng(0), 0.5 + np.arange(50) / 128.0
+Y = RNG.normal(size=50) + 1j * RNG.normal(size=50)
+VALUES = {2: Y.real, 4: Y.real, 5: Y, 6: Y}
+
+
+@pytest.fixture
+def path(tmp_path) -> Path:
+    """A universal file to be written."""
+    return tmp_path / "a.uff"
+
+
+def rounded(values: np.ndarray, kind: int) -> float:
+    """Relative error of the text form: 6 digits or 13."""
+    return 6e-13 if kind in (4, 6) else 6e-6
+
+
+@pytest.mark.parametrize(("kind", "even"), uff.CASES)
+def test_text_functions_of_all_eight_cases(path, kind, even):
+    y = VALUES[kind]
+    path.write_bytes(uff.text_function(4, kind, X, y, even) + uff.text_function(1, 4, X, Y.real, True, "after"))
+    function, last = read_universal_functions(path)
+    np.testing.assert_allclose(function.value, y, rtol=rounded(y, kind), atol=6e-6)
+    np.testing.assert_allclose(function.abscissa, X, rtol=6e-6)
+    assert np.iscomplexobj(function.value) == (kind in (5, 6))
+    assert (function.kind, function.unit, function.abscissa_unit) == ("frequency response", "(m/s^2)/(N)", "Hz")
+    assert (function.response, function.reference, function.titles[0]) == ("12+Z", "7-X", "title")
+    assert (last.name, last.kind, last.unit) == ("after", "time response", "m/s^2")
+    assert list(read_channels(path)) == ["after"]
+
+
+@pytest.mark.parametrize("after", [b"    -1\n", b"\r\n    -1\r\n", b"\n    -1\n"])
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize(("kind", "even"), uff.CASES)
+def test_binary_functions_of_all_eight_cases(path, kind, even, order, after):
+    y = VALUES[kind]
+    content = uff.binary_function(kind, X, y, even, order, after=after)
+    path.write_bytes(content + uff.text_function(1, 4, X, Y.real, True, "after"))
+    function, last = read_universal_functions(path)
+    exact = y if kind in (4, 6) else y.astype("c8" if kind == 5 else "f4")
+    np.testing.assert_array_equal(function.value, exact)
+    np.testing.assert_allclose(function.abscissa, X, rtol=6e-6 if even else 6e-8)
+    assert last.name == "after"
+
+
+@pytest.mark.parametrize("kind", [4, 6])
+def test_abscissa_of_double_precision_is_told_by_the_number_of_bytes(path, kind):
+    """The description says that the abscissa is single in the text form and leaves the binary open: both occur."""
+    y = VALUES[kind]
+    path.write_bytes(uff.binary_function(kind, X, y, False, "<", abscissa="f8"))
+    function = read_universal_functions(path)[0]
+    np.testing.assert_array_equal(function.abscissa, X)
+    np.testing.assert_array_equal(function.value, y)
+
+
+def test_end_mark_and_line_ends_among_the_numbers(path):
+    """Bytes that look like an end mark or a line end belong to the numbers: their count decides."""
+    looks_like = np.frombuffer(b"\n    -1\n    -1\r\n  \n\n" + b"    -1\n\n    -1\n 123 ", "<f4")
+    path.write_bytes(uff.binary_function(2, X, looks_like, True, "<") + uff.text_function(1, 2, X, X, True, "after"))
+    first, second = read_universal_functions(path)
+    np.testing.assert_array_equal(first.value.astype("<f4"), looks_like)
+    assert second.name == "after"
+
+
+def test_wrong_number_of_bytes_in_the_header_is_seen_through(path):
+    content = uff.binary_function(4, X, Y.real, True, ">")
+    path.write_bytes(content.replace(f"{400:12d}".encode(), f"{0:12d}".encode()))
+    np.testing.assert_array_equal(read_universal_functions(path)[0].value, Y.real)
+
+
+@pytest.mark.parametrize("case", [("1     2", "1     3", "IBM 5/370"), ("1     2", "1     1", "DEC VMS")])
+def test_foreign_number_formats_are_refused(path, case):
+    content = uff.binary_function(4, X, Y.real, True, "<")
+    path.write_bytes(content.replace(case[0].encode(), case[1].encode(), 1))
+    refused(rf"a\.uff: line 2: expected .* IEEE 754 numbers, found .*{case[2]}", read_channels, path)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves files open
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("kind", [2, 4, 5, 6])
+def test_pyuff_agrees_where_spacing_is_even(path, kind, order):
+    path.write_bytes(uff.binary_function(kind, X, VALUES[kind], True, order))
+    np.testing.assert_array_equal(read_universal_functions(path)[0].value, pyuff.UFF(str(path)).read_sets()["data"])
+
+
+def test_names_that_occur_twice(path):
+    same = uff.text_function(1, 4, X, Y.real, True, "Mic")
+    path.write_bytes(same + same.replace(b"        12   3", b"        13  -2") + same)
+    assert list(read_channels(path)) == ["Mic 12+Z #1", "Mic 13-Y", "Mic 12+Z #3"]
+
+
+def test_uneven_time_responses(path):
+    path.write_bytes(uff.binary_function(2, X, Y.real, False, "<"))
+    assert read_channels(path)["12+Z"].sample_rate_hz == pytest.approx(128.0, rel=1e-6)
+    path.write_bytes(uff.binary_function(2, X**2, Y.real, False, "<"))
+    refused(r'a\.uff: channel "12\+Z": expected times in uniform steps', read_channels, path)
+
+
+def test_fields_without_blanks_and_free_fields(path):
+    """Exponents of three digits fill their fields; some programs keep to no widths at all; Fortran writes D."""
+    values = np.array([-1.25e-101, -2.5e100, -3.75e-101, 4.0, -5e-300, 6.0, 7.0])
+    full = [f"{value:.5E}".rjust(13) for value in values]
+    frame = uff.text_function(1, 2, X[:7], values, True).split(b"\n")
+    path.write_bytes(b"\n".join([*frame[:13], "".join(full[:6]).encode(), full[6].encode(), *frame[15:]]))
+    np.testing.assert_array_equal(read_channels(path)["12+Z"].samples, values)
+    free = b"-1.25D-101 -2.5D100 -3.75D-101 4 -5D-300\n6 7"
+    path.write_bytes(b"\n".join([*frame[:13], free, *frame[15:]]))
+    np.testing.assert_array_equal(read_channels(path)["12+Z"].samples, values)
+
+
+def test_too_few_numbers_are_refused(path):
+    lines = uff.text_function(1, 2, X, Y.real, True).split(b"\n")
+    path.write_bytes(b"\n".join(lines[:14] + lines[15:]))
+    refused(r"a\.uff: line 2: expected 50 numbers, found 44", read_channels, path)
+
+
+def test_large_text_in_blocks(path, monkeypatch):
+    monkeypatch.setattr(sets, "BLOCK", 500)
+    y = RNG.normal(size=1003)
+    path.write_bytes(uff.text_function(1, 4, np.arange(1003.0), y, True) + uff.binary_function(4, X, Y.real, True, "<"))
+    first, second = read_universal_functions(path)
+    np.testing.assert_allclose(first.value, y, rtol=1e-12)
+    np.testing.assert_array_equal(second.value, Y.real)
+
+
+def test_shapes(path):
+    node, real = [4, 12, 1], RNG.normal(size=(3, 3))
+    value = real + 1j * RNG.normal(size=(3, 3))
+    eigenvalue = (-2.0, 100.0)
+    path.write_bytes(
+        uff.shape(2, [106.25, 1.0, 0.01, 0.0], node, real)
+        + uff.text_function(1, 2, X, Y.real, True)
+        + uff.shape(5, [375.9], node, value, 12)
+        + uff.shape(3, [*eigenvalue, 1.0, 0.0, 1.0, 0.0], node, value)
+    )
+    mode, deflection, complex_mode = read_universal_shapes(path)
+    np.testing.assert_array_equal(mode.node, node)
+    np.testing.assert_allclose(mode.value, real, rtol=1e-5)
+    assert (mode.analysis, mode.frequency_hz, mode.damping_ratio) == ("normal mode", 106.25, 0.01)
+    np.testing.assert_allclose(deflection.value, value, rtol=1e-5, atol=1e-6)
+    assert (deflection.analysis, deflection.quantity) == ("frequency response", "acceleration")
+    assert deflection.frequency_hz == 375.9
+    assert np.isnan(deflection.damping_ratio)
+    size = abs(complex(*eigenvalue))
+    assert (complex_mode.frequency_hz, complex_mode.damping_ratio) == pytest.approx((size / (2 * np.pi), 2.0 / size))
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves files open
+def test_shapes_as_pyuff_reads_them(path):
+    value = RNG.normal(size=(5, 3)) + 1j * RNG.normal(size=(5, 3))
+    path.write_bytes(uff.shape(5, [53.7], [1, 2, 3, 4, 5], value))
+    own, other = read_universal_shapes(path)[0], pyuff.UFF(str(path)).read_sets()
+    np.testing.assert_array_equal(own.node, other["node_nums"])
+    np.testing.assert_array_equal(own.value[:, 0], other["r1"])
+    np.testing.assert_array_equal(own.value[:, 2], other["r3"])
+
+
+def test_damaged_shapes_are_refused(path):
+    lines = uff.shape(5, [53.7], [1, 2, 3], np.ones((3, 3), dtype=complex)).split(b"\n")
+    for damaged in (lines[:-4] + lines[-3:], [*lines[:8], *lines[-2:]], [*lines[:11], b" x", *lines[12:]]):
+        path.write_bytes(b"\n".join(damaged))
+        refused(re.escape(str(path)), read_universal_shapes, path)

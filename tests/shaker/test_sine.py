@@ -1,11 +1,10 @@
 """Sine approximation: analytic truth, IEEE 1057, Fisher information, coverage; long records, weights, spikes."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np
 import pytest
+from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import curve_fit
@@ -14,21 +13,14 @@ from scipy.stats import f as f_distribution
 from shaker.sine.fit import fit_sines
 from shaker.sine.noise import neighbour_bins
 from shaker.sine.normal_equations import LONG, Demodulator, UniformTimes, timeline
-from shaker.sine.solve import SineFit, SineModel
+from shaker.sine.solve import SineModel
 
-CAMERA_HZ = 52.874
-RATE_HZ = 51_200.0
+CAMERA_HZ, RATE_HZ = 52.874, 51_200.0
 LINES_HZ = np.array([106.2495, 212.499, 1020.3])
 PLAIN, FREE, DRIFT = SineModel(), SineModel(free=(0,)), SineModel(drift=True)
 
 
-def _fit(
-    time: np.ndarray | UniformTimes,
-    values: np.ndarray,
-    frequency: np.ndarray,
-    model: SineModel = PLAIN,
-    **options: object,
-) -> SineFit:
+def _fit(time, values, frequency, model=PLAIN, **options):
     names = [str(c) for c in range(values.shape[1])]
     return fit_sines(time, values, frequency, names, names, model=model, **options)  # type: ignore[arg-type]
 
@@ -47,9 +39,8 @@ def _series(time: np.ndarray, frequency: np.ndarray, value: np.ndarray, offset: 
 
 
 @pytest.mark.parametrize("rate", [5000.0, CAMERA_HZ])
-def test_exact_data_come_back_exactly(rate: float) -> None:
-    frequency = 106.25 * np.arange(1, 4)
-    rng = np.random.default_rng(0)
+def test_exact_data_come_back_exactly(rate):
+    frequency, rng = 106.25 * np.arange(1, 4), np.random.default_rng(0)
     value = rng.normal(size=(3, 2)) + 1j * rng.normal(size=(3, 2))
     time = 0.3 + np.arange(400) / rate
     fit = _fit(time, _series(time, frequency, value, 5.0), frequency)
@@ -61,15 +52,14 @@ def test_exact_data_come_back_exactly(rate: float) -> None:
     np.testing.assert_allclose(fit.model(time), _series(time, frequency, value, 5.0), atol=1e-11)
 
 
-def test_sign_convention_is_that_of_the_phasor() -> None:
+def test_sign_convention_is_that_of_the_phasor():
     time = np.arange(100) / 100.0
     values = (3.0 * np.cos(2 * np.pi * 5.0 * time) + 4.0 * np.sin(2 * np.pi * 5.0 * time))[:, None]
     assert _fit(time, values, np.array([5.0])).phasors.value[0, 0] == pytest.approx(3.0 - 4.0j)
 
 
-def test_drift_is_separated_from_the_lines() -> None:
-    time = np.arange(211) / CAMERA_HZ
-    value = np.array([[1.0 + 1.0j]])
+def test_drift_is_separated_from_the_lines():
+    time, value = np.arange(211) / CAMERA_HZ, np.array([[1.0 + 1.0j]])
     values = _series(time, np.array([106.25]), value) + 0.7 * (time - time.mean())[:, None]
     fit = _fit(time, values, np.array([106.25]), DRIFT)
     assert fit.drift_per_s[0] == pytest.approx(0.7)
@@ -77,9 +67,8 @@ def test_drift_is_separated_from_the_lines() -> None:
     np.testing.assert_allclose(fit.model(time), values, atol=1e-11)
 
 
-def test_missing_samples_are_dropped_and_counted() -> None:
-    time = np.arange(211) / CAMERA_HZ
-    value = np.array([[1.0 + 1.0j, 2.0j]])
+def test_missing_samples_are_dropped_and_counted():
+    time, value = np.arange(211) / CAMERA_HZ, np.array([[1.0 + 1.0j, 2.0j]])
     values = _series(time, np.array([106.25]), value)
     values[7, 1] = np.nan
     fit = _fit(time, values, np.array([106.25]))
@@ -92,9 +81,8 @@ def test_missing_samples_are_dropped_and_counted() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(st.floats(-3.0, 3.0), st.floats(0.01, 100.0), st.permutations([0, 1, 2]), st.integers(0, 1000))
-def test_time_shift_scale_and_channel_order(shift: float, scale: float, order: list[int], seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    frequency = np.array([106.25, 212.5])
+def test_time_shift_scale_and_channel_order(shift, scale, order, seed):
+    rng, frequency = np.random.default_rng(seed), np.array([106.25, 212.5])
     time = np.arange(150) / CAMERA_HZ
     values = rng.normal(size=(150, 3))
     plain = _fit(time, values, frequency)
@@ -114,8 +102,7 @@ def _trials(rate: float, samples: int, lines: int, trials: int, seed: int) -> tu
     """Return pooled variance over the Cramér-Rao bound, coverage of the 95 % region, and bias over its deviation."""
     rng = np.random.default_rng(seed)
     frequency = 106.25 * np.arange(1, lines + 1)
-    time = np.arange(samples) / rate
-    sigma = np.array([0.1, 2.0])
+    time, sigma = np.arange(samples) / rate, np.array([0.1, 2.0])
     error, covered = [], []
     for _ in range(trials):
         value = rng.normal(size=(lines, 2)) + 1j * rng.normal(size=(lines, 2))
@@ -150,7 +137,7 @@ def _trials(rate: float, samples: int, lines: int, trials: int, seed: int) -> tu
         pytest.param(0.05 * 106.25 * 1.0173, 240, 1, marks=pytest.mark.slow),
     ],
 )
-def test_variance_reaches_the_bound_and_regions_cover(rate: float, samples: int, lines: int) -> None:
+def test_variance_reaches_the_bound_and_regions_cover(rate, samples, lines):
     trials = 1000 // lines
     ratio, coverage, bias = _trials(rate, samples, lines, trials, seed=3)
     # 2·2·lines·trials values: the ratio scatters by 0.02, the coverage by 0.5 %; near-zero aliases are overstated.
@@ -159,7 +146,7 @@ def test_variance_reaches_the_bound_and_regions_cover(rate: float, samples: int,
     assert bias.max() < 4.5
 
 
-def test_stated_covariance_crosses_channels() -> None:
+def test_stated_covariance_crosses_channels():
     rng = np.random.default_rng(9)
     time, frequency = np.arange(500) / 1000.0, np.array([106.0])
     mix = np.array([[1.0, 0.0], [0.8, 0.6]])
@@ -173,23 +160,19 @@ def test_stated_covariance_crosses_channels() -> None:
     np.testing.assert_allclose(np.mean(stated, axis=0), measured, atol=0.15 * measured.max())
 
 
-def test_twelve_channels_of_a_long_record() -> None:
+def test_twelve_channels_of_a_long_record():
     rng = np.random.default_rng(12)
     time, frequency = np.arange(200_000) / 51_200.0, 106.25 * np.arange(1, 7)
-    values = rng.normal(size=(200_000, 12))
-    fit = _fit(time, values, frequency)
+    fit = _fit(time, rng.normal(size=(200_000, 12)), frequency)
     np.testing.assert_allclose(fit.phasors.u_re, np.sqrt(2.0 / 200_000), rtol=0.5)
     assert fit.condition < 1.01
 
 
-def test_folded_lines_are_refused_with_the_remedy() -> None:
+def test_folded_lines_are_refused_with_the_remedy():
     time = np.arange(300) / 200.0
-    with pytest.raises(ValueError, match=r"frequency_hz: .*drop those that usable_lines names"):
-        _fit(time, np.ones((300, 1)), np.array([100.0]))
-    with pytest.raises(ValueError, match="time_s: expected more than 3 complete samples, found 3"):
-        _fit(time[:3], np.ones((3, 1)), np.array([30.0]))
-    with pytest.raises(ValueError, match="unit: expected 1 units"):
-        fit_sines(time, np.ones((300, 1)), np.array([30.0]), ["a"], [])
+    refused(r"frequency_hz: .*drop those that usable_lines names", _fit, time, np.ones((300, 1)), np.array([100.0]))
+    refused("time_s: expected more than 3 complete samples, found 3", _fit, time[:3], np.ones((3, 1)), np.array([30.0]))
+    refused("unit: expected 1 units", fit_sines, time, np.ones((300, 1)), np.array([30.0]), ["a"], [])
 
 
 def ieee_1057(time: np.ndarray, y: np.ndarray, frequency: float, steps: int = 12) -> tuple[float, complex]:
@@ -207,9 +190,8 @@ def ieee_1057(time: np.ndarray, y: np.ndarray, frequency: float, steps: int = 12
 
 
 @pytest.mark.parametrize(("rate", "samples"), [(1000.0, 300), (CAMERA_HZ, 211)])
-def test_four_parameters_are_those_of_ieee_1057(rate: float, samples: int) -> None:
-    rng = np.random.default_rng(0)
-    time = 0.4 + np.arange(samples) / rate
+def test_four_parameters_are_those_of_ieee_1057(rate, samples):
+    rng, time = np.random.default_rng(0), 0.4 + np.arange(samples) / rate
     y = 2.0 * np.cos(2 * np.pi * 106.25 * time + 0.7) + 0.2 * rng.normal(size=samples) + 3.0
     fit = _fit(time, y[:, None], np.array([106.25 + 0.1 * rate / samples]), FREE)
     frequency, value = ieee_1057(time, y, 106.25 + 0.1 * rate / samples)
@@ -217,7 +199,7 @@ def test_four_parameters_are_those_of_ieee_1057(rate: float, samples: int) -> No
     assert fit.phasors.value[0, 0] == pytest.approx(value, rel=1e-6)
 
 
-def test_exact_frequencies_and_decays_come_back() -> None:
+def test_exact_frequencies_and_decays_come_back():
     time = np.arange(1500) / 1000.0
     frequency, decay = np.array([53.7, 106.25, 170.1]), np.array([0.5, 2.0, 0.0])
     value = np.array([[1.0 + 1.0j, 2.0], [0.3j, -1.0], [0.5, 0.1j]])
@@ -247,7 +229,7 @@ def _fisher(time: np.ndarray, frequency: float, value: complex, sigma: float, de
 
 @pytest.mark.parametrize("decay", [False, True])
 @pytest.mark.parametrize("start", [0.0, -1.0, 5.0])
-def test_stated_covariance_is_the_inverse_fisher_information(start: float, decay: bool) -> None:
+def test_stated_covariance_is_the_inverse_fisher_information(start, decay):
     # Far from time zero nearly all of the phase's uncertainty is the frequency's.
     rng = np.random.default_rng(1)
     time, value, sigma = start + np.arange(4000) / 2000.0, 1.5 - 0.5j, 0.05
@@ -264,7 +246,7 @@ def test_stated_covariance_is_the_inverse_fisher_information(start: float, decay
         assert fit.u_decay_per_s[0] ** 2 / scale == pytest.approx(bound[4, 4], rel=0.1)
 
 
-def test_frequency_bound_in_closed_form() -> None:
+def test_frequency_bound_in_closed_form():
     # Rife and Boorstyn 1974: var f = 6 σ² / (π² a² T² S); phase in the middle of the record 2 σ² / (a² S).
     samples, rate, sigma = 20_000, 5000.0, 0.3
     time = (np.arange(samples) - (samples - 1) / 2) / rate
@@ -278,9 +260,8 @@ def test_frequency_bound_in_closed_form() -> None:
     assert free.u_frequency_hz[0] == pytest.approx(expected * noise, rel=1e-2)
 
 
-def test_agrees_with_curve_fit() -> None:
-    rng = np.random.default_rng(3)
-    time = np.arange(800) / 1000.0
+def test_agrees_with_curve_fit():
+    rng, time = np.random.default_rng(3), np.arange(800) / 1000.0
 
     def curve(t: np.ndarray, a: float, b: float, f: float, d: float, c: float) -> np.ndarray:
         return np.asarray(np.exp(-d * t) * (a * np.cos(2 * np.pi * f * t) + b * np.sin(2 * np.pi * f * t)) + c)
@@ -290,24 +271,20 @@ def test_agrees_with_curve_fit() -> None:
     fit = _fit(time, y[:, None], np.array([60.1]), SineModel(free=(0,), decay="common"))
     np.testing.assert_allclose(fit.phasors.value[0, 0], found[0] - 1j * found[1], rtol=1e-6)
     assert fit.phasors.frequency_hz[0] == pytest.approx(found[2], rel=1e-9)
-    assert fit.decay_per_s[0] == pytest.approx(found[3], rel=1e-6)
-    assert fit.offset[0] == pytest.approx(found[4], abs=1e-8)
+    assert (fit.decay_per_s[0], fit.offset[0]) == (pytest.approx(found[3], rel=1e-6), pytest.approx(found[4], abs=1e-8))
 
 
-def test_known_lines_stay_and_lines_of_a_label_move_together() -> None:
-    time = np.arange(2000) / 1000.0
-    true = np.array([50.0, 100.1, 200.2])
+def test_known_lines_stay_and_lines_of_a_label_move_together():
+    time, true = np.arange(2000) / 1000.0, np.array([50.0, 100.1, 200.2])
     data = _series(time, true, np.ones((3, 1), dtype=complex))
     fit = _fit(time, data, np.array([50.0, 100.0, 200.0]), SineModel(free=(-1, 4, 4)))
     np.testing.assert_allclose(fit.phasors.frequency_hz, true, rtol=1e-9)
-    assert fit.u_frequency_hz[0] == 0.0
-    assert fit.phasors.frequency_hz[0] == 50.0
+    assert (fit.u_frequency_hz[0], fit.phasors.frequency_hz[0]) == (0.0, 50.0)
 
 
-def test_channels_weigh_by_their_noise() -> None:
+def test_channels_weigh_by_their_noise():
     # A channel of the same amplitude and a hundred times the noise must not spoil the frequency of the quiet one.
-    rng = np.random.default_rng(4)
-    time = np.arange(500) / 1000.0
+    rng, time = np.random.default_rng(4), np.arange(500) / 1000.0
     wave = np.cos(2 * np.pi * 80.0 * time)
     data = np.stack([wave + 1e-3 * rng.normal(size=500), wave + 0.1 * rng.normal(size=500)], axis=1)
     alone, both = (_fit(time, part, np.array([80.02]), FREE) for part in (data[:, :1], data))
@@ -318,7 +295,7 @@ def test_channels_weigh_by_their_noise() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", [1000.0, CAMERA_HZ])
-def test_common_frequency_covers_with_correlated_channels(rate: float) -> None:
+def test_common_frequency_covers_with_correlated_channels(rate):
     rng = np.random.default_rng(5)
     time, frequency, mix = np.arange(300) / rate, 106.25, np.array([[1.0, 0.0], [0.9, 0.5]])
     value = np.array([[1.0 + 0.5j, 0.4j]])
@@ -336,9 +313,8 @@ def test_common_frequency_covers_with_correlated_channels(rate: float) -> None:
 
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-2.0, 2.0), st.floats(0.01, 100.0), st.floats(0.5, 2.0), st.integers(0, 1000))
-def test_time_shift_scale_and_clock(shift: float, scale: float, clock: float, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    time = np.arange(300) / 1000.0
+def test_time_shift_scale_and_clock(shift, scale, clock, seed):
+    rng, time = np.random.default_rng(seed), np.arange(300) / 1000.0
     data = np.cos(2 * np.pi * 80.0 * time)[:, None] * np.array([1.0, 0.3]) + 0.05 * rng.normal(size=(300, 2))
     model = SineModel(free=(0,), decay="common")
     plain = _fit(time, data, np.array([80.1]), model)
@@ -351,7 +327,7 @@ def test_time_shift_scale_and_clock(shift: float, scale: float, clock: float, se
     np.testing.assert_allclose(moved.u_frequency_hz * clock, plain.u_frequency_hz, rtol=1e-3)
 
 
-def test_frequency_far_off_is_refused() -> None:
+def test_frequency_far_off_is_refused():
     time = np.arange(300) / 1000.0
     with pytest.raises(ValueError, match="free: expected 1 labels, one per line, found 2"):
         _fit(time, np.ones((300, 1)), np.array([80.0]), SineModel(free=(0, 1)))
@@ -360,17 +336,15 @@ def test_frequency_far_off_is_refused() -> None:
 
 
 def _record(samples: int, channels: int, seed: int, noise: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    time = np.arange(samples) / RATE_HZ
+    rng, time = np.random.default_rng(seed), np.arange(samples) / RATE_HZ
     value = rng.normal(size=(3, channels)) + 1j * rng.normal(size=(3, channels))
     clean = (np.exp(2j * np.pi * np.multiply.outer(time, LINES_HZ)) @ value).real
     return time, clean + noise * rng.normal(size=clean.shape)
 
 
-def test_long_record_keeps_twelve_digits() -> None:
+def test_long_record_keeps_twelve_digits():
     samples, step = 51_200 * 60, 1 << 12
-    value = np.array([1.0 - 2.0j, 0.3j, 1e-3])
-    data = np.empty((samples, 1))
+    value, data = np.array([1.0 - 2.0j, 0.3j, 1e-3]), np.empty((samples, 1))
     for first in range(0, samples, step):
         # Phases in whole fractions: exact where each block begins.
         begin = [float(Fraction(float(f)) / Fraction(RATE_HZ) * first % 1) for f in LINES_HZ]
@@ -387,11 +361,10 @@ def test_long_record_keeps_twelve_digits() -> None:
     np.testing.assert_allclose(free.phasors.value[:, 0], value, rtol=1e-10)
 
 
-def test_blocks_give_what_a_design_matrix_gives() -> None:
+def test_blocks_give_what_a_design_matrix_gives():
     time, data = _record(LONG + 1234, 2, 1)
     data[777, 0] = np.nan
-    fit = _fit(time, data, LINES_HZ, DRIFT)
-    kept = np.isfinite(data).all(axis=1)
+    fit, kept = _fit(time, data, LINES_HZ, DRIFT), np.isfinite(data).all(axis=1)
     angle = 2.0 * np.pi * np.multiply.outer(time, LINES_HZ)
     columns = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(time), time - fit.middle_s])
     found = np.linalg.lstsq(columns[kept], data[kept], rcond=None)[0]
@@ -404,7 +377,7 @@ def test_blocks_give_what_a_design_matrix_gives() -> None:
     assert fit.notices[0].text == f"1 of {len(time)} samples are missing"
 
 
-def test_long_and_short_ways_agree() -> None:
+def test_long_and_short_ways_agree():
     # A gap of one sample leaves the grid but not the fit; without it the record passes in uniform blocks.
     time, data = _record(LONG + 4000, 2, 2)
     whole, gapped = _fit(time, data, LINES_HZ), _fit(np.delete(time, 5), np.delete(data, 5, axis=0), LINES_HZ)
@@ -412,7 +385,7 @@ def test_long_and_short_ways_agree() -> None:
     np.testing.assert_allclose(gapped.phasors.u_re, whole.phasors.u_re, rtol=0.02)
 
 
-def test_ordinates_of_blocks_are_those_of_the_transform_even_beside_mains() -> None:
+def test_ordinates_of_blocks_are_those_of_the_transform_even_beside_mains():
     samples = 2 * LONG + 77
     data = np.random.default_rng(3).normal(size=(samples, 2))
     data[:, 0] += 1e4 * np.cos(2.0 * np.pi * 50.0123 * np.arange(samples) / RATE_HZ)
@@ -428,7 +401,7 @@ def test_ordinates_of_blocks_are_those_of_the_transform_even_beside_mains() -> N
     np.testing.assert_allclose(found / np.sqrt(samples), expected / np.sqrt(samples), atol=1e-3)
 
 
-def test_uniform_times_written_out_are_the_same() -> None:
+def test_uniform_times_written_out_are_the_same():
     uniform = UniformTimes(-0.25, 1000.0, 700)
     data = np.random.default_rng(4).normal(size=(700, 2))
     first, second = _fit(uniform, data, LINES_HZ[:2]), _fit(uniform.array(), data, LINES_HZ[:2])
@@ -437,7 +410,7 @@ def test_uniform_times_written_out_are_the_same() -> None:
 
 
 @pytest.mark.parametrize("each", [False, True])
-def test_weights_make_the_best_of_samples_of_unequal_noise(each: bool) -> None:
+def test_weights_make_the_best_of_samples_of_unequal_noise(each):
     rng = np.random.default_rng(5)
     time, frequency = np.arange(240) / 52.874, np.array([106.25, 212.5])
     sigma = 0.1 * np.where(np.arange(240) % 3, 1.0, 5.0)
@@ -456,13 +429,12 @@ def test_weights_make_the_best_of_samples_of_unequal_noise(each: bool) -> None:
         np.testing.assert_allclose(stated, 1.0, atol=0.5)
     with pytest.raises(ValueError, match=r"variance: expected an array of shape \(240,\) or \(240, 2\)"):
         _fit(time, data, frequency, variance=np.ones(3))
-    with pytest.raises(ValueError, match="variance: expected positive numbers"):
-        _fit(time, data, frequency, variance=np.zeros(240))
+    refused("variance: expected positive numbers", _fit, time, data, frequency, variance=np.zeros(240))
 
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(60, 200), st.floats(0.2, 5.0), st.integers(0, 1000))
-def test_two_records_joined_are_their_weighted_mean(cut: int, ratio: float, seed: int) -> None:
+def test_two_records_joined_are_their_weighted_mean(cut, ratio, seed):
     rng = np.random.default_rng(seed)
     time, frequency = np.arange(260) / 52.874, np.array([106.25])
     variance = np.where(np.arange(260) < cut, 1.0, ratio**2)
@@ -482,7 +454,7 @@ def test_two_records_joined_are_their_weighted_mean(cut: int, ratio: float, seed
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 1000), st.floats(0.1, 10.0))
-def test_weights_count_relative_to_each_other_and_in_any_order(seed: int, scale: float) -> None:
+def test_weights_count_relative_to_each_other_and_in_any_order(seed, scale):
     rng = np.random.default_rng(seed)
     time, frequency = np.arange(150) / 52.874, np.array([106.25, 212.5])
     data, variance = rng.normal(size=(150, 2)), rng.uniform(0.5, 2.0, size=(150, 2))
@@ -497,12 +469,11 @@ def test_weights_count_relative_to_each_other_and_in_any_order(seed: int, scale:
     np.testing.assert_allclose(second.phasors.frequency_hz, first.phasors.frequency_hz, rtol=1e-6)
 
 
-def test_spikes_are_left_out_and_named() -> None:
+def test_spikes_are_left_out_and_named():
     rng = np.random.default_rng(6)
     time, frequency = np.arange(400) / 1000.0, np.array([80.0])
     data = np.cos(2 * np.pi * 80.0 * time)[:, None] + 0.01 * rng.normal(size=(400, 2))
-    rows = np.array([3, 50, 51, 399])
-    spoiled = data.copy()
+    rows, spoiled = np.array([3, 50, 51, 399]), data.copy()
     spoiled[rows, [0, 1, 0, 1]] += np.array([40.0, -3.0, 0.2, 1000.0])
     fit = _fit(time, spoiled, frequency, SineModel(robust=True))
     assert fit.spikes.tolist() == rows.tolist()
@@ -514,31 +485,24 @@ def test_spikes_are_left_out_and_named() -> None:
     assert fit.notices[0].text.endswith("left out, the first at 0.003 s")
 
 
-def test_spikes_of_a_long_record() -> None:
+def test_spikes_of_a_long_record():
     time, data = _record(LONG + 999, 1, 7)
     rows = np.arange(5, len(time), 997)
     data[rows] += 50.0
     fit = _fit(time, data, LINES_HZ, SineModel(robust=True))
-    assert fit.spikes.tolist() == rows.tolist()
-    assert fit.residual_rms[0] == pytest.approx(0.1, rel=0.01)
+    assert (fit.spikes.tolist(), fit.residual_rms[0]) == (rows.tolist(), pytest.approx(0.1, rel=0.01))
 
 
-def test_what_is_no_spike_stays() -> None:
+def test_what_is_no_spike_stays():
     time, frequency = np.arange(600) / 1000.0, np.array([80.0])
     exact = np.cos(2 * np.pi * 80.0 * time)[:, None] * np.array([1.0, 0.0])
     assert len(_fit(time, exact, frequency, SineModel(robust=True)).spikes) == 0
     late = np.where(time[:, None] < 0.18, 0.0, exact)  # a drive that starts late is no spike either
-    assert (
-        len(
-            _fit(
-                time, late + 1e-3 * np.random.default_rng(10).normal(size=(600, 2)), frequency, SineModel(robust=True)
-            ).spikes
-        )
-        == 0
-    )
+    late += 1e-3 * np.random.default_rng(10).normal(size=(600, 2))
+    assert len(_fit(time, late, frequency, SineModel(robust=True)).spikes) == 0
 
 
-def test_clean_records_lose_nothing() -> None:
+def test_clean_records_lose_nothing():
     rng = np.random.default_rng(8)
     time, frequency, lost = np.arange(60) / 1000.0, np.array([80.0]), 0
     for _ in range(100):
@@ -548,7 +512,7 @@ def test_clean_records_lose_nothing() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("spikes", [0.0, 0.02])
-def test_robust_fit_is_as_good_as_its_good_samples(spikes: float) -> None:
+def test_robust_fit_is_as_good_as_its_good_samples(spikes):
     rng = np.random.default_rng(9)
     time, frequency = np.arange(300) / 1000.0, np.array([80.0])
     squares, inside = [], []

@@ -1,7 +1,5 @@
 """Places and directions that are not quite those stated: derivatives, which unknowns act, coverage of pitching."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -21,8 +19,7 @@ TRUTH = {"stiffness_x": K_X, "stiffness_ry": K_RY, "internal_mass": M_I}
 LOADS = ((4.236, 0.012, 0.0182), (6.962, -0.012, 0.0118))  # kg, height of the centre of mass in m, kg·m²
 PLACES = np.array([[0.05, 0.0, 0.06], [0.05, 0.0, -0.03]])
 U_PLACE, U_TILT = 1e-3, 2e-3
-PITCHING = Suspension((0, 4))
-BASE = Placement(np.array([-0.12, 0.0, 0.0]), X)
+PITCHING, BASE = Suspension((0, 4)), Placement(np.array([-0.12, 0.0, 0.0]), X)
 
 
 def errors_of(name: str, place: int, point: FloatArray) -> list[PlacementError]:
@@ -37,13 +34,7 @@ def errors_of(name: str, place: int, point: FloatArray) -> list[PlacementError]:
     return [PlacementError(f"{name} {what}", place, row) for what, row in rows.items()]
 
 
-def pitching(
-    draws: FloatArray,
-    load: tuple[float, float, float] = LOADS[0],
-    *,
-    noise: float = 2e-3,
-    rng: np.random.Generator | None = None,
-) -> MeasuredTransfer:
+def pitching(draws, load=LOADS[0], *, noise=0.002, rng=None):
     """A load that shifts and pitches, seen by transducers that are off by `draws` (2, 4), in standard deviations."""
     true = []
     for point, (_, by_z, to_y, to_z) in zip(PLACES, draws, strict=True):
@@ -66,7 +57,7 @@ def away(found: Identification) -> list[float]:
     return [(found.value(name) - true) / found.u(name) for name, true in TRUTH.items()]
 
 
-def test_a_row_that_changes_changes_the_ratio_as_its_derivative_says() -> None:
+def test_a_row_that_changes_changes_the_ratio_as_its_derivative_says():
     rng = np.random.default_rng(1)
     drive = rng.standard_normal(6)
     s = np.asarray(2j * np.pi * np.linspace(500.0, 2500.0, 9), dtype=np.complex128)
@@ -93,7 +84,7 @@ def test_a_row_that_changes_changes_the_ratio_as_its_derivative_says() -> None:
         np.testing.assert_array_equal(slope[:, 1, 0], 0.0)
 
 
-def test_only_what_changes_a_reading_becomes_an_unknown() -> None:
+def test_only_what_changes_a_reading_becomes_an_unknown():
     record = pitching(np.zeros((2, 4)))
     expected = [f"top {c} {what}" for c in (1, 2) for what in ("z", "towards z")]
     assert [error.name for error in acting(record, PITCHING.body)] == expected
@@ -102,7 +93,7 @@ def test_only_what_changes_a_reading_becomes_an_unknown() -> None:
     assert names == [*expected, "base z", "base towards z"]
 
 
-def test_one_translation_does_not_see_where_it_is_measured() -> None:
+def test_one_translation_does_not_see_where_it_is_measured():
     frequency = np.linspace(1000.0, 1800.0, 200)
     place = Placement(np.array([0.03, -0.02, 0.1]), np.array([0.0, 0.0, 1.0]))
     bare = recording(
@@ -124,7 +115,7 @@ def test_one_translation_does_not_see_where_it_is_measured() -> None:
     np.testing.assert_array_equal(first.covariance, second.covariance)
 
 
-def test_a_transducer_elsewhere_is_found_and_one_in_all_recordings() -> None:
+def test_a_transducer_elsewhere_is_found_and_one_in_all_recordings():
     draws = np.array([[0.0, 1.5, 0.0, -1.0], [0.0, -1.0, 0.0, 0.5]])
     records = [pitching(draws, load, noise=1e-4, rng=np.random.default_rng(4)) for load in LOADS]
     found = fitted(records)
@@ -140,13 +131,13 @@ def test_a_transducer_elsewhere_is_found_and_one_in_all_recordings() -> None:
     np.testing.assert_allclose(squares, found.covariance.diagonal(), rtol=1e-6)
 
 
-def test_a_place_among_no_response_is_refused() -> None:
+def test_a_place_among_no_response_is_refused():
     with pytest.raises(ValueError, match=r"placement_errors: expected a place of -1 to 1, found 2"):
         replace(pitching(np.zeros((2, 4))), placement_errors=(PlacementError("a", 2, np.ones(6)),))
 
 
 @pytest.mark.slow
-def test_intervals_hold_the_truth_with_transducers_elsewhere() -> None:
+def test_intervals_hold_the_truth_with_transducers_elsewhere():
     rng = np.random.default_rng(22)
     trials, few = 250, 15
     deviation, trusting = np.zeros((trials, len(TRUTH))), np.zeros((few, len(TRUTH)))

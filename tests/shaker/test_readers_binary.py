@@ -1,17 +1,20 @@
-"""TDMS: every layout of raw data, written byte by byte; npTDMS as the second opinion."""
+"""TDMS, HDF5, MATLAB and WAV: every layout, written byte by byte; npTDMS as the second opinion."""
 
-from __future__ import annotations
-
+import struct
 from fractions import Fraction
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
+import scipy.io
 import tdms_factory as tdms
+from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nptdms import ChannelObject, TdmsFile, TdmsWriter
 
+from shaker.io import channel as datasets
 from shaker.io import read_channels
 from shaker.io import tdms as reader
 from shaker.io.channel import RawChannel
@@ -33,7 +36,7 @@ def second_opinion(folder: Path) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("interleaved", [False, True])
-def test_scaled_integers_beside_floats_in_several_segments(tmp_path: Path, order: str, interleaved: bool) -> None:
+def test_scaled_integers_beside_floats_in_several_segments(tmp_path, order, interleaved):
     rng = np.random.default_rng(0)
     counts = rng.integers(-30_000, 30_000, 90).astype(order + "i2")
     floats = rng.normal(size=90).astype(order + "f4")
@@ -62,9 +65,7 @@ def test_scaled_integers_beside_floats_in_several_segments(tmp_path: Path, order
 
 @pytest.mark.parametrize("interleaved", [False, True])
 @pytest.mark.parametrize("block", [1, 7, 64, 1000])
-def test_blocks_of_any_size_give_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interleaved: bool, block: int
-) -> None:
+def test_blocks_of_any_size_give_the_same(tmp_path, monkeypatch, interleaved, block):
     monkeypatch.setattr(reader, "BLOCK", 8 * block)
     a, b = np.arange(100.0), np.arange(100, dtype="<i2")
     raw = tdms.interleaved(a, b) if interleaved else a.tobytes() + b.tobytes()
@@ -72,11 +73,10 @@ def test_blocks_of_any_size_give_the_same(
     found = read(tmp_path, tdms.segment(entries, raw, 6 | tdms.RAW | (tdms.INTERLEAVED if interleaved else 0)))
     np.testing.assert_array_equal(found["daq/a"].samples, a)
     np.testing.assert_array_equal(found["daq/b"].samples, b)
-    alone = read_channels(tmp_path / "a.tdms", ["b"])
-    np.testing.assert_array_equal(alone["b"].samples, b)
+    np.testing.assert_array_equal(read_channels(tmp_path / "a.tdms", ["b"])["b"].samples, b)
 
 
-def test_channels_that_pause_and_texts_between_them(tmp_path: Path) -> None:
+def test_channels_that_pause_and_texts_between_them(tmp_path):
     """A channel without data in one segment, a text channel passed over, a layout that changes."""
     words = np.array([2, 4], dtype="<u4").tobytes() + b"abcd"
     entries = [
@@ -97,7 +97,7 @@ def test_channels_that_pause_and_texts_between_them(tmp_path: Path) -> None:
     np.testing.assert_array_equal(second_opinion(tmp_path)["daq/a"], found["daq/a"].samples)
 
 
-def test_raw_data_of_two_cards_with_their_scales(tmp_path: Path) -> None:
+def test_raw_data_of_two_cards_with_their_scales(tmp_path):
     """Two buffers of different length and width in every chunk; a digital line is one bit of a byte."""
     first = np.arange(24, dtype="<i2").reshape(12, 2)  # card 0: two channels, 6 rows in each of two chunks
     second = np.arange(100, 108, dtype="<i4").reshape(8, 1)  # card 1: one channel, 4 rows in each chunk
@@ -122,7 +122,7 @@ def test_raw_data_of_two_cards_with_their_scales(tmp_path: Path) -> None:
         np.testing.assert_array_equal(second_opinion(tmp_path)[f"daq/{name}"], found[f"daq/{name}"].samples)
 
 
-def test_digital_lines_of_a_card(tmp_path: Path) -> None:
+def test_digital_lines_of_a_card(tmp_path):
     port = np.array([0b00, 0b01, 0b10, 0b11, 0b01], dtype="u1")
     entries = [
         tdms.entry(name, tdms.card(5, [("u1", 0, bit, 0)], (1,), digital=True), {**RATE, "NI_Number_Of_Scales": 1})
@@ -133,7 +133,7 @@ def test_digital_lines_of_a_card(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found["daq/b"].samples, [0, 0, 1, 1, 0])
 
 
-def test_channels_start_by_their_time_stamps(tmp_path: Path) -> None:
+def test_channels_start_by_their_time_stamps(tmp_path):
     """To the full resolution of 2^-64 s, 3.7 billion seconds after 1904; the year 1904 itself means nothing was set."""
     start = Fraction(3_700_000_000) + Fraction(1, 3)
     starts = {A: start + Fraction(1, 1000), B: start, "/'daq'/'c'": Fraction(0)}
@@ -148,7 +148,7 @@ def test_channels_start_by_their_time_stamps(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_channel_of_time_stamps_gives_the_rate(tmp_path: Path, order: str) -> None:
+def test_channel_of_time_stamps_gives_the_rate(tmp_path, order):
     step = Fraction(1, 51_200)
     record = np.dtype([("s", f"{order}i8"), ("f", f"{order}u8")] if order == ">" else [("f", "<u8"), ("s", "<i8")])
     times = np.zeros(200, record)
@@ -162,19 +162,18 @@ def test_channel_of_time_stamps_gives_the_rate(tmp_path: Path, order: str) -> No
     ]
     raw = times.tobytes() + np.arange(200.0).astype(f"{order}f8").tobytes()
     found = read(tmp_path, tdms.segment(entries, raw, flags))
-    assert list(found) == ["daq/a"]
-    assert found["daq/a"].sample_rate_hz == pytest.approx(51_200.0, rel=1e-10)
+    assert (list(found), found["daq/a"].sample_rate_hz) == (["daq/a"], pytest.approx(51_200.0, rel=1e-10))
     assert found["daq/a"].start_s == pytest.approx(1.0 / 3.0, abs=1e-9)
 
 
-def test_channel_of_times_in_seconds(tmp_path: Path) -> None:
+def test_channel_of_times_in_seconds(tmp_path):
     times = 0.5 + np.arange(50) / 400.0
     entries = [tdms.entry("/'daq'/'time'", tdms.plain("f8", 50)), tdms.entry(A, tdms.plain("f8", 50))]
     found = read(tmp_path, tdms.segment(entries, times.tobytes() + np.zeros(50).tobytes()), ["a"])
     assert (found["a"].sample_rate_hz, found["a"].start_s) == (pytest.approx(400.0), 0.5)
 
 
-def test_names_with_slashes_and_quotes(tmp_path: Path) -> None:
+def test_names_with_slashes_and_quotes(tmp_path):
     entries = [
         tdms.entry("/'07/09 - all'/'Dev1/ai0'", tdms.plain("u1", 2), RATE),
         tdms.entry("/'it''s'/'b'", tdms.plain("u1", 2), RATE),
@@ -184,7 +183,7 @@ def test_names_with_slashes_and_quotes(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_channels(tmp_path / "a.tdms", ["Dev1/ai0"])["Dev1/ai0"].samples, [1.0, 2.0])
 
 
-def test_complex_numbers_are_passed_over_and_unknown_scales_refused(tmp_path: Path) -> None:
+def test_complex_numbers_are_passed_over_and_unknown_scales_refused(tmp_path):
     entries = [tdms.entry(A, tdms.plain("c16", 1), RATE), tdms.entry(B, tdms.plain("f8", 1), RATE)]
     assert list(read(tmp_path, tdms.segment(entries, bytes(24)))) == ["daq/b"]
     scale = {"NI_Number_Of_Scales": 1, "NI_Scale[0]_Scale_Type": "Magic"}
@@ -192,7 +191,7 @@ def test_complex_numbers_are_passed_over_and_unknown_scales_refused(tmp_path: Pa
         read(tmp_path, tdms.segment([tdms.entry(B, tdms.plain("f8", 1), {**RATE, **scale})], bytes(8)))
 
 
-def test_files_of_another_writer(tmp_path: Path) -> None:
+def test_files_of_another_writer(tmp_path):
     properties = {"wf_increment": 1.0 / 1024.0, "wf_start_offset": 0.25, "unit_string": "mV/V"}
     channels = (("bridge", "Fz", 1.5), ("bridge", "clock", 1.0), ("other", "clock", 2.0))
     with TdmsWriter(str(tmp_path / "a.tdms")) as writer:
@@ -201,21 +200,19 @@ def test_files_of_another_writer(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found["Fz"].samples, np.arange(64) * 1.5)
     np.testing.assert_array_equal(found["other/clock"].samples, np.arange(64) * 2.0)
     assert (found["Fz"].sample_rate_hz, found["Fz"].start_s, found["Fz"].unit) == (1024.0, 0.25, "mV/V")
-    with pytest.raises(ValueError, match='expected a channel "clock", found'):
-        read_channels(tmp_path / "a.tdms", ["clock"])
+    refused('expected a channel "clock", found', read_channels, tmp_path / "a.tdms", ["clock"])
 
 
 @settings(max_examples=30, deadline=None)
 @given(data=st.data())
-def test_any_layout_comes_back(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+def test_any_layout_comes_back(tmp_path_factory, data):
     """Random types, chunks and segments: what was written is what is read."""
     kinds = data.draw(st.lists(st.sampled_from(["i1", "i2", "u4", "f4", "f8"]), min_size=1, max_size=4))
     order = data.draw(st.sampled_from("<>"))
     interleaved = data.draw(st.booleans())
     names = [f"/'g'/'{i}'" for i in range(len(kinds))]
     written: list[list[np.ndarray]] = [[] for _ in kinds]
-    rng = np.random.default_rng(data.draw(st.integers(0, 99)))
-    content = b""
+    rng, content = np.random.default_rng(data.draw(st.integers(0, 99))), b""
     for _ in range(data.draw(st.integers(1, 3))):
         count, chunks = data.draw(st.integers(1, 5)), data.draw(st.integers(1, 3))
         raw = b""
@@ -230,3 +227,187 @@ def test_any_layout_comes_back(tmp_path_factory: pytest.TempPathFactory, data: s
     found = read(tmp_path_factory.mktemp("tdms"), content)
     for channel, own in zip(found.values(), written, strict=True):
         np.testing.assert_array_equal(channel.samples, np.concatenate(own))
+
+
+RNG = np.random.default_rng(0)
+TABLE = RNG.integers(-3000, 3000, (400, 3)).astype(np.int16)
+
+
+@pytest.mark.parametrize("options", [{}, {"chunks": (64, 2), "compression": "gzip"}])
+@pytest.mark.parametrize("block", [16, 1 << 20])
+@pytest.mark.parametrize("turned", [False, True])
+def test_hdf5_tables(tmp_path, monkeypatch, options, block, turned):
+    monkeypatch.setattr(datasets, "BLOCK", block)
+    if turned and options:
+        options = {**options, "chunks": options["chunks"][::-1]}
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        group = file.create_group("daq")
+        group.attrs["sample_rate"] = np.array([1024.0])
+        data = group.create_dataset("table", data=TABLE.T if turned else TABLE, **options)
+        data.attrs["unit"] = ["V", "mV", "A"]
+        data.attrs["start_time"] = [0.0, 1e-3, 2e-3]
+        file["picture"] = np.zeros((40, 50))
+    found = read_channels(tmp_path / "a.h5")
+    assert list(found) == ["daq/table/1", "daq/table/2", "daq/table/3"]
+    for column, channel in zip(TABLE.T, found.values(), strict=True):
+        np.testing.assert_array_equal(channel.samples, column)
+    second = read_channels(tmp_path / "a.h5", ["daq/table/2"])["daq/table/2"]
+    np.testing.assert_array_equal(second.samples, TABLE[:, 1])
+    assert (second.unit, second.start_s, second.sample_rate_hz) == ("mV", 1e-3, 1024.0)
+
+
+def test_hdf5_records_and_a_time_beside(tmp_path):
+    records = np.zeros(50, [("time", "f8"), ("Fz", "f4"), ("label", "S3")])
+    records["time"], records["Fz"] = 0.25 + np.arange(50) / 200.0, np.arange(50)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["daq"] = records
+        file["other/time"] = 2.0 + np.arange(7) / 10.0
+        file["other/a"] = np.arange(7)
+        file["other/a"].attrs["units"] = np.bytes_(b"m/s^2")
+    found = read_channels(tmp_path / "a.h5")
+    assert list(found) == ["daq/Fz", "other/a"]
+    force, other = found.values()
+    np.testing.assert_array_equal(force.samples, np.arange(50.0))
+    assert (force.sample_rate_hz, force.start_s) == (pytest.approx(200.0), 0.25)
+    assert (other.sample_rate_hz, other.start_s, other.unit) == (pytest.approx(10.0), 2.0, "m/s^2")
+
+
+@pytest.mark.parametrize("key", ["sample_rate", "sampling_rate", "sampling_frequency", "fs"])
+def test_hdf5_spellings_of_the_rate(tmp_path, key):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["a"], file["b"] = np.arange(7, dtype=">f4"), np.arange(7)
+        file.attrs[key] = np.float32(512.0)
+        file["b"].attrs[key] = 256.0  # a dataset's own counts before the file's
+    assert read_channels(tmp_path / "a.h5")["b"].sample_rate_hz == 256.0
+    channel = read_channels(tmp_path / "a.h5", ["a"], 9.0)["a"]
+    assert (channel.sample_rate_hz, channel.samples.dtype) == (512.0, np.float64)
+
+
+@pytest.mark.parametrize("rate", ["fast", -1.0, np.nan, [1.0, 2.0]])
+def test_hdf5_rates_that_are_none(tmp_path, rate):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["a"] = np.arange(7)
+        file["a"].attrs["sample_rate"] = rate
+    with pytest.raises(ValueError, match=r'a\.h5: (channel "a": expected|expected a positive sampling rate)'):
+        read_channels(tmp_path / "a.h5", ["a"])
+
+
+def _mat_7_3(path: Path) -> None:
+    """Write variables as MATLAB does: turned, with classes, structs as groups, cells by reference."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+
+        def put(name: str, value: np.ndarray, kind: bytes = b"double") -> None:
+            file[name] = value
+            file[name].attrs["MATLAB_class"] = np.bytes_(kind)
+
+        put("x", np.arange(50.0)[None, :])
+        put("fs", np.array([[256.0]]))
+        put("table", TABLE.T)
+        put("rec/Fz", np.arange(30.0)[:, None])
+        put("rec/fs", np.array([[512.0]]))
+        put("rec/unit", np.array([[ord(c)] for c in "mV/V"], dtype=np.uint16), b"char")
+        put("rec/deep/a", np.arange(20.0)[None, :])
+        put("late/time", 5.0 + np.arange(40)[None, :] / 8.0)
+        put("late/a", np.arange(40.0)[None, :])
+        put("list", np.array([[file["x"].ref]], dtype=h5py.ref_dtype), b"cell")
+        put("many/x", np.array([[file["x"].ref, file["x"].ref]], dtype=h5py.ref_dtype))
+        put("nothing", np.array([0, 0], dtype=np.uint64))
+        file["nothing"].attrs["MATLAB_empty"] = np.uint8(1)
+        file["#refs#/a"] = np.arange(9.0)
+
+
+def _mat_5(path: Path) -> None:
+    cells = np.empty(2, dtype=object)
+    cells[:] = [np.arange(3.0), "text"]
+    many = np.zeros(2, dtype=[("x", object)])
+    many["x"] = [np.arange(3.0), np.arange(4.0)]
+    scipy.io.savemat(
+        path,
+        {
+            "x": np.arange(50.0)[:, None],
+            "fs": 256.0,
+            "table": TABLE,
+            "rec": {"Fz": np.arange(30.0), "fs": 512.0, "unit": "mV/V", "deep": {"a": np.arange(20.0)}},
+            "late": {"time": 5.0 + np.arange(40) / 8.0, "a": np.arange(40.0)},
+            "list": cells,
+            "many": many,
+            "nothing": np.zeros((0, 0)),
+            "square": np.eye(3),
+            "words": "x",
+        },
+        do_compression=True,
+    )
+
+
+@pytest.mark.parametrize("write", [_mat_5, _mat_7_3])
+def test_matlab_structs_and_tables(tmp_path, write):
+    path = tmp_path / "a.mat"
+    write(path)
+    found = read_channels(path)
+    assert sorted(found) == ["late.a", "rec.Fz", "rec.deep.a", "table/1", "table/2", "table/3", "x"]
+    np.testing.assert_array_equal(found["x"].samples, np.arange(50.0))
+    np.testing.assert_array_equal(found["table/3"].samples, TABLE[:, 2])
+    for name, rate in (("x", 256.0), ("table/1", 256.0), ("rec.Fz", 512.0), ("rec.deep.a", 512.0)):
+        assert found[name].sample_rate_hz == rate
+    assert (found["rec.Fz"].unit, found["rec.deep.a"].unit, found["x"].unit) == ("mV/V", "mV/V", "")
+    np.testing.assert_array_equal(read_channels(path, ["rec.Fz"])["rec.Fz"].samples, np.arange(30.0))
+    kinds = {"list": "a cell array", "nothing": "an empty array"}
+    for name, kind in kinds.items():
+        refused(rf'a\.mat: channel "{name}": expected a vector of numbers, found {kind}', read_channels, path, [name])
+    many = "many" if write is _mat_5 else "many.x"
+    refused(rf'channel "{many}": expected a vector of numbers, found an array of', read_channels, path, [many])
+    refused(r'a\.mat: expected a channel "y", found', read_channels, path, ["y"])
+
+
+@pytest.mark.parametrize("new", [False, True])
+def test_matlab_times_give_the_rate(tmp_path, new):
+    path, times = tmp_path / "a.mat", 5.0 + np.arange(40) / 8.0
+    if new:
+        with h5py.File(path, "w") as file:
+            file["late/time"], file["late/signals/values"] = times[None, :], np.arange(40.0)[None, :]
+    else:
+        scipy.io.savemat(path, {"late": {"time": times, "signals": {"values": np.arange(40.0)}}})
+    channel = read_channels(path, ["late.signals.values"])["late.signals.values"]
+    assert (channel.sample_rate_hz, channel.start_s) == (pytest.approx(8.0), 5.0)
+
+
+def _wave(kind: int, bits: int, raw: bytes, channels: int, extensible: bool = False, rf64: bool = False) -> bytes:
+    width = bits // 8 * channels
+    form = struct.pack("<HHLLHH", 0xFFFE if extensible else kind, channels, 48_000, 48_000 * width, width, bits)
+    if extensible:
+        form += struct.pack("<HHLH", 22, bits, 0, kind) + bytes.fromhex("000000001000800000aa00389b71")
+    chunks = b"fmt " + struct.pack("<L", len(form)) + form
+    chunks += b"bext" + struct.pack("<L", 4) + b"note"
+    size = 0xFFFFFFFF if rf64 else len(raw)
+    chunks += b"data" + struct.pack("<L", size) + raw
+    if rf64:
+        head = b"ds64" + struct.pack("<LQQQL", 28, len(chunks) + 40, len(raw), len(raw) // width, 0)
+        return b"RF64" + struct.pack("<L", 0xFFFFFFFF) + b"WAVE" + head + chunks
+    return b"RIFF" + struct.pack("<L", len(chunks) + 4) + b"WAVE" + chunks
+
+
+def _channel_two(folder: Path, content: bytes) -> RawChannel:
+    (folder / "a.wav").write_bytes(content)
+    return read_channels(folder / "a.wav", ["2"])["2"]
+
+
+@pytest.mark.parametrize("form", [{}, {"extensible": True}, {"rf64": True}])
+def test_wav_of_24_bits_and_floats(tmp_path, form):
+    numbers = np.array([[0, -(2**23)], [1, 2**23 - 1], [2, -1]], dtype="<i4")
+    raw = b"".join(int(n).to_bytes(3, "little", signed=True) for n in numbers.ravel())
+    channel = _channel_two(tmp_path, _wave(1, 24, raw, 2, **form))
+    np.testing.assert_array_equal(channel.samples, numbers[:, 1] * 256.0)
+    assert channel.sample_rate_hz == 48_000.0
+    for kind in ("<f4", "<f8"):
+        floats = RNG.normal(size=(5, 2)).astype(kind)
+        channel = _channel_two(tmp_path, _wave(3, floats.itemsize * 8, floats.tobytes(), 2, **form))
+        np.testing.assert_array_equal(channel.samples, floats[:, 1])
+
+
+@pytest.mark.parametrize("kind", [np.int16, np.int32, np.float32])
+def test_wav_numbers_come_as_they_are(tmp_path, kind):
+    stereo = np.stack([np.arange(50), -np.arange(50)], axis=1).astype(kind)
+    scipy.io.wavfile.write(tmp_path / "a.wav", 48_000, stereo)
+    found = read_channels(tmp_path / "a.wav")
+    assert sorted(found) == ["1", "2"]
+    np.testing.assert_array_equal(found["2"].samples, -np.arange(50.0))

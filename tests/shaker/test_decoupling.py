@@ -1,0 +1,363 @@
+"""Decoupling models and filters from releases and frequency responses against a sensor of known poles and residues."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from contracts import coverage_contract, refused
+from decoupling_factory import SENSOR, FloatArray, Sensor
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import StateSpace, cont2discrete, dlsim
+
+from shaker.decoupling.filter import DecouplingFilter, Recorded, Target, crosstalks, design_decoupling, static_inverse
+from shaker.decoupling.fit import MultiFit, fit_steps
+from shaker.decoupling.model import MultiModel, check_separable, in_order, missing_loads, sampled_modes
+from shaker.decoupling.responses import ResponseFit, Responses, fit_responses
+
+RATE_HZ, TARGET = 10e3, Target(np.array([300.0, 250.0]), np.array([0.6, 0.7]))
+RECORDED = Recorded(RATE_HZ, np.array([0.01, 0.01]), np.ones(2))
+
+
+def _model(second: float = 0.3) -> MultiModel:
+    """Two modes; `second` is how much the second output shows of the first load's mode, against its static share."""
+    frequency, damping = np.array([400.0, 650.0]), np.array([0.02, 0.03])
+    omega = 2.0 * np.pi * frequency
+    swing = omega**2 / (2j * omega * np.sqrt(1.0 - damping**2))
+    show, drive = np.array([[1.0, 0.1], [second, 1.0]]), np.array([[1.0, 0.2], [0.1, 1.0]])
+    residue = np.einsum("cm,m,md->mcd", show, swing, drive)
+    return MultiModel(("Fx", "Fy"), ("Fx", "Fy"), "V", frequency, damping, residue, np.zeros(0), np.zeros((0, 2, 2)))
+
+
+@pytest.fixture(scope="module")
+def decoupler() -> DecouplingFilter:
+    return design_decoupling(_model(), TARGET, RECORDED)
+
+
+@given(st.lists(st.integers(0, 300), max_size=6))
+@settings(max_examples=20, deadline=None)
+def test_blocks_give_the_bits_of_one_record(cuts):
+    filtered = design_decoupling(_model(), TARGET, RECORDED, 4)
+    outputs = np.random.default_rng(2).standard_normal((300, 2))
+    state, parts = filtered.rest(outputs[0]), []
+    for block in np.split(outputs, sorted(cuts)):
+        part, state = filtered.process(block, state)
+        parts.append(part)
+    assert np.array_equal(np.concatenate(parts), filtered.apply(outputs))
+
+
+def test_response_is_the_transform_of_the_impulse_response(decoupler):
+    count = 4000
+    for c in range(2):
+        outputs = np.zeros((count, 2))
+        outputs[0, c] = 1.0
+        answer = decoupler.process(outputs, decoupler.rest())[0]
+        lines = np.fft.rfft(answer, axis=0)
+        frequency_hz = np.asarray(np.fft.rfftfreq(count, 1.0 / RATE_HZ), dtype=np.float64)
+        difference = decoupler.response(frequency_hz)[:, :, c] - lines
+        assert np.abs(difference).max() < 1e-9 * np.abs(lines).max()
+        power, noise = np.sqrt(np.sum(answer**2, axis=0)) * 0.3, np.zeros(2)
+        noise[c] = 0.3
+        np.testing.assert_allclose(decoupler.noise(noise), power, rtol=1e-9)
+
+
+def test_constant_outputs_give_constant_loads(decoupler):
+    load = np.array([2.0, -3.0])
+    outputs = np.tile(_model().static_gain @ load, (50, 1))
+    np.testing.assert_allclose(decoupler.apply(outputs), np.tile(load, (50, 1)), rtol=1e-10)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 5])
+def test_filter_times_sensor_is_the_target(delay):
+    clear = Recorded(RATE_HZ, np.array([1e-5, 1e-5]), np.ones(2))
+    decoupler = design_decoupling(_model(), TARGET, clear, delay)
+    assert decoupler.delay == delay
+    frequency_hz = np.linspace(0.0, 1000.0, 41)
+    product = decoupler.response(frequency_hz) @ _model().response(frequency_hz)
+    wanted = decoupler.target(frequency_hz)[:, :, None] * np.eye(2)
+    assert np.abs(product - wanted).max() < 2e-3
+    assert np.abs(product[0] - np.eye(2)).max() < 1e-12
+
+
+def test_sensor_without_stable_inverse_has_a_stable_filter():
+    frequency, damping, share = np.array([400.0, 650.0]), np.array([0.02, 0.03]), np.array([1.0, -0.5])
+    omega = 2.0 * np.pi * frequency
+    residue = (share * omega**2 / (2j * omega * np.sqrt(1.0 - damping**2)))[:, None, None]
+    numerator = np.polyadd(
+        share[0] * omega[0] ** 2 * np.array([1.0, 2.0 * damping[1] * omega[1], omega[1] ** 2]),
+        share[1] * omega[1] ** 2 * np.array([1.0, 2.0 * damping[0] * omega[0], omega[0] ** 2]),
+    )
+    assert np.any(np.roots(numerator).real > 0.0)
+    model = MultiModel(("a",), ("Fx",), "V", frequency, damping, residue, np.zeros(0), np.zeros((0, 1, 1)))
+    target, recorded = Target(np.array([150.0]), np.array([0.6])), Recorded(RATE_HZ, np.array([1e-3]), np.ones(1))
+    decoupler = design_decoupling(model, target, recorded)
+    assert np.abs(decoupler.poles).max() < 1.0
+    frequency_hz = np.array([0.0, 20.0, 60.0, 150.0])
+    product = (decoupler.response(frequency_hz) @ model.response(frequency_hz))[:, 0, 0]
+    assert abs(product[0] - 1.0) < 1e-10
+    assert np.abs(product - decoupler.target(frequency_hz)[:, 0]).max() < 0.05
+
+
+def test_sampled_modes_follow_loads_along_lines_exactly():
+    model = _model()
+    system = sampled_modes(model.poles, list(model.residue), RATE_HZ)
+    fine, count = 40, 120
+    knots = np.concatenate([[0.0], np.random.default_rng(1).standard_normal(count - 1)])
+    load = np.interp(np.arange((count - 1) * fine + 1) / fine, np.arange(count), knots)
+    a, b, c = _continuous(model)
+    discrete = cont2discrete((a, b[:, :1], c, np.zeros((2, 1))), 1.0 / (RATE_HZ * fine), "foh")
+    _, reference, _ = dlsim((*discrete[:4], 1.0 / (RATE_HZ * fine)), load[:, None])
+    found = dlsim(StateSpace(system.a, system.b[:, :1], system.c, system.d[:, :1], dt=1.0), knots[:, None])[1]
+    np.testing.assert_allclose(found, reference[::fine], atol=1e-9 * np.abs(reference).max())
+
+
+def _continuous(model: MultiModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """State space of the modes with complex states written as pairs."""
+    size = 4 * len(model.poles)
+    a, b, c = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((2, size))
+    for m, (pole, residue) in enumerate(zip(model.poles, model.residue, strict=True)):
+        for d in range(2):
+            i = 4 * m + 2 * d
+            a[i : i + 2, i : i + 2] = [[pole.real, -pole.imag], [pole.imag, pole.real]]
+            b[i, d] = 1.0
+            c[:, i], c[:, i + 1] = 2 * residue[:, d].real, -2 * residue[:, d].imag
+    return a, b, c
+
+
+def test_growing_models_and_impossible_targets_are_refused():
+    model = _model()
+    grows = MultiModel(
+        model.channels, model.components, "V", model.frequency_hz, -model.damping_ratio, model.residue,
+        model.real_hz, model.real_residue,
+    )  # fmt: skip
+    refused("decay", design_decoupling, grows, TARGET, RECORDED)
+    refused("between 0 and 1", Target, np.array([300.0]), np.array([1.2]))
+    refused("above 0", Target, np.array([-300.0]), np.array([0.5]))
+
+
+def test_missing_and_inseparable_loads_are_named():
+    assert missing_loads(("Fx", "Fy", "Fz"), ("Fx", "Fz")) == ("Fy",)
+    static = np.zeros((2, 6))
+    static[0, 0] = static[1, 5] = 1.0
+    assert missing_loads(("a", "b"), ("Fx",), static) == ("Mz",)
+    assert in_order(("Mz", "Fy", "Mz", "Fx")) == ("Fx", "Fy", "Mz")
+    refused("Fx and My alike", check_separable, np.array([[1.0, 2.0], [0.5, 1.0]]), ("a", "b"), ("Fx", "My"))
+    refused("at least as many as loads", check_separable, np.ones((1, 2)), ("a",), ("Fx", "My"))
+    refused("none for My", check_separable, np.array([[1.0, 0.0], [0.5, 0.0]]), ("a", "b"), ("Fx", "My"))
+
+
+LINES_HZ = np.linspace(20.0, 900.0, 220)
+
+
+def _measured(seed: int, share: float = 0.01) -> Responses:
+    """Responses with noise of a share of the largest static gain of each output, correlated between Re and Im."""
+    rng, value = np.random.default_rng(seed), SENSOR.response(LINES_HZ)
+    spread = share * np.abs(SENSOR.response(np.zeros(1))[0]).max(axis=1)[None, :, None] * np.ones(value.shape)
+    form = np.array([[1.0, 0.5], [0.5, 0.7]])
+    pairs = rng.standard_normal((*value.shape, 2)) @ np.linalg.cholesky(form).T * spread[..., None]
+    covariance = spread[..., None, None] ** 2 * form
+    return Responses(SENSOR.loads, SENSOR.loads, "V", LINES_HZ, value + pairs[..., 0] + 1j * pairs[..., 1], covariance)
+
+
+@pytest.fixture(scope="module")
+def fit() -> ResponseFit:
+    return fit_responses(_measured(1), 5)
+
+
+def test_responses_give_the_poles_within_their_uncertainty(fit):
+    order, u = np.argsort(fit.model.frequency_hz), fit.model.u
+    assert len(order) == 3
+    assert np.all(np.abs(fit.model.frequency_hz[order] - SENSOR.frequency_hz) < 3.5 * u.frequency_hz[order])
+    assert np.all(np.abs(fit.model.damping_ratio[order] - SENSOR.damping) < 3.5 * u.damping_ratio[order])
+    assert np.min(np.abs(fit.model.real_hz - SENSOR.lag_hz) / u.real_hz) < 3.5
+    assert fit.chi_squared / fit.dof == pytest.approx(1.0, abs=0.08)
+    assert fit.notices == ()
+
+
+def test_responses_give_residues_in_their_intervals(fit):
+    order, u = np.argsort(fit.model.frequency_hz), fit.model.u.residue
+    difference = fit.model.residue[order] - SENSOR.residues
+    score = np.concatenate([(difference.real / u[order].real).ravel(), (difference.imag / u[order].imag).ravel()])
+    assert 0.7 < np.sqrt(np.mean(score**2)) < 1.4
+
+
+def test_slopes_of_the_response_are_difference_quotients(fit):
+    model, frequency_hz = fit.model, np.array([0.0, 200.0, 330.0, 600.0])
+    slope, _ = model.column_sensitivity(1, frequency_hz)
+    n, outputs = model.shared, len(model.channels)
+    own = n + n * outputs * 1 + np.arange(n * outputs)
+    for k, place in enumerate([*range(n), *own]):
+        step = np.zeros(len(model.vector))
+        step[place] = 1e-5 * max(abs(model.vector[place]), 1e-3)
+        up, down = (model.with_vector(model.vector + sign * step).response(frequency_hz)[:, :, 1] for sign in (1, -1))
+        quotient = (up - down) / (2.0 * step[place])
+        np.testing.assert_allclose(slope[:, :, k], quotient, atol=1e-5 * np.abs(quotient).max() + 1e-12)
+
+
+def test_responses_that_no_sum_of_modes_explains_are_told():
+    measured = _measured(2)
+    late = measured.value * np.exp(-2j * np.pi * LINES_HZ[:, None, None] * np.array([0.0, 3e-3, 7e-3]))
+    found = fit_responses(Responses(SENSOR.loads, SENSOR.loads, "V", LINES_HZ, late, measured.covariance), 4)
+    assert found.chi_squared > 2.0 * found.dof
+    assert "times what the covariance" in found.notices[0].text
+
+
+RELATIVE = SENSOR.size / SENSOR.size[:, None]
+
+
+@pytest.fixture(scope="module")
+def released() -> MultiFit:
+    return fit_steps(SENSOR.releases(3))
+
+
+@pytest.fixture(scope="module")
+def three_loads(released) -> DecouplingFilter:
+    recorded = Recorded(SENSOR.rate_hz, released.noise, released.amplitude)
+    return design_decoupling(released.model, Target(np.full(3, 300.0), np.full(3, 0.6)), recorded)
+
+
+def test_poles_are_those_of_the_sensor_within_their_uncertainty(released):
+    order, u = np.argsort(released.model.frequency_hz), released.model.u
+    assert (len(order), len(released.model.real_hz)) == (3, 1)
+    assert np.all(np.abs(released.model.frequency_hz[order] - SENSOR.frequency_hz) < 3.5 * u.frequency_hz[order])
+    assert np.all(np.abs(released.model.damping_ratio[order] - SENSOR.damping) < 3.5 * u.damping_ratio[order])
+    assert np.all(u.frequency_hz[order] < 2e-4 * SENSOR.frequency_hz)
+    assert abs(released.model.real_hz[0] - SENSOR.lag_hz) < 3.5 * u.real_hz[0]
+    assert [released.ranks[i].rank for i in order] == [1, 1, 1]
+
+
+def test_residues_lie_in_their_intervals(released):
+    order = np.argsort(released.model.frequency_hz)
+    u, difference = released.model.u.residue[order], released.model.residue[order] - SENSOR.residues
+    score = np.concatenate([(difference.real / u.real).ravel(), (difference.imag / u.imag).ravel()])
+    assert np.mean(np.abs(score) < 1.96) > 0.8
+    assert np.abs(score).max() < 5.0
+
+
+def test_noise_and_explained_share_are_found(released):
+    expected = 0.01 * SENSOR.size * np.diag(SENSOR.response(np.zeros(1))[0].real)
+    np.testing.assert_allclose(released.noise, expected, rtol=0.05)
+    assert np.all(released.variance_accounted > 0.997)
+    assert len(released.releases) == 6
+    assert released.notices == ()
+
+
+def test_filter_takes_the_true_sensors_crosstalk_away(released, three_loads):
+    frequency_hz = np.array([5.0, 50.0, 150.0, 250.0, 310.0, 335.0])
+    truth = SENSOR.response(frequency_hz)
+    wanted = three_loads.target(frequency_hz)[:, :, None] * np.eye(3)
+    left = np.abs(three_loads.response(frequency_hz) @ truth - wanted) * RELATIVE
+    static = np.abs(static_inverse(released.model, released.noise) @ truth - np.eye(3)) * RELATIVE
+    off = ~np.eye(3, dtype=np.bool_)
+    assert left[:2, off].max() < 0.003
+    assert left[:, off].max() < 0.05
+    assert left[4:, off].max() < 0.05 * static[4:, off].max()
+
+
+def test_filter_takes_the_crosstalk_of_a_release_away(released, three_loads):
+    load = np.clip((np.arange(1000 * 20) / 20.0 - 100.0) / 5.0, 0.0, 1.0)
+    for d in range(3):
+        outputs = SENSOR.outputs(load, d).T
+        filtered, static = three_loads.apply(outputs), outputs @ static_inverse(released.model, released.noise).T
+        others = [i for i in range(3) if i != d]
+        after = np.abs(filtered[:, others] * RELATIVE[others, d]).max()
+        before = np.abs(static[:, others] * RELATIVE[others, d]).max()
+        assert after < 0.012
+        assert after < 0.2 * before
+        assert filtered[-1, d] == pytest.approx(1.0, abs=0.003)
+        assert filtered[:, d].max() < 1.13
+
+
+def test_uncertainty_of_the_response_covers_the_truth(released, three_loads):
+    frequency_hz = np.geomspace(10.0, 600.0, 12)
+    stages = crosstalks(released.model, three_loads, released.noise, frequency_hz, np.random.default_rng(1), 12)
+    assert [stage.stage for stage in stages] == ["raw", "static", "filtered"]
+    truth = three_loads.response(frequency_hz) @ SENSOR.response(frequency_hz)
+    score = np.abs(truth - stages[-1].value) / stages[-1].u
+    assert 0.5 < np.sqrt(np.mean(score**2) / 2.0) < 2.0
+    assert np.all(stages[-1].u_peak >= 0.0)
+
+
+def test_a_lag_that_slower_releases_hide_is_in_the_uncertainty():
+    sensor, lines_hz = replace(SENSOR, lag_hz=4000.0), np.array([100.0, 250.0, 450.0])
+    model, truth = fit_steps(sensor.releases(1)).model, sensor.response(lines_hz)
+    assert len(model.real_hz) == 1
+    for d in range(3):
+        slope, covariance = model.column_sensitivity(d, lines_hz)
+        off = (model.response(lines_hz)[:, d, d] - truth[:, d, d]).imag
+        u = np.sqrt(np.einsum("kp,pq,kq->k", slope[:, d].imag, covariance, slope[:, d].imag))
+        assert np.all(np.abs(off) < 3.0 * u)
+        assert np.all(u < 0.4 * np.abs(truth[:, d, d]))  # a lag of at most the releases' standard deviation in time
+
+
+@pytest.mark.slow
+def test_amplitudes_uncertainty_is_in_the_static_gains():
+    records = [replace(record, u_amplitude=0.01) for record in SENSOR.releases(5, each=1)]
+    found = fit_steps(records)
+    element = found.model.element("Fx", "Fx")
+    value, covariance = element.propagate(lambda model: np.array([model.static_gain]))
+    assert np.sqrt(covariance[0, 0]) / value[0] == pytest.approx(0.01, rel=0.1)
+    assert {notice.where for notice in found.notices} >= set(SENSOR.loads)
+
+
+@pytest.mark.slow
+def test_releases_of_other_size_than_stated_are_told():
+    records = SENSOR.releases(4)
+    found = fit_steps([*records[1:], replace(records[0], amplitude=1.03 * records[0].amplitude)])
+    assert 0.01 < found.u_amplitude[0] < 0.02
+    assert any(notice.where == "Fx" and "scatter" in notice.text for notice in found.notices)
+
+
+def test_loads_that_act_alike_are_refused_by_name():
+    records = [record for record in SENSOR.releases(6, each=1) if record.component != "Mz"]
+    twin = replace(records[0], component="Fz", name="Fz-0")
+    refused("Fx and Fz alike", fit_steps, [*records, twin])
+
+
+def test_records_of_different_outputs_are_refused():
+    records = SENSOR.releases(6, each=1)
+    refused("expected channels", fit_steps, [records[0], replace(records[1], channels=("Fx", "Fy", "Fz"))])
+    refused("found none", fit_steps, [])
+
+
+DRAWN_LINES_HZ = np.array([0.0, 100.0, 500.0, 840.0, 1500.0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lag_hz", [2500.0, 8000.0])
+def test_intervals_hold_the_truth_as_often_as_they_say(lag_hz):
+    """Of modes, and of each output over its own load: with a lag that shows, and one that slower releases hide."""
+    sensor = Sensor(
+        loads=("Fx", "Fy"),
+        frequency_hz=np.array([850.0, 1010.0]),
+        damping=np.array([0.02, 0.025]),
+        lag_hz=lag_hz,
+        drive=np.array([[1.0, 0.1], [-0.08, 1.0]]),
+        show=np.array([[2.0, 0.15], [-0.1, 1.0]]),
+        size=np.array([10.0, 8.0]),
+        rate_hz=50e3,
+        release_s=0.3e-3,
+        onset_s=5e-3,
+        count=1500,
+    )
+
+    def estimate(seed: int) -> tuple[FloatArray, FloatArray]:
+        model = fit_steps(sensor.releases(seed)).model
+        order, u = np.argsort(model.frequency_hz), model.u
+        assert len(order) == 2
+        values = [model.frequency_hz[order], model.damping_ratio[order]]
+        spreads = [u.frequency_hz[order], u.damping_ratio[order]]
+        response = model.response(DRAWN_LINES_HZ)
+        for d in range(2):
+            slope, covariance = model.column_sensitivity(d, DRAWN_LINES_HZ)
+            own, rows = response[:, d, d], slope[:, d]
+            values += [own.real, own.imag[1:]]
+            parts = rows.real, rows.imag[1:]
+            spreads += [np.sqrt(np.einsum("kp,pq,kq->k", part, covariance, part)) for part in parts]
+        return np.concatenate(values), 1.96 * np.concatenate(spreads)
+
+    truth = [sensor.frequency_hz, sensor.damping]
+    for d in range(2):
+        own = sensor.response(DRAWN_LINES_HZ)[:, d, d]
+        truth += [own.real, own.imag[1:]]
+    coverage_contract(estimate, np.concatenate(truth), 10, cautious=True)

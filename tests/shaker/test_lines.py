@@ -1,0 +1,457 @@
+"""Lines of a record: spectra, lines found, named and refined; plans of rates against Fisher's information."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.signal
+from contracts import refused
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from shaker.io import read_channels
+from shaker.lines.detection import survey_lines
+from shaker.lines.frequencies import find_lines
+from shaker.lines.spectrum import (
+    amplitude_spectrum,
+    centred_spectrum,
+    chance_height,
+    find_peaks,
+    fit_line,
+    noise_level,
+    window_samples,
+)
+from shaker.sine.fit import fit_sines
+from shaker.sine.solve import SineModel
+
+NOTHING, RATE = np.empty(0), 6400.0
+
+
+def _tones(seconds: float, tones: dict[float, float], noise: float, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * RATE)) / RATE
+    values = noise * rng.normal(size=len(time))
+    for frequency, amplitude in tones.items():
+        values += amplitude * np.cos(2 * np.pi * frequency * time + rng.uniform(0, 2 * np.pi))
+    return values
+
+
+def _pink(rng: np.random.Generator, samples: int, exponent: float) -> np.ndarray:
+    """White noise below which noise of power 1/f^exponent rises under a fiftieth of the Nyquist frequency."""
+    spectrum = np.fft.rfft(rng.normal(size=samples))
+    bins = np.maximum(np.arange(len(spectrum)), 1.0)
+    return np.asarray(np.fft.irfft(spectrum * np.sqrt(1.0 + (samples / 100.0 / bins) ** exponent), samples))
+
+
+def _named(values: np.ndarray, nominal: tuple[float, ...] = ()) -> dict[float, str]:
+    survey = survey_lines(values, RATE, nominal)
+    return dict(zip(np.round(survey.frequency_hz, 1).tolist(), [o.text for o in survey.origin], strict=True))
+
+
+def test_noise_level_is_the_power_of_the_noise_and_passes_over_lines():
+    values = _tones(4.0, {800.0: 1.0, 801.0: 1.0}, 2.0)
+    level, count = noise_level(np.abs(centred_spectrum(values)) ** 2)
+    # A Hann bin of amplitude scaling holds 4 σ²/N · 1.5.
+    assert np.median(level) == pytest.approx(6.0 * 4.0 / len(values), rel=0.1)
+    assert count > 60
+
+
+def test_chance_height_is_that_of_exponential_values():
+    rng = np.random.default_rng(0)
+    floor = np.median(rng.exponential(size=(200_000, 33)), axis=1) / np.log(2.0)
+    values = rng.exponential(size=200_000)
+    for chance in (0.1, 1e-2, 1e-3):
+        share = np.mean(values > chance_height(chance, 33.0) * floor)
+        assert share == pytest.approx(chance, abs=4 * np.sqrt(chance / 200_000))
+
+
+def test_fitted_line_is_near_the_bound_and_covered():
+    rng = np.random.default_rng(1)
+    samples, amplitude, noise, place = 1000, 2.0, 0.5, 123.37
+    half = np.arange(samples) - (samples - 1) / 2.0
+    sine = amplitude * np.cos(2 * np.pi * place * half / samples + 0.7)
+    lines = [
+        fit_line(centred_spectrum(sine + noise * rng.normal(size=samples)), samples, 123.0, 6.0 * noise**2 / samples)
+        for _ in range(800)
+    ]
+    error = np.array([line.place for line in lines]) - place
+    # Rife and Boorstyn 1974, in bins.
+    bound = np.sqrt(6.0 * noise**2 / (np.pi**2 * amplitude**2 * samples))
+    assert 1.0 < np.std(error) / bound < 1.4
+    assert np.mean([line.u_place for line in lines]) == pytest.approx(np.std(error), rel=0.08)
+    assert np.mean([line.u_value for line in lines]) == pytest.approx(
+        np.std([line.value.real for line in lines]), rel=0.08
+    )
+
+
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0])
+@pytest.mark.parametrize("samples", [211, 2000])
+def test_noise_alone_makes_no_more_lines_than_stated(samples, exponent):
+    rng, expected = np.random.default_rng(2), np.array([17.3, 34.6, 51.9])
+    trials, chance = 150, 0.2
+    found = sum(
+        len(find_peaks(_pink(rng, samples, exponent), chance, expected, NOTHING).place) > 0 for _ in range(trials)
+    )
+    assert found <= chance * trials + 3 * np.sqrt(chance * trials)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0])
+def test_false_lines_over_many_spectra(exponent):
+    rng = np.random.default_rng(3)
+    found = sum(len(find_peaks(_pink(rng, 4000, exponent), 0.02, NOTHING, NOTHING).place) > 0 for _ in range(1500))
+    # At most 30 expected: a right chance passes with 99.9 %.
+    assert found <= 48
+
+
+def test_noise_through_a_resonance_is_no_line():
+    from scipy.signal import lfilter
+
+    rng = np.random.default_rng(4)
+    radius = np.exp(-np.pi * 1477.35 / 66.0 / RATE)
+    poles = [1.0, -2.0 * radius * np.cos(2 * np.pi * 1477.35 / RATE), radius**2]
+    records = (np.asarray(lfilter([1.0], poles, rng.normal(size=30_000)))[4400:] for _ in range(10))
+    assert sum(len(survey_lines(record, RATE).frequency_hz) for record in records) == 0
+
+
+def test_every_kind_of_line_is_named():
+    f = 106.2493
+    tones = {f: 100.0, 2 * f: 0.01, 4 * f: 0.96, f / 2: 0.1, 50.03: 0.5, 150.09: 0.03, 731.7: 0.2}
+    tones |= {f - 3.3: 0.5, f + 3.3: 0.5}
+    found = _named(_tones(8.0, tones, 0.1))
+    assert found == {
+        50.0: "mains hum (50 Hz)",
+        53.1: "sub-harmonic, 1/2 of 106.249 Hz",
+        102.9: "side band of 106.249 Hz at -3.3 Hz",
+        106.2: "fundamental",
+        109.5: "side band of 106.249 Hz at +3.3 Hz",
+        150.1: "mains hum (harmonic 3 of 50 Hz)",
+        212.5: "harmonic 2 of 106.249 Hz, 0.0001 of it",
+        425.0: "harmonic 4 of 106.249 Hz, 0.0096 of it",
+        731.7: "unexplained",
+    }
+
+
+def test_combinations_and_folded_harmonics():
+    f, g = 311.7, 1104.3
+    tones = {f: 1.0, g: 0.8, f + g: 0.05, 2 * g - f: 0.02, RATE - 11 * f: 0.03}
+    found = _named(_tones(8.0, tones, 0.01))
+    assert found[round(f + g, 1)] == "combination 311.7 + 1104.3 Hz"
+    assert found[round(2 * g - f, 1)] == "combination 2·1104.3 - 311.7 Hz"
+    assert found[round(RATE - 11 * f, 1)] == "harmonic 11 of 311.7 Hz, folded from 3428.7 Hz"
+
+
+def test_the_largest_line_may_be_the_second_harmonic():
+    found = _named(_tones(4.0, {80.1: 1.0, 160.2: 10.0, 240.3: 0.5}, 0.1))
+    assert [text.partition(" of")[0] for text in found.values()] == ["fundamental", "harmonic 2", "harmonic 3"]
+
+
+def test_a_sub_harmonic_alone_is_not_the_fundamental():
+    found = _named(_tones(4.0, {80.1: 1.0, 160.2: 10.0, 320.4: 0.5}, 0.1))
+    assert (found[80.1], found[160.2]) == ("sub-harmonic, 1/2 of 160.2 Hz", "fundamental")
+
+
+def test_nominal_frequencies_decide():
+    values = _tones(4.0, {80.1: 1.0, 160.2: 10.0, 240.3: 0.5}, 0.1)
+    found = _named(values, (160.0,))
+    assert (found[160.2], found[240.3]) == ("fundamental", "sub-harmonic, 3/2 of 160.2 Hz")
+    survey = survey_lines(values, RATE, (160.0, 700.0))
+    assert [n.where for n in survey.notices] == ["700 Hz"]
+
+
+def test_strong_lines_leak_into_no_others():
+    for seed, frequency in enumerate((106.2495, 1234.567, 3001.2, 12.3)):
+        survey = survey_lines(_tones(4.0, {frequency: 1e6}, 1.0, seed), RATE)
+        assert len(survey.frequency_hz) == 1
+        assert abs(survey.frequency_hz[0] - frequency) < 5 * survey.u_frequency_hz[0] + 1e-12 * frequency
+    assert len(survey_lines(_tones(4.0, {106.2495: 1.0}, 0.0), RATE).frequency_hz) == 1
+
+
+def test_drifting_and_jittering_lines_have_no_skirts():
+    rng, time = np.random.default_rng(5), np.arange(4 * 6400) / RATE
+    noise = 1e-4 * rng.normal(size=len(time))
+    drift = (1.0 + 1e-3 * time) * np.cos(2 * np.pi * 106.25 * time)
+    walk = np.cos(2 * np.pi * 106.25 * time + np.cumsum(rng.normal(size=len(time))) * 1e-5)
+    for values in (drift, walk):
+        assert survey_lines(values + noise, RATE).frequency_hz == pytest.approx([106.25], abs=1e-3)
+
+
+def test_a_ten_thousandth_is_found_where_it_is_expected():
+    found = 0
+    for seed in range(10):
+        # 0.01 stands 15 dB over the floor of 4 s: 0.01² / (6 · 0.1² / 25600 / 14).
+        survey = survey_lines(_tones(4.0, {106.25: 100.0, 637.5: 0.01}, 0.1, seed), RATE)
+        found += any(o.multiple == 6 for o in survey.origin)
+    assert found >= 9
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(1e-6, 1e6), st.integers(0, 3))
+def test_scale_channels_and_direction_of_time_do_not_matter(scale, seed):
+    first = _tones(1.0, {106.25: 10.0, 212.5: 0.5, 50.02: 1.0}, 0.1, seed)
+    second = _tones(1.0, {106.25: 3.0, 318.75: 0.5}, 0.2, seed + 100)
+    plain = survey_lines(np.stack([first, second], axis=1), RATE)
+    other = survey_lines(scale * np.stack([second, first], axis=1)[::-1], RATE)
+    np.testing.assert_allclose(other.frequency_hz, plain.frequency_hz, rtol=1e-7)
+    np.testing.assert_allclose(other.amplitude[:, ::-1], scale * plain.amplitude, rtol=1e-5)
+    assert [o.kind for o in other.origin] == [o.kind for o in plain.origin]
+
+
+def test_wrong_calls_are_refused():
+    refused("values: expected at least 32 samples, found 5", survey_lines, np.zeros(5), RATE)
+    with pytest.raises(ValueError, match="values: expected finite samples, found 1 that are not"):
+        survey_lines(np.append(np.zeros(99), np.nan), RATE)
+    refused("rate_hz: expected a positive number, found 0", survey_lines, np.zeros(99), 0.0)
+
+
+def test_a_constant_record_has_no_lines():
+    assert survey_lines(np.full((500, 2), 3.0), RATE).amplitude.shape == (0, 2)
+
+
+def _recorded(path: Path) -> tuple[np.ndarray, float]:
+    channels = list(read_channels(path).values())
+    return np.stack([channel.samples for channel in channels], axis=1), channels[0].sample_rate_hz
+
+
+@pytest.mark.parametrize("factor", [16, 128])
+def test_three_tones_of_a_shaker_are_its_fundamentals(data_dir, factor):
+    values, rate = _recorded(data_dir / "shaker_three_tone" / f"data_set_1_downsampled_by_{factor}.lvm")
+    survey = survey_lines(values[:, :1], rate)
+    strong = survey.select(survey.snr > 1e6)
+    np.testing.assert_allclose(strong.frequency_hz, [99.9999, 119.9999, 149.9999], atol=2e-4)
+    np.testing.assert_allclose(strong.amplitude[:, 0], 0.4994, atol=2e-4)
+    assert [origin.kind for origin in strong.origin] == ["fundamental"] * 3
+
+
+def test_folded_tones_and_harmonics_of_a_shaker(data_dir):
+    values, rate = _recorded(data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_256.lvm")
+    survey = survey_lines(values, rate, (100.0, 120.0, 150.0))
+    told = dict(zip(np.round(survey.frequency_hz).tolist(), [o.text for o in survey.origin], strict=True))
+    assert told[50.0] == "fundamental 150 Hz, read at 50.0001 Hz"
+    assert told[80.0] == "fundamental 120 Hz, read at 80.0001 Hz"
+    # The tone at 100 Hz lies on the Nyquist frequency.
+    assert [n.where for n in survey.notices] == ["100 Hz"]
+    values, rate = _recorded(data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_128.lvm")
+    survey = survey_lines(values, rate, (100.0, 120.0, 150.0))
+    told = dict(zip(np.round(survey.frequency_hz).tolist(), [o.text for o in survey.origin], strict=True))
+    # 480 Hz is there in the less decimated file with the same amplitude.
+    assert told[80.0].endswith("(or harmonic 4 of 120 Hz, folded from 480 Hz)")
+    assert told[20.0] == "combination 120 - 100 Hz"
+
+
+def test_modes_of_a_beam_that_was_struck(data_dir):
+    for name in ("acceleration", "camera"):
+        values, rate = _recorded(data_dir / "undersampled_video" / f"{name}.lvm")
+        found = survey_lines(values[:, 0], rate).frequency_hz
+        for mode, tolerance in ((18.0, 0.5), (695.6, 0.5), (1897.9, 0.5)):
+            assert np.min(np.abs(found - mode)) < tolerance
+
+
+@pytest.mark.parametrize("window", ["rectangular", "hann", "flattop"])
+def test_sine_on_a_bin_shows_its_peak_amplitude(window):
+    t = np.arange(4096) / 4096.0
+    spectrum = amplitude_spectrum(3.0 * np.sin(2 * np.pi * 400.0 * t) + 7.0, 4096.0, window)  # type: ignore[arg-type]
+    assert spectrum.frequency_hz[np.argmax(spectrum.amplitude)] == 400.0
+    assert spectrum.amplitude.max() == pytest.approx(3.0, rel=1e-9)
+    assert spectrum.amplitude[0] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("window", ["hann", "flattop"])
+def test_windows_are_the_known_ones(window):
+    known = scipy.signal.get_window(window, 64, fftbins=True)
+    got = window_samples(window, 64)  # type: ignore[arg-type]
+    np.testing.assert_allclose(got / got[32], known / known[32], atol=1e-8)
+
+
+def test_flat_top_keeps_the_amplitude_between_bins():
+    t = np.arange(4096) / 4096.0
+    spectrum = amplitude_spectrum(np.sin(2 * np.pi * 400.5 * t), 4096.0, "flattop")
+    assert spectrum.amplitude.max() == pytest.approx(1.0, rel=2e-3)
+
+
+def test_channels_are_independent():
+    data = np.random.default_rng(0).normal(size=(300, 2))
+    both = amplitude_spectrum(data, 100.0)
+    np.testing.assert_allclose(both.amplitude[:, 1], amplitude_spectrum(data[:, 1], 100.0).amplitude)
+
+
+SAMPLED_HZ, TRUE_HZ = 12_800.0, 106.2495
+
+
+def _record(rng, amplitudes, noise=0.5, seconds=4.0):
+    time = np.arange(int(seconds * SAMPLED_HZ)) / SAMPLED_HZ
+    values = noise * rng.normal(size=len(time))
+    for multiple, amplitude in amplitudes.items():
+        values += amplitude * np.cos(2 * np.pi * multiple * TRUE_HZ * time + rng.uniform(0.0, 2 * np.pi))
+    return time, values
+
+
+def _refined(time: np.ndarray, values: np.ndarray, start: float, multiples: tuple[int, ...]) -> tuple[float, float]:
+    """Return a fundamental refined jointly with its harmonics, and its standard uncertainty."""
+    names = [str(c) for c in range(values.shape[1])]
+    model = SineModel(free=(0,) * len(multiples))
+    fit = fit_sines(time, values, start * np.array(multiples, dtype=float), names, names, model=model)
+    return float(fit.phasors.frequency_hz[0]), float(fit.u_frequency_hz[0])
+
+
+def test_published_excitation_is_found():
+    # 189.3 m/s^2 with 0.96 m/s^2 at the fourth harmonic, nominal 106.25 Hz.
+    time, values = _record(np.random.default_rng(0), {1: 189.3217, 4: 0.9596})
+    lines = find_lines(time, values, [106.25])
+    assert (lines.multiple.tolist(), lines.nominal_hz.tolist()) == ([1, 4], [106.25, 106.25])
+    np.testing.assert_allclose(lines.frequency_hz, [TRUE_HZ, 4 * TRUE_HZ], atol=6 * lines.u_frequency_hz[1])
+    assert lines.u_frequency_hz[1] == pytest.approx(4 * lines.u_frequency_hz[0])
+    assert "fundamental" in lines.why[0]
+    assert "harmonic 4 of 106.25 Hz stands out" in lines.why[1]
+    assert not lines.notices
+
+
+def test_harmonics_of_a_ten_thousandth_are_found_and_nothing_else():
+    for seed in range(3):
+        time, values = _record(np.random.default_rng(seed), {1: 100.0, 2: 0.01, 5: 0.012}, noise=0.1)
+        assert find_lines(time, values, [106.25]).multiple.tolist() == [1, 2, 5]
+
+
+def test_noise_alone_adds_no_harmonic():
+    rng = np.random.default_rng(1)
+    extra = sum(
+        len(find_lines(*_record(rng, {1: 100.0}, noise=1.0, seconds=1.0), [106.25]).multiple) - 1 for _ in range(40)
+    )
+    # Expected 0.04 at the stated 1e-3 per record.
+    assert extra <= 1
+
+
+def test_rounding_is_no_harmonic():
+    time, values = _record(np.random.default_rng(2), {1: 190.0}, noise=0.0)
+    assert find_lines(time, values, [106.25]).multiple.tolist() == [1]
+
+
+def test_refined_frequency_reaches_the_bound():
+    rng = np.random.default_rng(3)
+    seconds, noise, amplitude = 1.0, 1.0, 10.0
+    errors, stated = [], []
+    for _ in range(80):
+        time, values = _record(rng, {1: amplitude}, noise, seconds)
+        refined = _refined(time, values[:, None], 106.3, (1,))
+        errors.append(refined[0] - TRUE_HZ)
+        stated.append(refined[1])
+    # Rife and Boorstyn 1974: var f = 6 σ² / (π² a² N T²) for real sines.
+    bound = np.sqrt(6.0 * noise**2 / (np.pi**2 * amplitude**2 * seconds * SAMPLED_HZ)) / seconds
+    assert np.std(errors) == pytest.approx(bound, rel=0.25)
+    assert abs(np.mean(errors)) < 4.0 * bound / np.sqrt(80)
+    assert np.mean(stated) == pytest.approx(bound, rel=0.1)
+
+
+def test_harmonics_and_channels_sharpen_the_frequency():
+    rng = np.random.default_rng(4)
+    time, values = _record(rng, {1: 1.0, 3: 1.0}, 1.0, 1.0)
+    alone = _refined(time, values[:, None], 106.25, (1,))
+    joint = _refined(time, values[:, None], 106.25, (1, 3))
+    pair = np.stack([values, 1e-3 * _record(rng, {1: 1.0, 3: 1.0}, 1.0, 1.0)[1]], axis=1)
+    two = _refined(time, pair, 106.25, (1, 3))
+    assert joint[1] == pytest.approx(alone[1] / np.sqrt(10.0), rel=0.15)
+    assert two[1] == pytest.approx(joint[1] / np.sqrt(2.0), rel=0.15)
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.floats(0.1, 10.0), st.floats(-1e-3, 1e-3))
+def test_frequency_follows_the_clock(scale, stretch):
+    time, values = _record(np.random.default_rng(5), {1: 10.0}, 0.1, 0.5)
+    plain = _refined(time, values[:, None], 106.25, (1,))
+    other = _refined(time * (1 + stretch), scale * values[:, None], 106.25, (1,))
+    assert other[0] * (1 + stretch) == pytest.approx(plain[0], rel=1e-9)
+
+
+def test_several_fundamentals_share_a_harmonic_once():
+    time = np.arange(40_000) / 10_000.0
+    values = 0.01 * np.random.default_rng(6).normal(size=len(time))
+    for f, a in ((100.0, 1.0), (150.0, 1.0), (300.0, 0.1)):
+        values += a * np.sin(2 * np.pi * f * time)
+    lines = find_lines(time, values, [150.0, 100.0])
+    np.testing.assert_allclose(lines.frequency_hz, [100.0, 150.0, 300.0], atol=1e-3)
+    assert lines.multiple.tolist() == [1, 1, 2]
+
+
+def test_listed_harmonics_are_taken_as_they_are():
+    time, values = _record(np.random.default_rng(7), {1: 100.0})
+    lines = find_lines(time, values, [106.25], [2, 3, 100])
+    assert lines.multiple.tolist() == [1, 2, 3]
+    assert "asked for" in lines.why[1]
+    assert "harmonic 100 of 106.25 Hz lies above 6272 Hz" in lines.notices[0].text
+    refused("harmonics: expected multiples of 1 and above, found 0", find_lines, time, values, [106.25], [0])
+
+
+def test_mains_is_told_and_is_no_line():
+    time, values = _record(np.random.default_rng(8), {1: 100.0})
+    lines = find_lines(time, values + 0.5 * np.sin(2 * np.pi * 50.01 * time), [106.25])
+    assert lines.multiple.tolist() == [1]
+    assert [n.severity for n in lines.notices] == ["info"]
+    assert "mains hum (50 Hz)" in lines.notices[0].text
+    assert [origin.kind for origin in lines.others.origin] == ["mains"]
+    # Rife and Boorstyn 1974 as below, for noise as strong as the hum: 0.9 mHz, and 3 mm/s² for its amplitude
+    # (σ·sqrt(2/N)); the window through which the spectrum is seen may cost up to half of it more.
+    bound_hz, bound = np.sqrt(6.0 / len(time)) / (np.pi * 4.0), 0.5 * np.sqrt(2.0 / len(time))
+    assert 1.0 < lines.others.u_frequency_hz[0] / bound_hz < 2.0
+    np.testing.assert_allclose(lines.others.frequency_hz, [50.01], atol=4.0 * 1.5 * bound_hz)
+    np.testing.assert_allclose(lines.others.amplitude, [[0.5]], atol=4.0 * 1.5 * bound)
+
+
+def test_a_neighbour_that_leaks_is_fitted_too():
+    rng, time = np.random.default_rng(20), np.arange(12_800) / SAMPLED_HZ
+    error: dict[bool, list[float]] = {True: [], False: []}
+    for _ in range(12):
+        hum = 0.02 * np.cos(2 * np.pi * 50.03 * time + rng.uniform(0.0, 2 * np.pi))
+        values = np.cos(2 * np.pi * 53.7 * time) + hum + 0.01 * rng.normal(size=len(time))
+        lines = find_lines(time, values, [53.7])
+        assert lines.multiple.tolist() == [1]
+        np.testing.assert_allclose(lines.nuisance_hz, [50.03], atol=0.05)
+        assert abs(lines.frequency_hz[0] - 53.7) < 5 * lines.u_frequency_hz[0]
+        for use, found in error.items():
+            frequency = np.append(53.7, lines.nuisance_hz if use else [])
+            fit = fit_sines(time, values[:, None], frequency, ["a"], ["m/s^2"])
+            found.append(abs(fit.phasors.value[0, 0] - 1.0))
+    # Noise alone: 0.01·sqrt(4/12800) = 1.8e-4 for both quadratures; the hum leaks up to 0.02/(π·3.7) = 1.7e-3.
+    assert np.sqrt(np.mean(np.square(error[True]))) < 2.6e-4
+    assert np.sqrt(np.mean(np.square(error[False]))) > 1e-3
+
+
+def test_everything_else_is_in_the_list_with_a_reason():
+    time, values = _record(np.random.default_rng(21), {1: 100.0, 2: 1.0, 25: 0.2})
+    rng = np.random.default_rng(22)
+    for frequency, amplitude in ((TRUE_HZ / 2, 0.2), (150.06, 0.2), (777.7, 0.2)):
+        values += amplitude * np.cos(2 * np.pi * frequency * time + rng.uniform(0.0, 2 * np.pi))
+    lines = find_lines(time, values, [106.25])
+    assert lines.multiple.tolist() == [1, 2]
+    assert [o.kind for o in lines.others.origin] == ["sub-harmonic", "mains", "unexplained", "harmonic"]
+    assert lines.others.origin[-1].multiple == 25
+    assert all("dB over the noise floor" in why for why in lines.others.why)
+    assert "and 1 more" in lines.notices[0].text
+
+
+def test_absent_fundamental_is_refused():
+    time, values = _record(np.random.default_rng(9), {1: 100.0})
+    refused(r"nominal_hz: expected 120 Hz to stand out of the spectrum", find_lines, time, values, [120.0])
+
+
+def test_undersampled_fundamental_is_found_at_its_alias():
+    rng, time = np.random.default_rng(10), np.arange(211) / 52.874
+    values = np.cos(2 * np.pi * TRUE_HZ * time + 1.0) + 0.005 * rng.normal(size=211)
+    lines = find_lines(time, values, [106.25], [1])
+    assert lines.frequency_hz[0] == pytest.approx(TRUE_HZ, abs=5 * lines.u_frequency_hz[0])
+    # The published bound for comparison: 7e-5 Hz at the published noise.
+    assert lines.u_frequency_hz[0] < 3e-4
+
+
+def test_gaps_are_allowed_and_scattered_times_are_not():
+    time, values = _record(np.random.default_rng(11), {1: 100.0}, 0.5, 1.0)
+    values[1000:1200] = np.nan
+    assert find_lines(time, values, [106.25]).frequency_hz[0] == pytest.approx(TRUE_HZ, abs=1e-3)
+    with pytest.raises(ValueError, match="time_s: expected ascending times on a uniform grid"):
+        find_lines(np.sort(np.random.default_rng(0).uniform(0, 1, 500)), values[:500], [106.25])
+
+
+def test_dead_channels_are_passed_over():
+    time, values = _record(np.random.default_rng(12), {1: 100.0}, 0.5, 1.0)
+    both = np.stack([np.full(len(time), 3.0), values], axis=1)
+    assert find_lines(time, both, [106.25]).frequency_hz[0] == find_lines(time, values, [106.25]).frequency_hz[0]
+    refused("values: expected a channel that changes", find_lines, time, both[:, 0], [106.25])

@@ -1,0 +1,384 @@
+"""Damaged files end in one sentence, large ones need little memory, those of other laboratories are read."""
+
+import re
+import tracemalloc
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+import tdms_factory as tdms
+import universal_factory as uff
+from contracts import refused
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+from nptdms import TdmsFile
+
+from shaker.io import read_channels
+from shaker.io.channel import BLOCK, RawChannel
+from shaker.io.universal import read_universal_functions, read_universal_shapes
+from shaker.lines.frequencies import find_lines
+from shaker.sine.aliasing import folded_harmonics
+from shaker.sine.fit import fit_sines
+
+X, Y = np.arange(120) / 100.0, np.random.default_rng(0).normal(size=120)
+LVM = (
+    "LabVIEW Measurement\t\nSeparator\tTab\nDecimal_Separator\t.\nX_Columns\tNo\n***End_of_Header***\t\n\t\n"
+    "Channels\t1\t\nSamples\t120\t\nDelta_X\t0.01\t\n***End_of_Header***\t\nX_Value\tU\tComment\n"
+)
+
+
+def _tdms(interleaved: bool) -> bytes:
+    entries = [
+        tdms.entry(f"/'g'/'{name}'", tdms.plain("f8", 60), {"wf_increment": 0.01, **tdms.linear(2.0, 1.0)})
+        for name in "ab"
+    ]
+    raw = [tdms.interleaved(part, part) if interleaved else part.tobytes() * 2 for part in (Y[:60], Y[60:])]
+    return tdms.segment(entries, raw[0], 14 | (32 if interleaved else 0)) + tdms.segment(
+        [], raw[1], 8 | (32 * interleaved)
+    )
+
+
+def _by_library(suffix: str) -> bytes:
+    """A file that another library writes."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"a{suffix}"
+        if suffix == ".wav":
+            scipy.io.wavfile.write(path, 1000, (Y * 1000).astype(np.int16))
+        elif suffix == ".mat":
+            scipy.io.savemat(path, {"Fz": Y, "rec": {"x": Y, "fs": 3.0}, "name": "text"}, do_compression=True)
+        else:
+            with h5py.File(path, "w") as file:
+                file.attrs["sample_rate"] = 100.0
+                file.create_dataset("daq/Fz", data=Y, chunks=(30,), compression="gzip")
+        return path.read_bytes()
+
+
+@cache
+def whole(kind: str) -> tuple[str, bytes]:
+    """Suffix and content of a sound file."""
+    rows = "".join(f"\t{y:.6f}\n" for y in Y)
+    return {
+        "tdms": lambda: (".tdms", _tdms(False)),
+        "interleaved tdms": lambda: (".tdms", _tdms(True)),
+        "text 58": lambda: (".uff", uff.text_function(1, 4, X, Y, True)),
+        "binary 58": lambda: (".uff", uff.binary_function(4, X, Y, True, "<")),
+        "shape": lambda: (".unv", uff.shape(5, [53.7], [1, 2, 3], np.ones((3, 3), dtype=complex))),
+        "lvm": lambda: (".lvm", (LVM + rows).encode()),
+        "csv": lambda: (".csv", ("time,Fz\ns,N\n" + "".join(f"{x},{y}\n" for x, y in zip(X, Y, strict=True))).encode()),
+        "h5": lambda: (".h5", _by_library(".h5")),
+        "mat": lambda: (".mat", _by_library(".mat")),
+        "wav": lambda: (".wav", _by_library(".wav")),
+    }[kind]()
+
+
+KINDS = ("tdms", "interleaved tdms", "text 58", "binary 58", "shape", "lvm", "csv", "h5", "mat", "wav")
+
+
+def read_all(path: Path) -> int:
+    """Read a file by every door; return how much there is."""
+    found = len(read_channels(path, sample_rate_hz=100.0))
+    if path.suffix in (".uff", ".unv"):
+        found += len(read_universal_functions(path)) + len(read_universal_shapes(path))
+    return found
+
+
+def one_sentence(path: Path, error: Exception) -> None:
+    assert str(error).startswith(f"{path}: "), error
+    assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_sound_files_are_read(tmp_path, kind):
+    suffix, content = whole(kind)
+    (tmp_path / f"a{suffix}").write_bytes(content)
+    assert read_all(tmp_path / f"a{suffix}") > 0
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "csv"])
+def test_cut_off_files_are_refused(tmp_path, kind):
+    """CSV does not say how long it is; all others do, and a file cut anywhere is refused."""
+    suffix, content = whole(kind)
+    path = tmp_path / f"a{suffix}"
+    for share in (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97):
+        path.write_bytes(content[: int(share * len(content))])
+        with pytest.raises((OSError, ValueError)) as caught:
+            read_all(path)
+        one_sentence(path, caught.value)
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".tdms", ".uff", ".mat", ".csv", ".wav", ".lvm", ".asc"])
+@pytest.mark.parametrize("content", [b"", b"\x00\x01\x02garbage" * 40])
+def test_files_of_nothing_and_of_garbage_are_refused(tmp_path, suffix, content):
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(content)
+    with pytest.raises((OSError, ValueError)) as caught:
+        read_channels(path, ["Fz"], sample_rate_hz=100.0)
+    one_sentence(path, caught.value)
+
+
+def test_missing_and_unknown_files(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"none\.h5: expected a file, found none"):
+        read_channels(tmp_path / "none.h5")
+    refused(r"a\.xls: expected a file of type .*, found \.xls", read_channels, tmp_path / "a.xls")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    changes=st.lists(
+        st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.binary(min_size=1, max_size=4)), min_size=1, max_size=4
+    )
+)
+@example(changes=[(0.0, b"\xff\xff\xff\xff")])
+def test_damaged_files_give_one_sentence_or_numbers(tmp_path, kind, changes):
+    suffix, content = whole(kind)
+    damaged = bytearray(content)
+    for share, new in changes:
+        place = int(share * len(content))
+        damaged[place : place + len(new)] = new
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(bytes(damaged))
+    try:
+        read_all(path)
+    except (OSError, ValueError) as error:
+        one_sentence(path, error)
+
+
+CHANNELS, SAMPLES = 8, 500_000
+COUNTS = (np.arange(SAMPLES) % 30_011).astype("<i2")
+
+
+def _large_tdms(path: Path, interleaved: bool) -> None:
+    entries = [
+        tdms.entry(f"/'g'/'{i}'", tdms.plain("i2", SAMPLES), {"wf_increment": 1e-3, **tdms.linear(0.5, 0.0)})
+        for i in range(CHANNELS)
+    ]
+    raw = tdms.interleaved(*[COUNTS] * CHANNELS) if interleaved else COUNTS.tobytes() * CHANNELS
+    path.write_bytes(tdms.segment(entries, raw, 14 | (tdms.INTERLEAVED if interleaved else 0)))
+
+
+def _hdf5(path: Path, table: bool) -> None:
+    with h5py.File(path, "w") as file:
+        file.attrs["sample_rate"] = 1e3
+        if table:
+            file.create_dataset("t", data=np.stack([COUNTS] * CHANNELS, axis=1), chunks=(4096, 8), compression="lzf")
+        for i in range(0 if table else CHANNELS):
+            file.create_dataset(f"{i}", data=COUNTS, chunks=(65_536,), compression="lzf")
+
+
+def _csv(path: Path) -> None:
+    rows = "\n".join(f"{value}.5" + f";{value}" * (CHANNELS - 1) for value in COUNTS[:30_000].tolist())
+    path.write_text(";".join(f"c{i}" for i in range(CHANNELS)) + "\n" + rows.replace(".", ",") + "\n")
+
+
+def _uff(path: Path) -> None:
+    one = uff.binary_function(2, np.arange(2.0), COUNTS.astype(float), True, "<")
+    path.write_bytes(one * CHANNELS)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "write"),
+    [
+        (".tdms", lambda path: _large_tdms(path, True)),
+        (".tdms", lambda path: _large_tdms(path, False)),
+        (".h5", lambda path: _hdf5(path, False)),
+        (".h5", lambda path: _hdf5(path, True)),
+        (".csv", _csv),
+        (".uff", _uff),
+    ],
+    ids=["TDMS interleaved", "TDMS", "HDF5", "HDF5 table", "CSV", "UFF binary"],
+)
+def test_memory_is_that_of_the_result(tmp_path, suffix, write):
+    path = tmp_path / f"large{suffix}"
+    assert callable(write)
+    write(path)
+    first = list(read_channels(path, sample_rate_hz=1e3))[:1]  # loads the libraries
+    for names in (first, None):
+        tracemalloc.start()
+        try:
+            channels = read_channels(path, names, 1e3)
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert peak < sum(channel.samples.nbytes for channel in channels.values()) + 8 * BLOCK
+
+
+def present(data_dir: Path, *parts: str) -> Path:
+    path = data_dir.joinpath(*parts)
+    if not path.is_file():
+        pytest.skip(f"no real data: {path} does not exist")
+    return path
+
+
+def fields(path: Path, first: int, last: int | None, width: int) -> np.ndarray:
+    """Numbers of fixed width in lines of text, counted from 0."""
+    lines = [line.rstrip() for line in path.read_text(encoding="latin-1").splitlines()[first:last]]
+    return np.array([float(line[i : i + width]) for line in lines for i in range(0, len(line), width)])
+
+
+def test_uff_text_with_a_short_last_line(data_dir):
+    path = present(data_dir, "uff", "time-history-not-all-columns-filled.uff")
+    channel = read_channels(path)["1x"]
+    np.testing.assert_array_equal(channel.samples, fields(path, 13, -1, 13))
+    assert (len(channel.samples), channel.sample_rate_hz, channel.start_s) == (13, 20_000.0, 0.0)
+    assert channel.unit == "m/s²"
+
+
+def test_uff_text_of_a_power_spectral_density(data_dir):
+    path = present(data_dir, "uff", "sample_dataset58_psd.uff")
+    (function,) = read_universal_functions(path)
+    triples = fields(path, 13, -1, 13).reshape(-1, 3)
+    np.testing.assert_array_equal(function.abscissa, triples[:, 0])
+    np.testing.assert_array_equal(function.value, triples[:, 1] + 1j * triples[:, 2])
+    assert len(function.value) == 3201
+    assert (function.abscissa[-1], function.value[-1]) == (3200.0, 2.634827e-10)
+    assert (function.name, function.kind, function.unit) == ("Pilot 1", "power spectral density", "g²/Hz")
+    assert not read_channels(path)
+    assert not read_universal_shapes(path)
+
+
+def test_uff_binary_of_single_precision(data_dir):
+    path = present(data_dir, "uff", "Sample_UFF58b_bin.uff")
+    channel, raw = read_channels(path)["Mic 01"], path.read_bytes()
+    assert raw.endswith(b"    -1\r\n")
+    np.testing.assert_array_equal(channel.samples, np.frombuffer(raw[-8 - 4 * 79_292 : -8], "<f4"))
+    assert (len(channel.samples), channel.unit) == (79_292, "Pa")
+    assert channel.sample_rate_hz == pytest.approx(65_536.0, rel=1e-6)
+
+
+def test_uff_binary_of_double_precision(data_dir):
+    path = present(data_dir, "uff", "binary8byte.uff")
+    channel, raw = read_channels(path)["sine 5 Hz"], path.read_bytes()
+    np.testing.assert_array_equal(channel.samples, np.frombuffer(raw[-8 - 8 * 250 : -8], "<f8"))
+    np.testing.assert_allclose(channel.samples, np.sin(2 * np.pi * 5.0 * np.arange(250) / 100.0), atol=1e-5)
+    assert (channel.sample_rate_hz, channel.unit) == (100.0, "g")
+
+
+def npTDMS(path: Path) -> dict[str, np.ndarray]:
+    file = TdmsFile.read(path)
+    return {f"{group.name}/{channel.name}": channel[:] for group in file.groups() for channel in group.channels()}
+
+
+def compare(found: dict[str, RawChannel], other: dict[str, np.ndarray]) -> None:
+    assert list(found) == list(other)
+    for name, samples in other.items():
+        np.testing.assert_array_equal(found[name].samples, samples)
+
+
+def test_tdms_of_a_card_with_seven_channels(data_dir):
+    path = present(data_dir, "tdms", "raw1.tdms")
+    found = read_channels(path)
+    compare(found, npTDMS(path))
+    counts = np.frombuffer(path.read_bytes()[4737 : 4737 + 28_000], "<i2").reshape(2000, 7)
+    for column, channel in zip(counts.T, found.values(), strict=True):
+        np.testing.assert_allclose(channel.samples, column * 0.0003051850947599719, rtol=1e-15)
+        assert (channel.unit, channel.start_s) == ("Volts", 0.0)
+        assert channel.sample_rate_hz == pytest.approx(50_000.0)
+
+
+def test_tdms_with_the_most_significant_byte_first(data_dir):
+    path = present(data_dir, "tdms", "big_endian.tdms")
+    found = read_channels(path)
+    compare(found, npTDMS(path))
+    tail = np.frombuffer(path.read_bytes()[-48_000:], ">f8").reshape(6, 2, 500)
+    np.testing.assert_array_equal(found["Measured Data/Phase sweep"].samples[500:], tail[:, 1].ravel())
+    assert found["Measured Data/Amplitude sweep"].sample_rate_hz == pytest.approx(1000.0)
+
+
+def test_tdms_of_a_digital_line(data_dir):
+    path = present(data_dir, "tdms", "Digital_Input.tdms")
+    found = read_channels(path)
+    compare(found, npTDMS(path))
+    group = "07/09/2012 06:58:23 PM - Digital Input - All Data"
+    line = found[f"{group}/Dev1_port3_line7 - line 0"]
+    np.testing.assert_array_equal(line.samples, np.frombuffer(path.read_bytes()[1678:21_678], "u1"))
+    assert (len(line.samples), line.sample_rate_hz, set(line.samples)) == (20_000, 2000.0, {0.0, 1.0})
+    assert [channel.sample_rate_hz for channel in found.values()] == [2000.0, 40.0, 0.8]
+
+
+@pytest.mark.parametrize(("factor", "samples"), [(16, 63_041), (128, 7881), (256, 3941)])
+def test_lvm_of_three_tones(data_dir, factor, samples):
+    path = present(data_dir, "shaker_three_tone", f"data_set_1_downsampled_by_{factor}.lvm")
+    found = read_channels(path)
+    table = np.loadtxt(path, skiprows=23, delimiter="\t")
+    np.testing.assert_array_equal(np.stack([channel.samples for channel in found.values()], axis=1), table[:, 1:])
+    assert len(table) == samples
+    assert [channel.unit for channel in found.values()] == ["Volts", "Pounds", "g"]
+    assert {channel.sample_rate_hz for channel in found.values()} == {51_200.0 / factor}
+
+
+@pytest.mark.parametrize("name", ["acceleration", "camera"])
+def test_lvm_of_hammer_records_with_decimal_comma(data_dir, name):
+    path = present(data_dir, "undersampled_video", f"{name}.lvm")
+    acceleration, force = read_channels(path).values()
+    lines = path.read_text().replace(",", ".").splitlines()[23:]
+    table = np.array([[float(cell) for cell in line.split("\t")[1:3]] for line in lines if line.strip()])
+    np.testing.assert_array_equal(np.stack([acceleration.samples, force.samples], axis=1), table)
+    assert (acceleration.unit, force.unit, len(table)) == ("g", "Newtons", 50_030)
+    assert acceleration.sample_rate_hz == pytest.approx(50_000.0, rel=1e-12)
+
+
+TONES_HZ = [100.0, 120.0, 150.0]
+
+
+def _three_tones(data_dir: Path, factor: int) -> dict[str, RawChannel]:
+    return read_channels(data_dir / "shaker_three_tone" / f"data_set_1_downsampled_by_{factor}.lvm")
+
+
+def _stacked(channels: dict[str, RawChannel]) -> tuple[np.ndarray, np.ndarray]:
+    values = np.stack([channel.samples for channel in channels.values()], axis=1)
+    return np.arange(len(values)) / next(iter(channels.values())).sample_rate_hz, values
+
+
+def _ratios(data_dir: Path, factor: int) -> dict[float, float]:
+    """Return the ratio of acceleration to force (g/lb) by nominal frequency."""
+    time, values = _stacked(_three_tones(data_dir, factor))
+    lines = find_lines(time, values, TONES_HZ, [1])
+    fit = fit_sines(time, values, lines.frequency_hz, ["U", "F", "a"], ["V", "lb", "g"])
+    amplitude = np.abs(fit.phasors.value)
+    return dict(zip(lines.nominal_hz.tolist(), (amplitude[:, 2] / amplitude[:, 1]).tolist(), strict=True))
+
+
+def test_three_tones_of_the_drive(data_dir):
+    time, values = _stacked(_three_tones(data_dir, 16))
+    lines = find_lines(time, values, TONES_HZ, [1])
+    np.testing.assert_allclose(lines.frequency_hz, [99.9999, 119.9999, 149.9999], atol=5e-5)
+    fit = fit_sines(time, values, lines.frequency_hz, ["U", "F", "a"], ["V", "lb", "g"])
+    np.testing.assert_allclose(np.abs(fit.phasors.value[:, 0]), 0.4994, atol=5e-5)
+    assert np.all(fit.phasors.u_re[:, 0] < 5e-6)
+
+
+def test_harmonics_of_the_shaker_are_listed(data_dir):
+    time, values = _stacked(_three_tones(data_dir, 16))
+    lines = find_lines(time, values, TONES_HZ)
+    found = set(zip(lines.nominal_hz.tolist(), lines.multiple.tolist(), strict=True))
+    assert {(100.0, 2), (120.0, 2), (150.0, 2), (120.0, 4), (120.0, 6)} <= found
+    assert any("2·99.9999 + 120 Hz" in n.text for n in lines.notices)
+
+
+def test_undersampled_tones_are_found_at_their_aliases(data_dir):
+    time, values = _stacked(_three_tones(data_dir, 256))
+    lines = find_lines(time, values, TONES_HZ, [1])
+    np.testing.assert_allclose(lines.frequency_hz, [119.9999, 149.9999], atol=5e-5)
+    named = next(n.text for n in lines.notices if n.where == "120 Hz")
+    assert re.search(r"read at 80 Hz, .*: 480 Hz \(4 × 120 Hz\), 720 Hz \(6 × 120 Hz\)", named)
+    dropped = [n for n in lines.notices if n.where == "100 Hz"]
+    assert len(dropped) == 1
+    assert "onto the Nyquist frequency" in dropped[0].text
+    fit = fit_sines(time, values, lines.frequency_hz, ["U", "F", "a"], ["V", "lb", "g"])
+    np.testing.assert_allclose(np.abs(fit.phasors.value[:, 0]), 0.4994, atol=2e-4)
+    refused(r"100 Hz is dropped: sampled at 200 Hz it folds to 100 Hz", find_lines, time, values, [100.0], [1])
+
+
+def test_ratio_at_the_alias_agrees_unless_harmonics_fold_onto_it(data_dir):
+    full, folded = _ratios(data_dir, 16), _ratios(data_dir, 256)
+    assert full[150.0] == pytest.approx(0.0920, abs=5e-4)
+    assert folded[150.0] == pytest.approx(full[150.0], rel=0.05)
+    # The 4th and 6th harmonic of 120 Hz are strong in this record, and nothing kept them out of the decimated file.
+    assert 0.12 < 1.0 - folded[120.0] / full[120.0] < 0.22
+    names = {fold.frequency_hz for fold in folded_harmonics(120.0, TONES_HZ, 200.0, 1.0 / 19.7)}
+    assert {480.0, 720.0} <= names

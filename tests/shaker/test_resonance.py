@@ -1,0 +1,502 @@
+"""One resonance, fitted and read: derivatives, exact parameters, bounds, coverage at any spacing; the fitting core."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from contracts import refused
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq, least_squares, minimize_scalar
+
+from shaker.arrays import ComplexArray, FloatArray, IntArray
+from shaker.fitting import Block, Prior, Residuals, Rules, Separable, eliminate, levenberg_marquardt
+from shaker.identification.measured import MeasuredCurve
+from shaker.identification.oscillator import Kind, Resonance, fit_resonance
+from shaker.identification.readings import PeakReadings, fit_circle, peak_readings, transmissibility_levels
+
+KINDS: tuple[Kind, ...] = ("transmissibility", "receptance", "mobility", "accelerance")
+FREQUENCY = np.arange(1300.0, 1650.0, 1.0)
+
+
+def curve(kind: Kind, f0: float, zeta: float, gain: complex, s: ComplexArray) -> ComplexArray:
+    """The textbook formulas, written out."""
+    w0 = 2.0 * np.pi * f0
+    pole = s**2 + 2.0 * zeta * w0 * s + w0**2
+    top = {"transmissibility": 2.0 * zeta * w0 * s + w0**2, "receptance": w0**2, "mobility": s * w0**2}
+    return np.asarray(gain * top.get(kind, s**2 * w0**2) / pole)
+
+
+def even(value: ComplexArray, share: float) -> FloatArray:
+    """Covariance of circular noise, a share of the largest value."""
+    return np.asarray((share * np.abs(value).max()) ** 2 * np.eye(2) * np.ones((len(value), 1, 1)))
+
+
+def noise(covariance: FloatArray, rng: np.random.Generator) -> ComplexArray:
+    draws = np.einsum("kij,kj->ki", np.linalg.cholesky(covariance), rng.standard_normal((len(covariance), 2)))
+    return np.asarray(draws[:, 0] + 1j * draws[:, 1])
+
+
+def fitted(value: ComplexArray, covariance: FloatArray, kind: Kind = "receptance", **words: Any) -> Resonance:
+    """A resonance fitted to values at `FREQUENCY`; words of the curve."""
+    return fit_resonance(MeasuredCurve(FREQUENCY, value, covariance, **words), kind)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    kind=st.sampled_from(KINDS),
+    f0=st.floats(1350.0, 1600.0),
+    zeta=st.floats(1e-3, 0.1),
+    magnitude=st.floats(1e-9, 1e3),
+    phase=st.floats(-3.0, 3.0),
+    decay=st.sampled_from([0.0, 20.0]),
+)
+def test_parameters_come_back_from_a_curve_without_noise(kind, f0, zeta, magnitude, phase, decay):
+    gain = complex(magnitude * np.exp(1j * phase))
+    value = curve(kind, f0, zeta, gain, decay + 2j * np.pi * FREQUENCY)
+    fit = fit_resonance(MeasuredCurve(FREQUENCY, value, even(value, 1e-6), added_decay_per_s=decay), kind)
+    assert (fit.frequency_hz, fit.damping_ratio) == (pytest.approx(f0, rel=1e-8), pytest.approx(zeta, rel=1e-6))
+    assert fit.gain == pytest.approx(gain, rel=1e-6)
+    np.testing.assert_allclose(fit.model(FREQUENCY, decay), value, rtol=1e-6)
+    assert fit.quality == pytest.approx(0.5 / zeta, rel=1e-6)
+
+
+def test_delay_and_the_rest_of_the_structure_come_back():
+    s = 2j * np.pi * FREQUENCY
+    value = (curve("accelerance", 1477.35, 0.0076, 1e-8, s) + s**2 * (0.04 / s**2 + 3e-9)) * np.exp(-s * 2e-5)
+    fit = fit_resonance(
+        MeasuredCurve(FREQUENCY, value, even(value, 1e-6)), "accelerance", delay=True, residual_terms=True
+    )
+    assert (fit.frequency_hz, fit.damping_ratio) == (pytest.approx(1477.35, rel=1e-7), pytest.approx(0.0076, rel=1e-5))
+    np.testing.assert_allclose(fit.model(FREQUENCY), value, rtol=1e-6)
+    assert len(fit.parameters) == 9
+    assert fit.u("delay_s") > 0.0
+    refused("expected one of frequency_hz", fit.u, "mass_kg")
+
+
+def test_half_power_frequencies_are_where_the_receptance_has_lost_three_decibels():
+    fit = Resonance(
+        "receptance", 100.0, 0.05, 1.0, 0.0, np.zeros(2, dtype=np.complex128), (), np.zeros((0, 0)), 0.0, 1.0
+    )
+    peak = np.max(np.abs(fit.model(np.linspace(80.0, 120.0, 400001))))
+    np.testing.assert_allclose(np.abs(fit.model(np.array(fit.half_power_hz))), peak / np.sqrt(2.0), rtol=1e-8)
+
+
+def test_errors_are_those_of_the_bound_and_intervals_hold():
+    # Bound: the covariance at the truth, from derivatives by differences, independent of the fit's own.
+    truth, s = np.array([1477.35, 0.5 / 66.0, 1.0, 0.0]), 2j * np.pi * FREQUENCY
+
+    def at(p: FloatArray) -> ComplexArray:
+        return curve("transmissibility", p[0], p[1], complex(p[2], p[3]), s)
+
+    value = at(truth)
+    covariance = (1e-3 * (0.2 + np.abs(value)))[:, None, None] ** 2 * np.array([[1.0, 0.3], [0.3, 0.5]])
+    steps = np.diag([1e-3, 1e-7, 1e-6, 1e-6])
+    slopes = np.stack([(at(truth + h) - at(truth - h)) / (2.0 * h.sum()) for h in steps], axis=1)
+    both = np.stack([slopes.real, slopes.imag], axis=1)
+    bound = np.linalg.inv(np.einsum("kia,kij,kjb->ab", both, np.linalg.inv(covariance), both))
+    rng = np.random.default_rng(11)
+    lengths, chi = [], []
+    for _ in range(200):
+        fit = fitted(value + noise(covariance, rng), covariance, "transmissibility")
+        error = np.array([fit.frequency_hz, fit.damping_ratio, fit.gain.real, fit.gain.imag]) - truth
+        lengths.append(error @ np.linalg.solve(bound, error))
+        chi.append(fit.chi_squared)
+    # χ² of 4 degrees of freedom: 200 trials put its mean within 4 ± 0.2.
+    assert np.mean(lengths) == pytest.approx(4.0, abs=0.6)
+    assert np.mean(np.array(lengths) < 9.488) == pytest.approx(0.95, abs=0.045)
+    assert np.mean(chi) == pytest.approx(2 * len(FREQUENCY) - 4, rel=0.01)
+    unit = np.sqrt(bound.diagonal())
+    np.testing.assert_allclose(fit.covariance / np.outer(unit, unit), bound / np.outer(unit, unit), atol=0.2)
+
+
+def test_correlated_lines_widen_the_uncertainty_as_they_widen_the_scatter():
+    value = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
+    kernel = np.array([1.0, 4 / 9, 1 / 36])
+    matrix = sum(np.diag(np.full(len(FREQUENCY) - abs(d), kernel[abs(d)]), d) for d in range(-2, 3))
+    root, rng = np.linalg.cholesky(np.asarray(matrix)), np.random.default_rng(3)
+    covariance = even(value, 1e-3)
+    size = np.sqrt(covariance[0, 0, 0])
+    error, u = [], 0.0
+    for _ in range(150):
+        draw = root @ (rng.standard_normal(len(value)) + 1j * rng.standard_normal(len(value)))
+        fit = fitted(value + size * draw, covariance, line_correlation=kernel + 0j)
+        error.append(fit.frequency_hz - 1477.35)
+        u = fit.u("frequency_hz")
+    assert np.std(error) == pytest.approx(u, rel=0.2)
+
+
+def test_a_misfit_enlarges_the_uncertainty():
+    value = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
+    two = value + curve("receptance", 1560.0, 0.01, 0.1, 2j * np.pi * FREQUENCY)
+    good, bad = fitted(value, even(value, 1e-4)), fitted(two, even(value, 1e-4))
+    assert bad.chi_squared > 100.0 * bad.dof
+    assert bad.u("frequency_hz") > 10.0 * good.u("frequency_hz")
+
+
+def test_what_cannot_be_fitted_is_refused_with_a_reason():
+    value = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
+    few = MeasuredCurve(FREQUENCY[:2], value[:2], even(value[:2], 1e-3))
+    refused("more than 2 lines", fit_resonance, few, "receptance")
+    refused("covariance: expected positive definite", fitted, value, 0.0 * even(value, 1e-3))
+    refused("covariance", MeasuredCurve, FREQUENCY, value, np.zeros((3, 2, 2)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("periods", [3, 5, 9, 21])
+def test_intervals_hold_also_where_covariances_come_from_few_periods(periods):
+    # U (k = 2) of frequency and damping; weights 1/s² alone leave 83 % instead of 95 % at three periods and 60 lines.
+    rng, dof = np.random.default_rng(periods), np.full(40, 2.0 * (periods - 1))
+    held, chi = [], []
+    for quality in np.repeat([20.0, 50.0, 100.0], 60):
+        zeta = 0.5 / quality
+        frequency = 1477.35 * (1.0 + 8.0 * zeta * np.linspace(-1.0, 1.02, len(dof)))
+        value = curve("transmissibility", 1477.35, zeta, 1.0, 2j * np.pi * frequency)
+        true = (0.02 * (0.3 * np.abs(value).max() + np.abs(value)))[:, None, None] ** 2 * np.eye(2)
+        seen = true * (rng.chisquare(dof) / dof)[:, None, None]
+        fit = fit_resonance(MeasuredCurve(frequency, value + noise(true, rng), seen, dof=dof), "transmissibility")
+        held.append(abs(fit.frequency_hz - 1477.35) < 2.0 * fit.u("frequency_hz"))
+        held.append(abs(fit.damping_ratio - zeta) < 2.0 * fit.u("damping_ratio"))
+        chi.append(fit.chi_squared / fit.dof)
+    # 360 nearly independent values: standard deviation of the share 0.011.
+    assert 0.915 < np.mean(held) < 0.985
+    assert np.median(chi) == pytest.approx(1.0, abs=0.25)
+
+
+def test_degrees_of_freedom_of_many_periods_change_nothing():
+    value = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
+    covariance = even(value, 1e-2)
+    value = value + noise(covariance, np.random.default_rng(2))
+    exact = fitted(value, covariance)
+    many = fit_resonance(MeasuredCurve(FREQUENCY, value, covariance, dof=np.full(len(value), 1e6)), "receptance")
+    assert many.frequency_hz == pytest.approx(exact.frequency_hz, abs=1e-3 * exact.u("frequency_hz"))
+    assert many.chi_squared == pytest.approx(exact.chi_squared, rel=1e-4)
+    np.testing.assert_allclose(many.covariance, exact.covariance, rtol=1e-3, atol=1e-3 * exact.covariance.max())
+    refused("dof", fitted, value, covariance, dof=np.ones(3))
+
+
+F0, SPACING = 1477.35, 0.78125
+GAIN = 1.02 * np.exp(0.3j)
+METHODS = ("maximum_bin", "maximum", "half_power", "half_amplitude", "circle")
+
+
+def transmissibility(frequency_hz: FloatArray, f0: float, zeta: float) -> ComplexArray:
+    """(1 + 2jζr)/(1 - r² + 2jζr)."""
+    r = frequency_hz / f0
+    return np.asarray((1.0 + 2j * zeta * r) / (1.0 - r * r + 2j * zeta * r))
+
+
+def flat(value: ComplexArray, share: float) -> FloatArray:
+    """Covariance of circular noise, in each part a share of the largest |H|."""
+    return np.asarray((share * np.abs(value).max()) ** 2 * np.eye(2) * np.ones((len(value), 1, 1)))
+
+
+def read(frequency: FloatArray, value: ComplexArray, share: float) -> PeakReadings:
+    """Readings of a curve with circular noise of a share of its largest |H|."""
+    return peak_readings(MeasuredCurve(frequency, value, flat(value, share)))
+
+
+def lines(f0: float, zeta: float, spacing: float, shift: float = 0.0) -> FloatArray:
+    """A grid that holds the width at half amplitude and more."""
+    reach = max(12.0 * spacing, 5.0 * zeta * f0)
+    first = np.ceil((f0 - reach) / spacing) + shift
+    return np.asarray(spacing * (first + np.arange(int(2.0 * reach / spacing))))
+
+
+def by_search(zeta: float, level: float) -> tuple[float, float, float]:
+    """Maximum and crossings of |T|² found by numerical search."""
+
+    def power(r: float) -> float:
+        return float(np.abs(transmissibility(np.array([r]), 1.0, zeta)[0]) ** 2)
+
+    top = float(minimize_scalar(lambda r: -power(r), bounds=(0.5, 1.2), method="bounded", options={"xatol": 1e-12}).x)
+    goal = power(top) / level
+    return top, brentq(lambda r: power(r) - goal, 1e-3, top), brentq(lambda r: power(r) - goal, top, 3.0)
+
+
+@pytest.mark.parametrize("zeta", [1e-3, 0.0075, 0.05, 0.15])
+@pytest.mark.parametrize("level", [2.0, 4.0])
+def test_levels_of_the_transmissibility_are_where_a_search_finds_them(zeta, level):
+    if level * 1.01 >= 1.0 / (4.0 * zeta**2):
+        pytest.skip("|T| does not fall so far below its maximum on the low side")
+    expected = by_search(zeta, level)
+    found = transmissibility_levels(zeta, level)
+    assert found[0] == pytest.approx(expected[0], abs=1e-7)  # a flat top is found to the root of the precision
+    assert found[1:] == pytest.approx(expected[1:], rel=1e-9)
+    assert found[0] == pytest.approx(1.0 - zeta**2, abs=4.0 * zeta**4)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    quality=st.floats(20.0, 800.0),
+    shift=st.floats(0.0, 1.0),
+    spacing=st.floats(0.1, 1.0),
+    magnitude=st.floats(1e-6, 1e3),
+    phase=st.floats(-3.0, 3.0),
+)
+def test_without_noise_only_the_bin_maximum_depends_on_the_lines(quality, shift, spacing, magnitude, phase):
+    zeta = 0.5 / quality
+    frequency = lines(F0, zeta, spacing, shift)
+    value = transmissibility(frequency, F0, zeta) * magnitude * np.exp(1j * phase)
+    found = read(frequency, value, 1e-6)
+    top, low, high = transmissibility_levels(zeta)
+    assert found.circle.frequency_hz == pytest.approx(F0, rel=1e-9)
+    assert (found.circle.damping_ratio, found.half_power.frequency_hz) == pytest.approx((zeta, F0), rel=1e-7)
+    assert found.half_power.damping_ratio == pytest.approx(zeta, rel=1e-7 + 0.05 * zeta**2)
+    assert found.half_power.width_hz == pytest.approx((high - low) * F0, rel=1e-7 + 0.05 * zeta**2)
+    assert found.maximum.frequency_hz == pytest.approx(top * F0, rel=1e-8 + 5.0 * zeta**4)
+    assert found.half_amplitude.damping_ratio == pytest.approx(np.sqrt(3.0) * zeta, rel=1e-6 + 5.0 * zeta**2)
+    assert abs(found.maximum_bin.frequency_hz - top * F0) <= 0.5 * spacing * (1.0 + 1e-6)
+    assert found.lines_in_width == pytest.approx(found.half_power.width_hz / spacing)
+
+
+def log_parabola(frequency: FloatArray, value: ComplexArray) -> float:
+    """The usual interpolation: vertex of the parabola through ln|H| of the largest line and its two neighbours."""
+    at = int(np.argmax(np.abs(value)))
+    below, middle, above = np.log(np.abs(value[at - 1 : at + 2]))
+    return float(frequency[at] + 0.5 * SPACING * (below - above) / (below - 2.0 * middle + above))
+
+
+@pytest.mark.parametrize(
+    ("quality", "bias_hz"), [(40.0, 3.0e-4), (66.0, 5.2e-4), (150.0, 2.0e-3), (400.0, 1.2e-2), (800.0, 3.6e-2)]
+)
+def test_the_parabola_of_the_reciprocal_has_no_bias_where_that_of_the_logarithm_has_some(quality, bias_hz):
+    """At 0.78125 Hz and 1477.35 Hz: the largest bias over all places of the maximum between two lines."""
+    zeta = 0.5 / quality
+    by_logarithm, by_reciprocal = [], []
+    for shift in np.linspace(0.0, 1.0, 21):
+        frequency = lines(F0, zeta, SPACING, float(shift))
+        value = transmissibility(frequency, F0, zeta)
+        true = transmissibility_levels(zeta)[0] * F0
+        by_logarithm.append(log_parabola(frequency, value) - true)
+        by_reciprocal.append(read(frequency, value, 1e-3).maximum.frequency_hz - true)
+    assert np.abs(by_logarithm).max() == pytest.approx(bias_hz, rel=0.05)
+    assert np.abs(by_reciprocal).max() < 1e-7 * F0
+
+
+@pytest.mark.parametrize(
+    ("quality", "noise", "spacing"),
+    [(66.0, 1e-3, SPACING), (66.0, 2e-2, 0.2), (40.0, 5e-3, SPACING), (400.0, 3e-3, SPACING), (800.0, 3e-3, SPACING)],
+)
+def test_readings_scatter_as_their_uncertainties_say(quality, noise, spacing):
+    zeta, trials = 0.5 / quality, 100
+    rng, frequency = np.random.default_rng(3), lines(F0, zeta, spacing)
+    clean = transmissibility(frequency, F0, zeta) * GAIN
+    covariance = flat(clean, noise)
+    u, top = np.sqrt(covariance[0, 0, 0]), transmissibility_levels(zeta)[0] * F0
+    truths = {"maximum": top, "half_amplitude": top}
+    scores = []
+    for _ in range(trials):
+        drawn = clean + u * (rng.standard_normal(len(clean)) + 1j * rng.standard_normal(len(clean)))
+        row: list[float] = []
+        for reading in peak_readings(MeasuredCurve(frequency, drawn, covariance)).all[1:]:
+            damping = zeta * (np.sqrt(3.0) if reading.method == "half_amplitude" else 1.0)
+            row.append((reading.frequency_hz - truths.get(reading.method, F0)) / reading.u_frequency_hz)
+            row.append((reading.damping_ratio - damping) / reading.u_damping_ratio)
+        scores.append(row)
+    scored = np.array(scores)[:, [0, 2, 3, 4, 5, 6, 7]]
+    assert np.all(np.isfinite(scored))
+    scatter = np.sqrt(np.mean(scored**2, axis=0))
+    np.testing.assert_allclose(scatter, 1.0, atol=4.0 / np.sqrt(2.0 * trials))
+
+
+def test_the_line_of_the_maximum_wanders_as_much_as_it_says():
+    """A flat top in noise: far more than half a spacing."""
+    zeta, noise, trials = 0.5 / 40.0, 1e-2, 120
+    rng, frequency = np.random.default_rng(8), lines(F0, zeta, SPACING)
+    clean = transmissibility(frequency, F0, zeta)
+    covariance = flat(clean, noise)
+    u = np.sqrt(covariance[0, 0, 0])
+    readings = []
+    for _ in range(trials):
+        drawn = clean + u * (rng.standard_normal(len(clean)) + 1j * rng.standard_normal(len(clean)))
+        readings.append(peak_readings(MeasuredCurve(frequency, drawn, covariance)).maximum_bin)
+    error = np.array([reading.frequency_hz for reading in readings]) - transmissibility_levels(zeta)[0] * F0
+    stated = np.sqrt(np.mean([reading.u_frequency_hz**2 for reading in readings]))
+    assert stated > 3.0 * SPACING / np.sqrt(12.0)
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(stated, rel=0.2)
+
+
+def test_in_little_noise_the_line_of_the_maximum_is_uncertain_by_half_a_spacing():
+    value = transmissibility(frequency := lines(F0, 1e-3, SPACING), F0, 1e-3)
+    found = read(frequency, value, 1e-6)
+    assert found.maximum_bin.u_frequency_hz == pytest.approx(SPACING / np.sqrt(12.0), rel=1e-6)
+    assert np.isnan(found.maximum_bin.damping_ratio)
+
+
+def test_correlated_lines_are_less_certain():
+    """Errors of neighbouring lines that go together, as a Hann window makes them (Monte Carlo of windowed noise)."""
+    zeta, trials = 0.5 / 66.0, 120
+    rng, frequency = np.random.default_rng(4), lines(F0, zeta, SPACING)
+    clean = transmissibility(frequency, F0, zeta)
+    covariance = flat(clean, 2e-3)
+    u = np.sqrt(covariance[0, 0, 0])
+    correlation = np.array([1.0, -2.0 / 3.0, 1.0 / 6.0], dtype=np.complex128)
+    told, found = [], []
+    for _ in range(trials):
+        white = rng.standard_normal((2, len(clean) + 2)) / np.sqrt(1.5)
+        smeared = white[:, 1:-1] - 0.5 * (white[:, :-2] + white[:, 2:])
+        drawn = clean + u * (smeared[0] + 1j * smeared[1])
+        told.append(peak_readings(MeasuredCurve(frequency, drawn, covariance, line_correlation=correlation)).circle)
+        found.append(told[-1].damping_ratio / zeta - 1.0)
+    plain = peak_readings(MeasuredCurve(frequency, drawn, covariance)).circle.u_damping_ratio
+    stated = np.sqrt(np.mean([reading.u_damping_ratio**2 for reading in told])) / zeta
+    assert np.std(found) == pytest.approx(stated, rel=0.2)
+    assert abs(plain / zeta / stated - 1.0) > 0.3
+
+
+def test_the_circle_loses_little_to_a_fit_of_the_curve_and_other_modes_do_not_turn_it():
+    zeta = 0.5 / 66.0
+    frequency = lines(F0, zeta, SPACING)
+    clean = transmissibility(frequency, F0, zeta) * GAIN
+    covariance = flat(clean, 1e-3)
+    alone = peak_readings(MeasuredCurve(frequency, clean, covariance))
+    fit = fit_resonance(MeasuredCurve(frequency, clean, covariance), "transmissibility")
+    assert alone.circle.u_frequency_hz < 2.5 * fit.u("frequency_hz")
+    assert alone.circle.u_damping_ratio < 2.5 * fit.u("damping_ratio")
+    added = 3.0 * np.exp(1j) / (1j * frequency / F0)  # nearly a constant in the plane of the circle
+    moved = peak_readings(MeasuredCurve(frequency, clean + added, covariance))
+    assert moved.circle.frequency_hz == pytest.approx(F0, rel=2e-7)
+    assert moved.circle.damping_ratio == pytest.approx(zeta, rel=3e-5)
+    assert abs(moved.half_power.damping_ratio / zeta - 1.0) > 1e-3
+
+
+def test_the_circle_itself():
+    """Diameter |G|/(2ζ), through the origin."""
+    zeta = 0.5 / 66.0
+    value = transmissibility(frequency := lines(F0, zeta, SPACING), F0, zeta) * GAIN
+    fit = fit_circle(MeasuredCurve(frequency, value, flat(value, 1e-3)), F0 * 1.0005, 1.1 * zeta)
+    assert fit is not None
+    assert (fit.radius, abs(fit.centre)) == pytest.approx((0.5 * 1.02 / (2.0 * zeta), fit.radius), rel=1e-9)
+    assert np.angle(fit.centre) == pytest.approx(0.3, abs=1e-9)
+
+
+def test_what_the_lines_do_not_resolve_is_noted():
+    narrow, wide = (
+        read(grid, transmissibility(grid, F0, zeta), 1e-3)
+        for zeta in (0.5 / 800.0, 0.5 / 66.0)
+        for grid in [lines(F0, zeta, SPACING)]
+    )
+    assert narrow.half_power.note.startswith("2.4 lines in the half-power width, fewer than 4")
+    assert "damping overstated by √3; 2.4 lines" in narrow.half_amplitude.note
+    assert not wide.half_power.note
+    assert wide.half_amplitude.note == "damping overstated by √3"
+
+
+def test_a_band_that_ends_in_the_peak_leaves_widths_unread():
+    zeta, frequency = 0.5 / 66.0, np.arange(F0 - 6.0, F0 + 6.0, SPACING)
+    found = read(frequency, transmissibility(frequency, F0, zeta), 1e-4)
+    assert found.maximum.frequency_hz == pytest.approx(transmissibility_levels(zeta)[0] * F0, rel=1e-6)
+    assert np.isnan(found.half_power.damping_ratio)
+    assert "does not fall to 1/√2" in found.half_power.note
+    assert found.circle.note
+
+
+def test_of_two_peaks_the_higher_is_read():
+    frequency = np.arange(900.0, 1700.0, SPACING)
+    value = transmissibility(frequency, F0, 0.004) + 0.3 * transmissibility(frequency, 1092.97, 0.004)
+    found = read(frequency, value, 1e-3)
+    for name in METHODS[1:]:
+        assert getattr(found, name).frequency_hz == pytest.approx(F0, abs=0.3)
+    assert [reading.method for reading in found.all] == list(METHODS)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"frequency": np.arange(3.0) + 1.0}, "at least 5 lines, found 3"),
+        ({"frequency": np.arange(10.0)}, "ascending positive"),
+        ({"covariance": np.ones((10, 2))}, "covariance: expected an array of shape"),
+        ({"value": np.full(10, np.nan)}, "value: expected finite"),
+        ({"covariance": np.zeros((10, 2, 2))}, "covariance: expected positive definite"),
+    ],
+)
+def test_wrong_calls_are_named(change, message):
+    frequency = change.get("frequency", np.arange(10.0) + 1.0)
+    value = np.asarray(change.get("value", np.arange(len(frequency)) + 1.0), dtype=np.complex128)
+    covariance = change.get("covariance", flat(np.ones(len(frequency), dtype=np.complex128), 0.1))
+    refused(message, lambda: peak_readings(MeasuredCurve(frequency, value, covariance)))
+
+
+TIME, RULES = np.linspace(0.0, 4.0, 60), Rules(foretold_share=1e-14)
+
+
+def _decays(rates: FloatArray, data: FloatArray) -> Separable:
+    """A level and two decays with free amplitudes, in two outputs (60, 2)."""
+    waves = np.exp(-TIME[:, None] * rates)
+
+    def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
+        return np.arange(2), (-TIME[:, None] * waves)[:, :, None] * own[1:]
+
+    return Separable(rates, (Block(np.hstack([np.ones((60, 1)), waves]), data, changes),))
+
+
+def _data() -> FloatArray:
+    waves = np.exp(-TIME[:, None] * np.array([0.7, 3.0])) @ np.array([[1.0, -0.4], [0.5, 2.0]])
+    return np.asarray(waves + 0.3 + 1e-2 * np.random.default_rng(1).standard_normal((60, 2)))
+
+
+def test_a_narrow_valley_is_followed_to_its_end():
+    def at(x: FloatArray) -> Residuals | None:
+        residual = np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+        return Residuals(x, residual, np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])) if x[0] < 1.5 else None
+
+    begin = at(np.array([-1.2, 1.0]))
+    assert begin is not None
+    end = levenberg_marquardt(at, begin, RULES)
+    assert end.converged
+    assert end.point.parameters == pytest.approx([1.0, 1.0], abs=1e-6)
+    assert np.all(np.diff(end.losses) < 0)
+
+
+def test_projected_coefficients_give_the_joint_minimum():
+    data = _data()
+    end = levenberg_marquardt(lambda x: _decays(x, data), _decays(np.array([0.5, 5.0]), data), RULES).point
+
+    def joint(x: FloatArray) -> FloatArray:
+        design = np.hstack([np.ones((60, 1)), np.exp(-TIME[:, None] * x[:2])])
+        return np.asarray((data - design @ x[2:].reshape(3, 2)).ravel())
+
+    whole = np.concatenate([end.parameters, end.coefficients[0].ravel()])
+    reference = least_squares(joint, whole * 1.05, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    np.testing.assert_allclose(whole, reference.x, rtol=1e-6)
+    assert (end.loss, end.freedom) == (pytest.approx(2.0 * reference.cost, rel=1e-10), 120 - 6 - 2)
+    covariance = np.linalg.inv(reference.jac.T @ reference.jac)[:2, :2]
+    np.testing.assert_allclose(np.linalg.inv(end.normal[0]), covariance, rtol=2e-3)
+
+
+def test_the_gradient_is_that_of_the_projected_loss():
+    data, rates = _data(), np.array([0.5, 5.0])
+    downhill = _decays(rates, data).normal[1]
+    for place in range(2):
+        step = 1e-6 * np.eye(2)[place]
+        slope = (_decays(rates + step, data).loss - _decays(rates - step, data).loss) / 2e-6
+        assert downhill[place] == pytest.approx(-0.5 * slope, rel=1e-5)
+
+
+def test_what_is_known_beforehand_weighs_by_its_variance():
+    """Of a mean x of n data and a prior (m, u): (n x/s² + m/u²)/(n/s² + 1/u²), s² of the residual there."""
+    data = np.random.default_rng(2).standard_normal(50) + 3.0
+
+    def at(x: FloatArray) -> Residuals:
+        return Residuals(x, x[0] - data, np.ones((50, 1)))
+
+    end = levenberg_marquardt(at, at(np.zeros(1)), RULES, prior=Prior(np.array([0.0]), np.array([0.1]))).point
+    variance = end.loss / 49
+    expected = np.sum(data) / variance / (50 / variance + 100.0)
+    assert end.parameters[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_dependent_columns_share_and_the_root_is_that_of_the_covariance():
+    design = np.stack([np.ones(60), TIME, TIME**2], axis=1)
+    part = eliminate(design, _data())
+    np.testing.assert_allclose(part.root @ part.root.T, np.linalg.inv(design.T @ design), rtol=1e-9)
+    assert np.abs(design.T @ part.residual).max() < 1e-10
+    twice = eliminate(np.hstack([design, 1e6 * design[:, :1]]), _data())
+    np.testing.assert_allclose(twice.residual, part.residual, atol=1e-12)
+    np.testing.assert_allclose(twice.coefficients[0], 1e6 * twice.coefficients[3], rtol=1e-6)
+
+
+def test_a_start_without_a_loss_is_refused():
+    with pytest.raises(ValueError, match="start: expected parameters"):
+        levenberg_marquardt(lambda x: None, Residuals(np.zeros(1), np.array([np.inf]), np.ones((1, 1))), RULES)
