@@ -17,7 +17,6 @@ from scipy.ndimage import spline_filter
 
 from photogram.bspline import PADDING_PX, spline_of_image
 from photogram.subsets import icgn_torch as engine
-from photogram.subsets import track as device_module
 from photogram.subsets.icgn import Registration, noise_of_residual, position_covariance, register
 from photogram.subsets.icgn_stream import follow_frames, forecast_warps
 from photogram.subsets.icgn_torch import (
@@ -37,7 +36,7 @@ from photogram.subsets.reference import (
     subset_offsets,
 )
 from photogram.subsets.search import predict_warp
-from photogram.subsets.track import TrackSettings, follow, identity, resolve_device
+from photogram.subsets.track import TrackSettings, follow, identity
 
 SIZE = (150, 108)
 CENTRES = np.array([(x, y) for y in range(20, 90, 22) for x in range(20, 132, 22)], dtype=float)
@@ -585,38 +584,3 @@ def test_wrong_calls_are_refused(noisy_frames):
     refused("precision: expected one of float64, float32, found 'half'", torch_reference, reference, "cpu", "half")
     series = follow_frames(reference, noisy_frames[0], noisy_frames[1:], TrackSettings(), "cpu", batch_frames=0)
     refused("batch_frames: expected at least 1, found 0", next, series)
-
-
-@pytest.mark.parametrize(
-    ("choice", "driver", "torch_finds", "expected"),
-    [
-        ("cpu", True, True, "cpu"),
-        ("auto", True, True, "cuda"),
-        ("auto", True, False, "cpu"),
-        ("auto", False, True, "cpu"),
-        ("cuda", True, True, "cuda"),
-        ("cuda", False, True, "cuda"),
-    ],
-)
-def test_device_is_chosen(monkeypatch, choice, driver, torch_finds, expected):
-    monkeypatch.setattr(device_module, "_has_driver", lambda: driver)
-    monkeypatch.setattr(device_module, "_torch_finds_cuda", lambda: torch_finds)
-    assert resolve_device(choice) == expected
-
-
-def test_an_absent_gpu_is_an_error_only_when_asked_for(monkeypatch):
-    monkeypatch.setattr(device_module, "_torch_finds_cuda", lambda: False)
-    refused("device: expected a GPU that torch can use for 'cuda', found none", resolve_device, "cuda")
-    refused("device: expected one of auto, cpu, cuda, found 'gpu'", resolve_device, "gpu")
-
-
-def test_a_machine_without_a_driver_is_not_asked_for_torch(monkeypatch):
-    def refuse(name: str) -> None:
-        raise OSError(f"{name}: no such library")
-
-    def never() -> bool:
-        raise AssertionError("torch was imported")
-
-    monkeypatch.setattr(device_module.ctypes, "CDLL", refuse)
-    monkeypatch.setattr(device_module, "_torch_finds_cuda", never)
-    assert resolve_device("auto") == "cpu"

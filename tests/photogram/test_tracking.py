@@ -20,6 +20,7 @@ from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence, open_sequence
 from photogram.motion import RigidMotion, fit_motion
+from photogram.subsets import track as device_module
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.search import predict_warp
 from photogram.subsets.track import (
@@ -28,6 +29,7 @@ from photogram.subsets.track import (
     follow_sequence,
     match_stereo,
     prepare_sequence,
+    resolve_device,
     track_sequence,
     track_stereo,
 )
@@ -505,3 +507,41 @@ def test_swapped_cameras_see_the_same_motion(stereo):
     for k in (1, 2):
         # the mean of χ² with six degrees of freedom: both share most of their noise
         assert difference[k] @ np.linalg.solve(covariance[k], difference[k]) < 6.0
+
+
+# The device that registers.
+
+
+@pytest.mark.parametrize(
+    ("choice", "driver", "torch_finds", "expected"),
+    [
+        ("cpu", True, True, "cpu"),
+        ("auto", True, True, "cuda"),
+        ("auto", True, False, "cpu"),
+        ("auto", False, True, "cpu"),
+        ("cuda", True, True, "cuda"),
+        ("cuda", False, True, "cuda"),
+    ],
+)
+def test_device_is_chosen(monkeypatch, choice, driver, torch_finds, expected):
+    monkeypatch.setattr(device_module, "_has_driver", lambda: driver)
+    monkeypatch.setattr(device_module, "_torch_finds_cuda", lambda: torch_finds)
+    assert resolve_device(choice) == expected
+
+
+def test_an_absent_gpu_is_an_error_only_when_asked_for(monkeypatch):
+    monkeypatch.setattr(device_module, "_torch_finds_cuda", lambda: False)
+    refused("device: expected a GPU that torch can use for 'cuda', found none", resolve_device, "cuda")
+    refused("device: expected one of auto, cpu, cuda, found 'gpu'", resolve_device, "gpu")
+
+
+def test_a_machine_without_a_driver_is_not_asked_for_torch(monkeypatch):
+    def refuse(name: str) -> None:
+        raise OSError(f"{name}: no such library")
+
+    def never() -> bool:
+        raise AssertionError("torch was imported")
+
+    monkeypatch.setattr(device_module.ctypes, "CDLL", refuse)
+    monkeypatch.setattr(device_module, "_torch_finds_cuda", never)
+    assert resolve_device("auto") == "cpu"
