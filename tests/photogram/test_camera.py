@@ -58,6 +58,17 @@ def test_projection_is_opencvs(distortion):
 
 
 @pytest.mark.parametrize("distortion", DISTORTIONS)
+def test_projection_is_kornias(distortion):
+    torch = pytest.importorskip("torch")
+    from kornia.geometry.calibration import distort_points
+
+    points, one = in_view(500), camera(distortion)
+    ideal = points[:, :2] / points[:, 2:] @ one.matrix[:2, :2].T + one.matrix[:2, 2]
+    tensors = [torch.from_numpy(array) for array in (ideal, one.matrix, one.distortion)]
+    np.testing.assert_allclose(one.project(points), distort_points(*tensors).numpy(), atol=1e-9)
+
+
+@pytest.mark.parametrize("distortion", DISTORTIONS)
 def test_undistortion_agrees_with_opencv_iterated_to_the_end(distortion):
     one = camera(distortion)
     pixels = np.random.default_rng(1).uniform(0, 1, (500, 2)) * SIZE
@@ -225,6 +236,30 @@ def test_covariance_is_that_of_opencvs_derivatives():
     np.testing.assert_allclose(found.covariance_m2[0], np.linalg.inv(sum(information)), rtol=1e-8)
 
 
+def test_covariance_is_that_of_the_jacobian_by_automatic_differentiation():
+    torch = pytest.importorskip("torch")
+    from kornia.geometry.calibration import distort_points
+
+    rig, points = stereo_rig(), in_view(20)
+    left, right = rig.project(points)
+    triangulated = triangulate(rig, left[None], right[None], LEFT_PX2, RIGHT_PX2)
+
+    def pixels(x):
+        seen = []
+        for one, pose in ((rig.left, RigidTransform.identity()), (rig.right, rig.right_from_left)):
+            matrix, distortion = torch.from_numpy(one.matrix), torch.from_numpy(one.distortion)
+            inside = torch.from_numpy(pose.rotation) @ x + torch.from_numpy(pose.translation_m)
+            seen.append(distort_points((matrix @ (inside / inside[2]))[:2][None], matrix, distortion)[0])
+        return torch.cat(seen)
+
+    weight = np.zeros((4, 4))
+    weight[:2, :2], weight[2:, 2:] = np.linalg.inv(LEFT_PX2), np.linalg.inv(RIGHT_PX2)
+    for i, point in enumerate(points):
+        jacobian = torch.autograd.functional.jacobian(pixels, torch.from_numpy(point)).numpy()
+        expected = np.linalg.inv(jacobian.T @ weight @ jacobian)
+        np.testing.assert_allclose(triangulated.covariance_m2[0, i], expected, rtol=1e-8)
+
+
 def test_stated_covariance_contains_the_truth_as_often_as_it_says():
     points, trials = points_in_view(10), 2000
     left, right = noisy(points, trials, 3)
@@ -359,6 +394,14 @@ def test_half_turn_comes_back_as_one_of_its_two_vectors():
     v = vectors_of_angle(np.pi)
     back = vector_from_rotation(rotation_from_vector(v))
     np.testing.assert_allclose(np.abs((back * v).sum(axis=1)), np.pi**2, rtol=1e-12)
+
+
+def test_exponential_agrees_with_kornia():
+    torch = pytest.importorskip("torch")
+    from kornia.geometry.liegroup import So3
+
+    v = np.random.default_rng(0).normal(size=(100, 3))
+    np.testing.assert_allclose(rotation_from_vector(v), So3.exp(torch.from_numpy(v)).matrix().numpy(), atol=2e-15)
 
 
 @given(vectors)
