@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
@@ -307,8 +307,6 @@ def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
 LARGEST_PLAIN = 1e5
 SMALLEST_PLAIN = 1e-2
 DASH = "–"
-LONGEST_SHOWN = 60
-"""Characters of a value that a result shows when it is printed in Python."""
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
 
@@ -357,26 +355,6 @@ def typeset(unit: str) -> str:
 
 
 # How results that hold many numbers print.
-
-
-def brief(result: Any) -> str:
-    """Return a data class as one line: arrays by their shape, collections by their length.
-
-    >>> from fusion import Settings
-    >>> brief(Settings(seed=1))
-    "Settings(subset_radius_px=None, spline_degree=7, device='auto', monte_carlo=0, seed=1)"
-    """
-    shown = []
-    for field in fields(result):
-        value = getattr(result, field.name)
-        if hasattr(value, "shape"):
-            text = f"array {value.shape}"
-        elif isinstance(value, tuple | dict) and len(repr(value)) > LONGEST_SHOWN:
-            text = f"{len(value)} of {type(value).__name__}"
-        else:
-            text = repr(value) if len(repr(value)) <= LONGEST_SHOWN else type(value).__name__
-        shown.append(f"{field.name}={text}")
-    return f"{type(result).__name__}({', '.join(shown)})"
 
 
 # The program and the libraries that compute with it.

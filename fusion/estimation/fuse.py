@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from fusion.base import AnyNotice, brief
+from fusion.base import AnyNotice
 from fusion.estimation.consistency import (
     NOTABLE_DEVIATION,
     CommonEstimate,
@@ -38,7 +38,7 @@ from fusion.estimation.variance_components import (
     failing_lines,
     scatter_covariances,
 )
-from shaker.arrays import BoolArray, FloatArray, IntArray, Notice
+from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import AnyNotice, InputError, as_input_error, brief
+from fusion.base import AnyNotice, InputError, as_input_error
 from fusion.instruments import TRANSDUCERS
 from fusion.instruments.channel import ChainUncertainty, Reading
 from fusion.phasors.timing import TimeBase
 from fusion.recording.response import read_response
-from shaker.arrays import FloatArray, Notice
+from shaker.arrays import FloatArray, Notice, brief
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.lines.spectrum import amplitude_spectrum

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import AnyNotice, ComputeError, brief
+from fusion.base import AnyNotice, ComputeError
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import Reading
 from fusion.instruments.stereo import CALIBRATION, PERIODIC, LineTurns, PulseExposure, StereoReading
@@ -23,7 +23,7 @@ from photogram.images import GreyImage, NoiseModel
 from photogram.motion import Deformation, RigidMotion, fit_motion, relative_to
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.track import StereoTracks
-from shaker.arrays import ComplexArray, FloatArray, Notice
+from shaker.arrays import ComplexArray, FloatArray, Notice, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import Lines
 from shaker.sine.aliasing import exposure_gain, sine_columns, usable_lines

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.base import AnyNotice, ComputeError, brief
+from fusion.base import AnyNotice, ComputeError
 from fusion.estimation.fuse import Acceleration, fuse_sources
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import Reading
@@ -18,6 +18,7 @@ from fusion.sensitivity.body import Body, load_body
 from fusion.sensitivity.distributions import MonteCarlo
 from fusion.sensitivity.load import LoadResult, load_phasors
 from fusion.sensitivity.ratio import Sensitivity, driven_component, parasitic_loads, sensitivity_ratio
+from shaker.arrays import brief
 from shaker.lines.frequencies import Lines
 
 if TYPE_CHECKING:

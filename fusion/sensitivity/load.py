@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion.base import AnyNotice, brief
+from fusion.base import AnyNotice
 from fusion.estimation.least_squares import BODY_SIZE_M, UNOBSERVED_MOTION, hidden_motion
 from fusion.estimation.uncertainty import (
     Contribution,
@@ -21,7 +21,7 @@ from fusion.estimation.uncertainty import (
     total_variance,
 )
 from fusion.sensitivity.body import Body, MatrixChange
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief, check_shape
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors, real_stacked_diagonal
 

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion.base import AnyNotice, brief, rounded
+from fusion.base import AnyNotice, rounded
 from fusion.estimation.uncertainty import (
     Influence,
     Polar,
@@ -24,7 +24,7 @@ from fusion.instruments.output import Outputs
 from fusion.instruments.vibrometer import PARALLEL, PointRatios, PointSpread
 from fusion.sensitivity.body import Body
 from fusion.sensitivity.load import BudgetEntry, LoadResult, budget
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief, check_shape
 from shaker.labels import LOAD_COMPONENTS
 
 # The complex sensitivity: elements by output channel and load component, and the ratio of one recording.

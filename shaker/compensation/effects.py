@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.compensation.filter import (
     Compensation,
     CompensationFilter,
@@ -132,8 +132,8 @@ def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[Target
 # What a compensation filter makes of the sensor's noise.
 
 
-@dataclass(frozen=True)
-class FilteredNoise:
+@dataclass(frozen=True, repr=False)
+class FilteredNoise(Brief):
     """Noise after a filter: `density` (K,) in output unit/√Hz at `frequency_hz` (K,), and `std` over that range."""
 
     frequency_hz: FloatArray
@@ -226,8 +226,8 @@ def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: 
 # How well a compensated signal is known: by frequency and sample by sample.
 
 
-@dataclass(frozen=True)
-class GainBand:
+@dataclass(frozen=True, repr=False)
+class GainBand(Brief):
     """Standard uncertainties over `frequency_hz` (K,) of a compensated sensor: `u_gain` relative, `u_phase_rad`."""
 
     frequency_hz: FloatArray
@@ -235,8 +235,8 @@ class GainBand:
     u_phase_rad: FloatArray
 
 
-@dataclass(frozen=True)
-class CompensatedSignal:
+@dataclass(frozen=True, repr=False)
+class CompensatedSignal(Brief):
     """Compensated samples `value` (C, N) with standard uncertainty `u` (C, N).
 
     `u_model` (C, N): what the sensor's model contributes, 0 where its covariance is not known; `u_noise`: the noise

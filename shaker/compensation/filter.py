@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.lti.indices import step_shares
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.load_model import LoadModel
@@ -18,8 +18,8 @@ RELATIVE_STEP = 1e-5
 """Of the load mass, to either side, for the derivative by it."""
 
 
-@dataclass(frozen=True)
-class SensorDynamics:
+@dataclass(frozen=True, repr=False)
+class SensorDynamics(Brief):
     """The poles of a sensor that a filter cancels, and the whole sensor `system`, output unit per load unit.
 
     Modes `frequency_hz` (M,), rising, with `damping_ratio` (M,) and real poles at -2π·`real_hz` (Q,); `static_gain` =
@@ -296,8 +296,8 @@ HIGHEST_SHARE = 0.45
 DISCRETE_RELATIVE_STEP = 1e-6
 
 
-@dataclass(frozen=True)
-class Sections:
+@dataclass(frozen=True, repr=False)
+class Sections(Brief):
     """y = gain·Π_i (b0 + b1 z⁻¹ + b2 z⁻²)/(1 + a1 z⁻¹ + a2 z⁻²) u at `sample_rate_hz`.
 
     `sos` (S, 6): rows [b0, b1, b2, 1, a1, a2], run in this order; each has the static gain 1, so that a change of the

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import FloatArray, check_shape
+from shaker.arrays import Brief, FloatArray, check_shape
 from shaker.compensation.effects import state_space
 from shaker.compensation.filter import Sections
 from shaker.lti.system import LinearSystem
@@ -48,8 +48,8 @@ class HapticLoop:
                 raise ValueError(f"{name}: expected 0 or more, found {getattr(self, name)}")
 
 
-@dataclass(frozen=True)
-class FeedbackRun:
+@dataclass(frozen=True, repr=False)
+class FeedbackRun(Brief):
     """What user, sensor and ball did, samples (N,) in N; NaN from where the loop ran away.
 
     `applied` F_u, `told` what the sensor says of it, `fed_back` F_v of the ball. `tracking_error`: rms of F_u - F_v
@@ -66,8 +66,8 @@ class FeedbackRun:
     largest_error: float
 
 
-@dataclass(frozen=True)
-class _Matrices:
+@dataclass(frozen=True, repr=False)
+class _Matrices(Brief):
     """z[n+1] = A z[n] + B [x_h, v_h, wall, noise]; rows that read F_u, told force and F_v from z and the inputs."""
 
     a: FloatArray

@@ -7,22 +7,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.random import Generator
 
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.decoupling.model import MultiModel, StateSpace, sampled_modes
 
 # The filter against cross-talk: outputs to loads, as direct taps and a bank of poles, block by block.
 
 
-@dataclass(frozen=True)
-class FilterState:
+@dataclass(frozen=True, repr=False)
+class FilterState(Brief):
     """What a filter keeps between blocks: the last inputs (L, C) and what its poles hold (N,)."""
 
     inputs: FloatArray
     poles: ComplexArray
 
 
-@dataclass(frozen=True)
-class DecouplingFilter:
+@dataclass(frozen=True, repr=False)
+class DecouplingFilter(Brief):
     """Loads `components` (D,) from outputs `channels` (C,) in `unit`, sampled at `sample_rate_hz`.
 
     f[n] = Σ_k `taps`[k]·y[n - k] + Re Σ_i `shown`[:, i]·x_i[n - L], x_i[n + 1] = `poles`[i]·x_i[n] + `driven`[i]·y[n],
@@ -137,8 +137,8 @@ _SMALL = 1e-2
 _REAL = 1e-9
 
 
-@dataclass(frozen=True)
-class Target:
+@dataclass(frozen=True, repr=False)
+class Target(Brief):
     """Wanted dynamics of every load: `frequency_hz` and `damping_ratio` of one oscillator each (D,), static gain 1."""
 
     frequency_hz: FloatArray
@@ -152,8 +152,8 @@ class Target:
             raise ValueError(f"damping_ratio: expected between 0 and 1, found {self.damping_ratio.tolist()}")
 
 
-@dataclass(frozen=True)
-class Recorded:
+@dataclass(frozen=True, repr=False)
+class Recorded(Brief):
     """What a filter is designed for: noise (C,) of a sample of the outputs at `sample_rate_hz`, and loads (D,): the
     standard deviation of a sample of a white one. Their ratio rules how far the filter goes beyond the resonances."""
 
@@ -209,8 +209,8 @@ def design_decoupling(
     return replace(raw, taps=np.asarray(np.einsum("de,lec->ldc", mend, raw.taps)), shown=mend @ raw.shown)
 
 
-@dataclass(frozen=True)
-class _Gains:
+@dataclass(frozen=True, repr=False)
+class _Gains(Brief):
     """The steady filter in units of noise and loads: x⁺ = m·x + k·y, innovations y - c·x, gains[i] of the innovation i
     samples after the load, `left` (L + 1, D): mean square error of every load by delay; `size` (D,): mean
     square of the load with the wanted dynamics."""
@@ -292,8 +292,8 @@ _LONGEST = 20000
 _SHORTENED = 0.05
 
 
-@dataclass(frozen=True)
-class Crosstalk:
+@dataclass(frozen=True, repr=False)
+class Crosstalk(Brief):
     """Loads read over loads applied at one stage, in units of the loads: N or N·m per N or N·m.
 
     `stage`: "raw" (each load by the output of its name over its own sensitivity), "static" (inverse of the static

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, Notice
+from shaker.arrays import Brief, ComplexArray, FloatArray, Notice
 from shaker.decoupling.model import MultiModel, Poles, check_separable, in_order
 from shaker.decoupling.order import Trial, by_record, chosen, lagged, needed, otherwise, shaped
 from shaker.decoupling.problem import (
@@ -164,8 +164,8 @@ _COLOURED = 2.0
 _SCATTERED = 3.0
 
 
-@dataclass(frozen=True)
-class ReleaseFit:
+@dataclass(frozen=True, repr=False)
+class ReleaseFit(Brief):
     """One release: when (middle) and how long the load changed, in s with standard uncertainties, and how it went.
 
     `gain`: size of the outputs over that of the model of all releases of its load, with `u_gain` of the noise; `misfit`
@@ -185,8 +185,8 @@ class ReleaseFit:
     misfit: FloatArray
 
 
-@dataclass(frozen=True)
-class ModeRank:
+@dataclass(frozen=True, repr=False)
+class ModeRank(Brief):
     """Singular values of a mode's residues over their noise, and how many stand out of it.
 
     One is a mode with one shape, which moves outputs and takes up loads in fixed shares; more are modes that coincide.
@@ -196,8 +196,8 @@ class ModeRank:
     rank: int
 
 
-@dataclass(frozen=True)
-class MultiFit:
+@dataclass(frozen=True, repr=False)
+class MultiFit(Brief):
     """A model of C outputs over D loads with what it was found from.
 
     `noise` (C,): standard deviation of one sample of every output at `sample_rate_hz`; `amplitude` (D,): the largest

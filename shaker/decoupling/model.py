@@ -8,15 +8,15 @@ from functools import cached_property
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel
 
 # Poles that outputs and loads share.
 
 
-@dataclass(frozen=True)
-class Poles:
+@dataclass(frozen=True, repr=False)
+class Poles(Brief):
     """Common poles: `frequency_hz` and `damping_ratio` (M,) of the modes, `real_hz` (Q,)."""
 
     frequency_hz: FloatArray
@@ -143,8 +143,8 @@ class Poles:
 # A system with several outputs and several loads as a sum of modes that all its elements share.
 
 
-@dataclass(frozen=True)
-class ModelParts:
+@dataclass(frozen=True, repr=False)
+class ModelParts(Brief):
     """Numbers in the places of a model's parameters: modes (M,) and residues (M, C, D), real poles (Q,), (Q, C, D)."""
 
     frequency_hz: FloatArray
@@ -154,8 +154,8 @@ class ModelParts:
     real_residue: FloatArray
 
 
-@dataclass(frozen=True)
-class MultiModel:
+@dataclass(frozen=True, repr=False)
+class MultiModel(Brief):
     """H(s) = Σ_m [R_m/(s - p_m) + R̄_m/(s - p̄_m)] + Σ_q R_q/(s - p_q), outputs `channels` (C,) over loads (D,).
 
     Poles are common to all elements: p_m = -ζω + jω√(1 - ζ²), ω = 2π·`frequency_hz` (M,), ζ = `damping_ratio` (M,);
@@ -299,8 +299,8 @@ class MultiModel:
 _NO_SHAPE = 1e-9
 
 
-@dataclass(frozen=True)
-class StateSpace:
+@dataclass(frozen=True, repr=False)
+class StateSpace(Brief):
     """x[n+1] = a·x[n] + b·u[n], y[n] = c·x[n] + d·u[n]."""
 
     a: FloatArray

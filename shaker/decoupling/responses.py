@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, Notice, check_shape
 from shaker.decoupling.model import MultiModel, Poles, check_separable
 from shaker.decoupling.problem import covariances, rules
 from shaker.fitting import Block, Separable, levenberg_marquardt
@@ -16,8 +16,8 @@ _UNEXPLAINED = 1.5
 _WORSE = 2  # numbers of modes tried beyond the best
 
 
-@dataclass(frozen=True)
-class Responses:
+@dataclass(frozen=True, repr=False)
+class Responses(Brief):
     """Measured H (K, C, D) of outputs `channels` (C,) in `unit` over loads `components` (D,) at `frequency_hz` (K,).
 
     `covariance` (K, C, D, 2, 2) of Re and Im of every element. Elements of one line count as independent.

@@ -9,14 +9,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from shaker.arrays import FloatArray, IntArray, Notice, check_shape
+from shaker.arrays import Brief, FloatArray, IntArray, Notice, check_shape
 from shaker.elastomer.geometry import CrossBeams, Material, Section, beam_matrices, lumped
 
 # Rigid bodies of the element: the platform and what stands on it, as mass, height and inertia.
 
 
-@dataclass(frozen=True)
-class RigidPart:
+@dataclass(frozen=True, repr=False)
+class RigidPart(Brief):
     """A rigid body on the axis of the element: `mass_kg`, `height_m` of its centre of mass, `inertia_kgm2` (3,).
 
     Heights count along z from the plane of the beams' axes, moments of inertia Jx, Jy, Jz about the body's own centre.
@@ -78,8 +78,8 @@ def joined(parts: Sequence[RigidPart]) -> RigidPart:
 # A frame of beams in space with one rigid body and clamped ends: assembly and reduction.
 
 
-@dataclass(frozen=True)
-class Frame:
+@dataclass(frozen=True, repr=False)
+class Frame(Brief):
     """Beams between nodes: `node_m` (N, 3), `beam` (E, 2) node numbers, `section` of every beam.
 
     `rigid` (R,): nodes that move with a body whose point of reference is the origin; `clamped` (C,). Local z of every
@@ -160,8 +160,8 @@ EQUAL = 1e-4
 """Relative distance below which frequencies count as one, of a symmetric element's pairs."""
 
 
-@dataclass(frozen=True)
-class Modes:
+@dataclass(frozen=True, repr=False)
+class Modes(Brief):
     """The six modes that are named, in the order of `NAMES`.
 
     `frequency_hz` (6,). `participation` (6, 6): share of each rigid motion's mass that moves in each mode, modes down,
@@ -297,8 +297,8 @@ STEP = 1e-3
 """Relative step of the derivatives."""
 
 
-@dataclass(frozen=True)
-class FrameModel:
+@dataclass(frozen=True, repr=False)
+class FrameModel(Brief):
     """A solved frame: `frame`, `modes`, `stiffness` (6,) in N/m and N·m/rad as of `platform_stiffness`."""
 
     frame: Frame
@@ -378,8 +378,8 @@ EXACT = 1e-4
 PIECES = 3
 
 
-@dataclass(frozen=True)
-class PlatformFit:
+@dataclass(frozen=True, repr=False)
+class PlatformFit(Brief):
     """The rigid `platform` of a `half_size_m` that gives some frequencies; `frequency_hz` (6,) of `NAMES`.
 
     `misfit`: largest relative departure from a wanted frequency, pairs by their mean. The height's sign is not told by

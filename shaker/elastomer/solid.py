@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from shaker.arrays import FloatArray, IntArray
+from shaker.arrays import Brief, FloatArray, IntArray
 from shaker.elastomer.frame import NAMES, RigidPart, assigned, rigid_motion
 from shaker.elastomer.geometry import CrossBeams
 
@@ -50,8 +50,8 @@ class SolidBlock:
             raise ValueError("attached: expected the mass of a block without density, found none")
 
 
-@dataclass(frozen=True)
-class SolidModel:
+@dataclass(frozen=True, repr=False)
+class SolidModel(Brief):
     """Solution on one mesh: `frequency_hz`, `stiffness` (6,) in the order of `NAMES`; `unknowns` of the whole element.
 
     `stiffness`: load per mean displacement or turn of the platform in N/m, N·m/rad. `vertex_m` (V, 3), `cell` (C, 8) of

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, Notice, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, Notice, check_shape
 from shaker.fitting import Rules, levenberg_marquardt
 from shaker.identification.measured import (
     CurveResidual,
@@ -63,8 +63,8 @@ class FreeFactor:
     u_delay_s: float
 
 
-@dataclass(frozen=True)
-class Identification:
+@dataclass(frozen=True, repr=False)
+class Identification(Brief):
     """Parameters of a structure from all recordings together.
 
     `estimates` (P): parameters, of one recording alone "name: recording"; `covariance` (P, P) of them, infinite
@@ -134,8 +134,8 @@ _SHARE = 0.1  # of a step, over which the curvature of the residuals is seen
 _OPEN = 1e-10  # singular value, columns of unit length, below which a direction is open
 
 
-@dataclass(frozen=True)
-class State:
+@dataclass(frozen=True, repr=False)
+class State(Brief):
     """Unknowns `parameters` (N,) with the whitened residuals (K, 2C) and derivatives (K, 2C, L) of every curve.
 
     Derivatives are by the curve's own unknowns. `loss`: χ² of lines and of what was known beforehand together;
@@ -214,8 +214,8 @@ def effective(problem: Problem, state: State) -> float:
     return float(np.trace(np.linalg.lstsq(whole / pair, (whole - np.diag(problem.precision)) / pair, rcond=1e-12)[0]))
 
 
-@dataclass(frozen=True)
-class Spread:
+@dataclass(frozen=True, repr=False)
+class Spread(Brief):
     """Covariance of all unknowns, and the directions that the recordings leave open.
 
     `covariance` (N, N) of the determined part, `opened` (Z, N) orthonormal directions in units of `scale` (N,);

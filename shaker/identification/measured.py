@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape
 from shaker.frf.result import TransferFunction
 from shaker.sine.phasor import Phasors
 
@@ -15,8 +15,8 @@ AT_THE_BASE = -1
 """Place of the reference among the transducers of a recording, whose responses count from 0."""
 
 
-@dataclass(frozen=True)
-class Placement:
+@dataclass(frozen=True, repr=False)
+class Placement(Brief):
     """Where and along which unit direction a transducer measures: `point_m` (3,), `direction` (3,), sensor axes.
 
     `turning`: it measures how the body turns about the direction, which is the same everywhere.
@@ -41,8 +41,8 @@ class Placement:
         return np.array([dx, dy, dz, y * dz - z * dy, z * dx - x * dz, x * dy - y * dx])
 
 
-@dataclass(frozen=True)
-class RelativeError:
+@dataclass(frozen=True, repr=False)
+class RelativeError(Brief):
     """One named cause of error: `relative` (K, C), relative complex deviation of a curve for one standard deviation.
 
     Causes of one name in several curves are the same unknown.
@@ -52,8 +52,8 @@ class RelativeError:
     relative: ComplexArray
 
 
-@dataclass(frozen=True)
-class InertiaError:
+@dataclass(frozen=True, repr=False)
+class InertiaError(Brief):
     """One uncertain number of the load: `change` (6, 6) of its mass matrix for one standard deviation.
 
     Equal names in several recordings are the same unknown (a part that stands on both).
@@ -66,8 +66,8 @@ class InertiaError:
         check_shape("change", self.change, (6, 6))
 
 
-@dataclass(frozen=True)
-class PlacementError:
+@dataclass(frozen=True, repr=False)
+class PlacementError(Brief):
     """One uncertain number of where or along what a transducer measures: `change` (6,) of its row for one standard
     deviation.
 
@@ -83,8 +83,8 @@ class PlacementError:
         check_shape("change", self.change, (6,))
 
 
-@dataclass(frozen=True)
-class MeasuredTransfer:
+@dataclass(frozen=True, repr=False)
+class MeasuredTransfer(Brief):
     """Motion of the load over motion of the base in one recording, with what is known of the load.
 
     `ratio`: C ratios (K, C) at K lines, `covariance` (K, 2C, 2C) of [all Re, all Im] the noise alone; `tops`: where the
@@ -129,8 +129,8 @@ class MeasuredTransfer:
         return np.asarray(self.added_decay_per_s + 2j * np.pi * self.ratio.frequency_hz)
 
 
-@dataclass(frozen=True)
-class MeasuredSensitivity:
+@dataclass(frozen=True, repr=False)
+class MeasuredSensitivity(Brief):
     """Complex sensitivity of one output for one load component over frequency.
 
     `frequency_hz` (K,) ascending; `value` (K,) in `unit`, e.g. "(V/V)/N"; `covariance` (K, 2, 2) of [Re, Im], the part
@@ -177,8 +177,8 @@ class NamedUnknown:
     remaining: float
 
 
-@dataclass(frozen=True)
-class MeasuredCurve:
+@dataclass(frozen=True, repr=False)
+class MeasuredCurve(Brief):
     """H `value` (K,) at ascending `frequency_hz` (K,), `covariance` (K, 2, 2) of [Re, Im], the noise of each line.
 
     `line_correlation` (D,): correlation of the errors of lines 0, 1, 2 … apart, as in `TransferFunction`;
@@ -291,8 +291,8 @@ def between_lines(frequency_hz: FloatArray, columns: ComplexArray, correlation: 
 _FEWEST_DOF, _MOST_DOF = 3.0, 1e9  # of a stated covariance, as used
 
 
-@dataclass(frozen=True)
-class CurveResidual:
+@dataclass(frozen=True, repr=False)
+class CurveResidual(Brief):
     """Residuals of one curve: `length` (K,) = T² = rᵀS⁻¹r over the covariance S stated of p real numbers, `dof` (K,).
 
     `size` is p; `dof` are the degrees of freedom ν behind S, infinite where S is known.
@@ -307,8 +307,8 @@ class CurveResidual:
         check_shape("dof", self.dof, self.length.shape)
 
 
-@dataclass(frozen=True)
-class SeenNoise:
+@dataclass(frozen=True, repr=False)
+class SeenNoise(Brief):
     """Factors on the stated covariances: `lines` (K,) per curve, used as weights; `common` λ ≥ 1 to all of them.
 
     `chi_squared` of the residuals over the covariances as stated, `dof` what it would be by noise alone, were these

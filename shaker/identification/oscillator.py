@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.fitting import Block, Rules, Separable, eliminate, levenberg_marquardt
 from shaker.identification.measured import (
     CurveResidual,
@@ -29,8 +29,8 @@ _NOISE_ROUNDS = 5
 _EVEN = 0.01  # relative spread over the lines of what their covariances change by, at which weights have settled
 
 
-@dataclass(frozen=True)
-class Resonance:
+@dataclass(frozen=True, repr=False)
+class Resonance(Brief):
     """A resonance with its uncertainty.
 
     `frequency_hz`: f₀ of the undamped oscillator; `damping_ratio` ζ; complex `gain` G; `delay_s`; `residual` (2,)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray
 from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, PlacementError, whitening_of
 from shaker.identification.structures import Parameter, Structure, measured_poles, significant_poles
 from shaker.mechanics import Mechanics, Response, respond
@@ -17,8 +17,8 @@ DELAY_UNIT_S = 1e-6
 _NOTHING = 1e-12  # share of a change below which it is rounding
 
 
-@dataclass(frozen=True)
-class Displacements:
+@dataclass(frozen=True, repr=False)
+class Displacements(Brief):
     """Transducers elsewhere than stated: what one standard deviation of S unknowns changes of the C readings.
 
     `places` (S,) among all unknowns; `rows` (S, C, n) of p and `offset` (S, C) of the base's motion, `reference` (S,)
@@ -74,8 +74,8 @@ def displacements(record: MeasuredTransfer, body: FloatArray, names: Mapping[str
     )
 
 
-@dataclass(frozen=True)
-class Curve:
+@dataclass(frozen=True, repr=False)
+class Curve(Brief):
     """One recording ready to be compared: which unknowns act on it and how.
 
     `terms` (P+E,): places of the weights of `mechanics` among the unknowns; `factors` (F,) those of what multiplies the
@@ -120,8 +120,8 @@ class Curve:
         return np.asarray(self.whitening @ np.concatenate([deviation.real, deviation.imag], axis=1))
 
 
-@dataclass(frozen=True)
-class Problem:
+@dataclass(frozen=True, repr=False)
+class Problem(Brief):
     """All recordings and all unknowns (N,): parameters first, then free factors, then named errors.
 
     `parameters`: what is fitted, with `kind` (P,) the place in the structure. `names` (N,). A priori an unknown is
@@ -293,8 +293,8 @@ _LEAST_DAMPING_RATIO = 1e-3
 _ALIKE = 1e-3  # relative difference of starting values that are one
 
 
-@dataclass(frozen=True)
-class _Terms:
+@dataclass(frozen=True, repr=False)
+class _Terms(Brief):
     """What a parameter is: one of stiffness, of inertia with `whole` (P,) the inertia it adds to, or of damping."""
 
     stiffness: BoolArray

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray
 from shaker.identification.measured import MeasuredCurve
 
 # The circle that a resonance draws in the complex plane, and the frequency and damping that its angles tell.
@@ -18,8 +18,8 @@ _PASSES = 3
 _FEWEST_LINES = 5
 
 
-@dataclass(frozen=True)
-class CircleFit:
+@dataclass(frozen=True, repr=False)
+class CircleFit(Brief):
     """Natural frequency f₀ of the undamped oscillator and damping ratio ζ with `covariance` (2, 2) of both.
 
     `centre`, `radius`: the circle in the plane of H·(jf/f₀)/(1 + 2jζf/f₀).
@@ -148,8 +148,8 @@ Width = Literal["half_power", "half_amplitude"]
 LEVELS: dict[Width, float] = {"half_power": 2.0, "half_amplitude": 4.0}  # of 1/|H|², relative to the maximum
 
 
-@dataclass(frozen=True)
-class Place:
+@dataclass(frozen=True, repr=False)
+class Place(Brief):
     """A frequency read from a curve, 1/|H|² there, and their gradients (K,) by 1/|H|² of every line; NaN: not found."""
 
     frequency_hz: float
@@ -158,8 +158,8 @@ class Place:
     inverse_by_line: FloatArray
 
 
-@dataclass(frozen=True)
-class _Parabola:
+@dataclass(frozen=True, repr=False)
+class _Parabola(Brief):
     """1/|H|² = c₀ + c₁u + c₂u² near one frequency, u = (f² - `centre`)/`scale`; c = `by_line` (3, K) · 1/|H|²."""
 
     centre: float

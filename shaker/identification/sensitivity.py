@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, Notice, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, Notice, check_shape
 from shaker.identification.measured import MeasuredSensitivity, NamedUnknown, ParameterEstimate, whitening_of
 from shaker.identification.sensor import CHAIN_PARAMETERS, Chain, ChainKind, SensorModel
 from shaker.mechanics import laplace
@@ -61,8 +61,8 @@ _TOLERANCE, _EVALUATIONS = 1e-10, 200
 _SMALLEST_TURN = 0.01  # rad at the highest line with which a lag starts, lest it be the same as a delay
 
 
-@dataclass(frozen=True)
-class SensitivityFit:
+@dataclass(frozen=True, repr=False)
+class SensitivityFit(Brief):
     """S(f) = S₀ / (1 + jωτ) · chain(f), τ = b/k, fitted to a measured sensitivity under one shape of the chain.
 
     `sensitivity` S₀ in `unit`; `spring_time_s` τ. `parameters` (P,) names what was fitted, in the order of
@@ -176,8 +176,8 @@ def fit_chain(
     )
 
 
-@dataclass(frozen=True)
-class _Problem:
+@dataclass(frozen=True, repr=False)
+class _Problem(Brief):
     """Residuals of a measured sensitivity over unknowns x = [S₀, τ where unknown, chain, z of each common error].
 
     `names`: the unknowns but for z; `time_s`: τ where it is none of them, else where to start; `known`: (place, value,
@@ -370,8 +370,8 @@ class DampingTest:
         return self.probability < SIGNIFICANCE
 
 
-@dataclass(frozen=True)
-class SensitivityComparison:
+@dataclass(frozen=True, repr=False)
+class SensitivityComparison(Brief):
     """Explanations of one sensitivity: `fits` (E), Akaike `weight` (E,), sum 1, and `verdict` (E).
 
     `spring`: what the resonance says of k and b, None where nothing does; `damping`: whether S(f) with no chain agrees

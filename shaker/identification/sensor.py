@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, Notice, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, Notice, check_shape
 from shaker.frf.chain import ChainResponse, common_covariance, split_ratio
 from shaker.mechanics import laplace
 from shaker.sine.phasor import Phasors
@@ -27,8 +27,8 @@ CHAIN_PARAMETERS: dict[ChainKind, tuple[str, ...]] = {
 """Names of the parameters of each shape, in their order."""
 
 
-@dataclass(frozen=True)
-class Chain:
+@dataclass(frozen=True, repr=False)
+class Chain(Brief):
     """exp(−sD) / (1 + a₁s + a₂s²), s = jω, with the terms that `kind` has.
 
     `parameters` (P,) in the order of `CHAIN_PARAMETERS`: D `delay_s`, a₁ `lag_s`, a₂ `square_s2`. A low-pass of
@@ -141,8 +141,8 @@ class Load:
             )
 
 
-@dataclass(frozen=True)
-class SensorModel:
+@dataclass(frozen=True, repr=False)
+class SensorModel(Brief):
     """Static `sensitivity` S₀ in `unit`, `stiffness` k, `damping` b, `internal_mass` m_i (as estimated, by
     chance below 0) and the chain behind them.
 
@@ -306,8 +306,8 @@ ATTENUATION_DB = 100.0
 """Attenuation of the taper beyond, and so its ripple below: 1e-5."""
 
 
-@dataclass(frozen=True)
-class CorrectedPhasors:
+@dataclass(frozen=True, repr=False)
+class CorrectedPhasors(Brief):
     """Phasors of the force (random covariance only) and `errors` (E, K, 1): what the model's parameters may add.
 
     `errors` are relative deviations common to all lines and channels, of E independent causes.
@@ -325,8 +325,8 @@ class CorrectedPhasors:
         return np.asarray(self.phasors.covariance + common_covariance(self.phasors.value, self.errors))
 
 
-@dataclass(frozen=True)
-class CorrectedRecord:
+@dataclass(frozen=True, repr=False)
+class CorrectedRecord(Brief):
     """Force on the load (N,) at the instants of the output's samples, up to `band_hz`.
 
     `u` (N,) standard uncertainty from noise and model; `errors` (E, N) force that one standard deviation of each of E

@@ -9,7 +9,7 @@ from itertools import count, pairwise
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray
+from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray
 from shaker.lti.system import LinearSystem
 
 STEPS = 120
@@ -62,8 +62,8 @@ POINTS = 60
 """Points per decade of distance from every pole and zero."""
 
 
-@dataclass(frozen=True)
-class GainCurve:
+@dataclass(frozen=True, repr=False)
+class GainCurve(Brief):
     """|H| over frequency: `edges_hz` (E,), rising from 0, with `gain` (E,), between which |H| only rises or only falls.
 
     The last edge is half the sampling rate, or, of a continuous system, far above every pole and zero, where |H| has

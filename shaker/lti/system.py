@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 
 
 def residues(zeros: ComplexArray, poles: ComplexArray, gain: float) -> ComplexArray:
@@ -52,8 +52,8 @@ SOUND = 1e5
 """How much larger than their sum the parts of a response may be; beyond, poles count as coinciding."""
 
 
-@dataclass(frozen=True)
-class LinearSystem:
+@dataclass(frozen=True, repr=False)
+class LinearSystem(Brief):
     """H = gain·Π(x - zeros)/Π(x - poles), x = s in rad/s, or x = z of samples at `sample_rate_hz`.
 
     `zeros` (Z,), `poles` (P,) complex, those that are not real in conjugate pairs; Z ≤ P. Polynomial coefficients are
@@ -357,8 +357,8 @@ def paired(roots: ComplexArray, name: str) -> ComplexArray:
 # A system as a sum of modes: what is fitted to a record, with its covariance.
 
 
-@dataclass(frozen=True)
-class ModalModel:
+@dataclass(frozen=True, repr=False)
+class ModalModel(Brief):
     """H(s) = Σ_m [r_m/(s - p_m) + r̄_m/(s - p̄_m)] + Σ_q r_q/(s - p_q), output over load.
 
     Oscillating modes m: p = -ζω + jω√(1 - ζ²), ω = 2π·`frequency_hz` (M,), `damping_ratio` ζ (M,), complex `residue`

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape
 from shaker.fitting import Residuals, levenberg_marquardt
 from shaker.release.load_model import upper_poles
 from shaker.release.load_modes import SEARCH, FreeDecay, Resonances, coloured, projected
@@ -15,8 +15,8 @@ from shaker.release.load_modes import SEARCH, FreeDecay, Resonances, coloured, p
 # The masses of a series of loads as named unknowns.
 
 
-@dataclass(frozen=True)
-class SeriesMasses:
+@dataclass(frozen=True, repr=False)
+class SeriesMasses(Brief):
     """Moving mass and the load masses (R,) of R records in kg, with their errors by name.
 
     `names` (Q,) of what is uncertain; one standard uncertainty of it changes the moving mass by `moving_effect` (Q,)
@@ -241,8 +241,8 @@ CHANCE = 1e-3
 """Chance below which deviations are not explained by what is stated."""
 
 
-@dataclass(frozen=True)
-class SeriesFit:
+@dataclass(frozen=True, repr=False)
+class SeriesFit(Brief):
     """Parameters of a load model from a series of R records.
 
     `numbers` (P,): stiffness, damping and those of the coupling unless rigid; dampings are 0 where none was measured.

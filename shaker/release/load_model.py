@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.lti.responses import band_end, gain_curve
 from shaker.lti.system import LinearSystem
 from shaker.mechanics import Mechanics, chain_terms, poles
@@ -20,8 +20,8 @@ from shaker.mechanics import Mechanics, chain_terms, poles
 PARAMETERS = ("stiffness", "damping", "coupling_stiffness", "coupling_damping")
 
 
-@dataclass(frozen=True)
-class LoadModel:
+@dataclass(frozen=True, repr=False)
+class LoadModel(Brief):
     """Moving mass m_E on the sensor's spring k, c; the load mass m_L on it through k_L, c_L, which may be rigid (None).
 
     Output U = n·x_E over a force on the load (eqs. 2, 3 of the publication named in `docs/load.md`):
@@ -191,8 +191,8 @@ def other_solution(model: LoadModel, load_mass: float) -> LoadModel:
 # Resonance and damping of a sensor over the mass it carries, with their uncertainties.
 
 
-@dataclass(frozen=True)
-class LoadCurve:
+@dataclass(frozen=True, repr=False)
+class LoadCurve(Brief):
     """Modes over load masses (K,) in kg: natural frequencies in Hz and damping ratios, first and second mode.
 
     `frequency_hz`, `damping_ratio` and their standard uncertainties (K, 2), NaN where there is no second mode or no

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
 from shaker.release.record import Reading, StepRecord
 
 # What is measured of every load: resonances and dampings, read from records or stated.
 
 
-@dataclass(frozen=True)
-class Resonances:
+@dataclass(frozen=True, repr=False)
+class Resonances(Brief):
     """First and second mode of R records: natural frequencies in Hz and damping ratios, (R, 2) each, NaN where unknown.
 
     `u_…`: standard uncertainties, 0 where none is known, so that only the scatter about a model tells.
@@ -73,8 +73,8 @@ SEARCH = Rules(first=1e-4, shrink=0.2, least=1e-15, largest=1e12)
 """How a search for poles, stiffnesses and dampings is damped; it ends where a step promises 10⁻¹⁰ of the loss."""
 
 
-@dataclass(frozen=True)
-class FreeDecay:
+@dataclass(frozen=True, repr=False)
+class FreeDecay(Brief):
     """The output of one record from the end of its release on: `value` (N,) in output units at `time_s` (N,).
 
     Low-pass filtered and decimated by `decimation`. A filter scales every exponential by a number of its own, which the
@@ -180,8 +180,8 @@ HEAVIEST, VAGUEST = 0.3, 0.05
 """Damping ratio and relative uncertainty of the frequency up to which a second mode is used."""
 
 
-@dataclass(frozen=True)
-class RecordModes:
+@dataclass(frozen=True, repr=False)
+class RecordModes(Brief):
     """One or two modes of a record: upper poles (M,) in rad/s, covariance (2M, 2M) of [Re p, Im p] of each mode.
 
     `noise`: standard deviation of what the modes leave, in output units.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray
+from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray
 from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
 from shaker.release.poles import ringing_poles
 from shaker.release.record import Location, Shape
@@ -21,8 +21,8 @@ _AHEAD = 2  # rows ahead of the samples
 _SHORT = 0.3  # samples: shortest release and lag by which slopes are taken
 
 
-@dataclass(frozen=True)
-class Window:
+@dataclass(frozen=True, repr=False)
+class Window(Brief):
     """Samples (N,) at `time_s` (N,) around the beginning, and the mean of `before` samples ahead of them, `rest`.
 
     `small`: standard deviation of a sample over that of the change which modes too high to be seen may carry;
@@ -42,8 +42,8 @@ class Window:
         return float(self.time_s[1] - self.time_s[0])
 
 
-@dataclass(frozen=True)
-class Beginning:
+@dataclass(frozen=True, repr=False)
+class Beginning(Brief):
     """y = b + Σ g·S + h·L: modes ω²/(s² + 2ζωs + ω²) behind one lag 1/(1 + τs) answer a load of `shape`.
 
     Free residues would tell nothing of the onset: a delay δ of H(s) is, to first order, a zero, H(s)·(1 - δs). That

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray
+from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray
 from shaker.fitting import Block, Prior, Rules, Separable, eliminate, levenberg_marquardt
 from shaker.lti.system import ModalModel
 from shaker.release.response import Answers, Load, Samples, answers, responses
@@ -93,8 +93,8 @@ _ENOUGH = 1e-4  # foretold fall of the sum of squares, over the variance, below 
 _STEEPEST = 0.995  # largest |ζ| of an oscillating mode
 
 
-@dataclass(frozen=True)
-class Problem:
+@dataclass(frozen=True, repr=False)
+class Problem(Brief):
     """What is fitted: a structure's answer to a load, to samples.
 
     Parameters: those of the structure, then the release's middle in s (a timed load) and the logarithm of its length
@@ -123,8 +123,8 @@ class Problem:
         return middle, float(np.exp(vector[order + 1])) if self.load.lasting else 0.0
 
 
-@dataclass(frozen=True)
-class Solution:
+@dataclass(frozen=True, repr=False)
+class Solution(Brief):
     """A fit: `vector` of the nonlinear parameters, `linear` [baseline, numerator terms], `square` weighted sum of
     squares of the residual, `path` of it over the steps; `problem` that was solved."""
 
@@ -265,8 +265,8 @@ _TESTED = 40  # lags that the residual is tested for correlation at
 _WHITE = 73.4  # largest sum of N·r² over forty lags that white noise passes 999 times in 1000
 
 
-@dataclass(frozen=True)
-class FitSpread:
+@dataclass(frozen=True, repr=False)
+class FitSpread(Brief):
     """Covariance (P, P) of a modal model's vector, without that of the load; standard uncertainties of the release.
 
     `fitted`, `residual` (N,): at every sample; `white`: whether the residual passes as white noise; `excess`: its

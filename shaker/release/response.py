@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.release.record import Shape
 
 _SMALL = 1e-2  # |x| below which factors are taken from their series
@@ -23,8 +23,8 @@ MOMENTS: dict[Shape, float] = {"step": 0.0, "ramp": 1.0 / 12.0, "smooth": 0.25 -
 BLOCKS_PER_PERIOD = 12  # blocks in a period of the fastest mode: its mean over one loses 1 % of it, sinc(1/12)
 
 
-@dataclass(frozen=True)
-class Samples:
+@dataclass(frozen=True, repr=False)
+class Samples(Brief):
     """Means of neighbouring samples: block b is the mean `value` (B, …) of `length` (B,) samples.
 
     They are `step_s` apart and the first of them is taken at `time_s` (B,). Noise of white samples stays white, with
@@ -93,8 +93,8 @@ def averaged(samples: FloatArray, size: int) -> FloatArray:
     return np.asarray(samples[..., : count * size].reshape(*samples.shape[:-1], count, size).mean(axis=-1))
 
 
-@dataclass(frozen=True)
-class Load:
+@dataclass(frozen=True, repr=False)
+class Load(Brief):
     """How a load goes: by `amplitude` in a `shape`, or as the samples `force` (N,) from `start_s`, for "measured",
     linear between its samples and less its level of rest."""
 
@@ -158,8 +158,8 @@ def pole_responses(
     return value
 
 
-@dataclass(frozen=True)
-class Answers:
+@dataclass(frozen=True, repr=False)
+class Answers(Brief):
     """Responses (B, P) of 1/(s - p) in blocks, and their derivatives: to the poles, the onset, the release's length.
 
     The last moves the onset too, by half as much to the other side: the middle of the release stays.

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import FloatArray, Notice, check_shape
+from shaker.arrays import Brief, FloatArray, Notice, check_shape
 from shaker.lti.indices import pole_notices
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.reading import read_release
@@ -20,8 +20,8 @@ from shaker.release.record import Reading, Shape, StepRecord
 Method = Literal["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients"]
 
 
-@dataclass(frozen=True)
-class StepFit:
+@dataclass(frozen=True, repr=False)
+class StepFit(Brief):
     """A model of one output for one load component.
 
     `model`: continuous, in output unit per load unit, None where the poles of `system` have no modal form; `system`:
@@ -67,8 +67,8 @@ class StepFit:
 _BEND = 0.15  # share of the whole fall of ln J that may be left beyond the order chosen
 
 
-@dataclass(frozen=True)
-class EveryOrder:
+@dataclass(frozen=True, repr=False)
+class EveryOrder(Brief):
     """Least-squares difference equations of order 0 … n at once.
 
     `triangle` (2n + 2, 2n + 2): R of the QR factorisation of the rows [u(k-n) y(k-n) … u(k-1) y(k-1) u(k) y(k)] over

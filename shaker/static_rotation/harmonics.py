@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 
 # What a weighing needs of its surroundings: gravity from latitude and height, density of the air.
 
@@ -146,8 +146,8 @@ class Reversal(NamedTuple):
     difference: FloatArray
 
 
-@dataclass(frozen=True)
-class AngleFit:
+@dataclass(frozen=True, repr=False)
+class AngleFit(Brief):
     """Readings (N, C) at angles (N,) as a sum of terms: reading = design · coefficient + residual.
 
     `terms` (P,) names the columns of `design` (N, P): offset, cos 1, sin 1, and where the data show them cos n, sin n,

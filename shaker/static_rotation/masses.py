@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape
 
 ArrayOf = TypeVar("ArrayOf", FloatArray, ComplexArray)
 FORCES = 3
@@ -20,8 +20,8 @@ LEAST_SHARE = 0.3
 DETERMINED = 1e-6
 
 
-@dataclass(frozen=True)
-class SensorOutputs:
+@dataclass(frozen=True, repr=False)
+class SensorOutputs(Brief):
     """How C outputs answer the load: `sensitivity` (C, 6) output per Fx … Mz, `u` (C, 6) of every element, independent.
 
     `sense`: +1 where outputs are positive for the load on the sensor, -1 for that of the sensor on what it carries.
@@ -49,8 +49,8 @@ class SensorOutputs:
         return np.asarray(np.all(np.abs(identity - np.eye(6)) < DETERMINED, axis=1))
 
 
-@dataclass(frozen=True)
-class Turned:
+@dataclass(frozen=True, repr=False)
+class Turned(Brief):
     """One recording: first harmonics of the C outputs and how the head stood.
 
     `amplitude` (C,): output = Re{amplitude exp(+jθ)}, θ counted as the sensor turns, right-handed about `axis` (3,);
@@ -166,8 +166,8 @@ class Source(NamedTuple):
     effect: FloatArray
 
 
-@dataclass(frozen=True)
-class WeightFit:
+@dataclass(frozen=True, repr=False)
+class WeightFit(Brief):
     """Weights of R recordings with one sensor.
 
     `value` (R·10,), for each recording in turn: weight N, first moment x y z (weight times centre of mass, N·m), zero

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import fusion
-from fusion.base import brief
 from fusion.cli import COMMANDS
 from fusion.recording.excitation import KINDS, Excitation, Kind
+from shaker.arrays import brief
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ("Acceleration", "Evaluation", "LoadResult", "Sensitivity")
