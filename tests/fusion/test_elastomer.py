@@ -111,6 +111,24 @@ def test_command_writes_a_folder_that_holds_what_it_prints(simulated, evaluated)
         assert "provenance" in file
 
 
+def test_simulator_replaces_its_own_element_and_nothing_else(tmp_path, capsys):
+    out = tmp_path / "element"
+    simulate = ["simulate", str(out), "--preset", "elastomer", "--force", "--seed"]
+    assert main([*simulate, "1"]) == 0
+    first = (out / "truth.json").read_text()
+    assert main([*simulate, "2"]) == 0
+    second = (out / "truth.json").read_text()
+    assert second != first
+    (out / "notes.txt").write_text("mine")
+    capsys.readouterr()
+    assert main([*simulate, "3"]) == 2
+    said = capsys.readouterr().err
+    assert "notes.txt" in said
+    assert len(said.strip().splitlines()) == 1
+    assert (out / "notes.txt").read_text() == "mine"
+    assert (out / "truth.json").read_text() == second
+
+
 def test_page_is_whole(evaluated):
     text = (evaluated[0] / "elastomer.html").read_text(encoding="utf-8")
     self_contained(text)

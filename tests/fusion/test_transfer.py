@@ -64,6 +64,18 @@ def _joint_chi2(result: ReferenceResult, true: np.ndarray) -> tuple[float, np.nd
     return float(np.sum((y - design @ unknown) ** 2) + np.sum(unknown**2)), unknown
 
 
+def test_the_truth_is_an_oscillator_on_its_base(simulated):
+    """ẍ of m ẍ + b (ẋ - ẋ_base) + k (x - x_base) = 0 over that of the base, by its magnitude and phase."""
+    truth = json.loads((simulated / "truth.json").read_text())
+    r = np.array(truth["frequency_hz"]) / 1477.35
+    coupling = r / 66.0  # 2 ζ r, a quality of 66
+    transfer = np.array(truth["transfer"]["re"]) + 1j * np.array(truth["transfer"]["im"])
+    magnitude = np.sqrt((1.0 + coupling**2) / ((1.0 - r**2) ** 2 + coupling**2))
+    np.testing.assert_allclose(np.abs(transfer), magnitude, rtol=1e-10)
+    np.testing.assert_allclose(np.angle(transfer), np.arctan(coupling) - np.arctan2(coupling, 1.0 - r**2), atol=1e-10)
+    assert truth["drawn"]["amplifier.corner"] != [0.0]
+
+
 def test_the_curve_is_the_truth_within_its_covariance(simulated):
     result = _evaluated(simulated)
     frequency = result.transfer.ratio.frequency_hz
