@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MultipleLocator
 
-from fusion.base import prefix, typeset
+from fusion.base import MILLI, PERCENT, prefix, typeset
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -32,7 +32,6 @@ from shaker.compensation.effects import gain_band
 
 COLOURS = (BLUE, GREEN, ORANGE, PURPLE, SKY)
 DASHED = (0, (4, 2))
-MILLI, PERCENT = 1e3, 1e2
 POINTS = 900
 STEP_POINTS, STEP_PERIODS = 3000, 20.0
 DRAWN = 20_000

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, InputError, rounded
+from fusion.base import DASH, GRAM, MILLI, PERCENT, InputError, rounded
 from fusion.report.folder import Command
 from fusion.report.h5 import write_value
 from fusion.report.numbers import capital, measured, number, signed
@@ -65,7 +65,6 @@ CONVENTIONS = (
     "each of static gain 1; continuous: gain * product (s - zero)/(s - pole), rad/s; numbers are exact doubles"
 )
 EXPANDED = 2.0
-GRAM, MILLI, PERCENT = 1e3, 1e3, 100.0
 SHOWN = (
     "natural_hz",
     "damping_ratio",

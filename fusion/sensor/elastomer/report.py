@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
-from fusion.base import DASH, ProgressCallback, no_progress, rounded
+from fusion.base import DASH, MILLI, ProgressCallback, no_progress, rounded
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.numbers import measured, signed
@@ -44,7 +44,6 @@ DIMENSION_LABELS = {
     "height_m": "platform's centre of mass",
     "inertia_kgm2": "platform's moments of inertia",
 }
-MILLI = 1e3
 
 
 class ModeRow(NamedTuple):

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from fusion.base import GRAM, PERCENT
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -26,7 +27,6 @@ from shaker.arrays import FloatArray
 from shaker.release.load_modes import projected
 
 COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
-GRAM, PERCENT = 1e3, 100.0
 
 
 def small_unit(component: ComponentLoads) -> str:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
-from fusion.base import DASH, rounded, typeset
+from fusion.base import DASH, GRAM, rounded, typeset
 from fusion.estimation.uncertainty import NamedQuantity
 from fusion.recording.load import load_for_command
 from fusion.report.folder import Command
@@ -26,7 +26,7 @@ from fusion.sensor.load.evaluate import (
     read_series,
     read_table,
 )
-from fusion.sensor.load.figures import GRAM, draw_characteristics, draw_spectra, small_unit
+from fusion.sensor.load.figures import draw_characteristics, draw_spectra, small_unit
 from fusion.sensor.models_file import LOAD_MODEL_FILE, model_text, parameter_units
 from shaker.arrays import FloatArray
 from shaker.release.load_model import PARAMETERS, LoadCurve

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import InputError, rounded, versions
+from fusion.base import PERCENT, InputError, rounded, versions
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.recording.load import Manifest
 from fusion.sensor.rotate.readings import (
@@ -195,7 +195,6 @@ def _of_load(found: Sequence[RotationQuantity]) -> Iterator[Notice]:
 UNTOLD = "what no channel tells"
 LARGEST_UNTOLD = 0.1
 """Share of that in the uncertainty of a number above which the recordings do not tell it."""
-PERCENT = 100.0
 MEAN_ROWS = np.array([0, *range(OWN, OWN + FORCES), 1, 2, 3])
 """Places of weights and first moment among the numbers of a recording."""
 

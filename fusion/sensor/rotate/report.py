@@ -9,7 +9,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from fusion.base import DASH, typeset
+from fusion.base import DASH, GRAM, MILLI, typeset
 from fusion.campaign.repeats import BETWEEN, WITHIN
 from fusion.recording.load import load_for_command
 from fusion.report.csv_files import quantity_columns
@@ -33,7 +33,6 @@ QUANTITIES: list[Column[RotationQuantity]] = [
     *NUMBERS,
     word("recording", lambda q: q.recording or ALL),
 ]
-MILLIMETRE, MILLIRADIAN, GRAM, MILLI = 1e3, 1e3, 1e3, 1e3
 HEADLINES = ("internal_mass", "load_mass", "load_mass_relative_deviation")
 MASSES = ("internal_mass", "load_mass", "weighed_mass")
 DIFFERENCES = (
@@ -47,7 +46,7 @@ DIFFERENCES = (
 CENTRES = ("internal_centre_of_mass", "load_centre_of_mass", "load_centre_of_mass_deviation")
 STANDING = ("zero_angle", "axis_tilt")
 NORMALISED = "load_mass_normalised_deviation"
-SCALED = {"kg": (GRAM, "g"), "m": (MILLIMETRE, "mm"), "rad": (MILLIRADIAN, "mrad")}
+SCALED = {"kg": (GRAM, "g"), "m": (MILLI, "mm"), "rad": (MILLI, "mrad")}
 """Units in which differences and places are told."""
 SMALLEST_UNTOLD = 0.01
 """Share in an uncertainty from which what no channel tells is listed."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from fusion.base import typeset
+from fusion.base import MILLI, PERCENT, typeset
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -36,7 +36,6 @@ from shaker.lti.system import ModalModel
 
 COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
 DASHED = (0, (4, 2))
-MILLI, PERCENT = 1e3, 100.0
 BEFORE, AFTER = 0.6, 8.0
 """Periods of the lowest mode that the enlarged panel shows before the onset and after the release."""
 PERIODS = 12.0

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, rounded, typeset
+from fusion.base import DASH, MILLI, PERCENT, rounded, typeset
 from fusion.campaign.executor import one_blas_thread
 from fusion.estimation.uncertainty import NamedQuantity, Quantity, coverage_factor
 from fusion.recording.load import load_for_command
@@ -259,7 +259,6 @@ def _write_fit(group: h5py.Group, fit: StepFit) -> None:
 # Page and terminal
 
 K2 = 2.0
-MILLI, PERCENT = 1e3, 100.0
 SHARES = ("damping_ratio", "overshoot")
 """Quantities that are shares, told in %."""
 MANY_HEADLINES = 6
