@@ -304,6 +304,8 @@ def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
 # How numbers and units are printed: to two digits of their uncertainty, with powers of ten or SI prefixes.
 
 
+K2 = 2.0
+"""Coverage factor of expanded uncertainties whose degrees of freedom are not counted."""
 MILLI, GRAM, PERCENT = 1e3, 1e3, 100.0
 """Factors from SI units to those in which numbers are shown: mm, ms or mrad; g of kg; % of a share."""
 LARGEST_PLAIN = 1e5

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import (
+    K2,
     AnyNotice,
     ComputeError,
     InputError,
@@ -66,7 +67,6 @@ EFFECT_FRAMES = 12  # frames and subsets that show what the calibration does to 
 EFFECT_SUBSETS = 200
 FEWEST_SUBSETS = 6
 UNSTEADY = 4.0  # reduced chi-square of the frames against a fixed axis from which the user is told
-COVERAGE = 2.0
 EVIDENCE = (
     ("point", "point", "points"),
     ("face", "face", "faces"),
@@ -324,15 +324,14 @@ def pose_text(file: AlignmentFile, alignment: Alignment, pair: Pair | None) -> s
         covered = len(calibration_steps(pair.rig))
         answers = by_parameters(alignment.by_calibration[:, :covered], pair.steps[:covered])
         u = np.sqrt(np.diagonal(alignment.held_covariance) + (alignment.by_calibration**2).sum(axis=1))
-    held = COVERAGE * np.sqrt(np.diagonal(alignment.held_covariance))
+    held = K2 * np.sqrt(np.diagonal(alignment.held_covariance))
     blocks = [(len(getattr(file, key)), one, many) for key, one, many in EVIDENCE]
     origin = [f"{count} {one if count == 1 else many}" for count, one, many in blocks if count]
     origin += ["the pose known before"] if file.pose is not None else []
     said = " and ".join([", ".join(origin[:-1]), origin[-1]] if len(origin) > 1 else origin)
     comments = [
         f"Pose of the left camera of {file.stereo} in {frame}, from {said}.",
-        f"U (k = 2): position {_numbers(1e3 * COVERAGE * u[:3])} mm, rotation "
-        f"{_numbers(1e3 * COVERAGE * u[3:])} mrad (x, y, z).",
+        f"U (k = 2): position {_numbers(1e3 * K2 * u[:3])} mm, rotation {_numbers(1e3 * K2 * u[3:])} mrad (x, y, z).",
         f"Without the calibration's share: {_numbers(1e3 * held[:3])} mm and {_numbers(1e3 * held[3:])} mrad.",
         f"chi2 = {alignment.chi2:.3g} with {alignment.dof} degrees of freedom.",
     ]

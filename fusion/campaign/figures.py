@@ -20,11 +20,10 @@ from fusion.campaign.repeats import Drive
 from fusion.report.style import (
     BLACK,
     BLUE,
-    GREEN,
+    COLOURS,
     GREY,
     LIGHT,
     ORANGE,
-    PURPLE,
     RED,
     SKY,
     Picture,
@@ -40,7 +39,6 @@ from fusion.report.style import (
 from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS
 
-OUTPUT_COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY)
 OUTPUT_MARKERS = ("o", "s", "D", "^", "v", "P")
 MOUNTING_MARKERS = ("o", "s", "^", "v", "D")
 BESIDE_SHARE = 0.012
@@ -135,7 +133,7 @@ def draw_outputs(curve: Curve, main: int) -> Picture:
         decades(axes.yaxis)
         for c, channel in enumerate(curve.channels):
             weak = share[:, c] <= expanded[:, c]
-            colour = BLACK if c == main else OUTPUT_COLOURS[c % len(OUTPUT_COLOURS)]
+            colour = BLACK if c == main else COLOURS[c % len(COLOURS)]
             line, half = (
                 np.where(np.isfinite(share[:, c]) & ~weak, values[:, c], np.nan) for values in (share, expanded)
             )

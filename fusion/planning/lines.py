@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.base import AnyNotice, InputError, rounded, stdout_console
+from fusion.base import K2, AnyNotice, InputError, rounded, stdout_console
 from fusion.phasors.channels import line_record, lines_in
 from fusion.phasors.timing import TimeBase, tie_daqs
 from fusion.recording.files import read_set_ups, told_in
@@ -25,7 +25,6 @@ from shaker.sine.aliasing import alias_frequency
 from shaker.sine.fit import fit_sines
 
 COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")
-COVERAGE = 2.0
 WHY_WIDTH = 18
 LISTED = "lines"
 """Where notices are about that only say what the table shows."""
@@ -269,6 +268,6 @@ def _cells(item: LineList, entry: Entry) -> list[str]:
 
 def _with_u(value: float, u: float, exponent: int | None = None) -> str:
     """Return a number with its expanded uncertainty."""
-    text, uncertainty, power = rounded(value, COVERAGE * u, exponent)
+    text, uncertainty, power = rounded(value, K2 * u, exponent)
     both = f"{text} ± {uncertainty}"
     return f"({both})e{power}" if power else both

@@ -19,6 +19,7 @@ from fusion.report.signal_figures import draw_epipolar
 from fusion.report.style import (
     BLACK,
     BLUE,
+    COLOURS,
     GREEN,
     GREY,
     LIGHT,
@@ -223,7 +224,6 @@ def _colour_bar(axes: Axes, view: _View, squares: PolyCollection, label: str) ->
 
 
 POINT: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2.6, "markeredgewidth": 0}
-COMPONENT_COLOURS = (BLUE, ORANGE, RED)
 CURVE_POINTS = 600
 LARGEST_IMAGE_PX = 520
 
@@ -308,7 +308,7 @@ def draw_residual_spectrum(stereo: StereoResult) -> Picture:
     with sheet(f"residual-spectrum-{stereo.name}", 3.1, 1, 2, sharex=True) as drawn:
         for axes, components, unit in zip(drawn.panels, ((0, 1, 2), (3, 4, 5)), ("m", "rad"), strict=True):
             factor, letter = prefix(amplitude[1:, components], coarse=True)
-            for component, colour in zip(components, COMPONENT_COLOURS, strict=True):
+            for component, colour in zip(components, COLOURS, strict=False):
                 line = amplitude[1:, component] / factor
                 axes.plot(spectrum_hz[1:], line, color=colour, linewidth=0.9, label=MOTION_COMPONENTS[component])
             axes.set_ylim(0.0, 1.25 * float(np.nanmax(amplitude[1:, components])) / factor)

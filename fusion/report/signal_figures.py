@@ -217,7 +217,6 @@ def _draw_map(axes: Axes, spread: PointSpread, line: int) -> None:
 
 MPX = 1e3
 SMALLEST_PX = 1e-3  # range of the colours where residuals are smaller
-COLOURS = "RdBu_r"
 
 
 def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Picture:
@@ -266,7 +265,7 @@ def _draw_residuals(axes: Axes, check: EpipolarCheck) -> None:
     limit = MPX * max(SMALLEST_PX, float(np.abs(check.residual_px[known]).max()))
     x, y = check.position_px.T
     points = axes.scatter(
-        x[known], y[known], c=MPX * check.residual_px[known], cmap=COLOURS, vmin=-limit, vmax=limit, s=14, linewidths=0
+        x[known], y[known], c=MPX * check.residual_px[known], cmap="RdBu_r", vmin=-limit, vmax=limit, s=14, linewidths=0
     )
     points.set_rasterized(int(known.sum()) > RASTER_ABOVE)
     axes.plot(x[~known], y[~known], "x", color=RED, markersize=4)

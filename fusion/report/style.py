@@ -24,6 +24,8 @@ RASTER_ABOVE = 500
 """Number of points above which they are drawn as an image inside the vector graphics."""
 BLACK, GREY, LIGHT = "#222222", "#7a7a7a", "#d9d9d9"
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9"
+COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
+"""Of what stands side by side in one figure, in this order."""
 SOURCE_COLOUR = {"fused": BLACK, "photogrammetry": BLUE, "vibrometer": RED, "accelerometer": GREEN}
 SOURCE_MARKER = {"fused": "o", "photogrammetry": "s", "vibrometer": "D", "accelerometer": "^"}
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -12,13 +12,10 @@ from fusion.base import MILLI, PERCENT, prefix, typeset
 from fusion.report.style import (
     BLACK,
     BLUE,
-    GREEN,
+    COLOURS,
     GREY,
     LIGHT,
-    ORANGE,
-    PURPLE,
     RED,
-    SKY,
     Picture,
     draw_response,
     panel_label,
@@ -30,7 +27,6 @@ from fusion.sensor.compensate.source import CompensatedChannel, CompensatedRecor
 from shaker.arrays import FloatArray
 from shaker.compensation.effects import gain_band
 
-COLOURS = (BLUE, GREEN, ORANGE, PURPLE, SKY)
 DASHED = (0, (4, 2))
 POINTS = 900
 STEP_POINTS, STEP_PERIODS = 3000, 20.0

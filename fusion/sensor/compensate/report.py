@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, GRAM, MILLI, PERCENT, InputError, rounded
+from fusion.base import DASH, GRAM, K2, MILLI, PERCENT, InputError, rounded
 from fusion.report.folder import Command
 from fusion.report.h5 import write_value
 from fusion.report.numbers import capital, measured, number, signed
@@ -64,7 +64,6 @@ CONVENTIONS = (
     "y = gain * product of sections; a section is (b0 + b1/z + b2/z^2)/(1 + a1/z + a2/z^2), sos rows b0 b1 b2 1 a1 a2, "
     "each of static gain 1; continuous: gain * product (s - zero)/(s - pole), rad/s; numbers are exact doubles"
 )
-EXPANDED = 2.0
 SHOWN = (
     "natural_hz",
     "damping_ratio",
@@ -270,7 +269,7 @@ def cell(figures: Figures, name: str, *, plain: bool = False) -> str:
     if value is None or not np.isfinite(value):
         return "no end" if value is not None else "none" if plain else DASH
     scale, unit = (PERCENT, "%") if name == "overshoot" else SCALE[unit_of(name)]
-    expanded = 0.0 if u is None else EXPANDED * scale * u
+    expanded = 0.0 if u is None else K2 * scale * u
     if plain:
         told = rounded(scale * value, expanded)
         body = told.value if told.expanded == DASH else f"({told.value} ± {told.expanded})"
@@ -293,8 +292,7 @@ def _poles(made: LoadFilter) -> Markup:
     """Frequencies in Hz that a filter takes out of the sensor."""
     sensor = made.compensation.sensor
     modes = [
-        measured(hertz, 0.0 if np.isnan(u) else EXPANDED * u)
-        for hertz, u in zip(sensor.frequency_hz, sensor.u, strict=False)
+        measured(hertz, 0.0 if np.isnan(u) else K2 * u) for hertz, u in zip(sensor.frequency_hz, sensor.u, strict=False)
     ]
     return Markup("; ").join([*modes, *(f"real {hertz:.5g}" for hertz in sensor.real_hz)])
 
@@ -488,7 +486,7 @@ def _texts(evaluation: CompensateEvaluation) -> dict[str, str | bytes]:
     applied = evaluation.applied
     if applied is not None:
         names = ["time_s", *(name for one in applied.channels for name in (one.channel, f"U_{one.channel}"))]
-        samples = [applied.time_s, *(part for one in applied.channels for part in (one.value, EXPANDED * one.u))]
+        samples = [applied.time_s, *(part for one in applied.channels for part in (one.value, K2 * one.u))]
         columns: list[Column[list[float]]] = [Column(name, itemgetter(place)) for place, name in enumerate(names)]
         texts["compensated.csv"] = csv_text(columns, np.stack(samples, axis=1).tolist())
     return texts

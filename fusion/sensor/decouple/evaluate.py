@@ -32,10 +32,6 @@ from shaker.labels import LOAD_COMPONENTS
 # What an evaluated decoupling consists of, and what a user may choose about it.
 
 
-K = 2.0
-"""Coverage factor of all expanded uncertainties."""
-
-
 @dataclass(frozen=True)
 class DecoupleSettings:
     """Choices that change results: wanted frequency in Hz (None: half that of the lowest mode) and damping ratio of the

@@ -6,24 +6,21 @@ from typing import Any
 
 import numpy as np
 
+from fusion.base import K2
 from fusion.report.style import (
     BLUE,
-    GREEN,
+    COLOURS,
     GREY,
     ORANGE,
-    PURPLE,
-    RED,
-    SKY,
     Picture,
     decades,
     panel_label,
     sheet,
 )
-from fusion.sensor.decouple.evaluate import DecoupleEvaluation, K
+from fusion.sensor.decouple.evaluate import DecoupleEvaluation
 from shaker.decoupling.filter import raw_reading, static_inverse, step_readings, step_times
 
 STAGE_COLOURS = {"raw": GREY, "static": ORANGE, "filtered": BLUE}
-READING_COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
 COLUMNS = 2
 LEAST = 1e-6
 STAGE_NAMES = {"raw": "each output alone", "static": "static matrix", "filtered": "filter"}
@@ -43,7 +40,7 @@ def draw_crosstalk(evaluation: DecoupleEvaluation) -> Picture:
                 size = np.abs(stage.value[:, others[j], j]) * ratio[others[j], j]
                 worst, u = np.argmax(size, axis=1)[:, None], stage.u[:, others[j], j] * ratio[others[j], j]
                 value = np.take_along_axis(size, worst, axis=1)[:, 0]
-                expanded, colour = K * np.take_along_axis(u, worst, axis=1)[:, 0], STAGE_COLOURS[stage.stage]
+                expanded, colour = K2 * np.take_along_axis(u, worst, axis=1)[:, 0], STAGE_COLOURS[stage.stage]
                 axes.plot(frequency, np.maximum(value, LEAST), color=colour, label=STAGE_NAMES[stage.stage])
                 low, high = np.maximum(value - expanded, LEAST), np.maximum(value + expanded, LEAST)
                 axes.fill_between(frequency, low, high, color=colour, alpha=0.2, linewidth=0)
@@ -88,7 +85,7 @@ def draw_step(evaluation: DecoupleEvaluation) -> Picture:
             for d, reading in enumerate(model.components):
                 if d != load:
                     share = 100 * (value[:, :, load] * ratio[:, load])[:, d]
-                    axes.plot(1e3 * time_s, share, color=READING_COLOURS[d % 6], label=reading, linewidth=0.8)
+                    axes.plot(1e3 * time_s, share, color=COLOURS[d], label=reading, linewidth=0.8)
             axes.set_ylabel("reading / %")
             panel_label(axes, f"step of {name}: {STAGE_NAMES[stage]}")
         drawn.panels[-1].set_xlabel("time after the step / ms")

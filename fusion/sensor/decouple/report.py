@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, rounded, typeset
+from fusion.base import DASH, K2, rounded, typeset
 from fusion.campaign.executor import one_blas_thread
 from fusion.recording.load import load_for_command
 from fusion.report.csv_files import sensitivity_unit
@@ -32,7 +32,6 @@ from fusion.report.table import Column, Headline, Table, columns_of, csv_text, o
 from fusion.sensor.decouple.evaluate import (
     DecoupleEvaluation,
     DecoupleSettings,
-    K,
     evaluate_decoupling,
     filter_text,
 )
@@ -79,7 +78,7 @@ def model_rows(evaluation: DecoupleEvaluation) -> Iterator[ModelRow]:
     model, u = evaluation.fit.model, evaluation.fit.model.u
 
     def row(name: str, place: int | str, outputs: tuple[str, str], value: Any, spread: Any, unit: str) -> ModelRow:
-        return ModelRow(name, place, *outputs, float(value), float(spread), K * float(spread), K, unit)
+        return ModelRow(name, place, *outputs, float(value), float(spread), K2 * float(spread), K2, unit)
 
     for name, unit in (("frequency_hz", "Hz"), ("damping_ratio", "1"), ("real_hz", "Hz")):
         for i, (value, spread) in enumerate(zip(getattr(model, name), getattr(u, name), strict=True)):
@@ -121,9 +120,9 @@ def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[CrosstalkRow]:
             places = ("step_peak", "", stage.peak[i, j], stage.u_peak[i, j])
             over = zip(stage.frequency_hz.tolist(), stage.value[:, i, j], stage.u[:, i, j], strict=True)
             for quantity, frequency, value, u in (places, *(("response", *entry) for entry in over)):
-                peak, U = quantity == "step_peak", K * float(u)
+                peak, U = quantity == "step_peak", K2 * float(u)
                 size, phase = (float(value), "") if peak else (float(abs(value)), float(np.angle(value)))
-                tail = (size, phase, U, K, unit, ratio * size, ratio * U)
+                tail = (size, phase, U, K2, unit, ratio * size, ratio * U)
                 yield CrosstalkRow(stage.stage, quantity, frequency, reading, load, *tail)
 
 
@@ -133,7 +132,7 @@ def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float,
     for stage in evaluation.stages:
         value, expanded, which = -1.0, 0.0, ""
         for (i, reading), (j, load) in product(enumerate(stage.components), repeat=2):
-            size, U = float(stage.peak[i, j] * ratio[i, j]), K * float(stage.u_peak[i, j] * ratio[i, j])
+            size, U = float(stage.peak[i, j] * ratio[i, j]), K2 * float(stage.u_peak[i, j] * ratio[i, j])
             if i != j and evaluation.comparable(i, j) and size + U > value + expanded:
                 value, expanded, which = size, U, f"{reading} while {load} steps"
         if which:
@@ -159,15 +158,15 @@ def modes_table(evaluation: DecoupleEvaluation) -> Table:
         c, d = np.unravel_index(int(np.argmax(np.abs(model.residue[i]) * scale)), scale.shape)
         rows.append(
             (
-                measured(float(model.frequency_hz[i]), K * float(u.frequency_hz[i])),
-                measured(100 * float(model.damping_ratio[i]), 100 * K * float(u.damping_ratio[i])),
+                measured(float(model.frequency_hz[i]), K2 * float(u.frequency_hz[i])),
+                measured(100 * float(model.damping_ratio[i]), 100 * K2 * float(u.damping_ratio[i])),
                 str(rank.rank),
                 f"{model.channels[c]} by {model.components[d]}",
             )
         )
     for q in np.argsort(model.real_hz):
         rank = evaluation.fit.ranks[len(model.frequency_hz) + q]
-        value = measured(float(model.real_hz[q]), K * float(u.real_hz[q]))
+        value = measured(float(model.real_hz[q]), K2 * float(u.real_hz[q]))
         rows.append((value, "real pole", str(rank.rank), DASH))
     head = ("frequency / Hz", "damping ratio / %", "shapes", "clearest in")
     return Table("Poles that all outputs share, with U (k = 2)", head, "rrrl", tuple(rows))
@@ -181,7 +180,7 @@ def peak_tables(evaluation: DecoupleEvaluation) -> list[Table]:
         for i, reading in enumerate(stage.components):
             cells: list[str] = []
             for j in range(len(stage.components)):
-                value, expanded = stage.peak[i, j] * ratio[i, j], K * stage.u_peak[i, j] * ratio[i, j]
+                value, expanded = stage.peak[i, j] * ratio[i, j], K2 * stage.u_peak[i, j] * ratio[i, j]
                 cells.append(measured(float(value), float(expanded)) if evaluation.comparable(i, j) else DASH)
             rows.append((reading, *cells))
         head = ("reading", *(f"step of {name}" for name in stage.components))
@@ -194,7 +193,7 @@ def peak_tables(evaluation: DecoupleEvaluation) -> list[Table]:
 def static_table(evaluation: DecoupleEvaluation) -> Table:
     """Return the static outputs with U for rated loads, without these per unit of load."""
     model = evaluation.fit.model
-    value, expanded = model.static_gain * evaluation.scale, K * static_u(evaluation) * evaluation.scale
+    value, expanded = model.static_gain * evaluation.scale, K2 * static_u(evaluation) * evaluation.scale
     exponent = common_exponent(value.astype(np.complex128))
     rows = tuple(
         (channel, *(fixed(float(value[c, d]), float(expanded[c, d]), exponent) for d in range(value.shape[1])))
@@ -218,15 +217,15 @@ RELEASES: list[Column[ReleaseFit]] = [
     on_page("recording", lambda release: release.record, "l"),
     on_page("load", lambda release: release.component, "l"),
     on_page("released by", lambda release: release.release or DASH, "l"),
-    on_page("middle / ms", lambda release: measured(1e3 * release.middle_s, 1e3 * K * release.u_middle_s)),
+    on_page("middle / ms", lambda release: measured(1e3 * release.middle_s, 1e3 * K2 * release.u_middle_s)),
     on_page(
         "duration / ms",
         lambda release: (
-            measured(1e3 * release.duration_s, 1e3 * K * release.u_duration_s) if release.duration_s else "step"
+            measured(1e3 * release.duration_s, 1e3 * K2 * release.u_duration_s) if release.duration_s else "step"
         ),
     ),
     on_page("along", lambda release: {"ramp": "line", "smooth": "half a cosine"}[release.shape], "l"),
-    on_page("size − mean / %", lambda release: measured(100 * (release.gain - 1), 100 * K * release.u_gain)),
+    on_page("size − mean / %", lambda release: measured(100 * (release.gain - 1), 100 * K2 * release.u_gain)),
     on_page("misfit", lambda release: small(float(release.misfit.max()))),
 ]
 TRIALS: list[Column[Trial]] = [
@@ -243,7 +242,7 @@ def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
     model, u = evaluation.fit.model, evaluation.fit.model.u
     told = []
     for i in np.argsort(model.frequency_hz):
-        text = rounded(float(model.frequency_hz[i]), K * float(u.frequency_hz[i]))
+        text = rounded(float(model.frequency_hz[i]), K2 * float(u.frequency_hz[i]))
         told.append(f"({text.value} ± {text.expanded})")
     yield f"{len(told)} modes common to {len(model.channels)} outputs: {', '.join(told)} Hz (k = 2)"
     for what, value, U, which in largest(evaluation):

@@ -10,17 +10,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from fusion.base import typeset
+from fusion.base import K2, typeset
 from fusion.report.style import (
     BLACK,
     BLUE,
+    COLOURS,
     GREEN,
     GREY,
     LIGHT,
-    ORANGE,
     PURPLE,
     RED,
-    SKY,
     Picture,
     draw_response,
     padded,
@@ -38,8 +37,6 @@ from shaker.arrays import BoolArray, ComplexArray, FloatArray
 from shaker.frf.chain import common_covariance
 from shaker.identification.sensor import NO_CHAIN, Load
 
-COLOURS = (BLUE, GREEN, ORANGE, PURPLE, SKY)
-LOADS = (BLUE, ORANGE, GREEN, PURPLE, SKY, GREY)
 STYLES = ((GREEN, (0, (2, 2))), (PURPLE, (0, (6, 2))), (BLACK, "solid"))
 DASHED = (0, (4, 2))
 NEAR_WIDTHS, CIRCLE_WIDTHS = 8.0, 4.0
@@ -48,7 +45,6 @@ PANELS_ACROSS = 3
 REGION = float(np.sqrt(-2.0 * np.log(0.05)))
 """Radius of the circle that holds a complex error 95 times in 100, in standard uncertainties of its parts."""
 RASTER_ABOVE = 1500
-COVERAGE = 2.0
 POINTS = 400
 
 
@@ -127,7 +123,7 @@ def draw_fit(name: str, curves: Sequence[FittedCurve]) -> Picture:
                 away = np.abs(value - model) / (REGION * curve.u[lines])
                 lower.plot(frequency, away, ".", color=colour, markersize=2.5 if zoom else 1.2, zorder=2)
             plain_logarithm(upper.yaxis)
-            lower.axhline(1.0, color=RED, linewidth=0.7, linestyle=DASHED, zorder=1.5)
+            lower.axhline(1.0, color=BLACK, linewidth=0.7, linestyle=DASHED, zorder=1.5)
             lower.set_ylim(bottom=0.0)
             lower.yaxis.set_major_locator(MaxNLocator(4))
             lower.set_xlabel("frequency / Hz")
@@ -206,10 +202,10 @@ def draw_explained(name: str, component: ComponentResult, item: SensitivityResul
     with sheet(name, 4.6, 2, heights=(1.4, 1.0)) as drawn:
         upper, lower = drawn.panels
         size = np.abs(measured.value) / factor
-        u_size = COVERAGE * u_relative * size
+        u_size = K2 * u_relative * size
         bars: dict[str, Any] = {"fmt": "o", "color": BLUE, "markersize": 3.5, "elinewidth": 0.9, "zorder": 2.5}
         upper.errorbar(measured.frequency_hz, size, u_size, label="measured, U (k = 2)", **bars)
-        lower.errorbar(measured.frequency_hz, np.angle(measured.value * sign), COVERAGE * u_phase, **bars)
+        lower.errorbar(measured.frequency_hz, np.angle(measured.value * sign), K2 * u_phase, **bars)
         for (words, curve), (colour, dash) in zip(curves, STYLES, strict=False):
             upper.plot(hertz, np.abs(curve) / factor, color=colour, linestyle=dash, label=words, zorder=2)
             lower.plot(hertz, np.angle(curve * sign), color=colour, linestyle=dash, zorder=2)
@@ -240,7 +236,7 @@ def draw_outputs_over_load(name: str, component: ComponentResult) -> Picture:
     with sheet(name, 3.3) as drawn:
         (axes,) = drawn.panels
         axes.axhspan(-100.0 * permitted, 100.0 * permitted, color=GREY, alpha=0.15, linewidth=0, zorder=1)
-        for kg, band, colour in zip(component.loads, component.bands, LOADS, strict=False):
+        for kg, band, colour in zip(component.loads, component.bands, COLOURS, strict=False):
             away = 100.0 * (np.abs(model.output_factor(hertz, Load(kg, "force")) / model.sensitivity) - 1.0)
             axes.plot(hertz, away, color=colour, label=f"{kg:.4g} {unit}", zorder=2)
             if np.isfinite(band.upper_hz):

@@ -11,12 +11,9 @@ from fusion.base import GRAM, PERCENT
 from fusion.report.style import (
     BLACK,
     BLUE,
-    GREEN,
+    COLOURS,
     GREY,
     ORANGE,
-    PURPLE,
-    RED,
-    SKY,
     Picture,
     decades,
     panel_label,
@@ -25,8 +22,6 @@ from fusion.report.style import (
 from fusion.sensor.load.evaluate import ComponentLoads, Solution
 from shaker.arrays import FloatArray
 from shaker.release.load_modes import projected
-
-COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 
 
 def small_unit(component: ComponentLoads) -> str:

@@ -10,11 +10,9 @@ from matplotlib.axes import Axes
 from fusion.base import prefix, typeset
 from fusion.report.style import (
     BLACK,
-    BLUE,
-    GREEN,
+    COLOURS,
     GREY,
     LIGHT,
-    RED,
     Picture,
     panel_label,
     sheet,
@@ -24,7 +22,6 @@ from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.harmonics import turning_sense
 
-COLOURS = (BLUE, RED, GREEN)
 MARKERS = ("o", "s", "^")
 FULL_TURN_DEG = 360.0
 

@@ -12,14 +12,13 @@ from fusion.base import MILLI, PERCENT, typeset
 from fusion.report.style import (
     BLACK,
     BLUE,
+    COLOURS,
     GREEN,
     GREY,
     LIGHT,
     ORANGE,
-    PURPLE,
     RASTER_ABOVE,
     RED,
-    SKY,
     Picture,
     decades,
     draw_response,
@@ -34,7 +33,6 @@ from fusion.sensor.step.releases import LABELS, ComponentResult, MethodRow, Rele
 from shaker.arrays import FloatArray
 from shaker.lti.system import ModalModel
 
-COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
 DASHED = (0, (4, 2))
 BEFORE, AFTER = 0.6, 8.0
 """Periods of the lowest mode that the enlarged panel shows before the onset and after the release."""

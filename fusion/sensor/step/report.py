@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, MILLI, PERCENT, rounded, typeset
+from fusion.base import DASH, K2, MILLI, PERCENT, rounded, typeset
 from fusion.campaign.executor import one_blas_thread
 from fusion.estimation.uncertainty import NamedQuantity, Quantity, coverage_factor
 from fusion.recording.load import load_for_command
@@ -258,7 +258,6 @@ def _write_fit(group: h5py.Group, fit: StepFit) -> None:
 
 # Page and terminal
 
-K2 = 2.0
 SHARES = ("damping_ratio", "overshoot")
 """Quantities that are shares, told in %."""
 MANY_HEADLINES = 6

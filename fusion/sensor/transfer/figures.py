@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from fusion.base import typeset
+from fusion.base import K2, typeset
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -30,7 +30,6 @@ from shaker.identification.oscillator import Resonance
 
 RASTER_ABOVE = 6000  # lines from which curves are drawn as an image
 LARGEST_PERCENT = 100.0
-COVERAGE = 2.0
 DASHED = (0, (4, 2))
 
 
@@ -58,7 +57,7 @@ def draw_transfer(result: ReferenceResult, channel: int) -> Picture:
             magnitude.yaxis.set_major_formatter(FuncFormatter(lambda number, _: _plain(number)))
         magnitude.set_ylabel("|H|" if unit == "1" else f"|H| / ({unit})")
         for covariance, colour, label in ((curve.covariance, BLACK, "all"), (noise, ORANGE, "noise alone")):
-            percent = np.minimum(100.0 * COVERAGE * uncertainty(value, covariance)[0], LARGEST_PERCENT)
+            percent = np.minimum(100.0 * K2 * uncertainty(value, covariance)[0], LARGEST_PERCENT)
             relative.plot(frequency, percent, color=colour, linewidth=0.8, label=label, zorder=2)
         relative.set_yscale("log")
         decades(relative.yaxis)
