@@ -365,6 +365,7 @@ def typeset(unit: str) -> str:
 
 
 PROGRAM = "shakercal"
+__version__ = importlib.metadata.version(PROGRAM)
 LIBRARIES = {
     "numpy": "numpy",
     "scipy": "scipy",
@@ -385,7 +386,7 @@ LIBRARIES = {
 
 def versions() -> dict[str, str]:
     """Versions of this program, of Python, of the system, and of the libraries that have been imported."""
-    found = {PROGRAM: importlib.metadata.version(PROGRAM), "python": platform.python_version()}
+    found = {PROGRAM: __version__, "python": platform.python_version()}
     for module, distribution in LIBRARIES.items():
         if module not in sys.modules:
             continue

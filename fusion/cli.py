@@ -7,6 +7,7 @@ import logging
 import sys
 from collections.abc import Sequence
 
+from fusion.base import PROGRAM, __version__
 from fusion.commands import measure, sensor
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, Parser
 
@@ -78,7 +79,7 @@ def _parser() -> Parser:
         prog="shakercal",
         description="From a shaker recording to the dynamic sensitivity of a multi-component force and moment sensor.",
     )
-    parser.add_argument("--version", action=_Version)
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
     common = Parser(add_help=False)
     loudness = common.add_mutually_exclusive_group()
     loudness.add_argument("-v", "--verbose", action="store_true", help="tell more on stderr")
@@ -89,19 +90,6 @@ def _parser() -> Parser:
         command.options(own)
         own.set_defaults(act=command.act)
     return parser
-
-
-class _Version(argparse.Action):
-    """Print the installed version, looked up only when asked for."""
-
-    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
-        super().__init__(option_strings, dest, nargs=0, help="print the version and exit")
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from importlib.metadata import version
-
-        print(f"shakercal {version('shakercal')}")
-        parser.exit()
 
 
 if __name__ == "__main__":

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from importlib.metadata import version
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+__version__ = version("shakercal")
 
 # Array types and the shape check that every data class of the package uses.
 

@@ -6,7 +6,6 @@ result change. Everything a run computes is therefore done with one of them, whe
 
 from __future__ import annotations
 
-import importlib.metadata
 import logging
 import multiprocessing
 import os
@@ -25,7 +24,7 @@ from queue import PriorityQueue
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
-from fusion.base import PROGRAM, ComputeError, InputError
+from fusion.base import PROGRAM, ComputeError, InputError, __version__
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -392,15 +391,17 @@ def connected(address: str) -> Iterator[Cluster]:
         raise InputError(OPTION, "", found=f"{address or 'nothing'}, where none does", expected=expected) from error
     with client:
         # Workers that would compute something else are refused; those that are still to come are not asked.
-        own, versions = _version(), client.run(_version, on_error="return")
+        versions = client.run(_version, on_error="return")
         log.info("%s has %d worker%s", client.scheduler.address, len(versions), "" if len(versions) == 1 else "s")
         for worker, version in versions.items():
-            if version != own:
+            if version != __version__:
                 what = f"{PROGRAM} {version}" if isinstance(version, str) else f"none ({version})"
-                raise InputError(OPTION, "", found=f"{what} at {worker}", expected=f"workers with {PROGRAM} {own}")
+                raise InputError(
+                    OPTION, "", found=f"{what} at {worker}", expected=f"workers with {PROGRAM} {__version__}"
+                )
         yield Cluster(client)
 
 
 def _version() -> str:
-    """Return this program's version."""
-    return importlib.metadata.version(PROGRAM)
+    """Return the version of the program in the process that is asked."""
+    return __version__

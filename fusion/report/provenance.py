@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from fusion.base import PROGRAM, InputError
+from fusion.base import PROGRAM, InputError, __version__
 
 RESULT_FILE, RESULT_FORMAT = "result.h5", 2
 BLOCK_BYTES = 1 << 20
@@ -51,8 +50,7 @@ def is_current(folder: Path, hashes: Mapping[str, str], settings: Mapping[str, S
     found = read_provenance(folder)
     if found is None or not all((folder / name).is_file() for name in found.files):
         return False
-    version = importlib.metadata.version(PROGRAM)
-    same_program = found.versions.get(PROGRAM) == version
+    same_program = found.versions.get(PROGRAM) == __version__
     return same_program and found.input_hashes == dict(hashes) and found.settings == dict(settings)
 
 

@@ -45,6 +45,10 @@ def simulate(
     return recordings[0].parent if len(recordings) == 1 else out
 
 
+simulate_preset = simulate
+"""Its name in `fusion`, where `simulate` is this package."""
+
+
 def _write(folder: Path, preset: str, seed: int, progress: ProgressCallback, switches: dict[str, Any]) -> None:
     """Write a preset into an empty folder; what one preset needs is imported for it alone."""
     if preset in RECORDINGS:

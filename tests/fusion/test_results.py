@@ -142,7 +142,7 @@ def test_results_answer_for_the_same_input_only(folder, evaluation, monkeypatch)
     assert not is_current(folder, {**hashes, "rig.toml": "00" * 32}, settings)
     assert not is_current(folder, hashes, {**settings, "subset_radius_px": 11})
     assert not is_current(folder.parent, hashes, settings)
-    monkeypatch.setattr("fusion.base.importlib.metadata.version", lambda _: "99.0")
+    monkeypatch.setattr("fusion.report.provenance.__version__", "99.0")
     assert not is_current(folder, hashes, settings)
 
 

@@ -377,9 +377,9 @@ def test_without_the_extra_the_command_says_what_to_install(tmp_path, monkeypatc
 
 
 def test_workers_of_another_version_are_refused(cluster, monkeypatch):
-    monkeypatch.setattr("fusion.campaign.executor.PROGRAM", "numpy")
+    monkeypatch.setattr("fusion.campaign.executor.__version__", "99.0")
     found = re.escape(version("shakercal"))
-    with pytest.raises(InputError, match=f"expected workers with numpy .*, found numpy {found} at tcp:"):  # noqa: SIM117
+    with pytest.raises(InputError, match=f"expected workers with shakercal 99.0, found shakercal {found} at tcp:"):  # noqa: SIM117
         with connected(cluster.address):
             pass
 

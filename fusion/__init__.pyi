@@ -1,0 +1,37 @@
+"""The public names of fusion and where each lives, for type checkers and for `fusion/__init__.py`."""
+
+from .base import ComputeError as ComputeError
+from .base import InputError as InputError
+from .base import Settings as Settings
+from .base import __version__ as __version__
+from .campaign.recorded import read_recorded as read_recorded
+from .campaign.run import run_path as run_path
+from .estimation.fuse import Acceleration as Acceleration
+from .planning.check import CheckReport as CheckReport
+from .planning.check import check as check
+from .planning.plan import Request as Request
+from .planning.plan import make_plan as make_plan
+from .recording.load import Manifest as Manifest
+from .recording.load import find_recordings as find_recordings
+from .recording.load import load_for_command as load_for_command
+from .recording.load import load_manifest as load_manifest
+from .sensitivity.analyse import Evaluation as Evaluation
+from .sensitivity.evaluate import evaluate_recording as evaluate_recording
+from .sensitivity.load import LoadResult as LoadResult
+from .sensitivity.ratio import Sensitivity as Sensitivity
+from .sensor.compensate.evaluate import evaluate_compensation as evaluate_compensation
+from .sensor.compensate.report import read_compensation_filters as read_compensation_filters
+from .sensor.decouple.evaluate import DecoupleSettings as DecoupleSettings
+from .sensor.decouple.evaluate import evaluate_decoupling as evaluate_decoupling
+from .sensor.decouple.evaluate import read_decoupling_filter as read_decoupling_filter
+from .sensor.elastomer.evaluate import evaluate_element as evaluate_element
+from .sensor.identify.evaluate import evaluate_identification as evaluate_identification
+from .sensor.identify.report import read_sensor_models as read_sensor_models
+from .sensor.load.evaluate import evaluate_loads as evaluate_loads
+from .sensor.models_file import read_load_models as read_load_models
+from .sensor.rotate.evaluate import evaluate_rotation as evaluate_rotation
+from .sensor.step.evaluate import evaluate_steps as evaluate_steps
+from .sensor.step.records import StepSettings as StepSettings
+from .sensor.transfer.evaluate import evaluate_transfer as evaluate_transfer
+from .sensor.transfer.records import TransferSettings as TransferSettings
+from .simulate import simulate_preset as simulate_preset

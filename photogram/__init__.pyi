@@ -1,0 +1,31 @@
+"""The public names of photogram and where each lives, for type checkers and for `photogram/__init__.py`."""
+
+from .alignment.evidence import KnownPoints as KnownPoints
+from .alignment.solve import align as align
+from .arrays import __version__ as __version__
+from .calibration.file import read_calibration as read_calibration
+from .calibration.file import write_calibration as write_calibration
+from .calibration.foreign_formats import import_calibration as import_calibration
+from .calibration.session import calibrate_pair as calibrate_pair
+from .camera import Camera as Camera
+from .camera import StereoRig as StereoRig
+from .camera import triangulate as triangulate
+from .epipolar import check_epipolar as check_epipolar
+from .geometry import RigidTransform as RigidTransform
+from .images import ImageSequence as ImageSequence
+from .images import open_sequence as open_sequence
+from .images import read_picture as read_picture
+from .measure import measure_body as measure_body
+from .motion import fit_motion as fit_motion
+from .point_tables import read_point_tables as read_point_tables
+from .subsets.track import TrackSettings as TrackSettings
+from .subsets.track import track_stereo as track_stereo
+from .synthetic.board import Board as Board
+from .synthetic.board import render_board as render_board
+from .synthetic.scene import Face as Face
+from .synthetic.scene import ImageSensor as ImageSensor
+from .synthetic.scene import render as render
+from .synthetic.scene import speckle_texture as speckle_texture
+from .synthetic.scene import view_of as view_of
+from .targets.view import Target as Target
+from .targets.view import find_target as find_target
