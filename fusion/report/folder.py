@@ -31,6 +31,9 @@ log = logging.getLogger("shakercal")
 # Pages
 
 
+SECTION = re.compile(r'<section id="(.*?)" aria-label="(.*?)">')
+
+
 def render_page(template: str, context: Mapping[str, Any]) -> str:
     """HTML text of a template of this package; style and figures are inside, nothing is fetched from elsewhere."""
     environment = Environment(
@@ -40,7 +43,7 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["data_uri"] = data_uri
+    environment.filters |= {"data_uri": data_uri, "sections": sections}
     return environment.get_template(template).render(context) + "\n"
 
 
@@ -68,6 +71,11 @@ def inputs_table(origin: Origin) -> Table:
     """Every input file with its hash."""
     rows = tuple((name, Markup("<code>{}</code>").format(digest)) for name, digest in origin.input_hashes.items())
     return Table("Input files", ("file", "SHA-256"), "ll", rows)
+
+
+def sections(page: str) -> list[tuple[Markup, Markup]]:
+    """Identifier and label of every section of a page, in their order."""
+    return [(Markup(name), Markup(label)) for name, label in SECTION.findall(page)]
 
 
 def data_uri(svg: str) -> Markup:

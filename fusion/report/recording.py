@@ -74,7 +74,7 @@ def render_report(evaluation: Evaluation) -> str:
 def _context(evaluation: Evaluation) -> dict[str, Any]:
     """Everything the template shows."""
     return {
-        "manifest": evaluation.manifest,
+        "name": evaluation.manifest.name,
         "subject": _subject(evaluation),
         "headlines": tables.headlines(evaluation),
         "pictures": draw_all(evaluation),
