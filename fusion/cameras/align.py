@@ -50,7 +50,7 @@ from fusion.phasors.stereo_phasors import stereo_phasors
 from fusion.phasors.timing import TimeBase, tie_daqs
 from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest, load_manifest
-from fusion.report.provenance import sha256
+from fusion.report.folder import sha256
 from photogram.alignment.evidence import Evidence, KnownAxis, KnownDirection
 from photogram.alignment.seen import by_parameters, calibration_steps, fit_axis, linear_motion
 from photogram.alignment.solve import Alignment, align

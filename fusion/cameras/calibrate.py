@@ -21,7 +21,7 @@ from fusion.base import InputError, ProgressCallback, check_new_file, no_progres
 from fusion.cameras.facts import axes_angle_rad, baseline_m
 from fusion.cameras.report import render_camera_report
 from fusion.recording.values import natural_key
-from fusion.report.provenance import Provenance, hash_files
+from fusion.report.folder import Provenance, hash_files
 from photogram.calibration.bundle import ShapeKind
 from photogram.calibration.file import write_calibration
 from photogram.calibration.foreign import LengthUnit

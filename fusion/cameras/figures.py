@@ -30,7 +30,6 @@ from fusion.cameras.facts import (
     target_shape,
     used_points,
 )
-from fusion.report.numbers import signed
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -49,6 +48,7 @@ from fusion.report.style import (
     sheet,
     square_corners,
 )
+from fusion.report.table import signed
 from photogram.calibration.result import Calibration
 from photogram.camera import RIG_PARAMETERS
 from shaker.arrays import FloatArray, IntArray

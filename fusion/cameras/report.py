@@ -44,9 +44,7 @@ from fusion.cameras.figures import (
     picture_sheet,
     view_colours,
 )
-from fusion.report.folder import origin_frame, render_page
-from fusion.report.numbers import measured, signed, small, times_ten
-from fusion.report.provenance import Provenance
+from fusion.report.folder import Provenance, origin_frame, render_page
 from fusion.report.style import (
     BLACK,
     GREY,
@@ -60,7 +58,7 @@ from fusion.report.style import (
     panel_label,
     sheet,
 )
-from fusion.report.table import Headline, Table
+from fusion.report.table import Headline, Table, measured, signed, small, times_ten
 from photogram.calibration.result import Calibration, Parameter
 from photogram.camera import RIG_PARAMETERS
 from photogram.geometry import vector_from_rotation

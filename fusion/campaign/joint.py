@@ -25,9 +25,20 @@ from fusion.campaign.matrix_solve import MissingExcitationError
 from fusion.campaign.recorded import Recorded, SensorFacts
 from fusion.campaign.repeats import Drive, Repeats, find_repeats, group_by_frequency
 from fusion.estimation.uncertainty import Polar
-from fusion.report.csv_files import sensitivity_unit
-from fusion.report.numbers import common_exponent, fixed, measured, polar_cells, small, times_ten
-from fusion.report.table import Column, Headline, Table, on_page, table
+from fusion.report.table import (
+    Column,
+    Headline,
+    Table,
+    common_exponent,
+    fixed,
+    measured,
+    on_page,
+    polar_cells,
+    sensitivity_unit,
+    small,
+    table,
+    times_ten,
+)
 from shaker.arrays import Notice, Severity
 from shaker.labels import LOAD_COMPONENTS
 

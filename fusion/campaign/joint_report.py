@@ -30,13 +30,32 @@ from fusion.campaign.matrix_solve import LEAST_SINGULAR
 from fusion.campaign.recorded import Recorded, read_recorded
 from fusion.campaign.repeats import Repeats
 from fusion.estimation.uncertainty import Polar, element_covariance, polar
-from fusion.report.csv_files import SENSITIVITY, SENSITIVITY_FILE, merge_tables, polar_columns, sensitivity_elements
-from fusion.report.folder import origin_frame, render_page
+from fusion.report.folder import RESULT_FORMAT, Provenance, origin_frame, render_page, write_provenance
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.numbers import capital, fixed, number, signed, small
-from fusion.report.provenance import RESULT_FORMAT, Provenance, write_provenance
-from fusion.report.recording import CAMPAIGN_FILE, CROSSTALK_FILE, CURVE_FILE, REPORT_FILE
-from fusion.report.table import Column, Table, csv_text, on_page, table, word
+from fusion.report.recording import (
+    CAMPAIGN_FILE,
+    CROSSTALK_FILE,
+    CURVE_FILE,
+    REPORT_FILE,
+    SENSITIVITY,
+    SENSITIVITY_FILE,
+    merge_tables,
+    sensitivity_elements,
+)
+from fusion.report.table import (
+    Column,
+    Table,
+    capital,
+    csv_text,
+    fixed,
+    number,
+    on_page,
+    polar_columns,
+    signed,
+    small,
+    table,
+    word,
+)
 from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 

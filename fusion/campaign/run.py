@@ -30,9 +30,8 @@ from fusion.campaign.joint_report import write_campaign
 from fusion.estimation.uncertainty import Polar, region_factor
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, load_manifest
-from fusion.report.csv_files import SENSITIVITY_FILE, row_element
-from fusion.report.provenance import check_folder, hash_files, is_current
-from fusion.report.recording import REPORT_FILE, check_campaign_folder, write_results
+from fusion.report.folder import check_folder, hash_files, is_current
+from fusion.report.recording import REPORT_FILE, SENSITIVITY_FILE, check_campaign_folder, row_element, write_results
 from fusion.report.table import read_rows
 from fusion.sensitivity.evaluate import evaluate_recording
 

@@ -11,18 +11,6 @@ from matplotlib.patches import Ellipse
 from fusion.base import prefix, typeset
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Polar, element_covariance, polar
-from fusion.report.csv_files import sensitivity_element, sensitivity_unit
-from fusion.report.numbers import (
-    acceleration,
-    bodies,
-    by_source,
-    driven_channel,
-    driven_component,
-    driven_element,
-    main_line,
-    static_sensitivity,
-    static_value,
-)
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -37,6 +25,19 @@ from fusion.report.style import (
     polar_bars,
     power_of_ten,
     sheet,
+)
+from fusion.report.table import sensitivity_unit
+from fusion.report.tables import (
+    acceleration,
+    bodies,
+    by_source,
+    driven_channel,
+    driven_component,
+    driven_element,
+    main_line,
+    sensitivity_element,
+    static_sensitivity,
+    static_value,
 )
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import Sensitivity

@@ -1,4 +1,4 @@
-"""Figures of motion and deformation."""
+"""Figures of stereo pairs: motion, deformation, and whether the cameras still are what was calibrated."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from fusion.base import prefix
 from fusion.phasors.stereo_phasors import DeflectionShape, StereoResult
-from fusion.report.signal_figures import draw_epipolar
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -34,6 +33,7 @@ from fusion.report.style import (
     square_corners,
 )
 from fusion.sensitivity.analyse import Evaluation
+from photogram.epipolar import COVERAGE, EpipolarCheck
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import AXES, MOTION_COMPONENTS, component_units
 from shaker.sine.aliasing import alias_frequency
@@ -433,3 +433,69 @@ def neighbour_distance(points: FloatArray, least: float) -> float:
     distance = np.abs(sample[:, None, :] - points[None, :, :]).max(axis=2)
     distance[distance < least] = np.inf
     return float(np.median(distance.min(axis=1)))
+
+
+# Figure of one stereo pair: whether its cameras still are, and stay, what was calibrated.
+
+
+MPX = 1e3
+SMALLEST_PX = 1e-3  # range of the colours where residuals are smaller
+
+
+def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Picture:
+    """Mean epipolar residual over time with what the calibration explains, and its mean over time over the picture."""
+    with sheet(f"epipolar-{name}", 2.7, 1, 2, widths=(1.5, 1.0)) as drawn:
+        _draw_course(drawn.panels[0], check, time_s)
+        _draw_residuals(drawn.panels[1], check)
+        explained = (
+            "Grey band: what calibration and matching explain, k = 2. "
+            if check.pattern_covariance is not None
+            else "The calibration states no uncertainty to compare with. "
+        )
+        caption = (
+            "How far the points of the right picture are off the epipolar lines of their left ones. Left: mean over "
+            f"the points, frame by frame, bars: image noise, k = 2. {explained}A camera that moves makes a step or a "
+            "drift. Right: mean over the frames, over the left picture."
+        )
+        layout: dict[str, Any] = {"left": 0.72, "right": 0.75, "top": 0.12, "gap": (0.75, 0.14), "label": 0.52}
+        return drawn.picture(f"Epipolar residuals of {name}", caption, **layout)
+
+
+def _draw_course(axes: Axes, check: EpipolarCheck, time_s: FloatArray) -> None:
+    """The mean residual over time."""
+    if check.pattern_covariance is not None:
+        explained = MPX * COVERAGE * float(np.sqrt(check.pattern_covariance[0, 0]))
+        axes.axhspan(-explained, explained, color=LIGHT, linewidth=0)
+    axes.axhline(0.0, color=BLACK, linewidth=0.6)
+    look: dict[str, Any] = {
+        "markersize": 2.6,
+        "elinewidth": 0.7,
+        "capsize": 0.0,
+        "rasterized": len(time_s) > RASTER_ABOVE,
+    }
+    half = MPX * COVERAGE * check.u_course_px[:, 0]
+    axes.errorbar(time_s, MPX * check.mean_px, yerr=half, color=BLUE, fmt="o", **look)
+    axes.set_xlabel("time / s")
+    axes.set_ylabel("mean residual / mpx")
+
+
+def _draw_residuals(axes: Axes, check: EpipolarCheck) -> None:
+    """The mean residual of every point at its place in the left picture; outliers as crosses."""
+    known = np.isfinite(check.residual_px)
+    if not known.any():
+        axes.set_axis_off()
+        return
+    limit = MPX * max(SMALLEST_PX, float(np.abs(check.residual_px[known]).max()))
+    x, y = check.position_px.T
+    points = axes.scatter(
+        x[known], y[known], c=MPX * check.residual_px[known], cmap="RdBu_r", vmin=-limit, vmax=limit, s=14, linewidths=0
+    )
+    points.set_rasterized(int(known.sum()) > RASTER_ABOVE)
+    axes.plot(x[~known], y[~known], "x", color=RED, markersize=4)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.invert_yaxis()
+    axes.set_xlabel("x / px")
+    axes.set_ylabel("y / px")
+    bar = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
+    axes.figure.colorbar(points, cax=bar)
+    bar.set_ylabel("residual / mpx")

@@ -1,9 +1,8 @@
-"""Figures of clocks, channels, vibrometer points and epipolar lines."""
+"""Figures of channels, clocks and vibrometer points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,14 +12,11 @@ from fusion.estimation.uncertainty import coverage_factor
 from fusion.instruments.vibrometer import PointSpread, axis_name
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.timing import ClockResult
-from fusion.report.numbers import main_line
 from fusion.report.style import (
     BLACK,
     BLUE,
     GREY,
-    LIGHT,
     ORANGE,
-    RASTER_ABOVE,
     RED,
     Picture,
     decades,
@@ -31,8 +27,8 @@ from fusion.report.style import (
     sheet,
     thin_out,
 )
+from fusion.report.tables import main_line
 from fusion.sensitivity.analyse import Evaluation
-from photogram.epipolar import COVERAGE, EpipolarCheck
 from shaker.arrays import FloatArray
 
 # Figures of the DAQ side: channels with their fit and spectrum, camera trigger.
@@ -210,69 +206,3 @@ def _draw_map(axes: Axes, spread: PointSpread, line: int) -> None:
     axes.margins(0.2)
     axes.set_xlabel(f"{first} / mm")
     axes.set_ylabel(f"{second} / mm")
-
-
-# Figure of one stereo pair: whether its cameras still are, and stay, what was calibrated.
-
-
-MPX = 1e3
-SMALLEST_PX = 1e-3  # range of the colours where residuals are smaller
-
-
-def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Picture:
-    """Mean epipolar residual over time with what the calibration explains, and its mean over time over the picture."""
-    with sheet(f"epipolar-{name}", 2.7, 1, 2, widths=(1.5, 1.0)) as drawn:
-        _draw_course(drawn.panels[0], check, time_s)
-        _draw_residuals(drawn.panels[1], check)
-        explained = (
-            "Grey band: what calibration and matching explain, k = 2. "
-            if check.pattern_covariance is not None
-            else "The calibration states no uncertainty to compare with. "
-        )
-        caption = (
-            "How far the points of the right picture are off the epipolar lines of their left ones. Left: mean over "
-            f"the points, frame by frame, bars: image noise, k = 2. {explained}A camera that moves makes a step or a "
-            "drift. Right: mean over the frames, over the left picture."
-        )
-        layout: dict[str, Any] = {"left": 0.72, "right": 0.75, "top": 0.12, "gap": (0.75, 0.14), "label": 0.52}
-        return drawn.picture(f"Epipolar residuals of {name}", caption, **layout)
-
-
-def _draw_course(axes: Axes, check: EpipolarCheck, time_s: FloatArray) -> None:
-    """The mean residual over time."""
-    if check.pattern_covariance is not None:
-        explained = MPX * COVERAGE * float(np.sqrt(check.pattern_covariance[0, 0]))
-        axes.axhspan(-explained, explained, color=LIGHT, linewidth=0)
-    axes.axhline(0.0, color=BLACK, linewidth=0.6)
-    look: dict[str, Any] = {
-        "markersize": 2.6,
-        "elinewidth": 0.7,
-        "capsize": 0.0,
-        "rasterized": len(time_s) > RASTER_ABOVE,
-    }
-    half = MPX * COVERAGE * check.u_course_px[:, 0]
-    axes.errorbar(time_s, MPX * check.mean_px, yerr=half, color=BLUE, fmt="o", **look)
-    axes.set_xlabel("time / s")
-    axes.set_ylabel("mean residual / mpx")
-
-
-def _draw_residuals(axes: Axes, check: EpipolarCheck) -> None:
-    """The mean residual of every point at its place in the left picture; outliers as crosses."""
-    known = np.isfinite(check.residual_px)
-    if not known.any():
-        axes.set_axis_off()
-        return
-    limit = MPX * max(SMALLEST_PX, float(np.abs(check.residual_px[known]).max()))
-    x, y = check.position_px.T
-    points = axes.scatter(
-        x[known], y[known], c=MPX * check.residual_px[known], cmap="RdBu_r", vmin=-limit, vmax=limit, s=14, linewidths=0
-    )
-    points.set_rasterized(int(known.sum()) > RASTER_ABOVE)
-    axes.plot(x[~known], y[~known], "x", color=RED, markersize=4)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.invert_yaxis()
-    axes.set_xlabel("x / px")
-    axes.set_ylabel("y / px")
-    bar = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
-    axes.figure.colorbar(points, cax=bar)
-    bar.set_ylabel("residual / mpx")

@@ -1,4 +1,4 @@
-"""Results declared once: a `Column` says what a number is called, where it comes from and how it is printed.
+"""Results declared once, a `Column` each, and numbers as pages print them: rounded to their U, with powers and units.
 
 A list of columns is the declaration of a table. Files (`csv_text`), pages (`table`) and the terminal (`text_lines`) are
 views of it, so that names, numbers and heads cannot run apart and no row can be shorter than its head.
@@ -16,6 +16,10 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 from markupsafe import Markup
+
+from fusion.base import DASH, rounded, typeset
+from fusion.estimation.uncertainty import Polar, Quantity, Region, region_factor
+from shaker.arrays import ComplexArray
 
 R = TypeVar("R")
 
@@ -48,6 +52,33 @@ def word(name: str, value: Callable[[R], Any], head: str | None = None) -> Colum
 def on_page(head: str, shown: Callable[[R], str], align: str = "r") -> Column[R]:
     """Return a column that pages alone have."""
     return Column("", shown, head, shown, align)
+
+
+def polar_columns(size: str, value: Callable[[R], Polar]) -> list[Column[R]]:
+    """Return the ten columns of a complex value, of which `size` is the magnitude's name."""
+
+    def column(field: str) -> Column[R]:
+        return Column(field.replace("magnitude", size), lambda row: getattr(value(row), field))
+
+    return [column(field.name) for field in fields(Polar)]
+
+
+def quantity_columns(quantity: Callable[[R], Quantity]) -> list[Column[R]]:
+    """Return the six columns of a real quantity."""
+    return [
+        Column("value", lambda row: quantity(row).value),
+        Column("u", lambda row: quantity(row).u),
+        Column("U", lambda row: quantity(row).expanded),
+        Column("k", lambda row: quantity(row).k),
+        word("unit", lambda row: quantity(row).unit),
+        Column("dof", lambda row: quantity(row).dof),
+    ]
+
+
+def sensitivity_unit(output_unit: str, component: str) -> str:
+    """ASCII unit of output per load component, `(V/V)/N` or `(V/V)/(N.m)`."""
+    numerator = f"({output_unit})" if "/" in output_unit else output_unit
+    return f"{numerator}/N" if component.startswith("F") else f"{numerator}/(N.m)"
 
 
 def columns_of(row: type[Any]) -> list[Column[Any]]:
@@ -117,3 +148,132 @@ def read_rows(path: Path) -> list[dict[str, str]]:
     """Return the rows of a result table as dictionaries of texts."""
     with path.open(encoding="utf-8", newline="") as stream:
         return list(csv.DictReader(stream))
+
+
+# Numbers as pages print them: rounded to their expanded uncertainty, with powers of ten and units, as HTML.
+
+
+LARGEST_PHASE_U = 1.0
+"""Expanded uncertainty in rad above which a phase is printed as not determined."""
+LARGEST_DOF = 1000
+WEAK = "not distinguishable from 0"
+
+
+def measured(value: float, expanded: float, unit: str = "") -> Markup:
+    """Value and expanded uncertainty as HTML: `(2.0012 ± 0.0013) × 10⁻⁷ V/N`."""
+    text = rounded(value, expanded)
+    body = text.value if text.expanded == DASH else f"{text.value} ± {text.expanded}"
+    bracketed = f"({body})" if text.expanded != DASH and (unit or text.exponent) else body
+    minus = "\N{MINUS SIGN}" if text.exponent < 0 else ""
+    power = Markup(" × 10<sup>{}{}</sup>").format(minus, abs(text.exponent)) if text.exponent else Markup("")
+    return Markup("{}{}{}").format(bracketed, power, f" {typeset(unit)}" if unit else "")
+
+
+def fixed(value: float, expanded: float, exponent: int) -> Markup:
+    """Value and expanded uncertainty in units of a power of ten that stands elsewhere."""
+    text = rounded(value, expanded, exponent)
+    return Markup(text.value if text.expanded == DASH else f"{text.value} ± {text.expanded}")
+
+
+def times_ten(exponent: int, unit: str) -> Markup:
+    """Unit with a power of ten before it."""
+    minus = "\N{MINUS SIGN}" if exponent < 0 else ""
+    return (
+        Markup("10<sup>{}{}</sup> {}").format(minus, abs(exponent), typeset(unit))
+        if exponent
+        else Markup(typeset(unit))
+    )
+
+
+def phase(element: Polar) -> Markup:
+    """Phase with U, or a dash where it is not determined."""
+    expanded = element.expanded_phase_rad
+    determined = expanded <= LARGEST_PHASE_U and not element.region.holds_zero
+    return measured(element.phase_rad, expanded) if determined else Markup(DASH)
+
+
+def polar_cells(element: Polar, exponent: int | None = None) -> tuple[str, str, str]:
+    """Magnitude and phase with U, and k; of a value that may be zero the half-axes of its region, and their factor.
+
+    `exponent`: power of ten that stands elsewhere, by default with the magnitude.
+    """
+    region = element.region
+    if region.holds_zero:
+        return half_axes(region, exponent), WEAK, factor(region_factor(element.dof))
+    size, expanded = element.magnitude, element.expanded_magnitude
+    cell = measured(size, expanded) if exponent is None else fixed(size, expanded, exponent)
+    return cell, phase(element), factor(element.k)
+
+
+def half_axes(region: Region, exponent: int | None = None) -> Markup:
+    """Half-axes of a region, to two digits of the larger one."""
+    if not np.isfinite(region.half_axes[0]):
+        return Markup(DASH)
+    large, small_axis = region.half_axes
+    first = rounded(large, large, exponent)
+    second = rounded(small_axis, large, first.exponent)
+    power = times_ten(first.exponent, "") if exponent is None and first.exponent else Markup("")
+    return Markup("region ± {}, ± {}{}").format(
+        first.value, second.value, Markup(" × {}").format(power) if power else ""
+    )
+
+
+def factor(value: float) -> str:
+    """A coverage factor."""
+    return f"{value:.2f}" if np.isfinite(value) else DASH
+
+
+def common_exponent(values: ComplexArray) -> int:
+    """Power of ten of the largest finite value, none where it is readable as it is."""
+    sizes = np.abs(values[np.isfinite(values)])
+    return rounded(float(sizes.max()), 0.0).exponent if sizes.size else 0
+
+
+def short(value: float) -> Markup:
+    """Two significant digits, with a power of ten where that is shorter."""
+    if not np.isfinite(value):
+        return Markup(DASH)
+    value = float(f"{value:.1e}")
+    exponent = rounded(value, 0.0).exponent
+    text = f"{value / 10.0**exponent:.2g}" if exponent else f"{value:.6g}"
+    text = text.replace("-", "\N{MINUS SIGN}")
+    return Markup("{} × {}").format(text, times_ten(exponent, "").strip()) if exponent else Markup(text)
+
+
+def number(value: float | None) -> str:
+    """Three significant digits, a dash for what is unknown."""
+    return DASH if value is None or not np.isfinite(value) else f"{value:.3g}"
+
+
+def small(value: float) -> str:
+    """Two significant digits of an uncertainty; what is far below the last place of interest is only bounded."""
+    return f"{value:#.2g}".removesuffix(".") if value >= 1e-3 else "< 0.001"
+
+
+def degrees_of_freedom(value: float) -> str:
+    """Degrees of freedom as a whole number; thousands of them are as good as any number."""
+    return f"{value:.0f}" if value <= LARGEST_DOF else ("∞" if np.isinf(value) else f"> {LARGEST_DOF}")
+
+
+def microseconds(value_s: float | None, u_s: float | None) -> str:
+    """A duration with U, a dash where it is not known."""
+    return DASH if value_s is None or u_s is None else measured(1e6 * value_s, 2e6 * u_s)
+
+
+def plain(value: float, expanded: float, unit: str = "") -> str:
+    """Value with U and unit for the terminal, without a power of ten: `(2.0012 ± 0.0013) V/N`."""
+    text, tail = rounded(value, expanded, 0), f" {typeset(unit)}" if unit else ""
+    if text.expanded == DASH:
+        return f"{text.value}{tail}"
+    return f"({text.value} ± {text.expanded}){tail}" if unit else f"{text.value} ± {text.expanded}"
+
+
+def signed(value: float, form: str = ".2f") -> str:
+    """A number with a typographic minus sign, a dash for what is unknown; no sign before zero."""
+    text = format(value + 0.0, form) if np.isfinite(value) else DASH
+    return text.removeprefix("-") if not text.strip("-0.") else text.replace("-", "\N{MINUS SIGN}")
+
+
+def capital(text: str) -> str:
+    """Text with a capital letter at its beginning."""
+    return text[:1].upper() + text[1:]

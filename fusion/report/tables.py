@@ -1,4 +1,4 @@
-"""Tables and headlines of a recording's report, and the frame of every page."""
+"""Tables and headlines of a recording's report: sensitivity, acceleration, load, cameras, lines, channels, clocks."""
 
 from __future__ import annotations
 
@@ -10,34 +10,126 @@ from markupsafe import Markup
 from fusion.base import DASH, prefix, typeset
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Polar, element_covariance, polar
+from fusion.phasors.setup import LineStationarity, line_stationarity
 from fusion.phasors.stereo_phasors import StereoResult
-from fusion.report.csv_files import sensitivity_element, sensitivity_unit
-from fusion.report.numbers import (
+from fusion.phasors.timing import ClockResult
+from fusion.report.table import (
     WEAK,
-    acceleration,
-    bodies,
-    by_source,
+    Column,
+    Headline,
+    Table,
     common_exponent,
     degrees_of_freedom,
-    driven_channel,
-    driven_component,
     fixed,
     half_axes,
-    main_line,
     measured,
     microseconds,
     number,
+    on_page,
+    phase,
     polar_cells,
-    signed,
-    static_value,
+    sensitivity_unit,
+    short,
+    table,
     times_ten,
 )
-from fusion.report.table import Headline, Table
 from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.ratio import Sensitivity
+from fusion.sensitivity.ratio import driven_component as driven_load
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors
 
-# The tables of the report: every number rounded to its expanded uncertainty, whose coverage factor stands with it.
+# What a reader wants first: the driven component, the output that belongs to it, and the strongest line.
+
+
+def driven_component(evaluation: Evaluation) -> int:
+    """Place of the driven component among x, y, z, rx, ry, rz.
+
+    The largest element of the excitation's direction, forces and moments in shares of the rated loads; where none is
+    stated, the translation that moves most.
+    """
+    direction, sensor = evaluation.manifest.excitation.direction, evaluation.manifest.rig.sensor
+    if direction is not None:
+        return driven_load(direction, None if sensor is None else sensor.capacity)
+    sizes = [np.abs(result.phasors.value[:, :3]) for result in evaluation.accelerations]
+    moves = np.nan_to_num(np.concatenate(sizes)) if sizes else np.zeros((1, 3))
+    return int(np.argmax(moves.max(axis=0)))
+
+
+def driven_channel(evaluation: Evaluation) -> int:
+    """Place of the sensor output that belongs to the driven component.
+
+    The largest static sensitivity decides where one is given, else the largest ratio at the main line.
+    """
+    found = evaluation.sensitivity
+    if found is None:
+        raise ValueError("evaluation: expected a sensitivity, found none")
+    component = driven_component(evaluation)
+    static = static_sensitivity(evaluation)
+    sizes = np.abs(found.value[main_line(evaluation), :, component] if static is None else static[:, component])
+    usable = np.where(found.observed[:, component] & np.isfinite(sizes), sizes, -1.0)
+    return int(np.argmax(usable))
+
+
+def driven_element(evaluation: Evaluation) -> int:
+    """Place of the driven channel and component among the elements of the sensitivity."""
+    found = evaluation.sensitivity
+    if found is None:
+        raise ValueError("evaluation: expected a sensitivity, found none")
+    return found.elements.index((driven_channel(evaluation), driven_component(evaluation)))
+
+
+def main_line(evaluation: Evaluation) -> int:
+    """Place of the strongest line: the largest driven fused acceleration of the load, else the first line."""
+    result = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
+    if result is None:
+        return 0
+    driven = np.abs(result.phasors.value[:, driven_component(evaluation)])
+    return int(np.nanargmax(driven)) if np.isfinite(driven).any() else 0
+
+
+def acceleration(evaluation: Evaluation, body: str, source: str) -> Acceleration | None:
+    """Acceleration of one body from one source, None where there is none."""
+    for result in evaluation.accelerations:
+        if (result.body, result.source) == (body, source):
+            return result
+    return None
+
+
+def bodies(evaluation: Evaluation) -> list[str]:
+    """Bodies whose acceleration was determined, in order of appearance."""
+    return list(dict.fromkeys(result.body for result in evaluation.accelerations))
+
+
+def by_source(evaluation: Evaluation, body: str) -> list[Acceleration]:
+    """Results of one body, fused first; only the fused one where it rests on a single instrument."""
+    results = [result for result in evaluation.accelerations if result.body == body]
+    fused = acceleration(evaluation, body, "fused")
+    return [fused] if fused is not None and len(fused.instruments) < 2 and len(results) < 3 else results
+
+
+def static_sensitivity(evaluation: Evaluation) -> np.typing.NDArray[np.float64] | None:
+    """Static sensitivity (C, 6) of the outputs evaluated, None where the rig states none."""
+    sensor, found = evaluation.manifest.rig.sensor, evaluation.sensitivity
+    if sensor is None or found is None or sensor.static_sensitivity is None:
+        return None
+    rows = [list(sensor.channels).index(name) for name in found.channels]
+    return np.asarray(sensor.static_sensitivity, dtype=np.float64)[rows]
+
+
+def static_value(evaluation: Evaluation, channel: int, component: int) -> float | None:
+    """One element of the static sensitivity, None where it is not stated or zero."""
+    static = static_sensitivity(evaluation)
+    return float(static[channel, component]) if static is not None and static[channel, component] != 0.0 else None
+
+
+def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, component: int) -> Polar:
+    """One element of the sensitivity at one line, as magnitude and phase."""
+    place = line, channel, component
+    return polar(complex(sensitivity.value[place]), sensitivity.covariance[place], float(sensitivity.dof[place]))
+
+
+# Headlines and tables of the results.
 
 
 PREFIXED = ("m", "m/s", "m/s^2", "rad/s", "N")
@@ -114,32 +206,6 @@ def load_table(evaluation: Evaluation) -> Table | None:
                 rows.append((f"{frequency:.4f}", name, amplitude, unit, turn, factor, freedom))
     head = ("frequency / Hz", "component", "amplitude", "unit", "phase / rad", "k", "dof")
     return Table("Load at the sensor origin with U = k·u (95 %)", head, "rlrlrrr", tuple(rows))
-
-
-def consistency_table(evaluation: Evaluation) -> Table | None:
-    """How each instrument agrees with the others."""
-    rows = []
-    for result in evaluation.accelerations:
-        for entry in result.consistency:
-            amplitude = signed(100.0 * (abs(entry.ratio) - 1.0), "+.3f")
-            turn = signed(1e3 * float(np.angle(entry.ratio)), "+.2f")
-            use = ("fused, suspect" if entry.suspect else "fused") if entry.used else "compared only"
-            who = (result.body, result.source, entry.instrument, str(entry.channels))
-            rows.append((*who, signed(entry.normalised_deviation), amplitude, turn, use))
-    head = ("body", "result", "instrument", "channels", "normalised deviation", "amplitude / %", "phase / mrad", "use")
-    caption = "Each instrument against the prediction of all others (normalised deviation: 1 is expected)"
-    return Table(caption, head, "lllrrrrl", tuple(dict.fromkeys(rows))) if rows else None
-
-
-def chi_square_table(evaluation: Evaluation) -> Table | None:
-    """Agreement of all instruments of a result together."""
-    rows = tuple(
-        (result.body, result.source, ", ".join(result.instruments), f"{result.chi2:.1f}", str(result.dof))
-        for result in evaluation.accelerations
-        if result.dof > 0
-    )
-    head = ("body", "result", "instruments", "χ²", "degrees of freedom")
-    return Table("Agreement of the instruments", head, "lllrr", rows) if rows else None
 
 
 def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
@@ -246,9 +312,6 @@ def _source_row(results: Sequence[Acceleration], line: int, component: int) -> t
     return tuple(cells)
 
 
-# The report's table of takes: how far the reference channel tied them, and what drifted between them.
-
-
 def takes_table(evaluation: Evaluation) -> Table | None:
     """Return frequency, amplitude and phase of the reference at the driven lines of every take; None without takes."""
     takes = evaluation.set_ups
@@ -267,3 +330,116 @@ def takes_table(evaluation: Evaluation) -> Table | None:
         "noise, and the angle by which all phasors of the take were turned"
     )
     return Table(caption, head, "lrrrr", tuple(rows))
+
+
+# Tables of signals: lines, channels, what drifted, clocks and triggers.
+
+
+OTHER_LINES = 30
+"""Lines without results that are listed, those that stand out most."""
+LEAST_CHANCE = 1e-4
+"""Below it, a chance is only said to be smaller."""
+
+
+def lines_table(evaluation: Evaluation) -> Table:
+    """The lines evaluated, the others that stand out most, and why."""
+    lines, others = evaluation.lines, evaluation.lines.others
+    rows = [
+        (float(f), (measured(f, 2.0 * u), f"{nominal:g}", str(int(multiple)), "result", why))
+        for f, u, nominal, multiple, why in zip(
+            lines.frequency_hz, lines.u_frequency_hz, lines.nominal_hz, lines.multiple, lines.why, strict=True
+        )
+    ]
+    for i in np.argsort(-others.snr, kind="stable")[:OTHER_LINES].tolist():
+        f, u = float(others.frequency_hz[i]), float(others.u_frequency_hz[i])
+        beside = bool(np.any(np.abs(lines.nuisance_hz - f) <= 6.0 * u))
+        use = "fitted beside" if beside else "not fitted"
+        rows.append((f, (measured(f, 2.0 * u), DASH, DASH, use, others.why[i])))
+    rows.sort(key=lambda row: row[0])
+    more = len(others.snr) - OTHER_LINES
+    head = ("frequency / Hz", "nominal / Hz", "multiple", "use", "reason")
+    caption = "Lines of the record, with U (k = 2)" + (f"; {more} weaker ones are left out" if more > 0 else "")
+    return Table(caption, head, "rrrll", tuple(cells for _, cells in rows))
+
+
+def channels_table(evaluation: Evaluation) -> Table | None:
+    """Every DAQ channel at the strongest line."""
+    line, rows = main_line(evaluation), []
+    for channel in evaluation.channels:
+        value = complex(channel.phasors.value[line, 0])
+        element = polar(
+            value, element_covariance(channel.phasors.covariance[line], 0), float(channel.phasors.dof[line])
+        )
+        factor, letter = prefix(np.array([abs(value)])) if channel.unit in PREFIXED else (1.0, "")
+        amplitude = measured(element.magnitude / factor, element.expanded_magnitude / factor, letter + channel.unit)
+        rest = Markup("{} {}").format(short(channel.residual_rms / factor), typeset(letter + channel.unit))
+        known = (channel.name, channel.daq, channel.quantity, f"{channel.sample_rate_hz:g}")
+        rows.append((*known, amplitude, phase(element), rest))
+    head = ("channel", "DAQ", "quantity", "rate / Hz", "amplitude", "phase / rad", "residual rms")
+    caption = "Channels at the strongest line; U (95 %) from the scatter alone"
+    return Table(caption, head, "lllrrrr", tuple(rows)) if rows else None
+
+
+def drift_table(evaluation: Evaluation) -> Table | None:
+    """Return the changes of the driven lines over the record, one row per instrument; None without any."""
+    drifts = line_stationarity(evaluation.channels, evaluation.stereo, evaluation.lines, evaluation.clocks)
+    columns: list[Column[LineStationarity]] = [
+        on_page("instrument", lambda drift: drift.name, "l"),
+        on_page("line / Hz", lambda drift: f"{drift.frequency_hz:.4f}"),
+        on_page("blocks", lambda drift: str(drift.blocks)),
+        on_page("periods in each", lambda d: f"{d.periods:.0f}" if d.whole else f"{d.periods:.2f}, not whole"),
+        on_page("amplitude / %", lambda drift: fixed(100.0 * drift.amplitude, 200.0 * drift.u_amplitude, 0)),
+        on_page("phase / mrad", lambda drift: fixed(1e3 * drift.phase_rad, 2e3 * drift.u_phase_rad, 0)),
+        on_page(
+            "chance of noise",
+            lambda d: f"{d.chance:.2g}" if d.chance >= LEAST_CHANCE else f"below {LEAST_CHANCE:g}",
+        ),
+    ]
+    caption = (
+        "Change of amplitude and phase over the record, with U (k = 2) that has the rates of the clocks in it, from "
+        "blocks of whole periods or beats"
+    )
+    return table(caption, columns, drifts)
+
+
+def clocks_table(evaluation: Evaluation) -> Table | None:
+    """Triggers and ties of the DAQ blocks, one column each."""
+    if not evaluation.clocks:
+        return None
+    found = ["file", "edges found", "missing, doubled, spurious", "trigger rate / Hz", "jitter beyond sampling / µs"]
+    found += ["first edge / s", "pulse width / µs"]
+    names = [*found, "offset in the middle / s", "rate − 1 / 10⁻⁶", "edges paired by"]
+    columns = [
+        (clock.file.name, *_trigger_cells(clock), *_tie_cells(clock, evaluation.clocks[0]))
+        for clock in evaluation.clocks
+    ]
+    rows = tuple((name, *(column[place] for column in columns)) for place, name in enumerate(names))
+    head = ("", *(clock.daq for clock in evaluation.clocks))
+    return Table("Camera trigger and clocks, U (k = 2)", head, "l" + "r" * len(columns), rows)
+
+
+def _trigger_cells(clock: ClockResult) -> list[str]:
+    """Edges, missing, doubled and spurious ones, rate, jitter, first edge."""
+    trigger = clock.trigger
+    if trigger is None:
+        return ["no trigger", *[DASH] * 5]
+    u_start, u_period = 2.0 * np.sqrt(np.diag(trigger.covariance))
+    return [
+        str(len(trigger.number)),
+        f"{len(trigger.missing)}, {trigger.doubled}, {trigger.spurious}",
+        measured(1.0 / trigger.period_s, float(u_period) / trigger.period_s**2),
+        number(1e6 * trigger.jitter_s),
+        measured(trigger.start_s, float(u_start)),
+        microseconds(clock.pulse_width_s, clock.u_pulse_width_s),
+    ]
+
+
+def _tie_cells(clock: ClockResult, base: ClockResult) -> list[str]:
+    """Offset in the middle of the common edges and rate against the first block, and what paired the edges."""
+    tie = clock.tie
+    if tie is None:
+        return ["time base" if clock is base else "time base of its take", DASH, DASH]
+    middle = np.asarray(tie.middle_s)
+    offset = measured(float(tie.to_base_s(middle)) - tie.middle_s, 2.0 * float(tie.u_to_base_s(middle)))
+    rate = measured(1e6 * (tie.rate - 1.0), 2e6 * float(np.sqrt(tie.covariance[1, 1])))
+    return [offset, rate, f"{tie.decided_by} ({tie.pairs})"]

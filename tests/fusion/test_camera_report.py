@@ -26,7 +26,7 @@ from fusion.cameras.report import (
     verdict,
     views_table,
 )
-from fusion.report.provenance import Provenance
+from fusion.report.folder import Provenance
 from photogram.arrays import Notice
 from photogram.calibration.result import CalibratedPicture, CalibratedView, Calibration, Dropped
 from photogram.camera import RIG_PARAMETERS, StereoRig

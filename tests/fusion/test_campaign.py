@@ -21,8 +21,8 @@ from fusion.campaign.run import Outcome, exit_status, run_path, sensitivity_tabl
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.estimation.uncertainty import coverage_factor
-from fusion.report.csv_files import SENSITIVITY_FILE, result_tables, row_element, sensitivity_element
-from fusion.report.recording import CAMPAIGN_FILES
+from fusion.report.recording import CAMPAIGN_FILES, SENSITIVITY_FILE, result_tables, row_element
+from fusion.report.tables import sensitivity_element
 
 NAMES = ["Fz-0106.25", "Fz-0375.90"]
 TITLES = ["Fz 106.25 Hz", "Fz 375.90 Hz"]

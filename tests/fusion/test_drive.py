@@ -14,8 +14,8 @@ from support import AT_ORIGIN, block, channel, evaluated, recording_head
 from fusion.base import ComputeError
 from fusion.cli import main
 from fusion.phasors.setup import line_stationarity, stationarity_notices
-from fusion.report.more_tables import drift_table
 from fusion.report.recording import write_h5
+from fusion.report.tables import drift_table
 from fusion.sensitivity.analyse import Evaluation
 from shaker.timebase.tie import ClockTie
 

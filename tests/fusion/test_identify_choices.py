@@ -18,7 +18,7 @@ from support import edit, rows
 from fusion.cli import main
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.recording.manifest import ChannelEntry
-from fusion.report.provenance import Provenance, write_provenance
+from fusion.report.folder import Provenance, write_provenance
 from fusion.sensor.identify.evaluate import evaluate_identification, read_curves
 from fusion.sensor.identify.fit import JointFit, joint_fits, mechanics, modelled
 from fusion.sensor.identify.measured import (

@@ -32,8 +32,8 @@ from fusion.campaign.joint_report import (
 from fusion.campaign.recorded import Recorded, SensorFacts
 from fusion.campaign.repeats import Drive
 from fusion.report import recording as results
+from fusion.report.folder import Provenance
 from fusion.report.h5 import read_uncertainty
-from fusion.report.provenance import Provenance
 from fusion.report.recording import CAMPAIGN_FILES, check_campaign_folder, write_results
 from shaker.arrays import Notice
 from shaker.labels import LOAD_COMPONENTS as LOADS

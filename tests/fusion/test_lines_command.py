@@ -15,8 +15,8 @@ from fusion.phasors.channels import channel_results, find_channel_lines
 from fusion.phasors.timing import tie_daqs
 from fusion.recording.files import read_daqs
 from fusion.recording.load import load_manifest
-from fusion.report.more_tables import lines_table
 from fusion.report.recording import write_h5
+from fusion.report.tables import lines_table
 from fusion.sensitivity.analyse import Evaluation
 from shaker.lines.frequencies import Lines, find_lines
 

@@ -21,8 +21,8 @@ from fusion.estimation.uncertainty import region_factor
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.instruments.stereo import StereoReading
 from fusion.recording.manifest import ChannelEntry, Stereo
-from fusion.report.more_tables import monte_carlo_tables
 from fusion.report.recording import write_h5
+from fusion.report.uncertainty_tables import monte_carlo_tables
 from fusion.sensitivity.analyse import Analysis, Inputs, analyse
 from fusion.sensitivity.body import Body, draw_load_matrices, make_joint, make_part
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, shortest_interval, summarise, tolerance

@@ -20,10 +20,10 @@ from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.instruments.output import Outputs, output_phasors
 from fusion.instruments.vibrometer import PointRatios, PointSpread, axis_name, point_spreads
-from fusion.report.more_tables import point_tables
 from fusion.report.recording import render_report, write_h5
 from fusion.report.signal_figures import draw_points, point_pictures
 from fusion.report.style import Picture
+from fusion.report.uncertainty_tables import point_tables
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.body import Body, make_part
 from fusion.sensitivity.load import load_phasors

@@ -17,8 +17,7 @@ from fusion.phasors.timing import Exposure, exposure_middles, exposure_of, tie_d
 from fusion.planning.check import check
 from fusion.recording.files import read_daqs
 from fusion.recording.load import load_manifest
-from fusion.report.more_tables import clocks_table
-from fusion.report.tables import stereo_table
+from fusion.report.tables import clocks_table, stereo_table
 from fusion.sensitivity.analyse import Evaluation
 from photogram.geometry import rotation_from_vector
 

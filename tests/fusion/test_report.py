@@ -14,20 +14,21 @@ from markupsafe import Markup
 from page_outline import outline, self_contained
 
 from fusion.phasors.stereo_phasors import DeflectionShape, deflection_shape
-from fusion.report.more_tables import budget_tables, other_loads_table
 from fusion.report.motion_figures import (
     beat_curve,
     camera_rate_hz,
     draw_deflection,
+    draw_epipolar,
     folded_curve,
     main_frequency,
     residual_spectrum,
 )
-from fusion.report.numbers import degrees_of_freedom, fixed, measured, short, times_ten
 from fusion.report.recording import draw_all, render_report
-from fusion.report.signal_figures import draw_epipolar, draw_trigger
+from fusion.report.signal_figures import draw_trigger
 from fusion.report.style import Picture, padded, power_text, thin_out
+from fusion.report.table import degrees_of_freedom, fixed, measured, short, times_ten
 from fusion.report.tables import headlines, source_tables
+from fusion.report.uncertainty_tables import budget_tables, other_loads_table
 from fusion.sensitivity.analyse import Evaluation
 from photogram.camera import Points
 from photogram.geometry import rotation_from_vector

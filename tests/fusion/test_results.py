@@ -19,9 +19,8 @@ from fusion.campaign.recorded import read_drives, read_recorded
 from fusion.campaign.repeats import drives_of
 from fusion.estimation.uncertainty import Influence, Uncertainty
 from fusion.report import recording as results
-from fusion.report.csv_files import merge_tables
-from fusion.report.provenance import check_folder, hash_files, is_current, read_provenance, sha256
-from fusion.report.recording import write_results
+from fusion.report.folder import check_folder, hash_files, is_current, read_provenance, sha256
+from fusion.report.recording import merge_tables, write_results
 from fusion.sensitivity.analyse import Evaluation
 
 SENSITIVITY = (
@@ -142,7 +141,7 @@ def test_results_answer_for_the_same_input_only(folder, evaluation, monkeypatch)
     assert not is_current(folder, {**hashes, "rig.toml": "00" * 32}, settings)
     assert not is_current(folder, hashes, {**settings, "subset_radius_px": 11})
     assert not is_current(folder.parent, hashes, settings)
-    monkeypatch.setattr("fusion.report.provenance.__version__", "99.0")
+    monkeypatch.setattr("fusion.report.folder.__version__", "99.0")
     assert not is_current(folder, hashes, settings)
 
 

@@ -32,7 +32,7 @@ from fusion.commands.options import EXIT_DONE
 from fusion.estimation.fuse import Acceleration
 from fusion.recording.files import read_set_ups
 from fusion.recording.load import load_manifest
-from fusion.report.csv_files import result_tables
+from fusion.report.recording import result_tables
 from fusion.sensitivity.analyse import Evaluation
 
 SEEN = [2, 3, 4]  # z, rx, ry

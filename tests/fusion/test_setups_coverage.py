@@ -32,7 +32,7 @@ from fusion.phasors.setup import OpenSetUp
 from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
 from fusion.recording.manifest import ChannelEntry, Rig
 from fusion.recording.values import validate
-from fusion.report.csv_files import result_tables
+from fusion.report.recording import result_tables
 from fusion.sensitivity.analyse import Analysis, Evaluation, Inputs, analyse
 from fusion.sensitivity.body import Body, make_part
 from photogram.geometry import rotation_from_vector

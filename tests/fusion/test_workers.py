@@ -27,7 +27,7 @@ from fusion.campaign import run as leading
 from fusion.campaign.executor import Answer, Workers, call, connected, one_blas_thread
 from fusion.campaign.run import Outcome, run_path
 from fusion.commands.options import EXIT_INTERRUPTED
-from fusion.report.csv_files import result_tables
+from fusion.report.recording import result_tables
 from fusion.sensitivity.analyse import Evaluation
 from fusion.simulate import simulate
 

@@ -16,11 +16,21 @@ import numpy as np
 from markupsafe import Markup
 
 from fusion.base import DASH, GRAM, K2, MILLI, PERCENT, InputError, rounded
-from fusion.report.folder import Command
+from fusion.report.folder import Command, hash_files
 from fusion.report.h5 import write_value
-from fusion.report.numbers import capital, measured, number, signed
-from fusion.report.provenance import hash_files
-from fusion.report.table import Column, Headline, Table, columns_of, csv_text, on_page, table
+from fusion.report.table import (
+    Column,
+    Headline,
+    Table,
+    capital,
+    columns_of,
+    csv_text,
+    measured,
+    number,
+    on_page,
+    signed,
+    table,
+)
 from fusion.sensor.compensate.evaluate import (
     HAND_DAMPING,
     HAND_STIFFNESS,

@@ -14,21 +14,26 @@ from markupsafe import Markup
 from fusion.base import DASH, K2, rounded, typeset
 from fusion.campaign.executor import one_blas_thread
 from fusion.recording.load import load_for_command
-from fusion.report.csv_files import sensitivity_unit
-from fusion.report.folder import Command
+from fusion.report.folder import Command, subject_of
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.numbers import (
+from fusion.report.table import (
+    Column,
+    Headline,
+    Table,
     capital,
+    columns_of,
     common_exponent,
+    csv_text,
     fixed,
     measured,
     number,
+    on_page,
+    sensitivity_unit,
     signed,
     small,
-    subject_of,
+    table,
     times_ten,
 )
-from fusion.report.table import Column, Headline, Table, columns_of, csv_text, on_page, table
 from fusion.sensor.decouple.evaluate import (
     DecoupleEvaluation,
     DecoupleSettings,

@@ -10,12 +10,10 @@ import h5py
 import numpy as np
 
 from fusion.base import DASH, MILLI, ProgressCallback, no_progress, rounded
-from fusion.report.folder import Command
+from fusion.report.folder import Command, hash_files
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.numbers import measured, signed
-from fusion.report.provenance import hash_files
 from fusion.report.style import Picture
-from fusion.report.table import Column, Headline, Table, columns_of, csv_text, on_page, table, word
+from fusion.report.table import Column, Headline, Table, columns_of, csv_text, measured, on_page, signed, table, word
 from fusion.sensor.elastomer.definition import read_definition
 from fusion.sensor.elastomer.evaluate import (
     ComparedColumn,

@@ -14,7 +14,7 @@ from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
 from fusion.campaign.repeats import Drive, drive_ratio, over_lines
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Sensor
-from fusion.report.csv_files import sensitivity_unit
+from fusion.report.table import sensitivity_unit
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensor.identify.fit import (
     JointFit,

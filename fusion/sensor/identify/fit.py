@@ -14,9 +14,9 @@ from fusion.base import ARGUMENT, ComputeError, InputError
 from fusion.campaign.repeats import between_recordings
 from fusion.estimation.uncertainty import Uncertainty
 from fusion.recording.manifest import Sensor
-from fusion.report.csv_files import sensitivity_unit
+from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import read_uncertainty
-from fusion.report.provenance import RESULT_FILE
+from fusion.report.table import sensitivity_unit
 from fusion.sensitivity.body import inertia_errors, rigid_load
 from fusion.sensor.identify.measured import (
     EvaluatedSines,

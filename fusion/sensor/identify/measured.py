@@ -14,7 +14,7 @@ from fusion.instruments import TRANSDUCERS
 from fusion.instruments.transducer import geometry_errors, placed_at, unit_direction
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.report.provenance import RESULT_FILE, hash_files, read_provenance
+from fusion.report.folder import RESULT_FILE, hash_files, read_provenance
 from fusion.sensitivity.body import inertia_errors, rigid_load
 from fusion.sensor.transfer.evaluate import KINDS, evaluate_transfer
 from fusion.sensor.transfer.records import FoundResonance, ReferenceResult, TransferSettings

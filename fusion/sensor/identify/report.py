@@ -17,8 +17,20 @@ from fusion.campaign.executor import one_blas_thread
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.numbers import capital, measured, small, times_ten
-from fusion.report.table import Column, Headline, Table, columns_of, csv_text, on_page, table, word
+from fusion.report.table import (
+    Column,
+    Headline,
+    Table,
+    capital,
+    columns_of,
+    csv_text,
+    measured,
+    on_page,
+    small,
+    table,
+    times_ten,
+    word,
+)
 from fusion.sensor.identify.evaluate import (
     LABELS,
     ComponentResult,

@@ -12,11 +12,23 @@ import numpy as np
 from fusion.base import DASH, GRAM, rounded, typeset
 from fusion.estimation.uncertainty import NamedQuantity
 from fusion.recording.load import load_for_command
-from fusion.report.folder import Command
+from fusion.report.folder import Command, hash_files
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.numbers import capital, factor, measured, signed
-from fusion.report.provenance import hash_files
-from fusion.report.table import Column, Headline, Table, columns_of, csv_text, known, on_page, table, word
+from fusion.report.table import (
+    Column,
+    Headline,
+    Table,
+    capital,
+    columns_of,
+    csv_text,
+    factor,
+    known,
+    measured,
+    on_page,
+    signed,
+    table,
+    word,
+)
 from fusion.sensor.load.evaluate import (
     ComponentLoads,
     LoadEvaluation,

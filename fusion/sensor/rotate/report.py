@@ -12,11 +12,26 @@ import numpy as np
 from fusion.base import DASH, GRAM, MILLI, typeset
 from fusion.campaign.repeats import BETWEEN, WITHIN
 from fusion.recording.load import load_for_command
-from fusion.report.csv_files import quantity_columns
-from fusion.report.folder import Command
+from fusion.report.folder import Command, subject_of
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.numbers import capital, degrees_of_freedom, factor, measured, plain, short, signed, small, subject_of
-from fusion.report.table import Column, Headline, Table, csv_text, on_page, table, word
+from fusion.report.table import (
+    Column,
+    Headline,
+    Table,
+    capital,
+    csv_text,
+    degrees_of_freedom,
+    factor,
+    measured,
+    on_page,
+    plain,
+    quantity_columns,
+    short,
+    signed,
+    small,
+    table,
+    word,
+)
 from fusion.sensor.rotate.evaluate import UNTOLD, evaluate_rotation
 from fusion.sensor.rotate.figures import draw_deviations, draw_readings
 from fusion.sensor.rotate.readings import JOINT, Repeats, RotationEvaluation, RotationQuantity, RotationRecording

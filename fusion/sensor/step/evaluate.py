@@ -12,7 +12,7 @@ import numpy as np
 
 from fusion.base import ComputeError, InputError, versions
 from fusion.recording.load import Manifest
-from fusion.report.csv_files import sensitivity_unit
+from fusion.report.table import sensitivity_unit
 from fusion.sensor.models_file import ModelEntry
 from fusion.sensor.step.records import StepSettings, index_quantities, parameter_quantities, pool_models
 from fusion.sensor.step.releases import (

@@ -15,22 +15,27 @@ from fusion.base import DASH, K2, MILLI, PERCENT, rounded, typeset
 from fusion.campaign.executor import one_blas_thread
 from fusion.estimation.uncertainty import NamedQuantity, Quantity, coverage_factor
 from fusion.recording.load import load_for_command
-from fusion.report.csv_files import quantity_columns
-from fusion.report.folder import Command
+from fusion.report.folder import Command, subject_of
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.numbers import (
+from fusion.report.style import power_text
+from fusion.report.table import (
+    Column,
+    Headline,
+    Table,
     capital,
+    csv_text,
     degrees_of_freedom,
     factor,
     measured,
     number,
+    on_page,
     plain,
+    quantity_columns,
     short,
     signed,
-    subject_of,
+    table,
+    word,
 )
-from fusion.report.style import power_text
-from fusion.report.table import Column, Headline, Table, csv_text, on_page, table, word
 from fusion.sensor.models_file import MODELS_FILE, ModelsFile, models_text
 from fusion.sensor.step.evaluate import evaluate_steps
 from fusion.sensor.step.figures import component_pictures

@@ -14,11 +14,21 @@ from fusion.base import typeset
 from fusion.estimation.uncertainty import Polar, element_covariance, polar
 from fusion.recording.load import load_for_command
 from fusion.recording.manifest import ChannelEntry
-from fusion.report.csv_files import polar_columns
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields
-from fusion.report.numbers import measured, plain, small
-from fusion.report.table import Column, Headline, Table, csv_text, on_page, table, word
+from fusion.report.table import (
+    Column,
+    Headline,
+    Table,
+    csv_text,
+    measured,
+    on_page,
+    plain,
+    polar_columns,
+    small,
+    table,
+    word,
+)
 from fusion.sensor.transfer.evaluate import evaluate_transfer
 from fusion.sensor.transfer.figures import draw_transfer, uncertainty
 from fusion.sensor.transfer.records import FoundResonance, TransferEvaluation, TransferSettings

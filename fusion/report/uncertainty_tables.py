@@ -1,4 +1,4 @@
-"""Tables of contradictions, budgets, vibrometer points, Monte Carlo and signals."""
+"""Tables on what results rest: agreement of instruments, budgets, parallel vibrometer points, Monte Carlo."""
 
 from __future__ import annotations
 
@@ -7,37 +7,38 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, prefix, rounded, typeset
+from fusion.base import DASH, rounded, typeset
 from fusion.estimation.consistency import CommonEstimate
 from fusion.estimation.fuse import REMAINING, Acceleration, Untested, untested
 from fusion.estimation.uncertainty import Polar, Uncertainty, element_covariance, polar
 from fusion.instruments.vibrometer import FEWEST_POINTS, PointRatios, PointSpread, axis_name
-from fusion.phasors.setup import LineStationarity, line_stationarity
-from fusion.phasors.timing import ClockResult
-from fusion.report.csv_files import sensitivity_unit
-from fusion.report.numbers import (
-    acceleration,
+from fusion.report.table import (
+    Column,
+    Table,
     capital,
     common_exponent,
     degrees_of_freedom,
-    driven_channel,
-    driven_component,
-    driven_element,
     factor,
     fixed,
-    main_line,
     measured,
-    microseconds,
     number,
+    on_page,
     phase,
+    sensitivity_unit,
     short,
     signed,
     small,
-    static_sensitivity,
+    table,
     times_ten,
 )
-from fusion.report.table import Column, Table, on_page, table
-from fusion.report.tables import PREFIXED, chi_square_table, consistency_table
+from fusion.report.tables import (
+    acceleration,
+    driven_channel,
+    driven_component,
+    driven_element,
+    main_line,
+    static_sensitivity,
+)
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.distributions import Propagated, RealSpread
 from fusion.sensitivity.load import BudgetEntry, budget
@@ -45,7 +46,7 @@ from fusion.sensitivity.ratio import parasitic_loads
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
-# The report's tables on the agreement of instruments: who deviates, what scatters, what these data do not test.
+# Whether instruments agree: who deviates, what scatters, what these data do not test.
 
 
 LONGEST = 15
@@ -63,6 +64,32 @@ def consistency_tables(evaluation: Evaluation) -> list[Table]:
         _untested_table(fused),
     )
     return [table for table in found if table]
+
+
+def chi_square_table(evaluation: Evaluation) -> Table | None:
+    """Agreement of all instruments of a result together."""
+    rows = tuple(
+        (result.body, result.source, ", ".join(result.instruments), f"{result.chi2:.1f}", str(result.dof))
+        for result in evaluation.accelerations
+        if result.dof > 0
+    )
+    head = ("body", "result", "instruments", "χ²", "degrees of freedom")
+    return Table("Agreement of the instruments", head, "lllrr", rows) if rows else None
+
+
+def consistency_table(evaluation: Evaluation) -> Table | None:
+    """How each instrument agrees with the others."""
+    rows = []
+    for result in evaluation.accelerations:
+        for entry in result.consistency:
+            amplitude = signed(100.0 * (abs(entry.ratio) - 1.0), "+.3f")
+            turn = signed(1e3 * float(np.angle(entry.ratio)), "+.2f")
+            use = ("fused, suspect" if entry.suspect else "fused") if entry.used else "compared only"
+            who = (result.body, result.source, entry.instrument, str(entry.channels))
+            rows.append((*who, signed(entry.normalised_deviation), amplitude, turn, use))
+    head = ("body", "result", "instrument", "channels", "normalised deviation", "amplitude / %", "phase / mrad", "use")
+    caption = "Each instrument against the prediction of all others (normalised deviation: 1 is expected)"
+    return Table(caption, head, "lllrrrrl", tuple(dict.fromkeys(rows))) if rows else None
 
 
 def _scatter_table(results: list[Acceleration]) -> Table | None:
@@ -118,7 +145,7 @@ def _untested_table(results: list[Acceleration]) -> Table | None:
     return table(caption, columns, [(result.body, unknown) for result in results for unknown in untested(result)])
 
 
-# The report's tables of uncertainty: budgets of the driven component, and what other loads explain of the outputs.
+# Budgets of the driven component, and what other loads explain of the outputs.
 
 
 SMALLEST_SHARE = 0.05
@@ -218,7 +245,7 @@ def other_loads_table(evaluation: Evaluation) -> Table | None:
     return Table(caption, head, "lrrrr", tuple(rows))
 
 
-# The report's tables of parallel vibrometer points: each point, what they spread and rock, and each one's ratio.
+# Parallel vibrometer points: each point, what they spread and rock, and each one's ratio.
 
 
 def point_tables(evaluation: Evaluation) -> list[Table]:
@@ -341,7 +368,7 @@ def _has_rest(spread: PointSpread) -> bool:
     return len(spread.channels) > FEWEST_POINTS
 
 
-# The report's tables of a Monte Carlo run: 95 % intervals of the draws beside those of first-order propagation.
+# A Monte Carlo run: 95 % intervals of the draws beside those of first-order propagation.
 
 
 def monte_carlo_tables(evaluation: Evaluation) -> list[Table]:
@@ -400,116 +427,3 @@ def _interval(low: float, high: float, u: float, unit: str) -> str:
     if exponent:
         return Markup("({} … {}) × {}").format(*texts, times_ten(exponent, unit))
     return Markup("{} … {} {}").format(*texts, typeset(unit))
-
-
-# The report's tables of signals: lines, channels, what drifted, clocks and triggers.
-
-
-OTHER_LINES = 30
-"""Lines without results that are listed, those that stand out most."""
-LEAST_CHANCE = 1e-4
-"""Below it, a chance is only said to be smaller."""
-
-
-def lines_table(evaluation: Evaluation) -> Table:
-    """The lines evaluated, the others that stand out most, and why."""
-    lines, others = evaluation.lines, evaluation.lines.others
-    rows = [
-        (float(f), (measured(f, 2.0 * u), f"{nominal:g}", str(int(multiple)), "result", why))
-        for f, u, nominal, multiple, why in zip(
-            lines.frequency_hz, lines.u_frequency_hz, lines.nominal_hz, lines.multiple, lines.why, strict=True
-        )
-    ]
-    for i in np.argsort(-others.snr, kind="stable")[:OTHER_LINES].tolist():
-        f, u = float(others.frequency_hz[i]), float(others.u_frequency_hz[i])
-        beside = bool(np.any(np.abs(lines.nuisance_hz - f) <= 6.0 * u))
-        use = "fitted beside" if beside else "not fitted"
-        rows.append((f, (measured(f, 2.0 * u), DASH, DASH, use, others.why[i])))
-    rows.sort(key=lambda row: row[0])
-    more = len(others.snr) - OTHER_LINES
-    head = ("frequency / Hz", "nominal / Hz", "multiple", "use", "reason")
-    caption = "Lines of the record, with U (k = 2)" + (f"; {more} weaker ones are left out" if more > 0 else "")
-    return Table(caption, head, "rrrll", tuple(cells for _, cells in rows))
-
-
-def channels_table(evaluation: Evaluation) -> Table | None:
-    """Every DAQ channel at the strongest line."""
-    line, rows = main_line(evaluation), []
-    for channel in evaluation.channels:
-        value = complex(channel.phasors.value[line, 0])
-        element = polar(
-            value, element_covariance(channel.phasors.covariance[line], 0), float(channel.phasors.dof[line])
-        )
-        factor, letter = prefix(np.array([abs(value)])) if channel.unit in PREFIXED else (1.0, "")
-        amplitude = measured(element.magnitude / factor, element.expanded_magnitude / factor, letter + channel.unit)
-        rest = Markup("{} {}").format(short(channel.residual_rms / factor), typeset(letter + channel.unit))
-        known = (channel.name, channel.daq, channel.quantity, f"{channel.sample_rate_hz:g}")
-        rows.append((*known, amplitude, phase(element), rest))
-    head = ("channel", "DAQ", "quantity", "rate / Hz", "amplitude", "phase / rad", "residual rms")
-    caption = "Channels at the strongest line; U (95 %) from the scatter alone"
-    return Table(caption, head, "lllrrrr", tuple(rows)) if rows else None
-
-
-def drift_table(evaluation: Evaluation) -> Table | None:
-    """Return the changes of the driven lines over the record, one row per instrument; None without any."""
-    drifts = line_stationarity(evaluation.channels, evaluation.stereo, evaluation.lines, evaluation.clocks)
-    columns: list[Column[LineStationarity]] = [
-        on_page("instrument", lambda drift: drift.name, "l"),
-        on_page("line / Hz", lambda drift: f"{drift.frequency_hz:.4f}"),
-        on_page("blocks", lambda drift: str(drift.blocks)),
-        on_page("periods in each", lambda d: f"{d.periods:.0f}" if d.whole else f"{d.periods:.2f}, not whole"),
-        on_page("amplitude / %", lambda drift: fixed(100.0 * drift.amplitude, 200.0 * drift.u_amplitude, 0)),
-        on_page("phase / mrad", lambda drift: fixed(1e3 * drift.phase_rad, 2e3 * drift.u_phase_rad, 0)),
-        on_page(
-            "chance of noise",
-            lambda d: f"{d.chance:.2g}" if d.chance >= LEAST_CHANCE else f"below {LEAST_CHANCE:g}",
-        ),
-    ]
-    caption = (
-        "Change of amplitude and phase over the record, with U (k = 2) that has the rates of the clocks in it, from "
-        "blocks of whole periods or beats"
-    )
-    return table(caption, columns, drifts)
-
-
-def clocks_table(evaluation: Evaluation) -> Table | None:
-    """Triggers and ties of the DAQ blocks, one column each."""
-    if not evaluation.clocks:
-        return None
-    found = ["file", "edges found", "missing, doubled, spurious", "trigger rate / Hz", "jitter beyond sampling / µs"]
-    found += ["first edge / s", "pulse width / µs"]
-    names = [*found, "offset in the middle / s", "rate − 1 / 10⁻⁶", "edges paired by"]
-    columns = [
-        (clock.file.name, *_trigger_cells(clock), *_tie_cells(clock, evaluation.clocks[0]))
-        for clock in evaluation.clocks
-    ]
-    rows = tuple((name, *(column[place] for column in columns)) for place, name in enumerate(names))
-    head = ("", *(clock.daq for clock in evaluation.clocks))
-    return Table("Camera trigger and clocks, U (k = 2)", head, "l" + "r" * len(columns), rows)
-
-
-def _trigger_cells(clock: ClockResult) -> list[str]:
-    """Edges, missing, doubled and spurious ones, rate, jitter, first edge."""
-    trigger = clock.trigger
-    if trigger is None:
-        return ["no trigger", *[DASH] * 5]
-    u_start, u_period = 2.0 * np.sqrt(np.diag(trigger.covariance))
-    return [
-        str(len(trigger.number)),
-        f"{len(trigger.missing)}, {trigger.doubled}, {trigger.spurious}",
-        measured(1.0 / trigger.period_s, float(u_period) / trigger.period_s**2),
-        number(1e6 * trigger.jitter_s),
-        measured(trigger.start_s, float(u_start)),
-        microseconds(clock.pulse_width_s, clock.u_pulse_width_s),
-    ]
-
-
-def _tie_cells(clock: ClockResult, base: ClockResult) -> list[str]:
-    """Offset in the middle of the common edges and rate against the first block, and what paired the edges."""
-    tie = clock.tie
-    if tie is None:
-        return ["time base" if clock is base else "time base of its take", DASH, DASH]
-    middle = np.asarray(tie.middle_s)
-    offset = measured(float(tie.to_base_s(middle)) - tie.middle_s, 2.0 * float(tie.u_to_base_s(middle)))
-    rate = measured(1e6 * (tie.rate - 1.0), 2e6 * float(np.sqrt(tie.covariance[1, 1])))
-    return [offset, rate, f"{tie.decided_by} ({tie.pairs})"]
