@@ -137,7 +137,7 @@ def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
         file.attrs["format"] = RESULT_FORMAT
         file.attrs["campaign"] = evaluation.name
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
-        write_provenance(file, campaign_origin(evaluation.recorded, files))
+        write_provenance(file, campaign_origin(evaluation.recorded), files)
         _write_recordings(file.create_group("recordings"), evaluation)
         if evaluation.sensor is not None:
             write_fields(file.create_group("sensor", track_order=True), evaluation.sensor)
@@ -146,14 +146,14 @@ def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
     return stream.getvalue()
 
 
-def campaign_origin(recorded: Sequence[Recorded], files: Sequence[str]) -> Provenance:
+def campaign_origin(recorded: Sequence[Recorded]) -> Provenance:
     """Return the inputs of all recordings, with the settings and versions that the first was evaluated with."""
     hashes: dict[str, str] = {}
     for entry in recorded:
         for name, digest in entry.origin.input_hashes.items():
             hashes[name if hashes.get(name, digest) == digest else f"{entry.folder}: {name}"] = digest
     first = recorded[0].origin if recorded else Provenance({}, {}, {}, ())
-    return Provenance(dict(sorted(hashes.items())), first.settings, first.versions, tuple(files))
+    return Provenance(dict(sorted(hashes.items())), first.settings, first.versions, ())
 
 
 def _write_recordings(group: h5py.Group, evaluation: CampaignEvaluation) -> None:
@@ -323,7 +323,6 @@ def _crosstalk_table(found: CrossTalk) -> Table:
 
 def render_campaign(evaluation: CampaignEvaluation) -> str:
     """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
-    origin = campaign_origin(evaluation.recorded, ())
     mains = main_points(evaluation, curve_points(evaluation))
     ratios = [curve for curve in evaluation.curves if curve.kind == "ratio" and len(curve.channels) > 1]
     context = {
@@ -341,7 +340,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         "repeats": repeats_table(evaluation),
         "linearity": linearity_table(evaluation),
         "recordings": _recording_rows(evaluation),
-        **origin_frame(origin, evaluation.notices),
+        **origin_frame(campaign_origin(evaluation.recorded), evaluation.notices),
     }
     return render_page("campaign.html", context)
 

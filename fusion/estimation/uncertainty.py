@@ -363,6 +363,14 @@ def polar(value: complex, covariance: FloatArray, dof: float = np.inf) -> Polar:
     return Polar(magnitude, float(np.arctan2(im + 0.0, re)), u_magnitude, u_phase, re, im, u_re, u_im, r, dof)
 
 
+def polar_elements(value: ComplexArray, covariance: FloatArray, dof: FloatArray) -> list[list[Polar | None]]:
+    """Return complex values (K, C) with covariance (K, 2C, 2C) and degrees of freedom (K, C), None where not known."""
+    lines: list[list[Polar | None]] = [[None] * len(row) for row in value]
+    for k, c in np.argwhere(np.isfinite(value)).tolist():
+        lines[k][c] = polar(complex(value[k, c]), element_covariance(covariance[k], c), float(dof[k, c]))
+    return lines
+
+
 def element_covariance(covariance: FloatArray, element: int) -> FloatArray:
     """Covariance (2, 2) of (Re, Im) of one element of a real-stacked covariance (2M, 2M)."""
     pair = [element, element + covariance.shape[-1] // 2]

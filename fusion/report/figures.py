@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
+from numpy.typing import NDArray
 
 from fusion.base import prefix, typeset
-from fusion.estimation.fuse import Acceleration
-from fusion.estimation.uncertainty import Polar, element_covariance, polar
+from fusion.estimation.fuse import Acceleration, Source
+from fusion.estimation.uncertainty import Polar
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -35,6 +37,7 @@ from fusion.report.tables import (
     driven_component,
     driven_element,
     main_line,
+    result_elements,
     sensitivity_element,
     static_sensitivity,
     static_value,
@@ -81,9 +84,12 @@ def draw_sources(evaluation: Evaluation, compared: list[str]) -> Picture:
 def draw_components(evaluation: Evaluation, body: str) -> Picture:
     """Six components at the strongest line in the complex plane, with 95 % ellipses of every source."""
     line, results = main_line(evaluation), by_source(evaluation, body)
+    found = {result.source: result_elements(result)[line] for result in results}
     with sheet(f"components-{body}", 5.9, 2, 3, sharex=False) as drawn:
         for component, axes in enumerate(drawn.panels):
-            _draw_plane(axes, results, line, component)
+            axes.set_title(MOTION_COMPONENTS[component])
+            known = {source: element for source, row in found.items() if (element := row[component]) is not None}
+            _draw_plane(axes, known, typeset(results[0].phasors.unit[component]))
         handles, labels = [], [result.source for result in results]
         for source in labels:
             look: dict[str, Any] = {"color": SOURCE_COLOUR[source], "marker": SOURCE_MARKER[source]}
@@ -104,17 +110,8 @@ def _has_reference(evaluation: Evaluation, body: str) -> bool:
     fused = acceleration(evaluation, body, "fused")
     if fused is None or len(fused.instruments) < 2 or len(by_source(evaluation, body)) < 2:
         return False
-    element = _element(fused, main_line(evaluation), driven_component(evaluation))
+    element = result_elements(fused)[main_line(evaluation)][driven_component(evaluation)]
     return element is not None and element.region.half_axes[0] < 0.5 * element.magnitude
-
-
-def _element(result: Acceleration, line: int, component: int) -> Polar | None:
-    """One component with its degrees of freedom, None where it is not determined."""
-    value = complex(result.phasors.value[line, component])
-    if not result.observed[line, component] or not np.isfinite(value):
-        return None
-    pair = element_covariance(result.phasors.covariance[line], component)
-    return polar(value, pair, float(result.uncertainty.dof()[line, component]))
 
 
 def _draw_deviations(left: Axes, right: Axes, results: list[Acceleration], line: int, component: int) -> None:
@@ -122,7 +119,7 @@ def _draw_deviations(left: Axes, right: Axes, results: list[Acceleration], line:
     names: list[str] = []
     reference = complex(results[0].phasors.value[line, component])
     for result in results:
-        element = _element(result, line, component)
+        element = result_elements(result)[line][component]
         if element is None:
             continue
         amplitude = 100.0 * (element.magnitude / abs(reference) - 1.0)
@@ -142,46 +139,43 @@ def _draw_deviations(left: Axes, right: Axes, results: list[Acceleration], line:
         axes.grid(visible=False, axis="y")
 
 
-def _draw_plane(axes: Axes, results: list[Acceleration], line: int, component: int) -> None:
-    """One component of all sources in the complex plane, each with its 95 % region."""
-    known = [(result, element) for result in results if (element := _element(result, line, component)) is not None]
-    unit = results[0].phasors.unit[component]
-    axes.set_title(MOTION_COMPONENTS[component])
+def _draw_plane(axes: Axes, known: Mapping[Source, Polar], unit: str) -> None:
+    """One component in the complex plane from every source that determines it, each with its 95 % region."""
     if not known:
         axes.text(0.5, 0.5, "not observed", ha="center", va="center", color=GREY, transform=axes.transAxes)
         axes.set_axis_off()
         return
-    factor, letter = prefix(np.array([element.magnitude for _, element in known]))
-    low, high = _frame([element for _, element in known], factor)
-    for result, element in known:
-        colour, centre = SOURCE_COLOUR[result.source], (element.re / factor, element.im / factor)
+    factor, letter = prefix([element.magnitude for element in known.values()])
+    low, high = _frame(list(known.values()), factor)
+    for source, element in known.items():
+        colour, centre = SOURCE_COLOUR[source], (element.re / factor, element.im / factor)
         width, height = (2.0 * axis / factor for axis in element.region.half_axes)
         look: dict[str, Any] = {"facecolor": "none", "edgecolor": colour, "linewidth": 1.1}
         axes.add_patch(Ellipse(centre, width, height, angle=float(np.degrees(element.region.angle_rad)), **look))
-        axes.plot(*centre, SOURCE_MARKER[result.source], color=colour, markersize=3.5)
+        axes.plot(*centre, SOURCE_MARKER[source], color=colour, markersize=3.5)
     axes.plot(0.0, 0.0, "+", color=BLACK, markersize=8)
     axes.set_aspect("equal", adjustable="box")
     axes.set_xlim(low.real, high.real)
     axes.set_ylim(low.imag, high.imag)
     axes.locator_params(nbins=4)
-    axes.set_xlabel(f"Re / {letter}{typeset(unit)}")
-    axes.set_ylabel(f"Im / {letter}{typeset(unit)}")
+    axes.set_xlabel(f"Re / {letter}{unit}")
+    axes.set_ylabel(f"Im / {letter}{unit}")
 
 
 def _frame(known: list[Polar], factor: float) -> tuple[complex, complex]:
     """Corners of a square that holds the regions, and the origin where it is not far outside."""
-    corners = [
-        complex(element.re, element.im) + sign * element.region.half_axes[0] * (1 + 1j)
-        for element in known
-        for sign in (-1, 1)
-    ]
-    points = np.array(corners) / factor
-    middle = complex((points.real.max() + points.real.min()) / 2.0, (points.imag.max() + points.imag.min()) / 2.0)
-    half = 0.6 * max(np.ptp(points.real), np.ptp(points.imag), 1e-300)
+
+    def square(points: NDArray[Any]) -> tuple[complex, float]:
+        """Middle and half a side, with some room."""
+        middle = complex(points.real.max() + points.real.min(), points.imag.max() + points.imag.min()) / 2.0
+        return middle, 0.6 * float(max(np.ptp(points.real), np.ptp(points.imag), 1e-300))
+
+    centres = np.array([complex(element.re, element.im) for element in known], dtype=np.complex128)
+    reach = np.array([element.region.half_axes[0] for element in known]) * (1 + 1j)
+    points = np.concatenate([centres - reach, centres + reach]) / factor
+    middle, half = square(points)
     if abs(middle) < 8.0 * half:
-        points = np.append(points, 0.0)
-        middle = complex((points.real.max() + points.real.min()) / 2.0, (points.imag.max() + points.imag.min()) / 2.0)
-        half = 0.6 * max(np.ptp(points.real), np.ptp(points.imag))
+        middle, half = square(np.append(points, 0.0))
     half = max(half, 1e-6 * abs(middle), 1e-12)
     return middle - half * (1 + 1j), middle + half * (1 + 1j)
 

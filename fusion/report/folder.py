@@ -28,8 +28,23 @@ from shaker.arrays import Notice
 
 
 RESULT_FILE, RESULT_FORMAT = "result.h5", 2
-BLOCK_BYTES = 1 << 20
 Setting = str | float | int
+
+
+class Origin(Protocol):
+    """Where a result comes from."""
+
+    @property
+    def settings(self) -> dict[str, Setting]:
+        """What was chosen."""
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """The program and the libraries that computed it."""
+
+    @property
+    def input_hashes(self) -> dict[str, str]:
+        """Hashes of all input files."""
 
 
 @dataclass(frozen=True)
@@ -43,20 +58,22 @@ class Provenance:
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file as hexadecimal digits, read block by block."""
-    digest = hashlib.sha256()
+    """SHA-256 of a file as hexadecimal digits."""
     try:
         with path.open("rb") as stream:
-            while block := stream.read(BLOCK_BYTES):
-                digest.update(block)
+            return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputError(path, "", found=error.strerror or str(error), expected="a file that can be read") from error
-    return digest.hexdigest()
 
 
 def hash_files(files: Iterable[Path], root: Path) -> dict[str, str]:
     """SHA-256 of every file, keyed by its path relative to `root` (absolute where it lies elsewhere), sorted."""
-    return dict(sorted((_key(path, root), sha256(path)) for path in set(files)))
+    hashes, base = {}, root.resolve()
+    for path in set(files):
+        resolved = path.resolve()
+        key = resolved.relative_to(base) if resolved.is_relative_to(base) else resolved
+        hashes[key.as_posix()] = sha256(path)
+    return dict(sorted(hashes.items()))
 
 
 def is_current(folder: Path, hashes: Mapping[str, str], settings: Mapping[str, Setting]) -> bool:
@@ -98,36 +115,19 @@ def read_provenance(folder: Path, marker: str = RESULT_FILE) -> Provenance | Non
         if group is None:
             return None
         hashes = zip(group["input_file"].asstr()[()], group["input_sha256"].asstr()[()], strict=True)
-        settings = {name: _plain(value) for name, value in group["settings"].attrs.items()}
-        found = {name: str(value) for name, value in group["versions"].attrs.items()}
-        return Provenance(dict(hashes), settings, found, tuple(group["files"].asstr()[()]))
+        settings, versions = (dict(group[name].attrs) for name in ("settings", "versions"))
+        plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in settings.items()}
+        return Provenance(dict(hashes), plain, versions, tuple(group["files"].asstr()[()]))
 
 
-def write_provenance(file: h5py.File, provenance: Provenance) -> None:
-    """Put the group `provenance` into an open result file."""
+def write_provenance(file: h5py.File, origin: Origin, files: Sequence[str]) -> None:
+    """Put the group `provenance` into an open result file; `files`: the names of all result files."""
     group = file.create_group("provenance")
-    text = h5py.string_dtype()
-    hashes = provenance.input_hashes
-    group.create_dataset("input_file", data=np.array(list(hashes), dtype=object), dtype=text)
-    group.create_dataset("input_sha256", data=np.array(list(hashes.values()), dtype=object), dtype=text)
-    group.create_dataset("files", data=np.array(provenance.files, dtype=object), dtype=text)
-    group.create_group("settings").attrs.update(provenance.settings)
-    group.create_group("versions").attrs.update(provenance.versions)
-
-
-def _key(path: Path, root: Path) -> str:
-    """Path relative to the campaign's root, with `/` on every system."""
-    resolved, base = path.resolve(), root.resolve()
-    return (resolved.relative_to(base) if resolved.is_relative_to(base) else resolved).as_posix()
-
-
-def _plain(value: object) -> Setting:
-    """HDF5 attribute as a Python scalar."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, str | float | int):
-        return value
-    return str(value)
+    hashes = origin.input_hashes
+    for name, texts in (("input_file", list(hashes)), ("input_sha256", list(hashes.values())), ("files", files)):
+        group.create_dataset(name, data=np.array(texts, dtype=object), dtype=h5py.string_dtype())
+    group.create_group("settings").attrs.update(origin.settings)
+    group.create_group("versions").attrs.update(origin.versions)
 
 
 # Pages.
@@ -162,28 +162,17 @@ def subject_of(rig: Rig) -> list[tuple[str, str]]:
 
 def origin_frame(origin: Origin, notices: Iterable[AnyNotice]) -> dict[str, Any]:
     """What every page shows beside its subject: notices, settings and versions, input files, the program."""
+    settings = tuple((name, str(value)) for name, value in origin.settings.items())
+    inputs = tuple((name, Markup("<code>{}</code>").format(digest)) for name, digest in origin.input_hashes.items())
     return {
         "notices": warnings_first(notices),
-        "origin": provenance_tables(origin),
-        "inputs": inputs_table(origin),
+        "origin": [
+            Table("Versions", ("program or library", "version"), "ll", tuple(origin.versions.items())),
+            Table("Settings", ("name", "value"), "ll", settings),
+        ],
+        "inputs": Table("Input files", ("file", "SHA-256"), "ll", inputs),
         "program": f"{PROGRAM} {origin.versions.get(PROGRAM, '')}".strip(),
     }
-
-
-def provenance_tables(origin: Origin) -> list[Table]:
-    """Versions and settings."""
-    versions = tuple((name, version) for name, version in origin.versions.items())
-    settings = tuple((name, str(value)) for name, value in origin.settings.items())
-    return [
-        Table("Versions", ("program or library", "version"), "ll", versions),
-        Table("Settings", ("name", "value"), "ll", settings),
-    ]
-
-
-def inputs_table(origin: Origin) -> Table:
-    """Every input file with its hash."""
-    rows = tuple((name, Markup("<code>{}</code>").format(digest)) for name, digest in origin.input_hashes.items())
-    return Table("Input files", ("file", "SHA-256"), "ll", rows)
 
 
 def data_uri(svg: str) -> Markup:
@@ -198,22 +187,6 @@ def data_uri(svg: str) -> Markup:
 FORMAT = 1
 """Of the HDF5 files of commands."""
 log = logging.getLogger("shakercal")
-
-
-class Origin(Protocol):
-    """Where a result comes from."""
-
-    @property
-    def settings(self) -> dict[str, str | float | int]:
-        """What was chosen."""
-
-    @property
-    def versions(self) -> dict[str, str]:
-        """The program and the libraries that computed it."""
-
-    @property
-    def input_hashes(self) -> dict[str, str]:
-        """Hashes of all input files."""
 
 
 class Evaluated(Origin, Protocol):
@@ -314,7 +287,7 @@ class Command(Generic[E]):
                 (temporary / name).write_bytes(text if isinstance(text, bytes) else text.encode("utf-8"))
             names = [*texts, self.h5_file]
             with h5py.File(temporary / self.h5_file, "w", track_order=True) as file:
-                write_provenance(file, _origin(evaluation, names))
+                write_provenance(file, evaluation, names)
                 file.attrs["format"] = FORMAT
                 self.fill(file, evaluation)
             return names
@@ -325,11 +298,6 @@ class Command(Generic[E]):
         """Return the HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
         frame = {**origin_frame(evaluation, evaluation.notices), "duration_s": evaluation.duration_s}
         return render_page(f"{self.name}.html", {"name": evaluation.name, **self.context(evaluation), **frame})
-
-
-def _origin(evaluation: Evaluated, names: list[str] | tuple[str, ...]) -> Provenance:
-    """Settings, versions and inputs of an evaluation, with the files that hold it."""
-    return Provenance(evaluation.input_hashes, evaluation.settings, evaluation.versions, tuple(names))
 
 
 # Folders.

@@ -5,23 +5,21 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import h5py
 import numpy as np
 
 from fusion.base import InputError
-from fusion.estimation.uncertainty import Polar, element_covariance, polar
+from fusion.estimation.fuse import Acceleration
+from fusion.estimation.uncertainty import Polar
 from fusion.phasors.stereo_phasors import StereoResult
-from fusion.recording.load import Manifest
-from fusion.report import tables
+from fusion.report import tables, uncertainty_tables
 from fusion.report.figures import acceleration_pictures, draw_budget, sensitivity_pictures
 from fusion.report.folder import (
     RESULT_FILE,
     RESULT_FORMAT,
-    Provenance,
     check_folder,
     origin_frame,
     read_provenance,
@@ -34,25 +32,10 @@ from fusion.report.motion_figures import motion_pictures, subset_pictures
 from fusion.report.signal_figures import channel_pictures, point_pictures, trigger_pictures
 from fusion.report.style import Picture
 from fusion.report.table import Column, csv_text, measured, polar_columns, sensitivity_unit, word
-from fusion.report.tables import (
-    channels_table,
-    clocks_table,
-    drift_table,
-    lines_table,
-    sensitivity_element,
-    takes_table,
-)
-from fusion.report.uncertainty_tables import (
-    budget_tables,
-    consistency_tables,
-    monte_carlo_tables,
-    other_loads_table,
-    point_tables,
-)
 from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import Sensitivity
-from shaker.arrays import BoolArray, FloatArray
-from shaker.sine.phasor import Phasors
+from shaker.arrays import FloatArray
 
 # Its tables as CSV files, and how a campaign joins those of several.
 
@@ -119,19 +102,21 @@ MOTION: list[Column[Pose]] = [
 def result_tables(evaluation: Evaluation) -> dict[str, str]:
     """Text of every CSV file of one recording, by file name."""
     name, found = evaluation.manifest.name, evaluation.sensitivity
-    tables = {
+    accelerations, load = evaluation.accelerations, evaluation.load
+    moved = (entry for result in accelerations for entry in _phasors(result, result.body, result.source, name))
+    texts = {
         SENSITIVITY_FILE: csv_text(SENSITIVITY, [] if found is None else sensitivity_elements(found, name)),
-        ACCELERATION_FILE: csv_text(PHASORS, _accelerations(evaluation)),
-        LOAD_FILE: csv_text(PHASORS, _loads(evaluation)),
+        ACCELERATION_FILE: csv_text(PHASORS, moved),
+        LOAD_FILE: csv_text(PHASORS, [] if load is None else _phasors(load, "load", "fused", name)),
     }
-    return {**tables, **{f"motion-{stereo.name}.csv": csv_text(MOTION, poses(stereo)) for stereo in evaluation.stereo}}
+    return {**texts, **{f"motion-{stereo.name}.csv": csv_text(MOTION, poses(stereo)) for stereo in evaluation.stereo}}
 
 
 def sensitivity_elements(found: Sensitivity, recording: str) -> Iterator[Element]:
     """One entry per line and element that could be determined, of a `recording` or of a campaign of this name."""
     for k, c, j in np.argwhere(np.isfinite(found.value)).tolist():
         unit, component = sensitivity_unit(found.unit, found.components[j]), found.components[j]
-        value = sensitivity_element(found, k, c, j)
+        value = tables.sensitivity_element(found, k, c, j)
         yield Element(float(found.frequency_hz[k]), found.channels[c], component, value, unit, found.kind[k], recording)
 
 
@@ -140,31 +125,14 @@ def row_element(row: Mapping[str, str]) -> Polar:
     return Polar(**{field.name: float(row[field.name]) for field in fields(Polar)})
 
 
-def _accelerations(evaluation: Evaluation) -> Iterator[Element]:
-    """One entry per body, source, line and component that this source determines."""
-    for result in evaluation.accelerations:
-        determined = result.observed & np.isfinite(result.phasors.value)
-        origin = (result.body, result.source, evaluation.manifest.name)
-        yield from _phasors(result.phasors, result.uncertainty.dof(), determined, origin)
-
-
-def _loads(evaluation: Evaluation) -> Iterator[Element]:
-    """One entry per line and load component."""
-    load = evaluation.load
-    if load is not None:
-        origin = ("load", "fused", evaluation.manifest.name)
-        yield from _phasors(load.phasors, load.uncertainty.dof(), np.isfinite(load.phasors.value), origin)
-
-
-def _phasors(
-    phasors: Phasors, dof: FloatArray, determined: BoolArray, origin: tuple[str, str, str]
-) -> Iterator[Element]:
-    """Elements marked `determined` (K, C), each with own degrees of freedom (K, C); origin: body, source, recording."""
-    body, source, recording = origin
-    for k, c in np.argwhere(determined):
-        value = polar(complex(phasors.value[k, c]), element_covariance(phasors.covariance[k], c), float(dof[k, c]))
-        frequency, component = float(phasors.frequency_hz[k]), phasors.channels[c]
-        yield Element(frequency, body, component, value, phasors.unit[c], source, recording)
+def _phasors(result: Acceleration | LoadResult, body: str, source: str, recording: str) -> Iterator[Element]:
+    """One entry per line and component that is observed."""
+    phasors = result.phasors
+    for k, row in enumerate(tables.result_elements(result)):
+        for c, value in enumerate(row):
+            if value is not None:
+                frequency, component = float(phasors.frequency_hz[k]), phasors.channels[c]
+                yield Element(frequency, body, component, value, phasors.unit[c], source, recording)
 
 
 def poses(stereo: StereoResult) -> Iterator[Pose]:
@@ -222,12 +190,7 @@ REPORT_FILE = "report.html"
 
 def render_report(evaluation: Evaluation) -> str:
     """HTML text of the report; style and figures are inside, nothing is fetched from elsewhere."""
-    return render_page("report.html", _context(evaluation))
-
-
-def _context(evaluation: Evaluation) -> dict[str, Any]:
-    """Everything the template shows."""
-    return {
+    context = {
         "name": evaluation.manifest.name,
         "subject": _subject(evaluation),
         "headlines": tables.headlines(evaluation),
@@ -235,20 +198,21 @@ def _context(evaluation: Evaluation) -> dict[str, Any]:
         "sensitivity": tables.sensitivity_table(evaluation),
         "sources": tables.source_tables(evaluation),
         "load": tables.load_table(evaluation),
-        "points": point_tables(evaluation),
-        "consistency": consistency_tables(evaluation),
-        "others": other_loads_table(evaluation),
-        "budgets": budget_tables(evaluation),
-        "monte_carlo": monte_carlo_tables(evaluation),
+        "points": uncertainty_tables.point_tables(evaluation),
+        "consistency": uncertainty_tables.consistency_tables(evaluation),
+        "others": uncertainty_tables.other_loads_table(evaluation),
+        "budgets": uncertainty_tables.budget_tables(evaluation),
+        "monte_carlo": uncertainty_tables.monte_carlo_tables(evaluation),
         "stereo": tables.stereo_table(evaluation.stereo),
-        "lines": lines_table(evaluation),
-        "channels": channels_table(evaluation),
-        "drift": drift_table(evaluation),
-        "takes": takes_table(evaluation),
-        "clocks": clocks_table(evaluation),
+        "lines": tables.lines_table(evaluation),
+        "channels": tables.channels_table(evaluation),
+        "drift": tables.drift_table(evaluation),
+        "takes": tables.takes_table(evaluation),
+        "clocks": tables.clocks_table(evaluation),
         **origin_frame(evaluation, evaluation.notices),
         "duration_s": evaluation.duration_s,
     }
+    return render_page("report.html", context)
 
 
 def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
@@ -281,8 +245,15 @@ OWN_FILE = re.compile(r"(sensitivity|acceleration|load|motion-.+)\.csv|result\.h
 
 def write_results(evaluation: Evaluation, folder: Path, *, force: bool = False) -> list[Path]:
     """Write every result file of one recording and return their paths, as `write_folder` does."""
-    fill = partial(_fill, evaluation=evaluation)
-    return write_folder(folder, evaluation.input_hashes, fill, force=force, marker=RESULT_FILE, own=OWN_FILE)
+
+    def make(temporary: Path) -> list[str]:
+        texts = {**result_tables(evaluation), REPORT_FILE: render_report(evaluation)}
+        for name, text in texts.items():
+            (temporary / name).write_bytes(text.encode("utf-8"))
+        write_h5(temporary / RESULT_FILE, evaluation, [*texts, RESULT_FILE])
+        return [*texts, RESULT_FILE]
+
+    return write_folder(folder, evaluation.input_hashes, make, force=force, marker=RESULT_FILE, own=OWN_FILE)
 
 
 def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) -> None:
@@ -300,18 +271,7 @@ def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) 
         raise InputError(top, "", found=f"other files, for example {min(other)}", expected=expected)
 
 
-def _fill(folder: Path, evaluation: Evaluation) -> list[str]:
-    """Make all files in a folder; the HDF5 file, which says that the folder is complete, comes last."""
-    tables = result_tables(evaluation)
-    for name, text in tables.items():
-        (folder / name).write_text(text, encoding="utf-8", newline="\n")
-    (folder / REPORT_FILE).write_text(render_report(evaluation), encoding="utf-8", newline="\n")
-    names = [*tables, REPORT_FILE, RESULT_FILE]
-    write_h5(folder / RESULT_FILE, evaluation, names)
-    return names
-
-
-SENSOR_FIELDS = (
+SENSOR = [
     "name",
     "serial",
     "channels",
@@ -320,29 +280,25 @@ SENSOR_FIELDS = (
     "capacity",
     "static_sensitivity",
     "static_sensitivity_uncertainty",
-)
+]
+"""What a campaign has to know of the sensor that was tested."""
 
 
 def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
     """Write the evaluation and its provenance to a new HDF5 file; `files` are the names of all result files."""
-    origin = Provenance(evaluation.input_hashes, evaluation.settings, evaluation.versions, tuple(files))
+    manifest = evaluation.manifest
     with h5py.File(path, "w", track_order=True) as file:
         file.attrs["format"] = RESULT_FORMAT
-        file.attrs["recording"] = evaluation.manifest.name
-        file.attrs["rig"] = evaluation.manifest.rig.name
+        file.attrs["recording"] = manifest.name
+        file.attrs["rig"] = manifest.rig.name
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
-        write_provenance(file, origin)
-        _write_subject(file, evaluation.manifest)
+        write_provenance(file, evaluation, files)
+        file.attrs["mounting"] = manifest.mounting
+        driven = file.create_group("excitation")
+        for name in ("kind", "direction", "frequencies"):
+            write_value(driven, name, getattr(manifest.excitation, name))
+        if manifest.rig.sensor is not None:
+            sensor = file.create_group("sensor")
+            for name in SENSOR:
+                write_value(sensor, name, getattr(manifest.rig.sensor, name))
         write_fields(file, evaluation)
-
-
-def _write_subject(file: h5py.File, manifest: Manifest) -> None:
-    """Write what was driven, how it was mounted, and which sensor was tested: what a campaign has to know."""
-    file.attrs["mounting"] = manifest.mounting
-    driven = file.create_group("excitation")
-    for name in ("kind", "direction", "frequencies"):
-        write_value(driven, name, getattr(manifest.excitation, name))
-    if manifest.rig.sensor is not None:
-        sensor = file.create_group("sensor")
-        for name in SENSOR_FIELDS:
-            write_value(sensor, name, getattr(manifest.rig.sensor, name))

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
 import numpy as np
 from markupsafe import Markup
 
 from fusion.base import DASH, prefix, typeset
 from fusion.estimation.fuse import Acceleration
-from fusion.estimation.uncertainty import Polar, element_covariance, polar
+from fusion.estimation.uncertainty import Polar, polar, polar_elements
 from fusion.phasors.setup import LineStationarity, line_stationarity
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult
@@ -17,6 +18,7 @@ from fusion.report.table import (
     WEAK,
     Column,
     Headline,
+    R,
     Table,
     common_exponent,
     degrees_of_freedom,
@@ -34,10 +36,12 @@ from fusion.report.table import (
     times_ten,
 )
 from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import Sensitivity
 from fusion.sensitivity.ratio import driven_component as driven_load
-from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
-from shaker.sine.phasor import Phasors
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
+from shaker.timebase.tie import ClockTie
+from shaker.timebase.trigger import TriggerFit
 
 # What a reader wants first: the driven component, the output that belongs to it, and the strongest line.
 
@@ -123,6 +127,12 @@ def static_value(evaluation: Evaluation, channel: int, component: int) -> float 
     return float(static[channel, component]) if static is not None and static[channel, component] != 0.0 else None
 
 
+def result_elements(result: Acceleration | LoadResult) -> list[list[Polar | None]]:
+    """Six components at every line as magnitude and phase, None where they are not observed."""
+    phasors = result.phasors
+    return polar_elements(phasors.value, phasors.covariance, result.uncertainty.dof())
+
+
 def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, component: int) -> Polar:
     """One element of the sensitivity at one line, as magnitude and phase."""
     place = line, channel, component
@@ -134,23 +144,25 @@ def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, compo
 
 PREFIXED = ("m", "m/s", "m/s^2", "rad/s", "N")
 """Units that take an SI prefix."""
+Facts: TypeAlias = dict[str, Callable[[R], str]]
+"""What is told of an item, by the name of its row."""
 
 
 def headlines(evaluation: Evaluation) -> list[Headline]:
     """The results to remember: sensitivity and phase, deviation from static, acceleration, load."""
     component, line = driven_component(evaluation), main_line(evaluation)
-    found = []
-    if evaluation.sensitivity is not None:
-        found += _sensitivity_headlines(evaluation, line, component)
-    result = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
-    if result is not None and result.observed[line, component]:
-        dof = float(result.uncertainty.dof()[line, component])
-        found.append(
-            _phasor_headline(result.phasors, dof, line, component, f"Acceleration {MOTION_COMPONENTS[component]}")
-        )
-    if evaluation.load is not None and evaluation.load.observed[line, component]:
-        load, dof = evaluation.load, float(evaluation.load.uncertainty.dof()[line, component])
-        found.append(_phasor_headline(load.phasors, dof, line, component, f"Load {LOAD_COMPONENTS[component]}"))
+    found = [] if evaluation.sensitivity is None else _sensitivity_headlines(evaluation, evaluation.sensitivity, line)
+    moved = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
+    labels = f"Acceleration {MOTION_COMPONENTS[component]}", f"Load {LOAD_COMPONENTS[component]}"
+    for result, label in zip((moved, evaluation.load), labels, strict=True):
+        element = None if result is None else result_elements(result)[line][component]
+        if result is None or element is None:
+            continue
+        size, remark = WEAK, f"95 % {half_axes(element.region)}"
+        if not element.region.holds_zero:
+            unit = result.phasors.unit[component]
+            size, remark = measured(element.magnitude, element.expanded_magnitude, unit), _relative(element)
+        found.append(Headline(f"{label}, amplitude", size, remark))
     return found
 
 
@@ -177,90 +189,100 @@ def sensitivity_table(evaluation: Evaluation) -> Table | None:
 
 
 def source_tables(evaluation: Evaluation) -> list[Table]:
-    """Per body: six components at the strongest line, one column pair per source."""
+    """Per body: six components at the strongest line in one unit each, one column per source."""
     line = main_line(evaluation)
     tables = []
     for body in bodies(evaluation):
         results = by_source(evaluation, body)
-        rows = tuple(_source_row(results, line, c) for c in range(6))
+        found = [result_elements(result)[line] for result in results]
+        rows = []
+        for component, name in enumerate(MOTION_COMPONENTS):
+            scale, letter = prefix(np.array([abs(result.phasors.value[line, component]) for result in results]))
+            unit = letter + typeset(results[0].phasors.unit[component])
+            rows.append((name, unit, *(_source_cell(own[component], round(np.log10(scale))) for own in found)))
         head = ("", "unit", *(result.source for result in results))
         frequency = float(results[0].phasors.frequency_hz[line])
         caption = f"Acceleration of the {body} at the sensor origin, {frequency:.4f} Hz, with U = k·u (95 %)"
-        tables.append(Table(caption, head, "ll" + "r" * (len(head) - 2), rows))
+        tables.append(Table(caption, head, "ll" + "r" * len(results), tuple(rows)))
     return tables
+
+
+def _source_cell(element: Polar | None, exponent: int) -> str:
+    """Amplitude in units of a power of ten, phase and factor below each other; a dash for what is not determined."""
+    if element is None:
+        return DASH
+    amplitude, turn, k_factor = polar_cells(element, exponent)
+    below = turn if turn in (WEAK, DASH) else Markup("{} rad").format(turn)
+    return Markup('{}<br><span class="below">{}<br>k = {}</span>').format(amplitude, below, k_factor)
 
 
 def load_table(evaluation: Evaluation) -> Table | None:
     """Load at the strongest line, and its driven component at the others."""
-    if evaluation.load is None:
+    load, rows = evaluation.load, []
+    if load is None:
         return None
-    phasors, dof = evaluation.load.phasors, evaluation.load.uncertainty.dof()
-    rows, strongest, driven = [], main_line(evaluation), driven_component(evaluation)
-    for k, frequency in enumerate(phasors.frequency_hz):
-        for c, name in enumerate(phasors.channels):
-            if np.isfinite(phasors.value[k, c]) and (k == strongest or c == driven):
-                pair = element_covariance(phasors.covariance[k], c)
-                element = polar(complex(phasors.value[k, c]), pair, float(dof[k, c]))
-                amplitude, turn, factor = polar_cells(element)
-                unit, freedom = typeset(phasors.unit[c]), degrees_of_freedom(element.dof)
-                rows.append((f"{frequency:.4f}", name, amplitude, unit, turn, factor, freedom))
+    strongest, driven = main_line(evaluation), driven_component(evaluation)
+    for k, row in enumerate(result_elements(load)):
+        for c, element in enumerate(row):
+            if element is not None and (k == strongest or c == driven):
+                amplitude, turn, k_factor = polar_cells(element)
+                unit, freedom = typeset(LOAD_UNITS[c]), degrees_of_freedom(element.dof)
+                frequency = f"{load.frequency_hz[k]:.4f}"
+                rows.append((frequency, LOAD_COMPONENTS[c], amplitude, unit, turn, k_factor, freedom))
     head = ("frequency / Hz", "component", "amplitude", "unit", "phase / rad", "k", "dof")
     return Table("Load at the sensor origin with U = k·u (95 %)", head, "rlrlrrr", tuple(rows))
 
 
+def side_by_side(caption: str, heads: Sequence[str], facts: Facts[R], items: Sequence[R]) -> Table:
+    """Return named facts of several items down, the items across under their heads."""
+    rows = tuple((name, *(told(item) for item in items)) for name, told in facts.items())
+    return Table(caption, ("", *heads), "l" + "r" * len(items), rows)
+
+
 def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
     """Key figures of the stereo pairs, one column each."""
-    if not stereo:
-        return None
-    lost = [(item, int(np.sum(~np.isfinite(item.motion.pose).all(axis=1)))) for item in stereo]
-    rows = [
-        ("body", *(item.body for item in stereo)),
-        ("frames, of which without a result", *(f"{len(item.time_s)}, {failed}" for item, failed in lost)),
-        ("first exposure / s", *(f"{item.time_s[0]:.6f}" for item in stereo)),
-        ("exposure / µs", *(_exposure(item) for item in stereo)),
-        ("subsets", *(str(len(item.subsets_px)) if item.subsets_px is not None else DASH for item in stereo)),
-        ("points per frame, median", *(f"{np.median(item.motion.points):.0f}" for item in stereo)),
-        ("reprojection rms / px", *(number(item.reprojection_px) for item in stereo)),
-        (
-            "rigid residual, median / µm",
-            *(number(1e6 * float(np.nanmedian(item.motion.residual_m))) for item in stereo),
+
+    def frames(pair: StereoResult) -> str:
+        return f"{len(pair.time_s)}, {np.sum(~np.isfinite(pair.motion.pose).all(axis=1))}"
+
+    def exposure(pair: StereoResult) -> str:
+        """As stated, or as measured with U."""
+        stated = pair.u_exposure_s == 0.0
+        return f"{1e6 * pair.exposure_s:g}" if stated else microseconds(pair.exposure_s, pair.u_exposure_s)
+
+    def noise(pair: StereoResult, name: str, power: float) -> str:
+        """A power of one parameter of the noise models, left and right camera."""
+        values = [getattr(model, name) for model in pair.noise]
+        return ", ".join(number(value**power) for value in values) if values and min(values) > 0.0 else DASH
+
+    facts: Facts[StereoResult] = {
+        "body": lambda pair: pair.body,
+        "frames, of which without a result": frames,
+        "first exposure / s": lambda pair: f"{pair.time_s[0]:.6f}",
+        "exposure / µs": exposure,
+        "subsets": lambda pair: DASH if pair.subsets_px is None else str(len(pair.subsets_px)),
+        "points per frame, median": lambda pair: f"{np.median(pair.motion.points):.0f}",
+        "reprojection rms / px": lambda pair: number(pair.reprojection_px),
+        "rigid residual, median / µm": lambda pair: number(1e6 * float(np.nanmedian(pair.motion.residual_m))),
+        "correlation ZNCC, median": lambda pair: number(pair.median_zncc),
+        "speckle size / px": lambda pair: number(pair.speckle_px),
+        "σ of a subset, predicted, found / px": lambda pair: (
+            DASH if pair.sigma_px is None else ", ".join(number(float(value)) for value in pair.sigma_px)
         ),
-        ("correlation ZNCC, median", *(number(item.median_zncc) for item in stereo)),
-        ("speckle size / px", *(number(item.speckle_px) for item in stereo)),
-        ("σ of a subset, predicted, found / px", *(_sigmas(item) for item in stereo)),
-        ("read noise / grey values", *(_noise(item, "read_variance_grey2", 0.5) for item in stereo)),
-        ("electrons per grey value", *(_noise(item, "variance_per_grey", -1.0) for item in stereo)),
-        ("image noise / grey values", *(number(item.noise_grey) for item in stereo)),
-        ("condition of the sine fit", *(number(item.fit.condition) for item in stereo)),
-        ("lines told apart", *(f"{int(np.sum(item.usable))} of {len(item.usable)}" for item in stereo)),
-    ]
-    head = ("", *(f"“{item.name}”" for item in stereo))
-    return Table("Stereo pairs", head, "l" + "r" * len(stereo), tuple(rows))
+        "read noise / grey values": lambda pair: noise(pair, "read_variance_grey2", 0.5),
+        "electrons per grey value": lambda pair: noise(pair, "variance_per_grey", -1.0),
+        "image noise / grey values": lambda pair: number(pair.noise_grey),
+        "condition of the sine fit": lambda pair: number(pair.fit.condition),
+        "lines told apart": lambda pair: f"{int(np.sum(pair.usable))} of {len(pair.usable)}",
+    }
+    heads = [f"“{pair.name}”" for pair in stereo]
+    return side_by_side("Stereo pairs", heads, facts, stereo) if stereo else None
 
 
-def _exposure(stereo: StereoResult) -> str:
-    """The exposure in µs as stated, or as measured with U."""
-    if stereo.u_exposure_s == 0.0:
-        return f"{1e6 * stereo.exposure_s:g}"
-    return microseconds(stereo.exposure_s, stereo.u_exposure_s)
-
-
-def _sigmas(stereo: StereoResult) -> str:
-    """Predicted and found standard deviation of a subset's coordinate; a dash where there are no images."""
-    return DASH if stereo.sigma_px is None else ", ".join(number(float(value)) for value in stereo.sigma_px)
-
-
-def _noise(stereo: StereoResult, name: str, power: float) -> str:
-    """A power of one parameter of the noise models, left and right camera; a dash where there is none."""
-    values = [getattr(model, name) for model in stereo.noise]
-    return ", ".join(number(value**power) for value in values) if values and min(values) > 0.0 else DASH
-
-
-def _sensitivity_headlines(evaluation: Evaluation, line: int, component: int) -> list[Headline]:
+def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int) -> list[Headline]:
     """Magnitude with its deviation from the static value, and phase."""
-    found = evaluation.sensitivity
-    channel = driven_channel(evaluation)
-    if found is None or not np.isfinite(found.value[line, channel, component]):
+    channel, component = driven_channel(evaluation), driven_component(evaluation)
+    if not np.isfinite(found.value[line, channel, component]):
         return []
     element = sensitivity_element(found, line, channel, component)
     unit = sensitivity_unit(found.unit, LOAD_COMPONENTS[component])
@@ -279,37 +301,9 @@ def _sensitivity_headlines(evaluation: Evaluation, line: int, component: int) ->
     return [Headline(f"Sensitivity {where}", size, remark), Headline("Phase of the output to the load", turn, degrees)]
 
 
-def _phasor_headline(phasors: Phasors, dof: float, line: int, component: int, label: str) -> Headline:
-    """Amplitude of one component."""
-    pair = element_covariance(phasors.covariance[line], component)
-    element = polar(complex(phasors.value[line, component]), pair, dof)
-    if element.region.holds_zero:
-        return Headline(f"{label}, amplitude", WEAK, f"95 % {half_axes(element.region)}")
-    value = measured(element.magnitude, element.expanded_magnitude, phasors.unit[component])
-    return Headline(f"{label}, amplitude", value, _relative(element))
-
-
 def _relative(element: Polar) -> str:
     """Relative expanded uncertainty of a magnitude, with its coverage factor."""
     return f"U = {100.0 * element.expanded_magnitude / element.magnitude:.2g} % (k = {element.k:.2f})"
-
-
-def _source_row(results: Sequence[Acceleration], line: int, component: int) -> tuple[str, ...]:
-    """One component of all sources in one unit."""
-    values = np.array([abs(result.phasors.value[line, component]) for result in results])
-    scale, letter = prefix(values)
-    cells: list[str] = [MOTION_COMPONENTS[component], letter + typeset(results[0].phasors.unit[component])]
-    for result in results:
-        value = complex(result.phasors.value[line, component])
-        if not result.observed[line, component] or not np.isfinite(value):
-            cells.append(DASH)
-            continue
-        pair = element_covariance(result.phasors.covariance[line], component)
-        element = polar(value / scale, pair / scale**2, float(result.uncertainty.dof()[line, component]))
-        amplitude, turn, factor = polar_cells(element, 0)
-        below = turn if turn in (WEAK, DASH) else Markup("{} rad").format(turn)
-        cells.append(Markup('{}<br><span class="below">{}<br>k = {}</span>').format(amplitude, below, factor))
-    return tuple(cells)
 
 
 def takes_table(evaluation: Evaluation) -> Table | None:
@@ -367,9 +361,7 @@ def channels_table(evaluation: Evaluation) -> Table | None:
     line, rows = main_line(evaluation), []
     for channel in evaluation.channels:
         value = complex(channel.phasors.value[line, 0])
-        element = polar(
-            value, element_covariance(channel.phasors.covariance[line], 0), float(channel.phasors.dof[line])
-        )
+        element = polar(value, channel.phasors.covariance[line], float(channel.phasors.dof[line]))
         factor, letter = prefix(np.array([abs(value)])) if channel.unit in PREFIXED else (1.0, "")
         amplitude = measured(element.magnitude / factor, element.expanded_magnitude / factor, letter + channel.unit)
         rest = Markup("{} {}").format(short(channel.residual_rms / factor), typeset(letter + channel.unit))
@@ -391,8 +383,7 @@ def drift_table(evaluation: Evaluation) -> Table | None:
         on_page("amplitude / %", lambda drift: fixed(100.0 * drift.amplitude, 200.0 * drift.u_amplitude, 0)),
         on_page("phase / mrad", lambda drift: fixed(1e3 * drift.phase_rad, 2e3 * drift.u_phase_rad, 0)),
         on_page(
-            "chance of noise",
-            lambda d: f"{d.chance:.2g}" if d.chance >= LEAST_CHANCE else f"below {LEAST_CHANCE:g}",
+            "chance of noise", lambda d: f"below {LEAST_CHANCE:g}" if d.chance < LEAST_CHANCE else f"{d.chance:.2g}"
         ),
     ]
     caption = (
@@ -404,42 +395,35 @@ def drift_table(evaluation: Evaluation) -> Table | None:
 
 def clocks_table(evaluation: Evaluation) -> Table | None:
     """Triggers and ties of the DAQ blocks, one column each."""
-    if not evaluation.clocks:
-        return None
-    found = ["file", "edges found", "missing, doubled, spurious", "trigger rate / Hz", "jitter beyond sampling / µs"]
-    found += ["first edge / s", "pulse width / µs"]
-    names = [*found, "offset in the middle / s", "rate − 1 / 10⁻⁶", "edges paired by"]
-    columns = [
-        (clock.file.name, *_trigger_cells(clock), *_tie_cells(clock, evaluation.clocks[0]))
-        for clock in evaluation.clocks
-    ]
-    rows = tuple((name, *(column[place] for column in columns)) for place, name in enumerate(names))
-    head = ("", *(clock.daq for clock in evaluation.clocks))
-    return Table("Camera trigger and clocks, U (k = 2)", head, "l" + "r" * len(columns), rows)
 
+    def of_trigger(told: Callable[[TriggerFit], str], none: str = DASH) -> Callable[[ClockResult], str]:
+        return lambda clock: none if clock.trigger is None else told(clock.trigger)
 
-def _trigger_cells(clock: ClockResult) -> list[str]:
-    """Edges, missing, doubled and spurious ones, rate, jitter, first edge."""
-    trigger = clock.trigger
-    if trigger is None:
-        return ["no trigger", *[DASH] * 5]
-    u_start, u_period = 2.0 * np.sqrt(np.diag(trigger.covariance))
-    return [
-        str(len(trigger.number)),
-        f"{len(trigger.missing)}, {trigger.doubled}, {trigger.spurious}",
-        measured(1.0 / trigger.period_s, float(u_period) / trigger.period_s**2),
-        number(1e6 * trigger.jitter_s),
-        measured(trigger.start_s, float(u_start)),
-        microseconds(clock.pulse_width_s, clock.u_pulse_width_s),
-    ]
+    def of_tie(told: Callable[[ClockTie], str]) -> Callable[[ClockResult], str]:
+        return lambda clock: DASH if clock.tie is None else told(clock.tie)
 
+    def u_of(trigger: TriggerFit, parameter: int) -> float:
+        return 2.0 * float(np.sqrt(trigger.covariance[parameter, parameter]))
 
-def _tie_cells(clock: ClockResult, base: ClockResult) -> list[str]:
-    """Offset in the middle of the common edges and rate against the first block, and what paired the edges."""
-    tie = clock.tie
-    if tie is None:
-        return ["time base" if clock is base else "time base of its take", DASH, DASH]
-    middle = np.asarray(tie.middle_s)
-    offset = measured(float(tie.to_base_s(middle)) - tie.middle_s, 2.0 * float(tie.u_to_base_s(middle)))
-    rate = measured(1e6 * (tie.rate - 1.0), 2e6 * float(np.sqrt(tie.covariance[1, 1])))
-    return [offset, rate, f"{tie.decided_by} ({tie.pairs})"]
+    def offset(clock: ClockResult) -> str:
+        """Against the first block, in the middle of the common edges."""
+        tie = clock.tie
+        if tie is None:
+            return "time base" if clock is evaluation.clocks[0] else "time base of its take"
+        middle = np.asarray(tie.middle_s)
+        return measured(float(tie.to_base_s(middle)) - tie.middle_s, 2.0 * float(tie.u_to_base_s(middle)))
+
+    facts: Facts[ClockResult] = {
+        "file": lambda clock: clock.file.name,
+        "edges found": of_trigger(lambda t: str(len(t.number)), "no trigger"),
+        "missing, doubled, spurious": of_trigger(lambda t: f"{len(t.missing)}, {t.doubled}, {t.spurious}"),
+        "trigger rate / Hz": of_trigger(lambda t: measured(1.0 / t.period_s, u_of(t, 1) / t.period_s**2)),
+        "jitter beyond sampling / µs": of_trigger(lambda t: number(1e6 * t.jitter_s)),
+        "first edge / s": of_trigger(lambda t: measured(t.start_s, u_of(t, 0))),
+        "pulse width / µs": lambda clock: microseconds(clock.pulse_width_s, clock.u_pulse_width_s),
+        "offset in the middle / s": offset,
+        "rate − 1 / 10⁻⁶": of_tie(lambda t: measured(1e6 * (t.rate - 1.0), 2e6 * float(np.sqrt(t.covariance[1, 1])))),
+        "edges paired by": of_tie(lambda t: f"{t.decided_by} ({t.pairs})"),
+    }
+    heads = [clock.daq for clock in evaluation.clocks]
+    return side_by_side("Camera trigger and clocks, U (k = 2)", heads, facts, evaluation.clocks) if heads else None

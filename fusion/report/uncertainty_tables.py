@@ -10,7 +10,7 @@ from markupsafe import Markup
 from fusion.base import DASH, rounded, typeset
 from fusion.estimation.consistency import CommonEstimate
 from fusion.estimation.fuse import REMAINING, Acceleration, Untested, untested
-from fusion.estimation.uncertainty import Polar, Uncertainty, element_covariance, polar
+from fusion.estimation.uncertainty import Polar, Uncertainty, polar_elements
 from fusion.instruments.vibrometer import FEWEST_POINTS, PointRatios, PointSpread, axis_name
 from fusion.report.table import (
     Column,
@@ -259,10 +259,10 @@ def point_tables(evaluation: Evaluation) -> list[Table]:
     return tables
 
 
-def elements(value: ComplexArray, uncertainty: Uncertainty, line: int) -> list[Polar]:
-    """Return the C values of a line as magnitude and phase with their uncertainty."""
-    covariance, dof = uncertainty.covariance[line], uncertainty.dof()[line]
-    return [polar(complex(v), element_covariance(covariance, c), float(dof[c])) for c, v in enumerate(value[line])]
+def known_elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar]]:
+    """Return values (K, C), all of them known, as magnitude and phase with their uncertainty."""
+    lines = polar_elements(value, uncertainty.covariance, uncertainty.dof())
+    return [[element for element in row if element is not None] for row in lines]
 
 
 def _points_table(spread: PointSpread, line: int) -> Table:
@@ -270,9 +270,8 @@ def _points_table(spread: PointSpread, line: int) -> Table:
     first, second = (axis_name(axis) for axis in spread.axes)
     mean = spread.mean[line]
     rows = []
-    for place, (name, found) in enumerate(
-        zip(spread.channels, elements(spread.value, spread.uncertainty, line), strict=True)
-    ):
+    points = known_elements(spread.value, spread.uncertainty)[line]
+    for place, (name, found) in enumerate(zip(spread.channels, points, strict=True)):
         ratio = spread.value[line, place] / mean
         left = abs(spread.residual[line, place] / mean)
         rows.append(
@@ -299,8 +298,8 @@ def _spread_table(spread: PointSpread) -> Table:
     """Mean, spread, rocking and what the plane leaves at every line."""
     first, second = (axis_name(axis) for axis in spread.axes)
     rows = []
-    for line, frequency in enumerate(spread.frequency_hz):
-        mean, *turns = elements(spread.plane, spread.plane_uncertainty, line)
+    planes = known_elements(spread.plane, spread.plane_uncertainty)
+    for line, (frequency, (mean, *turns)) in enumerate(zip(spread.frequency_hz, planes, strict=True)):
         micro = 1e6 / (2.0 * np.pi * frequency) ** 2
         rows.append(
             (
@@ -333,8 +332,8 @@ def _ratios_table(spread: PointSpread, ratios: PointRatios) -> Table:
     average = np.kron(np.eye(2), np.full((1, count), 1.0 / count))
     uncertainty = ratios.uncertainty.transformed(np.broadcast_to(average, (len(mean), *average.shape)))
     rows = []
-    for line, frequency in enumerate(spread.frequency_hz):
-        (found,) = elements(mean, uncertainty, line)
+    means = known_elements(mean, uncertainty)
+    for line, (frequency, (found,)) in enumerate(zip(spread.frequency_hz, means, strict=True)):
         fused = complex(ratios.fused[line])
         rows.append(
             (

@@ -230,7 +230,7 @@ def test_a_wrong_choice_is_one_sentence(campaign, refused, part, options, words)
 def test_results_of_other_files_are_refused(spoiled, refused):
     (spoiled / "sine-0200" / "results").mkdir()
     with h5py.File(spoiled / "sine-0200" / "results" / "result.h5", "w") as file:
-        write_provenance(file, Provenance({"rig.toml": "0" * 64}, {}, {}, ()))
+        write_provenance(file, Provenance({"rig.toml": "0" * 64}, {}, {}, ()), ())
     told = refused("identify", spoiled, "-q")
     assert "sine-0200/results/result.h5: expected the results of these very input files" in told
 

@@ -276,9 +276,8 @@ def test_inputs_of_all_recordings_are_known_by_name():
     first, second = sweep()[:2]
     hashes = {"rig.toml": "cd" * 32, **first.origin.input_hashes}
     other = replace(second.origin, input_hashes={"rig.toml": "ef" * 32})
-    origin = campaign_origin(
-        [replace(first, origin=replace(first.origin, input_hashes=hashes)), replace(second, origin=other)], ()
-    )
+    known = replace(first, origin=replace(first.origin, input_hashes=hashes))
+    origin = campaign_origin([known, replace(second, origin=other)])
     assert origin.input_hashes == {**hashes, f"{second.folder}: rig.toml": "ef" * 32}
 
 
