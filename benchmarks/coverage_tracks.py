@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from fusion.base import ComputeError
 from fusion.instruments.channel import observe_channels
+from fusion.instruments.output import sensor_outputs
 from fusion.phasors.channels import channel_readings, channel_results, find_channel_lines
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from fusion.phasors.stereo_phasors import pairs_phasors, stereo_readings
@@ -30,6 +31,7 @@ from fusion.phasors.timing import Exposure, TimeBase, exposure_middles, tie_daqs
 from fusion.recording.files import DaqRecord
 from fusion.recording.load import Manifest, load_manifest
 from fusion.sensitivity.analyse import Analysis, Inputs, analyse
+from fusion.sensitivity.body import load_body
 from fusion.simulate.channels import record, recording_tables, rig_tables
 from fusion.simulate.preset import ChannelSpec, Preset, read_preset
 from fusion.simulate.sines import rendered_run
@@ -207,9 +209,11 @@ def evaluate_trial(manifest: Manifest, world: World, draws: Draws) -> Analysis:
     readings = channel_readings(base, channel_results(manifest, base, lines))
     stereo, _ = pairs_phasors([stereo_motion(manifest, base, world, draws)], lines)
     pairs = stereo_readings(base, readings, stereo, lines)
-    channels = observe_channels(readings, manifest.rig.gravity, manifest.daq[0].clock_uncertainty)
-    observations = [*(pair.observed() for pair in pairs), *channels]
-    return analyse(Inputs.of(manifest, lines, observations, readings))
+    channels = observe_channels(readings, manifest.rig.surroundings.gravity, manifest.daq[0].clock_uncertainty)
+    sensor, body = manifest.rig.sensor, load_body(manifest.rig, manifest.part)
+    outputs = None if sensor is None else sensor_outputs(readings, sensor.channels)
+    observations = (*(pair.observed() for pair in pairs), *channels)
+    return analyse(Inputs(lines, observations, outputs, body, sensor, manifest.excitation.direction))
 
 
 def run_case(case: Case, seeds: range) -> Counts:

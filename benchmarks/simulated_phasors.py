@@ -10,6 +10,7 @@ import numpy as np
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments import TRANSDUCERS
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
+from fusion.instruments.output import output_phasors
 from fusion.instruments.stereo import StereoReading
 from fusion.recording.manifest import ChannelEntry, Sensor, Stereo
 from fusion.sensitivity.analyse import Inputs
@@ -97,9 +98,8 @@ def simulate_phasors(setup: PhasorSetup, draws: Draws) -> tuple[Inputs, PhasorTr
     inputs = Inputs(
         lines=setup.lines,
         observations=tuple(seen),
-        outputs=tuple(outputs),
-        body=Body(setup.parts),
-        gravity_mps2=setup.gravity_mps2,
+        outputs=output_phasors(outputs),
+        body=Body(setup.parts, gravity_mps2=setup.gravity_mps2, sense=setup.sensor.sense),
         sensor=setup.sensor,
         direction=setup.direction,
     )

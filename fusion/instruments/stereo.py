@@ -109,9 +109,9 @@ class StereoReading:
         relative = self._late(f"{self.trigger[0]}: time", self.trigger[1], "recording")
         if self.pulse is not None and self.pulse.u_s > 0.0:
             unknown, change = f"{self.pulse.trigger}: pulse width", self.pulse.change(frequency)
-            relative.append(RelativeError(unknown, unknown, self.pulse.u_s, "s", "recording", change[:, None]))
+            relative.append(RelativeError(unknown, unknown, self.pulse.u_s, "s", change[:, None]))
         for unknown, turned in ({} if self.turns is None else self.turns.turns()).items():
-            relative.append(RelativeError(unknown, unknown, 1.0, "1", "recording", turned[:, None]))
+            relative.append(RelativeError(unknown, unknown, 1.0, "1", turned[:, None]))
         common += [error.of_rows(design) for error in relative]
         common += clock_rate(design, np.full(6, 2.0), self.clock_uncertainty)
         common += [error.of_rows(design) for error in self.further]
@@ -144,7 +144,7 @@ class StereoReading:
     def _late(self, name: str, u_s: float, scope: Scope) -> list[RelativeError]:
         """Return a time error: readings late by one standard uncertainty turn by exp(-jω u) ≈ 1 - jω u."""
         late: ComplexArray = np.asarray(-2j * np.pi * self.phasors.frequency_hz * u_s)[:, None]
-        return [RelativeError(name, name, u_s, "s", scope, late)] if u_s > 0.0 else []
+        return [RelativeError(name, name, u_s, "s", late, scope)] if u_s > 0.0 else []
 
     # The pose of the frame, for the Monte Carlo run.
 

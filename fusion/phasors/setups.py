@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fusion.base import AnyNotice, InputError
 from fusion.estimation.consistency import fails
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments.channel import Reading, RelativeError, added_up, observe_channels
+from fusion.instruments.channel import Reading, RelativeError, acting, observe_channels
 from fusion.instruments.stereo import PERIODIC, PulseExposure, StereoReading
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.setup import OpenSetUp, SetUp, line_stationarity, stationarity_notices
@@ -84,18 +84,18 @@ class ReferenceTie:
     def reading(self, reading: Reading) -> Reading:
         """Return a channel of the set-up as one of the first, its clock's errors among its own."""
         chain = replace(reading.chain, clock=f"{self.name}: {reading.chain.clock}", u_clock_s=0.0)
-        further = added_up([*_clock_error(self.name, reading), *self.errors])
+        further = acting([*_clock_error(self.name, reading), *self.errors])
         return Reading(reading.entry, self.phasors(reading.phasors), chain, further)
 
     def reference(self, reading: Reading) -> Reading:
         """Return the reference channel of the first set-up, its noise being that which all others share."""
         known = np.zeros(len(self.frequency_hz), dtype=np.bool_)
         for error in self.noise:
-            known |= error.relative[:, 0] != 0.0
+            known |= error.effect[:, 0] != 0.0
         phasors = reading.phasors
         kept = np.where(known, KEPT_NOISE, 1.0)[:, None, None]
         own = self.reading(replace(reading, phasors=replace(phasors, covariance=phasors.covariance * kept)))
-        return replace(own, further=added_up([*own.further, *self.noise]))
+        return replace(own, further=acting([*own.further, *self.noise]))
 
     def stereo(self, pair: StereoReading) -> StereoReading:
         """Return a stereo pair of the set-up as one of the first; what its frames have in common stays its own."""
@@ -153,9 +153,9 @@ def _tie(set_ups: Sequence[OpenSetUp], references: Sequence[Reading], place: int
         first_name = set_ups[0].name
         inherited = [*_noise(first_name, first, base_hz, stands_out), *_clock_error(first_name, first)]
         lost = [*noise, *_clock_error(opened.name, own)]
-        taken_off = [replace(error, relative=-error.relative) for error in lost]
+        taken_off = [replace(error, effect=-error.effect) for error in lost]
         drifted = _drift(opened.name, base_hz, np.where(stands_out, half_width, 0.0))
-        errors = added_up([*inherited, *taken_off, *drifted])
+        errors = acting([*inherited, *taken_off, *drifted])
     own_hz = own.phasors.frequency_hz
     result = SetUpResult(opened.name, own.entry.name, own_hz, here, factor, drift, u_drift)
     used = factor if place else np.ones(len(base_hz), dtype=np.complex128)
@@ -200,7 +200,7 @@ def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArr
             relative = np.zeros((len(frequency_hz), 1), dtype=np.complex128)
             relative[k, 0] = np.sqrt(max(variance, 0.0)) * complex(*vector)
             unknown = f"reference noise of {name} at {frequency_hz[k]:.9g} Hz, part {part + 1}"
-            found.append(RelativeError(unknown, "reference noise", 1.0, "1", "recording", relative, "A"))
+            found.append(RelativeError(unknown, "reference noise", 1.0, "1", relative, "recording", "A"))
     return tuple(found)
 
 
@@ -211,7 +211,7 @@ def _clock_error(name: str, reading: Reading) -> tuple[RelativeError, ...]:
         return ()
     relative = np.asarray(-2j * np.pi * reading.phasors.frequency_hz[:, None] * chain.u_clock_s)
     label = f"clock {chain.clock}: time"
-    return (RelativeError(f"clock {name}: {chain.clock}: time", label, chain.u_clock_s, "s", "recording", relative),)
+    return (RelativeError(f"clock {name}: {chain.clock}: time", label, chain.u_clock_s, "s", relative),)
 
 
 def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[RelativeError]:
@@ -223,7 +223,7 @@ def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[
             relative = np.zeros((len(frequency_hz), 1), dtype=np.complex128)
             relative[k, 0] = u * turn
             unknown = f"{label}: {part} of {name} at {frequency_hz[k]:.9g} Hz"
-            found.append(RelativeError(unknown, label, u, unit, "recording", relative))
+            found.append(RelativeError(unknown, label, u, unit, relative))
     return found
 
 
@@ -317,11 +317,11 @@ class _Merged:
         if len(self.readings) == 1:
             return replace(first, entry=entry)
         further = [
-            replace(error, relative=weight[:, None] * error.relative)
+            replace(error, effect=weight[:, None] * error.effect)
             for weight, reading in zip(self.weight, self.readings, strict=True)
             for error in reading.further
         ]
-        return Reading(entry, self._phasors(entry), first.chain, added_up(further))
+        return Reading(entry, self._phasors(entry), first.chain, acting(further))
 
     def notices(self, name: str) -> list[Notice]:
         """Say where the set-ups differ by more than noise and drift make."""
@@ -372,7 +372,7 @@ def _between_set_ups(readings: Sequence[Reading], value: ComplexArray) -> FloatA
     relative = np.zeros((len(names), len(readings), len(size)), dtype=np.complex128)
     for t, reading in enumerate(readings):
         for error in reading.further:
-            relative[place[error.name], t] = error.relative[:, 0]
+            relative[place[error.name], t] = error.effect[:, 0]
     shared = np.einsum("ntk,nsk->kts", relative, relative.conj()).real
     return np.asarray(covariance + shared * size[:, None, None] ** 2)
 

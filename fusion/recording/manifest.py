@@ -250,9 +250,9 @@ class Rig(Block):
         return TRANSDUCERS[channel.quantity].unit if channel.quantity in TRANSDUCERS else OTHER_UNITS[channel.quantity]
 
     @property
-    def gravity(self) -> Vector3 | None:
-        """Acceleration of gravity (m/s^2, sensor frame), None where the rig does not state it."""
-        return None if self.environment is None else self.environment.gravity
+    def surroundings(self) -> Environment:
+        """Return the environment, of which nothing is known where the rig does not state it."""
+        return self.environment or Environment()
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -14,7 +14,6 @@ from fusion.estimation.measurement_model import Deviates, Drawn, Observation
 from fusion.estimation.uncertainty import Uncertainty, as_complex, real_stack
 from fusion.estimation.variance_components import LEAST_DOF
 from fusion.sensitivity.analyse import Analysis, Inputs
-from fusion.sensitivity.body import draw_load_matrices
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, judged, summarise
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
@@ -168,14 +167,11 @@ def _draw(
     for motion in motions:
         drawn[motion.name] = acceleration = motion.draw(deviates)
         if motion.fused.body == "load" and inputs.body is not None and analysis.load is not None:
-            gravity = None if inputs.gravity_mps2 is None else np.array(inputs.gravity_mps2)
-            u_gravity, frequency = np.array(inputs.u_gravity_mps2), inputs.lines.frequency_hz
-            matrices = draw_load_matrices(inputs.body, frequency, gravity, u_gravity, deviates)
-            sign = -1.0 if inputs.sensor is not None and inputs.sensor.sense == "on_sensor" else 1.0
-            drawn["load"] = sign * np.einsum("nkij,nkj->nki", matrices, acceleration)
-    if analysis.outputs is not None and analysis.sensitivity is not None:
+            matrices = inputs.body.draw_load_matrices(inputs.lines.frequency_hz, deviates)
+            drawn["load"] = np.einsum("nkij,nkj->nki", matrices, acceleration)
+    if inputs.outputs is not None and analysis.sensitivity is not None:
         channel, component = np.array(analysis.sensitivity.elements).T
-        drawn["sensitivity"] = analysis.outputs.draw(deviates)[:, :, channel] / drawn["load"][:, :, component]
+        drawn["sensitivity"] = inputs.outputs.draw(deviates)[:, :, channel] / drawn["load"][:, :, component]
     return drawn
 
 
@@ -198,7 +194,7 @@ def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
         value = np.where(analysis.load.observed, analysis.load.value, complex(np.nan, np.nan))
         yield of("load", LOAD_COMPONENTS, LOAD_UNITS, value, analysis.load.uncertainty)
     ratio = analysis.sensitivity
-    if ratio is not None and analysis.outputs is not None:
+    if ratio is not None:
         names = [f"{ratio.channels[c]} per {ratio.components[j]}" for c, j in ratio.elements]
         units = [f"({ratio.unit})/{'N' if j < 3 else '(N.m)'}" for _, j in ratio.elements]
         channel, component = np.array(ratio.elements).T

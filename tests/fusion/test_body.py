@@ -78,7 +78,7 @@ def test_wrench_by_newton_and_euler_on_a_really_moving_cloud():
     wrench = np.hstack([rotation.inv().apply(total), rotation.inv().apply(moment)])
     measured = 2 / 64 * np.exp(-1j * omega * times) @ wrench
     motion = -(omega**2) * np.concatenate([shift, turn * np.exp(1j * phase)])
-    matrix = Body((part_of(mass, place),)).terms.load_matrix(np.array([frequency]), GRAVITY)[0]
+    matrix = Body((part_of(mass, place),), gravity_mps2=GRAVITY).load_matrix(np.array([frequency]))[0]
     np.testing.assert_allclose(matrix @ motion, measured, rtol=0, atol=2e-6 * np.abs(measured).max())
     bare = Body((part_of(mass, place),)).mass_matrix
     assert np.abs(bare @ motion - measured).max() > 1e-4 * np.abs(measured).max()
@@ -88,19 +88,19 @@ def test_wrench_by_newton_and_euler_on_a_really_moving_cloud():
 def test_parameter_changes_are_derivatives(gravity):
     part = part_of(*cloud(5), u=(1e-5, [1e-6, 2e-6, 3e-6], 1e-7))
     frequency = np.array([30.0])
-    base = Body((part,)).terms.load_matrix(frequency, gravity)
-    parameters = Body((part,)).matrix_changes(frequency, gravity)
+    whole = Body((part,), gravity_mps2=gravity)
+    base, parameters = whole.load_matrix(frequency), whole.matrix_changes(frequency)
     assert len(parameters) == 1 + 3 + 6
     shifted = make_part("", part.mass_kg + 1e-5, part.centre_of_mass_m, part.inertia_kgm2)
-    expected = Body((shifted,)).terms.load_matrix(frequency, gravity) - base
-    np.testing.assert_allclose(parameters[0].change, expected, atol=1e-12)
+    expected = replace(whole, parts=(shifted,)).load_matrix(frequency) - base
+    np.testing.assert_allclose(parameters[0].effect, expected, atol=1e-12)
     for axis in range(3):
         centre = part.centre_of_mass_m + np.eye(3)[axis] * part.u_centre_of_mass_m
         shifted = make_part("", part.mass_kg, centre, part.inertia_kgm2)
-        expected = Body((shifted,)).terms.load_matrix(frequency, gravity) - base
-        np.testing.assert_allclose(parameters[1 + axis].change, expected, atol=1e-9)
-    assert np.count_nonzero(parameters[4].change) == 1
-    assert np.count_nonzero(parameters[7].change) == 2
+        expected = replace(whole, parts=(shifted,)).load_matrix(frequency) - base
+        np.testing.assert_allclose(parameters[1 + axis].effect, expected, atol=1e-9)
+    assert np.count_nonzero(parameters[4].effect) == 1
+    assert np.count_nonzero(parameters[7].effect) == 2
 
 
 def test_refusals_name_the_argument():
@@ -128,7 +128,7 @@ def acceleration() -> Acceleration:
 
 def load_on(frequency: float, u: float = 0.0, damping: float = 0.0) -> LoadResult:
     parts = make_part(*UPPER), make_part(*LOWER, below_joint=True)
-    return load_phasors(acceleration(), Body(parts, make_joint(frequency, u, damping)), PULL)
+    return load_phasors(acceleration(), Body(parts, make_joint(frequency, u, damping), PULL))
 
 
 def test_force_below_an_elastic_joint_is_that_of_a_chain_of_two_masses():
@@ -177,25 +177,25 @@ def test_a_joint_that_is_only_named_corrects_nothing_and_is_uncertain_as_a_whole
 def test_weight_in_air_and_the_air_moved_along():
     # A cube of 1 kg/dm³ in air of 1.2 kg/m³: tilted, it is carried by 0.9988 of its weight; moved, it takes air along.
     share = 1.2 / 1000.0
-    body = Body((make_part("load", 2.0, [0.0, 0.0, 0.04], np.zeros((3, 3)), air_share=share),))
-    bare = Body((make_part("load", 2.0, [0.0, 0.0, 0.04], np.zeros((3, 3))),))
-    tilt = body.load_matrix(FREQUENCY, PULL) - body.load_matrix(FREQUENCY, None)
-    expected = bare.load_matrix(FREQUENCY, PULL) - bare.load_matrix(FREQUENCY, None)
+    cube = "load", 2.0, [0.0, 0.0, 0.04], np.zeros((3, 3))
+    body, bare = (Body((make_part(*cube, air_share=s),), gravity_mps2=PULL) for s in (share, 0.0))
+    tilt, expected = (b.load_matrix(FREQUENCY) - b.weightless.load_matrix(FREQUENCY) for b in (body, bare))
     np.testing.assert_allclose(tilt, (1.0 - share) * expected, rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(body.mass_matrix, bare.mass_matrix * (1.0 + 0.5 * share), rtol=1e-12)
-    (air,) = body.matrix_changes(FREQUENCY, PULL)
+    (air,) = body.matrix_changes(FREQUENCY)
     assert air.label == "load: air moved along"
     assert air.u == pytest.approx(2.0 * share * 0.5 / np.sqrt(3.0))
-    np.testing.assert_allclose(air.change, bare.load_matrix(FREQUENCY, None) * air.u / 2.0)
+    np.testing.assert_allclose(air.effect, bare.weightless.load_matrix(FREQUENCY) * air.u / 2.0)
 
 
 def test_uncertain_gravity_acts_through_the_tilt_only():
     parts = make_part(*UPPER), make_part(*LOWER, below_joint=True)
-    for body in (Body(parts), Body(parts, make_joint(3500.0, 50.0))):
-        base = load_phasors(acceleration(), body, PULL, u_gravity_mps2=[0.02, 0.0, 0.01])
+    for joint in (None, make_joint(3500.0, 50.0)):
+        body = Body(parts, joint, PULL, (0.02, 0.0, 0.01))
+        base = load_phasors(acceleration(), body)
         found = {i.name: i for i in base.uncertainty.influences if i.label == "gravity"}
         assert set(found) == {"gravity x", "gravity z"}
-        shifted = load_phasors(acceleration(), body, PULL + np.array([0.02, 0.0, 0.0]))
+        shifted = load_phasors(acceleration(), replace(body, gravity_mps2=PULL + np.array([0.02, 0.0, 0.0])))
         change, effect = shifted.value - base.value, found["gravity x"].effect
         np.testing.assert_allclose(effect[:, :6] + 1j * effect[:, 6:], change, rtol=1e-6, atol=1e-12)
         assert found["gravity z"].scope == "rig"
@@ -204,13 +204,13 @@ def test_uncertain_gravity_acts_through_the_tilt_only():
 def test_names_tell_another_load_and_another_place_from_the_same():
     def names(mass: float, height: float) -> set[str]:
         part = make_part("load", mass, [0.0, 0.0, height], np.eye(3), (1e-3, 1e-4, 1e-5))
-        return {change.name for change in Body((part,)).matrix_changes(FREQUENCY, None)}
+        return {change.name for change in Body((part,)).matrix_changes(FREQUENCY)}
 
     assert names(7.0, 0.05) == names(7.0, 0.05)
     assert not names(7.0, 0.05) & names(3.0, 0.05)
     moved = names(7.0, 0.05) & names(7.0, 0.06)
     assert len(moved) == 7  # the mass and six elements of the inertia
-    scopes = {c.label: c.scope for c in Body((make_part(*UPPER, (1e-3, 1e-4, 1e-5)),)).matrix_changes(FREQUENCY, None)}
+    scopes = {c.label: c.scope for c in Body((make_part(*UPPER, (1e-3, 1e-4, 1e-5)),)).matrix_changes(FREQUENCY)}
     assert scopes == {"load: mass": "rig", "load: centre of mass": "mounting", "load: inertia": "rig"}
 
 
