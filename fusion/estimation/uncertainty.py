@@ -146,8 +146,11 @@ class Unknown(Generic[Effect]):
         return Influence(self.name, self.label, self.u, self.unit, effect, self.scope, self.type)
 
 
+@dataclass(frozen=True)
 class Influence(Unknown[FloatArray]):
     """An unknown that acts on C complex values: `effect` (K, 2C) on [all Re, all Im], at all lines together."""
+
+    effect: FloatArray
 
 
 AnyUnknown = TypeVar("AnyUnknown", bound=Unknown[Any])

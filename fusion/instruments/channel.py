@@ -36,8 +36,11 @@ class ChainUncertainty:
     u_clock_s: float = 0.0
 
 
+@dataclass(frozen=True)
 class RelativeError(Unknown[ComplexArray]):
-    """One unknown of a chain, by the complex relative change (K, M) of its M readings."""
+    """One unknown of a chain: `effect` (K, M), the complex relative change of its M readings."""
+
+    effect: ComplexArray
 
     def of_rows(self, design: ComplexArray) -> CommonError:
         """Return the unknown of rows (K, M, 6) that it changes in proportion; the relative change may be (K, 1)."""

@@ -45,21 +45,21 @@ class LineTurns:
 
 
 @dataclass(frozen=True)
-class PulseExposure:
-    """An exposure as long as the pulses of a trigger: its name, `width_s` as measured, and `u_s`, 0 where stated."""
+class Exposure:
+    """How long frames at the edges of a `trigger` are exposed; `u_length_s`: 0 where the manifest states the length."""
 
     trigger: str
-    width_s: float
-    u_s: float
+    length_s: float
+    u_length_s: float = 0.0
 
     def change(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the relative change (K,) of phasors for one standard uncertainty of the width T.
+        """Return the relative change (K,) of phasors for one standard uncertainty of the length T.
 
         Frames whose exposures seem longer by u seem later by u/2, and their loss sin(x)/x, x = πfT, which was taken
         off, seems greater: u·[(1 - x·cot x)/T - jπf].
         """
-        x = np.pi * frequency_hz * self.width_s
-        return np.asarray(self.u_s * ((1.0 - x / np.tan(x)) / self.width_s - 1j * np.pi * frequency_hz))
+        x = np.pi * frequency_hz * self.length_s
+        return np.asarray(self.u_length_s * ((1.0 - x / np.tan(x)) / self.length_s - 1j * np.pi * frequency_hz))
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ class StereoReading:
     principal components of the calibration's covariance (CALIBRATION, which counts as stated). `clock_uncertainty`:
     relative, of the time base; `trigger`: name of the camera trigger and standard uncertainty (s) of its fitted
     instants, one error for all pairs that follow it. `turns`: where the line frequencies are known from this motion
-    only. `pulse`: what the exposure was measured from, one error for all pairs that expose as long as that trigger's
-    pulses. `further`: relative errors (K, 1) of all six phasors beside those.
+    only. `exposure`: where it was measured, one error for all pairs that expose as long as that trigger's pulses.
+    `further`: relative errors (K, 1) of all six phasors beside those.
     """
 
     name: str
@@ -81,7 +81,7 @@ class StereoReading:
     clock_uncertainty: float = 0.0
     trigger: tuple[str, float] = ("", 0.0)
     turns: LineTurns | None = None
-    pulse: PulseExposure | None = None
+    exposure: Exposure | None = None
     further: tuple[RelativeError, ...] = ()
 
     def observed(self) -> Observation:
@@ -107,9 +107,9 @@ class StereoReading:
             for place, effect in enumerate(np.asarray(changes)):
                 common.append(CommonError(f"{label} {place}", label, 1.0, "1", scope, np.zeros_like(design), effect))
         relative = self._late(f"{self.trigger[0]}: time", self.trigger[1], "recording")
-        if self.pulse is not None and self.pulse.u_s > 0.0:
-            unknown, change = f"{self.pulse.trigger}: pulse width", self.pulse.change(frequency)
-            relative.append(RelativeError(unknown, unknown, self.pulse.u_s, "s", change[:, None]))
+        if self.exposure is not None and self.exposure.u_length_s > 0.0:
+            unknown, change = f"{self.exposure.trigger}: pulse width", self.exposure.change(frequency)
+            relative.append(RelativeError(unknown, unknown, self.exposure.u_length_s, "s", change[:, None]))
         for unknown, turned in ({} if self.turns is None else self.turns.turns()).items():
             relative.append(RelativeError(unknown, unknown, 1.0, "1", turned[:, None]))
         common += [error.of_rows(design) for error in relative]

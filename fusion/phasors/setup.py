@@ -13,7 +13,6 @@ import numpy as np
 
 from fusion.base import AnyNotice, Executor, InputError, ProgressCallback, Settings
 from fusion.instruments.channel import Reading
-from fusion.instruments.stereo import StereoReading
 from fusion.phasors.channels import (
     APART_PERIODS,
     ChannelResult,
@@ -30,7 +29,7 @@ from fusion.phasors.stereo_motion import (
     motion_lines,
     open_images,
 )
-from fusion.phasors.stereo_phasors import StereoPhasors, StereoResult, pairs_phasors, stereo_readings
+from fusion.phasors.stereo_phasors import StereoPhasors, StereoResult, pairs_phasors
 from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
 from fusion.recording.files import read_set_ups, told_in
 from fusion.recording.load import Manifest
@@ -64,6 +63,10 @@ class OpenSetUp:
     channels: tuple[ChannelResult, ...] = ()
     readings: tuple[Reading, ...] = ()
 
+    def wrong(self, key: str, found: str, expected: str) -> InputError:
+        """Return the mistake at a key of the set-up."""
+        return InputError(self.manifest.path, self.where + key, found, expected)
+
 
 @dataclass(frozen=True)
 class SetUp:
@@ -75,7 +78,6 @@ class SetUp:
     opened: OpenSetUp
     lines: Lines
     stereo: tuple[StereoPhasors, ...]
-    pairs: tuple[StereoReading, ...]
     aliased: tuple[AnyNotice, ...]
 
     @property
@@ -123,10 +125,10 @@ def measure_set_up(
     """Follow the images of a set-up, here or by an executor, and fit the lines to the motion of every stereo pair."""
     manifest, base = opened.manifest, opened.base
     with told_in(manifest.path, opened.where, opened.name):
-        motions = (*measure_pairs(manifest, opened.images, settings, progress, executor), *opened.points)
+        motions = (*measure_pairs(opened.images, settings, progress, executor), *opened.points)
         lines = motion_lines(manifest, base, motions) if opened.lines is None else opened.lines
-        stereo, aliased = pairs_phasors(motions, lines)
-    return SetUp(opened, lines, stereo, stereo_readings(base, opened.readings, stereo, lines), aliased)
+        stereo, aliased = pairs_phasors(base, motions, lines, from_motion=not opened.readings)
+    return SetUp(opened, lines, stereo, aliased)
 
 
 # The lines of all set-ups.
@@ -169,7 +171,7 @@ def _own_lines(opened: OpenSetUp, nominal: tuple[float, ...]) -> Lines:
     if lines is None or missing:
         listed = " and ".join(f"{frequency:g} Hz" for frequency in missing)
         found, expected = f"no such line in {opened.name}", f"channels that tell {listed} as those of the first take do"
-        raise InputError(manifest.path, f"{opened.where}daq", found, expected)
+        raise opened.wrong("daq", found, expected)
     return lines
 
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import AnyNotice, InputError
+from fusion.base import AnyNotice
 from fusion.estimation.consistency import fails
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import Reading, RelativeError, acting, observe_channels
-from fusion.instruments.stereo import PERIODIC, PulseExposure, StereoReading
+from fusion.instruments.stereo import PERIODIC, StereoReading
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.setup import OpenSetUp, SetUp, line_stationarity, stationarity_notices
 from fusion.phasors.stereo_phasors import StereoResult
@@ -103,13 +103,16 @@ class ReferenceTie:
             f"{what}, {self.name}" if what == PERIODIC else what: change * self.factor[:, None]
             for what, change in pair.effects.items()
         }
-        pulse = pair.pulse
+
+        def named(trigger: str) -> str:
+            return f"{self.name}: {trigger}"
+
         return replace(
             pair,
             phasors=self.phasors(pair.phasors),
             effects=effects,
-            trigger=(f"{self.name}: {pair.trigger[0]}", pair.trigger[1]),
-            pulse=None if pulse is None else PulseExposure(f"{self.name}: {pulse.trigger}", pulse.width_s, pulse.u_s),
+            trigger=(named(pair.trigger[0]), pair.trigger[1]),
+            exposure=pair.exposure and replace(pair.exposure, trigger=named(pair.exposure.trigger)),
             further=self.errors,
         )
 
@@ -129,7 +132,7 @@ def reference_ties(set_ups: Sequence[OpenSetUp]) -> tuple[ReferenceTie, ...]:
         if len(marked) != 1:
             expected = "one channel with reference = true, the same in every take"
             found = f"{len(marked) or 'none'}"
-            raise InputError(opened.manifest.path, f"{opened.where}daq", found=found, expected=expected)
+            raise opened.wrong("daq", found, expected)
         references += marked
     return tuple(_tie(set_ups, references, place) for place in range(len(set_ups)))
 
@@ -180,13 +183,12 @@ def _check_driven(opened: OpenSetUp, reference: Reading, stands_out: BoolArray) 
     driven = np.ones(0, dtype=np.bool_) if opened.lines is None else opened.lines.multiple == 1
     lost = np.flatnonzero(driven & ~stands_out)
     if len(lost):
-        clock = next(daq for daq in opened.manifest.daq if reference.entry in daq.channel)
-        key = f"{opened.where}daq.{clock.name}.channel.{reference.entry.name}.reference"
+        key = f"daq.{reference.chain.clock}.channel.{reference.entry.name}.reference"
         amplitude, u = np.abs(reference.phasors.value[lost[0], 0]), reference.phasors.u_re[lost[0], 0]
         frequency = f"{reference.phasors.frequency_hz[lost[0]]:.6g} Hz"
         found = f"an amplitude of {amplitude:.2g} with a standard uncertainty of {u:.2g} in {opened.name}"
         expected = f"a channel that shows the driven line at {frequency} in every take"
-        raise InputError(opened.manifest.path, key, found=found, expected=expected)
+        raise opened.wrong(key, found, expected)
 
 
 def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArray) -> tuple[RelativeError, ...]:
@@ -441,7 +443,7 @@ def join_set_ups(set_ups: Sequence[SetUp]) -> Joined:
         clocks, stereo = opened.base.results(), tuple(item.result for item in first.stereo)
         steady = stationarity_notices(line_stationarity(opened.channels, stereo, lines, clocks))
         notices = (*first.notices, *steady)
-        found = (clocks, opened.channels, stereo, opened.readings, first.pairs)
+        found = (clocks, opened.channels, stereo, opened.readings, tuple(item.reading for item in first.stereo))
         return Joined(lines, *found, clock, (), first.aliased, notices)
     ties = reference_ties([item.opened for item in set_ups])
     pairs: list[StereoReading] = []
@@ -452,7 +454,7 @@ def join_set_ups(set_ups: Sequence[SetUp]) -> Joined:
     told: list[AnyNotice] = []
     for item, tie in zip(set_ups, ties, strict=True):
         name = tie.name
-        pairs += [tie.stereo(pair) for pair in item.pairs]
+        pairs += [tie.stereo(pair.reading) for pair in item.stereo]
         # The reference is that of the first set-up and counts once.
         own = [r for r in item.opened.readings if tie.first or not r.entry.reference]
         referred.append((name, [tie.reference(r) if r.entry.reference else tie.reading(r) for r in own]))
