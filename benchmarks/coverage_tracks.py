@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from fusion.base import ComputeError
 from fusion.instruments.channel import observe_channels
 from fusion.instruments.output import sensor_outputs
-from fusion.phasors.channels import channel_readings, channel_results, find_channel_lines
+from fusion.phasors.channels import channel_phasors, find_channel_lines
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from fusion.phasors.stereo_phasors import pairs_phasors
 from fusion.phasors.timing import TimeBase, see, tie_daqs
@@ -203,7 +203,7 @@ def evaluate_trial(manifest: Manifest, world: World, draws: Draws) -> Analysis:
     lines = find_channel_lines(manifest, base)
     if lines is None:
         raise ComputeError("no channel shows the lines")
-    readings = channel_readings(base, channel_results(manifest, base, lines))
+    _, readings = channel_phasors(manifest, base, lines)
     stereo, _ = pairs_phasors(base, [stereo_motion(manifest, base, world, draws)], lines, from_motion=False)
     channels = observe_channels(readings, manifest.rig.surroundings.gravity, manifest.daq[0].clock_uncertainty)
     sensor, body = manifest.rig.sensor, load_body(manifest.rig, manifest.part)

@@ -58,6 +58,12 @@ class Transducer:
         return np.asarray(derivative_factor(frequency_hz, self.order)[:, None] * rows)
 
 
+ACCELERATION = Transducer("acceleration", "m/s^2", "accelerometer", order=0, weighs=True)
+"""Uni- and triaxial: the axes of a triaxial one are channels with the same `common` name, which share a chain."""
+ANGULAR_VELOCITY = Transducer("angular_velocity", "rad/s", "accelerometer", order=-1, turning=True)
+"""Gyroscopes: what rides on the body and senses its motion against inertia, as accelerometers do."""
+
+
 def chain_name(entry: ChannelEntry) -> str:
     """Return the name of the instrument that a channel belongs to: its `common`, or its own name."""
     return entry.common or entry.name

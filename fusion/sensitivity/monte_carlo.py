@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -41,18 +41,7 @@ def propagate(
     for first in _first_order(analysis):
         # Of the driven lines those elements that any of them determines.
         kept = np.flatnonzero(np.isfinite(first.value[driven]).any(axis=0))
-        place = np.ix_(driven, kept)
-        firsts.append(
-            replace(
-                first,
-                frequency_hz=first.frequency_hz[driven],
-                elements=tuple(first.elements[q] for q in kept),
-                unit=tuple(first.unit[q] for q in kept),
-                value=first.value[place],
-                covariance=first.covariance[place],
-                dof=first.dof[place],
-            )
-        )
+        firsts.append(first.at(driven, kept))
         drawn[first.name] = np.empty((draws, len(driven), len(kept)), np.complex128), kept
     for number, start in enumerate(range(0, draws, BLOCK)):
         deviates = Deviates(seed, number, min(BLOCK, draws - start))
