@@ -10,7 +10,6 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.base import AnyNotice
 from fusion.estimation.consistency import fails
@@ -268,96 +267,72 @@ def merge_readings(
             where = (entry.name, entry.quantity, entry.body, entry.point, entry.direction, entry.common)
             groups.setdefault(entry.channel if entry.quantity == "output" else where, []).append((name, reading))
     names = [group[0][1].entry.name for group in groups.values()]
-    found, notices = [], []
+    merged, notices = [], []
     for group in groups.values():
         set_up, entry = group[0][0], group[0][1].entry
         if names.count(entry.name) > 1:  # the channel by its set-up, the instrument by its name
             entry = entry.model_copy(update={"name": f"{set_up}: {entry.name}", "common": entry.common or entry.name})
-        merged = _Merged.of([reading for _, reading in group])
-        found.append(merged.reading(entry))
-        notices += merged.notices(group[0][1].entry.name)
-    return tuple(found), tuple(notices)
+        reading, told = _merged([reading for _, reading in group], entry)
+        merged.append(reading)
+        notices += told
+    return tuple(merged), tuple(notices)
 
 
-@dataclass(frozen=True)
-class _Merged:
-    """Readings of one channel in T set-ups with their weights (T, K) and what they scatter by.
+def _merged(readings: Sequence[Reading], entry: ChannelEntry) -> tuple[Reading, list[Notice]]:
+    """Return one reading of a channel in T set-ups, and where these differ by more than noise and drift make.
 
-    `spread` (K,): standard deviation of one set-up's complex value beyond noise and drift; `failed` (K,): the scatter
-    is beyond the 99 % quantile of what noise and drift make.
+    Readings are weighed by their whole covariance over the set-ups, in which a complex value has one variance, the sum
+    of those of its parts. Where chi-square is above its degrees of freedom, all set-ups get the variance that makes it
+    equal to them (Paule & Mandel 1982, J. Res. NBS 87, 377). Noise of its own comes from noise and scatter, further
+    errors remain by their names.
     """
+    first = readings[0]
+    if len(readings) == 1:
+        return replace(first, entry=entry), []
+    name, frequency_hz = first.entry.name, first.phasors.frequency_hz
+    weight, spread = np.zeros((len(readings), len(frequency_hz))), np.zeros(len(frequency_hz))
+    value = np.stack([reading.phasors.value[:, 0] for reading in readings])
+    covariance, notices = _between_set_ups(readings, value), []
+    for k, f in enumerate(frequency_hz):
+        known = np.flatnonzero(np.isfinite(value[:, k]))
+        if len(known) == 1:
+            weight[known, k] = 1.0
+        elif len(known):
+            own = covariance[k][np.ix_(known, known)]
+            weight[known, k], spread[k], failed = _weighted(value[known, k], own)
+            if failed:
+                share = spread[k] / np.nanmax(np.abs(value[:, k]))
+                text = (
+                    f"{name} differs from take to take by {100.0 * share:.2g} % at {f:.6g} Hz "
+                    "(standard deviation beyond noise and drift); the scatter is part of its uncertainty"
+                )
+                notices.append(Notice("warning", text, name))
+    further = [
+        replace(error, effect=w[:, None] * error.effect)
+        for w, reading in zip(weight, readings, strict=True)
+        for error in reading.further
+    ]
+    mean = replace(_mean([reading.phasors for reading in readings], weight, spread), channels=(entry.name,))
+    return Reading(entry, mean, first.chain, acting(further)), notices
 
-    readings: tuple[Reading, ...]
-    weight: FloatArray
-    spread: FloatArray
-    failed: NDArray[np.bool_]
 
-    @classmethod
-    def of(cls, readings: Sequence[Reading]) -> _Merged:
-        """Weigh readings by their whole covariance over the set-ups.
-
-        A complex value has one variance, the sum of those of its parts. Where chi-square is above its degrees of
-        freedom, all set-ups get the variance that makes it equal to them (Paule & Mandel 1982, J. Res. NBS 87, 377).
-        """
-        lines = len(readings[0].phasors.frequency_hz)
-        weight, spread = np.zeros((len(readings), lines)), np.zeros(lines)
-        failed = np.zeros(lines, dtype=np.bool_)
-        value = np.stack([reading.phasors.value[:, 0] for reading in readings])
-        covariance = _between_set_ups(readings, value)
-        for k in range(lines):
-            known = np.flatnonzero(np.isfinite(value[:, k]))
-            if len(known) == 1:
-                weight[known, k] = 1.0
-            elif len(known):
-                own = covariance[k][np.ix_(known, known)]
-                weight[known, k], spread[k], failed[k] = _weighted(value[known, k], own)
-        return cls(tuple(readings), weight, spread, failed)
-
-    def reading(self, entry: ChannelEntry) -> Reading:
-        """Return one reading: noise of its own from noise and scatter, further errors by their names."""
-        first = self.readings[0]
-        if len(self.readings) == 1:
-            return replace(first, entry=entry)
-        further = [
-            replace(error, effect=weight[:, None] * error.effect)
-            for weight, reading in zip(self.weight, self.readings, strict=True)
-            for error in reading.further
-        ]
-        return Reading(entry, self._phasors(entry), first.chain, acting(further))
-
-    def notices(self, name: str) -> list[Notice]:
-        """Say where the set-ups differ by more than noise and drift make."""
-        found = []
-        for k in np.flatnonzero(self.failed):
-            share = self.spread[k] / np.nanmax([abs(reading.phasors.value[k, 0]) for reading in self.readings])
-            text = (
-                f"{name} differs from take to take by {100.0 * share:.2g} % at "
-                f"{self.readings[0].phasors.frequency_hz[k]:.6g} Hz (standard deviation beyond noise and drift); "
-                "the scatter is part of its uncertainty"
-            )
-            found.append(Notice("warning", text, name))
-        return found
-
-    def _phasors(self, entry: ChannelEntry) -> Phasors:
-        """Weighted mean with the covariance of noise and scatter, and its degrees of freedom (Welch-Satterthwaite)."""
-        parts, square = [reading.phasors for reading in self.readings], self.weight**2
-        known = np.any(self.weight != 0.0, axis=0)
-        value = np.nansum([w * p.value[:, 0] for w, p in zip(self.weight, parts, strict=True)], axis=0)
-        own = np.nan_to_num([s[:, None, None] * p.covariance for s, p in zip(square, parts, strict=True)])
-        scatter = square.sum(axis=0) * self.spread**2
-        covariance = own.sum(axis=0) + scatter[:, None, None] / 2.0 * np.eye(2)
-        noise = np.trace(own, axis1=2, axis2=3)
-        weighted = np.sum(noise**2 / np.maximum([p.dof for p in parts], 1.0), axis=0)
-        weighted += scatter**2 / np.maximum(np.sum(self.weight != 0.0, axis=0) - 1.0, 1.0)
-        total = np.trace(covariance, axis1=1, axis2=2)
-        return Phasors(
-            frequency_hz=parts[0].frequency_hz,
-            value=np.where(known, value, complex(np.nan, np.nan))[:, None],
-            covariance=np.where(known[:, None, None], covariance, np.nan),
-            channels=(entry.name,),
-            unit=parts[0].unit,
-            dof=np.divide(total**2, weighted, out=np.full(len(total), np.inf), where=weighted > 0.0),
-        )
+def _mean(parts: Sequence[Phasors], weight: FloatArray, spread: FloatArray) -> Phasors:
+    """Weighted mean with the covariance of noise and scatter, and its degrees of freedom (Welch-Satterthwaite)."""
+    known, square = np.any(weight != 0.0, axis=0), weight**2
+    value = np.nansum([w * p.value[:, 0] for w, p in zip(weight, parts, strict=True)], axis=0)
+    own = np.nan_to_num([s[:, None, None] * p.covariance for s, p in zip(square, parts, strict=True)])
+    scatter = square.sum(axis=0) * spread**2
+    covariance = own.sum(axis=0) + scatter[:, None, None] / 2.0 * np.eye(2)
+    noise = np.trace(own, axis1=2, axis2=3)
+    weighted = np.sum(noise**2 / np.maximum([p.dof for p in parts], 1.0), axis=0)
+    weighted += scatter**2 / np.maximum(np.sum(weight != 0.0, axis=0) - 1.0, 1.0)
+    total = np.trace(covariance, axis1=1, axis2=2)
+    return replace(
+        parts[0],
+        value=np.where(known, value, complex(np.nan, np.nan))[:, None],
+        covariance=np.where(known[:, None, None], covariance, np.nan),
+        dof=np.divide(total**2, weighted, out=np.full(len(total), np.inf), where=weighted > 0.0),
+    )
 
 
 def _between_set_ups(readings: Sequence[Reading], value: ComplexArray) -> FloatArray:
@@ -450,7 +425,7 @@ def join_set_ups(set_ups: Sequence[SetUp]) -> Joined:
     clocks_named: list[ClockResult] = []
     channels: list[ChannelResult] = []
     by_name: dict[str, StereoResult] = {}
-    referred = []
+    referred: list[tuple[str, list[Reading]]] = []
     told: list[AnyNotice] = []
     for item, tie in zip(set_ups, ties, strict=True):
         name = tie.name
