@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion.estimation.measurement_model import CommonError, Observation
-from fusion.estimation.uncertainty import Unknown, added_up
+from fusion.estimation.uncertainty import Scope, Unknown, added_up
 from fusion.instruments import TRANSDUCERS
 from fusion.instruments.transducer import ChannelGeometry, chain_name, geometry_errors, placed_at, unit_direction
 from shaker.arrays import ComplexArray, FloatArray
@@ -101,6 +101,12 @@ def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
 def acting(errors: Iterable[RelativeError]) -> tuple[RelativeError, ...]:
     """Return every unknown once, its effects added up; what acts on nothing is left out."""
     return tuple(error for error in added_up(errors) if np.any(error.effect != 0.0))
+
+
+def late(name: str, frequency_hz: FloatArray, u_s: float, scope: Scope = "recording") -> tuple[RelativeError, ...]:
+    """Return a time error, if any: what is late by one standard uncertainty turns by exp(-jω u) ≈ 1 - jω u."""
+    turn = np.asarray(-2j * np.pi * frequency_hz * u_s)[:, None]
+    return (RelativeError(name, name, u_s, "s", turn, scope),) if u_s > 0.0 else ()
 
 
 def clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: float) -> list[CommonError]:

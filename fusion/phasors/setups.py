@@ -14,7 +14,7 @@ import numpy as np
 from fusion.base import AnyNotice
 from fusion.estimation.consistency import fails
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments.channel import Reading, RelativeError, acting, observe_channels
+from fusion.instruments.channel import Reading, RelativeError, acting, late, observe_channels
 from fusion.instruments.stereo import PERIODIC, StereoReading
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.setup import OpenSetUp, SetUp, line_stationarity, stationarity_notices
@@ -103,17 +103,8 @@ class ReferenceTie:
             for what, change in pair.effects.items()
         }
 
-        def named(trigger: str) -> str:
-            return f"{self.name}: {trigger}"
-
-        return replace(
-            pair,
-            phasors=self.phasors(pair.phasors),
-            effects=effects,
-            trigger=(named(pair.trigger[0]), pair.trigger[1]),
-            exposure=pair.exposure and replace(pair.exposure, trigger=named(pair.exposure.trigger)),
-            further=self.errors,
-        )
+        own = [replace(e, name=f"{self.name}: {e.name}", label=f"{self.name}: {e.label}") for e in pair.errors]
+        return replace(pair, phasors=self.phasors(pair.phasors), effects=effects, errors=(*own, *self.errors))
 
 
 def reference_ties(set_ups: Sequence[OpenSetUp]) -> tuple[ReferenceTie, ...]:
@@ -205,14 +196,11 @@ def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArr
     return tuple(found)
 
 
-def _clock_error(name: str, reading: Reading) -> tuple[RelativeError, ...]:
+def _clock_error(name: str, reading: Reading) -> list[RelativeError]:
     """Relative error (K, 1) of a channel from the tie of its clock to the first one of its set-up."""
-    chain = reading.chain
-    if chain.u_clock_s == 0.0:
-        return ()
-    relative = np.asarray(-2j * np.pi * reading.phasors.frequency_hz[:, None] * chain.u_clock_s)
-    label = f"clock {chain.clock}: time"
-    return (RelativeError(f"clock {name}: {chain.clock}: time", label, chain.u_clock_s, "s", relative),)
+    chain, label = reading.chain, f"clock {reading.chain.clock}: time"
+    errors = late(f"clock {name}: {chain.clock}: time", reading.phasors.frequency_hz, chain.u_clock_s)
+    return [replace(error, label=label) for error in errors]
 
 
 def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[RelativeError]:

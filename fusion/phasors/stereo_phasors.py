@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from fusion.base import AnyNotice, ComputeError
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments.stereo import CALIBRATION, PERIODIC, LineTurns, StereoReading
+from fusion.instruments.channel import late
+from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading, line_turns
 from fusion.phasors.channels import spread_lines
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from fusion.phasors.timing import TimeBase
@@ -150,9 +151,11 @@ def stereo_phasors(base: TimeBase, measured: StereoMotion, lines: Lines, *, from
         phasors=spread_lines(fit.phasors, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None]),
         effects=effects,
         clock_uncertainty=base.records[0].entry.clock_uncertainty,
-        trigger=(exposure.trigger, base.u_trigger_s(exposure.trigger)),
-        turns=LineTurns(lines.nominal_hz, lines.u_frequency_hz, float(np.mean(time_s))) if from_motion else None,
-        exposure=exposure,
+        errors=(
+            *late(f"{exposure.trigger}: time", lines.frequency_hz, base.u_trigger_s(exposure.trigger)),
+            *exposure.errors(lines.frequency_hz),
+            *(line_turns(lines, float(np.mean(time_s))) if from_motion else ()),
+        ),
     )
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     told += [(name, notice) for notice in fit.notices if notice.severity == "warning"]

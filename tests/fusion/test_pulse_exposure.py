@@ -128,9 +128,9 @@ def test_a_run_is_that_with_the_width_stated(tmp_path):
     (pair,) = measured.stereo
     assert abs(pair.exposure_s - WIDTH_S) < 4.0 * pair.u_exposure_s
     assert (stated.stereo[0].exposure_s, stated.stereo[0].u_exposure_s) == (WIDTH_S, 0.0)
-    change = Exposure("camera_trigger", pair.exposure_s, pair.u_exposure_s).change(np.array([FREQUENCY_HZ]))[0]
+    (width,) = Exposure("camera_trigger", pair.exposure_s, pair.u_exposure_s).errors(np.array([FREQUENCY_HZ]))
     ratio = _base(measured)[2] / _base(stated)[2] - 1.0
-    assert abs(ratio) < 4.0 * abs(change)
+    assert abs(ratio) < 4.0 * abs(width.effect[0, 0])
     error = _base(measured) / (-(OMEGA**2) * MOTION) - 1.0
     assert abs(error[2]) < 1e-3
     labels = {c.label for a in measured.accelerations if a.body == "base" for c in a.contributions}
@@ -145,8 +145,8 @@ def test_the_effect_of_a_width_is_that_of_evaluating_with_another(tmp_path):
     rig = run.parent / "rig.toml"
     rig.write_text(RIG.replace("EXPOSURE", repr(WIDTH_S + u_s / 2)), encoding="utf-8")
     ratio = _base(evaluated(run)) / before - 1.0
-    expected = Exposure("camera_trigger", WIDTH_S, u_s).change(np.array([FREQUENCY_HZ]))
-    np.testing.assert_allclose(ratio, np.repeat(expected, 6), rtol=2e-3)
+    (expected,) = Exposure("camera_trigger", WIDTH_S, u_s).errors(np.array([FREQUENCY_HZ]))
+    np.testing.assert_allclose(ratio, np.repeat(expected.effect, 6), rtol=2e-3)
 
 
 def test_every_run_tells_the_width(tmp_path):
