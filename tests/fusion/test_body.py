@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from instrument_factory import TRUTH, moving
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from fusion.base import InputError
-from fusion.estimation.fuse import Acceleration
-from fusion.estimation.uncertainty import Contribution, Uncertainty
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.body import Body, Part, load_body, make_joint, make_part
 from fusion.sensitivity.load import LoadResult, load_phasors
@@ -19,7 +18,6 @@ from fusion.simulate.preset import Preset, face_of, nominal_rig, read_preset
 from fusion.simulate.world import Draws
 from photogram.subsets.texture import textured_area
 from photogram.synthetic.scene import render, view_of
-from shaker.sine.phasor import Phasors
 
 GRAVITY = np.array([0.3, -0.2, -9.8125])
 
@@ -111,24 +109,15 @@ def test_refusals_name_the_argument():
 
 
 FREQUENCY = np.array([106.25, 1000.0])
-MOTION = np.array([[0.5, -0.3j, 189.0, 4.0j, -3.0, 1.0], [0.01, 0.02, 0.9 - 0.2j, 0.1, 0.05j, 0.02]], dtype=complex)
+MOVING = moving(frequency=FREQUENCY)
 PULL = np.array([0.3, 0.1, -9.8125])
 UPPER = ("load", 6.96, [1e-3, 2e-3, 0.05], np.diag([0.036, 0.036, 0.031]))
 LOWER = ("internal mass", 0.77, [0.0, 1e-3, -0.01], np.diag([1e-4, 1e-4, 2e-4]))
 
 
-def acceleration() -> Acceleration:
-    covariance = np.repeat(1e-6 * np.eye(12)[None], 2, axis=0)
-    found = Phasors(
-        FREQUENCY, MOTION, covariance, ("x", "y", "z", "rx", "ry", "rz"), ("m/s^2",) * 3 + ("rad/s^2",) * 3, np.ones(2)
-    )
-    noise = Uncertainty((Contribution("noise", "A", covariance),))
-    return Acceleration("load", "fused", found, np.ones((2, 6), bool), ("top",), noise, (), 0.0, 0, (), ())
-
-
 def load_on(frequency: float, u: float = 0.0, damping: float = 0.0) -> LoadResult:
     parts = make_part(*UPPER), make_part(*LOWER, below_joint=True)
-    return load_phasors(acceleration(), Body(parts, make_joint(frequency, u, damping), PULL))
+    return load_phasors(MOVING, Body(parts, make_joint(frequency, u, damping), PULL))
 
 
 def test_force_below_an_elastic_joint_is_that_of_a_chain_of_two_masses():
@@ -145,14 +134,14 @@ def test_force_below_an_elastic_joint_is_that_of_a_chain_of_two_masses():
             [[coupling[line] - w**2 * lower, -coupling[line]], [-coupling[line], coupling[line] - w**2 * upper]]
         )
         _, above = np.linalg.solve(chain, [1.0, 0.0])
-        force[line] = 1.0 / (-(w**2) * above) * MOTION[line, 2]
+        force[line] = 1.0 / (-(w**2) * above) * TRUTH[line, 2]
     parts = (
         make_part("load", upper, [0, 0, 0], np.zeros((3, 3))),
         make_part("m", lower, [0, 0, 0], np.zeros((3, 3)), below_joint=True),
     )
-    found = load_phasors(acceleration(), Body(parts, make_joint(resonance, 10.0, damping)))
+    found = load_phasors(MOVING, Body(parts, make_joint(resonance, 10.0, damping)))
     np.testing.assert_allclose(found.value[:, 2], force, rtol=1e-12)
-    assert abs(found.value[1, 2] / (7.73 * MOTION[1, 2])) == pytest.approx(1.0 - 0.0081, abs=2e-4)
+    assert abs(found.value[1, 2] / (7.73 * TRUTH[1, 2])) == pytest.approx(1.0 - 0.0081, abs=2e-4)
     assert found.notices[0].text.endswith("(3500 Hz) changes Fz at 1000 Hz by -0.81% from that of a rigid body")
 
 
@@ -192,10 +181,10 @@ def test_uncertain_gravity_acts_through_the_tilt_only():
     parts = make_part(*UPPER), make_part(*LOWER, below_joint=True)
     for joint in (None, make_joint(3500.0, 50.0)):
         body = Body(parts, joint, PULL, (0.02, 0.0, 0.01))
-        base = load_phasors(acceleration(), body)
+        base = load_phasors(MOVING, body)
         found = {i.name: i for i in base.uncertainty.influences if i.label == "gravity"}
         assert set(found) == {"gravity x", "gravity z"}
-        shifted = load_phasors(acceleration(), replace(body, gravity_mps2=PULL + np.array([0.02, 0.0, 0.0])))
+        shifted = load_phasors(MOVING, replace(body, gravity_mps2=PULL + np.array([0.02, 0.0, 0.0])))
         change, effect = shifted.value - base.value, found["gravity x"].effect
         np.testing.assert_allclose(effect[:, :6] + 1j * effect[:, 6:], change, rtol=1e-6, atol=1e-12)
         assert found["gravity z"].scope == "rig"
