@@ -23,13 +23,15 @@ from numpy.typing import NDArray
 
 from fusion.base import ComputeError
 from fusion.instruments.channel import observe_channels
-from fusion.phasors.channels import channel_readings, channel_results, find_channel_lines
+from fusion.instruments.output import sensor_outputs
+from fusion.phasors.channels import channel_phasors, find_channel_lines
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
-from fusion.phasors.stereo_phasors import pairs_phasors, stereo_readings
-from fusion.phasors.timing import Exposure, TimeBase, exposure_middles, tie_daqs
+from fusion.phasors.stereo_phasors import pairs_phasors
+from fusion.phasors.timing import TimeBase, see, tie_daqs
 from fusion.recording.files import DaqRecord
 from fusion.recording.load import Manifest, load_manifest
 from fusion.sensitivity.analyse import Analysis, Inputs, analyse
+from fusion.sensitivity.body import load_body
 from fusion.simulate.channels import record, recording_tables, rig_tables
 from fusion.simulate.preset import ChannelSpec, Preset, read_preset
 from fusion.simulate.sines import rendered_run
@@ -164,12 +166,9 @@ def stereo_motion(manifest: Manifest, base: TimeBase, world: World, draws: Draws
     motion = fit_motion(points, None, np.zeros(3))
     epipolar = check_epipolar(tracks, rig)
     view = ImageView(tracks, rig, np.zeros((1, 1)), None, None, epipolar)
-    time_s = exposure_middles(manifest, base, entry, world.preset.frames)
     reprojection = float(np.sqrt(np.mean(points.reprojection_px**2)))
-    exposure = Exposure(world.preset.exposure_s)
-    return StereoMotion(
-        entry, pair, exposure, time_s, motion, deformation(points, motion), reprojection, view, epipolar.notices
-    )
+    sight = see(manifest, base, entry, world.preset.frames)
+    return StereoMotion(sight, motion, deformation(points, motion), reprojection, view, epipolar.notices)
 
 
 def subset_tracks(world: World, stereo: TrueStereo, draws: Draws) -> StereoTracks:
@@ -204,12 +203,13 @@ def evaluate_trial(manifest: Manifest, world: World, draws: Draws) -> Analysis:
     lines = find_channel_lines(manifest, base)
     if lines is None:
         raise ComputeError("no channel shows the lines")
-    readings = channel_readings(base, channel_results(manifest, base, lines))
-    stereo, _ = pairs_phasors([stereo_motion(manifest, base, world, draws)], lines)
-    pairs = stereo_readings(base, readings, stereo, lines)
-    channels = observe_channels(readings, manifest.rig.gravity, manifest.daq[0].clock_uncertainty)
-    observations = [*(pair.observed() for pair in pairs), *channels]
-    return analyse(Inputs.of(manifest, lines, observations, readings))
+    _, readings = channel_phasors(manifest, base, lines)
+    stereo, _ = pairs_phasors(base, [stereo_motion(manifest, base, world, draws)], lines, from_motion=False)
+    channels = observe_channels(readings, manifest.rig.surroundings.gravity, manifest.daq[0].clock_uncertainty)
+    sensor, body = manifest.rig.sensor, load_body(manifest.rig, manifest.part)
+    outputs = None if sensor is None else sensor_outputs(readings, sensor.channels)
+    observations = (*(item.reading.observed() for item in stereo), *channels)
+    return analyse(Inputs(lines, observations, outputs, body, sensor, manifest.excitation.direction))
 
 
 def run_case(case: Case, seeds: range) -> Counts:

@@ -9,7 +9,8 @@ import numpy as np
 
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments import TRANSDUCERS
-from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
+from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels
+from fusion.instruments.output import output_phasors
 from fusion.instruments.stereo import StereoReading
 from fusion.recording.manifest import ChannelEntry, Sensor, Stereo
 from fusion.sensitivity.analyse import Inputs
@@ -97,9 +98,8 @@ def simulate_phasors(setup: PhasorSetup, draws: Draws) -> tuple[Inputs, PhasorTr
     inputs = Inputs(
         lines=setup.lines,
         observations=tuple(seen),
-        outputs=tuple(outputs),
-        body=Body(setup.parts),
-        gravity_mps2=setup.gravity_mps2,
+        outputs=output_phasors(outputs),
+        body=Body(setup.parts, gravity_mps2=setup.gravity_mps2, sense=setup.sensor.sense),
         sensor=setup.sensor,
         direction=setup.direction,
     )
@@ -150,8 +150,8 @@ def _reading(channel: Channel, frequency_hz: FloatArray, signal: ComplexArray, d
     gain *= 1.0 + float(draws.normal(f"{entry.name}: individual scale", entry.individual_uncertainty))
     gain *= 1.0 + float(draws.normal(f"{entry.name}: scatter", channel.scatter))
     delay = entry.delay_uncertainty * float(draws.normal(f"{name}: delay", 1.0))
-    late = delay + chain.u_clock_s * float(draws.normal(f"clock {chain.clock}: time", 1.0))
-    value = signal * gain * np.exp(-2j * np.pi * frequency_hz * late)
+    behind = delay + chain.u_clock_s * float(draws.normal(f"clock {chain.clock}: time", 1.0))
+    value = signal * gain * np.exp(-2j * np.pi * frequency_hz * behind)
     if chain.u_magnitude is not None:
         value = value * (1.0 + chain.u_magnitude * float(draws.normal(f"{name}: response magnitude", 1.0)))
     if chain.u_phase_rad is not None:
@@ -171,9 +171,9 @@ def _pair(pair: Pair, motion: Motion, draws: Draws) -> StereoReading:
     shift, spin = motion.displacement[:, :3], motion.displacement[:, 3:]
     scale = 1.0 + float(draws.normal(f"{title}: scale", entry.scale_uncertainty or 0.0))
     moved = np.concatenate([scale * (shift + np.cross(spin, pose[:3])) @ turn.T, spin @ turn.T], axis=1)
-    late = float(draws.normal(f"{title}: delay", entry.delay_uncertainty))
-    late += float(draws.normal(f"{stated.trigger[0]}: time", stated.trigger[1]))
-    value = moved * np.exp(-2j * np.pi * stated.phasors.frequency_hz * late)[:, None]
+    behind = float(draws.normal(f"{title}: delay", entry.delay_uncertainty))
+    behind += sum(float(draws.normal(error.name, error.u)) for error in stated.errors)
+    value = moved * np.exp(-2j * np.pi * stated.phasors.frequency_hz * behind)[:, None]
     for what, changes in stated.effects.items():
         value = value + np.tensordot(draws.normal(f"{title}: {what}", 1.0, len(changes)), changes, 1)
     phasors = replace(stated.phasors, value=value, dof=np.full(len(value), pair.dof))
@@ -336,7 +336,8 @@ def stereo_pair(motion: ComplexArray) -> Pair:
     phasors = Phasors(
         LINES.frequency_hz, displacement, covariance, MOTION_COMPONENTS, component_units(0), np.full(len(OMEGA), 40.0)
     )
-    return Pair(StereoReading("top", entry, phasors, effects, 1e-6, ("camera_trigger", 2e-7)), 40.0)
+    trigger = late("camera_trigger: time", LINES.frequency_hz, 2e-7)
+    return Pair(StereoReading("top", entry, phasors, effects, 1e-6, trigger), 40.0)
 
 
 def output_channels(motion: ComplexArray, case: Case) -> tuple[Channel, ...]:

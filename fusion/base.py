@@ -358,9 +358,6 @@ def typeset(unit: str) -> str:
     return unit.replace("^2", "²").replace("N.m", "N·m")
 
 
-# How results that hold many numbers print.
-
-
 # The program and the libraries that compute with it.
 
 

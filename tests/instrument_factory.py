@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fusion.estimation.fuse import Acceleration
 from fusion.estimation.measurement_model import Observation
+from fusion.estimation.uncertainty import Contribution, Uncertainty
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.instruments.stereo import StereoReading
+from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
 
 FREQUENCY = np.array([106.25, 212.5])
@@ -34,6 +37,7 @@ TRIAXIAL = {
     "transverse_sensitivity": 1e-3, "point_uncertainty": (1e-3,) * 3, "common": "triaxial",
 }  # fmt: skip
 BEAM = LASER | {"direction_uncertainty": 5e-4, "common": "side"}
+PLAIN, QUIET = 1e-6 * np.eye(12), 1e-18 * np.eye(2)
 BARE = {"scale_uncertainty": 2.5e-4}
 
 
@@ -43,6 +47,41 @@ def phasors(value: np.ndarray, sigma: np.ndarray | float, dof: float = 200.0) ->
     covariance = np.tile(np.broadcast_to(sigma, value.shape), (1, 2))[:, :, None] ** 2 * np.eye(2 * count)
     names = tuple(f"c{i}" for i in range(count))
     return Phasors(FREQUENCY[:lines], value.astype(complex), covariance, names, ("SI",) * count, np.full(lines, dof))
+
+
+def moving(
+    value: np.ndarray = TRUTH,
+    covariance: np.ndarray = PLAIN,
+    dof: float = 50.0,
+    observed: Any = True,
+    frequency: np.ndarray = FREQUENCY,
+    **known: Any,
+) -> Acceleration:
+    """The load's acceleration with a covariance (12, 12) at all lines; `known`: `noise` by its name, `influences`."""
+    seen = np.broadcast_to(np.asarray(observed), value.shape)
+    gone = ~np.tile(seen, (1, 2))
+    spread = np.where(gone[:, :, None] | gone[:, None, :], np.nan, covariance)
+    noise = Contribution(known.get("noise", "noise"), "A", spread, np.full(len(value), dof))
+    total = Uncertainty((noise,), known.get("influences", ()))
+    found = np.where(seen, value, complex(np.nan, np.nan))
+    series = Phasors(frequency, found, total.covariance, MOTION_COMPONENTS, component_units(2), noise.dof)
+    return Acceleration("load", "fused", series, seen, ("top",), total, (), 0.0, 0, (), ())
+
+
+def output(
+    value: np.ndarray,
+    covariance: np.ndarray = QUIET,
+    dof: float = 100.0,
+    chain: ChainUncertainty | None = None,
+    frequency: np.ndarray = FREQUENCY,
+    **stated: Any,
+) -> Reading:
+    """An output of the sensor, Fz unless it is named, with the covariance (2, 2) of its noise."""
+    entry = channel_entry(**{"name": "Fz", "quantity": "output"} | stated)
+    entry.channel = entry.name
+    spread, freedom = np.tile(covariance, (len(value), 1, 1)), np.full(len(value), dof)
+    found = Phasors(frequency, value[:, None].astype(complex), spread, (entry.name,), ("V/V",), freedom)
+    return Reading(entry, found, chain or ChainUncertainty())
 
 
 def channel_entry(**changes: Any) -> Any:
@@ -112,6 +151,14 @@ def measured(
         noise = sd * (rng.normal(size=value.shape) + 1j * rng.normal(size=value.shape))
         found.append(with_values(observation, value + noise))
     return found
+
+
+def without(observation: Observation, gone: np.ndarray) -> Observation:
+    """An instrument that lacks some readings (K, M)."""
+    value = np.where(gone, complex(np.nan, np.nan), observation.phasors.value)
+    missing = np.tile(gone, (1, 2))
+    covariance = np.where(missing[:, :, None] | missing[:, None, :], np.nan, observation.phasors.covariance)
+    return replace(observation, phasors=replace(observation.phasors, value=value, covariance=covariance))
 
 
 def with_values(observation: Observation, value: np.ndarray) -> Observation:

@@ -123,7 +123,7 @@ class _Recorded:
     @property
     def sensor_from_camera(self) -> RigidTransform:
         """The pose that the recording's rig.toml states."""
-        return sensor_from_camera(self.measured.stereo)
+        return sensor_from_camera(self.measured.sight.pair)
 
 
 def _moving_evidence(
@@ -172,9 +172,9 @@ def _record(
         found = "none" if file.calibration is None else "another calibration"
         raise InputError(path, "calibration", found, f"the one that {manifest.rig_path} names for {file.stereo}")
     opened = open_images(manifest, base, images)
-    measured = measure_images(manifest, opened, settings, progress)
-    fixed = measured.stereo.model_copy(update={"pose_by_calibration": None})  # effects in the camera's own frame
-    return _Recorded(manifest, base, replace(measured, stereo=fixed))
+    measured = measure_images(opened, settings, progress)
+    fixed = measured.sight.pair.model_copy(update={"pose_by_calibration": None})  # effects in the camera's own frame
+    return _Recorded(manifest, base, replace(measured, sight=replace(measured.sight, pair=fixed)))
 
 
 def _direction(
@@ -230,19 +230,19 @@ def _known_direction(path: Path, block: Motion, manifests: Sequence[Manifest]) -
 def _strongest(item: _Recorded) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return motion (6,), covariance, effects of the calibration and ellipse at the strongest fundamental."""
     lines = find_channel_lines(item.manifest, item.base) or motion_lines(item.manifest, item.base, [item.measured])
-    phasors = stereo_phasors(item.measured, lines)
-    value = phasors.displacement.value
+    seen = stereo_phasors(item.base, item.measured, lines).reading
+    value = seen.phasors.value
     size = np.where(lines.multiple == 1, np.linalg.norm(value[:, :3], axis=1), np.nan)
     if not np.isfinite(size).any():
-        name = item.measured.entry.stereo
+        name = item.measured.sight.name
         raise ComputeError(f"stereo pair {name}: its camera rate tells no fundamental of {item.manifest.path} apart")
     line = int(np.nanargmax(size))
-    covariance = phasors.displacement.covariance[line].copy()
-    for what, changes in phasors.effects.items():
+    covariance = seen.phasors.covariance[line].copy()
+    for what, changes in seen.effects.items():
         if what != CALIBRATION:
             stacked = np.concatenate([changes[:, line].real, changes[:, line].imag], axis=1)
             covariance += stacked.T @ stacked
-    calibration = phasors.effects.get(CALIBRATION)
+    calibration = seen.effects.get(CALIBRATION)
     effects = np.zeros((0, 6), dtype=np.complex128) if calibration is None else calibration[:, line]
     return linear_motion(value[line], covariance, effects)
 

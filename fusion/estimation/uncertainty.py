@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -122,25 +122,47 @@ class Contribution:
     dof: FloatArray | None = None
 
 
+Effect = TypeVar("Effect", FloatArray, ComplexArray)
+
+
 @dataclass(frozen=True)
-class Influence:
-    """One real unknown of standard uncertainty `u` (in `unit`), and what one standard uncertainty does to the values.
+class Unknown(Generic[Effect]):
+    """One real unknown of standard uncertainty `u` (in `unit`), and the first-order `effect` of that on something.
 
     `name` identifies the unknown: equal names are the same unknown, wherever they occur within its `scope`. `label`
-    groups unknowns in a budget. `effect` (K, 2C): first-order change of [all Re, all Im], at all lines together.
+    groups unknowns in a budget.
     """
 
     name: str
     label: str
     u: float
     unit: str
-    effect: FloatArray
+    effect: Effect
     scope: Scope = "recording"
     type: Kind = "B"
 
     def acting(self, effect: FloatArray) -> Influence:
-        """Return the same unknown with another effect."""
+        """Return the same unknown as it acts on complex values, by its `effect` (K, 2C) on them."""
         return Influence(self.name, self.label, self.u, self.unit, effect, self.scope, self.type)
+
+
+@dataclass(frozen=True)
+class Influence(Unknown[FloatArray]):
+    """An unknown that acts on C complex values: `effect` (K, 2C) on [all Re, all Im], at all lines together."""
+
+    effect: FloatArray
+
+
+AnyUnknown = TypeVar("AnyUnknown", bound=Unknown[Any])
+
+
+def added_up(unknowns: Iterable[AnyUnknown]) -> tuple[AnyUnknown, ...]:
+    """Return every unknown once, the effects of equal names added up."""
+    merged: dict[str, AnyUnknown] = {}
+    for unknown in unknowns:
+        known = merged.get(unknown.name)
+        merged[unknown.name] = unknown if known is None else replace(known, effect=known.effect + unknown.effect)
+    return tuple(merged.values())
 
 
 @dataclass(frozen=True)
@@ -202,12 +224,8 @@ class Uncertainty:
 
     def plus(self, other: Uncertainty) -> Uncertainty:
         """Return the uncertainty of a sum: noise adds in squares, effects of equal names add as they are."""
-        merged = {influence.name: influence for influence in self.influences}
-        for influence in other.influences:
-            known = merged.get(influence.name)
-            total = influence.effect if known is None else known.effect + influence.effect
-            merged[influence.name] = (influence if known is None else known).acting(total)
-        return Uncertainty(merge_contributions([*self.random, *other.random]), tuple(merged.values()))
+        random = merge_contributions([*self.random, *other.random])
+        return Uncertainty(random, added_up([*self.influences, *other.influences]))
 
     def at(self, values: IntArray | Sequence[int]) -> Uncertainty:
         """Return the uncertainty of some of the C values, by their places."""

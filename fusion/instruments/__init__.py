@@ -4,8 +4,7 @@ A new kind of transducer is a module with its `Transducer`, named here: manifest
 identification, `check` and units follow. The simulator does not: it is what all these are tested against.
 """
 
-from fusion.instruments.accelerometer import ACCELERATION, ANGULAR_VELOCITY
-from fusion.instruments.transducer import Transducer
+from fusion.instruments.transducer import ACCELERATION, ANGULAR_VELOCITY, Transducer
 from fusion.instruments.vibrometer import DISPLACEMENT, VELOCITY
 
 TRANSDUCERS: dict[str, Transducer] = {

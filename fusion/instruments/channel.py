@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion.estimation.measurement_model import CommonError, Observation
-from fusion.estimation.uncertainty import Kind as ErrorType
-from fusion.estimation.uncertainty import Scope
+from fusion.estimation.uncertainty import Scope, Unknown, added_up
 from fusion.instruments import TRANSDUCERS
 from fusion.instruments.transducer import ChannelGeometry, chain_name, geometry_errors, placed_at, unit_direction
 from shaker.arrays import ComplexArray, FloatArray
@@ -38,24 +37,15 @@ class ChainUncertainty:
 
 
 @dataclass(frozen=True)
-class RelativeError:
-    """One unknown of a chain: complex `relative` (K, M) change of its M readings for one standard uncertainty `u`.
+class RelativeError(Unknown[ComplexArray]):
+    """One unknown of a chain: `effect` (K, M), the complex relative change of its M readings."""
 
-    `u` is in `unit`; `scope`: how long the unknown keeps its value.
-    """
-
-    name: str
-    label: str
-    u: float
-    unit: str
-    scope: Scope
-    relative: ComplexArray
-    type: ErrorType = "B"
+    effect: ComplexArray
 
     def of_rows(self, design: ComplexArray) -> CommonError:
-        """Return the unknown of rows (K, M, 6) that it changes in proportion; `relative` may be (K, 1)."""
+        """Return the unknown of rows (K, M, 6) that it changes in proportion; the relative change may be (K, 1)."""
         none = np.zeros(design.shape[:2], np.complex128)
-        slope = self.relative[:, :, None] * design
+        slope = self.effect[:, :, None] * design
         return CommonError(self.name, self.label, self.u, self.unit, self.scope, slope, none, self.type)
 
 
@@ -93,34 +83,36 @@ def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
         ("response phase", "1", 1.0, [1j * phase for phase in phases]),
     ):
         relative = np.stack(columns, axis=1).astype(np.complex128)
-        errors.append(RelativeError(f"{name}: {kind}", f"{name}: {kind}", u, unit, "rig", relative))
+        errors.append(RelativeError(f"{name}: {kind}", f"{name}: {kind}", u, unit, relative, "rig"))
     for clock in sorted({c.clock for c in chains if c.u_clock_s > 0.0}):
         times = np.array([c.u_clock_s if c.clock == clock else 0.0 for c in chains])
         unknown, late = f"clock {clock}: time", turn[:, None] * times
-        errors.append(RelativeError(unknown, unknown, float(np.max(times)), "s", "recording", late))
+        errors.append(RelativeError(unknown, unknown, float(np.max(times)), "s", late))
     label = f"{name}: individual scale"
     only = np.eye(len(entries), dtype=np.complex128)
     for place, entry in enumerate(entries):
         own = np.ones((len(frequency), 1)) * entry.individual_uncertainty * only[place]
-        errors.append(RelativeError(f"{label} {entry.name}", label, entry.individual_uncertainty, "1", "rig", own))
+        errors.append(RelativeError(f"{label} {entry.name}", label, entry.individual_uncertainty, "1", own, "rig"))
     for place, reading in enumerate(readings):
-        errors += [replace(error, relative=error.relative * only[place]) for error in reading.further]
-    return added_up(errors)
+        errors += [replace(error, effect=error.effect * only[place]) for error in reading.further]
+    return acting(errors)
 
 
-def added_up(errors: Sequence[RelativeError]) -> tuple[RelativeError, ...]:
+def acting(errors: Iterable[RelativeError]) -> tuple[RelativeError, ...]:
     """Return every unknown once, its effects added up; what acts on nothing is left out."""
-    found: dict[str, RelativeError] = {}
-    for error in errors:
-        known = found.get(error.name)
-        found[error.name] = error if known is None else replace(known, relative=known.relative + error.relative)
-    return tuple(error for error in found.values() if np.any(error.relative != 0.0))
+    return tuple(error for error in added_up(errors) if np.any(error.effect != 0.0))
+
+
+def late(name: str, frequency_hz: FloatArray, u_s: float, scope: Scope = "recording") -> tuple[RelativeError, ...]:
+    """Return a time error, if any: what is late by one standard uncertainty turns by exp(-jω u) ≈ 1 - jω u."""
+    turn = np.asarray(-2j * np.pi * frequency_hz * u_s)[:, None]
+    return (RelativeError(name, name, u_s, "s", turn, scope),) if u_s > 0.0 else ()
 
 
 def clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: float) -> list[CommonError]:
     """Return the unknown of a time base: where it runs fast readings ∝ ω^-n, n (M,), seem larger by n times as much."""
     relative = np.broadcast_to(-clock_uncertainty * orders + 0j, design.shape[:2])
-    rate = RelativeError(CLOCK_RATE, CLOCK_RATE, clock_uncertainty, "1", "rig", relative).of_rows(design)
+    rate = RelativeError(CLOCK_RATE, CLOCK_RATE, clock_uncertainty, "1", relative, "rig").of_rows(design)
     return [rate] if np.any(rate.slope != 0.0) else []
 
 
@@ -157,8 +149,8 @@ def _observe(readings: Sequence[Reading], gravity_mps2: FloatArray | None, clock
     for place, entry in enumerate(entries):
         for error in geometry_errors(transducer, entry):
             slope = np.zeros_like(design)
-            slope[:, place] = transducer.rows(error.change, frequency, gravity_mps2)
-            common.append(CommonError(error.name, error.label, error.u, error.unit, "mounting", slope, none))
+            slope[:, place] = transducer.rows(error.effect, frequency, gravity_mps2)
+            common.append(CommonError(error.name, error.label, error.u, error.unit, error.scope, slope, none))
     stated = any(error.scope != "recording" for error in common)
     common += clock_rate(design, np.full(len(entries), -float(transducer.order)), clock_uncertainty)
     return Observation(

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.estimation.measurement_model import Deviates
-from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, as_complex, real_stack
-from fusion.instruments.channel import Reading, RelativeError, chain_errors
+from fusion.estimation.uncertainty import Contribution, Uncertainty, added_up, as_complex, real_stack
+from fusion.instruments.channel import Reading, chain_errors
 from fusion.instruments.transducer import chain_name
 from shaker.arrays import ComplexArray
 from shaker.sine.phasor import Phasors, stack_phasors
@@ -51,6 +51,15 @@ class Outputs:
         return np.asarray(drawn)
 
 
+def sensor_outputs(readings: Sequence[Reading], order: Sequence[str]) -> Outputs | None:
+    """Return what of some readings are outputs of the sensor, in the order and by the names of its outputs, if any."""
+    named = {str(reading.entry.channel): reading for reading in readings if reading.entry.quantity == "output"}
+    own = [
+        replace(named[name], phasors=replace(named[name].phasors, channels=(name,))) for name in order if name in named
+    ]
+    return output_phasors(own) if own else None
+
+
 def output_phasors(readings: Sequence[Reading]) -> Outputs:
     """Return the outputs of C channels, in the order given.
 
@@ -64,23 +73,13 @@ def output_phasors(readings: Sequence[Reading]) -> Outputs:
     chains: dict[str, list[int]] = {}
     for place, reading in enumerate(readings):
         chains.setdefault(chain_name(reading.entry), []).append(place)
-    effects: dict[str, tuple[RelativeError, ComplexArray]] = {}
+    influences = []
     for places in chains.values():
         for error in chain_errors([readings[place] for place in places]):
-            change = effects[error.name][1] if error.name in effects else np.zeros_like(signals.value)
-            change[:, places] += error.relative * signals.value[:, places]
-            effects[error.name] = error, change
-    influences = tuple(
-        Influence(
-            name=error.name,
-            label=error.label if error.scope == "recording" else "output " + error.label.rpartition(": ")[2],
-            u=error.u,
-            unit=error.unit,
-            effect=real_stack(change),
-            scope=error.scope,
-            type=error.type,
-        )
-        for error, change in effects.values()
-    )
-    uncertainty = Uncertainty((Contribution(NOISE, "A", signals.covariance, signals.dof),), influences)
+            change = np.zeros_like(signals.value)
+            change[:, places] = error.effect * signals.value[:, places]
+            label = error.label if error.scope == "recording" else "output " + error.label.rpartition(": ")[2]
+            influences.append(replace(error.acting(real_stack(change)), label=label))
+    noise = Contribution(NOISE, "A", signals.covariance, signals.dof)
+    uncertainty = Uncertainty((noise,), added_up(influences))
     return Outputs(replace(signals, covariance=uncertainty.covariance), uncertainty)

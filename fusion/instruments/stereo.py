@@ -10,13 +10,14 @@ import numpy as np
 
 from fusion.estimation.measurement_model import CommonError, Deviates, Observation
 from fusion.estimation.uncertainty import Scope
-from fusion.instruments.channel import RelativeError, clock_rate
+from fusion.instruments.channel import RelativeError, clock_rate, late
 from photogram.geometry import rotation_from_vector, skew
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.phasor import Phasors, derivative_factor
 
 if TYPE_CHECKING:
     from fusion.recording.manifest import Stereo
+    from shaker.lines.frequencies import Lines
 
 CALIBRATION = "calibration"
 PERIODIC = "error periodic in the pixel"
@@ -25,41 +26,37 @@ GEOMETRY = np.eye(6)
 
 
 @dataclass(frozen=True)
-class LineTurns:
-    """How errors of the estimated line frequencies turn the phasors of a record whose middle is at `middle_s`.
-
-    A fit at f + u leaves the phase in the middle of the record as it is, so the phasor, which counts from time zero,
-    turns by exp(-j2π u middle_s). `nominal_hz`, `u_hz` (K,): fundamental and standard uncertainty of each line; the
-    lines of one fundamental err together, and so do all stereo pairs.
-    """
-
-    nominal_hz: FloatArray
-    u_hz: FloatArray
-    middle_s: float
-
-    def turns(self) -> dict[str, ComplexArray]:
-        """Return by the name of the unknown the relative change (K,) for one standard uncertainty."""
-        turn = -2j * np.pi * self.u_hz * self.middle_s
-        fundamentals = np.unique(self.nominal_hz).tolist()
-        return {f"frequency of {f:.6g} Hz": np.where(self.nominal_hz == f, turn, 0.0) for f in fundamentals}
-
-
-@dataclass(frozen=True)
-class PulseExposure:
-    """An exposure as long as the pulses of a trigger: its name, `width_s` as measured, and `u_s`, 0 where stated."""
+class Exposure:
+    """How long frames at the edges of a `trigger` are exposed; `u_length_s`: 0 where the manifest states the length."""
 
     trigger: str
-    width_s: float
-    u_s: float
+    length_s: float
+    u_length_s: float = 0.0
 
-    def change(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the relative change (K,) of phasors for one standard uncertainty of the width T.
+    def errors(self, frequency_hz: FloatArray) -> tuple[RelativeError, ...]:
+        """Return the relative error (K, 1) of phasors where the length T is measured: that of the trigger's pulses.
 
         Frames whose exposures seem longer by u seem later by u/2, and their loss sin(x)/x, x = πfT, which was taken
         off, seems greater: u·[(1 - x·cot x)/T - jπf].
         """
-        x = np.pi * frequency_hz * self.width_s
-        return np.asarray(self.u_s * ((1.0 - x / np.tan(x)) / self.width_s - 1j * np.pi * frequency_hz))
+        if self.u_length_s == 0.0:
+            return ()
+        x = np.pi * frequency_hz[:, None] * self.length_s
+        change = self.u_length_s * ((1.0 - x / np.tan(x)) / self.length_s - 1j * np.pi * frequency_hz[:, None])
+        name = f"{self.trigger}: pulse width"
+        return (RelativeError(name, name, self.u_length_s, "s", np.asarray(change)),)
+
+
+def line_turns(lines: Lines, middle_s: float) -> Iterator[RelativeError]:
+    """Yield how errors of estimated line frequencies turn the phasors of a record whose middle is at `middle_s`.
+
+    A fit at f + u leaves the phase in the middle of the record as it is, so the phasor, which counts from time zero,
+    turns by exp(-j2π u middle_s). The lines of one fundamental err together, and so do all stereo pairs.
+    """
+    turn = -2j * np.pi * lines.u_frequency_hz * middle_s
+    for f in np.unique(lines.nominal_hz).tolist():
+        name, effect = f"frequency of {f:.6g} Hz", np.where(lines.nominal_hz == f, turn, 0.0)
+        yield RelativeError(name, name, 1.0, "1", effect[:, None])
 
 
 @dataclass(frozen=True)
@@ -68,10 +65,8 @@ class StereoReading:
 
     `effects`: by name, changes (P, K, 6) of the phasors for one standard uncertainty of further unknowns, such as the
     principal components of the calibration's covariance (CALIBRATION, which counts as stated). `clock_uncertainty`:
-    relative, of the time base; `trigger`: name of the camera trigger and standard uncertainty (s) of its fitted
-    instants, one error for all pairs that follow it. `turns`: where the line frequencies are known from this motion
-    only. `pulse`: what the exposure was measured from, one error for all pairs that expose as long as that trigger's
-    pulses. `further`: relative errors (K, 1) of all six phasors beside those.
+    relative, of the time base. `errors`: relative ones (K, 1) of all six phasors that hold for one recording, such as
+    those of the instants of the trigger, one unknown for all pairs that follow it.
     """
 
     name: str
@@ -79,16 +74,13 @@ class StereoReading:
     phasors: Phasors
     effects: Mapping[str, ComplexArray] = field(default_factory=dict)
     clock_uncertainty: float = 0.0
-    trigger: tuple[str, float] = ("", 0.0)
-    turns: LineTurns | None = None
-    pulse: PulseExposure | None = None
-    further: tuple[RelativeError, ...] = ()
+    errors: tuple[RelativeError, ...] = ()
 
     def observed(self) -> Observation:
         """Return the rows of the pair: displacement phasors = -A/ω², and their common errors by name.
 
-        These are scale and pose of its frame, delay of the exposure, the further `effects`, and what holds for one
-        recording: instants of the trigger, width of its pulses, frequencies of the lines, the clock.
+        These are scale and pose of its frame, delay of the exposure, the further `effects`, the relative `errors`, and
+        the clock.
         """
         title, frequency = self._title, self.phasors.frequency_hz
         factor = derivative_factor(frequency, -2)
@@ -99,22 +91,16 @@ class StereoReading:
             for name, label, u, unit, change in self._frame_errors()
             if u > 0.0
         ]
-        common += [e.of_rows(design) for e in self._late(f"{title}: delay", self.pair.delay_uncertainty, "rig")]
+        delay = late(f"{title}: delay", frequency, self.pair.delay_uncertainty, "rig")
+        common += [error.of_rows(design) for error in delay]
         stated = bool(common) or len(self.effects.get(CALIBRATION, ())) > 0
         for what, changes in self.effects.items():
             label = f"{title}: {what}"
             scope: Scope = "recording" if what.startswith(PERIODIC) else "rig"
             for place, effect in enumerate(np.asarray(changes)):
                 common.append(CommonError(f"{label} {place}", label, 1.0, "1", scope, np.zeros_like(design), effect))
-        relative = self._late(f"{self.trigger[0]}: time", self.trigger[1], "recording")
-        if self.pulse is not None and self.pulse.u_s > 0.0:
-            unknown, change = f"{self.pulse.trigger}: pulse width", self.pulse.change(frequency)
-            relative.append(RelativeError(unknown, unknown, self.pulse.u_s, "s", "recording", change[:, None]))
-        for unknown, turned in ({} if self.turns is None else self.turns.turns()).items():
-            relative.append(RelativeError(unknown, unknown, 1.0, "1", "recording", turned[:, None]))
-        common += [error.of_rows(design) for error in relative]
+        common += [error.of_rows(design) for error in self.errors]
         common += clock_rate(design, np.full(6, 2.0), self.clock_uncertainty)
-        common += [error.of_rows(design) for error in self.further]
         members = (title,) * 6
         return Observation(
             self.name, "photogrammetry", self.pair.body, self.phasors, design, tuple(common), members, stated, self
@@ -140,11 +126,6 @@ class StereoReading:
             yield f"{position} {letter}", position, self.pair.pose_uncertainty[axis], "m", shift
             turn: FloatArray = np.kron(np.eye(2), spin).astype(np.float64)
             yield f"{rotation} {letter}", rotation, self.pair.pose_uncertainty[3 + axis], "rad", turn
-
-    def _late(self, name: str, u_s: float, scope: Scope) -> list[RelativeError]:
-        """Return a time error: readings late by one standard uncertainty turn by exp(-jω u) ≈ 1 - jω u."""
-        late: ComplexArray = np.asarray(-2j * np.pi * self.phasors.frequency_hz * u_s)[:, None]
-        return [RelativeError(name, name, u_s, "s", scope, late)] if u_s > 0.0 else []
 
     # The pose of the frame, for the Monte Carlo run.
 

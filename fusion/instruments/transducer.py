@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from fusion.estimation.uncertainty import Unknown
 from photogram.geometry import rotation_from_vector
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.phasor import derivative_factor
@@ -57,6 +58,12 @@ class Transducer:
         return np.asarray(derivative_factor(frequency_hz, self.order)[:, None] * rows)
 
 
+ACCELERATION = Transducer("acceleration", "m/s^2", "accelerometer", order=0, weighs=True)
+"""Uni- and triaxial: the axes of a triaxial one are channels with the same `common` name, which share a chain."""
+ANGULAR_VELOCITY = Transducer("angular_velocity", "rad/s", "accelerometer", order=-1, turning=True)
+"""Gyroscopes: what rides on the body and senses its motion against inertia, as accelerometers do."""
+
+
 def chain_name(entry: ChannelEntry) -> str:
     """Return the name of the instrument that a channel belongs to: its `common`, or its own name."""
     return entry.common or entry.name
@@ -88,19 +95,10 @@ def placement_name(entry: ChannelEntry, kind: str, axis: str) -> str:
     return f"{chain_name(entry)}: {kind} {entry.name}{at}{along} {axis}"
 
 
-@dataclass(frozen=True)
-class GeometryError:
-    """One uncertain number of where or along what a channel measures: `change` (6,) of its geometry by one `u`."""
-
-    name: str
-    label: str
-    u: float
-    unit: str
-    change: FloatArray
-
-
-def geometry_errors(transducer: Transducer, entry: ChannelEntry) -> tuple[GeometryError, ...]:
+def geometry_errors(transducer: Transducer, entry: ChannelEntry) -> tuple[Unknown[FloatArray], ...]:
     """Return what is uncertain of a channel's place and direction, by names that hold in every recording.
+
+    Effects (6,) on its geometry, as long as things are mounted as they are.
 
     A point has three coordinates; a direction errs by two small rotations; a transverse sensitivity t of unknown
     direction is two components of t/√2 across the axis.
@@ -110,7 +108,7 @@ def geometry_errors(transducer: Transducer, entry: ChannelEntry) -> tuple[Geomet
     if not transducer.turning:
         for axis, unit, u in zip("xyz", np.eye(3), np.broadcast_to(entry.point_uncertainty, 3).tolist(), strict=True):
             lever = np.concatenate([np.zeros(3), np.cross(unit, direction) * u])
-            found.append(GeometryError(placement_name(entry, "point", axis), f"{chain}: point", u, "m", lever))
+            found.append(Unknown(placement_name(entry, "point", axis), f"{chain}: point", u, "m", lever, "mounting"))
     leaks = (
         ("direction", "rad", entry.direction_uncertainty),
         (TRANSVERSE, "1", entry.transverse_sensitivity / np.sqrt(2.0)),
@@ -119,8 +117,8 @@ def geometry_errors(transducer: Transducer, entry: ChannelEntry) -> tuple[Geomet
         for kind, of_kind, u in leaks:
             name = placement_name(entry, kind, str(number))
             turned = u * transducer.geometry(point, tangent)
-            found.append(GeometryError(name, f"{chain}: {kind}", float(u), of_kind, turned))
-    return tuple(error for error in found if np.any(error.change != 0.0))
+            found.append(Unknown(name, f"{chain}: {kind}", float(u), of_kind, turned, "mounting"))
+    return tuple(error for error in found if np.any(error.effect != 0.0))
 
 
 @dataclass(frozen=True)

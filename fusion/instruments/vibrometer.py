@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, real_design, real_stack
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, added_up, real_design, real_stack
 from fusion.instruments.transducer import Transducer
 from shaker.arrays import ComplexArray, FloatArray, check_shape
 
@@ -234,7 +234,7 @@ def _uncertainty(points: Sequence[_Point]) -> Uncertainty:
     """Noise and common errors of the points' accelerations; points of one instrument have their joint covariance."""
     lines, count = len(points[0].factor), len(points)
     covariance, dof = np.zeros((lines, 2 * count, 2 * count)), np.full(lines, np.inf)
-    effects: dict[str, Influence] = {}
+    influences = []
     for observation in {id(p.observation): p.observation for p in points}.values():
         own = [(place, point) for place, point in enumerate(points) if point.observation is observation]
         places, columns = [place for place, _ in own], [point.column for _, point in own]
@@ -247,9 +247,8 @@ def _uncertainty(points: Sequence[_Point]) -> Uncertainty:
             change = np.zeros((lines, count), dtype=np.complex128)
             change[:, places] = error.effect(own[0][1].acceleration)[:, columns] * back
             if np.any(change):
-                known = effects.get(error.name)
-                total = real_stack(change) + (0.0 if known is None else known.effect)
-                effects[error.name] = Influence(
-                    error.name, error.label, error.u, error.unit, total, error.scope, error.type
+                effect = real_stack(change)
+                influences.append(
+                    Influence(error.name, error.label, error.u, error.unit, effect, error.scope, error.type)
                 )
-    return Uncertainty((Contribution("noise", "A", covariance, dof),), tuple(effects.values()))
+    return Uncertainty((Contribution("noise", "A", covariance, dof),), added_up(influences))

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.base import AnyNotice, InputError, as_input_error
 from fusion.instruments import TRANSDUCERS
 from fusion.instruments.channel import ChainUncertainty, Reading
 from fusion.phasors.timing import TimeBase
 from fusion.recording.response import read_response
-from shaker.arrays import FloatArray, Notice, brief
+from shaker.arrays import BoolArray, FloatArray, Notice, brief
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.lines.spectrum import amplitude_spectrum
@@ -152,28 +151,26 @@ def _driven_lines(
 # The sine approximation, channel by channel.
 
 
-def channel_results(manifest: Manifest, base: TimeBase, lines: Lines) -> tuple[ChannelResult, ...]:
-    """Fit the lines to every channel of every block and return the phasors with what the figures show.
+def channel_phasors(
+    manifest: Manifest, base: TimeBase, lines: Lines
+) -> tuple[tuple[ChannelResult, ...], tuple[Reading, ...]]:
+    """Fit the lines to every channel of every block: the phasors with what the figures show, and with their errors.
 
     Lines above the Nyquist frequency are left out, since recorders filter them away, but not in the fastest channels,
     where the lines were found.
     """
-    channels = [(record, channel) for record in base.records for channel in record.entry.channel]
-    fastest_hz = max(
-        (record.raw[channel.name].sample_rate_hz for record, channel in channels if channel.quantity != "trigger"),
-        default=0.0,
-    )
-    results: list[ChannelResult] = []
-    for record in base.records:
-        for group in _same_times(record):
-            rate_hz = record.raw[group[0].name].sample_rate_hz
-            seen = (lines.frequency_hz < rate_hz / 2.0) | (rate_hz >= fastest_hz)
-            if not seen.any():
-                above = f"a sampling rate above {2.0 * lines.frequency_hz.min():g} Hz"
-                expected = f"{above}, or no such channel in recording.toml"
-                raise InputError(record.entry.file, group[0].name, found=f"{rate_hz:g} Hz", expected=expected)
-            results += _fit_group(manifest, base, record, group, lines, seen)
-    return tuple(results)
+    groups = [(record, group) for record in base.records for group in _same_times(record)]
+    rates_hz = [record.raw[group[0].name].sample_rate_hz for record, group in groups]
+    fitted: list[tuple[ChannelResult, Reading]] = []
+    for (record, group), rate_hz in zip(groups, rates_hz, strict=True):
+        seen = (lines.frequency_hz < rate_hz / 2.0) | (rate_hz >= max(rates_hz))
+        if not seen.any():
+            above = f"a sampling rate above {2.0 * lines.frequency_hz.min():g} Hz"
+            expected = f"{above}, or no such channel in recording.toml"
+            raise InputError(record.entry.file, group[0].name, found=f"{rate_hz:g} Hz", expected=expected)
+        units = [manifest.rig.unit_of(channel) for channel in group]
+        fitted += _fit_group(base, record, group, units, lines, seen)
+    return tuple(result for result, _ in fitted), tuple(reading for _, reading in fitted)
 
 
 def _same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
@@ -187,13 +184,13 @@ def _same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
 
 
 def _fit_group(
-    manifest: Manifest,
     base: TimeBase,
     record: DaqRecord,
     group: Sequence[ChannelEntry],
+    units: Sequence[str],
     lines: Lines,
-    seen: NDArray[np.bool_],
-) -> list[ChannelResult]:
+    seen: BoolArray,
+) -> list[tuple[ChannelResult, Reading]]:
     """Fit the lines seen (K,) to all channels of one group and split the result by channel.
 
     Other lines are fitted beside the wanted ones where they are below Nyquist, and so far off that they can.
@@ -202,7 +199,6 @@ def _fit_group(
     rate_hz = record.raw[group[0].name].sample_rate_hz
     values = np.stack([record.values(channel) for channel in group], axis=1)
     names = [channel.name for channel in group]
-    units = [manifest.rig.unit_of(channel) for channel in group]
     apart = np.abs(np.subtract.outer(lines.nuisance_hz, alias_frequency(lines.frequency_hz, rate_hz)))
     clear = np.all(apart * float(time_s[-1] - time_s[0]) >= APART_PERIODS, axis=1)
     beside = lines.nuisance_hz[clear & (lines.nuisance_hz < rate_hz / 2.0)]
@@ -215,28 +211,39 @@ def _fit_group(
         values = values.copy()
         values[fit.spikes] = np.nan
     steady = stationarity(time_s, values, frequency_hz, names)
-    found = [
-        _result(record, channel, time_s, whole[:, c], fit, wanted.select([channel.name]))
-        for c, channel in enumerate(group)
-    ]
-    return found if steady is None else [replace(one, stationarity=steady.select(one.name)) for one in found]
+    fitted = []
+    for c, channel in enumerate(group):
+        result, reading = _result(base, record, channel, time_s, whole[:, c], fit, wanted.select([channel.name]))
+        fitted.append((replace(result, stationarity=steady and steady.select(channel.name)), reading))
+    return fitted
 
 
 def _result(
-    record: DaqRecord, channel: ChannelEntry, time_s: FloatArray, values: FloatArray, fit: SineFit, phasors: Phasors
-) -> ChannelResult:
+    base: TimeBase,
+    record: DaqRecord,
+    channel: ChannelEntry,
+    time_s: FloatArray,
+    values: FloatArray,
+    fit: SineFit,
+    phasors: Phasors,
+) -> tuple[ChannelResult, Reading]:
     """Correct one channel's phasors for delay and response, and keep what its figures need.
 
     The factor from a channel's phasor to the true one is exp(+jω·delay) / response(f).
     """
+    block, rate_hz, tie = record.entry.name, record.raw[channel.name].sample_rate_hz, base.ties[record.entry.name]
+    middle_s = np.asarray(len(values) / rate_hz / 2)
+    chain = ChainUncertainty(clock=block, u_clock_s=0.0 if tie is None else float(tie.u_to_base_s(middle_s)))
     correction = np.exp(2j * np.pi * phasors.frequency_hz * channel.delay)
     if channel.response is not None:
-        correction = correction / read_response(channel.response, phasors.frequency_hz).value
+        response = read_response(channel.response, phasors.frequency_hz)
+        correction = correction / response.value
+        chain = replace(chain, u_magnitude=response.u_magnitude, u_phase_rad=response.u_phase_rad)
+    phasors = phasors.scaled(correction[:, None])
     place = fit.phasors.channels.index(channel.name)
-    rate_hz, block = record.raw[channel.name].sample_rate_hz, record.entry.name
     shown = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
     spectrum = amplitude_spectrum(values, rate_hz)
-    return ChannelResult(
+    result = ChannelResult(
         name=channel.name,
         daq=block,
         quantity=channel.quantity,
@@ -244,7 +251,7 @@ def _result(
         unit=phasors.unit[0],
         sample_rate_hz=rate_hz,
         samples=len(values),
-        phasors=phasors.scaled(correction[:, None]),
+        phasors=phasors,
         residual_rms=float(fit.residual_rms[place]),
         excerpt_s=time_s[shown],
         excerpt=values[shown],
@@ -253,9 +260,10 @@ def _result(
         spectrum=spectrum.amplitude,
         notices=tuple(Notice(n.severity, f"{block}, {n.where}: {n.text}", block) for n in fit.notices),
     )
+    return result, Reading(channel, phasors, chain)
 
 
-def spread_lines(phasors: Phasors, mask: NDArray[np.bool_], frequency_hz: FloatArray) -> Phasors:
+def spread_lines(phasors: Phasors, mask: BoolArray, frequency_hz: FloatArray) -> Phasors:
     """Return phasors at all lines `frequency_hz` (K,) from those at the lines of `mask` (K,), NaN at the others."""
     lines, channels = len(mask), len(phasors.channels)
     value = np.full((lines, channels), np.nan, dtype=np.complex128)
@@ -263,18 +271,3 @@ def spread_lines(phasors: Phasors, mask: NDArray[np.bool_], frequency_hz: FloatA
     dof = np.zeros(lines)
     value[mask], covariance[mask], dof[mask] = phasors.value, phasors.covariance, phasors.dof
     return Phasors(frequency_hz, value, covariance, phasors.channels, phasors.unit, dof)
-
-
-def channel_readings(base: TimeBase, channels: Sequence[ChannelResult]) -> tuple[Reading, ...]:
-    """Return every channel with its manifest entry and the uncertainty of its response and of its clock's tie."""
-    entries = {(r.entry.name, c.name): c for r in base.records for c in r.entry.channel}
-    found = []
-    for channel in channels:
-        entry, tie = entries[channel.daq, channel.name], base.ties[channel.daq]
-        middle_s = np.asarray(channel.samples / channel.sample_rate_hz / 2)
-        chain = ChainUncertainty(clock=channel.daq, u_clock_s=0.0 if tie is None else float(tie.u_to_base_s(middle_s)))
-        if entry.response is not None:
-            response = read_response(entry.response, channel.phasors.frequency_hz)
-            chain = replace(chain, u_magnitude=response.u_magnitude, u_phase_rad=response.u_phase_rad)
-        found.append(Reading(entry, channel.phasors, chain))
-    return tuple(found)

@@ -13,12 +13,10 @@ import numpy as np
 
 from fusion.base import AnyNotice, Executor, InputError, ProgressCallback, Settings
 from fusion.instruments.channel import Reading
-from fusion.instruments.stereo import StereoReading
 from fusion.phasors.channels import (
     APART_PERIODS,
     ChannelResult,
-    channel_readings,
-    channel_results,
+    channel_phasors,
     find_channel_lines,
     line_record,
 )
@@ -30,7 +28,7 @@ from fusion.phasors.stereo_motion import (
     motion_lines,
     open_images,
 )
-from fusion.phasors.stereo_phasors import StereoPhasors, StereoResult, pairs_phasors, stereo_readings
+from fusion.phasors.stereo_phasors import StereoPhasors, StereoResult, pairs_phasors
 from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
 from fusion.recording.files import read_set_ups, told_in
 from fusion.recording.load import Manifest
@@ -64,6 +62,10 @@ class OpenSetUp:
     channels: tuple[ChannelResult, ...] = ()
     readings: tuple[Reading, ...] = ()
 
+    def wrong(self, key: str, found: str, expected: str) -> InputError:
+        """Return the mistake at a key of the set-up."""
+        return InputError(self.manifest.path, self.where + key, found, expected)
+
 
 @dataclass(frozen=True)
 class SetUp:
@@ -75,7 +77,6 @@ class SetUp:
     opened: OpenSetUp
     lines: Lines
     stereo: tuple[StereoPhasors, ...]
-    pairs: tuple[StereoReading, ...]
     aliased: tuple[AnyNotice, ...]
 
     @property
@@ -111,8 +112,7 @@ def open_set_ups(manifest: Manifest) -> tuple[OpenSetUp, ...]:
             found.append(one)
             continue
         with told_in(one.manifest.path, one.where, one.name):
-            channels = channel_results(one.manifest, one.base, lines)
-            readings = channel_readings(one.base, channels)
+            channels, readings = channel_phasors(one.manifest, one.base, lines)
         found.append(replace(one, lines=lines, channels=channels, readings=readings))
     return tuple(found)
 
@@ -123,10 +123,10 @@ def measure_set_up(
     """Follow the images of a set-up, here or by an executor, and fit the lines to the motion of every stereo pair."""
     manifest, base = opened.manifest, opened.base
     with told_in(manifest.path, opened.where, opened.name):
-        motions = (*measure_pairs(manifest, opened.images, settings, progress, executor), *opened.points)
+        motions = (*measure_pairs(opened.images, settings, progress, executor), *opened.points)
         lines = motion_lines(manifest, base, motions) if opened.lines is None else opened.lines
-        stereo, aliased = pairs_phasors(motions, lines)
-    return SetUp(opened, lines, stereo, stereo_readings(base, opened.readings, stereo, lines), aliased)
+        stereo, aliased = pairs_phasors(base, motions, lines, from_motion=not opened.readings)
+    return SetUp(opened, lines, stereo, aliased)
 
 
 # The lines of all set-ups.
@@ -169,7 +169,7 @@ def _own_lines(opened: OpenSetUp, nominal: tuple[float, ...]) -> Lines:
     if lines is None or missing:
         listed = " and ".join(f"{frequency:g} Hz" for frequency in missing)
         found, expected = f"no such line in {opened.name}", f"channels that tell {listed} as those of the first take do"
-        raise InputError(manifest.path, f"{opened.where}daq", found, expected)
+        raise opened.wrong("daq", found, expected)
     return lines
 
 
@@ -247,44 +247,36 @@ def line_stationarity(
     The rate of a clock that is tied to the first one is known no better than its edges tell, and so is a phase's drift.
     """
     u_rate = {clock.daq: float(np.sqrt(clock.tie.covariance[1, 1])) for clock in clocks if clock.tie is not None}
+    shown = [(channel.name, channel.stationarity, u_rate.get(channel.daq, 0.0)) for channel in channels]
+    shown += [(f"stereo pair {pair.name}", pair.stationarity, 0.0) for pair in stereo]
     driven = lines.frequency_hz[lines.multiple == 1]
-    found: list[LineStationarity] = []
-    for channel in channels:
-        if channel.stationarity is not None:
-            found += _of_lines(channel.name, channel.stationarity, driven, u_rate.get(channel.daq, 0.0))
-    for pair in stereo:
-        if pair.stationarity is not None:
-            found += _of_lines(f"stereo pair {pair.name}", pair.stationarity, driven, 0.0)
-    return tuple(found)
+    return tuple(
+        change for name, steady, u in shown if steady is not None for change in _of_lines(name, steady, driven, u)
+    )
 
 
-def stationarity_notices(found: Sequence[LineStationarity]) -> tuple[AnyNotice, ...]:
+def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[AnyNotice, ...]:
     """Return a notice for each line whose amplitude, and one for each whose phase, surely changed by what matters."""
     notices: list[AnyNotice] = []
-    for frequency in dict.fromkeys(line.frequency_hz for line in found):
-        here = [line for line in found if line.frequency_hz == frequency]
-        where = f"{frequency:.6g} Hz"
+    for frequency in dict.fromkeys(line.frequency_hz for line in changes):
+        here = [line for line in changes if line.frequency_hz == frequency]
         grown = [d for d in here if abs(d.amplitude) > max(MATTERS, SURE * d.u_amplitude)]
         turned = [d for d in here if abs(d.phase_rad) > max(MATTERS, SURE * d.u_phase_rad)]
-        by = _first_few([f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown])
-        angle = _first_few([f"{1e3 * d.phase_rad:+.2g} mrad in {d.name}" for d in turned])
-        end = "results are means over each instrument's own record"
-        if grown:
-            notices.append(Notice("warning", f"the amplitude at {where} changes over the record: {by}; {end}", where))
-        if turned:
-            notices.append(Notice("warning", f"the phase at {where} drifts over the record: {angle}; {end}", where))
+        for what, by in (
+            ("amplitude at {} changes", [f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown]),
+            ("phase at {} drifts", [f"{1e3 * d.phase_rad:+.2g} mrad in {d.name}" for d in turned]),
+        ):
+            if by:
+                where, more = f"{frequency:.6g} Hz", f" and {len(by) - NAMED} more" if len(by) > NAMED else ""
+                told = f"the {what.format(where)} over the record: {', '.join(by[:NAMED])}{more}"
+                end = "results are means over each instrument's own record"
+                notices.append(Notice("warning", f"{told}; {end}", where))
     return tuple(notices)
-
-
-def _first_few(texts: Sequence[str]) -> str:
-    """Join some texts and say how many more there are."""
-    more = f" and {len(texts) - NAMED} more" if len(texts) > NAMED else ""
-    return ", ".join(texts[:NAMED]) + more
 
 
 def _of_lines(name: str, steady: Stationarity, driven: Sequence[float], u_rate: float) -> list[LineStationarity]:
     """Return the changes of the driven lines, each in the channel that shows it best."""
-    length, found = steady.length_s, []
+    length, changes = steady.length_s, []
     for frequency in driven:
         for line in np.flatnonzero(steady.frequency_hz == frequency):
             mean = np.abs(steady.value[:, line].mean(axis=0))
@@ -293,7 +285,7 @@ def _of_lines(name: str, steady: Stationarity, driven: Sequence[float], u_rate: 
             if mean[c] > 0.0:
                 part = length / mean[c]
                 u_phase = np.hypot(steady.u_phase_rad_per_s[line, c], 2.0 * np.pi * frequency * u_rate)
-                found.append(
+                changes.append(
                     LineStationarity(
                         name,
                         float(frequency),
@@ -307,4 +299,4 @@ def _of_lines(name: str, steady: Stationarity, driven: Sequence[float], u_rate: 
                         float(steady.p_value[line, c]),
                     )
                 )
-    return found
+    return changes

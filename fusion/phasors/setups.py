@@ -10,13 +10,12 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fusion.base import AnyNotice, InputError
+from fusion.base import AnyNotice
 from fusion.estimation.consistency import fails
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments.channel import Reading, RelativeError, added_up, observe_channels
-from fusion.instruments.stereo import PERIODIC, PulseExposure, StereoReading
+from fusion.instruments.channel import Reading, RelativeError, acting, late, observe_channels
+from fusion.instruments.stereo import PERIODIC, StereoReading
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.setup import OpenSetUp, SetUp, line_stationarity, stationarity_notices
 from fusion.phasors.stereo_phasors import StereoResult
@@ -84,18 +83,18 @@ class ReferenceTie:
     def reading(self, reading: Reading) -> Reading:
         """Return a channel of the set-up as one of the first, its clock's errors among its own."""
         chain = replace(reading.chain, clock=f"{self.name}: {reading.chain.clock}", u_clock_s=0.0)
-        further = added_up([*_clock_error(self.name, reading), *self.errors])
+        further = acting([*_clock_error(self.name, reading), *self.errors])
         return Reading(reading.entry, self.phasors(reading.phasors), chain, further)
 
     def reference(self, reading: Reading) -> Reading:
         """Return the reference channel of the first set-up, its noise being that which all others share."""
         known = np.zeros(len(self.frequency_hz), dtype=np.bool_)
         for error in self.noise:
-            known |= error.relative[:, 0] != 0.0
+            known |= error.effect[:, 0] != 0.0
         phasors = reading.phasors
         kept = np.where(known, KEPT_NOISE, 1.0)[:, None, None]
         own = self.reading(replace(reading, phasors=replace(phasors, covariance=phasors.covariance * kept)))
-        return replace(own, further=added_up([*own.further, *self.noise]))
+        return replace(own, further=acting([*own.further, *self.noise]))
 
     def stereo(self, pair: StereoReading) -> StereoReading:
         """Return a stereo pair of the set-up as one of the first; what its frames have in common stays its own."""
@@ -103,15 +102,9 @@ class ReferenceTie:
             f"{what}, {self.name}" if what == PERIODIC else what: change * self.factor[:, None]
             for what, change in pair.effects.items()
         }
-        pulse = pair.pulse
-        return replace(
-            pair,
-            phasors=self.phasors(pair.phasors),
-            effects=effects,
-            trigger=(f"{self.name}: {pair.trigger[0]}", pair.trigger[1]),
-            pulse=None if pulse is None else PulseExposure(f"{self.name}: {pulse.trigger}", pulse.width_s, pulse.u_s),
-            further=self.errors,
-        )
+
+        own = [replace(e, name=f"{self.name}: {e.name}", label=f"{self.name}: {e.label}") for e in pair.errors]
+        return replace(pair, phasors=self.phasors(pair.phasors), effects=effects, errors=(*own, *self.errors))
 
 
 def reference_ties(set_ups: Sequence[OpenSetUp]) -> tuple[ReferenceTie, ...]:
@@ -129,7 +122,7 @@ def reference_ties(set_ups: Sequence[OpenSetUp]) -> tuple[ReferenceTie, ...]:
         if len(marked) != 1:
             expected = "one channel with reference = true, the same in every take"
             found = f"{len(marked) or 'none'}"
-            raise InputError(opened.manifest.path, f"{opened.where}daq", found=found, expected=expected)
+            raise opened.wrong("daq", found, expected)
         references += marked
     return tuple(_tie(set_ups, references, place) for place in range(len(set_ups)))
 
@@ -153,9 +146,9 @@ def _tie(set_ups: Sequence[OpenSetUp], references: Sequence[Reading], place: int
         first_name = set_ups[0].name
         inherited = [*_noise(first_name, first, base_hz, stands_out), *_clock_error(first_name, first)]
         lost = [*noise, *_clock_error(opened.name, own)]
-        taken_off = [replace(error, relative=-error.relative) for error in lost]
+        taken_off = [replace(error, effect=-error.effect) for error in lost]
         drifted = _drift(opened.name, base_hz, np.where(stands_out, half_width, 0.0))
-        errors = added_up([*inherited, *taken_off, *drifted])
+        errors = acting([*inherited, *taken_off, *drifted])
     own_hz = own.phasors.frequency_hz
     result = SetUpResult(opened.name, own.entry.name, own_hz, here, factor, drift, u_drift)
     used = factor if place else np.ones(len(base_hz), dtype=np.complex128)
@@ -180,13 +173,12 @@ def _check_driven(opened: OpenSetUp, reference: Reading, stands_out: BoolArray) 
     driven = np.ones(0, dtype=np.bool_) if opened.lines is None else opened.lines.multiple == 1
     lost = np.flatnonzero(driven & ~stands_out)
     if len(lost):
-        clock = next(daq for daq in opened.manifest.daq if reference.entry in daq.channel)
-        key = f"{opened.where}daq.{clock.name}.channel.{reference.entry.name}.reference"
+        key = f"daq.{reference.chain.clock}.channel.{reference.entry.name}.reference"
         amplitude, u = np.abs(reference.phasors.value[lost[0], 0]), reference.phasors.u_re[lost[0], 0]
         frequency = f"{reference.phasors.frequency_hz[lost[0]]:.6g} Hz"
         found = f"an amplitude of {amplitude:.2g} with a standard uncertainty of {u:.2g} in {opened.name}"
         expected = f"a channel that shows the driven line at {frequency} in every take"
-        raise InputError(opened.manifest.path, key, found=found, expected=expected)
+        raise opened.wrong(key, found, expected)
 
 
 def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArray) -> tuple[RelativeError, ...]:
@@ -200,18 +192,15 @@ def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArr
             relative = np.zeros((len(frequency_hz), 1), dtype=np.complex128)
             relative[k, 0] = np.sqrt(max(variance, 0.0)) * complex(*vector)
             unknown = f"reference noise of {name} at {frequency_hz[k]:.9g} Hz, part {part + 1}"
-            found.append(RelativeError(unknown, "reference noise", 1.0, "1", "recording", relative, "A"))
+            found.append(RelativeError(unknown, "reference noise", 1.0, "1", relative, "recording", "A"))
     return tuple(found)
 
 
-def _clock_error(name: str, reading: Reading) -> tuple[RelativeError, ...]:
+def _clock_error(name: str, reading: Reading) -> list[RelativeError]:
     """Relative error (K, 1) of a channel from the tie of its clock to the first one of its set-up."""
-    chain = reading.chain
-    if chain.u_clock_s == 0.0:
-        return ()
-    relative = np.asarray(-2j * np.pi * reading.phasors.frequency_hz[:, None] * chain.u_clock_s)
-    label = f"clock {chain.clock}: time"
-    return (RelativeError(f"clock {name}: {chain.clock}: time", label, chain.u_clock_s, "s", "recording", relative),)
+    chain, label = reading.chain, f"clock {reading.chain.clock}: time"
+    errors = late(f"clock {name}: {chain.clock}: time", reading.phasors.frequency_hz, chain.u_clock_s)
+    return [replace(error, label=label) for error in errors]
 
 
 def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[RelativeError]:
@@ -223,7 +212,7 @@ def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[
             relative = np.zeros((len(frequency_hz), 1), dtype=np.complex128)
             relative[k, 0] = u * turn
             unknown = f"{label}: {part} of {name} at {frequency_hz[k]:.9g} Hz"
-            found.append(RelativeError(unknown, label, u, unit, "recording", relative))
+            found.append(RelativeError(unknown, label, u, unit, relative))
     return found
 
 
@@ -266,96 +255,72 @@ def merge_readings(
             where = (entry.name, entry.quantity, entry.body, entry.point, entry.direction, entry.common)
             groups.setdefault(entry.channel if entry.quantity == "output" else where, []).append((name, reading))
     names = [group[0][1].entry.name for group in groups.values()]
-    found, notices = [], []
+    merged, notices = [], []
     for group in groups.values():
         set_up, entry = group[0][0], group[0][1].entry
         if names.count(entry.name) > 1:  # the channel by its set-up, the instrument by its name
             entry = entry.model_copy(update={"name": f"{set_up}: {entry.name}", "common": entry.common or entry.name})
-        merged = _Merged.of([reading for _, reading in group])
-        found.append(merged.reading(entry))
-        notices += merged.notices(group[0][1].entry.name)
-    return tuple(found), tuple(notices)
+        reading, told = _merged([reading for _, reading in group], entry)
+        merged.append(reading)
+        notices += told
+    return tuple(merged), tuple(notices)
 
 
-@dataclass(frozen=True)
-class _Merged:
-    """Readings of one channel in T set-ups with their weights (T, K) and what they scatter by.
+def _merged(readings: Sequence[Reading], entry: ChannelEntry) -> tuple[Reading, list[Notice]]:
+    """Return one reading of a channel in T set-ups, and where these differ by more than noise and drift make.
 
-    `spread` (K,): standard deviation of one set-up's complex value beyond noise and drift; `failed` (K,): the scatter
-    is beyond the 99 % quantile of what noise and drift make.
+    Readings are weighed by their whole covariance over the set-ups, in which a complex value has one variance, the sum
+    of those of its parts. Where chi-square is above its degrees of freedom, all set-ups get the variance that makes it
+    equal to them (Paule & Mandel 1982, J. Res. NBS 87, 377). Noise of its own comes from noise and scatter, further
+    errors remain by their names.
     """
+    first = readings[0]
+    if len(readings) == 1:
+        return replace(first, entry=entry), []
+    name, frequency_hz = first.entry.name, first.phasors.frequency_hz
+    weight, spread = np.zeros((len(readings), len(frequency_hz))), np.zeros(len(frequency_hz))
+    value = np.stack([reading.phasors.value[:, 0] for reading in readings])
+    covariance, notices = _between_set_ups(readings, value), []
+    for k, f in enumerate(frequency_hz):
+        known = np.flatnonzero(np.isfinite(value[:, k]))
+        if len(known) == 1:
+            weight[known, k] = 1.0
+        elif len(known):
+            own = covariance[k][np.ix_(known, known)]
+            weight[known, k], spread[k], failed = _weighted(value[known, k], own)
+            if failed:
+                share = spread[k] / np.nanmax(np.abs(value[:, k]))
+                text = (
+                    f"{name} differs from take to take by {100.0 * share:.2g} % at {f:.6g} Hz "
+                    "(standard deviation beyond noise and drift); the scatter is part of its uncertainty"
+                )
+                notices.append(Notice("warning", text, name))
+    further = [
+        replace(error, effect=w[:, None] * error.effect)
+        for w, reading in zip(weight, readings, strict=True)
+        for error in reading.further
+    ]
+    mean = replace(_mean([reading.phasors for reading in readings], weight, spread), channels=(entry.name,))
+    return Reading(entry, mean, first.chain, acting(further)), notices
 
-    readings: tuple[Reading, ...]
-    weight: FloatArray
-    spread: FloatArray
-    failed: NDArray[np.bool_]
 
-    @classmethod
-    def of(cls, readings: Sequence[Reading]) -> _Merged:
-        """Weigh readings by their whole covariance over the set-ups.
-
-        A complex value has one variance, the sum of those of its parts. Where chi-square is above its degrees of
-        freedom, all set-ups get the variance that makes it equal to them (Paule & Mandel 1982, J. Res. NBS 87, 377).
-        """
-        lines = len(readings[0].phasors.frequency_hz)
-        weight, spread = np.zeros((len(readings), lines)), np.zeros(lines)
-        failed = np.zeros(lines, dtype=np.bool_)
-        value = np.stack([reading.phasors.value[:, 0] for reading in readings])
-        covariance = _between_set_ups(readings, value)
-        for k in range(lines):
-            known = np.flatnonzero(np.isfinite(value[:, k]))
-            if len(known) == 1:
-                weight[known, k] = 1.0
-            elif len(known):
-                own = covariance[k][np.ix_(known, known)]
-                weight[known, k], spread[k], failed[k] = _weighted(value[known, k], own)
-        return cls(tuple(readings), weight, spread, failed)
-
-    def reading(self, entry: ChannelEntry) -> Reading:
-        """Return one reading: noise of its own from noise and scatter, further errors by their names."""
-        first = self.readings[0]
-        if len(self.readings) == 1:
-            return replace(first, entry=entry)
-        further = [
-            replace(error, relative=weight[:, None] * error.relative)
-            for weight, reading in zip(self.weight, self.readings, strict=True)
-            for error in reading.further
-        ]
-        return Reading(entry, self._phasors(entry), first.chain, added_up(further))
-
-    def notices(self, name: str) -> list[Notice]:
-        """Say where the set-ups differ by more than noise and drift make."""
-        found = []
-        for k in np.flatnonzero(self.failed):
-            share = self.spread[k] / np.nanmax([abs(reading.phasors.value[k, 0]) for reading in self.readings])
-            text = (
-                f"{name} differs from take to take by {100.0 * share:.2g} % at "
-                f"{self.readings[0].phasors.frequency_hz[k]:.6g} Hz (standard deviation beyond noise and drift); "
-                "the scatter is part of its uncertainty"
-            )
-            found.append(Notice("warning", text, name))
-        return found
-
-    def _phasors(self, entry: ChannelEntry) -> Phasors:
-        """Weighted mean with the covariance of noise and scatter, and its degrees of freedom (Welch-Satterthwaite)."""
-        parts, square = [reading.phasors for reading in self.readings], self.weight**2
-        known = np.any(self.weight != 0.0, axis=0)
-        value = np.nansum([w * p.value[:, 0] for w, p in zip(self.weight, parts, strict=True)], axis=0)
-        own = np.nan_to_num([s[:, None, None] * p.covariance for s, p in zip(square, parts, strict=True)])
-        scatter = square.sum(axis=0) * self.spread**2
-        covariance = own.sum(axis=0) + scatter[:, None, None] / 2.0 * np.eye(2)
-        noise = np.trace(own, axis1=2, axis2=3)
-        weighted = np.sum(noise**2 / np.maximum([p.dof for p in parts], 1.0), axis=0)
-        weighted += scatter**2 / np.maximum(np.sum(self.weight != 0.0, axis=0) - 1.0, 1.0)
-        total = np.trace(covariance, axis1=1, axis2=2)
-        return Phasors(
-            frequency_hz=parts[0].frequency_hz,
-            value=np.where(known, value, complex(np.nan, np.nan))[:, None],
-            covariance=np.where(known[:, None, None], covariance, np.nan),
-            channels=(entry.name,),
-            unit=parts[0].unit,
-            dof=np.divide(total**2, weighted, out=np.full(len(total), np.inf), where=weighted > 0.0),
-        )
+def _mean(parts: Sequence[Phasors], weight: FloatArray, spread: FloatArray) -> Phasors:
+    """Weighted mean with the covariance of noise and scatter, and its degrees of freedom (Welch-Satterthwaite)."""
+    known, square = np.any(weight != 0.0, axis=0), weight**2
+    value = np.nansum([w * p.value[:, 0] for w, p in zip(weight, parts, strict=True)], axis=0)
+    own = np.nan_to_num([s[:, None, None] * p.covariance for s, p in zip(square, parts, strict=True)])
+    scatter = square.sum(axis=0) * spread**2
+    covariance = own.sum(axis=0) + scatter[:, None, None] / 2.0 * np.eye(2)
+    noise = np.trace(own, axis1=2, axis2=3)
+    weighted = np.sum(noise**2 / np.maximum([p.dof for p in parts], 1.0), axis=0)
+    weighted += scatter**2 / np.maximum(np.sum(weight != 0.0, axis=0) - 1.0, 1.0)
+    total = np.trace(covariance, axis1=1, axis2=2)
+    return replace(
+        parts[0],
+        value=np.where(known, value, complex(np.nan, np.nan))[:, None],
+        covariance=np.where(known[:, None, None], covariance, np.nan),
+        dof=np.divide(total**2, weighted, out=np.full(len(total), np.inf), where=weighted > 0.0),
+    )
 
 
 def _between_set_ups(readings: Sequence[Reading], value: ComplexArray) -> FloatArray:
@@ -372,7 +337,7 @@ def _between_set_ups(readings: Sequence[Reading], value: ComplexArray) -> FloatA
     relative = np.zeros((len(names), len(readings), len(size)), dtype=np.complex128)
     for t, reading in enumerate(readings):
         for error in reading.further:
-            relative[place[error.name], t] = error.relative[:, 0]
+            relative[place[error.name], t] = error.effect[:, 0]
     shared = np.einsum("ntk,nsk->kts", relative, relative.conj()).real
     return np.asarray(covariance + shared * size[:, None, None] ** 2)
 
@@ -441,18 +406,18 @@ def join_set_ups(set_ups: Sequence[SetUp]) -> Joined:
         clocks, stereo = opened.base.results(), tuple(item.result for item in first.stereo)
         steady = stationarity_notices(line_stationarity(opened.channels, stereo, lines, clocks))
         notices = (*first.notices, *steady)
-        found = (clocks, opened.channels, stereo, opened.readings, first.pairs)
+        found = (clocks, opened.channels, stereo, opened.readings, tuple(item.reading for item in first.stereo))
         return Joined(lines, *found, clock, (), first.aliased, notices)
     ties = reference_ties([item.opened for item in set_ups])
     pairs: list[StereoReading] = []
     clocks_named: list[ClockResult] = []
     channels: list[ChannelResult] = []
     by_name: dict[str, StereoResult] = {}
-    referred = []
+    referred: list[tuple[str, list[Reading]]] = []
     told: list[AnyNotice] = []
     for item, tie in zip(set_ups, ties, strict=True):
         name = tie.name
-        pairs += [tie.stereo(pair) for pair in item.pairs]
+        pairs += [tie.stereo(pair.reading) for pair in item.stereo]
         # The reference is that of the first set-up and counts once.
         own = [r for r in item.opened.readings if tie.first or not r.entry.reference]
         referred.append((name, [tie.reference(r) if r.entry.reference else tie.reading(r) for r in own]))

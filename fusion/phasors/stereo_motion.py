@@ -22,7 +22,7 @@ from fusion.base import (
     Settings,
     as_input_error,
 )
-from fusion.phasors.timing import Exposure, TimeBase, exposure_middles, exposure_of
+from fusion.phasors.timing import Sight, TimeBase, see
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles, Stereo
 from photogram.calibration.file import read_calibration
@@ -43,7 +43,6 @@ from photogram.motion import Deformation, RigidMotion, deformation, fit_motion, 
 from photogram.point_tables import read_point_tables
 from photogram.subsets.texture import SubsetQuality, suggested_radius_px
 from photogram.subsets.track import StereoTracks, TrackSettings, resolve_device
-from shaker.arrays import FloatArray
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.sine.aliasing import usable_lines
 
@@ -55,14 +54,11 @@ NO_MOTION = "no frame has enough points for a rigid motion"
 
 @dataclass(frozen=True)
 class OpenImages:
-    """The images of one stereo pair, opened and checked: sequences, exposures, middles (F,), rig, first left image."""
+    """The images of one stereo pair, opened and checked: its sight, both sequences, its rig, the first left image."""
 
-    entry: Images
-    stereo: Stereo
+    sight: Sight
     left: ImageSequence
     right: ImageSequence
-    exposure: Exposure
-    time_s: FloatArray
     rig: StereoRig
     first: GreyImage
 
@@ -84,14 +80,11 @@ class ImageView:
 class StereoMotion:
     """Motion of one body in the sensor frame before any line is known.
 
-    `time_s` (F,) exposure middles on the first block's clock; `motion` from the first frame's pose about the sensor
-    origin; `deformation` what the points do beside it; `view` is None for points of another program.
+    `motion` from the first frame's pose about the sensor origin; `deformation` what the points do beside it; `view` is
+    None for points of another program.
     """
 
-    entry: Images | PointFiles
-    stereo: Stereo
-    exposure: Exposure
-    time_s: FloatArray
+    sight: Sight
     motion: RigidMotion
     deformation: Deformation
     reprojection_px: float
@@ -109,8 +102,7 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages
 
     A saturated image is refused when it is read; the first ones are read here.
     """
-    stereo, key = manifest.rig.stereo[entry.stereo], f"images.{entry.stereo}"
-    sequences = []
+    key, sequences = f"images.{entry.stereo}", []
     for side, paths in (("left", entry.left), ("right", entry.right)):
         with as_input_error(manifest.path, f"{key}.{side}"):
             sequence = open_sequence(paths, entry.bit_depth)
@@ -119,52 +111,48 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages
     if len(left) != len(right):
         found, expected = f"{len(right)} images", f"{len(left)} as on the left"
         raise InputError(manifest.path, f"{key}.right", found=found, expected=expected)
-    time_s = exposure_middles(manifest, base, entry, len(left))
-    rig = _read_rig(stereo, sequences)
+    sight = see(manifest, base, entry, len(left))
+    rig = _read_rig(sight.pair, sequences)
     first = []
     for side, sequence in (("left", left), ("right", right)):
         with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequence.read(0))
-    pair = _without_calibration_share(stereo, rig)
-    return OpenImages(entry, pair, left, right, exposure_of(manifest, base, entry), time_s, rig, first[0])
+    pair = _without_calibration_share(sight.pair, rig)
+    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0])
 
 
 def measure_pairs(
-    manifest: Manifest,
-    images: Sequence[OpenImages],
-    settings: Settings,
-    progress: ProgressCallback,
-    executor: Executor | None = None,
+    images: Sequence[OpenImages], settings: Settings, progress: ProgressCallback, executor: Executor | None = None
 ) -> tuple[StereoMotion, ...]:
     """Track the images of stereo pairs and fit the rigid motion of the body that each sees.
 
     An executor opens the images itself, by the same paths, and its motions are those found without one to the last bit.
     """
     if executor is None:
-        return tuple(measure_images(manifest, item, settings, progress) for item in images)
+        return tuple(measure_images(item, settings, progress) for item in images)
     device, motions, begun = settings.device, [], []
     prepared = [executor.submit(0, _prepared, body_inputs(item, settings), device) for item in images]
     for item, pending in zip(images, prepared, strict=True):
-        scene: BodyScene = _answer(manifest, item, pending)
+        scene: BodyScene = _answer(item, pending)
         blocks = [executor.submit(1, _followed, pending, frames, device) for frames in scene.blocks]
         begun.append((item, scene, blocks))
     for item, scene, blocks in begun:
-        stage, total = f"track {item.entry.stereo}", 2 * len(item.left)
+        stage, total = f"track {item.sight.name}", 2 * len(item.left)
         followed = []
         for frames, pending in zip(scene.blocks, blocks, strict=True):
             progress(stage, 2 * frames.start, total)
-            followed.append(_answer(manifest, item, pending))
+            followed.append(_answer(item, pending))
         progress(stage, total, total)
-        with as_input_error(manifest.path, f"images.{item.entry.stereo}"):
+        with as_input_error(*item.sight.where):
             body = body_motion(scene, followed)
         motions.append(seen_motion(item, body))
     return tuple(motions)
 
 
-def _answer(manifest: Manifest, images: OpenImages, pending: Pending) -> Any:
+def _answer(images: OpenImages, pending: Pending) -> Any:
     """What a task about some images found; what it refused is told as wrong input."""
     answer = pending.result()
-    with as_input_error(manifest.path, f"images.{images.entry.stereo}"):
+    with as_input_error(*images.sight.where):
         return answer.opened()
 
 
@@ -176,12 +164,10 @@ def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  #
     return follow_block(scene, frames, resolve_device(device))
 
 
-def measure_images(
-    manifest: Manifest, images: OpenImages, settings: Settings, progress: ProgressCallback
-) -> StereoMotion:
+def measure_images(images: OpenImages, settings: Settings, progress: ProgressCallback) -> StereoMotion:
     """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
-    stage, total = f"track {images.entry.stereo}", 2 * len(images.left)
-    with as_input_error(manifest.path, f"images.{images.entry.stereo}"):
+    stage, total = f"track {images.sight.name}", 2 * len(images.left)
+    with as_input_error(*images.sight.where):
         body = measure_body(
             *body_inputs(images, settings), lambda done: progress(stage, done, total), resolve_device(settings.device)
         )
@@ -192,20 +178,17 @@ def body_inputs(images: OpenImages, settings: Settings) -> BodyInputs:
     """Return what `photogram.measure` has to know of a stereo pair: its images, rig, pose, and how to track."""
     radius = settings.subset_radius_px or suggested_radius_px(images.first)
     options = TrackSettings(radius_px=radius, degree=settings.spline_degree)
-    return (images.left, images.right), images.rig, sensor_from_camera(images.stereo), options
+    return (images.left, images.right), images.rig, sensor_from_camera(images.sight.pair), options
 
 
 def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
     """Return the motion of the body that a stereo pair sees, with what its images tell of the pair itself."""
     if not np.isfinite(body.motion.pose).all(axis=1).any():
-        raise ComputeError(f"stereo pair {images.entry.stereo}: {NO_MOTION}; look at its images")
+        raise ComputeError(f"stereo pair {images.sight.name}: {NO_MOTION}; look at its images")
     reprojection = float(np.sqrt(np.nanmean(body.points.reprojection_px**2)))
     epipolar = check_epipolar(body.tracks, images.rig)
     return StereoMotion(
-        images.entry,
-        images.stereo,
-        images.exposure,
-        images.time_s,
+        images.sight,
         body.motion,
         deformation(body.points, body.motion),
         reprojection,
@@ -216,13 +199,13 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
 
 def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> StereoMotion:
     """Fit the rigid motion about the sensor origin to the points of another program."""
-    stereo, name = manifest.rig.stereo[entry.stereo], entry.stereo
-    with as_input_error(manifest.path, f"points.{name}.files"):
+    name, key = entry.stereo, f"points.{entry.stereo}.files"
+    with as_input_error(manifest.path, key):
         table = read_point_tables(entry.files, entry.columns, entry.valid_status, entry.scale)
-    time_s = exposure_middles(manifest, base, entry, len(table.frames))
-    with as_input_error(manifest.path, f"points.{name}.files"):
+    sight = see(manifest, base, entry, len(table.frames))
+    with as_input_error(manifest.path, key):
         points = points_with_estimated_noise(table.position_m, table.reference_m)
-    placed = sensor_from_camera(stereo)
+    placed = sensor_from_camera(sight.pair)
     reference = None if table.reference_m is None else placed.apply(table.reference_m)
     points = points.transformed(placed)
     try:
@@ -231,9 +214,7 @@ def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> Ste
         raise ComputeError(f"stereo pair {name}: no rigid motion can be fitted ({error})") from error
     if not np.isfinite(motion.pose).all(axis=1).any():
         raise ComputeError(f"stereo pair {name}: {NO_MOTION}; look at its points")
-    beside = deformation(points, motion, reference)
-    exposure = exposure_of(manifest, base, entry)
-    return StereoMotion(entry, stereo, exposure, time_s, motion, beside, float("nan"), None, ())
+    return StereoMotion(sight, motion, deformation(points, motion, reference), float("nan"), None, ())
 
 
 def _read_unsaturated(sequence: ImageSequence, index: int) -> GreyImage:
@@ -287,11 +268,11 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
         raise InputError(manifest.path, "excitation.frequencies", found="none", expected=expected)
     first = _first_that_tells(motions, excitation.frequencies)
     try:
-        lines = find_lines(first.time_s, first.motion.pose, excitation.frequencies, excitation.harmonics)
+        lines = find_lines(first.sight.time_s, first.motion.pose, excitation.frequencies, excitation.harmonics)
     except ValueError as error:
-        told = ValueError(f"{error} (motion seen by stereo pair {first.entry.stereo})")
+        told = ValueError(f"{error} (motion seen by stereo pair {first.sight.name})")
         raise InputError.told_by(told, manifest.path, "excitation.frequencies") from error
-    u_clock_hz = lines.frequency_hz * base.u_trigger_rate(first.entry.trigger)
+    u_clock_hz = lines.frequency_hz * base.u_trigger_rate(first.sight.exposure.trigger)
     return replace(lines, u_frequency_hz=np.hypot(lines.u_frequency_hz, u_clock_hz))
 
 
@@ -299,9 +280,9 @@ def _first_that_tells(motions: Sequence[StereoMotion], nominal_hz: Sequence[floa
     """Return the first stereo pair whose frames tell a fundamental from zero, the Nyquist rate and the others."""
     reasons: list[str] = []
     for motion in motions:
-        usable, notices = usable_lines(motion.time_s, np.array(nominal_hz, dtype=np.float64))
+        usable, notices = usable_lines(motion.sight.time_s, np.array(nominal_hz, dtype=np.float64))
         if usable.any():
             return motion
-        reasons += [f"stereo pair {motion.entry.stereo}: {notice.text}" for notice in notices]
+        reasons += [f"stereo pair {motion.sight.name}: {notice.text}" for notice in notices]
     listed = " and ".join(f"{frequency:g} Hz" for frequency in nominal_hz)
     raise ComputeError(f"no instrument sees the motion of the driven line at {listed} ({'; '.join(reasons)})")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from fusion.base import AnyNotice, ComputeError
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments.channel import Reading
-from fusion.instruments.stereo import CALIBRATION, PERIODIC, LineTurns, PulseExposure, StereoReading
+from fusion.instruments.channel import late
+from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading, line_turns
 from fusion.phasors.channels import spread_lines
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from fusion.phasors.timing import TimeBase
-from fusion.recording.manifest import Images, PointFiles, Stereo
 from photogram.camera import StereoRig, principal_components, triangulate
 from photogram.epipolar import EpipolarCheck
 from photogram.geometry import RigidTransform
@@ -29,7 +28,6 @@ from shaker.lines.frequencies import Lines
 from shaker.sine.aliasing import exposure_gain, sine_columns, usable_lines
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.normal_equations import sine_amplitudes, solve_sines
-from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit, SineModel
 
 MIN_SUBSETS = 6
@@ -85,64 +83,80 @@ class StereoResult:
 
 @dataclass(frozen=True)
 class StereoPhasors:
-    """Displacement phasors of one stereo pair at all lines, exposure loss corrected, and the calibration's effects.
+    """What one stereo pair saw of the lines: its `result`, and its `reading` at all of them for the linear model.
 
-    `pair`: as rig.toml has it, its pose without the calibration's share. `displacement`: six components, m and rad,
-    NaN at lines that this camera rate cannot tell apart.
-    `effects`: by name, the changes (P, K, 6) of the phasors for one standard uncertainty of what is common to all
-    frames: each principal component of the calibration's covariance, errors periodic in the pixel at each line.
+    The phasors of the reading, exposure loss corrected, are NaN at lines that this camera rate cannot tell apart; so
+    are its `effects`: of each principal component of the calibration's covariance, of errors periodic in the pixel.
     """
 
-    entry: Images | PointFiles
-    pair: Stereo
     result: StereoResult
-    displacement: Phasors
-    effects: Mapping[str, ComplexArray]
+    reading: StereoReading
     notices: tuple[AnyNotice, ...]
 
 
 def pairs_phasors(
-    motions: Sequence[StereoMotion], lines: Lines
+    base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, *, from_motion: bool
 ) -> tuple[tuple[StereoPhasors, ...], tuple[AnyNotice, ...]]:
     """Fit the lines to the motion of every stereo pair, and leave out the pairs whose rate tells no line apart.
 
-    The notices name what was left out, line by line and pair by pair.
+    The notices name what was left out, line by line and pair by pair. `from_motion`: the lines were found in the motion
+    itself, since no channel shows them.
     """
-    found: list[StereoPhasors] = []
+    fitted: list[StereoPhasors] = []
     notices: list[AnyNotice] = []
     for measured in motions:
-        name = measured.entry.stereo
+        name = measured.sight.name
         usable, aliased = _usable(measured, lines)
         notices += [Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in aliased]
         if usable.any():
-            found.append(stereo_phasors(measured, lines))
+            fitted.append(stereo_phasors(base, measured, lines, from_motion=from_motion))
         else:
             notices.append(Notice("warning", f"stereo pair {name} is left out: {NO_LINE}", name))
-    return tuple(found), tuple(notices)
+    return tuple(fitted), tuple(notices)
 
 
 def _usable(measured: StereoMotion, lines: Lines) -> tuple[NDArray[np.bool_], tuple[Notice, ...]]:
     """Return which lines (K,) the frames tell apart, and a notice for each that is dropped."""
     order = np.lexsort((lines.frequency_hz, lines.multiple))  # fundamentals have precedence over harmonics
     usable = np.zeros(len(order), dtype=np.bool_)
-    usable[order], aliased = usable_lines(measured.time_s, lines.frequency_hz[order])
+    usable[order], aliased = usable_lines(measured.sight.time_s, lines.frequency_hz[order])
     return usable, aliased
 
 
-def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
-    """Fit those lines to a body's motion about its mean pose that its frames tell apart."""
-    name, view = measured.entry.stereo, measured.view
+def stereo_phasors(base: TimeBase, measured: StereoMotion, lines: Lines, *, from_motion: bool = False) -> StereoPhasors:
+    """Fit those lines to a body's motion about its mean pose that its frames tell apart.
+
+    Where the lines were found in the motion itself, what it leaves open of their frequencies turns the phasors by as
+    much as its noise does; a channel knows them far better than that.
+    """
+    sight, view = measured.sight, measured.view
+    name, time_s, exposure = sight.name, sight.time_s, sight.exposure
     usable, _ = _usable(measured, lines)
     if not usable.any():
         raise ComputeError(f"stereo pair {name}: {NO_LINE}")
     frequency_hz = lines.frequency_hz[usable]
     from_mean, fit = _fit_about_mean(name, measured, frequency_hz)
-    gain = exposure_gain(lines.frequency_hz, measured.exposure.length_s)
-    displacement = spread_lines(fit.phasors, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None])
+    gain = exposure_gain(lines.frequency_hz, exposure.length_s)
+    changes = {}
+    if view is not None:
+        changes[CALIBRATION] = _calibration_effects(measured, view, frequency_hz)
+        changes[PERIODIC] = _periodic_effects(measured, view, len(frequency_hz))
     effects = {}
-    for what, changes in _common_effects(measured, frequency_hz).items():
-        effects[what] = np.full((len(changes), len(usable), 6), np.nan, dtype=np.complex128)
-        effects[what][:, usable] = changes / gain[usable][:, None]
+    for what, change in changes.items():
+        effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
+        effects[what][:, usable] = change / gain[usable][:, None]
+    reading = StereoReading(
+        name=name,
+        pair=sight.pair,
+        phasors=spread_lines(fit.phasors, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None]),
+        effects=effects,
+        clock_uncertainty=base.records[0].entry.clock_uncertainty,
+        errors=(
+            *late(f"{exposure.trigger}: time", lines.frequency_hz, base.u_trigger_s(exposure.trigger)),
+            *exposure.errors(lines.frequency_hz),
+            *(line_turns(lines, float(np.mean(time_s))) if from_motion else ()),
+        ),
+    )
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     told += [(name, notice) for notice in fit.notices if notice.severity == "warning"]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
@@ -150,20 +164,19 @@ def stereo_phasors(measured: StereoMotion, lines: Lines) -> StereoPhasors:
     pose[fit.spikes] = np.nan
     result = StereoResult(
         name=name,
-        body=measured.stereo.body,
-        time_s=measured.time_s,
-        exposure_s=measured.exposure.length_s,
-        u_exposure_s=measured.exposure.u_length_s,
+        body=sight.pair.body,
+        time_s=time_s,
+        exposure_s=exposure.length_s,
+        u_exposure_s=exposure.u_length_s,
         motion=measured.motion,
         motion_from_mean=from_mean,
         fit=fit,
         usable=usable,
         reprojection_px=measured.reprojection_px,
-        deflection=deflection_shape(measured.time_s, frequency_hz, measured.deformation, measured.exposure.length_s),
-        stationarity=stationarity(measured.time_s, pose, frequency_hz, MOTION_COMPONENTS),
+        deflection=deflection_shape(time_s, frequency_hz, measured.deformation, exposure.length_s),
+        stationarity=stationarity(time_s, pose, frequency_hz, MOTION_COMPONENTS),
     )
-    result = result if view is None else _with_view(result, view)
-    return StereoPhasors(measured.entry, measured.stereo, result, displacement, effects, notices)
+    return StereoPhasors(result if view is None else _with_view(result, view), reading, notices)
 
 
 def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
@@ -188,41 +201,24 @@ def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
     )
 
 
-def _common_effects(measured: StereoMotion, frequency_hz: FloatArray) -> dict[str, ComplexArray]:
-    """Return by name what errors common to all frames do to the phasors (P, K, 6), exposure loss not corrected."""
-    if measured.view is None:
-        return {}
-    return {
-        CALIBRATION: _calibration_effects(measured, measured.view, frequency_hz),
-        PERIODIC: _periodic_effects(measured, measured.view, len(frequency_hz)),
-    }
-
-
 def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray) -> tuple[RigidMotion, SineFit]:
-    """Fit the lines twice: the first fit's offset is the mean pose, to which the motion is re-referred."""
-    motion = measured.motion
+    """Fit the lines again about the mean pose, the offset of a fit, to which the motion is re-referred."""
+    motion, fit = measured.motion, None
     try:
-        for _ in range(2):
+        for _ in range(3):
+            motion = motion if fit is None else relative_to(motion, fit.offset)
             fit = fit_sines(
-                measured.time_s,
+                measured.sight.time_s,
                 motion.pose,
                 frequency_hz,
                 MOTION_COMPONENTS,
                 component_units(0),
                 model=SineModel(robust=True),
             )
-            motion = relative_to(motion, fit.offset)
-        fit = fit_sines(
-            measured.time_s,
-            motion.pose,
-            frequency_hz,
-            MOTION_COMPONENTS,
-            component_units(0),
-            model=SineModel(robust=True),
-        )
-        return motion, fit
     except ValueError as error:
         raise ComputeError(f"stereo pair {name}: the lines cannot be fitted to its motion ({error})") from error
+    assert fit is not None
+    return motion, fit
 
 
 def _periodic_effects(measured: StereoMotion, view: ImageView, lines: int) -> ComplexArray:
@@ -244,7 +240,7 @@ def _periodic_effects(measured: StereoMotion, view: ImageView, lines: int) -> Co
         for pattern in patterns.T:
             moved = [np.repeat(place[None], 3, axis=0) for place in places]  # at rest, along x, along y
             moved[side][[1, 2], :, [0, 1]] += BIAS_STEP_PX * pattern
-            (both,) = _phasor_motion(view.rig, sensor_from_camera(measured.stereo), (moved[0], moved[1]))
+            (both,) = _phasor_motion(view.rig, sensor_from_camera(measured.sight.pair), (moved[0], moved[1]))
             motions += [PERIODIC_SHARE * bias / BIAS_STEP_PX * part for part in (both.real, both.imag)]
     combined = np.asarray(np.linalg.qr(np.array(motions), mode="r"))
     parts = np.concatenate([combined, 1j * combined])
@@ -261,8 +257,8 @@ def _calibration_effects(measured: StereoMotion, view: ImageView, frequency_hz: 
     covariance = view.rig.covariance
     if covariance is None:
         return np.empty((0, len(frequency_hz), 6), dtype=np.complex128)
-    frames = _phasor_frames(measured.time_s, view.tracks, frequency_hz)
-    change, pose = measured.stereo.pose_by_calibration, sensor_from_camera(measured.stereo)
+    frames = _phasor_frames(measured.sight.time_s, view.tracks, frequency_hz)
+    change, pose = measured.sight.pair.pose_by_calibration, sensor_from_camera(measured.sight.pair)
     answer = np.zeros((6, len(covariance))) if change is None else np.array(change)  # the pose was found with this rig
     nominal = _phasor_motion(view.rig, pose, frames)
     changes = []
@@ -290,27 +286,6 @@ def _phasor_motion(rig: StereoRig, pose: RigidTransform, frames: tuple[FloatArra
     points = triangulate(rig, frames[0], frames[1], None, None).transformed(pose)
     found = fit_motion(points, None, np.zeros(3)).pose[1:]
     return np.asarray(found[0::2] + 1j * found[1::2])
-
-
-def stereo_readings(
-    base: TimeBase, readings: Sequence[Reading], stereo: Sequence[StereoPhasors], lines: Lines
-) -> tuple[StereoReading, ...]:
-    """Return every stereo pair with its phasors and all that is known of their errors.
-
-    Without any reading of a channel the lines were found in the motion itself, and what it leaves open of their
-    frequencies turns the phasors by as much as its noise does; a channel knows them far better than that.
-    """
-    clock = base.records[0].entry.clock_uncertainty
-    seen = []
-    for item in stereo:
-        pair = item.pair.model_copy(update={"delay_uncertainty": item.entry.delay_uncertainty})
-        trigger = (item.entry.trigger, base.u_trigger_s(item.entry.trigger))
-        middle_s = float(np.mean(item.result.time_s))
-        turns = None if readings else LineTurns(lines.nominal_hz, lines.u_frequency_hz, middle_s)
-        pulse = PulseExposure(item.entry.trigger, item.result.exposure_s, item.result.u_exposure_s)
-        reading = StereoReading(item.result.name, pair, item.displacement, item.effects, clock, trigger, turns, pulse)
-        seen.append(reading)
-    return tuple(seen)
 
 
 def unseen_fundamentals(

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.base import ARGUMENT, InputError, as_input_error
-from fusion.recording.manifest import Frames, Images, PointFiles
+from fusion.instruments.stereo import Exposure
+from fusion.recording.manifest import Frames, Images, PointFiles, Stereo
 from fusion.recording.values import PULSE
 from shaker.arrays import FloatArray
 from shaker.timebase.edges import find_edges
@@ -25,11 +26,18 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Exposure:
-    """Length of the exposures of a stereo pair and its standard uncertainty, 0 where the manifest states the length."""
+class Sight:
+    """One stereo pair over one recording: how it is placed, how long and when its frames were exposed.
 
-    length_s: float
-    u_length_s: float = 0.0
+    `pair`: as the rig has it, with what the recording overrides. `time_s` (F,): exposure middles on the first block's
+    clock. `where`: file and key at which mistakes of its frames are told.
+    """
+
+    name: str
+    pair: Stereo
+    exposure: Exposure
+    time_s: FloatArray
+    where: tuple[Path, str]
 
 
 @dataclass(frozen=True)
@@ -64,17 +72,18 @@ class TimeBase:
         tie = self.ties[daq]
         return time_s if tie is None else tie.to_base_s(time_s)
 
-    def _fit(self, trigger: str) -> TriggerFit:
-        return next(fit for (_, name), fit in self.triggers.items() if name == trigger)
+    def first_with(self, trigger: str) -> tuple[str, TriggerFit]:
+        """Return the first block that records a trigger, and its fit."""
+        return next((daq, fit) for (daq, name), fit in self.triggers.items() if name == trigger)
 
     def u_trigger_s(self, trigger: str) -> float:
         """Return the standard uncertainty of a trigger's fitted instants in the middle of the burst."""
-        fit = self._fit(trigger)
+        _, fit = self.first_with(trigger)
         return float(fit.u_time_s(np.asarray(fit.edges // 2)))
 
     def u_trigger_rate(self, trigger: str) -> float:
         """Return the relative standard uncertainty of a trigger's fitted period."""
-        fit = self._fit(trigger)
+        _, fit = self.first_with(trigger)
         return float(np.sqrt(fit.covariance[1, 1])) / fit.period_s
 
     def shared_triggers(self, first: str, second: str) -> list[str]:
@@ -133,35 +142,14 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
     return time_base
 
 
-def exposure_of(manifest: Manifest, base: TimeBase, entry: Images | PointFiles) -> Exposure:
-    """Return how long each frame was exposed: as stated, or as long as the first block saw the trigger's pulses."""
-    if entry.exposure != PULSE:
-        return Exposure(entry.exposure)
-    daq, _ = _trigger_of(manifest, base, entry)
-    try:
-        pulse = base.pulses.get((daq, entry.trigger)) or base.record(daq).pulse_width(entry.trigger)
-    except ValueError as error:
-        raise no_pulse_width(manifest, daq, entry, error) from error
-    return Exposure(pulse.width_s, pulse.u_width_s)
-
-
-def no_pulse_width(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:
-    """Say at the key that asked for it why the width of a trigger's pulses cannot be measured."""
-    file, key = manifest.path, f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.exposure"
-    if manifest.rig.stereo[entry.stereo].exposure == PULSE:
-        file, key = manifest.rig_path, f"stereo.{entry.stereo}.exposure"
-    reason = ARGUMENT.sub("", str(error), count=1)
-    found = f'"{PULSE}", but the width of the pulses of {entry.trigger} in {daq} cannot be told ({reason})'
-    return InputError(file, key, found=found, expected="the exposure in s")
-
-
-def exposure_middles(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int) -> FloatArray:
-    """Return the middle of each frame's exposure (F,) on the first block's clock: edge + delay + exposure / 2.
+def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int) -> Sight:
+    """Return how long and when each of some frames was exposed: its middle is edge + delay + exposure / 2.
 
     The edge is the periodic model's where the trigger has no jitter, and follows what was seen of it where it has: also
-    what other blocks saw of it, where these edges tie them to the trigger's block.
+    what other blocks saw of it, where these edges tie them to the trigger's block. The exposure is as stated, or as
+    long as the first block saw the trigger's pulses.
     """
-    daq, trigger = _trigger_of(manifest, base, entry)
+    daq, trigger = base.first_with(entry.trigger)
     key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
     if entry.first_edge is None and trigger.edges > frames:
         wanted = f"the number of the edge that belongs to the first of {frames} frames"
@@ -177,14 +165,24 @@ def exposure_middles(manifest: Manifest, base: TimeBase, entry: Images | PointFi
             if tie is not None and base.shared_triggers(daq, other)[:1] == [entry.trigger]:
                 elsewhere.append((base.triggers[other, entry.trigger], tie))
     edges = edge_instants(trigger, first + np.arange(frames), elsewhere)
-    exposure = exposure_of(manifest, base, entry)
-    return np.asarray(base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0)
+    if entry.exposure == PULSE:
+        try:
+            pulse = base.pulses.get((daq, entry.trigger)) or base.record(daq).pulse_width(entry.trigger)
+        except ValueError as error:
+            raise no_pulse_width(manifest, daq, entry, error) from error
+        exposure = Exposure(entry.trigger, pulse.width_s, pulse.u_width_s)
+    else:
+        exposure = Exposure(entry.trigger, entry.exposure)
+    middle_s = base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0
+    pair = manifest.rig.stereo[entry.stereo].model_copy(update={"delay_uncertainty": entry.delay_uncertainty})
+    return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), (manifest.path, key))
 
 
-def _trigger_of(manifest: Manifest, base: TimeBase, entry: Images | PointFiles) -> tuple[str, TriggerFit]:
-    """Return the first block that records the trigger named, and its fit."""
-    for (daq, name), fit in base.triggers.items():
-        if name == entry.trigger:
-            return daq, fit
-    expected = "a trigger channel of a daq block"
-    raise InputError(manifest.path, f"images.{entry.stereo}.trigger", found=entry.trigger, expected=expected)
+def no_pulse_width(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:
+    """Say at the key that asked for it why the width of a trigger's pulses cannot be measured."""
+    file, key = manifest.path, f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.exposure"
+    if manifest.rig.stereo[entry.stereo].exposure == PULSE:
+        file, key = manifest.rig_path, f"stereo.{entry.stereo}.exposure"
+    reason = ARGUMENT.sub("", str(error), count=1)
+    found = f'"{PULSE}", but the width of the pulses of {entry.trigger} in {daq} cannot be told ({reason})'
+    return InputError(file, key, found=found, expected="the exposure in s")

@@ -22,6 +22,37 @@ from shaker.timebase.trigger import PulseWidth, pulse_width
 if TYPE_CHECKING:
     from fusion.recording.load import Manifest
 
+# DAQ blocks as read from their files, one set-up after another, checked for what a user can get wrong.
+
+
+@dataclass(frozen=True)
+class DaqRecord:
+    """One DAQ block: its manifest entry, its channels by name, and the file's start time (s) of the earliest sample."""
+
+    entry: Daq
+    raw: dict[str, RawChannel]
+    start_s: float
+
+    def lag_s(self, name: str) -> float:
+        """Return the time of a channel's first sample, seconds from the block's earliest sample."""
+        return self.raw[name].start_s - self.start_s
+
+    def time_s(self, name: str) -> FloatArray:
+        """Return the times (S,) of a channel's samples, seconds from the block's earliest sample on its own clock."""
+        raw = self.raw[name]
+        return np.asarray(self.lag_s(name) + np.arange(len(raw.samples)) / raw.sample_rate_hz)
+
+    def values(self, channel: ChannelEntry) -> FloatArray:
+        """Return the samples (S,) of a channel times its scale: SI of its quantity."""
+        return np.asarray(self.raw[channel.name].samples * channel.scale)
+
+    def pulse_width(self, trigger: str) -> PulseWidth:
+        """Measure the width of the pulses of a trigger channel; a `ValueError` says why it cannot be."""
+        channel = next(channel for channel in self.entry.channel if channel.name == trigger)
+        rate_hz = self.raw[trigger].sample_rate_hz
+        return pulse_width(self.values(channel), rate_hz, channel.threshold, channel.edge)
+
+
 # A scanning vibrometer's text in a recording: every scan point is a take of its own.
 
 
@@ -30,15 +61,13 @@ AnyFrames = TypeVar("AnyFrames", bound=Frames)
 
 
 @dataclass(frozen=True)
-class ScannedPoint:
-    """One point of a scan: the DAQ block as it was there, its channels named by their block alone, their samples.
+class ScannedPoint(DaqRecord):
+    """One point of a scan: the DAQ block as it was there, its channels named by their block alone.
 
     `number`: as channels name the point, counted from "1".
     """
 
     number: str
-    daq: Daq
-    raw: dict[str, RawChannel]
 
 
 def scanned_points(manifest: Manifest, daq: Daq) -> tuple[ScannedPoint, ...] | None:
@@ -82,13 +111,11 @@ def split_scan(manifest: Manifest) -> Iterator[tuple[Manifest, ScannedPoint | No
         for point in points:
             first = point is points[0]
             daq = tuple(
-                point.daq if block.name == name else block for block in manifest.daq if first or block.name == name
+                point.entry if block.name == name else block for block in manifest.daq if first or block.name == name
             )
             images = tuple(_of_point(manifest.images, point, first))
-            yield (
-                replace(manifest, daq=daq, images=images, points=tuple(_of_point(manifest.points, point, first))),
-                point,
-            )
+            tables = tuple(_of_point(manifest.points, point, first))
+            yield replace(manifest, daq=daq, images=images, points=tables), point
 
 
 def _of_point(frames: Sequence[AnyFrames], point: ScannedPoint, first: bool) -> Iterator[AnyFrames]:
@@ -121,38 +148,10 @@ def _point(daq: Daq, scan: Scan, place: int) -> ScannedPoint:
         entries.append(entry.model_copy(update=changes))
     samples = scan.take(place)
     raw = {entry.name: samples[entry.name] for entry in entries}
-    return ScannedPoint(str(place + 1), daq.model_copy(update={"channel": tuple(entries)}), raw)
+    return ScannedPoint(daq.model_copy(update={"channel": tuple(entries)}), raw, 0.0, str(place + 1))
 
 
-# DAQ blocks as read from their files, one set-up after another, checked for what a user can get wrong.
-
-
-@dataclass(frozen=True)
-class DaqRecord:
-    """One DAQ block: its manifest entry, its channels by name, and the file's start time (s) of the earliest sample."""
-
-    entry: Daq
-    raw: dict[str, RawChannel]
-    start_s: float
-
-    def lag_s(self, name: str) -> float:
-        """Return the time of a channel's first sample, seconds from the block's earliest sample."""
-        return self.raw[name].start_s - self.start_s
-
-    def time_s(self, name: str) -> FloatArray:
-        """Return the times (S,) of a channel's samples, seconds from the block's earliest sample on its own clock."""
-        raw = self.raw[name]
-        return np.asarray(self.lag_s(name) + np.arange(len(raw.samples)) / raw.sample_rate_hz)
-
-    def values(self, channel: ChannelEntry) -> FloatArray:
-        """Return the samples (S,) of a channel times its scale: SI of its quantity."""
-        return np.asarray(self.raw[channel.name].samples * channel.scale)
-
-    def pulse_width(self, trigger: str) -> PulseWidth:
-        """Measure the width of the pulses of a trigger channel; a `ValueError` says why it cannot be."""
-        channel = next(channel for channel in self.entry.channel if channel.name == trigger)
-        rate_hz = self.raw[trigger].sample_rate_hz
-        return pulse_width(self.values(channel), rate_hz, channel.threshold, channel.edge)
+# What was recorded, one set-up after another.
 
 
 @dataclass(frozen=True)
@@ -171,13 +170,13 @@ def read_daqs(manifest: Manifest) -> tuple[DaqRecord, ...]:
 
 def read_set_ups(manifest: Manifest) -> tuple[SetUpRecords, ...]:
     """Read a recording set-up by set-up: its top level, then every `[[take]]`, of a scan point by point."""
-    found = []
+    set_ups = []
     for where, block in manifest.set_ups:
         with told_in(manifest.path, where):
             for part, point in split_scan(block):
                 records = tuple(_read_daq(part, daq, point) for daq in part.daq)
-                found.append(SetUpRecords(part, records, where))
-    return tuple(found)
+                set_ups.append(SetUpRecords(part, records, where))
+    return tuple(set_ups)
 
 
 @contextmanager
@@ -195,16 +194,15 @@ def told_in(path: Path, where: str, name: str = "") -> Iterator[None]:
 
 def _read_daq(manifest: Manifest, daq: Daq, point: ScannedPoint | None = None) -> DaqRecord:
     """Read and check a block; the point of a scan has been read and is checked only."""
-    if point is not None and point.daq is daq:
-        for entry in daq.channel:
-            _check_samples(daq, entry, point.raw[entry.name])
-        return DaqRecord(daq, point.raw, 0.0)
-    names = [channel.name for channel in daq.channel]
-    with as_input_error(manifest.path, f"daq.{daq.name}.file"):
-        raw = read_channels(daq.file, names, daq.sample_rate)
+    if point is not None and point.entry is daq:
+        record: DaqRecord = point
+    else:
+        with as_input_error(manifest.path, f"daq.{daq.name}.file"):
+            raw = read_channels(daq.file, [channel.name for channel in daq.channel], daq.sample_rate)
+        record = DaqRecord(daq, raw, min(channel.start_s for channel in raw.values()))
     for entry in daq.channel:
-        _check_samples(daq, entry, raw[entry.name])
-    return DaqRecord(daq, raw, min(channel.start_s for channel in raw.values()))
+        _check_samples(daq, entry, record.raw[entry.name])
+    return record
 
 
 def _check_samples(daq: Daq, entry: ChannelEntry, channel: RawChannel) -> None:

@@ -21,6 +21,7 @@ from fusion.recording.manifest import (
     Images,
     Part,
     PointFiles,
+    Recorded,
     RecordingFile,
     Rig,
     Stereo,
@@ -205,16 +206,11 @@ def _rig_path(path: Path, text: dict[str, Any]) -> Path:
 
 def _input_files(path: Path, rig_path: Path, rig: Rig, record: RecordingFile) -> tuple[Path, ...]:
     """Every file that bears on the result, once each."""
-    groups: list[Iterable[Path]] = [(path.resolve(), rig_path.resolve()), rig.files]
-    blocks: tuple[RecordingFile | Take, ...] = (record, *record.take)
-    for block in blocks:
-        groups += [[daq.file, *(entry.response for entry in daq.channel if entry.response)] for daq in block.daq]
-        groups += [[*images.left, *images.right] for images in block.images]
-        groups += [points.files for points in block.points]
-    if record.excitation.file is not None:
-        groups.append((record.excitation.file,))
+    named = [path.resolve(), rig_path.resolve(), *rig.files, *record.files]
+    named += [file for take in record.take for file in take.files]
+    named += [] if record.excitation.file is None else [record.excitation.file]
     files: dict[Path, None] = {}
-    for file in (file for group in groups for file in group):
+    for file in named:
         files[file] = None
         if file.suffix.lower() in (".cih", ".cihx"):  # the frames of such a header stand beside it
             frames = [file.with_suffix(suffix) for suffix in (".mraw", ".MRAW")]
@@ -229,10 +225,16 @@ def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
     """Raise `InputError` for the first reference between rig and recording that leads nowhere."""
     if not record.daq and not record.take and not KINDS[record.excitation.kind].tabled:
         raise InputError(path, "daq", "none", "at least one [[daq]] or [[take]] block")
-    top = [("", record)] if record.daq or record.images or record.points else []
-    blocks: list[tuple[str, RecordingFile | Take]] = [*top]
+    blocks: list[tuple[str, Recorded]] = [("", record)] if record.daq or record.images or record.points else []
     blocks += [(f"take[{number}].", take) for number, take in enumerate(record.take, 1)]
-    channels = [_located_channels(prefix, block) for prefix, block in blocks]
+    channels = [
+        [
+            (f"{prefix}daq.{quoted(daq.name)}.channel.{quoted(entry.name)}", daq, entry)
+            for daq in block.daq
+            for entry in daq.channel
+        ]
+        for prefix, block in blocks
+    ]
     _check_stereo(rig, rig_path, blocks)
     for (prefix, block), located in zip(blocks, channels, strict=True):
         _check_triggers(block, {entry.name for _, _, entry in located if entry.quantity == "trigger"}, prefix, path)
@@ -256,16 +258,7 @@ def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
         raise InputError(path, f"part.{quoted(twice)}.name", f'"{twice}" twice', expected)
 
 
-def _located_channels(prefix: str, block: RecordingFile | Take) -> list[tuple[str, Daq, ChannelEntry]]:
-    """Return every channel of a block with its key path."""
-    return [
-        (f"{prefix}daq.{quoted(daq.name)}.channel.{quoted(entry.name)}", daq, entry)
-        for daq in block.daq
-        for entry in daq.channel
-    ]
-
-
-def _check_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, RecordingFile | Take]]) -> None:
+def _check_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, Recorded]]) -> None:
     """Images need a calibration; a scale needs an uncertainty, stated or from the calibration."""
     pictured = [images.stereo for _, block in blocks for images in block.images]
     tabled = [points.stereo for _, block in blocks for points in block.points]
@@ -292,7 +285,7 @@ def _has_covariance(pair: Stereo) -> bool:
     return isinstance(content, dict) and content.get("covariance") is not None
 
 
-def _check_triggers(block: RecordingFile | Take, triggers: set[str], prefix: str, path: Path) -> None:
+def _check_triggers(block: Recorded, triggers: set[str], prefix: str, path: Path) -> None:
     """Frames belong to the edges of a trigger channel recorded with them, and to one set of frames per pair."""
     kinds: tuple[tuple[str, tuple[Frames, ...]], ...] = (("images", block.images), ("points", block.points))
     for kind, frames in ((kind, frames) for kind, entries in kinds for frames in entries):

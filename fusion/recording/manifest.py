@@ -39,6 +39,7 @@ from fusion.recording.values import (
     Vector6,
     array_of_tables,
     describe,
+    positive,
     refusal,
     refuse_foreign,
     refuse_missing,
@@ -68,14 +69,6 @@ GRAVITY_ON_EARTH = (9.7, 9.9)  # m/s^2
 # rig.toml
 
 
-def _rated_loads(value: object) -> tuple[float, ...]:
-    """Six rated loads, all positive."""
-    loads = vector(6)(value)
-    if min(loads) <= 0:
-        raise refusal("6 numbers above 0", f"{min(loads):g}")
-    return loads
-
-
 def _gravity(value: object) -> tuple[float, ...]:
     """The acceleration of free fall as it is on Earth."""
     elements = vector(3)(value)
@@ -101,14 +94,6 @@ def _sensitivity_rows(value: object) -> tuple[tuple[float, ...], ...]:
     return tuple(vector(6)(row) for row in value)
 
 
-def _elastic_frequency(value: object) -> tuple[float, ...]:
-    """Resonances of the six components, all positive; one number holds for all."""
-    frequencies = spread(6)(value)
-    if min(frequencies) <= 0:
-        raise refusal("a number or 6 numbers, all above 0", f"{min(frequencies):g}")
-    return frequencies
-
-
 class Sensor(Block):
     """The sensor under test: its outputs, their sense, and the mass that moves above its elastic element."""
 
@@ -117,7 +102,7 @@ class Sensor(Block):
     channels: Annotated[tuple[str, ...], BeforeValidator(_outputs)]
     unit: Text
     sense: Literal["on_load", "on_sensor"]
-    capacity: Annotated[Vector6 | None, BeforeValidator(_rated_loads)] = None
+    capacity: Annotated[Vector6 | None, BeforeValidator(positive(vector(6), "6 numbers above 0"))] = None
     static_sensitivity: Annotated[tuple[Vector6, ...] | None, BeforeValidator(_sensitivity_rows)] = None
     static_sensitivity_uncertainty: NotNegative = 0.0
     internal_mass: NotNegative
@@ -174,7 +159,9 @@ class Load(Mounted):
     """
 
     inertia: Inertia
-    elastic_frequency: Annotated[Vector6 | None, BeforeValidator(_elastic_frequency)] = None
+    elastic_frequency: Annotated[
+        Vector6 | None, BeforeValidator(positive(spread(6), "a number or 6 numbers, all above 0"))
+    ] = None
     elastic_frequency_uncertainty: Annotated[Vector6, BeforeValidator(spread(6))] = ZERO6
     elastic_damping: NotNegative = 0.0
 
@@ -250,9 +237,9 @@ class Rig(Block):
         return TRANSDUCERS[channel.quantity].unit if channel.quantity in TRANSDUCERS else OTHER_UNITS[channel.quantity]
 
     @property
-    def gravity(self) -> Vector3 | None:
-        """Acceleration of gravity (m/s^2, sensor frame), None where the rig does not state it."""
-        return None if self.environment is None else self.environment.gravity
+    def surroundings(self) -> Environment:
+        """Return the environment, of which nothing is known where the rig does not state it."""
+        return self.environment or Environment()
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -426,10 +413,10 @@ class PointFiles(Frames):
         return self
 
 
-class Take(Block):
-    """What was recorded at once, where a recording holds several measurements one after another."""
+class Recorded(Block):
+    """What was recorded at once."""
 
-    daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
+    daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables)] = ()
     images: Annotated[tuple[Images, ...], BeforeValidator(array_of_tables)] = ()
     points: Annotated[tuple[PointFiles, ...], BeforeValidator(array_of_tables)] = ()
 
@@ -438,8 +425,24 @@ class Take(Block):
         refuse_repeated([block.name for block in self.daq], "daq blocks", "daq")
         return self
 
+    @property
+    def files(self) -> list[Path]:
+        """Files that these tables name."""
+        files = []
+        for daq in self.daq:
+            files += [daq.file, *(entry.response for entry in daq.channel if entry.response)]
+        for images in self.images:
+            files += [*images.left, *images.right]
+        return files + [file for points in self.points for file in points.files]
 
-class RecordingFile(Block):
+
+class Take(Recorded):
+    """What was recorded at once, where a recording holds several measurements one after another."""
+
+    daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
+
+
+class RecordingFile(Recorded):
     """recording.toml as it stands: one excitation and the files recorded under it."""
 
     format: Literal[1]
@@ -448,12 +451,4 @@ class RecordingFile(Block):
     mounting: Text = "1"
     excitation: Excitation
     part: Annotated[tuple[Part, ...], BeforeValidator(array_of_tables)] = ()
-    daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables)] = ()
-    images: Annotated[tuple[Images, ...], BeforeValidator(array_of_tables)] = ()
-    points: Annotated[tuple[PointFiles, ...], BeforeValidator(array_of_tables)] = ()
     take: Annotated[tuple[Take, ...], BeforeValidator(array_of_tables)] = ()
-
-    @model_validator(mode="after")
-    def _names_differ(self) -> Self:
-        refuse_repeated([block.name for block in self.daq], "daq blocks", "daq")
-        return self

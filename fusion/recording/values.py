@@ -95,20 +95,16 @@ class PathScope:
         A pattern matches hidden entries only where it names the dot.
         """
         anchor = PurePosixPath(text).anchor
-        found = [Path(anchor or self.folder)]
+        places = [Path(anchor or self.folder)]
         for pattern in PurePosixPath(text).relative_to(anchor).parts:
             if not MAGIC.search(pattern):
-                found = [folder / pattern for folder in found if (folder / pattern).exists()]
+                places = [place / pattern for place in places if (place / pattern).exists()]
                 continue
-            entries = [
-                entry
-                for folder in found
-                if folder.is_dir()
-                for entry in sorted(folder.iterdir(), key=lambda path: natural_key(path.name))
-            ]
+            folders = [place.iterdir() for place in places if place.is_dir()]
+            entries = [entry for below in folders for entry in sorted(below, key=lambda path: natural_key(path.name))]
             named = [entry for entry in entries if fnmatchcase(entry.name, pattern)]
-            found = [entry for entry in named if pattern.startswith(".") or not entry.name.startswith(".")]
-        return found
+            places = [entry for entry in named if pattern.startswith(".") or not entry.name.startswith(".")]
+        return places
 
 
 # What the values of a manifest may be; each refusal says what was expected and what was found.
@@ -209,12 +205,13 @@ def unit_vector(value: Any) -> tuple[float, ...]:
     return tuple(element / length for element in elements)
 
 
-def spread(count: int) -> Callable[[Any], tuple[float, ...]]:
-    """Validator of the standard uncertainties of `count` elements; one number holds for every element."""
-    expected = f"a number or {count} numbers, none negative"
+def spread(count: int, each: str = "") -> Callable[[Any], tuple[float, ...]]:
+    """Validator of `count` standard uncertainties; one number holds for all, unless `each` tells what they are."""
+    expected = f"{count} numbers ({each}), none negative" if each else f"a number or {count} numbers, none negative"
 
     def check(value: Any) -> tuple[float, ...]:
-        elements = (float(value),) * count if _is_number(value) else _numbers(value, count, expected)
+        one_for_all = not each and _is_number(value)
+        elements = (float(value),) * count if one_for_all else _numbers(value, count, expected)
         if min(elements) < 0:
             raise refusal(expected, f"{min(elements):g}")
         return elements
@@ -222,12 +219,16 @@ def spread(count: int) -> Callable[[Any], tuple[float, ...]]:
     return check
 
 
-def pose_spread(value: Any) -> tuple[float, ...]:
-    """Check the six standard uncertainties of a pose: three lengths, three angles, hence never one number for all."""
-    elements = _numbers(value, 6, "6 numbers (3 in m, 3 in rad), none negative")
-    if min(elements) < 0:
-        raise refusal("6 numbers (3 in m, 3 in rad), none negative", f"{min(elements):g}")
-    return elements
+def positive(check: Callable[[Any], tuple[float, ...]], expected: str) -> Callable[[Any], tuple[float, ...]]:
+    """Validator of numbers that another one takes, all above 0."""
+
+    def above_zero(value: Any) -> tuple[float, ...]:
+        numbers = check(value)
+        if min(numbers) <= 0:
+            raise refusal(expected, f"{min(numbers):g}")
+        return numbers
+
+    return above_zero
 
 
 def exposure(value: Any) -> float | str:
@@ -298,28 +299,22 @@ def array_of_tables(value: Any) -> Any:
     return tuple(value)
 
 
-def _resolved(value: Any, info: ValidationInfo, expected: str, resolve: Callable[[PathScope, str], Any]) -> Any:
-    """Resolve a path by the folders of the manifest under validation."""
-    if not isinstance(value, str):
-        raise refusal(expected, describe(value))
-    if not isinstance(info.context, Context):
-        raise refusal("a resolved path", "a text outside any manifest")
-    try:
-        return resolve(info.context.scope, value)
-    except OSError as error:
-        raise refusal("a path that can be read", f"{error.strerror or error} ({error.filename})") from error
+def existing(resolve: Callable[[PathScope, str], Any], expected: str) -> Callable[[Any, ValidationInfo], Any]:
+    """Validator of paths, which `resolve` follows by the folders of the manifest under validation."""
 
+    def check(value: Any, info: ValidationInfo) -> Any:
+        if isinstance(value, Path | tuple):  # resolved before
+            return value
+        if not isinstance(value, str):
+            raise refusal(expected, describe(value))
+        if not isinstance(info.context, Context):
+            raise refusal("a resolved path", "a text outside any manifest")
+        try:
+            return resolve(info.context.scope, value)
+        except OSError as error:
+            raise refusal("a path that can be read", f"{error.strerror or error} ({error.filename})") from error
 
-def existing_file(value: Any, info: ValidationInfo) -> Any:
-    """Resolve the path of one existing file."""
-    return value if isinstance(value, Path) else _resolved(value, info, "a path", PathScope.file)
-
-
-def existing_files(value: Any, info: ValidationInfo) -> Any:
-    """Resolve one path or glob to its existing files in natural order."""
-    if isinstance(value, tuple) and all(isinstance(item, Path) for item in value):
-        return value
-    return _resolved(value, info, "a path or a pattern such as folder/*.tif", PathScope.files)
+    return check
 
 
 def repeated_name(names: Sequence[str]) -> str | None:
@@ -357,12 +352,14 @@ Exposure = Annotated[float | Literal["pulse"], BeforeValidator(exposure)]
 FreeVector = Annotated[Vector3, BeforeValidator(vector(3))]
 Direction = Annotated[Vector3, BeforeValidator(unit_vector)]
 Spread3 = Annotated[Vector3, BeforeValidator(spread(3))]
-PoseSpread = Annotated[Vector6, BeforeValidator(pose_spread)]
+PoseSpread = Annotated[Vector6, BeforeValidator(spread(6, "3 in m, 3 in rad"))]
 Rotation = Annotated[Matrix3, BeforeValidator(rotation)]
 Inertia = Annotated[Matrix3, BeforeValidator(inertia)]
 InertiaSpread = Annotated[Matrix3, BeforeValidator(inertia_spread)]
-ExistingFile = Annotated[Path, BeforeValidator(existing_file)]
-ExistingFiles = Annotated[tuple[Path, ...], BeforeValidator(existing_files)]
+ExistingFile = Annotated[Path, BeforeValidator(existing(PathScope.file, "a path"))]
+ExistingFiles = Annotated[
+    tuple[Path, ...], BeforeValidator(existing(PathScope.files, "a path or a pattern such as folder/*.tif"))
+]
 
 LARGEST_TOML = 4_000_000  # bytes; no manifest is anywhere near
 AnyBlock = TypeVar("AnyBlock", bound="Block")
@@ -395,23 +392,18 @@ def validate(model: type[AnyBlock], text: dict[str, Any], path: Path, context: C
     try:
         return model.model_validate(text, context=context)
     except ValidationError as error:
-        raise _input_error(model, text, path, error) from error
+        problems = error.errors(include_url=False)
+        # An unknown key comes before the key that is missing in its stead.
+        first = min(problems, key=lambda problem: problem["type"] != "extra_forbidden")
+        place, own = list(first["loc"]), first.get("ctx", {}).get("key")
+        expected, found = _phrases(model, first)
+        key = key_path(text, [*place, own] if own else place)
+        raise InputError(path, key, found, expected, more=len(problems) - 1) from error
 
 
 def quoted(name: str) -> str:
     """A name as part of a key path, in quotes unless TOML takes it bare."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
-
-
-def _input_error(model: type[Block], text: dict[str, Any], path: Path, error: ValidationError) -> InputError:
-    """The sentence about the first problem; an unknown key comes before the key that is missing in its stead."""
-    problems = error.errors(include_url=False)
-    first = min(problems, key=lambda problem: problem["type"] != "extra_forbidden")
-    place = list(first["loc"])
-    own = first.get("ctx", {}).get("key")
-    key = key_path(text, [*place, own] if own else place)
-    expected, found = _phrases(model, first)
-    return InputError(path, key, found, expected, more=len(problems) - 1)
 
 
 def key_path(text: dict[str, Any], place: list[int | str]) -> str:
@@ -433,9 +425,9 @@ def key_path(text: dict[str, Any], place: list[int | str]) -> str:
 
 def _block_name(siblings: Any, block: Any) -> str:
     """What identifies a block among its siblings, empty if nothing does."""
-    for key in ("name", "stereo"):
-        names = [item.get(key) for item in siblings if isinstance(item, dict)] if isinstance(block, dict) else []
-        if isinstance(block, dict) and isinstance(block.get(key), str) and names.count(block[key]) == 1:
+    for key in ("name", "stereo") if isinstance(block, dict) else ():
+        names = [item.get(key) for item in siblings if isinstance(item, dict)]
+        if isinstance(block.get(key), str) and names.count(block[key]) == 1:
             return str(block[key])
     return ""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -11,10 +10,9 @@ import numpy as np
 from fusion.base import AnyNotice, ComputeError
 from fusion.estimation.fuse import Acceleration, fuse_sources
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments.channel import Reading
-from fusion.instruments.output import Outputs, output_phasors
+from fusion.instruments.output import Outputs
 from fusion.instruments.vibrometer import PointSpread
-from fusion.sensitivity.body import Body, load_body
+from fusion.sensitivity.body import Body
 from fusion.sensitivity.distributions import MonteCarlo
 from fusion.sensitivity.load import LoadResult, load_phasors
 from fusion.sensitivity.ratio import Sensitivity, driven_component, parasitic_loads, sensitivity_ratio
@@ -36,53 +34,24 @@ if TYPE_CHECKING:
 class Inputs:
     """What is known of one recording when all phasors have been found.
 
-    `lines`: the K lines; `observations`: the instruments as rows of the linear model; `outputs`: the sensor's channels
-    in its own order; `body`: all that moves above the elastic element, None without a load; `gravity_mps2`: None where
-    the rig does not state it, `u_gravity_mps2`: its standard uncertainty; `direction`: 3 or 6 numbers.
+    `lines`: the K lines; `observations`: the instruments as rows of the linear model; `outputs`: of the `sensor`;
+    `body`: all that moves above the elastic element, None without a load; `direction`: 3 or 6 numbers.
     """
 
     lines: Lines
     observations: tuple[Observation, ...]
-    outputs: tuple[Reading, ...]
-    body: Body | None
-    gravity_mps2: tuple[float, float, float] | None
-    sensor: Sensor | None
-    direction: tuple[float, ...] | None
-    u_gravity_mps2: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    @classmethod
-    def of(
-        cls, manifest: Manifest, lines: Lines, observations: Sequence[Observation], readings: Sequence[Reading]
-    ) -> Inputs:
-        """Return the inputs that a manifest and the phasors found for it make."""
-        sensor, environment = manifest.rig.sensor, manifest.rig.environment
-        # A channel under the name of the sensor's output that it is.
-        outputs = [
-            replace(reading, phasors=replace(reading.phasors, channels=(str(reading.entry.channel),)))
-            for reading in readings
-            if reading.entry.quantity == "output"
-        ]
-        if sensor is not None:
-            outputs.sort(key=lambda reading: sensor.channels.index(str(reading.entry.channel)))
-        return cls(
-            lines=lines,
-            observations=tuple(observations),
-            outputs=tuple(outputs),
-            body=load_body(manifest.rig, manifest.part),
-            gravity_mps2=manifest.rig.gravity,
-            sensor=sensor,
-            direction=manifest.excitation.direction,
-            u_gravity_mps2=(0.0, 0.0, 0.0) if environment is None else environment.gravity_uncertainty,
-        )
+    outputs: Outputs | None = None
+    body: Body | None = None
+    sensor: Sensor | None = None
+    direction: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
 class Analysis:
-    """Acceleration of every body, fused first and then by source; outputs, load and sensitivity where there are any."""
+    """Acceleration of every body, fused first and then by source; load and sensitivity where there are any."""
 
     accelerations: tuple[Acceleration, ...]
     load: LoadResult | None
-    outputs: Outputs | None
     sensitivity: Sensitivity | None
 
     __repr__ = brief
@@ -99,37 +68,29 @@ def analyse(inputs: Inputs) -> Analysis:
 
     Raises `ComputeError` where nothing measures a motion.
     """
-    seen = inputs.observations
+    seen, outputs, sensor, direction = inputs.observations, inputs.outputs, inputs.sensor, inputs.direction
     bodies = [body for body in ("load", "base") if any(observation.body == body for observation in seen)]
     if not bodies:
         raise ComputeError("no channel or camera of this recording measures a motion; add one to recording.toml")
     accelerations = tuple(acceleration for body in bodies for acceleration in fuse_sources(seen, body))
-    outputs = output_phasors(inputs.outputs) if inputs.outputs else None
-    fused, sensor = next((a for a in accelerations if a.body == "load" and a.source == "fused"), None), inputs.sensor
+    fused = next((a for a in accelerations if a.body == "load" and a.source == "fused"), None)
     if inputs.body is None or fused is None:
-        return Analysis(accelerations, None, outputs, None)
-    sense = "on_load" if sensor is None else sensor.sense
-    load = load_phasors(fused, inputs.body, inputs.gravity_mps2, sense, inputs.u_gravity_mps2)
-    if sensor is None or inputs.direction is None or outputs is None:
-        return Analysis(accelerations, load, outputs, None)
-    ratio = sensitivity_ratio(outputs, load, inputs.direction, inputs.lines.multiple, sensor.unit, sensor.capacity)
-    parasitic = _parasitic_loads(sensor, outputs, load, inputs.direction)
-    return Analysis(accelerations, load, outputs, replace(ratio, notices=(*ratio.notices, *parasitic)))
-
-
-def _parasitic_loads(
-    sensor: Sensor, outputs: Outputs, load: LoadResult, direction: Sequence[float]
-) -> tuple[AnyNotice, ...]:
-    """Return what the driven output owes to other loads at the strongest line, by the static sensitivity."""
-    if sensor.static_sensitivity is None:
-        return ()
-    channels, component = outputs.phasors.channels, driven_component(direction, sensor.capacity)
-    static = np.asarray(sensor.static_sensitivity)[[sensor.channels.index(name) for name in channels]]
-    driven = int(np.argmax(np.abs(static[:, component])))
-    line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
-    where = f"output {channels[driven]} at {outputs.phasors.frequency_hz[line]:.6g} Hz"
-    shares = parasitic_loads(outputs, load, static, component, sensor.static_sensitivity_uncertainty)
-    return shares.notices(line, driven, where)
+        return Analysis(accelerations, None, None)
+    load = load_phasors(fused, inputs.body)
+    if sensor is None or direction is None or outputs is None:
+        return Analysis(accelerations, load, None)
+    component = driven_component(direction, sensor.capacity)
+    ratio = sensitivity_ratio(outputs, load, component, inputs.lines.multiple, sensor.capacity)
+    if sensor.static_sensitivity is not None:
+        channels, frequency_hz = outputs.phasors.channels, outputs.phasors.frequency_hz
+        static = np.array([sensor.static_sensitivity[sensor.channels.index(name)] for name in channels])
+        parasitic = parasitic_loads(outputs, load, static, component, sensor.static_sensitivity_uncertainty)
+        # Of the output that the driven load moves most, at the strongest line.
+        line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
+        driven = int(np.argmax(np.abs(static[:, component])))
+        told = parasitic.notices(line, driven, f"output {channels[driven]} at {frequency_hz[line]:.6g} Hz")
+        ratio = replace(ratio, notices=(*ratio.notices, *told))
+    return Analysis(accelerations, load, ratio)
 
 
 # What one evaluated recording consists of: the tree handed to the result writers and the report.

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion.base import InputError
+from fusion.estimation.uncertainty import Scope, Unknown
 from photogram.geometry import skew
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.identification.measured import InertiaError
@@ -17,7 +19,6 @@ from shaker.labels import MOTION_COMPONENTS
 
 if TYPE_CHECKING:
     from fusion.estimation.measurement_model import Deviates
-    from fusion.estimation.uncertainty import Scope
     from fusion.recording.load import Manifest
     from fusion.recording.manifest import Load, Rig
     from fusion.recording.manifest import Part as PartTable
@@ -109,6 +110,11 @@ class Part:
         if not np.allclose(self.inertia_kgm2, self.inertia_kgm2.T, rtol=0.0, atol=1e-12):
             raise ValueError(f"inertia_kgm2: expected a symmetric matrix, found {self.inertia_kgm2.tolist()}")
 
+    @property
+    def terms(self) -> InertialTerms:
+        """What the part contributes to the equations of motion."""
+        return InertialTerms.of(self.mass_kg, self.centre_of_mass_m, self.inertia_kgm2, self.air_share)
+
 
 def make_part(
     name: str,
@@ -136,216 +142,166 @@ def make_part(
 
 @dataclass(frozen=True)
 class InertialTerms:
-    """What a body, or the change of one, contributes to the equations of motion about the sensor origin.
+    """What a part, or the change of one, contributes to the equations of motion about the sensor origin.
 
-    `mass_matrix` (6, 6): wrench = mass_matrix · [a, alpha] of the origin. `weight_kg` and `weight_moment_kgm` (3,):
-    mass and mass times centre of mass less those of the displaced air, which gravity acts on.
+    `mass_matrix` (..., 6, 6): wrench = mass_matrix · [a, alpha] of the origin. `weight_kg` (...) and
+    `weight_moment_kgm` (..., 3): mass and mass times centre of mass less those of the displaced air, which gravity acts
+    on.
     """
 
     mass_matrix: FloatArray
-    weight_kg: float
+    weight_kg: FloatArray
     weight_moment_kgm: FloatArray
 
-    def load_matrix(self, frequency_hz: FloatArray, gravity_mps2: FloatArray | None) -> FloatArray:
-        """Return (K, 6, 6): wrench phasors = matrix · acceleration phasors, in body axes, with the tilt of gravity.
+    @classmethod
+    def of(
+        cls, mass_kg: ArrayLike, centre_of_mass_m: FloatArray, inertia_kgm2: FloatArray, air_share: float = 0.0
+    ) -> InertialTerms:
+        """Return the terms of masses (...); the air that they take along has inertia but no weight."""
+        stated = np.asarray(mass_kg, dtype=np.float64)
+        mass, weight = stated * (1.0 + AIR_MOVED_ALONG * air_share), stated * (1.0 - air_share)
+        lever, moving = skew(centre_of_mass_m), mass[..., None, None]
+        matrix = np.zeros((*mass.shape, 6, 6))
+        matrix[..., :3, :3] = moving * np.eye(3)
+        matrix[..., :3, 3:] = -moving * lever
+        matrix[..., 3:, :3] = moving * lever
+        matrix[..., 3:, 3:] = inertia_kgm2 - moving * lever @ lever
+        return cls(matrix, weight, weight[..., None] * centre_of_mass_m)
+
+    def load_matrix(self, frequency_hz: FloatArray, gravity_mps2: ArrayLike | None) -> FloatArray:
+        """Return (..., K, 6, 6): wrench = matrix · acceleration phasors, in body axes, with the tilt of gravity.
 
         With theta = -alpha/omega^2 the weight turns in body axes: F = m (theta × g), M = c × m (theta × g).
         """
-        omega2 = (2.0 * np.pi * frequency_hz) ** 2
-        matrix = np.repeat(self.mass_matrix[None], len(frequency_hz), axis=0)
+        matrix = np.repeat(self.mass_matrix[..., None, :, :], len(frequency_hz), axis=-3)
         if gravity_mps2 is not None:
-            weight = skew(gravity_mps2)
-            tilt = np.concatenate([self.weight_kg * weight, skew(self.weight_moment_kgm) @ weight])
-            matrix[:, :, 3:] += tilt / omega2[:, None, None]
+            pull = skew(np.asarray(gravity_mps2, dtype=np.float64))
+            tilt = np.concatenate(
+                [self.weight_kg[..., None, None] * pull, skew(self.weight_moment_kgm) @ pull], axis=-2
+            )
+            matrix[..., 3:] += tilt[..., None, :, :] / (2.0 * np.pi * frequency_hz[:, None, None]) ** 2
         return matrix
-
-
-@dataclass(frozen=True)
-class MatrixChange:
-    """What one standard uncertainty of one unknown does to the load matrix: `change` (K, 6, 6)."""
-
-    name: str
-    label: str
-    u: float
-    unit: str
-    scope: Scope
-    change: ComplexArray
 
 
 @dataclass(frozen=True)
 class Body:
-    """Parts that move as one, or, where the load's `joint` is known, as one above and one below it."""
+    """Parts that move as one, or, where the load's `joint` is known, as one above and one below it.
+
+    `gravity_mps2` (3,) in sensor axes, None where it is not known, with its standard uncertainty. `sense`: whether
+    wrenches are positive as they act on the load or on the sensor.
+    """
 
     parts: tuple[Part, ...]
     joint: Joint | None = None
+    gravity_mps2: ArrayLike | None = None
+    u_gravity_mps2: ArrayLike = (0.0, 0.0, 0.0)
+    sense: Literal["on_load", "on_sensor"] = "on_load"
 
     @property
-    def terms(self) -> InertialTerms:
-        """Sum of the parts' terms about the sensor origin, as if everything were rigid."""
-        return _sum([_terms(part) for part in self.parts])
+    def weightless(self) -> Body:
+        """The body without the weight that turns with it."""
+        return replace(self, gravity_mps2=None, u_gravity_mps2=np.zeros(3))
 
     @property
     def mass_matrix(self) -> FloatArray:
-        """Mass matrix (6, 6) about the sensor origin: F = m (a + alpha × c), M = c × F + J alpha."""
-        return self.terms.mass_matrix
+        """Mass matrix (6, 6) about the sensor origin, all being rigid: F = m (a + alpha × c), M = c × F + J alpha."""
+        return np.asarray(np.sum([part.terms.mass_matrix for part in self.parts], axis=0))
 
-    def load_matrix(self, frequency_hz: FloatArray, gravity_mps2: FloatArray | None) -> ComplexArray:
+    def load_matrix(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return (K, 6, 6): wrench = matrix · acceleration of the load; parts below its joint follow it."""
-        above, below = ([_terms(p) for p in self.parts if self._below(p) == side] for side in (False, True))
-        matrix = _sum(above).load_matrix(frequency_hz, gravity_mps2).astype(np.complex128)
-        if self.joint is not None and below:
-            lower = _sum(below).load_matrix(frequency_hz, gravity_mps2)
-            matrix += lower * self.joint.follow(frequency_hz)[:, None, :]
-        return matrix
+        return np.asarray(np.sum([self._carried(frequency_hz, part, part.terms) for part in self.parts], axis=0))
 
-    def matrix_changes(
-        self, frequency_hz: FloatArray, gravity_mps2: FloatArray | None, u_gravity_mps2: FloatArray | None = None
-    ) -> tuple[MatrixChange, ...]:
-        """Return what every uncertain number does to the load matrix: of the parts, of gravity and of the joint."""
-        changes = []
+    def _carried(self, frequency_hz: FloatArray, part: Part, terms: InertialTerms) -> ComplexArray:
+        """Load matrices (..., K, 6, 6) by terms of a part, which may lie below the joint."""
+        sign = 1.0 if self.sense == "on_load" else -1.0
+        matrix = sign * terms.load_matrix(frequency_hz, self.gravity_mps2).astype(np.complex128)
+        if self.joint is None or not part.below_joint:
+            return matrix
+        return matrix * self.joint.follow(frequency_hz)[:, None, :]
+
+    def matrix_changes(self, frequency_hz: FloatArray) -> tuple[Unknown[ComplexArray], ...]:
+        """Return what every uncertain number does to the load matrix (K, 6, 6): of parts, joint and gravity."""
+        changes: list[Unknown[ComplexArray]] = []
         for part in self.parts:
-            follow = self.joint.follow(frequency_hz)[:, None, :] if self.joint and self._below(part) else np.ones(1)
-            for name, label, u, unit, scope, terms in _parameters(part):
-                change = (terms.load_matrix(frequency_hz, gravity_mps2) * follow).astype(np.complex128)
-                changes.append(MatrixChange(name, label, u, unit, scope, change))
-        below = [_terms(part) for part in self.parts if self._below(part)]
+            changes += _parameters(part, partial(self._carried, frequency_hz, part))
+        below = tuple(part for part in self.parts if part.below_joint)
         if self.joint is not None and below:
             # The joint holds until it is screwed together anew: one unknown per component.
-            lower, by_joint = _sum(below).load_matrix(frequency_hz, gravity_mps2), self.joint.change(frequency_hz)
+            lower = replace(self, parts=below, joint=None).load_matrix(frequency_hz)
+            by_joint = self.joint.change(frequency_hz)
             for place, axis in enumerate(MOTION_COMPONENTS):
                 stated, u = float(self.joint.frequency_hz[place]), float(self.joint.u_frequency_hz[place])
-                own = np.zeros(lower.shape, dtype=np.complex128)
+                own = np.zeros_like(lower)
                 own[:, :, place] = lower[:, :, place] * by_joint[:, None, place]
                 name, label = f"joint of the load {stated:.9g} Hz: {axis}", "joint of the load"
-                changes.append(MatrixChange(name, label, u or 1.0, "Hz" if u else "1", "mounting", own))
+                changes.append(Unknown(name, label, u or 1.0, "Hz" if u else "1", own, "mounting"))
         # Of the vector of gravity only the tilt of the weight knows.
-        still = self.load_matrix(frequency_hz, None)
-        u_gravity = np.zeros(3) if u_gravity_mps2 is None else u_gravity_mps2
-        for axis, along, u in zip("xyz", np.eye(3), u_gravity.tolist(), strict=True):
+        still = self.weightless.load_matrix(frequency_hz)
+        for axis, along, u in zip("xyz", np.eye(3), np.asarray(self.u_gravity_mps2).tolist(), strict=True):
             if u > 0.0:
-                change = self.load_matrix(frequency_hz, along * u) - still
-                changes.append(MatrixChange(f"gravity {axis}", "gravity", u, "m/s^2", "rig", change))
+                change = replace(self, gravity_mps2=along * u).load_matrix(frequency_hz) - still
+                changes.append(Unknown(f"gravity {axis}", "gravity", u, "m/s^2", change, "rig"))
         return tuple(changes)
 
-    def _below(self, part: Part) -> bool:
-        """Whether a part lies on the sensor's side of a joint."""
-        return self.joint is not None and part.below_joint
+    def draw_load_matrices(self, frequency_hz: FloatArray, deviates: Deviates) -> ComplexArray:
+        """Return N load matrices (N, K, 6, 6) of drawn masses, centres of mass and inertias, and of whatever else errs.
+
+        The parts' own numbers enter exactly; gravity, the joint and the air by their first-order changes.
+        """
+        drawn = []
+        for part in self.parts:
+            mass = part.mass_kg + part.u_mass_kg * deviates.normal(f"{part.name}: mass")
+            centre = part.centre_of_mass_m + part.u_centre_of_mass_m * deviates.normal(
+                f"{part.name}: centre of mass", 3
+            )
+            inertia = part.inertia_kgm2 + part.u_inertia_kgm2 * _symmetric(deviates.normal(f"{part.name}: inertia", 6))
+            terms = InertialTerms.of(mass, centre, inertia, part.air_share)
+            drawn.append(self._carried(frequency_hz, part, terms))
+        total = np.asarray(np.sum(drawn, axis=0))
+        own = {f"{part.name}: {what}" for part in self.parts for what in ("mass", "centre of mass", "inertia")}
+        for change in self.matrix_changes(frequency_hz):
+            if change.label not in own:
+                total += deviates.normal(change.name)[:, None, None, None] * change.effect
+        return total
 
 
-def _sum(terms: list[InertialTerms]) -> InertialTerms:
-    """Terms of several parts together, zero of none."""
-    return InertialTerms(
-        mass_matrix=np.sum([np.zeros((6, 6)), *(term.mass_matrix for term in terms)], axis=0),
-        weight_kg=float(sum(term.weight_kg for term in terms)),
-        weight_moment_kgm=np.sum([np.zeros(3), *(term.weight_moment_kgm for term in terms)], axis=0),
-    )
+def _symmetric(entries: FloatArray) -> FloatArray:
+    """Symmetric matrices (..., 3, 3) of their entries (..., 6)."""
+    return entries[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
 
 
-def _terms(part: Part) -> InertialTerms:
-    """Terms of one part about the sensor origin; the air it takes along has inertia but no weight."""
-    mass, lever = part.mass_kg * (1.0 + AIR_MOVED_ALONG * part.air_share), skew(part.centre_of_mass_m)
-    weight = part.mass_kg * (1.0 - part.air_share)
-    matrix = np.zeros((6, 6))
-    matrix[:3, :3] = mass * np.eye(3)
-    matrix[:3, 3:] = -mass * lever
-    matrix[3:, :3] = mass * lever
-    matrix[3:, 3:] = part.inertia_kgm2 - mass * lever @ lever
-    return InertialTerms(matrix, weight, weight * part.centre_of_mass_m)
-
-
-def _parameters(part: Part) -> Iterator[tuple[str, str, float, str, Scope, InertialTerms]]:
-    """Yield every uncertain number of a part: name, label, `u` in its unit, scope, and the change of the terms by it.
+def _parameters(part: Part, matrix: Callable[[InertialTerms], ComplexArray]) -> Iterator[Unknown[ComplexArray]]:
+    """Yield every uncertain number of a part with its effect on the load matrix, the `matrix` of a change of the terms.
 
     The name contains what was stated, so that another part or another place is another unknown.
     """
-    told = f"{part.name} {part.mass_kg:.9g} kg"
-    place = "[{}]".format(", ".join(f"{float(x):.9g}" for x in part.centre_of_mass_m))
-    none = np.zeros((3, 3))
+    centre, rigid = part.centre_of_mass_m, np.zeros((3, 3))
+
+    def unknown(what: str, stated: str, u: float, unit: str, change: InertialTerms) -> Unknown[ComplexArray]:
+        scope: Scope = "mounting" if what == "centre of mass" else "rig"
+        name = f"{part.name} {part.mass_kg:.9g} kg: {what}{stated}"
+        return Unknown(name, f"{part.name}: {what}", u, unit, matrix(change), scope)
+
     if part.u_mass_kg > 0.0:
-        change = _terms(make_part(part.name, part.u_mass_kg, part.centre_of_mass_m, none))
-        yield f"{told}: mass", f"{part.name}: mass", part.u_mass_kg, "kg", "rig", change
-    for letter, unit, u in zip("xyz", np.eye(3), part.u_centre_of_mass_m.tolist(), strict=True):
-        if u > 0.0:
-            lever, shift = skew(part.centre_of_mass_m), skew(unit * u)
-            matrix = np.zeros((6, 6))
-            matrix[:3, 3:] = -part.mass_kg * shift
-            matrix[3:, :3] = part.mass_kg * shift
-            matrix[3:, 3:] = -part.mass_kg * (lever @ shift + shift @ lever)
-            moved = InertialTerms(matrix, 0.0, part.mass_kg * (1.0 - part.air_share) * unit * u)
-            yield f"{told}: centre of mass {place} {letter}", f"{part.name}: centre of mass", u, "m", "mounting", moved
-    for row, column in INERTIA_ENTRIES:
+        yield unknown("mass", "", part.u_mass_kg, "kg", InertialTerms.of(part.u_mass_kg, centre, rigid))
+    place = ", ".join(f"{x:.9g}" for x in centre.tolist())
+    for letter, step in zip("xyz", np.diag(part.u_centre_of_mass_m), strict=True):
+        if np.any(step > 0.0):
+            # The terms are of second order in the place: half their difference is the derivative.
+            ahead, behind = (InertialTerms.of(part.mass_kg, centre + s, rigid, part.air_share) for s in (step, -step))
+            turned = (ahead.mass_matrix - behind.mass_matrix) / 2.0
+            moved = InertialTerms(turned, np.zeros(()), (ahead.weight_moment_kgm - behind.weight_moment_kgm) / 2.0)
+            yield unknown("centre of mass", f" [{place}] {letter}", float(step.sum()), "m", moved)
+    for entry, (row, column) in zip(np.eye(6), INERTIA_ENTRIES, strict=True):
         u = float(part.u_inertia_kgm2[row, column])
         if u > 0.0:
-            matrix = np.zeros((6, 6))
-            matrix[3 + row, 3 + column] = matrix[3 + column, 3 + row] = u
-            name = f"{told}: inertia {part.inertia_kgm2[row, column]:.9g} {'xyz'[row]}{'xyz'[column]}"
-            yield name, f"{part.name}: inertia", u, "kg.m^2", "rig", InertialTerms(matrix, 0.0, np.zeros(3))
+            stated = f" {part.inertia_kgm2[row, column]:.9g} {'xyz'[row]}{'xyz'[column]}"
+            change = InertialTerms.of(0.0, np.zeros(3), u * _symmetric(entry))
+            yield unknown("inertia", stated, u, "kg.m^2", change)
     if part.air_share > 0.0:
         u = U_AIR_MOVED_ALONG * part.air_share * part.mass_kg
-        air = _terms(make_part(part.name, u, part.centre_of_mass_m, none)).mass_matrix
-        terms = InertialTerms(air, 0.0, np.zeros(3))
-        yield f"{told}: air moved along", f"{part.name}: air moved along", u, "kg", "rig", terms
-
-
-# Bodies whose masses, centres and moments of inertia are what a Monte Carlo run draws.
-
-
-def draw_load_matrices(
-    body: Body,
-    frequency_hz: FloatArray,
-    gravity_mps2: FloatArray | None,
-    u_gravity_mps2: FloatArray | None,
-    deviates: Deviates,
-) -> ComplexArray:
-    """Return N load matrices (N, K, 6, 6): mass, centre of mass and inertia of every part drawn, and whatever else.
-
-    The parts' own numbers enter exactly; gravity, the joint and the air by their first-order changes.
-    """
-    own = {f"{part.name}: {what}" for part in body.parts for what in ("mass", "centre of mass", "inertia")}
-    total = np.zeros((deviates.count, len(frequency_hz), 6, 6), dtype=np.complex128)
-    for part in body.parts:
-        # Mass times (1, c, products of c), and the six entries of the inertia.
-        mass = part.mass_kg + part.u_mass_kg * deviates.normal(f"{part.name}: mass")
-        centre = part.centre_of_mass_m + part.u_centre_of_mass_m * deviates.normal(f"{part.name}: centre of mass", 3)
-        products = [centre[:, i] * centre[:, j] for i, j in INERTIA_ENTRIES]
-        entries = tuple(np.array(INERTIA_ENTRIES).T)
-        inertia = part.inertia_kgm2[entries] + part.u_inertia_kgm2[entries] * deviates.normal(
-            f"{part.name}: inertia", 6
-        )
-        moments = mass[:, None] * np.column_stack([np.ones(deviates.count), centre, *products])
-        terms = _polynomial(replace(body, parts=(part,)), frequency_hz, gravity_mps2)
-        total += np.tensordot(np.column_stack([moments, inertia]), terms, 1)
-    for change in body.matrix_changes(frequency_hz, gravity_mps2, u_gravity_mps2):
-        if change.label not in own:
-            total += deviates.normal(change.name)[:, None, None, None] * change.change
-    return total
-
-
-def _polynomial(alone: Body, frequency_hz: FloatArray, gravity_mps2: FloatArray | None) -> ComplexArray:
-    """Coefficients (16, K, 6, 6) of mass · (1, c, products of c) and inertia in the load matrix of a body of one part.
-
-    The matrix is linear in mass and inertia and of second order in the centre of mass: its values at 0, ±e_i and
-    e_i + e_j tell all of it.
-    """
-    (part,) = alone.parts
-
-    def at(mass: float, centre: FloatArray, inertia: FloatArray) -> ComplexArray:
-        one = replace(part, mass_kg=mass, centre_of_mass_m=centre, inertia_kgm2=inertia)
-        return replace(alone, parts=(one,)).load_matrix(frequency_hz, gravity_mps2)
-
-    none, unit = np.zeros((3, 3)), np.eye(3)
-    still = at(1.0, np.zeros(3), none)
-    ahead, behind = ([at(1.0, sign * e, none) for e in unit] for sign in (1.0, -1.0))
-    slope = [(a - b) / 2.0 for a, b in zip(ahead, behind, strict=True)]
-    square = [(a + b) / 2.0 - still for a, b in zip(ahead, behind, strict=True)]
-    mixed, turning = [], []
-    for i, j in INERTIA_ENTRIES:
-        entry = np.zeros((3, 3))
-        entry[i, j] = entry[j, i] = 1.0
-        turning.append(at(0.0, np.zeros(3), entry))
-        if i != j:
-            mixed.append(at(1.0, unit[i] + unit[j], none) - still - slope[i] - slope[j] - square[i] - square[j])
-    return np.stack([still, *slope, *square, *mixed, *turning])
+        air = InertialTerms(InertialTerms.of(u, centre, rigid).mass_matrix, np.zeros(()), np.zeros(3))
+        yield unknown("air moved along", "", u, "kg", air)
 
 
 # The body from the tables of rig.toml and recording.toml.
@@ -357,13 +313,12 @@ def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
     Masses are true ones, in air of the density that the rig states. The sensor's own mass lies below the load's joint,
     where there is one.
     """
-    load, sensor, environment = rig.load, rig.sensor, rig.environment
+    load, sensor, environment = rig.load, rig.sensor, rig.surroundings
     if load is None:
         return None
-    air_density = 0.0 if environment is None else environment.air_density or 0.0
+    rigid, air_density = [], environment.air_density or 0.0
     tables: list[tuple[str, Load | PartTable, bool]] = [("load", load, False)]
     tables += [(part.name, part, part.below_joint) for part in parts if part.body == "load"]
-    rigid = []
     for name, table, below in tables:
         u = (table.mass_uncertainty, table.centre_of_mass_uncertainty, table.inertia_uncertainty)
         share = 0.0 if table.density is None else air_density / table.density
@@ -376,21 +331,20 @@ def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
         )
         centre, inertia = sensor.internal_centre_of_mass, sensor.internal_inertia
         rigid.append(make_part("internal mass", sensor.internal_mass, centre, inertia, u, below_joint=True))
-    if load.elastic_frequency is None:
-        return Body(tuple(rigid))
-    joint = make_joint(load.elastic_frequency, load.elastic_frequency_uncertainty, load.elastic_damping)
-    return Body(tuple(rigid), joint)
+    joint = None
+    if load.elastic_frequency is not None:
+        joint = make_joint(load.elastic_frequency, load.elastic_frequency_uncertainty, load.elastic_damping)
+    sense = "on_load" if sensor is None else sensor.sense
+    return Body(tuple(rigid), joint, environment.gravity, environment.gravity_uncertainty, sense)
 
 
 def rigid_load(manifest: Manifest) -> Body:
     """Return load and parts without what moves inside the sensor; `InputError` without a load."""
-    sensor = manifest.rig.sensor
-    bare = None if sensor is None else sensor.model_copy(update={"internal_mass": 0.0})
-    body = load_body(manifest.rig.model_copy(update={"sensor": bare}), manifest.part)
+    body = load_body(manifest.rig.model_copy(update={"sensor": None}), manifest.part)
     if body is None:
         expected = "[load] with the mass, centre of mass and inertia of what is mounted on the sensor"
         raise InputError(manifest.rig_path, "load", found="nothing", expected=expected)
-    return replace(body, joint=None)
+    return Body(body.parts)
 
 
 def inertia_errors(manifest: Manifest, body: Body) -> tuple[InertiaError, ...]:
@@ -399,7 +353,7 @@ def inertia_errors(manifest: Manifest, body: Body) -> tuple[InertiaError, ...]:
     What holds until something is mounted anew is another unknown in every mounting.
     """
     errors = []
-    for change in body.matrix_changes(np.ones(1), None):
+    for change in body.matrix_changes(np.ones(1)):
         suffix = "" if change.scope == "rig" else f" [{manifest.mounting}]"
-        errors.append(InertiaError(f"{change.name}{suffix}", change.change[0].real))
+        errors.append(InertiaError(f"{change.name}{suffix}", change.effect[0].real))
     return tuple(errors)

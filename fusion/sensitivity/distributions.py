@@ -74,15 +74,11 @@ class RealSpread:
 
 
 @dataclass(frozen=True)
-class Propagated:
-    """Q complex quantities at L driven lines, as N draws of everything uncertain spread them.
+class FirstOrder:
+    """Q complex quantities at L lines as the evaluation has them, by first-order propagation of uncertainty.
 
-    `elements`, `unit` (Q names). `value` (L, Q): the result of the evaluation; `first_covariance` (L, Q, 2, 2) of its
-    (Re, Im) by first-order propagation with `dof` (L, Q), `first_factor` (L, Q) of its 95 % ellipse. `mean` (L, Q),
-    `covariance` (L, Q, 2, 2) of the draws, `factor` (L, Q): the ellipse (z - mean)ᵀ·covariance⁻¹·(z - mean) ≤ factor²
-    holds 95 % of them (JCGM 102, 7.7.2). `first_holds` (L, Q): share of the draws inside the first-order ellipse.
-    `magnitude`, `phase` (rad, within π of the value's phase): real quantities of the same draws. NaN where a line does
-    not determine a quantity.
+    `elements`, `unit` (Q names). `value` (L, Q), NaN where a line does not determine a quantity; `first_covariance`
+    (L, Q, 2, 2) of its (Re, Im) with `dof` (L, Q).
     """
 
     name: str
@@ -91,8 +87,33 @@ class Propagated:
     unit: tuple[str, ...]
     value: ComplexArray
     first_covariance: FloatArray
-    first_factor: FloatArray
     dof: FloatArray
+
+    def at(self, lines: IntArray, elements: IntArray) -> FirstOrder:
+        """Return some of the elements at some of the lines, by their places."""
+        place = np.ix_(lines, elements)
+        return FirstOrder(
+            self.name,
+            self.frequency_hz[lines],
+            tuple(self.elements[q] for q in elements),
+            tuple(self.unit[q] for q in elements),
+            self.value[place],
+            self.first_covariance[place],
+            self.dof[place],
+        )
+
+
+@dataclass(frozen=True)
+class Propagated(FirstOrder):
+    """Q complex quantities at L lines, as N draws of everything uncertain spread them.
+
+    `first_factor` (L, Q) of the first-order 95 % ellipse. `mean` (L, Q), `covariance` (L, Q, 2, 2) of the draws,
+    `factor` (L, Q): the ellipse (z - mean)ᵀ·covariance⁻¹·(z - mean) ≤ factor² holds 95 % of them (JCGM 102, 7.7.2).
+    `first_holds` (L, Q): share of the draws inside the first-order ellipse. `magnitude`, `phase` (rad, within π of the
+    value's phase): real quantities of the same draws.
+    """
+
+    first_factor: FloatArray
     mean: ComplexArray
     covariance: FloatArray
     factor: FloatArray
@@ -145,19 +166,6 @@ class MonteCarlo:
     notices: tuple[AnyNotice, ...]
 
 
-@dataclass(frozen=True)
-class FirstOrder:
-    """The result that draws are compared with: Q quantities at L lines, as in `Propagated`."""
-
-    name: str
-    frequency_hz: FloatArray
-    elements: tuple[str, ...]
-    unit: tuple[str, ...]
-    value: ComplexArray
-    covariance: FloatArray
-    dof: FloatArray
-
-
 def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
     """Return what N draws (N, L, Q) of quantities say beside their first-order propagation."""
 
@@ -171,26 +179,20 @@ def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
     covariance = np.asarray(np.einsum("nlqi,nlqj->lqij", parts, parts) / (len(draws) - 1))
     factor = np.sqrt(np.quantile(_distance(draws - mean, covariance), COVERAGE, axis=0))
     first_factor = each(region_factor)
-    inside = _distance(draws - first.value, first.covariance) <= first_factor**2
+    inside = _distance(draws - first.value, first.first_covariance) <= first_factor**2
     known = np.isfinite(mean) & np.isfinite(first.value)
     size = np.abs(first.value)
     turned = np.angle(draws * np.conj(first.value)) + np.angle(first.value)
     # First-order standard uncertainties of magnitude and phase (JCGM 102, 9.4).
     unit = np.divide(first.value, size, out=np.full(size.shape, complex(np.nan, np.nan)), where=size > 0.0)
     along, across = (
-        np.sqrt(np.einsum("lqi,lqij,lqj->lq", e, first.covariance, e))
+        np.sqrt(np.einsum("lqi,lqij,lqj->lq", e, first.first_covariance, e))
         for e in (np.stack([unit.real, unit.imag], axis=-1), np.stack([-unit.imag, unit.real], axis=-1))
     )
     k = each(coverage_factor)
     return Propagated(
-        name=first.name,
-        frequency_hz=first.frequency_hz,
-        elements=first.elements,
-        unit=first.unit,
-        value=first.value,
-        first_covariance=first.covariance,
+        **vars(first),
         first_factor=first_factor,
-        dof=first.dof,
         mean=mean,
         covariance=covariance,
         factor=factor,

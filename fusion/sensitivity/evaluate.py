@@ -6,12 +6,14 @@ import time
 from collections.abc import Mapping
 
 from fusion.base import Executor, ProgressCallback, Settings, no_progress, versions
+from fusion.instruments.output import sensor_outputs
 from fusion.instruments.vibrometer import point_spreads
 from fusion.phasors.setup import measure_set_up, open_set_ups
 from fusion.phasors.setups import join_set_ups
 from fusion.phasors.stereo_phasors import unseen_fundamentals
 from fusion.recording.load import Manifest
 from fusion.sensitivity.analyse import Evaluation, Inputs, analyse
+from fusion.sensitivity.body import load_body
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.ratio import with_ratios
 
@@ -38,15 +40,16 @@ def evaluate_recording(
     manifest.check_command("run")
     set_ups = [measure_set_up(opened, settings, progress, executor) for opened in open_set_ups(manifest)]
     joined = join_set_ups(set_ups)
-    observations = joined.observed(manifest.rig.gravity)
+    observations = joined.observed(manifest.rig.surroundings.gravity)
     unseen = unseen_fundamentals(observations, joined.lines, joined.aliased)
-    inputs = Inputs.of(manifest, joined.lines, observations, joined.readings)
+    sensor, body = manifest.rig.sensor, load_body(manifest.rig, manifest.part)
+    outputs = sensor_outputs(joined.readings, sensor.channels) if sensor is not None else None
+    inputs = Inputs(joined.lines, observations, outputs, body, sensor, manifest.excitation.direction)
     found = analyse(inputs)
     drawn = propagate(inputs, found, settings.monte_carlo, settings.seed, progress) if settings.monte_carlo else None
     points = point_spreads(observations, found.accelerations)
-    sensor, body, outputs, sensitivity = inputs.sensor, inputs.body, found.outputs, found.sensitivity
-    if sensor is not None and body is not None and outputs is not None and sensitivity is not None:
-        points = tuple(with_ratios(spread, outputs, sensitivity, body, sensor.sense) for spread in points)
+    if body is not None and outputs is not None and found.sensitivity is not None:
+        points = tuple(with_ratios(spread, outputs, found.sensitivity, body) for spread in points)
     notices = [*joined.notices, *unseen, *found.notices, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,
@@ -57,7 +60,7 @@ def evaluate_recording(
         accelerations=found.accelerations,
         load=found.load,
         outputs=outputs,
-        sensitivity=sensitivity,
+        sensitivity=found.sensitivity,
         notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
         versions=versions(),

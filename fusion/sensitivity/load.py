@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from fusion.base import AnyNotice
 from fusion.estimation.least_squares import BODY_SIZE_M, UNOBSERVED_MOTION, hidden_motion
@@ -16,11 +15,12 @@ from fusion.estimation.uncertainty import (
     Influence,
     Kind,
     Uncertainty,
+    Unknown,
     real_design,
     real_stack,
     total_variance,
 )
-from fusion.sensitivity.body import Body, MatrixChange
+from fusion.sensitivity.body import Body
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief, check_shape
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors, real_stacked_diagonal
@@ -75,14 +75,8 @@ class LoadResult:
         return self.uncertainty.grouped()
 
 
-def load_phasors(
-    acceleration: Acceleration,
-    body: Body,
-    gravity_mps2: ArrayLike | None = None,
-    sense: Literal["on_load", "on_sensor"] = "on_load",
-    u_gravity_mps2: ArrayLike | None = None,
-) -> LoadResult:
-    """Return the wrench L = ±(M A + gravity tilt) at the sensor origin, positive as it acts on the load ("on_load").
+def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
+    """Return the wrench L = ±(M A + gravity tilt) at the sensor origin, positive in the body's sense.
 
     Its uncertainty is that of the acceleration carried through, and one influence per uncertain number of body, joint
     and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero with a standard
@@ -90,12 +84,10 @@ def load_phasors(
     "unobserved NAME"; a load component to which they bring more than 1 % is not given.
     """
     frequency = acceleration.phasors.frequency_hz
-    gravity, u_gravity = (None if g is None else np.asarray(g, np.float64) for g in (gravity_mps2, u_gravity_mps2))
-    sign = {"on_load": 1.0, "on_sensor": -1.0}[sense]
     # At a line without any reading nothing is known, neither what is zero nor how uncertain it is.
-    seen = np.where(np.any(acceleration.observed, axis=1), sign, np.nan)[:, None, None]
-    matrix = seen * body.load_matrix(frequency, gravity)
-    changes = [replace(c, change=seen * c.change) for c in body.matrix_changes(frequency, gravity, u_gravity)]
+    seen = np.where(np.any(acceleration.observed, axis=1), 1.0, np.nan)[:, None, None]
+    matrix = seen * body.load_matrix(frequency)
+    changes = [replace(change, effect=seen * change.effect) for change in body.matrix_changes(frequency)]
     known = np.nan_to_num(acceleration.phasors.value)
     value = np.einsum("kij,kj->ki", matrix, known)
     hidden = _hidden_contributions(acceleration, matrix, changes)
@@ -103,23 +95,20 @@ def load_phasors(
     observed = np.isfinite(value) & (np.sqrt(spread) <= UNOBSERVED_LIMIT * np.abs(value))
     # What is not observed has contributions of its own.
     carried = acceleration.uncertainty.where_known().transformed(real_design(matrix))
-    own = tuple(
-        Influence(c.name, c.label, c.u, c.unit, real_stack(np.einsum("kij,kj->ki", c.change, known)), c.scope)
-        for c in changes
-    )
+    own = tuple(c.acting(real_stack(np.einsum("kij,kj->ki", c.effect, known))) for c in changes)
     total = Uncertainty((*carried.random, *hidden.values()), (*carried.influences, *own))
-    rigid = np.einsum("kij,kj->ki", seen * replace(body, joint=None).load_matrix(frequency, gravity), known)
+    rigid = np.einsum("kij,kj->ki", seen * replace(body, joint=None).load_matrix(frequency), known)
     notices = (*_notices(acceleration, observed, hidden), *_joint_notice(body, frequency, value, rigid))
     return LoadResult(frequency, value, total, observed, notices)
 
 
 def _hidden_contributions(
-    acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[MatrixChange]
+    acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[Unknown[ComplexArray]]
 ) -> dict[str, Contribution]:
     """One type B contribution per component nobody observed; its real and imaginary parts are independent."""
     variance = hidden_motion(np.nan_to_num(acceleration.phasors.value), acceleration.observed) ** 2 / 2.0
     # Through the uncertain parameters an unobserved component acts even where its coefficient is zero.
-    ways = np.stack([matrix, *(c.change for c in changes)])
+    ways = np.stack([matrix, *(c.effect for c in changes)])
     found = {}
     for place, name in enumerate(MOTION_COMPONENTS):
         if np.any(variance[:, place] > 0.0):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from fusion.estimation.measurement_model import Deviates, Drawn, Observation
 from fusion.estimation.uncertainty import Uncertainty, as_complex, real_stack
 from fusion.estimation.variance_components import LEAST_DOF
 from fusion.sensitivity.analyse import Analysis, Inputs
-from fusion.sensitivity.body import draw_load_matrices
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, judged, summarise
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
@@ -42,18 +41,7 @@ def propagate(
     for first in _first_order(analysis):
         # Of the driven lines those elements that any of them determines.
         kept = np.flatnonzero(np.isfinite(first.value[driven]).any(axis=0))
-        place = np.ix_(driven, kept)
-        firsts.append(
-            replace(
-                first,
-                frequency_hz=first.frequency_hz[driven],
-                elements=tuple(first.elements[q] for q in kept),
-                unit=tuple(first.unit[q] for q in kept),
-                value=first.value[place],
-                covariance=first.covariance[place],
-                dof=first.dof[place],
-            )
-        )
+        firsts.append(first.at(driven, kept))
         drawn[first.name] = np.empty((draws, len(driven), len(kept)), np.complex128), kept
     for number, start in enumerate(range(0, draws, BLOCK)):
         deviates = Deviates(seed, number, min(BLOCK, draws - start))
@@ -168,14 +156,11 @@ def _draw(
     for motion in motions:
         drawn[motion.name] = acceleration = motion.draw(deviates)
         if motion.fused.body == "load" and inputs.body is not None and analysis.load is not None:
-            gravity = None if inputs.gravity_mps2 is None else np.array(inputs.gravity_mps2)
-            u_gravity, frequency = np.array(inputs.u_gravity_mps2), inputs.lines.frequency_hz
-            matrices = draw_load_matrices(inputs.body, frequency, gravity, u_gravity, deviates)
-            sign = -1.0 if inputs.sensor is not None and inputs.sensor.sense == "on_sensor" else 1.0
-            drawn["load"] = sign * np.einsum("nkij,nkj->nki", matrices, acceleration)
-    if analysis.outputs is not None and analysis.sensitivity is not None:
+            matrices = inputs.body.draw_load_matrices(inputs.lines.frequency_hz, deviates)
+            drawn["load"] = np.einsum("nkij,nkj->nki", matrices, acceleration)
+    if inputs.outputs is not None and analysis.sensitivity is not None:
         channel, component = np.array(analysis.sensitivity.elements).T
-        drawn["sensitivity"] = analysis.outputs.draw(deviates)[:, :, channel] / drawn["load"][:, :, component]
+        drawn["sensitivity"] = inputs.outputs.draw(deviates)[:, :, channel] / drawn["load"][:, :, component]
     return drawn
 
 
@@ -198,7 +183,7 @@ def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
         value = np.where(analysis.load.observed, analysis.load.value, complex(np.nan, np.nan))
         yield of("load", LOAD_COMPONENTS, LOAD_UNITS, value, analysis.load.uncertainty)
     ratio = analysis.sensitivity
-    if ratio is not None and analysis.outputs is not None:
+    if ratio is not None:
         names = [f"{ratio.channels[c]} per {ratio.components[j]}" for c, j in ratio.elements]
         units = [f"({ratio.unit})/{'N' if j < 3 else '(N.m)'}" for _, j in ratio.elements]
         channel, component = np.array(ratio.elements).T

@@ -104,17 +104,16 @@ def driven_component(direction: Sequence[float], capacity: Sequence[float] | Non
 def sensitivity_ratio(
     outputs: Outputs,
     load: LoadResult,
-    direction: Sequence[float],
+    component: int,
     multiple: ArrayLike,
-    unit: str,
     capacity: Sequence[float] | None = None,
 ) -> Sensitivity:
-    """Return output / load of the driven component for every output channel of one recording.
+    """Return output / load of the driven `component` for every output channel of one recording.
 
     S = U/L; dS = dU/L - S dL/L, in which an unknown that acts on both (a clock, an amplifier) is one change.
     `multiple` (K,): 1 at a fundamental ("ratio"), else "harmonic".
     """
-    channels, component = outputs.phasors.channels, driven_component(direction, capacity)
+    channels = outputs.phasors.channels
     driven = np.where(load.observed[:, component], load.value[:, component], np.nan)[:, None]
     ratio = quotient(outputs.phasors.value, driven)
     from_load = load.uncertainty.at([component]).transformed(real_design(quotient(-ratio, driven)[:, :, None]))
@@ -146,7 +145,7 @@ def sensitivity_ratio(
         uncertainty=from_load.plus(from_outputs),
         channels=channels,
         components=LOAD_COMPONENTS,
-        unit=unit,
+        unit=outputs.phasors.unit[0],
         kind=tuple("ratio" if m == 1 else "harmonic" for m in np.asarray(multiple).tolist()),
         notices=tuple(notices),
     )
@@ -222,9 +221,7 @@ def parasitic_loads(
 # The ratio point by point, where several vibrometer points look along the force that was driven.
 
 
-def with_ratios(
-    spread: PointSpread, outputs: Outputs, sensitivity: Sensitivity, body: Body, sense: Literal["on_load", "on_sensor"]
-) -> PointSpread:
+def with_ratios(spread: PointSpread, outputs: Outputs, sensitivity: Sensitivity, body: Body) -> PointSpread:
     """Return the spread with S_i = U/(m a_i) of the output that answers most to the force along the points.
 
     m is the mass that moves above the elastic element. dS = S (dU/U - da/a - dm/m), in which an unknown of both sides
@@ -236,18 +233,16 @@ def with_ratios(
     if spread.body != "load" or not along or not np.isfinite(elements).any():
         return spread
     channel = int(np.argmax(np.nanmax(elements, axis=0)))
-    sign = 1.0 if sense == "on_load" else -1.0
-    mass = sign * body.load_matrix(spread.frequency_hz, None)[:, axis, axis]
+    mass = body.weightless.load_matrix(spread.frequency_hz)[:, axis, axis]
     driven = mass[:, None] * spread.value
     value = outputs.phasors.value[:, channel, None] / driven
     from_output = outputs.uncertainty.at([channel]).transformed(real_design((1.0 / driven)[:, :, None]))
     known = from_output.plus(spread.uncertainty.scaled(-value / spread.value))
     # What one kilogram more changes, times what the uncertain masses may be off by.
-    slope = -sign * value / mass[:, None]
     masses = [
-        Influence(c.name, c.label, c.u, c.unit, real_stack(slope * c.change[:, axis, axis, None]), c.scope)
-        for c in body.matrix_changes(spread.frequency_hz, None)
-        if np.any(c.change[:, axis, axis])
+        change.acting(real_stack(-value / mass[:, None] * change.effect[:, axis, axis, None]))
+        for change in body.weightless.matrix_changes(spread.frequency_hz)
+        if np.any(change.effect[:, axis, axis])
     ]
     ratios = PointRatios(
         channel=sensitivity.channels[channel],

@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from instrument_factory import TRUTH, moving
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from fusion.base import InputError
-from fusion.estimation.fuse import Acceleration
-from fusion.estimation.uncertainty import Contribution, Uncertainty
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.body import Body, Part, load_body, make_joint, make_part
 from fusion.sensitivity.load import LoadResult, load_phasors
@@ -19,7 +18,6 @@ from fusion.simulate.preset import Preset, face_of, nominal_rig, read_preset
 from fusion.simulate.world import Draws
 from photogram.subsets.texture import textured_area
 from photogram.synthetic.scene import render, view_of
-from shaker.sine.phasor import Phasors
 
 GRAVITY = np.array([0.3, -0.2, -9.8125])
 
@@ -78,7 +76,7 @@ def test_wrench_by_newton_and_euler_on_a_really_moving_cloud():
     wrench = np.hstack([rotation.inv().apply(total), rotation.inv().apply(moment)])
     measured = 2 / 64 * np.exp(-1j * omega * times) @ wrench
     motion = -(omega**2) * np.concatenate([shift, turn * np.exp(1j * phase)])
-    matrix = Body((part_of(mass, place),)).terms.load_matrix(np.array([frequency]), GRAVITY)[0]
+    matrix = Body((part_of(mass, place),), gravity_mps2=GRAVITY).load_matrix(np.array([frequency]))[0]
     np.testing.assert_allclose(matrix @ motion, measured, rtol=0, atol=2e-6 * np.abs(measured).max())
     bare = Body((part_of(mass, place),)).mass_matrix
     assert np.abs(bare @ motion - measured).max() > 1e-4 * np.abs(measured).max()
@@ -88,19 +86,19 @@ def test_wrench_by_newton_and_euler_on_a_really_moving_cloud():
 def test_parameter_changes_are_derivatives(gravity):
     part = part_of(*cloud(5), u=(1e-5, [1e-6, 2e-6, 3e-6], 1e-7))
     frequency = np.array([30.0])
-    base = Body((part,)).terms.load_matrix(frequency, gravity)
-    parameters = Body((part,)).matrix_changes(frequency, gravity)
+    whole = Body((part,), gravity_mps2=gravity)
+    base, parameters = whole.load_matrix(frequency), whole.matrix_changes(frequency)
     assert len(parameters) == 1 + 3 + 6
     shifted = make_part("", part.mass_kg + 1e-5, part.centre_of_mass_m, part.inertia_kgm2)
-    expected = Body((shifted,)).terms.load_matrix(frequency, gravity) - base
-    np.testing.assert_allclose(parameters[0].change, expected, atol=1e-12)
+    expected = replace(whole, parts=(shifted,)).load_matrix(frequency) - base
+    np.testing.assert_allclose(parameters[0].effect, expected, atol=1e-12)
     for axis in range(3):
         centre = part.centre_of_mass_m + np.eye(3)[axis] * part.u_centre_of_mass_m
         shifted = make_part("", part.mass_kg, centre, part.inertia_kgm2)
-        expected = Body((shifted,)).terms.load_matrix(frequency, gravity) - base
-        np.testing.assert_allclose(parameters[1 + axis].change, expected, atol=1e-9)
-    assert np.count_nonzero(parameters[4].change) == 1
-    assert np.count_nonzero(parameters[7].change) == 2
+        expected = replace(whole, parts=(shifted,)).load_matrix(frequency) - base
+        np.testing.assert_allclose(parameters[1 + axis].effect, expected, atol=1e-9)
+    assert np.count_nonzero(parameters[4].effect) == 1
+    assert np.count_nonzero(parameters[7].effect) == 2
 
 
 def test_refusals_name_the_argument():
@@ -111,24 +109,15 @@ def test_refusals_name_the_argument():
 
 
 FREQUENCY = np.array([106.25, 1000.0])
-MOTION = np.array([[0.5, -0.3j, 189.0, 4.0j, -3.0, 1.0], [0.01, 0.02, 0.9 - 0.2j, 0.1, 0.05j, 0.02]], dtype=complex)
+MOVING = moving(frequency=FREQUENCY)
 PULL = np.array([0.3, 0.1, -9.8125])
 UPPER = ("load", 6.96, [1e-3, 2e-3, 0.05], np.diag([0.036, 0.036, 0.031]))
 LOWER = ("internal mass", 0.77, [0.0, 1e-3, -0.01], np.diag([1e-4, 1e-4, 2e-4]))
 
 
-def acceleration() -> Acceleration:
-    covariance = np.repeat(1e-6 * np.eye(12)[None], 2, axis=0)
-    found = Phasors(
-        FREQUENCY, MOTION, covariance, ("x", "y", "z", "rx", "ry", "rz"), ("m/s^2",) * 3 + ("rad/s^2",) * 3, np.ones(2)
-    )
-    noise = Uncertainty((Contribution("noise", "A", covariance),))
-    return Acceleration("load", "fused", found, np.ones((2, 6), bool), ("top",), noise, (), 0.0, 0, (), ())
-
-
 def load_on(frequency: float, u: float = 0.0, damping: float = 0.0) -> LoadResult:
     parts = make_part(*UPPER), make_part(*LOWER, below_joint=True)
-    return load_phasors(acceleration(), Body(parts, make_joint(frequency, u, damping)), PULL)
+    return load_phasors(MOVING, Body(parts, make_joint(frequency, u, damping), PULL))
 
 
 def test_force_below_an_elastic_joint_is_that_of_a_chain_of_two_masses():
@@ -145,14 +134,14 @@ def test_force_below_an_elastic_joint_is_that_of_a_chain_of_two_masses():
             [[coupling[line] - w**2 * lower, -coupling[line]], [-coupling[line], coupling[line] - w**2 * upper]]
         )
         _, above = np.linalg.solve(chain, [1.0, 0.0])
-        force[line] = 1.0 / (-(w**2) * above) * MOTION[line, 2]
+        force[line] = 1.0 / (-(w**2) * above) * TRUTH[line, 2]
     parts = (
         make_part("load", upper, [0, 0, 0], np.zeros((3, 3))),
         make_part("m", lower, [0, 0, 0], np.zeros((3, 3)), below_joint=True),
     )
-    found = load_phasors(acceleration(), Body(parts, make_joint(resonance, 10.0, damping)))
+    found = load_phasors(MOVING, Body(parts, make_joint(resonance, 10.0, damping)))
     np.testing.assert_allclose(found.value[:, 2], force, rtol=1e-12)
-    assert abs(found.value[1, 2] / (7.73 * MOTION[1, 2])) == pytest.approx(1.0 - 0.0081, abs=2e-4)
+    assert abs(found.value[1, 2] / (7.73 * TRUTH[1, 2])) == pytest.approx(1.0 - 0.0081, abs=2e-4)
     assert found.notices[0].text.endswith("(3500 Hz) changes Fz at 1000 Hz by -0.81% from that of a rigid body")
 
 
@@ -177,25 +166,25 @@ def test_a_joint_that_is_only_named_corrects_nothing_and_is_uncertain_as_a_whole
 def test_weight_in_air_and_the_air_moved_along():
     # A cube of 1 kg/dm³ in air of 1.2 kg/m³: tilted, it is carried by 0.9988 of its weight; moved, it takes air along.
     share = 1.2 / 1000.0
-    body = Body((make_part("load", 2.0, [0.0, 0.0, 0.04], np.zeros((3, 3)), air_share=share),))
-    bare = Body((make_part("load", 2.0, [0.0, 0.0, 0.04], np.zeros((3, 3))),))
-    tilt = body.load_matrix(FREQUENCY, PULL) - body.load_matrix(FREQUENCY, None)
-    expected = bare.load_matrix(FREQUENCY, PULL) - bare.load_matrix(FREQUENCY, None)
+    cube = "load", 2.0, [0.0, 0.0, 0.04], np.zeros((3, 3))
+    body, bare = (Body((make_part(*cube, air_share=s),), gravity_mps2=PULL) for s in (share, 0.0))
+    tilt, expected = (b.load_matrix(FREQUENCY) - b.weightless.load_matrix(FREQUENCY) for b in (body, bare))
     np.testing.assert_allclose(tilt, (1.0 - share) * expected, rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(body.mass_matrix, bare.mass_matrix * (1.0 + 0.5 * share), rtol=1e-12)
-    (air,) = body.matrix_changes(FREQUENCY, PULL)
+    (air,) = body.matrix_changes(FREQUENCY)
     assert air.label == "load: air moved along"
     assert air.u == pytest.approx(2.0 * share * 0.5 / np.sqrt(3.0))
-    np.testing.assert_allclose(air.change, bare.load_matrix(FREQUENCY, None) * air.u / 2.0)
+    np.testing.assert_allclose(air.effect, bare.weightless.load_matrix(FREQUENCY) * air.u / 2.0)
 
 
 def test_uncertain_gravity_acts_through_the_tilt_only():
     parts = make_part(*UPPER), make_part(*LOWER, below_joint=True)
-    for body in (Body(parts), Body(parts, make_joint(3500.0, 50.0))):
-        base = load_phasors(acceleration(), body, PULL, u_gravity_mps2=[0.02, 0.0, 0.01])
+    for joint in (None, make_joint(3500.0, 50.0)):
+        body = Body(parts, joint, PULL, (0.02, 0.0, 0.01))
+        base = load_phasors(MOVING, body)
         found = {i.name: i for i in base.uncertainty.influences if i.label == "gravity"}
         assert set(found) == {"gravity x", "gravity z"}
-        shifted = load_phasors(acceleration(), body, PULL + np.array([0.02, 0.0, 0.0]))
+        shifted = load_phasors(MOVING, replace(body, gravity_mps2=PULL + np.array([0.02, 0.0, 0.0])))
         change, effect = shifted.value - base.value, found["gravity x"].effect
         np.testing.assert_allclose(effect[:, :6] + 1j * effect[:, 6:], change, rtol=1e-6, atol=1e-12)
         assert found["gravity z"].scope == "rig"
@@ -204,13 +193,13 @@ def test_uncertain_gravity_acts_through_the_tilt_only():
 def test_names_tell_another_load_and_another_place_from_the_same():
     def names(mass: float, height: float) -> set[str]:
         part = make_part("load", mass, [0.0, 0.0, height], np.eye(3), (1e-3, 1e-4, 1e-5))
-        return {change.name for change in Body((part,)).matrix_changes(FREQUENCY, None)}
+        return {change.name for change in Body((part,)).matrix_changes(FREQUENCY)}
 
     assert names(7.0, 0.05) == names(7.0, 0.05)
     assert not names(7.0, 0.05) & names(3.0, 0.05)
     moved = names(7.0, 0.05) & names(7.0, 0.06)
     assert len(moved) == 7  # the mass and six elements of the inertia
-    scopes = {c.label: c.scope for c in Body((make_part(*UPPER, (1e-3, 1e-4, 1e-5)),)).matrix_changes(FREQUENCY, None)}
+    scopes = {c.label: c.scope for c in Body((make_part(*UPPER, (1e-3, 1e-4, 1e-5)),)).matrix_changes(FREQUENCY)}
     assert scopes == {"load: mass": "rig", "load: centre of mass": "mounting", "load: inertia": "rig"}
 
 

@@ -13,20 +13,16 @@ from hypothesis import strategies as st
 from instrument_factory import (
     AXIAL,
     BARE,
-    FREQUENCY,
-    GRAVITY,
-    OMEGA,
     TRUTH,
     beam,
     camera,
-    channels,
     lasers,
     measured,
     triaxial,
     turned,
     with_values,
+    without,
 )
-from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2, t
 
 from fusion.estimation.consistency import not_allowed_for
@@ -171,39 +167,6 @@ def test_one_kind_of_instrument_alone_is_the_fused_result():
     np.testing.assert_array_equal(single.phasors.value, fused.phasors.value)
 
 
-def test_readings_of_a_body_really_moved_give_its_acceleration():
-    # A triaxial accelerometer, which gravity tilts, a triaxial gyroscope, and three lasers, from finite rotations.
-    shift, turn = np.array([2.0, -1.0, 9.0]) * 1e-7, np.array([3.0, -1.0, 2.0]) * 1e-6
-    point = np.array([0.02, -0.03, 0.06])
-    step, times = 2e-5, np.arange(256) / 256 / FREQUENCY[0]
-
-    def place(at: np.ndarray, r: np.ndarray) -> np.ndarray:
-        return np.asarray(shift * np.cos(OMEGA[0] * at)[:, None] + pose(at).apply(r))
-
-    def pose(at: np.ndarray) -> Rotation:
-        return Rotation.from_rotvec(turn * np.sin(OMEGA[0] * at)[:, None])
-
-    def first(series: np.ndarray) -> np.ndarray:
-        return np.asarray(2.0 / len(times) * np.exp(-1j * OMEGA[0] * times) @ series)
-
-    second = (place(times + step, point) - 2 * place(times, point) + place(times - step, point)) / step**2
-    reading = first(pose(times).inv().apply(second - GRAVITY))
-    # The second difference of a sine is smaller than its derivative by (sin x / x)², x = ω·step/2.
-    small = np.sinc(OMEGA[0] * step / 2 / np.pi)
-    static = first(pose(times).inv().apply(-GRAVITY[None]))
-    reading = (reading - static) / small**2 + static
-    spin = (pose(times - step).inv() * pose(times + step)).as_rotvec() / (2 * step) / np.sinc(OMEGA[0] * step / np.pi)
-    axes = [(letter, tuple(point), tuple(np.eye(3)[i])) for i, letter in enumerate("xyz")]
-    stated = {"scale_uncertainty": 1e-3}
-    inertial = channels(axes, np.array([1e-6]), "acceleration", common="triaxial", **stated)
-    gyroscope = channels(axes, np.array([1e-8]), "angular_velocity", common="gyroscope", **stated)
-    result = fuse([with_values(inertial, reading[None]), with_values(gyroscope, first(spin)[None])])
-    motion = -(OMEGA[0] ** 2) * np.concatenate([shift, -1j * turn])
-    np.testing.assert_allclose(result.phasors.value[0, :3], motion[:3], rtol=0, atol=2e-5 * np.abs(motion[2]))
-    np.testing.assert_allclose(result.phasors.value[0, 3:], motion[3:], rtol=2e-5)
-    assert result.chi2 < 1.0
-
-
 @given(st.integers(0, 10_000))
 @settings(max_examples=12, deadline=None, derandomize=True)
 def test_whatever_is_missing_or_wrong_values_have_uncertainties(seed):
@@ -213,11 +176,7 @@ def test_whatever_is_missing_or_wrong_values_have_uncertainties(seed):
     for observation in measured([o for o in every if rng.random() < 0.7] or [lasers(8)], rng):
         value = observation.phasors.value * (1 + 10 ** rng.uniform(-5, 1) * rng.normal(size=len(observation.members)))
         gone = (rng.random(value.shape) < 0.15) | np.array([[False], [seed % 3 == 0]])
-        value = np.where(gone, complex(np.nan, np.nan), value)
-        missing = np.tile(np.isnan(value), (1, 2))
-        either = missing[:, :, None] | missing[:, None, :]
-        covariance = np.where(either, np.nan, observation.phasors.covariance)
-        seen.append(replace(observation, phasors=replace(observation.phasors, value=value, covariance=covariance)))
+        seen.append(without(with_values(observation, value), gone))
     for result in fuse_sources(seen, "load"):
         assert np.array_equal(np.isfinite(result.phasors.value), result.observed)
         variances = result.phasors.covariance.diagonal(axis1=1, axis2=2)

@@ -324,7 +324,7 @@ def _base_motion(campaign: Path) -> StereoMotion:
     manifest = load_manifest(find_recordings(campaign)[0])
     base = tie_daqs(manifest, read_daqs(manifest))
     (entry,) = (entry for entry in manifest.images if entry.stereo == "base")
-    return measure_images(manifest, open_images(manifest, base, entry), Settings(), no_progress)
+    return measure_images(open_images(manifest, base, entry), Settings(), no_progress)
 
 
 @pytest.mark.slow

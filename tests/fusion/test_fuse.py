@@ -20,6 +20,7 @@ from instrument_factory import (
     phasors,
     stereo_entry,
     with_values,
+    without,
 )
 from scipy.spatial.transform import Rotation
 from support import far
@@ -172,10 +173,7 @@ def test_leave_one_out_equals_a_fit_without_the_instrument():
     stated = {"individual_uncertainty": 1e-3, "scale_uncertainty": 1e-3}
     (every,) = measured([lasers(8, 1e-3, TRUTH[:1], **stated)], rng, TRUTH[:1])
     result = fuse([every])
-    less = replace(
-        every,
-        phasors=replace(every.phasors, value=np.where(np.arange(8) > 0, every.phasors.value, np.nan)),
-    )
+    less = with_values(every, np.where(np.arange(8) > 0, every.phasors.value, np.nan))
     others = fuse([less])
     system = build_system([less])
     solution = solve(system)
@@ -314,12 +312,7 @@ def test_only_what_the_geometry_determines_is_given(points, observed):
 
 
 def test_lines_that_a_camera_cannot_use_are_left_to_the_others():
-    dropped = camera()
-    value = dropped.phasors.value.copy()
-    value[1] = np.nan
-    covariance = dropped.phasors.covariance.copy()
-    covariance[1] = np.nan
-    dropped = replace(dropped, phasors=replace(dropped.phasors, value=value, covariance=covariance))
+    dropped = without(camera(), np.array([[False] * 6, [True] * 6]))
     result = fuse([dropped, lasers(8, 1e-6)])
     assert result.observed.tolist() == [[True] * 6, [False, False, True, True, True, False]]
     assert np.isfinite(result.phasors.covariance[0]).all()

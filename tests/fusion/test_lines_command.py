@@ -11,7 +11,7 @@ import pytest
 from support import refusals, rows
 
 from fusion.cli import main
-from fusion.phasors.channels import channel_results, find_channel_lines
+from fusion.phasors.channels import channel_phasors, find_channel_lines
 from fusion.phasors.timing import tie_daqs
 from fusion.recording.files import read_daqs
 from fusion.recording.load import load_manifest
@@ -148,7 +148,7 @@ def test_channels_are_fitted_with_what_leaks_into_their_lines(tmp_path: Path) ->
     base = tie_daqs(manifest, read_daqs(manifest))
     lines = find_channel_lines(manifest, base)
     assert lines is not None
-    (channel,) = channel_results(manifest, base, lines)
+    (channel,), _ = channel_phasors(manifest, base, lines)
     np.testing.assert_array_equal(channel.phasors.frequency_hz, lines.frequency_hz)
     # The hum alone would leak up to 0.5/(π·7.4) = 2e-2.
     assert np.abs(channel.phasors.value[0, 0]) == pytest.approx(1.0, abs=5e-4)

@@ -24,7 +24,7 @@ from fusion.recording.manifest import ChannelEntry, Stereo
 from fusion.report.recording import write_h5
 from fusion.report.uncertainty_tables import monte_carlo_tables
 from fusion.sensitivity.analyse import Analysis, Inputs, analyse
-from fusion.sensitivity.body import Body, draw_load_matrices, make_joint, make_part
+from fusion.sensitivity.body import Body, make_joint, make_part
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, shortest_interval, summarise, tolerance
 from fusion.sensitivity.monte_carlo import Estimator, propagate
 from fusion.simulate.world import Draws
@@ -48,7 +48,7 @@ def reading(entry: ChannelEntry, value: complex, u: float, dof: float = 1e6) -> 
 
 def inputs_of(readings: tuple[Reading, ...] = (), pairs: tuple[StereoReading, ...] = ()) -> Inputs:
     seen = (*(pair.observed() for pair in pairs), *observe_channels(readings))
-    return Inputs(LINES, seen, (), None, None, None, None)
+    return Inputs(LINES, seen)
 
 
 def run(inputs: Inputs, draws: int = DRAWS, seed: int = 1) -> tuple[Analysis, MonteCarlo]:
@@ -246,7 +246,8 @@ def test_load_matrices_are_those_of_bodies_with_the_drawn_numbers():
     lower = make_part("lower", 1.0, (0.0, 0.01, 0.01), inertia / 9.0, u, below_joint=True)
     joint = make_joint(900.0, 0.0, 0.02)
     deviates = Deviates(7, 0, 3)
-    drawn = draw_load_matrices(Body((upper, lower), joint), frequency, gravity, None, deviates)
+    body = Body((upper, lower), joint, gravity)
+    drawn = body.draw_load_matrices(frequency, deviates)
     for number in range(3):
         parts = []
         for part in (upper, lower):
@@ -255,10 +256,10 @@ def test_load_matrices_are_those_of_bodies_with_the_drawn_numbers():
             mass = part.mass_kg + 0.1 * deviates.normal(f"{part.name}: mass")[number]
             centre = part.centre_of_mass_m + u[1] * deviates.normal(f"{part.name}: centre of mass", 3)[number]
             parts.append(replace(part, mass_kg=mass, centre_of_mass_m=centre, inertia_kgm2=part.inertia_kgm2 + change))
-        expected = Body(tuple(parts), joint).load_matrix(frequency, gravity)
-        for change in Body((upper, lower), joint).matrix_changes(frequency, gravity):
+        expected = replace(body, parts=tuple(parts)).load_matrix(frequency)
+        for change in body.matrix_changes(frequency):
             if change.label in ("upper: air moved along", "joint of the load"):
-                expected = expected + deviates.normal(change.name)[number] * change.change
+                expected = expected + deviates.normal(change.name)[number] * change.effect
         np.testing.assert_allclose(drawn[number], expected, rtol=1e-10, atol=1e-10)
 
 

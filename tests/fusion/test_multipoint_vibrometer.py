@@ -159,9 +159,9 @@ def _with_ratios(observation: Observation, u_clock_s: float = 0.0) -> tuple[Poin
     acceleration = fuse([observation])
     outputs = _outputs(u_clock_s)
     load = load_phasors(acceleration, BODY)
-    found = sensitivity_ratio(outputs, load, (0.0, 0.0, 1.0), (1, 2), "V/V")
+    found = sensitivity_ratio(outputs, load, 2, (1, 2))
     (spread,) = point_spreads([observation], [acceleration])
-    ratios = with_ratios(spread, outputs, found, BODY, "on_load").ratios
+    ratios = with_ratios(spread, outputs, found, BODY).ratios
     return ratios, found
 
 
@@ -198,9 +198,9 @@ def test_points_across_the_driven_force_have_no_ratios():
     acceleration = fuse([observation])
     outputs = _outputs(0.0)
     load = load_phasors(acceleration, BODY)
-    other = sensitivity_ratio(outputs, load, (1.0, 0.0, 0.0), (1, 2), "V/V")
+    other = sensitivity_ratio(outputs, load, 0, (1, 2))
     (spread,) = point_spreads([observation], [acceleration])
-    assert with_ratios(spread, outputs, other, BODY, "on_load").ratios is None
+    assert with_ratios(spread, outputs, other, BODY).ratios is None
 
 
 FREQUENCY = np.array([106.2503, 212.5006, 425.0012])

@@ -12,8 +12,8 @@ from support import AT_ORIGIN, block, channel, evaluated, recording_head
 
 from fusion.base import InputError
 from fusion.cli import main
-from fusion.instruments.stereo import PulseExposure
-from fusion.phasors.timing import Exposure, exposure_middles, exposure_of, tie_daqs
+from fusion.instruments.stereo import Exposure
+from fusion.phasors.timing import see, tie_daqs
 from fusion.planning.check import check
 from fusion.recording.files import read_daqs
 from fusion.recording.load import load_manifest
@@ -106,19 +106,19 @@ def test_the_exposure_is_the_width_recorded(tmp_path, filtered, width_s):
     run = _write(tmp_path, Shot(width_s=width_s, filtered=filtered), '"pulse"')
     manifest = load_manifest(run)
     base = tie_daqs(manifest, read_daqs(manifest))
-    found = exposure_of(manifest, base, manifest.points[0])
+    sight = see(manifest, base, manifest.points[0], 40)
+    found = sight.exposure
     assert abs(found.length_s - width_s) < 4.0 * found.u_length_s
     assert found.u_length_s < 0.05 / RATE_HZ
-    middle_s = exposure_middles(manifest, base, manifest.points[0], 40)
     true_s = FIRST_EDGE_S + np.arange(40) / FRAME_RATE_HZ + DELAY_S + width_s / 2
     u = np.hypot(base.u_trigger_s("camera_trigger"), found.u_length_s / 2)
-    assert np.max(np.abs(middle_s - true_s)) < 4.0 * u
+    assert np.max(np.abs(sight.time_s - true_s)) < 4.0 * u
 
 
 def test_a_stated_exposure_is_exact(tmp_path):
     manifest = load_manifest(_write(tmp_path, Shot(), '"pulse"', "exposure = 1e-3"))
     base = tie_daqs(manifest, read_daqs(manifest))
-    assert exposure_of(manifest, base, manifest.points[0]) == Exposure(1e-3, 0.0)
+    assert see(manifest, base, manifest.points[0], 40).exposure == Exposure("camera_trigger", 1e-3, 0.0)
 
 
 def test_a_run_is_that_with_the_width_stated(tmp_path):
@@ -127,9 +127,9 @@ def test_a_run_is_that_with_the_width_stated(tmp_path):
     (pair,) = measured.stereo
     assert abs(pair.exposure_s - WIDTH_S) < 4.0 * pair.u_exposure_s
     assert (stated.stereo[0].exposure_s, stated.stereo[0].u_exposure_s) == (WIDTH_S, 0.0)
-    change = PulseExposure("camera_trigger", pair.exposure_s, pair.u_exposure_s).change(np.array([FREQUENCY_HZ]))[0]
+    (width,) = Exposure("camera_trigger", pair.exposure_s, pair.u_exposure_s).errors(np.array([FREQUENCY_HZ]))
     ratio = _base(measured)[2] / _base(stated)[2] - 1.0
-    assert abs(ratio) < 4.0 * abs(change)
+    assert abs(ratio) < 4.0 * abs(width.effect[0, 0])
     error = _base(measured) / (-(OMEGA**2) * MOTION) - 1.0
     assert abs(error[2]) < 1e-3
     labels = {c.label for a in measured.accelerations if a.body == "base" for c in a.contributions}
@@ -144,8 +144,8 @@ def test_the_effect_of_a_width_is_that_of_evaluating_with_another(tmp_path):
     rig = run.parent / "rig.toml"
     rig.write_text(RIG.replace("EXPOSURE", repr(WIDTH_S + u_s / 2)), encoding="utf-8")
     ratio = _base(evaluated(run)) / before - 1.0
-    expected = PulseExposure("camera_trigger", WIDTH_S, u_s).change(np.array([FREQUENCY_HZ]))
-    np.testing.assert_allclose(ratio, np.repeat(expected, 6), rtol=2e-3)
+    (expected,) = Exposure("camera_trigger", WIDTH_S, u_s).errors(np.array([FREQUENCY_HZ]))
+    np.testing.assert_allclose(ratio, np.repeat(expected.effect, 6), rtol=2e-3)
 
 
 def test_every_run_tells_the_width(tmp_path):
@@ -183,5 +183,5 @@ def test_pulses_that_cannot_be_measured_are_refused(tmp_path, shot, reason, caps
     manifest = load_manifest(_write(tmp_path, shot, "1e-3", 'exposure = "pulse"'))
     base = tie_daqs(manifest, read_daqs(manifest))
     with pytest.raises(InputError, match=r"recording\.toml: points\.base\.exposure: expected the exposure in s"):
-        exposure_of(manifest, base, manifest.points[0])
+        see(manifest, base, manifest.points[0], shot.frames)
     assert base.results()[0].pulse_width_s is None

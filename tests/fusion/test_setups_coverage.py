@@ -28,6 +28,7 @@ from take_factory import (
 )
 
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
+from fusion.instruments.output import output_phasors
 from fusion.phasors.setup import OpenSetUp
 from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
 from fusion.recording.manifest import ChannelEntry, Rig
@@ -118,7 +119,9 @@ def _analyse(rng: np.random.Generator, rig: Rig, drift: float) -> Analysis:
     body = Body((make_part("load", MASS_KG, (0, 0, 0), np.zeros((3, 3)), (0, 0, 0)),))
     outputs = tuple(reading for reading in readings if reading.entry.quantity == "output")
     assert len(outputs) == 1
-    return analyse(Inputs(LINES, observe_channels(readings), outputs, body, None, rig.sensor, (0.0, 0.0, 1.0)))
+    return analyse(
+        Inputs(LINES, observe_channels(readings), output_phasors(outputs), body, rig.sensor, (0.0, 0.0, 1.0))
+    )
 
 
 @pytest.mark.parametrize(

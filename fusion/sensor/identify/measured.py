@@ -96,7 +96,7 @@ def placement_errors(base: ChannelEntry, tops: Sequence[ChannelEntry], mounting:
     """
     placed = [(base, AT_THE_BASE), *((entry, place) for place, entry in enumerate(tops))]
     return tuple(
-        PlacementError(f"{error.name} [{mounting}]", place, error.change)
+        PlacementError(f"{error.name} [{mounting}]", place, error.effect)
         for entry, place in placed
         for error in geometry_errors(TRANSDUCERS[entry.quantity], entry)
     )
