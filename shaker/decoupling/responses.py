@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, Notice, check_shape
-from shaker.decoupling.model import MultiModel, Poles, check_separable
-from shaker.decoupling.problem import covariances, rules
+from shaker.decoupling.model import MultiModel, Poles
+from shaker.decoupling.problem import covariances, model_covariance, rules
 from shaker.fitting import Block, Separable, levenberg_marquardt
 
 _UNEXPLAINED = 1.5
@@ -147,30 +147,13 @@ def _trial(measured: Responses, whitener: FloatArray, poles: Poles) -> ResponseT
 def _result(measured: Responses, poles: Poles, solution: Separable, trials: tuple[ResponseTrial, ...]) -> ResponseFit:
     """The model with covariance."""
     shape = (poles.count, len(measured.components), len(measured.channels))
-    table = np.stack([own[:, 0] for own in solution.coefficients], axis=1).reshape(shape).transpose(0, 2, 1)
-    re, im, real = np.split(table, [poles.modes, 2 * poles.modes])
-    model = MultiModel(
-        channels=measured.channels,
-        components=measured.components,
-        unit=measured.unit,
-        frequency_hz=poles.frequency_hz,
-        damping_ratio=poles.damping_ratio,
-        residue=re + 1j * im,
-        real_hz=poles.real_hz,
-        real_residue=real,
-    )
-    check_separable(model.static_gain, model.channels, model.components)
+    table = np.concatenate(solution.coefficients, axis=1).reshape(shape).transpose(0, 2, 1)
+    model = MultiModel.of_poles(poles, table, (measured.channels, measured.components), measured.unit)
     chi_squared, dof = solution.loss, 2 * measured.value.size - len(model.vector)
     excess = max(1.0, chi_squared / max(dof, 1))
     known = np.zeros(len(solution.parameters))
     spread, follows = covariances(solution, [np.full(1, excess)] * len(solution.blocks), known)
-    n = model.shared
-    rows, own = np.zeros((len(model.vector), n)), np.zeros((len(model.vector),) * 2)
-    rows[:n] = np.diag(np.concatenate([np.ones(2 * poles.modes), poles.real_hz]))
-    for i, follow in enumerate(follows):
-        here = slice(n * (1 + i), n * (2 + i))
-        rows[here] = follow[0][:, :n]
-        own[here, here] = follow[0][:, n:] @ follow[0][:, n:].T
+    covariance, _ = model_covariance(model, spread, [outputs[0] for outputs in follows], np.ones(len(follows)))
     notices = []
     if excess > _UNEXPLAINED:
         text = (
@@ -179,8 +162,7 @@ def _result(measured: Responses, poles: Poles, solution: Separable, trials: tupl
         notices.append(Notice("warning", text, "responses"))
     if not model.stable:
         notices.append(Notice("warning", "the model has a pole that grows", "model"))
-    model = replace(model, covariance=rows @ spread @ rows.T + own)
-    return ResponseFit(model, chi_squared, dof, trials, tuple(notices))
+    return ResponseFit(replace(model, covariance=covariance), chi_squared, dof, trials, tuple(notices))
 
 
 # Common poles of many frequency responses by vector fitting, as a start for least squares.

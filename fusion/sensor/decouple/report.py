@@ -39,7 +39,7 @@ from fusion.sensor.decouple.evaluate import (
 from fusion.sensor.decouple.figures import STAGE_NAMES, draw_crosstalk, draw_step
 from shaker.arrays import FloatArray
 from shaker.decoupling.fit import ReleaseFit
-from shaker.decoupling.order import Trial
+from shaker.decoupling.problem import Trial
 from shaker.labels import load_unit
 
 
