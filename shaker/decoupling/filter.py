@@ -307,10 +307,6 @@ class Crosstalk(Brief):
     peak: FloatArray
     u_peak: FloatArray
 
-    def rated(self, capacity: FloatArray, values: FloatArray) -> FloatArray:
-        """Return readings (…, D, D) in rated loads `capacity` (D,): reading i over its own for load j at its own."""
-        return np.asarray(np.abs(values) * capacity / capacity[:, None])
-
 
 def static_inverse(model: MultiModel, noise: FloatArray) -> FloatArray:
     """Return the matrix (D, C) that reads loads from outputs at rest, of more outputs than loads by least squares."""
