@@ -131,7 +131,6 @@ class DecouplingFilter(Brief):
 
 # Design of the filter against cross-talk: the load that explains the outputs best, with wanted dynamics.
 
-
 _DELAYS = 32
 _GAIN_LEFT = 2.0
 _SMALL = 1e-2
@@ -281,7 +280,6 @@ def _assembled(model: MultiModel, target: Target, recorded: Recorded, found: _Ga
 
 
 # How much of one load is read as another: before, with the static matrix alone, and behind the filter.
-
 
 Reader: TypeAlias = FloatArray | DecouplingFilter
 _DECAYS = 5.0

@@ -154,7 +154,6 @@ def _offered(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float)
 
 # What was found, in the units of the records.
 
-
 _COLOURED = 2.0
 _SCATTERED = 3.0
 

@@ -294,7 +294,6 @@ class MultiModel(Brief):
 
 # A sum of modes at the samples' times, for loads that go straight from sample to sample.
 
-
 _NO_SHAPE = 1e-9
 
 
@@ -348,7 +347,6 @@ def _pole(pole: complex, residue: ComplexArray | FloatArray, step_s: float) -> S
 
 
 # Whether loads were excited, and whether the outputs tell them apart.
-
 
 _SEPARATE = 1e-3
 

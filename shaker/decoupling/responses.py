@@ -171,7 +171,6 @@ def _result(measured: Responses, poles: Poles, solution: Separable, trials: tupl
 
 # Common poles of many frequency responses by vector fitting, as a start for least squares.
 
-
 _ROUNDS = 12
 _START_DAMPING = 0.01
 

@@ -110,7 +110,6 @@ def _check_positive(owner: object, names: tuple[str, ...]) -> None:
 
 # Stiffness and mass of a straight Timoshenko beam in space, 12 × 12.
 
-
 IN_PLANE, ACROSS = [1, 5, 7, 11], [2, 4, 8, 10]
 """Deflection and slope of both ends in the planes xy and xz; in the latter a positive slope is a negative turn."""
 ALONG, TWIST = [0, 6], [3, 9]

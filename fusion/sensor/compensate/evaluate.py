@@ -50,7 +50,6 @@ from shaker.release.load_model import LoadModel
 
 # The force-feedback check: a loop through the sensor without filter, with one for no load, and with its own.
 
-
 HAND_STIFFNESS, HAND_DAMPING = 500.0, 5.0
 HANDLE_MASS, HANDLE_DAMPING = 0.8, 2.0
 PUSH_M, WALL_M, PUSH_S = 0.03, 0.005, 0.5
@@ -115,7 +114,6 @@ def check_haptics(results: Sequence[SubjectResult], wish: Wish) -> Haptics | Non
 
 
 # A recording whose outputs go through their filters.
-
 
 NOISE_FACTOR = float(np.sqrt(20.0))
 """Standard deviation of third differences over that of white noise: √(1 + 9 + 9 + 1)."""
@@ -215,7 +213,6 @@ def with_load(wish: Wish, sources: Sources, record: OutputRecord | None) -> Wish
 
 # What the user should know of a compensation.
 
-
 WIDTH_SHARE = 0.3
 """u of a frequency over half the width of its resonance from which first order no longer holds."""
 LARGE_ERROR = 0.01
@@ -296,7 +293,6 @@ class CompensateEvaluation(Outcome):
 
 
 # Filters for every channel and load, and what they do before and after.
-
 
 SAMPLES_PER_PERIOD = 50.0
 """Samples per period of the target where neither the user nor the model states a rate."""

@@ -37,7 +37,6 @@ from shaker.release.load_model import LoadModel
 
 # What the user wants of a compensation.
 
-
 COMMAND = "shakercal compensate"
 STATED = "sensor"
 """Channel of a sensor that is stated by numbers."""

@@ -31,7 +31,6 @@ from shaker.labels import LOAD_COMPONENTS
 
 # What an evaluated decoupling consists of, and what a user may choose about it.
 
-
 K = 2.0
 """Coverage factor of all expanded uncertainties."""
 
@@ -94,7 +93,6 @@ class DecoupleEvaluation(Outcome):
 
 
 # From releases of several loads to a model of all outputs and a filter against cross-talk.
-
 
 DRAWS = 30
 LINES = 150
@@ -232,7 +230,6 @@ def _notices(
 
 
 # decoupling.json: the filter with the model it comes from, at full precision.
-
 
 FORMAT = 1
 KIND = "shakercal decoupling"

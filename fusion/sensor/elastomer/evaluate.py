@@ -114,7 +114,6 @@ def spread(columns: Sequence[ComparedColumn]) -> FloatArray:
 
 # The columns of the comparison: beam formulas, frame, solid, measured models, stated frequencies.
 
-
 MODE_OF = dict(zip(LOAD_COMPONENTS, NAMES, strict=True))
 """Which mode a load component excites."""
 
@@ -152,7 +151,6 @@ def _exact(name: str, kind: str, frequency_hz: FloatArray | Mapping[str, float])
 
 
 # The numbers of the beam formulas: as the publication's formulas give them, and as mechanics does.
-
 
 PRINTED_SHARE = 0.4
 """F_Q/F of equation 10."""
@@ -204,7 +202,6 @@ def mounted_chain(definition: Definition, frame: FrameModel) -> Mounted | None:
 
 
 # Mode shapes as faces in space, for the pictures: beams and platform of the frame, the outside of the solid.
-
 
 SIDES = ((0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5), (0, 1, 3, 2), (4, 5, 7, 6))
 """Faces of a box by its corners, numbered with the bits of x, y, z."""
@@ -286,7 +283,6 @@ def _outside(model: SolidModel) -> np.ndarray[tuple[int, ...], np.dtype[np.int64
 
 
 # From an element's geometry to its modes: formulas, frame, solid, comparison.
-
 
 KEYS = {
     "compliant_length_m": "compliant_beams.length",

@@ -261,7 +261,6 @@ def mounted_table(evaluation: ElementEvaluation) -> Table | None:
 
 # Figures: mode shapes in space, models against one another, the resonance under a hand.
 
-
 ENLARGED = 0.08
 """Largest displacement drawn, over the size of the element."""
 VIEW = {"elev": 26.0, "azim": -58.0}
