@@ -24,14 +24,13 @@ from shaker.decoupling.problem import (
     model_covariance,
     needed,
     otherwise,
-    prepared,
     shaped,
     widened,
 )
 from shaker.release.poles import highest_frequency, shared_poles
 from shaker.release.reading import read_release
 from shaker.release.record import Reading, Shape, StepRecord
-from shaker.release.response import averaged
+from shaker.release.response import Samples, averaged
 
 _PER_PERIOD = 6.0
 _LEAST_BLOCKS = 1200
@@ -60,7 +59,14 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     >>> print(np.sort(found.model.frequency_hz).round())
     [310. 400.]
     """
-    components = _checked(records)
+    if not records:
+        raise ValueError("records: expected at least one, found none")
+    for record in records:
+        for key in ("channels", "unit", "sample_rate_hz"):
+            own, expected = getattr(record, key), getattr(records[0], key)
+            if own != expected:
+                told = f"expected {key} {expected} as in {records[0].name}, found {own} in {record.name}"
+                raise ValueError(f"records: {told}")
     readings = []
     for record in records:  # by the output that changes most over what it scatters by before
         count = record.samples.shape[1]
@@ -68,7 +74,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
         change = np.abs(end.mean(axis=1) - rest.mean(axis=1)) / np.maximum(rest.std(axis=1), 1e-300)
         readings.append(read_release(record, record.channels[int(np.argmax(change))]))
     noise = _noise(records, readings)
-    problem, releases, start = _posed(records, readings, noise, components)
+    problem, releases, start = _posed(records, readings, noise)
     start, releases = lagged(problem, needed(problem, start, releases, most_modes), releases)
     lasts_s = 1.0 / float(np.min(-start.values.real))
     cut = []
@@ -88,20 +94,6 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     return multi_fit(records, problem, found, again, tuple(trials))
 
 
-def _checked(records: Sequence[StepRecord]) -> tuple[str, ...]:
-    """The loads of records that fit together, Fx first."""
-    if not records:
-        raise ValueError("records: expected at least one, found none")
-    first = records[0]
-    for record in records:
-        for name in ("channels", "unit", "sample_rate_hz"):
-            own, expected = getattr(record, name), getattr(first, name)
-            if own != expected:
-                told = f"expected {name} {expected} as in {first.name}, found {own} in {record.name}"
-                raise ValueError(f"records: {told}")
-    return in_order(record.component for record in records)
-
-
 def _noise(records: Sequence[StepRecord], readings: Sequence[Reading]) -> FloatArray:
     """Standard deviation of a sample (C,) before the releases; a silent output has that of its digits."""
     sums, count = np.zeros(len(records[0].channels)), 0
@@ -114,9 +106,9 @@ def _noise(records: Sequence[StepRecord], readings: Sequence[Reading]) -> FloatA
 
 
 def _posed(
-    records: Sequence[StepRecord], readings: Sequence[Reading], noise: FloatArray, components: tuple[str, ...]
+    records: Sequence[StepRecord], readings: Sequence[Reading], noise: FloatArray
 ) -> tuple[StepProblem, tuple[Release, ...], Poles]:
-    """The least squares problem, with releases as read and poles of the decays to start from."""
+    """The least squares problem of means over blocks, with releases as read and poles of the decays to start from."""
     rate = records[0].sample_rate_hz
     decays = []
     for record, reading in zip(records, readings, strict=True):
@@ -128,21 +120,25 @@ def _posed(
     size = min(size, max(1, min(part.shape[1] for part in decays) // _LEAST_BLOCKS))
     sampled = []
     for record in records:
-        samples = prepared(record.samples, record.start_s, rate, noise, size)
+        data = averaged(record.samples, size).T / (noise / np.sqrt(size))
+        time_s = record.start_s + np.arange(len(data)) * size / rate
+        lengths = np.full(len(data), size, dtype=np.int64)
+        samples = Samples(time_s, lengths, data - data.mean(axis=0), 1.0 / rate)
         sampled.append(Sampled(record.name, record.component, record.amplitude, samples))
-    found = _offered([averaged(part, size) for part in decays], [record.component for record in records], rate / size)
-    if not len(found):
+    swings = _swings([averaged(part, size) for part in decays], [record.component for record in records], rate / size)
+    if not len(swings):
         raise ValueError("records: expected outputs that swing after the release, found none")
-    poles = Poles(np.abs(found) / (2 * np.pi), np.clip(-found.real / np.abs(found), 1e-4, 0.9), np.zeros(0))
+    poles = Poles(np.abs(swings) / (2 * np.pi), np.clip(-swings.real / np.abs(swings), 1e-4, 0.9), np.zeros(0))
     releases = []
     for reading in readings:
         shape: Shape = "smooth" if reading.shape == "smooth" else "ramp"
         middle_s, duration_s = reading.onset_s + reading.release_s / 2.0, max(reading.release_s, 1.0 / rate)
         releases.append(Release(middle_s, duration_s, shape))
+    components = in_order(record.component for record in records)
     return StepProblem(tuple(sampled), components), tuple(releases), poles
 
 
-def _offered(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) -> ComplexArray:
+def _swings(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) -> ComplexArray:
     """Poles of all decays together, and those of each load's decays that are not among them."""
     found = shared_poles(decays, rate_hz)
     for load in dict.fromkeys(loads):

@@ -13,7 +13,7 @@ from shaker.decoupling.model import MultiModel, Poles
 from shaker.fitting import Block, Minimum, Prior, Rules, Separable, levenberg_marquardt
 from shaker.release.poles import shared_poles
 from shaker.release.record import Shape
-from shaker.release.response import MOMENTS, Answers, Load, Samples, answers, averaged, responses
+from shaker.release.response import MOMENTS, Answers, Load, Samples, answers, responses
 
 _REACH = 1.96  # standard uncertainties of 95 %
 _LOOSE = (1.5, 2.0)  # standard deviations of what a start says of logarithms of real poles and of durations
@@ -46,14 +46,6 @@ class Sampled:
         """Return the record between two times."""
         near = self.samples.between(from_s, to_s)
         return replace(self, samples=replace(near, value=near.value - near.value.mean(axis=0)))
-
-
-def prepared(samples: FloatArray, start_s: float, rate_hz: float, noise: FloatArray, size: int) -> Samples:
-    """Return means over `size` samples (C, N) over their noise (C,), the mean of the record taken off."""
-    data = averaged(samples, size).T / (noise / np.sqrt(size))
-    count = len(data)
-    time_s = start_s + np.arange(count) * size / rate_hz
-    return Samples(time_s, np.full(count, size, dtype=np.int64), data - data.mean(axis=0), 1.0 / rate_hz)
 
 
 @dataclass(frozen=True)

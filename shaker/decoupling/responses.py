@@ -79,10 +79,13 @@ def fit_responses(measured: Responses, most_modes: int = 12) -> ResponseFit:
     """
     if most_modes < 1:
         raise ValueError(f"most_modes: expected at least 1, found {most_modes}")
+    elements = measured.value.reshape(len(measured.frequency_hz), -1).T
+    mean_weight = np.sqrt(np.sum(measured.whitener**2, axis=(3, 4)) / 2)
+    weights = mean_weight.reshape(len(mean_weight), -1).T
     trials: list[ResponseTrial] = []
     points: list[Point] = []
     for modes in range(1, most_modes + 1):
-        points.append(_point(measured, _start(measured, modes)))
+        points.append(_point(measured, fitted_poles(measured.frequency_hz, elements, weights, modes)))
         trials.append(_trial(measured, *points[-1]))
         best = int(np.argmin([trial.criterion for trial in trials]))
         if len(trials) - 1 - best == _WORSE:
@@ -97,13 +100,6 @@ def fit_responses(measured: Responses, most_modes: int = 12) -> ResponseFit:
         here = _fitted(measured, fewer[int(np.argmin(tried))][0])
         trials.append(_trial(measured, *here))
     return _result(measured, *here, tuple(trials))
-
-
-def _start(measured: Responses, modes: int) -> Poles:
-    """Poles by vector fitting with the mean weight of Re and Im."""
-    elements = list(np.ndindex(measured.value.shape[1:]))
-    weights = [np.sqrt(np.sum(measured.whitener[:, c, d] ** 2, axis=(1, 2)) / 2) for c, d in elements]
-    return fitted_poles(measured.frequency_hz, [measured.value[:, c, d] for c, d in elements], weights, modes)
 
 
 def _fitted(measured: Responses, start: Poles) -> Point:

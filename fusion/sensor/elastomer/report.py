@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from fusion.base import DASH, MILLI, ProgressCallback, no_progress, rounded
+from fusion.base import DASH, MILLI, PERCENT, ProgressCallback, no_progress, rounded
 from fusion.report.folder import Command
 from fusion.report.h5 import write_value
 from fusion.report.numbers import measured, signed
@@ -196,7 +196,7 @@ def comparison_table(evaluation: ElementEvaluation) -> Table:
         rows.append((column.name, *values))
         if any(expanded):
             rows.append((f"U of {column.name}", *(text or DASH for text in expanded)))
-    rows.append(("(max − min)/max / %", *(_percent(value) for value in spread(evaluation.columns))))
+    rows.append(("(max − min)/max / %", *(signed(PERCENT * value) for value in spread(evaluation.columns))))
     return _by_mode("Natural frequencies in Hz; U: k = 2", ("model",), rows)
 
 
@@ -228,7 +228,7 @@ def convergence_table(evaluation: ElementEvaluation) -> Table | None:
         return label, f"{model.unknowns}", *(f"{value:.1f}" for value in model.frequency_hz)
 
     def apart(label: str, ratios: FloatArray) -> tuple[str, ...]:
-        return label, "", *(_percent(value) for value in ratios)
+        return label, "", *(signed(PERCENT * value) for value in ratios)
 
     rows = [on_mesh(f"mesh {n}", model) for n, model in zip(study.refinements, study.meshes, strict=True)]
     rows += [
@@ -367,7 +367,7 @@ def printed(evaluation: ElementEvaluation) -> Iterator[str]:
     for column in evaluation.columns:
         pairs = [_with_u(column, place) for place in range(6)]
         lines.append((column.name, *(f"{value} ± {expanded}" if expanded else value for value, expanded in pairs)))
-    lines.append(("spread", *(f"{_percent(value)} %" for value in spread(evaluation.columns))))
+    lines.append(("spread", *(f"{signed(PERCENT * value)} %" for value in spread(evaluation.columns))))
     width = max(len(column.name) for column in evaluation.columns)
     for label, *cells in lines:
         yield f"{label:{width}}  {'  '.join(f'{cell:>14}' for cell in cells)}{'' if label else '  Hz'}"
@@ -392,11 +392,6 @@ def _with_u(column: ComparedColumn, place: int) -> tuple[str, str]:
         return f"{value:.6g}" if column.kind == "stated" else f"{value:.1f}", ""
     text = rounded(value, 2.0 * u, 0)
     return text.value, text.expanded
-
-
-def _percent(value: float) -> str:
-    """A ratio as percent."""
-    return DASH if not np.isfinite(value) else f"{100.0 * value:.2f}".replace("-", "\N{MINUS SIGN}")
 
 
 def _context(evaluation: ElementEvaluation) -> dict[str, Any]:
