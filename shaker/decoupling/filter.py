@@ -358,7 +358,11 @@ def crosstalks(
     changes = rng.standard_normal((draws, len(model.vector))) @ _root(model.covariance).T
     near = [model.with_vector(model.vector + _SHORTENED * change) for change in changes]
     for stage, reader in stage_readers(model, decoupler, noise).items():
-        shown = reader.response(frequency_hz) if isinstance(reader, DecouplingFilter) else reader[None] + 0j
+        shown = (
+            reader.response(frequency_hz)
+            if isinstance(reader, DecouplingFilter)
+            else reader[None].astype(np.complex128)
+        )
         kernel = _kernel(reader, len(time_s))
         here = _convolved(kernel, model.step(time_s))
         peak = np.max(np.abs(here), axis=0)

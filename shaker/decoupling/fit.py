@@ -61,18 +61,19 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     """
     if not records:
         raise ValueError("records: expected at least one, found none")
-    for record in records:
+    first = records[0]
+    for other in records:
         for key in ("channels", "unit", "sample_rate_hz"):
-            own, expected = getattr(record, key), getattr(records[0], key)
+            own, expected = getattr(other, key), getattr(first, key)
             if own != expected:
-                told = f"expected {key} {expected} as in {records[0].name}, found {own} in {record.name}"
+                told = f"expected {key} {expected} as in {first.name}, found {own} in {other.name}"
                 raise ValueError(f"records: {told}")
     readings = []
-    for record in records:  # by the output that changes most over what it scatters by before
-        count = record.samples.shape[1]
-        rest, end = record.samples[:, : max(8, count // 50)], record.samples[:, -max(8, count // 5) :]
+    for raw in records:  # by the output that changes most over what it scatters by before
+        count = raw.samples.shape[1]
+        rest, end = raw.samples[:, : max(8, count // 50)], raw.samples[:, -max(8, count // 5) :]
         change = np.abs(end.mean(axis=1) - rest.mean(axis=1)) / np.maximum(rest.std(axis=1), 1e-300)
-        readings.append(read_release(record, record.channels[int(np.argmax(change))]))
+        readings.append(read_release(raw, raw.channels[int(np.argmax(change))]))
     noise = _noise(records, readings)
     problem, releases, start = _posed(records, readings, noise)
     start, releases = lagged(problem, needed(problem, start, releases, most_modes), releases)

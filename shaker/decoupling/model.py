@@ -195,8 +195,8 @@ class MultiModel(Brief):
         Loads that the outputs do not tell apart are refused with their names.
         """
         re, im, real = np.split(table, [poles.modes, 2 * poles.modes])
-        own = (poles.frequency_hz, poles.damping_ratio, re + 1j * im, poles.real_hz, real)
-        model = MultiModel(*names, unit, *own)
+        modes = poles.frequency_hz, poles.damping_ratio
+        model = MultiModel(*names, unit, *modes, re + 1j * im, poles.real_hz, real)
         check_separable(model.static_gain, *names)
         return model
 

@@ -182,7 +182,7 @@ def _inverse(normal: FloatArray) -> FloatArray:
 
 
 def model_covariance(
-    model: MultiModel, spread: FloatArray, follows: Sequence[FloatArray], scale: Sequence[float]
+    model: MultiModel, spread: FloatArray, follows: Sequence[FloatArray], scale: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance (P, P) of the model's vector from that of the parameters of a fit, poles first.
 

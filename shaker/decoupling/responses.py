@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
@@ -171,10 +170,8 @@ _ROUNDS = 12
 _START_DAMPING = 0.01
 
 
-def fitted_poles(
-    frequency_hz: FloatArray, responses: Sequence[ComplexArray], weights: Sequence[FloatArray], modes: int
-) -> Poles:
-    """Return poles that responses (K,) with weights (K,) share, `modes` pairs to start with.
+def fitted_poles(frequency_hz: FloatArray, responses: ComplexArray, weights: FloatArray, modes: int) -> Poles:
+    """Return poles that responses (R, K) with weights (R, K) share, `modes` pairs to start with.
 
     h·σ = Σ r/(s - a), σ = 1 + Σ d/(s - a) is linear in r and d, and the zeros of σ are better poles than a; repeated
     (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052), with r eliminated response by response

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contracts import refused
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import signal
 from scipy.integrate import solve_ivp
@@ -36,7 +36,14 @@ from shaker.compensation.filter import (
     sampled,
     single_mode,
 )
-from shaker.compensation.force_feedback import HapticLoop, is_stable, largest_stable_gain, push, simulate_feedback
+from shaker.compensation.force_feedback import (
+    FeedbackRun,
+    HapticLoop,
+    is_stable,
+    largest_stable_gain,
+    push,
+    simulate_feedback,
+)
 from shaker.lti.indices import indices
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
@@ -262,31 +269,29 @@ def _uncertain(calibrated: bool = False, corner: float | None = None) -> Compens
     return Compensation(sensor, Target(1000.0, 0.5, None, corner), calibrated)
 
 
-@settings(deadline=None, max_examples=60)
-@given(st.integers(0, 2**32 - 1), st.lists(st.integers(0, 400), max_size=8), st.integers(1, 3), st.booleans())
-def test_any_split_into_blocks_gives_the_same_bits(seed, cuts, channels, settled):
+def _run(data: np.ndarray, level: float | None, switch: int, cuts: list[int]) -> np.ndarray:
+    """Data (C, N) in blocks through a filter that is switched from one load to another after some samples."""
+    stream, parts, start = CompensationFilter(_sections(0.0), len(data), level), [], 0
+    for stop in sorted([*cuts, switch, data.shape[1]]):
+        if start == switch:
+            stream.switch(_sections(0.198))
+        parts.append(stream(data[:, start:stop]))
+        start = stop
+    return np.concatenate(parts, axis=1)
+
+
+@settings(deadline=None, max_examples=80)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    cuts=st.lists(st.integers(0, 400), max_size=8),
+    switch=st.integers(1, 400),
+    channels=st.integers(1, 3),
+    level=st.sampled_from([None, 0.25]),
+)
+@example(seed=0, cuts=[100, 100, 250], switch=400, channels=2, level=None)
+def test_any_split_into_blocks_gives_the_same_bits_with_a_switch_or_without(seed, cuts, switch, channels, level):
     data = np.random.default_rng(seed).normal(size=(channels, 400)).cumsum(axis=1)
-    sections, level = _sections(0.098), None if settled else 0.25
-    whole = CompensationFilter(sections, channels, level)(data)
-    stream = CompensationFilter(sections, channels, level)
-    parts = [stream(block) for block in np.split(data, sorted(cuts), axis=1)]
-    assert np.array_equal(np.concatenate(parts, axis=1), whole)
-
-
-@settings(deadline=None, max_examples=30)
-@given(st.integers(0, 2**32 - 1), st.lists(st.integers(1, 299), max_size=5, unique=True))
-def test_switching_does_not_depend_on_the_blocks_either(seed, cuts):
-    data = np.random.default_rng(seed).normal(size=(2, 300)).cumsum(axis=1)
-    found = []
-    for places in ([], cuts):
-        stream, parts = CompensationFilter(_sections(0.0), 2), []
-        for number, half in enumerate(np.split(data, [150], axis=1)):
-            if number:
-                stream.switch(_sections(0.198))
-            inside = [place - 150 * number for place in sorted(places) if 0 < place - 150 * number < 150]
-            parts += [stream(block) for block in np.split(half, inside, axis=1)]
-        found.append(np.concatenate(parts, axis=1))
-    assert np.array_equal(found[0], found[1])
+    assert np.array_equal(_run(data, level, switch, cuts), _run(data, level, switch, []))
 
 
 def test_one_channel_of_many_is_that_channel_alone():
@@ -300,10 +305,7 @@ def test_one_channel_of_many_is_that_channel_alone():
 
 def test_it_starts_settled_and_a_switch_leaves_a_constant_alone():
     for level in (None, 3.5):
-        stream = CompensationFilter(_sections(0.0), 2, level)
-        before = stream(np.full((2, 50), 3.5))
-        stream.switch(_sections(0.198))
-        np.testing.assert_allclose(np.concatenate([before, stream(np.full((2, 500), 3.5))], axis=1), 3.5, rtol=1e-9)
+        np.testing.assert_allclose(_run(np.full((2, 550), 3.5), level, 50, []), 3.5, rtol=1e-9)
 
 
 def test_a_switch_does_not_jump_and_comes_to_the_filter_of_the_new_load():
@@ -311,10 +313,7 @@ def test_a_switch_does_not_jump_and_comes_to_the_filter_of_the_new_load():
     time = np.arange(6000) / RATE
     data = 1.0 + np.sin(2 * np.pi * 40.0 * time)[None]
     old, new = _sections(0.0), _sections(0.198)
-    stream = CompensationFilter(old, level=1.0)
-    first = stream(data[:, :3000])
-    stream.switch(new)
-    out = np.concatenate([first, stream(data[:, 3000:])], axis=1)[0]
+    out = _run(data, 1.0, 3000, [])[0]
     usual = np.max(np.abs(np.diff(out[100:2990])))
     assert np.max(np.abs(np.diff(out[2995:]))) < 1.2 * usual
     naive, state = signal.sosfilt(old.sos, data[0, :3000] - 1.0, zi=np.zeros((3, 2)))
@@ -324,17 +323,11 @@ def test_a_switch_does_not_jump_and_comes_to_the_filter_of_the_new_load():
     np.testing.assert_allclose(out[3000 + 300 :], always[3300:], atol=1e-6)
 
 
-def test_white_noise_gain_is_the_energy_of_the_impulse_response():
-    for load in (0.0, 0.198):
-        sections, impulse = _sections(load), np.zeros(20_000)
-        impulse[0] = 1.0
-        energy = np.sum((sections.gain * signal.sosfilt(sections.sos, impulse)) ** 2)
+def test_white_noise_gain_is_the_energy_of_the_impulse_response_and_that_of_a_density():
+    for sections in (_sections(0.0), _sections(0.198)):
+        energy = np.sum((sections.gain * signal.sosfilt(sections.sos, np.eye(1, 20_000)[0])) ** 2)
         assert white_noise_gain(sections) == pytest.approx(np.sqrt(energy), rel=1e-9)
-
-
-def test_noise_density_and_white_noise_agree():
-    sections = sampled(_uncertain(), RATE)
-    frequency = np.linspace(0.0, RATE / 2, 20_001)
+    sections, frequency = sampled(_uncertain(), RATE), np.linspace(0.0, RATE / 2, 20_001)
     density = np.full(frequency.shape, 1.0 / np.sqrt(RATE / 2))
     assert filtered_noise(sections, frequency, density)[1] == pytest.approx(white_noise_gain(sections), rel=1e-6)
 
@@ -435,25 +428,31 @@ def test_the_limit_of_the_bare_sensor_is_that_of_the_characteristic_polynomial()
     assert not stable(1.02 * found)
 
 
-def test_knowing_the_load_lets_the_loop_be_stiffer():
+def _fed_back(
+    gain: float, sections: Sections | None, load: float = LOAD, noise: np.ndarray | None = None
+) -> FeedbackRun:
+    """The hand pushed into the ball."""
+    loop = replace(LOOP, force_gain=gain)
+    return simulate_feedback(loop, TWO_MASSES.system(load), sections, HAND, wall_m=0.005, noise=noise)
+
+
+def test_knowing_the_load_lets_the_loop_be_stiffer_and_the_ball_follow_the_hand():
+    """At a gain of 20 the loops that do not know the load have run away, at 200 they end in gaps."""
     sensor = TWO_MASSES.system(LOAD)
     none, without, aware = (largest_stable_gain(LOOP, sensor, sections) for sections in (None, UNAWARE, AWARE))
     assert none < without < 10.0
     assert aware > 20.0 * without
-
-
-def test_the_force_fed_back_follows_the_applied_force_when_the_load_is_known():
-    """At a gain of 20 the loops that do not know the load have run away."""
-    sensor, loop = TWO_MASSES.system(LOAD), replace(LOOP, force_gain=20.0)
     for sections in (None, UNAWARE):
-        lost = simulate_feedback(loop, sensor, sections, HAND, wall_m=0.005)
+        lost = _fed_back(20.0, sections)
         assert not lost.stable
         assert lost.tracking_error > 0.1
-    aware = simulate_feedback(loop, sensor, AWARE, HAND, wall_m=0.005)
-    assert aware.stable
-    assert aware.tracking_error < 0.01
-    softer = simulate_feedback(replace(LOOP, force_gain=1.0), sensor, AWARE, HAND, wall_m=0.005)
-    assert softer.tracking_error / aware.tracking_error == pytest.approx(21.0 / 2.0, rel=0.15)
+    away = _fed_back(200.0, None)
+    assert np.isnan(away.applied[-1])
+    assert np.isinf(away.tracking_error)
+    stiff, soft = _fed_back(20.0, AWARE), _fed_back(1.0, AWARE)
+    assert stiff.stable
+    assert stiff.tracking_error < 0.01
+    assert soft.tracking_error / stiff.tracking_error == pytest.approx(21.0 / 2.0, rel=0.15)
 
 
 def test_a_hand_at_rest_in_the_ball_is_in_balance():
@@ -464,17 +463,9 @@ def test_a_hand_at_rest_in_the_ball_is_in_balance():
 
 
 def test_noise_of_the_sensor_reaches_the_hand():
-    quiet, loud = (
-        simulate_feedback(LOOP, TWO_MASSES.system(0.0), UNAWARE, HAND, noise=noise)
-        for noise in (None, np.random.default_rng(3).normal(scale=0.01, size=len(HAND)))
-    )
+    noise = np.random.default_rng(3).normal(scale=0.01, size=len(HAND))
+    quiet, loud = (_fed_back(5.0, UNAWARE, 0.0, added) for added in (None, noise))
     assert 0.0 < np.std(loud.applied - quiet.applied) < 0.01
-
-
-def test_a_run_that_runs_away_ends_in_gaps():
-    found = simulate_feedback(replace(LOOP, force_gain=200.0), TWO_MASSES.system(LOAD), None, HAND, wall_m=0.005)
-    assert np.isnan(found.applied[-1])
-    assert np.isinf(found.tracking_error)
 
 
 def test_three_masses_and_wrong_calls():
