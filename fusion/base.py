@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
@@ -391,3 +391,18 @@ def versions() -> dict[str, str]:
             found[distribution] = importlib.metadata.version(distribution)
     found["platform"] = f"{platform.system()} {platform.machine()}"
     return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What every evaluation of a command has: what was evaluated, what the user should know, and where it comes from.
+
+    `settings`: what was chosen; `input_hashes`: of all input files by their name; `duration_s`: how long it took.
+    """
+
+    name: str
+    notices: tuple[Notice, ...]
+    settings: dict[str, str | float | int]
+    versions: dict[str, str] = field(default_factory=versions)
+    input_hashes: dict[str, str]
+    duration_s: float

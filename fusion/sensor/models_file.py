@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from fusion.base import InputError
+from shaker.arrays import FloatArray
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import PARAMETERS, LoadModel
 
@@ -56,10 +57,6 @@ class ModelsFile:
             known = ", ".join(f"{entry.channel} for {entry.component}" for entry in self.entries)
             raise ValueError(f"key: expected one of {known}, found {key[0]} for {key[1]}")
         return found
-
-    def __contains__(self, key: object) -> bool:
-        """Return whether an output channel has a model for a load component."""
-        return any((entry.channel, entry.component) == key for entry in self.entries)
 
     def __iter__(self) -> Iterator[ModelEntry]:
         """Return the models one after another."""
@@ -133,33 +130,29 @@ def _entry(entry: ModelEntry) -> dict[str, Any]:
 
 def _read_entry(item: dict[str, Any]) -> ModelEntry:
     """One model from its dictionary."""
-    modes, reals, covariance = item["modes"], item["real_poles"], item["covariance"]
+    modes, reals = item["modes"], item["real_poles"]
+
+    def numbers(items: list[dict[str, Any]], key: str) -> FloatArray:
+        return np.array([one[key] for one in items], dtype=np.float64)
+
     model = ModalModel(
-        frequency_hz=_numbers(modes, "frequency_hz"),
-        damping_ratio=_numbers(modes, "damping_ratio"),
-        residue=np.array([complex(mode["residue_re"], mode["residue_im"]) for mode in modes], dtype=np.complex128),
-        real_hz=_numbers(reals, "frequency_hz"),
-        real_residue=_numbers(reals, "residue"),
-        covariance=None if covariance is None else np.array(covariance, dtype=np.float64),
+        frequency_hz=numbers(modes, "frequency_hz"),
+        damping_ratio=numbers(modes, "damping_ratio"),
+        residue=numbers(modes, "residue_re") + 1j * numbers(modes, "residue_im"),
+        real_hz=numbers(reals, "frequency_hz"),
+        real_residue=numbers(reals, "residue"),
+        covariance=_matrix(item["covariance"]),
     )
     if not np.all(np.isfinite(model.vector)):
         raise ValueError(f"expected finite parameters, found {model.vector.tolist()}")
-    return ModelEntry(
-        channel=str(item["channel"]),
-        component=str(item["component"]),
-        unit=str(item["unit"]),
-        method=str(item["method"]),
-        model=model,
-        sample_rate_hz=float(item["sample_rate_hz"]),
-        noise=float(item["noise"]),
-        recording=str(item["recording"]),
-        dof=np.inf if item["dof"] is None else float(item["dof"]),
-    )
+    told: dict[str, Any] = {key: str(item[key]) for key in ("channel", "component", "unit", "method", "recording")}
+    told |= {key: float(item[key]) for key in ("sample_rate_hz", "noise")}
+    return ModelEntry(**told, model=model, dof=np.inf if item["dof"] is None else float(item["dof"]))
 
 
-def _numbers(items: list[dict[str, Any]], key: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """One number of every dictionary."""
-    return np.array([item[key] for item in items], dtype=np.float64)
+def _matrix(rows: list[list[float]] | None) -> FloatArray | None:
+    """A covariance as it is stored, None where it is not known."""
+    return None if rows is None else np.array(rows, dtype=np.float64)
 
 
 def model_text(models: Sequence[LoadModel], campaign: str, sensor: str, program: str) -> str:
@@ -224,21 +217,10 @@ def _load_entry(model: LoadModel) -> dict[str, Any]:
 def _load_model(item: dict[str, Any]) -> LoadModel:
     """One model from its dictionary."""
     named = {parameter["name"]: float(parameter["value"]) for parameter in item["parameters"]}
-    matrices = {key: item[key] for key in ("covariance", "covariance_with_mass")}
-    return LoadModel(
-        component=str(item["component"]),
-        channel=str(item["channel"]),
-        unit=str(item["unit"]),
-        moving_mass=float(item["moving_mass"]["value"]),
-        stiffness=named["stiffness"],
-        damping=named["damping"],
-        coupling_stiffness=named.get("coupling_stiffness"),
-        coupling_damping=named.get("coupling_damping"),
-        sensitivity=float(item["sensitivity"]["value"]),
-        u_sensitivity=float(item["sensitivity"]["u"]),
-        u_moving_mass=float(item["moving_mass"]["u"]),
-        load_masses=tuple(float(mass) for mass in item["load_masses"]),
-        solution=int(item["solution"]),
-        solutions=int(item["solutions"]),
-        **{key: None if value is None else np.array(value, dtype=np.float64) for key, value in matrices.items()},
-    )
+    told: dict[str, Any] = {key: str(item[key]) for key in ("component", "channel", "unit")}
+    told |= {key: named[key] for key in PARAMETERS[: 2 if len(named) == 2 else 4]}
+    told |= {key: int(item[key]) for key in ("solution", "solutions")}
+    told |= {key: _matrix(item[key]) for key in ("covariance", "covariance_with_mass")}
+    for key in ("moving_mass", "sensitivity"):
+        told[key], told[f"u_{key}"] = float(item[key]["value"]), float(item[key]["u"])
+    return LoadModel(**told, load_masses=tuple(float(mass) for mass in item["load_masses"]))

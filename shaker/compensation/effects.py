@@ -132,15 +132,6 @@ def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[Target
 # What a compensation filter makes of the sensor's noise.
 
 
-@dataclass(frozen=True, repr=False)
-class FilteredNoise(Brief):
-    """Noise after a filter: `density` (K,) in output unit/√Hz at `frequency_hz` (K,), and `std` over that range."""
-
-    frequency_hz: FloatArray
-    density: FloatArray
-    std: float
-
-
 def white_noise_gain(sections: Sections) -> float:
     """Return standard deviation out over in of white noise of the sampling: √Σh², h the impulse response.
 
@@ -153,13 +144,14 @@ def white_noise_gain(sections: Sections) -> float:
     return float(np.sqrt(c @ spread @ c + d**2))
 
 
-def filtered_noise(sections: Sections, frequency_hz: FloatArray, density: FloatArray) -> FilteredNoise:
-    """Return what a measured noise density (K,), in unit/√Hz at rising frequencies (K,), becomes; std by trapezoids."""
+def filtered_noise(sections: Sections, frequency_hz: FloatArray, density: FloatArray) -> tuple[FloatArray, float]:
+    """Return the density (K,) after a filter of a measured one (K,), in unit/√Hz at rising frequencies (K,), and its
+    standard deviation over that range, by trapezoids."""
     check_shape("density", density, frequency_hz.shape)
     if len(frequency_hz) < 2 or np.any(np.diff(frequency_hz) <= 0) or np.any(density < 0):
         raise ValueError("frequency_hz, density: expected rising frequencies and densities of at least 0, found others")
     after = np.abs(sections.response(frequency_hz)) * density
-    return FilteredNoise(frequency_hz, after, float(np.sqrt(np.trapezoid(after**2, frequency_hz))))
+    return after, float(np.sqrt(np.trapezoid(after**2, frequency_hz)))
 
 
 def state_space(sections: Sections) -> tuple[FloatArray, FloatArray, FloatArray, float]:
@@ -289,20 +281,15 @@ class CompensationWithUncertainty:
     ) -> None:
         sections = sampled(compensation, sample_rate_hz, method)
         covariance = compensation.sensor.covariance
-        size = len(compensation.sensor.vector)
-        self._covariance = np.zeros((size, size)) if covariance is None else covariance
-        self._known = np.flatnonzero(np.any(self._covariance != 0.0, axis=0))
+        self._covariance = np.zeros((0, 0)) if covariance is None else covariance
         self._filter = CompensationFilter(sections, channels, level)
-        every = parameter_sections(compensation, sample_rate_hz, method)
-        self._slopes = [CompensationFilter(every[place], channels, level) for place in self._known]
+        every = [] if covariance is None else parameter_sections(compensation, sample_rate_hz, method)
+        self._slopes = [CompensationFilter(slope, channels, level) for slope in every]
         self._noise = noise * white_noise_gain(sections)
 
     def __call__(self, block: FloatArray) -> CompensatedSignal:
         """Return the compensated block (C, N) with its uncertainty."""
         value = self._filter(block)
-        if not self._slopes:
-            return CompensatedSignal(value, np.zeros_like(value), self._noise)
-        slopes = np.stack([run(block) for run in self._slopes])
-        known = self._covariance[np.ix_(self._known, self._known)]
-        variance = np.einsum("pcn,pq,qcn->cn", slopes, known, slopes)
+        slopes = np.array([run(block) for run in self._slopes]).reshape(len(self._slopes), *value.shape)
+        variance = np.einsum("pcn,pq,qcn->cn", slopes, self._covariance, slopes)
         return CompensatedSignal(value, np.sqrt(np.maximum(variance, 0.0)), self._noise)

@@ -7,15 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.lti.indices import step_shares
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.load_model import LoadModel
 
 # What a compensation filter takes out of a sensor: modes, real poles and static gain, with covariance.
-
-RELATIVE_STEP = 1e-5
-"""Of the load mass, to either side, for the derivative by it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -63,23 +60,13 @@ class SensorDynamics(Brief):
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
-def single_mode(
-    frequency_hz: float,
-    damping_ratio: float,
-    *,
-    static_gain: float = 1.0,
-    u_frequency_hz: float | None = None,
-    u_damping_ratio: float | None = None,
-) -> SensorDynamics:
-    """Return the dynamics of G = gain·ω²/(s² + 2ζωs + ω²); u are independent, one that is not given counts as 0."""
+def single_mode(frequency_hz: float, damping_ratio: float, static_gain: float = 1.0) -> SensorDynamics:
+    """Return the dynamics of G = gain·ω²/(s² + 2ζωs + ω²), known exactly."""
     omega = 2 * np.pi * frequency_hz
-    system = LinearSystem.from_coefficients(
-        np.array([static_gain * omega**2]), np.array([1.0, 2 * damping_ratio * omega, omega**2])
-    )
-    known = u_frequency_hz is not None or u_damping_ratio is not None
-    covariance = np.diag([u_frequency_hz or 0.0, u_damping_ratio or 0.0, 0.0]) ** 2 if known else None
+    below = np.array([1.0, 2 * damping_ratio * omega, omega**2])
+    system = LinearSystem.from_coefficients(np.array([static_gain * omega**2]), below)
     frequency, damping = np.array([float(frequency_hz)]), np.array([float(damping_ratio)])
-    return SensorDynamics(frequency, damping, np.zeros(0), static_gain, system, covariance)
+    return SensorDynamics(frequency, damping, np.zeros(0), static_gain, system)
 
 
 def modal_dynamics(model: ModalModel, *, modes: int = 1, real_poles: bool = False) -> SensorDynamics:
@@ -103,41 +90,30 @@ def modal_dynamics(model: ModalModel, *, modes: int = 1, real_poles: bool = Fals
     return SensorDynamics(f, zeta, real, float(gain[0]), model.system, covariance)
 
 
-def loaded_dynamics(model: LoadModel, load_mass: float, *, modes: int = 1, u_load_mass: float = 0.0) -> SensorDynamics:
+def loaded_dynamics(model: LoadModel, load_mass: float, *, modes: int = 1) -> SensorDynamics:
     """Return the dynamics of a sensor with a load mass in kg: the modes with the largest share in the step response.
 
-    The covariance holds that of stiffnesses, dampings and moving mass, and the uncertainties of static sensitivity and
-    load mass, of a load that is there. A load without mass leaves one mode, also where more are wanted.
+    The covariance holds that of stiffnesses, dampings and moving mass, and the uncertainty of the static sensitivity.
+    A load without mass leaves one mode, also where more are wanted.
     """
     system = model.system(load_mass)
-    upper = int(np.sum(system.poles.imag > 0))
-    if not upper:
-        raise ValueError(f"load_mass: expected a load that lets the sensor oscillate, found {load_mass} kg")
-    chosen = dominant(system, min(modes, upper))
-    value, covariance = _read(system, chosen), None
-    if model.total_covariance is not None:
-        covariance = model.propagate(lambda one: _read(one.system(load_mass), chosen))[1]
-        covariance[-1, -1] += model.u_sensitivity**2
-        if u_load_mass and load_mass:
-            ends = (_read(model.system(load_mass * (1.0 + by)), chosen) for by in (RELATIVE_STEP, -RELATIVE_STEP))
-            slope = np.subtract(*ends) / (2.0 * RELATIVE_STEP * load_mass)
-            covariance = covariance + u_load_mass**2 * np.outer(slope, slope)
-    f, zeta, gain = np.split(value, [len(chosen), 2 * len(chosen)])
-    return SensorDynamics(f, zeta, np.zeros(0), float(gain[0]), system, covariance)
-
-
-def dominant(system: LinearSystem, count: int) -> IntArray:
-    """Return the places (count,) of the oscillating modes, by rising frequency, that swing most after a step."""
     upper = np.flatnonzero(system.poles.imag > 0)
-    if not 0 <= count <= len(upper):
-        raise ValueError(f"count: expected 0 to {len(upper)}, as many modes as there are, found {count}")
-    return np.sort(np.argsort(-step_shares(system)[upper], kind="stable")[:count])
+    if not len(upper):
+        raise ValueError(f"load_mass: expected a load that lets the sensor oscillate, found {load_mass} kg")
+    if modes < 0:
+        raise ValueError(f"modes: expected 0 or more, found {modes}")
+    chosen = np.sort(np.argsort(-step_shares(system)[upper], kind="stable")[:modes])
 
+    def vector(one: LinearSystem) -> FloatArray:
+        poles = one.poles[one.poles.imag > 0][chosen]
+        return np.concatenate([np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles), [one.static_gain]])
 
-def _read(system: LinearSystem, chosen: IntArray) -> FloatArray:
-    """Frequencies, damping ratios of chosen modes, and the static gain."""
-    upper = system.poles[system.poles.imag > 0][chosen]
-    return np.concatenate([np.abs(upper) / (2 * np.pi), -upper.real / np.abs(upper), [system.static_gain]])
+    covariance = None
+    if model.total_covariance is not None:
+        covariance = model.propagate(lambda one: vector(one.system(load_mass)))[1]
+        covariance[-1, -1] += model.u_sensitivity**2
+    f, zeta, gain = np.split(vector(system), [len(chosen), 2 * len(chosen)])
+    return SensorDynamics(f, zeta, np.zeros(0), float(gain[0]), system, covariance)
 
 
 # The dynamics a compensated sensor shall have, stated or found for a wanted bandwidth.
@@ -415,35 +391,6 @@ def discretisation_error(compensation: Compensation, sections: Sections, frequen
     return np.asarray(sections.response(frequency_hz) / compensation.system.response(frequency_hz) - 1.0)
 
 
-# Compensation filters over the load that a sensor carries.
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """One target for every load: poles are computed anew for each load mass in kg, `modes` of them are compensated.
-
-    The target of the lowest mode stays, so that the compensated sensor answers alike whatever it carries.
-    """
-
-    model: LoadModel
-    target: Target
-    modes: int = 1
-    calibrated: bool = False
-
-    def at(self, load_mass: float, u_load_mass: float = 0.0) -> Compensation:
-        """Return the filter for a load."""
-        sensor = loaded_dynamics(self.model, load_mass, modes=self.modes, u_load_mass=u_load_mass)
-        return Compensation(sensor, self.target, self.calibrated)
-
-    def sections(self, load_mass: float, sample_rate_hz: float, method: Discretisation = "matched") -> Sections:
-        """Return the filter for a load and samples, always as many sections, for `CompensationFilter.switch`.
-
-        Where a load has fewer modes the last sections let everything pass.
-        """
-        count = self.modes + (self.target.low_pass_hz is not None)
-        return filled(sampled(self.at(load_mass), sample_rate_hz, method), count)
-
-
 # A compensation filter that runs along with the data, block by block.
 
 
@@ -474,11 +421,6 @@ class CompensationFilter:
         self._started = level is not None
         if level is not None:
             self._settle(np.broadcast_to(np.asarray(level, dtype=np.float64), (channels,)))
-
-    @property
-    def sections(self) -> Sections:
-        """The coefficients in use."""
-        return self._sections
 
     def __call__(self, block: FloatArray) -> FloatArray:
         """Return the compensated block (C, N); samples that are not finite are refused, they would never fade."""

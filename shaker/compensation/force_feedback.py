@@ -53,8 +53,7 @@ class FeedbackRun(Brief):
     """What user, sensor and ball did, samples (N,) in N; NaN from where the loop ran away.
 
     `applied` F_u, `told` what the sensor says of it, `fed_back` F_v of the ball. `tracking_error`: rms of F_u - F_v
-    over rms of F_v while the ball is touched; `largest_error` likewise over the largest F_v. Infinite, both, for a run
-    that ran away.
+    over rms of F_v while the ball is touched, infinite for a run that ran away.
     """
 
     time_s: FloatArray
@@ -63,7 +62,6 @@ class FeedbackRun(Brief):
     fed_back: FloatArray
     stable: bool
     tracking_error: float
-    largest_error: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -111,18 +109,12 @@ def simulate_feedback(
             break
         state = now.a @ state + now.b @ given
     applied, told, fed_back = forces.T
-    touched = fed_back != 0.0
-    error, size = np.abs(applied - fed_back)[touched], np.abs(fed_back[touched])
-    finished = bool(np.all(np.isfinite(forces))) and touched.any()
-    return FeedbackRun(
-        np.arange(len(hand_m)) / loop.sample_rate_hz,
-        applied,
-        told,
-        fed_back,
-        is_stable(loop, sensor, sections),
-        float(np.sqrt(np.mean(error**2) / np.mean(size**2))) if finished else float("inf"),
-        float(np.max(error) / np.max(size)) if finished else float("inf"),
-    )
+    touched, tracking_error = fed_back != 0.0, float("inf")
+    if touched.any() and np.all(np.isfinite(forces)):
+        error, size = (applied - fed_back)[touched], fed_back[touched]
+        tracking_error = float(np.sqrt(np.mean(error**2) / np.mean(size**2)))
+    time_s, stable = np.arange(len(hand_m)) / loop.sample_rate_hz, is_stable(loop, sensor, sections)
+    return FeedbackRun(time_s, applied, told, fed_back, stable, tracking_error)
 
 
 def is_stable(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.random import Generator
@@ -130,7 +131,6 @@ class DecouplingFilter(Brief):
 
 # Design of the filter against cross-talk: the load that explains the outputs best, with wanted dynamics.
 
-
 _DELAYS = 32
 _GAIN_LEFT = 2.0
 _SMALL = 1e-2
@@ -175,19 +175,15 @@ def design_decoupling(
     samples whose error is within twice that of the longest, or below 1 % of the load, for every load.
 
     >>> import numpy as np
-    >>> from shaker import StepRecord, design_decoupling, fit_steps
-    >>> time_s, rng = np.arange(1000) / 10e3 - 0.02, np.random.default_rng(0)
-    >>> ring = [np.exp(-40.0 * time_s) * np.cos(2 * np.pi * f * time_s) for f in (310.0, 400.0)]
-    >>> gain = np.array([[0.2, 0.01], [0.005, 0.15]])  # V/N of both outputs for both loads
-    >>> records = []
-    >>> for k, load in enumerate(("Fx", "Fy")):  # 10 N along x, then along y, are taken off
-    ...     volts = 10.0 * gain[:, k, None] * np.where(time_s < 0.0, 1.0, ring[k]) + 1e-3 * rng.normal(size=(2, 1000))
-    ...     records.append(StepRecord(load, ("Fx", "Fy"), "V", volts, 10e3, load, -10.0))
-    >>> found = fit_steps(records, most_modes=2, most_reals=0)
+    >>> from shaker import design_decoupling
     >>> from shaker.decoupling.filter import Recorded, Target
-    >>> recorded = Recorded(10e3, found.noise, found.amplitude)
-    >>> decoupler = design_decoupling(found.model, Target(np.full(2, 300.0), np.full(2, 0.7)), recorded)
-    >>> print(np.abs(decoupler.response(np.zeros(1))[0].real @ found.model.static_gain).round(6))
+    >>> from shaker.decoupling.model import MultiModel
+    >>> loads, residue = ("Fx", "Fy"), -1j * np.array([[[200.0, 9.0], [5.0, 3.0]], [[2.0, 4.0], [-6.0, 190.0]]])
+    >>> modes = np.array([310.0, 400.0]), np.array([0.02, 0.015])
+    >>> model = MultiModel(loads, loads, "V", *modes, residue, np.zeros(0), np.zeros((0, 2, 2)))
+    >>> recorded = Recorded(10e3, noise=np.full(2, 1e-3), load=np.full(2, 10.0))
+    >>> decoupler = design_decoupling(model, Target(np.full(2, 300.0), np.full(2, 0.7)), recorded)
+    >>> print(np.abs(decoupler.response(np.zeros(1))[0].real @ model.static_gain).round(6))
     [[1. 0.]
      [0. 1.]]
     """
@@ -285,8 +281,7 @@ def _assembled(model: MultiModel, target: Target, recorded: Recorded, found: _Ga
 
 # How much of one load is read as another: before, with the static matrix alone, and behind the filter.
 
-
-STAGES = ("raw", "static", "filtered")
+Reader: TypeAlias = FloatArray | DecouplingFilter
 _DECAYS = 5.0
 _LONGEST = 20000
 _SHORTENED = 0.05
@@ -310,23 +305,6 @@ class Crosstalk(Brief):
     peak: FloatArray
     u_peak: FloatArray
 
-    def rated(self, capacity: FloatArray, values: FloatArray) -> FloatArray:
-        """Return readings (…, D, D) in rated loads `capacity` (D,): reading i over its own for load j at its own."""
-        return np.asarray(np.abs(values) * capacity / capacity[:, None])
-
-
-def main_outputs(model: MultiModel) -> tuple[int, ...] | None:
-    """Return the output that each load is read from where outputs are named after loads, else that it moves most.
-
-    None where two loads would be read from one output.
-    """
-    size = np.abs(model.static_gain) / np.linalg.norm(model.static_gain, axis=1, keepdims=True)
-    found = tuple(
-        model.channels.index(name) if name in model.channels else int(np.argmax(size[:, d]))
-        for d, name in enumerate(model.components)
-    )
-    return found if len(set(found)) == len(found) else None
-
 
 def static_inverse(model: MultiModel, noise: FloatArray) -> FloatArray:
     """Return the matrix (D, C) that reads loads from outputs at rest, of more outputs than loads by least squares."""
@@ -335,14 +313,27 @@ def static_inverse(model: MultiModel, noise: FloatArray) -> FloatArray:
 
 
 def raw_reading(model: MultiModel) -> FloatArray | None:
-    """Return the matrix (D, C) that reads each load from its own output, None where two loads share one."""
-    mains = main_outputs(model)
-    if mains is None:
+    """Return the matrix (D, C) that reads each load from the output of its name, else from the one that it moves most.
+
+    None where two loads would be read from one output.
+    """
+    static = model.static_gain
+    size = np.abs(static) / np.linalg.norm(static, axis=1, keepdims=True)
+    mains = [
+        model.channels.index(name) if name in model.channels else int(np.argmax(size[:, d]))
+        for d, name in enumerate(model.components)
+    ]
+    if len(set(mains)) < len(mains):
         return None
-    found = np.zeros((len(model.components), len(model.channels)))
-    for d, c in enumerate(mains):
-        found[d, c] = 1.0 / model.static_gain[c, d]
-    return found
+    reading, loads = np.zeros(static.T.shape), np.arange(len(mains))
+    reading[loads, mains] = 1.0 / static[mains, loads]
+    return reading
+
+
+def stage_readers(model: MultiModel, decoupler: DecouplingFilter, noise: FloatArray) -> dict[str, Reader]:
+    """Return what reads the loads at every stage that the outputs allow: matrices (D, C), and the filter."""
+    raw, static = raw_reading(model), static_inverse(model, noise)
+    return {**({} if raw is None else {"raw": raw}), "static": static, "filtered": decoupler}
 
 
 def crosstalks(
@@ -357,31 +348,34 @@ def crosstalks(
 
     Readings and filter stay those of the model; its uncertainty says how far the sensor may differ: over frequency by
     its covariance to first order, for the peaks by the slope towards `draws` models drawn from it.
+
+    What a drawn model reads is extrapolated from a model near by: the answers are linear in what the data tell, but not
+    in poles far from the fitted ones, of which only the sum of their effects is known.
     """
-    matrices = (("raw", raw_reading(model)), ("static", static_inverse(model, noise)))
-    readers = [(stage, matrix[None].astype(np.complex128)) for stage, matrix in matrices if matrix is not None]
-    readers.append(("filtered", decoupler.response(frequency_hz)))
-    response = model.response(frequency_hz)
-    drawn = _peaks(model, decoupler, dict(matrices), rng, draws)
-    found = []
-    for stage, reader in readers:
-        value = reader @ response
-        peak, u_peak = drawn[stage]
-        found.append(
-            Crosstalk(
-                stage, model.components, frequency_hz, value, _u(model, reader, value, frequency_hz), peak, u_peak
-            )
+    if model.covariance is None:
+        raise ValueError("model: expected one with covariance, found none")
+    time_s, response, stages = step_times(model, decoupler), model.response(frequency_hz), []
+    changes = rng.standard_normal((draws, len(model.vector))) @ _root(model.covariance).T
+    near = [model.with_vector(model.vector + _SHORTENED * change) for change in changes]
+    for stage, reader in stage_readers(model, decoupler, noise).items():
+        shown = (
+            reader.response(frequency_hz)
+            if isinstance(reader, DecouplingFilter)
+            else reader[None].astype(np.complex128)
         )
-    return tuple(found)
+        kernel = _kernel(reader, len(time_s))
+        here = _convolved(kernel, model.step(time_s))
+        peak = np.max(np.abs(here), axis=0)
+        moved = [here + (_convolved(kernel, one.step(time_s)) - here) / _SHORTENED for one in near]
+        spread = np.mean([(np.max(np.abs(other), axis=0) - peak) ** 2 for other in moved], axis=0)
+        value, u = shown @ response, _u(model, shown, frequency_hz)
+        stages.append(Crosstalk(stage, model.components, frequency_hz, value, u, peak, np.asarray(np.sqrt(spread))))
+    return tuple(stages)
 
 
-def step_readings(model: MultiModel, reader: FloatArray | DecouplingFilter, time_s: FloatArray) -> FloatArray:
+def step_readings(model: MultiModel, reader: Reader, time_s: FloatArray) -> FloatArray:
     """Return the loads read (N, D, D) at equally spaced times while each load makes a unit step at t = 0."""
-    outputs = model.step(time_s)
-    if not isinstance(reader, DecouplingFilter):
-        return np.asarray(np.einsum("dc,nce->nde", reader, outputs))
-    columns = [reader.process(outputs[:, :, j], reader.rest())[0] for j in range(len(model.components))]
-    return np.stack(columns, axis=2)
+    return _convolved(_kernel(reader, len(time_s)), model.step(time_s))
 
 
 def step_times(model: MultiModel, decoupler: DecouplingFilter) -> FloatArray:
@@ -391,60 +385,35 @@ def step_times(model: MultiModel, decoupler: DecouplingFilter) -> FloatArray:
     return np.arange(count) / decoupler.sample_rate_hz
 
 
-def _u(model: MultiModel, reader: ComplexArray, value: ComplexArray, frequency_hz: FloatArray) -> FloatArray:
+def _u(model: MultiModel, shown: ComplexArray, frequency_hz: FloatArray) -> FloatArray:
     """Standard uncertainty of every reading in a direction of the complex plane, the mean of all directions."""
-    found = np.zeros(value.shape)
-    for j in range(value.shape[2]):
-        slope, covariance = model.column_sensitivity(j, frequency_hz)
-        change = reader @ slope
-        root = np.linalg.cholesky(_safe(covariance))
-        parts = change @ root
-        found[:, :, j] = np.linalg.norm(parts, axis=2) / np.sqrt(2.0)
-    return found
+    columns = []
+    for load in range(len(model.components)):
+        slope, covariance = model.column_sensitivity(load, frequency_hz)
+        columns.append(np.linalg.norm(shown @ slope @ _root(covariance), axis=2) / np.sqrt(2.0))
+    return np.stack(columns, axis=2)
 
 
-def _safe(covariance: FloatArray) -> FloatArray:
-    """A covariance with positive eigenvalues, however small."""
+def _root(covariance: FloatArray) -> FloatArray:
+    """Cholesky's root of a covariance whose eigenvalues are made positive, however small."""
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     value, vector = np.linalg.eigh(covariance / np.outer(size, size))
     mended = (vector * np.maximum(value, 1e-12)) @ vector.T
-    return np.asarray(mended * np.outer(size, size))
+    return np.asarray(np.linalg.cholesky(mended * np.outer(size, size)))
 
 
-def _peaks(
-    model: MultiModel,
-    decoupler: DecouplingFilter,
-    matrices: dict[str, FloatArray | None],
-    rng: Generator,
-    draws: int,
-) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Peaks of the readings in a unit step of every load by stage, and what models drawn from the covariance differ.
-
-    What a drawn model reads is extrapolated from a model near by: the answers are linear in what the data tell, but not
-    in poles far from the fitted ones, of which only the sum of their effects is known.
-    """
-    time_s = step_times(model, decoupler)
-    if model.covariance is None:
-        raise ValueError("model: expected one with covariance, found none")
-    root = np.linalg.cholesky(_safe(model.covariance))
-    vectors = model.vector + _SHORTENED * rng.standard_normal((draws, len(root))) @ root.T
-    near, found = [model.with_vector(vector) for vector in vectors], {}
-    kernels = {stage: matrix[None] for stage, matrix in matrices.items() if matrix is not None}
-    impulse = np.zeros((len(time_s), len(decoupler.channels)))
+def _kernel(reader: Reader, count: int) -> FloatArray:
+    """What a filter reads (N, D, C) after a unit impulse of every output; a matrix reads at once: (1, D, C)."""
+    if not isinstance(reader, DecouplingFilter):
+        return reader[None]
+    impulse = np.zeros((count, len(reader.channels)))
     impulse[0, 0] = 1.0
-    answers = [decoupler.process(np.roll(impulse, c, axis=1), decoupler.rest())[0] for c in range(impulse.shape[1])]
-    kernels["filtered"] = np.stack(answers, axis=2)
-    for stage, kernel in kernels.items():
-        here = _convolved(kernel, model.step(time_s))
-        peak = np.max(np.abs(here), axis=0)
-        moved = [here + (_convolved(kernel, one.step(time_s)) - here) / _SHORTENED for one in near]
-        spread = np.mean([(np.max(np.abs(other), axis=0) - peak) ** 2 for other in moved], axis=0)
-        found[stage] = (peak, np.asarray(np.sqrt(spread)))
-    return found
+    answers = [reader.process(np.roll(impulse, c, axis=1), reader.rest())[0] for c in range(impulse.shape[1])]
+    return np.stack(answers, axis=2)
 
 
 def _convolved(kernel: FloatArray, outputs: FloatArray) -> FloatArray:
-    """Readings (N, D, D) of outputs (N, C, D) by a filter's answers (N, D, C), or by one matrix (1, D, C)."""
+    """Readings (N, D, D) of outputs (N, C, D)."""
     if len(kernel) == 1:
         return np.asarray(kernel[0] @ outputs)
     from scipy.fft import irfft, next_fast_len, rfft

@@ -8,23 +8,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, Notice
-from shaker.decoupling.model import MultiModel, Poles, check_separable, in_order
-from shaker.decoupling.order import Trial, by_record, chosen, lagged, needed, otherwise, shaped
+from shaker.decoupling.model import MultiModel, Poles, in_order
 from shaker.decoupling.problem import (
     Fitted,
     Release,
     Sampled,
     StepProblem,
+    Trial,
+    by_record,
+    chosen,
     covariances,
     fit_poles,
+    lagged,
     left_open,
-    prepared,
+    model_covariance,
+    needed,
+    otherwise,
+    shaped,
     widened,
 )
 from shaker.release.poles import highest_frequency, shared_poles
 from shaker.release.reading import read_release
 from shaker.release.record import Reading, Shape, StepRecord
-from shaker.release.response import averaged
+from shaker.release.response import Samples, averaged
 
 _PER_PERIOD = 6.0
 _LEAST_BLOCKS = 1200
@@ -53,24 +59,29 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     >>> print(np.sort(found.model.frequency_hz).round())
     [310. 400.]
     """
-    components = _checked(records)
+    if not records:
+        raise ValueError("records: expected at least one, found none")
+    first = records[0]
+    for other in records:
+        for key in ("channels", "unit", "sample_rate_hz"):
+            own, expected = getattr(other, key), getattr(first, key)
+            if own != expected:
+                told = f"expected {key} {expected} as in {first.name}, found {own} in {other.name}"
+                raise ValueError(f"records: {told}")
     readings = []
-    for record in records:  # by the output that changes most over what it scatters by before
-        count = record.samples.shape[1]
-        rest, end = record.samples[:, : max(8, count // 50)], record.samples[:, -max(8, count // 5) :]
+    for raw in records:  # by the output that changes most over what it scatters by before
+        count = raw.samples.shape[1]
+        rest, end = raw.samples[:, : max(8, count // 50)], raw.samples[:, -max(8, count // 5) :]
         change = np.abs(end.mean(axis=1) - rest.mean(axis=1)) / np.maximum(rest.std(axis=1), 1e-300)
-        readings.append(read_release(record, record.channels[int(np.argmax(change))]))
+        readings.append(read_release(raw, raw.channels[int(np.argmax(change))]))
     noise = _noise(records, readings)
-    problem, releases, start = _posed(records, readings, noise, components)
+    problem, releases, start = _posed(records, readings, noise)
     start, releases = lagged(problem, needed(problem, start, releases, most_modes), releases)
     lasts_s = 1.0 / float(np.min(-start.values.real))
-    cut = [
-        record.cut(
-            release.middle_s - release.duration_s - _BEFORE * lasts_s,
-            release.middle_s + release.duration_s + _AFTER * lasts_s,
-        )
-        for record, release in zip(problem.records, releases, strict=True)
-    ]
+    cut = []
+    for record, release in zip(problem.records, releases, strict=True):
+        before_s, after_s = release.duration_s + _BEFORE * lasts_s, release.duration_s + _AFTER * lasts_s
+        cut.append(record.cut(release.middle_s - before_s, release.middle_s + after_s))
     near = replace(problem, records=tuple(cut))
     found, trials = chosen(near, (start, releases), most_modes, most_reals)
     found = otherwise(near, found)
@@ -82,21 +93,6 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     problem = replace(problem, records=tuple(weighted))
     found = fit_poles(problem, found.poles, found.releases)
     return multi_fit(records, problem, found, again, tuple(trials))
-
-
-def _checked(records: Sequence[StepRecord]) -> tuple[str, ...]:
-    """The loads of records that fit together, Fx first."""
-    if not records:
-        raise ValueError("records: expected at least one, found none")
-    first = records[0]
-    for record in records:
-        for name in ("channels", "unit", "sample_rate_hz"):
-            own, expected = getattr(record, name), getattr(first, name)
-            if own != expected:
-                raise ValueError(
-                    f"records: expected {name} {expected} as in {first.name}, found {own} in {record.name}"
-                )
-    return in_order(record.component for record in records)
 
 
 def _noise(records: Sequence[StepRecord], readings: Sequence[Reading]) -> FloatArray:
@@ -111,9 +107,9 @@ def _noise(records: Sequence[StepRecord], readings: Sequence[Reading]) -> FloatA
 
 
 def _posed(
-    records: Sequence[StepRecord], readings: Sequence[Reading], noise: FloatArray, components: tuple[str, ...]
+    records: Sequence[StepRecord], readings: Sequence[Reading], noise: FloatArray
 ) -> tuple[StepProblem, tuple[Release, ...], Poles]:
-    """The least squares problem, with releases as read and poles of the decays to start from."""
+    """The least squares problem of means over blocks, with releases as read and poles of the decays to start from."""
     rate = records[0].sample_rate_hz
     decays = []
     for record, reading in zip(records, readings, strict=True):
@@ -123,31 +119,27 @@ def _posed(
         decays.append((rest - level) / noise[:, None])
     size = max(1, int(rate / (_PER_PERIOD * highest_frequency(decays, rate))))
     size = min(size, max(1, min(part.shape[1] for part in decays) // _LEAST_BLOCKS))
-    sampled = tuple(
-        Sampled(
-            record.name,
-            record.component,
-            record.amplitude,
-            prepared(record.samples, record.start_s, rate, noise, size),
-        )
-        for record in records
-    )
-    found = _offered([averaged(part, size) for part in decays], [record.component for record in records], rate / size)
-    if not len(found):
+    sampled = []
+    for record in records:
+        data = averaged(record.samples, size).T / (noise / np.sqrt(size))
+        time_s = record.start_s + np.arange(len(data)) * size / rate
+        lengths = np.full(len(data), size, dtype=np.int64)
+        samples = Samples(time_s, lengths, data - data.mean(axis=0), 1.0 / rate)
+        sampled.append(Sampled(record.name, record.component, record.amplitude, samples))
+    swings = _swings([averaged(part, size) for part in decays], [record.component for record in records], rate / size)
+    if not len(swings):
         raise ValueError("records: expected outputs that swing after the release, found none")
-    poles = Poles(np.abs(found) / (2 * np.pi), np.clip(-found.real / np.abs(found), 1e-4, 0.9), np.zeros(0))
-    releases = tuple(
-        Release(
-            reading.onset_s + reading.release_s / 2.0,
-            max(reading.release_s, 1.0 / rate),
-            "smooth" if reading.shape == "smooth" else "ramp",
-        )
-        for reading in readings
-    )
-    return StepProblem(sampled, components), releases, poles
+    poles = Poles(np.abs(swings) / (2 * np.pi), np.clip(-swings.real / np.abs(swings), 1e-4, 0.9), np.zeros(0))
+    releases = []
+    for reading in readings:
+        shape: Shape = "smooth" if reading.shape == "smooth" else "ramp"
+        middle_s, duration_s = reading.onset_s + reading.release_s / 2.0, max(reading.release_s, 1.0 / rate)
+        releases.append(Release(middle_s, duration_s, shape))
+    components = in_order(record.component for record in records)
+    return StepProblem(tuple(sampled), components), tuple(releases), poles
 
 
-def _offered(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) -> ComplexArray:
+def _swings(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) -> ComplexArray:
     """Poles of all decays together, and those of each load's decays that are not among them."""
     found = shared_poles(decays, rate_hz)
     for load in dict.fromkeys(loads):
@@ -158,7 +150,6 @@ def _offered(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float)
 
 
 # What was found, in the units of the records.
-
 
 _COLOURED = 2.0
 _SCATTERED = 3.0
@@ -235,27 +226,17 @@ def multi_fit(
     releases = _releases(problem, records, found, spread)
     shares = np.array([_scale_share(name, records, releases) for name in problem.components])
     table = np.stack([poles.smooth @ own for own in point.coefficients], axis=2) * scaled[:, None]
-    re, im, real = np.split(table, [poles.modes, 2 * poles.modes])
-    model = MultiModel(
-        channels=records[0].channels,
-        components=problem.components,
-        unit=records[0].unit,
-        frequency_hz=poles.frequency_hz,
-        damping_ratio=poles.damping_ratio,
-        residue=re + 1j * im,
-        real_hz=poles.real_hz,
-        real_residue=real,
-    )
+    model = MultiModel.of_poles(poles, table, (records[0].channels, problem.components), records[0].unit)
     for outputs, own in zip(follows, point.coefficients, strict=True):
         for c, follow in enumerate(outputs):  # of those that start smoothly, and as the basis of these turns
             outputs[c] = poles.smooth @ follow
             outputs[c][:, : poles.count] += (poles.smooth_slopes @ own[:, c]).T
-    covariance, alone = _covariance(model, spread, follows, scaled)
+    elements = [follow for outputs in follows for follow in outputs]
+    covariance, alone = model_covariance(model, spread, elements, np.tile(scaled, len(follows)))
     size = model.shared * len(model.channels)
     for d, share in enumerate(shares):  # all residues of a load share the uncertainty of its scale
         here = slice(model.shared + d * size, model.shared + (d + 1) * size)
         covariance[here, here] += share**2 * np.outer(model.vector[here], model.vector[here])
-    check_separable(model.static_gain, model.channels, model.components)
     data = [float(np.vdot(block.data, block.data)) for block in point.blocks]
     left = [float(np.vdot(rest, rest)) for rest in point.residuals]
     amplitude = [max(abs(r.amplitude) for r in records if r.component == name) for name in problem.components]
@@ -282,50 +263,32 @@ def misfits(found: Fitted, outputs: int) -> FloatArray:
     return np.asarray(np.sqrt(np.sum(rests**2, axis=0) / (len(rests) - free)))
 
 
-def _covariance(
-    model: MultiModel, spread: FloatArray, follows: Sequence[Sequence[FloatArray]], scaled: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Covariance of the model's vector from that of poles and releases and how the coefficients follow them.
-
-    Beside it the standard uncertainties by the noise of each element alone, 0 for the poles.
-    """
-    count, n = len(model.vector), model.shared
-    rows, own = np.zeros((count, len(spread))), np.zeros((count, count))
-    rows[:n, :n] = np.diag(np.concatenate([np.ones(2 * len(model.frequency_hz)), model.real_hz]))
-    place = n
-    for outputs in follows:
-        for follow, size in zip(outputs, scaled, strict=True):
-            here = slice(place, place + n)
-            rows[here] = size * follow[:, : len(spread)]
-            own[here, here] = size**2 * follow[:, len(spread) :] @ follow[:, len(spread) :].T
-            place += n
-    return np.asarray(rows @ spread @ rows.T + own), np.asarray(np.sqrt(np.diag(own)))
-
-
 def _releases(
     problem: StepProblem, records: Sequence[StepRecord], found: Fitted, spread: FloatArray
 ) -> tuple[ReleaseFit, ...]:
     """What every record shows of its release, in the order of the records."""
-    times = np.sqrt(np.diag(spread))[found.poles.count :].reshape(-1, 2)
-    results: dict[int, ReleaseFit] = {}
-    for i, rest in by_record(problem, found):
-        data, release = problem.records[i].samples.value, found.releases[i]
-        fitted = data - rest
+    times = np.sqrt(np.diag(spread))[found.poles.count :].reshape(-1, 2).tolist()
+    rests, results = dict(by_record(problem, found)), []
+    for i, (record, release) in enumerate(zip(problem.records, found.releases, strict=True)):
+        data = record.samples.value
+        fitted = data - rests[i]
         power = float(np.vdot(fitted, fitted))
-        results[i] = ReleaseFit(
-            record=problem.records[i].name,
-            component=problem.records[i].component,
-            release=records[i].release,
-            middle_s=release.middle_s,
-            u_middle_s=float(times[i, 0]),
-            duration_s=release.duration_s,
-            u_duration_s=release.duration_s * float(times[i, 1]),
-            shape=release.shape,
-            gain=float(np.vdot(data, fitted)) / power,
-            u_gain=1.0 / float(np.sqrt(power)),
-            misfit=np.asarray(np.std(rest, axis=0)),
+        results.append(
+            ReleaseFit(
+                record=record.name,
+                component=record.component,
+                release=records[i].release,
+                middle_s=release.middle_s,
+                u_middle_s=times[i][0],
+                duration_s=release.duration_s,
+                u_duration_s=release.duration_s * times[i][1],
+                shape=release.shape,
+                gain=float(np.vdot(data, fitted)) / power,
+                u_gain=1.0 / float(np.sqrt(power)),
+                misfit=np.asarray(np.std(rests[i], axis=0)),
+            )
         )
-    return tuple(results[i] for i in range(len(problem.records)))
+    return tuple(results)
 
 
 def _scale_share(component: str, records: Sequence[StepRecord], releases: Sequence[ReleaseFit]) -> float:

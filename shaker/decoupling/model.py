@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
@@ -86,11 +87,8 @@ class Poles(Brief):
 
     def with_mode(self, pole: complex) -> Poles:
         """Return these and one more mode."""
-        f, z = (
-            np.append(self.frequency_hz, abs(pole) / (2 * np.pi)),
-            np.append(self.damping_ratio, -pole.real / abs(pole)),
-        )
-        return Poles(f, np.clip(z, 1e-4, 0.9), self.real_hz)
+        f, z = abs(pole) / (2 * np.pi), np.append(self.damping_ratio, -pole.real / abs(pole))
+        return Poles(np.append(self.frequency_hz, f), np.clip(z, 1e-4, 0.9), self.real_hz)
 
     def with_real(self, hz: float) -> Poles:
         """Return these and one more real pole."""
@@ -99,11 +97,7 @@ class Poles(Brief):
     def without(self, place: int) -> Poles:
         """Return these without one: a mode, or counted behind them a real pole."""
         if place < self.modes:
-            return replace(
-                self,
-                frequency_hz=np.delete(self.frequency_hz, place),
-                damping_ratio=np.delete(self.damping_ratio, place),
-            )
+            return Poles(np.delete(self.frequency_hz, place), np.delete(self.damping_ratio, place), self.real_hz)
         return replace(self, real_hz=np.delete(self.real_hz, place - self.modes))
 
     @cached_property
@@ -141,6 +135,8 @@ class Poles(Brief):
 
 
 # A system with several outputs and several loads as a sum of modes that all its elements share.
+
+Names: TypeAlias = tuple[str, ...]
 
 
 @dataclass(frozen=True, repr=False)
@@ -192,13 +188,28 @@ class MultiModel(Brief):
         """Number 2M + Q of parameters of the poles, which is also that of each element."""
         return 2 * len(self.frequency_hz) + len(self.real_hz)
 
+    @staticmethod
+    def of_poles(poles: Poles, table: FloatArray, names: tuple[Names, Names], unit: str) -> MultiModel:
+        """Return the model of coefficients (2M + Q, C, D) of `Poles.basis`; `names` of outputs and of loads.
+
+        Loads that the outputs do not tell apart are refused with their names.
+        """
+        re, im, real = np.split(table, [poles.modes, 2 * poles.modes])
+        modes = poles.frequency_hz, poles.damping_ratio
+        model = MultiModel(*names, unit, *modes, re + 1j * im, poles.real_hz, real)
+        check_separable(model.static_gain, *names)
+        return model
+
+    @property
+    def table(self) -> FloatArray:
+        """Coefficients (2M + Q, C, D) of `Poles.basis`: Re and Im of the residues, then the real ones."""
+        return np.concatenate([self.residue.real, self.residue.imag, self.real_residue])
+
     @property
     def vector(self) -> FloatArray:
         """All parameters (P,) in the order of `covariance`."""
-        own = np.concatenate([self.residue.real, self.residue.imag, self.real_residue])
-        return np.concatenate(
-            [self.frequency_hz, self.damping_ratio, self.real_hz, np.transpose(own, (2, 1, 0)).ravel()]
-        )
+        own = np.transpose(self.table, (2, 1, 0)).ravel()
+        return np.concatenate([self.frequency_hz, self.damping_ratio, self.real_hz, own])
 
     def parts(self, vector: FloatArray) -> ModelParts:
         """Return numbers in the order of `vector`, such as standard uncertainties, in the places of the parameters."""
@@ -229,11 +240,7 @@ class MultiModel(Brief):
 
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return H (K, C, D) at frequencies (K,) in Hz."""
-        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
-        upper, real = np.split(self.poles, [len(self.frequency_hz)])
-        parts = (1 / (s - upper), self.residue), (1 / (s - upper.conj()), self.residue.conj())
-        found = sum(np.einsum("km,mcd->kcd", basis, residue) for basis, residue in parts)
-        return np.asarray(found + np.einsum("kq,qcd->kcd", 1 / (s - real), self.real_residue))
+        return np.asarray(np.einsum("kn,ncd->kcd", self.common_poles.basis(frequency_hz), self.table))
 
     @property
     def static_gain(self) -> FloatArray:
@@ -256,14 +263,8 @@ class MultiModel(Brief):
             own = n + n * (d * len(self.channels) + c) + np.arange(n)
             places = np.concatenate([np.arange(2 * m), own[: 2 * m], np.arange(2 * m, n), own[2 * m :]])
             covariance = self.covariance[np.ix_(places, places)]
-        return ModalModel(
-            self.frequency_hz,
-            self.damping_ratio,
-            self.residue[:, c, d],
-            self.real_hz,
-            self.real_residue[:, c, d],
-            covariance,
-        )
+        residues = self.residue[:, c, d], self.real_hz, self.real_residue[:, c, d]
+        return ModalModel(self.frequency_hz, self.damping_ratio, *residues, covariance)
 
     @property
     def u(self) -> ModelParts:
@@ -282,9 +283,7 @@ class MultiModel(Brief):
         n, outputs, common = self.shared, len(self.channels), self.common_poles
         found = np.zeros((len(frequency_hz), outputs, n * (1 + outputs)), dtype=np.complex128)
         residues = np.concatenate([self.residue[:, :, component], self.real_residue[:, :, component]]).T
-        unit = np.concatenate(
-            [np.ones(2 * common.modes), 1.0 / self.real_hz]
-        )  # poles are told in Hz, not in logarithms
+        unit = np.concatenate([np.ones(2 * common.modes), 1.0 / self.real_hz])  # of poles in Hz, not in logarithms
         found[:, :, :n] = common.response_slopes(frequency_hz, residues).transpose(1, 0, 2) * unit
         for c in range(outputs):
             found[:, c, n * (1 + c) : n * (2 + c)] = common.basis(frequency_hz)
@@ -294,7 +293,6 @@ class MultiModel(Brief):
 
 
 # A sum of modes at the samples' times, for loads that go straight from sample to sample.
-
 
 _NO_SHAPE = 1e-9
 
@@ -318,17 +316,11 @@ def sampled_modes(
     depends on the load there: no half sample of delay, unlike with loads that stay. Of each residue matrix as many
     states as its rank, scaled to unit size under white loads.
     """
-    outputs, loads = residues[0].shape
+    from scipy.linalg import block_diag
+
     parts = [_pole(pole, residue, 1.0 / sample_rate_hz) for pole, residue in zip(poles, residues, strict=True)]
-    size = sum(len(part.a) for part in parts)
-    a, b, c = np.zeros((size, size)), np.zeros((size, loads)), np.zeros((outputs, size))
-    d, row = np.zeros((outputs, loads)), 0
-    for part in parts:
-        here = slice(row, row + len(part.a))
-        a[here, here], b[here], c[:, here] = part.a, part.b, part.c
-        d += part.d
-        row = here.stop
-    return StateSpace(a, b, c, d)
+    b, c = np.concatenate([part.b for part in parts]), np.concatenate([part.c for part in parts], axis=1)
+    return StateSpace(block_diag(*(part.a for part in parts)), b, c, np.sum([part.d for part in parts], axis=0))
 
 
 def _pole(pole: complex, residue: ComplexArray | FloatArray, step_s: float) -> StateSpace:
@@ -356,19 +348,14 @@ def _pole(pole: complex, residue: ComplexArray | FloatArray, step_s: float) -> S
 
 # Whether loads were excited, and whether the outputs tell them apart.
 
-
 _SEPARATE = 1e-3
 
 
 def in_order(components: Iterable[str]) -> tuple[str, ...]:
     """Return the load components that occur, once each, Fx first."""
-    named = dict.fromkeys(components)
-    return tuple(
-        sorted(
-            named,
-            key=lambda name: (LOAD_COMPONENTS.index(name) if name in LOAD_COMPONENTS else len(LOAD_COMPONENTS), name),
-        )
-    )
+    named = set(components)
+    known = [name for name in LOAD_COMPONENTS if name in named]
+    return (*known, *sorted(named.difference(known)))
 
 
 def missing_loads(

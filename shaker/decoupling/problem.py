@@ -1,17 +1,19 @@
-"""Records of several releases as one least squares problem: poles are shared, residues are shared by a load."""
+"""Records of several releases as one least squares problem of common poles, and how many poles it asks for."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray
-from shaker.decoupling.model import Poles
+from shaker.decoupling.model import MultiModel, Poles
 from shaker.fitting import Block, Minimum, Prior, Rules, Separable, levenberg_marquardt
+from shaker.release.poles import shared_poles
 from shaker.release.record import Shape
-from shaker.release.response import MOMENTS, Answers, Load, Samples, answers, averaged, responses
+from shaker.release.response import MOMENTS, Answers, Load, Samples, answers, responses
 
 _REACH = 1.96  # standard uncertainties of 95 %
 _LOOSE = (1.5, 2.0)  # standard deviations of what a start says of logarithms of real poles and of durations
@@ -44,14 +46,6 @@ class Sampled:
         """Return the record between two times."""
         near = self.samples.between(from_s, to_s)
         return replace(self, samples=replace(near, value=near.value - near.value.mean(axis=0)))
-
-
-def prepared(samples: FloatArray, start_s: float, rate_hz: float, noise: FloatArray, size: int) -> Samples:
-    """Return means over `size` samples (C, N) over their noise (C,), the mean of the record taken off."""
-    data = averaged(samples, size).T / (noise / np.sqrt(size))
-    count = len(data)
-    time_s = start_s + np.arange(count) * size / rate_hz
-    return Samples(time_s, np.full(count, size, dtype=np.int64), data - data.mean(axis=0), 1.0 / rate_hz)
 
 
 @dataclass(frozen=True)
@@ -165,9 +159,7 @@ def covariances(
     is known of the parameters beforehand. Element [i][c] (B, P + B): change of the coefficients with the parameters,
     beside a square root of their covariance where the parameters are known.
     """
-    normal, count = point.normal[0] + np.diag(known), len(point.parameters)
-    unit = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    inverse = np.linalg.pinv(normal * np.outer(unit, unit), rcond=1e-13, hermitian=True) * np.outer(unit, unit)
+    inverse, count = _inverse(point.normal[0] + np.diag(known)), len(point.parameters)
     spread, follows = np.diag(known), []
     for part, (places, change), variance in zip(point.solved, point.slopes, variances, strict=True):
         rows = []
@@ -182,6 +174,32 @@ def covariances(
     return inverse @ spread @ inverse, follows
 
 
+def _inverse(normal: FloatArray) -> FloatArray:
+    """Inverse of a normal matrix, without the directions that it does not tell."""
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scale = np.outer(unit, unit)
+    return np.asarray(np.linalg.pinv(normal * scale, rcond=1e-13, hermitian=True) * scale)
+
+
+def model_covariance(
+    model: MultiModel, spread: FloatArray, follows: Sequence[FloatArray], scale: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance (P, P) of the model's vector from that of the parameters of a fit, poles first.
+
+    `follows`: how the coefficients of each element follow them, as of `covariances`, load after load and in it output
+    after output, and their `scale`. Beside it the standard uncertainties (P,) by the noise of each element alone, 0
+    for the poles.
+    """
+    count, n = len(model.vector), model.shared
+    rows, own = np.zeros((count, len(spread))), np.zeros((count, count))
+    rows[:n, :n] = np.diag(np.concatenate([np.ones(2 * len(model.frequency_hz)), model.real_hz]))
+    for i, (follow, size) in enumerate(zip(follows, scale, strict=True)):
+        here = slice(n * (1 + i), n * (2 + i))
+        rows[here] = size * follow[:, : len(spread)]
+        own[here, here] = size**2 * follow[:, len(spread) :] @ follow[:, len(spread) :].T
+    return np.asarray(rows @ spread @ rows.T + own), np.asarray(np.sqrt(np.diag(own)))
+
+
 def left_open(found: Fitted) -> FloatArray:
     """Return the reciprocal variances (P,) of lags and durations by what bounds them.
 
@@ -192,10 +210,7 @@ def left_open(found: Fitted) -> FloatArray:
     """
     poles, vector = found.poles, found.solution.point.parameters
     lags = np.arange(2 * poles.modes, poles.count)
-    normal, largest = found.solution.point.normal[0], np.inf
-    unit = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    spread = np.linalg.pinv(normal * np.outer(unit, unit), rcond=1e-13, hermitian=True) * np.outer(unit, unit)
-    known = np.zeros(len(vector))
+    spread, known, largest = _inverse(found.solution.point.normal[0]), np.zeros(len(vector)), np.inf
 
     def bound(places: IntArray | list[int], square: FloatArray | float, most: float) -> None:
         share = np.asarray(square) / most
@@ -229,12 +244,6 @@ def widened(found: Fitted, spread: FloatArray) -> FloatArray:
     return spread
 
 
-def decay_start(samples: Samples, release: Release) -> int:
-    """Return the first block of samples of which none is taken while the load changes."""
-    end_s = release.middle_s + release.duration_s / 2.0
-    return int(np.searchsorted(samples.time_s, end_s))
-
-
 def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], places: Sequence[int]) -> Block:
     """All records of one load; the level of each is taken off data and design alike."""
     records, smooth, modes = [problem.records[i] for i in places], poles.smooth, poles.modes
@@ -266,3 +275,268 @@ def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], plac
         return moved, found
 
     return Block(design @ smooth, np.concatenate([record.samples.value for record in records]), changes)
+
+
+# How many poles the records ask for.
+
+_ROUNDS = 12
+_CANDIDATES = 3
+_FEW_STEPS = 12
+_ROUGH = 2.0
+_ALONG_A_VALLEY = (40, 0.1)  # steps and calm for a lag, which nearly does what a later and longer release does
+_AS_LONG = (1.25, 1.35, 1.45, 1.55)
+"""Durations of half a cosine over that of a line that does nearly the same: 1.33 by spread, more for fast modes."""
+_LAGS = (1.5, 4.0, 10.0)  # first lags tried, in frequencies of the lowest mode
+_SHORTEST = 0.3  # of a release as read, that is left to it by a lag tried
+_REAL_SHARES = (0.3, 1.0, 3.0)  # further lags tried, in frequencies of the highest mode
+_HIGHEST_REAL = 0.45
+_TOLD_SAMPLES = 2.0
+_LONGER = (0.5, 2.0)
+_UNEXPLAINED = 1.5
+_CLEARLY = 10.0
+_OTHERWISE = (0.75, 1.4)
+_STRONG = 0.5
+"""A mode above this share of the strongest is no make-up for releases read some hundredths of a period off."""
+
+Offer: TypeAlias = tuple[Poles, tuple[Release, ...]]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One number of poles that was tried: `misfit` is the mean square residual over that of the noise, `criterion`
+    N·ln(misfit) + ln(N)·(number of parameters), of which the least wins (Schwarz, Ann. Statist. 6 (1978) 461)."""
+
+    modes: int
+    reals: int
+    misfit: float
+    criterion: float
+    kept: bool
+
+
+def lagged(problem: StepProblem, poles: Poles, releases: tuple[Release, ...]) -> Offer:
+    """Return poles with a first lag, and releases as much earlier and shorter, that leave least.
+
+    A lag is always fitted: one too fast to be told changes amplitudes and phases of what rings all the same, and a
+    model without it states a certainty that the records do not give.
+    """
+    offers: list[Offer] = []
+    for share in _LAGS:
+        hz = min(share * float(poles.frequency_hz.min()), 0.4 / problem.step_s)
+        late_s = 1.0 / (2.0 * np.pi * hz)
+        moved = []
+        for release in releases:
+            square = release.duration_s**2 - late_s**2 / MOMENTS[release.shape]
+            shortest = _SHORTEST * release.duration_s
+            shorter = float(np.sqrt(max(square, shortest**2)))
+            moved.append(replace(release, middle_s=release.middle_s - late_s, duration_s=shorter))
+        times = [_timed(problem.part([i]), poles.with_real(hz), [one])[1][0] for i, one in enumerate(moved)]
+        offers.append((poles.with_real(hz), tuple(times)))
+    return min(offers, key=lambda offer: problem.point(*offer).loss)
+
+
+def chosen(problem: StepProblem, start: Offer, most: int | None, reals: int) -> tuple[Fitted, list[Trial]]:
+    """Return the fit with the number of poles that the criterion favours, and what was tried.
+
+    Modes that the start offers and the records do not ask for are left out one by one; then modes that the residual
+    shows, and further lags, are added as long as the criterion falls. `most`, `reals`: the highest numbers of modes
+    and of real poles.
+    """
+    here = fit_poles(problem, needed(problem, *start, most), start[1], *_ALONG_A_VALLEY)
+
+    def trial(fitted: Fitted, kept: bool) -> Trial:
+        poles, share = fitted.poles, fitted.loss / problem.values
+        return Trial(poles.modes, len(poles.real_hz), share, criterion(problem, poles, fitted.loss), kept)
+
+    trials = [trial(here, True)]
+    for _ in range(_ROUNDS):
+        there = _smaller(problem, here, most) or _larger(problem, here, most, reals)
+        if there is None:
+            break
+        trials.append(trial(there, criterion(problem, there.poles, there.loss) < trials[-1].criterion))
+        if not trials[-1].kept:
+            break
+        here = there
+    return here, trials
+
+
+def shaped(problem: StepProblem, found: Fitted) -> Fitted:
+    """Return the fit in which each release goes along a line or half a cosine, whichever leaves clearly less."""
+    releases = tuple(
+        _better_shape(problem, found, i) if release.duration_s > _TOLD_SAMPLES * problem.step_s else release
+        for i, release in enumerate(found.releases)
+    )
+    return found if releases == found.releases else fit_poles(problem, found.poles, releases, _FEW_STEPS, _ROUGH)
+
+
+def _better_shape(problem: StepProblem, found: Fitted, place: int) -> Release:
+    """One release, or the same in the other shape, with its best duration, where that leaves clearly less."""
+    near = problem.places(problem.records[place].component)
+    part, own = problem.part(near), found.releases[place]
+    other: Shape = "smooth" if own.shape == "ramp" else "ramp"
+    ratios = _AS_LONG if other == "smooth" else [1.0 / ratio for ratio in _AS_LONG]
+    tried = [own, *(replace(own, shape=other, duration_s=ratio * own.duration_s) for ratio in ratios)]
+    places = [[one if i == place else found.releases[i] for i in near] for one in tried]
+    losses = [part.point(found.poles, releases).loss for releases in places]
+    best = int(np.argmin(losses))
+    return tried[best] if losses[best] < losses[0] - _CLEARLY else own
+
+
+def otherwise(problem: StepProblem, found: Fitted) -> Fitted:
+    """The fit from shorter or longer releases of each load, where these leave less: the least of several minima."""
+    releases = list(found.releases)
+    for component in problem.components:
+        places = problem.places(component)
+        tried = [
+            [replace(releases[i], duration_s=by * releases[i].duration_s) for i in places] for by in (1.0, *_OTHERWISE)
+        ]
+        ends = [_timed(problem.part(places), found.poles, one) for one in tried]
+        for i, release in zip(places, min(ends, key=lambda end: end[0])[1], strict=True):
+            releases[i] = release
+    other = fit_poles(problem, found.poles, releases, _FEW_STEPS, _ROUGH)
+    return min(found, other, key=lambda fitted: fitted.loss)
+
+
+def _timed(problem: StepProblem, poles: Poles, releases: Sequence[Release]) -> tuple[float, tuple[Release, ...]]:
+    """The loss and the best times of releases where the poles are known."""
+    count, start = poles.count, problem.vector(poles, releases)
+
+    def at(times: FloatArray) -> Separable | None:
+        parts = problem.split(np.concatenate([poles.vector, times]), poles, releases)
+        if parts is None:
+            return None
+        blocks = []
+        for block in problem.point(poles, parts[1]).blocks:
+
+            def changes(own: FloatArray, whole: Block = block) -> tuple[IntArray, FloatArray]:
+                places, change = whole.changes(own)
+                return places[count:] - count, change[:, count:]
+
+            blocks.append(replace(block, changes=changes))
+        return Separable(times, tuple(blocks))
+
+    first = at(start[count:])
+    if first is None:
+        raise ValueError(f"releases: expected ones within their records, found {list(releases)}")
+    whole = problem.prior(start, poles)
+    smallest = np.tile([problem.step_s, 0.1], len(releases))
+    prior = Prior(whole.value[count:], whole.u[count:])
+    point = levenberg_marquardt(at, first, rules(_FEW_STEPS, _ROUGH), smallest, prior).point
+    parts = problem.split(np.concatenate([poles.vector, point.parameters]), poles, releases)
+    assert parts is not None
+    return point.loss, parts[1]
+
+
+def _begun(part: StepProblem, poles: Poles, release: Release) -> Release:
+    """A release by its record alone, poles held: the best of both shapes, from shorter and longer ones
+    too where the record is not explained."""
+    ramp, smooth = replace(release, shape="ramp"), replace(release, shape="smooth")
+    tried = [_timed(part, poles, [one]) for one in (ramp, smooth)]
+    if min(tried, key=lambda end: end[0])[0] >= _UNEXPLAINED * part.values:
+        others = [replace(one, duration_s=by * one.duration_s) for one in (ramp, smooth) for by in _LONGER]
+        tried += [_timed(part, poles, [one]) for one in others]
+    return min(tried, key=lambda end: end[0])[1][0]
+
+
+def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:
+    """Return N·ln(loss/N) + ln(N)·(number of parameters): a lag adds its corner alone, its residues follow."""
+    count, outputs, loads = problem.values, problem.records[0].samples.value.shape[1], len(problem.components)
+    parameters = 2 * poles.modes * (1 + outputs * loads) + len(poles.real_hz)
+    return float(count * np.log(max(loss / count, 1e-12)) + np.log(count) * parameters)
+
+
+def removal_losses(poles: Poles, point: Separable) -> FloatArray:
+    """Return how much the loss grows without each pole (M + Q,), the others held: b'·[(A'A)⁻¹ of its columns]⁻¹·b."""
+    losses = np.zeros(poles.modes + len(poles.real_hz))
+    for part in point.solved:
+        whole, root = poles.smooth @ part.coefficients, poles.smooth @ part.root
+        inverse = root @ root.T
+        for place in range(len(losses)):
+            columns = poles.columns(place)
+            weight = np.linalg.pinv(inverse[np.ix_(columns, columns)], hermitian=True)
+            losses[place] += float(np.einsum("bc,bd,dc->", whole[columns], weight, whole[columns]))
+    return losses
+
+
+def needed(problem: StepProblem, poles: Poles, releases: Sequence[Release], most: int | None) -> Poles:
+    """Return a start without the modes that the criterion does not ask for, or that are beyond the highest number."""
+    while poles.modes > 1:
+        point = problem.point(poles, releases)
+        losses = removal_losses(poles, point)[: poles.modes]
+        weakest = int(np.argmin(losses))
+        fewer = poles.without(weakest)
+        falls = criterion(problem, fewer, point.loss + losses[weakest]) < criterion(problem, poles, point.loss)
+        if not (falls or (most is not None and poles.modes > most)):
+            break
+        poles = fewer
+    return poles
+
+
+def _smaller(problem: StepProblem, here: Fitted, most: int | None) -> Fitted | None:
+    """The fit without the weakest mode, None where the criterion needs all.
+
+    What the other poles and the releases take over shows in a fit alone: a mode that makes up for a release begun
+    elsewhere looks needed as long as that release is held.
+    """
+    poles = here.poles
+    if poles.modes < 2 or (most is not None and poles.modes <= most):
+        return None
+    losses = removal_losses(poles, here.solution.point)[: poles.modes]
+    weakest = int(np.argmin(losses))
+    if losses[weakest] > _STRONG * losses.max():
+        return None
+    fewer = fit_poles(problem, poles.without(weakest), here.releases, *_ALONG_A_VALLEY)
+    return fewer if criterion(problem, fewer.poles, fewer.loss) < criterion(problem, poles, here.loss) else None
+
+
+def _larger(problem: StepProblem, here: Fitted, most: int | None, reals: int) -> Fitted | None:
+    """The fit with the mode or the lag that lowers the loss most, None where the numbers are reached."""
+    modes: list[Offer] = []
+    if most is None or here.poles.modes < most:
+        modes = [(here.poles.with_mode(complex(pole)), here.releases) for pole in _left(problem, here)]
+    lags: list[Offer] = []
+    if len(here.poles.real_hz) < reals:
+        top, limit = float(here.poles.frequency_hz.max()), _HIGHEST_REAL / problem.step_s
+        lags = [(here.poles.with_real(min(share * top, limit)), here.releases) for share in _REAL_SHARES]
+    tried = []
+    for offers, steps, calm in ((modes, _FEW_STEPS, _ROUGH), (lags, *_ALONG_A_VALLEY)):
+        if offers:
+            losses = [problem.point(*offer).loss for offer in offers]
+            fitted = fit_poles(problem, *offers[int(np.argmin(losses))], steps, calm)
+            again = _again(problem, fitted)
+            tried += [fitted] if again is None else [fitted, again]
+    return min(tried, key=lambda fitted: criterion(problem, fitted.poles, fitted.loss), default=None)
+
+
+def by_record(problem: StepProblem, found: Fitted) -> list[tuple[int, FloatArray]]:
+    """What is left of every record (A, C), load after load."""
+    rests: list[tuple[int, FloatArray]] = []
+    for component, rest in zip(problem.components, found.solution.point.residuals, strict=True):
+        places = problem.places(component)
+        ends = np.cumsum([len(problem.records[i].samples.time_s) for i in places])[:-1]
+        rests += zip(places, np.split(rest, ends), strict=True)
+    return rests
+
+
+def _again(problem: StepProblem, here: Fitted) -> Fitted | None:
+    """The fit with the releases found anew whose records it does not explain, None where it explains all."""
+    releases = list(here.releases)
+    for i, rest in by_record(problem, here):
+        if float(np.mean(rest**2, axis=0).max()) > _UNEXPLAINED:
+            releases[i] = _begun(problem.part([i]), here.poles, releases[i])
+    if tuple(releases) == here.releases:
+        return None
+    return fit_poles(problem, here.poles, releases, _FEW_STEPS, _ROUGH)
+
+
+def _left(problem: StepProblem, here: Fitted) -> ComplexArray:
+    """Poles of what the fit leaves after the releases, load by load the slowest first."""
+    samples = problem.records[0].samples
+    rests, offered = dict(by_record(problem, here)), []
+    for component in problem.components:
+        parts = []
+        for i in problem.places(component):
+            end_s = here.releases[i].middle_s + here.releases[i].duration_s / 2.0
+            parts.append(rests[i][np.searchsorted(problem.records[i].samples.time_s, end_s) :].T)
+        poles = shared_poles(parts, 1.0 / (samples.step_s * int(samples.length[0])))
+        offered.append(poles[np.argsort(-poles.real)][:_CANDIDATES])
+    return np.concatenate(offered)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, Notice, check_shape
-from shaker.decoupling.model import MultiModel, Poles, check_separable
-from shaker.decoupling.problem import covariances, rules
+from shaker.decoupling.model import MultiModel, Poles
+from shaker.decoupling.problem import covariances, model_covariance, rules
 from shaker.fitting import Block, Separable, levenberg_marquardt
 
 _UNEXPLAINED = 1.5
 _WORSE = 2  # numbers of modes tried beyond the best
+
+Point: TypeAlias = tuple[Poles, Separable]
 
 
 @dataclass(frozen=True, repr=False)
@@ -34,6 +37,11 @@ class Responses(Brief):
         shape = (len(self.frequency_hz), len(self.channels), len(self.components))
         check_shape("value", self.value, shape)
         check_shape("covariance", self.covariance, (*shape, 2, 2))
+
+    @cached_property
+    def whitener(self) -> FloatArray:
+        """What makes the noise of Re and Im (K, C, D, 2, 2) independent and of unit size."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
 
 
 @dataclass(frozen=True)
@@ -70,40 +78,35 @@ def fit_responses(measured: Responses, most_modes: int = 12) -> ResponseFit:
     """
     if most_modes < 1:
         raise ValueError(f"most_modes: expected at least 1, found {most_modes}")
-    whitener = np.linalg.inv(np.linalg.cholesky(measured.covariance))
+    elements = measured.value.reshape(len(measured.frequency_hz), -1).T
+    mean_weight = np.sqrt(np.sum(measured.whitener**2, axis=(3, 4)) / 2)
+    weights = mean_weight.reshape(len(mean_weight), -1).T
     trials: list[ResponseTrial] = []
-    starts: list[Poles] = []
+    points: list[Point] = []
     for modes in range(1, most_modes + 1):
-        starts.append(_start(measured, whitener, modes))
-        trials.append(_trial(measured, whitener, starts[-1]))
+        points.append(_point(measured, fitted_poles(measured.frequency_hz, elements, weights, modes)))
+        trials.append(_trial(measured, *points[-1]))
         best = int(np.argmin([trial.criterion for trial in trials]))
         if len(trials) - 1 - best == _WORSE:
             break
-    poles, solution = _fitted(measured, whitener, starts[best])
-    while poles.modes + len(poles.real_hz) > 1:
-        first = 0 if poles.modes > 1 else 1  # something that swings stays
-        fewer = [poles.without(place) for place in range(first, poles.modes + len(poles.real_hz))]
-        found = [_trial(measured, whitener, one).criterion for one in fewer]
-        if not fewer or min(found) >= _trial(measured, whitener, poles).criterion:
+    here = _fitted(measured, points[best][0])
+    while (count := here[0].modes + len(here[0].real_hz)) > 1:
+        first = 0 if here[0].modes > 1 else 1  # something that swings stays
+        fewer = [_point(measured, here[0].without(place)) for place in range(first, count)]
+        tried = [_trial(measured, *one).criterion for one in fewer]
+        if min(tried) >= _trial(measured, *here).criterion:
             break
-        poles, solution = _fitted(measured, whitener, fewer[int(np.argmin(found))])
-        trials.append(_trial(measured, whitener, poles))
-    return _result(measured, poles, solution, tuple(trials))
+        here = _fitted(measured, fewer[int(np.argmin(tried))][0])
+        trials.append(_trial(measured, *here))
+    return _result(measured, *here, tuple(trials))
 
 
-def _start(measured: Responses, whitener: FloatArray, modes: int) -> Poles:
-    """Poles by vector fitting with the mean weight of Re and Im."""
-    elements = list(np.ndindex(measured.value.shape[1:]))
-    weights = [np.sqrt(np.einsum("kij,kij->k", whitener[:, c, d], whitener[:, c, d]) / 2) for c, d in elements]
-    return fitted_poles(measured.frequency_hz, [measured.value[:, c, d] for c, d in elements], weights, modes)
-
-
-def _fitted(measured: Responses, whitener: FloatArray, start: Poles) -> tuple[Poles, Separable]:
+def _fitted(measured: Responses, start: Poles) -> Point:
     """Weighted least squares poles from a start."""
 
     def at(vector: FloatArray) -> Separable | None:
         poles = start.with_vector(vector)
-        return Separable(vector, tuple(_blocks(measured, whitener, poles))) if poles.allowed else None
+        return _point(measured, poles)[1] if poles.allowed else None
 
     first = at(start.vector)
     if first is None:
@@ -112,18 +115,19 @@ def _fitted(measured: Responses, whitener: FloatArray, start: Poles) -> tuple[Po
     return start.with_vector(point.parameters), point
 
 
-def _blocks(measured: Responses, whitener: FloatArray, poles: Poles) -> Iterator[Block]:
-    """One block of rows per element, load after load."""
-    basis, m = poles.basis(measured.frequency_hz), poles.modes
+def _point(measured: Responses, poles: Poles) -> Point:
+    """Poles as a point of the search, with one block of rows per element, load after load."""
+    basis, m, blocks = poles.basis(measured.frequency_hz), poles.modes, []
     for d, c in np.ndindex(measured.value.shape[:0:-1]):
-        weight = whitener[:, c, d]
+        weight = measured.whitener[:, c, d]
 
         def changes(own: FloatArray, weight: FloatArray = weight) -> tuple[IntArray, FloatArray]:
             residues = np.concatenate([own[:m, 0] + 1j * own[m : 2 * m, 0], own[2 * m :, 0]])
             slopes = poles.response_slopes(measured.frequency_hz, residues)
             return np.arange(poles.count), _whitened(weight, slopes)[:, :, None]
 
-        yield Block(_whitened(weight, basis), _whitened(weight, measured.value[:, c, d][:, None]), changes)
+        blocks.append(Block(_whitened(weight, basis), _whitened(weight, measured.value[:, c, d][:, None]), changes))
+    return poles, Separable(poles.vector, tuple(blocks))
 
 
 def _whitened(whitener: FloatArray, values: ComplexArray) -> FloatArray:
@@ -132,45 +136,23 @@ def _whitened(whitener: FloatArray, values: ComplexArray) -> FloatArray:
     return np.asarray((whitener @ pairs).reshape(-1, values.shape[1]))
 
 
-def _trial(measured: Responses, whitener: FloatArray, poles: Poles) -> ResponseTrial:
+def _trial(measured: Responses, poles: Poles, point: Separable) -> ResponseTrial:
     """The entry of some poles, held as they are."""
     parameters = poles.count * (1 + len(measured.channels) * len(measured.components))
-    basis, loss = poles.basis(measured.frequency_hz), 0.0
-    for c, d in np.ndindex(measured.value.shape[1:]):
-        rows = _whitened(whitener[:, c, d], basis)
-        data = _whitened(whitener[:, c, d], measured.value[:, c, d][:, None])[:, 0]
-        loss += float(np.sum((data - rows @ np.linalg.lstsq(rows, data, rcond=None)[0]) ** 2))
-    criterion = loss + float(np.log(2 * measured.value.size)) * parameters
-    return ResponseTrial(poles.modes, len(poles.real_hz), loss, criterion)
+    criterion = point.loss + float(np.log(2 * measured.value.size)) * parameters
+    return ResponseTrial(poles.modes, len(poles.real_hz), point.loss, criterion)
 
 
 def _result(measured: Responses, poles: Poles, solution: Separable, trials: tuple[ResponseTrial, ...]) -> ResponseFit:
     """The model with covariance."""
     shape = (poles.count, len(measured.components), len(measured.channels))
-    table = np.stack([own[:, 0] for own in solution.coefficients], axis=1).reshape(shape).transpose(0, 2, 1)
-    re, im, real = np.split(table, [poles.modes, 2 * poles.modes])
-    model = MultiModel(
-        channels=measured.channels,
-        components=measured.components,
-        unit=measured.unit,
-        frequency_hz=poles.frequency_hz,
-        damping_ratio=poles.damping_ratio,
-        residue=re + 1j * im,
-        real_hz=poles.real_hz,
-        real_residue=real,
-    )
-    check_separable(model.static_gain, model.channels, model.components)
+    table = np.concatenate(solution.coefficients, axis=1).reshape(shape).transpose(0, 2, 1)
+    model = MultiModel.of_poles(poles, table, (measured.channels, measured.components), measured.unit)
     chi_squared, dof = solution.loss, 2 * measured.value.size - len(model.vector)
     excess = max(1.0, chi_squared / max(dof, 1))
     known = np.zeros(len(solution.parameters))
     spread, follows = covariances(solution, [np.full(1, excess)] * len(solution.blocks), known)
-    n = model.shared
-    rows, own = np.zeros((len(model.vector), n)), np.zeros((len(model.vector),) * 2)
-    rows[:n] = np.diag(np.concatenate([np.ones(2 * poles.modes), poles.real_hz]))
-    for i, follow in enumerate(follows):
-        here = slice(n * (1 + i), n * (2 + i))
-        rows[here] = follow[0][:, :n]
-        own[here, here] = follow[0][:, n:] @ follow[0][:, n:].T
+    covariance, _ = model_covariance(model, spread, [outputs[0] for outputs in follows], np.ones(len(follows)))
     notices = []
     if excess > _UNEXPLAINED:
         text = (
@@ -179,21 +161,17 @@ def _result(measured: Responses, poles: Poles, solution: Separable, trials: tupl
         notices.append(Notice("warning", text, "responses"))
     if not model.stable:
         notices.append(Notice("warning", "the model has a pole that grows", "model"))
-    model = replace(model, covariance=rows @ spread @ rows.T + own)
-    return ResponseFit(model, chi_squared, dof, trials, tuple(notices))
+    return ResponseFit(replace(model, covariance=covariance), chi_squared, dof, trials, tuple(notices))
 
 
 # Common poles of many frequency responses by vector fitting, as a start for least squares.
-
 
 _ROUNDS = 12
 _START_DAMPING = 0.01
 
 
-def fitted_poles(
-    frequency_hz: FloatArray, responses: Sequence[ComplexArray], weights: Sequence[FloatArray], modes: int
-) -> Poles:
-    """Return poles that responses (K,) with weights (K,) share, `modes` pairs to start with.
+def fitted_poles(frequency_hz: FloatArray, responses: ComplexArray, weights: FloatArray, modes: int) -> Poles:
+    """Return poles that responses (R, K) with weights (R, K) share, `modes` pairs to start with.
 
     h·σ = Σ r/(s - a), σ = 1 + Σ d/(s - a) is linear in r and d, and the zeros of σ are better poles than a; repeated
     (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052), with r eliminated response by response

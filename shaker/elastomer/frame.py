@@ -11,6 +11,7 @@ import numpy as np
 
 from shaker.arrays import Brief, FloatArray, IntArray, Notice, check_shape
 from shaker.elastomer.geometry import CrossBeams, Material, Section, beam_matrices, lumped
+from shaker.fitting import Residuals, Rules, levenberg_marquardt
 
 # Rigid bodies of the element: the platform and what stands on it, as mass, height and inertia.
 
@@ -309,10 +310,6 @@ class FrameModel(Brief):
         """Return displacement and turn (N, 6) of every node in a mode."""
         return np.asarray((self.frame.reduction @ self.modes.shape[:, mode]).reshape(-1, 6))
 
-    def platform_motion(self, mode: int) -> FloatArray:
-        """Return displacement and turn (6,) of the platform's point in the plane of the beams."""
-        return self.modes.shape[:6, mode]
-
 
 def solve_frame(
     beams: CrossBeams, half_size_m: float, platform: RigidPart, pieces: int = 6, consistent: bool = True
@@ -376,6 +373,8 @@ NEEDED = (("Tx", "Ty"), ("Tz",), ("Rx", "Ry"), ("Rz",))
 EXACT = 1e-4
 """Relative misfit below which frequencies count as met."""
 PIECES = 3
+SMALL = 1e-7
+"""Step of the derivatives by logarithms of platform data."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -399,8 +398,6 @@ def fit_platform(beams: CrossBeams, half_size_m: float, wanted_hz: Mapping[str, 
     Four unknowns for four distinct frequencies at every half-size: that they are met says nothing for the model, which
     a notice tells. Jx = Jy. Where no platform meets them, the one nearest in relative least squares.
     """
-    from scipy.optimize import least_squares
-
     unknown = [name for name in wanted_hz if name not in NAMES]
     if unknown or any(not any(name in wanted_hz for name in group) for group in NEEDED):
         expected = "one of Tx, Ty, one of Rx, Ry, and Tz, Rz"
@@ -417,9 +414,14 @@ def fit_platform(beams: CrossBeams, half_size_m: float, wanted_hz: Mapping[str, 
         hertz = frame_modes(frame, platform(logarithms), 8).frequency_hz
         return np.asarray(np.log(hertz[[NAMES.index(group[0]) for group in NEEDED]] / targets))
 
-    start = _start(platform_stiffness(frame), targets)
-    fit = least_squares(misfit, start, x_scale=0.1, xtol=1e-10, ftol=1e-14, gtol=1e-12)
-    fitted, worst = platform(fit.x), float(np.max(np.abs(np.expm1(fit.fun))))
+    def point(logarithms: FloatArray) -> Residuals:
+        here, moves = misfit(logarithms), SMALL * np.eye(len(logarithms))
+        slopes = [(misfit(logarithms + move) - here) / SMALL for move in moves]
+        return Residuals(logarithms, here, np.stack(slopes, axis=1))
+
+    start = point(_start(platform_stiffness(frame), targets))
+    fit = levenberg_marquardt(point, start, Rules(foretold_share=1e-14)).point
+    fitted, worst = platform(fit.parameters), float(np.max(np.abs(np.expm1(fit.residual))))
     where = f"platform of half-size {1e3 * half_size_m:g} mm"
     text = (
         "mass, height and moments of inertia are fitted to the frequencies: other half-sizes meet them too, with other "

@@ -110,7 +110,6 @@ def _check_positive(owner: object, names: tuple[str, ...]) -> None:
 
 # Stiffness and mass of a straight Timoshenko beam in space, 12 × 12.
 
-
 IN_PLANE, ACROSS = [1, 5, 7, 11], [2, 4, 8, 10]
 """Deflection and slope of both ends in the planes xy and xz; in the latter a positive slope is a negative turn."""
 ALONG, TWIST = [0, 6], [3, 9]
@@ -137,11 +136,14 @@ def beam_matrices(
         mass[np.ix_(places, places)] += inert * length_m / 6.0 * np.array([[2.0, 1.0], [1.0, 2.0]])
     for second_moment, places, sense in planes:
         phi = 12.0 * modulus * second_moment / (shear_factor * shear * area * length_m**2)
-        turn = np.outer(*(np.array([1.0, sense, 1.0, sense]),) * 2)
-        elastic_part = modulus * second_moment / length_m**3 * _bending(phi, length_m)
+        turn, square = np.outer(*(np.array([1.0, sense, 1.0, sense]),) * 2), length_m**2
+        bending = _symmetric(12.0, 6.0 * length_m, (4.0 + phi) * square, (2.0 - phi) * square) / (1.0 + phi)
+        slope = (1.0 / 10.0 - phi / 2.0) * length_m
+        own = (2.0 / 15.0 + phi / 6.0 + phi**2 / 3.0) * square, (-1.0 / 30.0 - phi / 6.0 + phi**2 / 6.0) * square
+        rotation = _symmetric(1.2, slope, *own) / (1.0 + phi) ** 2
         inert_part = density * area * length_m * _translation(phi, length_m)
-        inert_part += density * second_moment / length_m * _rotation(phi, length_m)
-        stiffness[np.ix_(places, places)] += turn * elastic_part
+        inert_part += density * second_moment / length_m * rotation
+        stiffness[np.ix_(places, places)] += turn * (modulus * second_moment / length_m**3 * bending)
         mass[np.ix_(places, places)] += turn * inert_part
     return stiffness, mass
 
@@ -157,12 +159,9 @@ def lumped(mass: FloatArray) -> FloatArray:
     return np.diag(np.concatenate([parts, parts]))
 
 
-def _bending(phi: float, length: float) -> FloatArray:
-    """Bending stiffness (4, 4) over deflection and slope of both ends, less EI/L³."""
-    a, b = 6.0 * length, (4.0 + phi) * length**2
-    c = (2.0 - phi) * length**2
-    rows = [[12.0, a, -12.0, a], [a, b, -a, c], [-12.0, -a, 12.0, -a], [a, c, -a, b]]
-    return np.array(rows) / (1.0 + phi)
+def _symmetric(force: float, a: float, b: float, c: float) -> FloatArray:
+    """A matrix (4, 4) over deflection and slope of both ends that no common deflection moves."""
+    return np.array([[force, a, -force, a], [a, b, -a, c], [-force, -a, force, -a], [a, c, -a, b]])
 
 
 def _translation(phi: float, length: float) -> FloatArray:
@@ -174,15 +173,6 @@ def _translation(phi: float, length: float) -> FloatArray:
     e = (1.0 / 105.0 + phi / 60.0 + phi**2 / 120.0) * length**2
     f = (1.0 / 140.0 + phi / 60.0 + phi**2 / 120.0) * length**2
     rows = [[a, b, c, -d], [b, e, d, -f], [c, d, a, -b], [-d, -f, -b, e]]
-    return np.array(rows) / (1.0 + phi) ** 2
-
-
-def _rotation(phi: float, length: float) -> FloatArray:
-    """Mass (4, 4) of the turning sections, less ρI/L."""
-    a = (1.0 / 10.0 - phi / 2.0) * length
-    b = (2.0 / 15.0 + phi / 6.0 + phi**2 / 3.0) * length**2
-    c = (-1.0 / 30.0 - phi / 6.0 + phi**2 / 6.0) * length**2
-    rows = [[1.2, a, -1.2, a], [a, b, -a, c], [-1.2, -a, 1.2, -a], [a, c, -a, b]]
     return np.array(rows) / (1.0 + phi) ** 2
 
 

@@ -61,21 +61,27 @@ def test_the_example_of_the_format_loads_with_its_values(make_campaign):
         manifest.rig.stereo["top"].delay = 1.0
 
 
-def test_frames_take_the_exposure_of_their_pair_unless_they_override_it(make_campaign):
-    plain = load_manifest(make_campaign()).images[0]
-    assert (plain.exposure, plain.delay, plain.delay_uncertainty, plain.bit_depth) == (40e-6, 0.0, 1e-6, 12)
-    line = 'right = "top-right/*.tif"'
-    changed = (("recording.toml", line, f"{line}\nexposure = 10e-6\ndelay = 5e-6\nbit_depth = 10"),)
-    own = load_manifest(make_campaign(replace=changed)).images[0]
-    assert (own.exposure, own.delay, own.delay_uncertainty, own.bit_depth) == (10e-6, 5e-6, 1e-6, 10)
+OWN = 'right = "top-right/*.tif"'
 
 
-def test_an_exposure_may_be_the_width_of_the_pulses(make_campaign):
-    pulses = load_manifest(make_campaign(replace=(("rig.toml", "exposure = 40e-6", 'exposure = "pulse"'),)))
-    assert (pulses.rig.stereo["top"].exposure, pulses.images[0].exposure) == ("pulse", "pulse")
-    line = 'right = "top-right/*.tif"'
-    own = load_manifest(make_campaign(replace=(("recording.toml", line, f'{line}\nexposure = "pulse"'),)))
-    assert (own.rig.stereo["top"].exposure, own.images[0].exposure) == (40e-6, "pulse")
+@pytest.mark.parametrize(
+    ("change", "of_pair", "of_frames"),
+    [
+        (("rig.toml", "", ""), 40e-6, (40e-6, 0.0, 1e-6, 12)),
+        (
+            ("recording.toml", OWN, f"{OWN}\nexposure = 10e-6\ndelay = 5e-6\nbit_depth = 10"),
+            40e-6,
+            (10e-6, 5e-6, 1e-6, 10),
+        ),
+        (("rig.toml", "exposure = 40e-6", 'exposure = "pulse"'), "pulse", ("pulse", 0.0, 1e-6, 12)),
+        (("recording.toml", OWN, f'{OWN}\nexposure = "pulse"'), 40e-6, ("pulse", 0.0, 1e-6, 12)),
+    ],
+)
+def test_frames_take_the_exposure_of_their_pair_unless_they_override_it(make_campaign, change, of_pair, of_frames):
+    manifest = load_manifest(make_campaign(replace=(change,)))
+    own = manifest.images[0]
+    assert manifest.rig.stereo["top"].exposure == of_pair
+    assert (own.exposure, own.delay, own.delay_uncertainty, own.bit_depth) == of_frames
 
 
 def test_globs_do_not_recurse_and_match_case(make_campaign):
@@ -86,10 +92,11 @@ def test_globs_do_not_recurse_and_match_case(make_campaign):
     assert len(load_manifest(folder).images[0].left) == 3
 
 
-def test_a_folder_whose_name_looks_like_a_pattern_is_taken_by_its_name(make_campaign):
-    folder = make_campaign(replace=(("recording.toml", '"vibrometer.h5"', '"run[1].h5"'),))
-    (folder / "run[1].h5").write_bytes(b"")
-    assert load_manifest(folder).daq[0].file.name == "run[1].h5"
+@pytest.mark.parametrize(("file", "outside"), [("run[1].h5", False), ("../../elsewhere.h5", True)])
+def test_a_path_may_look_like_a_pattern_or_lead_outside_on_request(make_campaign, file, outside):
+    folder = make_campaign(replace=(("recording.toml", '"vibrometer.h5"', f'"{file}"'),))
+    (folder / file).write_bytes(b"")
+    assert load_manifest(folder, allow_outside=outside).daq[0].file == (folder / file).resolve()
 
 
 def test_mraw_belongs_to_the_input_files(make_campaign):
@@ -100,12 +107,6 @@ def test_mraw_belongs_to_the_input_files(make_campaign):
     manifest = load_manifest(folder)
     assert len(manifest.images[0].left) == 1
     assert {"left.mraw", "right.mraw"} <= {file.name for file in manifest.files}
-
-
-def test_paths_outside_are_followed_on_request(make_campaign, tmp_path):
-    folder = make_campaign(replace=(("recording.toml", '"vibrometer.h5"', '"../../elsewhere.h5"'),))
-    (tmp_path / "elsewhere.h5").write_bytes(b"")
-    assert load_manifest(folder, allow_outside=True).daq[0].file == (tmp_path / "elsewhere.h5").resolve()
 
 
 def test_a_campaign_lists_its_recordings_in_natural_order(tmp_path):
@@ -204,14 +205,10 @@ def _told(model: type[BaseModel], key: str) -> str:
     return "0" if "uncertainty" in key and key != "pose_uncertainty" else "zeros"
 
 
-def test_every_block_has_a_table():
-    assert list(_tables()) == list(MODELS)
-
-
-@pytest.mark.parametrize("title", list(MODELS))
-def test_the_table_of_a_block_is_its_model(title):
-    model = MODELS[title]
-    assert _tables()[title] == {key: _told(model, key) for key in model.model_fields}
+def test_every_block_has_a_table_that_is_its_model():
+    expected = {title: {key: _told(model, key) for key in model.model_fields} for title, model in MODELS.items()}
+    assert _tables() == expected
+    assert list(_tables()) == list(expected)
 
 
 def test_every_toml_example_is_toml_that_loads(make_campaign):
@@ -219,13 +216,8 @@ def test_every_toml_example_is_toml_that_loads(make_campaign):
     rig, recording, chain = (tomllib.loads(text) for text in examples)
     assert len(chain["element"]) == 3  # tests/fusion/test_check.py reads it
     manifest = load_manifest(make_campaign())
+    pair = manifest.rig.stereo["top"]
     given = {key: value for key, value in rig["stereo"]["top"].items() if key != "calibration"}
-    loaded = manifest.rig.stereo["top"].model_dump(mode="json", include=set(given))
-    assert loaded == given
+    assert pair.model_dump(mode="json", include=set(given)) == given
     assert [daq["name"] for daq in recording["daq"]] == [daq.name for daq in manifest.daq]
-
-
-def test_the_calibration_example_is_a_calibration(make_campaign):
-    calibration = load_manifest(make_campaign()).rig.stereo["top"].calibration
-    rig = read_calibration(calibration)
-    np.testing.assert_array_equal(rig.right_from_left.translation_m, [-0.15, 0, 0])
+    np.testing.assert_array_equal(read_calibration(pair.calibration).right_from_left.translation_m, [-0.15, 0, 0])

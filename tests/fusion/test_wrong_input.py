@@ -30,14 +30,14 @@ Break = Callable[[Path], object]
 @pytest.fixture
 def campaign(tmp_path: Path, demo_recording: Path) -> Path:
     """A copy of the demo campaign; files are links to the original ones until a test replaces them."""
-    return Path(shutil.copytree(demo_recording, tmp_path / "campaign", copy_function=_link))
 
+    def link(source: str, target: str) -> None:
+        try:
+            os.link(source, target)
+        except OSError:
+            shutil.copyfile(source, target)
 
-def _link(source: str, target: str) -> None:
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)
+    return Path(shutil.copytree(demo_recording, tmp_path / "campaign", copy_function=link))
 
 
 def _replace(path: Path, content: bytes) -> None:
@@ -119,33 +119,15 @@ def _twenty_edges(samples: Any) -> Any:
     return samples
 
 
-def _stretched_rotation(campaign: Path) -> None:
-    calibration = json.loads((campaign / CALIBRATION).read_text())
+def _stretched_rotation(content: bytes) -> bytes:
+    calibration = json.loads(content)
     calibration["rotation"][0][0] *= 1.1
-    _replace(campaign / CALIBRATION, json.dumps(calibration).encode())
+    return json.dumps(calibration).encode()
 
 
-def _without_bridge_trigger(campaign: Path) -> None:
-    text = (campaign / RECORDING).read_text()
-    images = text.index("[[images]]")
-    _replace(campaign / RECORDING, (text[: text.rindex("[[daq.channel]]", 0, images)] + text[images:]).encode())
-
-
-def _outside(campaign: Path) -> None:
-    (campaign.parent / "secret.csv").write_text("frequency_hz\n")
-    _text(RECORDING, '"bridge-response.csv"', '"../../secret.csv"')(campaign)
-
-
-def _linked_outside(campaign: Path) -> None:
-    shutil.copyfile(campaign / BRIDGE, campaign.parent / "elsewhere.h5")
-    (campaign / BRIDGE).unlink()
-    (campaign / BRIDGE).symlink_to(campaign.parent / "elsewhere.h5")
-
-
-def _two_frames(campaign: Path) -> None:
-    for image in campaign.glob(f"{NAME}/top-*/*.tif"):
-        if int(image.stem) > 1:
-            image.unlink()
+def _without_last_channel(content: bytes) -> bytes:
+    images = content.index(b"[[images]]")
+    return content[: content.rindex(b"[[daq.channel]]", 0, images)] + content[images:]
 
 
 CHIRP = ('frequencies = [80.0]\nharmonics = "auto"', "band = [10.0, 100.0]\nperiod = 1.0")
@@ -154,16 +136,13 @@ UNREADABLE_TDMS = _each(
     lambda campaign: (campaign / NAME / "bridge.tdms").write_bytes(b"TDSm" + bytes(range(200)) * 20),
 )
 ENDS_AT_90_HZ = b"frequency_hz,magnitude,phase_rad,u_magnitude,u_phase_rad\n0,1,0,0,0\n90,1,0,0,0\n"
-EVERY = [f"{frame:04d}.tif" for frame in range(24)]
 TRIGGER = "camera_trigger"
+BUT_TWO = [f"top-{side}/{frame:04d}.tif" for side in ("left", "right") for frame in range(2, 24)]
 
-# The file to be named: what is broken: how, and what else the sentence must hold.
+# The file to be named: what is broken: how, and what else the sentence must hold. Of mistakes that the manifest alone
+# shows, which stand in test_wrong_manifest.py, there is one for each of its files.
 WRONG: dict[str, dict[str, tuple[Break, *tuple[str, ...]]]] = {
     RECORDING: {
-        "missing DAQ file": (_drop(BRIDGE), "daq.bridge.file", "bridge.h5", "an existing file"),
-        "missing images": (
-            _drop(*(f"top-right/{name}" for name in EVERY)), "images.top.right", "top-right/*.tif", "at least one file",
-        ),
         "truncated TIFF": (_cut("top-left/0011.tif", 0.5), "images.top.left", " top-left/0011.tif: truncated"),
         "TIFF without its end": (
             _cut("base-right/0000.tif", 0.001), "images.base.right", " base-right/0000.tif: not a readable TIFF file",
@@ -187,8 +166,7 @@ WRONG: dict[str, dict[str, tuple[Break, *tuple[str, ...]]]] = {
             _pixels("top-right/0000.tif", _saturate),
             "images.top.right", " top-right/0000.tif: expected an image that is not saturated", "%",
         ),
-        "image counts differ": (_drop("top-right/0023.tif"), "images.top.right", "found 24 left and 23 right"),
-        "two frames": (_two_frames, "images.top", "at least 3", "found 2"),
+        "two frames": (_drop(*BUT_TWO), "images.top", "at least 3", "found 2"),
         "fewer edges than frames": (
             _each(*(_channel(file, TRIGGER, _twenty_edges) for file in (VIBROMETER, BRIDGE))),
             "images.top.trigger", "at least 24 edges in camera_trigger for 24 frames, found 20",
@@ -197,20 +175,17 @@ WRONG: dict[str, dict[str, tuple[Break, *tuple[str, ...]]]] = {
             _drop("top-left/0023.tif", "top-right/0023.tif"), "images.top.first_edge", "23 frames", "24 edges",
         ),
         "clock without shared trigger": (
-            _without_bridge_trigger,
+            _content(RECORDING, _without_last_channel),
             "daq.bridge.channel", "a trigger channel of the same name as in block vibrometer",
         ),
         "trigger of another period": (
             _channel(BRIDGE, TRIGGER, lambda samples: np.repeat(samples, 2)[: len(samples)]),
             "daq.bridge.channel.camera_trigger", "expected the trigger period of the base clock",
         ),
-        "path outside the campaign": (_outside, "daq.bridge.channel.Fx.response", "../../secret.csv"),
-        "link out of the campaign": (_linked_outside, "daq.bridge.file", "elsewhere.h5"),
         "unknown key": (
             _text(RECORDING, "scale_uncertainty", "scale_uncertanty"),
             "daq.vibrometer.channel.velocity_1.scale_uncertanty", 'probably "scale_uncertainty"',
         ),
-        "no TOML": (_text(RECORDING, "format = 1", "format = "), "TOML", "line 1"),
         "channel absent from the file": (
             _text(RECORDING, 'name = "velocity_3"', 'name = "velocity_9"'),
             "daq.vibrometer.file", " vibrometer.h5: expected a channel", '"velocity_9"', '"velocity_3"',
@@ -228,19 +203,7 @@ WRONG: dict[str, dict[str, tuple[Break, *tuple[str, ...]]]] = {
             "excitation.frequencies", "expected 95 Hz to stand out of the spectrum", "vibrometer.h5",
         ),
     },
-    RIG: {
-        "wrong type": (
-            _text(RIG, "exposure = 6e-05", 'exposure = "60 us"'), "stereo.top.exposure", "a number", '"60 us"',
-        ),
-        "no calibration": (
-            _text(RIG, 'calibration = "calibration/base.json"\n', ""), "stereo.base.calibration", "no calibration",
-        ),
-        "missing calibration file": (_drop(CALIBRATION), "stereo.base.calibration", "base.json"),
-        "zero mass": (_text(RIG, "mass = 2.4063", "mass = 0.0"), "load.mass", "above 0"),
-        "non-symmetric inertia": (
-            _text(RIG, "[[0.00193, 0.0, 0.0]", "[[0.00193, 0.001, 0.0]"), "load.inertia", "a symmetric matrix", "0.001",
-        ),
-    },
+    RIG: {"zero mass": (_text(RIG, "mass = 2.4063", "mass = 0.0"), "load.mass", "above 0")},
     VIBROMETER: {
         "trigger without pulses": (
             _channel(VIBROMETER, TRIGGER, np.zeros_like), "camera_trigger: expected a level that the signal crosses",
@@ -258,7 +221,7 @@ WRONG: dict[str, dict[str, tuple[Break, *tuple[str, ...]]]] = {
     },
     CALIBRATION: {
         "another image size": (_text(CALIBRATION, "304", "640"), "image_size", "[304, 240]", "[640, 240]"),
-        "no rotation": (_stretched_rotation, ": rotation: expected an orthonormal"),
+        "no rotation": (_content(CALIBRATION, _stretched_rotation), ": rotation: expected an orthonormal"),
         "no JSON": (_bytes(CALIBRATION, b'{"format": 1,'), "JSON"),
         "nested without end": (_bytes(CALIBRATION, b"[" * 100_000), "JSON"),
     },
@@ -278,28 +241,20 @@ WRONG: dict[str, dict[str, tuple[Break, *tuple[str, ...]]]] = {
 @pytest.fixture
 def no_tracking(monkeypatch: pytest.MonkeyPatch) -> None:
     """A mistake that can be seen in the files must not cost the user the time of tracking."""
-
-    def refuse(*_: object) -> None:
-        raise AssertionError("the mistake should have been seen before tracking")
-
-    monkeypatch.setattr(stereo_motion, "measure_body", refuse)
-
-
-def _state(folder: Path) -> dict[str, tuple[int, int, int]]:
-    """Everything in a folder with size and times, to see whether anything was touched."""
-    paths = sorted(folder.rglob("*"))
-    return {f"{p}": (p.lstat().st_size, p.lstat().st_mtime_ns, p.lstat().st_ino) for p in paths}
+    monkeypatch.delattr(stereo_motion, "measure_body")
 
 
 @pytest.fixture
 def untouched(refused: Refused, tmp_path: Path) -> Refused:
     """Run a command that refuses its input and touches nothing, and return the one sentence that it says."""
 
+    def state() -> list[tuple[Path, int, int, int]]:
+        return [(p, p.lstat().st_size, p.lstat().st_mtime_ns, p.lstat().st_ino) for p in sorted(tmp_path.rglob("*"))]
+
     def run(*arguments: object, status: int = EXIT_INPUT) -> str:
-        before = _state(tmp_path)
+        before = state()
         told = refused(*arguments, status=status)
-        assert _state(tmp_path) == before
-        assert "Traceback" not in told
+        assert state() == before
         return told
 
     return run
@@ -321,8 +276,8 @@ def test_one_sentence_names_file_and_key(file, what, campaign, untouched):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (_pixels("top-right/0002.tif", _saturate), "expected an image that is not saturated"),
-        (_pixels("top-right/0002.tif", lambda image: image * 16), "expected grey values up to 1023"),
+        (_saturate, "expected an image that is not saturated"),
+        (lambda image: image * 16, "expected grey values up to 1023"),
     ],
 )
 def test_images_that_are_wrong_later_in_the_series(change, sentence, campaign, untouched, monkeypatch):
@@ -334,7 +289,7 @@ def test_images_that_are_wrong_later_in_the_series(change, sentence, campaign, u
                 side.read(frame)
 
     monkeypatch.setattr(stereo_motion, "measure_body", read_all)
-    change(campaign)
+    _pixels("top-right/0002.tif", change)(campaign)
     told = untouched("run", campaign / NAME)
     assert told.startswith(f"shakercal: {campaign / RECORDING}: images.top: top-right/0002.tif: {sentence}")
 

@@ -84,25 +84,28 @@ RATE_HZ, TARGET = 10e3, Target(np.array([300.0, 250.0]), np.array([0.6, 0.7]))
 RECORDED = Recorded(RATE_HZ, np.array([0.01, 0.01]), np.ones(2))
 
 
-def _model(second: float = 0.3) -> MultiModel:
-    """Two modes; `second` is how much the second output shows of the first load's mode, against its static share."""
+def _two_modes(show: FloatArray, drive: FloatArray) -> MultiModel:
+    """Two modes that outputs show (C, 2) and loads drive (2, D)."""
     frequency, damping = np.array([400.0, 650.0]), np.array([0.02, 0.03])
     omega = 2.0 * np.pi * frequency
     swing = omega**2 / (2j * omega * np.sqrt(1.0 - damping**2))
-    show, drive = np.array([[1.0, 0.1], [second, 1.0]]), np.array([[1.0, 0.2], [0.1, 1.0]])
     residue = np.einsum("cm,m,md->mcd", show, swing, drive)
-    return MultiModel(("Fx", "Fy"), ("Fx", "Fy"), "V", frequency, damping, residue, np.zeros(0), np.zeros((0, 2, 2)))
+    names, none = ("Fx", "Fy")[: len(show)], np.zeros((0, *residue.shape[1:]))
+    return MultiModel(names, names, "V", frequency, damping, residue, np.zeros(0), none)
+
+
+MODEL = _two_modes(np.array([[1.0, 0.1], [0.3, 1.0]]), np.array([[1.0, 0.2], [0.1, 1.0]]))
 
 
 @pytest.fixture(scope="module")
 def decoupler() -> DecouplingFilter:
-    return design_decoupling(_model(), TARGET, RECORDED)
+    return design_decoupling(MODEL, TARGET, RECORDED)
 
 
 @given(st.lists(st.integers(0, 300), max_size=6))
 @settings(max_examples=20, deadline=None)
 def test_blocks_give_the_bits_of_one_record(cuts):
-    filtered = design_decoupling(_model(), TARGET, RECORDED, 4)
+    filtered = design_decoupling(MODEL, TARGET, RECORDED, 4)
     outputs = np.random.default_rng(2).standard_normal((300, 2))
     state, parts = filtered.rest(outputs[0]), []
     for block in np.split(outputs, sorted(cuts)):
@@ -128,32 +131,28 @@ def test_response_is_the_transform_of_the_impulse_response(decoupler):
 
 def test_constant_outputs_give_constant_loads(decoupler):
     load = np.array([2.0, -3.0])
-    outputs = np.tile(_model().static_gain @ load, (50, 1))
+    outputs = np.tile(MODEL.static_gain @ load, (50, 1))
     np.testing.assert_allclose(decoupler.apply(outputs), np.tile(load, (50, 1)), rtol=1e-10)
 
 
 @pytest.mark.parametrize("delay", [0, 1, 5])
 def test_filter_times_sensor_is_the_target(delay):
     clear = Recorded(RATE_HZ, np.array([1e-5, 1e-5]), np.ones(2))
-    decoupler = design_decoupling(_model(), TARGET, clear, delay)
+    decoupler = design_decoupling(MODEL, TARGET, clear, delay)
     assert decoupler.delay == delay
     frequency_hz = np.linspace(0.0, 1000.0, 41)
-    product = decoupler.response(frequency_hz) @ _model().response(frequency_hz)
+    product = decoupler.response(frequency_hz) @ MODEL.response(frequency_hz)
     wanted = decoupler.target(frequency_hz)[:, :, None] * np.eye(2)
     assert np.abs(product - wanted).max() < 2e-3
     assert np.abs(product[0] - np.eye(2)).max() < 1e-12
 
 
 def test_sensor_without_stable_inverse_has_a_stable_filter():
-    frequency, damping, share = np.array([400.0, 650.0]), np.array([0.02, 0.03]), np.array([1.0, -0.5])
-    omega = 2.0 * np.pi * frequency
-    residue = (share * omega**2 / (2j * omega * np.sqrt(1.0 - damping**2)))[:, None, None]
-    numerator = np.polyadd(
-        share[0] * omega[0] ** 2 * np.array([1.0, 2.0 * damping[1] * omega[1], omega[1] ** 2]),
-        share[1] * omega[1] ** 2 * np.array([1.0, 2.0 * damping[0] * omega[0], omega[0] ** 2]),
-    )
-    assert np.any(np.roots(numerator).real > 0.0)
-    model = MultiModel(("a",), ("Fx",), "V", frequency, damping, residue, np.zeros(0), np.zeros((0, 1, 1)))
+    share, model = np.array([1.0, -0.5]), _two_modes(np.ones((1, 2)), np.array([[1.0], [-0.5]]))
+    omega = 2.0 * np.pi * model.frequency_hz
+    one, other = ([1.0, 2.0 * z * w, w**2] for z, w in zip(model.damping_ratio, omega, strict=True))
+    first, second = share * omega**2
+    assert np.any(np.roots(np.polyadd(np.multiply(first, other), np.multiply(second, one))).real > 0.0)
     target, recorded = Target(np.array([150.0]), np.array([0.6])), Recorded(RATE_HZ, np.array([1e-3]), np.ones(1))
     decoupler = design_decoupling(model, target, recorded)
     assert np.abs(decoupler.poles).max() < 1.0
@@ -164,12 +163,11 @@ def test_sensor_without_stable_inverse_has_a_stable_filter():
 
 
 def test_sampled_modes_follow_loads_along_lines_exactly():
-    model = _model()
-    system = sampled_modes(model.poles, list(model.residue), RATE_HZ)
+    system = sampled_modes(MODEL.poles, list(MODEL.residue), RATE_HZ)
     fine, count = 40, 120
     knots = np.concatenate([[0.0], np.random.default_rng(1).standard_normal(count - 1)])
     load = np.interp(np.arange((count - 1) * fine + 1) / fine, np.arange(count), knots)
-    a, b, c = _continuous(model)
+    a, b, c = _continuous(MODEL)
     discrete = cont2discrete((a, b[:, :1], c, np.zeros((2, 1))), 1.0 / (RATE_HZ * fine), "foh")
     _, reference, _ = dlsim((*discrete[:4], 1.0 / (RATE_HZ * fine)), load[:, None])
     found = dlsim(StateSpace(system.a, system.b[:, :1], system.c, system.d[:, :1], dt=1.0), knots[:, None])[1]
@@ -190,12 +188,7 @@ def _continuous(model: MultiModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_growing_models_and_impossible_targets_are_refused():
-    model = _model()
-    grows = MultiModel(
-        model.channels, model.components, "V", model.frequency_hz, -model.damping_ratio, model.residue,
-        model.real_hz, model.real_residue,
-    )  # fmt: skip
-    refused("decay", design_decoupling, grows, TARGET, RECORDED)
+    refused("decay", design_decoupling, replace(MODEL, damping_ratio=-MODEL.damping_ratio), TARGET, RECORDED)
     refused("between 0 and 1", Target, np.array([300.0]), np.array([1.2]))
     refused("above 0", Target, np.array([-300.0]), np.array([0.5]))
 
@@ -229,21 +222,21 @@ def fit() -> ResponseFit:
     return fit_responses(_measured(1), 5)
 
 
-def test_responses_give_the_poles_within_their_uncertainty(fit):
-    order, u = np.argsort(fit.model.frequency_hz), fit.model.u
+def _scores(model: MultiModel) -> FloatArray:
+    """How far the residues are off in standard uncertainties, once the poles are found within 3.5 of theirs."""
+    order, u = np.argsort(model.frequency_hz), model.u
     assert len(order) == 3
-    assert np.all(np.abs(fit.model.frequency_hz[order] - SENSOR.frequency_hz) < 3.5 * u.frequency_hz[order])
-    assert np.all(np.abs(fit.model.damping_ratio[order] - SENSOR.damping) < 3.5 * u.damping_ratio[order])
-    assert np.min(np.abs(fit.model.real_hz - SENSOR.lag_hz) / u.real_hz) < 3.5
+    assert np.all(np.abs(model.frequency_hz[order] - SENSOR.frequency_hz) < 3.5 * u.frequency_hz[order])
+    assert np.all(np.abs(model.damping_ratio[order] - SENSOR.damping) < 3.5 * u.damping_ratio[order])
+    assert np.min(np.abs(model.real_hz - SENSOR.lag_hz) / u.real_hz) < 3.5
+    off, spread = model.residue[order] - SENSOR.residues, u.residue[order]
+    return np.concatenate([(off.real / spread.real).ravel(), (off.imag / spread.imag).ravel()])
+
+
+def test_responses_give_poles_and_residues_within_their_uncertainty(fit):
+    assert 0.7 < np.sqrt(np.mean(_scores(fit.model) ** 2)) < 1.4
     assert fit.chi_squared / fit.dof == pytest.approx(1.0, abs=0.08)
     assert fit.notices == ()
-
-
-def test_responses_give_residues_in_their_intervals(fit):
-    order, u = np.argsort(fit.model.frequency_hz), fit.model.u.residue
-    difference = fit.model.residue[order] - SENSOR.residues
-    score = np.concatenate([(difference.real / u[order].real).ravel(), (difference.imag / u[order].imag).ravel()])
-    assert 0.7 < np.sqrt(np.mean(score**2)) < 1.4
 
 
 def test_slopes_of_the_response_are_difference_quotients(fit):
@@ -281,25 +274,13 @@ def three_loads(released) -> DecouplingFilter:
     return design_decoupling(released.model, Target(np.full(3, 300.0), np.full(3, 0.6)), recorded)
 
 
-def test_poles_are_those_of_the_sensor_within_their_uncertainty(released):
-    order, u = np.argsort(released.model.frequency_hz), released.model.u
-    assert (len(order), len(released.model.real_hz)) == (3, 1)
-    assert np.all(np.abs(released.model.frequency_hz[order] - SENSOR.frequency_hz) < 3.5 * u.frequency_hz[order])
-    assert np.all(np.abs(released.model.damping_ratio[order] - SENSOR.damping) < 3.5 * u.damping_ratio[order])
-    assert np.all(u.frequency_hz[order] < 2e-4 * SENSOR.frequency_hz)
-    assert abs(released.model.real_hz[0] - SENSOR.lag_hz) < 3.5 * u.real_hz[0]
-    assert [released.ranks[i].rank for i in order] == [1, 1, 1]
-
-
-def test_residues_lie_in_their_intervals(released):
-    order = np.argsort(released.model.frequency_hz)
-    u, difference = released.model.u.residue[order], released.model.residue[order] - SENSOR.residues
-    score = np.concatenate([(difference.real / u.real).ravel(), (difference.imag / u.imag).ravel()])
+def test_releases_give_poles_residues_and_noise(released):
+    score, order = _scores(released.model), np.argsort(released.model.frequency_hz)
     assert np.mean(np.abs(score) < 1.96) > 0.8
     assert np.abs(score).max() < 5.0
-
-
-def test_noise_and_explained_share_are_found(released):
+    assert len(released.model.real_hz) == 1
+    assert np.all(released.model.u.frequency_hz[order] < 2e-4 * SENSOR.frequency_hz)
+    assert [released.ranks[i].rank for i in order] == [1, 1, 1]
     expected = 0.01 * SENSOR.size * np.diag(SENSOR.response(np.zeros(1))[0].real)
     np.testing.assert_allclose(released.noise, expected, rtol=0.05)
     assert np.all(released.variance_accounted > 0.997)
@@ -307,23 +288,21 @@ def test_noise_and_explained_share_are_found(released):
     assert released.notices == ()
 
 
-def test_filter_takes_the_true_sensors_crosstalk_away(released, three_loads):
+def test_filter_takes_the_true_sensors_crosstalk_away_in_a_release_too(released, three_loads):
+    static_matrix = static_inverse(released.model, released.noise)
     frequency_hz = np.array([5.0, 50.0, 150.0, 250.0, 310.0, 335.0])
     truth = SENSOR.response(frequency_hz)
     wanted = three_loads.target(frequency_hz)[:, :, None] * np.eye(3)
     left = np.abs(three_loads.response(frequency_hz) @ truth - wanted) * RELATIVE
-    static = np.abs(static_inverse(released.model, released.noise) @ truth - np.eye(3)) * RELATIVE
+    static = np.abs(static_matrix @ truth - np.eye(3)) * RELATIVE
     off = ~np.eye(3, dtype=np.bool_)
     assert left[:2, off].max() < 0.003
     assert left[:, off].max() < 0.05
     assert left[4:, off].max() < 0.05 * static[4:, off].max()
-
-
-def test_filter_takes_the_crosstalk_of_a_release_away(released, three_loads):
     load = np.clip((np.arange(1000 * 20) / 20.0 - 100.0) / 5.0, 0.0, 1.0)
     for d in range(3):
         outputs = SENSOR.outputs(load, d).T
-        filtered, static = three_loads.apply(outputs), outputs @ static_inverse(released.model, released.noise).T
+        filtered, static = three_loads.apply(outputs), outputs @ static_matrix.T
         others = [i for i in range(3) if i != d]
         after = np.abs(filtered[:, others] * RELATIVE[others, d]).max()
         before = np.abs(static[:, others] * RELATIVE[others, d]).max()
@@ -373,14 +352,10 @@ def test_releases_of_other_size_than_stated_are_told():
     assert any(notice.where == "Fx" and "scatter" in notice.text for notice in found.notices)
 
 
-def test_loads_that_act_alike_are_refused_by_name():
-    records = [record for record in SENSOR.releases(6, each=1) if record.component != "Mz"]
-    twin = replace(records[0], component="Fz", name="Fz-0")
-    refused("Fx and Fz alike", fit_steps, [*records, twin])
-
-
-def test_records_of_different_outputs_are_refused():
+def test_loads_that_act_alike_and_records_of_different_outputs_are_refused_by_name():
     records = SENSOR.releases(6, each=1)
+    twin = replace(records[0], component="Fz", name="Fz-0")
+    refused("Fx and Fz alike", fit_steps, [*records[:2], twin])
     refused("expected channels", fit_steps, [records[0], replace(records[1], channels=("Fx", "Fy", "Fz"))])
     refused("found none", fit_steps, [])
 

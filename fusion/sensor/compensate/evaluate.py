@@ -9,7 +9,7 @@ from time import process_time
 
 import numpy as np
 
-from fusion.base import InputError, versions
+from fusion.base import InputError, Outcome
 from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.sensor.compensate.source import (
@@ -26,7 +26,7 @@ from fusion.sensor.compensate.source import (
     chosen,
 )
 from fusion.sensor.transfer.records import align
-from shaker.arrays import FloatArray, Notice
+from shaker.arrays import FloatArray, Notice, Severity
 from shaker.compensation.effects import (
     KEPT_SHARE,
     CompensationWithUncertainty,
@@ -49,7 +49,6 @@ from shaker.lti.indices import LABELS, indices
 from shaker.release.load_model import LoadModel
 
 # The force-feedback check: a loop through the sensor without filter, with one for no load, and with its own.
-
 
 HAND_STIFFNESS, HAND_DAMPING = 500.0, 5.0
 HANDLE_MASS, HANDLE_DAMPING = 0.8, 2.0
@@ -87,13 +86,13 @@ def check_haptics(results: Sequence[SubjectResult], wish: Wish) -> Haptics | Non
     """Run the check for the first force whose load is modelled, with its heaviest load; None where none is wanted."""
     if wish.ball_stiffness is None:
         return None
-    found = next((one for one in results if one.subject.is_scheduled and one.subject.load_unit == "N"), None)
-    if found is None:
+    force = next((one for one in results if one.subject.is_scheduled and one.subject.load_unit == "N"), None)
+    if force is None:
         expected = "a model of a force over the load (load.json) for --ball"
         raise InputError(COMMAND, "--ball", found="none", expected=expected)
-    own = max(found.filters, key=lambda one: one.load_mass or 0.0)
+    own = max(force.filters, key=lambda one: one.load_mass or 0.0)
     mass, rate = own.load_mass or 0.0, own.sections.sample_rate_hz
-    unloaded = Compensation(found.subject.dynamics(0.0, wish.modes, real_poles=False), own.compensation.target)
+    unloaded = Compensation(force.subject.dynamics(0.0, wish.modes, real_poles=False), own.compensation.target)
     sensor = own.compensation.sensor.system
     ways: dict[str, Sections | None] = {
         "no filter": None,
@@ -111,11 +110,10 @@ def check_haptics(results: Sequence[SubjectResult], wish: Wish) -> Haptics | Non
             for gain in (HALF * limit, shared)
         )
         cases.append(HapticCase(name, limit, alone.tracking_error, together))
-    return Haptics(found.subject.name, mass, shared, wish.ball_stiffness, tuple(cases))
+    return Haptics(force.subject.name, mass, shared, wish.ball_stiffness, tuple(cases))
 
 
 # A recording whose outputs go through their filters.
-
 
 NOISE_FACTOR = float(np.sqrt(20.0))
 """Standard deviation of third differences over that of white noise: √(1 + 9 + 9 + 1)."""
@@ -146,10 +144,10 @@ def read_outputs(path: Path, *, allow_outside: bool = False) -> OutputRecord:
     wanted = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.quantity == "output"]
     if not wanted:
         raise InputError(manifest.path, "daq.channel", found="none", expected='a channel with quantity = "output"')
-    found = align(manifest, read_daqs(manifest), wanted, "daq")
+    read = align(manifest, read_daqs(manifest), wanted, "daq")
     names = tuple(entry.channel or entry.name for _, entry in wanted)
     unit = manifest.rig.unit_of(wanted[0][1])
-    return OutputRecord(manifest, names, unit, np.stack(found.values), found.rate_hz, found.start_s, found.notices)
+    return OutputRecord(manifest, names, unit, np.stack(read.values), read.rate_hz, read.start_s, read.notices)
 
 
 def apply(
@@ -215,7 +213,6 @@ def with_load(wish: Wish, sources: Sources, record: OutputRecord | None) -> Wish
 
 # What the user should know of a compensation.
 
-
 WIDTH_SHARE = 0.3
 """u of a frequency over half the width of its resonance from which first order no longer holds."""
 LARGE_ERROR = 0.01
@@ -231,32 +228,27 @@ def remarks(result: SubjectResult, wish: Wish) -> Iterator[Notice]:
     for made in result.filters:
         several = made.load_mass is not None and len(result.filters) > 1
         where = f"{subject.name}, {subject.load_text(made.load_mass or 0.0)}" if several else subject.name
-        if wish.real_hz is not None and not len(made.compensation.sensor.real_hz):
-            yield Notice("info", "the model has no real pole that --real-pole could move", where)
         for severity, text in (*_of_design(made, wish), *_of_effects(made)):
-            yield Notice(severity, text, where)  # type: ignore[arg-type]
+            yield Notice(severity, text, where)
 
 
-def _of_design(made: LoadFilter, wish: Wish) -> Iterator[tuple[str, str]]:
+def _of_design(made: LoadFilter, wish: Wish) -> Iterator[tuple[Severity, str]]:
     """Whether the model is known well enough, the target the best for the permitted error, and a wanted band kept."""
     sensor, target, error = made.compensation.sensor, made.compensation.target, wish.permitted_error
+    if wish.real_hz is not None and not len(sensor.real_hz):
+        yield "info", "the model has no real pole that --real-pole could move"
     if sensor.covariance is None:
         yield "info", "the model has no covariance: what its errors do to the signal is not known"
     for hertz, damping, u in zip(sensor.frequency_hz, sensor.damping_ratio, sensor.u, strict=False):
         if u > WIDTH_SHARE * damping * hertz:  # never of an unknown u, which is NaN
-            yield (
-                "warning",
-                f"u of the mode at {hertz:.4g} Hz is {100 * u / (damping * hertz):.0f} % of half the width of its "
-                "resonance: around it the uncertainty of the compensated signal is a first-order figure only",
-            )
+            text = f"u of the mode at {hertz:.4g} Hz is {100 * u / (damping * hertz):.0f} % of half the width of its "
+            text += "resonance: around it the uncertainty of the compensated signal is a first-order figure only"
+            yield "warning", text
     reached, best = band_ratio(target.damping_ratio, error), best_damping((1.0 - KEPT_SHARE) * error)
     if wish.damping_ratio is not None and band_ratio(best, error) > BETTER * reached:
-        yield (
-            "info",
-            f"ζ = {target.damping_ratio:g} keeps ±{100 * error:g} % of one mode to "
-            f"{reached * target.frequency_hz:.4g} Hz; "
-            f"ζ = {best:.3f} keeps it to {band_ratio(best, error) * target.frequency_hz:.4g} Hz",
-        )
+        hertz, widest = target.frequency_hz * reached, target.frequency_hz * band_ratio(best, error)
+        text = f"ζ = {target.damping_ratio:g} keeps ±{100 * error:g} % of one mode to {hertz:.4g} Hz; "
+        yield "info", f"{text}ζ = {best:.3f} keeps it to {widest:.4g} Hz"
     if wish.bandwidth_hz is not None:
         gain = np.abs(made.compensation.compensated.response(np.linspace(0.0, wish.bandwidth_hz, 500)))
         worst = float(np.max(np.abs(gain / gain[0] - 1.0)))
@@ -265,23 +257,18 @@ def _of_design(made: LoadFilter, wish: Wish) -> Iterator[tuple[str, str]]:
             yield "warning", f"{text}, since the target is that of another load"
 
 
-def _of_effects(made: LoadFilter) -> Iterator[tuple[str, str]]:
+def _of_effects(made: LoadFilter) -> Iterator[tuple[Severity, str]]:
     """Which modes of the sensor the filter leaves, and what sampling and noise cost."""
     kept = made.compensation.system.poles
     for mode in made.after.indices.modes:
         share = mode.step_share
         if np.min(np.abs(kept - mode.pole)) > 1e-9 * abs(mode.pole) and share is not None and share > LARGE_ERROR:
-            yield (
-                "warning",
-                f"a mode at {mode.natural_hz:.4g} Hz (ζ = {mode.damping_ratio:.3g}) stays and swings by "
-                f"{100 * share:.2g} % of a step; --modes compensates it too",
-            )
+            text = f"a mode at {mode.natural_hz:.4g} Hz (ζ = {mode.damping_ratio:.3g}) stays and swings by "
+            yield "warning", f"{text}{100 * share:.2g} % of a step; --modes compensates it too"
     if made.discretisation_error > LARGE_ERROR:
-        yield (
-            "warning",
-            f"at {made.sections.sample_rate_hz:g} Hz the sampled filter is off the continuous one by up to "
-            f"{100 * made.discretisation_error:.2g} % below {made.band_hz:.4g} Hz; a higher rate makes it better",
-        )
+        text = f"at {made.sections.sample_rate_hz:g} Hz the sampled filter is off the continuous one by up to "
+        text += f"{100 * made.discretisation_error:.2g} % below {made.band_hz:.4g} Hz; a higher rate makes it better"
+        yield "warning", text
     if made.noise_factor > LARGE_NOISE:
         text = f"white noise rises {made.noise_factor:.3g}-fold; "
         yield "warning", f"{text}a lower target frequency or --low-pass passes less of it"
@@ -291,19 +278,13 @@ def _of_effects(made: LoadFilter) -> Iterator[tuple[str, str]]:
 
 
 @dataclass(frozen=True)
-class CompensateEvaluation:
-    """All filters, the recording they were applied to, the force-feedback check, notices and origin."""
+class CompensateEvaluation(Outcome):
+    """All filters, the recording they were applied to, and the force-feedback check."""
 
-    name: str
     wish: Wish
     subjects: tuple[SubjectResult, ...]
     applied: CompensatedRecording | None
     haptics: Haptics | None
-    notices: tuple[Notice, ...]
-    settings: dict[str, str | float | int]
-    versions: dict[str, str]
-    input_hashes: dict[str, str]
-    duration_s: float
 
     @property
     def filters(self) -> list[LoadFilter]:
@@ -312,7 +293,6 @@ class CompensateEvaluation:
 
 
 # Filters for every channel and load, and what they do before and after.
-
 
 SAMPLES_PER_PERIOD = 50.0
 """Samples per period of the target where neither the user nor the model states a rate."""
@@ -352,7 +332,6 @@ def evaluate_compensation(
         haptics=haptics,
         notices=(*notices, *more),
         settings=wish.settings,
-        versions=versions(),
         input_hashes=dict(hashes),
         duration_s=process_time() - started,
     )

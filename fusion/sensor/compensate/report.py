@@ -56,7 +56,6 @@ from fusion.sensor.compensate.source import (
     COMMAND,
     Figures,
     LoadFilter,
-    Sources,
     SubjectResult,
     Wish,
     read_sources,
@@ -90,6 +89,13 @@ SHOWN = (
 SCALE = {"s": (MILLI, "ms"), "Hz": (1.0, "Hz"), "": (1.0, "")}
 PRINTED = {"band_10_hz": "±10 % band", "overshoot": "overshoot", "settling_2_s": "2 % settling"}
 ERRORS = (0.01, 0.02, 0.05, 0.1, 0.2)
+LOOP = (
+    f"A hand ({HAND_STIFFNESS:g} N/m, {HAND_DAMPING:g} N·s/m) pushes a handle of {HANDLE_MASS:g} kg by "
+    f"{MILLI * PUSH_M:g} mm in {PUSH_S:g} s against a virtual ball of {{:g}} N/m. The device "
+    "pushes back with the force of the ball and K times its difference to what the sensor tells, one sample late. "
+    "Tracking error: rms of applied less fed-back force over rms of the latter while the ball is touched."
+)
+"""The loop of the force-feedback check, by the stiffness of the ball."""
 
 
 # Filters as JSON and C.
@@ -389,7 +395,7 @@ def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
 
 def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
-    error, applied = evaluation.wish.permitted_error, evaluation.applied
+    error, applied, haptics = evaluation.wish.permitted_error, evaluation.applied, evaluation.haptics
     mismatches = [draw_mismatch(f"mismatch-{n}", result) for n, result in enumerate(evaluation.subjects)]
     return {
         "subject": _subject(evaluation),
@@ -406,7 +412,7 @@ def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
         "applied": [] if applied is None else [draw_channel(applied, one) for one in applied.channels],
         "haptics": haptics_table(evaluation),
         "haptics_pictures": [picture for picture in [draw_force_feedback(evaluation)] if picture is not None],
-        "loop": _loop(evaluation),
+        "loop": LOOP.format(0.0 if haptics is None else haptics.ball_stiffness),
     }
 
 
@@ -426,64 +432,43 @@ def _subject(evaluation: CompensateEvaluation) -> list[tuple[str, str]]:
     return facts
 
 
-def _loop(evaluation: CompensateEvaluation) -> str:
-    """The loop of the check in words."""
-    found = evaluation.haptics
-    if found is None:
-        return ""
-    return (
-        f"A hand ({HAND_STIFFNESS:g} N/m, {HAND_DAMPING:g} N·s/m) pushes a handle of {HANDLE_MASS:g} kg by "
-        f"{1e3 * PUSH_M:g} mm in {PUSH_S:g} s against a virtual ball of {found.ball_stiffness:g} N/m. The device "
-        "pushes back with the force of the ball and K times its difference to what the sensor tells, one sample late. "
-        "Tracking error: rms of applied less fed-back force over rms of the latter while the ball is touched."
-    )
-
-
 # The result folder.
 
 
 def _fill(file: h5py.File, evaluation: CompensateEvaluation) -> None:
     """Fill the HDF5 file: every filter, then the filtered channels with their standard uncertainty."""
     file.attrs["name"] = evaluation.name
-    filters = file.create_group("filters", track_order=True)
-    for made in evaluation.filters:
-        group = filters.create_group(made.name)
-        group.attrs["channel"], group.attrs["component"] = made.subject.channel, made.subject.component
-        group.attrs["input_unit"], group.attrs["output_unit"] = made.subject.unit, made.output_unit
-        _write_filter(group, made)
+    write_value(file, "filters", {made.name: _stored(made) for made in evaluation.filters})
     applied = evaluation.applied
     if applied is not None:
-        group = file.create_group("compensated", track_order=True)
-        group.attrs["recording"] = applied.name
-        group.attrs["sample_rate_hz"], group.attrs["start_s"] = applied.sample_rate_hz, applied.start_s
-        for one in applied.channels:
-            own = group.create_group(one.channel)
-            own.attrs["unit"], own.attrs["u_noise"] = one.unit, one.u_noise
-            write_value(own, "value", one.value)
-            write_value(own, "u", one.u)
+        channels = {
+            one.channel: {name: getattr(one, name) for name in ("unit", "u_noise", "value", "u")}
+            for one in applied.channels
+        }
+        origin = {"sample_rate_hz": applied.sample_rate_hz, "start_s": applied.start_s}
+        write_value(file, "compensated", {"recording": applied.name, **origin, **channels})
 
 
-def _write_filter(group: h5py.Group, made: LoadFilter) -> None:
-    """Coefficients, the sensor's parameters with covariance, and curves over frequency."""
-    design, hertz = made.compensation, frequencies(made)
-    for name in ("load_mass", "noise_gain", "noise", "band_hz", "discretisation_error", "after_s"):
-        value = getattr(made, name)
-        if value is not None:
-            group.attrs[name] = value
-    for name in ("off_frequency", "off_ringing", "off_load", "load_ringing"):
-        write_value(group, name, getattr(made, name))
-    write_value(group, "sos", made.sections.sos)
-    group.attrs["gain"], group.attrs["sample_rate_hz"] = made.sections.gain, made.sections.sample_rate_hz
-    write_value(group, "sensor", design.sensor.vector)
-    if design.sensor.covariance is not None:
-        write_value(group, "covariance", design.sensor.covariance)
-        band = gain_band(design, hertz)
-        write_value(group, "u_gain", band.u_gain)
-        write_value(group, "u_phase_rad", band.u_phase_rad)
-    write_value(group, "frequency_hz", hertz)
-    write_value(group, "before", design.sensor.system.response(hertz))
-    write_value(group, "filter", design.system.response(hertz))
-    write_value(group, "filter_for_samples", made.sections.response(hertz))
+def _stored(made: LoadFilter) -> dict[str, Any]:
+    """Coefficients, the sensor's parameters with covariance, and curves over frequency of one filter."""
+    design, sections, subject, hertz = made.compensation, made.sections, made.subject, frequencies(made)
+    names = ("output_unit", "load_mass", "noise_gain", "noise", "band_hz", "discretisation_error", "after_s")
+    curves = ("off_frequency", "off_ringing", "off_load", "load_ringing")
+    known = None if design.sensor.covariance is None else gain_band(design, hertz)
+    return {
+        "channel": subject.channel,
+        "component": subject.component,
+        "input_unit": subject.unit,
+        **{name: getattr(made, name) for name in (*names, *curves)},
+        **vars(sections),
+        "sensor": design.sensor.vector,
+        "covariance": design.sensor.covariance,
+        **({} if known is None else {"u_gain": known.u_gain, "u_phase_rad": known.u_phase_rad}),
+        "frequency_hz": hertz,
+        "before": design.sensor.system.response(hertz),
+        "filter": design.system.response(hertz),
+        "filter_for_samples": sections.response(hertz),
+    }
 
 
 def _texts(evaluation: CompensateEvaluation) -> dict[str, str | bytes]:
@@ -506,20 +491,6 @@ FILES = (JSON_FILE, HEADER_FILE, "compensate.csv", "compensated.csv")
 COMPENSATE = Command("compensate", "compensate", FILES, _texts, _fill, _context, printed)
 
 
-def _sources(models: Sequence[Path], sensor: tuple[float | None, float | None]) -> Sources:
-    """Models from files, or the stated sensor; one of the two."""
-    frequency, damping = sensor
-    if models:
-        if frequency is not None or damping is not None:
-            expected = "either models or --sensor-frequency with --sensor-damping"
-            raise InputError(COMMAND, "", found="both", expected=expected)
-        return read_sources(models)
-    if frequency is None or damping is None:
-        expected = "models.json, load.json, a folder with one, or --sensor-frequency with --sensor-damping"
-        raise InputError(COMMAND, "", found="nothing of it", expected=expected)
-    return stated(frequency, damping)
-
-
 def run_compensate(
     models: Sequence[Path],
     sensor: tuple[float | None, float | None],
@@ -534,7 +505,14 @@ def run_compensate(
 
     Results stand in folder `compensate` beside the first model, or in the working folder, or in `output`.
     """
-    sources = _sources(models, sensor)
+    frequency, damping = sensor
+    if models and sensor != (None, None):
+        expected = "either models or --sensor-frequency with --sensor-damping"
+        raise InputError(COMMAND, "", found="both", expected=expected)
+    if not models and (frequency is None or damping is None):
+        expected = "models.json, load.json, a folder with one, or --sensor-frequency with --sensor-damping"
+        raise InputError(COMMAND, "", found="nothing of it", expected=expected)
+    sources = read_sources(models) if frequency is None or damping is None else stated(frequency, damping)
     record = None if recording is None else read_outputs(recording, allow_outside=allow_outside)
     beside = sources.files[0].parent if sources.files else Path.cwd()
     if wish.load_masses and not any(subject.is_scheduled for subject in sources.subjects):

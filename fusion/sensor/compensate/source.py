@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from fusion.base import InputError
+from fusion.recording.values import repeated_name
 from fusion.sensor.models_file import (
     LOAD_MODEL_FILE,
     MODELS_FILE,
-    ModelEntry,
     read_load_models,
     read_models,
     read_stored,
@@ -36,7 +36,6 @@ from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
 
 # What the user wants of a compensation.
-
 
 COMMAND = "shakercal compensate"
 STATED = "sensor"
@@ -93,20 +92,16 @@ class Wish:
     @property
     def settings(self) -> dict[str, str | float | int]:
         """What was chosen, for the origin of the results."""
-        given: dict[str, str | float | int] = {
-            "permitted_error": self.permitted_error,
-            "modes": self.modes,
-            "discretisation": self.discretisation,
-            "calibrated": int(self.calibrated),
-        }
+        given = {name: getattr(self, name) for name in ("permitted_error", "modes", "discretisation")}
         optional = ("frequency_hz", "damping_ratio", "bandwidth_hz", "real_hz", "low_pass_hz", "sample_rate_hz")
-        chosen_ones = {name: getattr(self, name) for name in (*optional, "ball_stiffness")}
-        given |= {name: value for name, value in chosen_ones.items() if value is not None}
-        if self.load_masses:
-            given["load_masses_kg"] = ", ".join(f"{mass:.12g}" for mass in self.load_masses)
-        if self.channels:
-            given["channels"] = ", ".join(self.channels)
-        return given
+        stated = {name: getattr(self, name) for name in (*optional, "ball_stiffness")}
+        lists = {"load_masses_kg": [f"{mass:.12g}" for mass in self.load_masses], "channels": self.channels}
+        return {
+            **given,
+            "calibrated": int(self.calibrated),
+            **{name: value for name, value in stated.items() if value is not None},
+            **{name: ", ".join(values) for name, values in lists.items() if values},
+        }
 
 
 # What is compensated: models of step responses, models over the load, or a frequency and a damping ratio.
@@ -114,16 +109,15 @@ class Wish:
 
 @dataclass(frozen=True)
 class Subject:
-    """An output channel for a load component, in output `unit` per `load_unit`, with what is known of its dynamics.
+    """An output channel for a load component (Fx … Mz), in output `unit`, with what is known of its dynamics.
 
-    `model`: fitted to releases, over the load, or stated. `noise`: standard deviation of the output at
-    `sample_rate_hz`, None where they are not known. `source`: in words.
+    `component`: empty of a sensor that is stated. `model`: fitted to releases, over the load, or stated. `noise`:
+    standard deviation of the output at `sample_rate_hz`, None where they are not known. `source`: in words.
     """
 
     channel: str
     component: str
     unit: str
-    load_unit: str
     model: ModalModel | LoadModel | SensorDynamics
     source: str
     sample_rate_hz: float | None = None
@@ -133,6 +127,11 @@ class Subject:
     def name(self) -> str:
         """Channel, and the component where that is another."""
         return self.channel if self.component in (self.channel, "") else f"{self.channel} for {self.component}"
+
+    @property
+    def load_unit(self) -> str:
+        """Unit of the load."""
+        return load_unit(self.component) if self.component else "1"
 
     @property
     def is_scheduled(self) -> bool:
@@ -166,15 +165,14 @@ class Sources:
 
 def read_sources(paths: Sequence[Path]) -> Sources:
     """Read models.json, load.json, or the one that a folder of results holds; of both in a folder load.json."""
-    found = [_read(path) for path in paths]
-    subjects = [subject for one in found for subject in one.subjects]
-    names = [subject.name for subject in subjects]
-    twice = next((name for name in names if names.count(name) > 1), None)
+    sources = [_read(path) for path in paths]
+    subjects = tuple(subject for one in sources for subject in one.subjects)
+    twice = repeated_name([subject.name for subject in subjects])
     if twice is not None:
         expected = "one model per channel; leave a file out"
         raise InputError(paths[-1], "", found=f"a second model of {twice}", expected=expected)
-    files = tuple(file for one in found for file in one.files)
-    return Sources(found[0].name, tuple(subjects), files, tuple(notice for one in found for notice in one.notices))
+    files, notices = (sum((getattr(one, name) for one in sources), ()) for name in ("files", "notices"))
+    return Sources(sources[0].name, subjects, files, notices)
 
 
 def stated(frequency_hz: float, damping_ratio: float) -> Sources:
@@ -183,9 +181,7 @@ def stated(frequency_hz: float, damping_ratio: float) -> Sources:
         expected = "a damping ratio below 1, of a sensor that oscillates"
         raise InputError(COMMAND, "--sensor-damping", found=f"{damping_ratio:g}", expected=expected)
     told = f"stated: {frequency_hz:g} Hz, ζ = {damping_ratio:g}"
-    return Sources(
-        "stated sensor", (Subject(STATED, "", "1", "1", single_mode(frequency_hz, damping_ratio), told),), ()
-    )
+    return Sources("stated sensor", (Subject(STATED, "", "1", single_mode(frequency_hz, damping_ratio), told),), ())
 
 
 def chosen(sources: Sources, channels: Sequence[str]) -> tuple[Subject, ...]:
@@ -215,19 +211,14 @@ def _read(path: Path) -> Sources:
 def _of_steps(file: Path) -> Sources:
     """One subject per channel: its own component, or else the one it answers to most."""
     models = read_models(file)
-    best: dict[str, ModelEntry] = {}
-    for entry in models:
-        before = best.get(entry.channel)
-        own = entry.component == entry.channel
-        more = before is None or abs(entry.model.static_gain) > abs(before.model.static_gain)
-        if own or (more and (before is None or before.component != before.channel)):
-            best[entry.channel] = entry
-    if not best:
+    if not models.entries:
         raise InputError(file, "models", found="none", expected="at least one model")
     subjects = []
-    for one in best.values():
-        what = (one.channel, one.component, one.unit, load_unit(one.component), one.model)
-        subjects.append(Subject(*what, f"{one.method}, {one.recording}", one.sample_rate_hz, one.noise))
+    for channel in dict.fromkeys(entry.channel for entry in models):
+        offered = [entry for entry in models if entry.channel == channel]
+        one = max(offered, key=lambda entry: (entry.component == entry.channel, abs(entry.model.static_gain)))
+        told = f"{one.method}, {one.recording}"
+        subjects.append(Subject(channel, one.component, one.unit, one.model, told, one.sample_rate_hz, one.noise))
     return Sources(models.name, tuple(subjects), (file,))
 
 
@@ -244,7 +235,7 @@ def _of_loads(file: Path) -> Sources:
             )
             notices.append(Notice("warning", text, model.channel))
         told = "two masses" if model.is_rigid else "three masses"
-        subject = Subject(model.channel, model.component, model.unit, load_unit(model.component), model, told)
+        subject = Subject(model.channel, model.component, model.unit, model, told)
         if model.load_masses:
             loads = ", ".join(subject.load_text(load) for load in model.load_masses)
             subject = replace(subject, source=f"{told}, fitted to loads of {loads}")

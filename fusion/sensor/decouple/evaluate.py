@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import ComputeError, InputError, versions
+from fusion.base import ComputeError, InputError, Outcome
 from fusion.recording.load import Manifest
 from fusion.sensor.step.records import StepInput, read_step
 from shaker.arrays import FloatArray, Notice
@@ -53,7 +53,7 @@ class DecoupleSettings:
 
 
 @dataclass(frozen=True)
-class DecoupleEvaluation:
+class DecoupleEvaluation(Outcome):
     """Records of all loads, the model of all outputs, the filter, and cross-talk at every stage.
 
     `capacity` (D,): rated loads of the model's components, None where rig.toml states none; `noise_gain` (D,): noise of
@@ -61,7 +61,6 @@ class DecoupleEvaluation:
     `deviation` (K,): largest |D·H - T| over all elements, in rated loads, at the frequencies of the cross-talk.
     """
 
-    name: str
     manifests: tuple[Manifest, ...]
     fit: MultiFit
     decoupler: DecouplingFilter
@@ -70,11 +69,6 @@ class DecoupleEvaluation:
     noise: FloatArray
     noise_gain: FloatArray
     deviation: FloatArray
-    notices: tuple[Notice, ...]
-    settings: dict[str, str | float | int]
-    versions: dict[str, str]
-    input_hashes: dict[str, str]
-    duration_s: float
 
     @property
     def frequency_hz(self) -> FloatArray:
@@ -86,18 +80,16 @@ class DecoupleEvaluation:
         """Return what loads (D,) are compared in: rated loads, without them 1 N and 1 N·m."""
         return np.ones(len(self.fit.model.components)) if self.capacity is None else self.capacity
 
-    def comparable(self, reading: int, load: int) -> bool:
-        """Return whether two loads can be compared: by rated loads any, else those of one unit."""
-        names = self.fit.model.components
-        return self.capacity is not None or names[reading][0] == names[load][0]
-
-    def stage(self, name: str) -> Crosstalk | None:
-        """Return the cross-talk of one stage, None where the outputs do not allow it."""
-        return next((stage for stage in self.stages if stage.stage == name), None)
+    @property
+    def ratio(self) -> FloatArray:
+        """Return what turns readings over loads (D, D) into shares of these; NaN of those without rated loads that have
+        different units."""
+        kind = np.array([name[0] for name in self.fit.model.components])
+        apart = (self.capacity is None) & (kind[:, None] != kind)
+        return np.where(apart, np.nan, self.scale / self.scale[:, None])
 
 
 # From releases of several loads to a model of all outputs and a filter against cross-talk.
-
 
 DRAWS = 30
 LINES = 150
@@ -119,7 +111,10 @@ def evaluate_decoupling(
     """
     started = time.monotonic()
     inputs = _read(manifests)
-    fit = _fitted(manifests, inputs)
+    try:
+        fit = fit_steps([item.record for item in inputs])
+    except ValueError as error:
+        raise _unexplained(error, manifests[0]) from error
     target = _target(fit, settings)
     try:
         decoupler = design_decoupling(fit.model, target, Recorded(fit.sample_rate_hz, fit.noise, fit.amplitude))
@@ -130,8 +125,17 @@ def evaluate_decoupling(
     spaced = np.geomspace(float(modes_hz.min()) / 100.0, min(FARTHEST * highest, 0.45 * fit.sample_rate_hz), LINES)
     frequency_hz = np.unique(np.concatenate([spaced, modes_hz]))
     stages = crosstalks(fit.model, decoupler, fit.noise, frequency_hz, np.random.default_rng(settings.seed), DRAWS)
-    capacity = _capacity(manifests[0], fit.model.components)
-    deviation = _deviation(decoupler, stages[-1], capacity)
+    sensor, names = manifests[0].rig.sensor, fit.model.components
+    stated = (
+        {} if sensor is None or sensor.capacity is None else dict(zip(LOAD_COMPONENTS, sensor.capacity, strict=False))
+    )
+    rated = np.array([stated.get(name, 0.0) for name in names])
+    capacity = rated if np.all(rated > 0) else None
+    difference = np.abs(stages[-1].value - decoupler.target(frequency_hz)[:, :, None] * np.eye(len(names)))
+    if capacity is None:  # loads with themselves alone
+        deviation = np.einsum("kii->ki", difference).max(axis=1)
+    else:
+        deviation = (difference * (capacity / capacity[:, None])).max(axis=(1, 2))
     static = np.sqrt(static_inverse(fit.model, fit.noise) ** 2 @ fit.noise**2)
     noise = decoupler.noise(fit.noise)
     notices = [notice for item in inputs for notice in item.notices]
@@ -148,7 +152,6 @@ def evaluate_decoupling(
         deviation=deviation,
         notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
-        versions=versions(),
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
     )
@@ -180,17 +183,13 @@ def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
     return inputs
 
 
-def _fitted(manifests: Sequence[Manifest], inputs: Sequence[StepInput]) -> MultiFit:
-    """The model; what the loads do not tell apart is a matter of the files."""
-    try:
-        return fit_steps([item.record for item in inputs])
-    except ValueError as error:
-        text = str(error)
-        if text.startswith(("channels:", "components:")):
-            key, _, rest = text.partition(": ")
-            expected, _, found = rest.removeprefix("expected ").partition(", found ")
-            raise InputError(manifests[0].rig_path.parent, key, found=found, expected=expected) from error
-        raise ComputeError(f"no model of the releases was found: {text}") from error
+def _unexplained(error: ValueError, manifest: Manifest) -> InputError | ComputeError:
+    """What is told where there is no model; what the loads do not tell apart is a matter of the files."""
+    key, _, rest = str(error).partition(": ")
+    if key not in ("channels", "components"):
+        return ComputeError(f"no model of the releases was found: {error}")
+    expected, _, found = rest.removeprefix("expected ").partition(", found ")
+    return InputError(manifest.rig_path.parent, key, found=found, expected=expected)
 
 
 def _target(fit: MultiFit, settings: DecoupleSettings) -> Target:
@@ -202,25 +201,6 @@ def _target(fit: MultiFit, settings: DecoupleSettings) -> Target:
             f"wanted frequency {wanted:g} Hz: expected below a quarter of the sampling rate, {fit.sample_rate_hz:g} Hz"
         )
     return Target(np.full(count, wanted), np.full(count, settings.damping_ratio))
-
-
-def _capacity(manifest: Manifest, components: Sequence[str]) -> FloatArray | None:
-    """Rated loads of the components, None where they are not stated for all."""
-    sensor = manifest.rig.sensor
-    if sensor is None or sensor.capacity is None:
-        return None
-    stated = dict(zip(LOAD_COMPONENTS, np.asarray(sensor.capacity, dtype=np.float64), strict=False))
-    found = np.array([stated.get(component, 0.0) for component in components])
-    return found if np.all(found > 0) else None
-
-
-def _deviation(decoupler: DecouplingFilter, filtered: Crosstalk, capacity: FloatArray | None) -> FloatArray:
-    """Largest |D·H - T| at every frequency, in rated loads; without them of the loads with themselves."""
-    wanted = decoupler.target(filtered.frequency_hz)[:, :, None] * np.eye(len(filtered.components))
-    difference = np.abs(filtered.value - wanted)
-    if capacity is None:
-        return np.asarray(np.einsum("kii->ki", difference).max(axis=1))
-    return np.asarray(filtered.rated(capacity, difference).max(axis=(1, 2)))
 
 
 def _notices(
@@ -247,7 +227,6 @@ def _notices(
 
 
 # decoupling.json: the filter with the model it comes from, at full precision.
-
 
 FORMAT = 1
 KIND = "shakercal decoupling"

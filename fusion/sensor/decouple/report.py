@@ -1,4 +1,4 @@
-"""What a decoupling leaves: filter, tables, HDF5 file, page, and the lines of the terminal."""
+"""What a decoupling leaves: filter, tables, figures, HDF5 file, page, and the lines of the terminal."""
 
 from __future__ import annotations
 
@@ -11,11 +11,24 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, K2, rounded, typeset
+from fusion.base import DASH, K2, typeset
 from fusion.campaign.executor import one_blas_thread
 from fusion.recording.load import load_for_command
 from fusion.report.folder import Command, subject_of
 from fusion.report.h5 import write_fields, write_value
+from fusion.report.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    RED,
+    SKY,
+    Picture,
+    decades,
+    panel_label,
+    sheet,
+)
 from fusion.report.table import (
     Column,
     Headline,
@@ -28,6 +41,7 @@ from fusion.report.table import (
     measured,
     number,
     on_page,
+    plain,
     sensitivity_unit,
     signed,
     small,
@@ -40,11 +54,18 @@ from fusion.sensor.decouple.evaluate import (
     evaluate_decoupling,
     filter_text,
 )
-from fusion.sensor.decouple.figures import STAGE_NAMES, draw_crosstalk, draw_step
 from shaker.arrays import FloatArray
+from shaker.decoupling.filter import stage_readers, step_readings, step_times
 from shaker.decoupling.fit import ReleaseFit
-from shaker.decoupling.order import Trial
+from shaker.decoupling.problem import Trial
 from shaker.labels import load_unit
+
+STAGE_COLOURS = {"raw": GREY, "static": ORANGE, "filtered": BLUE}
+READING_COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
+COLUMNS = 2
+LEAST = 1e-6
+STAGE_NAMES = {"raw": "each output alone", "static": "static matrix", "filtered": "filter"}
+SHOWN_S = 5e-3
 
 
 class ModelRow(NamedTuple):
@@ -121,7 +142,7 @@ def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[CrosstalkRow]:
     for stage in evaluation.stages:
         for (i, reading), (j, load) in product(enumerate(stage.components), repeat=2):
             unit = f"{load_unit(reading)}/{'N' if load_unit(load) == 'N' else '(N.m)'}"
-            ratio = float(evaluation.scale[j] / evaluation.scale[i]) if evaluation.comparable(i, j) else np.nan
+            ratio = float(evaluation.ratio[i, j])
             places = ("step_peak", "", stage.peak[i, j], stage.u_peak[i, j])
             over = zip(stage.frequency_hz.tolist(), stage.value[:, i, j], stage.u[:, i, j], strict=True)
             for quantity, frequency, value, u in (places, *(("response", *entry) for entry in over)):
@@ -133,15 +154,13 @@ def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[CrosstalkRow]:
 
 def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float, str]]:
     """Yield for every stage the cross-talk in a step that may be largest, with U in % of rated loads, and which."""
-    ratio = evaluation.scale / evaluation.scale[:, None]
+    ratio = 100 * np.where(np.eye(len(evaluation.scale), dtype=np.bool_), np.nan, evaluation.ratio)
     for stage in evaluation.stages:
-        value, expanded, which = -1.0, 0.0, ""
-        for (i, reading), (j, load) in product(enumerate(stage.components), repeat=2):
-            size, U = float(stage.peak[i, j] * ratio[i, j]), K2 * float(stage.u_peak[i, j] * ratio[i, j])
-            if i != j and evaluation.comparable(i, j) and size + U > value + expanded:
-                value, expanded, which = size, U, f"{reading} while {load} steps"
-        if which:
-            yield f"cross-talk in a step, {STAGE_NAMES[stage.stage]}", 100 * value, 100 * expanded, which
+        size, U = stage.peak * ratio, K2 * stage.u_peak * ratio
+        if np.any(np.isfinite(ratio)):
+            i, j = np.unravel_index(np.nanargmax(size + U), ratio.shape)
+            which = f"{stage.components[i]} while {stage.components[j]} steps"
+            yield f"cross-talk in a step, {STAGE_NAMES[stage.stage]}", float(size[i, j]), float(U[i, j]), which
 
 
 def headlines(evaluation: DecoupleEvaluation) -> list[Headline]:
@@ -179,20 +198,15 @@ def modes_table(evaluation: DecoupleEvaluation) -> Table:
 
 def peak_tables(evaluation: DecoupleEvaluation) -> list[Table]:
     """Return for every stage what each load reads while each makes a step, in per cent of rated loads."""
-    found, ratio = [], 100 * evaluation.scale / evaluation.scale[:, None]
+    names, ratio, tables = evaluation.fit.model.components, 100 * evaluation.ratio, []
+    unit = "rated load" if evaluation.capacity is not None else "the step"
     for stage in evaluation.stages:
-        rows = []
-        for i, reading in enumerate(stage.components):
-            cells: list[str] = []
-            for j in range(len(stage.components)):
-                value, expanded = stage.peak[i, j] * ratio[i, j], K2 * stage.u_peak[i, j] * ratio[i, j]
-                cells.append(measured(float(value), float(expanded)) if evaluation.comparable(i, j) else DASH)
-            rows.append((reading, *cells))
-        head = ("reading", *(f"step of {name}" for name in stage.components))
-        unit = "rated load" if evaluation.capacity is not None else "the step"
+        values, expanded = (stage.peak * ratio).tolist(), (K2 * stage.u_peak * ratio).tolist()
+        rows = tuple((name, *map(measured, *own)) for name, *own in zip(names, values, expanded, strict=True))
         caption = f"Largest reading in a step, {STAGE_NAMES[stage.stage]}: % of {unit}, with U (k = 2)"
-        found.append(Table(caption, head, "l" + "r" * len(stage.components), tuple(rows)))
-    return found
+        head = ("reading", *(f"step of {name}" for name in names))
+        tables.append(Table(caption, head, "l" + "r" * len(names), rows))
+    return tables
 
 
 def static_table(evaluation: DecoupleEvaluation) -> Table:
@@ -242,17 +256,89 @@ TRIALS: list[Column[Trial]] = [
 ]
 
 
+# Figures: cross-talk over frequency, and readings while a load makes a step.
+
+
+def draw_crosstalk(evaluation: DecoupleEvaluation) -> Picture:
+    """The largest reading of any other load while one oscillates, over frequency, before and after."""
+    names, ratio = evaluation.fit.model.components, 100 * evaluation.ratio
+    others = {j: [i for i in range(len(names)) if i != j and np.isfinite(ratio[i, j])] for j in range(len(names))}
+    loads = [j for j in others if others[j]]
+    rows, frequency = -(-len(loads) // COLUMNS), evaluation.frequency_hz
+    with sheet("decouple-crosstalk", 1.9 * rows + 0.6, rows, COLUMNS, sharex=True, sharey=True) as drawn:
+        used = drawn.panels[: len(loads)]
+        for axes, j in zip(used, loads, strict=True):
+            for stage in evaluation.stages:
+                size = np.abs(stage.value[:, others[j], j]) * ratio[others[j], j]
+                worst, u = np.argmax(size, axis=1)[:, None], stage.u[:, others[j], j] * ratio[others[j], j]
+                value = np.take_along_axis(size, worst, axis=1)[:, 0]
+                expanded, colour = K2 * np.take_along_axis(u, worst, axis=1)[:, 0], STAGE_COLOURS[stage.stage]
+                axes.plot(frequency, np.maximum(value, LEAST), color=colour, label=STAGE_NAMES[stage.stage])
+                low, high = np.maximum(value - expanded, LEAST), np.maximum(value + expanded, LEAST)
+                axes.fill_between(frequency, low, high, color=colour, alpha=0.2, linewidth=0)
+            for mode in evaluation.fit.model.frequency_hz:
+                axes.axvline(mode, color=GREY, linewidth=0.6, linestyle=":")
+            axes.axvline(float(evaluation.decoupler.target_hz[0]), color=GREY, linewidth=0.8, linestyle=(0, (5, 3)))
+            axes.set(xscale="log", yscale="log", xlim=(frequency[0], frequency[-1]), ylim=(1e-3, 1e3))
+            decades(axes.yaxis)
+            panel_label(axes, f"{names[j]} oscillates")
+        for axes in drawn.panels[len(loads) :]:
+            axes.set_visible(False)
+        for axes in used[max(0, len(loads) - COLUMNS) :]:
+            axes.set_xlabel("frequency / Hz")
+            axes.tick_params(labelbottom=True)
+        for axes in used[::COLUMNS]:
+            axes.set_ylabel("cross-talk / %")
+        used[0].legend(loc="lower right", ncols=3, bbox_to_anchor=(2.1, 1.08), borderaxespad=0.0)
+        caption = (
+            "Largest reading of any other load while one oscillates, in rated loads. Shaded: U (k = 2) by the "
+            "uncertainty of the model. Dotted: modes; dashed: frequency of the wanted dynamics."
+        )
+        layout: dict[str, Any] = {"top": 0.42, "gap": (0.25, 0.3), "left": 0.7, "label": 0.52}
+        return drawn.picture("Cross-talk over frequency", caption, **layout)
+
+
+def draw_step(evaluation: DecoupleEvaluation) -> Picture:
+    """Readings of the other loads while the load steps that shows most with the static matrix alone, by stage."""
+    model, ratio = evaluation.fit.model, evaluation.scale / evaluation.scale[:, None]
+    static = next(stage for stage in evaluation.stages if stage.stage == "static")
+    size = np.nan_to_num(static.peak * evaluation.ratio)
+    np.fill_diagonal(size, 0.0)
+    load = int(np.argmax(size.max(axis=0)))
+    time_s = step_times(model, evaluation.decoupler)
+    time_s = time_s[time_s <= SHOWN_S]
+    readers = stage_readers(model, evaluation.decoupler, evaluation.fit.noise)
+    readings = {stage: step_readings(model, reader, time_s) for stage, reader in readers.items()}
+    name = model.components[load]
+    with sheet(f"decouple-step-{name}", 1.5 * len(readings) + 0.6, len(readings)) as drawn:
+        for axes, (stage, value) in zip(drawn.panels, readings.items(), strict=True):
+            for d, reading in enumerate(model.components):
+                if d != load:
+                    share = 100 * (value[:, :, load] * ratio[:, load])[:, d]
+                    axes.plot(1e3 * time_s, share, color=READING_COLOURS[d % 6], label=reading, linewidth=0.8)
+            axes.set_ylabel("reading / %")
+            panel_label(axes, f"step of {name}: {STAGE_NAMES[stage]}")
+        drawn.panels[-1].set_xlabel("time after the step / ms")
+        drawn.panels[0].legend(loc="lower right", ncols=6, bbox_to_anchor=(1.0, 1.02), borderaxespad=0.0)
+        caption = (
+            "Readings of all other loads by the model, in per cent of their rated loads for a step of the rated one."
+        )
+        title = f"Other loads while {name} makes a step"
+        return drawn.picture(title, caption, top=0.3, gap=(0.5, 0.3), label=0.52)
+
+
+# What stands on the page, in the files and on the terminal.
+
+
 def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
     """Lines for the terminal."""
     model, u = evaluation.fit.model, evaluation.fit.model.u
     told = []
     for i in np.argsort(model.frequency_hz):
-        text = rounded(float(model.frequency_hz[i]), K2 * float(u.frequency_hz[i]))
-        told.append(f"({text.value} ± {text.expanded})")
+        told.append(f"({plain(float(model.frequency_hz[i]), K2 * float(u.frequency_hz[i]))})")
     yield f"{len(told)} modes common to {len(model.channels)} outputs: {', '.join(told)} Hz (k = 2)"
     for what, value, U, which in largest(evaluation):
-        text = rounded(value, U)
-        yield f"{what}: ({text.value} ± {text.expanded}) %, {which}"
+        yield f"{what}: {plain(value, U, '%')}, {which}"
     target, gain = evaluation.decoupler, evaluation.noise_gain
     yield (
         f"filter to {target.target_hz[0]:.6g} Hz, damping ratio {target.target_damping[0]:g}: "
@@ -287,7 +373,6 @@ def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
     }
 
 
-FILES = ("decoupling.json", "model.csv", "crosstalk.csv")
 MODEL_FIELDS = ("channels", "components", "unit", "frequency_hz", "damping_ratio", "residue", "real_hz", "real_residue")
 
 
@@ -313,16 +398,19 @@ def _fill(file: h5py.File, evaluation: DecoupleEvaluation) -> None:
         write_fields(stages.create_group(stage.stage, track_order=True), stage)
 
 
-def _texts(evaluation: DecoupleEvaluation) -> dict[str, str | bytes]:
-    """Filter and tables."""
-    return {
+DECOUPLE = Command(
+    "decouple",
+    "decouple",
+    ("decoupling.json", "model.csv", "crosstalk.csv"),
+    lambda evaluation: {
         "decoupling.json": filter_text(evaluation.decoupler, evaluation.fit.model),
         "model.csv": csv_text(columns_of(ModelRow), model_rows(evaluation)),
         "crosstalk.csv": csv_text(columns_of(CrosstalkRow), crosstalk_rows(evaluation)),
-    }
-
-
-DECOUPLE = Command("decouple", "decouple", FILES, _texts, _fill, _context, printed)
+    },
+    _fill,
+    _context,
+    printed,
+)
 
 
 def run_decouple(

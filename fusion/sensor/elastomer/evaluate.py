@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import InputError, ProgressCallback, no_progress, versions
+from fusion.base import InputError, Outcome, ProgressCallback, no_progress
 from fusion.sensor.elastomer.definition import Definition
 from fusion.sensor.models_file import read_models
 from shaker.arrays import FloatArray, Notice
@@ -89,10 +89,9 @@ class Mounted:
 
 
 @dataclass(frozen=True)
-class ElementEvaluation:
+class ElementEvaluation(Outcome):
     """An element with its models side by side; `sensitivity`: relative change of the six frequencies per change."""
 
-    name: str
     definition: Definition
     facts: tuple[Fact, ...]
     frame: FrameModel
@@ -101,16 +100,6 @@ class ElementEvaluation:
     columns: tuple[ComparedColumn, ...]
     fits: tuple[PlatformFit, ...]
     mounted: Mounted | None
-    notices: tuple[Notice, ...]
-    settings: dict[str, str | float | int]
-    versions: dict[str, str]
-    input_hashes: dict[str, str]
-    duration_s: float
-
-    @property
-    def spread(self) -> FloatArray:
-        """How far apart the columns are, `spread` of them (6,)."""
-        return spread(self.columns)
 
 
 def spread(columns: Sequence[ComparedColumn]) -> FloatArray:
@@ -124,7 +113,6 @@ def spread(columns: Sequence[ComparedColumn]) -> FloatArray:
 
 
 # The columns of the comparison: beam formulas, frame, solid, measured models, stated frequencies.
-
 
 MODE_OF = dict(zip(LOAD_COMPONENTS, NAMES, strict=True))
 """Which mode a load component excites."""
@@ -155,13 +143,14 @@ def dominant(model: ModalModel) -> tuple[float, float]:
     return float(model.frequency_hz[place]), u
 
 
-def _exact(name: str, kind: str, known: Mapping[str, float]) -> ComparedColumn:
-    """A column of numbers without uncertainty, by the name of their mode."""
-    return ComparedColumn(name, kind, np.array([known.get(mode, np.nan) for mode in NAMES]), np.zeros(6))
+def _exact(name: str, kind: str, frequency_hz: FloatArray | Mapping[str, float]) -> ComparedColumn:
+    """A column of numbers (6,), or by the name of their mode, without uncertainty."""
+    if isinstance(frequency_hz, Mapping):
+        frequency_hz = np.array([frequency_hz.get(mode, np.nan) for mode in NAMES])
+    return ComparedColumn(name, kind, frequency_hz, np.zeros(6))
 
 
 # The numbers of the beam formulas: as the publication's formulas give them, and as mechanics does.
-
 
 PRINTED_SHARE = 0.4
 """F_Q/F of equation 10."""
@@ -214,19 +203,11 @@ def mounted_chain(definition: Definition, frame: FrameModel) -> Mounted | None:
 
 # Mode shapes as faces in space, for the pictures: beams and platform of the frame, the outside of the solid.
 
-
 SIDES = ((0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5), (0, 1, 3, 2), (4, 5, 7, 6))
 """Faces of a box by its corners, numbered with the bits of x, y, z."""
 PLATFORM_PARTS = 4
 """Tiles along each edge of the platform, so that its colours show how it turns."""
-REVERSED = {
-    "Tx": (True, False),
-    "Ry": (True, False),
-    "Ty": (False, True),
-    "Rx": (False, True),
-    "Tz": (False, False),
-    "Rz": (True, True),
-}
+REVERSED_X, REVERSED_Y = ("Tx", "Ry", "Rz"), ("Ty", "Rx", "Rz")
 """Modes whose motion is mirrored with reversed sign in the planes x = 0 and y = 0."""
 
 
@@ -248,32 +229,28 @@ def frame_shapes(definition: Definition, model: FrameModel) -> list[Shape]:
     part = platform.half_size / PLATFORM_PARTS
     tiles = part * np.arange(1.0 - PLATFORM_PARTS, PLATFORM_PARTS, 2.0)
     blocks = [centre + np.array([x, y, 0.0]) + _box(part, part, 0.5 * thickness) for x in tiles for y in tiles]
-    found = []
+    beams, shapes = list(zip(frame.beam, frame.section, strict=True)), []
     for mode, name in enumerate(NAMES):
-        nodes, own = model.node_motion(mode), model.platform_motion(mode)
-        solids = [
-            _beam(frame.node_m[ends], nodes[ends], section)
-            for ends, section in zip(frame.beam, frame.section, strict=True)
-        ]
+        nodes, own = model.node_motion(mode), model.modes.shape[:6, mode]
+        solids = [_beam(frame.node_m[ends], nodes[ends], section) for ends, section in beams]
         solids += [(block, np.stack([(rigid_motion(corner) @ own)[:3] for corner in block])) for block in blocks]
         rest, motion = (np.stack(parts)[:, SIDES].reshape(-1, 4, 3) for parts in zip(*solids, strict=True))
-        found.append(Shape(name, float(model.modes.frequency_hz[mode]), rest, motion))
-    return found
+        shapes.append(Shape(name, float(model.modes.frequency_hz[mode]), rest, motion))
+    return shapes
 
 
 def solid_shapes(drawn: SolidModel, finest: SolidModel) -> list[Shape]:
     """Return the six modes on the outside of one mesh, in all quarters, with the finest mesh's frequencies."""
-    faces = _outside(drawn)
-    found = []
+    faces, shapes = _outside(drawn), []
     for mode, name in enumerate(NAMES):
         rest, motion = [], []
-        for signs in ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)):
-            mirror = np.array([*signs, 1.0])
-            sense = np.prod([-1.0 if s < 0.0 and r else 1.0 for s, r in zip(signs, REVERSED[name], strict=True)])
+        for x, y in ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)):
+            mirror = np.array([x, y, 1.0])
+            sense = (x if name in REVERSED_X else 1.0) * (y if name in REVERSED_Y else 1.0)
             rest.append(drawn.vertex_m[faces] * mirror)
             motion.append(sense * drawn.motion[mode][faces] * mirror)
-        found.append(Shape(name, float(finest.frequency_hz[mode]), np.concatenate(rest), np.concatenate(motion)))
-    return found
+        shapes.append(Shape(name, float(finest.frequency_hz[mode]), np.concatenate(rest), np.concatenate(motion)))
+    return shapes
 
 
 def _beam(ends: FloatArray, motion: FloatArray, section: Section) -> tuple[FloatArray, FloatArray]:
@@ -307,7 +284,6 @@ def _outside(model: SolidModel) -> np.ndarray[tuple[int, ...], np.dtype[np.int64
 
 # From an element's geometry to its modes: formulas, frame, solid, comparison.
 
-
 KEYS = {
     "compliant_length_m": "compliant_beams.length",
     "beam_width_m": "beams.width",
@@ -340,19 +316,17 @@ def evaluate_element(
     stiffness, mass = beam_stiffness(definition.beams, half_size), definition.platform.mass_kg
     along = oscillator_hz(stiffness.x, mass)
     closed = {"Tx": along, "Ty": along, "Tz": oscillator_hz(stiffness.z, mass)}  # the closed form has no turns
-    columns = [
-        _exact("beam formulas", "formula", closed),
-        ComparedColumn("frame", "frame", frame.modes.frequency_hz, np.zeros(6)),
-    ]
-    columns += [] if study is None else [ComparedColumn("solid", "solid", study.finest.frequency_hz, np.zeros(6))]
+    columns = [_exact("beam formulas", "formula", closed), _exact("frame", "frame", frame.modes.frequency_hz)]
+    columns += [] if study is None else [_exact("solid", "solid", study.finest.frequency_hz)]
     measured, notices = measured_column(definition)
     columns += [] if measured is None else [measured]
     columns += [_exact(item.name, "stated", item.stated) for item in file.stated]
-    fits: tuple[PlatformFit, ...] = ()
     wanted = file.fit
-    if wanted is not None:
-        fits = platform_family(definition.beams, wanted.half_sizes, wanted.frequencies.stated)
-    notices += [*_of_frame(definition, frame), *_of_solid(frame, study), *_of_fits(fits)]
+    fits = platform_family(definition.beams, wanted.half_sizes, wanted.frequencies.stated) if wanted else ()
+    remarks = [notice for fit in fits for notice in fit.notices]
+    texts = [notice.text for notice in remarks]  # what several fits say is said once
+    told = [replace(notice, where="fit") if texts.count(notice.text) > 1 else notice for notice in remarks]
+    notices += [*_of_frame(definition, frame), *_of_solid(frame, study), *dict.fromkeys(told)]
     return ElementEvaluation(
         name=file.name,
         definition=definition,
@@ -365,7 +339,6 @@ def evaluate_element(
         mounted=mounted_chain(definition, frame),
         notices=tuple(notices),
         settings={"solid": int(solid), "pieces": file.frame.pieces, "mass_matrix": file.frame.mass_matrix},
-        versions=versions(),
         input_hashes=hashes,
         duration_s=time.monotonic() - started,
     )
@@ -429,11 +402,3 @@ def _of_solid(frame: FrameModel, study: SolidStudy | None) -> list[Notice]:
             text = f"frame {told[0]} from the solid, {told[1]} from one whose platform does not bend"
             found.append(Notice("info", text, name))
     return found
-
-
-def _of_fits(fits: tuple[PlatformFit, ...]) -> list[Notice]:
-    """What all fits say, once; of each what is its own."""
-    notices = [notice for fit in fits for notice in fit.notices]
-    texts = [notice.text for notice in notices]
-    shared = [Notice(n.severity, n.text, "fit") if texts.count(n.text) > 1 else n for n in notices]
-    return list(dict.fromkeys(shared))

@@ -1,29 +1,48 @@
-"""What the models of an elastic element leave: tables, pictures of shapes, HDF5 file, page, lines of the terminal."""
+"""What the models of an elastic element leave: tables, figures of shapes, HDF5 file, page, lines of the terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.figure import Figure
 
-from fusion.base import DASH, MILLI, ProgressCallback, no_progress, rounded
+from fusion.base import DASH, MILLI, PERCENT, ProgressCallback, no_progress, rounded
 from fusion.report.folder import Command, hash_files
-from fusion.report.h5 import write_fields, write_value
-from fusion.report.style import Picture
+from fusion.report.h5 import write_value
+from fusion.report.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    RED,
+    SKY,
+    Picture,
+    as_file,
+    drawing,
+    finish,
+    new_figure,
+    panel_label,
+    sheet,
+)
 from fusion.report.table import Column, Headline, Table, columns_of, csv_text, measured, on_page, signed, table, word
 from fusion.sensor.elastomer.definition import read_definition
 from fusion.sensor.elastomer.evaluate import (
     ComparedColumn,
     ElementEvaluation,
     Fact,
+    Shape,
     evaluate_element,
     frame_shapes,
     solid_shapes,
+    spread,
 )
-from fusion.sensor.elastomer.figures import draw_compared, draw_hand, draw_shapes
 from shaker.arrays import FloatArray
 from shaker.elastomer.frame import NAMES, PlatformFit, RigidPart
 from shaker.elastomer.solid import SolidModel, converged
@@ -150,18 +169,16 @@ def comparison_rows(evaluation: ElementEvaluation) -> Iterator[ComparisonRow]:
         for name, frequency, u in zip(NAMES, column.frequency_hz.tolist(), column.u_hz.tolist(), strict=True):
             if np.isfinite(frequency):
                 yield ComparisonRow(column.name, column.kind, name, frequency, u)
-    for name, spread in zip(NAMES, evaluation.spread, strict=True):
-        yield ComparisonRow(SPREAD, "(max - min)/max", name, float(spread), np.nan)
+    for name, apart in zip(NAMES, spread(evaluation.columns).tolist(), strict=True):
+        yield ComparisonRow(SPREAD, "(max - min)/max", name, apart, np.nan)
 
 
 def headlines(evaluation: ElementEvaluation) -> list[Headline]:
     """Frequencies of the frame, those of the solid below."""
-    told, solid = [], evaluation.solid
-    for name in ("Tx", "Tz", "Rx", "Rz"):
-        place = NAMES.index(name)
-        remark = "" if solid is None else f"solid: {solid.finest.frequency_hz[place]:.0f} Hz"
-        told.append(Headline(f"{name}, frame", f"{evaluation.frame.modes.frequency_hz[place]:.1f} Hz", remark))
-    return told
+    frame, solid = evaluation.frame.modes.frequency_hz, evaluation.solid
+    told = [""] * len(NAMES) if solid is None else [f"solid: {value:.0f} Hz" for value in solid.finest.frequency_hz]
+    shown = [NAMES.index(name) for name in ("Tx", "Tz", "Rx", "Rz")]
+    return [Headline(f"{NAMES[place]}, frame", f"{frame[place]:.1f} Hz", told[place]) for place in shown]
 
 
 def _by_mode(caption: str, head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Table:
@@ -177,7 +194,7 @@ def comparison_table(evaluation: ElementEvaluation) -> Table:
         rows.append((column.name, *values))
         if any(expanded):
             rows.append((f"U of {column.name}", *(text or DASH for text in expanded)))
-    rows.append(("(max − min)/max / %", *(_percent(value) for value in evaluation.spread)))
+    rows.append(("(max − min)/max / %", *(signed(PERCENT * value) for value in spread(evaluation.columns))))
     return _by_mode("Natural frequencies in Hz; U: k = 2", ("model",), rows)
 
 
@@ -209,7 +226,7 @@ def convergence_table(evaluation: ElementEvaluation) -> Table | None:
         return label, f"{model.unknowns}", *(f"{value:.1f}" for value in model.frequency_hz)
 
     def apart(label: str, ratios: FloatArray) -> tuple[str, ...]:
-        return label, "", *(_percent(value) for value in ratios)
+        return label, "", *(signed(PERCENT * value) for value in ratios)
 
     rows = [on_mesh(f"mesh {n}", model) for n, model in zip(study.refinements, study.meshes, strict=True)]
     rows += [
@@ -240,13 +257,115 @@ def mounted_table(evaluation: ElementEvaluation) -> Table | None:
     return Table(caption, ("mode", "natural frequency / Hz", "damping ratio", "damped / Hz"), "lrrr", tuple(rows))
 
 
+# Figures: mode shapes in space, models against one another, the resonance under a hand.
+
+ENLARGED = 0.08
+"""Largest displacement drawn, over the size of the element."""
+VIEW = {"elev": 26.0, "azim": -58.0}
+COLOURS = (BLACK, BLUE, RED, GREEN, ORANGE, PURPLE, SKY, GREY)
+MARKERS = ("o", "s", "D", "^", "v", "P", "X", "*")
+
+
+def draw_shapes(name: str, title: str, shapes: Sequence[Shape]) -> tuple[Picture, bytes]:
+    """Six modes in space, at rest as lines and deformed as faces coloured by displacement; picture and png file."""
+    with drawing(name):
+        figure = new_figure(4.6)
+        for place, shape in enumerate(shapes):
+            _panel(figure, place, shape)
+        figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.96, wspace=0.0, hspace=0.06)
+        caption = (
+            "Grey lines: at rest. Colour: displacement, from none (dark) to the largest (bright); the same largest "
+            "displacement is drawn in every panel, far larger than any real one."
+        )
+        return finish(figure, name, title, caption), as_file(figure, "png")
+
+
+def draw_compared(evaluation: ElementEvaluation) -> Picture:
+    """Every column's frequencies as departure from those of the frame."""
+    columns = evaluation.columns
+    frame = next(column for column in columns if column.kind == "frame")
+    places, width = np.arange(len(NAMES)), 0.7 / len(columns)
+    with sheet("elastomer-comparison", 3.0) as drawn:
+        (axes,) = drawn.panels
+        for c, column in enumerate(columns):
+            departure = 100.0 * (column.frequency_hz / frame.frequency_hz - 1.0)
+            expanded = np.nan_to_num(200.0 * column.u_hz / frame.frequency_hz)
+            look: dict[str, Any] = {"fmt": MARKERS[c % len(MARKERS)], "color": COLOURS[c % len(COLOURS)]}
+            known, shift = np.isfinite(departure), (c - 0.5 * (len(columns) - 1)) * width
+            if known.any():
+                axes.errorbar(places[known] + shift, departure[known], expanded[known], label=column.name, **look)
+        axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=1)
+        axes.set_xticks(places, NAMES)
+        axes.set_xlim(-0.5, len(places) - 0.5)
+        axes.set_ylabel(f"less {frame.name} / %")
+        panel_label(axes, "natural frequencies")
+        axes.legend(loc="lower right", ncols=4, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
+        caption = "Departure of every column from the frame. Bars: expanded uncertainty U (k = 2) where there is one."
+        return drawn.picture("Models against one another", caption, top=0.5, bottom=0.3)
+
+
+def draw_hand(evaluation: ElementEvaluation) -> Picture | None:
+    """The resonance over the mass of a hand joined without a spring, and the modes of the chain with springs."""
+    mounted, stated = evaluation.mounted, evaluation.definition.file.mounting
+    if mounted is None or stated is None:
+        return None
+    scale, unit = (1e3, "g") if mounted.direction.startswith("T") else (1e6, "kg·mm²")
+    with sheet("elastomer-mounted", 2.8) as drawn:
+        (axes,) = drawn.panels
+        label = "hand joined without a spring (eq. 17)"
+        axes.plot(scale * mounted.hand_mass, mounted.mounted_hz, color=BLUE, label=label)
+        places = np.full(len(mounted.frequency_hz), scale * stated.hand_mass)
+        axes.plot(places, mounted.frequency_hz, "o", color=RED, label="hand, sensor and pedestal on springs")
+        axes.set_ylim(0.0, 1.1 * max(float(mounted.frequency_hz.max()), float(mounted.mounted_hz.max())))
+        axes.set_xlabel(f"{'mass' if unit == 'g' else 'moment of inertia'} of the hand / {unit}")
+        axes.set_ylabel("natural frequency / Hz")
+        panel_label(axes, f"mounted sensor, {mounted.direction}")
+        axes.legend(loc="lower right", ncols=2, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
+        caption = "What a hand or gripper leaves of the element's own frequency."
+        return drawn.picture(f"Resonance of the mounted sensor, {mounted.direction}", caption, top=0.3)
+
+
+def _panel(figure: Figure, place: int, shape: Shape) -> None:
+    """One mode."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+
+    axes: Any = figure.add_subplot(2, 3, place + 1, projection="3d", computed_zorder=False)
+    size = np.linalg.norm(shape.motion, axis=2)
+    largest = float(size.max()) or 1.0
+    extent = float(np.ptp(shape.rest_m[..., 0]))
+    moved = 1e3 * (shape.rest_m + shape.motion * (ENLARGED * extent / largest))
+    rest = 1e3 * np.concatenate([shape.rest_m, shape.rest_m[:, :1]], axis=1)
+    faces = Poly3DCollection(moved, facecolors=colormaps["viridis"](size.mean(axis=1) / largest), zorder=2)
+    faces.set_edgecolor((0.0, 0.0, 0.0, 0.25))
+    faces.set_linewidth(0.25)
+    lines = Line3DCollection(rest, colors=GREY, linewidths=0.3, alpha=0.5, zorder=1)
+    for drawn in (lines, faces):
+        drawn.set_rasterized(True)
+        drawn.set_clip_on(False)
+        axes.add_collection3d(drawn)
+    half = 0.5e3 * extent
+    axes.set(xlim=(-half, half), ylim=(-half, half), zlim=(-0.35 * half, 0.35 * half))
+    axes.set_box_aspect((1.0, 1.0, 0.35), zoom=1.45)
+    axes.view_init(**VIEW)
+    axes.set_axis_off()
+    foot = half * np.array([0.80, -1.12, 0.0])
+    for along, label in zip(0.2 * half * np.eye(3), "xyz", strict=True):
+        axes.plot(*np.stack([foot, foot + along], axis=1), color=BLACK, linewidth=0.8, clip_on=False)
+        axes.text(*(foot + 1.3 * along), label, fontsize=7.0, ha="center", va="center")
+    told = f"{shape.name}   {shape.frequency_hz:.0f} Hz"
+    axes.set_title(told, fontsize=8.5, fontweight="bold", pad=-6.0, loc="center")
+
+
+# What stands on the page, in the files and on the terminal.
+
+
 def printed(evaluation: ElementEvaluation) -> Iterator[str]:
     """Lines for the terminal."""
     lines: list[tuple[str, ...]] = [("", *NAMES)]
     for column in evaluation.columns:
         pairs = [_with_u(column, place) for place in range(6)]
         lines.append((column.name, *(f"{value} ± {expanded}" if expanded else value for value, expanded in pairs)))
-    lines.append(("spread", *(f"{_percent(value)} %" for value in evaluation.spread)))
+    lines.append(("spread", *(f"{signed(PERCENT * value)} %" for value in spread(evaluation.columns))))
     width = max(len(column.name) for column in evaluation.columns)
     for label, *cells in lines:
         yield f"{label:{width}}  {'  '.join(f'{cell:>14}' for cell in cells)}{'' if label else '  Hz'}"
@@ -271,11 +390,6 @@ def _with_u(column: ComparedColumn, place: int) -> tuple[str, str]:
         return f"{value:.6g}" if column.kind == "stated" else f"{value:.1f}", ""
     text = rounded(value, 2.0 * u, 0)
     return text.value, text.expanded
-
-
-def _percent(value: float) -> str:
-    """A ratio as percent."""
-    return DASH if not np.isfinite(value) else f"{100.0 * value:.2f}".replace("-", "\N{MINUS SIGN}")
 
 
 def _context(evaluation: ElementEvaluation) -> dict[str, Any]:
@@ -334,29 +448,22 @@ def _fill(file: h5py.File, evaluation: ElementEvaluation) -> None:
     """Fill the HDF5 file."""
     file.attrs["name"] = evaluation.name
     file.attrs["shapes"] = "unknowns ux uy uz rx ry rz of the platform's point in the plane of the beams, then of nodes"
-    definition = evaluation.definition
-    write_value(file, "beams", definition.beams)
-    write_value(file, "platform", definition.platform)
-    group, model = file.create_group("frame", track_order=True), evaluation.frame
-    for name in ("node_m", "beam", "rigid", "clamped"):
-        write_value(group, name, getattr(model.frame, name))
-    write_value(group, "modes", model.modes)
-    write_value(group, "stiffness", model.stiffness)
-    write_value(group, "node_motion", model.frame.reduction @ model.modes.shape)
-    if evaluation.solid is not None:
-        group = file.create_group("solid", track_order=True)
-        for refinement, mesh in zip(evaluation.solid.refinements, evaluation.solid.meshes, strict=True):
-            write_fields(group.create_group(f"mesh_{refinement}", track_order=True), mesh)
-        write_fields(group.create_group("rigid_platform", track_order=True), evaluation.solid.rigid)
-    columns = file.create_group("comparison", track_order=True)
-    for column in evaluation.columns:
-        write_fields(columns.create_group(column.name, track_order=True), column)
+    model, study = evaluation.frame, evaluation.solid
+    write_value(file, "beams", evaluation.definition.beams)
+    write_value(file, "platform", evaluation.definition.platform)
+    nodes = {name: getattr(model.frame, name) for name in ("node_m", "beam", "rigid", "clamped")}
+    motion = {"node_motion": model.frame.reduction @ model.modes.shape}
+    write_value(file, "frame", {**nodes, "modes": model.modes, "stiffness": model.stiffness, **motion})
+    if study is not None:
+        meshes = {f"mesh_{n}": mesh for n, mesh in zip(study.refinements, study.meshes, strict=True)}
+        write_value(file, "solid", {**meshes, "rigid_platform": study.rigid})
+    write_value(file, "comparison", {column.name: column for column in evaluation.columns})
     write_value(file, "sensitivity", evaluation.sensitivity)
-    for fit in evaluation.fits:
-        own = file.require_group("fits").create_group(f"half_size_{fit.half_size_m:g}", track_order=True)
-        write_value(own, "platform", fit.platform)
-        write_value(own, "frequency_hz", fit.frequency_hz)
-        own.attrs["largest_misfit"] = fit.misfit
+    if evaluation.fits:
+        fits = {f"half_size_{fit.half_size_m:g}": fit for fit in evaluation.fits}
+        names = {"platform": "platform", "frequency_hz": "frequency_hz", "misfit": "largest_misfit"}
+        told = {size: {name: getattr(fit, own) for own, name in names.items()} for size, fit in fits.items()}
+        write_value(file, "fits", told)
     write_value(file, "mounted", evaluation.mounted)
 
 
