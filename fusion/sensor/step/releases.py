@@ -19,10 +19,9 @@ from shaker.arrays import FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.indices import Indices, indices
 from shaker.lti.system import ModalModel
-from shaker.release.fit import METHODS, compare, fit_step
+from shaker.release.fit import METHODS, Method, StepFit, compare, fit_step
 from shaker.release.reading import ReleaseKind, compare_releases, read_releases
 from shaker.release.record import Reading, StepRecord
-from shaker.release.sim import Method, StepFit
 
 # What evaluated step responses consist of.
 

@@ -36,9 +36,9 @@ from fusion.sensor.step.evaluate import evaluate_steps
 from fusion.sensor.step.figures import component_pictures
 from fusion.sensor.step.records import StepSettings
 from fusion.sensor.step.releases import LABELS, ComponentResult, MethodRow, Release, Rope, StaticGain, StepEvaluation
+from shaker.release.fit import StepFit
 from shaker.release.reading import Spread
 from shaker.release.record import Reading, SpectrumPeak
-from shaker.release.sim import StepFit
 
 # Tables in files
 
