@@ -474,8 +474,8 @@ def compare(
 
     def fitted(method: Method) -> StepFit:
         if method in ("pencil", "arx"):
-            given = {"modes": modes, "real_poles": real_poles}
-            return fit_step(record, channel, reading=reading, method="arx" if method == "arx" else "pencil", **given)
+            start: Literal["pencil", "arx"] = "arx" if method == "arx" else "pencil"
+            return fit_step(record, channel, reading=reading, modes=modes, real_poles=real_poles, method=start)
         if method in ("sim", "sim_zoh"):
             return fit_sim(record, channel, reading=reading, conversion="tustin" if method == "sim" else "zoh")
         own: Literal["modes", "coefficients"] = "modes" if method == "evolution" else "coefficients"

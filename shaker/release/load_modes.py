@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
 from shaker.release.record import Reading, StepRecord
 
@@ -102,6 +102,12 @@ class Resonances(Brief):
         known = self.frequency_hz[np.isfinite(self.frequency_hz)]
         if np.any(known <= 0) or np.any(np.isnan(self.frequency_hz[:, 0])):
             raise ValueError("frequency_hz: expected a first resonance above 0 of every record, found none")
+
+    def without_second(self, places: BoolArray) -> Resonances:
+        """Return the resonances with the second modes of some records (R,) left out."""
+        left_out = places[:, None] & [False, True]
+        values = (self.frequency_hz, self.u_frequency_hz, self.damping_ratio, self.u_damping_ratio)
+        return Resonances(self.names, *(np.where(left_out, np.nan, value) for value in values))
 
 
 def stated_resonances(

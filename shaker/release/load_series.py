@@ -72,7 +72,7 @@ class SeriesProblem:
     @property
     def dampers(self) -> int:
         """Number of dampings that the known ones tell."""
-        return self.powers.shape[1] - self.springs
+        return int(self.powers.shape[1]) - self.springs
 
     @property
     def dof(self) -> tuple[int, int]:
@@ -400,20 +400,11 @@ def belonging(measured: Resonances, masses: SeriesMasses) -> tuple[Resonances, t
     seen = np.isfinite(measured.frequency_hz[:, 1])
     foreign = seen & (masses.load == 0)
     if np.any(seen & ~foreign) and len(np.unique(np.round(masses.load / masses.moving, 3))) > 1:
-        alone = _without_second(measured, np.ones(len(seen), dtype=np.bool_))
+        alone = measured.without_second(np.ones(len(seen), dtype=np.bool_))
         foretold = np.array([fit.frequency_hz[:, 1] for fit in fit_resonances(alone, masses, rigid=False)])
         off = np.abs(measured.frequency_hz[:, 1] / foretold - 1.0)
         foreign |= seen & (masses.load > 0) & (np.min(off, axis=0) > BELONGING_FARTHEST)
-    return _without_second(measured, foreign), tuple(int(place) for place in np.flatnonzero(foreign))
-
-
-def _without_second(measured: Resonances, places: BoolArray) -> Resonances:
-    """The resonances with the second modes of some records (R,) left out."""
-    left_out, names = (
-        places[:, None] & [False, True],
-        ("frequency_hz", "u_frequency_hz", "damping_ratio", "u_damping_ratio"),
-    )
-    return replace(measured, **{name: np.where(left_out, np.nan, getattr(measured, name)) for name in names})
+    return measured.without_second(foreign), tuple(int(place) for place in np.flatnonzero(foreign))
 
 
 # The model that a series of loads supports.
@@ -550,13 +541,17 @@ def _model(fit: SeriesFit, masses: SeriesMasses, output: Output, number: int, co
         total = turn @ whole @ turn.T
         across = whole[:size, size:]
         own = whole[:size, :size] - (across @ np.linalg.solve(whole[size:, size:], across.T) if across.size else 0.0)
-    numbers: list[float | None] = [*map(float, fit.numbers), None, None]
+    k, c, *coupling = (float(number) for number in fit.numbers)
+    kl, cl = coupling or (None, None)
     return LoadModel(
         output.component,
         output.channel,
         output.unit,
         masses.at(fit.deviates)[0],
-        *numbers[:4],
+        k,
+        c,
+        kl,
+        cl,
         sensitivity=output.sensitivity,
         u_moving_mass=masses.u_moving if total is None else float(np.sqrt(total[-1, -1])),
         covariance=own,
