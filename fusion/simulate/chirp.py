@@ -43,8 +43,7 @@ RECORDING = "chirp"
 DAQ_FILE, FILTER_FILE = "accelerometers.h5", "amplifier.toml"
 CORNER_HZ, ORDER = 20e3, 4
 SINE_LOAD, MOUNTING = "9kg", "1"
-Ratio = Callable[[FloatArray], ComplexArray]
-"""Acceleration of a point over that of the base (K,) at frequencies (K,)."""
+Ratio = Callable[[FloatArray], ComplexArray]  # acceleration of a point over that of the base (K,) at frequencies (K,)
 
 
 @dataclass(frozen=True, config=CHECKED)

@@ -23,12 +23,9 @@ from shaker.lti.system import ModalModel
 from shaker.release.response import pole_responses
 
 DAQ_FILE = "outputs.h5"
-CHANNEL, ROPE = "Fy", "fishing line"
-"""Output and load component of the force sensor, and what releases it."""
-Model = tuple[tuple[ModalModel, ...], ...]
-"""Response of every output (row) to every load component (column)."""
-Channels = list[dict[str, Any]]
-"""Blocks of the channels in a manifest."""
+CHANNEL, ROPE = "Fy", "fishing line"  # output and load component of the force sensor, and what releases it
+Model = tuple[tuple[ModalModel, ...], ...]  # response of every output (row) to every load component (column)
+Channels = list[dict[str, Any]]  # blocks of the channels in a manifest
 
 
 @dataclass(frozen=True, config=CHECKED)

@@ -20,10 +20,8 @@ from shaker.arrays import ComplexArray, FloatArray
 
 MOUNTED = ("point", "direction", "transverse", "centre_of_mass")
 """Last parts of the names of errors that are made anew whenever something is mounted."""
-RECORDED = ("noise", "trigger jitter", "points")
-"""Last parts of the names of what no two recordings share."""
-STATIC_UNCERTAINTY = 1e-3
-"""Relative change of a sensor since its static calibration, one standard deviation."""
+RECORDED = ("noise", "trigger jitter", "points")  # last parts of the names of what no two recordings share
+STATIC_UNCERTAINTY = 1e-3  # relative change of a sensor since its static calibration, one standard deviation
 GRID = (8, 5)  # points on a face, as another correlation program writes them
 _INSIDE = 0.68  # of the half size: the grid's corners stay on a round face
 _NOISE_M = (0.7e-6, 0.7e-6, 1.8e-6)  # of these points: x, y and along the view of the left camera

@@ -343,8 +343,7 @@ def modal_form(system: LinearSystem) -> ModalModel | None:
 # Differential evolution: with the published settings, and on parameters that suit the problem.
 
 
-MUTATION, CROSSOVER, POPULATION, GENERATIONS, BOUND = 0.8, 0.7, 100, 500, 5.0
-"""The published settings."""
+MUTATION, CROSSOVER, POPULATION, GENERATIONS, BOUND = 0.8, 0.7, 100, 500, 5.0  # the published settings
 _FEWER = (30, 40)  # members and generations that three bounded parameters take
 _DAMPING = (1e-4, 0.5)
 _HUGE = 1e100  # loss from which a member counts as grown without bound

@@ -130,10 +130,8 @@ def stated_resonances(
 
 RATE_OVER_FIRST = 16.0
 """Sampling rate over the first resonance: second modes up to six times the first stay in the passband."""
-PASSBAND = 0.42
-"""Edge of the decimating filter's passband over the rate it decimates to."""
-TAPS = 20
-"""Length of the decimating filter in samples of the decimated record."""
+PASSBAND = 0.42  # edge of the decimating filter's passband over the rate it decimates to
+TAPS = 20  # length of the decimating filter in samples of the decimated record
 FEWEST = 64
 SEARCH = Rules(first=1e-4, shrink=0.2, least=1e-15, largest=1e12)
 """How a search for poles, stiffnesses and dampings is damped; it ends where a step promises 10⁻¹⁰ of the loss."""
@@ -232,16 +230,11 @@ def coloured(slope: FloatArray, residual: FloatArray) -> FloatArray:
 # The modes that one record shows after its release, by itself.
 
 
-PARTS = (1, 3, 9, 27)
-"""The record and ever shorter beginnings of it in which modes of any damping stand out."""
-NEAREST = 2
-"""Number of starts that are followed, those that leave least."""
-SEPARATE = 1.15
-"""Ratio to the first resonance from which another one counts as second mode."""
-CLEAR = 8.0
-"""Height of a line over the median of the spectrum from which it may be a mode."""
-SURE = 1e-6
-"""Chance of a second mode in noise above which none is taken to be seen."""
+PARTS = (1, 3, 9, 27)  # the record and ever shorter beginnings of it in which modes of any damping stand out
+NEAREST = 2  # number of starts that are followed, those that leave least
+SEPARATE = 1.15  # ratio to the first resonance from which another one counts as second mode
+CLEAR = 8.0  # height of a line over the median of the spectrum from which it may be a mode
+SURE = 1e-6  # chance of a second mode in noise above which none is taken to be seen
 HEAVIEST, VAGUEST = 0.3, 0.05
 """Damping ratio and relative uncertainty of the frequency up to which a second mode is used."""
 

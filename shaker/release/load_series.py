@@ -16,10 +16,8 @@ from shaker.release.load_modes import SEARCH, FreeDecay, Output, Resonances, Ser
 # Rows and unknowns of a fit of load models to resonances.
 
 
-LARGEST = 100.0
-"""Logarithm of a stiffness or damping, in size, from which a step has gone astray."""
-FLOOR = 1e-8
-"""Relative uncertainty that stands where none is stated and none has shown yet."""
+LARGEST = 100.0  # logarithm of a stiffness or damping, in size, from which a step has gone astray
+FLOOR = 1e-8  # relative uncertainty that stands where none is stated and none has shown yet
 
 
 @dataclass(frozen=True)
@@ -181,18 +179,13 @@ class SeriesProblem:
 # Stiffnesses and dampings from the resonances of several loads.
 
 
-STARTS = np.geomspace(0.03, 30.0, 9)
-"""Ratios k_L/k from which the fit starts."""
-ALIKE = 1e-2
-"""Relative difference of parameters below which two minima are one."""
+STARTS = np.geomspace(0.03, 30.0, 9)  # ratios k_L/k from which the fit starts
+ALIKE = 1e-2  # relative difference of parameters below which two minima are one
 COARSE = (1e-2, 1e-1)
 """Relative scatter of frequencies and dampings with which minima are approached: their valleys are wide then."""
-FARTHEST = 1e4
-"""Ratio of the stiffnesses beyond which one of them means nothing."""
-INDISTINCT = 3.84
-"""Difference of chi-squared up to which a second minimum cannot be excluded (95 %)."""
-CHANCE = 1e-3
-"""Chance below which deviations are not explained by what is stated."""
+FARTHEST = 1e4  # ratio of the stiffnesses beyond which one of them means nothing
+INDISTINCT = 3.84  # difference of chi-squared up to which a second minimum cannot be excluded (95 %)
+CHANCE = 1e-3  # chance below which deviations are not explained by what is stated
 
 
 @dataclass(frozen=True, repr=False)
@@ -336,8 +329,7 @@ def _of_numbers(problem: SeriesProblem, x: FloatArray, covariance: FloatArray) -
 # One load model fitted to the time records of all loads together.
 
 
-ALLOWED = 2.0
-"""Excess over that of white noise that is taken for the noise's colour."""
+ALLOWED = 2.0  # excess over that of white noise that is taken for the noise's colour
 
 
 def fit_decays(
@@ -410,12 +402,9 @@ def belonging(measured: Resonances, masses: SeriesMasses) -> tuple[Resonances, t
 # The model that a series of loads supports.
 
 
-CONTRADICTED = 0.01
-"""Chance below which a rigid load is contradicted."""
-NEGLIGIBLE = 1e-3
-"""Deviation in % that is not worth a number."""
-UNLIKELY = 3.0
-"""Standard uncertainties by which a mass may differ from what is stated before the user is told."""
+CONTRADICTED = 0.01  # chance below which a rigid load is contradicted
+NEGLIGIBLE = 1e-3  # deviation in % that is not worth a number
+UNLIKELY = 3.0  # standard uncertainties by which a mass may differ from what is stated before the user is told
 
 
 @dataclass(frozen=True)

@@ -240,8 +240,7 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
 # When the channels of a record were released, and what they ring with.
 
 
-STRONG = 5.0
-"""Change of level, over the noise of a sample, from which a channel shows the release by itself."""
+STRONG = 5.0  # change of level, over the noise of a sample, from which a channel shows the release by itself
 _ROUGH = 2.0  # of the longest ramp that the output may follow: what lag, ringing and noise make of times without a fit
 
 

@@ -345,8 +345,7 @@ class LoadEvaluation:
 
 
 GRID = 61
-BEYOND = 1.25
-"""Largest load that curves are drawn to, over the largest one recorded or asked for."""
+BEYOND = 1.25  # largest load that curves are drawn to, over the largest one recorded or asked for
 
 
 def evaluate_loads(
