@@ -15,9 +15,9 @@ from shaker.compensation.filter import Compensation, Target, best_damping, loade
 from shaker.lti.indices import Indices, indices
 from shaker.lti.system import LinearSystem
 from shaker.mechanics import shared_spring
-from shaker.release.load_fit import SeriesMasses, fit_resonances
 from shaker.release.load_model import LoadModel, first_mode_hz, formula_limit, load_curve
-from shaker.release.load_modes import Resonances
+from shaker.release.load_modes import Resonances, SeriesMasses
+from shaker.release.load_series import fit_resonances
 from shaker.release.response import pole_responses
 
 FloatArray = NDArray[np.float64]

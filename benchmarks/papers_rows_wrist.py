@@ -17,9 +17,8 @@ from shaker.elastomer.frame import platform_family
 from shaker.elastomer.geometry import PublishedStatics, beam_stiffness, guided_stiffness
 from shaker.lti.indices import Indices, Mode, indices
 from shaker.mechanics import MassChain, oscillator_hz, required_stiffness
-from shaker.release.fit import fit_step
+from shaker.release.fit import fit_sim, fit_step
 from shaker.release.record import StepRecord
-from shaker.release.sim import fit_sim
 
 FloatArray = NDArray[np.float64]
 POINT_M = 1e-9

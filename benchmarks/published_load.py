@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from shaker.lti.system import LinearSystem
-from shaker.release.load_fit import SeriesMasses
 from shaker.release.load_model import LoadModel
-from shaker.release.load_modes import Resonances
+from shaker.release.load_modes import Resonances, SeriesMasses
 
 BEAM_KG, COVER_KG, PILLAR_KG = 0.089, 0.130, 0.021
 """Table 1."""

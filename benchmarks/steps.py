@@ -23,10 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker.lti.system import LinearSystem, ModalModel
-from shaker.release.fit import METHODS, compare, fit_step
+from shaker.release.fit import METHODS, Method, compare, fit_step
 from shaker.release.reading import read_release
 from shaker.release.record import StepRecord
-from shaker.release.sim import Method
 
 FloatArray = NDArray[np.float64]
 RATE_HZ, BEFORE_S, AFTER_S, AMPLITUDE_N = 100e3, 0.01, 0.03, 50.0

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from fusion.base import ProgressCallback, no_progress
-from fusion.simulate.channels import Run, environment_keys, part_keys, sensor_keys
 from fusion.simulate.preset import CHECKED, PartSpec, Preset, Vector, read_preset
 from fusion.simulate.sines import (
     DRIVE_MPS2,
@@ -26,8 +25,12 @@ from fusion.simulate.sines import (
     STEP_HZ,
     STEPS,
     TRIGGER_JITTER_S,
+    Run,
     camera_rate,
     driven,
+    environment_keys,
+    part_keys,
+    sensor_keys,
     write_run,
 )
 from fusion.simulate.world import STATIC_UNCERTAINTY, Draws, TruePart, make_world, static_sensitivity, true_part
@@ -40,8 +43,7 @@ RECORDING = "chirp"
 DAQ_FILE, FILTER_FILE = "accelerometers.h5", "amplifier.toml"
 CORNER_HZ, ORDER = 20e3, 4
 SINE_LOAD, MOUNTING = "9kg", "1"
-Ratio = Callable[[FloatArray], ComplexArray]
-"""Acceleration of a point over that of the base (K,) at frequencies (K,)."""
+Ratio = Callable[[FloatArray], ComplexArray]  # acceleration of a point over that of the base (K,) at frequencies (K,)
 
 
 @dataclass(frozen=True, config=CHECKED)

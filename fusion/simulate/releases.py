@@ -16,26 +16,16 @@ from pydantic.dataclasses import dataclass
 
 from fusion.simulate.preset import CHECKED, read_preset
 from fusion.simulate.world import Draws
-from fusion.simulate.write import (
-    RIG_FILE,
-    TRUTH_FILE,
-    Record,
-    complex_table,
-    to_toml,
-    write_recording,
-    write_texts,
-)
-from shaker.arrays import FloatArray
+from fusion.simulate.write import RIG_FILE, TRUTH_FILE, Record, complex_table, to_toml, write_recording, write_texts
+from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel
-from shaker.release.load_model import LoadModel
 from shaker.release.response import pole_responses
 
 DAQ_FILE = "outputs.h5"
-CHANNEL, ROPE = "Fy", "fishing line"
-"""Output and load component of the force sensor, and what releases it."""
-Model = tuple[tuple[ModalModel, ...], ...]
-"""Response of every output (row) to every load component (column)."""
+CHANNEL, ROPE = "Fy", "fishing line"  # output and load component of the force sensor, and what releases it
+Model = tuple[tuple[ModalModel, ...], ...]  # response of every output (row) to every load component (column)
+Channels = list[dict[str, Any]]  # blocks of the channels in a manifest
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -48,14 +38,51 @@ class Rope:
 
 
 @dataclass(frozen=True, config=CHECKED)
-class StepRig:
+class Recorder:
+    """What all recordings of a campaign share: `noise` over the output's change, a random offset, the start.
+
+    `range_v` on `bits`; times in s: the load goes `before_s`, and a random time of up to `start_scatter_s`, after the
+    first sample.
+    """
+
+    noise: float
+    offset_v: float
+    range_v: float
+    bits: int
+    sample_rate_hz: float
+    before_s: float
+    start_scatter_s: float
+
+    def let_go(self, name: str, rope: Rope, duration_s: float, draws: Draws) -> tuple[FloatArray, float, float]:
+        """Return the times (N,) of a recording's samples, when the load begins to vanish, and how long that takes."""
+        rng = draws.stream(f"{name}.release")
+        onset_s = self.before_s + float(rng.uniform(0.0, self.start_scatter_s))
+        release_s = rope.release_s * (1.0 + rope.scatter * float(rng.uniform(-1.0, 1.0)))
+        return np.arange(round(duration_s * self.sample_rate_hz)) / self.sample_rate_hz, onset_s, release_s
+
+    def offsets(self, name: str, outputs: int, draws: Draws) -> FloatArray:
+        """Return the level of every output (C,) without load, in V."""
+        return self.offset_v * draws.stream(f"{name}.offset").standard_normal(outputs)
+
+    def record(self, name: str, volts: FloatArray, steps: FloatArray, channels: Channels, draws: Draws) -> Record:
+        """Return what the converter stores of outputs (C, N) in V that change by `steps` (C,), with noise."""
+        noise = self.noise * steps[:, None] * draws.stream(f"{name}.noise").standard_normal(volts.shape)
+        step = 2.0 * self.range_v / 2**self.bits
+        shown = np.clip(np.rint((volts + noise) / step), -(2 ** (self.bits - 1)), 2 ** (self.bits - 1) - 1) * step
+        names = [str(channel["name"]) for channel in channels]
+        samples = {name: values.astype(np.float32) for name, values in zip(names, shown, strict=True)}
+        return Record(self.sample_rate_hz, samples, dict.fromkeys(names, "V"))
+
+
+@dataclass(frozen=True, config=CHECKED)
+class StepRig(Recorder):
     """Truth and nominal values of sensor, amplifier and recorder.
 
     One mode per component (`frequency_hz`, `damping_ratio`) and the amplifier's real pole `chain_hz`; `capacity` and
     `sensitivity` by component, the latter in V/V per N or N·m; `mixing`: largest share by which a load drives, and an
-    output shows, the mode of another component. `load_share`: what hangs on the rope, over the capacity; `noise`: over
-    the output's change. Recorder: `range_v` on `bits`, `gain` V per V/V, times in s. The first of the `ropes` releases
-    every component, all of them release Fz.
+    output shows, the mode of another component. `load_share`: what hangs on the rope, over the capacity; `gain`: V per
+    V/V; `after_s`: recorded after the release. The first of the `ropes` releases every component, all of them release
+    Fz.
     """
 
     frequency_hz: tuple[float, ...]
@@ -66,15 +93,8 @@ class StepRig:
     mixing: float
     load_share: float
     u_sensitivity: float
-    noise: float
-    offset_v: float
     gain: float
-    range_v: float
-    bits: int
-    sample_rate_hz: float
-    before_s: float
     after_s: float
-    start_scatter_s: float
     ropes: tuple[Rope, ...]
 
 
@@ -171,23 +191,15 @@ def sensor_model(rig: StepRig, draws: Draws) -> Model:
 
 def _write_release(folder: Path, rig: StepRig, model: Model, release: Release, draws: Draws) -> Path:
     """Write one recording: what hung on the rope vanishes, and every output goes from its loaded to its zero level."""
-    place = LOAD_COMPONENTS.index(release.component)
-    load = rig.load_share * rig.capacity[place]
-    rng = draws.stream(f"{release.name}.release")
-    onset_s = rig.before_s + float(rng.uniform(0.0, rig.start_scatter_s))
-    release_s = release.rope.release_s * (1.0 + release.rope.scatter * float(rng.uniform(-1.0, 1.0)))
-    count = round((rig.before_s + rig.after_s) * rig.sample_rate_hz)
-    time_s = np.arange(count) / rig.sample_rate_hz
-    offset = rig.offset_v * draws.stream(f"{release.name}.offset").standard_normal(len(model))
-    column = [row[place] for row in model]
+    name, place = release.name, LOAD_COMPONENTS.index(release.component)
+    load, column = rig.load_share * rig.capacity[place], [row[place] for row in model]
+    time_s, onset_s, release_s = rig.let_go(name, release.rope, rig.before_s + rig.after_s, draws)
+    offset, static = rig.offsets(name, len(model), draws), [one.static_gain for one in column]
     response = pole_responses(column[0].poles, time_s, onset_s, release_s)  # the poles of all outputs are the same
     upper, real = np.split(response, [len(rig.frequency_hz)], axis=1)
     answers = (2.0 * np.real(upper @ one.residue) + np.real(real) @ one.real_residue for one in column)
-    clean = np.stack([load * (one.static_gain - answer) for one, answer in zip(column, answers, strict=True)])
+    clean = np.stack([load * (gain - answer) for gain, answer in zip(static, answers, strict=True)])
     steps = np.array(rig.sensitivity) * np.array(rig.capacity) * rig.load_share
-    noise = rig.noise * steps[:, None] * draws.stream(f"{release.name}.noise").standard_normal(clean.shape)
-    volts = _digitised(rig.gain * (clean + noise) + offset[:, None], rig.range_v, rig.bits)
-    static = [one.static_gain for one in column]
     truth = {
         "format": 1,
         "preset": "steps",
@@ -202,30 +214,14 @@ def _write_release(folder: Path, rig: StepRig, model: Model, release: Release, d
         "static_gain": static,
         "noise": (rig.noise * steps).tolist(),
     }
-    channels = [
-        {"name": name, "quantity": "output", "channel": name, "scale": 1.0 / rig.gain} for name in LOAD_COMPONENTS
-    ]
+    channels = [{"name": c, "quantity": "output", "channel": c, "scale": 1.0 / rig.gain} for c in LOAD_COMPONENTS]
     title = f"{release.component} released by {release.rope.name}, {release.repeat}, simulated"
     manifest = _step_tables(title, RIG_FILE, (release.component, -load, release.rope.name), channels)
-    return write_recording(folder, manifest, truth, {DAQ_FILE: _record(volts, channels, rig.sample_rate_hz)})
+    record = rig.record(name, rig.gain * clean + offset[:, None], rig.gain * steps, channels, draws)
+    return write_recording(folder, manifest, truth, {DAQ_FILE: record})
 
 
-def _digitised(volts: FloatArray, range_v: float, bits: int) -> FloatArray:
-    """Return what the converter shows: whole steps within its range."""
-    step = 2.0 * range_v / 2**bits
-    return np.asarray(np.clip(np.rint(volts / step), -(2 ** (bits - 1)), 2 ** (bits - 1) - 1) * step)
-
-
-def _record(volts: FloatArray, channels: list[dict[str, Any]], sample_rate_hz: float) -> Record:
-    """Return the samples (C, N) of the channels as they are stored, in V."""
-    names = [str(channel["name"]) for channel in channels]
-    samples = {name: values.astype(np.float32) for name, values in zip(names, volts, strict=True)}
-    return Record(sample_rate_hz, samples, dict.fromkeys(names, "V"))
-
-
-def _step_tables(
-    name: str, rig: str, released: tuple[str, float, str], channels: list[dict[str, Any]]
-) -> dict[str, Any]:
+def _step_tables(name: str, rig: str, released: tuple[str, float, str], channels: Channels) -> dict[str, Any]:
     """Return recording.toml as nested dictionaries; `released`: component, change of the load, what lets go."""
     component, amplitude, rope = released
     return {
@@ -238,11 +234,10 @@ def _step_tables(
 
 
 @dataclass(frozen=True, config=CHECKED)
-class SeriesRig:
+class SeriesRig(Recorder):
     """Truth and nominal values: masses in kg, N/m, N·s/m; output in V, recorded as it is; times in s.
 
-    `loads_g`: masses on the pillar in g; `noise` over the output's change; the load of `force_n` vanishes along a
-    straight line of `release_s`.
+    `loads_g`: masses on the pillar in g; the load of `force_n` vanishes along a straight line of `release_s`.
     """
 
     loads_g: tuple[int, ...]
@@ -255,15 +250,8 @@ class SeriesRig:
     coupling_damping: float
     sensitivity: float
     force_n: float
-    noise: float
-    offset_v: float
-    range_v: float
-    bits: int
     release_s: float
-    before_s: float
-    start_scatter_s: float
     duration_s: float
-    sample_rate_hz: float
 
 
 def write_loads(folder: Path, seed: int, rig: SeriesRig | None = None) -> tuple[Path, ...]:
@@ -273,22 +261,22 @@ def write_loads(folder: Path, seed: int, rig: SeriesRig | None = None) -> tuple[
     """
     rig = rig or read_preset(SeriesRig, "loads")
     draws = Draws(seed, True)
-    model = true_model(rig, draws)
+    moving = rig.moving_mass_kg + float(draws.normal("moving.mass", rig.u_moving_mass_kg))
     recordings, masses = [], {}
     for grams in rig.loads_g:
         load = grams * 1e-3
         if grams:
             load += float(draws.normal(f"load {grams} g.mass", rig.u_load_mass_kg))
-        masses[recording_name(grams)] = load
+        masses[f"step-{grams:03d}g"] = load
         write_texts(folder, {f"rig-{grams:03d}g.toml": to_toml(_series_rig(rig, grams))})
-        recordings.append(_write_series_release(folder, rig, model, grams, load, draws))
+        recordings.append(_write_series_release(folder, rig, grams, (moving, load), draws))
     truth = {
         "format": 1,
         "preset": "loads",
         "seed": draws.seed,
         "component": CHANNEL,
         "channel": CHANNEL,
-        "moving_mass_kg": model.moving_mass,
+        "moving_mass_kg": moving,
         "load_mass_kg": masses,
         "stiffness": rig.stiffness,
         "damping": rig.damping,
@@ -302,66 +290,50 @@ def write_loads(folder: Path, seed: int, rig: SeriesRig | None = None) -> tuple[
     return tuple(recordings)
 
 
-def true_model(rig: SeriesRig, draws: Draws) -> LoadModel:
-    """Return the sensor as it is, its moving mass drawn."""
-    return LoadModel(
-        component=CHANNEL,
-        channel=CHANNEL,
-        unit="V",
-        moving_mass=rig.moving_mass_kg + float(draws.normal("moving.mass", rig.u_moving_mass_kg)),
-        stiffness=rig.stiffness,
-        damping=rig.damping,
-        coupling_stiffness=rig.coupling_stiffness,
-        coupling_damping=rig.coupling_damping,
-        sensitivity=rig.sensitivity,
-    )
+def true_modes(rig: SeriesRig, moving: float, load: float) -> tuple[ComplexArray, ComplexArray]:
+    """Return poles in rad/s and residues of the output over a force on the load, for the true masses in kg.
+
+    M ẍ + B ẋ + K x = f of the moving mass on its spring and the load on its own, by the eigenvectors of the equations
+    of first order. Written anew, not by `shaker.release.load_model`: what the program makes of these recordings is
+    tested against them.
+    """
+    joint = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    stiffness = np.diag([rig.stiffness, 0.0]) + rig.coupling_stiffness * joint
+    damping = np.diag([rig.damping, 0.0]) + rig.coupling_damping * joint
+    mass = np.array([moving, load])
+    if load == 0.0:  # nothing on the spring of the coupling
+        mass, stiffness, damping = mass[:1], np.array([[rig.stiffness]]), np.array([[rig.damping]])
+    size, inverse = len(mass), np.diag(1.0 / mass)
+    system = np.block([[np.zeros((size, size)), np.eye(size)], [-inverse @ stiffness, -inverse @ damping]])
+    poles, shapes = np.linalg.eig(system)
+    push = np.concatenate([np.zeros(size), inverse[:, -1]])
+    return poles, rig.sensitivity * rig.stiffness * shapes[0] * np.linalg.solve(shapes, push)
 
 
-def load_change(model: LoadModel, load_mass: float, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
-    """Return the output (N,) while a unit force comes up on the load along a straight line (partial fractions of H)."""
-    system = model.system(load_mass)
-    poles = system.poles
-    others = [np.prod(p - np.delete(poles, place)) for place, p in enumerate(poles)]
-    tops = [np.prod(p - system.zeros) for p in poles]
-    residues = system.gain * np.array(tops) / np.array(others)
-    return np.asarray((pole_responses(poles, time_s, onset_s, release_s) @ residues).real)
-
-
-def recording_name(grams: int) -> str:
-    """Return the name of a recording's folder."""
-    return f"step-{grams:03d}g"
-
-
-def _write_series_release(
-    folder: Path, rig: SeriesRig, model: LoadModel, grams: int, load: float, draws: Draws
-) -> Path:
+def _write_series_release(folder: Path, rig: SeriesRig, grams: int, masses: tuple[float, float], draws: Draws) -> Path:
     """Write one recording: the force vanishes, the output falls from its loaded level to zero and rings."""
-    name = recording_name(grams)
-    onset_s = rig.before_s + float(draws.stream(f"{name}.release").uniform(0.0, rig.start_scatter_s))
-    time_s = np.arange(round(rig.duration_s * rig.sample_rate_hz)) / rig.sample_rate_hz
-    offset = rig.offset_v * float(draws.stream(f"{name}.offset").standard_normal())
-    clean = rig.force_n * (rig.sensitivity - load_change(model, load, time_s, onset_s, rig.release_s))
-    noise = rig.noise * rig.force_n * rig.sensitivity * draws.stream(f"{name}.noise").standard_normal(len(clean))
-    volts = _digitised(clean + noise + offset, rig.range_v, rig.bits)
-    poles = model.poles(load)
-    upper = poles[poles.imag > 0]
+    name, (poles, residues) = f"step-{grams:03d}g", true_modes(rig, *masses)
+    time_s, onset_s, release_s = rig.let_go(name, Rope(ROPE, rig.release_s, 0.0), rig.duration_s, draws)
+    offset, steps = rig.offsets(name, 1, draws), np.array([rig.force_n * rig.sensitivity])
+    change = (pole_responses(poles, time_s, onset_s, release_s) @ residues).real
+    upper = sorted(poles[poles.imag > 0.0], key=abs)
     truth = {
         "format": 1,
         "preset": "loads",
-        "load_mass_kg": load,
+        "load_mass_kg": masses[1],
         "amplitude": -rig.force_n,
         "onset_s": onset_s,
-        "release_s": rig.release_s,
-        "baseline": rig.force_n * rig.sensitivity + offset,
-        "steady": offset,
-        "frequency_hz": (np.sort(np.abs(upper)) / (2.0 * np.pi)).tolist(),
-        "damping_ratio": (-upper.real / np.abs(upper))[np.argsort(np.abs(upper))].tolist(),
+        "release_s": release_s,
+        "baseline": float(steps[0] + offset[0]),
+        "steady": float(offset[0]),
+        "frequency_hz": [float(abs(pole)) / (2.0 * np.pi) for pole in upper],
+        "damping_ratio": [float(-pole.real / abs(pole)) for pole in upper],
     }
     channels = [{"name": CHANNEL, "quantity": "output", "channel": CHANNEL}]
     title = f"release of {CHANNEL} with a load of {grams} g, simulated"
     manifest = _step_tables(title, f"rig-{grams:03d}g.toml", (CHANNEL, -rig.force_n, ROPE), channels)
-    records = {DAQ_FILE: _record(volts[None], channels, rig.sample_rate_hz)}
-    return write_recording(folder / name, manifest, truth, records)
+    volts = rig.force_n * (rig.sensitivity - change[None]) + offset[:, None]
+    return write_recording(folder / name, manifest, truth, {DAQ_FILE: rig.record(name, volts, steps, channels, draws)})
 
 
 def _series_rig(rig: SeriesRig, grams: int) -> dict[str, Any]:

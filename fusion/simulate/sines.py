@@ -1,4 +1,4 @@
-"""Recordings of sines: one rendered recording (`demo`, `nitsche2018`), campaigns over frequency and of six components.
+"""Recordings of sines: one rendered (`demo`, `nitsche2018`), campaigns over frequency and of six components.
 
 `sweep`: the campaign of the published sensitivity curve, twelve frequencies, two mountings, two recordings of each.
 `matrix`: the campaign that determines all 36 sensitivities, axial, transverse and with a mass on an arm of a cross.
@@ -7,31 +7,336 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.base import ProgressCallback, no_progress
-from fusion.simulate.channels import (
-    Run,
-    calibration_file,
-    points_file,
-    record,
-    recording_tables,
-    response_table,
-    rig_tables,
-    truth_tables,
+from fusion.simulate.preset import (
+    ChannelSpec,
+    DaqSpec,
+    PartSpec,
+    Preset,
+    StereoSetup,
+    camera_pose,
+    face_of,
+    read_preset,
 )
-from fusion.simulate.preset import PartSpec, Preset, face_of, read_preset
-from fusion.simulate.world import Draws, Motion, TruePart, TrueStereo, World, make_world, point_series, wrench
-from fusion.simulate.write import points_text, to_toml, write_recording, write_texts
+from fusion.simulate.world import (
+    Draws,
+    Motion,
+    TruePart,
+    TrueStereo,
+    World,
+    acceleration_at,
+    harmonic,
+    make_world,
+    point_series,
+    velocity_at,
+    wrench,
+)
+from fusion.simulate.write import (
+    COLUMNS,
+    POINTS_SCALE,
+    RIG_FILE,
+    Record,
+    complex_table,
+    points_text,
+    to_toml,
+    write_recording,
+    write_texts,
+)
 from photogram.calibration.file import write_calibration
-from photogram.synthetic.scene import Face, View, render_exposure, view_of
-from shaker.arrays import ComplexArray
+from photogram.geometry import RigidTransform
+from photogram.synthetic.scene import Face, View, render_exposure
+from shaker.arrays import ComplexArray, FloatArray
+from shaker.labels import LOAD_COMPONENTS
+
+# What each recorder's file holds, on its own clock, and what manifests and truth say.
+
+
+RESPONSE_HZ = np.array([0.0, 20.0, 50.0, *np.arange(100.0, 3001.0, 100.0)])
+_RESPONSE_U = (1e-4, 1e-4)  # relative magnitude, phase in rad
+_PULSE_S = 2e-3
+_HIGH_V = 5.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recording: its `preset` (with the whole load), and what the first lines of its manifest say.
+
+    `rig_file`: the rig that it stands on; `mounting`: empty where it is not stated. `direction`: 3 or 6 numbers;
+    `driven`: the place of the component that is driven. `parts`: those of the load that this recording's own manifest
+    states.
+    """
+
+    name: str
+    preset: Preset
+    nominal_hz: tuple[float, ...]
+    rig_file: str = RIG_FILE
+    mounting: str = ""
+    kind: str = "sine"
+    direction: tuple[float, ...] = (0.0, 0.0, 1.0)
+    driven: int = 2
+    parts: tuple[PartSpec, ...] = ()
+
+
+def clock(daq: DaqSpec, draws: Draws) -> tuple[float, float]:
+    """Return a recorder's true start (s) and the true seconds that pass in one second of its clock."""
+    return daq.start_s, 1 + float(draws.normal(f"{daq.name}.clock", daq.clock_uncertainty))
+
+
+def record(world: World, daq: DaqSpec, draws: Draws, noise: bool) -> Record:
+    """Return what one recorder stores, rounded to its converter's steps."""
+    start, rate = clock(daq, draws)
+    count = np.arange(round(daq.duration_s * daq.sample_rate_hz), dtype=np.float64)
+    time: FloatArray = start + rate * count / daq.sample_rate_hz
+    samples, units = {}, {}
+    for spec in daq.channels:
+        if spec.quantity == "trigger":
+            last = np.searchsorted(world.trigger_s, time, side="right") - 1
+            since = time - world.trigger_s[np.maximum(last, 0)]
+            values = np.where((last >= 0) & (since < _PULSE_S), _HIGH_V, 0.0)
+        else:
+            phasors = recorded_phasors(world, daq, spec, draws)
+            values = harmonic(time, world.preset.frequencies_hz, phasors[:, None])[:, 0]
+        if noise:
+            values = values + spec.noise * draws.stream(f"{daq.name}.{spec.name}.noise").standard_normal(len(time))
+        step = spec.range / 2**spec.bits
+        samples[spec.name] = (np.rint(values / step) * step).astype(np.float32)
+        units[spec.name] = spec.unit
+    return Record(daq.sample_rate_hz, samples, units, gzip=6)
+
+
+def recorded_phasors(world: World, daq: DaqSpec, spec: ChannelSpec, draws: Draws) -> ComplexArray:
+    """Return the phasors (K,) in the file: true value · response · exp(−jω·delay) / true scale."""
+    shared = spec.common or spec.name
+    scale = float(draws.normal(f"{shared}.scale", spec.stated.get("scale_uncertainty", 0.0)))
+    own = float(draws.normal(f"{spec.name}.individual", spec.stated.get("individual_uncertainty", 0.0)))
+    delay = float(draws.normal(f"{shared}.delay", spec.stated.get("delay_uncertainty", 0.0)))
+    value = _true_phasors(world, spec, draws) * np.exp(-2j * np.pi * world.preset.frequencies_hz * delay)
+    if daq.response:
+        value = value * true_response(shared, world.preset.frequencies_hz, draws)
+    return np.asarray(value / (spec.scale * (1 + scale) * (1 + own)))
+
+
+def _true_phasors(world: World, spec: ChannelSpec, draws: Draws) -> ComplexArray:
+    """Return the phasors (K,) of the quantity in SI, at the point and along the axis where the channel really sits."""
+    if spec.quantity == "output":
+        return np.asarray(world.outputs[:, LOAD_COMPONENTS.index(spec.name)])
+    # Written anew, not by `fusion.instruments`: what the program makes of these recordings is tested against them.
+    motion = world.motion[spec.body]
+    point = np.array(spec.point) + draws.normal(f"{spec.name}.point", spec.stated.get("point_uncertainty", 0.0), 3)
+    nominal = np.array(spec.direction)
+    tilt = draws.normal(f"{spec.name}.direction", spec.stated.get("direction_uncertainty", 0.0), 3)
+    direction = nominal + np.cross(tilt, nominal)
+    direction = direction / np.linalg.norm(direction)
+    if spec.quantity == "velocity":
+        return velocity_at(motion, point, direction)
+    transverse = draws.normal(f"{spec.name}.transverse", spec.stated.get("transverse_sensitivity", 0.0) / np.sqrt(2), 3)
+    axis = direction + transverse - nominal * (transverse @ nominal)
+    return acceleration_at(motion, point, axis, world.gravity)
+
+
+def nominal_response(frequency_hz: FloatArray) -> ComplexArray:
+    """Return the stated response of the bridge amplifier, a second-order low-pass at 9 kHz with damping 0.7."""
+    ratio = np.asarray(frequency_hz) / 9000.0
+    return np.asarray(1 / (1 - ratio**2 + 1.4j * ratio))
+
+
+def true_response(name: str, frequency_hz: FloatArray, draws: Draws) -> ComplexArray:
+    """Return the response with one magnitude and one phase error for all frequencies."""
+    magnitude, phase = (float(draws.normal(f"{name}.response.{k}", u)) for k, u in zip("mp", _RESPONSE_U, strict=True))
+    table = nominal_response(RESPONSE_HZ)
+    size = np.interp(frequency_hz, RESPONSE_HZ, np.abs(table))
+    angle = np.interp(frequency_hz, RESPONSE_HZ, np.unwrap(np.angle(table)))
+    return np.asarray(size * (1 + magnitude) * np.exp(1j * (angle + phase)))
+
+
+def response_table() -> str:
+    """Return the stated response as text: frequency_hz, magnitude, phase_rad and their uncertainties."""
+    lines = ["frequency_hz,magnitude,phase_rad,u_magnitude,u_phase_rad"]
+    for frequency, entry in zip(RESPONSE_HZ.tolist(), nominal_response(RESPONSE_HZ).tolist(), strict=True):
+        u_magnitude = abs(entry) * _RESPONSE_U[0]
+        lines.append(f"{frequency!r},{abs(entry):.9f},{np.angle(entry):.9f},{u_magnitude:.3e},{_RESPONSE_U[1]!r}")
+    return "\n".join(lines) + "\n"
+
+
+def rig_tables(world: World, own: tuple[PartSpec, ...] = ()) -> dict[str, Any]:
+    """Return rig.toml as nested dictionaries, without the parts that a recording's `own` manifest states."""
+    preset = world.preset
+    tables: dict[str, Any] = {
+        "format": 1,
+        "name": preset.rig_name,
+        "sensor": sensor_keys(preset, world.static_stated),
+        "load": part_keys(preset.load),
+    }
+    parts = [part_table(part) for part in preset.parts if part not in own]
+    if parts:
+        tables["part"] = parts
+    tables["environment"] = environment_keys(preset)
+    return tables | {"stereo": {setup.name: _stereo_keys(setup, preset) for setup in preset.stereo}}
+
+
+def sensor_keys(preset: Preset, static: NDArray[np.float64]) -> dict[str, Any]:
+    """Return the block of the sensor under test, with its static sensitivity (6, 6) as it is stated."""
+    internal = {f"internal_{key}": value for key, value in part_keys(preset.internal).items()}
+    return {
+        "name": preset.sensor_name,
+        "serial": preset.serial,
+        "channels": list(LOAD_COMPONENTS),
+        "unit": "V/V",
+        "sense": preset.sense,
+        "capacity": list(preset.capacity),
+        "static_sensitivity": [[float(f"{v:.6e}") for v in row] for row in static],
+        **internal,
+    }
+
+
+def environment_keys(preset: Preset) -> dict[str, Any]:
+    """Return the block of what surrounds a rig."""
+    return {"gravity": preset.gravity_mps2.tolist(), "temperature": 23.0, "air_density": 1.19}
+
+
+def part_keys(spec: PartSpec) -> dict[str, Any]:
+    """Return the keys of a rigid part."""
+    return {
+        "mass": spec.mass,
+        "mass_uncertainty": spec.mass_uncertainty,
+        "centre_of_mass": list(spec.centre_of_mass),
+        "centre_of_mass_uncertainty": spec.centre_of_mass_uncertainty,
+        "inertia": np.diag(spec.inertia).tolist(),
+        "inertia_uncertainty": spec.inertia_uncertainty,
+    }
+
+
+def part_table(spec: PartSpec) -> dict[str, Any]:
+    """Return the block of a further part of the load."""
+    return {"name": spec.name, "body": "load", **part_keys(spec)}
+
+
+def _stereo_keys(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
+    """Return the block of a stereo pair, or of one whose points another program computed."""
+    placed, images = camera_pose(setup), not preset.as_points
+    return {
+        "body": setup.body,
+        **({"calibration": calibration_file(setup)} if images else {}),
+        "rotation": placed.rotation.tolist(),
+        "translation": placed.translation_m.tolist(),
+        "pose_uncertainty": list(setup.pose_uncertainty),
+        "scale_uncertainty": setup.scale_uncertainty,
+        **({"bit_depth": setup.bit_depth} if images else {}),
+        "exposure": preset.exposure_s,
+        "delay": 0.0,
+        "delay_uncertainty": setup.delay_uncertainty,
+    }
+
+
+def calibration_file(setup: StereoSetup) -> str:
+    """Return the place of a pair's calibration in its campaign."""
+    return f"calibration/{setup.name}.json"
+
+
+def points_file(setup: StereoSetup) -> str:
+    """Return the name of the table of a stereo pair's points."""
+    return f"points-{setup.name}.csv"
+
+
+def recording_tables(run: Run) -> dict[str, Any]:
+    """Return recording.toml as nested dictionaries."""
+    preset = run.preset
+    tables: dict[str, Any] = {"format": 1, "name": run.name, "rig": f"../{run.rig_file}"}
+    if run.mounting:
+        tables["mounting"] = run.mounting
+    tables["excitation"] = {
+        "kind": run.kind,
+        "direction": list(run.direction),
+        "frequencies": list(run.nominal_hz),
+        "harmonics": "auto" if run.kind == "sine" else [],
+    }
+    if run.parts:
+        tables["part"] = [part_table(part) for part in run.parts]
+    tables["daq"] = [
+        {
+            "name": daq.name,
+            "file": daq.file,
+            "clock_uncertainty": daq.clock_uncertainty,
+            "channel": [_channel(spec, daq.response) for spec in daq.channels],
+        }
+        for daq in preset.daqs
+    ]
+    if preset.as_points:
+        columns = {"columns": list(COLUMNS), "scale": POINTS_SCALE}
+        tables["points"] = [{"stereo": setup.name, "files": points_file(setup), **columns} for setup in preset.stereo]
+    elif preset.stereo:
+        tables["images"] = [
+            {"stereo": setup.name, **{side: f"{setup.name}-{side}/*.tif" for side in ("left", "right")}}
+            for setup in preset.stereo
+        ]
+    for block in (*tables.get("points", ()), *tables.get("images", ())):
+        block["trigger"] = "camera_trigger"
+    return tables
+
+
+def _channel(spec: ChannelSpec, response: str) -> dict[str, Any]:
+    """Return the block of one channel."""
+    if spec.quantity == "trigger":
+        return {"name": spec.name, "quantity": "trigger", "threshold": 2.5, "edge": "rising"}
+    keys: dict[str, Any] = {"name": spec.name, "quantity": spec.quantity}
+    if spec.quantity == "output":
+        keys["channel"] = spec.name
+        if response:
+            keys["response"] = response
+    else:
+        keys |= {"body": spec.body, "point": list(spec.point), "direction": list(spec.direction)}
+    keys["scale"] = spec.scale
+    if spec.common:
+        keys["common"] = spec.common
+    return keys | spec.stated
+
+
+def truth_tables(run: Run, world: World, draws: Draws) -> dict[str, Any]:
+    """Return truth.json: phasors, sensitivity, ratio of the driven component, clocks, and every error drawn.
+
+    Where there are images also the motion of every frame and the middles of the exposures on the first clock.
+    """
+    preset, images, tie = world.preset, dict[str, Any](), dict[str, float]()
+    if world.stereo:
+        middle = world.trigger_s + preset.exposure_s / 2
+        poses = {}
+        for stereo in world.stereo:
+            moved = [RigidTransform.from_pose(p) for p in world.motion[stereo.setup.body].pose(middle + stereo.delay_s)]
+            poses[stereo.setup.name] = [(pose @ moved[0].inverse()).pose.tolist() for pose in moved]
+        images["motion"] = poses
+        images["exposure_middle_s"] = (middle / clock(preset.daqs[0], draws)[1]).tolist()
+    if len(preset.daqs) > 1:  # t_first = offset_s + rate · t_second of the two recorders' clocks
+        (start, rate), (other_start, other_rate) = (clock(daq, draws) for daq in preset.daqs)
+        tie = {"offset_s": (other_start - start) / rate, "rate": other_rate / rate}
+    return {
+        "format": 1,
+        "preset": preset.name,
+        "seed": draws.seed,
+        **({"mounting": run.mounting} if run.mounting else {}),
+        "frequencies": preset.frequencies_hz.tolist(),
+        "acceleration": {body: complex_table(motion.acceleration) for body, motion in world.motion.items()},
+        "load": complex_table(world.load_wrench),
+        "outputs": complex_table(world.outputs),
+        "sensitivity": complex_table(world.sensitivity),
+        **({} if images else {"driven": run.driven}),
+        "ratio": complex_table(world.outputs / world.load_wrench[:, run.driven, None]),
+        **images,
+        "clock": tie,
+        "drawn": draws.values,
+    }
+
+
+# One rendered recording, campaigns over frequency and of six components.
+
 
 TRIGGER_JITTER_S = 30e-9
 LEAD_S = 0.1  # of the first frame after the first recorder's start, and of a record's end after the last frame
@@ -40,7 +345,6 @@ STEP_HZ = 53.7
 STEPS = (1, 2, 3, 5, 7, 9, 11, 13, 14, 15, 17, 19)
 """All frequencies are multiples of 53.7 Hz; the publication names the 1st, the 7th (rocking) and the 19th."""
 MOUNTINGS = ("1", "2")
-REPEATS = 2
 FREQUENCY_ERROR = 2.4e-6
 ROCKING_HZ = 7 * STEP_HZ
 _ROCKING_DAMPING = 0.03
@@ -139,55 +443,37 @@ def write_run(
     return recording
 
 
-@dataclass(frozen=True, eq=False)
-class _Shot:
-    """One camera's series: where it is written, what it sees."""
-
-    folder: Path
-    view: View
-    face: Face
-    stereo: TrueStereo
-
-
-def _shots(folder: Path, world: World, draws: Draws, aliased: bool) -> Iterator[_Shot]:
-    """Yield the cameras of all stereo pairs, each with its face."""
-    for stereo in world.stereo:
-        name = stereo.setup.name
-        face = face_of(stereo.setup, aliased, draws.stream(f"{name}.speckle"))
-        right_from_sensor = stereo.rig.right_from_left @ stereo.left_from_sensor
-        yield _Shot(folder / f"{name}-left", view_of(stereo.rig.left, stereo.left_from_sensor), face, stereo)
-        yield _Shot(folder / f"{name}-right", view_of(stereo.rig.right, right_from_sensor), face, stereo)
-
-
 def _write_images(
     folder: Path, world: World, draws: Draws, options: SimulationOptions, progress: ProgressCallback
 ) -> None:
-    """Render and write every image, frames in parallel: the work is done outside Python's lock."""
-    done, total = 0, 2 * len(world.stereo) * world.preset.frames
-    pool = ThreadPoolExecutor(os.cpu_count() or 1)
-    try:
-        for shot in _shots(folder, world, draws, options.aliased):
-            shot.folder.mkdir()
-            tasks = [pool.submit(_shoot, shot, world, draws, options, k) for k in range(world.preset.frames)]
-            for task in tasks:
-                task.result()
-                done += 1
-                progress("render", done, total)
-    finally:
-        pool.shutdown(cancel_futures=True)  # who interrupts need not wait for the images that are left
-
-
-def _shoot(shot: _Shot, world: World, draws: Draws, options: SimulationOptions, frame: int) -> None:
-    """Render, digitise and write one image."""
+    """Render, digitise and write every image, frames in parallel: the work is done outside Python's lock."""
     import tifffile
 
-    setup, exposure = shot.stereo.setup, world.preset.exposure_s
-    middle = float(world.trigger_s[frame] + shot.stereo.delay_s + exposure / 2)
-    pose_at = world.motion[setup.body].pose
-    image = render_exposure(shot.view, shot.face, pose_at, middle, exposure, 4 if options.aliased else 2)
-    rng = draws.stream(f"{shot.folder.name}.{frame}") if options.image_noise else None
+    done, frames, exposure = 0, world.preset.frames, world.preset.exposure_s
     whole: dict[str, Any] = {"photometric": "minisblack", "compression": "zlib", "metadata": None, "software": False}
-    tifffile.imwrite(shot.folder / f"{frame:04d}.tif", setup.sensor.digitise(image, rng), **whole)
+
+    def shoot(stereo: TrueStereo, face: Face, view: View, series: Path, frame: int) -> None:
+        middle = float(world.trigger_s[frame] + stereo.delay_s + exposure / 2)
+        pose_at = world.motion[stereo.setup.body].pose
+        image = render_exposure(view, face, pose_at, middle, exposure, 4 if options.aliased else 2)
+        rng = draws.stream(f"{series.name}.{frame}") if options.image_noise else None
+        tifffile.imwrite(series / f"{frame:04d}.tif", stereo.setup.sensor.digitise(image, rng), **whole)
+
+    pool = ThreadPoolExecutor(os.cpu_count() or 1)
+    try:
+        for stereo in world.stereo:
+            name = stereo.setup.name
+            face = face_of(stereo.setup, options.aliased, draws.stream(f"{name}.speckle"))
+            for side, view in zip(("left", "right"), stereo.views, strict=True):
+                series = folder / f"{name}-{side}"
+                series.mkdir()
+                tasks = [pool.submit(shoot, stereo, face, view, series, frame) for frame in range(frames)]
+                for task in tasks:
+                    task.result()
+                    done += 1
+                    progress("render", done, 2 * len(world.stereo) * frames)
+    finally:
+        pool.shutdown(cancel_futures=True)  # who interrupts need not wait for the images that are left
 
 
 def driven(

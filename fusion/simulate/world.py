@@ -15,15 +15,13 @@ from numpy.typing import NDArray
 from fusion.simulate.preset import PartSpec, Preset, StereoSetup, camera_pose, face_of, nominal_rig, read_preset
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.synthetic.scene import motion_bound, view_of
+from photogram.synthetic.scene import View, motion_bound, view_of
 from shaker.arrays import ComplexArray, FloatArray
 
 MOUNTED = ("point", "direction", "transverse", "centre_of_mass")
 """Last parts of the names of errors that are made anew whenever something is mounted."""
-RECORDED = ("noise", "trigger jitter", "points")
-"""Last parts of the names of what no two recordings share."""
-STATIC_UNCERTAINTY = 1e-3
-"""Relative change of a sensor since its static calibration, one standard deviation."""
+RECORDED = ("noise", "trigger jitter", "points")  # last parts of the names of what no two recordings share
+STATIC_UNCERTAINTY = 1e-3  # relative change of a sensor since its static calibration, one standard deviation
 GRID = (8, 5)  # points on a face, as another correlation program writes them
 _INSIDE = 0.68  # of the half size: the grid's corners stay on a round face
 _NOISE_M = (0.7e-6, 0.7e-6, 1.8e-6)  # of these points: x, y and along the view of the left camera
@@ -174,6 +172,12 @@ class TrueStereo:
     left_from_sensor: RigidTransform
     delay_s: float
 
+    @property
+    def views(self) -> tuple[View, View]:
+        """What the left and the right camera see."""
+        right_from_sensor = self.rig.right_from_left @ self.left_from_sensor
+        return view_of(self.rig.left, self.left_from_sensor), view_of(self.rig.right, right_from_sensor)
+
 
 @dataclass(frozen=True, eq=False)
 class World:
@@ -272,9 +276,7 @@ def frame_bounds(preset: str, seed: int) -> dict[str, NDArray[np.float64]]:
     bounds = {}
     for stereo in make_world(read_preset(Preset, preset), draws, 0.0).stereo:
         face = face_of(stereo.setup, False, draws.stream(f"{stereo.setup.name}.speckle"))
-        right_from_sensor = stereo.rig.right_from_left @ stereo.left_from_sensor
-        views = [view_of(stereo.rig.left, stereo.left_from_sensor), view_of(stereo.rig.right, right_from_sensor)]
-        bounds[stereo.setup.name] = np.sqrt(np.diagonal(motion_bound(views, face, stereo.setup.sensor)))
+        bounds[stereo.setup.name] = np.sqrt(np.diagonal(motion_bound(stereo.views, face, stereo.setup.sensor)))
     return bounds
 
 

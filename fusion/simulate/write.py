@@ -17,7 +17,7 @@ from shaker.arrays import FloatArray
 MANIFEST_FILE, RIG_FILE, TRUTH_FILE = "recording.toml", "rig.toml", "truth.json"
 COLUMNS = ("frame", "id", "x", "y", "z")
 POINTS_SCALE = 1e-3  # millimetres in a table of points
-_START = np.datetime64("2018-01-01T00:00:00", "us")
+_START = datetime(2018, 1, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +52,17 @@ def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
 
 
 def write_record(path: Path, recorded: Record) -> None:
-    """Write one DAQ file, HDF5 or TDMS by its suffix."""
+    """Write one DAQ file by its suffix: HDF5, or TDMS with one group and waveform properties on each channel."""
     if path.suffix == ".tdms":
-        _write_tdms(path, recorded)
+        from nptdms import ChannelObject, TdmsWriter
+
+        wave = {"wf_increment": 1 / recorded.sample_rate_hz, "wf_start_offset": 0.0, "wf_start_time": _START}
+        channels = []
+        for name, samples in recorded.samples.items():
+            properties = {**wave, "wf_samples": len(samples), "unit_string": recorded.units[name]}
+            channels.append(ChannelObject(path.stem, name, samples, properties=properties))
+        with TdmsWriter(path) as writer:
+            writer.write_segment(channels)
         return
     import h5py
 
@@ -65,29 +73,6 @@ def write_record(path: Path, recorded: Record) -> None:
             )
             data.attrs["sample_rate"] = recorded.sample_rate_hz
             data.attrs["unit"] = recorded.units[name]
-
-
-def _write_tdms(path: Path, recorded: Record) -> None:
-    """Write a TDMS file with one group, waveform properties on each channel."""
-    from nptdms import ChannelObject, TdmsWriter
-
-    channels = [
-        ChannelObject(
-            path.stem,
-            name,
-            samples,
-            properties={
-                "wf_increment": 1 / recorded.sample_rate_hz,
-                "wf_start_offset": 0.0,
-                "wf_start_time": _START.astype(datetime),
-                "wf_samples": len(samples),
-                "unit_string": recorded.units[name],
-            },
-        )
-        for name, samples in recorded.samples.items()
-    ]
-    with TdmsWriter(path) as writer:
-        writer.write_segment(channels)
 
 
 def points_text(position_m: FloatArray) -> str:
@@ -101,7 +86,7 @@ def points_text(position_m: FloatArray) -> str:
 
 def to_toml(table: Mapping[str, Any], path: str = "") -> str:
     """Return TOML text: plain keys first, then sub-tables, then arrays of tables (lists of dictionaries)."""
-    lines = [f"{key} = {_value(value)}" for key, value in table.items() if not _is_table(value)]
+    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items() if not _is_table(value)]
     for key, value in table.items():
         name = f"{path}.{key}" if path else key
         if isinstance(value, Mapping):
@@ -115,17 +100,6 @@ def to_toml(table: Mapping[str, Any], path: str = "") -> str:
 def _is_table(value: Any) -> bool:
     """Say whether a value needs a header of its own."""
     return isinstance(value, Mapping) or (isinstance(value, list) and bool(value) and isinstance(value[0], Mapping))
-
-
-def _value(value: Any) -> str:
-    """Return a plain value in TOML's syntax."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_value(item) for item in value) + "]"
-    return repr(value)
 
 
 def complex_table(value: NDArray[np.complex128]) -> dict[str, Any]:

@@ -145,49 +145,6 @@ def _chain(count: int) -> Mechanics:
     return Mechanics(*chain_terms(count), np.zeros((1, count)), np.ones(1), np.zeros(count), 1.0)
 
 
-# The second set of parameters that one load mass cannot tell from the first.
-
-
-def other_numbers(numbers: FloatArray, moving_mass: float, load_mass: float) -> FloatArray:
-    """Return the other k, c, k_L, c_L (4,) with the same poles at one load mass.
-
-    With K = k + c s and K_L = k_L + c_L s the polynomial of `LoadModel` is m_E m_L s⁴ + [m_L K + (m_E + m_L) K_L] s² +
-    K K_L. It stays the same where K' = K_L (m_E + m_L)/m_L and K_L' = K m_L/(m_E + m_L), for any damping. The output's
-    modal shares stay as well, but for the zero at -k_L/c_L, which moves to -k/c: of light damping both are far away.
-    """
-    ratio = (moving_mass + load_mass) / load_mass
-    k, c, kl, cl = (float(number) for number in numbers)
-    return np.array([kl * ratio, cl * ratio, k / ratio, c / ratio])
-
-
-def other_solution(model: LoadModel, load_mass: float) -> LoadModel:
-    """Return the model with the same poles at one load mass; covariances follow by first order."""
-    if model.is_rigid or load_mass <= 0:
-        raise ValueError("model: expected one with an elastic coupling and a load mass, found a rigid one")
-
-    def swapped(numbers: FloatArray) -> FloatArray:
-        return np.append(other_numbers(numbers[:4], float(numbers[4]), load_mass), numbers[4])
-
-    numbers = np.append(model.vector, model.moving_mass)
-    turned = model.with_numbers(swapped(numbers))
-    ratio = (model.moving_mass + load_mass) / load_mass
-    jacobian = np.zeros((5, 5))
-    jacobian[0, 2] = jacobian[1, 3] = ratio
-    jacobian[2, 0] = jacobian[3, 1] = 1.0 / ratio
-    jacobian[4, 4] = 1.0
-    jacobian[:4, 4] = [
-        model.vector[2] / load_mass,
-        model.vector[3] / load_mass,
-        *(-turned.vector[2:] / (ratio * load_mass)),
-    ]
-    own, total = model.covariance, model.covariance_with_mass
-    return replace(
-        turned,
-        covariance=None if own is None else jacobian[:4, :4] @ own @ jacobian[:4, :4].T,
-        covariance_with_mass=None if total is None else jacobian @ total @ jacobian.T,
-    )
-
-
 # Resonance and damping of a sensor over the mass it carries, with their uncertainties.
 
 
@@ -243,21 +200,18 @@ def rigid_formula_hz(model: LoadModel, load_mass: float) -> float:
 
 def _modes(model: LoadModel, masses: FloatArray) -> FloatArray:
     """Frequencies, then damping ratios, (2 K 2,) of the modes by size; NaN for a second one that is not there."""
-    found = np.full((2, len(masses), 2), np.nan)
+    modes = np.full((2, len(masses), 2), np.nan)
     for place, mass in enumerate(masses):
         upper, _ = upper_poles(model.vector, model.moving_mass, float(mass))
-        found[0, place, : len(upper)] = np.abs(upper) / (2.0 * np.pi)
-        found[1, place, : len(upper)] = -upper.real / np.abs(upper)
-    return np.asarray(found.ravel())
+        modes[:, place, : len(upper)] = np.abs(upper) / (2.0 * np.pi), -upper.real / np.abs(upper)
+    return modes.ravel()
 
 
 # How far a loaded sensor can be used as it is.
 
 
-TOLERANCES = (0.05, 0.10)
-"""Departures of the gain from that at rest for which bands are given."""
-SMALLEST_DAMPING = 1e-4
-"""Damping ratio that stands for none: bands do not depend on it."""
+TOLERANCES = (0.05, 0.10)  # departures of the gain from that at rest for which bands are given
+SMALLEST_DAMPING = 1e-4  # damping ratio that stands for none: bands do not depend on it
 
 
 def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, ...] = TOLERANCES) -> FloatArray:
@@ -267,9 +221,8 @@ def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, .
     """
     if model.damping == 0.0:
         light = 2.0 * SMALLEST_DAMPING * np.sqrt(model.stiffness * model.moving_mass)
-        other = None
-        if model.coupling_stiffness is not None:
-            other = light * model.coupling_stiffness / model.stiffness
+        coupling = model.coupling_stiffness
+        other = None if coupling is None else light * coupling / model.stiffness
         model = replace(model, damping=light, coupling_damping=other)
     system = model.system(load_mass)
     curve, level = gain_curve(system), system.static_gain
@@ -280,10 +233,8 @@ def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, .
 # How much load a sensor bears before its resonance, or a formula for it, is off by more than permitted.
 
 
-ROUNDING = 1e-9
-"""Relative uncertainty that only the rounding of a root makes."""
-HEAVIEST = 1e4
-"""Load mass over the moving mass up to which limits are looked for."""
+ROUNDING = 1e-9  # relative uncertainty that only the rounding of a root makes
+HEAVIEST = 1e4  # load mass over the moving mass up to which limits are looked for
 
 
 class LoadLimit(NamedTuple):
@@ -349,9 +300,5 @@ def _limit(model: LoadModel, beyond: Callable[[LoadModel, float], float]) -> Loa
         return None
     if model.total_covariance is None:
         return LoadLimit(value, float("nan"))
-
-    def at(changed: LoadModel) -> FloatArray:
-        return np.array([root(changed)])
-
-    u = float(np.sqrt(model.propagate(at)[1][0, 0]))
+    u = float(np.sqrt(model.propagate(lambda changed: np.array([root(changed)]))[1][0, 0]))
     return LoadLimit(value, u if u > ROUNDING * value else 0.0)

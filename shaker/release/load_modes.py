@@ -1,4 +1,4 @@
-"""Resonances of one load from its ringing."""
+"""What is measured of a series of loads: output, masses, and resonances from the ringing of every load."""
 
 from __future__ import annotations
 
@@ -6,9 +6,79 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
 from shaker.release.record import Reading, StepRecord
+
+# The output that is read, and the masses of a series of loads as named unknowns.
+
+
+@dataclass(frozen=True)
+class Output:
+    """What was recorded: load component, output channel, its unit, static output per N or N·m, that one's u."""
+
+    component: str
+    channel: str
+    unit: str
+    sensitivity: float = 1.0
+    u_sensitivity: float = 0.0
+
+    @property
+    def mass_unit(self) -> str:
+        """Unit of what stands for a mass."""
+        return "kg·m²" if self.component.startswith("M") else "kg"
+
+
+@dataclass(frozen=True, repr=False)
+class SeriesMasses(Brief):
+    """Moving mass and the load masses (R,) of R records in kg, with their errors by name.
+
+    `names` (Q,) of what is uncertain; one standard uncertainty of it changes the moving mass by `moving_effect` (Q,)
+    and the load masses by `load_effect` (R, Q), so that an adapter that two records share is one unknown.
+    """
+
+    moving: float
+    load: FloatArray
+    names: tuple[str, ...]
+    moving_effect: FloatArray
+    load_effect: FloatArray
+
+    def __post_init__(self) -> None:
+        if not self.moving > 0:
+            raise ValueError(f"moving: expected a mass above 0, found {self.moving}")
+        check_shape("load", self.load, (None,))
+        if np.any(self.load < 0):
+            raise ValueError(f"load: expected masses of at least 0, found {float(np.min(self.load))}")
+        check_shape("moving_effect", self.moving_effect, (len(self.names),))
+        check_shape("load_effect", self.load_effect, (len(self.load), len(self.names)))
+
+    @property
+    def u_moving(self) -> float:
+        """Standard uncertainty of the moving mass."""
+        return float(np.linalg.norm(self.moving_effect))
+
+    @property
+    def u_load(self) -> FloatArray:
+        """Standard uncertainties of the load masses (R,)."""
+        return np.asarray(np.linalg.norm(self.load_effect, axis=1))
+
+    def at(self, deviates: FloatArray) -> tuple[float, FloatArray]:
+        """Return moving and load masses with every named error (Q,) at so many of its standard uncertainties."""
+        return self.moving + float(self.moving_effect @ deviates), self.load + self.load_effect @ deviates
+
+
+def stated_masses(moving: float, u_moving: float, load: FloatArray, u_load: FloatArray | None = None) -> SeriesMasses:
+    """Return masses whose errors are independent: the moving mass, and every load mass (R,) that differs."""
+    loads = np.asarray(load, dtype=np.float64)
+    spread = np.zeros(len(loads)) if u_load is None else np.asarray(u_load, dtype=np.float64)
+    uncertain = np.unique(loads[spread > 0.0])
+    names = ("moving mass", *(f"load mass {value:.6g} kg" for value in uncertain))
+    moved = np.append(u_moving, np.zeros(len(uncertain)))
+    of_load = np.where(loads[:, None] == uncertain, spread[:, None], 0.0)
+    effect = np.hstack([np.zeros((len(loads), 1)), of_load])
+    first = 0 if u_moving > 0.0 else 1
+    return SeriesMasses(float(moving), loads, names[first:], moved[first:], effect[:, first:])
+
 
 # What is measured of every load: resonances and dampings, read from records or stated.
 
@@ -33,15 +103,11 @@ class Resonances(Brief):
         if np.any(known <= 0) or np.any(np.isnan(self.frequency_hz[:, 0])):
             raise ValueError("frequency_hz: expected a first resonance above 0 of every record, found none")
 
-    @property
-    def has_damping(self) -> bool:
-        """Whether any damping is known."""
-        return bool(np.any(np.isfinite(self.damping_ratio)))
-
-    @property
-    def has_second(self) -> bool:
-        """Whether a second mode was seen."""
-        return bool(np.any(np.isfinite(self.frequency_hz[:, 1])))
+    def without_second(self, places: BoolArray) -> Resonances:
+        """Return the resonances with the second modes of some records (R,) left out."""
+        left_out = places[:, None] & [False, True]
+        values = (self.frequency_hz, self.u_frequency_hz, self.damping_ratio, self.u_damping_ratio)
+        return Resonances(self.names, *(np.where(left_out, np.nan, value) for value in values))
 
 
 def stated_resonances(
@@ -64,10 +130,8 @@ def stated_resonances(
 
 RATE_OVER_FIRST = 16.0
 """Sampling rate over the first resonance: second modes up to six times the first stay in the passband."""
-PASSBAND = 0.42
-"""Edge of the decimating filter's passband over the rate it decimates to."""
-TAPS = 20
-"""Length of the decimating filter in samples of the decimated record."""
+PASSBAND = 0.42  # edge of the decimating filter's passband over the rate it decimates to
+TAPS = 20  # length of the decimating filter in samples of the decimated record
 FEWEST = 64
 SEARCH = Rules(first=1e-4, shrink=0.2, least=1e-15, largest=1e12)
 """How a search for poles, stiffnesses and dampings is damped; it ends where a step promises 10⁻¹⁰ of the loss."""
@@ -166,16 +230,11 @@ def coloured(slope: FloatArray, residual: FloatArray) -> FloatArray:
 # The modes that one record shows after its release, by itself.
 
 
-PARTS = (1, 3, 9, 27)
-"""The record and ever shorter beginnings of it in which modes of any damping stand out."""
-NEAREST = 2
-"""Number of starts that are followed, those that leave least."""
-SEPARATE = 1.15
-"""Ratio to the first resonance from which another one counts as second mode."""
-CLEAR = 8.0
-"""Height of a line over the median of the spectrum from which it may be a mode."""
-SURE = 1e-6
-"""Chance of a second mode in noise above which none is taken to be seen."""
+PARTS = (1, 3, 9, 27)  # the record and ever shorter beginnings of it in which modes of any damping stand out
+NEAREST = 2  # number of starts that are followed, those that leave least
+SEPARATE = 1.15  # ratio to the first resonance from which another one counts as second mode
+CLEAR = 8.0  # height of a line over the median of the spectrum from which it may be a mode
+SURE = 1e-6  # chance of a second mode in noise above which none is taken to be seen
 HEAVIEST, VAGUEST = 0.3, 0.05
 """Damping ratio and relative uncertainty of the frequency up to which a second mode is used."""
 

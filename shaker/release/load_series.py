@@ -1,46 +1,410 @@
-"""Two masses or three: which model a series of loads supports, and the model itself."""
+"""Two masses or three: stiffnesses and dampings from the releases of several loads, and which model these support."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from shaker.arrays import FloatArray, Notice, Severity
-from shaker.release.load_fit import (
-    SeriesFit,
-    SeriesMasses,
-    SeriesProblem,
-    belonging,
-    explains,
-    fit_decays,
-    fit_resonances,
-)
-from shaker.release.load_model import LoadModel
-from shaker.release.load_modes import FreeDecay, Resonances
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, Notice, Severity, check_shape
+from shaker.fitting import Residuals, levenberg_marquardt
+from shaker.release.load_model import LoadModel, upper_poles
+from shaker.release.load_modes import SEARCH, FreeDecay, Output, Resonances, SeriesMasses, coloured, projected
 
-CHANCE = 0.01
-"""Chance below which a rigid load is contradicted."""
-NEGLIGIBLE = 1e-3
-"""Deviation in % that is not worth a number."""
-UNLIKELY = 3.0
-"""Standard uncertainties by which a mass may differ from what is stated before the user is told."""
+# Rows and unknowns of a fit of load models to resonances.
+
+
+LARGEST = 100.0  # logarithm of a stiffness or damping, in size, from which a step has gone astray
+FLOOR = 1e-8  # relative uncertainty that stands where none is stated and none has shown yet
 
 
 @dataclass(frozen=True)
-class Output:
-    """What was recorded: load component, output channel, its unit, static output per N or N·m, that one's u."""
+class SeriesProblem:
+    """A fit of ln f and ln ζ of the modes that were seen; a rigid load has first modes only.
 
-    component: str
-    channel: str
-    unit: str
-    sensitivity: float = 1.0
-    u_sensitivity: float = 0.0
+    Unknown x (X,): logarithms of k and, unless `rigid`, k_L, then of c and c_L where a damping is known, then the named
+    mass errors in their standard uncertainties.
+    """
+
+    measured: Resonances
+    masses: SeriesMasses
+    rigid: bool
+
+    def __post_init__(self) -> None:
+        check_shape("masses", self.masses.load, (len(self.measured.names),))
+        if not self.rigid and (self.rows[0].sum() < 2 or not np.any(self.masses.load > 0)):
+            raise ValueError(
+                "measured: expected two resonances, one of them with a load, to tell the coupling's stiffness, found "
+                f"{int(self.rows[0].sum())}"
+            )
+
+    @cached_property
+    def rows(self) -> tuple[BoolArray, BoolArray]:
+        """Which frequencies and which dampings (R, 2) enter."""
+        seen = np.isfinite(self.measured.frequency_hz)
+        seen[:, 1] &= (self.masses.load > 0) & (not self.rigid)
+        return seen, seen & (np.nan_to_num(self.measured.damping_ratio) > 0)
+
+    @cached_property
+    def powers(self) -> FloatArray:
+        """Powers (P, S) of the exponentials of springs and dampers that make k, c or k, c, k_L, c_L.
+
+        Where one damping alone is known, c_L = c·k_L/k; where none is, all are 0.
+        """
+        springs = 1 if self.rigid else 2
+        dampers = min(springs, int(self.rows[1].sum()))
+        powers = np.zeros((2 * springs, springs + dampers))
+        powers[::2, :springs] = np.eye(springs)
+        powers[1::2, springs:] = np.eye(springs, dampers)
+        if dampers == 1 and springs == 2:
+            powers[3] = [-1.0, 1.0, 1.0]
+        return powers
 
     @property
-    def mass_unit(self) -> str:
-        """Unit of what stands for a mass."""
-        return "kg·m²" if self.component.startswith("M") else "kg"
+    def springs(self) -> int:
+        """Number of stiffnesses."""
+        return len(self.powers) // 2
+
+    @property
+    def dampers(self) -> int:
+        """Number of dampings that the known ones tell."""
+        return int(self.powers.shape[1]) - self.springs
+
+    @property
+    def dof(self) -> tuple[int, int]:
+        """Degrees of freedom of the frequencies and of the dampings."""
+        f, z = self.rows
+        return int(f.sum()) - self.springs, int(z.sum()) - self.dampers
+
+    def numbers(self, x: FloatArray) -> FloatArray:
+        """Return k, c or k, c, k_L, c_L of unknowns x; dampings of 0 where none is known."""
+        numbers = np.exp(self.powers @ x[: self.powers.shape[1]])
+        numbers[1::2] *= self.dampers > 0
+        return np.asarray(numbers)
+
+    def unknowns(self, fit: SeriesFit) -> FloatArray:
+        """Return the unknowns (X,) that a fit found."""
+        springs, dampers = fit.numbers[::2], fit.numbers[1::2][: self.dampers]
+        return np.concatenate([np.log(springs), np.log(dampers), fit.deviates])
+
+    def deviates(self, x: FloatArray) -> FloatArray:
+        """Return the named mass errors (Q,) among the unknowns."""
+        return x[self.powers.shape[1] :]
+
+    def is_sound(self, x: FloatArray) -> bool:
+        """Whether all numbers of unknowns x are numbers that a computer and a sensor may have."""
+        moving, loads = self.masses.at(self.deviates(x))
+        logarithms = np.abs(x[: self.powers.shape[1]])
+        return bool(np.all(logarithms < LARGEST) and moving > 0.0 and np.all(loads[self.masses.load > 0] > 0.0))
+
+    def number_rates(self, x: FloatArray) -> FloatArray:
+        """Return the derivatives (P, S) of the numbers by the logarithms of springs and dampers."""
+        return np.asarray(self.numbers(x)[:, None] * self.powers)
+
+    def poles(self, x: FloatArray, record: int) -> tuple[ComplexArray, ComplexArray]:
+        """Return the upper poles (M,) of one record and their derivatives (M, X)."""
+        moving, loads = self.masses.at(self.deviates(x))
+        load = float(loads[record]) if self.masses.load[record] > 0 else 0.0
+        poles, moved = upper_poles(self.numbers(x), moving, load)
+        by_mass = np.outer(moved[:, -2], self.masses.moving_effect)
+        by_mass = by_mass + np.outer(moved[:, -1], self.masses.load_effect[record])
+        return poles, np.hstack([moved[:, :-2] @ self.number_rates(x), by_mass])
+
+    def modes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies and damping ratios [f, ζ] (2, R, 2), and the derivatives of ln f and ζ (2, R, 2, X)."""
+        values = np.full((2, len(self.masses.load), 2), np.nan)
+        rates = np.zeros((*values.shape, len(x)))
+        for r in range(values.shape[1]):
+            poles, change = self.poles(x, r)
+            count, size = len(poles), np.abs(poles)
+            along = (np.conj(poles)[:, None] * change).real / size[:, None] ** 2
+            values[0, r, :count], values[1, r, :count] = size / (2.0 * np.pi), -poles.real / size
+            rates[0, r, :count] = along
+            rates[1, r, :count] = -change.real / size[:, None] + (poles.real / size)[:, None] * along
+        return values, rates
+
+    def residual(self, x: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return weighted residuals (N + Q,) and their derivatives (N + Q, X); `sigma` (N,) of ln f, then ln ζ."""
+        (f, z), rates = self.modes(x)
+        f_rows, z_rows = self.rows
+        left, slopes = [np.log(f[f_rows] / self.measured.frequency_hz[f_rows])], [rates[0][f_rows]]
+        if self.dampers:
+            with np.errstate(invalid="ignore", divide="ignore"):
+                left.append(np.log(z[z_rows] / self.measured.damping_ratio[z_rows]))
+                slopes.append(rates[1][z_rows] / z[z_rows][:, None])
+        own, by_own = self.prior(x)
+        residual = np.concatenate([np.concatenate(left) / sigma, own])
+        return residual, np.vstack([np.vstack(slopes) / sigma[:, None], by_own])
+
+    def prior(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what is stated of the masses as residuals (Q,) with their derivatives (Q, X)."""
+        own = self.deviates(x)
+        return own, np.eye(len(x))[len(x) - len(own) :]
+
+    def stated(self) -> tuple[FloatArray, FloatArray]:
+        """Return the relative standard uncertainties stated of the frequencies and of the dampings that enter."""
+        f_rows, z_rows = self.rows
+        seen = self.measured
+        f = seen.u_frequency_hz[f_rows] / seen.frequency_hz[f_rows]
+        z = seen.u_damping_ratio[z_rows] / seen.damping_ratio[z_rows] if self.dampers else np.zeros(0)
+        return np.nan_to_num(f), np.nan_to_num(z)
+
+    def groups(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, int]]:
+        """Return deviations, relative standard uncertainties stated and freedom, of ln f and of ln ζ."""
+        f, z = self.stated()
+        left = self.residual(x, np.ones(len(f) + len(z)))[0]
+        parts = left[: len(f)], left[len(f) : len(f) + len(z)]
+        return list(zip(parts, (f, z), self.dof, strict=True))
+
+    def sigma(self, scatter: tuple[float, float]) -> FloatArray:
+        """Return the relative standard deviations (N,) of all rows with scatter beyond what is stated."""
+        parts = [np.sqrt(u**2 + tau**2 + FLOOR**2) for u, tau in zip(self.stated(), scatter, strict=True)]
+        return np.concatenate(parts)
+
+    def start(self, ratio: float) -> FloatArray:
+        """Return unknowns (X,) with k_L/k as given that meet the first resonance and damping of the lightest load."""
+        lightest = int(np.argmin(self.masses.load))
+        shape = np.array([1.0, 0.0] if self.rigid else [1.0, 0.0, ratio, 0.0])
+        load = float(self.masses.load[lightest])
+        omega = 2.0 * np.pi * float(self.measured.frequency_hz[lightest, 0])
+        k = (omega / abs(upper_poles(shape, self.masses.moving, load)[0][0])) ** 2
+        springs = np.log(k * shape[::2])
+        zeta = self.measured.damping_ratio[self.rows[1]]
+        dampers = springs[: self.dampers] + (np.log(2.0 * np.median(zeta) / omega) if self.dampers else 0.0)
+        return np.concatenate([springs, dampers, np.zeros(len(self.masses.names))])
+
+
+# Stiffnesses and dampings from the resonances of several loads.
+
+
+STARTS = np.geomspace(0.03, 30.0, 9)  # ratios k_L/k from which the fit starts
+ALIKE = 1e-2  # relative difference of parameters below which two minima are one
+COARSE = (1e-2, 1e-1)
+"""Relative scatter of frequencies and dampings with which minima are approached: their valleys are wide then."""
+FARTHEST = 1e4  # ratio of the stiffnesses beyond which one of them means nothing
+INDISTINCT = 3.84  # difference of chi-squared up to which a second minimum cannot be excluded (95 %)
+CHANCE = 1e-3  # chance below which deviations are not explained by what is stated
+
+
+@dataclass(frozen=True, repr=False)
+class SeriesFit(Brief):
+    """Parameters of a load model from a series of R records.
+
+    `numbers` (P,): stiffness, damping and those of the coupling unless rigid; dampings are 0 where none was measured.
+    `deviates` (Q,): named mass errors in their standard uncertainties. `covariance` (P + Q, P + Q) of both, None where
+    the scatter is unknown and cannot show. `frequency_hz`, `damping_ratio` (R, 2) of the model. `scatter`: relative
+    standard deviations of frequencies and of dampings about the model beyond what is stated. `chi_squared` of both by
+    what is stated alone, with degrees of freedom `dof`; `excess`: chi-squared over that of the best minimum.
+    """
+
+    numbers: FloatArray
+    deviates: FloatArray
+    covariance: FloatArray | None
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    scatter: tuple[float, float]
+    chi_squared: tuple[float, float]
+    dof: tuple[int, int]
+    excess: float = 0.0
+
+
+def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -> tuple[SeriesFit, ...]:
+    """Return the fits that explain frequencies and dampings best, more than one where the data cannot tell.
+
+    Weighted least squares on ln f and ln ζ with every named mass error as an unknown of its own, from several starts.
+    Scatter beyond what is stated is estimated as of random effects (Mandel & Paule 1970), of frequencies and dampings
+    each by itself, where chance would explain it less than once in 1000, or where nothing is stated.
+    """
+    problem = SeriesProblem(measured, masses, rigid)
+    scatter = _scatter(problem, _minima(problem, (0.0, 0.0))[0][0])
+    known = all(tau > 0.0 or bool(np.all(u > 0.0)) for tau, u in zip(scatter, problem.stated(), strict=True))
+    fits = []
+    for x, excess in _minima(problem, scatter):
+        _, slope = problem.residual(x, problem.sigma(scatter))
+        (f, z), _ = problem.modes(x)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            of_f, of_z = (float(np.nansum((deviation / u) ** 2)) for deviation, u, _ in problem.groups(x))
+        inner: FloatArray = np.asarray(np.linalg.inv(slope.T @ slope))
+        fits.append(
+            SeriesFit(
+                numbers=problem.numbers(x),
+                deviates=problem.deviates(x),
+                covariance=_of_numbers(problem, x, inner) if known else None,
+                frequency_hz=f,
+                damping_ratio=z,
+                scatter=scatter,
+                chi_squared=(of_f, of_z),
+                dof=problem.dof,
+                excess=excess,
+            )
+        )
+    return tuple(fits)
+
+
+def _least(
+    problem: SeriesProblem,
+    residual: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
+    start: FloatArray,
+    tolerance: float = SEARCH.foretold_share,
+) -> Residuals:
+    """Return the least squares next to a start, among unknowns that a sensor may have."""
+
+    def at(x: FloatArray) -> Residuals | None:
+        return Residuals(x, *residual(x)) if problem.is_sound(x) else None
+
+    begin = at(start)
+    if begin is None:
+        raise ValueError("start: expected unknowns that a sensor may have, found others")
+    return levenberg_marquardt(at, begin, replace(SEARCH, foretold_share=tolerance)).point
+
+
+def _refined(
+    problem: SeriesProblem, start: FloatArray, scatter: tuple[float, float], tolerance: float = SEARCH.foretold_share
+) -> tuple[FloatArray, float]:
+    """Return the unknowns (X,) at the minimum next to a start, and chi-squared there."""
+    sigma = problem.sigma(scatter)
+    end = _least(problem, lambda x: problem.residual(x, sigma), start, tolerance)
+    return end.parameters, end.loss
+
+
+def _minima(problem: SeriesProblem, scatter: tuple[float, float]) -> list[tuple[FloatArray, float]]:
+    """Minima that cannot be excluded, the best first, with chi-squared beyond the best."""
+    ratios = STARTS[:1] if problem.rigid else STARTS
+    coarse = _distinct(problem, [_refined(problem, problem.start(ratio), COARSE, 1e-5) for ratio in ratios])
+    minima = _distinct(problem, [_refined(problem, x, scatter) for x, _ in coarse])
+    return [(x, cost - minima[0][1]) for x, cost in minima if cost - minima[0][1] <= INDISTINCT]
+
+
+def _distinct(problem: SeriesProblem, minima: list[tuple[FloatArray, float]]) -> list[tuple[FloatArray, float]]:
+    """Minima that differ and mean something, the best first; the best at any rate."""
+    ordered = sorted(minima, key=lambda item: item[1])
+    ratios = [1.0 if problem.rigid else float(np.divide(*problem.numbers(x)[2::-2])) for x, _ in ordered]
+    sound = [item for item, ratio in zip(ordered, ratios, strict=True) if 1.0 / FARTHEST < ratio < FARTHEST]
+    kept: list[tuple[FloatArray, float]] = []
+    for x, cost in sound or ordered[:1]:
+        numbers = problem.numbers(x)[::2]
+        if all(np.max(np.abs(numbers / problem.numbers(other)[::2] - 1.0)) > ALIKE for other, _ in kept):
+            kept.append((x, cost))
+    return kept
+
+
+def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
+    """Relative scatter of frequencies and dampings beyond what is stated: where chi-squared equals its freedom."""
+    from scipy.optimize import brentq
+    from scipy.special import chdtrc
+
+    def tau(deviation: FloatArray, u: FloatArray, dof: int) -> float:
+        """Solve Σ d²/(u² + τ²) = dof."""
+
+        def beyond(tau: float) -> float:
+            return float(np.sum(deviation**2 / (u**2 + tau**2))) - dof
+
+        high = float(np.sqrt(np.sum(deviation**2) / dof))
+        low = 1e-12 * high
+        return float(brentq(beyond, low, high * (1.0 + 1e-9))) if high > 0.0 and beyond(low) > 0.0 else 0.0
+
+    scatter = (0.0, 0.0)
+    wanted = [
+        dof > 0 and (bool(np.any(u == 0.0)) or bool(chdtrc(dof, np.sum((deviation / u) ** 2)) < CHANCE))
+        for deviation, u, dof in problem.groups(x)
+    ]
+    for _ in range(50 if any(wanted) else 0):
+        f, z = (tau(*group) if told else 0.0 for group, told in zip(problem.groups(x), wanted, strict=True))
+        if np.allclose((f, z), scatter, rtol=1e-6, atol=0.0):
+            break
+        scatter = (f, z)
+        x = _refined(problem, x, scatter)[0]
+    return scatter
+
+
+def _of_numbers(problem: SeriesProblem, x: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the covariance (P + Q, P + Q) of numbers and named mass errors from that of the unknowns (X, X)."""
+    rates, (_, by_own) = problem.number_rates(x), problem.prior(x)
+    turn = np.vstack([np.pad(rates, ((0, 0), (0, len(by_own)))), by_own])
+    return np.asarray(turn @ covariance @ turn.T)
+
+
+# One load model fitted to the time records of all loads together.
+
+
+ALLOWED = 2.0  # excess over that of white noise that is taken for the noise's colour
+
+
+def fit_decays(
+    decays: tuple[FreeDecay, ...], noise: FloatArray, problem: SeriesProblem, start: SeriesFit
+) -> tuple[SeriesFit, bool]:
+    """Return the parameters that explain all records at once, and whether they explain them, but for chance.
+
+    Unknown are what all records share, k, c, k_L, c_L and the named masses, from those that explain the resonances;
+    level and complex amplitude of every mode are free in every record. `noise` (R,): standard deviations of what free
+    modes leave, the weights. The covariance takes the colour of the noise from the residuals. Σ |r|²/s² of the model
+    less that of free modes is a chi-squared with as many degrees of freedom as the model has fewer unknowns; twice its
+    quantile (1 in 1000) is allowed, since the noise of a decimated record is not quite white.
+    """
+    from scipy.special import chdtri
+
+    def records(x: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        parts = []
+        for r, decay in enumerate(decays):
+            poles, moved = problem.poles(x, r)
+            residual, slope = projected(decay, poles)
+            by_x = slope @ np.stack([moved.real, moved.imag], axis=1).reshape(-1, len(x))
+            parts.append((residual / noise[r], by_x / noise[r]))
+        return parts
+
+    def residual(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        left, slopes = zip(*records(x), problem.prior(x), strict=True)
+        return np.concatenate(left), np.vstack(slopes)
+
+    end = _least(problem, residual, problem.unknowns(start))
+    x, parts, by_own = end.parameters, records(end.parameters), problem.prior(end.parameters)[1]
+    inner = np.linalg.inv(end.jacobian.T @ end.jacobian)
+    middle = sum((coloured(slope, left) for left, slope in parts), by_own.T @ by_own)
+    modes = np.sum(np.isfinite(problem.measured.frequency_hz), axis=1)
+    more = sum(float(left @ left) - (len(left) - 1 - 4 * int(modes[r])) for r, (left, _) in enumerate(parts))
+    (f, z), _ = problem.modes(x)
+    fit = replace(
+        start,
+        numbers=problem.numbers(x),
+        deviates=problem.deviates(x),
+        covariance=_of_numbers(problem, x, inner @ middle @ inner),
+        frequency_hz=f,
+        damping_ratio=z,
+    )
+    return fit, more <= ALLOWED * float(chdtri(max(sum(problem.dof), 1), CHANCE))
+
+
+# Which second modes belong to the coupling of the load.
+
+
+BELONGING_FARTHEST = 0.10
+"""Relative distance of a second mode from where the first ones put it, from which it is another one."""
+
+
+def belonging(measured: Resonances, masses: SeriesMasses) -> tuple[Resonances, tuple[int, ...]]:
+    """Return the resonances without second modes that no coupling explains, and the records that had such.
+
+    Where first resonances of several load masses tell k and k_L, they tell the second modes too. Without load there is
+    none: what is seen there is of something else.
+    """
+    seen = np.isfinite(measured.frequency_hz[:, 1])
+    foreign = seen & (masses.load == 0)
+    if np.any(seen & ~foreign) and len(np.unique(np.round(masses.load / masses.moving, 3))) > 1:
+        alone = measured.without_second(np.ones(len(seen), dtype=np.bool_))
+        foretold = np.array([fit.frequency_hz[:, 1] for fit in fit_resonances(alone, masses, rigid=False)])
+        off = np.abs(measured.frequency_hz[:, 1] / foretold - 1.0)
+        foreign |= seen & (masses.load > 0) & (np.min(off, axis=0) > BELONGING_FARTHEST)
+    return measured.without_second(foreign), tuple(int(place) for place in np.flatnonzero(foreign))
+
+
+# The model that a series of loads supports.
+
+
+CONTRADICTED = 0.01  # chance below which a rigid load is contradicted
+NEGLIGIBLE = 1e-3  # deviation in % that is not worth a number
+UNLIKELY = 3.0  # standard uncertainties by which a mass may differ from what is stated before the user is told
 
 
 @dataclass(frozen=True)
@@ -53,9 +417,6 @@ class LoadIdentification:
     why this structure.
     """
 
-    output: Output
-    measured: Resonances
-    masses: SeriesMasses
     rigid: SeriesFit
     elastic: tuple[SeriesFit, ...]
     chosen: tuple[SeriesFit, ...]
@@ -86,84 +447,72 @@ def identify_loads(
 
     >>> import numpy as np
     >>> from shaker import identify_loads
-    >>> from shaker.release.load_fit import stated_masses
-    >>> from shaker.release.load_modes import stated_resonances
-    >>> from shaker.release.load_series import Output
+    >>> from shaker.release.load_modes import Output, stated_masses, stated_resonances
     >>> load = np.array([0.0, 0.5, 1.0, 2.0])  # kg on 0.3 kg that move, on a spring of 4 N/µm
     >>> seen = stated_resonances(np.sqrt(4e6 / (0.3 + load)) / (2 * np.pi))
     >>> found = identify_loads(seen, stated_masses(0.3, 0.0, load), Output("Fz", "Fz", "V"))
     >>> print(f"{found.model.stiffness:.3g} N/m")
     4e+06 N/m
     """
-    seen = measured
+    seen, unit = measured, output.mass_unit
     measured, foreign = belonging(measured, masses)
     rigid = fit_resonances(measured, masses, rigid=True)[0]
     told = np.isfinite(measured.frequency_hz) & np.stack([np.ones_like(masses.load), masses.load], axis=1).astype(bool)
     enough = int(told.sum()) >= 2 and bool(np.any(masses.load > 0))
     elastic = fit_resonances(measured, masses, rigid=False) if enough else ()
-    supported, reason = _supports(measured, masses, rigid, elastic, output.mass_unit)
+    supported, reason = _supports(measured, masses, rigid, elastic, unit)
     chosen = elastic if supported else (rigid,)
     from_records = False
     if decays and noise is not None:
         problem = SeriesProblem(measured, masses, rigid=not supported)
-        joint = tuple(fit_decays(decays, noise, problem, fit) for fit in chosen)
-        from_records = not any(chosen[0].scatter) or explains(decays, noise, problem, joint[0])
+        joint, explained = zip(*(fit_decays(decays, noise, problem, fit) for fit in chosen), strict=True)
+        from_records = not any(chosen[0].scatter) or explained[0]
         chosen = tuple(replace(fit, scatter=(0.0, 0.0)) for fit in joint) if from_records else chosen
     if supported:
         chosen = tuple(sorted(chosen, key=lambda fit: -float(fit.numbers[2])))
     models = tuple(_model(fit, masses, output, n, len(chosen)) for n, fit in enumerate(chosen, 1))
-    told = _said(masses, output, chosen[0], models, bool(np.any(measured.u_frequency_hz[:, 0] > 0)))
+    remarks: list[tuple[Severity, str]] = []
     if foreign:
-        places = [f"{seen.frequency_hz[r, 1]:.5g} Hz with {_mass(masses.load[r], output.mass_unit)}" for r in foreign]
-        told.insert(0, ("warning", f"modes that no coupling of the load explains are left out: {', '.join(places)}"))
-    told.insert(bool(foreign), ("info", f"{'three' if supported else 'two'} masses: {reason}"))
-    notices = tuple(Notice(severity, text, output.component) for severity, text in told)
-    return LoadIdentification(output, measured, masses, rigid, elastic, chosen, from_records, models, reason, notices)
+        places = ", ".join(f"{seen.frequency_hz[r, 1]:.5g} Hz with {_mass(masses.load[r], unit)}" for r in foreign)
+        remarks.append(("warning", f"modes that no coupling of the load explains are left out: {places}"))
+    remarks.append(("info", f"{'three' if supported else 'two'} masses: {reason}"))
+    remarks += _remarks(masses, output, chosen[0], models, bool(np.any(measured.u_frequency_hz[:, 0] > 0)))
+    notices = tuple(Notice(severity, text, output.component) for severity, text in remarks)
+    return LoadIdentification(rigid, elastic, chosen, from_records, models, reason, notices)
 
 
 def _supports(
     measured: Resonances, masses: SeriesMasses, rigid: SeriesFit, elastic: tuple[SeriesFit, ...], unit: str
 ) -> tuple[bool, str]:
-    """Whether the data support three masses, and why."""
+    """Whether the data support three masses, and why: a second mode, or two fit worse than chance explains."""
+    from scipy.special import chdtrc, fdtrc
+
     if not elastic:
         return False, "one resonance of one load cannot tell the coupling's stiffness: the load is taken as rigid"
-    seen = np.isfinite(measured.frequency_hz[:, 1]) & (masses.load > 0)
-    missed, left = _largest(measured, masses, rigid, unit), _largest(measured, masses, elastic[0], unit)
-    told = f"two masses miss the resonance by {missed}, three by {left}"
+
+    def largest(fit: SeriesFit) -> str:
+        deviation = 100.0 * (fit.frequency_hz[:, 0] / first - 1.0)
+        place = int(np.argmax(np.abs(deviation)))
+        size = float(abs(deviation[place]))
+        told = f"{size:.2g} %" if size > NEGLIGIBLE else f"less than {NEGLIGIBLE:g} %"
+        return f"{told} with {_mass(masses.load[place], unit)}"
+
+    first, seen = measured.frequency_hz[:, 0], np.isfinite(measured.frequency_hz[:, 1]) & (masses.load > 0)
+    told = f"two masses miss the resonance by {largest(rigid)}, three by {largest(elastic[0])}"
     if seen.any():
         place = int(np.flatnonzero(seen)[0])
         second = f"{measured.frequency_hz[place, 1]:.5g} Hz with {_mass(masses.load[place], unit)}"
         return True, f"a second resonance is seen ({second}), which a rigid load does not have; {told}"
-    if _contradicted(measured, masses, rigid, elastic[0]):
-        return True, f"a rigid load contradicts the resonances: {told}"
+    scatter, freedom = elastic[0].scatter[0], elastic[0].dof[0]
+    variance = (measured.u_frequency_hz[:, 0] / first) ** 2 + scatter**2
+    if np.all(variance > 0.0):
+        of_two, of_three = (
+            np.sum(np.log(fit.frequency_hz[:, 0] / first) ** 2 / variance) for fit in (rigid, elastic[0])
+        )
+        gain = max(float(of_two - of_three), 0.0)
+        if (fdtrc(1, freedom, gain) if scatter > 0.0 else chdtrc(1, gain)) < CONTRADICTED:
+            return True, f"a rigid load contradicts the resonances: {told}"
     return False, f"a rigid load explains the resonances: {told}"
-
-
-def _contradicted(measured: Resonances, masses: SeriesMasses, rigid: SeriesFit, elastic: SeriesFit) -> bool:
-    """Whether two masses fit worse than three by more than chance explains."""
-    from scipy.special import chdtrc, fdtrc
-
-    relative = measured.u_frequency_hz[:, 0] / measured.frequency_hz[:, 0]
-    variance = relative**2 + elastic.scatter[0] ** 2
-    if np.any(variance == 0.0):
-        return False
-    squares = [
-        float(np.sum(np.log(fit.frequency_hz[:, 0] / measured.frequency_hz[:, 0]) ** 2 / variance))
-        for fit in (rigid, elastic)
-    ]
-    gain = max(squares[0] - squares[1], 0.0)
-    if elastic.scatter[0] > 0.0:
-        return bool(fdtrc(1, elastic.dof[0], gain) < CHANCE)
-    return bool(chdtrc(1, gain) < CHANCE)
-
-
-def _largest(measured: Resonances, masses: SeriesMasses, fit: SeriesFit, unit: str) -> str:
-    """The largest deviation of a fit's first resonances, and with which load."""
-    deviation = 100.0 * (fit.frequency_hz[:, 0] / measured.frequency_hz[:, 0] - 1.0)
-    place = int(np.argmax(np.abs(deviation)))
-    size = float(abs(deviation[place]))
-    told = f"{size:.2g} %" if size > NEGLIGIBLE else f"less than {NEGLIGIBLE:g} %"
-    return f"{told} with {_mass(masses.load[place], unit)}"
 
 
 def _mass(load: float, unit: str) -> str:
@@ -177,22 +526,21 @@ def _model(fit: SeriesFit, masses: SeriesMasses, output: Output, number: int, co
     own, total = None, None
     if fit.covariance is not None:
         whole = fit.covariance
-        inner = np.eye(size, len(whole))
-        turn = np.vstack([inner, np.concatenate([np.zeros(size), masses.moving_effect])])
+        turn = np.vstack([np.eye(size, len(whole)), np.append(np.zeros(size), masses.moving_effect)])
         total = turn @ whole @ turn.T
         across = whole[:size, size:]
         own = whole[:size, :size] - (across @ np.linalg.solve(whole[size:, size:], across.T) if across.size else 0.0)
     k, c, *coupling = (float(number) for number in fit.numbers)
-    moving, _ = masses.at(fit.deviates)
+    kl, cl = coupling or (None, None)
     return LoadModel(
-        component=output.component,
-        channel=output.channel,
-        unit=output.unit,
-        moving_mass=moving,
-        stiffness=k,
-        damping=c,
-        coupling_stiffness=coupling[0] if coupling else None,
-        coupling_damping=coupling[1] if coupling else None,
+        output.component,
+        output.channel,
+        output.unit,
+        masses.at(fit.deviates)[0],
+        k,
+        c,
+        kl,
+        cl,
         sensitivity=output.sensitivity,
         u_moving_mass=masses.u_moving if total is None else float(np.sqrt(total[-1, -1])),
         covariance=own,
@@ -204,34 +552,33 @@ def _model(fit: SeriesFit, masses: SeriesMasses, output: Output, number: int, co
     )
 
 
-def _said(
+def _remarks(
     masses: SeriesMasses, output: Output, fit: SeriesFit, models: tuple[LoadModel, ...], stated: bool
-) -> list[tuple[Severity, str]]:
+) -> Iterator[tuple[Severity, str]]:
     """What the user should know: solutions that cannot be told apart, scatter about the model, masses contradicted."""
-    told: list[tuple[Severity, str]] = []
     if len(models) > 1:
         unit = "N·m/rad" if output.component.startswith("M") else "N/m"
         pairs = " or ".join(f"k = {m.stiffness:.4g}, k_L = {m.coupling_stiffness:.4g} {unit}" for m in models)
         bare = " or ".join(f"{abs(m.poles(0.0)[0]) / (2.0 * np.pi):.5g} Hz" for m in models)
-        text = (
+        yield (
+            "warning",
             f"the recorded loads cannot tell {len(models)} solutions apart: {pairs}; all are given. Another load mass "
-            f"does: without load the resonance would be {bare}"
+            f"does: without load the resonance would be {bare}",
         )
-        told.append(("warning", text))
     for tau, what, known in zip(fit.scatter, ("resonances", "damping ratios"), (stated, True), strict=True):
         if tau > 0.0 and known:
-            text = (
+            yield (
+                "warning",
                 f"{what} scatter about the model by {100.0 * tau:.2g} % more than their uncertainties explain: U holds "
-                "it, and the model is fitted to them, not to the records"
+                "it, and the model is fitted to them, not to the records",
             )
-            told.append(("warning", text))
         elif tau > 0.0:
-            text = f"no uncertainties of the {what} are stated: U follows from their scatter of {100.0 * tau:.2g} %"
-            told.append(("info", text))
+            yield (
+                "info",
+                f"no uncertainties of the {what} are stated: U follows from their scatter of {100.0 * tau:.2g} %",
+            )
     if fit.covariance is None:
-        text = "neither stated uncertainties nor more resonances than unknowns: no U can be given"
-        told.append(("warning", text))
+        yield "warning", "neither stated uncertainties nor more resonances than unknowns: no U can be given"
     for name, value in zip(masses.names, fit.deviates, strict=True):
         if abs(value) > UNLIKELY:
-            told.append(("warning", f"{name}: the resonances ask for {value:+.1f} standard uncertainties"))
-    return told
+            yield "warning", f"{name}: the resonances ask for {value:+.1f} standard uncertainties"

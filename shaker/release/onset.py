@@ -1,4 +1,4 @@
-"""Onset and shape of a release: where the load begins to leave, and how."""
+"""Onset and shape of a release: where the load begins to leave, how, and how fast the output rises."""
 
 from __future__ import annotations
 
@@ -223,17 +223,17 @@ def solved(window: Window, start: Beginning) -> Trial:
 def _slopes(window: Window, fit: Beginning, columns: FloatArray) -> FloatArray:
     """Return the derivatives (N + 2, K) of y by centre, squared length and lag, frequencies and damping ratios."""
     time = window.time_s
-    found = np.zeros((len(time) + _AHEAD, len(fit.vector) - len(fit.linear)))
-    found[_AHEAD:, 0] = -fit.speed(time)
+    slopes = np.zeros((len(time) + _AHEAD, len(fit.vector) - len(fit.linear)))
+    slopes[_AHEAD:, 0] = -fit.speed(time)
     here = columns[_AHEAD:] @ fit.linear
     vector = fit.vector
     least = [0.0, *[(_SHORT * window.step_s) ** 2] * 2, *[0.0] * len(fit.frequency_hz), *[1e-9] * len(fit.frequency_hz)]
-    for place in range(1, found.shape[1]):
+    for place in range(1, slopes.shape[1]):
         span = max(_DIFFERENCE * abs(vector[place]), least[place])
         shifted = vector.copy()
         shifted[place] += span
-        found[_AHEAD:, place] = (fit.with_vector(shifted).at(time) - here) / span
-    return found
+        slopes[_AHEAD:, place] = (fit.with_vector(shifted).at(time) - here) / span
+    return slopes
 
 
 def moved(window: Window, fit: Beginning, parameters: FloatArray) -> Beginning | None:
@@ -241,11 +241,11 @@ def moved(window: Window, fit: Beginning, parameters: FloatArray) -> Beginning |
     vector = fit.vector
     vector[: len(parameters)] = parameters
     vector[2] = min(vector[2], longest_lag_s(fit) ** 2)
-    found = fit.with_vector(vector)
-    inside = window.time_s[0] <= found.onset_s <= window.time_s[-1] and found.release_s < window.longest_s
-    modes = (found.frequency_hz > 0) & (found.frequency_hz < 0.5 / window.step_s) & (np.abs(found.damping_ratio) < 0.9)
-    modes &= -found.damping_ratio * 2 * np.pi * found.frequency_hz * np.ptp(window.time_s) < _GROWTH
-    return found if inside and bool(np.all(modes)) else None
+    there = fit.with_vector(vector)
+    inside = window.time_s[0] <= there.onset_s <= window.time_s[-1] and there.release_s < window.longest_s
+    modes = (there.frequency_hz > 0) & (there.frequency_hz < 0.5 / window.step_s) & (np.abs(there.damping_ratio) < 0.9)
+    modes &= -there.damping_ratio * 2 * np.pi * there.frequency_hz * np.ptp(window.time_s) < _GROWTH
+    return there if inside and bool(np.all(modes)) else None
 
 
 def longest_lag_s(fit: Beginning) -> float:
@@ -340,3 +340,41 @@ def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz:
         for early in early_s
     ]
     return min((solved(thin, trial).fit for trial in trials), key=lambda trial: trial.squares)
+
+
+# The rise time of a response from its fitted beginning.
+
+
+_SHARES = np.array([0.1, 0.9])
+_CURVE = 800  # samples of it in which crossings are looked for
+_SOON = 1.5  # periods of the lowest mode after release and lag
+
+
+def rise_time(fit: Beginning) -> tuple[float, float] | None:
+    """Return how long the fitted curve takes from 10 % to 90 % of its change, first crossings, and its uncertainty.
+
+    None where the curve does not get there soon. A crossing t of the level b + share·Σg moves by
+    -(∂(y - level)/∂θ)/(dy/dt) with the parameters θ of the fit.
+    """
+    if fit.covariance is None:
+        raise ValueError("fit: expected one with its covariance, found none")
+    span = fit.release_s + 4.0 * fit.lag_s + _SOON / float(np.min(fit.frequency_hz))
+    time = fit.onset_s + np.linspace(0.0, span, _CURVE)
+    relative = (fit.at(time) - fit.linear[0]) / (fit.steady - fit.linear[0])
+    after = np.argmax(relative >= _SHARES[:, None], axis=1)
+    if np.any(after == 0):
+        return None
+    low, high = relative[after - 1], relative[after]
+    times = time[after - 1] + (_SHARES - low) / (high - low) * (time[after] - time[after - 1])
+
+    def above(curve: Beginning) -> FloatArray:
+        return np.asarray(curve.at(times) - curve.linear[0] - _SHARES * (curve.steady - curve.linear[0]))
+
+    vector, u = fit.vector, np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
+    slopes = np.zeros((2, len(u)))
+    for place in np.flatnonzero(u):
+        shifted = vector.copy()
+        shifted[place] += 1e-2 * u[place]
+        slopes[:, place] = (above(fit.with_vector(shifted)) - above(fit)) / (1e-2 * u[place])
+    gradient = np.diff(-slopes / fit.speed(times)[:, None], axis=0)[0]
+    return float(times[1] - times[0]), float(np.sqrt(max(gradient @ fit.covariance @ gradient, 0.0)))

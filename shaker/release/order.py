@@ -42,14 +42,11 @@ def decay_modes(
     values, coarse = thinned(decay.value, decay.step_s, float(near.max()))
     find = pencil if method == "pencil" else instruments
     modes = upper_poles(find(values - values.mean(), coarse, 2 * (count or 1) + 1), count or 1, near)
-    found = _rung(decay, modes)
-    while count is None and found.problem.structure.modes < MOST:
-        further = _with_another(decay, found)
-        if further is None:
-            break
-        found = further
-    poles = found.problem.structure.poles(found.vector)
-    colour = found.variance / max(1e-300, float(np.var(_left(decay, found))))
+    rung = _rung(decay, modes)
+    while count is None and rung.problem.structure.modes < MOST and (more := _with_another(decay, rung)) is not None:
+        rung = more
+    poles = rung.problem.structure.poles(rung.vector)
+    colour = rung.variance / max(1e-300, float(np.var(_left(decay, rung))))
     return poles[np.argsort(np.abs(poles))], max(1.0, colour)
 
 
@@ -102,7 +99,7 @@ def first_vectors(
     lowest = float(np.abs(modes).min()) / (2 * np.pi)
     rise = min(reading.rise_s, 3.0 / lowest + reading.release_s)
     near = samples.between(reading.onset_s - 2.0 / lowest, reading.onset_s + reading.release_s + rise + 2.0 / lowest)
-    rich = structure.with_terms(structure.order)
+    rich = replace(structure, terms=structure.order)
     best, found = np.full(rich.terms, np.inf), [np.zeros(0)] * rich.terms
     for vector in _grid(structure, load, near, modes, reading, rise):
         costs = squares(Problem(rich, load, near, vector, np.ones(len(vector)), reading.onset_s), vector)
@@ -194,11 +191,17 @@ def searched(search: Search) -> Found:
         ringing = replace(ringing, value=left)
     modes, colour = decay_modes(ringing, search.reading, search.method, search.modes)
     search = replace(search, colour=colour)
-    found, rival = _over_loads(search, modes, 1 if search.reals is None else search.reals)
-    path = list(found.path)
-    if search.reals is None:
-        found = _second_real(search, found, path)
-    return Found(found, tuple(path), rival)
+    best, rival = _over_loads(search, modes, 1 if search.reals is None else search.reals)
+    if search.reals is not None:
+        return Found(best, best.path, rival)
+    structure, order = best.problem.structure, best.problem.structure.order
+    two = replace(best.problem, structure=replace(structure, reals=2))
+    starts = [np.insert(best.vector, order, best.vector[order - 1] + further) for further in (-0.7, 0.7, 1.6)]
+    gain, start = gain_by(best, two, starts)
+    if gain < CLEAR * search.colour:
+        return Found(best, best.path, rival)
+    more = solve(*known_about(two, start, float(np.exp(best.vector[: structure.modes].max())) / (2 * np.pi)))
+    return Found(more if better(best, more) else best, best.path + more.path, rival)
 
 
 def better(plain: Solution, rich: Solution) -> bool:
@@ -249,7 +252,7 @@ def more_terms(found: Solution, starts: list[FloatArray], highest_hz: float) -> 
     """Return the fit with the numerator terms that it is worth, each tried from the last fit or from its own start."""
     problem = found.problem
     for terms in range(2, problem.structure.order + 1):
-        richer = replace(problem, structure=problem.structure.with_terms(terms))
+        richer = replace(problem, structure=replace(problem.structure, terms=terms))
         gain, _ = gain_by(found, richer, [found.vector, starts[terms - 1]])
         if gain > TERM * problem.colour * (terms - found.problem.structure.terms):
             start = min(found.vector, starts[terms - 1], key=lambda vector: squares(richer, vector)[-1])
@@ -257,20 +260,6 @@ def more_terms(found: Solution, starts: list[FloatArray], highest_hz: float) -> 
             trial = solve(*known_about(richer, start, firm * highest_hz))
             found = replace(trial, path=found.path + trial.path) if better(found, trial) else found
     return found
-
-
-def _second_real(search: Search, found: Solution, path: list[float]) -> Solution:
-    """Return the fit with a second real pole, where it is worth it."""
-    structure, order = found.problem.structure, found.problem.structure.order
-    two = replace(found.problem, structure=replace(structure, reals=2))
-    starts = [np.insert(found.vector, order, found.vector[order - 1] + further) for further in (-0.7, 0.7, 1.6)]
-    gain, start = gain_by(found, two, starts)
-    if gain < CLEAR * search.colour:
-        return found
-    highest = float(np.exp(found.vector[: structure.modes].max())) / (2 * np.pi)
-    more = solve(*known_about(two, start, highest))
-    path += more.path
-    return more if better(found, more) else found
 
 
 # What the user should know of an identification.
@@ -286,30 +275,28 @@ def remarks(
 ) -> tuple[Notice, ...]:
     """Return remarks on the poles, on the residual and on the release."""
     where = f"{record.name}, {reading.channel}"
-    told = [*_poles(model, record.sample_rate_hz), *_residual(reading, known)]
-    told += [*_release(record, found.solution, known), *_rival(found, model)]
+    told = [*_of_poles(model, record.sample_rate_hz), *_of_residual(reading, known)]
+    told += [*_of_release(record, found.solution, known), *_of_rival(found, model)]
     return tuple(Notice(severity, text, where) for severity, text in told)
 
 
-def _poles(model: ModalModel, rate_hz: float) -> Iterator[tuple[Severity, str]]:
+def _of_poles(model: ModalModel, rate_hz: float) -> Iterator[tuple[Severity, str]]:
     """Yield what is wrong with poles: growing ones, ones that the sampling cannot tell, ones of no clear value."""
     assert model.covariance is not None
     u, modes = np.sqrt(np.diag(model.covariance)), len(model.frequency_hz)
-    for place, (hz, zeta) in enumerate(zip(model.frequency_hz, model.damping_ratio, strict=True)):
+    for hz, zeta, u_zeta in zip(model.frequency_hz, model.damping_ratio, u[modes : 2 * modes], strict=True):
         if zeta < 0:
             yield "warning", f"the mode at {hz:.5g} Hz grows, ζ = {zeta:.3g}: the model is unstable"
-        elif u[modes + place] > _UNCLEAR * zeta or zeta > 0.6:
-            text = f"the mode at {hz:.5g} Hz, ζ = {zeta:.2g} ± {u[modes + place]:.1g}, may be none of the sensor's"
-            yield "warning", text
+        elif u_zeta > _UNCLEAR * zeta or zeta > 0.6:
+            yield "warning", f"the mode at {hz:.5g} Hz, ζ = {zeta:.2g} ± {u_zeta:.1g}, may be none of the sensor's"
         if hz > 0.4 * rate_hz:
             yield "warning", f"the mode at {hz:.5g} Hz lies near half the sampling rate of {rate_hz:.6g} Hz"
-    for place, hz in enumerate(model.real_hz):
-        if hz > 0.5 * rate_hz or u[4 * modes + place] > _UNCLEAR * abs(hz):
-            text = f"the real pole at {hz:.3g} ± {u[4 * modes + place]:.1g} Hz is hardly told by the record"
-            yield "warning", text
+    for hz, u_hz in zip(model.real_hz, u[4 * modes :], strict=False):
+        if hz > 0.5 * rate_hz or u_hz > _UNCLEAR * abs(hz):
+            yield "warning", f"the real pole at {hz:.3g} ± {u_hz:.1g} Hz is hardly told by the record"
 
 
-def _residual(reading: Reading, known: FitSpread) -> Iterator[tuple[Severity, str]]:
+def _of_residual(reading: Reading, known: FitSpread) -> Iterator[tuple[Severity, str]]:
     """Yield what the residual says of the model's order and of the noise."""
     ratio = float(np.std(known.residual)) / reading.noise if reading.noise > 0 else np.inf
     if ratio**2 > _MORE:
@@ -322,7 +309,7 @@ def _residual(reading: Reading, known: FitSpread) -> Iterator[tuple[Severity, st
         yield "warning", "the output ran into its limit: what was cut off bends the model"
 
 
-def _release(record: StepRecord, solution: Solution, known: FitSpread) -> Iterator[tuple[Severity, str]]:
+def _of_release(record: StepRecord, solution: Solution, known: FitSpread) -> Iterator[tuple[Severity, str]]:
     """Yield what the release leaves open."""
     load, samples = solution.problem.load, solution.problem.samples
     if not load.timed:
@@ -339,13 +326,11 @@ def _release(record: StepRecord, solution: Solution, known: FitSpread) -> Iterat
     if np.any(np.abs(coarse - middle) < 0.5 * length):
         yield "warning", f"the release at {middle:.6g} s lies outside the part of the record where it was looked for"
     if record.onset_s is not None and abs(record.onset_s - middle + 0.5 * length) > 1.0 / fastest:
-        yield (
-            "warning",
-            f"the onset found, {middle - 0.5 * length:.6g} s, is not the one stated, {record.onset_s:.6g} s",
-        )
+        onset_s = middle - 0.5 * length
+        yield "warning", f"the onset found, {onset_s:.6g} s, is not the one stated, {record.onset_s:.6g} s"
 
 
-def _rival(found: Found, model: ModalModel) -> Iterator[tuple[Severity, str]]:
+def _of_rival(found: Found, model: ModalModel) -> Iterator[tuple[Severity, str]]:
     """Yield what another shape of the release, which the record does not exclude, would make of the real poles."""
     assert model.covariance is not None
     if found.rival is None or not len(model.real_hz):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -40,10 +40,6 @@ class Structure:
         The displacement of a mass answers a force like 1/s² at first, and every low-pass filter adds 1/s.
         """
         return max(1, 2 * self.modes - 1)
-
-    def with_terms(self, terms: int) -> Structure:
-        """Return the same poles with another number of numerator terms."""
-        return replace(self, terms=terms)
 
     def poles(self, vector: FloatArray) -> ComplexArray:
         """Return the upper poles of the modes and the real ones (M + Q,) in rad/s."""
@@ -111,11 +107,6 @@ class Problem(Brief):
     onset_s: float = 0.0
     colour: float = 1.0
 
-    @property
-    def count(self) -> int:
-        """Number of parameters that the answer depends on nonlinearly."""
-        return self.structure.order + self.load.timed + self.load.lasting
-
     def release(self, vector: FloatArray) -> tuple[float, float]:
         """Return the middle and the length of the release in s."""
         order = self.structure.order
@@ -158,16 +149,14 @@ class Solution(Brief):
 
 def columns(problem: Problem, vector: FloatArray, samples: Samples) -> tuple[FloatArray, Answers]:
     """Return the design (B, 1 + terms) of baseline and numerator terms, unweighted, and the poles' answers."""
-    middle, length = problem.release(vector)
-    found = answers(problem.load, problem.structure.poles(vector), samples, middle, length)
-    return _design(problem, vector, found.value), found
+    answered = answers(problem.load, problem.structure.poles(vector), samples, *problem.release(vector))
+    return _design(problem, vector, answered.value), answered
 
 
 def design(problem: Problem, vector: FloatArray, samples: Samples) -> FloatArray:
     """Return the design of `columns` alone."""
-    middle, length = problem.release(vector)
-    poles = problem.structure.poles(vector)
-    return _design(problem, vector, responses(problem.load, poles, samples, middle, length))
+    value = responses(problem.load, problem.structure.poles(vector), samples, *problem.release(vector))
+    return _design(problem, vector, value)
 
 
 def _design(problem: Problem, vector: FloatArray, value: ComplexArray) -> FloatArray:
@@ -177,26 +166,26 @@ def _design(problem: Problem, vector: FloatArray, value: ComplexArray) -> FloatA
     return np.concatenate([np.ones((len(parts), 1)), parts], axis=1)
 
 
-def slopes(problem: Problem, vector: FloatArray, linear: FloatArray, found: Answers) -> FloatArray:
+def slopes(problem: Problem, vector: FloatArray, linear: FloatArray, answered: Answers) -> FloatArray:
     """Return derivatives (B, K) of the fitted output to the nonlinear parameters, unweighted."""
     structure = problem.structure
     shares, by_vector = structure.shares(vector)
     twice = _twice(structure)
     residues, moved = twice * (shares @ linear[1:]), twice[:, None] * np.einsum("pkm,k->pm", by_vector, linear[1:])
     poles = structure.pole_slopes(vector) * residues[:, None]
-    out = [np.real(found.by_pole @ poles + found.value @ moved)]
+    out = [np.real(answered.by_pole @ poles + answered.value @ moved)]
     if problem.load.timed:
-        out.append(np.real(found.by_onset @ residues)[:, None])
+        out.append(np.real(answered.by_onset @ residues)[:, None])
     if problem.load.lasting:
-        out.append(np.exp(vector[-1]) * np.real(found.by_length @ residues)[:, None])
+        out.append(np.exp(vector[-1]) * np.real(answered.by_length @ residues)[:, None])
     return np.concatenate(out, axis=1)
 
 
 def squares(problem: Problem, vector: FloatArray) -> FloatArray:
     """Return the weighted sums of squares (terms,) that 1, 2, … numerator terms leave, by one factorisation."""
     with np.errstate(over="ignore", invalid="ignore"):
-        found = design(problem, vector, problem.samples)
-    whole = np.concatenate([found, problem.samples.value[:, None]], axis=1) * problem.samples.weight[:, None]
+        columns_ = design(problem, vector, problem.samples)
+    whole = np.concatenate([columns_, problem.samples.value[:, None]], axis=1) * problem.samples.weight[:, None]
     if not np.all(np.isfinite(whole)):
         return np.full(problem.structure.terms, np.inf)
     last = np.asarray(np.linalg.qr(whole)[1])[:, -1]
@@ -232,21 +221,21 @@ def solve(problem: Problem, start: FloatArray) -> Solution:
     return Solution(problem, end.point.parameters, end.point.coefficients[0][:, 0], end.point.loss, end.losses)
 
 
-def gain_by(found: Solution, problem: Problem, vectors: list[FloatArray]) -> tuple[float, FloatArray]:
+def gain_by(plain: Solution, problem: Problem, vectors: list[FloatArray]) -> tuple[float, FloatArray]:
     """Return how much of B·ln(sum of squares) a fit would lose by a step towards a richer model, and the best vector.
 
     The richer model's design at each vector joins the fit's own design and derivatives; what the three together leave
     of the samples tells, without a solution, whether the richer model is worth one.
     """
-    weight = found.problem.samples.weight[:, None]
-    own_design, answers_ = columns(found.problem, found.vector, found.problem.samples)
-    own = np.concatenate([own_design, slopes(found.problem, found.vector, found.linear, answers_)], axis=1)
-    value = found.problem.samples.value * weight[:, 0]
+    weight = plain.problem.samples.weight[:, None]
+    own, answered = columns(plain.problem, plain.vector, plain.problem.samples)
+    own = np.concatenate([own, slopes(plain.problem, plain.vector, plain.linear, answered)], axis=1)
+    value = plain.problem.samples.value * weight[:, 0]
     best, chosen = 0.0, vectors[0]
     for vector in vectors:
-        whole = np.concatenate([own, design(problem, vector, found.problem.samples)], axis=1) * weight
+        whole = np.concatenate([own, design(problem, vector, plain.problem.samples)], axis=1) * weight
         left = eliminate(whole, value[:, None]).residual[:, 0]
-        gain = found.size * float(np.log(found.square / (left @ left)))
+        gain = plain.size * float(np.log(plain.square / (left @ left)))
         if gain > best:
             best, chosen = gain, vector
     return best, chosen
@@ -289,9 +278,9 @@ def spread(solution: Solution, whole: Samples) -> FitSpread:
     whose step is not dithered by noise errs by one value for a whole level: that is added for both levels.
     """
     problem = solution.problem
-    design, found = columns(problem, solution.vector, whole)
-    jacobian = np.concatenate([slopes(problem, solution.vector, solution.linear, found), design], axis=1)
-    fitted = np.asarray(design @ solution.linear)
+    linear_part, answered = columns(problem, solution.vector, whole)
+    jacobian = np.concatenate([slopes(problem, solution.vector, solution.linear, answered), linear_part], axis=1)
+    fitted = np.asarray(linear_part @ solution.linear)
     residual = whole.value - fitted
     freedom = max(1, len(residual) - jacobian.shape[1])
     variance = float(residual @ residual) / freedom
@@ -320,7 +309,7 @@ def spread(solution: Solution, whole: Samples) -> FitSpread:
             length = problem.release(solution.vector)[1]
             rows[:, order + 1] = -0.5 * length, length
         u_onset_s, u_release_s = (float(u) for u in np.sqrt(np.diag(rows @ covariance @ rows.T)))
-    slope = _model_slopes(problem.structure, solution.vector, solution.linear, problem.count)
+    slope = _model_slopes(problem.structure, solution.vector, solution.linear)
     return FitSpread(slope @ covariance @ slope.T, u_onset_s, u_release_s, fitted, residual, white, excess)
 
 
@@ -330,17 +319,10 @@ def modal_model(solution: Solution, covariance: FloatArray, u_amplitude: float) 
     poles, residues, m = structure.poles(solution.vector), solution.residues, structure.modes
     omega = np.abs(poles[:m])
     hz = -poles[m:].real / (2 * np.pi)
-    model = ModalModel(omega / (2 * np.pi), -poles[:m].real / omega, residues[:m], hz, residues[m:].real)
     common = np.concatenate([np.zeros(2 * m), residues[:m].real, residues[:m].imag, 0 * hz, residues[m:].real])
     total = covariance + u_amplitude**2 * np.outer(common, common)
-    return ModalModel(
-        model.frequency_hz,
-        model.damping_ratio,
-        model.residue,
-        model.real_hz,
-        model.real_residue,
-        0.5 * (total + total.T),
-    )
+    damping = -poles[:m].real / omega
+    return ModalModel(omega / (2 * np.pi), damping, residues[:m], hz, residues[m:].real, 0.5 * (total + total.T))
 
 
 def _known(solution: Solution, scale: FloatArray, normal: FloatArray, variance: float) -> FloatArray:
@@ -395,9 +377,9 @@ def _converter(whole: Samples, residual: FloatArray, gain: FloatArray, fitted: F
     return np.asarray(error**2 * levels @ levels.T)
 
 
-def _model_slopes(structure: Structure, vector: FloatArray, linear: FloatArray, count: int) -> FloatArray:
+def _model_slopes(structure: Structure, vector: FloatArray, linear: FloatArray) -> FloatArray:
     """Return derivatives (P, K + 1 + terms) of a modal model's vector to the fit's parameters."""
-    m, n = structure.modes, structure.order
+    m, n, count = structure.modes, structure.order, len(vector)
     shares, by_vector = structure.shares(vector)
     out = np.zeros((4 * m + 2 * structure.reals, count + len(linear)))
     frequency, hz = np.exp(vector[:m]) / (2 * np.pi), np.exp(vector[2 * m : n]) / (2 * np.pi)

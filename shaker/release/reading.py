@@ -10,7 +10,7 @@ import numpy as np
 
 from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, Severity
 from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
-from shaker.release.onset import Beginning, Window, find_beginning, longest_lag_s, moved, solved
+from shaker.release.onset import Beginning, Window, find_beginning, longest_lag_s, moved, rise_time, solved
 from shaker.release.record import (
     Level,
     Location,
@@ -20,63 +20,10 @@ from shaker.release.record import (
     clipped,
     correlation_factor,
     locate,
-    rest_level,
     ringing_level,
     spectrum_peaks,
 )
 from shaker.release.response import MOMENTS, load_rate, load_share
-
-# The rise time of a response from its fitted beginning.
-
-
-_FROM, _TO = 0.1, 0.9
-_GRID = 800
-_PERIODS = 1.5
-
-
-def rise_time(fit: Beginning) -> tuple[float, float] | None:
-    """Return how long the fitted curve takes from 10 % to 90 % of its change, first crossings, and its uncertainty.
-
-    None where the curve does not get there. A crossing t of the level b + share·Σg moves by -(∂(y - level)/∂θ)/(dy/dt)
-    with the parameters θ of the fit.
-    """
-    if fit.covariance is None:
-        raise ValueError("fit: expected one with its covariance, found none")
-    crossings = [_crossing_s(fit, share) for share in (_FROM, _TO)]
-    if crossings[0] is None or crossings[1] is None:
-        return None
-    times = np.array(crossings)
-    vector, u = fit.vector, np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
-    here = _above(fit, times)
-    slopes = np.zeros((2, len(u)))
-    for place in np.flatnonzero(u):
-        moved = vector.copy()
-        moved[place] += 1e-2 * u[place]
-        slopes[:, place] = (_above(fit.with_vector(moved), times) - here) / (1e-2 * u[place])
-    by = -slopes / fit.speed(times)[:, None]
-    gradient = by[1] - by[0]
-    return float(times[1] - times[0]), float(np.sqrt(max(gradient @ fit.covariance @ gradient, 0.0)))
-
-
-def _crossing_s(fit: Beginning, share: float) -> float | None:
-    """Return when the fitted curve first passes a share of its change, None where it does not soon."""
-    span = fit.release_s + 4.0 * fit.lag_s + _PERIODS / float(np.min(fit.frequency_hz))
-    time = fit.onset_s + np.linspace(0.0, span, _GRID)
-    change = fit.steady - fit.linear[0]
-    relative = (fit.at(time) - fit.linear[0]) / change
-    above = np.flatnonzero(relative >= share)
-    if not above.size or above[0] == 0:
-        return None
-    after = int(above[0])
-    low, high = relative[after - 1], relative[after]
-    return float(time[after - 1] + (share - low) / (high - low) * (time[after] - time[after - 1]))
-
-
-def _above(fit: Beginning, time_s: FloatArray) -> FloatArray:
-    """Return the curve above the levels of 10 % and 90 % (2,) at two times (2,)."""
-    shares = np.array([_FROM, _TO])
-    return np.asarray(fit.at(time_s) - fit.linear[0] - shares * (fit.steady - fit.linear[0]))
-
 
 # Onset and length of a release with what noise, and an unknown lag behind the sensor, leave open of them.
 
@@ -169,10 +116,10 @@ def _nodes(window: Window, fit: Beginning, variance: float) -> tuple[FloatArray,
     for way in (range(middle, _NODES), range(middle - 1, -1, -1)):
         here = fit
         for place in way:
-            found = _node(window, here, float(lags[place]), variance)
-            if found is None:
+            at_lag = _node(window, here, float(lags[place]), variance)
+            if at_lag is None:
                 break
-            nodes[place], here = found
+            nodes[place], here = at_lag
     places = sorted(nodes)
     return lags[places], [nodes[place] for place in places]
 
@@ -293,8 +240,7 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
 # When the channels of a record were released, and what they ring with.
 
 
-STRONG = 5.0
-"""Change of level, over the noise of a sample, from which a channel shows the release by itself."""
+STRONG = 5.0  # change of level, over the noise of a sample, from which a channel shows the release by itself
 _ROUGH = 2.0  # of the longest ramp that the output may follow: what lag, ringing and noise make of times without a fit
 
 
@@ -418,11 +364,11 @@ def read_releases(record: StepRecord) -> tuple[Reading, ...]:
     places = places_of(record)
     strongest = _strongest(places)
     common = timing_of(record, strongest, places[strongest])
-    found = []
+    readings = []
     for channel, place in enumerate(places):
         by_itself = place.strength >= STRONG and channel != strongest
-        found.append(_reading(record, channel, place, timing_of(record, channel, place) if by_itself else common))
-    return tuple(found)
+        readings.append(_reading(record, channel, place, timing_of(record, channel, place) if by_itself else common))
+    return tuple(readings)
 
 
 def _strongest(places: list[Location]) -> int:
@@ -444,7 +390,7 @@ def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) 
     poles, after = np.zeros(0, dtype=np.complex128), int(np.ceil(rings_from))
     if timing.fit is not None:
         poles = np.asarray(timing.fit.poles[: len(timing.fit.frequency_hz)] / rate)
-    baseline = rest_level(samples[: int(rests_to)], place.resolution)
+    baseline = ringing_level(samples[: int(rests_to)], poles[:0], place.resolution)
     steady = ringing_level(samples[after:], poles, place.resolution)
     change = steady.value - baseline.value
     gain = change / record.amplitude

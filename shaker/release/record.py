@@ -216,13 +216,11 @@ class Level:
     drift_over_u: float
 
 
-def rest_level(samples: FloatArray, resolution: float) -> Level:
-    """Return the mean of samples (N,) at rest; the uncertainty holds their correlation and the last digit."""
-    return ringing_level(samples, np.zeros(0, dtype=np.complex128), resolution)
-
-
 def ringing_level(samples: FloatArray, poles: ComplexArray, resolution: float) -> Level:
-    """Return the level about which samples (N,) ring, by least squares with decays of upper poles (M,) per sample."""
+    """Return the level about which samples (N,) ring, by least squares with decays of upper poles (M,) per sample.
+
+    Without poles it is the mean at rest. The uncertainty holds the correlation of what is left, and the last digit.
+    """
     count = len(samples)
     place = np.arange(count, dtype=np.float64)
     decays = np.exp(np.outer(place, poles))
@@ -243,11 +241,8 @@ def _fitted(columns: FloatArray, samples: FloatArray, wanted: int) -> tuple[floa
     linear = inverse @ ((columns / size).T @ samples)
     residual = samples - (columns / size) @ linear
     variance = float(residual @ residual) / max(len(samples) - columns.shape[1], 1) * correlation_factor(residual)
-    return (
-        float(linear[wanted] / size[wanted]),
-        float(np.sqrt(variance * inverse[wanted, wanted]) / size[wanted]),
-        residual,
-    )
+    u = float(np.sqrt(variance * inverse[wanted, wanted]) / size[wanted])
+    return float(linear[wanted] / size[wanted]), u, residual
 
 
 def correlation_factor(residual: FloatArray) -> float:
@@ -322,28 +317,19 @@ def spectrum_peaks(ringing: FloatArray, sample_rate_hz: float, noise: float, mos
     tops = np.flatnonzero((inner > size[:-2]) & (inner >= size[2:])) + 1
     tops = tops[(tops >= 2 * _PADDED) & (size[tops] > max(_LEVEL * floor, _SHARE * size.max()))]
     order: list[int] = []
-    for top in tops[np.argsort(-size[tops], kind="stable")]:
-        if all(_apart(size, top, other, _DIP * floor) for other in order) and len(order) < most:
-            order.append(int(top))
-    found = [
-        _refined(ringing * window, window, sample_rate_hz, float(spectrum.frequency_hz[top]), noise) for top in order
-    ]
-    if not found:
-        return ()
-    _, _, highest, u_highest = found[0]
-    peaks = [
-        SpectrumPeak(
-            f, u_f, float(a / highest), float(np.hypot(u_a / highest, a / highest * u_highest / highest)) if n else 0.0
-        )
-        for n, (f, u_f, a, u_a) in enumerate(found)
-    ]
+    for top in tops[np.argsort(-size[tops], kind="stable")].tolist():
+        dip = min(size[top] / 1.5, size[top] - _DIP * floor)  # what the spectrum falls below between two peaks
+        apart = all(np.min(size[min(top, other) : max(top, other) + 1]) < dip for other in order)
+        if apart and len(order) < most:
+            order.append(top)
+    weighted, near = ringing * window, spectrum.frequency_hz[order].tolist()
+    refined = np.array([_refined(weighted, window, sample_rate_hz, hertz, noise) for hertz in near]).reshape(-1, 4)
+    f, u_f, size, u_size = refined.T
+    share = size / size[:1]
+    u_share = np.hypot(u_size / size[:1], share * u_size[:1] / size[:1])
+    u_share[:1] = 0.0
+    peaks = [SpectrumPeak(*map(float, numbers)) for numbers in zip(f, u_f, share, u_share, strict=True)]
     return tuple(sorted(peaks, key=lambda peak: peak.frequency_hz))
-
-
-def _apart(size: FloatArray, top: int, other: int, ripple: float) -> bool:
-    """Tell whether the spectrum dips between two maxima, `top` the lower one, by a third and by more than ripple."""
-    low, high = sorted((int(top), other))
-    return bool(np.min(size[low : high + 1]) < min(size[top] / 1.5, size[top] - ripple))
 
 
 def _refined(

@@ -170,16 +170,6 @@ class Answers(Brief):
     by_onset: ComplexArray
     by_length: ComplexArray
 
-    @classmethod
-    def blank(cls, rows: int, poles: int) -> Answers:
-        """Return answers that are zero."""
-        return cls(*(np.zeros((rows, poles), dtype=np.complex128) for _ in range(4)))
-
-    @property
-    def parts(self) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-        """All four."""
-        return self.value, self.by_pole, self.by_onset, self.by_length
-
 
 def answers(load: Load, poles: ComplexArray, samples: Samples, middle_s: float, length_s: float) -> Answers:
     """Return what poles (P,) in rad/s answer to a load whose release of `length_s` has its middle at `middle_s`."""
@@ -187,21 +177,18 @@ def answers(load: Load, poles: ComplexArray, samples: Samples, middle_s: float, 
         return _to_force(load, poles, samples)
     length = length_s if load.lasting else 0.0
     tau = samples.time_s - (middle_s - 0.5 * length)
-    whole = Answers.blank(len(tau), len(poles))
+    whole = np.zeros((4, len(tau), len(poles)), dtype=np.complex128)
     after = (tau > 0) & (tau >= length)
     mean, mean_slope = (part[samples.lengths[1][after]] for part in _block_factors(poles * samples.step_s, samples))
-    late = _after(load.shape, poles, tau[after] - length, length, mean, mean_slope * samples.step_s)
-    for rows, part in zip(whole.parts, late.parts, strict=True):
-        rows[after] = part
+    whole[:, after] = _after(load.shape, poles, tau[after] - length, length, mean, mean_slope * samples.step_s)
     touched = ~after & (tau + (samples.length - 1) * samples.step_s > 0)
     if np.any(touched):
         size = samples.length[touched]
         ends = np.cumsum(size)
         inside = np.arange(ends[-1]) - np.repeat(ends - size, size)
         single = _at_times(load.shape, poles, np.repeat(tau[touched], size) + inside * samples.step_s, length)
-        for rows, part in zip(whole.parts, single.parts, strict=True):
-            rows[touched] = np.add.reduceat(part, ends - size) / size[:, None]
-    return Answers(*(load.amplitude * part for part in whole.parts))
+        whole[:, touched] = np.add.reduceat(single, ends - size, axis=1) / size[:, None]
+    return Answers(*(load.amplitude * whole))
 
 
 def responses(load: Load, poles: ComplexArray, samples: Samples, middle_s: float, length_s: float) -> ComplexArray:
@@ -232,8 +219,8 @@ def release_factor(shape: Shape, x: ComplexArray) -> tuple[ComplexArray, Complex
 
 def _after(
     shape: Shape, p: ComplexArray, sigma: FloatArray, length: float, mean: ComplexArray, mean_slope: ComplexArray
-) -> Answers:
-    """Return what blocks show whose first sample is `sigma` (B,) after the end of the release.
+) -> ComplexArray:
+    """Return what blocks show (4, B, P), as `Answers`, whose first sample is `sigma` (B,) after the end of the release.
 
     `mean`, `mean_slope` (B, P): of exp(pt) over the block's samples, and its derivative to p.
     """
@@ -243,24 +230,22 @@ def _after(
     decay = mean * factor * swing
     value = (decay - 1.0) / p
     change = mean_slope * factor + mean * (late * factor + length * slope)
-    return Answers(value, (change * swing - value) / p, -decay, mean * (slope - 0.5 * factor) * swing)
+    return np.stack([value, (change * swing - value) / p, -decay, mean * (slope - 0.5 * factor) * swing])
 
 
-def _at_times(shape: Shape, p: ComplexArray, tau: FloatArray, length: float) -> Answers:
-    """Return what single samples show, `tau` (B,) after the onset; zero before it."""
-    whole = Answers.blank(len(tau), len(p))
+def _at_times(shape: Shape, p: ComplexArray, tau: FloatArray, length: float) -> ComplexArray:
+    """Return what single samples show (4, B, P), as `Answers`, `tau` (B,) after the onset; zero before it."""
+    whole = np.zeros((4, len(tau), len(p)), dtype=np.complex128)
     after, during = (tau > 0) & (tau >= length), (tau > 0) & (tau < length)
     one = np.ones((1, len(p)), dtype=np.complex128)
-    for rows, part in zip(whole.parts, _after(shape, p, tau[after] - length, length, one, 0 * one).parts, strict=True):
-        rows[after] = part
+    whole[:, after] = _after(shape, p, tau[after] - length, length, one, 0 * one)
     if np.any(during):
         early = tau[during][:, None]
         share, value, by_pole = (_along_line if shape == "ramp" else _along_cosine)(p, early, length)
         by_onset = -(p * value + share)
         # the answer is T·f(τ/T, pT), so that the derivative to the length follows from those to time and to the pole
         by_length = (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset
-        for rows, part in zip(whole.parts, (value, by_pole, by_onset, by_length), strict=True):
-            rows[during] = part
+        whole[:, during] = value, by_pole, by_onset, by_length
     return whole
 
 

@@ -17,13 +17,13 @@ from pydantic import BaseModel
 from support import DOCS
 
 from fusion.base import InputError
+from fusion.recording.excitation import Excitation
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.recording.manifest import (
     Administration,
     ChannelEntry,
     Daq,
     Environment,
-    Excitation,
     Images,
     Load,
     Part,

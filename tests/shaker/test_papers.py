@@ -34,9 +34,8 @@ from shaker.identification.readings import peak_readings
 from shaker.lti.indices import Indices, indices
 from shaker.lti.system import LinearSystem
 from shaker.mechanics import required_stiffness
-from shaker.release.fit import fit_step
+from shaker.release.fit import fit_sim, fit_step
 from shaker.release.load_model import LoadModel, first_mode_hz, formula_limit
-from shaker.release.sim import fit_sim
 from shaker.sine.phasor import derivative_factor
 from shaker.static_rotation.harmonics import fit_angles
 from shaker.static_rotation.masses import mass_of_weight

@@ -1,5 +1,6 @@
 """Models identified from releases: against the truth, bounds and published ones; what poles answer."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -7,13 +8,14 @@ import pytest
 from contracts import coverage_contract, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from release_factory import reading_of
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.signal import lsim
 
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.lti.system import LinearSystem, ModalModel
-from shaker.release.fit import compare, fit_evolution, fit_step
+from shaker.release.fit import StepFit, compare, every_order, fit_evolution, fit_sim, fit_step
 from shaker.release.output_error import Problem, Structure, columns, slopes
 from shaker.release.poles import instruments, peaks_hz, pencil
 from shaker.release.record import Reading, StepRecord
@@ -28,7 +30,6 @@ from shaker.release.response import (
     pole_responses,
     responses,
 )
-from shaker.release.sim import StepFit, every_order, fit_sim
 
 RATE_HZ, AMPLITUDE = 100e3, 50.0
 SENSOR = ((1700.0, 0.015),), (6000.0,)
@@ -70,32 +71,7 @@ def record_of(output: FloatArray, noise: float, seed: int, force: FloatArray | N
 
 def rough(record: StepRecord, onset_s: float, release_s: float = 0.0, rise_s: float = 1e-4) -> Reading:
     """Return a reading that is off by 10 µs in the onset, as a start."""
-    samples = record.samples[0]
-    before = samples[: int(onset_s * RATE_HZ) - 10]
-    steady = float(np.mean(samples[-len(samples) // 5 :]))
-    return Reading(
-        record=record.name,
-        channel="Fz",
-        component="Fz",
-        unit="mV",
-        release="",
-        onset_s=onset_s + 1e-5,
-        u_onset_s=1e-5,
-        sign=1,
-        baseline=float(np.mean(before)),
-        u_baseline=0.01,
-        steady=steady,
-        u_steady=0.01,
-        rise_s=rise_s + release_s,
-        u_rise_s=1e-5,
-        shape="ramp" if release_s else "step",
-        release_s=release_s,
-        u_release_s=0.1 * release_s + 1e-6,
-        static_gain=(steady - float(np.mean(before))) / AMPLITUDE,
-        u_static_gain=1e-3,
-        noise=float(np.std(before)),
-        clipped=False,
-    )
+    return replace(reading_of(record, onset_s, release_s), onset_s=onset_s + 1e-5, rise_s=rise_s + release_s)
 
 
 def ring_rms(output: FloatArray, onset_s: float) -> float:
@@ -105,8 +81,6 @@ def ring_rms(output: FloatArray, onset_s: float) -> float:
 
 def model_of(fit: StepFit) -> tuple[ModalModel, FloatArray]:
     """Return the model of a fit, and the standard uncertainties of its vector."""
-    assert fit.model is not None
-    assert fit.model.covariance is not None
     return fit.model, np.sqrt(np.diag(fit.model.covariance))
 
 
@@ -119,10 +93,13 @@ def clean() -> FloatArray:
     return released(sensor(*SENSOR), onset_s=ONSET)
 
 
+def one_mode(record: StepRecord, onset_s: float = ONSET, release_s: float = 0.0, **choice: object) -> StepFit:
+    """One mode behind one lag, or what is chosen, fitted from a rough reading."""
+    return fit_step(record, "Fz", reading=rough(record, onset_s, release_s), **{"modes": 1, "real_poles": 1, **choice})
+
+
 def fitted(level_db: float, seed: int, method: str = "pencil") -> StepFit:
-    output = clean()
-    record = record_of(output, ring_rms(output, ONSET) * 10 ** (-level_db / 20), seed)
-    return fit_step(record, "Fz", reading=rough(record, ONSET), modes=1, real_poles=1, method=method)  # type: ignore[arg-type]
+    return one_mode(record_of(clean(), ring_rms(clean(), ONSET) * 10 ** (-level_db / 20), seed), method=method)
 
 
 def scores(fit: StepFit) -> FloatArray:
@@ -135,10 +112,8 @@ def scores(fit: StepFit) -> FloatArray:
 
 @pytest.mark.parametrize(("level", "frequency", "damping"), [(60, 2e-6, 1e-4), (40, 2e-5, 1e-3), (20, 2e-4, 5e-3)])
 def test_published_case_within_its_bars(level, frequency, damping):
-    errors = []
-    for seed in range(9):
-        model, _ = model_of(fitted(level, seed))
-        errors.append([abs(model.frequency_hz[0] / 1700.0 - 1.0), abs(model.damping_ratio[0] / 0.015 - 1.0)])
+    models = [fitted(level, seed).model for seed in range(9)]
+    errors = [[abs(m.frequency_hz[0] / 1700.0 - 1.0), abs(m.damping_ratio[0] / 0.015 - 1.0)] for m in models]
     assert np.all(np.median(errors, axis=0) < [frequency, damping])
     if level < 60:
         assert np.all(np.max(errors, axis=0) < [frequency, 3 * damping])
@@ -198,8 +173,7 @@ def test_coloured_noise_enlarges_the_uncertainty():
     for seed in range(12):
         white = np.random.default_rng(seed).standard_normal(len(output) + 500)
         noise = 2e-3 * sosfilt(butter(4, 5e3, fs=RATE_HZ, output="sos"), white)[500:]
-        record = record_of(output + noise, 0.0, 0)
-        fit = fit_step(record, "Fz", reading=rough(record, ONSET), modes=1, real_poles=1)
+        fit = one_mode(record_of(output + noise, 0.0, 0))
         assert any("coloured" in notice.text for notice in fit.notices)
         found.append(scores(fit)[:2])
     assert 0.6 < np.sqrt(np.mean(np.square(found))) < 1.5
@@ -209,10 +183,8 @@ def test_a_coarse_converter_is_in_the_uncertainty_of_the_gain():
     output, step = clean(), AMPLITUDE / 100
     for offset in (0.0, 0.3, 0.6):
         record = record_of(output, 1e-5, 1)
-        samples = step * np.round(record.samples / step + offset)
-        coarse = type(record)("coarse", ("Fz",), "mV", samples, RATE_HZ, "Fz", AMPLITUDE)
-        found = scores(fit_step(coarse, "Fz", reading=rough(coarse, ONSET), modes=1, real_poles=1))
-        assert abs(found[3]) < 2.5
+        coarse = replace(record, samples=step * np.round(record.samples / step + offset))
+        assert abs(scores(one_mode(coarse))[3]) < 2.5
 
 
 @pytest.mark.parametrize("length", [0.0, 4e-4])
@@ -231,8 +203,7 @@ def test_two_modes_and_a_release_that_takes_its_time(length):
 
 def test_order_is_found_by_rule():
     """One mode and two modes, each with a low-pass filter, at 40 dB."""
-    record = record_of(clean(), 2e-3, 2)
-    assert fit_step(record, "Fz", reading=rough(record, ONSET)).order == 3
+    assert one_mode(record_of(clean(), 2e-3, 2), modes=None, real_poles=None).order == 3
     both = released(sensor(((900.0, 0.01), (1700.0, 0.015)), (6000.0,)), onset_s=ONSET)
     record = record_of(both, 2e-3, 2)
     two, _ = model_of(fit_step(record, "Fz", reading=rough(record, ONSET, rise_s=3e-4)))
@@ -244,16 +215,13 @@ def test_measured_force_needs_no_onset():
     time_s = np.arange(4000) / RATE_HZ
     force = AMPLITUDE * np.clip((time_s - 0.01) / 7e-4, 0, 1) * (1 + 0.1 * np.sin(900 * time_s))
     output = answered(sensor(*SENSOR), force / AMPLITUDE, 1 / RATE_HZ)
-    record = record_of(output, 3e-4, 7, force=force + 3.0)
-    fit = fit_step(record, "Fz", reading=rough(record, 0.01, 7e-4), modes=1, real_poles=1)
+    fit = one_mode(record_of(output, 3e-4, 7, force=force + 3.0), 0.01, 7e-4)
     assert np.all(np.abs(scores(fit)) < 4.0)
     assert fit.u_release_s == 0.0
 
 
 def test_load_uncertainty_joins_the_gain():
-    record = record_of(clean(), 1e-3, 1)
-    doubtful = type(record)("r", ("Fz",), "mV", record.samples, RATE_HZ, "Fz", AMPLITUDE, u_amplitude=0.01)
-    fit = fit_step(doubtful, "Fz", reading=rough(doubtful, ONSET), modes=1, real_poles=1)
+    fit = one_mode(replace(record_of(clean(), 1e-3, 1), u_amplitude=0.01))
     gain, variance = model_of(fit)[0].propagate(lambda model: np.array([model.static_gain]))
     assert np.sqrt(variance[0, 0]) / gain[0] == pytest.approx(0.01, rel=0.02)
 
@@ -262,25 +230,20 @@ def test_an_unstable_mode_is_told():
     time_s = np.arange(4000) / RATE_HZ
     after = np.maximum(time_s - 0.01, 0.0)
     output = np.where(after > 0, 1.0 - np.exp(20 * after) * np.cos(2 * np.pi * 1500 * after), 0.0)
-    record = record_of(output, 1e-3, 1)
-    fit = fit_step(record, "Fz", reading=rough(record, 0.01), modes=1, real_poles=0)
+    fit = one_mode(record_of(output, 1e-3, 1), 0.01, real_poles=0)
     assert any("unstable" in notice.text for notice in fit.notices)
-    assert fit.model is not None
     assert fit.model.damping_ratio[0] == pytest.approx(-20 / (2 * np.pi * 1500), rel=0.05)
 
 
 def test_no_ring_and_no_force_are_refused():
-    record = record_of((np.arange(4000) / RATE_HZ > 0.01).astype(float), 1e-2, 1)
-    refused("no oscillation above the noise", fit_step, record, "Fz", reading=rough(record, 0.01))
-    record = record_of(clean(), 1e-3, 1)
-    refused("release: expected", fit_step, record, "Fz", reading=rough(record, ONSET), release="measured")
+    silent = record_of((np.arange(4000) / RATE_HZ > 0.01).astype(float), 1e-2, 1)
+    refused("no oscillation above the noise", one_mode, silent, 0.01, modes=None, real_poles=None)
+    refused("release: expected", one_mode, record_of(clean(), 1e-3, 1), release="measured")
 
 
 def test_a_record_without_noise_gives_the_sensor():
     """What is left is rounding and the 2 µs over which the simulated load goes; nothing is added to explain it."""
-    record = record_of(clean(), 0.0, 0)
-    fit = fit_step(record, "Fz", reading=rough(record, ONSET), release="step")
-    assert fit.model is not None
+    fit = one_mode(record_of(clean(), 0.0, 0), modes=None, real_poles=None, release="step")
     assert fit.order == 3
     np.testing.assert_allclose(fit.model.vector[[0, 1]], [1700.0, 0.015], rtol=1e-7)
     assert fit.model.real_hz[0] == pytest.approx(6000.0, rel=1e-4)
@@ -290,7 +253,7 @@ def test_a_record_without_noise_gives_the_sensor():
 def test_a_shape_of_the_release_that_fits_as_well_is_told():
     """In noise a line and half a cosine of 0.4 ms leave the same residual, with other low-pass filters."""
     output = released(sensor(*SENSOR), onset_s=ONSET, length_s=4e-4)
-    fit = fit_step(record_of(output, 0.02, 4), "Fz", reading=rough(record_of(output, 0.02, 4), ONSET, 4e-4))
+    fit = one_mode(record_of(output, 0.02, 4), ONSET, 4e-4, modes=None, real_poles=None)
     assert fit.shape in ("ramp", "smooth")
     assert any("does not tell whether the release is" in notice.text for notice in fit.notices)
 
@@ -334,9 +297,8 @@ def test_numerator_terms_are_partial_fractions(modes, low_pass):
     poles = np.concatenate([upper, system.poles[system.poles.imag == 0]])
     shares, _ = structure.shares(structure.vector(poles))
     s = 2j * np.pi * np.array([0.0, 700.0, 3000.0])[:, None]
-    both = np.sum(shares[:, 0] / (s - poles), axis=1) + np.sum(
-        shares[: len(upper), 0].conj() / (s - upper.conj()), axis=1
-    )
+    both = np.sum(shares[:, 0] / (s - poles), axis=1)
+    both += np.sum(shares[: len(upper), 0].conj() / (s - upper.conj()), axis=1)
     np.testing.assert_allclose(both / both[0], system.at(s[:, 0]), rtol=1e-6, atol=1e-9)
 
 
@@ -401,32 +363,26 @@ def test_one_factorisation_holds_every_order():
         assert found.loss(direct=False)[order - 1] == pytest.approx(rest[0], rel=1e-9)
 
 
+def simultaneous(noise: float, **choice: object) -> StepFit:
+    record = record_of(held(), noise, 1)
+    return fit_sim(record, "Fz", reading=rough(record, RELEASED_S - 1.5e-5), **choice)
+
+
 def test_without_noise_the_difference_equation_is_exact():
-    record = record_of(held(), 0.0, 0)
-    reading = rough(record, RELEASED_S - 1.5e-5)
-    fit = fit_sim(record, "Fz", reading=reading, conversion="zoh")
+    fit, tustin = simultaneous(0.0, conversion="zoh"), simultaneous(0.0, order=3)
     assert fit.order == 3
-    assert fit.model is not None
     np.testing.assert_allclose(fit.model.vector[[0, 1, 4]], [1700.0, 0.015, 6000.0], rtol=1e-4)
-    tustin = fit_sim(record, "Fz", reading=reading, order=3)
-    np.testing.assert_allclose(
-        np.sort(tustin.system.sampled(RATE_HZ, "tustin").poles), np.sort(np.exp(fit.system.poles / RATE_HZ)), rtol=1e-4
-    )
+    sampled = tustin.system.sampled(RATE_HZ, "tustin").poles
+    np.testing.assert_allclose(np.sort(sampled), np.sort(np.exp(fit.system.poles / RATE_HZ)), rtol=1e-4)
     assert tustin.variance_accounted > 0.999
 
 
 def test_noise_biases_the_difference_equation_and_the_user_is_told():
     """At 100 kHz and 40 dB the equation error more than doubles the damping and puts a pole beyond the sampling."""
-    record = record_of(held(), 2e-3, 1)
-    fit = fit_sim(record, "Fz", reading=rough(record, RELEASED_S - 1.5e-5), order=3)
+    fit = simultaneous(2e-3, order=3)
     upper = fit.system.poles[fit.system.poles.imag > 0]
     assert not len(upper) or -upper[0].real / abs(upper[0]) > 2 * 0.015
     assert any("beyond half the sampling rate" in notice.text for notice in fit.notices)
-
-
-def test_loss_falls_with_the_order():
-    record = record_of(held(), 2e-3, 1)
-    fit = fit_sim(record, "Fz", reading=rough(record, RELEASED_S - 1.5e-5))
     assert len(fit.convergence) == 9
     assert np.all(np.diff(fit.convergence) < 1e-3 * fit.convergence[0])
 
@@ -438,19 +394,10 @@ def test_too_short_a_record_and_an_order_beyond_are_refused():
 
 def test_evolution_of_modes_reaches_the_default_s_optimum():
     record = record_of(held(1800), 2e-3, 1)
-    both = compare(
-        record,
-        "Fz",
-        rng=np.random.default_rng(1),
-        reading=rough(record, RELEASED_S),
-        methods=("pencil", "evolution"),
-        modes=1,
-        real_poles=1,
-    )
+    choice = {"methods": ("pencil", "evolution"), "modes": 1, "real_poles": 1}
+    both = compare(record, "Fz", rng=np.random.default_rng(1), reading=rough(record, RELEASED_S), **choice)
     assert [fit.method for fit in both] == ["pencil", "evolution"]
     default, evolved = (fit.model for fit in both)
-    assert default is not None
-    assert evolved is not None
     np.testing.assert_allclose(evolved.vector[:2], default.vector[:2], rtol=1e-3)
     np.testing.assert_allclose(evolved.real_hz, default.real_hz, rtol=0.02)  # the default fits the release's length too
     assert np.all(np.diff(both[1].convergence) <= 0)
@@ -487,7 +434,10 @@ def test_responses_solve_the_equation(shape):
     time = np.linspace(0.0, 1.5e-3, 16)
     value = pole_responses(ANSWERING, time, 0.2e-3, 0.7e-3, shape)
     for place, pole in enumerate(ANSWERING):
-        rate = lambda t, x, p=pole: p * x + load_share(shape, np.array([t]), 0.2e-3, 0.7e-3)  # noqa: E731
+
+        def rate(t: float, x: ComplexArray, p: complex = pole) -> ComplexArray:
+            return p * x + load_share(shape, np.array([t]), 0.2e-3, 0.7e-3)
+
         true = solve_ivp(rate, (0.0, 1.5e-3), [0j], t_eval=time, rtol=1e-9, atol=1e-13, max_step=1e-5).y[0]
         assert value[:, place] == pytest.approx(true, rel=1e-6, abs=1e-6 * np.abs(true).max())
     quotient = np.diff(load_share(shape, time[4:8], 0.2e-3, 0.7e-3)) / np.diff(time[4:8])

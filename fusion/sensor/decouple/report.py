@@ -18,12 +18,9 @@ from fusion.report.folder import Command, subject_of
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.style import (
     BLUE,
-    GREEN,
+    COLOURS,
     GREY,
     ORANGE,
-    PURPLE,
-    RED,
-    SKY,
     Picture,
     decades,
     panel_label,
@@ -61,7 +58,6 @@ from shaker.decoupling.problem import Trial
 from shaker.labels import load_unit
 
 STAGE_COLOURS = {"raw": GREY, "static": ORANGE, "filtered": BLUE}
-READING_COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
 COLUMNS = 2
 LEAST = 1e-6
 STAGE_NAMES = {"raw": "each output alone", "static": "static matrix", "filtered": "filter"}
@@ -315,7 +311,7 @@ def draw_step(evaluation: DecoupleEvaluation) -> Picture:
             for d, reading in enumerate(model.components):
                 if d != load:
                     share = 100 * (value[:, :, load] * ratio[:, load])[:, d]
-                    axes.plot(1e3 * time_s, share, color=READING_COLOURS[d % 6], label=reading, linewidth=0.8)
+                    axes.plot(1e3 * time_s, share, color=COLOURS[d], label=reading, linewidth=0.8)
             axes.set_ylabel("reading / %")
             panel_label(axes, f"step of {name}: {STAGE_NAMES[stage]}")
         drawn.panels[-1].set_xlabel("time after the step / ms")

@@ -17,12 +17,9 @@ from fusion.report.h5 import write_value
 from fusion.report.style import (
     BLACK,
     BLUE,
-    GREEN,
+    COLOURS,
     GREY,
-    ORANGE,
-    PURPLE,
     RED,
-    SKY,
     Picture,
     as_file,
     drawing,
@@ -262,7 +259,7 @@ def mounted_table(evaluation: ElementEvaluation) -> Table | None:
 ENLARGED = 0.08
 """Largest displacement drawn, over the size of the element."""
 VIEW = {"elev": 26.0, "azim": -58.0}
-COLOURS = (BLACK, BLUE, RED, GREEN, ORANGE, PURPLE, SKY, GREY)
+METHOD_COLOURS = (BLACK, *COLOURS, GREY)
 MARKERS = ("o", "s", "D", "^", "v", "P", "X", "*")
 
 
@@ -290,7 +287,7 @@ def draw_compared(evaluation: ElementEvaluation) -> Picture:
         for c, column in enumerate(columns):
             departure = 100.0 * (column.frequency_hz / frame.frequency_hz - 1.0)
             expanded = np.nan_to_num(200.0 * column.u_hz / frame.frequency_hz)
-            look: dict[str, Any] = {"fmt": MARKERS[c % len(MARKERS)], "color": COLOURS[c % len(COLOURS)]}
+            look: dict[str, Any] = {"fmt": MARKERS[c % len(MARKERS)], "color": METHOD_COLOURS[c % len(METHOD_COLOURS)]}
             known, shift = np.isfinite(departure), (c - 0.5 * (len(columns) - 1)) * width
             if known.any():
                 axes.errorbar(places[known] + shift, departure[known], expanded[known], label=column.name, **look)

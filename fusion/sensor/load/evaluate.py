@@ -19,7 +19,6 @@ from fusion.sensor.models_file import parameter_units
 from fusion.sensor.step.releases import Release, read_recording
 from shaker.arrays import FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS
-from shaker.release.load_fit import SeriesMasses, stated_masses
 from shaker.release.load_model import (
     LoadCurve,
     LoadModel,
@@ -29,8 +28,18 @@ from shaker.release.load_model import (
     load_curve,
     working_bands,
 )
-from shaker.release.load_modes import FreeDecay, Resonances, as_resonances, free_decay, record_modes, stated_resonances
-from shaker.release.load_series import LoadIdentification, Output, identify_loads
+from shaker.release.load_modes import (
+    FreeDecay,
+    Output,
+    Resonances,
+    SeriesMasses,
+    as_resonances,
+    free_decay,
+    record_modes,
+    stated_masses,
+    stated_resonances,
+)
+from shaker.release.load_series import LoadIdentification, identify_loads
 from shaker.release.record import Reading
 
 # What a user of `shakercal load` may choose.
@@ -336,8 +345,7 @@ class LoadEvaluation:
 
 
 GRID = 61
-BEYOND = 1.25
-"""Largest load that curves are drawn to, over the largest one recorded or asked for."""
+BEYOND = 1.25  # largest load that curves are drawn to, over the largest one recorded or asked for
 
 
 def evaluate_loads(

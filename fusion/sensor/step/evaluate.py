@@ -40,24 +40,18 @@ def evaluate_component(
 ) -> tuple[ComponentResult, tuple[Notice, ...]]:
     """Return what the releases of one component, which all drive the same output, say of it."""
     first, fitted = releases[0], fit_component(releases, settings)
-    component, channel, manifest = first.record.component, first.driven, first.manifest
-    unit, used, notices = sensitivity_unit(first.record.unit, component), fitted.chosen, [*fitted.notices]
-    stated, _ = stated_gain(manifest, channel, component)
-    names = tuple(release.name for release in used)
+    component, channel, manifest, used = first.record.component, first.driven, first.manifest, fitted.chosen
+    unit, names, notices = sensitivity_unit(first.record.unit, component), [r.name for r in used], [*fitted.notices]
     result = ComponentResult(
         component=component,
         channel=channel,
         unit=unit,
         releases=fitted.releases,
-        used=names,
+        used=tuple(names),
         reason=fitted.reason,
-        pooled=None,
-        parameters=(),
-        figures=(),
         gains=tuple(static_gains(fitted.releases, unit)),
         ropes=ropes_of(fitted.releases, names),
         methods=tuple(method_row(release.fit, release.name) for release in fitted.releases if release.fit is not None),
-        entry=None,
     )
     if not used:
         notices.append(Notice("warning", f"no model of {channel}: {fitted.reason}", component))
@@ -66,25 +60,22 @@ def evaluate_component(
     models = [fit.model for _, fit in fits if fit.model is not None]
     mountings = [release.manifest.mounting for release in used]
     pooled = pool_models(models, mountings, scale_uncertainty(manifest, channel))
+    stated, _ = stated_gain(manifest, channel, component)
     figures, of_indices = index_quantities(pooled, stated, unit, first.record.sample_rate_hz)
     notices += [Notice(n.severity, f"{r.driven}: {n.text}", r.name) for r, fit in fits for n in fit.notices]
-    result = replace(
-        result,
-        pooled=pooled,
-        parameters=parameter_quantities(pooled, unit),
-        figures=figures,
-        entry=ModelEntry(
-            channel=channel,
-            component=component,
-            unit=used[0].record.unit,
-            method=fits[0][1].method,
-            model=pooled.model,
-            sample_rate_hz=used[0].record.sample_rate_hz,
-            noise=float(np.median([release.reading.noise for release in used])),
-            recording=", ".join(names),
-            dof=float(pooled.scattered) if pooled.scattered else float(np.inf),
-        ),
+    entry = ModelEntry(
+        channel=channel,
+        component=component,
+        unit=used[0].record.unit,
+        method=fits[0][1].method,
+        model=pooled.model,
+        sample_rate_hz=used[0].record.sample_rate_hz,
+        noise=float(np.median([release.reading.noise for release in used])),
+        recording=", ".join(names),
+        dof=float(pooled.scattered) if pooled.scattered else float(np.inf),
     )
+    parameters = parameter_quantities(pooled, unit)
+    result = replace(result, pooled=pooled, parameters=parameters, figures=figures, entry=entry)
     if settings.method == "all":
         rows, of_methods = compare_methods(used[0], settings)
         result, notices = replace(result, methods=rows), [*notices, *of_methods]
@@ -185,10 +176,8 @@ def _read(manifests: Sequence[Manifest], settings: StepSettings) -> tuple[dict[s
 # The response over frequency that a release shows by itself, without a model.
 
 
-LAST = 20
-"""Share 1/LAST of a force's record, its end, that gives its last level."""
-WEAK = 0.2
-"""Share of a step's spectrum below which a release drives too little."""
+LAST = 20  # share 1/LAST of a force's record, its end, that gives its last level
+WEAK = 0.2  # share of a step's spectrum below which a release drives too little
 
 
 class Measured(NamedTuple):
@@ -246,9 +235,8 @@ def _derivative(
 def _share(release: Release, frequency: FloatArray) -> FloatArray:
     """What a release drives over what a step would (K,)."""
     turn = frequency * release.release_s
-    even = np.asarray(np.sinc(turn))
     if release.reading.shape != "smooth":
-        return even
+        return np.asarray(np.sinc(turn))
     near = np.abs(1.0 - (2.0 * turn) ** 2) < 1e-9
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(near, np.pi / 4.0, np.cos(np.pi * turn) / (1.0 - (2.0 * turn) ** 2))

@@ -24,7 +24,7 @@ from fusion.report.style import (
     draw_response,
     frequency_axis,
     panel_label,
-    power_text,
+    power_of_ten,
     sheet,
 )
 from fusion.sensor.step.evaluate import measured_response
@@ -38,8 +38,7 @@ BEFORE, AFTER = 0.6, 8.0
 """Periods of the lowest mode that the enlarged panel shows before the onset and after the release."""
 PERIODS = 12.0
 POINTS = 500
-HIGHEST = 6.0
-"""Frequencies shown, over the highest mode."""
+HIGHEST = 6.0  # frequencies shown, over the highest mode
 SHOWN_RELEASES = 3
 OVER_ORDER = ("sim", "sim_zoh")
 OVER_GENERATION = ("evolution", "evolution_coefficients")
@@ -66,8 +65,7 @@ def draw_release(name: str, release: Release) -> Picture:
     low = fit.onset_s - BEFORE * period - 0.3 * fit.release_s
     near = (fit.time_s >= low) & (fit.time_s <= fit.onset_s + fit.release_s + AFTER * period)
     everywhere = np.ones(len(near), dtype=np.bool_)
-    largest = float(np.abs(measured).max())
-    power = int(np.floor(np.log10(largest))) if largest > 0.0 and not 0.01 <= largest < 1e4 else 0
+    factor, power = power_of_ten(measured)
     with sheet(name, 4.8, 2, 2, heights=(2.0, 1.0)) as drawn:
         whole, enlarged, rest, rest_near = drawn.panels
         for upper, lower, shown, zoom in (
@@ -77,12 +75,11 @@ def draw_release(name: str, release: Release) -> Picture:
             time, dense = MILLI * fit.time_s[shown], np.count_nonzero(shown) > RASTER_ABOVE
             changing = (MILLI * fit.onset_s, MILLI * (fit.onset_s + fit.release_s))
             upper.axvspan(*changing, color=GREY, alpha=0.2, linewidth=0)
-            look: dict[str, Any] = (
-                {"linewidth": 0.8} if dense else {"marker": ".", "markersize": 3.5, "linestyle": "none"}
-            )
-            upper.plot(time, measured[shown] / 10.0**power, color=BLUE, label="record", zorder=2, **look)
-            fitted = fit.fitted[shown] / 10.0**power
-            upper.plot(time, fitted, color=RED, linewidth=0.9, linestyle=DASHED, label="fit", zorder=2.5)
+            dots: dict[str, Any] = {"marker": ".", "markersize": 3.5, "linestyle": "none"}
+            look = {"linewidth": 0.8} if dense else dots
+            upper.plot(time, measured[shown] / factor, color=BLUE, label="record", zorder=2, **look)
+            dashed: dict[str, Any] = {"color": RED, "linewidth": 0.9, "linestyle": DASHED, "zorder": 2.5}
+            upper.plot(time, fit.fitted[shown] / factor, label="fit", **dashed)
             upper.margins(x=0.01)
             lower.plot(time, PERCENT * fit.residual[shown] / change, color=BLACK, linewidth=0.6, zorder=2)
             lower.axhline(0.0, color=LIGHT, linewidth=0.8, zorder=1)
@@ -94,7 +91,7 @@ def draw_release(name: str, release: Release) -> Picture:
                 axes.set_rasterization_zorder(3 if dense else -1)
                 axes.yaxis.set_major_locator(MaxNLocator(ticks))
                 panel_label(axes, text)
-        unit = f"{power_text(power)} {typeset(record.unit)}" if power else typeset(record.unit)
+        unit = f"{power}{typeset(record.unit)}"
         whole.set_ylabel(f"output / ({unit})" if " " in unit or "/" in unit else f"output / {unit}")
         rest.set_ylabel("residual / %")
         enlarged.legend(loc="best")
@@ -144,7 +141,10 @@ def draw_model(name: str, component: ComponentResult, pooled: Pooled) -> Picture
     rate_hz = min(release.record.sample_rate_hz for release in component.chosen)
     top_hz = min(0.4 * rate_hz, HIGHEST * float(np.max(_modes_hz(model))))
     low_hz = min(float(one.frequency_hz.min()) for one in responses)
-    frequency = _around(model, np.geomspace(low_hz, top_hz, POINTS))
+    damping = np.maximum(np.abs(model.damping_ratio), 1e-5)
+    near = [f * (1.0 + z * np.linspace(-8.0, 8.0, 81)) for f, z in zip(model.frequency_hz, damping, strict=True)]
+    every = np.unique(np.concatenate([np.geomspace(low_hz, top_hz, POINTS), *near]))  # more where a mode is narrow
+    frequency = every[(every >= low_hz) & (every <= top_hz)]
     kept = [one.frequency_hz <= top_hz for one in responses]
 
     def joined(field: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -161,9 +161,8 @@ def draw_model(name: str, component: ComponentResult, pooled: Pooled) -> Picture
         for index, colour, label in (("band_5_hz", GREEN, "±5 %"), ("band_10_hz", ORANGE, "±10 %")):
             end = component.find(index)
             if end is not None and np.isfinite(end.value):
-                upper.axvline(
-                    end.value, color=colour, linewidth=1.0, zorder=1.5, label=f"{label} up to {end.value:.4g} Hz"
-                )
+                told = f"{label} up to {end.value:.4g} Hz"
+                upper.axvline(end.value, color=colour, linewidth=1.0, zorder=1.5, label=told)
         dots: dict[str, Any] = {"color": BLUE, "markersize": 2.0, "zorder": 2}
         upper.plot(measured_hz, np.abs(measured), ".", label="releases", **dots)
         look: dict[str, Any] = {"color": RED, "linewidth": 1.0, "zorder": 2.5, "label": "model"}
@@ -241,11 +240,3 @@ def _modes_hz(model: ModalModel) -> FloatArray:
 def _period_s(model: ModalModel | None) -> float:
     """Period of the lowest mode."""
     return 1e-3 if model is None else 1.0 / float(np.min(_modes_hz(model)))
-
-
-def _around(model: ModalModel, frequency_hz: FloatArray) -> FloatArray:
-    """Frequencies (K,) with more of them where a mode is narrow."""
-    damping = np.maximum(np.abs(model.damping_ratio), 1e-5)
-    near = [f * (1.0 + z * np.linspace(-8.0, 8.0, 81)) for f, z in zip(model.frequency_hz, damping, strict=True)]
-    every = np.unique(np.concatenate([frequency_hz, *near]))
-    return np.asarray(every[(every >= frequency_hz[0]) & (every <= frequency_hz[-1])])

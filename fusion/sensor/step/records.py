@@ -180,11 +180,11 @@ def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: flo
 def sizes(coordinates: FloatArray, reals: int) -> FloatArray:
     """Return how large coordinates (2P,) are: themselves, those of the numerator the largest of these."""
     half = len(coordinates) // 2
-    found: FloatArray = np.abs(coordinates)
-    found[half:] = found[half:].max()
+    size: FloatArray = np.abs(coordinates)
+    size[half:] = size[half:].max()
     lags = slice(half - reals, half)
-    found[lags] = found[lags].max(initial=0.0)
-    return found
+    size[lags] = size[lags].max(initial=0.0)
+    return size
 
 
 def scale_of(model: ModalModel) -> float:
@@ -202,10 +202,8 @@ def _all(model: ModalModel) -> tuple[ComplexArray, ComplexArray]:
 # Models of several releases become one: a weighted mean, with what releases or mountings scatter by.
 
 
-STEP = 1e-2
-"""Standard uncertainties over which coordinates are moved for derivatives."""
-ROUNDING = 1e-9
-"""Part of a coordinate's size that is rounding."""
+STEP = 1e-2  # standard uncertainties over which coordinates are moved for derivatives
+ROUNDING = 1e-9  # part of a coordinate's size that is rounding
 
 
 class Mean(NamedTuple):
@@ -284,15 +282,15 @@ def pool_models(models: Sequence[ModalModel], mountings: Sequence[str], u_scale:
     vectors, covariances = _in_coordinates(ordered, scale)
     groups = [np.flatnonzero(np.array(mountings) == name) for name in dict.fromkeys(mountings)]
     within = [weighted_mean(vectors[group], covariances[group]) for group in groups]
+    mean, shares = within[0], within[0].weight
     if len(groups) > 1:
         vectors, covariances = np.stack([m.value for m in within]), np.stack([m.covariance for m in within])
-    mean = weighted_mean(vectors, covariances) if len(groups) > 1 else within[0]
-    shares = np.zeros(len(models))
-    for group, own, share in zip(groups, within, mean.weight if len(groups) > 1 else [1.0], strict=True):
-        shares[group] = share * own.weight
+        mean, shares = weighted_mean(vectors, covariances), np.zeros(len(models))
+        for group, own, share in zip(groups, within, mean.weight, strict=True):
+            shares[group] = share * own.weight
     value, back = _back(ordered[0], mean, scale)
-    counts = [len(part) for part in (ordered[0].frequency_hz, ordered[0].real_hz)]
-    common = u_scale * np.repeat([0.0, 1.0, 0.0, 1.0], [2 * counts[0], 2 * counts[0], counts[1], counts[1]]) * value
+    modes, reals = len(ordered[0].frequency_hz), len(ordered[0].real_hz)
+    common = u_scale * np.repeat([0.0, 1.0, 0.0, 1.0], [2 * modes, 2 * modes, reals, reals]) * value
     covariance = back @ mean.covariance @ back.T + np.outer(common, common)
     model = replace(ordered[0].with_vector(value), covariance=covariance)
     spread = value + (vectors - mean.value) @ back.T

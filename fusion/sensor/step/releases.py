@@ -19,16 +19,14 @@ from shaker.arrays import FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.indices import Indices, indices
 from shaker.lti.system import ModalModel
-from shaker.release.fit import METHODS, compare, fit_step
+from shaker.release.fit import METHODS, Method, StepFit, compare, fit_step
 from shaker.release.reading import ReleaseKind, compare_releases, read_releases
 from shaker.release.record import Reading, StepRecord
-from shaker.release.sim import Method, StepFit
 
 # What evaluated step responses consist of.
 
 
-UNNAMED = "not stated"
-"""What let go where no recording says it."""
+UNNAMED = "not stated"  # what let go where no recording says it
 
 
 @dataclass(frozen=True)
@@ -64,6 +62,12 @@ class Release:
     def u_release_s(self) -> float:
         """Standard uncertainty of that."""
         return self.reading.u_release_s if self.fit is None else self.fit.u_release_s
+
+    @property
+    def structure(self) -> tuple[int, int] | None:
+        """Numbers of modes and of real poles of the model, None where it has no modal form."""
+        model = None if self.fit is None else self.fit.model
+        return None if model is None else (len(model.frequency_hz), len(model.real_hz))
 
 
 @dataclass(frozen=True)
@@ -129,13 +133,13 @@ class ComponentResult:
     releases: tuple[Release, ...]
     used: tuple[str, ...]
     reason: str
-    pooled: Pooled | None
-    parameters: tuple[NamedQuantity, ...]
-    figures: tuple[NamedQuantity, ...]
     gains: tuple[StaticGain, ...]
     ropes: tuple[Rope, ...]
     methods: tuple[MethodRow, ...]
-    entry: ModelEntry | None
+    pooled: Pooled | None = None
+    parameters: tuple[NamedQuantity, ...] = ()
+    figures: tuple[NamedQuantity, ...] = ()
+    entry: ModelEntry | None = None
 
     @property
     def chosen(self) -> tuple[Release, ...]:
@@ -161,15 +165,13 @@ class StepEvaluation:
     duration_s: float
 
 
-FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError)
-"""What an identification raises where it finds no model."""
+FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # what an identification raises where it finds no model
 
 
 # One recording: what its outputs show, which of them is driven, and the model of that.
 
 
-CLEAR = 4.0
-"""Change of the driven output, over its standard uncertainty, below which there is no step."""
+CLEAR = 4.0  # change of the driven output, over its standard uncertainty, below which there is no step
 
 
 def read_recording(manifest: Manifest) -> tuple[Release, tuple[Notice, ...]]:
@@ -178,8 +180,15 @@ def read_recording(manifest: Manifest) -> tuple[Release, tuple[Notice, ...]]:
     Raises `InputError` for a record without a step in the driven output, and for one that was clipped.
     """
     source = read_step(manifest)
-    record = replace(source.record, u_amplitude=0.0)
-    name = _driven(manifest, record)
+    record, sensor = replace(source.record, u_amplitude=0.0), manifest.rig.sensor
+    name = record.component
+    if name not in record.channels:  # of outputs named otherwise the one that changes most
+        if sensor is not None and name in sensor.channels:
+            expected = f"the output {name}, the component that is driven"
+            raise InputError(manifest.path, "daq.channel", found=", ".join(record.channels), expected=expected)
+        size = max(1, record.samples.shape[1] // 20)
+        change = record.samples[:, -size:].mean(axis=1) - record.samples[:, :size].mean(axis=1)
+        name = record.channels[int(np.argmax(np.abs(change)))]
     try:
         readings = {reading.channel: reading for reading in read_releases(record)}
     except ValueError as error:
@@ -225,19 +234,6 @@ def fit_release(
     return replace(release, fit=fit), ()
 
 
-def _driven(manifest: Manifest, record: StepRecord) -> str:
-    """The output of the driven component: the one of its name, of outputs named otherwise the one that changes most."""
-    if record.component in record.channels:
-        return record.component
-    sensor = manifest.rig.sensor
-    if sensor is not None and record.component in sensor.channels:
-        expected = f"the output {record.component}, the component that is driven"
-        raise InputError(manifest.path, "daq.channel", found=", ".join(record.channels), expected=expected)
-    size = max(1, record.samples.shape[1] // 20)
-    change = record.samples[:, -size:].mean(axis=1) - record.samples[:, :size].mean(axis=1)
-    return record.channels[int(np.argmax(np.abs(change)))]
-
-
 # Which releases of a component make its model, and of which structure.
 
 
@@ -274,17 +270,12 @@ def choose_releases(releases: Sequence[Release]) -> tuple[tuple[Release, ...], s
     return chosen, f"releases by {by}, {why} ({periods[fastest]:.2g} periods; left out: {others} periods)"
 
 
-def structure_of(fit: StepFit | None) -> tuple[int, int] | None:
-    """Return the numbers of modes and of real poles of a model, None where it has no modal form."""
-    return None if fit is None or fit.model is None else (len(fit.model.frequency_hz), len(fit.model.real_hz))
-
-
 def common_structure(releases: Sequence[Release]) -> tuple[int, int]:
     """Return the number of modes that most models have, and the largest number of real poles among these.
 
     A real pole far above the modes shows in few releases; one that has it tells of it, one that has not is silent.
     """
-    structures = [structure for release in releases if (structure := structure_of(release.fit)) is not None]
+    structures = [release.structure for release in releases if release.structure is not None]
     counts = Counter(modes for modes, _ in structures)
     modes = max(counts, key=lambda number: (counts[number], number))
     return modes, max(reals for number, reals in structures if number == modes)
@@ -323,9 +314,9 @@ def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted
     anew: list[str] = []
     for release in chosen:
         again = release
-        if structure_of(release.fit) != wanted:
+        if release.structure != wanted:
             again, _ = fit_release(replace(release, fit=None), settings, wanted)
-            if structure_of(again.fit) != wanted:
+            if again.structure != wanted:
                 notices.append(Notice("warning", f"{release.driven}: left out, no model with {text}", release.name))
                 continue
             anew.append(release.name)
@@ -339,8 +330,7 @@ def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted
 # What different methods make of one release.
 
 
-SEED = 1
-"""Of the generator that draws the first generation of differential evolution."""
+SEED = 1  # of the generator that draws the first generation of differential evolution
 LABELS: dict[Method, str] = {
     "pencil": "matrix pencil, output error",
     "arx": "instrumental-variable ARX, output error",

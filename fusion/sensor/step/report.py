@@ -41,9 +41,9 @@ from fusion.sensor.step.evaluate import evaluate_steps
 from fusion.sensor.step.figures import component_pictures
 from fusion.sensor.step.records import StepSettings
 from fusion.sensor.step.releases import LABELS, ComponentResult, MethodRow, Release, Rope, StaticGain, StepEvaluation
+from shaker.release.fit import StepFit
 from shaker.release.reading import Spread
 from shaker.release.record import Reading, SpectrumPeak
-from shaker.release.sim import StepFit
 
 # Tables in files
 
@@ -75,24 +75,14 @@ class Output(NamedTuple):
         return float(getattr(self.reading.peaks[place], name)) if len(self.reading.peaks) > place else np.nan
 
 
-class Mode(NamedTuple):
-    """The lowest mode of a fit's model with standard uncertainties, NaN without one."""
-
-    hz: float = np.nan
-    u_hz: float = np.nan
-    damping: float = np.nan
-    u_damping: float = np.nan
-
-
-def lowest_mode(fit: StepFit) -> Mode:
-    """Return the lowest mode of a fit's model."""
+def lowest_mode(fit: StepFit) -> tuple[float, float, float, float]:
+    """Return frequency in Hz and damping ratio of the lowest mode, each with its u, of a fit's model, NaN without."""
     model = fit.model
     if model is None or not len(model.frequency_hz):
-        return Mode()
+        return (np.nan,) * 4
     place, count = int(np.argmin(model.frequency_hz)), len(model.frequency_hz)
     u = np.zeros(len(model.vector)) if model.covariance is None else np.sqrt(np.diag(model.covariance))
-    f, zeta = float(model.frequency_hz[place]), float(model.damping_ratio[place])
-    return Mode(f, float(u[place]), zeta, float(u[count + place]))
+    return model.frequency_hz[place], u[place], model.damping_ratio[place], u[count + place]
 
 
 def residual_rms(fit: StepFit) -> float:
@@ -106,12 +96,10 @@ def yes_or_no(is_so: object) -> str:
 
 
 def _of_reading(*names: str) -> list[Column[Output]]:
-    """Columns of what was read."""
     return [Column(name, attrgetter(f"reading.{name}")) for name in names]
 
 
 def _of_peak(name: str, place: int, of_peak: str) -> Column[Output]:
-    """Column of a peak of the spectrum."""
     return Column(name, lambda output: output.peak(place, of_peak))
 
 
@@ -137,8 +125,8 @@ RELEASES: list[Column[Output]] = [
     _of_peak("u_peak_2_hz", 1, "u_frequency_hz"),
     _of_peak("peak_2_share", 1, "share"),
     *(_of_fit(f"fit_{name}", attrgetter(name)) for name in ("onset_s", "u_onset_s", "release_s", "u_release_s")),
-    _of_fit("fit_frequency_hz", lambda fit: lowest_mode(fit).hz),
-    _of_fit("fit_damping_ratio", lambda fit: lowest_mode(fit).damping),
+    _of_fit("fit_frequency_hz", lambda fit: lowest_mode(fit)[0]),
+    _of_fit("fit_damping_ratio", lambda fit: lowest_mode(fit)[2]),
     _of_fit("fit_residual", residual_rms),
     _of_fit("fit_variance_accounted", lambda fit: fit.variance_accounted),
 ]
@@ -174,7 +162,6 @@ class ByMethod(NamedTuple):
 
 
 def _of_method(name: str) -> Column[ByMethod]:
-    """Column of an index of a method's system."""
     return Column(name, lambda by: by.figure(name))
 
 
@@ -263,8 +250,7 @@ def _write_fit(group: h5py.Group, fit: StepFit) -> None:
 
 # Page and terminal
 
-SHARES = ("damping_ratio", "overshoot")
-"""Quantities that are shares, told in %."""
+SHARES = ("damping_ratio", "overshoot")  # quantities that are shares, told in %
 MANY_HEADLINES = 6
 NATURAL = Markup("f<sub>n</sub> / Hz")
 SUMMARY = {
@@ -325,8 +311,7 @@ def summary_table(evaluation: StepEvaluation) -> Table | None:
     """The main indices of every component, one below the other."""
 
     def load(component: ComponentResult) -> str:
-        own = component.component == component.channel
-        return component.component if own else f"{component.component} → {component.channel}"
+        return " → ".join(dict.fromkeys((component.component, component.channel)))
 
     def index(name: str, head: str) -> Column[ComponentResult]:
         def shown(component: ComponentResult) -> str:
@@ -361,8 +346,11 @@ def releases_table(component: ComponentResult) -> Table | None:
         return on_page(head, lambda release: DASH if release.fit is None else shown(release.fit))
 
     def mode(fit: StepFit) -> tuple[str, str]:
-        own = lowest_mode(fit)
-        return measured(own.hz, K2 * own.u_hz), measured(PERCENT * own.damping, K2 * PERCENT * own.u_damping)
+        hz, u_hz, damping, u_damping = lowest_mode(fit)
+        return measured(hz, K2 * u_hz), measured(PERCENT * damping, K2 * PERCENT * u_damping)
+
+    def gain(release: Release) -> str:
+        return plain(scale * release.reading.static_gain, K2 * scale * release.reading.u_static_gain)
 
     scale, unit = _gain_scale(component)
     columns: list[Column[Release]] = [
@@ -370,10 +358,7 @@ def releases_table(component: ComponentResult) -> Table | None:
         on_page("let go", lambda release: release.record.release or DASH, "l"),
         on_page("rise / ms", lambda r: measured(MILLI * r.reading.rise_s, K2 * MILLI * r.reading.u_rise_s)),
         of_fit("release / ms", lambda fit: measured(MILLI * fit.release_s, K2 * MILLI * fit.u_release_s)),
-        on_page(
-            f"static gain / {unit}",
-            lambda r: plain(scale * r.reading.static_gain, K2 * scale * r.reading.u_static_gain),
-        ),
+        on_page(f"static gain / {unit}", gain),
         of_fit(NATURAL, lambda fit: mode(fit)[0]),
         of_fit("ζ / %", lambda fit: mode(fit)[1]),
         of_fit("fit / %", lambda fit: f"{PERCENT * fit.variance_accounted:.3f}"),
@@ -479,7 +464,6 @@ def _shown(quantity: NamedQuantity) -> tuple[float, float, str]:
 
 
 def _mean_ms(spread: Spread) -> tuple[float, float]:
-    """A mean with U, in ms."""
     return MILLI * spread.mean, MILLI * coverage_factor(spread.dof) * spread.u_mean
 
 
