@@ -291,3 +291,15 @@ class Separable:
             normal[np.ix_(places, places)] += free.T @ free
             downhill[places] += free.T @ part.residual.ravel()
         return normal, downhill
+
+
+def covariance_root(covariance: FloatArray) -> FloatArray:
+    """Return deviations (N, E) by E independent causes of variance one that make up a covariance (N, N).
+
+    It may have directions without spread, which make no cause; numbers may be of any size.
+    """
+    size = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+    scale = np.where(size > 0.0, size, 1.0)
+    variance, axes = np.linalg.eigh(covariance / np.multiply.outer(scale, scale))
+    spread = variance > _RANK
+    return np.asarray(scale[:, None] * axes[:, spread] * np.sqrt(variance[spread]))
