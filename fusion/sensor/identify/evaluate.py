@@ -196,12 +196,6 @@ def _mode_reading(method: str, f0: float, u_f0: float, zeta: float, u_zeta: floa
     return PeakReading(method, f0, u_f0, 2.0 * zeta * f0, 2.0 * u_zeta * f0, zeta, u_zeta, note)
 
 
-def of_curve(readings: Sequence[Reading], recording: str, response: str) -> list[Reading]:
-    """Return the readings of one curve in the order of `LABELS`."""
-    own = [reading for reading in readings if (reading.recording, reading.response) == (recording, response)]
-    return sorted(own, key=lambda reading: list(LABELS).index(reading.method))
-
-
 # What an identified sensor consists of.
 
 
