@@ -148,26 +148,24 @@ def read_curves(fit: JointFit, internal_mass: float) -> tuple[tuple[Reading, ...
 
     Stiffness and damping by equations 9 and 10 of Nitsche et al. 2018 with the mass that moves.
     """
-    found: list[Reading] = []
+    readings: list[Reading] = []
     notices: list[Notice] = []
     for item in fit.prepared:
         if len(item.measured.ratio.frequency_hz) < FEWEST_LINES:
             continue
-        moved = item.load_kg + internal_mass
+        name, moved = item.measured.name, item.load_kg + internal_mass
         for response in item.measured.ratio.channels:
             try:
                 peaks = list(_peak_readings(fit, item, response))
             except ValueError as error:
-                where = f"{item.measured.name}: {response}"
-                notices.append(Notice("info", f"no peak was read ({ARGUMENT.sub('', str(error))})", where))
+                text = f"no peak was read ({ARGUMENT.sub('', str(error))})"
+                notices.append(Notice("info", text, f"{name}: {response}"))
                 continue
             for peak in peaks:
                 k = required_stiffness(peak.frequency_hz, moved)
                 b = 2.0 * peak.damping_ratio * float(np.sqrt(k * moved))
-                found.append(
-                    Reading(**vars(peak), recording=item.measured.name, response=response, stiffness=k, damping=b)
-                )
-    return tuple(found), tuple(notices)
+                readings.append(Reading(**vars(peak), recording=name, response=response, stiffness=k, damping=b))
+    return tuple(readings), tuple(notices)
 
 
 def _peak_readings(fit: JointFit, item: Prepared, response: str) -> Iterator[PeakReading]:
@@ -257,7 +255,10 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
         item, told = prepare(manifest, names[manifest.path], settings.band_hz)
         prepared.append(item)
         notices += told
-    recorded = [_recorded(sine, names[sine.manifest.path]) for sine in campaign.sines]
+    recorded = []
+    for sine in campaign.sines:
+        own, name = read_recorded(sine.results), names[sine.manifest.path]
+        recorded.append(replace(own, name=name, drives=tuple(replace(drive, recording=name) for drive in own.drives)))
     driven = {item.component for item in prepared}
     added = sine_transfers(campaign.sines, names, settings.band_hz)
     fits = joint_fits([*prepared, *(item for item in added if item.component in driven)], settings)
@@ -266,9 +267,9 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
     sensor = next((manifest.rig.sensor for manifest in manifests if manifest.rig.sensor is not None), None)
     components = []
     for fit in fits:
-        component, own = _component(fit, measured.get(LOAD_COMPONENTS[fit.component]), sensor, settings)
+        component, told = _component(fit, measured.get(LOAD_COMPONENTS[fit.component]), sensor, settings)
         components.append(component)
-        notices += own
+        notices += told
     return IdentifyEvaluation(
         name=campaign.name,
         sensor=sensor,
@@ -288,12 +289,6 @@ def _names(manifests: Sequence[Manifest]) -> dict[Path, str]:
         manifest.path: manifest.name if names.count(manifest.name) == 1 else f"{manifest.name} [{manifest.folder.name}]"
         for manifest in manifests
     }
-
-
-def _recorded(sine: EvaluatedSines, name: str) -> Recorded:
-    """Read the results of a sine recording by the `name` that tells it from the others."""
-    recorded = read_recorded(sine.results)
-    return replace(recorded, name=name, drives=tuple(replace(drive, recording=name) for drive in recorded.drives))
 
 
 def _by_found_mass(
