@@ -10,7 +10,7 @@ import numpy as np
 from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray
 from shaker.fitting import Residuals, Rules, levenberg_marquardt
 from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, PlacementError, whitening_of
-from shaker.identification.structures import Parameter, Structure, measured_poles, significant_poles
+from shaker.identification.structures import Parameter, Structure
 from shaker.mechanics import Mechanics, Response, poles, respond
 
 DELAY_UNIT_S = 1e-6
@@ -297,6 +297,7 @@ _POLE_PRECISION = 3e-3  # relative, of a measured pole
 _FACTOR_RANGE = 2.0  # standard deviation of ln k and ln b about where a structure starts
 _INERTIA_RANGE = 0.3  # standard deviation of an inertia, in parts of the whole
 _LARGEST_DAMPING_RATIO = 0.4  # of what is taken for a mode
+_SIGNIFICANT = 30.0  # decrease of χ² per real number by which a pole is more than a feature of the noise
 _ALIKE = 1e-3  # relative difference of starting values that are one
 
 
@@ -304,10 +305,10 @@ def starting_vectors(problem: Problem, starts: FloatArray) -> list[FloatArray]:
     """Return vectors of unknowns to start from, made from a structure's `starts` (S, P)."""
     measured = []
     for curve in problem.curves:  # poles that lie in the band, ring and stand out
-        roots = measured_poles(curve.record, curve.mechanics.forcing.shape[1])
+        roots = curve.record.poles(curve.mechanics.forcing.shape[1])
         size, s = np.abs(roots), np.abs(curve.record.s)
         inside = (size > 0.7 * s.min()) & (size < 1.3 * s.max()) & (-roots.real < _LARGEST_DAMPING_RATIO * size)
-        measured.append(significant_poles(curve.record, roots[inside]))
+        measured.append(_significant(curve.record, roots[inside]))
     count = len(problem.kind)
     stated = ((problem.precision > 0.0) | problem.fixed)[:count]
     vectors: list[FloatArray] = []
@@ -318,6 +319,32 @@ def starting_vectors(problem: Problem, starts: FloatArray) -> list[FloatArray]:
         if not any(np.allclose(vector, other, rtol=_ALIKE, atol=0.0) for other in vectors):
             vectors.append(vector)
     return [_gained(problem, vector) for vector in vectors]
+
+
+def _significant(record: MeasuredTransfer, roots: ComplexArray) -> ComplexArray:
+    """Return those of some poles without which a sum of partial fractions explains the ratios clearly worse.
+
+    Basis: 1/(s - λ) and 1/(s - λ*) of each pole, 1, s and s², for each response by itself.
+    """
+    if len(roots) < 2:
+        return roots
+    value, s, noise = record.ratio.value, record.s, record.noise
+    unit = float(np.abs(s).max())
+    smooth = (s[:, None] / unit) ** np.arange(3)
+    fractions = [np.stack([unit / (s - root), unit / (s - root.conjugate())], axis=1) for root in roots]
+
+    def misfit(columns: Sequence[ComplexArray]) -> float:
+        """χ² of the best sums of columns for the ratios, each with its own coefficients."""
+        total = 0.0
+        for c in range(value.shape[1]):
+            right = value[:, c] / noise[:, c]
+            basis = np.linalg.qr(np.concatenate(columns, axis=1) / noise[:, c, None])[0]
+            total += float(np.sum(np.abs(right - basis @ (basis.conj().T @ right)) ** 2))
+        return total
+
+    every = misfit([*fractions, smooth])
+    lost = [misfit([*fractions[:i], *fractions[i + 1 :], smooth]) - every for i in range(len(roots))]
+    return np.asarray(roots[np.array(lost) > _SIGNIFICANT * 4.0 * value.shape[1]])
 
 
 def _matched(problem: Problem, start: FloatArray, measured: Sequence[ComplexArray], free: IntArray) -> FloatArray:
