@@ -138,8 +138,8 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
     static, oscillating = system.static_gain, modes(system)
     top, passing = peak(curve), transient(system)
     usable = bool(np.isfinite(static)) and static != 0
-    bands = [band_end(curve, static, part) if usable else None for part in (0.05, 0.10)]
-    bands += [band_end(curve, nominal_gain, part) if usable else None for part in (0.05, 0.10)]
+    levels = [(gain, part) for gain in (static, nominal_gain) for part in (0.05, 0.10)]
+    bands = [band_end(curve, *level) if usable else None for level in levels]
     _, poles = places_rad(system)
     return Indices(
         static,
@@ -151,14 +151,8 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
         None if top is None or not usable or not np.isfinite(top[1]) else top[1] / abs(static),
         quadrature(system) if usable else None,
         half_power(curve) if usable else None,
-        bands[0],
-        bands[1],
-        bands[2],
-        bands[3],
-        passing.overshoot,
-        passing.rise_s,
-        passing.settling_2_s,
-        passing.settling_5_s,
+        *bands,
+        *(passing.overshoot, passing.rise_s, passing.settling_2_s, passing.settling_5_s),
         pole_notices(system, sample_rate_hz),
     )
 
@@ -166,16 +160,12 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
 def modes(system: LinearSystem) -> tuple[Mode, ...]:
     """Return the oscillating modes by natural frequency."""
     shares = step_shares(system)
-    rate, oscillating = system.sample_rate_hz, []
-    for pole, share in zip(system.poles, shares, strict=True):
-        if pole.imag <= 0:
-            continue
-        s = pole if rate is None else np.log(pole) * rate
-        size = float(abs(s))
-        known = float(share) if np.isfinite(share) else None
-        oscillating.append(
-            Mode(complex(s), size / (2 * np.pi), float(s.imag) / (2 * np.pi), float(-s.real / size), known)
-        )
+    rate, upper = system.sample_rate_hz, system.poles.imag > 0
+    poles = system.poles[upper] if rate is None else np.log(system.poles[upper]) * rate
+    oscillating = [
+        Mode(s, abs(s) / (2 * np.pi), s.imag / (2 * np.pi), -s.real / abs(s), share if np.isfinite(share) else None)
+        for s, share in zip(poles.tolist(), shares[upper].tolist(), strict=True)
+    ]
     return tuple(sorted(oscillating, key=lambda mode: mode.natural_hz))
 
 
