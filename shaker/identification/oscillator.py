@@ -104,6 +104,12 @@ def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, resi
     if 2 * len(curve.frequency_hz) <= len(names):
         raise ValueError(f"frequency_hz: expected more than {len(names) // 2} lines, found {len(curve.frequency_hz)}")
     vector, jacobian, noise = _weighed(curve, kind, names)
+    flat = jacobian.reshape(-1, len(names))
+    scale = np.linalg.norm(flat, axis=0)
+    root = np.linalg.inv(np.linalg.qr(flat / scale, mode="r"))
+    inverse = root @ root.T
+    columns = (jacobian[:, 0] + 1j * jacobian[:, 1]) / scale
+    inverse = inverse + inverse @ between_lines(curve.frequency_hz, columns, curve.line_correlation) @ inverse
     fitted = dict(zip(names, vector.tolist(), strict=True))
     low, high = (complex(fitted.get(f"{n}_re", 0.0), fitted.get(f"{n}_im", 0.0)) for n in ("mass_line", "constant"))
     return Resonance(
@@ -114,7 +120,7 @@ def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, resi
         delay_s=fitted.get("delay_s", 0.0),
         residual=np.array([low, high]),
         parameters=names,
-        covariance=_parameter_covariance(curve, jacobian),
+        covariance=np.asarray(0.5 * (inverse + inverse.T) / np.multiply.outer(scale, scale)),
         chi_squared=noise.chi_squared / noise.expected,
         dof=noise.dof,
     )
@@ -217,14 +223,3 @@ def _adjusted(
     vector[~linear], vector[linear] = search.point.parameters, search.point.coefficients[0][:, 0]
     model, derivative = _evaluate(kind, names, s, vector)
     return vector, _real(whitening, (value - model)[:, None])[:, :, 0], _real(whitening, derivative)
-
-
-def _parameter_covariance(curve: MeasuredCurve, jacobian: FloatArray) -> FloatArray:
-    """Return (JᵀJ)⁻¹ of whitened derivatives (K, 2, P), or the sandwich (JᵀJ)⁻¹ JᵀRJ (JᵀJ)⁻¹ of correlated lines."""
-    flat = jacobian.reshape(-1, jacobian.shape[-1])
-    scale = np.linalg.norm(flat, axis=0)
-    root = np.linalg.inv(np.linalg.qr(flat / scale, mode="r"))
-    inverse = root @ root.T
-    columns = (jacobian[:, 0] + 1j * jacobian[:, 1]) / scale
-    inverse = inverse + inverse @ between_lines(curve.frequency_hz, columns, curve.line_correlation) @ inverse
-    return np.asarray(0.5 * (inverse + inverse.T) / np.multiply.outer(scale, scale))

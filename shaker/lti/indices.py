@@ -14,7 +14,6 @@ import numpy as np
 
 from shaker.arrays import FloatArray, Notice
 from shaker.lti.responses import (
-    Transient,
     band_end,
     gain_curve,
     half_power,
@@ -235,7 +234,16 @@ def moving_figures(model: ModalModel, found: Indices) -> tuple[tuple[str, ...], 
         parts["natural_hz"] = lambda at: float(at.frequency_hz[mode]), 1.0
         parts["damped_hz"] = lambda at: float(at.poles[mode].imag / (2 * np.pi)), 1.0
         parts["damping_ratio"] = lambda at: float(at.damping_ratio[mode]), 1.0
-    parts |= _over_frequency(model.system, found) | _over_time(model, transient(model.system))
+    parts |= _over_frequency(model.system, found)
+    seen = transient(model.system)
+    if seen.highest_s is not None:
+        highest = np.array([seen.highest_s])
+        parts["overshoot"] = lambda at: float(at.step(highest)[0] / at.static_gain), 1.0
+    if seen.passing_s is not None:
+        passing = np.array(seen.passing_s)
+        slope = model.impulse(passing) / model.static_gain
+        if np.all(slope > 0):
+            parts["rise_s"] = lambda at: float(-np.diff(at.step(passing) / at.static_gain / slope)[0]), 1.0
     return tuple(parts), lambda at: np.array([factor * figure(at) for figure, factor in parts.values()])
 
 
@@ -262,20 +270,6 @@ def _over_frequency(system: LinearSystem, found: Indices) -> dict[str, tuple[Fig
         near, quarter = found.quadrature_hz * (1 + np.array([-1e-6, 1e-6])), np.array([found.quadrature_hz])
         slope = np.diff((system.response(near) / system.static_gain).real)[0] / np.diff(near)[0]
         parts["quadrature_hz"] = lambda at: float(at.response(quarter)[0].real / at.static_gain), -1.0 / float(slope)
-    return parts
-
-
-def _over_time(model: ModalModel, found: Transient) -> dict[str, tuple[Figure, float]]:
-    """Return what stands for overshoot and rise time, and what these change by with it."""
-    parts: dict[str, tuple[Figure, float]] = {}
-    if found.highest_s is not None:
-        highest = np.array([found.highest_s])
-        parts["overshoot"] = lambda at: float(at.step(highest)[0] / at.static_gain), 1.0
-    if found.passing_s is not None:
-        passing = np.array(found.passing_s)
-        slope = model.impulse(passing) / model.static_gain
-        if np.all(slope > 0):
-            parts["rise_s"] = lambda at: float(-np.diff(at.step(passing) / at.static_gain / slope)[0]), 1.0
     return parts
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from fusion.base import ARGUMENT, versions
 from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
 from fusion.campaign.repeats import Drive, drive_ratio, over_lines
-from fusion.recording.load import Manifest
 from fusion.recording.manifest import Sensor
 from fusion.report.csv_files import sensitivity_unit
 from fusion.sensitivity.ratio import driven_component
@@ -249,8 +248,9 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
     """
     started = time.monotonic()
     manifests = [*campaign.transfers, *(item.manifest for item in campaign.sines)]
-    names, notices = _names(manifests), list(campaign.notices)
-    prepared: list[Prepared] = []
+    called = [manifest.name for manifest in manifests]  # a name that occurs twice gets the folder's beside it
+    names = {m.path: m.name if called.count(m.name) == 1 else f"{m.name} [{m.folder.name}]" for m in manifests}
+    prepared, notices = [], list(campaign.notices)
     for manifest in campaign.transfers:
         item, told = prepare(manifest, names[manifest.path], settings.band_hz)
         prepared.append(item)
@@ -280,15 +280,6 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
         input_hashes=campaign.input_hashes,
         duration_s=time.monotonic() - started,
     )
-
-
-def _names(manifests: Sequence[Manifest]) -> dict[Path, str]:
-    """Return a name of its own for every recording, by path: a name that occurs twice gets the folder's beside it."""
-    names = [manifest.name for manifest in manifests]
-    return {
-        manifest.path: manifest.name if names.count(manifest.name) == 1 else f"{manifest.name} [{manifest.folder.name}]"
-        for manifest in manifests
-    }
 
 
 def _by_found_mass(
