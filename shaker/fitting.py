@@ -139,7 +139,8 @@ def levenberg_marquardt(
                 short = np.linalg.norm(bend * scale) <= _MOST_BENT * np.linalg.norm(step * scale)
                 taken = step + bend if short else None
             there = None if taken is None else evaluate(here.parameters + taken)
-            if there is not None and _falls(here, there, variance, prior):
+            pull = 0.0 if prior is None or there is None else prior.pull(there.parameters) - prior.pull(here.parameters)
+            if there is not None and there.loss + variance * pull < here.loss:
                 break
             damping *= rules.grow
         assert there is not None
@@ -159,14 +160,6 @@ def _damped(scaled: FloatArray, target: FloatArray, damping: float) -> FloatArra
         return np.asarray(np.linalg.solve(matrix, target))
     except np.linalg.LinAlgError:
         return np.asarray(np.linalg.lstsq(matrix, target, rcond=None)[0])
-
-
-def _falls(here: Point, there: Point, variance: float, prior: Prior | None) -> bool:
-    """Return whether the loss falls, with the pull of what was known beforehand."""
-    if prior is None:
-        return there.loss < here.loss
-    pulls = [variance * prior.pull(point.parameters) for point in (here, there)]
-    return there.loss + pulls[1] < here.loss + pulls[0]
 
 
 @dataclass(frozen=True)
@@ -291,3 +284,15 @@ class Separable:
             normal[np.ix_(places, places)] += free.T @ free
             downhill[places] += free.T @ part.residual.ravel()
         return normal, downhill
+
+
+def covariance_root(covariance: FloatArray) -> FloatArray:
+    """Return deviations (N, E) by E independent causes of variance one that make up a covariance (N, N).
+
+    It may have directions without spread, which make no cause; numbers may be of any size.
+    """
+    size = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
+    scale = np.where(size > 0.0, size, 1.0)
+    variance, axes = np.linalg.eigh(covariance / np.multiply.outer(scale, scale))
+    spread = variance > _RANK
+    return np.asarray(scale[:, None] * axes[:, spread] * np.sqrt(variance[spread]))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -171,12 +172,17 @@ class MassChain:
 
         `value` (K, 1), `by_term` (K, 1, 3N): derivatives by mass, stiffness, damping of every stage, `by_log_s` (K, 1).
         """
-        return respond(self._mechanics(of, over), self._weights, laplace(frequency_hz))
+        for stage in (of, over):
+            if stage not in (BASE, *self.stages):
+                raise ValueError(f"stage: expected one of {', '.join((BASE, *self.stages))}, found {stage}")
+        row, reference = (np.array([float(stage == name) for name in self.stages]) for stage in (of, over))
+        mechanics = replace(resting_chain(len(self.stages)), rows=row[None], reference=reference)
+        return respond(mechanics, self._weights, laplace(frequency_hz))
 
     @property
     def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """M, B, K (N, N) of M ẍ + B ẋ + K x = 0, the base at rest."""
-        mass, damping, stiffness = self._mechanics(self.stages[-1], BASE).at(self._weights)[0]
+        mass, damping, stiffness = resting_chain(len(self.stages)).at(self._weights)[0]
         return mass, damping, stiffness
 
     def receptance(self, frequency_hz: FloatArray) -> ComplexArray:
@@ -187,23 +193,14 @@ class MassChain:
 
     def modes(self) -> tuple[FloatArray, FloatArray]:
         """Return f₀ = |λ|/2π in Hz and ζ = -Re λ/|λ| (N,) of the poles λ of the chain on a base at rest, ascending."""
-        roots = poles(self._mechanics(self.stages[-1], BASE), self._weights)[0]
+        roots = poles(resting_chain(len(self.stages)), self._weights)[0]
         size = np.abs(roots)
         return size / (2.0 * np.pi), -roots.real / size
 
     @property
     def _weights(self) -> FloatArray:
-        """Weights (1+3N,) of the terms of `_mechanics`."""
+        """Weights (1+3N,) of the terms of `resting_chain`."""
         return np.concatenate([[1.0], self.mass, self.stiffness, self.damping])
-
-    def _mechanics(self, of: str, over: str) -> Mechanics:
-        """Return the chain's mechanics, linear in mass, stiffness and damping of every stage."""
-        for stage in (of, over):
-            if stage not in (BASE, *self.stages):
-                raise ValueError(f"stage: expected one of {', '.join((BASE, *self.stages))}, found {stage}")
-        matrices, forcing = chain_terms(len(self.stages))
-        response, reference = (np.array([float(stage == name) for name in self.stages]) for stage in (of, over))
-        return Mechanics(matrices, forcing, response[None], np.ones(1), reference, 1.0)
 
 
 def check_stages(stages: tuple[str, ...]) -> None:
@@ -224,3 +221,13 @@ def chain_terms(count: int) -> tuple[FloatArray, FloatArray]:
         matrices[1 + 2 * count + place, 1] = matrices[1 + count + place, 2]
         forcing[1 + place] = unit[place]
     return matrices, forcing
+
+
+@cache
+def resting_chain(count: int) -> Mechanics:
+    """Return masses in a row on a base at rest, its terms those of `chain_terms`, made once for fits that ask often.
+
+    Its `poles` for weights [1, masses, stiffnesses, dampings] come with their derivatives by every one of these, its
+    `at` gives the matrices M, B and K; no response is read.
+    """
+    return Mechanics(*chain_terms(count), np.zeros((1, count)), np.ones(1), np.zeros(count), 1.0)

@@ -156,12 +156,8 @@ class State(Brief):
 
 def evaluate(problem: Problem, vector: FloatArray) -> State | None:
     """Return residuals and derivatives at a vector of unknowns, None where a mass or a stiffness is not positive."""
-    for curve in problem.curves:
-        (mass, _, stiffness), _ = curve.mechanics.at(curve.weights(vector))
-        if min(mass[0, 0], stiffness[0, 0]) <= 0.0:
-            return None
-        if len(mass) > 1 and min(np.linalg.eigvalsh(mass)[0], np.linalg.eigvalsh(stiffness)[0]) <= 0.0:
-            return None
+    if not all(curve.possible(vector) for curve in problem.curves):
+        return None
     off = problem.expected - vector
     normal, downhill = np.diag(problem.precision), problem.precision * off
     loss = float(problem.precision @ off**2)
@@ -253,13 +249,8 @@ def spread(problem: Problem, state: State) -> Spread:
     In a basis in which A = 1, so that what the stated masses and scales leave open does not lose its digits.
     """
     count, free = len(state.parameters), ~problem.fixed
-    wide = []
-    for curve, jacobian in zip(problem.curves, state.jacobians, strict=True):
-        by_all = np.zeros((*jacobian.shape[:2], count))
-        for column, place in enumerate(curve.places):
-            by_all[:, :, place] += jacobian[:, :, column]
-        by_all[:, :, problem.fixed] = 0.0
-        wide.append(by_all)
+    unit = np.diag(free.astype(np.float64))
+    wide = [jacobian @ unit[curve.places] for curve, jacobian in zip(problem.curves, state.jacobians, strict=True)]
     stacked = np.concatenate([*(rows.reshape(-1, count) for rows in wide), np.diag(np.sqrt(problem.precision))])
     size = np.linalg.norm(stacked, axis=0)
     size[size == 0.0] = 1.0

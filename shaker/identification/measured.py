@@ -9,6 +9,7 @@ import numpy as np
 
 from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape
 from shaker.frf.result import TransferFunction
+from shaker.mechanics import laplace
 from shaker.sine.phasor import Phasors
 
 AT_THE_BASE = -1
@@ -126,7 +127,16 @@ class MeasuredTransfer(Brief):
     @property
     def s(self) -> ComplexArray:
         """Return s = a + jω (K,) in 1/s."""
-        return np.asarray(self.added_decay_per_s + 2j * np.pi * self.ratio.frequency_hz)
+        return laplace(self.ratio.frequency_hz, self.added_decay_per_s)
+
+    @property
+    def noise(self) -> FloatArray:
+        """Return the standard uncertainty (K, C) of a part of each ratio, Re and Im taken together."""
+        return np.asarray(np.sqrt(0.5 * (self.ratio.u_re**2 + self.ratio.u_im**2)))
+
+    def poles(self, count: int) -> ComplexArray:
+        """Return the poles (count,) that all ratios share, by `rational_poles`."""
+        return rational_poles(self.s, self.ratio.value, self.noise, count)
 
 
 @dataclass(frozen=True, repr=False)
@@ -255,6 +265,50 @@ class MeasuredCurve(Brief):
         white = gradient.real * first + gradient.imag * (second + 1j * rest)
         spread = (white.conj() @ white.T).real
         return np.asarray(spread + between_lines(self.frequency_hz, white.T, self.line_correlation))
+
+
+# Poles of measured curves from a linear rational fit: where an identification starts.
+
+_ROUNDS = 8
+_SETTLED = 1e-4  # change of the denominator's coefficients that no longer moves a start
+
+
+def rational_poles(
+    s: ComplexArray, value: ComplexArray, noise: FloatArray, count: int, lowest: int = 0
+) -> ComplexArray:
+    """Return poles (count,) (Im λ > 0, ascending |λ|) of a common denominator of curves (K, C) with some noise (K, C).
+
+    Curves are fitted by Nᶜ(s)/D(s), D of degree 2·count, N with complex coefficients of powers from `lowest` to that,
+    linearised (Levy, IRE Trans. Autom. Control 4, 1959) and weighted anew in rounds (Sanathanan and Koerner, IEEE
+    Trans. Autom. Control 8, 1963). Unstable poles are mirrored; in place of real ones stand poles above the band.
+    """
+    middle = float(np.sqrt(np.abs(s).min() * np.abs(s).max()))
+    q = (s / middle)[:, None]
+    highest, power, above = q ** (2 * count), q ** np.arange(2 * count), q ** np.arange(lowest, 2 * count + 1)
+    numerator = np.concatenate([above, 1j * above], axis=1)
+
+    def denominator_of(weight: FloatArray) -> FloatArray:
+        """Coefficients of one weighted linear fit, the numerator projected out of each response."""
+        rows = []
+        for own, scale in zip(value.T[:, :, None], weight.T[:, :, None], strict=True):
+            both = np.concatenate([numerator, own * power, own * highest], axis=1) * scale
+            triangle = np.linalg.qr(np.concatenate([both.real, both.imag]), mode="r")
+            rows.append(triangle[numerator.shape[1] :, numerator.shape[1] :])
+        below = np.concatenate(rows)
+        return np.asarray(np.linalg.lstsq(-below[:, :-1], below[:, -1], rcond=None)[0])
+
+    weight, denominator = 1.0 / noise, np.zeros(2 * count)
+    for _ in range(_ROUNDS):
+        before, denominator = denominator, denominator_of(weight)
+        if np.abs(denominator - before).max() < _SETTLED:
+            break
+        at = np.abs(highest[:, 0] + power @ denominator)
+        weight = 1.0 / (noise * np.maximum(at, 1e-9 * at.max())[:, None])
+    roots = np.roots([1.0, *denominator[::-1]])
+    roots = -np.abs(roots.real) + 1j * roots.imag
+    oscillating = roots[roots.imag > 1e-9 * np.abs(roots)] * middle
+    beyond = float(np.abs(s).max()) * 2.0 ** np.arange(1, count - len(oscillating) + 1) * (-0.02 + 1j)
+    return np.concatenate([oscillating[np.argsort(np.abs(oscillating))], beyond])
 
 
 # The noise of measured lines: whitened, correlated between lines, as stated from scatter and as residuals show it.

@@ -8,12 +8,13 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
-from shaker.fitting import Block, Rules, Separable, eliminate, levenberg_marquardt
+from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
 from shaker.identification.measured import (
     CurveResidual,
     MeasuredCurve,
     SeenNoise,
     between_lines,
+    rational_poles,
     seen_noise,
     whitening_of,
 )
@@ -22,7 +23,6 @@ from shaker.mechanics import laplace
 Kind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
 
 _ORDER: dict[str, int] = {"transmissibility": 0, "receptance": 0, "mobility": 1, "accelerance": 2}
-_START_ROUNDS = 10
 _RULES = Rules(foretold=1e-13, foretold_share=0.0, steps=60, tries=13, first=1e-6)
 """A fit has converged where the whitened model would change by 3e-7, or where no damping up to 1e6 helps."""
 _NOISE_ROUNDS = 5
@@ -87,10 +87,9 @@ def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, resi
 
     With p = s/ω₀, s = a + jω and D = 1 + 2ζp + p²: transmissibility G·(1 + 2ζp)/D (base excitation), receptance G/D,
     mobility G·s/D, accelerance G·s²/D, so that G = 1/k of an oscillator driven by a force; `residual_terms` adds
-    R₋/s² + R₊ to 1/D's place, `delay` a factor exp(-sτ). Start: linear rational fit (Levy 1959) with the weights of
-    Sanathanan and Koerner (IEEE Trans. Autom. Control 8, 1963). Then least squares of the residuals whitened by their
-    covariance; where that has few degrees of freedom, lines weigh by it and by their residuals together (see
-    `seen_noise`). Correlation between lines enters the covariance of the result.
+    R₋/s² + R₊ to 1/D's place, `delay` a factor exp(-sτ). Least squares of the residuals whitened by their covariance,
+    started by `rational_poles`; where the covariance has few degrees of freedom, lines weigh by it and by their
+    residuals together (see `seen_noise`). Correlation between lines enters the covariance of the result.
 
     >>> import numpy as np
     >>> from shaker import MeasuredCurve, fit_resonance
@@ -105,6 +104,12 @@ def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, resi
     if 2 * len(curve.frequency_hz) <= len(names):
         raise ValueError(f"frequency_hz: expected more than {len(names) // 2} lines, found {len(curve.frequency_hz)}")
     vector, jacobian, noise = _weighed(curve, kind, names)
+    flat = jacobian.reshape(-1, len(names))
+    scale = np.linalg.norm(flat, axis=0)
+    root = np.linalg.inv(np.linalg.qr(flat / scale, mode="r"))
+    inverse = root @ root.T
+    columns = (jacobian[:, 0] + 1j * jacobian[:, 1]) / scale
+    inverse = inverse + inverse @ between_lines(curve.frequency_hz, columns, curve.line_correlation) @ inverse
     fitted = dict(zip(names, vector.tolist(), strict=True))
     low, high = (complex(fitted.get(f"{n}_re", 0.0), fitted.get(f"{n}_im", 0.0)) for n in ("mass_line", "constant"))
     return Resonance(
@@ -115,7 +120,7 @@ def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, resi
         delay_s=fitted.get("delay_s", 0.0),
         residual=np.array([low, high]),
         parameters=names,
-        covariance=_parameter_covariance(curve, jacobian),
+        covariance=np.asarray(0.5 * (inverse + inverse.T) / np.multiply.outer(scale, scale)),
         chi_squared=noise.chi_squared / noise.expected,
         dof=noise.dof,
     )
@@ -163,45 +168,26 @@ def _real(whitening: FloatArray, columns: ComplexArray) -> FloatArray:
     return np.asarray(whitening @ np.stack([columns.real, columns.imag], axis=1))
 
 
-def _start(
-    kind: Kind, names: tuple[str, ...], s: ComplexArray, value: ComplexArray, whitening: FloatArray
-) -> FloatArray:
-    """Return starting values from a linear rational fit, b(q)/(q² + a₁q + a₀) with q = s/ω in mid-band."""
-    middle = float(np.median(np.abs(s)))
-    q = s / middle
-    response = value / s ** _ORDER[kind]
-    powers = (-2, -1, 0, 1, 2) if "constant_re" in names else (0, 1)
-    weight = np.sqrt(np.abs(np.linalg.det(whitening))) * np.abs(s ** _ORDER[kind])
-    divisor = np.ones(len(q))
-    numerator = [part for power in powers for part in (-(q**power), -1j * q**power)]
-    pole = np.array([1.0, 0.02])
-    for _ in range(_START_ROUNDS):
-        columns = np.stack([response, response * q, *numerator], axis=1) * (weight / divisor)[:, None]
-        right = -response * q * q * weight / divisor
-        both = eliminate(np.concatenate([columns.real, columns.imag]), np.append(right.real, right.imag)[:, None])
-        pole = both.coefficients[:2, 0]
-        divisor = np.maximum(np.abs(q * q + pole[1] * q + pole[0]), 1e-9)
-    if not (pole[0] > 0.0 and pole[1] > 0.0):
-        pole = np.array([np.abs(q[np.argmax(np.abs(response))]) ** 2, 0.02])
-    vector = np.zeros(len(names))
-    vector[:2] = np.sqrt(pole[0]) * middle / (2.0 * np.pi), 0.5 * pole[1] / np.sqrt(pole[0])
-    return vector
-
-
 def _weighed(curve: MeasuredCurve, kind: Kind, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, SeenNoise]:
     """Return the parameters, the derivatives (K, 2, P) whitened by the noise seen in the lines, and that noise."""
     s, whitening = laplace(curve.frequency_hz, curve.added_decay_per_s), whitening_of(curve.covariance)
     dof = np.full(len(s), np.inf) if curve.dof is None else curve.dof
-    vector, factor = _start(kind, names, s, curve.value, whitening), np.ones(len(s))
+    size, noise = np.abs(s ** _ORDER[kind]), np.sqrt(0.5 * np.trace(curve.covariance, axis1=1, axis2=2))
+    response, lowest = curve.value / s ** _ORDER[kind], -2 if "mass_line_re" in names else 0
+    (pole,) = rational_poles(s, response[:, None], (noise / size)[:, None], 1, lowest)
+    if abs(pole) > np.abs(s).max():
+        pole = np.abs(s[np.argmax(np.abs(response))]) * (-0.01 + 1j)
+    vector, factor = np.zeros(len(names)), np.ones(len(s))
+    vector[:2] = abs(pole) / (2.0 * np.pi), -pole.real / abs(pole)
     for _ in range(1 + _NOISE_ROUNDS):
         weighed = whitening / np.sqrt(factor)[:, None, None]
         vector, residual, jacobian = _adjusted(kind, names, s, curve.value, weighed, vector)
         length = np.sum(residual**2, axis=1) * factor
-        noise = seen_noise([CurveResidual(length, dof, residual.shape[1])], float(len(names)))
-        before, factor = factor, noise.lines[0]
+        seen = seen_noise([CurveResidual(length, dof, residual.shape[1])], float(len(names)))
+        before, factor = factor, seen.lines[0]
         if np.ptp(factor / before) <= _EVEN * np.max(factor / before):
             break
-    return vector, jacobian * np.sqrt(before / factor)[:, None, None], noise
+    return vector, jacobian * np.sqrt(before / factor)[:, None, None], seen
 
 
 def _adjusted(
@@ -237,14 +223,3 @@ def _adjusted(
     vector[~linear], vector[linear] = search.point.parameters, search.point.coefficients[0][:, 0]
     model, derivative = _evaluate(kind, names, s, vector)
     return vector, _real(whitening, (value - model)[:, None])[:, :, 0], _real(whitening, derivative)
-
-
-def _parameter_covariance(curve: MeasuredCurve, jacobian: FloatArray) -> FloatArray:
-    """Return (JᵀJ)⁻¹ of whitened derivatives (K, 2, P), or the sandwich (JᵀJ)⁻¹ JᵀRJ (JᵀJ)⁻¹ of correlated lines."""
-    flat = jacobian.reshape(-1, jacobian.shape[-1])
-    scale = np.linalg.norm(flat, axis=0)
-    root = np.linalg.inv(np.linalg.qr(flat / scale, mode="r"))
-    inverse = root @ root.T
-    columns = (jacobian[:, 0] + 1j * jacobian[:, 1]) / scale
-    inverse = inverse + inverse @ between_lines(curve.frequency_hz, columns, curve.line_correlation) @ inverse
-    return np.asarray(0.5 * (inverse + inverse.T) / np.multiply.outer(scale, scale))

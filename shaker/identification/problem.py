@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray
+from shaker.fitting import Residuals, Rules, levenberg_marquardt
 from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, PlacementError, whitening_of
-from shaker.identification.structures import Parameter, Structure, measured_poles, significant_poles
-from shaker.mechanics import Mechanics, Response, respond
+from shaker.identification.structures import Parameter, Structure
+from shaker.mechanics import Mechanics, Response, poles, respond
 
 DELAY_UNIT_S = 1e-6
 """Unit in which free delays are unknown."""
@@ -95,6 +96,13 @@ class Curve(Brief):
     def weights(self, vector: FloatArray) -> FloatArray:
         """Return the weights (1+P+E,) of the mechanics' terms."""
         return np.concatenate([[1.0], vector[self.terms]])
+
+    def possible(self, vector: FloatArray) -> bool:
+        """Return whether masses and stiffnesses of the mechanics are positive definite."""
+        (mass, _, stiffness), _ = self.mechanics.at(self.weights(vector))
+        if len(mass) == 1:
+            return min(mass[0, 0], stiffness[0, 0]) > 0.0
+        return min(np.linalg.eigvalsh(mass)[0], np.linalg.eigvalsh(stiffness)[0]) > 0.0
 
     @property
     def places(self) -> IntArray:
@@ -284,134 +292,91 @@ def _curve(
 
 # Where a fit starts: parameters whose modes are those of the measured poles, and the gains that follow.
 
-_ROUNDS = 12
-_POLE_PRECISION = 3e-3  # relative, of the frequency of a measured pole
-_STIFFNESS_RANGE = 2.0  # standard deviation of ln k about where a structure starts
+_RULES = Rules(foretold=1e-2, foretold_share=1e-4, steps=40)
+_POLE_PRECISION = 3e-3  # relative, of a measured pole
+_FACTOR_RANGE = 2.0  # standard deviation of ln k and ln b about where a structure starts
 _INERTIA_RANGE = 0.3  # standard deviation of an inertia, in parts of the whole
 _LARGEST_DAMPING_RATIO = 0.4  # of what is taken for a mode
-_LEAST_DAMPING_RATIO = 1e-3
+_SIGNIFICANT = 30.0  # decrease of χ² per real number by which a pole is more than a feature of the noise
 _ALIKE = 1e-3  # relative difference of starting values that are one
-
-
-@dataclass(frozen=True, repr=False)
-class _Terms(Brief):
-    """What a parameter is: one of stiffness, of inertia with `whole` (P,) the inertia it adds to, or of damping."""
-
-    stiffness: BoolArray
-    inertia: BoolArray
-    damping: BoolArray
-    whole: FloatArray
 
 
 def starting_vectors(problem: Problem, starts: FloatArray) -> list[FloatArray]:
     """Return vectors of unknowns to start from, made from a structure's `starts` (S, P)."""
     measured = []
     for curve in problem.curves:  # poles that lie in the band, ring and stand out
-        poles = measured_poles(curve.record, curve.mechanics.forcing.shape[1])
-        size, s = np.abs(poles), np.abs(curve.record.s)
-        inside = (size > 0.7 * s.min()) & (size < 1.3 * s.max()) & (-poles.real < _LARGEST_DAMPING_RATIO * size)
-        measured.append(significant_poles(curve.record, poles[inside]))
-    stated = (problem.precision > 0.0) | problem.fixed
+        roots = curve.record.poles(curve.mechanics.forcing.shape[1])
+        size, s = np.abs(roots), np.abs(curve.record.s)
+        inside = (size > 0.7 * s.min()) & (size < 1.3 * s.max()) & (-roots.real < _LARGEST_DAMPING_RATIO * size)
+        measured.append(_significant(curve.record, roots[inside]))
     count = len(problem.kind)
+    stated = ((problem.precision > 0.0) | problem.fixed)[:count]
     vectors: list[FloatArray] = []
     for start in starts:
         vector = problem.expected.copy()
-        vector[:count] = np.where(stated[:count], vector[:count], start[problem.kind])
-        terms = _terms(problem, vector)
-        vector = _damped(problem, terms, _matched(problem, terms, vector, measured, stated), measured, stated)
+        vector[:count] = np.where(stated, vector[:count], start[problem.kind])
+        vector = _matched(problem, vector, measured, np.flatnonzero(~stated))
         if not any(np.allclose(vector, other, rtol=_ALIKE, atol=0.0) for other in vectors):
             vectors.append(vector)
     return [_gained(problem, vector) for vector in vectors]
 
 
-def _terms(problem: Problem, vector: FloatArray) -> _Terms:
-    """Return what the parameters are, from the matrices that they act on."""
-    acts = np.zeros((3, len(problem.kind)), dtype=np.bool_)
-    for curve in problem.curves:
-        for place, matrices in zip(curve.terms, curve.mechanics.matrices[1:], strict=True):
-            if place < len(problem.kind):
-                acts[:, place] |= np.any(matrices != 0.0, axis=(1, 2))
-    whole = whole_inertia(problem, vector)
-    return _Terms(acts[2], acts[0] & ~acts[2], acts[1] & ~acts[0] & ~acts[2], np.where(np.isnan(whole), 1.0, whole))
+def _significant(record: MeasuredTransfer, roots: ComplexArray) -> ComplexArray:
+    """Return those of some poles without which a sum of partial fractions explains the ratios clearly worse.
+
+    Basis: 1/(s - λ) and 1/(s - λ*) of each pole, 1, s and s², for each response by itself.
+    """
+    if len(roots) < 2:
+        return roots
+    value, s, noise = record.ratio.value, record.s, record.noise
+    unit = float(np.abs(s).max())
+    smooth = (s[:, None] / unit) ** np.arange(3)
+    fractions = [np.stack([unit / (s - root), unit / (s - root.conjugate())], axis=1) for root in roots]
+
+    def misfit(columns: Sequence[ComplexArray]) -> float:
+        """χ² of the best sums of columns for the ratios, each with its own coefficients."""
+        total = 0.0
+        for c in range(value.shape[1]):
+            right = value[:, c] / noise[:, c]
+            basis = np.linalg.qr(np.concatenate(columns, axis=1) / noise[:, c, None])[0]
+            total += float(np.sum(np.abs(right - basis @ (basis.conj().T @ right)) ** 2))
+        return total
+
+    every = misfit([*fractions, smooth])
+    lost = [misfit([*fractions[:i], *fractions[i + 1 :], smooth]) - every for i in range(len(roots))]
+    return np.asarray(roots[np.array(lost) > _SIGNIFICANT * 4.0 * value.shape[1]])
 
 
-def _matched(
-    problem: Problem, terms: _Terms, start: FloatArray, measured: Sequence[ComplexArray], stated: BoolArray
-) -> FloatArray:
-    """Return unknowns whose undamped modes have the frequencies of the measured poles, near where they start."""
-    moved = np.flatnonzero((terms.stiffness | terms.inertia) & ~stated[: len(problem.kind)])
-    logarithmic = terms.stiffness[moved]
-    unit = np.where(logarithmic, _STIFFNESS_RANGE, _INERTIA_RANGE * terms.whole[moved])
-    x, vector = np.zeros(len(moved)), start
-    for _ in range(_ROUNDS):
-        rows, right = [], []
-        for curve, poles in zip(problem.curves, measured, strict=True):
-            omega, shape = _undamped_modes(curve, vector)
-            matrices = curve.mechanics.matrices[1:]
-            change = np.einsum("im,qij,jm->mq", shape, matrices[:, 2], shape)
-            change -= omega[:, None] ** 2 * np.einsum("im,qij,jm->mq", shape, matrices[:, 0], shape)
-            by_unknown = _by_unknown(curve, change / (2.0 * omega[:, None] ** 2), len(vector))
-            for pole, mode in _pairs(poles, omega):
-                slope = by_unknown[mode, moved] * np.where(logarithmic, vector[moved], 1.0) * unit
-                rows.append(slope / _POLE_PRECISION)
-                right.append(np.log(np.abs(pole) / omega[mode]) / _POLE_PRECISION)
-        rows.extend(np.eye(len(moved)))
-        right.extend(-x)
-        step = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0]
-        step /= max(1.0, float(np.abs(step).max(initial=0.0)))
-        x = x + step
+def _matched(problem: Problem, start: FloatArray, measured: Sequence[ComplexArray], free: IntArray) -> FloatArray:
+    """Return unknowns whose modes have the measured poles, near where they start: springs and dampers by factors."""
+    whole = whole_inertia(problem, start)[free]
+    factors = np.isnan(whole)
+
+    def moved(x: FloatArray) -> FloatArray:
         vector = start.copy()
-        vector[moved] = np.where(logarithmic, start[moved] * np.exp(x * unit), start[moved] + x * unit)
-        if np.abs(step).max(initial=0.0) < 1e-5:
-            break
-    return vector
-
-
-def _undamped_modes(curve: Curve, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ω (n,) in 1/s, ascending, and shapes (n, n), columns of unit modal mass; masses are kept above zero."""
-    (mass, _, stiffness), _ = curve.mechanics.at(curve.weights(vector))
-    values, vectors = np.linalg.eigh(mass)
-    root = vectors / np.sqrt(np.maximum(values, 1e-3 * values.max()))
-    square, turned = np.linalg.eigh(root.T @ stiffness @ root)
-    return np.sqrt(np.maximum(square, 1e-12 * square.max())), root @ turned
-
-
-def _by_unknown(curve: Curve, by_term: FloatArray, count: int) -> FloatArray:
-    """Return derivatives (n, N) by all unknowns of those (n, P+E) by the terms of a recording."""
-    wide = np.zeros((len(by_term), count))
-    np.add.at(wide.T, curve.terms, by_term.T)
-    return wide
-
-
-def _pairs(poles: ComplexArray, omega: FloatArray) -> list[tuple[complex, int]]:
-    """Return measured poles with the number of the mode each one is: in order, or of the nearest where some lack."""
-    if len(poles) == len(omega):
-        return list(zip(poles.tolist(), range(len(omega)), strict=True))
-    return [(complex(pole), int(np.argmin(np.abs(np.log(np.abs(pole) / omega))))) for pole in poles]
-
-
-def _damped(
-    problem: Problem, terms: _Terms, vector: FloatArray, measured: Sequence[ComplexArray], stated: BoolArray
-) -> FloatArray:
-    """Return unknowns with dampings that give the measured poles their decay, none below a small one."""
-    moved = np.flatnonzero(terms.damping & ~stated[: len(problem.kind)])
-    if len(moved) == 0:
+        by_factor = start[free] * np.exp(np.where(factors, _FACTOR_RANGE * x, 0.0))
+        vector[free] = np.where(factors, by_factor, start[free] + _INERTIA_RANGE * whole * x)
         return vector
-    rows, right, least = [], [], np.full(len(vector), np.inf)
-    for curve, poles in zip(problem.curves, measured, strict=True):
-        omega, shape = _undamped_modes(curve, vector)
-        by_term = np.einsum("im,qij,jm->mq", shape, curve.mechanics.matrices[1:, 1], shape)
-        share = _by_unknown(curve, by_term, len(vector))
-        for place in moved[share[:, moved].max(axis=0) > 0.0]:
-            mode = int(np.argmax(share[:, place]))
-            least[place] = min(least[place], 2.0 * _LEAST_DAMPING_RATIO * omega[mode] / share[mode, place])
-        for pole, mode in _pairs(poles, omega):
-            rows.append(share[mode, moved] / abs(pole))
-            right.append(-2.0 * pole.real / abs(pole))
-    damping = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0] if rows else np.zeros(len(moved))
-    damped = vector.copy()
-    damped[moved] = np.maximum(damping, np.where(np.isfinite(least[moved]), least[moved], 0.0))
-    return damped
+
+    def point(x: FloatArray) -> Residuals | None:
+        vector = moved(x)
+        scale = np.where(factors, _FACTOR_RANGE * vector[free], _INERTIA_RANGE * whole)
+        residuals, slopes = [x], [np.eye(len(x))]
+        for curve, roots in zip(problem.curves, measured, strict=True):
+            if not curve.possible(vector):
+                return None
+            modes, by_term = poles(curve.mechanics, curve.weights(vector))
+            by_unknown = np.zeros((len(modes), len(vector)), dtype=np.complex128)
+            np.add.at(by_unknown.T, curve.terms, by_term.T)
+            for place, pole in enumerate(roots):  # in order, or of the nearest where some lack
+                whose = place if len(roots) == len(modes) else int(np.argmin(np.abs(np.log(np.abs(pole / modes)))))
+                off, slope = np.log(modes[whose] / pole), by_unknown[whose, free] * scale / modes[whose]
+                residuals.append(np.array([off.real, off.imag]) / _POLE_PRECISION)
+                slopes.append(np.stack([slope.real, slope.imag]) / _POLE_PRECISION)
+        return Residuals(x, np.concatenate(residuals), np.concatenate(slopes))
+
+    first = point(np.zeros(len(free)))
+    return start if first is None else moved(levenberg_marquardt(point, first, _RULES).point.parameters)
 
 
 def _gained(problem: Problem, vector: FloatArray) -> FloatArray:

@@ -158,21 +158,6 @@ class Place(Brief):
     inverse_by_line: FloatArray
 
 
-@dataclass(frozen=True, repr=False)
-class _Parabola(Brief):
-    """1/|H|² = c₀ + c₁u + c₂u² near one frequency, u = (f² - `centre`)/`scale`; c = `by_line` (3, K) · 1/|H|²."""
-
-    centre: float
-    scale: float
-    coefficients: FloatArray
-    by_line: FloatArray
-
-    def frequency(self, u: float, u_by_line: FloatArray) -> tuple[float, FloatArray]:
-        """Return the frequency at u and its gradient (K,)."""
-        frequency = float(np.sqrt(self.centre + self.scale * u))
-        return frequency, np.asarray(u_by_line * self.scale / (2.0 * frequency))
-
-
 def _nowhere(curve: MeasuredCurve) -> Place:
     """Return the place that was not found."""
     nothing = np.full(len(curve.frequency_hz), np.nan)
@@ -225,62 +210,76 @@ def _first_look(curve: MeasuredCurve) -> tuple[float, float, float]:
     return at, at - nearest, at + nearest
 
 
-def _parabola(curve: MeasuredCurve, frequency_hz: float, reach_hz: float, fewest: int) -> _Parabola:
-    """Fit 1/|H|² by a weighted parabola over f² to the lines within reach of a frequency, the nearest at least.
+@dataclass(frozen=True)
+class _Parabola:
+    """1/|H|² = c₀ + c₁u + c₂u² near one frequency, u = (f² - `centre`)/`scale`; c = `by_line` (3, K) · 1/|H|².
 
-    Noise of variances σᵣ², σₜ² along and across H makes 1/|H|² too large by (3σᵣ² - σₜ²)/|H|⁴ on average.
+    Fitted by weights over f² to the lines within reach of the frequency, the nearest at least. Noise of variances σᵣ²,
+    σₜ² along and across H makes 1/|H|² too large by (3σᵣ² - σₜ²)/|H|⁴ on average.
     """
-    distance = np.abs(curve.frequency_hz - frequency_hz)
-    reach = max(reach_hz, float(np.sort(distance)[fewest - 1]))
-    chosen: BoolArray = distance <= reach
-    centre, scale = frequency_hz**2, 2.0 * frequency_hz * reach
-    u = (curve.frequency_hz[chosen] ** 2 - centre) / scale
-    powers = np.stack([np.ones(len(u)), u, u * u], axis=1)
-    unit = curve.value / np.abs(curve.value)
-    radial, tangential = (curve.variance_along(direction)[chosen] for direction in (unit, 1j * unit))
-    smooth = np.abs(curve.value[chosen]) ** -2.0
-    inverse = smooth - (3.0 * radial - tangential) * smooth**2
-    for _ in range(2):
-        weighted = powers / (smooth**3 * radial)[:, None]
-        solve = np.linalg.solve(weighted.T @ powers, weighted.T)
-        coefficients = solve @ inverse
-        smooth = np.maximum(powers @ coefficients, 0.1 * smooth)
-    by_line = np.zeros((3, len(distance)))
-    by_line[:, chosen] = solve
-    return _Parabola(centre, scale, coefficients, by_line)
+
+    centre: float
+    scale: float
+    coefficients: FloatArray
+    by_line: FloatArray
+
+    @staticmethod
+    def of(curve: MeasuredCurve, frequency_hz: float, reach_hz: float, fewest: int) -> _Parabola:
+        """Return the parabola of the lines around a frequency."""
+        distance = np.abs(curve.frequency_hz - frequency_hz)
+        reach = max(reach_hz, float(np.sort(distance)[fewest - 1]))
+        chosen: BoolArray = distance <= reach
+        centre, scale = frequency_hz**2, 2.0 * frequency_hz * reach
+        u = (curve.frequency_hz[chosen] ** 2 - centre) / scale
+        powers = np.stack([np.ones(len(u)), u, u * u], axis=1)
+        unit = curve.value / np.abs(curve.value)
+        radial, tangential = (curve.variance_along(direction)[chosen] for direction in (unit, 1j * unit))
+        smooth = np.abs(curve.value[chosen]) ** -2.0
+        inverse = smooth - (3.0 * radial - tangential) * smooth**2
+        for _ in range(2):
+            weighted = powers / (smooth**3 * radial)[:, None]
+            solve = np.linalg.solve(weighted.T @ powers, weighted.T)
+            coefficients = solve @ inverse
+            smooth = np.maximum(powers @ coefficients, 0.1 * smooth)
+        by_line = np.zeros((3, len(distance)))
+        by_line[:, chosen] = solve
+        return _Parabola(centre, scale, coefficients, by_line)
+
+    def place(self, u: float, u_by_line: FloatArray, inverse: float, inverse_by_line: FloatArray) -> Place:
+        """Return the place at u, with what is known of u and of 1/|H|² there."""
+        frequency = float(np.sqrt(self.centre + self.scale * u))
+        return Place(frequency, inverse, u_by_line * self.scale / (2.0 * frequency), inverse_by_line)
+
+    def at(self, u: float) -> FloatArray:
+        """Return the change (K,) of 1/|H|² at u by that of every line."""
+        return np.array([1.0, u, u * u]) @ self.by_line
 
 
 def _top(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> Place:
     """Return the vertex of the parabola of the lines around a maximum."""
-    parabola = _parabola(curve, frequency_hz, reach_hz, 3)
+    parabola = _Parabola.of(curve, frequency_hz, reach_hz, 3)
     c0, c1, c2 = parabola.coefficients
     u = -0.5 * c1 / c2 if c2 > 0.0 else np.nan
     inverse = c0 + 0.5 * c1 * u
     if not (abs(u) < 2.0 and inverse > 0.0):
         return _nowhere(curve)
     u_by_line = (c1 / c2 * parabola.by_line[2] - parabola.by_line[1]) / (2.0 * c2)
-    frequency, by_line = parabola.frequency(u, u_by_line)
-    return Place(frequency, float(inverse), by_line, np.array([1.0, u, u * u]) @ parabola.by_line)
+    return parabola.place(u, u_by_line, float(inverse), parabola.at(u))
 
 
 def _crossing(curve: MeasuredCurve, top: Place, level: float, frequency_hz: float, reach_hz: float) -> Place:
     """Return where the parabola of the lines around a flank has `level` times the 1/|H|² of the maximum."""
     if not curve.frequency_hz[0] <= frequency_hz <= curve.frequency_hz[-1]:
         return _nowhere(curve)
-    parabola = _parabola(curve, frequency_hz, reach_hz, 4)
+    parabola = _Parabola.of(curve, frequency_hz, reach_hz, 4)
     c0, c1, c2 = parabola.coefficients
-    target = level * top.inverse
-    outward = np.sign(frequency_hz - top.frequency_hz)
+    target, by_target = level * top.inverse, level * top.inverse_by_line
     root = c1 * c1 - 4.0 * c2 * (c0 - target)
-    if not root > 0.0:
-        return _nowhere(curve)
-    slope = outward * np.sqrt(root)
-    u = 2.0 * (target - c0) / (slope + c1)
+    slope = np.sign(frequency_hz - top.frequency_hz) * np.sqrt(max(root, 0.0))
+    u = 2.0 * (target - c0) / (slope + c1) if root > 0.0 else np.nan
     if not abs(u) < 3.0:
         return _nowhere(curve)
-    u_by_line = (level * top.inverse_by_line - np.array([1.0, u, u * u]) @ parabola.by_line) / slope
-    frequency, by_line = parabola.frequency(u, u_by_line)
-    return Place(frequency, target, by_line, level * top.inverse_by_line)
+    return parabola.place(u, (by_target - parabola.at(u)) / slope, target, by_target)
 
 
 def uncertainties(curve: MeasuredCurve, *by_inverse: FloatArray) -> FloatArray:
@@ -325,12 +324,12 @@ class PeakReading:
     """
 
     method: str
-    frequency_hz: float
-    u_frequency_hz: float
-    width_hz: float
-    u_width_hz: float
-    damping_ratio: float
-    u_damping_ratio: float
+    frequency_hz: float = np.nan
+    u_frequency_hz: float = np.nan
+    width_hz: float = np.nan
+    u_width_hz: float = np.nan
+    damping_ratio: float = np.nan
+    u_damping_ratio: float = np.nan
     note: str = ""
 
     @property
@@ -384,8 +383,8 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
     between = "" if np.isfinite(top.frequency_hz) else "no maximum between the lines of this band"
     half_power = _half_power(curve, top, low, high, note)
     return PeakReadings(
-        maximum_bin=_without_width("maximum_bin", line_hz, u_line, ""),
-        maximum=_without_width("maximum", top.frequency_hz, float(uncertainties(curve, top.by_line)[0]), between),
+        maximum_bin=PeakReading("maximum_bin", line_hz, u_line),
+        maximum=PeakReading("maximum", top.frequency_hz, float(uncertainties(curve, top.by_line)[0]), note=between),
         half_power=half_power,
         half_amplitude=_half_amplitude(curve, top, *crossings["half_amplitude"], note),
         circle=_circle(curve, half_power),
@@ -405,16 +404,11 @@ def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[f
     return float(np.sqrt(highest)), float(np.sqrt(max(0.0, middle - root))), float(np.sqrt(middle + root))
 
 
-def _without_width(method: str, frequency_hz: float, u_hz: float, note: str) -> PeakReading:
-    """Return a reading of the frequency alone."""
-    return PeakReading(method, frequency_hz, u_hz, *(np.nan,) * 4, note)
-
-
 def _half_power(curve: MeasuredCurve, top: Place, low: Place, high: Place, note: str) -> PeakReading:
     """Return the f₀ and ζ of which the oscillator has its maximum and its half-power points where they were read."""
     width = high.frequency_hz - low.frequency_hz
     if not np.isfinite(width):
-        return PeakReading("half_power", *(np.nan,) * 6, _NOT_BELOW.format("1/√2"))
+        return PeakReading("half_power", note=_NOT_BELOW.format("1/√2"))
     zeta = 0.5 * width / top.frequency_hz
     for _ in range(20):
         highest, below, above = transmissibility_levels(zeta)
@@ -432,7 +426,7 @@ def _half_amplitude(curve: MeasuredCurve, top: Place, low: Place, high: Place, n
     """Return equation 10 with the width at half the maximum, without the √3 that this width is wider."""
     width = high.frequency_hz - low.frequency_hz
     if not np.isfinite(width):
-        return PeakReading("half_amplitude", *(np.nan,) * 6, _NOT_BELOW.format("1/2"))
+        return PeakReading("half_amplitude", note=_NOT_BELOW.format("1/2"))
     by_width = high.by_line - low.by_line
     zeta = 0.5 * width / top.frequency_hz
     by_zeta = zeta * (by_width / width - top.by_line / top.frequency_hz)
@@ -445,7 +439,7 @@ def _circle(curve: MeasuredCurve, start: PeakReading) -> PeakReading:
     """Return f₀ and ζ of the angles of the Nyquist circle, started where the half-power reading stands."""
     fit = fit_circle(curve, start.frequency_hz, start.damping_ratio) if np.isfinite(start.damping_ratio) else None
     if fit is None:
-        return PeakReading("circle", *(np.nan,) * 6, "no circle found in the complex plane")
+        return PeakReading("circle", note="no circle found in the complex plane")
     f0, zeta = fit.frequency_hz, fit.damping_ratio
     by_width = np.array([2.0 * zeta, 2.0 * f0])
     u_f0, u_zeta = np.sqrt(np.diag(fit.covariance)).tolist()

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, Notice, check_shape
+from shaker.fitting import Residuals, Rules, levenberg_marquardt
 from shaker.identification.measured import MeasuredSensitivity, NamedUnknown, ParameterEstimate, whitening_of
 from shaker.identification.sensor import CHAIN_PARAMETERS, Chain, ChainKind, SensorModel
 from shaker.mechanics import laplace
@@ -33,31 +34,28 @@ class SpringPrior:
             raise ValueError(f"r_kb: expected a correlation of -1 to 1, found {self.r_kb:g}")
 
     @property
-    def covariance(self) -> FloatArray:
-        """Covariance (2, 2) of [k, b]."""
-        mixed = self.r_kb * self.u_k * self.u_b
-        return np.array([[self.u_k**2, mixed], [mixed, self.u_b**2]])
-
-    @property
     def time_s(self) -> float:
         """τ = b/k in s, the time constant of the lag that the damper makes."""
         return self.b / self.k
 
     @property
-    def time_slope(self) -> FloatArray:
-        """Derivatives (2,) of b/k by [k, b]."""
-        return np.array([-self.b / self.k**2, 1.0 / self.k])
-
-    @property
     def u_time_s(self) -> float:
         """Standard uncertainty of b/k in s."""
-        return float(np.sqrt(self.time_slope @ self.covariance @ self.time_slope))
+        mixed = self.r_kb * self.u_k * self.u_b
+        slope = np.array([-self.b / self.k**2, 1.0 / self.k])
+        return float(np.sqrt(slope @ np.array([[self.u_k**2, mixed], [mixed, self.u_b**2]]) @ slope))
 
 
 # The sensor's damper and one shape of the chain fitted to a measured sensitivity.
 
-_LABELS = {"spring_time_s": "b/k of the sensor", "delay_s": "delay of the chain", "lag_s": "lag of the chain"}
-_TOLERANCE, _EVALUATIONS = 1e-10, 200
+_LABELS = {
+    "sensitivity": "static sensitivity",
+    "spring_time_s": "b/k of the sensor",
+    "delay_s": "delay of the chain",
+    "lag_s": "lag of the chain",
+    "square_s2": "square term of the chain",
+}
+_RULES = Rules(foretold=1e-12, foretold_share=1e-12, steps=200)
 _SMALLEST_TURN = 0.01  # rad at the highest line with which a lag starts, lest it be the same as a delay
 
 
@@ -106,20 +104,18 @@ class SensitivityFit(Brief):
         """Parameters in the order of `covariance`, then corner frequency and damping ratio of a low-pass."""
         values = {"sensitivity": self.sensitivity, "spring_time_s": self.spring_time_s}
         values |= dict(zip(self.chain.names, self.chain.parameters.tolist(), strict=True))
-        found = [
-            ParameterEstimate("sensitivity", "static sensitivity", self.sensitivity, self.u("sensitivity"), self.unit)
+        units = {"sensitivity": self.unit, "square_s2": "s²"}
+        estimates = [
+            ParameterEstimate(name, _LABELS[name], values[name], self.u(name), units.get(name, "s"))
+            for name in self.parameters
         ]
-        for name in self.parameters[1:]:
-            label, unit = _LABELS.get(name, "square term of the chain"), "s²" if name == "square_s2" else "s"
-            found.append(ParameterEstimate(name, label, values[name], self.u(name), unit))
         count = len(self.chain.names)
         corner = self.chain.corner(self.covariance[-count:, -count:]) if count else None
         if corner is not None:
-            (frequency, u_frequency), (damping, u_damping) = corner
-            found.append(ParameterEstimate("corner_hz", "corner frequency of the chain", frequency, u_frequency, "Hz"))
+            estimates.append(ParameterEstimate("corner_hz", "corner frequency of the chain", *corner[0], "Hz"))
             if self.chain.kind == "second_order":
-                found.append(ParameterEstimate("damping_ratio", "damping ratio of the chain", damping, u_damping, "1"))
-        return tuple(found)
+                estimates.append(ParameterEstimate("damping_ratio", "damping ratio of the chain", *corner[1], "1"))
+        return tuple(estimates)
 
 
 def fit_chain(
@@ -130,33 +126,24 @@ def fit_chain(
     Measured is S₀ / (1 + jωτ) · chain · exp(Σ z r): r are the relative errors by name, z ~ N(0, 1) unknown, so that no
     covariance is made of the readings. τ is held by `spring` within its uncertainty; `spring_free` lets it be any;
     without either it is 0, since a lag of the chain and one of the spring are the same curve. A static sensitivity
-    that is stated is one more reading of S₀. Levenberg-Marquardt (MINPACK) on whitened residuals.
+    that is stated is one more reading of S₀.
     """
-    from scipy import optimize, special
+    from scipy.special import chdtrc
 
     lines = len(measured.frequency_hz)
     if lines < 4:
         raise ValueError(f"frequency_hz: expected at least 4 lines, found {lines}")
-    problem = _problem(measured, kind, spring, spring_free)
-    solution = optimize.least_squares(
-        problem.residual,
-        problem.start(),
-        problem.jacobian,
-        method="lm",
-        x_scale="jac",
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        max_nfev=_EVALUATIONS,
-    )
-    chi_squared, dof = float(2.0 * solution.cost), len(solution.fun) - len(solution.x)
-    jacobian = problem.jacobian(solution.x)
+    problem = _Problem.of(measured, kind, spring, spring_free)
+    search = levenberg_marquardt(problem.point, problem.point(problem.start()), _RULES)
+    point, count = search.point, len(problem.names)
+    chi_squared, dof = point.loss, len(point.residual) - len(point.parameters)
+    jacobian = point.jacobian.copy()
     jacobian[: 2 * lines] /= np.sqrt(max(1.0, chi_squared / dof))
     size = np.linalg.norm(jacobian, axis=0)
     root = np.linalg.inv(np.linalg.qr(jacobian / size, mode="r"))
     covariance = np.asarray(root @ root.T / np.multiply.outer(size, size))
-    count = len(problem.names)
     remaining = np.sqrt(covariance.diagonal()[count:])
-    scale, tau, chain = problem.split(solution.x)
+    scale, tau, chain = problem.split(point.parameters)
     return SensitivityFit(
         sensitivity=scale,
         spring_time_s=tau,
@@ -166,32 +153,49 @@ def fit_chain(
         covariance=covariance[:count, :count],
         unknowns=tuple(
             NamedUnknown(error.name, float(z), float(left))
-            for error, z, left in zip(measured.errors, solution.x[count:], remaining, strict=True)
+            for error, z, left in zip(measured.errors, point.parameters[count:], remaining, strict=True)
         ),
-        residual=np.asarray(measured.value - problem.curve(solution.x)),
+        residual=np.asarray(measured.value - problem.curve(point.parameters)),
         chi_squared=chi_squared,
         dof=dof,
-        probability=float(special.chdtrc(dof, chi_squared)),
-        converged=bool(solution.success),
+        probability=float(chdtrc(dof, chi_squared)),
+        converged=search.converged,
     )
 
 
-@dataclass(frozen=True, repr=False)
-class _Problem(Brief):
-    """Residuals of a measured sensitivity over unknowns x = [S₀, τ where unknown, chain, z of each common error].
+@dataclass(frozen=True)
+class _Problem:
+    """A measured sensitivity over unknowns x = [S₀, τ where unknown, chain, z of each common error].
 
     `names`: the unknowns but for z; `time_s`: τ where it is none of them, else where to start; `known`: (place, value,
-    u) of unknowns known beforehand; `relative` (K, E); `whitening` (K, 2, 2) turns noise into that of variance one.
+    u) of unknowns known beforehand, z among them; `relative` (K, E); `whitening` (K, 2, 2): noise to variance one.
     """
 
-    frequency_hz: FloatArray
-    value: ComplexArray
-    whitening: FloatArray
-    relative: ComplexArray
+    measured: MeasuredSensitivity
     kind: ChainKind
     names: tuple[str, ...]
     time_s: float
     known: tuple[tuple[int, float, float], ...]
+    relative: ComplexArray
+    whitening: FloatArray
+
+    @staticmethod
+    def of(measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior | None, spring_free: bool) -> _Problem:
+        """Return the problem of a measured sensitivity."""
+        known: list[tuple[int, float, float]] = []
+        if measured.static is not None:
+            if not measured.u_static > 0.0:
+                raise ValueError(f"u_static: expected a value above 0, found {measured.u_static:g}")
+            known.append((0, measured.static, measured.u_static))
+        held = spring is not None and not spring_free and spring.u_time_s > 0.0
+        if held and spring is not None:
+            known.append((1, spring.time_s, spring.u_time_s))
+        names = ("sensitivity", *(("spring_time_s",) if held or spring_free else ()), *CHAIN_PARAMETERS[kind])
+        known += [(len(names) + number, 0.0, 1.0) for number in range(len(measured.errors))]
+        relative = [np.empty((len(measured.value), 0)), *(error.relative for error in measured.errors)]
+        time_s = 0.0 if spring is None else spring.time_s
+        whitening = whitening_of(measured.covariance)
+        return _Problem(measured, kind, names, time_s, tuple(known), np.concatenate(relative, axis=1), whitening)
 
     def split(self, x: FloatArray) -> tuple[float, float, Chain]:
         """Return S₀, τ and the chain of the unknowns."""
@@ -202,81 +206,45 @@ class _Problem(Brief):
     def curve(self, x: FloatArray) -> ComplexArray:
         """Return the sensitivity (K,) with common errors."""
         scale, time, chain = self.split(x)
-        errors = np.exp(self.relative @ x[len(self.names) :])
-        return np.asarray(scale / (1.0 + self._s * time) * chain.response(self.frequency_hz) * errors)
+        hertz, errors = self.measured.frequency_hz, np.exp(self.relative @ x[len(self.names) :])
+        return np.asarray(scale / (1.0 + laplace(hertz) * time) * chain.response(hertz) * errors)
 
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return measured less curve, whitened, then what is known beforehand and z: the sum of their squares is χ²."""
-        known = np.array([(x[place] - value) / u for place, value, u in self.known])
-        away = self._whitened((self.value - self.curve(x))[:, None])[:, 0]
-        return np.concatenate([away, known, x[len(self.names) :]])
-
-    def jacobian(self, x: FloatArray) -> FloatArray:
-        """Return the derivatives of `residual` by the unknowns."""
+    def point(self, x: FloatArray) -> Residuals:
+        """Return measured less curve, whitened, then what is known beforehand: the sum of their squares is χ²."""
         _, time, chain = self.split(x)
-        slopes = [np.full((len(self.value), 1), 1.0 / x[0])]
-        slopes += [(-self._s / (1.0 + self._s * time))[:, None]] if "spring_time_s" in self.names else []
-        slopes += [chain.log_slopes(self.frequency_hz), self.relative]
+        s, curve = laplace(self.measured.frequency_hz), self.curve(x)
+        slopes = [np.full((len(s), 1), 1.0 / x[0])]
+        slopes += [(-s / (1.0 + s * time))[:, None]] if "spring_time_s" in self.names else []
+        slopes += [chain.log_slopes(self.measured.frequency_hz), self.relative]
+        columns = np.column_stack([self.measured.value - curve, -curve[:, None] * np.concatenate(slopes, axis=1)])
+        lines = (self.whitening @ np.stack([columns.real, columns.imag], axis=1)).reshape(-1, 1 + len(x))
         unit = np.eye(len(x))
-        known = [unit[place] / u for place, _, u in self.known]
-        lines = -self._whitened(self.curve(x)[:, None] * np.concatenate(slopes, axis=1))
-        return np.vstack([lines, *known, unit[len(self.names) :]])
+        rows = [np.append(x[place] - value, unit[place]) / u for place, value, u in self.known]
+        both = np.vstack([lines, *rows])
+        return Residuals(x, both[:, 0], both[:, 1:])
 
     def start(self) -> FloatArray:
         """Return starting values: sign and delay from the phases, the rest from the magnitudes.
 
         1/|chain|² = 1 + (a₁² - 2a₂)ω² + a₂²ω⁴, so that its slope over ω² tells a lag from a delay.
         """
-        angular = 2.0 * np.pi * self.frequency_hz
+        angular, value = 2.0 * np.pi * self.measured.frequency_hz, self.measured.value
         left = []
         for sign in (1.0, -1.0):  # sign and delay that together leave the smallest phases
-            phase = np.unwrap(np.angle(sign * self.value))
+            phase = np.unwrap(np.angle(sign * value))
             for delay in (0.0, -float(angular @ phase / (angular @ angular))):
-                turned = np.angle(sign * self.value * np.exp(1j * angular * delay))
+                turned = np.angle(sign * value * np.exp(1j * angular * delay))
                 left.append((float(np.sum(np.abs(turned))), sign, delay))
         _, sign, delay = min(left, key=lambda one: one[0])
-        smallest = _SMALLEST_TURN / float(np.abs(self._s).max())
-        slope, static = np.polyfit(np.abs(self._s) ** 2, np.abs(self.value) ** -2.0, 1)
-        static = static if static > 0.0 else float(np.median(np.abs(self.value) ** -2.0))
+        smallest = _SMALLEST_TURN / float(angular.max())
+        slope, static = np.polyfit(angular**2, np.abs(value) ** -2.0, 1)
+        static = static if static > 0.0 else float(np.median(np.abs(value) ** -2.0))
         bend = float(slope / static)
         lag = max(np.sqrt(max(bend, 0.0)), smallest)
         one = np.copysign(max(abs(delay), smallest), delay)
         shapes = {"none": (), "delay_lag": (delay - lag, lag), "second_order": (one, 0.5 * (one * one - bend))}
         time = () if "spring_time_s" not in self.names else (self.time_s or lag,)
         return np.array([sign * static**-0.5, *time, *shapes.get(self.kind, (one,)), *np.zeros(self.relative.shape[1])])
-
-    @property
-    def _s(self) -> ComplexArray:
-        """Laplace variable jω (K,)."""
-        return laplace(self.frequency_hz)
-
-    def _whitened(self, columns: ComplexArray) -> FloatArray:
-        """Return complex columns (K, P) as real ones (2K, P) in units of the noise."""
-        both = np.stack([columns.real, columns.imag], axis=1)
-        return np.asarray((self.whitening @ both).reshape(-1, columns.shape[1]))
-
-
-def _problem(measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior | None, spring_free: bool) -> _Problem:
-    """Return the least-squares problem of a measured sensitivity."""
-    known: list[tuple[int, float, float]] = []
-    if measured.static is not None:
-        if not measured.u_static > 0.0:
-            raise ValueError(f"u_static: expected a value above 0, found {measured.u_static:g}")
-        known.append((0, measured.static, measured.u_static))
-    held = spring is not None and not spring_free and spring.u_time_s > 0.0
-    if held and spring is not None:
-        known.append((1, spring.time_s, spring.u_time_s))
-    lines = len(measured.frequency_hz)
-    return _Problem(
-        frequency_hz=np.asarray(measured.frequency_hz, dtype=np.float64),
-        value=measured.value,
-        whitening=whitening_of(measured.covariance),
-        relative=np.concatenate([np.empty((lines, 0)), *(error.relative for error in measured.errors)], axis=1),
-        kind=kind,
-        names=("sensitivity", *(("spring_time_s",) if held or spring_free else ()), *CHAIN_PARAMETERS[kind]),
-        time_s=spring.time_s if spring is not None else 0.0,
-        known=tuple(known),
-    )
 
 
 def sensor_model(fit: SensitivityFit, mechanics: FloatArray, covariance: FloatArray) -> SensorModel:
@@ -305,15 +273,7 @@ def sensor_model(fit: SensitivityFit, mechanics: FloatArray, covariance: FloatAr
         joined[:3, 3:] = np.multiply.outer(gain, fit.covariance[1, others])
         joined[3:, :3] = joined[:3, 3:].T
     order = [3, 0, 1, 2, *range(4, len(joined))]
-    return SensorModel(
-        fit.sensitivity,
-        float(moved[0]),
-        float(moved[1]),
-        float(moved[2]),
-        fit.chain,
-        joined[np.ix_(order, order)],
-        fit.unit,
-    )
+    return SensorModel(fit.sensitivity, *moved.tolist(), fit.chain, joined[np.ix_(order, order)], fit.unit)
 
 
 # What makes the sensitivity change with frequency: the sensor's damper, or the measuring chain behind it.
@@ -399,12 +359,6 @@ class SensitivityComparison(Brief):
         """Return the fit of one kind of chain."""
         return next(fit for fit in self.fits if fit.chain.kind == kind)
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """What each explanation says, in words."""
-        words = WORDS_WITHOUT_RESONANCE if self.spring is None else CHAIN_WORDS
-        return tuple(words[fit.chain.kind] for fit in self.fits)
-
 
 def fit_sensitivity(measured: MeasuredSensitivity, spring: SpringPrior | None = None) -> SensitivityComparison:
     """Fit every explanation of a sensitivity over frequency, compare them, and test the damping against the resonance.
@@ -417,44 +371,37 @@ def fit_sensitivity(measured: MeasuredSensitivity, spring: SpringPrior | None = 
     part that is supported; more than needed is an explanation of which a part is supported as well.
     """
     fits = tuple(fit_chain(measured, kind, spring) for kind in CHAIN_PARAMETERS)
-    weight = _weights(fits, 2 * len(measured.value) + (measured.static is not None))
-    verdict = _verdicts(fits, weight)
-    damping = None if spring is None else _damping_test(measured, fits[0], spring)
-    text = _sentence(fits, verdict, spring is None)
-    compared = SensitivityComparison(fits, weight, verdict, spring, damping, text, ())
-    return replace(compared, notices=_notices(compared.best, measured.channel))
-
-
-def _weights(fits: tuple[SensitivityFit, ...], readings: int) -> FloatArray:
-    """Return the Akaike weights of the fits."""
+    readings = 2 * len(measured.value) + (measured.static is not None)
     enlarged = max(1.0, min(fit.chi_squared / fit.dof for fit in fits))
     free = np.array([1.0 + len(fit.chain.names) for fit in fits])
-    chi_squared = np.array([fit.chi_squared for fit in fits])
-    criterion = chi_squared / enlarged + 2.0 * free + 2.0 * free * (free + 1.0) / (readings - free - 1.0)
+    criterion = np.array([fit.chi_squared for fit in fits]) / enlarged
+    criterion += 2.0 * free + 2.0 * free * (free + 1.0) / (readings - free - 1.0)
     weight = np.exp(-0.5 * (criterion - criterion.min()))
-    return np.asarray(weight / weight.sum())
+    weight /= weight.sum()
+    verdict = _verdicts(fits, weight)
+    damping = None if spring is None else _damping_test(measured, fits[0], spring)
+    compared = SensitivityComparison(
+        fits, weight, verdict, spring, damping, _sentence(fits, verdict, spring is None), ()
+    )
+    return replace(compared, notices=_notices(compared.best, measured.channel))
 
 
 def _verdicts(fits: tuple[SensitivityFit, ...], weight: FloatArray) -> tuple[Verdict, ...]:
     """Return what the data say of each explanation."""
-    acceptable, supported = set(), set()
+    acceptable = {fit.chain.kind for fit in fits if fit.probability >= SIGNIFICANCE}
+    supported = set()
     for fit, share in zip(fits, weight / weight.max(), strict=True):
-        kind, chain = fit.chain.kind, fit.chain
-        if fit.probability < SIGNIFICANCE:
-            continue
-        acceptable.add(kind)
-        terms = {"lag_s": chain.lag_s, "square_s2": chain.square_s2}
-        # A filter's poles may lie on the left: a₁ and a₂ are not below 0 beyond twice their uncertainty.
-        stable = all(terms[name] >= -2.0 * fit.u(name) for name in chain.names if name in terms)
-        if share >= SMALLEST_WEIGHT and stable:
-            supported.add(kind)
-    verdicts: list[Verdict] = []
-    for kind in (fit.chain.kind for fit in fits):
+        # A filter's poles lie on the left: a₁ and a₂ are not below 0 beyond twice their uncertainty.
+        stable = all(getattr(fit.chain, name) >= -2.0 * fit.u(name) for name in fit.chain.names if name != "delay_s")
+        if fit.chain.kind in acceptable and share >= SMALLEST_WEIGHT and stable:
+            supported.add(fit.chain.kind)
+
+    def verdict(kind: ChainKind) -> Verdict:
         if kind in acceptable and supported.intersection(_PART_OF[kind]):
-            verdicts.append("more than needed")
-        else:
-            verdicts.append("supported" if kind in supported else "refuted")
-    return tuple(verdicts)
+            return "more than needed"
+        return "supported" if kind in supported else "refuted"
+
+    return tuple(verdict(fit.chain.kind) for fit in fits)
 
 
 def _damping_test(measured: MeasuredSensitivity, held: SensitivityFit, spring: SpringPrior) -> DampingTest:
@@ -465,24 +412,18 @@ def _damping_test(measured: MeasuredSensitivity, held: SensitivityFit, spring: S
     growth = max(0.0, held.chi_squared - needed.chi_squared) / max(1.0, needed.chi_squared / needed.dof)
     deviation = float(np.copysign(np.sqrt(growth), needed.spring_time_s - spring.time_s))
     probability = float(special.erfc(abs(deviation) / np.sqrt(2.0)))
-    from_curve = _microseconds(needed.spring_time_s, needed.u("spring_time_s"))
+    u_needed = needed.u("spring_time_s")
+    from_curve = _microseconds(needed.spring_time_s, u_needed)
     from_width = _microseconds(spring.time_s, spring.u_time_s)
     says = "they contradict each other" if probability < SIGNIFICANCE else "they agree"
     text = (
         f"With no chain the sensitivity needs b/k = {from_curve}, the width of the resonance gives {from_width}: {says}"
+        f" (normalised deviation {deviation:.1f})"
     )
-    text += f" (normalised deviation {deviation:.1f})"
     if needed.probability < SIGNIFICANCE:
         text += f", and even so the curve does not fit (χ²/dof = {needed.chi_squared / needed.dof:.1f})"
-    return DampingTest(
-        needed_s=needed.spring_time_s,
-        u_needed_s=needed.u("spring_time_s"),
-        resonance_s=spring.time_s,
-        u_resonance_s=spring.u_time_s,
-        deviation=deviation,
-        probability=probability,
-        text=f"{text}.",
-    )
+    seen = needed.spring_time_s, u_needed, spring.time_s, spring.u_time_s
+    return DampingTest(*seen, deviation, probability, f"{text}.")
 
 
 def _sentence(fits: tuple[SensitivityFit, ...], verdict: tuple[Verdict, ...], alone: bool) -> str:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, Notice, check_shape
+from shaker.fitting import covariance_root
 from shaker.frf.chain import ChainResponse, common_covariance, split_ratio
 from shaker.mechanics import laplace
 from shaker.sine.phasor import Phasors
@@ -210,11 +211,7 @@ class SensorModel(Brief):
         count = len(self.covariance)
         whole = np.zeros((count + 1, count + 1))
         whole[:count, :count], whole[count, count] = self.covariance, load.u_mass**2
-        size = np.sqrt(whole.diagonal())
-        scale = np.where(size > 0.0, size, 1.0)
-        value, vector = np.linalg.eigh(whole / np.multiply.outer(scale, scale))
-        kept = value > 1e-12
-        return np.asarray(scale[:, None] * vector[:, kept] * np.sqrt(value[kept]))
+        return covariance_root(whole)
 
     def response(self, frequency_hz: FloatArray, load: Load) -> ChainResponse:
         """Return `output_factor` with the relative deviations that the parameters' covariance makes at all lines."""

@@ -1,4 +1,4 @@
-"""Structures that `identify` fits: a load on the sensor's springs, a chain of stages; their measured poles."""
+"""Structures that `identify` fits: a load on the sensor's springs, a chain of stages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray
+from shaker.arrays import FloatArray
 from shaker.identification.measured import MeasuredTransfer
 from shaker.labels import MOTION_COMPONENTS
 from shaker.mechanics import Mechanics, chain_terms, check_stages
@@ -42,6 +42,29 @@ class Structure(Protocol):
         """Return starting values (S, P), the right order of magnitude; the best of what they lead to is taken."""
 
 
+def _spring_and_damper(component: int, ending: str, words: str) -> tuple[Parameter, Parameter]:
+    """Return stiffness and damping along or about a component."""
+    force, per = ("N", "m") if component < 3 else ("N·m", "rad")
+    stiffness = Parameter(f"stiffness_{ending}", f"stiffness k, {words}", f"{force}/{per}")
+    return stiffness, Parameter(f"damping_{ending}", f"damping b, {words}", f"{force}·s/{per}")
+
+
+def _internal(component: int) -> Parameter:
+    """Return what moves with the load inside the sensor: a mass, or a moment of inertia about an axis."""
+    if component < 3:
+        return Parameter("internal_mass", "internal mass m_i", "kg")
+    axis = MOTION_COMPONENTS[component]
+    return Parameter(f"internal_inertia_{axis}", f"internal moment of inertia, {axis}", "kg·m²")
+
+
+def _seen(record: MeasuredTransfer, body: FloatArray, matrices: FloatArray, forcing: FloatArray) -> Mechanics:
+    """Return mechanics of p as a recording sees them: responses on the load, which moves by `body` · p beside the base,
+    the reference on the base."""
+    rows = np.stack([sight.row for sight in record.tops])
+    base = float(record.base.row @ record.drive)
+    return Mechanics(matrices, forcing, rows @ body, rows @ record.drive, np.zeros(body.shape[1]), base)
+
+
 SENSOR = "sensor"
 """Name of the stage that is the sensor itself."""
 _APART = 1.5  # factor between the resonances of the components where a fit starts
@@ -72,26 +95,15 @@ class Suspension:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness and damping of each free component, then internal mass and moments of inertia."""
-        springs, dampers = [], []
-        for c in self.components:
-            axis, force = MOTION_COMPONENTS[c], "N" if c < 3 else "N·m"
-            per = "m" if c < 3 else "rad"
-            springs.append(Parameter(f"stiffness_{axis}", f"stiffness k, {axis}", f"{force}/{per}"))
-            dampers.append(Parameter(f"damping_{axis}", f"damping b, {axis}", f"{force}·s/{per}"))
+        axes = [(c, MOTION_COMPONENTS[c]) for c in self.components]
+        springs, dampers = zip(*(_spring_and_damper(c, axis, axis) for c, axis in axes), strict=True)
         return (*springs, *dampers, *(parameter for parameter, _ in self._internal))
 
     @property
     def _internal(self) -> list[tuple[Parameter, FloatArray]]:
         """What moves with the load inside the sensor, and its mass matrix (6, 6) per unit."""
-        internal = []
-        if any(c < 3 for c in self.components):
-            mass = Parameter("internal_mass", "internal mass m_i", "kg")
-            internal.append((mass, np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])))
-        for c in (c for c in self.components if c >= 3):
-            axis = MOTION_COMPONENTS[c]
-            inertia = Parameter(f"internal_inertia_{axis}", f"internal moment of inertia, {axis}", "kg·m²")
-            internal.append((inertia, np.diag(np.eye(6)[c])))
-        return internal
+        masses = [(_internal(0), np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))] if min(self.components) < 3 else []
+        return masses + [(_internal(c), np.diag(np.eye(6)[c])) for c in self.components if c >= 3]
 
     @property
     def body(self) -> FloatArray:
@@ -110,15 +122,7 @@ class Suspension:
         place = np.arange(size)
         matrices[1 + place, 2, place, place] = 1.0
         matrices[1 + size + place, 1, place, place] = 1.0
-        rows = np.stack([sight.row for sight in record.tops])
-        return Mechanics(
-            matrices=matrices,
-            forcing=(full @ record.drive)[:, free],
-            rows=rows @ self.body,
-            offset=rows @ record.drive,
-            reference=np.zeros(size),
-            reference_offset=float(record.base.row @ record.drive),
-        )
+        return _seen(record, self.body, matrices, (full @ record.drive)[:, free])
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
         """Return starts (S, P): resonances of the components around the largest ratio and above it, in every order."""
@@ -164,22 +168,18 @@ class ChainStructure:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness of every stage, damping of every stage, masses of their own."""
-        axis, turning = MOTION_COMPONENTS[self.component], self.component >= 3
-        springs, dampers, masses = [], [], []
+        axis, pairs, masses = MOTION_COMPONENTS[self.component], [], []
         for stage in self.stages:
-            sensor = stage.name == SENSOR
-            ending, words = (axis, axis) if sensor else (f"{axis}_{stage.name}", f"{axis}, {stage.name}")
-            springs.append(Parameter(f"stiffness_{ending}", f"stiffness k, {words}", "N·m/rad" if turning else "N/m"))
-            dampers.append(Parameter(f"damping_{ending}", f"damping b, {words}", "N·m·s/rad" if turning else "N·s/m"))
-            if stage.own_mass and turning:
-                inside = "internal_" if sensor else ""
-                label = f"{'internal ' if sensor else ''}moment of inertia, {words}"
-                masses.append(Parameter(f"{inside}inertia_{ending}", label, "kg·m²"))
-            elif stage.own_mass:
-                own = (
-                    ("internal_mass", "internal mass m_i") if sensor else (f"mass_{stage.name}", f"mass, {stage.name}")
-                )
-                masses.append(Parameter(*own, "kg"))
+            name = stage.name
+            ending, words = (axis, axis) if name == SENSOR else (f"{axis}_{name}", f"{axis}, {name}")
+            pairs.append(_spring_and_damper(self.component, ending, words))
+            own = _internal(self.component)
+            if name != SENSOR and self.component < 3:
+                own = Parameter(f"mass_{name}", f"mass, {name}", "kg")
+            elif name != SENSOR:
+                own = Parameter(f"inertia_{ending}", f"moment of inertia, {words}", "kg·m²")
+            masses += [own] if stage.own_mass else []
+        springs, dampers = zip(*pairs, strict=True)
         return (*springs, *dampers, *masses)
 
     @property
@@ -198,103 +198,19 @@ class ChainStructure:
         load = np.array([matrix[self.component, self.component] for matrix in loads])[:, None, None, None]
         push = np.array([matrix[self.component] @ record.drive for matrix in loads])[:, None]
         last, ahead = matrices[count], forcing[count]
-        rows = np.stack([sight.row for sight in record.tops])
-        drive = record.drive[self.component]
-        return Mechanics(
-            matrices=np.concatenate([load[:1] * last, spring, damper, matrices[mass][own], load[1:] * last]),
-            forcing=np.concatenate(
-                [push[:1] * ahead, 0.0 * forcing[: 2 * count], forcing[mass][own] * drive, push[1:] * ahead]
-            ),
-            rows=rows @ self.body,
-            offset=rows @ record.drive,
-            reference=np.zeros(count),
-            reference_offset=float(record.base.row @ record.drive),
-        )
+        own_push = forcing[mass][own] * record.drive[self.component]
+        moved = np.concatenate([load[:1] * last, spring, damper, matrices[mass][own], load[1:] * last])
+        pushed = np.concatenate([push[:1] * ahead, 0.0 * forcing[: 2 * count], own_push, push[1:] * ahead])
+        return _seen(record, self.body, moved, pushed)
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
         """Return starting values (S, P): the measured poles in every order to the springs, as if each bore the load."""
         load = records[0].mass_matrix[self.component, self.component]
         masses = [0.1 * load for stage in self.stages if stage.own_mass]
         starts = []
-        for order in permutations(measured_poles(records[0], len(self.stages))):
+        for order in permutations(records[0].poles(len(self.stages))):
             pole = np.array(order)
             size = np.abs(pole)
             damping = np.maximum(-2.0 * pole.real, 1e-3 * size) * load
             starts.append(np.concatenate([size**2 * load, damping, masses]))
         return np.array(starts)
-
-
-# Poles of measured curves from a linear rational fit: where an identification starts.
-
-_ROUNDS = 8
-_SIGNIFICANT = 30.0  # decrease of χ² per real number by which a pole is more than a feature of the noise
-_SETTLED = 1e-4  # change of the denominator's coefficients that no longer moves a start
-
-
-def measured_poles(record: MeasuredTransfer, count: int) -> ComplexArray:
-    """Return `count` poles (Im λ > 0, ascending |λ|) of the common denominator of all responses of a recording.
-
-    Ratios are fitted by polynomials Nᶜ(s)/D(s) of degree 2·count, linearised (Levy, IRE Trans. Autom. Control 4, 1959)
-    and weighted anew in rounds (Sanathanan and Koerner, IEEE Trans. Autom. Control 8, 1963). Unstable poles are
-    mirrored; in place of real ones stand poles above the band.
-    """
-    value, s = record.ratio.value, record.s
-    middle = float(np.sqrt(np.abs(s).min() * np.abs(s).max()))
-    q = s / middle
-    noise = np.sqrt(record.ratio.u_re**2 + record.ratio.u_im**2)
-    highest = q ** (2 * count)
-    power = q[:, None] ** np.arange(2 * count)
-    numerator = np.concatenate([power, highest[:, None]], axis=1)
-
-    def denominator_of(weight: FloatArray) -> FloatArray:
-        """Coefficients of one weighted linear fit, the numerator projected out of each response."""
-        left, right = [], []
-        for c in range(value.shape[1]):
-            wanted = np.column_stack([-value[:, c, None] * power, value[:, c] * highest]) * weight[:, c, None]
-            own = numerator * weight[:, c, None]
-            rest = np.concatenate([wanted.real, wanted.imag])
-            basis = np.linalg.qr(np.concatenate([own.real, own.imag]))[0]
-            rest = rest - basis @ (basis.T @ rest)
-            left.append(rest[:, :-1])
-            right.append(rest[:, -1])
-        return np.asarray(np.linalg.lstsq(np.concatenate(left), np.concatenate(right), rcond=None)[0])
-
-    weight, denominator = 1.0 / noise, np.zeros(2 * count)
-    for _ in range(_ROUNDS):
-        before, denominator = denominator, denominator_of(weight)
-        if np.abs(denominator - before).max() < _SETTLED:
-            break
-        at = np.abs(highest + power @ denominator)
-        weight = 1.0 / (noise * np.maximum(at, 1e-9 * at.max())[:, None])
-    roots = np.roots([1.0, *denominator[::-1]])
-    roots = -np.abs(roots.real) + 1j * roots.imag
-    oscillating = roots[roots.imag > 1e-9 * np.abs(roots)] * middle
-    above = float(np.abs(s).max()) * 2.0 ** np.arange(1, count - len(oscillating) + 1) * (-0.02 + 1j)
-    return np.concatenate([oscillating[np.argsort(np.abs(oscillating))], above])
-
-
-def significant_poles(record: MeasuredTransfer, poles: ComplexArray) -> ComplexArray:
-    """Return those of some poles without which a sum of partial fractions explains the ratios clearly worse.
-
-    Basis: 1/(s - λ) and 1/(s - λ*) of each pole, 1, s and s², for each response by itself.
-    """
-    if len(poles) < 2:
-        return poles
-    value, s = record.ratio.value, record.s
-    noise = np.sqrt(0.5 * (record.ratio.u_re**2 + record.ratio.u_im**2))
-    unit = float(np.abs(s).max())
-    smooth = (s[:, None] / unit) ** np.arange(3)
-    fractions = [np.stack([unit / (s - pole), unit / (s - pole.conjugate())], axis=1) for pole in poles]
-
-    def misfit(columns: Sequence[ComplexArray]) -> float:
-        """χ² of the best sums of columns for the ratios, each with its own coefficients."""
-        total = 0.0
-        for c in range(value.shape[1]):
-            right = value[:, c] / noise[:, c]
-            basis = np.linalg.qr(np.concatenate(columns, axis=1) / noise[:, c, None])[0]
-            total += float(np.sum(np.abs(right - basis @ (basis.conj().T @ right)) ** 2))
-        return total
-
-    every = misfit([*fractions, smooth])
-    lost = [misfit([*fractions[:i], *fractions[i + 1 :], smooth]) - every for i in range(len(poles))]
-    return np.asarray(poles[np.array(lost) > _SIGNIFICANT * 4.0 * value.shape[1]])

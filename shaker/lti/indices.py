@@ -14,7 +14,6 @@ import numpy as np
 
 from shaker.arrays import FloatArray, Notice
 from shaker.lti.responses import (
-    Transient,
     band_end,
     gain_curve,
     half_power,
@@ -138,8 +137,8 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
     static, oscillating = system.static_gain, modes(system)
     top, passing = peak(curve), transient(system)
     usable = bool(np.isfinite(static)) and static != 0
-    bands = [band_end(curve, static, part) if usable else None for part in (0.05, 0.10)]
-    bands += [band_end(curve, nominal_gain, part) if usable else None for part in (0.05, 0.10)]
+    levels = [(gain, part) for gain in (static, nominal_gain) for part in (0.05, 0.10)]
+    bands = [band_end(curve, *level) if usable else None for level in levels]
     _, poles = places_rad(system)
     return Indices(
         static,
@@ -151,14 +150,8 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
         None if top is None or not usable or not np.isfinite(top[1]) else top[1] / abs(static),
         quadrature(system) if usable else None,
         half_power(curve) if usable else None,
-        bands[0],
-        bands[1],
-        bands[2],
-        bands[3],
-        passing.overshoot,
-        passing.rise_s,
-        passing.settling_2_s,
-        passing.settling_5_s,
+        *bands,
+        *(passing.overshoot, passing.rise_s, passing.settling_2_s, passing.settling_5_s),
         pole_notices(system, sample_rate_hz),
     )
 
@@ -166,16 +159,12 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
 def modes(system: LinearSystem) -> tuple[Mode, ...]:
     """Return the oscillating modes by natural frequency."""
     shares = step_shares(system)
-    rate, oscillating = system.sample_rate_hz, []
-    for pole, share in zip(system.poles, shares, strict=True):
-        if pole.imag <= 0:
-            continue
-        s = pole if rate is None else np.log(pole) * rate
-        size = float(abs(s))
-        known = float(share) if np.isfinite(share) else None
-        oscillating.append(
-            Mode(complex(s), size / (2 * np.pi), float(s.imag) / (2 * np.pi), float(-s.real / size), known)
-        )
+    rate, upper = system.sample_rate_hz, system.poles.imag > 0
+    poles = system.poles[upper] if rate is None else np.log(system.poles[upper]) * rate
+    oscillating = [
+        Mode(s, abs(s) / (2 * np.pi), s.imag / (2 * np.pi), -s.real / abs(s), share if np.isfinite(share) else None)
+        for s, share in zip(poles.tolist(), shares[upper].tolist(), strict=True)
+    ]
     return tuple(sorted(oscillating, key=lambda mode: mode.natural_hz))
 
 
@@ -245,7 +234,16 @@ def moving_figures(model: ModalModel, found: Indices) -> tuple[tuple[str, ...], 
         parts["natural_hz"] = lambda at: float(at.frequency_hz[mode]), 1.0
         parts["damped_hz"] = lambda at: float(at.poles[mode].imag / (2 * np.pi)), 1.0
         parts["damping_ratio"] = lambda at: float(at.damping_ratio[mode]), 1.0
-    parts |= _over_frequency(model.system, found) | _over_time(model, transient(model.system))
+    parts |= _over_frequency(model.system, found)
+    seen = transient(model.system)
+    if seen.highest_s is not None:
+        highest = np.array([seen.highest_s])
+        parts["overshoot"] = lambda at: float(at.step(highest)[0] / at.static_gain), 1.0
+    if seen.passing_s is not None:
+        passing = np.array(seen.passing_s)
+        slope = model.impulse(passing) / model.static_gain
+        if np.all(slope > 0):
+            parts["rise_s"] = lambda at: float(-np.diff(at.step(passing) / at.static_gain / slope)[0]), 1.0
     return tuple(parts), lambda at: np.array([factor * figure(at) for figure, factor in parts.values()])
 
 
@@ -272,20 +270,6 @@ def _over_frequency(system: LinearSystem, found: Indices) -> dict[str, tuple[Fig
         near, quarter = found.quadrature_hz * (1 + np.array([-1e-6, 1e-6])), np.array([found.quadrature_hz])
         slope = np.diff((system.response(near) / system.static_gain).real)[0] / np.diff(near)[0]
         parts["quadrature_hz"] = lambda at: float(at.response(quarter)[0].real / at.static_gain), -1.0 / float(slope)
-    return parts
-
-
-def _over_time(model: ModalModel, found: Transient) -> dict[str, tuple[Figure, float]]:
-    """Return what stands for overshoot and rise time, and what these change by with it."""
-    parts: dict[str, tuple[Figure, float]] = {}
-    if found.highest_s is not None:
-        highest = np.array([found.highest_s])
-        parts["overshoot"] = lambda at: float(at.step(highest)[0] / at.static_gain), 1.0
-    if found.passing_s is not None:
-        passing = np.array(found.passing_s)
-        slope = model.impulse(passing) / model.static_gain
-        if np.all(slope > 0):
-            parts["rise_s"] = lambda at: float(-np.diff(at.step(passing) / at.static_gain / slope)[0]), 1.0
     return parts
 
 

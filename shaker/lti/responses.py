@@ -281,13 +281,13 @@ class _Response:
     def ratio(self, time_s: FloatArray) -> FloatArray:
         """Return the response over its final value (N,)."""
         if not self.apart:
-            return np.asarray(self.system.step(time_s) / self.gain)
+            return self.system.step(time_s) / self.gain
         return np.asarray(1.0 + np.real(np.exp(time_s[:, None] * self.poles) @ self.terms))
 
     def slope(self, time_s: FloatArray) -> FloatArray:
         """Return its derivative (N,) in 1/s."""
         if not self.apart:
-            return np.asarray(self.system.impulse(time_s) / self.gain)
+            return self.system.impulse(time_s) / self.gain
         return np.asarray(np.real(np.exp(time_s[:, None] * self.poles) @ (self.terms * self.poles)))
 
     def envelope(self, time_s: float) -> float:

@@ -10,43 +10,6 @@ import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 
-
-def residues(zeros: ComplexArray, poles: ComplexArray, gain: float) -> ComplexArray:
-    """Return r (P,) of gain·Π(x - zeros)/Π(x - poles) = direct + Σ r/(x - pole), infinite where poles coincide."""
-    parts = np.full(len(poles), gain, dtype=np.complex128)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for i, pole in enumerate(poles):
-            above = np.ones(len(poles), dtype=np.complex128)
-            above[: len(zeros)] = pole - zeros
-            below = pole - poles
-            below[i] = 1.0
-            parts[i] *= np.prod(above / below)
-    return np.asarray(np.where(np.isfinite(parts), parts, np.inf))
-
-
-def zeros_and_gain(
-    poles: ComplexArray, residues: ComplexArray, direct: float = 0.0, rest: float = 0.0
-) -> tuple[ComplexArray, float]:
-    """Return zeros (Z,) and gain of direct + Σ residue/(x - pole), poles (P,) different, in conjugate pairs.
-
-    The numerator is made in powers of x - `rest`, the x of frequency zero, in units of the poles' typical distance from
-    it, so that the poles of oversampled signals, all near z = 1, keep their digits. Leading coefficients that are zero
-    but for rounding are left out.
-    """
-    distance = np.abs(poles - rest)
-    scale = float(np.exp(np.mean(np.log(distance[distance > 0])))) if np.any(distance > 0) else 1.0
-    near = (poles - rest) / scale
-    terms = [direct * np.atleast_1d(np.poly(near))]
-    for i, residue in enumerate(residues):
-        terms.append(np.concatenate([[0.0], residue / scale * np.atleast_1d(np.poly(np.delete(near, i)))]))
-    total, size = np.sum(terms, axis=0).real, np.sum(np.abs(terms), axis=0)
-    kept = np.flatnonzero(np.abs(total) > 1e-13 * size)
-    if not len(kept):
-        raise ValueError("residues: expected one other than 0, found none")
-    first = int(kept[0])
-    return np.asarray(np.roots(total[first:]) * scale + rest + 0j), float(total[first]) * scale**first
-
-
 Method = Literal["tustin", "zoh", "matched"]
 SOUND = 1e5
 """How much larger than their sum the parts of a response may be; beyond, poles count as coinciding."""
@@ -95,10 +58,27 @@ class LinearSystem(Brief):
     def from_residues(
         poles: ComplexArray, residues: ComplexArray, direct: float = 0.0, sample_rate_hz: float | None = None
     ) -> LinearSystem:
-        """Return the system direct + Σ residue/(x - pole) of different poles (P,), in conjugate pairs."""
+        """Return the system direct + Σ residue/(x - pole) of different poles (P,), in conjugate pairs.
+
+        The numerator is made in powers of x less the x of frequency zero, in units of the poles' typical distance from
+        it, so that the poles of oversampled signals, all near z = 1, keep their digits. Leading coefficients that are
+        zero but for rounding are left out.
+        """
         p, r = np.asarray(poles, dtype=np.complex128), np.asarray(residues, dtype=np.complex128)
-        zeros, gain = zeros_and_gain(p, r, direct, rest=0.0 if sample_rate_hz is None else 1.0)
-        return LinearSystem(zeros, p, gain, sample_rate_hz)
+        rest = 0.0 if sample_rate_hz is None else 1.0
+        away = np.abs(p - rest)
+        scale = float(np.exp(np.mean(np.log(away[away > 0])))) if np.any(away > 0) else 1.0
+        near = (p - rest) / scale
+        terms = [direct * np.atleast_1d(np.poly(near))]
+        for i, residue in enumerate(r):
+            terms.append(np.concatenate([[0.0], residue / scale * np.atleast_1d(np.poly(np.delete(near, i)))]))
+        total, size = np.sum(terms, axis=0).real, np.sum(np.abs(terms), axis=0)
+        kept = np.flatnonzero(np.abs(total) > 1e-13 * size)
+        if not len(kept):
+            raise ValueError("residues: expected one other than 0, found none")
+        first = int(kept[0])
+        zeros = np.asarray(np.roots(total[first:]) * scale + rest + 0j)
+        return LinearSystem(zeros, p, float(total[first]) * scale**first, sample_rate_hz)
 
     def coefficients(self) -> tuple[FloatArray, FloatArray]:
         """Return numerator and monic denominator in falling powers, the numerator padded with zeros in front."""
@@ -157,7 +137,15 @@ class LinearSystem(Brief):
 
     def residues(self) -> ComplexArray:
         """Return r (P,) of H = direct + Σ r/(x - pole), infinite where poles coincide."""
-        return residues(self.zeros, self.poles, self.gain)
+        parts = np.full(len(self.poles), self.gain, dtype=np.complex128)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for i, pole in enumerate(self.poles):
+                above, below = np.ones((2, len(self.poles)), dtype=np.complex128)
+                above[: len(self.zeros)] = pole - self.zeros
+                below[:] = pole - self.poles
+                below[i] = 1.0
+                parts[i] *= np.prod(above / below)
+        return np.asarray(np.where(np.isfinite(parts), parts, np.inf))
 
     def step_terms(self) -> tuple[ComplexArray, bool]:
         """Return a (P,) of the response direct + Σ a·(exp(pole·t) - 1) to a step, and whether poles are far apart."""
@@ -376,10 +364,8 @@ class ModalModel(Brief):
 
     def __post_init__(self) -> None:
         modes, reals = len(self.frequency_hz), len(self.real_hz)
-        for name, count in (("frequency_hz", modes), ("damping_ratio", modes), ("residue", modes)):
-            check_shape(name, getattr(self, name), (count,))
-        check_shape("real_hz", self.real_hz, (reals,))
-        check_shape("real_residue", self.real_residue, (reals,))
+        for name in ("frequency_hz", "damping_ratio", "residue", "real_hz", "real_residue"):
+            check_shape(name, getattr(self, name), (reals if name.startswith("real") else modes,))
         if self.covariance is not None:
             check_shape("covariance", self.covariance, (4 * modes + 2 * reals,) * 2)
         if np.any(np.abs(self.damping_ratio) >= 1.0):
@@ -414,12 +400,17 @@ class ModalModel(Brief):
         upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
         return np.concatenate([upper, -2 * np.pi * self.real_hz + 0j])
 
+    @property
+    def terms(self) -> tuple[ComplexArray, ComplexArray]:
+        """Poles and residues (2M + Q,) of all partial fractions, conjugates too."""
+        upper, real = np.split(self.poles, [len(self.frequency_hz)])
+        residues = np.concatenate([self.residue, self.residue.conj(), self.real_residue + 0j])
+        return np.concatenate([upper, upper.conj(), real]), residues
+
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return H (K,) at frequencies (K,) in Hz."""
-        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
-        upper, real = np.split(self.poles, [len(self.frequency_hz)])
-        both = self.residue / (s - upper) + self.residue.conj() / (s - upper.conj())
-        return np.asarray(both.sum(axis=1) + (self.real_residue / (s - real)).sum(axis=1))
+        poles, residues = self.terms
+        return np.asarray((residues / (2j * np.pi * np.asarray(frequency_hz)[:, None] - poles)).sum(axis=1))
 
     @property
     def static_gain(self) -> float:
@@ -429,25 +420,23 @@ class ModalModel(Brief):
     def step(self, time_s: FloatArray) -> FloatArray:
         """Return the response (N,) to a unit step at t = 0: Σ r/p·(exp(pt) - 1), zero before."""
         t = np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)[:, None]
-        upper, real = np.split(self.poles, [len(self.frequency_hz)])
-        swing = 2.0 * np.real(self.residue / upper * np.expm1(upper * t)).sum(axis=1)
-        return np.asarray(swing + (self.real_residue / real.real * np.expm1(real.real * t)).sum(axis=1))
+        return np.real(np.expm1(self.poles * t) @ (self._doubled / self.poles))
 
     def impulse(self, time_s: FloatArray) -> FloatArray:
         """Return the response (N,) to a unit impulse at t = 0: Σ r·exp(pt), zero before."""
         time = np.asarray(time_s, dtype=np.float64)
         t = np.maximum(time, 0.0)[:, None]
-        upper, real = np.split(self.poles, [len(self.frequency_hz)])
-        swing = 2.0 * np.real(self.residue * np.exp(upper * t)).sum(axis=1)
-        return np.asarray((swing + (self.real_residue * np.exp(real.real * t)).sum(axis=1)) * (time >= 0))
+        return np.asarray(np.real(np.exp(self.poles * t) @ self._doubled) * (time >= 0))
+
+    @property
+    def _doubled(self) -> ComplexArray:
+        """Residues of `poles`, those of modes doubled for their conjugates: real parts of sums are whole."""
+        return np.concatenate([2.0 * self.residue, self.real_residue + 0j])
 
     @property
     def system(self) -> LinearSystem:
         """The same as zeros, poles and gain."""
-        upper, real = np.split(self.poles, [len(self.frequency_hz)])
-        poles = np.concatenate([upper, upper.conj(), real])
-        residues = np.concatenate([self.residue, self.residue.conj(), self.real_residue + 0j])
-        return LinearSystem.from_residues(poles, residues)
+        return LinearSystem.from_residues(*self.terms)
 
     @staticmethod
     def from_system(system: LinearSystem) -> ModalModel:

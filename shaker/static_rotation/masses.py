@@ -10,8 +10,8 @@ from typing import Literal, NamedTuple, TypeVar
 import numpy as np
 
 from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.fitting import Residuals, Rules, covariance_root, levenberg_marquardt
 
-ArrayOf = TypeVar("ArrayOf", FloatArray, ComplexArray)
 FORCES = 3
 OWN = 7
 """Unknowns of a recording: weight N, first moment N·m (3), zero angle rad, tilt of the axis rad (2)."""
@@ -77,7 +77,7 @@ class Turned(Brief):
         """Return the share of gravity that turns, its direction at θ = 0, and that across it: axis × direction."""
         across = self.down - self.axis * float(self.axis @ self.down)
         share = float(np.linalg.norm(across))
-        return share, across / share, _skew(self.axis) @ across / share
+        return share, across / share, np.cross(self.axis, across) / share
 
 
 def weight_load(record: Turned, own: FloatArray, sense: int) -> tuple[ComplexArray, ComplexArray]:
@@ -88,11 +88,11 @@ def weight_load(record: Turned, own: FloatArray, sense: int) -> tuple[ComplexArr
     tilts = turn * share * np.outer(record.axis, [-1.0, -1j])
     columns = np.zeros((6, OWN), np.complex128)
     columns[:3, 0] = phasor
-    columns[3:, 1:4] = -_skew(phasor)
+    columns[3:, 1:4] = np.cross(np.eye(3), phasor).T
     load = columns[:, :4] @ own[:4]
     columns[:, 4] = 1j * load
     columns[:3, 5:] = own[0] * tilts
-    columns[3:, 5:] = _skew(own[1:4]) @ tilts
+    columns[3:, 5:] = np.cross(own[1:4], tilts, axisb=0).T
     return np.asarray(load), columns
 
 
@@ -115,23 +115,13 @@ def start_values(record: Turned, outputs: SensorOutputs) -> FloatArray:
     return np.array([abs(with_axis), 0.0, 0.0, 0.0, float(np.angle(with_axis)), 0.0, 0.0])
 
 
-def _skew(vector: ArrayOf) -> ArrayOf:
-    """Return the matrix (3, 3) whose product with w is vector × w."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=vector.dtype)
-
-
 def turning_phasor(record: Turned, tilt: FloatArray) -> ComplexArray:
     """Return U (3,), gravity's direction in sensor axes as a phasor, the axis tilted along and across it at zero."""
+    from scipy.spatial.transform import Rotation
+
     share, along, across = record.frame
-    turn = tilt[0] * across - tilt[1] * along
-    angle = float(np.linalg.norm(turn))
-    phasor = along + 1j * across
-    if angle > 0.0:
-        k = turn / angle
-        turned = np.cos(angle) * phasor + np.sin(angle) * (_skew(k) @ phasor)
-        phasor = turned + (1.0 - np.cos(angle)) * (k @ phasor) * k
-    return np.asarray(share * phasor)
+    turn = Rotation.from_rotvec(tilt[0] * across - tilt[1] * along).as_matrix()
+    return np.asarray(share * (turn @ (along + 1j * across)))
 
 
 # Weights, first moments and masses from the first harmonic of a sensor that is turned about a horizontal axis.
@@ -145,7 +135,8 @@ USUAL_LEVER_M = 0.1
 """Lever at which forces and moments count alike where outputs of either kind are told apart."""
 CHANCE, CHANCE_OF_FEW, FEW_DOF = 1e-3, 1e-2, 5.0
 """Probability with which channels that agree may be taken for ones that do not; with fewer degrees of freedom, more."""
-_STEPS, _CONVERGED = 20, 1e-6
+_RULES = Rules(foretold=1e-14, foretold_share=0.0, steps=20, tries=8, first=1e-9, least=1e-12)
+"""A fit has converged where a step would be 1e-7 of the standard uncertainties."""
 _SMALLEST_DEPARTURE, _DEPARTURE_STEP = 1e-9, 1.001
 
 
@@ -227,7 +218,7 @@ def fit_weights(records: Sequence[Turned], outputs: SensorOutputs, u_angle_rad: 
     if not records:
         raise ValueError("records: expected at least one, found none")
     problem = _Problem(tuple(records), outputs, u_angle_rad)
-    fit = _converged(problem)
+    fit = _Fit.of(problem)
     noise_dof = sum(record.dof for record in records)
     chance = CHANCE if noise_dof >= FEW_DOF else CHANCE_OF_FEW
     if all(test.dof < 0.5 or fdtrc(test.dof, noise_dof, test.excess) >= chance for test in fit.tests):
@@ -235,7 +226,7 @@ def fit_weights(records: Sequence[Turned], outputs: SensorOutputs, u_angle_rad: 
     low, high = _SMALLEST_DEPARTURE, 1.0
     while high > low * _DEPARTURE_STEP:
         middle = float(np.sqrt(low * high))
-        fit = _converged(replace(problem, departure=middle))
+        fit = _Fit.of(replace(problem, departure=middle))
         low, high = (middle, high) if max(test.excess for test in fit.tests) > 1.0 else (low, middle)
     return _result(fit)
 
@@ -297,16 +288,17 @@ class _Problem:
         variance = np.concatenate([np.diag(record.covariance) for record in self.records])
         return np.asarray(1.0 / (variance + self.departures**2))
 
-    def prior(self, vector: FloatArray) -> FloatArray:
+    @cached_property
+    def prior(self) -> FloatArray:
         """One over the prior variance of every unknown, zero where it is free."""
         weights = []
-        for r in range(len(self.records)):
-            lever = 1.0 / (LEVER_M * vector[OWN * r]) ** 2
+        for weight in self.start[: OWN * len(self.records) : OWN]:
+            lever = 1.0 / (LEVER_M * weight) ** 2
             weights += [0.0, lever, lever, lever, 0.0, TILT_RAD**-2, TILT_RAD**-2]
         return np.array([*weights, *([1.0] * self.shared)])
 
-    def linearised(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residuals (rows,) and derivatives (rows, unknowns) of the model at a vector."""
+    def point(self, vector: FloatArray) -> Residuals:
+        """Model less outputs at a vector over the noise, then the unknowns over their prior deviation."""
         residuals, blocks = [], []
         own = OWN * len(self.records)
         elements, matrix = self.elements, self.outputs.sensitivity.copy()
@@ -327,60 +319,45 @@ class _Problem:
             missing = record.amplitude - matrix @ load
             residuals += [missing.real, missing.imag]
             blocks += [jacobian.real, jacobian.imag]
-        return np.concatenate(residuals), np.concatenate(blocks)
-
-    def solved(
-        self, vector: FloatArray, residual: FloatArray, jacobian: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Scale of the unknowns, the step of the fit, and the inverse of the normal matrix."""
-        prior = self.prior(vector)
-        normal = jacobian.T @ (self.weight[:, None] * jacobian) + np.diag(prior)
-        scale = 1.0 / np.sqrt(np.diag(normal))
-        inverse = scale[:, None] * np.linalg.inv(normal * np.outer(scale, scale)) * scale
-        right = jacobian.T @ (self.weight * residual) - prior * vector
-        return np.sqrt(np.diag(inverse)), inverse @ right, np.asarray(inverse)
+        root, prior = np.sqrt(self.weight), np.sqrt(self.prior)
+        residual = np.concatenate([root * -np.concatenate(residuals), prior * vector])
+        return Residuals(vector, residual, np.vstack([root[:, None] * np.concatenate(blocks), np.diag(prior)]))
 
 
-class _Converged(NamedTuple):
-    """A problem at its solution."""
+@dataclass(frozen=True)
+class _Fit:
+    """A problem at its solution: the unknowns and their covariance, of variance one in all rows."""
 
     problem: _Problem
-    vector: FloatArray
-    residual: FloatArray
+    point: Residuals
     inverse: FloatArray
+
+    @staticmethod
+    def of(problem: _Problem) -> _Fit:
+        """Return the least squares of a problem."""
+        point = problem.point(problem.start)
+        for _ in range(2):  # what is little beside the loss of a far start may be much beside the noise
+            point = levenberg_marquardt(problem.point, point, _RULES).point
+        normal, _ = point.normal
+        scale = 1.0 / np.sqrt(np.diag(normal))
+        return _Fit(problem, point, scale[:, None] * np.linalg.inv(normal * np.outer(scale, scale)) * scale)
 
     @property
     def tests(self) -> tuple[_Test, _Test]:
         """χ² of all outputs and of those of forces."""
         problem, count = self.problem, len(self.problem.records)
-        prior = problem.prior(self.vector)
-        own = problem.weight * self.residual**2
-        shares = float(np.sum(prior * self.vector**2))
-        known = (prior * np.diag(self.inverse))[: OWN * count]
+        own, shares = np.split(self.point.residual**2, [len(problem.weight)])
+        known = (problem.prior * np.diag(self.inverse))[: OWN * count]
         rows = 2 * int(problem.forces.sum())
         freedom = count * max(0, rows - 2 - (2 if rows > 4 else 0))
         forces = float(own.reshape(count, 2, -1)[:, :, problem.forces].sum())
-        every = _Test(float(own.sum()) + shares, len(own) - float(np.sum(1.0 - known)))
-        return every, _Test(forces + shares, float(freedom))
+        every = _Test(self.point.loss, len(own) - float(np.sum(1.0 - known)))
+        return every, _Test(forces + float(shares.sum()), float(freedom))
 
 
-def _converged(problem: _Problem) -> _Converged:
-    """Gauss-Newton steps from the start to the solution."""
-    vector = problem.start
-    for _ in range(_STEPS):
-        residual, jacobian = problem.linearised(vector)
-        scale, step, inverse = problem.solved(vector, residual, jacobian)
-        vector = vector + step
-        if np.max(np.abs(step) / scale) < _CONVERGED:
-            break
-    residual, jacobian = problem.linearised(vector)
-    _, _, inverse = problem.solved(vector, residual, jacobian)
-    return _Converged(problem, vector, residual, inverse)
-
-
-def _result(fit: _Converged) -> WeightFit:
+def _result(fit: _Fit) -> WeightFit:
     """Values, sources and the test of a fit."""
-    problem, vector, names = fit.problem, fit.vector, tuple(record.name for record in fit.problem.records)
+    problem, vector, names = fit.problem, fit.point.parameters, tuple(record.name for record in fit.problem.records)
     loads, value = np.full((len(names), 6), np.nan, dtype=np.complex128), np.empty((len(names), ROWS))
     for r, record in enumerate(problem.records):
         loads[r] = np.where(problem.outputs.determined, problem.outputs.inverse @ record.amplitude, np.nan)
@@ -399,13 +376,11 @@ def _projection(problem: _Problem, r: int, vector: FloatArray) -> ComplexArray:
     return np.asarray(np.where(seen, np.conj(phasor) / np.where(seen, size, 1.0) ** 2, np.nan))
 
 
-def _sources(fit: _Converged) -> Iterator[Source]:
+def _sources(fit: _Fit) -> Iterator[Source]:
     """Every cause of error with its effect on all values; effects of deviates that are one in truth."""
-    problem, vector, inverse = fit.problem, fit.vector, fit.inverse
+    problem, vector, prior = fit.problem, fit.point.parameters, fit.problem.prior
     count, own, elements = len(problem.records), OWN * len(problem.records), problem.elements
-    _, jacobian = problem.linearised(vector)
-    gain = inverse @ (jacobian.T * problem.weight)
-    prior = problem.prior(vector)
+    gain = fit.inverse @ (fit.point.jacobian[: len(problem.weight)].T * np.sqrt(problem.weight))
     size = 2 * len(problem.outputs.sensitivity)
     departing = []
     for r, record in enumerate(problem.records):
@@ -413,12 +388,12 @@ def _sources(fit: _Converged) -> Iterator[Source]:
         by_row = _spread(gain[:, rows], count)
         to_load = problem.outputs.inverse[:FORCES] * _projection(problem, r, vector)[:, None]
         by_row[ROWS * r + OWN : ROWS * (r + 1)] = np.hstack([to_load.real, -to_load.imag])
-        yield Source(f"noise of {record.name}", "A", record.dof, by_row @ _root(record.covariance))
+        yield Source(f"noise of {record.name}", "A", record.dof, by_row @ covariance_root(record.covariance))
         departing.append(by_row * problem.departures[rows])
     if problem.departure > 0.0:
         freedom = min(test.dof for test in fit.tests if test.dof > 0.5)
         yield Source("channels that disagree", "A", freedom, np.hstack(departing))
-    shared = -_spread(inverse * prior, count)
+    shared = -_spread(fit.inverse * prior, count)
     row, column = elements.T
     for r, record in enumerate(problem.records):  # of the weights by each force component alone
         load, _ = weight_load(record, vector[OWN * r : OWN * (r + 1)], problem.outputs.sense)
@@ -442,11 +417,3 @@ def _spread(effect: FloatArray, recordings: int) -> FloatArray:
     for r in range(recordings):
         wide[ROWS * r : ROWS * r + OWN] = effect[OWN * r : OWN * (r + 1)]
     return wide
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    """Return a matrix whose square is the covariance, which may have directions without spread."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    safe = np.where(scale > 0.0, scale, 1.0)
-    variance, axes = np.linalg.eigh(covariance / np.outer(safe, safe))
-    return np.asarray(safe[:, None] * axes * np.sqrt(np.maximum(variance, 0.0)))

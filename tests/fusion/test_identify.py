@@ -238,7 +238,7 @@ def test_the_guide_shows_the_keys_of_the_model(results):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("{", "a model as shakercal identify writes it"),
+        ("{", "models as shakercal identify writes them"),
         ('{"format": 2}', "format: expected format 1"),
         ('{"format": 1}', "no key 'components'"),
     ],

@@ -22,6 +22,7 @@ from fusion.simulate.statics import BARE, LOADED, write_rotation
 from shaker.labels import LOAD_COMPONENTS
 
 ANGLES = np.arange(0.0, 360.0, 22.5)
+BODIES = ("internal", "load")
 PAPER_RIG = """
 format = 1
 name = "indexing head"
@@ -62,6 +63,11 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def once(simulated: Path) -> RotationEvaluation:
+    return _evaluated(simulated)
+
+
 @pytest.fixture
 def campaign(simulated: Path, tmp_path: Path) -> Path:
     """A copy of the test that may be spoilt."""
@@ -91,18 +97,15 @@ def _paper(folder: Path) -> Path:
     return folder
 
 
-def test_simulated_masses_come_back_within_u(simulated):
-    evaluation = _evaluated(simulated)
+def test_simulated_masses_come_back_within_u(simulated, once):
     truth = json.loads((simulated / LOADED / "truth.json").read_text())
-    true = {("internal_mass", part): truth["internal_mass_kg"] for part in (JOINT, "Fx", "Fy")}
-    true |= {("load_mass", part): truth["load_mass_kg"] for part in (JOINT, "Fx", "Fy")}
-    for i, axis in enumerate("xyz"):
-        true["internal_centre_of_mass", axis] = truth["internal_centre_m"][i]
-        true["load_centre_of_mass", axis] = truth["load_centre_m"][i]
+    true = {(f"{own}_mass", part): truth[f"{own}_mass_kg"] for own in BODIES for part in (JOINT, "Fx", "Fy")}
+    for own in BODIES:
+        true |= {(f"{own}_centre_of_mass", axis): truth[f"{own}_centre_m"][i] for i, axis in enumerate("xyz")}
     for key, value in true.items():
-        found = evaluation.find(*key)
+        found = once.find(*key)
         assert abs(found.value - value) < 1.5 * found.expanded, key
-    joint = evaluation.find("load_mass")
+    joint = once.find("load_mass")
     assert joint.u / joint.value == pytest.approx(5e-4 / np.sqrt(2.0), rel=0.05)
     assert max(joint.budget, key=lambda name: joint.budget[name]) == "calibration matrix"
     assert joint.u == pytest.approx(np.linalg.norm(list(joint.budget.values())))
@@ -122,6 +125,8 @@ def test_published_amplitudes_give_the_published_table(tmp_path):
     assert "does not explain all channels" in _notices(evaluation)
     assert "no uncertainty of the calibration matrix" in _notices(evaluation)
     assert evaluation.find("internal_centre_of_mass", "x") is None
+    assert evaluation.find("weight", JOINT, BARE).value == pytest.approx(np.mean([7.558, 7.532]), abs=1e-3)
+    assert 1e-3 < evaluation.weights.departure < 2e-3  # 0.35 % and 0.19 % between the axes
 
 
 def test_buoyancy_adds_the_air_that_is_displaced(tmp_path):
@@ -136,14 +141,13 @@ def test_buoyancy_adds_the_air_that_is_displaced(tmp_path):
 
 def test_a_head_that_was_set_anew_does_not_matter(tmp_path):
     folder = _paper(tmp_path)
-    before = _evaluated(folder).find("load_mass")
-    text = (folder / LOADED / "readings.csv").read_text()
-    head, *rows = text.splitlines()
-    moved = [f"{float(row.partition(';')[0].replace(',', '.')) + 33.0:g};{row.partition(';')[2]}" for row in rows]
-    (folder / LOADED / "readings.csv").write_text("\n".join([head, *moved]))
+    before, table = _evaluated(folder).find("load_mass"), folder / LOADED / "readings.csv"
+    head, *read = table.read_text().splitlines()
+    cells = [row.partition(";") for row in read]
+    moved = [f"{float(angle.replace(',', '.')) + 33.0:g};{rest}" for angle, _, rest in cells]
+    table.write_text("\n".join([head, *moved]))
     after = _evaluated(folder)
-    found = after.find("load_mass")
-    assert found.value == pytest.approx(before.value, rel=1e-7)
+    assert after.find("load_mass").value == pytest.approx(before.value, rel=1e-7)
     assert "lies -33.0° from its stated direction" in _notices(after)
 
 
@@ -158,38 +162,31 @@ def test_one_recording_tells_what_it_can(simulated):
     assert abs(difference.value - alone.value) < 2.0 * difference.expanded
 
 
-def test_a_part_on_one_recording_is_taken_off_there(campaign):
-    before = _evaluated(campaign).find("internal_mass")
+def test_a_part_on_one_recording_is_taken_off_there(campaign, once):
     part = (
         '\n[[part]]\nname = "plate"\nbody = "load"\nmass = 0.1\ndensity = 7900.0\ncentre_of_mass = [0.0, 0.0, 0.02]\n'
     )
     path = campaign / BARE / "recording.toml"
     path.write_text(path.read_text() + part)
-    evaluation = _evaluated(campaign)
-    after = evaluation.find("internal_mass")
-    assert before.value - after.value == pytest.approx(0.1, rel=1e-3)
-    load = evaluation.find("load_mass")
-    assert load.value == pytest.approx(6.96 + 0.1, abs=0.01)
+    after = _evaluated(campaign)
+    assert once.find("internal_mass").value - after.find("internal_mass").value == pytest.approx(0.1, rel=1e-3)
+    assert after.find("load_mass").value == pytest.approx(6.96 + 0.1, abs=0.01)
 
 
-def test_repeats_are_averaged(campaign):
+def test_repeats_are_averaged(campaign, once):
     shutil.copytree(campaign / BARE, campaign / "without-again")
-    evaluation = _evaluated(campaign, BARE, "without-again", LOADED)
-    once = _evaluated(campaign)
-    again, first = evaluation.find("internal_mass"), once.find("internal_mass")
+    again, first = _evaluated(campaign, BARE, "without-again", LOADED).find("internal_mass"), once.find("internal_mass")
     assert again.value == pytest.approx(first.value, rel=1e-4)
     assert again.budget[f"noise of {BARE}"] < 0.6 * first.budget[f"noise of {BARE}"]
     assert again.budget["calibration matrix"] == pytest.approx(first.budget["calibration matrix"], rel=0.01)
 
 
-def test_reversed_sense_of_the_sensor_is_told_and_does_no_harm(campaign):
-    before = _evaluated(campaign)
+def test_reversed_sense_of_the_sensor_is_told_and_does_no_harm(campaign, once):
     edit(campaign / "rig.toml", 'sense = "on_sensor"', 'sense = "on_load"')
     after = _evaluated(campaign)
     assert "sense of the sensor or zero_gravity may be the wrong way round" in _notices(after)
-    for name, component in (("load_mass", JOINT), ("load_centre_of_mass", "z")):
-        one, other = before.find(name, component), after.find(name, component)
-        assert other.value == pytest.approx(one.value, rel=1e-6)
+    for key in (("load_mass", JOINT), ("load_centre_of_mass", "z")):
+        assert after.find(*key).value == pytest.approx(once.find(*key).value, rel=1e-6)
 
 
 def test_a_load_that_weighs_something_else_is_told(campaign):
@@ -197,14 +194,12 @@ def test_a_load_that_weighs_something_else_is_told(campaign):
     assert "the load mass by joint and the weighed mass differ by" in _notices(_evaluated(campaign))
 
 
-def test_scale_replaces_the_unit_of_a_column(campaign):
-    before = _evaluated(campaign).find("load_mass")
+def test_scale_replaces_the_unit_of_a_column(campaign, once):
     for name in (BARE, LOADED):
         table = campaign / name / "readings.csv"
         table.write_text(table.read_text().replace(" [mV/V]", ""))
         edit(campaign / name / "recording.toml", "with_load", "scale = 1e-3\nwith_load")
-    after = _evaluated(campaign).find("load_mass")
-    assert after.value == before.value
+    assert _evaluated(campaign).find("load_mass").value == once.find("load_mass").value
 
 
 def test_files_of_a_run(campaign, capsys):

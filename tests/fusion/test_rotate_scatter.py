@@ -144,12 +144,11 @@ def test_repeats_enter_the_budget_of_what_rests_on_them(repeated):
     assert again.recordings == (LOADED, "again", "anew", "anew-again")
     assert again.mountings == ("1", "2", "3", "3")
     assert (again.within_dof, again.between_dof) == (1, 2)
-    off = [evaluation.find("weight_deviation", JOINT, name) for name in again.recordings]
-    values = [q.value for q in off]
-    assert sum(values) == pytest.approx(0.0, abs=1e-9)
-    weights = [evaluation.find("weight", JOINT, name) for name in again.recordings]
+    off, weights = (
+        [evaluation.find(key, JOINT, name) for name in again.recordings] for key in ("weight_deviation", "weight")
+    )
     plain = np.array([q.value for q in weights])
-    np.testing.assert_allclose(values, plain - plain.mean(), atol=1e-12)
+    np.testing.assert_allclose([q.value for q in off], plain - plain.mean(), atol=1e-12)
     assert all(q.u < 0.01 for q in off)  # the calibration, 0.027 N of each, cancels
     assert not any(BETWEEN in name for q in weights for name in q.budget)
 
@@ -243,8 +242,7 @@ BY_NOISE = read_preset(
     RotationRig, "rotation", u_sensitivity=2e-5, u_angle_rad=1e-5, u_load_mass_kg=1e-6, hysteresis=0.0
 )
 JUDGED = {
-    *(("internal_mass", name) for name in ("joint", "Fx", "Fy")),
-    *(("load_mass", name) for name in ("joint", "Fx", "Fy")),
+    *((f"{body}_mass", name) for body in ("internal", "load") for name in ("joint", "Fx", "Fy")),
     *((f"{body}_centre_of_mass", axis) for body in ("internal", "load") for axis in "xyz"),
     *((f"{body}_mass_difference", "Fx-Fy") for body in ("internal", "load")),
     ("load_mass_deviation", "joint"),
@@ -254,13 +252,12 @@ JUDGED = {
 
 def _truth(rig: RotationRig, drawn: dict[str, list[float]]) -> dict[tuple[str, str], float]:
     """True values of the quantities judged; deviations from what is stated are zero but for what was drawn."""
-    load = rig.load_mass_kg + drawn["load.mass"][0]
+    mass = {"internal": rig.internal_mass_kg, "load": rig.load_mass_kg + drawn["load.mass"][0]}
+    centre = {"internal": rig.internal_centre_m, "load": np.add(rig.load_centre_m, drawn["load.centre"])}
     found = dict.fromkeys(JUDGED, 0.0)
-    found |= {("internal_mass", name): rig.internal_mass_kg for name in ("joint", "Fx", "Fy")}
-    found |= {("load_mass", name): load for name in ("joint", "Fx", "Fy")}
-    for i, axis in enumerate("xyz"):
-        found["internal_centre_of_mass", axis] = rig.internal_centre_m[i]
-        found["load_centre_of_mass", axis] = rig.load_centre_m[i] + drawn["load.centre"][i]
+    for body, value in mass.items():
+        found |= {(f"{body}_mass", name): value for name in ("joint", "Fx", "Fy")}
+        found |= {(f"{body}_centre_of_mass", axis): centre[body][i] for i, axis in enumerate("xyz")}
     return found
 
 
@@ -284,9 +281,8 @@ def test_intervals_hold_the_truth(rig, tmp_path):
             recordings.append(replace(recording, fit=fit))
         records = tuple(turned(recording) for recording in recordings)
         weights = fit_weights(records, read[0][1], rig.u_angle_rad)
-        found = {
-            (q.name, q.component): q for q in quantities(Campaign(tuple(recordings), records, weights, gravity, air))
-        }
+        campaign = Campaign(tuple(recordings), records, weights, gravity, air)
+        found = {(q.name, q.component): q for q in quantities(campaign)}
         for key, true in _truth(rig, draws.values).items():
             held[key] += abs(found[key].value - true) <= found[key].expanded
     shares = {key: count / ROTATION_TRIALS for key, count in held.items()}

@@ -7,9 +7,10 @@ import pytest
 from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from identification_factory import recording
 from scipy import linalg, signal
 
-from shaker.arrays import FloatArray
+from shaker.arrays import ComplexArray, FloatArray
 from shaker.frf.chain import (
     PoleModel,
     ResponseTable,
@@ -111,23 +112,22 @@ def test_derivatives_are_those_of_differences():
     frequency = np.array([100.0, 900.0, 1500.0, 3000.0])
     found = TRIPLE.transfer(frequency, "load", "adapter").by_term[:, 0]
     theta = np.concatenate([TRIPLE.mass, TRIPLE.stiffness, TRIPLE.damping])
+
+    def at(moved: FloatArray) -> ComplexArray:
+        return MassChain(TRIPLE.stages, *np.split(moved, 3)).transfer(frequency, "load", "adapter").value[:, 0]
+
     for place, value in enumerate(theta):
-        sides = []
-        for sign in (1.0, -1.0):
-            moved = theta.copy()
-            moved[place] = value * (1.0 + sign * 1e-5)
-            chain = MassChain(TRIPLE.stages, moved[:3], moved[3:6], moved[6:])
-            sides.append(chain.transfer(frequency, "load", "adapter").value[:, 0])
-        by_difference = (sides[0] - sides[1]) / 2e-5
+        step = 1e-5 * value * np.eye(9)[place]
+        by_difference = (at(theta + step) - at(theta - step)) / 2e-5
         np.testing.assert_allclose(found[:, place] * value, by_difference, rtol=1e-5, atol=1e-8)
+
+
+FINE = np.geomspace(20.0, 40000.0, 40000)
 
 
 def peaks(magnitude: FloatArray) -> FloatArray:
     """Frequencies of the local maxima that stand out by 1 %."""
     return np.asarray(FINE[signal.find_peaks(np.log(magnitude), prominence=0.01)[0]])
-
-
-FINE = np.geomspace(20.0, 40000.0, 40000)
 
 
 @pytest.mark.parametrize("mount_mass", [0.3, 3.0, 12.0])
@@ -155,30 +155,24 @@ def test_one_spring_and_internal_mass_of_several_resonances():
 TRUE = {"k": 4.753e8, "b_adapter": 2600.0, "b": 699.0, "m_adapter": 2.4, "m_i": 0.769}
 
 
-def recording(component: int, load: float, k_adapter: float, rng: np.random.Generator) -> MeasuredTransfer:
+def recorded(component: int, load: float, k_adapter: float, rng: np.random.Generator) -> MeasuredTransfer:
     """Load over the base below the mount, in closed form, with circular noise of 3e-4 of the largest |H|."""
     frequency = np.arange(300.0, 4500.0, 6.25)
     s = 2j * np.pi * frequency
     lower, spring = k_adapter + TRUE["b_adapter"] * s, TRUE["k"] + TRUE["b"] * s
     upper = (load + TRUE["m_i"]) * s**2 + spring
     value = lower * spring / ((TRUE["m_adapter"] * s**2 + lower + spring) * upper - spring**2)
-    u = 3e-4 * np.abs(value).max()
-    value = value + u * (rng.standard_normal(len(s)) + 1j * rng.standard_normal(len(s)))
-    covariance = u**2 * np.eye(2) * np.ones((len(s), 1, 1))
-    phasors = Phasors(frequency, value[:, None], covariance, ("top",), ("1",), np.full(len(s), 1e6))
     sight = Placement(np.array([0.1, 0.0, 0.02]), np.array([0.0, 1.0, 0.0]))  # sees y, and turns about z by 0.1 m
-    matrix = np.diag([load] * 6)
+    words = {"tops": [sight], "base": sight, "noise": 3e-4 * np.abs(value).max(), "rng": rng, "u_clock": 1e-7}
     change = InertiaError(f"load {load:g}", 1e-5 * load * np.eye(6))
-    drive = np.eye(6)[component]
-    return MeasuredTransfer(
-        f"load {load:g}", phasors, (sight,), sight, drive, matrix, inertia_errors=(change,), u_clock=1e-7
-    )
+    drive, matrix = np.eye(6)[component], load * np.eye(6)
+    return recording(f"load {load:g}", frequency, value, matrix, drive, inertia_errors=[change], **words)
 
 
 def fitted(component: int, k_adapter: float) -> tuple[Identification, FloatArray]:
     """Two loads along an axis or about it fitted together, and the true values."""
     rng = np.random.default_rng(5)
-    found = identify([recording(component, load, k_adapter, rng) for load in TWO_LOADS], ChainStructure(component))
+    found = identify([recorded(component, load, k_adapter, rng) for load in TWO_LOADS], ChainStructure(component))
     assert not found.notices
     assert found.chi_squared / found.dof == pytest.approx(1.0, abs=0.1)
     return found, np.array([k_adapter, *(TRUE[name] for name in ("k", "b_adapter", "b", "m_adapter", "m_i"))])
@@ -230,13 +224,9 @@ def test_an_oscillator_has_the_frequency_of_its_spring_and_mass():
     refused("stiffness, mass: expected both above 0", oscillator_hz, 1.0, 0.0)
 
 
-@pytest.mark.parametrize("stages", [(), ("a", "a"), ("base",)])
-def test_stages_need_names_of_their_own(stages):
-    with pytest.raises(ValueError, match="stages: expected different names"):
-        MassChain(stages, np.ones(len(stages)), np.ones(len(stages)), np.ones(len(stages)))
-
-
-def test_a_stage_that_is_not_there_and_a_wrong_axis_are_named():
+def test_stages_need_names_of_their_own_and_wrong_ones_are_named():
+    for stages in ((), ("a", "a"), ("base",)):
+        refused("stages: expected different names", MassChain, stages, *np.ones((3, len(stages))))
     refused("stage: expected one of base, adapter, sensor, load, found top", TRIPLE.transfer, FREQUENCY, "top")
     refused("damping: expected none negative", MassChain, ("a",), np.ones(1), np.ones(1), -np.ones(1))
     refused("stiffness: expected an array of shape", MassChain, ("a",), np.ones(1), np.ones(2), np.ones(1))
@@ -294,12 +284,8 @@ def test_errors_are_what_a_small_change_makes(model):
     step = 1e-6
     response = pole_response(DECADES_HZ, model, u_gain=step, u_frequency=step, u_delay_s=step * 1e-6)
     larger = replace(model, zeros=model.zeros * (1 + step), poles=model.poles * (1 + step))
-    changed = (
-        replace(model, gain=model.gain * (1 + step)),
-        larger,
-        replace(model, delay_s=model.delay_s + step * 1e-6),
-    )
-    for error, other in zip(response.errors, changed, strict=True):
+    louder, later = replace(model, gain=model.gain * (1 + step)), replace(model, delay_s=model.delay_s + step * 1e-6)
+    for error, other in zip(response.errors, (louder, larger, later), strict=True):
         change = pole_response(DECADES_HZ, other).value / response.value - 1.0
         np.testing.assert_allclose(error, change, atol=2e-3 * np.abs(error).max() + 1e-14)
     np.testing.assert_allclose(response.u_magnitude**2, np.sum(response.errors.real**2, axis=0))
@@ -385,5 +371,4 @@ def test_units_of_ratios():
     ],
 )
 def test_wrong_calls_are_refused_by_name(call, message):
-    with pytest.raises(ValueError, match=message.replace("(", r"\(")):
-        call()  # type: ignore[operator]
+    refused(message, call)

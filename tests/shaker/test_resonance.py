@@ -7,6 +7,7 @@ import pytest
 from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import linalg
 from scipy.optimize import brentq, least_squares, minimize_scalar
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray
@@ -28,7 +29,7 @@ def curve(kind: Kind, f0: float, zeta: float, gain: complex, s: ComplexArray) ->
 
 
 def even(value: ComplexArray, share: float) -> FloatArray:
-    """Covariance of circular noise, a share of the largest value."""
+    """Covariance of circular noise, in each part a share of the largest value."""
     return np.asarray((share * np.abs(value).max()) ** 2 * np.eye(2) * np.ones((len(value), 1, 1)))
 
 
@@ -40,6 +41,9 @@ def noise(covariance: FloatArray, rng: np.random.Generator) -> ComplexArray:
 def fitted(value: ComplexArray, covariance: FloatArray, kind: Kind = "receptance", **words: Any) -> Resonance:
     """A resonance fitted to values at `FREQUENCY`; words of the curve."""
     return fit_resonance(MeasuredCurve(FREQUENCY, value, covariance, **words), kind)
+
+
+ONE = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
 
 
 @settings(max_examples=40, deadline=None)
@@ -111,35 +115,28 @@ def test_errors_are_those_of_the_bound_and_intervals_hold():
 
 
 def test_correlated_lines_widen_the_uncertainty_as_they_widen_the_scatter():
-    value = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
-    kernel = np.array([1.0, 4 / 9, 1 / 36])
-    matrix = sum(np.diag(np.full(len(FREQUENCY) - abs(d), kernel[abs(d)]), d) for d in range(-2, 3))
-    root, rng = np.linalg.cholesky(np.asarray(matrix)), np.random.default_rng(3)
-    covariance = even(value, 1e-3)
-    size = np.sqrt(covariance[0, 0, 0])
-    error, u = [], 0.0
+    kernel, covariance, rng = np.array([1.0, 4 / 9, 1 / 36]), even(ONE, 1e-3), np.random.default_rng(3)
+    root = np.linalg.cholesky(linalg.toeplitz(np.pad(kernel, (0, len(ONE) - 3)))) * np.sqrt(covariance[0, 0, 0])
+    fits = []
     for _ in range(150):
-        draw = root @ (rng.standard_normal(len(value)) + 1j * rng.standard_normal(len(value)))
-        fit = fitted(value + size * draw, covariance, line_correlation=kernel + 0j)
-        error.append(fit.frequency_hz - 1477.35)
-        u = fit.u("frequency_hz")
-    assert np.std(error) == pytest.approx(u, rel=0.2)
+        draw = root @ (rng.standard_normal(len(ONE)) + 1j * rng.standard_normal(len(ONE)))
+        fits.append(fitted(ONE + draw, covariance, line_correlation=kernel + 0j))
+    assert np.std([fit.frequency_hz for fit in fits]) == pytest.approx(fits[-1].u("frequency_hz"), rel=0.2)
 
 
 def test_a_misfit_enlarges_the_uncertainty():
-    value = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
-    two = value + curve("receptance", 1560.0, 0.01, 0.1, 2j * np.pi * FREQUENCY)
-    good, bad = fitted(value, even(value, 1e-4)), fitted(two, even(value, 1e-4))
+    two = ONE + curve("receptance", 1560.0, 0.01, 0.1, 2j * np.pi * FREQUENCY)
+    good, bad = fitted(ONE, even(ONE, 1e-4)), fitted(two, even(ONE, 1e-4))
     assert bad.chi_squared > 100.0 * bad.dof
     assert bad.u("frequency_hz") > 10.0 * good.u("frequency_hz")
 
 
 def test_what_cannot_be_fitted_is_refused_with_a_reason():
-    value = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
-    few = MeasuredCurve(FREQUENCY[:2], value[:2], even(value[:2], 1e-3))
+    few = MeasuredCurve(FREQUENCY[:2], ONE[:2], even(ONE[:2], 1e-3))
     refused("more than 2 lines", fit_resonance, few, "receptance")
-    refused("covariance: expected positive definite", fitted, value, 0.0 * even(value, 1e-3))
-    refused("covariance", MeasuredCurve, FREQUENCY, value, np.zeros((3, 2, 2)))
+    refused("covariance: expected positive definite", fitted, ONE, 0.0 * even(ONE, 1e-3))
+    refused("covariance", MeasuredCurve, FREQUENCY, ONE, np.zeros((3, 2, 2)))
+    refused("dof", fitted, ONE, even(ONE, 1e-3), dof=np.ones(3))
 
 
 @pytest.mark.slow
@@ -164,15 +161,12 @@ def test_intervals_hold_also_where_covariances_come_from_few_periods(periods):
 
 
 def test_degrees_of_freedom_of_many_periods_change_nothing():
-    value = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
-    covariance = even(value, 1e-2)
-    value = value + noise(covariance, np.random.default_rng(2))
-    exact = fitted(value, covariance)
-    many = fit_resonance(MeasuredCurve(FREQUENCY, value, covariance, dof=np.full(len(value), 1e6)), "receptance")
+    covariance = even(ONE, 1e-2)
+    value = ONE + noise(covariance, np.random.default_rng(2))
+    exact, many = fitted(value, covariance), fitted(value, covariance, dof=np.full(len(value), 1e6))
     assert many.frequency_hz == pytest.approx(exact.frequency_hz, abs=1e-3 * exact.u("frequency_hz"))
     assert many.chi_squared == pytest.approx(exact.chi_squared, rel=1e-4)
     np.testing.assert_allclose(many.covariance, exact.covariance, rtol=1e-3, atol=1e-3 * exact.covariance.max())
-    refused("dof", fitted, value, covariance, dof=np.ones(3))
 
 
 F0, SPACING = 1477.35, 0.78125
@@ -182,18 +176,22 @@ METHODS = ("maximum_bin", "maximum", "half_power", "half_amplitude", "circle")
 
 def transmissibility(frequency_hz: FloatArray, f0: float, zeta: float) -> ComplexArray:
     """(1 + 2jζr)/(1 - r² + 2jζr)."""
-    r = frequency_hz / f0
-    return np.asarray((1.0 + 2j * zeta * r) / (1.0 - r * r + 2j * zeta * r))
+    return curve("transmissibility", f0, zeta, 1.0, 2j * np.pi * frequency_hz)
 
 
-def flat(value: ComplexArray, share: float) -> FloatArray:
-    """Covariance of circular noise, in each part a share of the largest |H|."""
-    return np.asarray((share * np.abs(value).max()) ** 2 * np.eye(2) * np.ones((len(value), 1, 1)))
+def measured(frequency: FloatArray, value: ComplexArray, share: float, **words: Any) -> MeasuredCurve:
+    """A curve with circular noise of a share of its largest |H|."""
+    return MeasuredCurve(frequency, value, even(value, share), **words)
 
 
 def read(frequency: FloatArray, value: ComplexArray, share: float) -> PeakReadings:
-    """Readings of a curve with circular noise of a share of its largest |H|."""
-    return peak_readings(MeasuredCurve(frequency, value, flat(value, share)))
+    return peak_readings(measured(frequency, value, share))
+
+
+def draws(clean: ComplexArray, share: float, trials: int, seed: int) -> list[tuple[ComplexArray, FloatArray]]:
+    """Values with noise of a share of the largest |H|, and the covariance of that."""
+    rng, covariance = np.random.default_rng(seed), even(clean, share)
+    return [(clean + noise(covariance, rng), covariance) for _ in range(trials)]
 
 
 def lines(f0: float, zeta: float, spacing: float, shift: float = 0.0) -> FloatArray:
@@ -275,19 +273,15 @@ def test_the_parabola_of_the_reciprocal_has_no_bias_where_that_of_the_logarithm_
 
 
 @pytest.mark.parametrize(
-    ("quality", "noise", "spacing"),
+    ("quality", "share", "spacing"),
     [(66.0, 1e-3, SPACING), (66.0, 2e-2, 0.2), (40.0, 5e-3, SPACING), (400.0, 3e-3, SPACING), (800.0, 3e-3, SPACING)],
 )
-def test_readings_scatter_as_their_uncertainties_say(quality, noise, spacing):
+def test_readings_scatter_as_their_uncertainties_say(quality, share, spacing):
     zeta, trials = 0.5 / quality, 100
-    rng, frequency = np.random.default_rng(3), lines(F0, zeta, spacing)
-    clean = transmissibility(frequency, F0, zeta) * GAIN
-    covariance = flat(clean, noise)
-    u, top = np.sqrt(covariance[0, 0, 0]), transmissibility_levels(zeta)[0] * F0
+    frequency, top = lines(F0, zeta, spacing), transmissibility_levels(zeta)[0] * F0
     truths = {"maximum": top, "half_amplitude": top}
     scores = []
-    for _ in range(trials):
-        drawn = clean + u * (rng.standard_normal(len(clean)) + 1j * rng.standard_normal(len(clean)))
+    for drawn, covariance in draws(transmissibility(frequency, F0, zeta) * GAIN, share, trials, 3):
         row: list[float] = []
         for reading in peak_readings(MeasuredCurve(frequency, drawn, covariance)).all[1:]:
             damping = zeta * (np.sqrt(3.0) if reading.method == "half_amplitude" else 1.0)
@@ -302,24 +296,15 @@ def test_readings_scatter_as_their_uncertainties_say(quality, noise, spacing):
 
 def test_the_line_of_the_maximum_wanders_as_much_as_it_says():
     """A flat top in noise: far more than half a spacing."""
-    zeta, noise, trials = 0.5 / 40.0, 1e-2, 120
-    rng, frequency = np.random.default_rng(8), lines(F0, zeta, SPACING)
-    clean = transmissibility(frequency, F0, zeta)
-    covariance = flat(clean, noise)
-    u = np.sqrt(covariance[0, 0, 0])
-    readings = []
-    for _ in range(trials):
-        drawn = clean + u * (rng.standard_normal(len(clean)) + 1j * rng.standard_normal(len(clean)))
-        readings.append(peak_readings(MeasuredCurve(frequency, drawn, covariance)).maximum_bin)
+    zeta, frequency = 0.5 / 40.0, lines(F0, 0.5 / 40.0, SPACING)
+    drawn = draws(transmissibility(frequency, F0, zeta), 1e-2, 120, 8)
+    readings = [peak_readings(MeasuredCurve(frequency, *own)).maximum_bin for own in drawn]
     error = np.array([reading.frequency_hz for reading in readings]) - transmissibility_levels(zeta)[0] * F0
     stated = np.sqrt(np.mean([reading.u_frequency_hz**2 for reading in readings]))
     assert stated > 3.0 * SPACING / np.sqrt(12.0)
     assert np.sqrt(np.mean(error**2)) == pytest.approx(stated, rel=0.2)
-
-
-def test_in_little_noise_the_line_of_the_maximum_is_uncertain_by_half_a_spacing():
-    value = transmissibility(frequency := lines(F0, 1e-3, SPACING), F0, 1e-3)
-    found = read(frequency, value, 1e-6)
+    frequency = lines(F0, 1e-3, SPACING)  # in little noise it is uncertain by half a spacing
+    found = read(frequency, transmissibility(frequency, F0, 1e-3), 1e-6)
     assert found.maximum_bin.u_frequency_hz == pytest.approx(SPACING / np.sqrt(12.0), rel=1e-6)
     assert np.isnan(found.maximum_bin.damping_ratio)
 
@@ -329,7 +314,7 @@ def test_correlated_lines_are_less_certain():
     zeta, trials = 0.5 / 66.0, 120
     rng, frequency = np.random.default_rng(4), lines(F0, zeta, SPACING)
     clean = transmissibility(frequency, F0, zeta)
-    covariance = flat(clean, 2e-3)
+    covariance = even(clean, 2e-3)
     u = np.sqrt(covariance[0, 0, 0])
     correlation = np.array([1.0, -2.0 / 3.0, 1.0 / 6.0], dtype=np.complex128)
     told, found = [], []
@@ -349,34 +334,24 @@ def test_the_circle_loses_little_to_a_fit_of_the_curve_and_other_modes_do_not_tu
     zeta = 0.5 / 66.0
     frequency = lines(F0, zeta, SPACING)
     clean = transmissibility(frequency, F0, zeta) * GAIN
-    covariance = flat(clean, 1e-3)
-    alone = peak_readings(MeasuredCurve(frequency, clean, covariance))
-    fit = fit_resonance(MeasuredCurve(frequency, clean, covariance), "transmissibility")
+    one = measured(frequency, clean, 1e-3)
+    alone, fit = peak_readings(one), fit_resonance(one, "transmissibility")
     assert alone.circle.u_frequency_hz < 2.5 * fit.u("frequency_hz")
     assert alone.circle.u_damping_ratio < 2.5 * fit.u("damping_ratio")
     added = 3.0 * np.exp(1j) / (1j * frequency / F0)  # nearly a constant in the plane of the circle
-    moved = peak_readings(MeasuredCurve(frequency, clean + added, covariance))
+    moved = peak_readings(MeasuredCurve(frequency, clean + added, one.covariance))
     assert moved.circle.frequency_hz == pytest.approx(F0, rel=2e-7)
     assert moved.circle.damping_ratio == pytest.approx(zeta, rel=3e-5)
     assert abs(moved.half_power.damping_ratio / zeta - 1.0) > 1e-3
-
-
-def test_the_circle_itself():
-    """Diameter |G|/(2ζ), through the origin."""
-    zeta = 0.5 / 66.0
-    value = transmissibility(frequency := lines(F0, zeta, SPACING), F0, zeta) * GAIN
-    fit = fit_circle(MeasuredCurve(frequency, value, flat(value, 1e-3)), F0 * 1.0005, 1.1 * zeta)
-    assert fit is not None
-    assert (fit.radius, abs(fit.centre)) == pytest.approx((0.5 * 1.02 / (2.0 * zeta), fit.radius), rel=1e-9)
-    assert np.angle(fit.centre) == pytest.approx(0.3, abs=1e-9)
+    circle = fit_circle(one, F0 * 1.0005, 1.1 * zeta)  # diameter |G|/(2ζ), through the origin
+    assert circle is not None
+    assert (circle.radius, abs(circle.centre)) == pytest.approx((0.5 * 1.02 / (2.0 * zeta), circle.radius), rel=1e-9)
+    assert np.angle(circle.centre) == pytest.approx(0.3, abs=1e-9)
 
 
 def test_what_the_lines_do_not_resolve_is_noted():
-    narrow, wide = (
-        read(grid, transmissibility(grid, F0, zeta), 1e-3)
-        for zeta in (0.5 / 800.0, 0.5 / 66.0)
-        for grid in [lines(F0, zeta, SPACING)]
-    )
+    grids = {zeta: lines(F0, zeta, SPACING) for zeta in (0.5 / 800.0, 0.5 / 66.0)}
+    narrow, wide = (read(grid, transmissibility(grid, F0, zeta), 1e-3) for zeta, grid in grids.items())
     assert narrow.half_power.note.startswith("2.4 lines in the half-power width, fewer than 4")
     assert "damping overstated by √3; 2.4 lines" in narrow.half_amplitude.note
     assert not wide.half_power.note
@@ -414,7 +389,7 @@ def test_of_two_peaks_the_higher_is_read():
 def test_wrong_calls_are_named(change, message):
     frequency = change.get("frequency", np.arange(10.0) + 1.0)
     value = np.asarray(change.get("value", np.arange(len(frequency)) + 1.0), dtype=np.complex128)
-    covariance = change.get("covariance", flat(np.ones(len(frequency), dtype=np.complex128), 0.1))
+    covariance = change.get("covariance", even(np.ones(len(frequency), dtype=np.complex128), 0.1))
     refused(message, lambda: peak_readings(MeasuredCurve(frequency, value, covariance)))
 
 

@@ -161,7 +161,6 @@ def test_without_a_resonance_the_lag_is_nobodys():
     assert (found.damping, found.best.chain.kind) == (None, "lag")
     assert "in the chain or the sensor's damper" in found.text
     assert "a constant sensitivity" in found.text
-    assert found.labels[0] == "a constant sensitivity"
     free = fit_chain(measured(lag(FREQUENCY), np.random.default_rng(3)), "none", None, spring_free=True)
     assert free.chi_squared == pytest.approx(found["lag"].chi_squared, rel=1e-9)
     assert free.spring_time_s == pytest.approx(found["lag"].chain.lag_s, rel=1e-6)
@@ -232,7 +231,8 @@ def test_readings_of_any_kind_get_an_answer(seed, noise, delay, lines, span):
 
 def test_uncertainty_of_the_spring_s_time_is_that_of_draws():
     spring = SpringPrior(4.3125e8, 8.6e5, 699.18, 14.0, 0.6)
-    draws = np.random.default_rng(1).multivariate_normal([spring.k, spring.b], spring.covariance, 100000)
+    covariance = np.outer([8.6e5, 14.0], [8.6e5, 14.0]) * [[1.0, 0.6], [0.6, 1.0]]
+    draws = np.random.default_rng(1).multivariate_normal([spring.k, spring.b], covariance, 100000)
     assert np.std(draws[:, 1] / draws[:, 0]) == pytest.approx(spring.u_time_s, rel=0.014)
     refused("r_kb", replace, spring, r_kb=1.5)
     refused("k, u_k, u_b", replace, spring, k=-1.0)

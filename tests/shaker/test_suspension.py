@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from shaker.identification.fit import Identification, identify
 from shaker.identification.measured import InertiaError, Placement
-from shaker.identification.structures import Suspension, measured_poles
+from shaker.identification.structures import Suspension
 from shaker.mechanics import respond
 
 LINES_HZ = np.arange(300.0, 3000.0, 3.125)
@@ -107,7 +107,7 @@ def test_poles_of_overlapping_peaks_are_found_without_a_model():
     record = pitching((4.236, 0.01, 0.012), (K_X, 3.0e6, B_X, B_RY), rng=np.random.default_rng(1))
     mechanics = PITCHING.mechanics(record)
     (mass, damping, stiffness), _ = mechanics.at(np.array([1.0, K_X, 3.0e6, B_X, B_RY, M_I, J_I, 0.0]))
-    np.testing.assert_allclose(measured_poles(record, 2), textbook_poles(mass, damping, stiffness), rtol=1e-3)
+    np.testing.assert_allclose(record.poles(2), textbook_poles(mass, damping, stiffness), rtol=1e-3)
 
 
 def test_three_axes_at_once_are_three_oscillators():

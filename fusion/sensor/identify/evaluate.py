@@ -12,7 +12,6 @@ import numpy as np
 from fusion.base import ARGUMENT, versions
 from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
 from fusion.campaign.repeats import Drive, drive_ratio, over_lines
-from fusion.recording.load import Manifest
 from fusion.recording.manifest import Sensor
 from fusion.report.table import sensitivity_unit
 from fusion.sensitivity.ratio import driven_component
@@ -148,26 +147,24 @@ def read_curves(fit: JointFit, internal_mass: float) -> tuple[tuple[Reading, ...
 
     Stiffness and damping by equations 9 and 10 of Nitsche et al. 2018 with the mass that moves.
     """
-    found: list[Reading] = []
+    readings: list[Reading] = []
     notices: list[Notice] = []
     for item in fit.prepared:
         if len(item.measured.ratio.frequency_hz) < FEWEST_LINES:
             continue
-        moved = item.load_kg + internal_mass
+        name, moved = item.measured.name, item.load_kg + internal_mass
         for response in item.measured.ratio.channels:
             try:
                 peaks = list(_peak_readings(fit, item, response))
             except ValueError as error:
-                where = f"{item.measured.name}: {response}"
-                notices.append(Notice("info", f"no peak was read ({ARGUMENT.sub('', str(error))})", where))
+                text = f"no peak was read ({ARGUMENT.sub('', str(error))})"
+                notices.append(Notice("info", text, f"{name}: {response}"))
                 continue
             for peak in peaks:
                 k = required_stiffness(peak.frequency_hz, moved)
                 b = 2.0 * peak.damping_ratio * float(np.sqrt(k * moved))
-                found.append(
-                    Reading(**vars(peak), recording=item.measured.name, response=response, stiffness=k, damping=b)
-                )
-    return tuple(found), tuple(notices)
+                readings.append(Reading(**vars(peak), recording=name, response=response, stiffness=k, damping=b))
+    return tuple(readings), tuple(notices)
 
 
 def _peak_readings(fit: JointFit, item: Prepared, response: str) -> Iterator[PeakReading]:
@@ -194,12 +191,6 @@ def _peak_readings(fit: JointFit, item: Prepared, response: str) -> Iterator[Pea
 def _mode_reading(method: str, f0: float, u_f0: float, zeta: float, u_zeta: float, note: str = "") -> PeakReading:
     """Frequency f₀ (Hz) and damping ratio of a mode as a reading, whose width is 2ζf₀."""
     return PeakReading(method, f0, u_f0, 2.0 * zeta * f0, 2.0 * u_zeta * f0, zeta, u_zeta, note)
-
-
-def of_curve(readings: Sequence[Reading], recording: str, response: str) -> list[Reading]:
-    """Return the readings of one curve in the order of `LABELS`."""
-    own = [reading for reading in readings if (reading.recording, reading.response) == (recording, response)]
-    return sorted(own, key=lambda reading: list(LABELS).index(reading.method))
 
 
 # What an identified sensor consists of.
@@ -257,13 +248,17 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
     """
     started = time.monotonic()
     manifests = [*campaign.transfers, *(item.manifest for item in campaign.sines)]
-    names, notices = _names(manifests), list(campaign.notices)
-    prepared: list[Prepared] = []
+    called = [manifest.name for manifest in manifests]  # a name that occurs twice gets the folder's beside it
+    names = {m.path: m.name if called.count(m.name) == 1 else f"{m.name} [{m.folder.name}]" for m in manifests}
+    prepared, notices = [], list(campaign.notices)
     for manifest in campaign.transfers:
         item, told = prepare(manifest, names[manifest.path], settings.band_hz)
         prepared.append(item)
         notices += told
-    recorded = [_recorded(sine, names[sine.manifest.path]) for sine in campaign.sines]
+    recorded = []
+    for sine in campaign.sines:
+        own, name = read_recorded(sine.results), names[sine.manifest.path]
+        recorded.append(replace(own, name=name, drives=tuple(replace(drive, recording=name) for drive in own.drives)))
     driven = {item.component for item in prepared}
     added = sine_transfers(campaign.sines, names, settings.band_hz)
     fits = joint_fits([*prepared, *(item for item in added if item.component in driven)], settings)
@@ -272,9 +267,9 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
     sensor = next((manifest.rig.sensor for manifest in manifests if manifest.rig.sensor is not None), None)
     components = []
     for fit in fits:
-        component, own = _component(fit, measured.get(LOAD_COMPONENTS[fit.component]), sensor, settings)
+        component, told = _component(fit, measured.get(LOAD_COMPONENTS[fit.component]), sensor, settings)
         components.append(component)
-        notices += own
+        notices += told
     return IdentifyEvaluation(
         name=campaign.name,
         sensor=sensor,
@@ -285,21 +280,6 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
         input_hashes=campaign.input_hashes,
         duration_s=time.monotonic() - started,
     )
-
-
-def _names(manifests: Sequence[Manifest]) -> dict[Path, str]:
-    """Return a name of its own for every recording, by path: a name that occurs twice gets the folder's beside it."""
-    names = [manifest.name for manifest in manifests]
-    return {
-        manifest.path: manifest.name if names.count(manifest.name) == 1 else f"{manifest.name} [{manifest.folder.name}]"
-        for manifest in manifests
-    }
-
-
-def _recorded(sine: EvaluatedSines, name: str) -> Recorded:
-    """Read the results of a sine recording by the `name` that tells it from the others."""
-    recorded = read_recorded(sine.results)
-    return replace(recorded, name=name, drives=tuple(replace(drive, recording=name) for drive in recorded.drives))
 
 
 def _by_found_mass(

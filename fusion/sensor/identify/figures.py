@@ -22,12 +22,11 @@ from fusion.report.style import (
     RED,
     Picture,
     draw_response,
-    padded,
+    frame_bars,
     panel_label,
     plain_logarithm,
     power_of_ten,
     sheet,
-    static_axis,
 )
 from fusion.sensor.identify.evaluate import FEWEST_LINES, ComponentResult
 from fusion.sensor.identify.fit import SensitivityResult
@@ -80,16 +79,6 @@ def curve_pictures(component: ComponentResult) -> list[Picture]:
     ]
     pictures = [draw_fit(f"fit-{component.name}-{place}", curves) for place, curves in enumerate(recordings)]
     return [*pictures, draw_circles(f"circles-{component.name}", [curve for curves in recordings for curve in curves])]
-
-
-def sensitivity_pictures(component: ComponentResult) -> list[Picture]:
-    """Sensitivity with its explanations, and the output over force of every load."""
-    pictures = []
-    if component.sensitivity is not None:
-        pictures.append(draw_explained(f"sensitivity-{component.name}", component, component.sensitivity))
-    if component.bands:
-        pictures.append(draw_outputs_over_load(f"bands-{component.name}", component))
-    return pictures
 
 
 def _curve(component: ComponentResult, place: int, response: str) -> FittedCurve:
@@ -183,7 +172,13 @@ def _draw_circle(axes: Axes, curve: FittedCurve) -> None:
     panel_label(axes, f"{curve.recording}\n{curve.response}")
 
 
-def draw_explained(name: str, component: ComponentResult, item: SensitivityResult) -> Picture:
+def sensitivity_pictures(component: ComponentResult) -> list[Picture]:
+    """Sensitivity with its explanations, and the output over force of every load."""
+    explained = [] if component.sensitivity is None else [draw_explained(component, component.sensitivity)]
+    return [*explained, *([draw_outputs_over_load(component)] if component.bands else [])]
+
+
+def draw_explained(component: ComponentResult, item: SensitivityResult) -> Picture:
     """Magnitude and phase of the sensitivity with U (k = 2), and what spring, chain and both would make of it."""
     measured, best = item.measured, item.comparison.best
     covariance = measured.covariance
@@ -199,26 +194,21 @@ def draw_explained(name: str, component: ComponentResult, item: SensitivityResul
         curves.append(("both", best.model(hertz)))
     label = f"output {measured.channel} per {measured.component}"
     sign, (factor, tens) = np.sign(curves[0][1][0].real), power_of_ten(np.abs(measured.value))
-    with sheet(name, 4.6, 2, heights=(1.4, 1.0)) as drawn:
+    size = np.abs(measured.value) / factor
+    level = np.stack([size, np.angle(measured.value * sign)])
+    half = K2 * np.stack([u_relative * size, u_phase])
+    static = None if measured.static is None else (abs(measured.static) / factor, "static")
+    with sheet(f"sensitivity-{component.name}", 4.6, 2, heights=(1.4, 1.0)) as drawn:
         upper, lower = drawn.panels
-        size = np.abs(measured.value) / factor
-        u_size = K2 * u_relative * size
         bars: dict[str, Any] = {"fmt": "o", "color": BLUE, "markersize": 3.5, "elinewidth": 0.9, "zorder": 2.5}
-        upper.errorbar(measured.frequency_hz, size, u_size, label="measured, U (k = 2)", **bars)
-        lower.errorbar(measured.frequency_hz, np.angle(measured.value * sign), K2 * u_phase, **bars)
+        upper.errorbar(measured.frequency_hz, level[0], half[0], label="measured, U (k = 2)", **bars)
+        lower.errorbar(measured.frequency_hz, level[1], half[1], **bars)
         for (words, curve), (colour, dash) in zip(curves, STYLES, strict=False):
             upper.plot(hertz, np.abs(curve) / factor, color=colour, linestyle=dash, label=words, zorder=2)
             lower.plot(hertz, np.angle(curve * sign), color=colour, linestyle=dash, zorder=2)
-        static = [] if measured.static is None else [abs(measured.static) / factor]
-        ends = [*(size - u_size), *(size + u_size), *(np.abs(curve).min() / factor for _, curve in curves), *static]
-        upper.set_ylim(padded(min(ends), max(ends)))
+        frame_bars(upper, lower, (level, half), f"{tens}{typeset(measured.unit)}", static)
         upper.set_xlim(0.0, float(hertz[-1]))
-        upper.set_ylabel(f"magnitude / {tens}{typeset(measured.unit)}")
-        lower.set_ylabel("phase / rad")
         lower.set_xlabel("frequency / Hz")
-        lower.axhline(0.0, color=GREY, linewidth=0.7)
-        for value in static:
-            static_axis(upper, value, "static")
         upper.legend(loc="lower left")
         caption = (
             f"Complex sensitivity, {label}, and what would make it fall: the sensor's spring and damper alone "
@@ -228,12 +218,12 @@ def draw_explained(name: str, component: ComponentResult, item: SensitivityResul
         return drawn.picture(title, caption, top=0.12, right=0.75, left=0.8, label=0.62)
 
 
-def draw_outputs_over_load(name: str, component: ComponentResult) -> Picture:
+def draw_outputs_over_load(component: ComponentResult) -> Picture:
     """Output over force of several load masses, and how far it stays within the error permitted."""
     model, permitted = component.model, component.bands[0].permitted
     highest = max(model.resonance_hz(Load(kg, "force")) for kg in component.loads)
     hertz, unit = np.linspace(0.0, highest, POINTS), mass_unit(component.fit.component)
-    with sheet(name, 3.3) as drawn:
+    with sheet(f"bands-{component.name}", 3.3) as drawn:
         (axes,) = drawn.panels
         axes.axhspan(-100.0 * permitted, 100.0 * permitted, color=GREY, alpha=0.15, linewidth=0, zorder=1)
         for kg, band, colour in zip(component.loads, component.bands, COLOURS, strict=False):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -42,8 +42,6 @@ _DIFFERENT = 0.01  # relative difference of load masses from which they tell mas
 _MISFIT = 3.0  # residuals over their uncertainty, rms, from which one translation does not explain the curves
 _BETTER = 0.5  # share of χ² per degree of freedom that a richer model has to reach
 _PITCHES_WITH = {0: 4, 1: 3, 3: 1, 4: 0}
-INTERNAL_MASS = "internal_mass"
-"""Name of the mass that moves with the load inside the sensor among the parameters."""
 
 
 @dataclass(frozen=True)
@@ -79,44 +77,44 @@ def joint_fits(prepared: Sequence[Prepared], settings: IdentifySettings) -> tupl
 
 
 def _joint_fit(component: int, group: Sequence[Prepared], settings: IdentifySettings) -> JointFit:
-    """Fit one component by the model wanted: "auto" is translation, unless a second peak asks for pitching.
-
-    Two peaks that pitching explains need no other fit; what it does not explain is compared with one translation.
-    """
+    """Fit one component by the model wanted: "auto" is translation, unless a second peak asks for pitching."""
     free = _mass_is_free(component, group, settings)
     peaks = max((item.peaks_hz(name) for item in group for name in item.measured.ratio.channels), key=len)
 
     def fitted(model: str) -> Identification:
         return _fitted(model, component, group, settings, free=free)
 
-    def chosen() -> tuple[str, str, Identification]:
-        if settings.model != "auto":
-            return settings.model, "as wanted", fitted(settings.model)
-        pitching = fitted("pitching") if component in _PITCHES_WITH and len(peaks) > 1 else None
-        reason = "" if pitching is None else _why_pitching(peaks, pitching)
-        if pitching is not None and departure(pitching) < _MISFIT:
-            return "pitching", reason, pitching
-        alone = fitted("translation")
-        if pitching is not None and pitching.chi_squared / pitching.dof < _BETTER * alone.chi_squared / alone.dof:
-            return "pitching", f"{reason}, one translation {departure(alone):.3g}", pitching
-        reason = f"one spring and damper leave residuals of {departure(alone):.3g} times their uncertainty"
-        return "translation", reason, alone
-
-    model, reason, found = chosen()
-    notices = found.notices
-    if model == "translation" and len(peaks) > 1 and departure(found) >= _MISFIT:
+    if settings.model == "auto":
+        model, reason, identification = _chosen(peaks if component in _PITCHES_WITH else (), fitted)
+    else:
+        model, reason, identification = settings.model, "as wanted", fitted(settings.model)
+    notices = identification.notices
+    if model == "translation" and len(peaks) > 1 and departure(identification) >= _MISFIT:
         text = "one translation does not explain the second peak; --model adapter or pitching, or --band, may"
         notices = (*notices, Notice("warning", text, f"model {MOTION_COMPONENTS[component]}"))
-    return JointFit(component, model, reason, free, found, tuple(group), notices)
+    return JointFit(component, model, reason, free, identification, tuple(group), notices)
 
 
-def _why_pitching(peaks_hz: Sequence[float], found: Identification) -> str:
-    """Why pitching was taken."""
-    listed = " and ".join(f"{peak:.6g} Hz" for peak in peaks_hz[:2])
-    return (
-        f"the curves have peaks at {listed}, of which one translation makes one; translation and pitching together "
-        f"leave residuals of {departure(found):.3g} times their uncertainty"
-    )
+def _chosen(peaks_hz: Sequence[float], fitted: Callable[[str], Identification]) -> tuple[str, str, Identification]:
+    """Return a model, why it was taken, and its fit.
+
+    Two peaks that pitching explains need no other fit; what it does not explain is compared with one translation.
+    """
+    pitching, reason = None, ""
+    if len(peaks_hz) > 1:
+        pitching = fitted("pitching")
+        listed = " and ".join(f"{peak:.6g} Hz" for peak in peaks_hz[:2])
+        reason = (
+            f"the curves have peaks at {listed}, of which one translation makes one; translation and pitching together "
+            f"leave residuals of {departure(pitching):.3g} times their uncertainty"
+        )
+        if departure(pitching) < _MISFIT:
+            return "pitching", reason, pitching
+    alone = fitted("translation")
+    if pitching is not None and pitching.chi_squared / pitching.dof < _BETTER * alone.chi_squared / alone.dof:
+        return "pitching", f"{reason}, one translation {departure(alone):.3g}", pitching
+    reason = f"one spring and damper leave residuals of {departure(alone):.3g} times their uncertainty"
+    return "translation", reason, alone
 
 
 def _fitted(
@@ -135,8 +133,12 @@ def _fitted(
         structure = Suspension((component, _PITCHES_WITH[component]))
     names = [parameter.name for parameter in structure.parameters]
     each = [name for name in names if name.startswith("damping_")] if settings.damping == "each" else []
-    inside = {} if free else {mass_name(component): component for component in reversed(range(6))}
-    known = {name: _stated_in(inside[name], group) for name in names if name in inside}
+    inside = {} if free else {mass_name(own): own for own in reversed(range(6)) if mass_name(own) in names}
+    sensor = next((item.manifest.rig.sensor for item in group if item.manifest.rig.sensor is not None), None)
+    if inside and sensor is None:
+        expected = "[sensor] with internal_mass, which recordings of one load mass cannot tell from the stiffness"
+        raise InputError(group[0].manifest.rig_path, "sensor", found="nothing", expected=expected)
+    known = {} if sensor is None else {name: stated_mass(sensor, own) for name, own in inside.items()}
     records = [item.measured for item in group]
     try:
         return identify(records, structure, known=known, each_recording=each)
@@ -159,15 +161,6 @@ def _mass_is_free(component: int, group: Sequence[Prepared], settings: IdentifyS
     return differ if settings.internal_mass == "auto" else settings.internal_mass == "free"
 
 
-def _stated_in(component: int, group: Sequence[Prepared]) -> tuple[float, float]:
-    """Return the internal mass, or moment of inertia, that a rig of the group states, with its standard uncertainty."""
-    sensor = next((item.manifest.rig.sensor for item in group if item.manifest.rig.sensor is not None), None)
-    if sensor is None:
-        expected = "[sensor] with internal_mass, which recordings of one load mass cannot tell from the stiffness"
-        raise InputError(group[0].manifest.rig_path, "sensor", found="nothing", expected=expected)
-    return stated_mass(sensor, component)
-
-
 def stated_mass(sensor: Sensor, component: int) -> tuple[float, float]:
     """Return what moves with the load inside the sensor along a component as the rig states it, and its u."""
     if component < 3:
@@ -178,7 +171,7 @@ def stated_mass(sensor: Sensor, component: int) -> tuple[float, float]:
 
 def mass_name(component: int) -> str:
     """Name of the parameter that moves with the load inside the sensor."""
-    return INTERNAL_MASS if component < 3 else f"internal_inertia_{MOTION_COMPONENTS[component]}"
+    return "internal_mass" if component < 3 else f"internal_inertia_{MOTION_COMPONENTS[component]}"
 
 
 def departure(found: Identification) -> float:
@@ -187,10 +180,6 @@ def departure(found: Identification) -> float:
 
 
 # From the results of sine recordings to load over base acceleration: further points of the transfer functions.
-
-
-AXES = np.eye(3)
-"""Unit vectors of the translations; of a rig that is turned, sines add no points."""
 
 
 def sine_transfers(
@@ -202,14 +191,17 @@ def sine_transfers(
     """
     groups: dict[tuple[object, ...], list[Prepared]] = {}
     for item in items:
-        found = _transfer(item, names[item.manifest.path], band_hz)
-        if found is not None:
-            key = (found.mass_matrix.tobytes(), found.drive.tobytes(), item.manifest.mounting, found.clock)
-            groups.setdefault(key, []).append(Prepared(item.manifest, found))
-    joined = [(group[0].manifest, _joined(group)) for group in groups.values()]
-    if len({measured.name for _, measured in joined}) < len(joined):
-        joined = [(own, replace(one, name=f"{one.name}, mounting {own.mounting}")) for own, one in joined]
-    return tuple(Prepared(manifest, measured) for manifest, measured in joined)
+        measured = _transfer(item, names[item.manifest.path], band_hz)
+        if measured is not None:
+            key = (measured.mass_matrix.tobytes(), measured.drive.tobytes(), item.manifest.mounting, measured.clock)
+            groups.setdefault(key, []).append(Prepared(item.manifest, measured))
+    joined = [Prepared(group[0].manifest, _joined(group)) for group in groups.values()]
+    if len({item.measured.name for item in joined}) < len(joined):
+        named = [f"{item.measured.name}, mounting {item.manifest.mounting}" for item in joined]
+        joined = [
+            replace(item, measured=replace(item.measured, name=name)) for item, name in zip(joined, named, strict=True)
+        ]
+    return tuple(joined)
 
 
 def _joined(group: Sequence[Prepared]) -> MeasuredTransfer:
@@ -225,12 +217,15 @@ def _joined(group: Sequence[Prepared]) -> MeasuredTransfer:
         covariance=np.concatenate([ratio.covariance for ratio in ratios])[order],
         dof=np.concatenate([ratio.dof for ratio in ratios])[order],
     )
-    errors: dict[str, list[ComplexArray]] = {error.name: [] for record in records for error in record.errors}
-    for record in records:
-        known = {error.name: error.relative for error in record.errors}
-        for name, parts in errors.items():
-            parts.append(known.get(name, np.zeros(record.ratio.value.shape, dtype=np.complex128)))
-    joined = tuple(RelativeError(name, np.concatenate(parts)[order]) for name, parts in errors.items())
+    known = [{error.name: error.relative for error in record.errors} for record in records]
+    names = dict.fromkeys(error.name for record in records for error in record.errors)
+    nothing = [np.zeros(one.value.shape, dtype=np.complex128) for one in ratios]
+    joined = tuple(
+        RelativeError(
+            name, np.concatenate([own.get(name, zero) for own, zero in zip(known, nothing, strict=True)])[order]
+        )
+        for name in names
+    )
     steps = f"{len(order)} steps of sines, {group[0].manifest.rig.name}"
     return replace(records[0], name=steps, ratio=ratio, errors=joined)
 
@@ -250,7 +245,7 @@ def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | No
     manifest = item.manifest
     drive = drive_of(manifest)
     component = component_of(drive)
-    if manifest.rig.load is None or component >= len(AXES):
+    if manifest.rig.load is None or component >= 3:  # of a rig that is turned, sines add no points
         return None
     with h5py.File(item.results / RESULT_FILE, "r") as file:
         groups = ["accelerations/load-fused", "accelerations/base-fused"]
@@ -273,7 +268,7 @@ def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | No
     whole = _at_lines(parts[0], chosen).scaled((1.0 / base)[:, None]).plus(replace(below, random=relabelled))
     whole = between_recordings(whole, name, manifest.mounting)
     body = rigid_load(manifest)
-    along = Placement(np.zeros(3), AXES[component])
+    along = Placement(np.zeros(3), np.eye(3)[component])
     clock = manifest.daq[0] if manifest.daq else None
     return MeasuredTransfer(
         name=name,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -156,7 +157,12 @@ def read_campaign(path: Path, *, allow_outside: bool = False) -> Campaign:
         text = "recordings of sines have no results of `shakercal run`, which would add their sensitivity"
         notices.append(Notice("info", f"{len(missing)} {text}", "campaign"))
     used = [*transfers, *(item.manifest for item in sines)]
-    _check_one_sensor(used)
+    named = [(manifest, manifest.rig.sensor) for manifest in used if manifest.rig.sensor is not None]
+    for (manifest, sensor), key in product(named[1:], ("name", "serial")):
+        first, one, other = named[0][0], getattr(named[0][1], key), getattr(sensor, key)
+        if one != other:
+            expected = f'the sensor of {first.rig_path}, "{one}"'
+            raise InputError(manifest.rig_path, f"sensor.{key}", found=f'"{other}"', expected=expected)
     files = [file for manifest in used for file in manifest.files]
     hashes = hash_files([*files, *(item.results / RESULT_FILE for item in sines)], folder)
     return Campaign(folder.name, folder, transfers, sines, hashes, tuple(notices))
@@ -175,18 +181,6 @@ def _results(manifest: Manifest) -> Path | None:
             return place
     expected = "the results of these very input files; shakercal run evaluates the recording anew"
     raise InputError(there[0][0] / RESULT_FILE, "", found="results of other input files", expected=expected)
-
-
-def _check_one_sensor(manifests: list[Manifest]) -> None:
-    """Refuse rigs whose sensors have other names or serial numbers than the first one's."""
-    named = [manifest for manifest in manifests if manifest.rig.sensor is not None]
-    for manifest in named[1:]:
-        first, own = named[0].rig.sensor, manifest.rig.sensor
-        for key in ("name", "serial"):
-            one, other = getattr(first, key), getattr(own, key)
-            if one != other:
-                expected = f'the sensor of {named[0].rig_path}, "{one}"'
-                raise InputError(manifest.rig_path, f"sensor.{key}", found=f'"{other}"', expected=expected)
 
 
 # From an evaluated transfer recording and its rig to the curve that a model of the sensor is fitted to.

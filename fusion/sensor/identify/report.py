@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple, cast, get_args
+from typing import Any, cast, get_args
 
 import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, InputError, rounded, typeset
+from fusion.base import DASH, rounded, typeset
 from fusion.campaign.executor import one_blas_thread
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.report.folder import Command
@@ -37,66 +39,56 @@ from fusion.sensor.identify.evaluate import (
     IdentifyEvaluation,
     Reading,
     evaluate_identification,
-    of_curve,
 )
 from fusion.sensor.identify.figures import curve_pictures, sensitivity_pictures
 from fusion.sensor.identify.measured import IdentifySettings, Prepared, mass_unit, read_campaign
+from fusion.sensor.models_file import FORMAT, read_stored
 from shaker.identification.measured import ParameterEstimate
 from shaker.identification.sensitivity import CHAIN_WORDS, SensitivityFit
 from shaker.identification.sensor import CHAIN_PARAMETERS, SENSOR_PARAMETERS, Chain, ChainKind, SensorModel, UsableBand
 from shaker.labels import LOAD_COMPONENTS
 
-# The page, and the lines of the terminal.
+# Every number found, in files, on the page and in the lines of the terminal.
 
 
 K = coverage_factor(np.inf)
+Found = tuple[str, ParameterEstimate, str]
+"""Component, number, and the method that found it."""
+NUMBERS: list[Column[Found]] = [
+    word("component", lambda row: row[0]),
+    word("name", lambda row: row[1].name),
+    Column("value", lambda row: row[1].value),
+    Column("u", lambda row: row[1].u),
+    Column("k", lambda _: K),
+    Column("U", lambda row: K * row[1].u),
+    word("unit", lambda row: ascii_unit(row[1].unit)),
+    word("method", lambda row: row[2]),
+]
 
 
-class NumberRow(NamedTuple):
-    """One number of parameters.csv, and the method that found it."""
-
-    component: str
-    name: str
-    value: float
-    u: float
-    k: float
-    U: float
-    unit: str
-    method: str
-
-
-def numbers(component: ComponentResult) -> Iterator[tuple[ParameterEstimate, str]]:
-    """Every number found of a component, and the method that found it."""
-    fit = component.fit
+def numbers(component: ComponentResult) -> Iterator[Found]:
+    """Yield every number found of a component."""
+    fit, own = component.fit, component.name
     how = f"joint fit, {fit.model}"
     for estimate in fit.identification.estimates:
         stated = estimate.name == component.internal_mass.name and not fit.mass_is_free
-        yield estimate, f"{how}, stated beforehand" if stated else how
+        yield own, estimate, f"{how}, stated beforehand" if stated else how
     for estimate in fit.identification.derived:
-        yield estimate, how
+        yield own, estimate, how
     curves = {reading.recording for reading in component.readings}
     for mode in fit.identification.modes:
         if mode.record in curves:
             place = f"{mode.record}, mode {mode.number + 1}"
             f0, zeta = (mode.frequency_hz, mode.u_frequency_hz, "Hz"), (mode.damping_ratio, mode.u_damping_ratio, "1")
-            yield ParameterEstimate(f"frequency: {place}", f"resonance f₀, {place}", *f0), how
-            yield ParameterEstimate(f"damping_ratio: {place}", f"damping ratio ζ, {place}", *zeta), how
+            yield own, ParameterEstimate(f"frequency: {place}", f"resonance f₀, {place}", *f0), how
+            yield own, ParameterEstimate(f"damping_ratio: {place}", f"damping ratio ζ, {place}", *zeta), how
     if component.sensitivity is not None:
         best = component.sensitivity.comparison.best
         for estimate in best.estimates:
-            yield estimate, f"sensitivity over frequency, {CHAIN_WORDS[best.chain.kind]}"
+            yield own, estimate, f"sensitivity over frequency, {CHAIN_WORDS[best.chain.kind]}"
     for load, band in zip(component.loads, component.bands, strict=True):
-        place = f"load {load:.6g}"
-        name, label = f"usable_band: {place}", f"usable band, {place}"
-        yield ParameterEstimate(name, label, band.upper_hz, band.u_upper_hz, "Hz"), "sensor model"
-
-
-def parameter_rows(evaluation: IdentifyEvaluation) -> Iterator[NumberRow]:
-    """One row per number."""
-    for component in evaluation.components:
-        for estimate, method in numbers(component):
-            values = (estimate.value, estimate.u, K, K * estimate.u, ascii_unit(estimate.unit))
-            yield NumberRow(component.name, estimate.name, *values, method)
+        name, label = f"usable_band: load {load:.6g}", f"usable band, load {load:.6g}"
+        yield own, ParameterEstimate(name, label, band.upper_hz, band.u_upper_hz, "Hz"), "sensor model"
 
 
 def ascii_unit(unit: str) -> str:
@@ -110,14 +102,14 @@ _LARGEST_CAUSES = 12
 
 def parameters_table(component: ComponentResult) -> Table | None:
     """Parameters, lags and modes of a component with U."""
-    columns: list[Column[tuple[ParameterEstimate, str]]] = [
-        on_page("parameter", lambda row: _label(row[0].label), "l"),
-        on_page("value ± U", lambda row: _with_u(row[0])),
-        on_page("U / %", lambda row: _relative(row[0].value, row[0].u)),
-        on_page("method", lambda row: row[1], "l"),
+    columns: list[Column[Found]] = [
+        on_page("parameter", lambda row: _label(row[1].label), "l"),
+        on_page("value ± U", lambda row: _with_u(row[1])),
+        on_page("U / %", lambda row: _relative(row[1].value, row[1].u)),
+        on_page("method", lambda row: row[2], "l"),
     ]
     caption = f"Parameters of {component.name}, U = k·u with k = {K:.2f} (95 %)"
-    return table(caption, columns, [row for row in numbers(component) if not row[0].name.startswith("usable_band")])
+    return table(caption, columns, [row for row in numbers(component) if not row[1].name.startswith("usable_band")])
 
 
 def correlation_table(component: ComponentResult) -> Table:
@@ -130,47 +122,44 @@ def correlation_table(component: ComponentResult) -> Table:
 
 
 def budget_table(component: ComponentResult) -> Table:
-    """What every cause adds to the uncertainty of the parameters, largest first."""
-    found = component.fit.identification
-    value = np.array([estimate.value for estimate in found.estimates])
-    share = {cause: np.abs(change) / np.abs(value) for cause, change in found.budget.items()}
-    ordered = sorted(share.items(), key=lambda item: -float(np.max(item[1])))
-    largest = float(np.max(ordered[0][1])) if ordered else 0.0
-    kept = [item for item in ordered if float(np.max(item[1])) > 1e-3 * largest][:_LARGEST_CAUSES]
-    rows = [(cause, *(_share(float(part)) for part in parts)) for cause, parts in kept]
-    total = [_share(estimate.u / abs(estimate.value)) for estimate in found.estimates]
-    rows.append(("combined, k = 1", *total))
-    head = ("contribution", *(Markup("u({}) / %").format(_label(estimate.label)) for estimate in found.estimates))
-    return Table("Budget, relative to each parameter", head, "l" + "r" * len(total), tuple(rows))
+    """What every cause adds to the uncertainty of the parameters, largest first, what is far below only bounded."""
+    estimates = component.fit.identification.estimates
+    size = np.abs([estimate.value for estimate in estimates])
+    share = {cause: np.abs(change) / size for cause, change in component.fit.identification.budget.items()}
+    ordered = sorted(share, key=lambda cause: -float(np.max(share[cause])))
+    kept = [cause for cause in ordered if np.max(share[cause]) > 1e-3 * np.max(share[ordered[0]])][:_LARGEST_CAUSES]
+    whole = np.array([estimate.u for estimate in estimates]) / size
+    rows = tuple(
+        (cause, *(f"{100.0 * part:.2g}" if part >= 1e-7 else "< 10⁻⁵" for part in parts.tolist()))
+        for cause, parts in [*((cause, share[cause]) for cause in kept), ("combined, k = 1", whole)]
+    )
+    head = ("contribution", *(Markup("u({}) / %").format(_label(estimate.label)) for estimate in estimates))
+    return Table("Budget, relative to each parameter", head, "l" + "r" * len(estimates), rows)
 
 
 def readings_tables(component: ComponentResult) -> list[Table]:
-    """What every method reads from every curve."""
-    curves = dict.fromkeys((reading.recording, reading.response) for reading in component.readings)
-    return [_readings_table(component, *curve) for curve in curves]
-
-
-def _readings_table(component: ComponentResult, recording: str, response: str) -> Table:
-    """All methods on one curve, stiffness in units of a power of ten."""
-    turning = component.fit.component >= 3
-    own = of_curve(component.readings, recording, response)
-    exponent = rounded(max(reading.stiffness for reading in own), 0.0).exponent
-    below = Markup('{}<br><span class="below">{}</span>')
-    rows = tuple(
-        (
-            below.format(LABELS[reading.method], reading.note) if reading.note else LABELS[reading.method],
-            measured(reading.frequency_hz, K * reading.u_frequency_hz),
-            measured(reading.width_hz, K * reading.u_width_hz),
-            measured(100.0 * reading.damping_ratio, 100.0 * K * reading.u_damping_ratio),
-            f"{reading.stiffness / 10.0**exponent:.5f}",
-            f"{reading.damping:.5g}" if np.isfinite(reading.damping) else DASH,
+    """What every method reads from every curve, stiffness in units of a power of ten."""
+    force = "N·m" if component.fit.component >= 3 else "N"
+    per = "rad" if component.fit.component >= 3 else "m"
+    below, shown = Markup('{}<br><span class="below">{}</span>'), []
+    for (recording, response), group in groupby(component.readings, attrgetter("recording", "response")):
+        own = list(group)
+        exponent = rounded(max(reading.stiffness for reading in own), 0.0).exponent
+        rows = tuple(
+            (
+                below.format(LABELS[reading.method], reading.note) if reading.note else LABELS[reading.method],
+                measured(reading.frequency_hz, K * reading.u_frequency_hz),
+                measured(reading.width_hz, K * reading.u_width_hz),
+                measured(100.0 * reading.damping_ratio, 100.0 * K * reading.u_damping_ratio),
+                f"{reading.stiffness / 10.0**exponent:.5f}",
+                f"{reading.damping:.5g}" if np.isfinite(reading.damping) else DASH,
+            )
+            for reading in own
         )
-        for reading in own
-    )
-    unit = times_ten(exponent, "N·m/rad" if turning else "N/m")
-    damper = "b / (N·m·s/rad)" if turning else "b / (N·s/m)"
-    head = ("method", "f / Hz", "width / Hz", "ζ / %", Markup("k / ({})").format(unit), damper)
-    return Table(f"{recording}: {response}", head, "lrrrrr", rows)
+        stiffness = Markup("k / ({})").format(times_ten(exponent, f"{force}/{per}"))
+        head = ("method", "f / Hz", "width / Hz", "ζ / %", stiffness, f"b / ({force}·s/{per})")
+        shown.append(Table(f"{recording}: {response}", head, "lrrrrr", rows))
+    return shown
 
 
 def explanations_table(component: ComponentResult) -> Table | None:
@@ -181,7 +170,7 @@ def explanations_table(component: ComponentResult) -> Table | None:
 
     def chain(fit: SensitivityFit) -> str:
         named = [e for e in fit.estimates if e.name in ("delay_s", "lag_s", "corner_hz")]
-        return Markup("; ").join(Markup(f"{e.label} {measured(*_scaled(e))}") for e in named) if named else DASH
+        return Markup("; ").join(Markup(f"{e.label} {_in_microseconds(e)}") for e in named) or DASH
 
     columns: list[Column[tuple[SensitivityFit, float, str]]] = [
         on_page("explanation beside b/k of the resonance", lambda row: CHAIN_WORDS[row[0].chain.kind], "l"),
@@ -197,9 +186,13 @@ def explanations_table(component: ComponentResult) -> Table | None:
 
 def bands_table(component: ComponentResult) -> Table | None:
     """Usable band without correction for each load mass, None where there is none."""
+
+    def edge(band: UsableBand) -> str:
+        return measured(band.upper_hz, K * band.u_upper_hz, "Hz") if np.isfinite(band.upper_hz) else "no limit"
+
     columns: list[Column[tuple[float, UsableBand]]] = [
         on_page(f"load / {mass_unit(component.fit.component)}", lambda row: f"{row[0]:.6g}"),
-        on_page("up to", lambda row: _edge(row[1])),
+        on_page("up to", lambda row: edge(row[1])),
         on_page("U / %", lambda row: _relative(row[1].upper_hz, row[1].u_upper_hz)),
         on_page("ends by", lambda row: LIMITS[row[1].limit], "l"),
     ]
@@ -241,7 +234,7 @@ def headlines(evaluation: IdentifyEvaluation) -> list[Headline]:
             for estimate in component.sensitivity.comparison.best.estimates:
                 if estimate.name in ("delay_s", "lag_s"):
                     label = capital(f"{estimate.label} {where}")
-                    shown.append(Headline(label, measured(*_scaled(estimate)), "from S(f), with U"))
+                    shown.append(Headline(label, _in_microseconds(estimate), "from S(f), with U"))
     return shown
 
 
@@ -262,16 +255,10 @@ def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
             yield f"  usable up to ({band.permitted:.2%}, load {load:.6g}): {text.value} ± {text.expanded} Hz"
 
 
-def _edge(band: UsableBand) -> str:
-    """Edge of a band with U."""
-    return measured(band.upper_hz, K * band.u_upper_hz, "Hz") if np.isfinite(band.upper_hz) else "no limit"
-
-
-def _scaled(estimate: ParameterEstimate) -> tuple[float, float, str]:
-    """Value and U of a time in µs, of other numbers in their unit."""
-    if estimate.unit == "s":
-        return 1e6 * estimate.value, 1e6 * K * estimate.u, "µs"
-    return estimate.value, K * estimate.u, estimate.unit
+def _in_microseconds(estimate: ParameterEstimate) -> Markup:
+    """Value with U and unit, of a time in µs."""
+    scale, unit = (1e6, "µs") if estimate.unit == "s" else (1.0, estimate.unit)
+    return measured(scale * estimate.value, scale * K * estimate.u, unit)
 
 
 def _with_u(estimate: ParameterEstimate) -> str:
@@ -288,11 +275,6 @@ def _relative(value: float, u: float) -> str:
 def _label(text: str) -> Markup:
     """A label with its index typeset."""
     return Markup("{}m<sub>i</sub>{}").format(*text.split("m_i", 1)) if "m_i" in text else Markup("{}").format(text)
-
-
-def _share(share: float) -> str:
-    """A relative contribution in per cent to two digits, far below the last place of interest only bounded."""
-    return f"{100.0 * share:.2g}" if share >= 1e-7 else "< 10⁻⁵"
 
 
 def page_context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
@@ -333,7 +315,6 @@ def _component_context(component: ComponentResult) -> dict[str, Any]:
 # model.json, what a correction needs: written and read.
 
 
-FORMAT = 1
 MODEL_FILE = "model.json"
 
 
@@ -390,34 +371,27 @@ def read_sensor_models(path: str | Path) -> SensorFile:
     >>> from fusion import read_sensor_models
     >>> sensor = read_sensor_models("my-masses/identify")["Fz"].sensor  # doctest: +SKIP
     """
-    file = Path(path) / MODEL_FILE if Path(path).is_dir() else Path(path)
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        if content["format"] != FORMAT:
-            found = f"format {content['format']}"
-            raise InputError(
-                file, "format", found=found, expected=f"format {FORMAT}; shakercal identify writes it anew"
-            )
-        components = tuple(_read_component(item) for item in content["components"])
-        sensor = content["sensor"]
+
+    def parsed(content: dict[str, Any]) -> SensorFile:
+        components, sensor = tuple(_read_component(item) for item in content["components"]), content["sensor"]
         return SensorFile(str(sensor["name"]), str(sensor["serial"]), str(content["campaign"]), components)
-    except OSError as error:
-        raise InputError(file, "", found=error.strerror or str(error), expected="a file that can be read") from error
-    except (KeyError, TypeError, ValueError) as error:
-        found = f"no key {error}" if isinstance(error, KeyError) else str(error)
-        raise InputError(file, "", found=found, expected="a model as shakercal identify writes it") from error
+
+    return read_stored(Path(path), MODEL_FILE, "identify", parsed)
 
 
 def _model_of(component: ComponentResult) -> dict[str, Any]:
     """One component as nested dictionaries; numbers are SI, the covariance in the order of its parameters."""
-    model, measured, identified = component.model, component.sensitivity, component.fit.identification
+    model, seen, identified = component.model, component.sensitivity, component.fit.identification
     values = [model.sensitivity, model.stiffness, model.damping, model.internal_mass, *model.chain.parameters.tolist()]
-    u = np.sqrt(model.covariance.diagonal()).tolist()
-    names = [*SENSOR_PARAMETERS, *model.chain.names]
     damper = next(e for e in identified.estimates if e.name.startswith(f"damping_{component.name}"))
     mechanical = (identified[f"stiffness_{component.name}"], damper, component.internal_mass)
     chain_units = ("s^2" if name == "square_s2" else "s" for name in model.chain.names)
-    units = [model.unit, *(ascii_unit(estimate.unit) for estimate in mechanical), *chain_units]
+    parameters = {
+        "name": [*SENSOR_PARAMETERS, *model.chain.names],
+        "value": values,
+        "u": np.sqrt(model.covariance.diagonal()).tolist(),
+        "unit": [model.unit, *(ascii_unit(estimate.unit) for estimate in mechanical), *chain_units],
+    }
     load = LOAD_COMPONENTS[component.fit.component]
     bands = [
         (mass, band.permitted, band.upper_hz if np.isfinite(band.upper_hz) else None, band.u_upper_hz)
@@ -425,15 +399,12 @@ def _model_of(component: ComponentResult) -> dict[str, Any]:
     ]
     return {
         "component": load,
-        "channel": load if measured is None else measured.measured.channel,
+        "channel": load if seen is None else seen.measured.channel,
         "structure": component.fit.model,
-        "sensitivity_measured": measured is not None,
+        "sensitivity_measured": seen is not None,
         "frequency_range_hz": list(component.range_hz),
         "chain": model.chain.kind,
-        "parameters": [
-            {"name": name, "value": value, "u": spread, "unit": unit}
-            for name, value, spread, unit in zip(names, values, u, units, strict=True)
-        ],
+        "parameters": [dict(zip(parameters, row, strict=True)) for row in zip(*parameters.values(), strict=True)],
         "covariance": model.covariance.tolist(),
         "usable_bands": [dict(zip(("load", "permitted", "upper_hz", "u"), band, strict=True)) for band in bands],
     }
@@ -441,26 +412,18 @@ def _model_of(component: ComponentResult) -> dict[str, Any]:
 
 def _read_component(item: dict[str, Any]) -> ComponentModel:
     """One component from its dictionary."""
-    kind = item["chain"]
-    if kind not in get_args(ChainKind):
-        raise ValueError(f"expected a chain of {', '.join(get_args(ChainKind))}, found {kind}")
+    if item["chain"] not in get_args(ChainKind):
+        raise ValueError(f"expected a chain of {', '.join(get_args(ChainKind))}, found {item['chain']}")
+    kind = cast("ChainKind", item["chain"])
     named = {parameter["name"]: float(parameter["value"]) for parameter in item["parameters"]}
-    shape = cast("ChainKind", kind)
-    sensitivity, stiffness, damping, internal_mass = (named[name] for name in SENSOR_PARAMETERS)
+    chain = Chain(kind, np.array([named[name] for name in CHAIN_PARAMETERS[kind]], dtype=np.float64))
+    covariance, unit = np.array(item["covariance"], dtype=np.float64), str(item["parameters"][0]["unit"])
     low, high = item["frequency_range_hz"]
     return ComponentModel(
         component=str(item["component"]),
         channel=str(item["channel"]),
         structure=str(item["structure"]),
-        sensor=SensorModel(
-            sensitivity,
-            stiffness,
-            damping,
-            internal_mass,
-            Chain(shape, np.array([named[name] for name in CHAIN_PARAMETERS[shape]], dtype=np.float64)),
-            np.array(item["covariance"], dtype=np.float64),
-            str(item["parameters"][0]["unit"]),
-        ),
+        sensor=SensorModel(*(named[name] for name in SENSOR_PARAMETERS), chain, covariance, unit),
         range_hz=(float(low), float(high)),
         sensitivity_measured=bool(item["sensitivity_measured"]),
     )
@@ -479,9 +442,8 @@ def _fill(file: h5py.File, evaluation: IdentifyEvaluation) -> None:
         for name in ("model", "reason", "mass_is_free"):
             write_value(group, name, getattr(fit, name))
         identified = group.create_group("identification", track_order=True)
-        for name in ("estimates", "covariance", "correlation", "derived", "modes", "unknowns", "factors"):
-            write_value(identified, name, getattr(fit.identification, name))
-        for name in ("chi_squared", "dof", "budget"):
+        found = ("estimates", "covariance", "correlation", "derived", "modes", "unknowns", "factors")
+        for name in (*found, "chi_squared", "dof", "budget"):
             write_value(identified, name, getattr(fit.identification, name))
         curves = group.create_group("recordings", track_order=True)
         for place, item in enumerate(fit.prepared):
@@ -502,14 +464,15 @@ def _texts(evaluation: IdentifyEvaluation) -> dict[str, str | bytes]:
 
     component: Column[tuple[str, Reading]] = word("component", lambda row: row[0])
     return {
-        "parameters.csv": csv_text(columns_of(NumberRow), parameter_rows(evaluation)),
+        "parameters.csv": csv_text(NUMBERS, [row for component in evaluation.components for row in numbers(component)]),
         "readings.csv": csv_text([component, *map(of_reading, columns_of(Reading))], readings),
         MODEL_FILE: model_text(evaluation),
     }
 
 
-FILES = ("parameters.csv", "readings.csv", MODEL_FILE)
-IDENTIFY = Command("identify", "identify", FILES, _texts, _fill, page_context, printed)
+IDENTIFY = Command(
+    "identify", "identify", ("parameters.csv", "readings.csv", MODEL_FILE), _texts, _fill, page_context, printed
+)
 
 
 def run_identify(

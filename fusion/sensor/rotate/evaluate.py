@@ -78,9 +78,13 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     u_angle = max(manifest.excitation.angle_uncertainty for manifest in manifests)
     weights = fit_weights(records, outputs, u_angle)
     campaign = Campaign(recordings, records, weights, gravity, air)
-    found, again = quantities(campaign), repeats(campaign)
+    numbers, again = quantities(campaign), repeats(campaign)
     notices += [*_of_surroundings(manifests[0], gravity, outputs), *_of_mounting(recordings, again)]
-    notices += [*_of_fit(weights, records), *_of_load(found)]
+    notices += _of_fit(weights, records)
+    for quantity in numbers:
+        if quantity.name == "load_mass_normalised_deviation" and abs(quantity.value) > 1.0:
+            by, times = quantity.component, f"{abs(quantity.value):.2f} times the U of their difference"
+            notices.append(Notice("warning", f"the load mass by {by} and the weighed mass differ by {times}", "load"))
     return RotationEvaluation(
         name=name,
         recordings=recordings,
@@ -88,7 +92,7 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
         gravity=gravity,
         air=air,
         weights=weights,
-        quantities=found,
+        quantities=numbers,
         repeats=again,
         notices=tuple(dict.fromkeys(notices)),
         settings={"gravity": gravity.source, "air_density": air.source},
@@ -181,14 +185,6 @@ def _of_fit(weights: WeightFit, records: Sequence[Turned]) -> Iterator[Notice]:
         yield Notice("warning", text, "channels")
 
 
-def _of_load(found: Sequence[RotationQuantity]) -> Iterator[Notice]:
-    """Whether the load weighs what was weighed."""
-    for quantity in found:
-        if quantity.name == "load_mass_normalised_deviation" and abs(quantity.value) > 1.0:
-            by, times = quantity.component, f"{abs(quantity.value):.2f} times the U of their difference"
-            yield Notice("warning", f"the load mass by {by} and the weighed mass differ by {times}", "load")
-
-
 # From weights to masses and centres of mass.
 
 
@@ -200,12 +196,12 @@ MEAN_ROWS = np.array([0, *range(OWN, OWN + FORCES), 1, 2, 3])
 
 
 class Head(NamedTuple):
-    """What a number is: name for files, label, component, unit, recording."""
+    """What a number is: unit, name for files, label, component, recording."""
 
+    unit: str
     name: str
     label: str
     component: str
-    unit: str
     recording: str = ""
 
 
@@ -334,36 +330,50 @@ def quantities(campaign: Campaign) -> tuple[RotationQuantity, ...]:
     inputs = _Inputs(campaign)
     told = list(_derived(inputs))
     gradient = inputs.gradient(np.array([value for _, value in told]))
-    parts = []
+    names, parts = [source.name for source in inputs.sources], []
     for source in inputs.sources:
         variance = np.sum((gradient @ source.effect) ** 2, axis=1)
-        parts.append(_Part(source.name, variance, variance, np.full(len(told), source.dof)))
+        parts.append((variance, variance, np.full(len(told), source.dof)))
     on_all = np.array([not head.recording for head, _ in told])
     for carried, places in _states(inputs):
         rows = ROWS * np.array(places)[:, None] + MEAN_ROWS
         for name, component in components(carried, gradient[:, rows].sum(axis=1)):
-            in_mean, wide = (np.where(on_all, variance, 0.0) for variance in (component.in_mean, component.wide))
-            parts.append(_Part(f"{name} {carried.state}", in_mean, wide, component.dof))
-    names = [part.name for part in parts]
-    numbers = np.array([part[1:] for part in parts]).T.tolist()
-    found = [_quantity(head, float(value[0]), names, *own) for (head, value), own in zip(told, numbers, strict=True)]
-    kept = [q for q in found if q.budget.get(UNTOLD, 0.0) <= LARGEST_UNTOLD * q.u]
-    return tuple(_with_normalised(kept))
+            names.append(f"{name} {carried.state}")
+            parts.append((*(np.where(on_all, own, 0.0) for own in component[1:3]), component.dof))
+    variance, wide, dof = np.array(parts).swapaxes(0, 1)
+    # effective degrees of freedom by Welch and Satterthwaite (JCGM 100, G.4)
+    fourth = np.sum(np.divide(wide**2, dof, out=np.zeros_like(wide), where=variance > 0.0), axis=0)
+    effective = np.divide(wide.sum(axis=0) ** 2, fourth, out=np.full(len(told), np.inf), where=fourth > 0.0)
+    numbers = [
+        RotationQuantity(float(value[0]), u, own, *head, _budget(names, shares))
+        for (head, value), u, own, shares in zip(
+            told, np.sqrt(variance.sum(axis=0)).tolist(), effective.tolist(), variance.T.tolist(), strict=True
+        )
+    ]
+    kept = []
+    for quantity in numbers:
+        if quantity.budget.get(UNTOLD, 0.0) > LARGEST_UNTOLD * quantity.u:
+            continue
+        kept.append(quantity)
+        if quantity.name == "load_mass_deviation" and quantity.u > 0.0:  # within ±1 the two masses agree
+            value, u = quantity.value / quantity.expanded, 1.0 / coverage_factor(quantity.dof)
+            head = Head("1", "load_mass_normalised_deviation", "deviation over its U", quantity.component)
+            kept.append(RotationQuantity(value, u, quantity.dof, *head, {}))
+    return tuple(kept)
+
+
+def _budget(names: Sequence[str], variances: Sequence[float]) -> dict[str, float]:
+    """Standard uncertainties by cause, those of one name together, without those that add nothing."""
+    by_name = dict.fromkeys(names, 0.0)
+    for name, variance in zip(names, variances, strict=True):
+        by_name[name] += variance
+    return {name: float(np.sqrt(variance)) for name, variance in by_name.items() if variance > 0.0}
 
 
 def repeats(campaign: Campaign) -> tuple[Repeats, ...]:
     """Return how much the weights of states that were recorded repeatedly scatter beyond what is stated."""
     weight = np.eye(len(MEAN_ROWS))[0]
     return tuple(carried.repeats(weight) for carried, _ in _states(_Inputs(campaign)))
-
-
-class _Part(NamedTuple):
-    """One contribution to Q numbers: variances (Q,), and those that tell effective degrees of freedom."""
-
-    name: str
-    variance: FloatArray
-    wide: FloatArray
-    dof: FloatArray
 
 
 def _states(inputs: _Inputs) -> Iterator[tuple[Carried, list[int]]]:
@@ -378,38 +388,6 @@ def _states(inputs: _Inputs) -> Iterator[tuple[Carried, list[int]]]:
         recordings = [inputs.campaign.recordings[r] for r in places]
         names, mountings = tuple(r.name for r in recordings), tuple(r.manifest.mounting for r in recordings)
         yield Carried(recordings[0].state, names, mountings, found[:, :, 0], effects), places
-
-
-def _quantity(
-    head: Head,
-    value: float,
-    names: Sequence[str],
-    variances: Sequence[float],
-    wide: Sequence[float],
-    dof: Sequence[float],
-) -> RotationQuantity:
-    """One number with its budget; effective degrees of freedom by Welch and Satterthwaite (JCGM 100, G.4)."""
-    by_name: dict[str, float] = {}
-    for name, variance in zip(names, variances, strict=True):
-        by_name[name] = by_name.get(name, 0.0) + variance
-    fourth = sum(variance**2 / own for variance, own in zip(wide, dof, strict=True) if variance > 0.0)
-    effective = sum(wide) ** 2 / fourth if fourth > 0.0 else np.inf
-    budget = {name: float(np.sqrt(variance)) for name, variance in by_name.items() if variance > 0.0}
-    u = float(np.sqrt(sum(variances)))
-    return RotationQuantity(
-        value, u, effective, head.unit, head.name, head.label, head.component, head.recording, budget
-    )
-
-
-def _with_normalised(found: Sequence[RotationQuantity]) -> Iterator[RotationQuantity]:
-    """All numbers, and behind the load's deviation in kg that over its U: within ±1 the two masses agree."""
-    for quantity in found:
-        yield quantity
-        if quantity.name == "load_mass_deviation" and quantity.u > 0.0:
-            value, k = quantity.value / quantity.expanded, coverage_factor(quantity.dof)
-            label = "deviation over its U"
-            name = "load_mass_normalised_deviation"
-            yield RotationQuantity(value, 1.0 / k, quantity.dof, "1", name, label, quantity.component, "", {})
 
 
 Told = Iterator[tuple[Head, FloatArray]]
@@ -433,22 +411,22 @@ def _derived(inputs: _Inputs) -> Told:
         yield from _load(inputs, loaded.less(*bare), seen)
     for r, recording in enumerate(campaign.recordings):
         name, row, net = recording.name, inputs.fit[r], inputs.net(r)
-        yield Head("weight", "weight in air", JOINT, "N", name), row[0]
+        yield Head("N", "weight", "weight in air", JOINT, name), row[0]
         for i, component in campaign.alone[r]:
-            yield Head("weight", "weight in air", component, "N", name), row[OWN + i - 1]
-        yield Head("zero_angle", "gravity at angle 0 ahead of its stated direction", "", "rad", name), row[4]
+            yield Head("N", "weight", "weight in air", component, name), row[OWN + i - 1]
+        yield Head("rad", "zero_angle", "gravity at angle 0 ahead of its stated direction", "", name), row[4]
         _, along, across = campaign.records[r].frame
         tilt = np.outer(along, row[5]) + np.outer(across, row[6])
         for i, axis in enumerate(AXES):
             if abs(along[i]) + abs(across[i]) > 0.5:
-                yield Head("axis_tilt", "true axis less stated axis", axis, "rad", name), tilt[i]
+                yield Head("rad", "axis_tilt", "true axis less stated axis", axis, name), tilt[i]
         mean = loaded if recording.with_load else bare
         if mean is not None and len(campaign.places(recording.with_load)) > 1:
             for i, component in seen:
-                head = Head("weight_deviation", "weight less mean of repeats", component, "N", name)
+                head = Head("N", "weight_deviation", "weight less mean of repeats", component, name)
                 yield head, net.weight[i] - mean.weight[i]
-    yield Head("gravity", "local gravity", "", "m/s^2"), inputs.gravity
-    yield Head("air_density", "density of the air", "", "kg/m^3"), inputs.air
+    yield Head("m/s^2", "gravity", "local gravity", ""), inputs.gravity
+    yield Head("kg/m^3", "air_density", "density of the air", ""), inputs.air
 
 
 def _load(inputs: _Inputs, mean: Mean, seen: Sequence[tuple[int, str]]) -> Told:
@@ -460,30 +438,30 @@ def _load(inputs: _Inputs, mean: Mean, seen: Sequence[tuple[int, str]]) -> Told:
     yield from _centre("load_centre_of_mass", "centre of the load", mean)
     if not load:
         return
-    yield Head("weighed_mass", "weighed mass of the load", "stated", "kg"), weighed
+    yield Head("kg", "weighed_mass", "weighed mass of the load", "stated"), weighed
     for name, mass in masses.items():
-        yield Head("load_mass_deviation", "load mass less weighed mass", name, "kg"), mass - weighed
+        yield Head("kg", "load_mass_deviation", "load mass less weighed mass", name), mass - weighed
         relative = PERCENT * (mass / weighed - 1.0)
-        yield Head("load_mass_relative_deviation", "load mass less weighed mass", name, "%"), relative
+        yield Head("%", "load_mass_relative_deviation", "load mass less weighed mass", name), relative
     for i, axis in enumerate(AXES):
-        head = Head("load_centre_of_mass_deviation", "centre of the load less stated centre", axis, "m")
+        head = Head("m", "load_centre_of_mass_deviation", "centre of the load less stated centre", axis)
         yield head, mean.moment[i] / mean.weight[0] - centre[i]
 
 
 def _by_component(name: str, label: str, masses: dict[str, FloatArray]) -> Told:
     """A mass by all forces and by each alone, and how far those are apart."""
     for component, mass in masses.items():
-        yield Head(name, label, component, "kg"), mass
+        yield Head("kg", name, label, component), mass
     alone = [component for component in masses if component != JOINT]
     if len(alone) == 2:
         first, second = alone
         between = f"{first}-{second}"
-        yield Head(f"{name}_difference", f"{label}, axis to axis", between, "kg"), masses[first] - masses[second]
+        yield Head("kg", f"{name}_difference", f"{label}, axis to axis", between), masses[first] - masses[second]
         relative = PERCENT * (masses[first] - masses[second]) / masses[JOINT]
-        yield Head(f"{name}_relative_difference", f"{label}, axis to axis", between, "%"), relative
+        yield Head("%", f"{name}_relative_difference", f"{label}, axis to axis", between), relative
 
 
 def _centre(name: str, label: str, mean: Mean) -> Told:
     """Centre of mass from first moment and weight."""
     for i, axis in enumerate(AXES):
-        yield Head(name, label, axis, "m"), mean.moment[i] / mean.weight[0]
+        yield Head("m", name, label, axis), mean.moment[i] / mean.weight[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -290,7 +290,12 @@ def read_rotation(manifest: Manifest) -> tuple[RotationRecording, SensorOutputs,
     columns = [column for column, moves in zip(columns, changing, strict=True) if moves]
     if not columns:
         raise InputError(table_path(manifest), "", "readings that do not change with the angle", "the sensor's outputs")
-    outputs = _outputs(sensor, columns)
+    if columns[0].is_load:
+        matrix = np.eye(6)[[LOAD_COMPONENTS.index(column.channel) for column in columns]]
+    else:
+        matrix = np.array(sensor.static_sensitivity)[[sensor.channels.index(column.channel) for column in columns]]
+    sense: Literal[1, -1] = 1 if sensor.sense == "on_sensor" else -1
+    outputs = SensorOutputs(matrix, sensor.static_sensitivity_uncertainty * np.abs(matrix), sense)
     with as_input_error(table_path(manifest)):
         fit = fit_angles(tuple(column.channel for column in columns), angle, values[:, changing])
     recording = RotationRecording(
@@ -396,13 +401,3 @@ def _numbers(manifest: Manifest, sensor: Sensor, columns: Sequence[TableColumn])
         scale[c] = factors[0]
     angle = np.radians(table[:, 0]) if excitation.angle_unit == "deg" else table[:, 0]
     return angle, table[:, 1:] * scale
-
-
-def _outputs(sensor: Sensor, columns: Sequence[TableColumn]) -> SensorOutputs:
-    """How the channels answer the load: rows of the sensitivity, or of the identity where they are loads already."""
-    if columns[0].is_load:
-        matrix = np.eye(6)[[LOAD_COMPONENTS.index(column.channel) for column in columns]]
-    else:
-        matrix = np.array(sensor.static_sensitivity)[[sensor.channels.index(column.channel) for column in columns]]
-    u = sensor.static_sensitivity_uncertainty * np.abs(matrix)
-    return SensorOutputs(matrix, u, 1 if sensor.sense == "on_sensor" else -1)

@@ -1,4 +1,4 @@
-"""What a rotation test leaves: rotation.csv, rotation.h5, the page, and the lines of the terminal."""
+"""What a rotation test leaves: rotation.csv, rotation.h5, the page with its figures, and the lines of the terminal."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from typing import Any
 
 import h5py
 import numpy as np
+from matplotlib.axes import Axes
 
-from fusion.base import DASH, GRAM, MILLI, typeset
+from fusion.base import DASH, GRAM, MILLI, prefix, typeset
 from fusion.campaign.repeats import BETWEEN, WITHIN
 from fusion.recording.load import load_for_command
 from fusion.report.folder import Command, subject_of
 from fusion.report.h5 import write_fields, write_value
+from fusion.report.style import BLACK, GREY, LIGHT, Picture, panel_label, sheet
 from fusion.report.table import (
     Column,
     Headline,
@@ -33,22 +35,12 @@ from fusion.report.table import (
     word,
 )
 from fusion.sensor.rotate.evaluate import UNTOLD, evaluate_rotation
-from fusion.sensor.rotate.figures import draw_deviations, draw_readings
 from fusion.sensor.rotate.readings import JOINT, Repeats, RotationEvaluation, RotationQuantity, RotationRecording
+from shaker.arrays import FloatArray
 from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS
-from shaker.static_rotation.harmonics import Known
+from shaker.static_rotation.harmonics import Known, turning_sense
 from shaker.static_rotation.masses import FORCES
 
-NONE, ALL = "-", "all"
-"""Component of what has none, recording of what rests on all."""
-NUMBERS: list[Column[RotationQuantity]] = quantity_columns(lambda q: q)
-QUANTITIES: list[Column[RotationQuantity]] = [
-    word("name", lambda q: q.name),
-    word("component", lambda q: q.component or NONE),
-    *NUMBERS,
-    word("recording", lambda q: q.recording or ALL),
-]
-HEADLINES = ("internal_mass", "load_mass", "load_mass_relative_deviation")
 MASSES = ("internal_mass", "load_mass", "weighed_mass")
 DIFFERENCES = (
     "internal_mass_difference",
@@ -59,7 +51,6 @@ DIFFERENCES = (
     "load_mass_relative_deviation",
 )
 CENTRES = ("internal_centre_of_mass", "load_centre_of_mass", "load_centre_of_mass_deviation")
-STANDING = ("zero_angle", "axis_tilt")
 NORMALISED = "load_mass_normalised_deviation"
 SCALED = {"kg": (GRAM, "g"), "m": (MILLI, "mm"), "rad": (MILLI, "mrad")}
 """Units in which differences and places are told."""
@@ -69,210 +60,37 @@ CLEAR = 2.0
 """Amplitude over its standard uncertainty from which a harmonic is given a value of its own."""
 
 
-def _in_small_unit(q: RotationQuantity, *, with_unit: bool = False) -> str:
-    """Value with U in g, mm or mrad."""
+def _named(evaluation: RotationEvaluation, *names: str) -> list[RotationQuantity]:
+    """Quantities of some names, in the order of the names."""
+    return [q for name in names for q in evaluation.quantities if q.name == name]
+
+
+def _in_small_unit(q: RotationQuantity) -> tuple[float, float, str]:
+    """Value and U in g, mm or mrad, with that unit."""
     scale, unit = SCALED.get(q.unit, (1.0, q.unit))
-    return measured(scale * q.value, scale * q.expanded, unit if with_unit else "")
+    return scale * q.value, scale * q.expanded, unit
 
 
-def headlines(evaluation: RotationEvaluation) -> list[Headline]:
-    """Masses by all force channels together, and the load's deviation from the weighed mass."""
-    told = []
-    for q in _named(evaluation, HEADLINES):
-        if q.component == JOINT:
-            remark = f"U = {small(100.0 * q.expanded / abs(q.value))} %"
-            if q.unit == "%":
-                normalised = evaluation.find(NORMALISED, q.component)
-                remark = "" if normalised is None else f"{abs(normalised.value):.2f} times its U"
-            value = measured(q.value, q.expanded, q.unit)
-            told.append(Headline(capital(q.label), value, f"U: k = {factor(q.k)}; {remark}"))
-    return told
-
-
-MASS_COLUMNS: list[Column[RotationQuantity]] = [
-    on_page("quantity", lambda q: capital(q.label), "l"),
-    on_page("by", lambda q: q.component, "l"),
-    on_page("mass", lambda q: measured(q.value, q.expanded, q.unit)),
-    on_page("U relative / %", lambda q: small(100.0 * q.expanded / abs(q.value))),
-    on_page("k", lambda q: factor(q.k)),
-    on_page("dof", lambda q: degrees_of_freedom(q.dof)),
-]
-
-
-def differences_table(evaluation: RotationEvaluation) -> Table | None:
-    """How far axes are apart and the load is from what was weighed."""
-
-    def over_its_u(q: RotationQuantity) -> str:
-        normalised = evaluation.find(NORMALISED, q.component) if q.name == "load_mass_deviation" else None
-        return DASH if normalised is None else signed(normalised.value)
-
-    columns: list[Column[RotationQuantity]] = [
-        on_page("difference", lambda q: capital(q.label), "l"),
-        on_page("by", lambda q: q.component, "l"),
-        on_page("value", lambda q: _in_small_unit(q, with_unit=True)),
-        on_page("k", lambda q: factor(q.k)),
-        on_page("over its U", over_its_u),
-    ]
-    return table("Differences with U", columns, _named(evaluation, DIFFERENCES))
-
-
-def centres_table(evaluation: RotationEvaluation) -> Table | None:
-    """Centres of mass in sensor axes, in mm."""
-
-    def coordinate(axis: str) -> Column[dict[str, RotationQuantity]]:
-        return on_page(axis, lambda places: _in_small_unit(places[axis]) if axis in places else DASH)
-
-    columns: list[Column[dict[str, RotationQuantity]]] = [
-        on_page("place", lambda places: f"{capital(next(iter(places.values())).label)} / mm", "l"),
-        *map(coordinate, AXES),
-    ]
-    rows = [{q.component: q for q in _named(evaluation, (name,))} for name in CENTRES]
-    return table("Centres of mass, sensor axes, with U", columns, filter(None, rows))
-
-
-def recordings_table(evaluation: RotationEvaluation) -> Table | None:
-    """Each recording: what was read, what it weighs, how the head stood."""
-
-    def weight(by: str) -> Column[RotationRecording]:
-        def cell(recording: RotationRecording) -> str:
-            q = evaluation.find("weight", by, recording.name)
-            return DASH if q is None else measured(q.value, q.expanded)
-
-        return on_page("weight / N" if by == JOINT else f"by {by} / N", cell)
-
-    known = {q.component for q in _named(evaluation, ("weight",))}
-    columns: list[Column[RotationRecording]] = [
-        on_page("recording", lambda recording: recording.name, "l"),
-        on_page("state", lambda recording: "load mounted" if recording.with_load else "without load", "l"),
-        on_page("readings", lambda recording: f"{len(recording.fit.angle_rad)}"),
-        *(weight(name) for name in (JOINT, *LOAD_COMPONENTS[:3]) if name in known),
-        on_page("further terms", lambda recording: ", ".join(_further_terms(recording)) or "none", "l"),
-    ]
-    return table("Recordings: weight in air with U, terms that the readings show", columns, evaluation.recordings)
-
-
-def _further_terms(recording: RotationRecording) -> list[str]:
-    """Names of the terms beside offset and first harmonic."""
-    return list(dict.fromkeys(_term_name(name) for name in recording.fit.terms[3:]))
-
-
-def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
-    """Recordings of a state that was recorded repeatedly, and what they scatter by beyond what is stated of each."""
-    if not evaluation.repeats:
-        return []
-    rows = []
-    for again in evaluation.repeats:
-        for name, mounting in zip(again.recordings, again.mountings, strict=True):
-            weight, off = (evaluation.find(key, JOINT, name) for key in ("weight", "weight_deviation"))
-            if weight is not None and off is not None:
-                deviation = measured(MILLI * off.value, MILLI * off.expanded)
-                over = signed(off.value / off.expanded) if off.u > 0.0 else DASH
-                rows.append((again.state, mounting, name, measured(weight.value, weight.expanded), deviation, over))
-    caption = "Repeats: weight in air with U, deviation from the mean"
-    head = ("state", "mounting", "recording", "weight / N", "less mean / mN", "over its U")
-    scatter = table(
-        "Scatter of the weight beyond noise and what is stated, of one recording and of one mounting",
-        SCATTER,
-        evaluation.repeats,
-    )
-    return [Table(caption, head, "lllrrr", tuple(rows)), *([] if scatter is None else [scatter])]
-
-
-SCATTER: list[Column[Repeats]] = [
-    on_page("state", lambda again: again.state, "l"),
-    on_page("recordings", lambda again: f"{len(again.recordings)}"),
-    on_page("mountings", lambda again: f"{len(set(again.mountings))}"),
-    on_page(f"{WITHIN} s / mN", lambda again: small(MILLI * again.within) if again.within_dof else DASH),
-    on_page("dof", lambda again: f"{again.within_dof}"),
-    on_page(f"{BETWEEN} s / mN", lambda again: small(MILLI * again.between) if again.between_dof else DASH),
-    on_page("dof", lambda again: f"{again.between_dof}"),
-]
-
-
-def harmonics_tables(recording: RotationRecording) -> list[Table]:
-    """Offset, harmonics and further terms of forces and moments of a recording, and what turning back changes."""
-    return [_harmonics_table(recording, places) for _, places in _groups(recording)]
+def _over(what: str, unit: str) -> str:
+    """What is shown, over its unit."""
+    return f"{what} / ({unit})" if "·" in unit else f"{what} / {unit}"
 
 
 def _groups(recording: RotationRecording) -> list[tuple[str, list[int]]]:
     """Load components that the channels tell, forces and moments apart."""
-    groups = [("forces", [i for i in recording.told if i < FORCES])]
-    groups.append(("moments", [i for i in recording.told if i >= FORCES]))
-    return [(kind, places) for kind, places in groups if places]
+    forces, moments = ([i for i in recording.told if (i < FORCES) == is_force] for is_force in (True, False))
+    return [(kind, places) for kind, places in (("forces", forces), ("moments", moments)) if places]
 
 
-AXIS: list[Column[RotationQuantity]] = [
-    on_page("recording", lambda q: q.recording, "l"),
-    on_page("quantity", lambda q: capital(q.label), "l"),
-    on_page("component", lambda q: q.component, "l"),
-    on_page("value / mrad", _in_small_unit),
-    on_page("k", lambda q: factor(q.k)),
-]
+def _term_name(name: str) -> str:
+    """Name of a term, of cosine and sine together."""
+    kind, _, rest = name.partition(" ")
+    return f"harmonic {rest}" if kind in ("cos", "sin") else name
 
 
-SURROUNDINGS: list[Column[tuple[str, Known]]] = [
-    on_page("quantity", lambda row: row[0], "l"),
-    on_page("value", lambda row: measured(row[1].value, 2.0 * row[1].u)),
-    on_page("source", lambda row: row[1].source, "l"),
-]
-
-
-def budget_tables(evaluation: RotationEvaluation) -> list[Table]:
-    """What contributes to internal mass, load mass and the load's deviation."""
-    wanted = ("internal_mass", "load_mass", "load_mass_deviation")
-    masses = [q for q in _named(evaluation, wanted) if q.component == JOINT]
-    centres = _named(evaluation, CENTRES[:2])
-    groups = [
-        ("Budgets of the masses, standard uncertainties in g", masses),
-        ("Budgets of the centres of mass, standard uncertainties in mm", centres),
-    ]
-    return [_budget(caption, found) for caption, found in groups if found]
-
-
-def printed(evaluation: RotationEvaluation) -> Iterator[str]:
-    """Lines for the terminal, U at the coverage factor of each."""
-    for recording in evaluation.recordings:
-        more = ", ".join(_further_terms(recording))
-        weights = [q for q in evaluation.quantities if q.name == "weight" and q.recording == recording.name]
-        told = ", ".join(f"{q.component} {_printed(q)}" for q in weights)
-        read = f"{len(recording.fit.angle_rad)} readings, offset and first harmonic{f', also {more}' if more else ''}"
-        yield f"{recording.name} ({recording.state}): {read}; weight {told}"
-    told_by_label: dict[str, list[str]] = {}
-    for q in _named(evaluation, (*MASSES, *DIFFERENCES, *CENTRES)):
-        told_by_label.setdefault(q.label, []).append(f"{q.component} {_printed(q)}")
-    for label, parts in told_by_label.items():
-        yield f"{label}: {', '.join(parts)}"
-    normalised = _named(evaluation, (NORMALISED,))
-    if normalised:
-        told = ", ".join(f"{q.component} {signed(q.value)}" for q in normalised)
-        yield f"normalised deviation of the load mass: {told} (agreement: within ±1)"
-
-
-def _harmonics_table(recording: RotationRecording, places: Sequence[int]) -> Table:
-    """Terms of some load components, with U; of an amplitude that may be zero its bound only."""
-    fit, components = recording.fit, [LOAD_COMPONENTS[i] for i in places]
-    rows: dict[str, list[str]] = {}
-    for q in _terms(recording):
-        if q.component in components:
-            bound_only = q.label.startswith("harmonic") and q.value < CLEAR * q.u
-            cell = f"< {short(q.expanded)}" if bound_only else measured(q.value, q.expanded)
-            rows.setdefault(capital(q.label), []).append(cell)
-    calibration = recording.inverse[places]
-    scatter = np.sqrt(np.diag(calibration @ fit.noise @ calibration.T))
-    rows["Scatter s of a reading"] = [short(float(s)) for s in scatter]
-    back = np.abs(fit.reversal().difference @ calibration.T)
-    if len(back):
-        rows["Largest difference forward less back"] = [short(float(value)) for value in back.max(axis=0)]
-    unit = typeset(LOAD_UNITS[places[0]])
-    heads = [f"{component} / {unit if '·' not in unit else f'({unit})'}" for component in components]
-    caption = f"{recording.name}: readings over the angle, U of the noise alone (dof {fit.dof:.0f})"
-    cells = tuple((label, *row) for label, row in rows.items())
-    return Table(caption, ("term", *heads), "l" + "r" * len(heads), cells)
-
-
-def _named(evaluation: RotationEvaluation, names: Sequence[str]) -> list[RotationQuantity]:
-    """Quantities of some names, in the order of the names."""
-    return [q for name in names for q in evaluation.quantities if q.name == name]
+def _further_terms(recording: RotationRecording) -> str:
+    """Names of the terms beside offset and first harmonic."""
+    return ", ".join(dict.fromkeys(_term_name(name) for name in recording.fit.terms[3:]))
 
 
 def _terms(recording: RotationRecording) -> Iterator[RotationQuantity]:
@@ -296,56 +114,310 @@ def _terms(recording: RotationRecording) -> Iterator[RotationQuantity]:
             yield RotationQuantity(value, spread, fit.dof, *head, {})
 
 
-def _term_name(name: str) -> str:
-    """Name of a term, of cosine and sine together."""
-    kind, _, rest = name.partition(" ")
-    return f"harmonic {rest}" if kind in ("cos", "sin") else name
+# Figures: readings over the angle with fit and residuals, masses against what was weighed.
 
 
-def _printed(q: RotationQuantity) -> str:
-    """Value with U and unit for the terminal; places, angles and differences in the smaller unit."""
-    whole = q.unit == "kg" and "difference" not in q.name and "deviation" not in q.name
-    scale, unit = (1.0, q.unit) if whole else SCALED.get(q.unit, (1.0, q.unit))
-    return plain(scale * q.value, scale * q.expanded, unit)
+LOOKS = ((BLUE, "o"), (RED, "s"), (GREEN, "^"))
+"""Colours and markers of the three components."""
 
 
-def _budget(caption: str, found: Sequence[RotationQuantity]) -> Table:
-    """Contributions to some quantities, largest first for the last of them."""
-    names = sorted(
-        {name for q in found for name, u in q.budget.items() if name != UNTOLD or u > SMALLEST_UNTOLD * q.u},
-        key=lambda name: -max(q.budget.get(name, 0.0) / q.u for q in found),
-    )
-    scale = SCALED[found[0].unit][0]
-    rows = [(name, *(small(scale * q.budget[name]) if name in q.budget else DASH for q in found)) for name in names]
-    rows.append(("combined, k = 1", *(small(scale * q.u) for q in found)))
-    heads = [f"{capital(q.label)} {q.component}" for q in found]
-    return Table(caption, ("contribution", *heads), "l" + "r" * len(found), tuple(rows))
+def draw_readings(recording: RotationRecording, places: Sequence[int], kind: str) -> Picture:
+    """Readings of some load components over the angle with the harmonics fitted, and what these leave."""
+    fit, calibration, unit = recording.fit, recording.inverse[places], typeset(LOAD_UNITS[places[0]])
+    sense, angle = turning_sense(fit.angle_rad), np.radians(np.linspace(0.0, 360.0, 361))
+    residual, fitted = fit.residual @ calibration.T, fit.curve(angle) @ calibration.T
+    scale, letter = prefix(residual, coarse=False)
+    with sheet(f"rotation-{recording.name}-{kind}", 4.6, 2, heights=(2.0, 1.0)) as drawn:
+        upper, lower = drawn.panels
+        for c, place in enumerate(places):
+            upper.plot(np.degrees(angle), fitted[:, c], color=LOOKS[c][0], linewidth=0.9, zorder=2)
+            _draw_points(upper, fit.angle_rad, sense, recording.load[:, place], LOOKS[c], LOAD_COMPONENTS[place])
+            _draw_points(lower, fit.angle_rad, sense, residual[:, c] / scale, LOOKS[c], "")
+        lower.axhline(0.0, color=LIGHT, linewidth=0.8, zorder=1)
+        upper.set_ylabel(_over("load", unit))
+        lower.set_ylabel(_over("residual", f"{letter}{unit}"))
+        panel_label(upper, f"{recording.name}: {kind}, readings and fit")
+        panel_label(lower, "readings less fit")
+        upper.legend(loc="lower right", ncols=3, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
+        lower.set_xlim(-8.0, 368.0)
+        lower.set_xticks(np.arange(0.0, 361.0, 45.0))
+        lower.set_xlabel("angle of the head / °")
+        caption = "Curves: offset and harmonics fitted to all channels in one solve."
+        if np.ptp(sense) > 0.0:
+            caption += " Filled: come to with the angle growing; open: with the angle falling."
+        title = f"{recording.name}, {kind} over the angle of the head"
+        return drawn.picture(title, caption, top=0.3, gap=(0.5, 0.3))
+
+
+def _draw_points(
+    axes: Axes, angle_rad: FloatArray, sense: FloatArray, values: FloatArray, look: tuple[str, str], label: str
+) -> None:
+    """Readings (N,) of one component within a turn, filled where the angle grew and open where it fell."""
+    degrees, rose, (colour, marker) = np.degrees(angle_rad), sense >= 0.0, look
+    inside = (degrees >= 0.0) & (degrees <= 360.0 + 1e-6)
+    degrees = np.where(inside, degrees, np.mod(degrees, 360.0))
+    points: dict[str, Any] = {"linestyle": "none", "marker": marker, "color": colour, "markersize": 4.0}
+    points |= {"markeredgewidth": 0.9, "zorder": 3}
+    if rose.any():
+        axes.plot(degrees[rose], values[rose], markerfacecolor=colour, label=label, **points)
+    if not rose.all():
+        own = None if rose.any() else label
+        axes.plot(degrees[~rose], values[~rose], markerfacecolor="white", label=own, **points)
+
+
+def draw_deviations(evaluation: RotationEvaluation) -> Picture | None:
+    """Load mass by each axis and by all less the weighed mass in %, with U; None without both."""
+    deviations = _named(evaluation, "load_mass_relative_deviation")
+    weighed = evaluation.find("weighed_mass", "stated")
+    if not deviations or weighed is None:
+        return None
+    own = 100.0 * weighed.expanded / weighed.value
+    with sheet("rotation-deviations", 2.5) as drawn:
+        (axes,) = drawn.panels
+        places = np.arange(len(deviations))
+        axes.axhspan(-own, own, color=GREY, alpha=0.3, linewidth=0, zorder=1)
+        axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=1.5)
+        expanded = [q.expanded for q in deviations]
+        axes.errorbar(places, [q.value for q in deviations], expanded, fmt="o", color=BLACK, zorder=2)
+        axes.set_xticks(places, [q.component for q in deviations])
+        axes.set_xlim(-0.6, len(places) - 0.4)
+        axes.set_ylabel("deviation / %")
+        panel_label(axes, "load mass less weighed mass, with U")
+        caption = "Bars: expanded uncertainty U of the difference. Grey: U of the weighed mass."
+        return drawn.picture("Load mass against the weighed mass", caption, top=0.3)
+
+
+# The page, and the lines of the terminal.
+
+
+def headlines(evaluation: RotationEvaluation) -> list[Headline]:
+    """Masses by all force channels together, and the load's deviation from the weighed mass."""
+    told = []
+    for q in _named(evaluation, "internal_mass", "load_mass", "load_mass_relative_deviation"):
+        if q.component == JOINT:
+            remark = f"U = {small(100.0 * q.expanded / abs(q.value))} %"
+            if q.unit == "%":
+                normalised = evaluation.find(NORMALISED, q.component)
+                remark = "" if normalised is None else f"{abs(normalised.value):.2f} times its U"
+            value = measured(q.value, q.expanded, q.unit)
+            told.append(Headline(capital(q.label), value, f"U: k = {factor(q.k)}; {remark}"))
+    return told
+
+
+def masses_table(evaluation: RotationEvaluation) -> Table | None:
+    """Masses of the sensor's moving part and of the load, by all forces and by each."""
+    columns: list[Column[RotationQuantity]] = [
+        on_page("quantity", lambda q: capital(q.label), "l"),
+        on_page("by", lambda q: q.component, "l"),
+        on_page("mass", lambda q: measured(q.value, q.expanded, q.unit)),
+        on_page("U relative / %", lambda q: small(100.0 * q.expanded / abs(q.value))),
+        on_page("k", lambda q: factor(q.k)),
+        on_page("dof", lambda q: degrees_of_freedom(q.dof)),
+    ]
+    return table("Masses with U", columns, _named(evaluation, *MASSES))
+
+
+def differences_table(evaluation: RotationEvaluation) -> Table | None:
+    """How far axes are apart and the load is from what was weighed."""
+
+    def over_its_u(q: RotationQuantity) -> str:
+        normalised = evaluation.find(NORMALISED, q.component) if q.name == "load_mass_deviation" else None
+        return DASH if normalised is None else signed(normalised.value)
+
+    columns: list[Column[RotationQuantity]] = [
+        on_page("difference", lambda q: capital(q.label), "l"),
+        on_page("by", lambda q: q.component, "l"),
+        on_page("value", lambda q: measured(*_in_small_unit(q))),
+        on_page("k", lambda q: factor(q.k)),
+        on_page("over its U", over_its_u),
+    ]
+    return table("Differences with U", columns, _named(evaluation, *DIFFERENCES))
+
+
+def centres_table(evaluation: RotationEvaluation) -> Table | None:
+    """Centres of mass in sensor axes, in mm."""
+
+    def coordinate(axis: str) -> Column[dict[str, RotationQuantity]]:
+        return on_page(axis, lambda places: measured(*_in_small_unit(places[axis])[:2]) if axis in places else DASH)
+
+    columns: list[Column[dict[str, RotationQuantity]]] = [
+        on_page("place", lambda places: f"{capital(next(iter(places.values())).label)} / mm", "l"),
+        *map(coordinate, AXES),
+    ]
+    rows = [{q.component: q for q in _named(evaluation, name)} for name in CENTRES]
+    return table("Centres of mass, sensor axes, with U", columns, filter(None, rows))
+
+
+def recordings_table(evaluation: RotationEvaluation) -> Table | None:
+    """Each recording: what was read, what it weighs, how the head stood."""
+
+    def weight(by: str) -> Column[RotationRecording]:
+        def cell(recording: RotationRecording) -> str:
+            q = evaluation.find("weight", by, recording.name)
+            return DASH if q is None else measured(q.value, q.expanded)
+
+        return on_page("weight / N" if by == JOINT else f"by {by} / N", cell)
+
+    known = {q.component for q in _named(evaluation, "weight")}
+    columns: list[Column[RotationRecording]] = [
+        on_page("recording", lambda recording: recording.name, "l"),
+        on_page("state", lambda recording: "load mounted" if recording.with_load else "without load", "l"),
+        on_page("readings", lambda recording: f"{len(recording.fit.angle_rad)}"),
+        *(weight(name) for name in (JOINT, *LOAD_COMPONENTS[:3]) if name in known),
+        on_page("further terms", lambda recording: _further_terms(recording) or "none", "l"),
+    ]
+    return table("Recordings: weight in air with U, terms that the readings show", columns, evaluation.recordings)
+
+
+def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
+    """Recordings of a state that was recorded repeatedly, and what they scatter by beyond what is stated of each."""
+    if not evaluation.repeats:
+        return []
+    rows = []
+    for again in evaluation.repeats:
+        for name, mounting in zip(again.recordings, again.mountings, strict=True):
+            weight, off = (evaluation.find(key, JOINT, name) for key in ("weight", "weight_deviation"))
+            if weight is not None and off is not None:
+                deviation = measured(MILLI * off.value, MILLI * off.expanded)
+                over = signed(off.value / off.expanded) if off.u > 0.0 else DASH
+                rows.append((again.state, mounting, name, measured(weight.value, weight.expanded), deviation, over))
+    caption = "Repeats: weight in air with U, deviation from the mean"
+    head = ("state", "mounting", "recording", "weight / N", "less mean / mN", "over its U")
+    columns: list[Column[Repeats]] = [
+        on_page("state", lambda again: again.state, "l"),
+        on_page("recordings", lambda again: f"{len(again.recordings)}"),
+        on_page("mountings", lambda again: f"{len(set(again.mountings))}"),
+        on_page(f"{WITHIN} s / mN", lambda again: small(MILLI * again.within) if again.within_dof else DASH),
+        on_page("dof", lambda again: f"{again.within_dof}"),
+        on_page(f"{BETWEEN} s / mN", lambda again: small(MILLI * again.between) if again.between_dof else DASH),
+        on_page("dof", lambda again: f"{again.between_dof}"),
+    ]
+    beyond = "Scatter of the weight beyond noise and what is stated, of one recording and of one mounting"
+    scatter = table(beyond, columns, evaluation.repeats)
+    return [Table(caption, head, "lllrrr", tuple(rows)), *([] if scatter is None else [scatter])]
+
+
+def harmonics_table(recording: RotationRecording, places: Sequence[int]) -> Table:
+    """Terms of some load components, with U; of an amplitude that may be zero its bound only."""
+    fit, components = recording.fit, [LOAD_COMPONENTS[i] for i in places]
+    rows: dict[str, list[str]] = {}
+    for q in _terms(recording):
+        if q.component in components:
+            bound_only = q.label.startswith("harmonic") and q.value < CLEAR * q.u
+            cell = f"< {short(q.expanded)}" if bound_only else measured(q.value, q.expanded)
+            rows.setdefault(capital(q.label), []).append(cell)
+    calibration = recording.inverse[places]
+    scatter = np.sqrt(np.diag(calibration @ fit.noise @ calibration.T))
+    rows["Scatter s of a reading"] = [short(float(s)) for s in scatter]
+    back = np.abs(fit.reversal().difference @ calibration.T)
+    if len(back):
+        rows["Largest difference forward less back"] = [short(float(value)) for value in back.max(axis=0)]
+    heads = [_over(component, typeset(LOAD_UNITS[places[0]])) for component in components]
+    caption = f"{recording.name}: readings over the angle, U of the noise alone (dof {fit.dof:.0f})"
+    cells = tuple((label, *row) for label, row in rows.items())
+    return Table(caption, ("term", *heads), "l" + "r" * len(heads), cells)
+
+
+def axis_table(evaluation: RotationEvaluation) -> Table | None:
+    """How the head stood in every recording."""
+    columns: list[Column[RotationQuantity]] = [
+        on_page("recording", lambda q: q.recording, "l"),
+        on_page("quantity", lambda q: capital(q.label), "l"),
+        on_page("component", lambda q: q.component, "l"),
+        on_page("value / mrad", lambda q: measured(*_in_small_unit(q)[:2])),
+        on_page("k", lambda q: factor(q.k)),
+    ]
+    standing = [q for q in evaluation.quantities if q.name in ("zero_angle", "axis_tilt")]
+    stood = [q for recording in evaluation.recordings for q in standing if q.recording == recording.name]
+    return table("The head as estimated, with U", columns, stood)
+
+
+def budget_tables(evaluation: RotationEvaluation) -> list[Table]:
+    """What contributes to internal mass, load mass, the load's deviation and the centres, largest first."""
+
+    def budget(caption: str, shown: Sequence[RotationQuantity]) -> Table:
+        names = sorted(
+            {name for q in shown for name, u in q.budget.items() if name != UNTOLD or u > SMALLEST_UNTOLD * q.u},
+            key=lambda name: -max(q.budget.get(name, 0.0) / q.u for q in shown),
+        )
+        scale = SCALED[shown[0].unit][0]
+        rows = [(name, *(small(scale * q.budget[name]) if name in q.budget else DASH for q in shown)) for name in names]
+        rows.append(("combined, k = 1", *(small(scale * q.u) for q in shown)))
+        heads = [f"{capital(q.label)} {q.component}" for q in shown]
+        return Table(caption, ("contribution", *heads), "l" + "r" * len(shown), tuple(rows))
+
+    masses = _named(evaluation, "internal_mass", "load_mass", "load_mass_deviation")
+    groups = {
+        "Budgets of the masses, standard uncertainties in g": [q for q in masses if q.component == JOINT],
+        "Budgets of the centres of mass, standard uncertainties in mm": _named(evaluation, *CENTRES[:2]),
+    }
+    return [budget(caption, shown) for caption, shown in groups.items() if shown]
+
+
+def surroundings_table(evaluation: RotationEvaluation) -> Table | None:
+    """Gravity and air."""
+    columns: list[Column[tuple[str, Known]]] = [
+        on_page("quantity", lambda row: row[0], "l"),
+        on_page("value", lambda row: measured(row[1].value, 2.0 * row[1].u)),
+        on_page("source", lambda row: row[1].source, "l"),
+    ]
+    around = [("Local gravity / (m/s²)", evaluation.gravity), ("Density of the air / (kg/m³)", evaluation.air)]
+    return table("Surroundings, U: k = 2", columns, around)
+
+
+def printed(evaluation: RotationEvaluation) -> Iterator[str]:
+    """Lines for the terminal, U at the coverage factor of each; places, angles and differences in the smaller unit."""
+
+    def told(q: RotationQuantity) -> str:
+        whole = q.unit == "kg" and "difference" not in q.name and "deviation" not in q.name
+        return f"{q.component} {plain(*((q.value, q.expanded, q.unit) if whole else _in_small_unit(q)))}"
+
+    for recording in evaluation.recordings:
+        more = _further_terms(recording)
+        weights = [q for q in _named(evaluation, "weight") if q.recording == recording.name]
+        read = f"{len(recording.fit.angle_rad)} readings, offset and first harmonic{f', also {more}' if more else ''}"
+        yield f"{recording.name} ({recording.state}): {read}; weight {', '.join(map(told, weights))}"
+    by_label: dict[str, list[str]] = {}
+    for q in _named(evaluation, *MASSES, *DIFFERENCES, *CENTRES):
+        by_label.setdefault(q.label, []).append(told(q))
+    for label, parts in by_label.items():
+        yield f"{label}: {', '.join(parts)}"
+    normalised = ", ".join(f"{q.component} {signed(q.value)}" for q in _named(evaluation, NORMALISED))
+    if normalised:
+        yield f"normalised deviation of the load mass: {normalised} (agreement: within ±1)"
 
 
 def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
     """What the page shows."""
     recordings = evaluation.recordings
     told = [f"{recording.name} ({recording.manifest.name})" for recording in recordings]
-    standing = [q for q in evaluation.quantities if q.name in STANDING]
-    stood = [q for recording in recordings for q in standing if q.recording == recording.name]
-    around = [("Local gravity / (m/s²)", evaluation.gravity), ("Density of the air / (kg/m³)", evaluation.air)]
+    groups = [(recording, kind, places) for recording in recordings for kind, places in _groups(recording)]
     return {
         "subject": [*subject_of(recordings[0].manifest.rig), ("Recordings", ", ".join(told))],
         "headlines": headlines(evaluation),
-        "masses": table("Masses with U", MASS_COLUMNS, _named(evaluation, MASSES)),
+        "masses": masses_table(evaluation),
         "differences": differences_table(evaluation),
         "centres": centres_table(evaluation),
         "deviations": [picture for picture in [draw_deviations(evaluation)] if picture is not None],
         "recordings": recordings_table(evaluation),
         "repeats": repeats_tables(evaluation),
-        "readings": [
-            draw_readings(recording, places, kind) for recording in recordings for kind, places in _groups(recording)
-        ],
-        "harmonics": [shown for recording in recordings for shown in harmonics_tables(recording)],
-        "axis": table("The head as estimated, with U", AXIS, stood),
+        "readings": [draw_readings(recording, places, kind) for recording, kind, places in groups],
+        "harmonics": [harmonics_table(recording, places) for recording, _, places in groups],
+        "axis": axis_table(evaluation),
         "budgets": budget_tables(evaluation),
-        "surroundings": table("Surroundings, U: k = 2", SURROUNDINGS, around),
+        "surroundings": surroundings_table(evaluation),
     }
+
+
+# The files.
+
+
+QUANTITIES: list[Column[RotationQuantity]] = [
+    word("name", lambda q: q.name),
+    word("component", lambda q: q.component or "-"),
+    *quantity_columns(lambda q: q),
+    word("recording", lambda q: q.recording or "all"),
+]
 
 
 def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:
