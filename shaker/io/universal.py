@@ -46,9 +46,8 @@ class DataSet:
 
 @dataclass(frozen=True)
 class Axis:
-    """What an axis of a function shows: the number of its quantity, its label and unit (empty where not stated)."""
+    """What an axis of a function shows: its label and unit (empty where not stated)."""
 
-    quantity: int
     label: str
     unit: str
 
@@ -61,7 +60,6 @@ class FunctionHeader:
     kind: int
     response_name: str
     response_point: str
-    reference_name: str
     reference_point: str
     ordinate_type: int
     count: int
@@ -115,7 +113,9 @@ def _skip_binary(path: Path, stream: BinaryIO, more: bytes, line: int) -> int:
     records = [stream.readline() for _ in range(_HEADER)]
     head, place = function_header(path, records, line), stream.tell()
     stated = _integer(more[25:37])
-    sizes = [size for size in _sizes(head) if size == stated] + [size for size in _sizes(head) if size != stated]
+    value = (8 if head.is_double else 4) * (2 if head.is_complex else 1)
+    sizes = [head.count * (value + abscissa) for abscissa in ((0,) if head.even else (4, 8))]
+    sizes.sort(key=lambda size: size != stated)
     for size in sizes:
         stream.seek(place + size)
         tail = stream.readline()
@@ -128,12 +128,6 @@ def _skip_binary(path: Path, stream: BinaryIO, more: bytes, line: int) -> int:
     )
 
 
-def _sizes(head: FunctionHeader) -> list[int]:
-    """Return how many bytes the numbers of a binary function may take."""
-    value = (8 if head.is_double else 4) * (2 if head.is_complex else 1)
-    return [head.count * (value + abscissa) for abscissa in ((0,) if head.even else (4, 8))]
-
-
 def function_header(path: Path, records: Sequence[bytes], line: int) -> FunctionHeader:
     """Return what the eleven text records of data set 58 say; `line` is that of the data set's number."""
     if len(records) < _HEADER or not records[-1]:
@@ -144,18 +138,17 @@ def function_header(path: Path, records: Sequence[bytes], line: int) -> Function
     if numbers[0] not in (2, 4, 5, 6) or numbers[1] < 0:
         raise ValueError(f"{path}: line {line + 7}: expected type and number of values, found {_shown(records[6])}")
     return FunctionHeader(
-        tuple("" if text.strip() in _NOTHING else text.strip() for text in texts[:5]),
+        tuple(map(_name, texts[:5])),
         _integer(point[:5]),
         _name(point[31:41]),
         _point(point[41:51], point[51:55]),
-        _name(point[56:66]),
         _point(point[66:76], point[76:80]),
         numbers[0],
         numbers[1],
         numbers[2] == 1,
         _real(form[30:43]),
         _real(form[43:56]),
-        *(Axis(_integer(text[:10]), _name(text[26:46]), _name(text[47:67])) for text in texts[7:10]),
+        *(Axis(_name(text[26:46]), _name(text[47:67])) for text in texts[7:10]),
     )
 
 
@@ -352,7 +345,6 @@ def _shape(path: Path, line: int, lines: list[bytes]) -> UniversalShape:
     value = _reals(path, line, cells, len(node) * values).reshape(len(node), values)
     complex_value = value[:, ::2] + 1j * value[:, 1::2] if data_type == _COMPLEX else value.astype(complex)
     frequency, damping, time = _abscissa(analysis, reals)
-    titles = tuple(text.decode("latin-1").strip() for text in lines[:5])
     return UniversalShape(
         node,
         complex_value,
@@ -361,7 +353,7 @@ def _shape(path: Path, line: int, lines: list[bytes]) -> UniversalShape:
         frequency,
         damping,
         time,
-        tuple("" if title == "NONE" else title for title in titles),
+        tuple(_name(_decoded(text)) for text in lines[:5]),
     )
 
 
