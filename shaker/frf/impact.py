@@ -10,7 +10,7 @@ import numpy as np
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice
 from shaker.frf.random import Choice, Spectra, choose_estimator, transfer_of
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, pooled_scatter, share_of_reference
-from shaker.lines.spectrum import window_samples
+from shaker.lines.spectrum import hann_window
 from shaker.sine.phasor import Phasors
 
 # Hits of an impact hammer in a force record: where they are, and which of them count.
@@ -214,7 +214,7 @@ def _cut(record: TransferRecord, hits: list[Hit], length: int, before: int) -> _
     windows = np.stack([together[hit.first - before : hit.first - before + length] for hit in hits])
     rest = windows[:, :before] - windows[:, :before].mean(axis=1, keepdims=True) if before else windows[:, :0]
     later = length // 2
-    offset = np.einsum("l,nlc->nc", window_samples("hann", later) / later, windows[:, -later:])
+    offset = np.einsum("l,nlc->nc", hann_window(later) / later, windows[:, -later:])
     offset[:, 0] = windows[:, :before, 0].mean(axis=1) if before else np.median(record.reference)
     windows = windows - offset[:, None, :]
     rest = rest.reshape(-1, together.shape[1])
@@ -238,7 +238,7 @@ def _needed_decay(blows: _Blows) -> float:
 
     begin = int(np.searchsorted(blows.time_s, 0.0))
     quarter = (len(blows.time_s) - begin) // 4
-    taper = window_samples("hann", quarter)[:, None]
+    taper = hann_window(quarter)[:, None]
     first, last = (
         np.sqrt(np.mean(np.abs(np.fft.rfft(part * taper, axis=1)[:, 2:]) ** 2, axis=0))
         for part in (blows.samples[:, begin : begin + quarter, 1:], blows.samples[:, -quarter:, 1:])

@@ -9,7 +9,7 @@ import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, resolution_notices
-from shaker.lines.spectrum import window_samples
+from shaker.lines.spectrum import hann_window
 from shaker.sine.phasor import Phasors
 
 # H1, H2 and Hv from averaged spectra, their covariance, and the choice among them.
@@ -370,7 +370,7 @@ def averaged_spectra(record: TransferRecord, length: int, frequency_hz: FloatArr
     Noise in two segments that begin d samples apart correlates as Σ w(n)·w(n+d)·exp(-jωn), which tells as how many
     independent ones they count, and how errors of neighbouring lines correlate.
     """
-    window, hop = window_samples("hann", length), max(1, length // _HOP)
+    window, hop = hann_window(length), max(1, length // _HOP)
     starts = range(0, len(record.reference) - length + 1, hop)
     count = len(starts)
     total = np.zeros(_REACH)

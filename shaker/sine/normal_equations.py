@@ -462,6 +462,15 @@ class SineSolution:
     residual: FloatArray
     condition: float
 
+    def phasors(self, lines: int) -> tuple[ComplexArray, FloatArray]:
+        """Return the phasors (K, C) of the first lines of `sine_columns`, and the variance (K,) of their parts.
+
+        The variance is that for noise of variance 1, the mean of both parts.
+        """
+        scale = np.sqrt(2.0 / len(self.residual))
+        spread = np.diag(self.inverse)[: 2 * lines].reshape(-1, 2).mean(axis=1)
+        return np.asarray(scale * as_complex(self.coefficients, lines).conj()), scale**2 * spread
+
 
 def solve_sines(columns: FloatArray, data: FloatArray) -> SineSolution:
     """Solve columns (S, P) · coefficients = data (S, C) by normal equations with one step of refinement.
@@ -488,10 +497,8 @@ def sine_amplitudes(
     For many channels, whose covariance matrix would be large.
     """
     check_shape("values", values, (len(time_s), None))
-    lines, samples = len(frequency_hz), len(time_s)
-    found = solve_sines(sine_columns(time_s, frequency_hz), values).coefficients
-    value = np.sqrt(2.0 / samples) * (found[0 : 2 * lines : 2] - 1j * found[1 : 2 * lines : 2])
-    return found[2 * lines] / np.sqrt(samples), np.asarray(value)
+    solution = solve_sines(sine_columns(time_s, frequency_hz), values)
+    return solution.coefficients[-1] / np.sqrt(len(time_s)), solution.phasors(len(frequency_hz))[0]
 
 
 def check_samples(samples: int, parameters: int) -> None:

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape, check_shapes
 from shaker.sine.aliasing import alias_frequency, condition_number, sampling_grid
 from shaker.sine.noise import LineNoise, line_noise, neighbour_bins, noise_of_ordinates
 from shaker.sine.normal_equations import (
@@ -23,9 +23,6 @@ from shaker.sine.normal_equations import (
     residuals,
 )
 from shaker.sine.phasor import Phasors
-
-# Linear parameters eliminated, frequencies and decay rates by Gauss-Newton (variable projection).
-
 
 _STEPS = 40
 _CONVERGED = 1e-3  # of the standard uncertainty: the last step is taken on the exact residual
@@ -96,11 +93,6 @@ class System:
         """Return the products (D, D, 2K, 2K) of the projected slopes of one channel with those of another."""
         return np.asarray(self.project.swapaxes(1, 2)[:, None] @ self.gram @ self.project[None])
 
-    def own_information(self) -> FloatArray:
-        """Return the products (D, 2K, 2K) of each channel's projected slopes with themselves."""
-        own = np.einsum("ddpq->dpq", self.gram)
-        return np.asarray(self.project.swapaxes(1, 2) @ own @ self.project)
-
     def spread(self) -> FloatArray:
         """Return G⁻¹·XᵀX·G⁻¹ (D, D, P, P): the linear parameters' covariance between channels for unit noise."""
         gram = self.gram[:, :, : self.linear, : self.linear]
@@ -158,7 +150,8 @@ def frequency_step(
     derivative = np.stack([product.real, product.imag], axis=2).reshape(len(variance), -1, exponents.shape[1])
     weight = np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 0.0)
     pull = derivative * weight[:, None, None]
-    hessian = np.sum(pull.swapaxes(1, 2) @ system.own_information() @ derivative, axis=0)
+    own = np.einsum("ddpq->dpq", system.information())
+    hessian = np.sum(pull.swapaxes(1, 2) @ own @ derivative, axis=0)
     size = np.sqrt(hessian.diagonal())
     scaled = hessian / np.multiply.outer(size, size) if np.all(size > 0.0) else np.zeros_like(hessian)
     if not np.linalg.eigvalsh(scaled)[0] > _SINGULAR:
@@ -238,10 +231,8 @@ class SineFit:
 
     def __post_init__(self) -> None:
         lines, channels = self.phasors.value.shape
-        for name in ("offset", "drift_per_s", "residual_rms"):
-            check_shape(name, getattr(self, name), (channels,))
-        for name in ("u_frequency_hz", "decay_per_s", "u_decay_per_s"):
-            check_shape(name, getattr(self, name), (lines,))
+        check_shapes(self, (channels,), "offset", "drift_per_s", "residual_rms")
+        check_shapes(self, (lines,), "u_frequency_hz", "decay_per_s", "u_decay_per_s")
         check_shape("offset_covariance", self.offset_covariance, (channels, channels))
         check_shape("spikes", self.spikes, (None,))
 
