@@ -35,9 +35,6 @@ from shaker.identification.measured import MeasuredCurve, RelativeError
 from shaker.identification.oscillator import Kind, Resonance, fit_resonance
 from shaker.labels import MOTION_UNITS
 
-# Which estimate a recording calls for, and what the user is told where it cannot be made.
-
-
 _SEGMENTS = 16  # segments beside each other in a record where no line spacing is wanted
 _BLOW_S = 1.0  # window around a blow where no line spacing is wanted
 _KEYS = {
@@ -297,7 +294,12 @@ def _evaluated(
     errors = ratio_errors(reference, responses)
     factor = np.stack([chain.correction / reference.correction for chain in responses], axis=1)
     corrected = _converted(raw, factor, together, settings.quantity)
-    kinds = [_kind(reference.entry, chain.entry, settings.quantity) for chain in responses]
+    kinds: list[Kind] = []  # the form one oscillator takes: a base that moves, or a force on the mass
+    for chain in responses:
+        forced = (
+            QUANTITIES.index(settings.quantity or chain.entry.quantity) if chain.entry.quantity in QUANTITIES else 0
+        )
+        kinds.append("transmissibility" if reference.entry.quantity in TRANSDUCERS else _FORCED_KINDS[forced])
     resonances, told = find_resonances(corrected, errors, kinds, together.u_clock)
     ratio = corrected.ratio
     if errors:
@@ -338,15 +340,6 @@ def _as_wanted(entry: ChannelEntry, unit: str, quantity: Quantity | None) -> tup
     family, have = motion_order(unit)
     want = QUANTITIES.index(quantity)
     return want - have, MOTION_UNITS[family][want]
-
-
-def _kind(reference: ChannelEntry, response: ChannelEntry, quantity: Quantity | None) -> Kind:
-    """Return which form one oscillator takes: a base that moves, or a force on the mass."""
-    if reference.quantity in TRANSDUCERS:
-        return "transmissibility"
-    if response.quantity not in QUANTITIES:
-        return "receptance"
-    return _FORCED_KINDS[QUANTITIES.index(quantity or response.quantity)]
 
 
 def _silent(chains: Sequence[ChannelChain]) -> list[Notice]:
