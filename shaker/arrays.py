@@ -55,7 +55,6 @@ class Brief:
 
 # What a stage wants the user to know, carried in its result.
 
-
 Severity = Literal["info", "warning"]
 
 

@@ -15,7 +15,6 @@ from shaker.sine.phasor import Phasors
 
 # Hits of an impact hammer in a force record: where they are, and which of them count.
 
-
 _HIT = 0.1  # share of the largest force from which a pulse is a hit
 _FOOT = 0.01  # share of a pulse's peak at which it begins and ends
 _AGAIN = 0.05  # share of a pulse's peak from which a second pulse is a second hit
@@ -93,7 +92,6 @@ def _overloads(record: TransferRecord) -> BoolArray:
 
 
 # Transfer functions from hammer blows: windows, average over hits, covariance over hits.
-
 
 _END = (1e-6, 1e-3)  # least and largest share of a response's beginning that its end may keep
 _HIDDEN = 0.3  # share of the noise at which the end of a response is hidden in it

@@ -13,7 +13,6 @@ from shaker.sine.phasor import Phasors
 
 # Phasors of every period of a periodic signal, also where the period is no whole number of samples.
 
-
 _SOFT_SAMPLES = 128  # length of the seam of two soft windows, at most
 _SOFT_ORDER = 8
 _WHOLE = 1e-7  # distance from a whole number of samples that no record notices
@@ -199,7 +198,6 @@ def _is_whole(samples: float) -> bool:
 
 # What periods tell beyond the transfer function: a structure not settled, a drift, distortions.
 
-
 _BLOCK = 8  # lines that are tested together
 _UNLIKELY = 1e-4  # probability, over all blocks of a record, below which periods differ
 _GAIN = 1e-3  # change of the reference's amplitude between periods that is told
@@ -312,7 +310,6 @@ def _distortions(lines: Periods, excited: BoolArray, ratio: ComplexArray, channe
 
 
 # Transfer functions from periodic excitation: errors-in-variables estimate, covariance over periods.
-
 
 _HIGHEST = 0.45  # share of the sampling rate up to which lines are taken where no band is named
 

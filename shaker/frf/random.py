@@ -151,7 +151,6 @@ def _noise_shares(spectra: Spectra) -> tuple[float, float, float, float]:
 
 # Transfer functions by local polynomials: the spectrum of a whole record, without segments and window.
 
-
 _ORDER = 6  # of the polynomials in frequency
 _LOWER_ORDER = 4  # of those that show what the order matters
 _WINDOW = 5.0  # lines of the wanted spacing that one polynomial spans
@@ -259,7 +258,6 @@ def _fitted(powers: FloatArray, reference: ComplexArray, responses: ComplexArray
 
 
 # Transfer functions from noise: local polynomials, or averaged spectra of overlapping segments; H1, H2, Hv.
-
 
 _HOP = 3  # segments begin every third of their length: 67 % overlap
 _FIRST_BIN = 3  # a Hann window lets what the mean left reach the bins below

@@ -59,9 +59,6 @@ def _put_together(
     return result
 
 
-# HDF5: one dataset per channel with attributes `sample_rate`, optional `start_time`, `unit`.
-
-
 def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read channels by the names of their datasets, in groups as `group/name`.
 
@@ -184,8 +181,10 @@ def _beside(name: str, keys: Sequence[str]) -> Iterator[str]:
 
 def _scalar(variables: Mapping[str, Any], name: str, keys: Sequence[str]) -> float | None:
     """Return the number that stands beside a channel under one of the keys, None where there is none."""
-    near = (variables.get(key) for key in _beside(name, keys))
-    return next((float(np.asarray(own[()]).reshape(())) for own in near if getattr(own, "size", 0) == 1), None)
+    for key in _beside(name, keys):
+        if getattr(variable := variables.get(key), "size", 0) == 1:
+            return float(np.asarray(variable).reshape(()))
+    return None
 
 
 def _hdf5_leaves(prefix: str, group: Any) -> Iterator[tuple[str, Any]]:

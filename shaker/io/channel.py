@@ -45,7 +45,6 @@ class RawChannel:
 
 # What all file readers share: choosing channels by name, and errors of one sentence that name the file.
 
-
 BLOCK = 1 << 20  # bytes read at a time
 UNIFORM = 0.5  # of a sampling interval: how far a time column may stray from a uniform one
 
@@ -134,7 +133,6 @@ def rate_of_times(path: Path, time_s: FloatArray, where: str) -> tuple[float, fl
 
 
 # Channels in arrays of numbers, in memory or in an HDF5 file: vectors, tables, records.
-
 
 _NUMBERS = "biuf"
 _SLENDER = 4  # a table has at least that many times more samples than channels; others are pictures or matrices

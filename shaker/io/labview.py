@@ -177,7 +177,6 @@ def _cell(segment: _Segment, key: str, index: int) -> str:
 
 
 def _value(segment: _Segment, key: str, index: int, default: float) -> float:
-    """Return a channel's number from the header."""
     return float(_cell(segment, key, index) or default)
 
 

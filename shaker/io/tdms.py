@@ -25,7 +25,6 @@ from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen_by_either,
 
 # Where the values of every channel stand in a TDMS file (NI, "TDMS file format internal structure", version 2.0).
 
-
 _LEAD = 28  # bytes before every segment's metadata
 _METADATA, _NEW_LIST, _RAW, _INTERLEAVED, _BIG_ENDIAN = 1 << 1, 1 << 2, 1 << 3, 1 << 5, 1 << 6
 _NO_DATA, _AS_BEFORE, _FORMAT_CHANGING, _DIGITAL_LINE = 0xFFFFFFFF, 0, 0x1269, 0x126A
@@ -202,7 +201,6 @@ def _read_objects(
 
 
 def _raw(cursor: _Cursor) -> _Raw:
-    """Read the index of plain raw data."""
     kind, _, count = cursor.take("LLQ")
     if kind == _STRING:
         return _Raw(count, None, cursor.take("Q")[0])
@@ -231,7 +229,6 @@ def _card_raw(cursor: _Cursor, path: str, kind: int) -> _Raw:
 
 
 def _regions(path: Path, chunk: Mapping[str, _Raw], interleaved: bool, position: int, size: int) -> list[Region]:
-    """Return the regions of one segment's raw data."""
     if any(raw.widths for raw in chunk.values()):
         return _card_regions(path, chunk, position, size)
     if not size or not any(raw.size for raw in chunk.values()):
@@ -275,7 +272,6 @@ def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: in
 
 
 # Channels `group/channel` with their scales.
-
 
 _SCALES = ("Polynomial", "Linear", "RTD", "Strain", "Table", "Thermistor", "Thermocouple", "Add", "Subtract")
 _SCALE_KEY = re.compile(r"NI_Scale\[(\d+)\]_Scale_Type")
@@ -406,7 +402,6 @@ def _read_region(
 
 
 def _read(path: Path, stream: BinaryIO, position: int, size: int) -> bytes:
-    """Read bytes, all of them."""
     stream.seek(position)
     block = stream.read(size)
     if len(block) < size:

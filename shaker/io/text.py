@@ -36,7 +36,6 @@ from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen, chosen_by
 
 # Rows of numbers in text files: whole blocks at once, line by line only where a block holds anything unusual.
 
-
 _COMMENT = "#"
 _COMMA_TO_POINT = bytes.maketrans(b",", b".")
 
@@ -184,7 +183,6 @@ def number_of(cell: str, comma: bool) -> float:
 
 # CSV: a header with the channels' names, an optional row of units, numbers.
 
-
 _DELIMITERS = ("\t", ";", ",")
 _STATED = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)  # how Excel is told the delimiter
 _NAME_AND_UNIT = re.compile(r"(.*\S)\s*(?:\[([^][]*)\]|\(([^()]*)\))")
@@ -260,7 +258,6 @@ def read_table_columns(path: Path, names: Sequence[str]) -> FloatArray:
 
 
 def _head(path: Path) -> _Head:
-    """Read the header and the row of units."""
     with path.open("rb") as stream:
         if b"\0" in stream.read(4096):
             raise ValueError(f"{path}: expected text, found binary data")
@@ -316,7 +313,6 @@ def _split_unit(name: str) -> tuple[str, str]:
 
 
 def _is_number(cell: str, comma: bool) -> bool:
-    """Tell whether a cell holds a number."""
     try:
         number_of(cell, comma)
     except ValueError:
@@ -325,7 +321,6 @@ def _is_number(cell: str, comma: bool) -> bool:
 
 
 # Text export of a scanning vibrometer, as in PTB's data set 10.7795/720.20181105 (`Scan_time.asc`).
-
 
 _FIRST_POINT = 19  # line number, counted from 1
 _PLAIN = bytes.maketrans(b",;", b". ")  # decimal comma to point, semicolon to blank

@@ -22,7 +22,6 @@ from shaker.io.text import plain_rows
 
 # Data sets, and the functions of data set 58 in them.
 
-
 _MARK = b"-1"
 _HEADER = 11  # text records before the numbers of data set 58
 _DIRECTIONS = {0: "", 1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
@@ -245,7 +244,6 @@ _EXPONENT = bytes.maketrans(b"Dd", b"EE")
 
 
 def _decoded(record: bytes) -> str:
-    """Return a record's text."""
     try:
         return record.decode("utf-8").rstrip("\r\n")
     except UnicodeDecodeError:
@@ -273,12 +271,10 @@ def _point(node: str, direction: str) -> str:
 
 
 def _shown(text: bytes) -> str:
-    """Return the beginning of a line for a message."""
     return repr(_decoded(text).strip()[:40])
 
 
 # Universal files: mode shapes and operating deflection shapes, data set 55 (data at nodes).
-
 
 _ANALYSES = (
     "unknown", "static", "normal mode", "complex mode, first order", "transient", "frequency response", "buckling",
@@ -372,7 +368,6 @@ def _abscissa(analysis: int, reals: np.ndarray) -> tuple[float, float, float]:
 
 
 def _integers(text: bytes, count: int) -> list[int]:
-    """Return the first whole numbers of a record."""
     return [int(cell) for cell in text.split()[:count]] + [0] * (count - len(text.split()[:count]))
 
 
@@ -385,7 +380,6 @@ def _reals(path: Path, line: int, lines: list[bytes], count: int | None = None) 
 
 
 # Universal files: time responses and other functions of data set 58, text and binary.
-
 
 _TIME_RESPONSE = 1
 _KINDS = (
@@ -485,7 +479,6 @@ def _headers(path: Path) -> list[tuple[DataSet, FunctionHeader]]:
 
 
 def _named(headers: list[tuple[DataSet, FunctionHeader]]) -> dict[str, tuple[DataSet, FunctionHeader]]:
-    """Return the functions by unique names."""
     plain = [head.response_name or head.ordinate.label or head.response_point for _, head in headers]
     full = [
         name if plain.count(name) == 1 else f"{name} {head.response_point}".strip()

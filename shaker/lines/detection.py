@@ -16,7 +16,6 @@ from shaker.sine.aliasing import CAPTURE, alias_frequency, unfolded
 
 # What a line most likely is: fundamental, multiple or part of one, combination, mains, side band, or unexplained.
 
-
 Kind = Literal[
     "fundamental",
     "harmonic",
@@ -282,7 +281,6 @@ def _side_band(state: _State, i: int) -> Origin | None:
 
 
 # Every line of a record, how far it stands out of the noise, and what it most likely is.
-
 
 FALSE_ALARM = 1e-3  # probability that noise alone adds any line to the list
 _SAME_BINS = 0.75  # lines of two channels closer than this are one

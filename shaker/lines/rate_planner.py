@@ -21,7 +21,6 @@ from shaker.sine.aliasing import (
 
 # How uncertain the amplitudes of a least-squares fit of sines will be, before anything is measured.
 
-
 _REFINEMENT = 16  # points of the noise integral per bin of the record
 
 
@@ -64,7 +63,6 @@ def rms_uncertainty(covariance: FloatArray) -> FloatArray:
 
 
 # One point of a plan: the lines of an excitation, and what one camera rate makes of them.
-
 
 WATCHED = 20
 """Highest multiple of a fundamental whose fold onto a fitted line is looked for."""
@@ -211,7 +209,6 @@ def plan_at(lines: Lines, rate_hz: float, sampling: Sampling) -> RatePlan:
 
 
 # Which camera rates are good for a point, and which few serve all of them.
-
 
 PREFERRED = (0.1, 0.4)
 """Share of the camera rate between which fundamentals are best seen: above 1/f noise, below the Nyquist frequency."""

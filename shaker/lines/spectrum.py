@@ -58,7 +58,6 @@ def amplitude_spectrum(samples: FloatArray, sample_rate_hz: float) -> Spectrum:
 
 # Hann spectra whose lines can be fitted and taken out bin by bin.
 
-
 _SPAN = 3  # bins on either side from which a line is fitted
 _STEPS = 10
 _CONVERGED = 1e-6  # of the variance of the place: the square of the last step
@@ -170,7 +169,6 @@ def _hann_weight(count: int) -> FloatArray:
 
 # The noise floor of a power spectrum, and how far above it chance alone does not reach.
 
-
 FIRST_BIN = 3  # the lowest bin looked at: fewer periods are drift
 _BLOCKS = (64, 256)  # bins per median, narrow and wide
 _LOW_BINS = 256  # in which a slope of the noise towards zero is taken off first
@@ -247,7 +245,6 @@ def chance_height(chance: float, independent: float) -> float:
 
 
 # Significant peaks of one record's spectrum: lines found, fitted and taken out until noise is left.
-
 
 MOST_LINES = 200
 APART_BINS = 2.5  # two lines closer than this pass for one, and a line's own change stands within it
@@ -401,7 +398,6 @@ class _Search:
         return bool(bins)
 
     def _take(self, line: BinLine) -> None:
-        """Take a line out of the spectrum and keep it."""
         add_line(self.rest, self.samples, line, self.least, -1.0)
         self.lines.append(line)
 

@@ -134,7 +134,6 @@ def folded_harmonics(
 
 # Which lines a series of sampling times can tell apart, and the nearest rate that can.
 
-
 MAX_CONDITION = 10.0  # above it, the standard uncertainty of a line is several times that of well-spread sampling
 CLEAR_BINS = 1.25
 """Distance, in bins of rate/frames, of lines that are clear of each other: the condition number is then at most 3."""

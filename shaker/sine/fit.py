@@ -120,18 +120,18 @@ def _fitted(
     noise = noise_at_lines(samples, columns, left, whitening, _written_out(time_s) if left.held is not None else None)
     if noise is None:
         noise = LineNoise(np.ones((lines + 1, channels)), np.full(lines + 1, free))
-    best = Estimate(columns.tones, coefficients + change, system, factor, noise.variance, unknown, None)
+    best = Estimate(columns, coefficients + change, system, factor, noise.variance, unknown, None)
     if unknown.shape[1]:
         value = as_complex(coefficients, lines)
         rounding = (_ROUNDING * np.abs(value).max(axis=0)) ** 2
         step = frequency_step(system, left.right, value, unknown, np.maximum(power.diagonal() / free, rounding))
-        best = replace(best, tones=moved(columns.tones, unknown, step.change), step=step)
+        best = replace(best, columns=moved(columns, unknown, step.change), step=step)
         best = replace(best, coefficients=best.coefficients + best.linear_change() @ step.change)
     covariance, carried = best.exponent_covariance(), best.linear_change()[2 * lines]
     spread = system.spread()[:, :, 2 * lines, 2 * lines]
     middle = samples.timeline.middle_s
-    turns = np.array([samples.timeline.middle_turns(float(f)) for f in best.tones.frequency_hz])
-    to_zero = np.asarray(np.exp(best.tones.decay_per_s * middle - 2j * np.pi * turns))
+    turns = np.array([samples.timeline.middle_turns(float(f)) for f in best.columns.frequency_hz])
+    to_zero = np.asarray(np.exp(best.columns.decay_per_s * middle - 2j * np.pi * turns))
     return SineFit(
         phasors=phasors_at_zero(best, covariance, to_zero, middle, np.minimum(noise.dof, free)[:lines], names),
         offset=best.coefficients[2 * lines],
@@ -139,7 +139,7 @@ def _fitted(
         drift_per_s=best.coefficients[2 * lines + 1] if model.drift else np.zeros(channels),
         middle_s=middle,
         u_frequency_hz=np.sqrt(np.einsum("kq,qr,kr->k", unknown.imag, covariance, unknown.imag)) / (2.0 * np.pi),
-        decay_per_s=best.tones.decay_per_s,
+        decay_per_s=best.columns.decay_per_s,
         u_decay_per_s=np.sqrt(np.einsum("kq,qr,kr->k", unknown.real, covariance, unknown.real)),
         residual_rms=np.sqrt(power.diagonal() / samples.count),
         spikes=np.zeros(0, dtype=np.int64),
@@ -174,14 +174,12 @@ def _root(values: FloatArray, variance: FloatArray | None, present: BoolArray | 
 
 
 def _written_out(time_s: Times) -> FloatArray:
-    """Return the times as an array."""
     return time_s.array() if isinstance(time_s, UniformTimes) else time_s
 
 
 def _check_arguments(
     time_s: Times, values: FloatArray, frequency_hz: FloatArray, channels: Sequence[str], unit: Sequence[str]
 ) -> None:
-    """Refuse arrays that do not belong together."""
     if not isinstance(time_s, UniformTimes):
         check_shape("time_s", time_s, (None,))
         if not np.all(np.isfinite(time_s)):
@@ -193,7 +191,6 @@ def _check_arguments(
 
 
 # Whether amplitude and phase of lines stay the same through a record, from blocks of whole periods.
-
 
 MAX_BLOCKS = 10
 _UNUSED = 0.02  # of the record may be left over for the sake of more blocks

@@ -11,7 +11,6 @@ from shaker.arrays import ComplexArray, FloatArray, IntArray
 
 # Sines that stand out beside lines, and straight-line changes of the lines, taken off before noise is read.
 
-
 OFFSET_BIN = 0.5  # a place up to here is that of the offset
 TONE_CLEARANCE = 1.9  # bins beside a line within which a peak is the line's own unrest
 _TONE_LIMIT = 9.2  # height of a sine over the level: exceeded by pure noise once in 10⁴ places
@@ -112,7 +111,6 @@ def _ramp_kernel(distance: FloatArray, length: int) -> ComplexArray:
 
 
 # The noise that disturbs a line: spectral density of the residual around it.
-
 
 _NEIGHBOURS = 96  # bins from which the noise around a line is estimated
 _MIN_NEIGHBOURS = 12

@@ -131,7 +131,6 @@ def _interpolate(local: FloatArray, tap: IntArray, place: FloatArray) -> FloatAr
 
 # Numbers of the edges of a periodic trigger: which edge is which period, and which are none.
 
-
 _CAPTURE = 0.2  # of a period: an edge further from its place is spurious
 
 
@@ -210,7 +209,6 @@ def _without_outliers(number: IntArray, edges: Edges, kept: BoolArray) -> BoolAr
 
 
 # A sampled signal read at other times: band-limited interpolation.
-
 
 PASS_BAND = 0.4
 """Share of the lower of the two rates below which a resampled signal is what it was."""

@@ -19,7 +19,6 @@ from shaker.timebase.trigger import (
 
 # Which edges of two records belong together: the whole-period shift and what decides it.
 
-
 _GAP_MATCH = 0.8  # share of the missing edges that must be missing in both records for gaps to decide the shift
 _GAP_CHANCE = 1e-3  # probability of as many coincidences at any shift by chance, where gaps lie outside the overlap
 _START_MATCH = 0.25  # of a period: how well start times must agree with a whole number of periods
@@ -145,7 +144,6 @@ def _deviations(fit: TriggerFit) -> FloatArray:
 
 
 # The straight line from one clock to another, from the edges that both have seen.
-
 
 _LEAST_PAIRS = 4
 _DIFFERENCE = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
@@ -284,7 +282,6 @@ def _scaled(time: FloatArray) -> tuple[FloatArray, Callable[[Posterior], ClockLi
 
 
 # One clock against another by the edges of the trigger that both have recorded.
-
 
 _SAME_PERIOD = 0.01  # relative: clocks differ by less, two triggers by more
 

@@ -13,7 +13,6 @@ from shaker.timebase.edges import EdgeKind, Edges, find_edges, number_edges
 
 # What intervals say about straight lines: the posterior of a trigger's model by adaptive importance sampling.
 
-
 _POINTS = 500  # while the proposals settle
 _LAST_POINTS = 2000
 _WIDER = 1.35  # of the standard deviation: proposals reach over the corners of a polygon
@@ -111,7 +110,6 @@ def _normal_points(dimensions: int) -> FloatArray:
 
 # Crossings of a resolved rise: what its shape adds to the reconstruction, learnt from all edges.
 
-
 _TERMS = (0, 2, 4, 6, 8)
 _EDGES_PER_TERM = 8
 _CONDITION = 1e3
@@ -162,7 +160,6 @@ def fit_resolved(time_s: FloatArray, place: FloatArray, phases: Sequence[FloatAr
 
 
 # The periodic model of a camera trigger: start, period, jitter, missing, doubled and spurious edges.
-
 
 LEAST_JITTER = 1e-4  # of a sample
 _IDLE = 1.05  # periods without an edge at an end of the record that show the burst to begin or end there
@@ -340,7 +337,6 @@ def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
 
 
 # Width of a trigger's pulses, as a strobe's exposure needs it.
-
 
 _LEAST = 1.5  # samples: pulses shorter than one fall between the samples, and those seen seem one long
 _LEAST_RISES = 5.0  # of the rise: shorter pulses do not settle at their level

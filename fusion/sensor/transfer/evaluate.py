@@ -109,7 +109,6 @@ def _averaged(
 
 # Resonances in a measured transfer function: where the peaks are, and an oscillator fitted to each.
 
-
 _PROMINENCE = np.log(2.0)  # of a peak in ln|H|
 _SIGNIFICANT = 8.0  # standard uncertainties by which a peak stands out
 _DOWN_TO = 1.0 / 8.0  # of the peak: lines around it that are fitted
@@ -251,7 +250,6 @@ def _with_budget(curve: _Curve, lines: slice, mode: _Mode, u_clock: float) -> Fo
 
 
 # From a recording of a chirp, a multisine, noise or impacts to its transfer functions.
-
 
 KINDS = kinds_of("transfer")
 _FORCED_KINDS: tuple[Kind, ...] = ("receptance", "mobility", "accelerance")

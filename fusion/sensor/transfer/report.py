@@ -130,7 +130,6 @@ def resonances(evaluation: TransferEvaluation) -> list[FoundResonance]:
 
 
 def _over(found: FoundResonance) -> str:
-    """Response over reference."""
     return f"{found.response} / {found.reference}"
 
 
@@ -294,7 +293,6 @@ def _one_digit(value: float, _: float) -> str:
 
 
 def _fill(file: h5py.File, evaluation: TransferEvaluation) -> None:
-    """Fill the HDF5 file."""
     file.attrs["recording"] = evaluation.manifest.name
     file.attrs["rig"] = evaluation.manifest.rig.name
     file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
