@@ -176,9 +176,9 @@ def estimate(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tu
     count = exponents.shape[1]
     columns = Columns(np.array(frequency_hz, dtype=np.float64), np.zeros(len(frequency_hz)), model.drift, count > 0)
     half_s = float(np.max(np.abs(samples.timeline.centre_s))) + float(np.max(np.abs(samples.timeline.local_s)))
-    # Not by `shaker.fitting`: the channels' weights follow the fit, so no sum of squares falls, and every trial is a pass
-    # over the record. On the likelihood it reaches the same sines, with up to twice the passes, but from 0.9 bins away
-    # it leaps into a side lobe; steps limited by the phase that they turn do not.
+    # Not by `shaker.fitting`: the channels' weights follow the fit, so no sum of squares falls, and each trial is a
+    # pass over the record. On the likelihood it comes to the same sines, in up to twice the passes, but from 0.9 bins
+    # away it leaps into a side lobe; steps limited by the phase that they turn do not.
     for _ in range(_STEPS):
         normal = normal_equations(samples, columns)
         system = solved(normal, columns)
