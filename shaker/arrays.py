@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 
 __version__ = version("shakercal")
 
-# Array types and the shape check that every data class of the package uses.
-
-
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.int64]
@@ -30,6 +27,12 @@ def check_shape(name: str, array: NDArray[Any], shape: tuple[int | None, ...]) -
     if not fits:
         wanted = "(" + ", ".join("any" if want is None else str(want) for want in shape) + ")"
         raise ValueError(f"{name}: expected an array of shape {wanted}, found {array.shape}")
+
+
+def check_shapes(owner: Any, shape: tuple[int | None, ...], *names: str) -> None:
+    """Raise `ValueError` unless these fields of a data class have `shape`; `None` stands for any length."""
+    for name in names:
+        check_shape(name, getattr(owner, name), shape)
 
 
 def brief(result: Any) -> str:
@@ -54,7 +57,6 @@ class Brief:
 
 
 # What a stage wants the user to know, carried in its result.
-
 
 Severity = Literal["info", "warning"]
 

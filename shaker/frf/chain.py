@@ -9,8 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.labels import MOTION_UNITS
+from shaker.lti.system import paired
 from shaker.sine.phasor import derivative_factor
 
 FilterKind = Literal["butterworth", "bessel", "resonance"]
@@ -68,8 +69,7 @@ class ResponseTable:
 
     def __post_init__(self) -> None:
         check_shape("frequency_hz", self.frequency_hz, (None,))
-        for name in ("magnitude", "phase_rad", "u_magnitude", "u_phase_rad"):
-            check_shape(name, getattr(self, name), self.frequency_hz.shape)
+        check_shapes(self, self.frequency_hz.shape, "magnitude", "phase_rad", "u_magnitude", "u_phase_rad")
         if len(self.frequency_hz) == 0 or np.any(np.diff(self.frequency_hz) <= 0.0):
             raise ValueError("frequency_hz: expected ascending frequencies, found values that do not ascend")
         if np.any(self.magnitude <= 0.0):
@@ -90,13 +90,9 @@ class PoleModel:
     delay_s: float = 0.0
 
     def __post_init__(self) -> None:
+        check_shapes(self, (None,), "zeros", "poles")
         for name in ("zeros", "poles"):
-            roots = getattr(self, name)
-            check_shape(name, roots, (None,))
-            if not _conjugate(roots):
-                alone = max(roots, key=lambda root: float(np.abs(roots - root.conjugate()).min()))
-                found = f"{alone.real:g} {alone.imag:+g}j alone"
-                raise ValueError(f"{name}: expected each complex root with its conjugate, found {found}")
+            paired(getattr(self, name), name)
         if np.any(self.poles.real > 0.0):
             raise ValueError(f"poles: expected real parts of at most 0, found {self.poles.real.max():g}")
         if self.gain == 0.0:
@@ -246,14 +242,11 @@ def _unwrapped(unit: str) -> str:
 
 def _product(s: ComplexArray, model: PoleModel) -> ComplexArray:
     """Return Π(s − z) / Π(s − p) at s (K,), factor by factor so that nothing overflows before it cancels."""
-    value = np.ones(len(s), dtype=np.complex128)
+    factors = np.ones((len(s), max(len(model.zeros), len(model.poles))), dtype=np.complex128)
+    factors[:, : len(model.zeros)] = s[:, None] - model.zeros
     with np.errstate(divide="ignore", invalid="ignore"):
-        for place in range(max(len(model.zeros), len(model.poles))):
-            if place < len(model.zeros):
-                value = value * (s - model.zeros[place])
-            if place < len(model.poles):
-                value = value / (s - model.poles[place])
-    return value
+        factors[:, : len(model.poles)] /= s[:, None] - model.poles
+        return np.asarray(np.prod(factors, axis=1))
 
 
 def _frequency_slope(s: ComplexArray, model: PoleModel) -> ComplexArray:
@@ -273,19 +266,6 @@ def _finite(value: np.ndarray, frequency_hz: Sequence[float] | FloatArray) -> np
             f"frequency_hz: expected frequencies other than a zero or a pole, found {frequency_hz[bad[0]]:g} Hz"
         )
     return value
-
-
-def _conjugate(roots: ComplexArray) -> bool:
-    """Whether roots come in conjugate pairs (to 1e-9), so that the response is that of a real system."""
-    mirrored = roots.conj()
-    scale = 1e-9 * (np.abs(roots).max() if len(roots) else 0.0)
-    left = list(range(len(roots)))
-    for root in mirrored:
-        partner = next((i for i in left if abs(roots[i] - root) <= scale), None)
-        if partner is None:
-            return False
-        left.remove(partner)
-    return True
 
 
 def _missed(knots: FloatArray, values: ComplexArray) -> float:

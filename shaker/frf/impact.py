@@ -8,13 +8,12 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice
-from shaker.frf.random import Choice, Spectra, choose_estimator, transfer_of
+from shaker.frf.random import Choice, Spectra, choose_estimator, ratio_of
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, pooled_scatter, share_of_reference
-from shaker.lines.spectrum import window_samples
+from shaker.lines.spectrum import hann_window
 from shaker.sine.phasor import Phasors
 
 # Hits of an impact hammer in a force record: where they are, and which of them count.
-
 
 _HIT = 0.1  # share of the largest force from which a pulse is a hit
 _FOOT = 0.01  # share of a pulse's peak at which it begins and ends
@@ -47,13 +46,10 @@ def find_hits(record: TransferRecord, length: int) -> list[Hit]:
     largest = float(force.max(initial=0.0))
     if not largest > 2.0 * _NOISE * noise:
         raise ValueError(f"reference: expected a force with hits, found only noise in {record.reference_name}")
-    overloaded = _overloads(record)
-    above = _runs(force > _HIT * largest)
-    hits: list[Hit] = []
-    for low, high in above:
-        if hits and low < hits[-1].first + length:
-            continue
-        hits.append(_hit(force, noise, overloaded, (low, high), length))
+    overloaded, hits = _overloads(record), list[Hit]()
+    for around in _runs(force > _HIT * largest):
+        if not hits or around[0] >= hits[-1].first + length:
+            hits.append(_hit(force, noise, overloaded, around, length))
     return hits
 
 
@@ -84,21 +80,18 @@ def _runs(mask: BoolArray) -> list[tuple[int, int]]:
 
 def _overloads(record: TransferRecord) -> BoolArray:
     """Tell the samples (S,) where any channel stays at the end of its range."""
-    found = np.zeros(len(record.reference), dtype=np.bool_)
+    overloaded = np.zeros(len(record.reference), dtype=np.bool_)
     for samples in (record.reference, *record.responses.T):
         rest = float(np.median(samples))
         far = _FAR * float(np.max(np.abs(samples - rest)))
         for end in (samples.min(), samples.max()):
-            if abs(end - rest) < far:
-                continue
-            for low, high in _runs(samples == end):
+            for low, high in _runs(samples == end) if abs(end - rest) >= far else ():
                 if high - low + 1 >= _CLIPPED:
-                    found[low : high + 1] = True
-    return found
+                    overloaded[low : high + 1] = True
+    return overloaded
 
 
 # Transfer functions from hammer blows: windows, average over hits, covariance over hits.
-
 
 _END = (1e-6, 1e-3)  # least and largest share of a response's beginning that its end may keep
 _HIDDEN = 0.3  # share of the noise at which the end of a response is hidden in it
@@ -158,7 +151,7 @@ def transfer_impact(
     choice = Choice("H1", 1.0, f"fewer than {_ENOUGH} hits, and the window keeps noise off the force")
     if estimator != "auto" or not few:
         choice = choose_estimator(spectra, estimator, 1.0 if few else None, record.reference_name)
-    found = transfer_of(spectra, choice)
+    ratio = ratio_of(spectra, choice)
     # How the errors of lines 0, 1, 2 … apart correlate under the exponential window, and the force's under its own.
     square = np.exp(-2.0 * decay * blows.time_s)
     under_window = np.fft.fft(np.roll(square, -int(np.searchsorted(blows.time_s, 0.0))))
@@ -166,10 +159,10 @@ def transfer_impact(
     correlation = np.ones(1, dtype=np.complex128)
     if decay > 0.0:
         correlation = np.asarray(under_window[: min(_REACH, len(lines.frequency_hz))] / under_window[0])
-    covariance, dof = _covariance(lines, found.ratio, (correlation, np.asarray(under_force / under_force[0])))
+    covariance, dof = _covariance(lines, ratio, (correlation, np.asarray(under_force / under_force[0])))
     return TransferFunction(
-        ratio=Phasors(lines.frequency_hz, found.ratio, covariance, record.channels, record.ratio_unit, dof),
-        coherence=found.coherence,
+        ratio=Phasors(lines.frequency_hz, ratio, covariance, record.channels, record.ratio_unit, dof),
+        coherence=spectra.coherence,
         estimator=choice.estimator,
         reference=record.reference_name,
         averages=averages,
@@ -214,7 +207,7 @@ def _cut(record: TransferRecord, hits: list[Hit], length: int, before: int) -> _
     windows = np.stack([together[hit.first - before : hit.first - before + length] for hit in hits])
     rest = windows[:, :before] - windows[:, :before].mean(axis=1, keepdims=True) if before else windows[:, :0]
     later = length // 2
-    offset = np.einsum("l,nlc->nc", window_samples("hann", later) / later, windows[:, -later:])
+    offset = np.einsum("l,nlc->nc", hann_window(later) / later, windows[:, -later:])
     offset[:, 0] = windows[:, :before, 0].mean(axis=1) if before else np.median(record.reference)
     windows = windows - offset[:, None, :]
     rest = rest.reshape(-1, together.shape[1])
@@ -238,7 +231,7 @@ def _needed_decay(blows: _Blows) -> float:
 
     begin = int(np.searchsorted(blows.time_s, 0.0))
     quarter = (len(blows.time_s) - begin) // 4
-    taper = window_samples("hann", quarter)[:, None]
+    taper = hann_window(quarter)[:, None]
     first, last = (
         np.sqrt(np.mean(np.abs(np.fft.rfft(part * taper, axis=1)[:, 2:]) ** 2, axis=0))
         for part in (blows.samples[:, begin : begin + quarter, 1:], blows.samples[:, -quarter:, 1:])

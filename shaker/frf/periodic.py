@@ -13,7 +13,6 @@ from shaker.sine.phasor import Phasors
 
 # Phasors of every period of a periodic signal, also where the period is no whole number of samples.
 
-
 _SOFT_SAMPLES = 128  # length of the seam of two soft windows, at most
 _SOFT_ORDER = 8
 _WHOLE = 1e-7  # distance from a whole number of samples that no record notices
@@ -58,10 +57,8 @@ def find_period(reference: FloatArray, samples: float, settle_periods: int) -> P
         count = count_periods(len(reference), start, samples)
         if count < 2:
             break
-        spectrum = period_phasors(reference[:, None], Period(samples, 0.0, start, count), (0.0, 0.45), rounds=2).value[
-            :, :, 0
-        ]
-        error, u_samples = _period_error(spectrum, samples)
+        periods = period_phasors(reference[:, None], Period(samples, 0.0, start, count), (0.0, 0.45), rounds=2)
+        error, u_samples = _period_error(periods.value[:, :, 0], samples)
         if (step == 0 and abs(error) <= _SAME_PERIOD * u_samples) or abs(error) <= 0.05 * u_samples:
             break
         samples += error
@@ -201,11 +198,9 @@ def _is_whole(samples: float) -> bool:
 
 # What periods tell beyond the transfer function: a structure not settled, a drift, distortions.
 
-
 _BLOCK = 8  # lines that are tested together
 _UNLIKELY = 1e-4  # probability, over all blocks of a record, below which periods differ
 _GAIN = 1e-3  # change of the reference's amplitude between periods that is told
-_CLOCK = 1e-7  # relative difference of the excitation's clock that is told
 _DISTORTION = 3.0  # mean of an unexcited line over its uncertainty, rms, from which it is a distortion
 
 
@@ -221,13 +216,12 @@ def period_notices(
         f"(u {period.u_samples / period.samples:.1e}), {value.shape[1]} lines: ratio of the means over periods, leaks "
         "nothing, not biased by noise on either channel"
     )
-    found = [Notice("info", text, record.reference_name)]
-    found += _reference_drift(value[:, :, 0], record.reference_name)
+    notices = [Notice("info", text, record.reference_name), *_reference_drift(value[:, :, 0], record.reference_name)]
     for c, name in enumerate(record.channels):
         error = value[:, :, 1 + c] - ratio[:, c] * value[:, :, 0]
-        found += _unsettled(error, value[:, :, 1 + c], frequency[excited], name)
-        found += _distortions(lines, excited, ratio[:, c], 1 + c, name)
-    return tuple(found)
+        notices += _unsettled(error, value[:, :, 1 + c], frequency[excited], name)
+        notices += _distortions(lines, excited, ratio[:, c], 1 + c, name)
+    return tuple(notices)
 
 
 def _reference_drift(reference: ComplexArray, name: str) -> list[Notice]:
@@ -251,12 +245,12 @@ def _unsettled(error: ComplexArray, response: ComplexArray, frequency: FloatArra
         return []
     first = np.full(count, -1.0 / (count - 1))
     first[0] = 1.0
-    found = _differs(error, first, frequency)
-    if found.any():
-        size = np.abs(error[0] - error[1:].mean(axis=0))[found].max() / np.abs(response.mean(axis=0))[found].max()
+    early = _differs(error, first, frequency)
+    if early.any():
+        size = np.abs(error[0] - error[1:].mean(axis=0))[early].max() / np.abs(response.mean(axis=0))[early].max()
         text = (
-            f"the first kept period differs from the others between {frequency[found].min():.6g} and "
-            f"{frequency[found].max():.6g} Hz, by up to {100.0 * size:.2g} % of the response: the structure had not "
+            f"the first kept period differs from the others between {frequency[early].min():.6g} and "
+            f"{frequency[early].max():.6g} Hz, by up to {100.0 * size:.2g} % of the response: the structure had not "
             "settled; leave out one period more (settle_periods)"
         )
         return [Notice("warning", text, name)]
@@ -316,7 +310,6 @@ def _distortions(lines: Periods, excited: BoolArray, ratio: ComplexArray, channe
 
 
 # Transfer functions from periodic excitation: errors-in-variables estimate, covariance over periods.
-
 
 _HIGHEST = 0.45  # share of the sampling rate up to which lines are taken where no band is named
 

@@ -9,11 +9,8 @@ import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, resolution_notices
-from shaker.lines.spectrum import window_samples
+from shaker.lines.spectrum import hann_window
 from shaker.sine.phasor import Phasors
-
-# H1, H2 and Hv from averaged spectra, their covariance, and the choice among them.
-
 
 _TOLERANCE = 0.3  # bias of an estimator, over its standard uncertainty, that is accepted
 _TELLING = 0.5  # coherence from which 1 - γ² is about the sum of the two noise-to-signal ratios
@@ -66,40 +63,27 @@ class Choice:
         return Notice("info", f"{self.estimator} of {averaged}: {self.why}", where)
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """Ratio (K, C), covariance (K, 2C, 2C), coherence (K, C)."""
-
-    ratio: ComplexArray
-    covariance: FloatArray
-    coherence: FloatArray
-
-
-def transfer_of(spectra: Spectra, choice: Choice) -> Estimate:
-    """Return the ratio of the responses to the reference with the estimator chosen."""
-    ratio = _ratio(spectra, choice)
+def ratio_covariance(spectra: Spectra, ratio: ComplexArray, choice: Choice) -> FloatArray:
+    """Return the covariance (K, 2C, 2C) of a ratio (K, C) that `ratio_of` has found."""
     power, averages = spectra.power, spectra.averages
+    if not np.all(averages > 1.0):
+        return np.full((len(ratio), 2 * ratio.shape[1], 2 * ratio.shape[1]), np.nan)
     cross = ratio[:, :, None] * spectra.cross.conj()[:, None, :]
     # Power of y - H x for the H found; for H1 it is what the regression leaves.
     left = power[:, 1:, 1:] - cross - cross.conj().swapaxes(1, 2)
     left = left + ratio[:, :, None] * ratio.conj()[:, None, :] * power[:, :1, :1]
-    coherence = spectra.coherence
-    if np.all(averages > 1.0):
-        noise = left / (power[:, :1, :1].real * (averages[:, None, None] - 1.0))
-        if choice.estimator != "H1":
-            loss = 1.0 / np.sqrt(np.maximum(coherence, 1.0 / averages[:, None]))
-            noise = noise * loss[:, :, None] * loss[:, None, :]
-        hermitian = 0.5 * (noise + noise.conj().swapaxes(1, 2))
-        diagonal = np.arange(noise.shape[1])  # rounding may have made it negative
-        hermitian[:, diagonal, diagonal] = np.maximum(hermitian[:, diagonal, diagonal].real, np.finfo(np.float64).tiny)
-        covariance = circular_covariance(hermitian)
-    else:
-        covariance = np.full((len(ratio), 2 * ratio.shape[1], 2 * ratio.shape[1]), np.nan)
-    return Estimate(ratio, covariance, coherence)
+    noise = left / (power[:, :1, :1].real * (averages[:, None, None] - 1.0))
+    if choice.estimator != "H1":
+        loss = 1.0 / np.sqrt(np.maximum(spectra.coherence, 1.0 / averages[:, None]))
+        noise = noise * loss[:, :, None] * loss[:, None, :]
+    hermitian = 0.5 * (noise + noise.conj().swapaxes(1, 2))
+    diagonal = np.arange(noise.shape[1])  # rounding may have made it negative
+    hermitian[:, diagonal, diagonal] = np.maximum(hermitian[:, diagonal, diagonal].real, np.finfo(np.float64).tiny)
+    return circular_covariance(hermitian)
 
 
-def _ratio(spectra: Spectra, choice: Choice) -> ComplexArray:
-    """Return H (K, C); Hv minimises the noise |n_x|² + |n_y|²/κ that explains the spectra."""
+def ratio_of(spectra: Spectra, choice: Choice) -> ComplexArray:
+    """Return H (K, C) by the estimator chosen; Hv minimises the noise |n_x|² + |n_y|²/κ that explains the spectra."""
     cross, reference, responses = spectra.cross, spectra.reference[:, None], spectra.responses
     if choice.estimator == "H1":
         return np.asarray(cross / reference)
@@ -125,21 +109,18 @@ def choose_estimator(
     if noise_ratio is not None and not noise_ratio > 0.0:
         raise ValueError(f"noise_ratio: expected a positive number, found {noise_ratio}")
     on_reference, on_response, bias_h1, bias_h2 = _noise_shares(spectra)
-    found = noise_ratio
-    if found is None and on_reference > 0.0 and on_response > 0.0:
-        found = on_response / on_reference
+    told = on_reference > 0.0 and on_response > 0.0
+    if wanted == "Hv" and noise_ratio is None and not told:
+        raise ValueError("noise_ratio: expected the ratio of the noise powers, found none and no noise to tell it by")
+    kappa = noise_ratio or (on_response / on_reference if told else 1.0)
     if wanted != "auto":
-        if wanted == "Hv" and found is None:
-            raise ValueError(
-                "noise_ratio: expected the ratio of the noise powers, found none and no noise to tell it by"
-            )
-        return Choice(wanted, found or 1.0, "as asked")
+        return Choice(wanted, kappa, "as asked")
     if bias_h1 <= _TOLERANCE:
-        return Choice("H1", found or 1.0, f"noise on {reference_name} biases it by less than its uncertainty")
+        return Choice("H1", kappa, f"noise on {reference_name} biases it by less than its uncertainty")
     if bias_h2 <= _TOLERANCE:
-        return Choice("H2", found or 1.0, f"the noise is on {reference_name}, little on the responses")
-    why = f"noise on {reference_name} and on the responses, powers in the ratio 1 : {found or 1.0:.3g}"
-    return Choice("Hv", found or 1.0, why)
+        return Choice("H2", kappa, f"the noise is on {reference_name}, little on the responses")
+    why = f"noise on {reference_name} and on the responses, powers in the ratio 1 : {kappa:.3g}"
+    return Choice("Hv", kappa, why)
 
 
 def _noise_shares(spectra: Spectra) -> tuple[float, float, float, float]:
@@ -169,7 +150,6 @@ def _noise_shares(spectra: Spectra) -> tuple[float, float, float, float]:
 
 
 # Transfer functions by local polynomials: the spectrum of a whole record, without segments and window.
-
 
 _ORDER = 6  # of the polynomials in frequency
 _LOWER_ORDER = 4  # of those that show what the order matters
@@ -279,7 +259,6 @@ def _fitted(powers: FloatArray, reference: ComplexArray, responses: ComplexArray
 
 # Transfer functions from noise: local polynomials, or averaged spectra of overlapping segments; H1, H2, Hv.
 
-
 _HOP = 3  # segments begin every third of their length: 67 % overlap
 _FIRST_BIN = 3  # a Hann window lets what the mean left reach the bins below
 _REACH = 8  # lines over which those errors correlate
@@ -322,19 +301,19 @@ def transfer_random(
     source = (local_spectra if local else averaged_spectra)(record, length, chosen)
     wanted = "auto" if estimator == "local" else estimator
     choice = choose_estimator(source.spectra, wanted, noise_ratio, record.reference_name)
-    found = transfer_of(source.spectra, choice)
-    bias = source.bias
+    ratio = ratio_of(source.spectra, choice)
+    noise, bias = ratio_covariance(source.spectra, ratio, choice), source.bias
     if bias is None:  # H''/6 of a Hann window, zero at both ends
-        bias = np.zeros_like(found.ratio)
-        bias[1:-1] = (found.ratio[2:] - 2.0 * found.ratio[1:-1] + found.ratio[:-2]) / 6.0
-    covariance = found.covariance + circular_covariance(bias[:, :, None] * bias.conj()[:, None, :])
+        bias = np.zeros_like(ratio)
+        bias[1:-1] = (ratio[2:] - 2.0 * ratio[1:-1] + ratio[:-2]) / 6.0
+    covariance = noise + circular_covariance(bias[:, :, None] * bias.conj()[:, None, :])
     notices = [choice.notice(record.reference_name, source.text)]
     cause, dof = "a polynomial over five lines" if local else "leakage", np.full(len(chosen), source.dof)
     for c, name in enumerate(record.channels):
-        notices += resolution_notices(chosen, found.ratio[:, c], np.sqrt(found.covariance[:, c, c]), name, cause)
+        notices += resolution_notices(chosen, ratio[:, c], np.sqrt(noise[:, c, c]), name, cause)
     return TransferFunction(
-        ratio=Phasors(chosen, found.ratio, covariance, record.channels, record.ratio_unit, dof),
-        coherence=found.coherence,
+        ratio=Phasors(chosen, ratio, covariance, record.channels, record.ratio_unit, dof),
+        coherence=source.spectra.coherence,
         estimator="local" if local else choice.estimator,
         reference=record.reference_name,
         averages=source.spectra.averages,
@@ -370,7 +349,7 @@ def averaged_spectra(record: TransferRecord, length: int, frequency_hz: FloatArr
     Noise in two segments that begin d samples apart correlates as Σ w(n)·w(n+d)·exp(-jωn), which tells as how many
     independent ones they count, and how errors of neighbouring lines correlate.
     """
-    window, hop = window_samples("hann", length), max(1, length // _HOP)
+    window, hop = hann_window(length), max(1, length // _HOP)
     starts = range(0, len(record.reference) - length + 1, hop)
     count = len(starts)
     total = np.zeros(_REACH)

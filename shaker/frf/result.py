@@ -14,7 +14,6 @@ from shaker.sine.phasor import Phasors
 
 # What goes into the estimate of a transfer function, and what comes out.
 
-
 Estimator = Literal["H1", "H2", "Hv", "periodic", "local"]
 
 
@@ -129,7 +128,6 @@ def circular_covariance(complex_covariance: ComplexArray) -> FloatArray:
 
 # Which harmonics a periodic reference excites.
 
-
 _SIGNAL = 10.0  # mean over its standard uncertainty from which a line is a signal
 _STRONG = 0.1  # share of the largest line nearby from which a line is excited for sure
 _NEARBY = 12  # lines on either side that are nearby
@@ -163,7 +161,6 @@ def excited_lines(reference: ComplexArray) -> BoolArray:
 
 
 # Whether the lines of a transfer function resolve its resonances.
-
 
 _LEAST = 6.0  # lines of a Hann window, or of local polynomials, between half-power points below which a peak reads low
 _PROMINENCE = 2.0  # factor by which a peak stands above its surroundings
@@ -201,7 +198,6 @@ def resolution_notices(
 
 
 # Noise of neighbouring lines taken together.
-
 
 _NEIGHBOURS = 8  # lines on either side that share one estimate of the noise
 _BLOCK = 64  # lines over which the shares of the noise are steady

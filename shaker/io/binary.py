@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,10 @@ from shaker.io.channel import (
     chosen,
     columns_of,
     is_time,
-    length_of,
     numbers,
     rate_of_times,
     read_datasets,
 )
-
-# What channels in HDF5 and MATLAB files have beside them: rate, start, unit, a vector of times.
-
 
 _RATES = ("sample_rate", "sampling_rate", "sampling_frequency", "fs")
 _MATLAB_RATES = ("sample_rate", "fs", "Fs")
@@ -35,37 +31,32 @@ _TIMES = ("time", "Time", "t")
 
 @dataclass(frozen=True)
 class _Beside:
-    """What a channel has beside it, by its name: rate and start (None where there is none), unit, vector of times."""
+    """What a channel has beside it: rate, start, unit, and where no rate is stated the name of a vector of times."""
 
-    rate: Callable[[str], float | None]
-    start: Callable[[str], float | None]
-    unit: Callable[[str], str]
-    times: Callable[[str], str | None]
+    rate: float | None
+    start: float | None
+    unit: str
+    times: str | None
 
 
 def _put_together(
     path: Path,
     datasets: Mapping[str, Any],
     columns: Mapping[str, Column],
-    wanted: Sequence[str],
-    beside: _Beside,
+    wanted: Mapping[str, _Beside],
     sample_rate_hz: float | None,
 ) -> dict[str, RawChannel]:
     """Return the channels wanted: by the rate beside them, else by a vector of times, else by the rate given."""
-    rates = {name: beside.rate(name) for name in wanted}
-    times = {name: time for name in wanted if rates[name] is None and (time := beside.times(name))}
-    values = read_datasets(datasets, {name: columns[name] for name in {*wanted, *times.values()}})
+    times = {beside.times for beside in wanted.values() if beside.times}
+    values = read_datasets(datasets, {name: columns[name] for name in {*wanted, *times}})
     result = {}
-    for name in wanted:
-        rate, start, where = rates[name], beside.start(name) or 0.0, f'channel "{name}"'
-        if name in times:
-            rate, start = rate_of_times(path, values[times[name]], f'{where}: times in "{times[name]}"')
+    for name, beside in wanted.items():
+        rate, start, where = beside.rate, beside.start or 0.0, f'channel "{name}"'
+        if beside.times:
+            rate, start = rate_of_times(path, values[beside.times], f'{where}: times in "{beside.times}"')
         rate = checked_rate(path, sample_rate_hz if rate is None else rate, where)
-        result[name] = RawChannel(values[name], rate, start, beside.unit(name))
+        result[name] = RawChannel(values[name], rate, start, beside.unit)
     return result
-
-
-# HDF5: one dataset per channel with attributes `sample_rate`, optional `start_time`, `unit`.
 
 
 def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
@@ -81,59 +72,43 @@ def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
 
     with h5py.File(path, "r") as file:
         columns: dict[str, Column] = {}
-
-        def collect(name: str, node: Any) -> None:
-            if isinstance(node, h5py.Dataset):
-                columns.update(columns_of(name, node))
-
-        file.visititems(collect)
+        file.visititems(lambda name, node: columns.update(columns_of(name, node)))
         present = columns if names is not None else [name for name in columns if not is_time(name.rsplit("/", 1)[-1])]
-        wanted = chosen(path, names, present)
-
-        def number(name: str, keys: Sequence[str]) -> float | None:
-            value, column = _attribute(file, columns[name].dataset, keys), columns[name]
-            return _number(path, f'channel "{name}"', value, column.index)
-
-        def unit(name: str) -> str:
-            value, index = _attribute(file, columns[name].dataset, _UNITS), columns[name].index
-            values = np.asarray([] if value is None else value, dtype=object).reshape(-1)
-            own = values[index if index is not None and index < len(values) else 0] if len(values) else ""
-            return own.decode("utf-8", "replace") if isinstance(own, bytes) else str(own)
-
-        beside = _Beside(
-            lambda name: number(name, _RATES),
-            lambda name: number(name, _STARTS),
-            unit,
-            lambda name: _time_beside(file, name, columns),
-        )
-        return _put_together(path, file, columns, wanted, beside, sample_rate_hz)
+        wanted = {}
+        for name in chosen(path, names, present):
+            node, index, where = file[columns[name].dataset], columns[name].index, f'{path}: channel "{name}"'
+            rate, start = (_number(where, _attribute(node, keys), index) for keys in (_RATES, _STARTS))
+            times = _time_beside(name, columns) if rate is None else None
+            units = np.asarray(_attribute(node, _UNITS, ""), dtype=object).reshape(-1)
+            unit = units[index if index is not None and index < len(units) else 0] if len(units) else ""
+            unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else str(unit)
+            wanted[name] = _Beside(rate, start, unit, times)
+        return _put_together(path, file, columns, wanted, sample_rate_hz)
 
 
-def _attribute(file: Any, name: str, keys: Sequence[str]) -> Any:
-    """Return an attribute of a dataset, else of the groups around it, else of the file; None where there is none."""
-    node = file[name]
+def _attribute(node: Any, keys: Sequence[str], default: Any = None) -> Any:
+    """Return an attribute of a dataset, else of the groups around it, else of the file."""
     while True:
         for key in keys:
             if key in node.attrs:
                 return node.attrs[key]
         if node.name == "/":
-            return None
+            return default
         node = node.parent
 
 
-def _time_beside(file: Any, name: str, columns: Mapping[str, Column]) -> str | None:
+def _time_beside(name: str, columns: Mapping[str, Column]) -> str | None:
     """Return the dataset or field `time` beside a channel (or beside its table) and of its length."""
     group = name.rpartition("/")[0]
-    length = length_of(file[columns[name].dataset], columns[name])
     for other, column in columns.items():
         parent, _, tail = other.rpartition("/")
         beside = parent in (group, group.rpartition("/")[0])
-        if beside and is_time(tail) and length_of(file[column.dataset], column) == length:
+        if beside and is_time(tail) and column.length == columns[name].length:
             return other
     return None
 
 
-def _number(path: Path, where: str, value: Any, index: int | None) -> float | None:
+def _number(where: str, value: Any, index: int | None) -> float | None:
     """Return an attribute's number (one for all columns of a table, or one each), None where there is none."""
     if value is None:
         return None
@@ -141,7 +116,7 @@ def _number(path: Path, where: str, value: Any, index: int | None) -> float | No
         values = np.asarray(value, dtype=np.float64).reshape(-1)
         return float(values[index] if index is not None and len(values) > 1 else values.reshape(())[()])
     except (TypeError, ValueError, IndexError) as error:
-        raise ValueError(f"{path}: {where}: expected numbers in sample_rate and start_time, found {value!r}") from error
+        raise ValueError(f"{where}: expected numbers in sample_rate and start_time, found {value!r}") from error
 
 
 # MATLAB files, versions 4 to 7.2 and 7.3 (HDF5 inside): one vector, table column or field of a struct per channel.
@@ -150,13 +125,8 @@ def _number(path: Path, where: str, value: Any, index: int | None) -> float | No
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
-@dataclass(frozen=True)
-class _Variables:
-    """What a file holds, fields of structs as `struct.field`: arrays of numbers, texts, and what cannot be read."""
-
-    arrays: dict[str, Any]
-    texts: dict[str, str]
-    others: dict[str, str]
+class _Unreadable(str):
+    """What stands in the place of a variable that cannot be read: its kind in words."""
 
 
 def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
@@ -175,37 +145,30 @@ def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float |
     import h5py
 
     with h5py.File(path, "r") as file:
-        return _channels(path, _sorted(_hdf5_leaves("", file)), names, sample_rate_hz)
+        return _channels(path, dict(_hdf5_leaves("", file)), names, sample_rate_hz)
 
 
 def _channels(
-    path: Path, variables: _Variables, names: Sequence[str] | None, sample_rate_hz: float | None
+    path: Path, variables: Mapping[str, Any], names: Sequence[str] | None, sample_rate_hz: float | None
 ) -> dict[str, RawChannel]:
-    """Return the channels among the variables of a file."""
-    arrays = variables.arrays
+    """Return the channels among the variables of a file: arrays of numbers, texts, and `_Unreadable` ones."""
     columns: dict[str, Column] = {}
-    for name, array in arrays.items():
-        if array.size > 1:
-            columns |= columns_of(name, array)
+    for name, variable in variables.items():
+        if not isinstance(variable, str) and variable.size > 1:
+            columns |= columns_of(name, variable)
     for name in names or ():
-        if name not in columns and name in variables.others:
-            raise ValueError(f'{path}: channel "{name}": expected a vector of numbers, found {variables.others[name]}')
-    clocks = [name for name in columns if name.rpartition(".")[2] in _TIMES]
-    wanted = chosen(path, names, columns if names is not None else [n for n in columns if n not in clocks])
-
-    def times(name: str) -> str | None:
-        length = length_of(arrays[columns[name].dataset], columns[name])
-        near = (other for other in _beside(name, _TIMES) if other in columns and other != name)
-        return next((n for n in near if length_of(arrays[columns[n].dataset], columns[n]) == length), None)
-
-    texts = variables.texts
-    beside = _Beside(
-        lambda name: _scalar(arrays, name, _MATLAB_RATES),
-        lambda name: _scalar(arrays, name, _STARTS),
-        lambda name: next((texts[key] for key in _beside(name, _UNITS) if key in texts), ""),
-        times,
-    )
-    return _put_together(path, arrays, columns, wanted, beside, sample_rate_hz)
+        if name not in columns and isinstance(kind := variables.get(name), _Unreadable):
+            raise ValueError(f'{path}: channel "{name}": expected a vector of numbers, found {kind}')
+    present = columns if names is not None else [n for n in columns if n.rpartition(".")[2] not in _TIMES]
+    wanted = {}
+    for name in chosen(path, names, present):
+        rate, start = (_scalar(variables, name, keys) for keys in (_MATLAB_RATES, _STARTS))
+        near = [columns[other] for other in _beside(name, _TIMES) if other in columns and other != name]
+        times = next((own.dataset for own in near if own.length == columns[name].length), None)
+        units = (variables.get(key) for key in _beside(name, _UNITS))
+        unit = next((text for text in units if type(text) is str), "")
+        wanted[name] = _Beside(rate, start, unit, times if rate is None else None)
+    return _put_together(path, variables, columns, wanted, sample_rate_hz)
 
 
 def _beside(name: str, keys: Sequence[str]) -> Iterator[str]:
@@ -216,25 +179,12 @@ def _beside(name: str, keys: Sequence[str]) -> Iterator[str]:
         yield from (f"{struct}.{key}" if struct else key for key in keys)
 
 
-def _scalar(arrays: Mapping[str, Any], name: str, keys: Sequence[str]) -> float | None:
+def _scalar(variables: Mapping[str, Any], name: str, keys: Sequence[str]) -> float | None:
     """Return the number that stands beside a channel under one of the keys, None where there is none."""
     for key in _beside(name, keys):
-        if key in arrays and arrays[key].size == 1:
-            return float(np.asarray(arrays[key][()]).reshape(()))
+        if getattr(variable := variables.get(key), "size", 0) == 1:
+            return float(np.asarray(variable).reshape(()))
     return None
-
-
-def _sorted(leaves: Iterator[tuple[str, Any]]) -> _Variables:
-    """Sort what a file holds: numbers, texts, and descriptions (in a tuple) of what cannot be read."""
-    variables = _Variables({}, {}, {})
-    for name, leaf in leaves:
-        if isinstance(leaf, str):
-            variables.texts[name] = leaf
-        elif isinstance(leaf, tuple):
-            variables.others[name] = leaf[0]
-        else:
-            variables.arrays[name] = leaf
-    return variables
 
 
 def _hdf5_leaves(prefix: str, group: Any) -> Iterator[tuple[str, Any]]:
@@ -246,18 +196,18 @@ def _hdf5_leaves(prefix: str, group: Any) -> Iterator[tuple[str, Any]]:
         if hasattr(node, "items"):
             yield from _hdf5_leaves(f"{name}.", node)
         elif kind == "cell" or node.dtype.kind == "O":
-            yield name, ("a cell array" if kind == "cell" else "an array of structs or an object",)
+            yield name, _Unreadable("a cell array" if kind == "cell" else "an array of structs or an object")
         elif "MATLAB_empty" in node.attrs:
-            yield name, ("an empty array",)
+            yield name, _Unreadable("an empty array")
         elif kind == "char":
             yield name, "".join(map(chr, np.asarray(node[()]).ravel()))
         elif kind == "string" or node.attrs.get("MATLAB_object_decode"):
-            yield name, ("a MATLAB object",)
+            yield name, _Unreadable("a MATLAB object")
         else:
-            yield name, node if node.dtype.kind in "biuf" else ("complex numbers",)
+            yield name, node if node.dtype.kind in "biuf" else _Unreadable("complex numbers")
 
 
-def _classic(path: Path, names: Sequence[str] | None) -> _Variables:
+def _classic(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
     """Return the variables of an older file, where only some channels are asked for those that matter to them."""
     from scipy.io import loadmat, whosmat
 
@@ -269,7 +219,7 @@ def _classic(path: Path, names: Sequence[str] | None) -> _Variables:
         else:
             roots = None  # a name is wrong: all of them stand in the message
     content = loadmat(str(path), variable_names=roots)
-    return _sorted(leaf for name, value in content.items() for leaf in _classic_leaves(name, value))
+    return dict(leaf for name, value in content.items() for leaf in _classic_leaves(name, value))
 
 
 def _classic_leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -277,21 +227,20 @@ def _classic_leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     if name.startswith("__") or not isinstance(value, np.ndarray):
         return
     if type(value).__name__ in ("MatlabOpaque", "MatlabFunction", "MatlabObject"):
-        yield name, ("a MATLAB object",)
+        yield name, _Unreadable("a MATLAB object")
+    elif value.dtype.names and value.size != 1:
+        yield name, _Unreadable(f"an array of {value.size} structs")
     elif value.dtype.names:
-        if value.size != 1:
-            yield name, (f"an array of {value.size} structs",)
-            return
         for field in value.dtype.names:
             yield from _classic_leaves(f"{name}.{field}", value[field].reshape(-1)[0])
     elif value.dtype.kind == "O":
-        yield name, ("a cell array",)
+        yield name, _Unreadable("a cell array")
     elif value.dtype.kind in "US":
         yield name, "".join(map(str, value.ravel()[:1]))
     elif value.dtype.kind in "biuf" and value.size:
         yield name, value
     else:
-        yield name, ("complex numbers" if value.size else "an empty array",)
+        yield name, _Unreadable("complex numbers" if value.size else "an empty array")
 
 
 # WAV files, their channels called by number.

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from shaker.arrays import FloatArray, check_shape
 
-# One recorded channel as it stands in a file.
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,6 @@ class RawChannel:
 
 # What all file readers share: choosing channels by name, and errors of one sentence that name the file.
 
-
 BLOCK = 1 << 20  # bytes read at a time
 UNIFORM = 0.5  # of a sampling interval: how far a time column may stray from a uniform one
 
@@ -77,6 +76,15 @@ def chosen(path: Path, names: Sequence[str] | None, present: Iterable[str]) -> l
         if name not in available:
             raise ValueError(f'{path}: expected a channel "{name}", found {listed(available)}')
     return list(names)
+
+
+def chosen_by_either(
+    path: Path, names: Sequence[str] | None, present: Mapping[str, T], short: Sequence[str]
+) -> dict[str, T]:
+    """Return what belongs to the names wanted (None: all present); who has a `short` name alone answers to it, too."""
+    alone = {own: item for own, item in zip(short, present.values(), strict=True) if short.count(own) == 1}
+    known = {**present, **alone, **present}
+    return {name: known[name] for name in (present if names is None else chosen(path, names, known))}
 
 
 def listed(names: Sequence[str], most: int = 12) -> str:
@@ -126,16 +134,16 @@ def rate_of_times(path: Path, time_s: FloatArray, where: str) -> tuple[float, fl
 
 # Channels in arrays of numbers, in memory or in an HDF5 file: vectors, tables, records.
 
-
 _NUMBERS = "biuf"
 _SLENDER = 4  # a table has at least that many times more samples than channels; others are pictures or matrices
 
 
 @dataclass(frozen=True)
 class Column:
-    """Where a channel's samples stand: along `axis` of a dataset, at `index` of the other axis, or in a `field`."""
+    """Where a channel's `length` samples stand: along `axis` of a dataset, at `index` across it, or in a `field`."""
 
     dataset: str
+    length: int
     axis: int = 0
     index: int | None = None
     field: str | None = None
@@ -147,23 +155,18 @@ def columns_of(name: str, dataset: Any) -> dict[str, Column]:
     A table (S, C) or (C, S) has the channels `name/1`, `name/2`, … across its longer side, a dataset of records
     `name/field`; a vector, and a table of one row or column, is one channel.
     """
-    if dataset.shape is None or dataset.size < 1 or dataset.ndim > 2:
+    if getattr(dataset, "shape", None) is None or dataset.size < 1 or dataset.ndim > 2:
         return {}
     if dataset.dtype.names and dataset.ndim == 1:
         fields = [field for field in dataset.dtype.names if dataset.dtype[field].kind in _NUMBERS]
-        return {f"{name}/{field}": Column(name, field=field) for field in fields}
+        return {f"{name}/{field}": Column(name, dataset.size, field=field) for field in fields}
     if dataset.dtype.kind in _NUMBERS and dataset.ndim == 1:
-        return {name: Column(name)}
+        return {name: Column(name, dataset.size)}
     count, length = min(dataset.shape, default=0), max(dataset.shape, default=0)
     if dataset.dtype.kind not in _NUMBERS or length == count or (count > 1 and length < _SLENDER * count):
         return {}
     axis = dataset.shape.index(length)
-    return {f"{name}/{i + 1}" if count > 1 else name: Column(name, axis, i) for i in range(count)}
-
-
-def length_of(dataset: Any, column: Column) -> int:
-    """Return the number of samples of a channel."""
-    return int(dataset.shape[column.axis])
+    return {f"{name}/{i + 1}" if count > 1 else name: Column(name, length, axis, i) for i in range(count)}
 
 
 def read_datasets(datasets: Mapping[str, Any], wanted: Mapping[str, Column]) -> dict[str, FloatArray]:
@@ -171,8 +174,8 @@ def read_datasets(datasets: Mapping[str, Any], wanted: Mapping[str, Column]) -> 
     results: dict[str, FloatArray] = {}
     for name in dict.fromkeys(column.dataset for column in wanted.values()):
         own = {key: column for key, column in wanted.items() if column.dataset == name}
-        dataset, axis = datasets[name], next(iter(own.values())).axis
-        length = dataset.shape[axis]
+        dataset, first_own = datasets[name], next(iter(own.values()))
+        length, axis = first_own.length, first_own.axis
         results |= {key: np.empty(length) for key in own}
         chunks = getattr(dataset, "chunks", None)
         chunk = chunks[axis] if chunks else 1

@@ -11,14 +11,13 @@ from typing import BinaryIO
 import numpy as np
 
 from shaker.arrays import FloatArray
-from shaker.io.channel import RawChannel, chosen
+from shaker.io.channel import UNIFORM, RawChannel, chosen, rate_of_times
 from shaker.io.text import TextLayout, count_lines, decoded, find_bytes, read_columns
 
 _END, _CHANNELS = b"***End_of_Header***", b"\nChannels"
 _SPECIAL, _SPECIAL_END = "***Start_Special***", "***End_Special***"
 _SEPARATORS = {"Tab": "\t", "Comma": ",", "Semicolon": ";"}
 _COMMENT, _TIMES, _SEPARATOR = "Comment", "X_Value", "Separator"
-_GAP = 0.5  # of a sampling interval: how far a segment or a time may lie from where the last one left off
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ def _segments(path: Path, stream: BinaryIO) -> Iterator[_Segment]:
 def _header(
     path: Path, stream: BinaryIO, start: int, size: int, line: int, separator: str | None
 ) -> tuple[dict[str, list[str]], int, int]:
-    """Return the entries of a header, the byte behind it and the number of the line there.
+    """Return the entries of a header but those of special blocks, the byte behind it, the number of the line there.
 
     The header of the file (`separator` None) is split by what stands behind its key Separator.
     """
@@ -100,21 +99,16 @@ def _header(
         raise ValueError(f"{path}: line {line}: expected ***End_of_Header***, found the end of the file")
     stream.seek(start)
     raw = stream.read(end - start) + stream.readline()
-    lines = decoded(raw).splitlines()
-    own = next((line[len(_SEPARATOR)] for line in lines if line.startswith(_SEPARATOR) and line != _SEPARATOR), "\t")
-    return _entries(lines, own if separator is None else separator), start + len(raw), line + raw.count(b"\n")
-
-
-def _entries(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
-    """Return header lines as key and values, without those of special blocks."""
+    texts = decoded(raw).splitlines()
+    own = next((text[len(_SEPARATOR)] for text in texts if text.startswith(_SEPARATOR) and text != _SEPARATOR), "\t")
     entries: dict[str, list[str]] = {}
     special = False
-    for line in lines:
-        special = (special or line.startswith(_SPECIAL)) and not line.startswith(_SPECIAL_END)
-        cells = [cell.strip() for cell in line.split(separator)]
+    for text in texts:
+        special = (special or text.startswith(_SPECIAL)) and not text.startswith(_SPECIAL_END)
+        cells = [cell.strip() for cell in text.split(own if separator is None else separator)]
         if not special and cells[0] and len(cells) > 1:
             entries[cells[0]] = cells[1:]
-    return entries
+    return entries, start + len(raw), line + raw.count(b"\n")
 
 
 def _channel_columns(titles: Sequence[str]) -> dict[str, int]:
@@ -161,7 +155,7 @@ def _joined(path: Path, parts: Sequence[_Part], sample_rate_hz: float | None) ->
         if abs(step - steps[0]) > 1e-6 * steps[0]:
             raise ValueError(f"{path}: line {line}: expected one sampling interval, found {step} s")
         here = _start(part) + _stamp(part) - _stamp(first)
-        if abs(here - expected) > _GAP * steps[0]:
+        if abs(here - expected) > UNIFORM * steps[0]:
             raise ValueError(
                 f"{path}: line {line}: expected a segment that goes on at {expected:.6f} s, found one from {here:.6f} s"
             )
@@ -176,10 +170,14 @@ def _start(part: _Part) -> float:
     return float(part.times[0]) if part.times is not None else _value(part.segment, "X0", part.index, 0.0)
 
 
-def _value(segment: _Segment, key: str, index: int, default: float) -> float:
-    """Return a channel's number from the header."""
+def _cell(segment: _Segment, key: str, index: int) -> str:
+    """Return a channel's text from the header, the last one where there are fewer, empty where there is none."""
     cells = [cell for cell in segment.header.get(key, []) if cell]
-    return float(cells[min(index, len(cells) - 1)].replace(",", ".")) if cells else default
+    return cells[min(index, len(cells) - 1)].replace(",", ".") if cells else ""
+
+
+def _value(segment: _Segment, key: str, index: int, default: float) -> float:
+    return float(_cell(segment, key, index) or default)
 
 
 def _interval(path: Path, part: _Part, sample_rate_hz: float | None) -> float:
@@ -188,16 +186,10 @@ def _interval(path: Path, part: _Part, sample_rate_hz: float | None) -> float:
     stated, count = _value(part.segment, "Delta_X", part.index, given), len(part.samples)
     line = part.segment.line - 1
     if part.times is not None and count > 1:
-        times = part.times
-        measured = float(times[-1] - times[0]) / (count - 1)
-        if not measured > 0.0:
-            raise ValueError(f"{path}: line {line}: expected a rising X column, found {measured} s per sample")
-        stray = np.max(np.abs(times - times[0] - measured * np.arange(count)))
-        if stray > _GAP * measured:
-            raise ValueError(f"{path}: line {line}: expected an X column in uniform steps, found gaps or steps back")
+        measured = 1.0 / rate_of_times(path, part.times, f"line {line}: X column")[0]
         multiple = round(measured / stated) if stated > 0.0 else 0
         # The column is printed with few digits; the header's interval, or a multiple of it, has them all.
-        exact = multiple > 0 and abs(multiple * stated - measured) * (count - 1) <= _GAP * measured
+        exact = multiple > 0 and abs(multiple * stated - measured) * (count - 1) <= UNIFORM * measured
         if not (exact and multiple == 1):
             return multiple * stated if exact else measured
     if not stated > 0.0:
@@ -210,11 +202,7 @@ def _interval(path: Path, part: _Part, sample_rate_hz: float | None) -> float:
 
 def _stamp(part: _Part) -> float:
     """Return a segment's time stamp in seconds, 0 where it has none."""
-    dates, times = part.segment.header.get("Date", []), part.segment.header.get("Time", [])
-    if not dates or not times:
-        return 0.0
-    date = dates[min(part.index, len(dates) - 1)]
-    time = times[min(part.index, len(times) - 1)].replace(",", ".")
+    date, time = (_cell(part.segment, key, part.index) for key in ("Date", "Time"))
     if not date or not time:
         return 0.0
     clock, _, fraction = time.partition(".")

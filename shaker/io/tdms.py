@@ -13,6 +13,7 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,10 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker.arrays import FloatArray
-from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen, is_time, rate_of_times
+from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen_by_either, is_time, rate_of_times
 
 # Where the values of every channel stand in a TDMS file (NI, "TDMS file format internal structure", version 2.0).
-
 
 _LEAD = 28  # bytes before every segment's metadata
 _METADATA, _NEW_LIST, _RAW, _INTERLEAVED, _BIG_ENDIAN = 1 << 1, 1 << 2, 1 << 3, 1 << 5, 1 << 6
@@ -34,6 +34,7 @@ _NUMBERS = {1: "i1", 2: "i2", 3: "i4", 4: "i8", 5: "u1", 6: "u2", 7: "u4", 8: "u
 _NUMBERS |= {0x19: "f4", 0x1A: "f8", _BOOLEAN: "u1", 0x08000C: "c8", 0x10000D: "c16"}
 _CARD_NUMBERS = {0: "u1", 1: "i1", 2: "u2", 3: "i2", 4: "u4", 5: "i4", 6: "u8", 7: "i8", 8: "f4", 9: "f8"}
 DAQMX = -1  # no scale: the value itself
+_Key = tuple[str, int]  # a channel's path and the number of its raw scale
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,21 @@ class TdmsIndex:
 
     properties: dict[str, dict[str, Any]]
     regions: tuple[Region, ...]
+
+    @cached_property
+    def types(self) -> dict[str, np.dtype[Any]]:
+        """Type of the raw values of every channel by its path."""
+        return {own.path: own.dtype for region in self.regions for own in region.fields}
+
+    @cached_property
+    def lengths(self) -> dict[_Key, int]:
+        """Number of values of every channel and raw scale."""
+        lengths: dict[_Key, int] = {}
+        for region in self.regions:
+            for own in region.fields:
+                key = own.path, own.scale
+                lengths[key] = lengths.get(key, 0) + own.count * region.repeats
+        return lengths
 
 
 @dataclass(frozen=True)
@@ -185,7 +201,6 @@ def _read_objects(
 
 
 def _raw(cursor: _Cursor) -> _Raw:
-    """Read the index of plain raw data."""
     kind, _, count = cursor.take("LLQ")
     if kind == _STRING:
         return _Raw(count, None, cursor.take("Q")[0])
@@ -214,30 +229,22 @@ def _card_raw(cursor: _Cursor, path: str, kind: int) -> _Raw:
 
 
 def _regions(path: Path, chunk: Mapping[str, _Raw], interleaved: bool, position: int, size: int) -> list[Region]:
-    """Return the regions of one segment's raw data."""
     if any(raw.widths for raw in chunk.values()):
         return _card_regions(path, chunk, position, size)
-    length = sum(raw.size for raw in chunk.values())
-    if not length or not size:
+    if not size or not any(raw.size for raw in chunk.values()):
         return []
-    offsets = np.cumsum([0] + [raw.size for raw in chunk.values()]).tolist()
     if interleaved and not any(raw.dtype is None for raw in chunk.values()):
         if len({raw.count for raw in chunk.values()}) > 1:
             raise ValueError(f"{path}: expected equally many values of all interleaved channels, found different ones")
-        count = next(iter(chunk.values())).count
-        offsets, length, chunk = (
-            [o // count for o in offsets],
-            length // count,
-            {name: _Raw(1, raw.dtype, raw.size // count) for name, raw in chunk.items()},
-        )
+        chunk = {name: _Raw(1, raw.dtype, raw.size // raw.count) for name, raw in chunk.items()}
+    fields, length = [], 0
+    for name, raw in chunk.items():
+        if raw.dtype is not None:
+            fields.append(Field(name, length, raw.count, raw.dtype))
+        length += raw.size
     if size % length:
         raise _cut_off(path)
-    fields = tuple(
-        Field(name, offset, raw.count, raw.dtype)
-        for (name, raw), offset in zip(chunk.items(), offsets, strict=False)
-        if raw.dtype is not None
-    )
-    return [Region(position, length, size // length, fields)]
+    return [Region(position, length, size // length, tuple(fields))]
 
 
 def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: int) -> list[Region]:
@@ -266,21 +273,38 @@ def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: in
 
 # Channels `group/channel` with their scales.
 
-
 _SCALES = ("Polynomial", "Linear", "RTD", "Strain", "Table", "Thermistor", "Thermocouple", "Add", "Subtract")
 _SCALE_KEY = re.compile(r"NI_Scale\[(\d+)\]_Scale_Type")
 _MOST_SCALES = 1000
 _SCALE_BLOCK = 1 << 14  # samples scaled at a time: their intermediate results stay in the cache
-_Key = tuple[str, int]  # a channel's path and the number of its raw scale
 
 
 @dataclass
 class _Sink:
-    """Values (S,) of a channel, how many are in, and the scale that each block gets at once (None: none, or later)."""
+    """Values (S,) of a channel, how many are in, and the scale that each block gets at once (None: none, or later).
+
+    `base_s`: the first second of time stamps, which are counted from it.
+    """
 
     values: FloatArray
     scale: Any = None
     filled: int = 0
+    base_s: int | None = None
+
+    def take(self, own: Field, block: bytes, stride: int) -> None:
+        """Take the channel's values from a block of records."""
+        repeats = len(block) // stride if stride else 1
+        raw: NDArray[Any] = np.ndarray((repeats, own.count), own.dtype, block, own.offset, (stride, own.dtype.itemsize))
+        if own.bit is not None:
+            raw = raw >> own.bit & 1
+        elif own.dtype.names:
+            self.base_s = int(raw["seconds"][0, 0]) if self.base_s is None else self.base_s
+            raw = (raw["seconds"] - self.base_s) + raw["fraction"] * 2.0**-64
+        target = self.values[self.filled : self.filled + repeats * own.count]
+        target.reshape(repeats, own.count)[...] = raw
+        self.filled += len(target)
+        if self.scale is not None:
+            _apply(self.scale, {own.scale: target})
 
 
 @dataclass(frozen=True)
@@ -301,22 +325,14 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
     """
     with path.open("rb") as stream:
         index = read_index(path, stream)
-        types = {own.path: own.dtype for region in index.regions for own in region.fields}
-        lengths = _lengths(index.regions)
-        present = {
-            "/".join(path_parts(name)): name
-            for name, dtype in types.items()
-            if dtype.kind in "biuf" and any(lengths[key] for key in lengths if key[0] == name)
-        }
-        bare = [path_parts(name)[-1] for name in present.values()]
-        alone = {tail: name for tail, name in zip(bare, present.values(), strict=True) if bare.count(tail) == 1}
-        if names is not None:
-            chosen(path, names, [*present, *(tail for tail in alone if tail not in present)])
-        paths = present if names is None else {name: present.get(name) or alone[name] for name in names}
-        times = {name: _time_of(name, index, types, lengths) for name in paths.values()}
+        filled = {name for (name, _), length in index.lengths.items() if length}
+        series = [name for name, dtype in index.types.items() if dtype.kind in "biuf" and name in filled]
+        present = {"/".join(path_parts(name)): name for name in series}
+        paths = chosen_by_either(path, names, present, [path_parts(name)[-1] for name in present.values()])
+        times = {name: _time_of(name, index) for name in paths.values()}
         wanted = {*paths.values(), *(time for time in times.values() if time)}
         values = _values(path, stream, index, wanted)
-        starts = _starts(stream, index, types, {times[own] or own for own in paths.values()})
+        starts = _starts(stream, index, {times[own] or own for own in paths.values()})
     result = {}
     for name, own in paths.items():
         properties, time, where = index.properties.get(own, {}), times[own], f'channel "{name}"'
@@ -330,26 +346,14 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
     return result
 
 
-def _lengths(regions: Iterable[Region]) -> dict[_Key, int]:
-    """Return the number of values of every channel and raw scale."""
-    lengths: dict[_Key, int] = {}
-    for region in regions:
-        for own in region.fields:
-            key = own.path, own.scale
-            lengths[key] = lengths.get(key, 0) + own.count * region.repeats
-    return lengths
-
-
-def _time_of(
-    name: str, index: TdmsIndex, types: Mapping[str, np.dtype[Any]], lengths: Mapping[_Key, int]
-) -> str | None:
+def _time_of(name: str, index: TdmsIndex) -> str | None:
     """Return the time channel that belongs to a channel without `wf_increment`."""
     if index.properties.get(name, {}).get("wf_increment"):
         return None
     group, *_ = path_parts(name)
-    for other in types:
+    for other in index.types:
         own_group, *tail = path_parts(other)
-        fits = lengths.get((other, DAQMX)) == lengths.get((name, DAQMX))
+        fits = index.lengths.get((other, DAQMX)) == index.lengths.get((name, DAQMX))
         if other != name and own_group == group and tail and is_time(tail[0]) and fits:
             return other
     return None
@@ -360,17 +364,16 @@ def _values(path: Path, stream: BinaryIO, index: TdmsIndex, wanted: set[str]) ->
 
     A card's channel without scale is its first raw scale.
     """
-    sinks = {key: _Sink(np.empty(length)) for key, length in _lengths(index.regions).items() if key[0] in wanted}
+    sinks = {key: _Sink(np.empty(length)) for key, length in index.lengths.items() if key[0] in wanted}
     keys = {name: [key for key in sinks if key[0] == name] for name in wanted}
     scales = {name: _scale(path, name, index) for name in wanted}
     for name, own in keys.items():
         if len(own) == 1:
             sinks[own[0]].scale = scales[name]
-    bases: dict[str, int] = {}
     for region in index.regions:
         fields = [own for own in region.fields if own.path in wanted]
         if fields:
-            _read_region(path, stream, region, fields, sinks, bases)
+            _read_region(path, stream, region, fields, sinks)
     for name, own in keys.items():
         if len(own) > 1 and scales[name] is not None:
             _apply(scales[name], {key[1]: sinks[key].values for key in own})
@@ -378,12 +381,7 @@ def _values(path: Path, stream: BinaryIO, index: TdmsIndex, wanted: set[str]) ->
 
 
 def _read_region(
-    path: Path,
-    stream: BinaryIO,
-    region: Region,
-    fields: Sequence[Field],
-    sinks: Mapping[_Key, _Sink],
-    bases: dict[str, int],
+    path: Path, stream: BinaryIO, region: Region, fields: Sequence[Field], sinks: Mapping[_Key, _Sink]
 ) -> None:
     """Read a region block by block into the channels' arrays."""
     if region.stride > BLOCK:  # a record larger than a block: its channels one by one, in pieces
@@ -393,40 +391,22 @@ def _read_region(
                 part = replace(own, offset=0, count=min(most, own.count - first))
                 size = part.count * part.dtype.itemsize
                 position = start + own.offset + first * own.dtype.itemsize
-                _store(part, _read(path, stream, position, size), 0, sinks, bases)
+                sinks[own.path, own.scale].take(part, _read(path, stream, position, size), 0)
         return
     rows = max(1, BLOCK // max(1, region.stride))
     for first in range(0, region.repeats, rows):
         count = min(rows, region.repeats - first)
         block = _read(path, stream, region.position + first * region.stride, count * region.stride)
         for own in fields:
-            _store(own, block, region.stride, sinks, bases)
+            sinks[own.path, own.scale].take(own, block, region.stride)
 
 
 def _read(path: Path, stream: BinaryIO, position: int, size: int) -> bytes:
-    """Read bytes, all of them."""
     stream.seek(position)
     block = stream.read(size)
     if len(block) < size:
         raise ValueError(f"{path}: expected a complete TDMS file, found its end at byte {position + len(block)}")
     return block
-
-
-def _store(own: Field, block: bytes, stride: int, sinks: Mapping[_Key, _Sink], bases: dict[str, int]) -> None:
-    """Put a channel's values from a block of records into its array."""
-    sink = sinks[own.path, own.scale]
-    repeats = len(block) // stride if stride else 1
-    raw: NDArray[Any] = np.ndarray((repeats, own.count), own.dtype, block, own.offset, (stride, own.dtype.itemsize))
-    if own.bit is not None:
-        raw = raw >> own.bit & 1
-    elif own.dtype.names:
-        base = bases.setdefault(own.path, int(raw["seconds"][0, 0]))
-        raw = (raw["seconds"] - base) + raw["fraction"] * 2.0**-64
-    target = sink.values[sink.filled : sink.filled + repeats * own.count]
-    target.reshape(repeats, own.count)[...] = raw
-    sink.filled += len(target)
-    if sink.scale is not None:
-        _apply(sink.scale, {own.scale: target})
 
 
 def _apply(scale: Any, raw: Mapping[int, FloatArray]) -> None:
@@ -459,19 +439,14 @@ def _scale(path: Path, name: str, index: TdmsIndex) -> Any:
     return get_scaling(*layers)
 
 
-def _starts(
-    stream: BinaryIO, index: TdmsIndex, types: Mapping[str, np.dtype[Any]], wanted: Iterable[str]
-) -> dict[str, float]:
+def _starts(stream: BinaryIO, index: TdmsIndex, wanted: Iterable[str]) -> dict[str, float]:
     """Return by how many seconds every channel begins after the earliest of those wanted, from their time stamps."""
     stamps: dict[str, Fraction] = {}
     for name in wanted:
         stamp = index.properties.get(name, {}).get("wf_start_time")
-        if types[name].names:
-            regions = (
-                (region, own) for region in index.regions if region.repeats for own in region.fields if own.count
-            )
-            place, dtype = next((r.position + own.offset, own.dtype) for r, own in regions if own.path == name)
-            stream.seek(place)
+        if (dtype := index.types[name]).names:
+            fields = ((region, own) for region in index.regions if region.repeats for own in region.fields if own.count)
+            stream.seek(next(region.position + own.offset for region, own in fields if own.path == name))
             stamps[name] = Fraction(int(np.frombuffer(stream.read(dtype.itemsize), dtype)["seconds"][0]))
         elif isinstance(stamp, Fraction | int) and stamp > 0:  # 0 is the year 1904: no time was set
             stamps[name] = Fraction(stamp)

@@ -32,10 +32,9 @@ from typing import BinaryIO
 import numpy as np
 
 from shaker.arrays import FloatArray, check_shape
-from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen, is_time, rate_of_times, reading
+from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen, chosen_by_either, is_time, rate_of_times, reading
 
 # Rows of numbers in text files: whole blocks at once, line by line only where a block holds anything unusual.
-
 
 _COMMENT = "#"
 _COMMA_TO_POINT = bytes.maketrans(b",", b".")
@@ -184,7 +183,6 @@ def number_of(cell: str, comma: bool) -> float:
 
 # CSV: a header with the channels' names, an optional row of units, numbers.
 
-
 _DELIMITERS = ("\t", ";", ",")
 _STATED = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)  # how Excel is told the delimiter
 _NAME_AND_UNIT = re.compile(r"(.*\S)\s*(?:\[([^][]*)\]|\(([^()]*)\))")
@@ -201,6 +199,22 @@ class _Head:
     start: int
     line: int
 
+    @property
+    def short(self) -> list[str]:
+        """Names without their units."""
+        return [_split_unit(name)[0] for name in self.names]
+
+    @property
+    def plain(self) -> list[str]:
+        """Names without their units where these tell them apart."""
+        short = self.short
+        return [own if short.count(own) == 1 else name for own, name in zip(short, self.names, strict=True)]
+
+    def columns(self, wanted: Sequence[int]) -> dict[int, FloatArray]:
+        """Return columns by their places."""
+        size = self.layout.path.stat().st_size
+        return dict(zip(wanted, read_columns(self.layout, self.start, size, self.line, wanted), strict=True))
+
 
 def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read a text table with a header line; lines that begin with # are remarks.
@@ -211,18 +225,11 @@ def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | 
     come from a column `time`, uniform, in s or as its unit says (ms, us, ns, min), else from `sample_rate_hz`; empty
     cells and `nan` are NaN. Memory: the result and one block.
     """
-    size = path.stat().st_size
-    with path.open("rb") as stream:
-        head = _head(path, stream)
-    short = [_split_unit(name)[0] for name in head.names]
-    time = next((i for i, name in enumerate(short) if is_time(name)), None)
+    head = _head(path)
+    time = next((i for i, name in enumerate(head.short) if is_time(name)), None)
     present = {name: i for i, name in enumerate(head.names) if i != time}
-    alone = {name: i for i, name in enumerate(short) if i != time and short.count(name) == 1 and name not in present}
-    if names is not None:
-        chosen(path, names, [*present, *alone])
-    places = present if names is None else {name: present.get(name, alone.get(name, 0)) for name in names}
-    wanted = sorted({*places.values(), *([] if time is None else [time])})
-    columns = dict(zip(wanted, read_columns(head.layout, head.start, size, head.line, wanted), strict=True))
+    places = chosen_by_either(path, names, present, [name for i, name in enumerate(head.short) if i != time])
+    columns = head.columns(sorted({*places.values(), *([] if time is None else [time])}))
     if time is None:
         rate, start = checked_rate(path, sample_rate_hz, 'a table without a column "time"'), 0.0
     else:
@@ -237,41 +244,35 @@ def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | 
 def table_units(path: Path) -> dict[str, str]:
     """Return the columns of a text table, named without their units, and the unit of each."""
     with reading(path):
-        with path.open("rb") as stream:
-            head = _head(path, stream)
-        short = [_split_unit(name)[0] for name in head.names]
-        names = [own if short.count(own) == 1 else name for own, name in zip(short, head.names, strict=True)]
-        return dict(zip(names, head.units, strict=True))
+        head = _head(path)
+        return dict(zip(head.plain, head.units, strict=True))
 
 
 def read_table_columns(path: Path, names: Sequence[str]) -> FloatArray:
     """Read columns, named as `table_units` does, of a text table whose rows need no times, as (S, len(names))."""
-    places = list(table_units(path))
     with reading(path):
-        chosen(path, names, places)
-        with path.open("rb") as stream:
-            head = _head(path, stream)
-        wanted = sorted({places.index(name) for name in names})
-        columns = read_columns(head.layout, head.start, path.stat().st_size, head.line, wanted)
-        return np.stack([columns[wanted.index(places.index(name))] for name in names], axis=1)
+        head = _head(path)
+        places = [head.plain.index(name) for name in chosen(path, names, head.plain)]
+        columns = head.columns(sorted(set(places)))
+        return np.stack([columns[place] for place in places], axis=1)
 
 
-def _head(path: Path, stream: BinaryIO) -> _Head:
-    """Read the header and the row of units."""
-    if b"\0" in stream.read(4096):
-        raise ValueError(f"{path}: expected text, found binary data")
-    stream.seek(0)
-    start, line, text = _next_line(stream, 0)
-    stated = _STATED.fullmatch(text)
-    if stated:
-        start, line, text = _next_line(stream, line)
+def _head(path: Path) -> _Head:
+    with path.open("rb") as stream:
+        if b"\0" in stream.read(4096):
+            raise ValueError(f"{path}: expected text, found binary data")
+        stream.seek(0)
+        _, header_line, text = _next_line(stream, 0)
+        stated = _STATED.fullmatch(text)
+        if stated:
+            _, header_line, text = _next_line(stream, header_line)
+        start, line, second = _next_line(stream, header_line)
+        behind = stream.tell()
     plain = re.sub(r'"[^"]*"', "", text)
     best = max(_DELIMITERS, key=plain.count)  # which gives most cells outside quotes, else white space
     delimiter = stated[1] if stated else best if best in plain else ""
     comma = delimiter != ","
     names = _cells(text, delimiter)
-    header_line = line
-    start, line, second = _next_line(stream, line)
     if not second:
         raise ValueError(f"{path}: expected a header and rows of numbers, found {1 if text else 0} lines")
     if len(names) > 1 and not names[-1]:
@@ -284,7 +285,7 @@ def _head(path: Path, stream: BinaryIO) -> _Head:
     if texts and not any(_is_number(cell, comma) for cell in cells if cell != "1"):
         stripped = [cell.strip("[]()").strip() for cell in cells] + [""] * len(names)
         units = [row or own for row, own in zip(stripped, units, strict=False)]
-        start, line = stream.tell(), line + 1
+        start, line = behind, line + 1
     return _Head(names, units, TextLayout(path, len(names), delimiter, comma), start, line)
 
 
@@ -312,7 +313,6 @@ def _split_unit(name: str) -> tuple[str, str]:
 
 
 def _is_number(cell: str, comma: bool) -> bool:
-    """Tell whether a cell holds a number."""
     try:
         number_of(cell, comma)
     except ValueError:
@@ -321,7 +321,6 @@ def _is_number(cell: str, comma: bool) -> bool:
 
 
 # Text export of a scanning vibrometer, as in PTB's data set 10.7795/720.20181105 (`Scan_time.asc`).
-
 
 _FIRST_POINT = 19  # line number, counted from 1
 _PLAIN = bytes.maketrans(b",;", b". ")  # decimal comma to point, semicolon to blank
@@ -357,7 +356,12 @@ def read_scan_asc(path: Path) -> Scan:
             points.append(row)
         if not points:
             raise ValueError(f"{path}: line {_FIRST_POINT}: expected x, y, z of the first scan point, found none")
-        samples, interval = _acquisition(path, stream, line)
+        while line and not row:
+            row = _numbers(line := stream.readline())
+        if not (len(row) == 2 and row[0] >= 1.0 and row[0] == int(row[0]) and row[1] > 0.0):
+            expected = "a line with the number of samples and the sampling interval"
+            raise ValueError(f"{path}: expected {expected}, found none")
+        samples, interval = int(row[0]), row[1]
         start, stop = stream.tell(), stream.seek(0, 2)
         values, widths = _data(stream, start, stop)
         count = len(points)
@@ -391,18 +395,6 @@ def _numbers(line: bytes) -> list[float]:
         return [float(cell) for cell in line.translate(_PLAIN).split()]
     except ValueError:
         return []
-
-
-def _acquisition(path: Path, stream: BinaryIO, line: bytes) -> tuple[int, float]:
-    """Return number of samples and sampling interval from the first line of numbers, which is to be theirs."""
-    while line:
-        row = _numbers(line)
-        if row:
-            if len(row) == 2 and row[0] >= 1.0 and row[0] == int(row[0]) and row[1] > 0.0:
-                return int(row[0]), row[1]
-            break
-        line = stream.readline()
-    raise ValueError(f"{path}: expected a line with the number of samples and the sampling interval, found none")
 
 
 def _data(stream: BinaryIO, start: int, stop: int) -> tuple[FloatArray, set[int]]:

@@ -22,7 +22,6 @@ from shaker.io.text import plain_rows
 
 # Data sets, and the functions of data set 58 in them.
 
-
 _MARK = b"-1"
 _HEADER = 11  # text records before the numbers of data set 58
 _DIRECTIONS = {0: "", 1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
@@ -46,9 +45,8 @@ class DataSet:
 
 @dataclass(frozen=True)
 class Axis:
-    """What an axis of a function shows: the number of its quantity, its label and unit (empty where not stated)."""
+    """What an axis of a function shows: its label and unit (empty where not stated)."""
 
-    quantity: int
     label: str
     unit: str
 
@@ -61,7 +59,6 @@ class FunctionHeader:
     kind: int
     response_name: str
     response_point: str
-    reference_name: str
     reference_point: str
     ordinate_type: int
     count: int
@@ -115,7 +112,9 @@ def _skip_binary(path: Path, stream: BinaryIO, more: bytes, line: int) -> int:
     records = [stream.readline() for _ in range(_HEADER)]
     head, place = function_header(path, records, line), stream.tell()
     stated = _integer(more[25:37])
-    sizes = [size for size in _sizes(head) if size == stated] + [size for size in _sizes(head) if size != stated]
+    value = (8 if head.is_double else 4) * (2 if head.is_complex else 1)
+    sizes = [head.count * (value + abscissa) for abscissa in ((0,) if head.even else (4, 8))]
+    sizes.sort(key=lambda size: size != stated)
     for size in sizes:
         stream.seek(place + size)
         tail = stream.readline()
@@ -128,12 +127,6 @@ def _skip_binary(path: Path, stream: BinaryIO, more: bytes, line: int) -> int:
     )
 
 
-def _sizes(head: FunctionHeader) -> list[int]:
-    """Return how many bytes the numbers of a binary function may take."""
-    value = (8 if head.is_double else 4) * (2 if head.is_complex else 1)
-    return [head.count * (value + abscissa) for abscissa in ((0,) if head.even else (4, 8))]
-
-
 def function_header(path: Path, records: Sequence[bytes], line: int) -> FunctionHeader:
     """Return what the eleven text records of data set 58 say; `line` is that of the data set's number."""
     if len(records) < _HEADER or not records[-1]:
@@ -144,18 +137,17 @@ def function_header(path: Path, records: Sequence[bytes], line: int) -> Function
     if numbers[0] not in (2, 4, 5, 6) or numbers[1] < 0:
         raise ValueError(f"{path}: line {line + 7}: expected type and number of values, found {_shown(records[6])}")
     return FunctionHeader(
-        tuple("" if text.strip() in _NOTHING else text.strip() for text in texts[:5]),
+        tuple(map(_name, texts[:5])),
         _integer(point[:5]),
         _name(point[31:41]),
         _point(point[41:51], point[51:55]),
-        _name(point[56:66]),
         _point(point[66:76], point[76:80]),
         numbers[0],
         numbers[1],
         numbers[2] == 1,
         _real(form[30:43]),
         _real(form[43:56]),
-        *(Axis(_integer(text[:10]), _name(text[26:46]), _name(text[47:67])) for text in texts[7:10]),
+        *(Axis(_name(text[26:46]), _name(text[47:67])) for text in texts[7:10]),
     )
 
 
@@ -252,7 +244,6 @@ _EXPONENT = bytes.maketrans(b"Dd", b"EE")
 
 
 def _decoded(record: bytes) -> str:
-    """Return a record's text."""
     try:
         return record.decode("utf-8").rstrip("\r\n")
     except UnicodeDecodeError:
@@ -280,12 +271,10 @@ def _point(node: str, direction: str) -> str:
 
 
 def _shown(text: bytes) -> str:
-    """Return the beginning of a line for a message."""
     return repr(_decoded(text).strip()[:40])
 
 
 # Universal files: mode shapes and operating deflection shapes, data set 55 (data at nodes).
-
 
 _ANALYSES = (
     "unknown", "static", "normal mode", "complex mode, first order", "transient", "frequency response", "buckling",
@@ -352,7 +341,6 @@ def _shape(path: Path, line: int, lines: list[bytes]) -> UniversalShape:
     value = _reals(path, line, cells, len(node) * values).reshape(len(node), values)
     complex_value = value[:, ::2] + 1j * value[:, 1::2] if data_type == _COMPLEX else value.astype(complex)
     frequency, damping, time = _abscissa(analysis, reals)
-    titles = tuple(text.decode("latin-1").strip() for text in lines[:5])
     return UniversalShape(
         node,
         complex_value,
@@ -361,7 +349,7 @@ def _shape(path: Path, line: int, lines: list[bytes]) -> UniversalShape:
         frequency,
         damping,
         time,
-        tuple("" if title == "NONE" else title for title in titles),
+        tuple(_name(_decoded(text)) for text in lines[:5]),
     )
 
 
@@ -380,7 +368,6 @@ def _abscissa(analysis: int, reals: np.ndarray) -> tuple[float, float, float]:
 
 
 def _integers(text: bytes, count: int) -> list[int]:
-    """Return the first whole numbers of a record."""
     return [int(cell) for cell in text.split()[:count]] + [0] * (count - len(text.split()[:count]))
 
 
@@ -393,7 +380,6 @@ def _reals(path: Path, line: int, lines: list[bytes], count: int | None = None) 
 
 
 # Universal files: time responses and other functions of data set 58, text and binary.
-
 
 _TIME_RESPONSE = 1
 _KINDS = (
@@ -493,7 +479,6 @@ def _headers(path: Path) -> list[tuple[DataSet, FunctionHeader]]:
 
 
 def _named(headers: list[tuple[DataSet, FunctionHeader]]) -> dict[str, tuple[DataSet, FunctionHeader]]:
-    """Return the functions by unique names."""
     plain = [head.response_name or head.ordinate.label or head.response_point for _, head in headers]
     full = [
         name if plain.count(name) == 1 else f"{name} {head.response_point}".strip()

@@ -10,12 +10,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, Notice, check_shape
+from shaker.arrays import BoolArray, FloatArray, Notice, check_shape, check_shapes
 from shaker.lines.spectrum import MOST_LINES, Peaks, find_peaks
 from shaker.sine.aliasing import CAPTURE, alias_frequency, unfolded
 
 # What a line most likely is: fundamental, multiple or part of one, combination, mains, side band, or unexplained.
-
 
 Kind = Literal[
     "fundamental",
@@ -55,6 +54,9 @@ class Origin:
     text: str
     fundamental_hz: float = float("nan")
     multiple: int = 0
+
+
+UNEXPLAINED = Origin("unexplained", "unexplained")
 
 
 @dataclass(frozen=True)
@@ -113,33 +115,23 @@ def name_lines(lines: LineList, fundamental_hz: FloatArray | None = None) -> tup
     fundamental. Mains and pairs of side bands are told first; what is weaker than a hundredth of the strongest line and
     explained by nothing is no fundamental.
     """
-    state = _State(lines)
-    if fundamental_hz is None:
-        _choose_fundamentals(state)
-    else:
-        for f in fundamental_hz:
-            _accept(state, float(f))
-    for _ in range(2):  # a name may rest on a line that was named later
-        for i in np.argsort(-lines.strength, kind="stable").tolist():
-            if i not in state.origins or state.origins[i].kind == "unexplained":
-                state.origins[i] = _explain(state, i) or Origin("unexplained", "unexplained")
-    return tuple(state.origins[i] for i in range(len(lines.frequency_hz)))
-
-
-def _choose_fundamentals(state: _State) -> None:
-    """Find the fundamentals, strongest line first."""
-    lines = state.lines
-    for i in np.argsort(-lines.strength, kind="stable").tolist():
+    state, strongest_first = _State(lines), np.argsort(-lines.strength, kind="stable").tolist()
+    for f in () if fundamental_hz is None else fundamental_hz:
+        _accept(state, float(f))
+    for i in strongest_first if fundamental_hz is None else ():
         if i in state.origins or lines.strength[i] < _FUNDAMENTAL:
             continue
         explained = _explain(state, i) if state.fundamentals else None
-        if explained is not None:
-            state.origins[i] = explained
-            continue
-        lowest = _lowest(state, i)
-        _accept(state, float(lines.frequency_hz[lowest]), lowest)
-        if lowest != i:
-            state.origins[i] = _explain(state, i) or Origin("unexplained", "unexplained")
+        if explained is None:
+            lowest = _lowest(state, i)
+            _accept(state, float(lines.frequency_hz[lowest]), lowest)
+            explained = state.origins[i] if lowest == i else _explain(state, i) or UNEXPLAINED
+        state.origins[i] = explained
+    for _ in range(2):  # a name may rest on a line that was named later
+        for i in strongest_first:
+            if state.origins.get(i, UNEXPLAINED).kind == "unexplained":
+                state.origins[i] = _explain(state, i) or UNEXPLAINED
+    return tuple(state.origins[i] for i in range(len(lines.frequency_hz)))
 
 
 def _accept(state: _State, frequency: float, index: int | None = None) -> None:
@@ -193,14 +185,14 @@ def _explain(state: _State, i: int) -> Origin | None:
 
 def _harmonic(state: _State, i: int) -> Origin | None:
     """Explain a line as a multiple of a fundamental, the lowest there is."""
-    found: Origin | None = None
+    lowest: Origin | None = None
     for f, u, strength in state.pairs():
         m = round(float(state.lines.frequency_hz[i]) / f)
         fits = 2 <= m <= MAX_MULTIPLE and m * f < state.lines.rate_hz / 2.0 and state.fits(i, m * f, m * u)
-        if fits and (found is None or m < found.multiple):
+        if fits and (lowest is None or m < lowest.multiple):
             share = float(state.lines.strength[i]) / strength
-            found = Origin("harmonic", f"harmonic {m} of {f:.6g} Hz, {share:.2g} of it", f, m)
-    return found
+            lowest = Origin("harmonic", f"harmonic {m} of {f:.6g} Hz, {share:.2g} of it", f, m)
+    return lowest
 
 
 def _mains(state: _State, i: int, multiples: range) -> Origin | None:
@@ -290,7 +282,6 @@ def _side_band(state: _State, i: int) -> Origin | None:
 
 # Every line of a record, how far it stands out of the noise, and what it most likely is.
 
-
 FALSE_ALARM = 1e-3  # probability that noise alone adds any line to the list
 _SAME_BINS = 0.75  # lines of two channels closer than this are one
 _EXPECTED_MULTIPLE = 20
@@ -323,12 +314,10 @@ class Survey:
     notices: tuple[Notice, ...] = ()
 
     def __post_init__(self) -> None:
-        check_shape("frequency_hz", self.frequency_hz, (None,))
         lines = self.frequency_hz.shape
-        check_shape("u_frequency_hz", self.u_frequency_hz, lines)
+        check_shapes(self, (len(self.frequency_hz),), "frequency_hz", "u_frequency_hz", "snr")
         check_shape("amplitude", self.amplitude, (*lines, None))
         check_shape("u_amplitude", self.u_amplitude, self.amplitude.shape)
-        check_shape("snr", self.snr, lines)
         check_shape("floor", self.floor, (len(self.floor_hz), self.amplitude.shape[1]))
         if len(self.origin) != lines[0]:
             raise ValueError(f"origin: expected {lines[0]} origins, one per line, found {len(self.origin)}")
@@ -355,7 +344,7 @@ class Survey:
         """Return the lines with others (N,) of amplitude (N, C) that had been taken out of the record."""
         power = np.max(amplitude**2 / np.maximum(_HANN_NOISE * u_amplitude**2, np.finfo(np.float64).tiny), axis=1)
         order = np.argsort(np.concatenate([self.frequency_hz, frequency_hz]), kind="stable")
-        origin = (*self.origin, *(Origin("unexplained", "unexplained"),) * len(frequency_hz))
+        origin = (*self.origin, *(UNEXPLAINED,) * len(frequency_hz))
         added = (frequency_hz, u_frequency_hz, amplitude, u_amplitude, power)
         both: dict[str, Any] = {
             k: np.concatenate([getattr(self, k), more])[order] for k, more in zip(_PER_LINE, added, strict=True)
@@ -405,15 +394,13 @@ def survey_lines(
         raise ValueError(f"rate_hz: expected a positive number, found {rate_hz}")
     first = look(data, rate_hz, false_alarm)
     given, notices = _nominal(first, nominal_hz, rate_hz, len(data))
-    fundamentals = given if len(nominal_hz) else None
-    if fundamentals is None:
+    seen = given
+    if not len(nominal_hz):
         named = with_origins(first, rate_hz, len(data))
-        fundamentals_seen = np.array([o.fundamental_hz for o in named.origin if o.kind == "fundamental"])
-    else:
-        fundamentals_seen = fundamentals
-    second = look(data, rate_hz, false_alarm, expected_places(fundamentals_seen, rate_hz))
-    found = with_origins(second, rate_hz, len(data), fundamentals)
-    return replace(found, notices=found.notices + notices)
+        seen = np.array([o.fundamental_hz for o in named.origin if o.kind == "fundamental"])
+    second = look(data, rate_hz, false_alarm, expected_places(seen, rate_hz))
+    named = with_origins(second, rate_hz, len(data), given if len(nominal_hz) else None)
+    return replace(named, notices=named.notices + notices)
 
 
 def look(
@@ -514,7 +501,7 @@ def _merged(peaks: Sequence[Peaks], resolution_hz: float) -> Survey:
         amplitude=amplitude,
         u_amplitude=u_amplitude,
         snr=snr,
-        origin=(Origin("unexplained", "unexplained"),) * lines,
+        origin=(UNEXPLAINED,) * lines,
         floor_hz=np.asarray(shown * resolution_hz, dtype=np.float64),
         floor=level[shown],
         notices=(Notice("info", told, "spectrum"),) if cut else (),

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, check_shape
+from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, check_shape, check_shapes
 from shaker.lines.detection import (
     FALSE_ALARM,
     LineList,
@@ -63,14 +63,10 @@ class Lines:
     nuisance_hz: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
-        check_shape("frequency_hz", self.frequency_hz, (None,))
-        lines = self.frequency_hz.shape
-        check_shape("u_frequency_hz", self.u_frequency_hz, lines)
-        check_shape("nominal_hz", self.nominal_hz, lines)
-        check_shape("multiple", self.multiple, lines)
-        check_shape("nuisance_hz", self.nuisance_hz, (None,))
-        if len(self.why) != lines[0]:
-            raise ValueError(f"why: expected {lines[0]} texts, one per line, found {len(self.why)}")
+        check_shapes(self, (None,), "frequency_hz", "nuisance_hz")
+        check_shapes(self, self.frequency_hz.shape, "u_frequency_hz", "nominal_hz", "multiple")
+        if len(self.why) != len(self.frequency_hz):
+            raise ValueError(f"why: expected {len(self.frequency_hz)} texts, one per line, found {len(self.why)}")
 
 
 def find_lines(
@@ -103,22 +99,16 @@ def find_lines(
     if harmonics != "auto":
         multiples, above = _listed(nominal, harmonics, grid)
         chosen, notices = _Chosen(chosen.fundamental, multiples, np.empty(0)), notices + above
-    fitted, others = _settle(record, chosen, harmonics == "auto")
-    return _as_lines(fitted, others, nominal, notices, harmonics == "auto")
-
-
-def _settle(record: _Record, chosen: _Chosen, auto: bool) -> tuple[_Fitted, Survey]:
-    """Fit, look at what is left and fit again, until nothing new is to be fitted."""
     fitted = record.fit(chosen)
-    for _ in range(_ROUNDS if record.has_gaps else 1):
+    for _ in range(_ROUNDS if len(time) < grid.length else 1):  # where samples are missing, lines leak
         others = record.look(fitted)
-        wanted = _extended(record, fitted, others, auto)
+        wanted = _extended(record, fitted, others, harmonics == "auto")
         added = wanted.lines.size > fitted.chosen.lines.size or wanted.nuisance.size > fitted.chosen.nuisance.size
         others = others.select(~_near(others.frequency_hz, record.alias(wanted.lines), record.resolution_hz))
         if not added:
             break
         fitted = record.fit(wanted)
-    return fitted, others
+    return _as_lines(fitted, others, nominal, notices, harmonics == "auto")
 
 
 @dataclass(frozen=True)
@@ -158,11 +148,6 @@ class _Record:
     grid: SamplingGrid
 
     @property
-    def has_gaps(self) -> bool:
-        """Whether samples are missing on the grid."""
-        return len(self.time_s) < self.grid.length
-
-    @property
     def resolution_hz(self) -> float:
         """One bin."""
         return self.grid.rate_hz / self.grid.length
@@ -179,15 +164,15 @@ class _Record:
         capture = np.maximum(capture, self.resolution_hz)
         intervals = np.stack([alias - capture, alias + capture], axis=1) / self.resolution_hz
         filled = self.grid.filled(self.data - self.data.mean(axis=0))
-        found = [excess_power(np.ascontiguousarray(column), intervals) for column in filled.T]
-        height = np.stack([ratio for ratio, _, _ in found], axis=1)
+        peaks = [excess_power(np.ascontiguousarray(column), intervals) for column in filled.T]
+        height = np.stack([ratio for ratio, _ in peaks], axis=1)
         for q in np.flatnonzero(~(height.max(axis=1) > _PROMINENT)):
             raise ValueError(
                 f"nominal_hz: expected {nominal[q]:.6g} Hz to stand out of the spectrum, found no peak above "
                 f"{np.sqrt(_PROMINENT):g} times the noise within {capture[q]:.3g} Hz"
             )
         best = np.argmax(height, axis=1)
-        seen = np.array([found[c][1][q] for q, c in enumerate(best)]) * self.resolution_hz
+        seen = np.array([peaks[c][1][q] for q, c in enumerate(best)]) * self.resolution_hz
         return unfolded(seen, nominal, self.grid.rate_hz)
 
     def fit(self, chosen: _Chosen) -> _Fitted:
@@ -201,10 +186,9 @@ class _Record:
             if not len(chosen.nuisance):
                 raise
             return self.fit(_Chosen(chosen.fundamental, chosen.multiples, np.empty(0)))
-        first = [label.index(q) for q in range(len(chosen.fundamental))]
-        found = fit.phasors.frequency_hz
+        first, frequency = [label.index(q) for q in range(len(chosen.fundamental))], fit.phasors.frequency_hz
         order = np.array([chosen.place[k][1] for k in first], dtype=np.float64)
-        refined = _Chosen(found[first] / order, chosen.multiples, found[len(chosen.lines) :])
+        refined = _Chosen(frequency[first] / order, chosen.multiples, frequency[len(chosen.lines) :])
         return _Fitted(refined, fit.u_frequency_hz[first] / order, fit)
 
     def look(self, fitted: _Fitted) -> Survey:
@@ -212,7 +196,7 @@ class _Record:
         lines, fit = fitted.chosen.lines, fitted.fit
         amplitude = np.abs(fit.phasors.value)
         residual = self.grid.filled(fit.residual_of(self.time_s, self.data))
-        found = look(
+        others = look(
             residual,
             self.grid.rate_hz,
             FALSE_ALARM,
@@ -223,12 +207,12 @@ class _Record:
         if len(lines) < len(amplitude):  # the nuisances that were fitted are put back
             u = np.sqrt((fit.phasors.u_re**2 + fit.phasors.u_im**2) / 2.0)[len(lines) :]
             place, u_place = fit.phasors.frequency_hz[len(lines) :], fit.u_frequency_hz[len(lines) :]
-            found = found.joined(place, u_place, amplitude[len(lines) :], u)
-        frequency = np.concatenate([self.alias(lines), found.frequency_hz])
-        u = np.concatenate([fit.u_frequency_hz[: len(lines)], found.u_frequency_hz])
-        strength = relative_strength(np.concatenate([amplitude[: len(lines)], found.amplitude]))
+            others = others.joined(place, u_place, amplitude[len(lines) :], u)
+        frequency = np.concatenate([self.alias(lines), others.frequency_hz])
+        u = np.concatenate([fit.u_frequency_hz[: len(lines)], others.u_frequency_hz])
+        strength = relative_strength(np.concatenate([amplitude[: len(lines)], others.amplitude]))
         every = LineList(frequency, u, strength, self.grid.rate_hz, self.resolution_hz)
-        return replace(found, origin=name_lines(every, fitted.chosen.fundamental)[len(lines) :])
+        return replace(others, origin=name_lines(every, fitted.chosen.fundamental)[len(lines) :])
 
 
 def _extended(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _Chosen:
@@ -293,12 +277,11 @@ def _listed(
     wrong = [m for m in harmonics if m < 1]
     if wrong:
         raise ValueError(f"harmonics: expected multiples of 1 and above, found {wrong[0]}")
-    orders = sorted({1, *harmonics})
     limit = _NYQUIST_SHARE * grid.rate_hz / 2.0
     taken: list[float] = []
     multiples: list[list[int]] = [[] for _ in nominal]
     notices = []
-    for m in orders:
+    for m in sorted({1, *harmonics}):
         for q, f in enumerate(nominal):
             if m > 1 and m * f >= limit:
                 text = f"harmonic {m} of {f:.6g} Hz lies above {limit:.6g} Hz, out of reach of the fastest channel"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape
+from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
 from shaker.sine.aliasing import (
     CLEAR_BINS,
     Fold,
@@ -20,7 +20,6 @@ from shaker.sine.aliasing import (
 )
 
 # How uncertain the amplitudes of a least-squares fit of sines will be, before anything is measured.
-
 
 _REFINEMENT = 16  # points of the noise integral per bin of the record
 
@@ -65,7 +64,6 @@ def rms_uncertainty(covariance: FloatArray) -> FloatArray:
 
 # One point of a plan: the lines of an excitation, and what one camera rate makes of them.
 
-
 WATCHED = 20
 """Highest multiple of a fundamental whose fold onto a fitted line is looked for."""
 _SAME = 1e-9  # relative difference below which a harmonic of one fundamental is a line of another
@@ -109,9 +107,7 @@ class Lines:
     multiple: IntArray
 
     def __post_init__(self) -> None:
-        check_shape("frequency_hz", self.frequency_hz, (None,))
-        check_shape("fundamental_hz", self.fundamental_hz, self.frequency_hz.shape)
-        check_shape("multiple", self.multiple, self.frequency_hz.shape)
+        check_shapes(self, (len(self.frequency_hz),), "frequency_hz", "fundamental_hz", "multiple")
 
     @property
     def fundamentals_hz(self) -> FloatArray:
@@ -188,8 +184,11 @@ def plan_at(lines: Lines, rate_hz: float, sampling: Sampling) -> RatePlan:
     """
     frequency = lines.frequency_hz
     covariance, condition = amplitude_covariance(frequency, rate_hz, sampling.frames, sampling.corner_hz)
-    gain = exposure_gain(frequency, sampling.exposure_s)
-    distance, neighbour = _neighbours(frequency, rate_hz)
+    gain, alias = exposure_gain(frequency, sampling.exposure_s), alias_frequency(frequency, rate_hz)
+    among = np.abs(np.subtract.outer(alias, alias))
+    np.fill_diagonal(among, np.inf)
+    # A line near the Nyquist frequency meets its own mirror image, which is twice as far away.
+    distance = np.column_stack([among, alias, rate_hz - 2.0 * alias])
     folds: dict[float, Fold] = {}  # harmonics, not fitted themselves, that come within a bin of a fitted line
     for line in frequency:
         for fold in folded_harmonics(line, lines.fundamentals_hz.tolist(), rate_hz, rate_hz / sampling.frames, WATCHED):
@@ -199,30 +198,17 @@ def plan_at(lines: Lines, rate_hz: float, sampling: Sampling) -> RatePlan:
         lines=lines,
         rate_hz=rate_hz,
         frames=sampling.frames,
-        alias_hz=alias_frequency(frequency, rate_hz),
+        alias_hz=alias,
         gain=gain,
         u_amplitude=rms_uncertainty(covariance) / np.maximum(np.abs(gain), np.finfo(np.float64).tiny),
-        distance_hz=distance,
-        neighbour_hz=neighbour,
+        distance_hz=distance.min(axis=1),
+        neighbour_hz=np.append(frequency, [0.0, np.inf])[distance.argmin(axis=1)],
         condition=condition,
         folds=tuple(folds[f] for f in sorted(folds)),
     )
 
 
-def _neighbours(frequency: FloatArray, rate_hz: float) -> tuple[FloatArray, FloatArray]:
-    """Return the distance of each alias (K,) from the nearest other, zero or the Nyquist frequency, and which it is."""
-    alias = alias_frequency(frequency, rate_hz)
-    among = np.abs(np.subtract.outer(alias, alias))
-    np.fill_diagonal(among, np.inf)
-    # A line near the Nyquist frequency meets its own mirror image, which is twice as far away.
-    distance = np.column_stack([among, alias, rate_hz - 2.0 * alias])
-    names = np.append(frequency, [0.0, np.inf])
-    nearest = np.argmin(distance, axis=1)
-    return distance[np.arange(len(alias)), nearest], names[nearest]
-
-
 # Which camera rates are good for a point, and which few serve all of them.
-
 
 PREFERRED = (0.1, 0.4)
 """Share of the camera rate between which fundamentals are best seen: above 1/f noise, below the Nyquist frequency."""
@@ -251,8 +237,7 @@ class Scan:
     unmixed: BoolArray
 
     def __post_init__(self) -> None:
-        for name in ("margin_bins", "penalty", "preferred", "unmixed"):
-            check_shape(name, getattr(self, name), self.rate_hz.shape)
+        check_shapes(self, self.rate_hz.shape, "margin_bins", "penalty", "preferred", "unmixed")
 
     @property
     def clear(self) -> BoolArray:
@@ -365,19 +350,17 @@ def condition_over_rate(lines: Lines, rate_hz: FloatArray, frames: int) -> Float
     signed = np.concatenate([[0.0], lines.frequency_hz, -lines.frequency_hz])
     distance = np.subtract.outer(signed, signed)
     parts = np.array_split(rate_hz, max(1, len(rate_hz) * distance.size // _MAX_GRAM_ENTRIES))
-    return np.concatenate([_conditions(distance / part[:, None, None], frames) for part in parts])
-
-
-def _conditions(turns: FloatArray, frames: int) -> FloatArray:
-    """Return the condition numbers (R,) for distances in turns per frame (R, P, P), infinite where singular."""
-    below = np.sin(np.pi * turns)
-    met = np.abs(below) < 1e-9  # there the kernel is ±1
-    limit = np.cos(np.pi * frames * turns) * np.cos(np.pi * turns)
-    gram = np.where(met, limit, np.sin(np.pi * frames * turns) / (frames * np.where(met, 1.0, below)))
-    eigenvalues = np.linalg.eigvalsh(gram)
-    smallest, largest = eigenvalues[:, 0], eigenvalues[:, -1]
-    singular = smallest <= largest * turns.shape[-1] * np.finfo(np.float64).eps
-    return np.asarray(np.where(singular, np.inf, np.sqrt(largest / np.where(singular, 1.0, smallest))))
+    conditions = []
+    for part in parts:
+        turns = distance / part[:, None, None]
+        below = np.sin(np.pi * turns)
+        met = np.abs(below) < 1e-9  # there the kernel is ±1
+        limit = np.cos(np.pi * frames * turns) * np.cos(np.pi * turns)
+        gram = np.where(met, limit, np.sin(np.pi * frames * turns) / (frames * np.where(met, 1.0, below)))
+        smallest, *_, largest = np.linalg.eigvalsh(gram).T
+        singular = smallest <= largest * len(signed) * np.finfo(np.float64).eps
+        conditions.append(np.where(singular, np.inf, np.sqrt(largest / np.where(singular, 1.0, smallest))))
+    return np.concatenate(conditions)
 
 
 def _best_of(allowed: BoolArray, penalty: FloatArray, margin: FloatArray) -> int:

@@ -13,22 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import lgamma
-from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
-
-# Amplitude spectra of records.
-
-
-Window = Literal["rectangular", "hann", "flattop"]
-
-_COSINES: dict[str, tuple[float, ...]] = {
-    "rectangular": (1.0,),
-    "hann": (0.5, -0.5),
-    "flattop": (0.21557895, -0.41663158, 0.277263158, -0.083578947, 0.006947368),  # ISO 18431-2
-}
+from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 
 
 @dataclass(frozen=True)
@@ -46,25 +34,21 @@ class Spectrum:
             )
 
 
-def window_samples(window: Window, samples: int) -> FloatArray:
-    """Return a periodic window (S,) with mean 1, so that a sine keeps its amplitude."""
-    coefficients = _COSINES[window]
-    angle = 2.0 * np.pi * np.arange(samples) / samples
-    total = sum(c * np.cos(i * angle) for i, c in enumerate(coefficients))
-    return np.asarray(total / coefficients[0], dtype=np.float64)
+def hann_window(samples: int) -> FloatArray:
+    """Return a periodic Hann window (S,) with mean 1, so that a sine keeps its amplitude."""
+    return np.asarray(1.0 - np.cos(2.0 * np.pi * np.arange(samples) / samples))
 
 
-def amplitude_spectrum(samples: FloatArray, sample_rate_hz: float, window: Window = "hann") -> Spectrum:
-    """Return the one-sided amplitude spectrum of samples (S,) or (S, C), their mean removed.
+def amplitude_spectrum(samples: FloatArray, sample_rate_hz: float) -> Spectrum:
+    """Return the one-sided amplitude spectrum of samples (S,) or (S, C) under a Hann window, their mean removed.
 
-    A sine on a bin shows its peak amplitude; between bins the window's scallop loss applies (Hann 15 %, flat top
-    0.1 %).
+    A sine on a bin shows its peak amplitude, one between two bins up to 15 % less.
     """
     count = len(samples)
     if count < 2:
         raise ValueError(f"samples: expected at least 2 samples, found {count}")
     centred = samples - samples.mean(axis=0)
-    shape = window_samples(window, count).reshape((count,) + (1,) * (samples.ndim - 1))
+    shape = hann_window(count).reshape((count,) + (1,) * (samples.ndim - 1))
     amplitude = np.abs(np.fft.rfft(centred * shape, axis=0)) * (2.0 / count)
     amplitude[0] /= 2.0
     if count % 2 == 0:
@@ -73,7 +57,6 @@ def amplitude_spectrum(samples: FloatArray, sample_rate_hz: float, window: Windo
 
 
 # Hann spectra whose lines can be fitted and taken out bin by bin.
-
 
 _SPAN = 3  # bins on either side from which a line is fitted
 _STEPS = 10
@@ -145,7 +128,7 @@ def fit_line(spectrum: ComplexArray, samples: int, start: float, noise: float) -
     part is a linear change of the amplitude. `noise` is the noise power of a bin.
     """
     low, high = max(1, round(start) - _SPAN), min(len(spectrum), round(start) + _SPAN + 1)
-    weight = _weight(high - low)
+    weight = _hann_weight(high - low)
     place, value = start, 0j
     for _ in range(_STEPS):
         data = spectrum[low:high] - np.conj(value) * kernel(-place, low, high, samples)[0]
@@ -178,14 +161,13 @@ def add_line(spectrum: ComplexArray, samples: int, line: BinLine, noise: float, 
 
 
 @lru_cache(maxsize=8)
-def _weight(count: int) -> FloatArray:
+def _hann_weight(count: int) -> FloatArray:
     """Return the inverse of the correlation matrix of white noise in neighbouring Hann bins."""
     apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     return np.asarray(np.linalg.inv(np.array([*_BIN_CORRELATION, *[0.0] * count])[apart]))
 
 
 # The noise floor of a power spectrum, and how far above it chance alone does not reach.
-
 
 FIRST_BIN = 3  # the lowest bin looked at: fewer periods are drift
 _BLOCKS = (64, 256)  # bins per median, narrow and wide
@@ -264,7 +246,6 @@ def chance_height(chance: float, independent: float) -> float:
 
 # Significant peaks of one record's spectrum: lines found, fitted and taken out until noise is left.
 
-
 MOST_LINES = 200
 APART_BINS = 2.5  # two lines closer than this pass for one, and a line's own change stands within it
 _ROUNDS = 12
@@ -294,8 +275,7 @@ class Peaks:
     cut: int
 
     def __post_init__(self) -> None:
-        for name in ("u_place", "value", "u_value", "noise"):
-            check_shape(name, getattr(self, name), self.place.shape)
+        check_shapes(self, self.place.shape, "u_place", "value", "u_value", "noise")
 
 
 def find_peaks(
@@ -321,23 +301,22 @@ def find_peaks(
     return state.result()
 
 
-def excess_power(samples: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def excess_power(samples: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the highest power over the noise floor within each of the intervals `place` (Q, 2) in bins, and where.
 
-    Samples (S,) → ratio (Q,), fitted place of the peak (Q,), and its amplitude (Q,).
+    Samples (S,) → ratio (Q,) and fitted place of the peak (Q,).
     """
     spectrum = centred_spectrum(samples)
     power = spectrum.real**2 + spectrum.imag**2
     level = np.maximum(noise_level(power)[0], np.finfo(np.float64).tiny)
-    found = []
-    for low, high in place:
+    ratio, where = np.empty(len(place)), np.empty(len(place))
+    for q, (low, high) in enumerate(place):
         first = min(max(math.ceil(low), 1), len(power) - 2)
         last = min(max(math.floor(high), first), len(power) - 2)
         top = first + int(np.argmax(power[first : last + 1] / level[first : last + 1]))
-        line = fit_line(spectrum, len(samples), float(top), float(level[top]))
-        found.append((float(power[top] / level[top]), line.place, abs(line.value)))
-    ratio, where, amplitude = np.array(found).T
-    return ratio, where, amplitude
+        ratio[q] = power[top] / level[top]
+        where[q] = fit_line(spectrum, len(samples), float(top), float(level[top])).place
+    return ratio, where
 
 
 class _Search:
@@ -375,25 +354,18 @@ class _Search:
         """Add all peaks that stand out anywhere and are no leakage of stronger ones; tell whether there were any."""
         height = chance_height(self.chance_anywhere, self.independent)
         inner = self.power[FIRST_BIN : self.last]
-        top = (inner > height * self.level[FIRST_BIN : self.last]) & (
-            inner >= self.power[FIRST_BIN - 1 : self.last - 1]
-        )
-        top &= inner >= self.power[FIRST_BIN + 1 : self.last + 1]
+        beside = np.maximum(self.power[FIRST_BIN - 1 : self.last - 1], self.power[FIRST_BIN + 1 : self.last + 1])
+        top = (inner > height * self.level[FIRST_BIN : self.last]) & (inner >= beside)
         bins = FIRST_BIN + np.flatnonzero(top)
         return self._add(self._clear(bins[np.argsort(-self.power[bins], kind="stable")]))
 
     def grow_expected(self) -> bool:
         """Add the peaks that stand out at expected places; tell whether there were any."""
-        found = []
         height = chance_height(self.chance_expected, self.independent)
-        for place in self.expected:
-            bins = np.arange(max(FIRST_BIN, round(place) - 1), min(self.last, round(place) + 2))
-            if len(bins):
-                best = int(bins[np.argmax(self.power[bins])])
-                if self.power[best] > height * self.level[best]:
-                    found.append(best)
-        order = sorted(set(found), key=lambda k: -self.power[k])
-        return self._add(self._clear(np.array(order, dtype=np.int64)))
+        around = [np.arange(max(FIRST_BIN, round(p) - 1), min(self.last, round(p) + 2)) for p in self.expected]
+        best = {int(bins[np.argmax(self.power[bins])]) for bins in around if len(bins)}
+        high = sorted((k for k in best if self.power[k] > height * self.level[k]), key=lambda k: -self.power[k])
+        return self._add(self._clear(np.array(high, dtype=np.int64)))
 
     def _clear(self, bins: IntArray) -> list[int]:
         """Return, strongest first, the bins away from known lines that no stronger one of them can have filled."""
@@ -426,7 +398,6 @@ class _Search:
         return bool(bins)
 
     def _take(self, line: BinLine) -> None:
-        """Take a line out of the spectrum and keep it."""
         add_line(self.rest, self.samples, line, self.least, -1.0)
         self.lines.append(line)
 

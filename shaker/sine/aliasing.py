@@ -9,9 +9,6 @@ import numpy as np
 
 from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, check_shape
 
-# What sampling does to a line: aliases, lines that fold onto each other, loss by exposure.
-
-
 CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal frequency, besides two bins
 GRID_TOLERANCE = 1e-2  # of a sampling interval: times this close to a grid are treated as being on it
 
@@ -64,14 +61,6 @@ def unfolded(seen_hz: FloatArray, nominal_hz: FloatArray, rate_hz: float) -> Flo
 def exposure_gain(frequency_hz: FloatArray, exposure_s: float) -> FloatArray:
     """Return sin(πfT) / (πfT): what a rectangular exposure of T seconds leaves of a line's amplitude."""
     return np.asarray(np.sinc(np.asarray(frequency_hz, dtype=np.float64) * exposure_s))
-
-
-def beat_phase(time_s: FloatArray, frequency_hz: float) -> FloatArray:
-    """Return the phase of a line at the times given, in [0, 2π) rad: the abscissa that folds a record on one period.
-
-    A camera slower than the line sees one period spread over one beat; over this phase the frames fall into place.
-    """
-    return np.asarray(2.0 * np.pi * np.mod(np.asarray(time_s, dtype=np.float64) * frequency_hz, 1.0))
 
 
 def sampling_grid(time_s: FloatArray) -> SamplingGrid | None:
@@ -144,7 +133,6 @@ def folded_harmonics(
 
 
 # Which lines a series of sampling times can tell apart, and the nearest rate that can.
-
 
 MAX_CONDITION = 10.0  # above it, the standard uncertainty of a line is several times that of well-spread sampling
 CLEAR_BINS = 1.25

@@ -8,11 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape, check_shapes
 from shaker.sine.aliasing import MAX_CONDITION, alias_frequency, sampling_grid, separation_bins, sine_columns
 from shaker.sine.noise import LineNoise, line_noise
 from shaker.sine.normal_equations import (
-    Columns,
     Samples,
     Times,
     UniformTimes,
@@ -23,10 +22,8 @@ from shaker.sine.normal_equations import (
 )
 from shaker.sine.solve import (
     Estimate,
-    Remainder,
     SineFit,
     SineModel,
-    System,
     estimate,
     factor_of,
     find_spikes,
@@ -36,9 +33,6 @@ from shaker.sine.solve import (
     phasors_at_zero,
     remainder,
 )
-
-# Sine approximation: complex amplitudes, frequencies and decay rates of lines in samples at arbitrary times.
-
 
 _PLAIN = SineModel()
 _ROUNDING = 1e-15  # of a channel's lines: no residual is known better
@@ -116,61 +110,42 @@ def _fitted(
     lines, unknown = len(frequency_hz), model.exponents(frequency_hz)
     columns, system, coefficients = estimate(samples, frequency_hz, model)
     left = remainder(samples, columns, coefficients)
-    held_s = _written_out(time_s) if left.held is not None else None
-    found, dof, rms = _final(samples, columns, system, coefficients, left, unknown, held_s)
-    covariance = found.exponent_covariance()
-    change = found.linear_change()[2 * lines]
-    spread = found.system.spread()[:, :, 2 * lines, 2 * lines]
-    middle = samples.timeline.middle_s
-    turns = np.array([samples.timeline.middle_turns(float(f)) for f in found.tones.frequency_hz])
-    to_zero = np.asarray(np.exp(found.tones.decay_per_s * middle - 2j * np.pi * turns))
-    return SineFit(
-        phasors=phasors_at_zero(found, covariance, to_zero, middle, dof[:lines], names),
-        offset=found.coefficients[2 * lines],
-        offset_covariance=spread * found.noise_between(lines, lines) + change @ covariance @ change.T,
-        drift_per_s=found.coefficients[2 * lines + 1] if model.drift else np.zeros(len(names[0])),
-        middle_s=middle,
-        u_frequency_hz=np.sqrt(np.einsum("kq,qr,kr->k", unknown.imag, covariance, unknown.imag)) / (2.0 * np.pi),
-        decay_per_s=found.tones.decay_per_s,
-        u_decay_per_s=np.sqrt(np.einsum("kq,qr,kr->k", unknown.real, covariance, unknown.real)),
-        residual_rms=rms,
-        spikes=np.zeros(0, dtype=np.int64),
-        condition=system.condition,
-        notices=notices,
-    )
-
-
-def _final(
-    samples: Samples,
-    columns: Columns,
-    system: System,
-    coefficients: FloatArray,
-    left: Remainder,
-    unknown: ComplexArray,
-    time_s: FloatArray | None,
-) -> tuple[Estimate, FloatArray, FloatArray]:
-    """Take the last step on the exact residual; return the estimate, degrees of freedom (K + 1,) and rms (C,)."""
-    lines, channels = len(columns.tones.frequency_hz), samples.values.shape[1]
-    free = samples.count - system.linear - unknown.shape[1] / channels
+    channels, free = samples.values.shape[1], samples.count - system.linear - unknown.shape[1] / len(names[0])
+    # The last step, on the exact residual.
     change = system.coefficients(left.right)
     gained = left.right[: system.linear].T @ change
     power = left.power - (gained + gained.T) / 2.0
     power += np.diag(np.maximum(0.0, -power.diagonal()))
     factor, whitening = factor_of(power / free)
-    noise = noise_at_lines(samples, columns, left, whitening, time_s)
+    noise = noise_at_lines(samples, columns, left, whitening, _written_out(time_s) if left.held is not None else None)
     if noise is None:
         noise = LineNoise(np.ones((lines + 1, channels)), np.full(lines + 1, free))
-    tones, total = columns.tones, coefficients + change
-    step = None
+    best = Estimate(columns, coefficients + change, system, factor, noise.variance, unknown, None)
     if unknown.shape[1]:
         value = as_complex(coefficients, lines)
         rounding = (_ROUNDING * np.abs(value).max(axis=0)) ** 2
         step = frequency_step(system, left.right, value, unknown, np.maximum(power.diagonal() / free, rounding))
-        tones = moved(tones, unknown, step.change)
-    found = Estimate(tones, total, system, factor, noise.variance, unknown, step)
-    if step is not None:
-        found = replace(found, coefficients=total + found.linear_change() @ step.change)
-    return found, np.minimum(noise.dof, free), np.sqrt(power.diagonal() / samples.count)
+        best = replace(best, columns=moved(columns, unknown, step.change), step=step)
+        best = replace(best, coefficients=best.coefficients + best.linear_change() @ step.change)
+    covariance, carried = best.exponent_covariance(), best.linear_change()[2 * lines]
+    spread = system.spread()[:, :, 2 * lines, 2 * lines]
+    middle = samples.timeline.middle_s
+    turns = np.array([samples.timeline.middle_turns(float(f)) for f in best.columns.frequency_hz])
+    to_zero = np.asarray(np.exp(best.columns.decay_per_s * middle - 2j * np.pi * turns))
+    return SineFit(
+        phasors=phasors_at_zero(best, covariance, to_zero, middle, np.minimum(noise.dof, free)[:lines], names),
+        offset=best.coefficients[2 * lines],
+        offset_covariance=spread * best.noise_between(lines, lines) + carried @ covariance @ carried.T,
+        drift_per_s=best.coefficients[2 * lines + 1] if model.drift else np.zeros(channels),
+        middle_s=middle,
+        u_frequency_hz=np.sqrt(np.einsum("kq,qr,kr->k", unknown.imag, covariance, unknown.imag)) / (2.0 * np.pi),
+        decay_per_s=best.columns.decay_per_s,
+        u_decay_per_s=np.sqrt(np.einsum("kq,qr,kr->k", unknown.real, covariance, unknown.real)),
+        residual_rms=np.sqrt(power.diagonal() / samples.count),
+        spikes=np.zeros(0, dtype=np.int64),
+        condition=system.condition,
+        notices=notices,
+    )
 
 
 def _present(values: FloatArray) -> BoolArray | None:
@@ -199,14 +174,12 @@ def _root(values: FloatArray, variance: FloatArray | None, present: BoolArray | 
 
 
 def _written_out(time_s: Times) -> FloatArray:
-    """Return the times as an array."""
     return time_s.array() if isinstance(time_s, UniformTimes) else time_s
 
 
 def _check_arguments(
     time_s: Times, values: FloatArray, frequency_hz: FloatArray, channels: Sequence[str], unit: Sequence[str]
 ) -> None:
-    """Refuse arrays that do not belong together."""
     if not isinstance(time_s, UniformTimes):
         check_shape("time_s", time_s, (None,))
         if not np.all(np.isfinite(time_s)):
@@ -218,7 +191,6 @@ def _check_arguments(
 
 
 # Whether amplitude and phase of lines stay the same through a record, from blocks of whole periods.
-
 
 MAX_BLOCKS = 10
 _UNUSED = 0.02  # of the record may be left over for the sake of more blocks
@@ -253,12 +225,10 @@ class Stationarity:
     p_value: FloatArray
 
     def __post_init__(self) -> None:
-        lines, channels = len(self.frequency_hz), len(self.channels)
+        per_line = len(self.frequency_hz), len(self.channels)
         check_shape("time_s", self.time_s, (None,))
-        for name in ("value", "u"):
-            check_shape(name, getattr(self, name), (len(self.time_s), lines, channels))
-        for name in _SLOPES:
-            check_shape(name, getattr(self, name), (lines, channels))
+        check_shapes(self, (len(self.time_s), *per_line), "value", "u")
+        check_shapes(self, per_line, *_SLOPES)
 
     @property
     def length_s(self) -> float:
@@ -286,6 +256,9 @@ def stationarity(
     fit leaves, without the sidebands that a drift makes. The test is that of Fisher for 2(B - 1) real residuals about
     the weighted mean. None where the blocks are too short to tell the lines apart. Rows with a NaN are left out.
     """
+    from scipy.stats import f
+
+    tiny = np.finfo(np.float64).tiny
     check_shape("time_s", time_s, (None,))
     check_shape("values", values, (len(time_s), len(channels)))
     present = np.isfinite(values).all(axis=1)
@@ -296,17 +269,42 @@ def stationarity(
     count = int(np.floor(length / block_s * (1.0 + 1e-9)))
     start = float(time[0]) - interval / 2.0 + (length - count * block_s) / 2.0  # the blocks lie in the record's middle
     blocks = [slice(low, high) for low, high in pairwise(np.searchsorted(time, start + block_s * np.arange(count + 1)))]
-    found = [_block_phasors(time[rows], data[rows], frequency_hz) for rows in blocks]
-    solved = [block for block in found if block is not None]
-    if len(solved) < len(blocks):
+    try:
+        solutions = [solve_sines(sine_columns(time[rows], frequency_hz), data[rows]) for rows in blocks]
+    except ValueError:
         return None
-    value, spread = (np.stack(part) for part in zip(*solved, strict=True))
+    if max(solution.condition for solution in solutions) > MAX_CONDITION:
+        return None
+    value, spread = (
+        np.stack(part) for part in zip(*(one.phasors(len(frequency_hz)) for one in solutions), strict=True)
+    )
     variance, dof = _noise(time, data, frequency_hz)
     u = np.sqrt(spread[:, :, None] * variance[None])
     middle = np.array([time[rows].mean() for rows in blocks])
-    amplitude, phase, p_value = _course(middle, value, u, dof)
+    weight = 1.0 / np.maximum(u**2, tiny)
+    mean = np.sum(weight * value, axis=0) / np.sum(weight, axis=0)
+    # Along the mean phasor the change of amplitude, across it that of phase times amplitude.
+    turned = (value - mean) * np.exp(-1j * np.angle(mean))
+    free = 2.0 * (len(middle) - 1)
+    chi2 = np.sum(weight * np.abs(turned) ** 2, axis=0)
+    centred = middle[:, None, None] - np.sum(weight * middle[:, None, None], axis=0) / np.sum(weight, axis=0)
+    information = np.sum(weight * centred**2, axis=0)
+    slope, u_slope = np.sum(weight * centred * turned, axis=0) / information, 1.0 / np.sqrt(information)
+    size = np.maximum(np.abs(mean), tiny)
     return Stationarity(
-        frequency_hz, tuple(channels), middle, block_s, periods, whole, value, u, *amplitude, *phase, p_value
+        frequency_hz=frequency_hz,
+        channels=tuple(channels),
+        time_s=middle,
+        block_s=block_s,
+        periods=periods,
+        whole=whole,
+        value=value,
+        u=u,
+        amplitude_per_s=slope.real,
+        u_amplitude_per_s=u_slope,
+        phase_rad_per_s=slope.imag / size,
+        u_phase_rad_per_s=u_slope / size,
+        p_value=np.asarray(f.sf(chi2 / free, free, dof[:, None])),
     )
 
 
@@ -328,27 +326,6 @@ def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, fl
     return min(periods / seen_hz, length / count), float(periods), True
 
 
-def _block_phasors(
-    time: FloatArray, data: FloatArray, frequency_hz: FloatArray
-) -> tuple[ComplexArray, FloatArray] | None:
-    """Return one block's phasors (K, C) and the variance (K,) of their parts for noise of variance 1.
-
-    None where the block cannot tell the lines apart.
-    """
-    columns, lines = sine_columns(time, frequency_hz), len(frequency_hz)
-    if len(columns) <= columns.shape[1]:
-        return None
-    try:
-        solution = solve_sines(columns, data)
-    except ValueError:
-        return None
-    if solution.condition > MAX_CONDITION:
-        return None
-    parts, spread = solution.coefficients[: 2 * lines], np.diag(solution.inverse)[: 2 * lines]
-    scale = np.sqrt(2.0 / len(time))
-    return scale * (parts[0::2] - 1j * parts[1::2]), scale**2 * (spread[0::2] + spread[1::2]) / 2.0
-
-
 def _noise(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the noise variance (K, C) around the lines, and its degrees of freedom (K,), from the record's middle."""
     first = max(0, (len(time) - _NOISE_SAMPLES) // 2)
@@ -366,28 +343,3 @@ def _noise(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> tupl
         if noise is not None:
             return noise.variance, np.minimum(noise.dof, free)
     return np.tile(np.sum(residual**2, axis=0) / free, (lines, 1)), np.full(lines, free)
-
-
-_Slope = tuple[FloatArray, FloatArray]
-
-
-def _course(
-    middle: FloatArray, value: ComplexArray, u: FloatArray, dof: FloatArray
-) -> tuple[_Slope, _Slope, FloatArray]:
-    """Return the slopes of amplitude and phase with their uncertainty (K, C), and the chance of such blocks."""
-    from scipy.stats import f
-
-    tiny = np.finfo(np.float64).tiny
-    weight = 1.0 / np.maximum(u**2, tiny)
-    mean = np.sum(weight * value, axis=0) / np.sum(weight, axis=0)
-    # Along the mean phasor the change of amplitude, across it that of phase times amplitude.
-    turned = (value - mean) * np.exp(-1j * np.angle(mean))
-    chi2 = np.sum(weight * np.abs(turned) ** 2, axis=0)
-    free = 2.0 * (len(middle) - 1)
-    centred = middle[:, None, None] - np.sum(weight * middle[:, None, None], axis=0) / np.sum(weight, axis=0)
-    spread = np.sum(weight * centred**2, axis=0)
-    slope = np.sum(weight * centred * turned, axis=0) / spread
-    u_slope = 1.0 / np.sqrt(spread)
-    size = np.maximum(np.abs(mean), tiny)
-    p_value = np.asarray(f.sf(chi2 / free, free, dof[:, None]))
-    return (slope.real, u_slope), (slope.imag / size, u_slope / size), p_value

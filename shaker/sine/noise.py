@@ -3,78 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import ComplexArray, FloatArray, IntArray
 
 # Sines that stand out beside lines, and straight-line changes of the lines, taken off before noise is read.
-
 
 OFFSET_BIN = 0.5  # a place up to here is that of the offset
 TONE_CLEARANCE = 1.9  # bins beside a line within which a peak is the line's own unrest
 _TONE_LIMIT = 9.2  # height of a sine over the level: exceeded by pure noise once in 10⁴ places
 _TONES = 16  # sines and changes that are looked for
 
-LevelOf = Callable[[ComplexArray], FloatArray]
 
-
-@dataclass(frozen=True)
-class WithoutTones:
-    """What is left of ordinates (K, M, C) near lines (K,) when tones have been taken off.
-
-    `rest` (K, M, C) without sines and changes of the lines, `steady` (K, M, C) without the changes only, `leaked`
-    (K, C) the power that the sines have left in the fitted lines.
-    """
-
-    rest: ComplexArray
-    steady: ComplexArray
-    leaked: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("steady", self.steady, self.rest.shape)
-        check_shape("leaked", self.leaked, (self.rest.shape[0], self.rest.shape[2]))
-
-
-def take_tones_off(
-    ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int, level_of: LevelOf
-) -> WithoutTones:
-    """Take sines and straight-line changes of lines (K,) at fractional bins off ordinates (K, M, C) at bins (K, M).
-
-    The ordinates, DFT over the root of the number of samples, are those near each line of a record of `length`
-    samples. Sines on and between bins and what a line's straight-line change makes are compared by their height over
-    the noise level that `level_of` reads from the ordinates (K, M, C), and the highest goes first, until pure noise
-    would be as high (Högbom 1974, CLEAN, one channel and line at a time).
-    """
-    rest, changed = ordinates.copy(), np.zeros_like(ordinates)
-    leaked = np.zeros((len(bins), ordinates.shape[2]))
-    places = line_bin[line_bin > OFFSET_BIN]
-    for _ in range(_TONES):
-        level = level_of(rest)
-        place, height = _highest_peak(rest, level, bins, line_bin)
-        change, drift_height = _highest_change(rest, level, bins, places, length)
-        drifts = (drift_height > height) & (drift_height > _TONE_LIMIT)
-        peaks = (height >= drift_height) & (height > _TONE_LIMIT)
-        if not (drifts.any() or peaks.any()):
-            break
-        where, top = _sine_at(rest, place, bins, length)
-        top = np.where(peaks, top, 0.0)
-        change = np.where(drifts[:, None, :], change, 0.0)
-        leaked += np.abs(_sine(line_bin[:, None], where, top, length)) ** 2
-        rest -= change + _sine(bins[:, :, None], where[:, None, :], top[:, None, :], length)
-        changed += change
-    return WithoutTones(rest, ordinates - changed, leaked)
-
-
-def _highest_peak(
-    ordinates: ComplexArray, level: FloatArray, bins: FloatArray, line_bin: FloatArray
-) -> tuple[IntArray, FloatArray]:
-    """Return the index (K, C) of the lower of the two ordinates where a sine stands highest, and its height there.
+def _highest_sine(
+    ordinates: ComplexArray, level: FloatArray, bins: FloatArray, line_bin: FloatArray, length: int
+) -> tuple[FloatArray, ComplexArray, FloatArray]:
+    """Return place in bins, transform and height (K, C) of the sine between two ordinates that stands highest.
 
     Ordinates on a bin and, as half the squared difference of neighbours, between two bins are standard exponential
-    variables over the level where there is no sine. Near a line a peak is the line's own unrest.
+    variables over the level where there is no sine. Near a line a peak is the line's own unrest. For a rectangular
+    window the two ordinates are as 1/distance from the sine, of opposite sign.
     """
     relative = ordinates / np.sqrt(level)
     between = np.abs(relative[:, 1:] - relative[:, :-1]) ** 2 / 2.0
@@ -85,25 +35,43 @@ def _highest_peak(
     # Of the two pairs that an ordinate belongs to, the one with the higher partner.
     pair = np.abs(relative[:, 1:]) ** 2 + np.abs(relative[:, :-1]) ** 2
     top = height.max(axis=1, keepdims=True)
-    place = np.argmax(np.where(height >= top, pair, -1.0), axis=1)
-    return place, top[:, 0]
-
-
-def _sine_at(
-    ordinates: ComplexArray, place: IntArray, bins: FloatArray, length: int
-) -> tuple[FloatArray, ComplexArray]:
-    """Return place in bins and transform (K, C) of the sine between the ordinates `place` and the next.
-
-    For a rectangular window these are as 1/distance from it, of opposite sign.
-    """
-    low = np.take_along_axis(ordinates, place[:, None, :], axis=1)[:, 0]
-    high = np.take_along_axis(ordinates, place[:, None, :] + 1, axis=1)[:, 0]
+    place = np.argmax(np.where(height >= top, pair, -1.0), axis=1, keepdims=True)
+    low, high = (np.take_along_axis(ordinates, place + step, axis=1)[:, 0] for step in (0, 1))
     difference = high - low
     share = np.clip((high / np.where(difference == 0.0, 1.0, difference)).real, 0.0, 1.0)
-    where = np.take_along_axis(bins[:, :, None], place[:, None, :], axis=1)[:, 0] + share
     before, after = _kernel(-share, length), _kernel(1.0 - share, length)
-    top = (low * before.conj() + high * after.conj()) / (np.abs(before) ** 2 + np.abs(after) ** 2)
-    return where, np.asarray(top)
+    value = (low * before.conj() + high * after.conj()) / (np.abs(before) ** 2 + np.abs(after) ** 2)
+    where = np.take_along_axis(bins[:, :, None], place, axis=1)[:, 0] + share
+    return where, np.asarray(value), top[:, 0]
+
+
+def _without_tones(
+    ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int
+) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    """Take sines and straight-line changes of lines (K,) at fractional bins off ordinates (K, M, C) at bins (K, M).
+
+    Sines on and between bins and what a line's straight-line change makes are compared by their height over the noise
+    level that what is left shows, and the highest goes first, until pure noise would be as high (Högbom 1974, CLEAN,
+    one channel and line at a time). Returns what is left (K, M, C), what is left with the sines still in it, and the
+    power (K, C) that the sines have left in the fitted lines.
+    """
+    shape, rest, changed = _shapes(bins), ordinates.copy(), np.zeros_like(ordinates)
+    leaked = np.zeros((len(bins), ordinates.shape[2]))
+    places = line_bin[line_bin > OFFSET_BIN]
+    for _ in range(_TONES):
+        level = _fit_levels(np.abs(rest) ** 2 + _NOTHING, shape).mean
+        where, top, height = _highest_sine(rest, level, bins, line_bin, length)
+        change, drift_height = _highest_change(rest, level, bins, places, length)
+        drifts = (drift_height > height) & (drift_height > _TONE_LIMIT)
+        peaks = (height >= drift_height) & (height > _TONE_LIMIT)
+        if not (drifts.any() or peaks.any()):
+            break
+        top = np.where(peaks, top, 0.0)
+        change = np.where(drifts[:, None, :], change, 0.0)
+        leaked += np.abs(_sine(line_bin[:, None], where, top, length)) ** 2
+        rest -= change + _sine(bins[:, :, None], where[:, None, :], top[:, None, :], length)
+        changed += change
+    return rest, ordinates - changed, leaked
 
 
 def _highest_change(
@@ -143,7 +111,6 @@ def _ramp_kernel(distance: FloatArray, length: int) -> ComplexArray:
 
 
 # The noise that disturbs a line: spectral density of the residual around it.
-
 
 _NEIGHBOURS = 96  # bins from which the noise around a line is estimated
 _MIN_NEIGHBOURS = 12
@@ -208,32 +175,31 @@ def noise_of_ordinates(
 ) -> LineNoise:
     """Return the noise of lines (K,) from ordinates (K, M, C), DFT over the root of the number of samples, near each.
 
-    As `level_at_lines`, but sines that stand out between the lines are taken off first, and so is what a straight-line
+    As `levels_at_lines`, but sines that stand out between the lines are taken off first, and so is what a straight-line
     change of a line's amplitude and phase makes of it, where that stands out: the mean over the record is as well
     known as that of a steady line, and `stationarity` tells the change. The noise is no smaller than the scatter
     between blocks of the record about that straight line, which is the mean of the ordinates nearest to the line,
     where that is significantly larger. `length`: of the record.
     """
-    shape = _shapes(bins)
-    found = take_tones_off(
-        ordinates, bins, line_bin, length, lambda rest: _fit_levels(np.abs(rest) ** 2 + _NOTHING, shape).mean
-    )
-    variance, dof, level = _levels_at_lines(np.abs(found.rest) ** 2, bins, line_bin)
+    rest, steady, leaked = _without_tones(ordinates, bins, line_bin, length)
+    variance, dof, level = levels_at_lines(np.abs(rest) ** 2, bins, line_bin)
     if blocks:
         distance = np.abs(bins - line_bin[:, None])
         # Beside the line a sine may be the line's own unrest; farther off it is another's.
-        near = np.where((distance < TONE_CLEARANCE + 0.5)[:, :, None], found.steady, found.rest)
+        near = np.where((distance < TONE_CLEARANCE + 0.5)[:, :, None], steady, rest)
         nearest = np.argsort(distance, axis=1, kind="stable")[:, :_BLOCK_BINS, None]
         power = np.take_along_axis(np.abs(near) ** 2, nearest, axis=1)
         relative, scatter = np.mean(power / np.take_along_axis(level, nearest, axis=1), axis=1), np.mean(power, axis=1)
         unrest = (relative > _BLOCK_LIMIT) & (scatter > variance)
         variance = np.where(unrest, scatter, variance)
         dof = np.where(unrest, np.minimum(dof, 2.0 * _BLOCK_BINS), dof)
-    return _with_one_dof(variance + found.leaked, dof)
+    # All channels of a line are given the same degrees of freedom and keep their 95 % regions.
+    common = 1.0 / np.mean(1.0 / dof, axis=1)
+    return LineNoise((variance + leaked) * _limit(dof) / _limit(common)[:, None], common)
 
 
 def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
-    """Return the bins (K, M) of a record of `length` samples from which `level_at_lines` reads the noise of lines (K,).
+    """Return the bins (K, M) of a record of `length` samples from which the noise of lines (K,) is read.
 
     The nearest to each line, ascending, without those that a fitted line or the mean has emptied; None where there are
     too few.
@@ -255,27 +221,19 @@ def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
     return np.stack(nearest)
 
 
-def level_at_lines(power: FloatArray, bins: FloatArray, line_bin: FloatArray) -> LineNoise:
-    """Return the noise of lines at fractional bins (K,) from periodogram ordinates (K, M, C) at bins (K, M) near each.
-
-    Ordinates are |DFT|² over the number of samples, so that white noise of variance σ² has mean σ². Each is its level
-    S(j) times a standard exponential variable (Whittle's likelihood); S(j) = s·h(j) with shapes h white, 1/f, 1/f² and
-    1/f³ above white noise of various corners. With the prior 1/s a shape has the weight Π 1/h(j)·Q^-M, Q = Σ I(j)/h(j),
-    and s the inverse gamma distribution (M, Q). The noise of the line, s·h(line), is distributed as their mixture, from
-    which come its degrees of freedom and the variance whose 95 % region is that of the mixture: drift and 1/f noise
-    count where they act, as far as they are known. A place up to half a bin is that of the offset.
-    """
-    check_shape("line_bin", line_bin, (None,))
-    check_shape("bins", bins, (len(line_bin), None))
-    check_shape("power", power, (*bins.shape, None))
-    variance, dof, _ = _levels_at_lines(power, bins, line_bin)
-    return _with_one_dof(variance, dof)
-
-
-def _levels_at_lines(
+def levels_at_lines(
     power: FloatArray, bins: FloatArray, line_bin: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return variance and degrees of freedom (K, C) at the lines, and the level (K, M, C) at the bins."""
+    """Return variance and degrees of freedom (K, C) of lines at fractional bins (K,), and the level (K, M, C) beside.
+
+    From periodogram ordinates (K, M, C) at bins (K, M) near each line: |DFT|² over the number of samples, so that white
+    noise of variance σ² has mean σ². Each is its level S(j) times a standard exponential variable (Whittle's
+    likelihood); S(j) = s·h(j) with shapes h white, 1/f, 1/f² and 1/f³ above white noise of various corners. With the
+    prior 1/s a shape has the weight Π 1/h(j)·Q^-M, Q = Σ I(j)/h(j), and s the inverse gamma distribution (M, Q). The
+    noise of the line, s·h(line), is distributed as their mixture, from which come its degrees of freedom and the
+    variance whose 95 % region is that of the mixture: drift and 1/f noise count where they act, as far as they are
+    known. A place up to half a bin is that of the offset.
+    """
     # What the fit of the lines has taken away is put back; numbers of any size become moderate ones.
     top = np.maximum(power.max(axis=1, keepdims=True), _NOTHING)
     distance = bins[None, :, :] - line_bin[line_bin > OFFSET_BIN][:, None, None]
@@ -285,12 +243,6 @@ def _levels_at_lines(
     at_line = _shapes(np.maximum(line_bin, OFFSET_BIN)[:, None])[:, :, 0]
     variance, dof = _mixture(levels, at_line)
     return variance * top[:, 0], dof, levels.mean * top
-
-
-def _with_one_dof(variance: FloatArray, dof: FloatArray) -> LineNoise:
-    """Give all channels of a line the same degrees of freedom and keep their 95 % regions."""
-    common = 1.0 / np.mean(1.0 / dof, axis=1)
-    return LineNoise(variance * _limit(dof) / _limit(common)[:, None], common)
 
 
 def _shapes(bins: FloatArray) -> FloatArray:

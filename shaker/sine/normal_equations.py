@@ -22,7 +22,6 @@ from shaker.sine.aliasing import condition_number, sine_columns
 
 # Sampling times of a record, cut into blocks whose phases are exact however long the record is.
 
-
 LONG = 1 << 17  # samples from which a record is never copied, and its residual never held
 _BLOCKS = 2048  # blocks of a long record
 _SHORT_BLOCK = 2048  # samples in a block of a short one
@@ -132,7 +131,6 @@ def _edges(samples: int) -> IntArray:
 
 
 def _on_grid(start_s: Fraction, interval_s: Fraction, samples: int) -> Timeline:
-    """Return the blocks of a uniform grid."""
     edges = _edges(samples)
     length = int(edges[1])
     middle = (samples - 1) // 2
@@ -169,7 +167,6 @@ def _uniform(time_s: FloatArray) -> tuple[Fraction, Fraction] | None:
 
 
 # The noise around lines from the residual of a long uniform record, without ever holding it.
-
 
 _ORDERS = 4  # powers of time per block: 30 bins off in 2048 blocks, they leave 2·10⁻⁷ of an ordinate
 
@@ -220,12 +217,10 @@ class Demodulator:
 
     @property
     def _half(self) -> float:
-        """Half the length of a block in samples."""
         return int(self.timeline.edges[1]) / 2.0
 
 
 # Normal equations of damped sines, gathered block by block without a design matrix.
-
 
 _CHUNK = 1 << 16  # values worked on at a time: they stay in the processor's cache
 
@@ -318,37 +313,36 @@ class Chunk:
 
 
 @dataclass(frozen=True)
-class Tones:
-    """Frequencies and decay rates (K,) of the lines exp((-δ + 2πjf)·t)."""
+class Columns:
+    """The columns of a fit: Re and Im of each line exp((-δ + 2πjf)·t) in turn, offset, `drift`, and the `slopes`.
+
+    `frequency_hz`, `decay_per_s`: f and δ (K,). The slopes are the lines' columns times t: what a change of frequency
+    or decay rate does.
+    """
 
     frequency_hz: FloatArray
     decay_per_s: FloatArray
-
-
-@dataclass(frozen=True)
-class Columns:
-    """The columns of a fit: Re and Im of each of the `tones` in turn, offset, `drift`, and the `slopes`.
-
-    The slopes are the lines' columns times t: what a change of frequency or decay rate does.
-    """
-
-    tones: Tones
     drift: bool
     slopes: bool
 
     @property
+    def lines(self) -> int:
+        """Number of lines."""
+        return len(self.frequency_hz)
+
+    @property
     def linear(self) -> int:
         """Number of columns without the slopes."""
-        return 2 * len(self.tones.frequency_hz) + (2 if self.drift else 1)
+        return 2 * self.lines + (2 if self.drift else 1)
 
     def local(self, local_s: FloatArray) -> FloatArray:
         """Return the columns (n, P) at local times (n,)."""
-        tones, lines = self.tones, len(self.tones.frequency_hz)
+        lines, decay = self.lines, self.decay_per_s
         columns = np.empty((len(local_s), self.linear + (2 * lines if self.slopes else 0)), order="F")
         for k in range(lines):
             # Whole turns are taken off before the angle is formed, so long records keep their last digits.
-            angle = 2.0 * np.pi * np.mod(tones.frequency_hz[k] * local_s, 1.0)
-            envelope = np.exp(-tones.decay_per_s[k] * local_s) if tones.decay_per_s[k] else 1.0
+            angle = 2.0 * np.pi * np.mod(self.frequency_hz[k] * local_s, 1.0)
+            envelope = np.exp(-decay[k] * local_s) if decay[k] else 1.0
             columns[:, 2 * k] = np.cos(angle) * envelope
             columns[:, 2 * k + 1] = -np.sin(angle) * envelope
         columns[:, 2 * lines] = 1.0
@@ -360,12 +354,12 @@ class Columns:
 
     def turned(self, timeline: Timeline) -> FloatArray:
         """Return the matrices (B, P, P) that turn coefficients of the record into those of each block."""
-        lines, linear, centre = len(self.tones.frequency_hz), self.linear, timeline.centre_s
+        lines, linear, centre = self.lines, self.linear, timeline.centre_s
         size = linear + (2 * lines if self.slopes else 0)
         matrix = np.zeros((len(centre), size, size))
         for k in range(lines):
-            angle = 2.0 * np.pi * timeline.turns(float(self.tones.frequency_hz[k]))
-            factor = np.exp(1j * angle - self.tones.decay_per_s[k] * centre)
+            angle = 2.0 * np.pi * timeline.turns(float(self.frequency_hz[k]))
+            factor = np.exp(1j * angle - self.decay_per_s[k] * centre)
             turn = np.array([[factor.real, -factor.imag], [factor.imag, factor.real]]).transpose(2, 0, 1)
             own = slice(2 * k, 2 * k + 2)
             matrix[:, own, own] = turn
@@ -449,7 +443,6 @@ def as_complex(coefficients: FloatArray, lines: int) -> ComplexArray:
 
 # Least squares with a design matrix, for short records and for channels too many for a covariance.
 
-
 SINGULAR = 1e6  # condition above which the normal equations carry no information about some line
 
 
@@ -461,6 +454,15 @@ class SineSolution:
     inverse: FloatArray
     residual: FloatArray
     condition: float
+
+    def phasors(self, lines: int) -> tuple[ComplexArray, FloatArray]:
+        """Return the phasors (K, C) of the first lines of `sine_columns`, and the variance (K,) of their parts.
+
+        The variance is that for noise of variance 1, the mean of both parts.
+        """
+        scale = np.sqrt(2.0 / len(self.residual))
+        spread = np.diag(self.inverse)[: 2 * lines].reshape(-1, 2).mean(axis=1)
+        return np.asarray(scale * as_complex(self.coefficients, lines).conj()), scale**2 * spread
 
 
 def solve_sines(columns: FloatArray, data: FloatArray) -> SineSolution:
@@ -488,10 +490,8 @@ def sine_amplitudes(
     For many channels, whose covariance matrix would be large.
     """
     check_shape("values", values, (len(time_s), None))
-    lines, samples = len(frequency_hz), len(time_s)
-    found = solve_sines(sine_columns(time_s, frequency_hz), values).coefficients
-    value = np.sqrt(2.0 / samples) * (found[0 : 2 * lines : 2] - 1j * found[1 : 2 * lines : 2])
-    return found[2 * lines] / np.sqrt(samples), np.asarray(value)
+    solution = solve_sines(sine_columns(time_s, frequency_hz), values)
+    return solution.coefficients[-1] / np.sqrt(len(time_s)), solution.phasors(len(frequency_hz))[0]
 
 
 def check_samples(samples: int, parameters: int) -> None:

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, check_shape, check_shapes
 from shaker.sine.aliasing import alias_frequency, condition_number, sampling_grid
 from shaker.sine.noise import LineNoise, line_noise, neighbour_bins, noise_of_ordinates
 from shaker.sine.normal_equations import (
@@ -16,16 +16,12 @@ from shaker.sine.normal_equations import (
     Demodulator,
     Normal,
     Samples,
-    Tones,
     as_complex,
     check_condition,
     normal_equations,
     residuals,
 )
 from shaker.sine.phasor import Phasors
-
-# Linear parameters eliminated, frequencies and decay rates by Gauss-Newton (variable projection).
-
 
 _STEPS = 40
 _CONVERGED = 1e-3  # of the standard uncertainty: the last step is taken on the exact residual
@@ -96,11 +92,6 @@ class System:
         """Return the products (D, D, 2K, 2K) of the projected slopes of one channel with those of another."""
         return np.asarray(self.project.swapaxes(1, 2)[:, None] @ self.gram @ self.project[None])
 
-    def own_information(self) -> FloatArray:
-        """Return the products (D, 2K, 2K) of each channel's projected slopes with themselves."""
-        own = np.einsum("ddpq->dpq", self.gram)
-        return np.asarray(self.project.swapaxes(1, 2) @ own @ self.project)
-
     def spread(self) -> FloatArray:
         """Return G⁻¹·XᵀX·G⁻¹ (D, D, P, P): the linear parameters' covariance between channels for unit noise."""
         gram = self.gram[:, :, : self.linear, : self.linear]
@@ -116,7 +107,7 @@ def _products(matrices: FloatArray, right: FloatArray) -> FloatArray:
 
 def solved(normal: Normal, columns: Columns) -> System:
     """Invert the normal equations of the linear columns, scaled to unit length."""
-    lines, linear = len(columns.tones.frequency_hz), columns.linear
+    lines, linear = columns.lines, columns.linear
     own = np.einsum("ddpq->dpq", normal.gram)
     squares = np.einsum("dpp->dp", own)[:, :linear].copy()
     pairs = squares[:, : 2 * lines].reshape(len(own), lines, 2)
@@ -158,7 +149,8 @@ def frequency_step(
     derivative = np.stack([product.real, product.imag], axis=2).reshape(len(variance), -1, exponents.shape[1])
     weight = np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 0.0)
     pull = derivative * weight[:, None, None]
-    hessian = np.sum(pull.swapaxes(1, 2) @ system.own_information() @ derivative, axis=0)
+    own = np.einsum("ddpq->dpq", system.information())
+    hessian = np.sum(pull.swapaxes(1, 2) @ own @ derivative, axis=0)
     size = np.sqrt(hessian.diagonal())
     scaled = hessian / np.multiply.outer(size, size) if np.all(size > 0.0) else np.zeros_like(hessian)
     if not np.linalg.eigvalsh(scaled)[0] > _SINGULAR:
@@ -168,10 +160,11 @@ def frequency_step(
     return Step(inverse @ gradient, inverse, derivative, pull)
 
 
-def moved(tones: Tones, exponents: ComplexArray, change: FloatArray) -> Tones:
-    """Return the lines after a step of the unknowns."""
+def moved(columns: Columns, exponents: ComplexArray, change: FloatArray) -> Columns:
+    """Return the columns after a step of the unknowns."""
     exponent = exponents @ change
-    return Tones(tones.frequency_hz + exponent.imag / (2.0 * np.pi), tones.decay_per_s - exponent.real)
+    frequency_hz = columns.frequency_hz + exponent.imag / (2.0 * np.pi)
+    return replace(columns, frequency_hz=frequency_hz, decay_per_s=columns.decay_per_s - exponent.real)
 
 
 def estimate(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tuple[Columns, System, FloatArray]:
@@ -181,9 +174,11 @@ def estimate(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tu
     """
     exponents = model.exponents(frequency_hz)
     count = exponents.shape[1]
-    tones = Tones(np.array(frequency_hz, dtype=np.float64), np.zeros(len(frequency_hz)))
-    columns = Columns(tones, model.drift, count > 0)
+    columns = Columns(np.array(frequency_hz, dtype=np.float64), np.zeros(len(frequency_hz)), model.drift, count > 0)
     half_s = float(np.max(np.abs(samples.timeline.centre_s))) + float(np.max(np.abs(samples.timeline.local_s)))
+    # Not by `shaker.fitting`: the channels' weights follow the fit, so no sum of squares falls, and each trial is a
+    # pass over the record. On the likelihood it comes to the same sines, in up to twice the passes, but from 0.9 bins
+    # away it leaps into a side lobe; steps limited by the phase that they turn do not.
     for _ in range(_STEPS):
         normal = normal_equations(samples, columns)
         system = solved(normal, columns)
@@ -201,13 +196,12 @@ def estimate(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tu
         if turn <= _STANDS or np.all(np.abs(step.change) <= _CONVERGED * np.sqrt(step.inverse.diagonal())):
             return columns, system, coefficients
         shorter = min(1.0, _FARTHEST / turn) if turn > 0.0 else 1.0
-        columns = replace(columns, tones=moved(columns.tones, exponents, shorter * step.change))
+        columns = moved(columns, exponents, shorter * step.change)
     listed = ", ".join(f"{f:.6g}" for f in frequency_hz)
     raise ValueError(f"frequency_hz: expected frequencies from which the fit converges, found {listed} Hz")
 
 
 # Result of a sine approximation, with the covariance that frequencies and decay rates share with the phasors.
-
 
 _CHUNK = 1 << 16  # samples for which the curve is worked out at a time
 
@@ -238,10 +232,8 @@ class SineFit:
 
     def __post_init__(self) -> None:
         lines, channels = self.phasors.value.shape
-        for name in ("offset", "drift_per_s", "residual_rms"):
-            check_shape(name, getattr(self, name), (channels,))
-        for name in ("u_frequency_hz", "decay_per_s", "u_decay_per_s"):
-            check_shape(name, getattr(self, name), (lines,))
+        check_shapes(self, (channels,), "offset", "drift_per_s", "residual_rms")
+        check_shapes(self, (lines,), "u_frequency_hz", "decay_per_s", "u_decay_per_s")
         check_shape("offset_covariance", self.offset_covariance, (channels, channels))
         check_shape("spikes", self.spikes, (None,))
 
@@ -275,18 +267,13 @@ class Estimate:
     exponent by the Q unknown frequencies and decay rates, `step` the last one, None where there are none.
     """
 
-    tones: Tones
+    columns: Columns
     coefficients: FloatArray
     system: System
     factor: FloatArray
     noise: FloatArray
     exponents: ComplexArray
     step: Step | None
-
-    @property
-    def lines(self) -> int:
-        """Number of lines."""
-        return len(self.tones.frequency_hz)
 
     def noise_between(self, first: int, second: int) -> FloatArray:
         """Return the noise covariance (C, C) between what two lines see; equal ones for that of a line."""
@@ -297,7 +284,7 @@ class Estimate:
         """Return the covariance (Q, Q) of the unknown frequencies and decay rates, with the noise of each line."""
         if self.step is None:
             return np.zeros((0, 0))
-        seen = np.repeat(self.factor[:, None, :] * np.sqrt(self.noise[: self.lines]), 2, axis=1)
+        seen = np.repeat(self.factor[:, None, :] * np.sqrt(self.noise[: self.columns.lines]), 2, axis=1)
         noise = np.tensordot(seen, seen, axes=(2, 2))  # channel and slope, channel and slope
         both = noise * self.system.information().transpose(0, 2, 1, 3)
         pull = self.step.pull.reshape(-1, self.step.pull.shape[2])
@@ -325,7 +312,7 @@ def phasors_at_zero(
     Error of frequency and decay turns and scales a phasor from the middle to time zero: dX = exp(-s·t)·(dX' - X'·t·ds),
     which with the covariance of s adds to the (XᵀX)⁻¹ ⊗ Σ of a fit at known frequencies.
     """
-    lines, channels = found.lines, found.coefficients.shape[1]
+    lines, channels = found.columns.lines, found.coefficients.shape[1]
     value = as_complex(found.coefficients, lines)
     spread = found.system.spread()
     change = as_complex(found.linear_change(), lines) - middle_s * value[:, :, None] * found.exponents[:, None, :]
@@ -336,12 +323,11 @@ def phasors_at_zero(
         stacked = np.concatenate([change[k].real, change[k].imag])
         covariance[k] = block.transpose(2, 0, 3, 1).reshape(2 * channels, 2 * channels)
         covariance[k] += stacked @ exponent_covariance @ stacked.T
-    middle = Phasors(found.tones.frequency_hz, value, covariance, *names, dof)
+    middle = Phasors(found.columns.frequency_hz, value, covariance, *names, dof)
     return middle.scaled(factor[:, None])
 
 
 # What a fit leaves: its sums, its covariance between channels, and its density around each line.
-
 
 _DEPENDENT = 1e-12  # smallest eigenvalue of a correlation matrix that counts, for channels that depend on others
 
@@ -351,8 +337,8 @@ class Remainder:
     """Sums over the residual of a fit, each weighted.
 
     `right` (P, C): columns times residual; `power` (C, C): residual times residual; `held` (S, C) the residual itself
-    of a short record, `transform` (K + 1, M, C) its Fourier transform at `bins` (K + 1, M) near the lines and near zero
-    of a long one.
+    of a short record, of a long one `transform` (K + 1, M, C), its Fourier transform at `bins` (K + 1, M) near the
+    places `line_bin` (K + 1,) of the lines and of the offset.
     """
 
     right: FloatArray
@@ -360,6 +346,7 @@ class Remainder:
     held: FloatArray | None
     transform: ComplexArray | None
     bins: IntArray | None
+    line_bin: FloatArray | None
 
 
 def remainder(samples: Samples, columns: Columns, coefficients: FloatArray) -> Remainder:
@@ -367,7 +354,10 @@ def remainder(samples: Samples, columns: Columns, coefficients: FloatArray) -> R
     timeline, channels = samples.timeline, samples.values.shape[1]
     turned = columns.turned(timeline)
     long = timeline.grid is not None and timeline.samples > LONG
-    bins = neighbour_bins(timeline.samples, line_bins(columns, timeline.samples, rate_hz(samples))) if long else None
+    line_bin, bins = None, None
+    if timeline.grid is not None and long:
+        line_bin = line_bins(columns, timeline.samples, 1.0 / float(timeline.grid.interval_s))
+        bins = neighbour_bins(timeline.samples, line_bin)
     demodulator = None if bins is None else Demodulator(timeline, bins)
     down = np.empty((0, 0)) if demodulator is None else demodulator.columns()
     moments = np.empty((len(turned), down.shape[1], channels))
@@ -385,7 +375,7 @@ def remainder(samples: Samples, columns: Columns, coefficients: FloatArray) -> R
             held[timeline.edges[chunk.first] : timeline.edges[chunk.last]] = chunk.in_order(residual)
     right = np.asarray(np.sum(turned.swapaxes(1, 2) @ local_right, axis=0))
     transform = None if demodulator is None else demodulator.transform(moments)
-    return Remainder(right, power, held, transform, bins)
+    return Remainder(right, power, held, transform, bins, line_bin)
 
 
 def noise_at_lines(
@@ -395,10 +385,9 @@ def noise_at_lines(
 
     `time_s`: the times of a record whose residual is held. None where times lie on no grid or are too few.
     """
-    if left.transform is not None and left.bins is not None:
+    if left.transform is not None and left.bins is not None and left.line_bin is not None:
         ordinates = left.transform @ whitening.T / np.sqrt(samples.count)
-        line_bin = line_bins(columns, samples.timeline.samples, rate_hz(samples))
-        return noise_of_ordinates(ordinates, left.bins.astype(np.float64), line_bin, samples.timeline.samples)
+        return noise_of_ordinates(ordinates, left.bins.astype(np.float64), left.line_bin, samples.timeline.samples)
     if left.held is None or time_s is None:
         return None
     kept = samples.kept()
@@ -409,15 +398,9 @@ def noise_at_lines(
     return line_noise(grid.filled(whitened), len(whitened), line_bins(columns, grid.length, grid.rate_hz))
 
 
-def rate_hz(samples: Samples) -> float:
-    """Return the sampling rate of a uniform record."""
-    grid = samples.timeline.grid
-    return 0.0 if grid is None else 1.0 / float(grid.interval_s)
-
-
 def line_bins(columns: Columns, length: int, rate: float) -> FloatArray:
     """Return the places of all lines in bins of a record, and half a bin for the offset."""
-    return np.append(alias_frequency(columns.tones.frequency_hz, rate) * length / rate, 0.5)
+    return np.append(alias_frequency(columns.frequency_hz, rate) * length / rate, 0.5)
 
 
 def factor_of(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -437,7 +420,6 @@ def factor_of(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 # Samples that stand out of the noise of a fit.
-
 
 _FALSE_ALARM = 0.01  # samples of a whole record that Gaussian noise may lose
 _SCATTER = 1.16  # relative standard deviation of a median absolute deviation, times the root of the samples

@@ -7,10 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape
-
-# Trigger edges in a sampled signal.
-
+from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
 
 EdgeKind = Literal["sampled", "resolved"]
 
@@ -40,8 +37,7 @@ class Edges:
 
     def __post_init__(self) -> None:
         check_shape("lower_s", self.lower_s, (None,))
-        check_shape("upper_s", self.upper_s, self.lower_s.shape)
-        check_shape("estimate_s", self.estimate_s, self.lower_s.shape)
+        check_shapes(self, self.lower_s.shape, "upper_s", "estimate_s")
 
     def __repr__(self) -> str:
         return f"Edges({len(self.lower_s)} in {self.record_s:g} s, {self.kind}, at threshold {self.threshold:g})"
@@ -100,15 +96,10 @@ def find_edges(
 
 def _crossings(signal: FloatArray, level: float, hysteresis: float) -> IntArray:
     """Return the index of the first sample at or above `level` of each rise through the hysteresis band."""
-    low = np.flatnonzero(signal <= level - hysteresis)
-    high = np.flatnonzero(signal >= level + hysteresis)
-    if not len(low) or not len(high):
-        return np.zeros(0, dtype=np.int64)
-    # A rise begins at the last low sample before a high one that follows it without another low between.
-    next_high = np.searchsorted(high, low)
-    has_high = next_high < len(high)
-    low, target = low[has_high], high[next_high[has_high]]
-    last_low = low[np.append(target[1:] != target[:-1], True)] if len(low) else low
+    outside = np.flatnonzero(np.abs(signal - level) >= hysteresis)
+    high = signal[outside] > level
+    # A rise begins at the last low sample before a high one.
+    last_low = outside[:-1][~high[:-1] & high[1:]]
     crossing = np.flatnonzero((signal[:-1] < level) & (signal[1:] >= level)) + 1
     return np.asarray(crossing[np.searchsorted(crossing, last_low, side="right")], dtype=np.int64)
 
@@ -139,7 +130,6 @@ def _interpolate(local: FloatArray, tap: IntArray, place: FloatArray) -> FloatAr
 
 
 # Numbers of the edges of a periodic trigger: which edge is which period, and which are none.
-
 
 _CAPTURE = 0.2  # of a period: an edge further from its place is spurious
 
@@ -219,7 +209,6 @@ def _without_outliers(number: IntArray, edges: Edges, kept: BoolArray) -> BoolAr
 
 
 # A sampled signal read at other times: band-limited interpolation.
-
 
 PASS_BAND = 0.4
 """Share of the lower of the two rates below which a resampled signal is what it was."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import comb
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from shaker.timebase.trigger import (
 )
 
 # Which edges of two records belong together: the whole-period shift and what decides it.
-
 
 _GAP_MATCH = 0.8  # share of the missing edges that must be missing in both records for gaps to decide the shift
 _GAP_CHANCE = 1e-3  # probability of as many coincidences at any shift by chance, where gaps lie outside the overlap
@@ -95,6 +93,8 @@ def _bounds(base: TriggerFit, other: TriggerFit) -> tuple[int, int]:
 
 def _by_gaps(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | None:
     """Return the one shift in the range at which the missing edges of both records coincide, else None."""
+    from scipy.stats import hypergeom
+
     matching = []
     for shift in range(low, high + 1):
         first, last = max(0, shift), min(base.edges, other.edges + shift) - 1
@@ -105,9 +105,8 @@ def _by_gaps(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | 
             continue
         everything = both >= _GAP_MATCH * max(len(base.missing), len(other.missing))
         # Probability that at least so many of two independent sets of missing edges coincide.
-        n, m = len(here), len(there)
-        ways = sum(comb(n, k) * comb(overlap - n, m - k) for k in range(both, min(n, m) + 1))
-        if everything or (high - low + 1) * (ways / comb(overlap, m)) < _GAP_CHANCE:
+        chance = hypergeom.sf(both - 1, overlap, len(here), len(there))
+        if everything or (high - low + 1) * chance < _GAP_CHANCE:
             matching.append(shift)
     return matching[0] if len(matching) == 1 else None
 
@@ -145,7 +144,6 @@ def _deviations(fit: TriggerFit) -> FloatArray:
 
 
 # The straight line from one clock to another, from the edges that both have seen.
-
 
 _LEAST_PAIRS = 4
 _DIFFERENCE = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
@@ -224,12 +222,11 @@ def _from_pairs(base: TriggerFit, other: TriggerFit, here: IntArray, there: IntA
     """Fit a line to paired edges, free of the trigger's jitter: to middles of intervals, or to resolved crossings."""
     if base.kind == "sampled":
         place, unscale = _scaled(other.edge_s[there])
-        return unscale(straight_line(place, base.edge_s[here], 0.3 * base.resolution_s))
+        return unscale(straight_line(place, base.edge_s[here], 0.3 * base.resolution_s)[0])
     place, unscale = _scaled(other.crossing_s[there])
     y, x = base.crossing_s[here], other.crossing_s[there]
     phases = [(y - base.lower_s[here]) / base.sample_s, (x - other.lower_s[there]) / other.sample_s]
-    fit = fit_resolved(y, place, phases)
-    return unscale(Posterior(fit.mean, fit.covariance, fit.scatter_s))
+    return unscale(fit_resolved(y, place, phases)[0])
 
 
 def _from_one_resolved(resolved: TriggerFit, sampled: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
@@ -237,7 +234,7 @@ def _from_one_resolved(resolved: TriggerFit, sampled: TriggerFit, here: IntArray
     place, unscale = _scaled(resolved.edge_s[here])
     lower, upper = sampled.lower_s[there], sampled.upper_s[there]
     width = float(np.median(upper - lower))
-    start = straight_line(place, (lower + upper) / 2.0, 0.3 * width)
+    start, _ = straight_line(place, (lower + upper) / 2.0, 0.3 * width)
     return unscale(line_posterior(place, lower[None], upper[None], start, LEAST_JITTER * width))
 
 
@@ -261,21 +258,14 @@ def _from_intervals(base: TriggerFit, other: TriggerFit, shift: int, start: Cloc
     difference = over @ start.covariance @ over.T
     cross, second = (own, own + difference) if paired else (np.zeros((2, 2)), difference - own)
     covariance = np.block([[own, cross], [cross, second]])
-    jitter = max(base.jitter_s, other.jitter_s)
-    place = (numbers - centre) / half
-    found = line_posterior(
-        place,
-        lower,
-        upper,
-        Posterior(np.tile(line, 2), covariance, jitter),
-        LEAST_JITTER * base.resolution_s,
-    )
-    shifted, tilted = _DIFFERENCE @ found.mean
+    both = Posterior(np.tile(line, 2), covariance, max(base.jitter_s, other.jitter_s))
+    both = line_posterior((numbers - centre) / half, lower, upper, both, LEAST_JITTER * base.resolution_s)
+    shifted, tilted = _DIFFERENCE @ both.mean
     # On the base clock: later by shifted + tilted·(time - line[0]) / line[1].
     stretch = 1.0 + tilted / line[1]
     offset = shifted - tilted * line[0] / line[1] + stretch * start.offset_s
     jacobian = np.array([[1.0, (start.offset_s - line[0]) / line[1]], [0.0, start.rate / line[1]]])
-    covariance = jacobian @ _DIFFERENCE @ found.covariance @ _DIFFERENCE.T @ jacobian.T
+    covariance = jacobian @ _DIFFERENCE @ both.covariance @ _DIFFERENCE.T @ jacobian.T
     return ClockLine(float(offset), float(stretch * start.rate), covariance)
 
 
@@ -292,7 +282,6 @@ def _scaled(time: FloatArray) -> tuple[FloatArray, Callable[[Posterior], ClockLi
 
 
 # One clock against another by the edges of the trigger that both have recorded.
-
 
 _SAME_PERIOD = 0.01  # relative: clocks differ by less, two triggers by more
 
@@ -343,7 +332,7 @@ def tie_clocks(
     decided = decide_shift(base, other, start_difference_s) if shift is None else Shift(shift, "first_edge")
     by_start = by_start_times(base, other, start_difference_s)
     notices: tuple[Notice, ...] = ()
-    if by_start is not None and by_start != decided.edges:
+    if by_start not in (None, decided.edges):
         text = (
             f"the start times put edge 0 at edge {by_start} of the first clock, {decided.decided_by} at "
             f"{decided.edges}, which counts; first_edge states it where that is wrong"

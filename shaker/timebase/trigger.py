@@ -8,11 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import FloatArray, IntArray, Notice, check_shape
+from shaker.arrays import FloatArray, IntArray, Notice, check_shape, check_shapes
 from shaker.timebase.edges import EdgeKind, Edges, find_edges, number_edges
 
 # What intervals say about straight lines: the posterior of a trigger's model by adaptive importance sampling.
-
 
 _POINTS = 500  # while the proposals settle
 _LAST_POINTS = 2000
@@ -111,67 +110,56 @@ def _normal_points(dimensions: int) -> FloatArray:
 
 # Crossings of a resolved rise: what its shape adds to the reconstruction, learnt from all edges.
 
-
 _TERMS = (0, 2, 4, 6, 8)
 _EDGES_PER_TERM = 8
 _CONDITION = 1e3
 
 
-@dataclass(frozen=True)
-class RiseFit:
-    """Line through edges: mean (2,) and covariance (2, 2) of its two coefficients, `correction_s` (E,) of every edge.
+def straight_line(
+    place: FloatArray, time_s: FloatArray, least_scatter_s: float = 0.0, beside: Sequence[FloatArray] = ()
+) -> tuple[Posterior, FloatArray]:
+    """Fit time_s (E,) = m + h·place + what columns `beside` (E, N each) explain, by least squares.
 
-    `scatter_s` is the standard deviation of the corrected edges about the line.
+    Returns the line, its jitter the scatter about the fit and its covariance for one of at least `least_scatter_s`, and
+    what the columns explain (E,).
     """
-
-    mean: FloatArray
-    covariance: FloatArray
-    correction_s: FloatArray
-    scatter_s: float
-
-    def __post_init__(self) -> None:
-        check_shape("covariance", self.covariance, (2, 2))
-        check_shape("correction_s", self.correction_s, (None,))
+    columns = np.column_stack([np.ones_like(place), place, *beside])
+    inverse, centre = np.linalg.inv(columns.T @ columns), float(time_s.mean())
+    value = inverse @ (columns.T @ (time_s - centre))
+    residual = time_s - centre - columns @ value
+    scatter = float(np.sqrt(residual @ residual / max(len(time_s) - columns.shape[1], 1)))
+    covariance = inverse[:2, :2] * max(scatter, least_scatter_s) ** 2
+    return Posterior(value[:2] + np.array([centre, 0.0]), covariance, scatter), columns[:, 2:] @ value[2:]
 
 
-def fit_resolved(time_s: FloatArray, place: FloatArray, phases: Sequence[FloatArray]) -> RiseFit:
+def fit_resolved(time_s: FloatArray, place: FloatArray, phases: Sequence[FloatArray]) -> tuple[Posterior, FloatArray]:
     """Fit time_s (E,) = m + h·place + Σ a_j sin(π j φ) with the phase φ (E,) of each crossing between two samples.
+
+    Returns the line, its jitter the scatter of the corrected edges about it, and the correction (E,).
 
     A rise that is not band-limited (a ramp, an exponential) leaves the reconstruction with an error that depends on
     where the crossing lies between two samples, and only on that; it vanishes where a sample is the crossing (φ = 0 or
     1), hence the sines. One series for each array of `phases`; its length follows from the data (Schwarz criterion), 0
     for a band-limited input. The idea is that of the effective point-spread function (Anderson & King, PASP 112, 2000).
     """
-    line = np.stack([np.ones_like(place), place], axis=1)
     best, best_score = None, np.inf
     for terms in _TERMS:
         order = np.arange(1, terms + 1)
         series = [np.sin(np.pi * order * phase[:, None]) for phase in phases]
-        columns = np.concatenate([line, *series], axis=1)
-        if terms and (columns.shape[1] * _EDGES_PER_TERM > len(time_s) or np.linalg.cond(columns) > _CONDITION):
+        columns = np.column_stack([np.ones_like(place), place, *series])
+        edges, count = columns.shape
+        if terms and (count * _EDGES_PER_TERM > edges or np.linalg.cond(columns) > _CONDITION):
             break
-        fit, squares = _least_squares(columns, time_s)
-        score = len(time_s) * np.log(squares + 1e-300) + columns.shape[1] * np.log(len(time_s))
+        fit = straight_line(place, time_s, beside=series)
+        squares = fit[0].jitter_s ** 2 * max(edges - count, 1)
+        score = edges * np.log(squares + 1e-300) + count * np.log(edges)
         if best is None or score < best_score:
             best, best_score = fit, score
     assert best is not None
     return best
 
 
-def _least_squares(columns: FloatArray, time: FloatArray) -> tuple[RiseFit, float]:
-    """Return the fit of one set of columns and its sum of squares."""
-    inverse = np.linalg.inv(columns.T @ columns)
-    centre = float(time.mean())
-    value = inverse @ (columns.T @ (time - centre))
-    residual = time - centre - columns @ value
-    squares = float(residual @ residual)
-    variance = squares / max(len(time) - columns.shape[1], 1)
-    mean = value[:2] + np.array([centre, 0.0])
-    return RiseFit(mean, variance * inverse[:2, :2], columns[:, 2:] @ value[2:], float(np.sqrt(variance))), squares
-
-
 # The periodic model of a camera trigger: start, period, jitter, missing, doubled and spurious edges.
-
 
 LEAST_JITTER = 1e-4  # of a sample
 _IDLE = 1.05  # periods without an edge at an end of the record that show the burst to begin or end there
@@ -214,8 +202,7 @@ class TriggerFit:
 
     def __post_init__(self) -> None:
         check_shape("number", self.number, (None,))
-        for name in ("lower_s", "upper_s", "edge_s", "correction_s"):
-            check_shape(name, getattr(self, name), self.number.shape)
+        check_shapes(self, self.number.shape, "lower_s", "upper_s", "edge_s", "correction_s")
         check_shape("covariance", self.covariance, (2, 2))
 
     def __repr__(self) -> str:
@@ -275,23 +262,23 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     >>> print(f"{fit.edges} edges, {1.0 / fit.period_s:.2f} Hz")
     43 edges, 21.30 Hz
     """
-    found = number_edges(edges)
-    n = found.number[found.kept] - found.number[found.kept][0]
-    lower, upper, estimate = edges.lower_s[found.kept], edges.upper_s[found.kept], edges.estimate_s[found.kept]
+    numbering = number_edges(edges)
+    kept = numbering.kept
+    n = numbering.number[kept] - numbering.number[kept][0]
+    lower, upper, estimate = edges.lower_s[kept], edges.upper_s[kept], edges.estimate_s[kept]
     half = n[-1] / 2.0
     place = (n - half) / half
     sample = float(np.median(upper - lower))
     kind: EdgeKind = "sampled"
     # Rounding to samples scatters by 0.29 of one, except where period and sampling are commensurate.
-    rough = straight_line(place, (lower + upper) / 2.0, 0.3 * sample)
+    rough, _ = straight_line(place, (lower + upper) / 2.0, 0.3 * sample)
     line, resolution = line_posterior(place, lower[None], upper[None], rough, LEAST_JITTER * sample), sample
     edge, correction = (lower + upper) / 2.0, np.zeros(len(n))
     if edges.kind == "resolved":
-        rise = fit_resolved(estimate, place, [(estimate - lower) / sample])
+        rise, shape = fit_resolved(estimate, place, [(estimate - lower) / sample])
         if rise.covariance[0, 0] < line.covariance[0, 0]:
-            jitter = float(np.sqrt(max(rise.scatter_s**2 - edges.u_reading_s**2, 0.0)))
-            line, kind = Posterior(rise.mean, rise.covariance, jitter), "resolved"
-            edge, correction = estimate - rise.correction_s, rise.correction_s
+            jitter = float(np.sqrt(max(rise.jitter_s**2 - edges.u_reading_s**2, 0.0)))
+            line, kind, edge, correction = replace(rise, jitter_s=jitter), "resolved", estimate - shape, shape
             resolution = np.sqrt(12.0) * edges.u_reading_s
     # The largest gap between the edges' places between two samples: wide where they take few of them.
     phase = np.sort(n * (line.mean[1] / half / sample) % 1.0)
@@ -316,8 +303,8 @@ def fit_trigger(edges: Edges) -> TriggerFit:
         covariance=jacobian @ line.covariance @ jacobian.T,
         jitter_s=line.jitter_s,
         missing=missing,
-        doubled=found.doubled,
-        spurious=found.spurious,
+        doubled=numbering.doubled,
+        spurious=numbering.spurious,
         idle_before=bool(start > _IDLE * period),
         idle_after=bool(edges.record_s - (start + n[-1] * period) > _IDLE * period),
         resolution_s=float(resolution),
@@ -327,41 +314,29 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     return replace(fit, notices=_notices(fit))
 
 
-def straight_line(place: FloatArray, time: FloatArray, least_scatter: float) -> Posterior:
-    """Fit time (E,) = m + h·place (E,) by least squares, with a scatter of at least `least_scatter`."""
-    columns = np.stack([np.ones_like(place), place], axis=1)
-    inverse = np.linalg.inv(columns.T @ columns)
-    mean = inverse @ columns.T @ time
-    residual = time - columns @ mean
-    scatter = float(np.sqrt(residual @ residual / max(len(time) - 2, 1)))
-    return Posterior(mean, inverse * max(scatter, least_scatter) ** 2, scatter)
-
-
 def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
     """Tell about edges that were not where the period puts them."""
-    found = []
+    warnings = []
     if fit.missing:
         listed = ", ".join(str(i) for i in fit.missing[:5]) + (", …" if len(fit.missing) > 5 else "")
-        found.append(Notice("warning", f"{len(fit.missing)} edges are missing (numbers {listed})", "trigger"))
+        warnings.append(f"{len(fit.missing)} edges are missing (numbers {listed})")
     off = f"edges off the period of {fit.period_s:.6g} s"
-    for count, what in ((fit.doubled, "doubled edges"), (fit.spurious, off)):
-        if count:
-            found.append(Notice("warning", f"{count} {what} were dropped", "trigger"))
+    dropped = ((fit.doubled, "doubled edges"), (fit.spurious, off))
+    warnings += [f"{count} {what} were dropped" for count, what in dropped if count]
     if fit.jitter_s > 1e-3 * fit.period_s:
-        text = f"jitter of {fit.jitter_s * 1e6:.3g} us, over 0.1 % of the period"
-        found.append(Notice("warning", text, "trigger"))
+        warnings.append(f"jitter of {fit.jitter_s * 1e6:.3g} us, over 0.1 % of the period")
+    notices = [Notice("warning", text, "trigger") for text in warnings]
     if fit.open_s > _RINGING * fit.sample_s:
         u_middle = float(fit.u_time_s(np.asarray(fit.edges // 2)))
         text = (
             f"the edges always fall on the same places between two samples, which leaves their instants open to "
             f"{u_middle * 1e6:.2g} us; a period that is no simple multiple of the sampling interval removes this"
         )
-        found.append(Notice("info", text, "trigger"))
-    return tuple(found)
+        notices.append(Notice("info", text, "trigger"))
+    return tuple(notices)
 
 
 # Width of a trigger's pulses, as a strobe's exposure needs it.
-
 
 _LEAST = 1.5  # samples: pulses shorter than one fall between the samples, and those seen seem one long
 _LEAST_RISES = 5.0  # of the rise: shorter pulses do not settle at their level

@@ -358,7 +358,7 @@ def test_units_of_ratios():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: PoleModel(poles=np.array([-1 + 2j])), "poles: expected each complex root with its conjugate"),
+        (lambda: PoleModel(poles=np.array([-1 + 2j])), "poles: expected conjugate pairs"),
         (lambda: PoleModel(poles=np.array([1 + 0j])), "poles: expected real parts of at most 0, found 1"),
         (lambda: PoleModel(gain=0.0), "gain: expected a number other than 0"),
         (lambda: filter_poles("bessel", 0, 1.0), "order: expected 1 to 12, found 0"),

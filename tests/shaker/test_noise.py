@@ -11,7 +11,7 @@ from scipy.stats import kstest
 
 from shaker.arrays import FloatArray
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
-from shaker.sine.noise import LineNoise, level_at_lines, line_noise, neighbour_bins
+from shaker.sine.noise import LineNoise, levels_at_lines, line_noise, neighbour_bins
 from shaker.sine.phasor import Phasors, derivative_factor, stack_phasors
 from shaker.timebase.edges import PASS_BAND, kernel_reach, resampled
 
@@ -35,9 +35,9 @@ def slow_noise(rng: np.random.Generator, samples: int, corner: float) -> FloatAr
 def test_level_and_degrees_of_freedom_are_honest_for_white_noise():
     rng = np.random.default_rng(1)
     bins, line = np.delete(np.arange(150.0, 247.0), 48)[None], np.array([198.0])
-    found = [level_at_lines(rng.exponential(size=(1, 96, 1)), bins, line) for _ in range(500)]
-    levels = np.array([noise.variance[0, 0] for noise in found])
-    dof = np.median([noise.dof[0] for noise in found])
+    found = [levels_at_lines(rng.exponential(size=(1, 96, 1)), bins, line)[:2] for _ in range(500)]
+    levels, dof = np.array(found).reshape(500, 2).T
+    dof = np.median(dof)
     assert np.mean(levels) == pytest.approx(1.0, abs=0.02)
     # A scaled inverse chi-squared variable has the variance ψ'(ν/2) of its logarithm.
     assert np.std(np.log(levels)) == pytest.approx(np.sqrt(polygamma(1, dof / 2)), rel=0.15)

@@ -26,7 +26,6 @@ from shaker.lines.rate_planner import (
 from shaker.sine.aliasing import (
     CLEAR_BINS,
     alias_frequency,
-    beat_phase,
     condition_number,
     exposure_gain,
     folded_harmonics,
@@ -69,14 +68,6 @@ def test_exposure_gain_is_the_mean_over_the_exposure():
     mean = np.trapezoid(np.cos(2 * np.pi * frequency * t), t) / exposure
     assert float(exposure_gain(np.array([frequency]), exposure)[0]) == pytest.approx(mean, rel=1e-9)
     assert 1.0 - mean == pytest.approx(0.0041, abs=1e-4)
-
-
-def test_record_folds_on_one_period():
-    time = np.arange(211) / CAMERA_HZ
-    phase = beat_phase(time, 106.25)
-    assert phase.min() >= 0.0
-    assert phase.max() < 2.0 * np.pi
-    np.testing.assert_allclose(np.cos(phase), np.cos(2 * np.pi * 106.25 * time), atol=1e-9)
 
 
 def test_ideal_sampling_has_condition_one():

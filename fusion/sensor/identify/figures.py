@@ -31,7 +31,7 @@ from fusion.report.style import (
 from fusion.sensor.identify.evaluate import FEWEST_LINES, ComponentResult
 from fusion.sensor.identify.fit import SensitivityResult
 from fusion.sensor.identify.measured import mass_unit
-from fusion.sensor.transfer.figures import uncertainty
+from fusion.sensor.transfer.records import uncertainty
 from shaker.arrays import BoolArray, ComplexArray, FloatArray
 from shaker.frf.chain import common_covariance
 from shaker.identification.sensor import NO_CHAIN, Load

@@ -117,7 +117,7 @@ def _terms(recording: RotationRecording) -> Iterator[RotationQuantity]:
 # Figures: readings over the angle with fit and residuals, masses against what was weighed.
 
 
-LOOKS = ((BLUE, "o"), (RED, "s"), (GREEN, "^"))
+LOOKS = tuple(zip(COLOURS, "os^", strict=False))
 """Colours and markers of the three components."""
 
 

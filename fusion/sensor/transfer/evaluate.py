@@ -35,9 +35,6 @@ from shaker.identification.measured import MeasuredCurve, RelativeError
 from shaker.identification.oscillator import Kind, Resonance, fit_resonance
 from shaker.labels import MOTION_UNITS
 
-# Which estimate a recording calls for, and what the user is told where it cannot be made.
-
-
 _SEGMENTS = 16  # segments beside each other in a record where no line spacing is wanted
 _BLOW_S = 1.0  # window around a blow where no line spacing is wanted
 _KEYS = {
@@ -111,7 +108,6 @@ def _averaged(
 
 
 # Resonances in a measured transfer function: where the peaks are, and an oscillator fitted to each.
-
 
 _PROMINENCE = np.log(2.0)  # of a peak in ln|H|
 _SIGNIFICANT = 8.0  # standard uncertainties by which a peak stands out
@@ -255,7 +251,6 @@ def _with_budget(curve: _Curve, lines: slice, mode: _Mode, u_clock: float) -> Fo
 
 # From a recording of a chirp, a multisine, noise or impacts to its transfer functions.
 
-
 KINDS = kinds_of("transfer")
 _FORCED_KINDS: tuple[Kind, ...] = ("receptance", "mobility", "accelerance")
 
@@ -297,7 +292,12 @@ def _evaluated(
     errors = ratio_errors(reference, responses)
     factor = np.stack([chain.correction / reference.correction for chain in responses], axis=1)
     corrected = _converted(raw, factor, together, settings.quantity)
-    kinds = [_kind(reference.entry, chain.entry, settings.quantity) for chain in responses]
+    kinds: list[Kind] = []  # the form one oscillator takes: a base that moves, or a force on the mass
+    for chain in responses:
+        forced = (
+            QUANTITIES.index(settings.quantity or chain.entry.quantity) if chain.entry.quantity in QUANTITIES else 0
+        )
+        kinds.append("transmissibility" if reference.entry.quantity in TRANSDUCERS else _FORCED_KINDS[forced])
     resonances, told = find_resonances(corrected, errors, kinds, together.u_clock)
     ratio = corrected.ratio
     if errors:
@@ -338,15 +338,6 @@ def _as_wanted(entry: ChannelEntry, unit: str, quantity: Quantity | None) -> tup
     family, have = motion_order(unit)
     want = QUANTITIES.index(quantity)
     return want - have, MOTION_UNITS[family][want]
-
-
-def _kind(reference: ChannelEntry, response: ChannelEntry, quantity: Quantity | None) -> Kind:
-    """Return which form one oscillator takes: a base that moves, or a force on the mass."""
-    if reference.quantity in TRANSDUCERS:
-        return "transmissibility"
-    if response.quantity not in QUANTITIES:
-        return "receptance"
-    return _FORCED_KINDS[QUANTITIES.index(quantity or response.quantity)]
 
 
 def _silent(chains: Sequence[ChannelChain]) -> list[Notice]:

@@ -20,9 +20,7 @@ from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.identification.measured import RelativeError
 from shaker.identification.oscillator import Resonance
 from shaker.timebase.edges import PASS_BAND, kernel_reach, resampled
-
-# What an evaluated transfer recording consists of, and what a user may choose about it.
-
+from shaker.timebase.tie import ClockTie
 
 EstimatorChoice = Literal["auto", "periodic", "local", "H1", "H2", "Hv"]
 Quantity = Literal["displacement", "velocity", "acceleration"]
@@ -158,6 +156,15 @@ def channel_chain(channel: Located, frequency_hz: FloatArray) -> ChannelChain:
     return ChannelChain(entry, frequency_hz, response, channel.record.entry.name, channel.u_clock_s)
 
 
+def uncertainty(value: ComplexArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return u(|H|)/|H| and u(arg H) in rad, (K,) each, of values (K,) with covariances (K, 2, 2)."""
+    size = np.abs(value)
+    along = np.stack([value.real, value.imag], axis=1) / size[:, None]
+    across = np.stack([-value.imag, value.real], axis=1) / size[:, None]
+    forms = [np.einsum("ki,kij,kj->k", axis, covariance, axis) for axis in (along, across)]
+    return np.sqrt(np.maximum(forms[0], 0.0)) / size, np.sqrt(np.maximum(forms[1], 0.0)) / size
+
+
 def ratio_errors(reference: ChannelChain, responses: Sequence[ChannelChain]) -> tuple[RelativeError, ...]:
     """Return the common errors of the ratios (K, C) responses over reference; what both share cancels."""
     below, above = reference.errors, [chain.errors for chain in responses]
@@ -175,11 +182,22 @@ def ratio_errors(reference: ChannelChain, responses: Sequence[ChannelChain]) -> 
 
 @dataclass(frozen=True)
 class Located:
-    """A channel, the block that recorded it, and the standard uncertainty of that block's tie to the first clock."""
+    """A channel, the block that recorded it, and the clocks where they had to be tied."""
 
     entry: ChannelEntry
     record: DaqRecord
-    u_clock_s: float
+    base: TimeBase | None
+
+    @property
+    def tie(self) -> ClockTie | None:
+        """The tie of the block to the first clock, None where it counts by that itself."""
+        return None if self.base is None else self.base.ties[self.record.entry.name]
+
+    @property
+    def u_clock_s(self) -> float:
+        """Standard uncertainty of the tie in the middle of the record."""
+        middle_s = np.asarray(self.record.time_s(self.entry.name).mean())
+        return 0.0 if self.tie is None else float(self.tie.u_to_base_s(middle_s))
 
     @property
     def rate_hz(self) -> float:
@@ -191,10 +209,9 @@ class Located:
         """Number of samples."""
         return len(self.record.raw[self.entry.name].samples)
 
-    def position(self, base: TimeBase | None, time_s: FloatArray) -> FloatArray:
+    def position(self, time_s: FloatArray) -> FloatArray:
         """Return where times of the first clock lie in the channel's record, in samples from its first one."""
-        tie = None if base is None else base.ties[self.record.entry.name]
-        own = time_s if tie is None else (time_s - tie.offset_s) / tie.rate
+        own = time_s if self.tie is None else (time_s - self.tie.offset_s) / self.tie.rate
         return np.asarray((own - self.record.lag_s(self.entry.name)) * self.rate_hz)
 
 
@@ -288,19 +305,19 @@ def align(
     base = None
     if len(used) > 1:
         base = tie_daqs(manifest, [record for record in records if record is records[0] or record.entry.name in used])
-    channels = tuple(_located(entry, blocks[name], base) for name, entry in wanted)
+    channels = tuple(Located(entry, blocks[name], base) for name, entry in wanted)
     alike = {(c.record.entry.name, c.rate_hz, c.record.lag_s(c.entry.name), c.length) for c in channels}
     recorded = tuple(c.record.values(c.entry) for c in channels)
     if len(alike) == 1:
         start_s = channels[0].record.lag_s(channels[0].entry.name)
         return Aligned(channels, recorded, channels[0].rate_hz, start_s, None, base, ())
     slowest = min(channels, key=lambda channel: channel.rate_hz)
-    time_s, rate_hz = _common_times(channels, slowest, base)
+    time_s, rate_hz = _common_times(channels, slowest)
     if len(time_s) < 2 * len(channels):
         expected = "channels that were recorded at the same time"
         raise InputError(manifest.path, key, found="records that do not overlap", expected=expected)
     values = tuple(
-        resampled(samples, c.position(base, time_s), min(1.0, rate_hz / c.rate_hz))
+        resampled(samples, c.position(time_s), min(1.0, rate_hz / c.rate_hz))
         for c, samples in zip(channels, recorded, strict=True)
     )
     name, highest_hz = slowest.entry.name, PASS_BAND * rate_hz
@@ -311,23 +328,14 @@ def align(
     return Aligned(channels, values, rate_hz, float(time_s[0]), highest_hz, base, (Notice("info", text, name),))
 
 
-def _located(entry: ChannelEntry, record: DaqRecord, base: TimeBase | None) -> Located:
-    """Return a channel with the uncertainty of its block's tie in the middle of its record."""
-    tie = None if base is None else base.ties[record.entry.name]
-    middle_s = np.asarray(record.time_s(entry.name).mean())
-    return Located(entry, record, 0.0 if tie is None else float(tie.u_to_base_s(middle_s)))
-
-
-def _common_times(channels: Sequence[Located], slowest: Located, base: TimeBase | None) -> tuple[FloatArray, float]:
+def _common_times(channels: Sequence[Located], slowest: Located) -> tuple[FloatArray, float]:
     """Return times (T,) of the slowest channel on the first clock, well inside the records of all, and their rate."""
-    name = slowest.record.entry.name
-    own = slowest.record.time_s(slowest.entry.name)
-    time_s = own if base is None else base.to_base_s(name, own)
-    tie = None if base is None else base.ties[name]
-    rate_hz = slowest.rate_hz if tie is None else slowest.rate_hz / tie.rate
+    time_s, rate_hz, tie = slowest.record.time_s(slowest.entry.name), slowest.rate_hz, slowest.tie
+    if tie is not None:
+        time_s, rate_hz = tie.to_base_s(time_s), rate_hz / tie.rate
     inside = np.ones(len(time_s), dtype=np.bool_)
     for channel in channels:
-        position = channel.position(base, time_s)
+        position = channel.position(time_s)
         reach = kernel_reach(min(1.0, rate_hz / channel.rate_hz))
         inside &= (position >= reach) & (position <= channel.length - 1 - reach)
     return time_s[inside], rate_hz

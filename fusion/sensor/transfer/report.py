@@ -3,23 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from fusion.base import typeset
+from fusion.base import K2, typeset
 from fusion.estimation.uncertainty import Polar, element_covariance, polar
 from fusion.recording.load import load_for_command
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields
+from fusion.report.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    LIGHT,
+    ORANGE,
+    RED,
+    Picture,
+    decades,
+    draw_response,
+    frequency_axis,
+    panel_label,
+    plain_logarithm,
+    power_text,
+    sheet,
+)
 from fusion.report.table import (
     Column,
     Headline,
     Table,
+    columns_of,
     csv_text,
     measured,
     on_page,
@@ -27,12 +46,20 @@ from fusion.report.table import (
     polar_columns,
     small,
     table,
-    word,
 )
 from fusion.sensor.transfer.evaluate import evaluate_transfer
-from fusion.sensor.transfer.figures import draw_transfer, uncertainty
-from fusion.sensor.transfer.records import FoundResonance, TransferEvaluation, TransferSettings
+from fusion.sensor.transfer.records import (
+    FoundResonance,
+    ReferenceResult,
+    TransferEvaluation,
+    TransferSettings,
+    uncertainty,
+)
 from shaker.frf.result import TransferFunction
+
+RASTER_ABOVE = 6000  # lines from which curves are drawn as an image
+LARGEST_PERCENT = 100.0
+DASHED = (0, (4, 2))
 
 
 class Line(NamedTuple):
@@ -49,14 +76,9 @@ class Line(NamedTuple):
 
 
 LINES: list[Column[Line]] = [
-    Column("frequency_hz", lambda line: line.frequency_hz),
-    word("response", lambda line: line.response),
-    word("reference", lambda line: line.reference),
-    word("estimator", lambda line: line.estimator),
+    *columns_of(Line)[:4],
     *polar_columns("magnitude", lambda line: line.value)[:-1],
-    Column("coherence", lambda line: line.coherence),
-    Column("dof", lambda line: line.dof),
-    word("unit", lambda line: line.unit),
+    *columns_of(Line)[5:],
 ]
 
 
@@ -117,7 +139,6 @@ def resonances(evaluation: TransferEvaluation) -> list[FoundResonance]:
 
 
 def _over(found: FoundResonance) -> str:
-    """Response over reference."""
     return f"{found.response} / {found.reference}"
 
 
@@ -126,17 +147,13 @@ def _damping(found: FoundResonance, unit: str = "") -> str:
     return measured(100.0 * found.fit.damping_ratio, 200.0 * found.u_damping_ratio, unit)
 
 
-def _quality(found: FoundResonance) -> str:
-    """Quality factor with U (k = 2)."""
-    u_quality = found.fit.quality * found.u_damping_ratio / found.fit.damping_ratio
-    return measured(found.fit.quality, 2.0 * u_quality)
-
-
 RESONANCES: list[Column[FoundResonance]] = [
     on_page("curve", _over, "l"),
     on_page("f₀ / Hz", lambda found: measured(found.fit.frequency_hz, 2.0 * found.u_frequency_hz)),
     on_page("damping ratio ζ / %", _damping),
-    on_page("quality Q", _quality),
+    on_page(
+        "quality Q", lambda r: measured(r.fit.quality, 2.0 * r.fit.quality * r.u_damping_ratio / r.fit.damping_ratio)
+    ),
     on_page("fitted as", lambda found: found.fit.kind, "l"),
     on_page("lines / Hz", lambda found: f"{found.band_hz[0]:.6g} to {found.band_hz[1]:.6g}"),
     on_page("χ² per dof", lambda found: f"{found.fit.chi_squared / found.fit.dof:.2f}"),
@@ -225,8 +242,66 @@ CHANNELS: list[Column[tuple[str, ChannelEntry]]] = [
 ]
 
 
+def draw_transfer(result: ReferenceResult, channel: int) -> Picture:
+    """Magnitude and phase of one response with U (k = 2), relative uncertainty with its random part, and coherence."""
+    response, coherence = result.transfer.ratio.channels[channel], result.transfer.coherence[:, channel]
+    curve, both = result.transfer.ratio.select([response]), [channel, channel + len(result.transfer.ratio.channels)]
+    frequency, value, unit = curve.frequency_hz, curve.value[:, 0], typeset(curve.unit[0])
+    noise = result.random_covariance[:, both][:, :, both]
+    modes = [resonance for resonance in result.resonances if resonance.response == response]
+    alone = [replace(resonance.fit, residual=np.zeros(2, dtype=np.complex128)) for resonance in modes]
+    title, size = f"{response} over {result.name}", np.abs(value)
+    with sheet(f"transfer-{response}-{result.name}", 7.4, 4, heights=(2.3, 1.5, 1.2, 0.9)) as drawn:
+        magnitude, phase, relative, linear = drawn.panels
+        draw_response(magnitude, phase, frequency, value, uncertainty(value, curve.covariance), color=BLUE)
+        for place, resonance in enumerate(modes):
+            inside = np.linspace(*resonance.band_hz, 400)
+            others = [other.model(inside) for other in (*alone[:place], *alone[place + 1 :])]
+            fitted = np.abs(np.sum([resonance.fit.model(inside), *others], axis=0))
+            magnitude.plot(inside, fitted, color=RED, linewidth=0.9, linestyle=DASHED, zorder=2.5)
+            phase.axvline(resonance.fit.frequency_hz, color=RED, linewidth=0.7, linestyle=DASHED, zorder=1.5)
+        magnitude.set_ylim(0.7 * float(size.min()), 1.6 * float(size.max()))
+        if size.max() > 100.0 * size.min():
+            decades(magnitude.yaxis)
+        else:
+            plain_logarithm(magnitude.yaxis)
+            magnitude.yaxis.set_major_formatter(FuncFormatter(_one_digit))
+        magnitude.set_ylabel("|H|" if unit == "1" else f"|H| / ({unit})")
+        for covariance, colour, label in ((curve.covariance, BLACK, "all"), (noise, ORANGE, "noise alone")):
+            percent = np.minimum(100.0 * K2 * uncertainty(value, covariance)[0], LARGEST_PERCENT)
+            relative.plot(frequency, percent, color=colour, linewidth=0.8, label=label, zorder=2)
+        relative.set_yscale("log")
+        decades(relative.yaxis)
+        low, high = relative.get_ylim()
+        relative.set_ylim(10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high)))
+        relative.set_ylabel("U(|H|) / %")
+        relative.legend(loc="lower right", ncols=2, bbox_to_anchor=(1.0, 0.97), borderaxespad=0.0)
+        linear.plot(frequency, coherence, color=GREY, linewidth=0.8, zorder=2)
+        lowest = min(0.9, np.floor(10.0 * float(np.nanmin(coherence))) / 10.0)
+        linear.axhline(1.0, color=LIGHT, linewidth=0.7, zorder=1)
+        linear.set_ylim(lowest, 1.0 + 0.06 * (1.0 - lowest))
+        linear.yaxis.set_major_locator(MaxNLocator(3))
+        linear.set_ylabel("γ²")
+        labels = (f"{title}: magnitude", "phase", "relative uncertainty of the magnitude", "coherence")
+        for axes, text in zip(drawn.panels, labels, strict=True):
+            axes.set_rasterization_zorder(3 if len(value) > RASTER_ABOVE else -1)
+            panel_label(axes, text)
+        frequency_axis(linear, frequency)
+        told = " Red: the oscillators fitted, over the lines that were used." if modes else ""
+        caption = (
+            f"Bands: expanded uncertainty U (k = 2), which the third panel shows by itself.{told} A coherence below "
+            "one tells of noise, of other sources or of a structure that is not linear."
+        )
+        return drawn.picture(title, caption, gap=(0.5, 0.3))
+
+
+def _one_digit(value: float, _: float) -> str:
+    """A value of one digit as a plain number, or with a power of ten where it is far from one."""
+    exponent = int(np.floor(np.log10(value) + 1e-9))
+    return f"{value:g}" if abs(exponent) <= 3 else f"{value / 10.0**exponent:.0f}·{power_text(exponent)}"
+
+
 def _fill(file: h5py.File, evaluation: TransferEvaluation) -> None:
-    """Fill the HDF5 file."""
     file.attrs["recording"] = evaluation.manifest.name
     file.attrs["rig"] = evaluation.manifest.rig.name
     file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
