@@ -200,9 +200,9 @@ def _lines_at(size: Size, plan: RatePlan, point: str = "", choice: str = "") -> 
         plan.neighbour_hz,
         plan.gain,
         plan.u_amplitude,
+        [size.relative(plan, k) for k in range(len(plan.gain))],
     )
-    each = enumerate(zip(*numbers, strict=True))
-    return [_Line(point, choice, plan, *values, size.relative(plan, k)) for k, values in each]
+    return [_Line(point, choice, plan, *values) for values in zip(*numbers, strict=True)]
 
 
 def plan_csv(plan: Plan) -> str:
@@ -287,11 +287,9 @@ def _relative_columns(size: Size) -> list[Column[_Line]]:
     def shown(line: _Line, factor: float) -> str:
         return "" if line.relative is None else _three_digits(factor * line.relative)
 
-    columns = [
-        on_page("u / %", lambda line: shown(line, 100.0)),
-        on_page("phase / mrad", lambda line: shown(line, 1e3)),
-    ]
-    return columns if size.is_whole else []
+    if not size.is_whole:
+        return []
+    return [on_page("u / %", lambda line: shown(line, 100.0)), on_page("phase / mrad", lambda line: shown(line, 1e3))]
 
 
 def _loss(line: _Line) -> str:
@@ -365,7 +363,7 @@ def _boxed(title: str, columns: Sequence[Column[R]], sections: Sequence[Sequence
     boxed = Table(title=title, title_justify="left")
     shown = [column for column in columns if column.head is not None]
     for column in shown:
-        boxed.add_column(column.head, justify="right")
+        boxed.add_column(column.head or "", justify="right")
     for rows in sections:
         for row in rows:
             boxed.add_row(*(column.cell(row) for column in shown))
