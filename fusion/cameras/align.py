@@ -50,8 +50,15 @@ from fusion.phasors.timing import TimeBase, tie_daqs
 from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest, load_manifest
 from fusion.report.provenance import sha256
-from photogram.alignment.evidence import Evidence, KnownAxis, KnownDirection
-from photogram.alignment.seen import by_parameters, calibration_steps, fit_axis, linear_motion
+from photogram.alignment.evidence import (
+    Evidence,
+    KnownAxis,
+    KnownDirection,
+    by_parameters,
+    calibration_steps,
+    fit_axis,
+    linear_motion,
+)
 from photogram.alignment.solve import Alignment, align
 from photogram.arrays import Notice
 from photogram.camera import StereoRig, triangulate

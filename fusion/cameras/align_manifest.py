@@ -36,8 +36,16 @@ from fusion.recording.values import (
     validate,
     vector,
 )
-from photogram.alignment.evidence import Evidence, KnownFace, KnownPoints, KnownPoses, StatedFrame
-from photogram.alignment.seen import calibration_steps, seen_points, seen_target
+from photogram.alignment.evidence import (
+    Evidence,
+    KnownFace,
+    KnownPoints,
+    KnownPoses,
+    StatedFrame,
+    calibration_steps,
+    seen_points,
+    seen_target,
+)
 from photogram.calibration.file import read_calibration
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform, displacement_jacobian

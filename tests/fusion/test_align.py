@@ -38,7 +38,7 @@ from fusion.cameras.align_manifest import (
 from fusion.cli import main
 from fusion.recording.manifest import Stereo
 from fusion.simulate.write import to_toml
-from photogram.alignment.seen import calibration_steps
+from photogram.alignment.evidence import calibration_steps
 from photogram.alignment.solve import align
 from photogram.calibration.file import write_calibration
 from photogram.camera import triangulate
