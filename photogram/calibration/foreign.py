@@ -18,7 +18,6 @@ _LINEAR, _RADIAL = [0, 1, 2, 3, 9], [4, 5, 8]  # places of fx fy cx cy and the t
 _GRID = 21  # points along each side of the picture at which two cameras are compared
 _STEPS = 200  # fixed-point steps of the inverse
 _INVERTED_PX = 1e-6
-_TIGHT: dict[str, Any] = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,7 +96,8 @@ def nearest_camera(lens: Lens, size_px: IntArray) -> Nearest:
         camera, turn = moved(scaled)
         return np.asarray(camera.project(_rays(normalised, turn)) - pixel)
 
-    fit = least_squares(lambda x: difference(x).ravel(), np.zeros(len(free)), method="lm", **_TIGHT).x
+    tight = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
+    fit = least_squares(lambda x: difference(x).ravel(), np.zeros(len(free)), method="lm", **tight).x
     return Nearest(*moved(fit), float(np.linalg.norm(difference(fit), axis=1).max()))
 
 
