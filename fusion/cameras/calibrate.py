@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from fusion.base import InputError, ProgressCallback, check_new_file, no_progress, rounded, versions, write_whole
-from fusion.cameras.facts import axes_angle_rad, baseline_m
+from fusion.cameras.quantities import axes_angle_rad, baseline_m
 from fusion.cameras.report import render_camera_report
 from fusion.recording.values import natural_key
 from fusion.report.provenance import Provenance, hash_files
