@@ -361,13 +361,14 @@ def by_parameters(change: FloatArray, steps: FloatArray) -> FloatArray:
 
 
 def seen_points(
-    rig: StereoRig, steps: FloatArray, left_px: FloatArray, right_px: FloatArray, u_px: float
+    rig: StereoRig, steps: FloatArray, left_px: FloatArray, right_px: FloatArray, u_px: float | FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return points (N, 3) in the left camera's frame, covariance (N, 3, 3) of the pixels' noise, effects (P, N, 3).
 
-    `left_px`, `right_px` (N, 2) with standard uncertainty `u_px` in each coordinate; `steps` of `calibration_steps`.
+    `left_px`, `right_px` (N, 2) with standard uncertainty `u_px` in each coordinate, of all or (N,); `steps` of
+    `calibration_steps`.
     """
-    noise = u_px**2 * np.eye(2)
+    noise = np.asarray(u_px)[..., None, None] ** 2 * np.eye(2)
     points = triangulate(rig, left_px[None], right_px[None], noise, noise)
     nominal = points.position_m[0]
     effects = np.empty((len(steps), *nominal.shape))
