@@ -7,8 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from photogram.alignment.evidence import KnownAxis, KnownDirection, across
-from photogram.alignment.seen import calibration_steps, fit_axis, linear_motion
+from photogram.alignment.evidence import KnownAxis, KnownDirection, across, calibration_steps, fit_axis, linear_motion
 from photogram.alignment.solve import Alignment
 from photogram.arrays import ComplexArray, FloatArray
 from photogram.camera import Camera, StereoRig, triangulate

@@ -51,8 +51,15 @@ from fusion.phasors.timing import TimeBase, tie_daqs
 from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest, load_manifest
 from fusion.report.folder import sha256
-from photogram.alignment.evidence import Evidence, KnownAxis, KnownDirection
-from photogram.alignment.seen import by_parameters, calibration_steps, fit_axis, linear_motion
+from photogram.alignment.evidence import (
+    Evidence,
+    KnownAxis,
+    KnownDirection,
+    by_parameters,
+    calibration_steps,
+    fit_axis,
+    linear_motion,
+)
 from photogram.alignment.solve import Alignment, align
 from photogram.arrays import Notice
 from photogram.camera import StereoRig, triangulate
@@ -146,11 +153,14 @@ def _moving_evidence(
         manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in block.recordings]
         recorded = [_record(path, key, file, manifest, settings, progress) for manifest in manifests]
         stated = recorded[0].sensor_from_camera if stated is None else stated
-        known, remarks = (
-            _direction(path, block, recorded, steps) if isinstance(block, Motion) else _axis(block, recorded, pair)
-        )
-        evidence.append(known)
-        notices += remarks
+        if isinstance(block, Motion):
+            direction = _known_direction(path, block, manifests)
+            each = [_direction(block, direction, item, steps) for item in recorded]
+        else:
+            each = [_axis(block, item, pair) for item in recorded]
+        for known, remarks in each:
+            evidence.append(known)
+            notices += remarks
     return evidence, stated, notices
 
 
@@ -177,36 +187,27 @@ def _record(
     return _Recorded(manifest, base, replace(measured, sight=replace(measured.sight, pair=fixed)))
 
 
-def _direction(
-    path: Path, block: Motion, recorded: Sequence[_Recorded], steps: int
-) -> tuple[KnownDirection, list[AnyNotice]]:
-    """Return the directions in which the body moved at its strongest line."""
-    direction = _known_direction(path, block, [item.manifest for item in recorded])
-    name, motions, covariances, points, effects = f"motion {block.name}", [], [], [], []
-    notices: list[AnyNotice] = []
-    for item in recorded:
-        moved, covariance, changes, minor = _strongest(item)
-        to_camera = item.sensor_from_camera.inverse()
-        turn = np.kron(np.eye(2), to_camera.rotation)
-        padded = np.zeros((steps, 6))
-        padded[: len(changes)] = changes @ turn.T
-        motions.append(turn @ moved)
-        covariances.append(turn @ covariance @ turn.T)
-        points.append(to_camera.translation_m)
-        effects.append(padded)
-        if minor > block.direction_uncertainty:
-            text = (
-                f"{item.manifest.name}: the body moves on an ellipse, {1e3 * minor:.2g} mrad wide, but direction_"
-                f"uncertainty is {1e3 * block.direction_uncertainty:.2g} mrad; is the direction known that well?"
-            )
-            notices.append(Notice("warning", text, name))
+def _direction(block: Motion, direction: FloatArray, item: _Recorded, steps: int) -> tuple[Evidence, list[AnyNotice]]:
+    """Return the direction in which the body moved at its strongest line; its error is the block's."""
+    name, notices = f"motion {block.name}", list[AnyNotice]()
+    moved, covariance, changes, minor = _strongest(item)
+    to_camera = item.sensor_from_camera.inverse()
+    turn = np.kron(np.eye(2), to_camera.rotation)
+    effects = np.zeros((steps, 1, 6))
+    effects[: len(changes), 0] = changes @ turn.T
+    if minor > block.direction_uncertainty:
+        text = (
+            f"{item.manifest.name}: the body moves on an ellipse, {1e3 * minor:.2g} mrad wide, but direction_"
+            f"uncertainty is {1e3 * block.direction_uncertainty:.2g} mrad; is the direction known that well?"
+        )
+        notices.append(Notice("warning", text, name))
     evidence = KnownDirection(
         name,
-        np.array(motions),
-        np.array(covariances),
-        np.array(points),
+        (turn @ moved)[None],
+        (turn @ covariance @ turn.T)[None],
+        to_camera.translation_m[None],
         direction,
-        np.stack(effects, axis=1),
+        effects,
         block.direction_uncertainty,
     )
     return evidence, notices
@@ -247,32 +248,27 @@ def _strongest(item: _Recorded) -> tuple[FloatArray, FloatArray, FloatArray, flo
     return linear_motion(value[line], covariance, effects)
 
 
-def _axis(block: AxisBlock, recorded: Sequence[_Recorded], pair: Pair | None) -> tuple[KnownAxis, list[AnyNotice]]:
-    """Return the axes about which the body turned."""
-    name, lines, covariances, effects = f"axis {block.name}", [], [], []
-    notices: list[AnyNotice] = []
-    for item in recorded:
-        to_camera = item.sensor_from_camera.inverse()
-        turn = np.kron(np.eye(2), to_camera.rotation)
-        try:
-            axis = fit_axis(item.measured.motion)
-            changes = _axis_effects(item, pair, axis.line)
-        except ValueError as error:
-            raise ComputeError(f"{item.manifest.path}: {error}".replace("motion: ", "")) from error
-        lines.append(np.concatenate([to_camera.apply(axis.line[:3]), to_camera.rotation @ axis.line[3:]]))
-        covariances.append(turn @ axis.covariance @ turn.T)
-        effects.append(changes @ turn.T)
-        if axis.dof and axis.chi2 / axis.dof > UNSTEADY:
-            factor = np.sqrt(axis.chi2 / axis.dof)
-            text = f"{item.manifest.name}: the body turns about no fixed axis, its frames are off by {factor:.2g} times"
-            notices.append(Notice("warning", f"{text} their noise; the axis counts as that much less certain", name))
+def _axis(block: AxisBlock, item: _Recorded, pair: Pair | None) -> tuple[Evidence, list[AnyNotice]]:
+    """Return the axis about which the body turned; its known place has the block's error."""
+    name, notices = f"axis {block.name}", list[AnyNotice]()
+    to_camera = item.sensor_from_camera.inverse()
+    turn = np.kron(np.eye(2), to_camera.rotation)
+    try:
+        axis = fit_axis(item.measured.motion)
+        changes = _axis_effects(item, pair, axis.line)
+    except ValueError as error:
+        raise ComputeError(f"{item.manifest.path}: {error}".replace("motion: ", "")) from error
+    if axis.dof and axis.chi2 / axis.dof > UNSTEADY:
+        factor = np.sqrt(axis.chi2 / axis.dof)
+        text = f"{item.manifest.name}: the body turns about no fixed axis, its frames are off by {factor:.2g} times"
+        notices.append(Notice("warning", f"{text} their noise; the axis counts as that much less certain", name))
     evidence = KnownAxis(
         name,
-        np.array(lines),
-        np.array(covariances),
+        np.concatenate([to_camera.apply(axis.line[:3]), to_camera.rotation @ axis.line[3:]])[None],
+        (turn @ axis.covariance @ turn.T)[None],
         np.array(block.point),
         np.array(block.direction),
-        np.stack(effects, axis=1),
+        (changes @ turn.T)[:, None],
         np.array(block.point_uncertainty),
         block.direction_uncertainty,
     )
@@ -303,8 +299,8 @@ def _axis_effects(item: _Recorded, pair: Pair | None, line: FloatArray) -> Float
     def turned(rig: StereoRig) -> FloatArray:
         points = triangulate(rig, left, right).transformed(item.sensor_from_camera)
         seen: RigidMotion = replace(fit_motion(points, None, np.zeros(3)), covariance=covariance)
-        found = fit_axis(seen).line
-        return np.asarray(found * np.repeat([1.0, np.sign(found[3:] @ line[3:])], 3))
+        axis = fit_axis(seen).line
+        return np.asarray(axis * np.repeat([1.0, np.sign(axis[3:] @ line[3:])], 3))
 
     nominal = turned(pair.rig)
     return np.array([turned(pair.rig.perturbed(step)) - nominal for step in pair.steps]).reshape(-1, 6)

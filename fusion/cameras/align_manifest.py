@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -36,8 +36,16 @@ from fusion.recording.values import (
     validate,
     vector,
 )
-from photogram.alignment.evidence import Evidence, KnownFace, KnownPoints, KnownPoses, StatedFrame
-from photogram.alignment.seen import calibration_steps, seen_points, seen_target
+from photogram.alignment.evidence import (
+    Evidence,
+    KnownFace,
+    KnownPoints,
+    KnownPoses,
+    StatedFrame,
+    calibration_steps,
+    seen_points,
+    seen_target,
+)
 from photogram.calibration.file import read_calibration
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform, displacement_jacobian
@@ -254,18 +262,18 @@ def read_pair(path: Path, calibration: Path, scale_u: float | None, key: str = "
 def still_evidence(path: Path, file: AlignmentFile, pair: Pair) -> list[Evidence]:
     """Return the evidence of points, faces and target views."""
     datum = StatedFrame("datum", np.array(file.datum_uncertainty))
-    found: list[Evidence] = [_points(path, file.point, pair, datum)] if file.point else []
-    found += [_face(path, face, pair, datum) for face in file.face]
+    evidence: list[Evidence] = [_points(path, file.point, pair, datum)] if file.point else []
+    evidence += [_face(path, face, pair, datum) for face in file.face]
     if file.target is not None:
         stated = file.target
         try:
             target = Target(stated.kind, stated.spacing, stated.size, stated.dictionary)
         except ValueError as error:
             raise InputError.told_by(error, path, "target") from error
-        found += [_views(path, view, target, pair, datum) for view in file.target_view]
+        evidence += [known for view in file.target_view for known in _views(path, view, target, pair, datum)]
         if file.other is not None and file.common_view:
-            found.append(_common(path, file.common_view, file.other, target, pair))
-    return found
+            evidence += _common(path, file.common_view, file.other, target, pair)
+    return evidence
 
 
 def known_pose(known: KnownPose) -> Evidence:
@@ -283,21 +291,21 @@ def known_pose(known: KnownPose) -> Evidence:
 
 def _points(path: Path, points: Sequence[Point], pair: Pair, datum: StatedFrame) -> KnownPoints:
     """Return the fiducials, triangulated."""
-    seen = []
-    for point in points:
-        pixels = np.array([[point.left], [point.right]])
-        seen.append(seen_points(pair.rig, pair.steps, pixels[0], pixels[1], point.pixel_uncertainty))
-        if not np.isfinite(seen[-1][0]).all():
+    pixels = np.array([(point.left, point.right) for point in points])
+    u_px = np.array([point.pixel_uncertainty for point in points])
+    position, covariance, effects = seen_points(pair.rig, pair.steps, pixels[:, 0], pixels[:, 1], u_px)
+    for point, place in zip(points, position, strict=True):
+        if not np.isfinite(place).all():
             expected = "pixels of one point in front of both cameras"
             raise InputError(path, f"point.{point.name}", "rays that do not meet", expected)
     spread = np.array([point.position_uncertainty for point in points])
     return KnownPoints(
         tuple(f"point {point.name}" for point in points),
-        np.concatenate([position for position, _, _ in seen]),
-        np.concatenate([covariance for _, covariance, _ in seen]),
+        position,
+        covariance,
         np.array([point.position for point in points]),
         spread[:, :, None] ** 2 * np.eye(3),
-        np.concatenate([effects for _, _, effects in seen], axis=1),
+        effects,
         datum,
     )
 
@@ -342,12 +350,10 @@ def _pixel_table(file: Path) -> FloatArray:
     return np.array(rows).reshape(-1, len(PIXEL_COLUMNS))
 
 
-Seen = tuple[RigidTransform, FloatArray, FloatArray]
-"""Where a pair sees the target, with covariance and effects of the calibration."""
-
-
-def _seen(path: Path, key: str, pictures: Mapping[str, Path | None], target: Target, pair: Pair) -> Seen:
-    """Return where a pair sees the target in its left and right picture, by the names that these have in the block."""
+def _seen(
+    path: Path, key: str, pictures: Mapping[str, Path | None], target: Target, pair: Pair
+) -> tuple[RigidTransform, FloatArray, FloatArray]:
+    """Return `seen_target` of the left and right picture, which are given by the names that they have in the block."""
     size = [int(n) for n in pair.rig.left.size_px]
     views: list[TargetView | None] = []
     for side, picture in pictures.items():
@@ -369,46 +375,41 @@ def _seen(path: Path, key: str, pictures: Mapping[str, Path | None], target: Tar
         raise InputError.told_by(error, path, key) from error
 
 
-def _views(path: Path, block: TargetViewBlock, target: Target, pair: Pair, datum: StatedFrame) -> KnownPoses:
-    """Return the pictures of the target at one known pose, whose error they share."""
-    both = zip_longest(block.left, block.right)
-    key = f"target_view.{block.name}"
-    seen = [_seen(path, key, {"left": left, "right": right}, target, pair) for left, right in both]
-    count, name, u = len(seen), f"target view {block.name}", np.array(block.pose_uncertainty)
-    kept = np.flatnonzero(u)
-    return KnownPoses(
-        (name,) * count,
-        tuple(pose for pose, _, _ in seen),
-        np.array([covariance for _, covariance, _ in seen]),
-        (RigidTransform(np.array(block.rotation), np.array(block.translation)),) * count,
-        np.zeros((count, 6, 6)),
-        np.stack([effects for _, _, effects in seen], axis=1),
-        {name: np.repeat(np.diag(u)[kept][:, None], count, axis=1)},
-        datum,
-    )
+def _views(path: Path, block: TargetViewBlock, target: Target, pair: Pair, datum: StatedFrame) -> Iterator[KnownPoses]:
+    """Yield the pictures of the target at one known pose, whose error they share."""
+    name, u = f"target view {block.name}", np.array(block.pose_uncertainty)
+    common = {name: np.diag(u)[np.flatnonzero(u)][:, None]}
+    placed = RigidTransform(np.array(block.rotation), np.array(block.translation))
+    for left, right in zip_longest(block.left, block.right):
+        pose, covariance, effects = _seen(
+            path, f"target_view.{block.name}", {"left": left, "right": right}, target, pair
+        )
+        known = np.zeros((1, 6, 6))
+        yield KnownPoses((name,), (pose,), covariance[None], (placed,), known, effects[:, None], common, datum)
 
 
-def _common(path: Path, views: Sequence[CommonView], other: OtherPair, target: Target, pair: Pair) -> KnownPoses:
-    """Return the target seen by both pairs, its pose in the sensor frame (or the other camera's) by the other pair."""
+def _common(
+    path: Path, views: Sequence[CommonView], other: OtherPair, target: Target, pair: Pair
+) -> Iterator[KnownPoses]:
+    """Yield the target seen by both pairs, its pose in the sensor frame (or the other camera's) by the other pair."""
     second = read_pair(path, other.calibration, other.scale_uncertainty, "other.")
     placed = RigidTransform.identity()
     if other.rotation is not None and other.translation is not None:
         placed = RigidTransform(np.array(other.rotation), np.array(other.translation))
     turn = np.kron(np.eye(2), placed.rotation)
-    own: list[Seen] = []
-    known: list[Seen] = []
+    frame = StatedFrame(f"pose of {other.stereo}", np.array(other.pose_uncertainty))
     for view in views:
         key = f"common_view.{view.name}"
-        own.append(_seen(path, key, {"left": view.left, "right": view.right}, target, pair))
+        pose, covariance, effects = _seen(path, key, {"left": view.left, "right": view.right}, target, pair)
         others = {"other_left": view.other_left, "other_right": view.other_right}
-        known.append(_seen(path, key, others, target, second))
-    return KnownPoses(
-        tuple(f"common view {view.name}" for view in views),
-        tuple(pose for pose, _, _ in own),
-        np.array([covariance for _, covariance, _ in own]),
-        tuple(placed @ pose for pose, _, _ in known),
-        np.array([turn @ covariance @ turn.T for _, covariance, _ in known]),
-        np.stack([effects for _, _, effects in own], axis=1),
-        {f"calibration of {other.stereo}": np.stack([effects @ turn.T for _, _, effects in known], axis=1)},
-        StatedFrame(f"pose of {other.stereo}", np.array(other.pose_uncertainty)),
-    )
+        known, known_covariance, known_effects = _seen(path, key, others, target, second)
+        yield KnownPoses(
+            (f"common view {view.name}",),
+            (pose,),
+            covariance[None],
+            (placed @ known,),
+            (turn @ known_covariance @ turn.T)[None],
+            effects[:, None],
+            {f"calibration of {other.stereo}": (known_effects @ turn.T)[:, None]},
+            frame,
+        )

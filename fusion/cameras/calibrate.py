@@ -17,11 +17,12 @@ from typing import Literal
 
 import numpy as np
 
-from fusion.base import InputError, ProgressCallback, check_new_file, no_progress, rounded, versions, write_whole
-from fusion.cameras.facts import axes_angle_rad, baseline_m
+from fusion.base import InputError, ProgressCallback, check_new_file, no_progress, versions, write_whole
+from fusion.cameras.quantities import axes_angle_rad, baseline_m
 from fusion.cameras.report import render_camera_report
 from fusion.recording.values import natural_key
 from fusion.report.folder import Provenance, hash_files
+from fusion.report.table import plain
 from photogram.calibration.bundle import ShapeKind
 from photogram.calibration.file import write_calibration
 from photogram.calibration.foreign import LengthUnit
@@ -34,7 +35,6 @@ from photogram.targets.view import Target, TargetNotFound, TargetView, find_targ
 
 log = logging.getLogger("shakercal")
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm")
-MAGIC = "*?["
 
 
 @dataclass(frozen=True)
@@ -119,11 +119,11 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     rms = calibration.rms_sides_px
     baseline, angle = baseline_m(calibration.rig), axes_angle_rad(calibration.rig)
     print(f"{pairs} pairs, rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})")
-    print(f"baseline {_with_u(baseline.value * 1e3, baseline.u * 1e3)} mm", end=", ")
-    print(f"axes at {_with_u(np.degrees(angle.value), np.degrees(angle.u))} deg (U: k = 2)")
+    print(f"baseline {plain(1e3 * baseline.value, 2e3 * baseline.u)} mm", end=", ")
+    print(f"axes at {plain(np.degrees(angle.value), np.degrees(2 * angle.u))} deg (U: k = 2)")
     for item in calibration.parameters:
         if item.name.endswith((".fx", ".fy")):
-            print(f"{item.name} {_with_u(item.value, item.u)} px")
+            print(f"{item.name} {plain(item.value, 2 * item.u)} px")
     for dropped in calibration.dropped:
         what = f"{dropped.points} points left out, " if dropped.points else "left out: "
         print(f"{dropped.name}: {what}{dropped.reason}")
@@ -164,7 +164,7 @@ def _expanded(argument: str) -> list[Path]:
     path = Path(argument)
     if path.is_dir():
         names = [entry for entry in path.iterdir() if entry.suffix.lower() in PICTURE_SUFFIXES]
-    elif path.exists() or not any(sign in argument for sign in MAGIC):
+    elif path.exists() or not any(sign in argument for sign in "*?["):
         return [path]
     else:
         names = [entry for entry in path.parent.glob(path.name) if entry.is_file()]
@@ -176,12 +176,6 @@ def _expanded(argument: str) -> list[Path]:
 def _folder(pictures: Sequence[Path]) -> Path:
     """Return the folder that all pictures have in common."""
     return Path(os.path.commonpath([path.absolute().parent for path in pictures]))
-
-
-def _with_u(value: float, u: float) -> str:
-    """Return value ± U (k = 2), rounded to U."""
-    text = rounded(value, 2 * u, 0)
-    return f"{text.value} ± {text.expanded}"
 
 
 def convert_calibration(

@@ -16,16 +16,16 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.spatial import ConvexHull, QhullError
 
-from fusion.cameras.facts import (
+from fusion.cameras.quantities import (
     SIDES,
     Distortion,
     Side,
+    camera_of,
     cell_px,
     correlation,
     covariance_of,
     distortion,
     pictures,
-    principal_point,
     residual_map,
     target_shape,
     used_points,
@@ -50,7 +50,7 @@ from fusion.report.style import (
 )
 from fusion.report.table import signed
 from photogram.calibration.result import Calibration
-from photogram.camera import RIG_PARAMETERS
+from photogram.camera import RIG_PARAMETERS, Camera
 from shaker.arrays import FloatArray, IntArray
 
 MARGIN_IN, BETWEEN_IN, TOP_IN, AXIS_IN = (0.62, 0.12), 0.55, 0.28, 0.42
@@ -155,7 +155,7 @@ def two_digits(value: float) -> str:
 
 def draw_distortion(calibration: Calibration, side: Side) -> Picture:
     """Displacement by the lens with its uncertainty over the picture, and the principal point."""
-    camera = calibration.rig.left if side == "left" else calibration.rig.right
+    camera, covariance = camera_of(calibration.rig, side)
     field = distortion(calibration, side)
     seen = used_points(calibration, side)[0]
     try:
@@ -180,7 +180,7 @@ def draw_distortion(calibration: Calibration, side: Side) -> Picture:
             axes.plot(*seen.T, color=RED, linewidth=1.0, linestyle="--")
         panel_label(panels[0], f"displacement by distortion, up to {two_digits(np.nanmax(length))} px")
         panel_label(panels[1], f"its u, up to {two_digits(np.nanmax(field.u_px))} px")
-        _draw_principal_point(panels[2], calibration, side)
+        _draw_principal_point(panels[2], camera, covariance[2:4, 2:4])
         caption = (
             "Left: how far the lens moves points off where one without distortion would show them; the arrows give the "
             "direction, the cross is the principal point. Middle: standard uncertainty u (k = 1) per coordinate of "
@@ -271,11 +271,9 @@ def _draw_contours(axes: Axes, field: Distortion, values: FloatArray, label: str
     bar.set_xticks(levels[:: 1 + len(levels) // 8], [f"{level:g}" for level in levels[:: 1 + len(levels) // 8]])
 
 
-def _draw_principal_point(axes: Axes, calibration: Calibration, side: Side) -> None:
+def _draw_principal_point(axes: Axes, camera: Camera, covariance: FloatArray) -> None:
     """Principal point with its ellipse and the middle of the picture, enlarged."""
-    point, covariance = principal_point(calibration.rig, side)
-    size = (calibration.rig.left if side == "left" else calibration.rig.right).size_px
-    middle = 0.5 * (size - 1.0)
+    point, middle = camera.matrix[:2, 2], 0.5 * (camera.size_px - 1.0)
     variance, directions = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
     circle = np.stack([np.cos(angle), np.sin(angle)])
@@ -295,7 +293,7 @@ def _draw_principal_point(axes: Axes, calibration: Calibration, side: Side) -> N
 
 def draw_residuals(calibration: Calibration, side: Side) -> Picture:
     """All residuals of one camera, and their means in cells, which show what the model does not describe."""
-    size = (calibration.rig.left if side == "left" else calibration.rig.right).size_px
+    size = camera_of(calibration.rig, side)[0].size_px
     position, residual, _ = used_points(calibration, side)
     cells = residual_map(position, residual, cell_px(calibration, side))
     with picture_sheet(f"residuals-{side}", 2, size, KEY_IN) as drawn:
@@ -328,8 +326,34 @@ def draw_distribution(calibration: Calibration) -> Picture:
     every = np.concatenate(list(lengths.values()))
     scale = float(np.sqrt(np.mean(every**2) / 2.0)) if len(every) else 1.0
     with sheet("distribution", 2.7, 1, 2) as drawn:
-        _draw_density(drawn.panels[0], lengths, scale)
-        _draw_exceedance(drawn.panels[1], lengths, scale)
+        density, beyond = drawn.panels
+        reach = 4.5 * max(scale, 1.0)
+        farthest = max(reach, float(every.max(initial=0.0)))
+        edges = np.linspace(0.0, reach, BINS + 1)
+        for side, values in lengths.items():
+            look: dict[str, Any] = {"color": SIDE_COLOUR[side], "label": side}
+            if len(values):
+                counts, _ = np.histogram(values, bins=edges)
+                density.stairs(counts / (len(values) * np.diff(edges)), edges, linewidth=1.1, **look)
+            share = 1.0 - (np.arange(len(values)) + 0.5) / max(len(values), 1)
+            beyond.plot(np.sort(values), share, linewidth=1.3, drawstyle="steps-post", **look)
+        for size, dashes, name in ((1.0, "-", "normal noise"), (scale, "--", f"normal noise × {scale:.2f}")):
+            d = np.linspace(0.0, reach, 181)
+            density.plot(d, d / size**2 * np.exp(-0.5 * (d / size) ** 2), dashes, color=BLACK, linewidth=0.9)
+            d = np.linspace(0.0, farthest, 181)
+            beyond.plot(d, np.exp(-0.5 * (d / size) ** 2), dashes, color=BLACK, linewidth=0.9, label=name)
+        density.set_xlim(0.0, reach)
+        density.set_ylim(bottom=0.0)
+        density.set_ylabel("density")
+        density.legend()
+        beyond.set_xlim(0.0, farthest)
+        beyond.set_yscale("log")
+        beyond.set_ylim(0.3 / max(1, *map(len, lengths.values())), 1.5)
+        decades(beyond.yaxis)
+        beyond.set_ylabel("share of points beyond d")
+        beyond.legend(loc="lower left")
+        for axes in drawn.panels:
+            axes.set_xlabel("normalised residual d")
         caption = (
             "Length d of the residuals in units of their standard uncertainty: the points' own noise and what was "
             "added to it. Left: density; right: share of points beyond d. Normal noise of that size follows the solid "
@@ -346,7 +370,18 @@ def draw_pictures(calibration: Calibration) -> Picture:
     with sheet("pictures", 2.6) as drawn:
         (axes,) = drawn.panels
         for offset, side in zip((-0.21, 0.21), SIDES, strict=True):
-            _draw_bars(axes, calibration, side, offset)
+            for place, picture in enumerate(pictures(calibration, side)):
+                if picture is None:
+                    continue
+                x = place + 1 + offset
+                axes.bar(x, np.nan_to_num(picture.rms_px), 0.38, color=SIDE_COLOUR[side])
+                if not picture.used.all():
+                    left_out = str(int((~picture.used).sum()))
+                    look: dict[str, Any] = {"ha": "center", "fontsize": 7.0, "color": INK[side]}
+                    axes.annotate(left_out, (x, 0.0), (0, 2.5), textcoords="offset points", **look)
+            level = calibration.rms_sides_px[SIDES.index(side)]
+            label = f"{side}, all {two_digits(level)} px"
+            axes.axhline(level, color=SIDE_COLOUR[side], linewidth=0.9, linestyle="--", label=label)
         top = 1.3 * float(np.nanmax([p.rms_px for side in SIDES for p in pictures(calibration, side) if p is not None]))
         axes.set_ylim(0.0, top)
         start = len(calibration.views) + 1.0
@@ -355,7 +390,7 @@ def draw_pictures(calibration: Calibration) -> Picture:
             axes.plot(start + np.arange(len(whole)), np.full(len(whole), 0.05 * top), "x", color=RED, label="dropped")
         for place, item in enumerate(whole if len(whole) <= MOST_NAMES else []):
             name = item.name if len(item.name) <= LONGEST_NAME else "…" + item.name[1 - LONGEST_NAME :]
-            look: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "bottom", "fontsize": 6.5}
+            look = {"rotation": 90, "ha": "center", "va": "bottom", "fontsize": 6.5}
             axes.text(start + place, 0.12 * top, name, parse_math=False, **look)
         axes.set_xlim(0.4, start + len(whole) - (0.4 if whole else 0.5))
         axes.set_xticks(range(1, len(calibration.views) + 1, 1 + len(calibration.views) // 30))
@@ -369,58 +404,3 @@ def draw_pictures(calibration: Calibration) -> Picture:
             "blurred, or the target moved between the exposures of the two cameras."
         )
         return drawn.picture("Residuals picture by picture", caption, left=0.72, top=0.12, label=0.52)
-
-
-def _draw_density(axes: Axes, lengths: dict[Side, FloatArray], scale: float) -> None:
-    """Histograms as densities with that of the length of normal noise."""
-    reach = 4.5 * max(scale, 1.0)
-    edges = np.linspace(0.0, reach, BINS + 1)
-    for side, values in lengths.items():
-        if len(values):
-            counts, _ = np.histogram(values, bins=edges)
-            density = counts / (len(values) * np.diff(edges))
-            axes.stairs(density, edges, color=SIDE_COLOUR[side], linewidth=1.1, label=side)
-    fine = np.linspace(0.0, reach, 181)
-    for size, dashes in ((1.0, "-"), (scale, "--")):
-        axes.plot(fine, fine / size**2 * np.exp(-0.5 * (fine / size) ** 2), dashes, color=BLACK, linewidth=0.9)
-    axes.set_xlim(0.0, reach)
-    axes.set_ylim(bottom=0.0)
-    axes.set_xlabel("normalised residual d")
-    axes.set_ylabel("density")
-    axes.legend()
-
-
-def _draw_exceedance(axes: Axes, lengths: dict[Side, FloatArray], scale: float) -> None:
-    """Share of the points beyond every length, on a logarithmic axis."""
-    most = max((len(values) for values in lengths.values()), default=1)
-    for side, values in lengths.items():
-        ordered = np.sort(values)
-        share = 1.0 - (np.arange(len(ordered)) + 0.5) / max(len(ordered), 1)
-        axes.plot(ordered, share, color=SIDE_COLOUR[side], linewidth=1.3, drawstyle="steps-post", label=side)
-    reach = max(4.5 * max(scale, 1.0), *(values.max(initial=0.0) for values in lengths.values()))
-    fine = np.linspace(0.0, reach, 181)
-    for size, dashes, name in ((1.0, "-", "normal noise"), (scale, "--", f"normal noise × {scale:.2f}")):
-        axes.plot(fine, np.exp(-0.5 * (fine / size) ** 2), dashes, color=BLACK, linewidth=0.9, label=name)
-    axes.set_yscale("log")
-    axes.set_ylim(0.3 / max(most, 1), 1.5)
-    decades(axes.yaxis)
-    axes.set_xlim(0.0, reach)
-    axes.set_xlabel("normalised residual d")
-    axes.set_ylabel("share of points beyond d")
-    axes.legend(loc="lower left")
-
-
-def _draw_bars(axes: Axes, calibration: Calibration, side: Side, offset: float) -> None:
-    """Bars of one camera, the numbers of points left out, and the line of its rms."""
-    for place, picture in enumerate(pictures(calibration, side)):
-        if picture is None:
-            continue
-        x, height = place + 1 + offset, np.nan_to_num(picture.rms_px)
-        axes.bar(x, height, 0.38, color=SIDE_COLOUR[side])
-        left_out = int((~picture.used).sum())
-        if left_out:
-            text: dict[str, Any] = {"ha": "center", "fontsize": 7.0, "color": INK[side]}
-            axes.annotate(str(left_out), (x, 0.0), (0, 2.5), textcoords="offset points", **text)
-    level = calibration.rms_sides_px[SIDES.index(side)]
-    label = f"{side}, all {two_digits(level)} px"
-    axes.axhline(level, color=SIDE_COLOUR[side], linewidth=0.9, linestyle="--", label=label)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,26 @@ from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
 from fusion.base import DASH, rounded
-from fusion.cameras.facts import (
+from fusion.cameras.figures import (
+    draw_correlation,
+    draw_distortion,
+    draw_distribution,
+    draw_pictures,
+    draw_residuals,
+    draw_shape,
+    figure_of,
+    picture_sheet,
+    view_colours,
+)
+from fusion.cameras.quantities import (
     LENGTH_SHARE,
     ROTATION,
     SIDES,
+    ResidualParts,
     Side,
     axes_angle_rad,
     baseline_m,
+    camera_of,
     correlation,
     covariance_of,
     distance_m,
@@ -32,17 +45,6 @@ from fusion.cameras.facts import (
     turns_rad,
     used_points,
     working_point_m,
-)
-from fusion.cameras.figures import (
-    draw_correlation,
-    draw_distortion,
-    draw_distribution,
-    draw_pictures,
-    draw_residuals,
-    draw_shape,
-    figure_of,
-    picture_sheet,
-    view_colours,
 )
 from fusion.report.folder import Provenance, origin_frame, render_page
 from fusion.report.style import (
@@ -58,11 +60,11 @@ from fusion.report.style import (
     panel_label,
     sheet,
 )
-from fusion.report.table import Headline, Table, measured, signed, small, times_ten
-from photogram.calibration.result import Calibration, Parameter
+from fusion.report.table import Column, Headline, Table, measured, on_page, signed, small, table, times_ten
+from photogram.calibration.result import CalibratedPicture, Calibration, Dropped, Parameter
 from photogram.camera import RIG_PARAMETERS
 from photogram.geometry import vector_from_rotation
-from shaker.arrays import FloatArray
+from shaker.arrays import FloatArray, IntArray
 
 STATES = {
     "determined": "determined",
@@ -135,8 +137,14 @@ def camera_headlines(calibration: Calibration) -> list[Headline]:
     baseline, angle = baseline_m(rig), axes_angle_rad(rig)
     left, right = calibration.rms_sides_px
     noise = ", ".join(f"{value:.3f}" for value in calibration.added_px)
-    spacing = "included" if calibration.scale_u > 0 else "missing"
     share = 200.0 * baseline.u / baseline.value
+    distances = 1e3 * np.linalg.norm(target_middles_m(calibration), axis=1)
+    middle = float(np.median(distances))
+    pixel = 1e3 * middle / float(rig.left.matrix[0, 0])
+    spacing, scale, common = "missing", "not stated", "the uncertainty of the spacing is missing in all lengths"
+    if calibration.scale_u > 0:
+        spacing, scale = "included", f"U (k = 2) = {small(200.0 * calibration.scale_u)} %"
+        common = "common to all points and all frames"
     return [
         Headline(
             "Residuals of the pair, rms length",
@@ -155,91 +163,126 @@ def camera_headlines(calibration: Calibration) -> list[Headline]:
             measured(1e3 * angle.value, 2e3 * angle.u, "mrad").striptags(),
         ),
         *(_focal_headline(calibration, side) for side in SIDES),
-        _distance_headline(calibration),
-        _scale_headline(calibration),
+        Headline(
+            "Working distance, median of the views",
+            f"{middle:.0f} mm",
+            f"{distances.min():.0f} mm to {distances.max():.0f} mm; 1 px is {pixel:.0f} µm in the middle",
+        ),
+        Headline("Scale: share of every length from the target's spacing", scale, common),
     ]
 
 
-def parameters_table(calibration: Calibration) -> Table:
+def parameters_table(calibration: Calibration) -> Table | None:
     """All parameters of the pair with their uncertainty and what the views say about them."""
-    head = ("parameter", "meaning", "value", "u (k = 1)", "U (k = 2)", "unit", "state")
     turn = vector_from_rotation(calibration.rig.right_from_left.rotation)
     turns = dict(zip(RIG_PARAMETERS[ROTATION], turn, strict=True))
-    rows = tuple(_parameter_row(item, float(turns.get(item.name, item.value))) for item in calibration.parameters)
-    return Table("Parameters of the pair", head, "llrrrll", rows)
+
+    def printed(item: Parameter) -> tuple[str, str, str, Markup]:
+        """Value, u and U with one power of ten, and their unit."""
+        factor, unit = DISPLAY.get(item.unit, (1.0, item.unit))
+        value, u = factor * float(turns.get(item.name, item.value)), factor * item.u
+        text = rounded(value, 2.0 * u)
+        shown = times_ten(text.exponent, unit) if text.exponent else Markup(unit or "1")
+        return text.value, rounded(value, u, text.exponent).expanded, text.expanded, shown
+
+    def meaning(item: Parameter) -> str:
+        part, _, name = item.name.partition(".")
+        return f"{MEANINGS[part]}, {name}" if part in MEANINGS else MEANINGS.get(name, "")
+
+    columns: list[Column[tuple[Parameter, tuple[str, str, str, Markup]]]] = [
+        on_page("parameter", lambda row: row[0].name, "l"),
+        on_page("meaning", lambda row: meaning(row[0]), "l"),
+        on_page("value", lambda row: row[1][0]),
+        on_page("u (k = 1)", lambda row: row[1][1]),
+        on_page("U (k = 2)", lambda row: row[1][2]),
+        on_page("unit", lambda row: row[1][3], "l"),
+        on_page("state", lambda row: STATES[row[0].state] if row[0].u > 0 else "held", "l"),
+    ]
+    return table("Parameters of the pair", columns, ((item, printed(item)) for item in calibration.parameters))
 
 
-def correlations_table(calibration: Calibration) -> Table:
+def correlations_table(calibration: Calibration) -> Table | None:
     """The strongest correlations of different parameters."""
-    found = np.nan_to_num(correlation(covariance_of(calibration.rig)))
-    first, second = np.triu_indices(len(found), 1)
-    order = np.argsort(-np.abs(found[first, second]))[:STRONGEST]
-    rows = tuple(
-        (RIG_PARAMETERS[first[n]], RIG_PARAMETERS[second[n]], signed(float(found[first[n], second[n]]), "+.4f"))
-        for n in order
-    )
-    return Table("Strongest correlations", ("parameter", "with", "coefficient"), "llr", rows)
+    coefficients = np.nan_to_num(correlation(covariance_of(calibration.rig)))
+    pairs = np.column_stack(np.triu_indices(len(coefficients), 1))
+    order = np.argsort(-np.abs(coefficients[tuple(pairs.T)]))[:STRONGEST]
+    columns: list[Column[IntArray]] = [
+        on_page("parameter", lambda pair: RIG_PARAMETERS[pair[0]], "l"),
+        on_page("with", lambda pair: RIG_PARAMETERS[pair[1]], "l"),
+        on_page("coefficient", lambda pair: signed(float(coefficients[tuple(pair)]), "+.4f")),
+    ]
+    return table("Strongest correlations", columns, pairs[order])
 
 
-def residuals_table(calibration: Calibration) -> Table:
+def residuals_table(calibration: Calibration) -> Table | None:
     """What the residuals have in common."""
-    rows = []
-    for side in SIDES:
-        parts = residual_parts(calibration, side)
-        lengths = (parts.whole_px, parts.place_px, parts.point_px, parts.smooth_px, parts.alone_px)
-        rows.append((side, *(f"{length:.3f}" for length in lengths), f"{1e6 * parts.point_m:.1f}"))
-    shared = ("same place in the picture", "same point of the target", "neighbours in one picture", "each point alone")
-    head = ("camera", "all", *shared, "same point of the target / µm")
-    return Table("What the residuals have in common, rms length / px", head, "lrrrrrr", tuple(rows))
+    columns: list[Column[tuple[str, ResidualParts]]] = [
+        on_page("camera", lambda row: row[0], "l"),
+        on_page("all", lambda row: f"{row[1].whole_px:.3f}"),
+        on_page("same place in the picture", lambda row: f"{row[1].place_px:.3f}"),
+        on_page("same point of the target", lambda row: f"{row[1].point_px:.3f}"),
+        on_page("neighbours in one picture", lambda row: f"{row[1].smooth_px:.3f}"),
+        on_page("each point alone", lambda row: f"{row[1].alone_px:.3f}"),
+        on_page("same point of the target / µm", lambda row: f"{1e6 * row[1].point_m:.1f}"),
+    ]
+    parts = [(side, residual_parts(calibration, side)) for side in SIDES]
+    return table("What the residuals have in common, rms length / px", columns, parts)
 
 
-def lengths_table(calibration: Calibration) -> Table:
+def lengths_table(calibration: Calibration) -> Table | None:
     """What the calibration leaves uncertain of a length at the working point."""
-    relative = length_u(calibration)
     length = LENGTH_SHARE * float(np.linalg.norm(working_point_m(calibration)))
-    ways = ("x, to the right", "y, down", "z, away from the camera")
-    rows = tuple((way, small(200.0 * u), small(1e6 * 2.0 * u * length)) for way, u in zip(ways, relative, strict=True))
-    head = ("along, left camera", "U (k = 2) / %", f"U (k = 2) of {1e3 * length:.0f} mm / µm")
-    return Table("Lengths at the middle of the target's positions: what the calibration leaves", head, "lrr", rows)
+    columns: list[Column[tuple[str, float]]] = [
+        on_page("along, left camera", lambda row: row[0], "l"),
+        on_page("U (k = 2) / %", lambda row: small(200.0 * row[1])),
+        on_page(f"U (k = 2) of {1e3 * length:.0f} mm / µm", lambda row: small(1e6 * 2.0 * row[1] * length)),
+    ]
+    ways = zip(("x, to the right", "y, down", "z, away from the camera"), length_u(calibration), strict=True)
+    return table("Lengths at the middle of the target's positions: what the calibration leaves", columns, ways)
 
 
-def views_table(calibration: Calibration) -> Table:
+def views_table(calibration: Calibration) -> Table | None:
     """Every view: pictures, points in the fit, residuals, and how the target was held."""
     tilt = np.degrees(np.linalg.norm(tilts_rad(calibration), axis=1))
     turn = np.degrees(turns_rad(calibration))
-    rows = []
-    for place, view in enumerate(calibration.views):
-        distance = distance_m(calibration, view)
-        both = (view.left, view.right)
-        rows.append(
-            (
-                str(place + 1),
-                _pair(*(picture.name if picture is not None else DASH for picture in both)),
-                _pair(*(f"{int(p.used.sum())} of {len(p.used)}" if p is not None else DASH for p in both)),
-                _pair(*(f"{p.rms_px:.3f}" if p is not None and p.used.any() else DASH for p in both)),
-                f"{tilt[place]:.1f}",
-                signed(float(turn[place]), ".1f"),
-                measured(1e3 * distance.value, 2e3 * distance.u),
-            )
-        )
-    head = ("view", "picture, left and right", "points", "rms length / px", "tilt / °", "turn / °", "distance / mm")
+    lengths = (distance_m(calibration, view) for view in calibration.views)
+    distances = [measured(1e3 * length.value, 2e3 * length.u) for length in lengths]
+
+    def both(place: int, shown: Callable[[CalibratedPicture], str]) -> Markup:
+        """A cell with the entry of the left picture above that of the right."""
+        view = calibration.views[place]
+        cells = (DASH if picture is None else shown(picture) for picture in (view.left, view.right))
+        return Markup("{}<br>{}").format(*cells)
+
+    columns: list[Column[int]] = [
+        on_page("view", lambda place: str(place + 1)),
+        on_page("picture, left and right", lambda place: both(place, lambda p: p.name), "l"),
+        on_page("points", lambda place: both(place, lambda p: f"{int(p.used.sum())} of {len(p.used)}")),
+        on_page("rms length / px", lambda place: both(place, lambda p: f"{p.rms_px:.3f}" if p.used.any() else DASH)),
+        on_page("tilt / °", lambda place: f"{tilt[place]:.1f}"),
+        on_page("turn / °", lambda place: signed(float(turn[place]), ".1f")),
+        on_page("distance / mm", lambda place: distances[place]),
+    ]
     caption = (
         "Views: points in the fit of those found; distance of the target's middle from the left camera with U (k = 2)"
     )
-    return Table(caption, head, "rlrrrrr", tuple(rows))
+    return table(caption, columns, range(len(calibration.views)))
 
 
 def dropped_table(calibration: Calibration) -> Table | None:
     """What did not go into the fit, and why; pictures first."""
-    ordered = sorted(calibration.dropped, key=lambda item: item.points > 0)
-    rows = tuple((item.name, str(item.points) if item.points else "all", item.reason) for item in ordered)
-    return Table("Left out of the fit", ("picture", "points", "reason"), "lrl", rows) if rows else None
+    columns: list[Column[Dropped]] = [
+        on_page("picture", lambda item: item.name, "l"),
+        on_page("points", lambda item: str(item.points) if item.points else "all"),
+        on_page("reason", lambda item: item.reason, "l"),
+    ]
+    return table("Left out of the fit", columns, sorted(calibration.dropped, key=lambda item: item.points > 0))
 
 
 def _views_headline(calibration: Calibration) -> Headline:
     """Numbers of pairs, points and what was dropped."""
-    found = [picture for side in SIDES for picture in pictures(calibration, side) if picture is not None]
-    used, every = sum(int(picture.used.sum()) for picture in found), sum(len(picture.used) for picture in found)
+    seen = [picture for side in SIDES for picture in pictures(calibration, side) if picture is not None]
+    used, every = sum(int(picture.used.sum()) for picture in seen), sum(len(picture.used) for picture in seen)
     pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
     whole = sum(item.points == 0 for item in calibration.dropped)
     value = f"{pairs} pairs" if pairs == len(calibration.views) else f"{pairs} pairs in {len(calibration.views)} views"
@@ -250,46 +293,11 @@ def _views_headline(calibration: Calibration) -> Headline:
 def _focal_headline(calibration: Calibration, side: Side) -> Headline:
     """Focal length of one camera, and what it sees."""
     fx, fy = (item for item in calibration.parameters if item.name in (f"{side}.fx", f"{side}.fy"))
-    size = (calibration.rig.left if side == "left" else calibration.rig.right).size_px
+    size = camera_of(calibration.rig, side)[0].size_px
     field = [2.0 * np.degrees(np.arctan(0.5 * n / item.value)) for n, item in zip(size, (fx, fy), strict=True)]
     down = measured(fy.value, 2.0 * fy.u, "px").striptags()
     remark = f"fy = {down}; field of view {field[0]:.1f}° × {field[1]:.1f}°"
     return Headline(f"Focal length fx of the {side} camera", measured(fx.value, 2.0 * fx.u, "px"), remark)
-
-
-def _distance_headline(calibration: Calibration) -> Headline:
-    """Where the target was, and the size of a pixel there."""
-    distances = 1e3 * np.linalg.norm(target_middles_m(calibration), axis=1)
-    middle = float(np.median(distances))
-    pixel = 1e3 * middle / float(calibration.rig.left.matrix[0, 0])
-    remark = f"{distances.min():.0f} mm to {distances.max():.0f} mm; 1 px is {pixel:.0f} µm in the middle"
-    return Headline("Working distance, median of the views", f"{middle:.0f} mm", remark)
-
-
-def _scale_headline(calibration: Calibration) -> Headline:
-    """The part of the uncertainty that all lengths share."""
-    label = "Scale: share of every length from the target's spacing"
-    if calibration.scale_u == 0:
-        return Headline(label, "not stated", "the uncertainty of the spacing is missing in all lengths")
-    return Headline(label, f"U (k = 2) = {small(200.0 * calibration.scale_u)} %", "common to all points and all frames")
-
-
-def _parameter_row(item: Parameter, plain: float) -> tuple[str, ...]:
-    """One parameter of plain value; value, u and U with the same power of ten."""
-    factor, unit = DISPLAY.get(item.unit, (1.0, item.unit))
-    value, u = factor * plain, factor * item.u
-    text = rounded(value, 2.0 * u)
-    standard = rounded(value, u, text.exponent).expanded
-    part, _, name = item.name.partition(".")
-    meaning = f"{MEANINGS[part]}, {name}" if part in MEANINGS else MEANINGS.get(name, "")
-    state = STATES[item.state] if item.u > 0 else "held"
-    shown = times_ten(text.exponent, unit) if text.exponent else Markup(unit or "1")
-    return item.name, meaning, text.value, standard, text.expanded, shown, state
-
-
-def _pair(left: str, right: str) -> Markup:
-    """A cell with the entry of the left camera above that of the right."""
-    return Markup("{}<br>{}").format(left, right)
 
 
 def draw_coverage(calibration: Calibration) -> Picture:
@@ -297,7 +305,22 @@ def draw_coverage(calibration: Calibration) -> Picture:
     rig = calibration.rig
     with picture_sheet("coverage", 2, np.maximum(rig.left.size_px, rig.right.size_px)) as drawn:
         for axes, side in zip(drawn.panels, SIDES, strict=True):
-            _draw_points(axes, calibration, side)
+            size = camera_of(rig, side)[0].size_px
+            position, _, view = used_points(calibration, side)
+            cells = empty_cells(position, size)
+            patches = [Rectangle((x0, y0), x1 - x0, y1 - y0) for x0, y0, x1, y1 in cells]
+            axes.add_collection(PatchCollection(patches, facecolor=LIGHT, edgecolor="white", linewidth=0.6))
+            colours = view_colours(len(calibration.views))
+            size_pt, many = np.clip(POINTS_DRAWN / len(view), 2.0, 7.0), len(view) > RASTER_ABOVE
+            axes.scatter(position[:, 0], position[:, 1], s=size_pt, c=colours[view], linewidths=0.0, rasterized=many)
+            left_out = [p.position_px[~p.used] for p in pictures(calibration, side) if p is not None]
+            crosses = np.concatenate([np.empty((0, 2)), *left_out])
+            axes.plot(*crosses.T, "x", color=RED, markersize=3.5, markeredgewidth=0.9)
+            away = np.linalg.norm(position - position.mean(axis=0), axis=1)
+            seen = np.unique(view)
+            _number(axes, position[[np.argmax(np.where(view == number, away, -1.0)) for number in seen]], seen)
+            share = calibration.covered[SIDES.index(side)]
+            panel_label(axes, f"{side} camera: {len(view)} points, {100 * share:.0f} % of the picture covered")
         caption = (
             "Found points over the picture area of either camera, one colour per view in the order of the session, "
             "numbers at outermost points where there is room; red crosses are points left out. Grey cells hold no "
@@ -331,26 +354,6 @@ def draw_views(calibration: Calibration) -> Picture:
             "target's outline."
         )
         return finish(drawn.figure, drawn.name, "How the target was held", caption)
-
-
-def _draw_points(axes: Axes, calibration: Calibration, side: Side) -> None:
-    """Points of one camera, coloured and numbered by view, with the cells that have none."""
-    size = (calibration.rig.left if side == "left" else calibration.rig.right).size_px
-    position, _, view = used_points(calibration, side)
-    cells = empty_cells(position, size)
-    patches = [Rectangle((x0, y0), x1 - x0, y1 - y0) for x0, y0, x1, y1 in cells]
-    axes.add_collection(PatchCollection(patches, facecolor=LIGHT, edgecolor="white", linewidth=0.6))
-    colours = view_colours(len(calibration.views))
-    size_pt, many = np.clip(POINTS_DRAWN / len(view), 2.0, 7.0), len(view) > RASTER_ABOVE
-    axes.scatter(position[:, 0], position[:, 1], s=size_pt, c=colours[view], linewidths=0.0, rasterized=many)
-    left_out = [p.position_px[~p.used] for p in pictures(calibration, side) if p is not None]
-    crosses = np.concatenate([np.empty((0, 2)), *left_out])
-    axes.plot(*crosses.T, "x", color=RED, markersize=3.5, markeredgewidth=0.9)
-    away = np.linalg.norm(position - position.mean(axis=0), axis=1)
-    seen = np.unique(view)
-    _number(axes, position[[np.argmax(np.where(view == number, away, -1.0)) for number in seen]], seen)
-    share = calibration.covered[SIDES.index(side)]
-    panel_label(axes, f"{side} camera: {len(view)} points, {100 * share:.0f} % of the picture covered")
 
 
 def _draw_tilts(axes: Axes, largest: float) -> None:

@@ -94,8 +94,7 @@ def _range(text: str) -> list[float]:
 def plan(options: argparse.Namespace) -> None:
     """Find camera rates at which excitation and harmonics fold to separate places."""
     from fusion.base import InputError, check_new_file, write_whole
-    from fusion.planning.plan import Request, Size, make_plan, plan_csv
-    from fusion.planning.plan_report import print_plan
+    from fusion.planning.plan import Request, Size, make_plan, plan_csv, print_plan
     from shaker.lines.rate_planner import Sampling
 
     for path in filter(None, (options.figure, options.csv)):

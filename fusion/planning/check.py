@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.base import InputError, rounded
 from fusion.instruments import TRANSDUCERS
@@ -15,15 +14,12 @@ from fusion.instruments.stereo import GEOMETRY
 from fusion.instruments.transducer import placed_at, unit_direction
 from fusion.phasors.timing import no_pulse_width
 from fusion.recording.excitation import KINDS, Recorded
-from fusion.recording.files import (
-    read_set_ups,
-    scanned_points,
-    split_scan,
-)
+from fusion.recording.files import read_set_ups, scanned_points, split_scan
 from fusion.recording.load import Manifest
-from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, PointFiles
+from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, Rig
 from fusion.recording.response import check_response
 from fusion.recording.values import PULSE
+from shaker.arrays import BoolArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
 BODIES = ("load", "base")
@@ -38,7 +34,7 @@ class Observability:
 
     body: str
     instrument: str
-    rows: NDArray[np.float64]
+    rows: FloatArray
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -79,7 +75,7 @@ class CheckReport:
         return "\n".join(lines)
 
 
-def observable(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
+def observable(rows: FloatArray) -> BoolArray:
     """Which unit motions (6,) lie in the row space of geometric rows (M, 6) = [d, r×d], hence are determined.
 
     Lever arms are measured in units of the longest one, so that the tolerance knows no length.
@@ -108,13 +104,14 @@ def check(manifest: Manifest) -> CheckReport:
     if kind.tabled and excitation.file is not None:
         contents, problems = _table(manifest, excitation.file)
         return CheckReport(manifest.name, manifest.path, tuple(contents), (), tuple(remarks), tuple(problems))
-    takes = _takes(manifest)
+    takes = [take for _, block in manifest.set_ups for take in _takes(block)]
     contents, problems = _contents(manifest, takes)
-    observed = _observed(manifest, takes)
+    observed = _observed(manifest.rig, takes)
     # Every channel once by its name.
     entries = list({entry.name: entry for take in takes for daq in take.daq for entry in daq.channel}.values())
     if kind.remarks is None:
-        remarks += _motion_remarks(manifest, takes, entries, observed)
+        remarks += _motion_remarks(manifest.rig, excitation.direction or (), entries, observed)
+        remarks += [remark for take in takes for remark in _clock_remarks(take.daq)]
     else:
         outputs = tuple(entry.channel for entry in entries if entry.quantity == "output")
         forces = tuple(entry.name for entry in entries if entry.quantity == "force")
@@ -139,15 +136,12 @@ def _table(manifest: Manifest, path: Path) -> tuple[list[str], list[str]]:
     return contents, problems
 
 
-def _takes(manifest: Manifest) -> list[Manifest]:
-    """What was recorded at once: the top level, every take, every point of a scan that can be read."""
-    found: list[Manifest] = []
-    for _, block in manifest.set_ups:
-        try:
-            found += [part for part, _ in split_scan(block)]
-        except InputError:
-            found.append(block)
-    return found
+def _takes(block: Manifest) -> list[Manifest]:
+    """Return what a block recorded at once: itself, or every point of its scan where that can be read."""
+    try:
+        return [part for part, _ in split_scan(block)]
+    except InputError:
+        return [block]
 
 
 def _contents(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list[str], list[str]]:
@@ -162,7 +156,10 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list[str],
     for where, block in manifest.set_ups:
         told = [_read_daq(block, daq) for daq in block.daq]
         told += [_read_images(images) for images in block.images]
-        told += [_describe_points(points) for points in block.points]
+        for points in block.points:
+            empty = [path.name for path in points.files if path.stat().st_size == 0]
+            wrong = [f"points {points.stereo}: {empty[0]} is empty ({len(empty)} such files)"] if empty else []
+            told.append((f"points {points.stereo}: {len(points.files)} files, {_size(points.files)}", wrong))
         told += [_exposure(block, frames) for frames in (*block.images, *block.points) if frames.exposure == PULSE]
         responses = dict.fromkeys(entry.response for daq in block.daq for entry in daq.channel if entry.response)
         for path in responses:
@@ -222,13 +219,6 @@ def _read_images(images: Images) -> tuple[str, list[str]]:
     return told, wrong
 
 
-def _describe_points(points: PointFiles) -> tuple[str, list[str]]:
-    """Point tables: how many files."""
-    empty = [path.name for path in points.files if path.stat().st_size == 0]
-    told = f"points {points.stereo}: {len(points.files)} files, {_size(points.files)}"
-    return told, [f"points {points.stereo}: {empty[0]} is empty ({len(empty)} such files)"] if empty else []
-
-
 def _exposure(block: Manifest, frames: Frames) -> tuple[str, list[str]]:
     """How wide the pulses are that the first DAQ block has of the trigger."""
     daq = next(daq for daq in block.daq if frames.trigger in [entry.name for entry in daq.channel])
@@ -254,47 +244,43 @@ def _size(paths: Sequence[Path]) -> str:
     return f"{size:.3g} GB"
 
 
-def _observed(manifest: Manifest, takes: Sequence[Manifest]) -> list[Observability]:
+def _observed(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
     """Rows of every instrument, then of all instruments of a body together.
 
     A stereo pair determines all six components of the body it sees. Single-axis channels of one `common` name, or else
     of one DAQ file, are one instrument.
     """
-    frames = {entry.stereo: entry for take in takes for entry in (*take.images, *take.points)}
-    single = [
-        Observability(manifest.rig.stereo[name].body, f"stereo {name}", GEOMETRY) for name in dict.fromkeys(frames)
-    ]
-    groups: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
+    pairs = dict.fromkeys(entry.stereo for take in takes for entry in (*take.images, *take.points))
+    single = [Observability(rig.stereo[name].body, f"stereo {name}", GEOMETRY) for name in pairs]
+    groups: dict[tuple[str, str], list[FloatArray]] = {}
     for daq in (daq for take in takes for daq in take.daq):
         for entry in daq.channel:
             if entry.quantity in TRANSDUCERS and entry.body is not None:
                 rows = groups.setdefault((entry.body, entry.common or f"{daq.name}.{entry.name}"), [])
                 rows.append(TRANSDUCERS[entry.quantity].geometry(placed_at(entry), unit_direction(entry)))
     single += [Observability(body, name, np.stack(rows)) for (body, name), rows in groups.items()]
-    found = []
+    observed = []
     for body in BODIES:
         own = [item for item in single if item.body == body]
-        found += own
+        observed += own
         if len(own) > 1:
-            found.append(Observability(body, "all together", np.concatenate([item.rows for item in own])))
-    return found
+            observed.append(Observability(body, "all together", np.concatenate([item.rows for item in own])))
+    return observed
 
 
 def _motion_remarks(
-    manifest: Manifest, takes: Sequence[Manifest], entries: Sequence[ChannelEntry], observed: Sequence[Observability]
+    rig: Rig, direction: Sequence[float], entries: Sequence[ChannelEntry], observed: Sequence[Observability]
 ) -> list[str]:
     """What the results from the motion of the bodies will lack, and why."""
-    rig, told = manifest.rig, []
+    told = []
     rows = {body: np.vstack([np.zeros((0, 6)), *(o.rows for o in observed if o.body == body)]) for body in BODIES}
     for body in BODIES:
         unseen = [name for name, seen in zip(MOTION_COMPONENTS, observable(rows[body]), strict=True) if not seen]
         if 0 < len(unseen) < 6:
             told.append(f"{body}: no instrument observes {' '.join(unseen)}")
     told += [f"{body} has no instrument" for body in BODIES if len(rows[body]) == 0]
-    driven = np.zeros(6)
-    given = manifest.excitation.direction or ()
-    driven[: len(given)] = given
-    hidden = np.flatnonzero(driven * ~observable(rows["load"])) if len(rows["load"]) else ()
+    seen_of_load = observable(rows["load"])
+    hidden = [i for i, share in enumerate(direction) if share and not seen_of_load[i] and len(rows["load"])]
     told += [f"load: no instrument observes the driven component {LOAD_COMPONENTS[i]}" for i in hidden]
     if rig.load is None:
         told.append("rig.toml has no [load]: no load and no sensitivity")
@@ -304,15 +290,19 @@ def _motion_remarks(
         told.append("no channel is an output of the sensor: no sensitivity")
     if rig.environment is None or rig.environment.gravity is None:
         told.append("rig.toml states no gravity: tilt is not corrected")
-    told += [
+    return told + [
         f"channel {entry.name} states no uncertainty of its scale: compared with the others, not fused"
         for entry in entries
         if entry.quantity in TRANSDUCERS and not (entry.scale_uncertainty or entry.individual_uncertainty)
     ]
-    for take in takes:
-        triggers = {daq.name: {e.name for e in daq.channel if e.quantity == "trigger"} for daq in take.daq}
-        for name, own in triggers.items():
-            others = set[str]().union(*(theirs for other, theirs in triggers.items() if other != name))
-            if len(triggers) > 1 and not own & others:
-                told.append(f"daq {name} shares no trigger channel with another block: its clock cannot be tied")
+
+
+def _clock_remarks(blocks: Sequence[Daq]) -> list[str]:
+    """Which DAQ blocks of one take share no trigger with the others."""
+    triggers = {daq.name: {entry.name for entry in daq.channel if entry.quantity == "trigger"} for daq in blocks}
+    told = []
+    for name, own in triggers.items():
+        others = set[str]().union(*(theirs for other, theirs in triggers.items() if other != name))
+        if len(triggers) > 1 and not own & others:
+            told.append(f"daq {name} shares no trigger channel with another block: its clock cannot be tied")
     return told

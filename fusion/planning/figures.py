@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -52,7 +51,18 @@ def draw_plan(plan: Plan, kind: str) -> bytes:
         last.set_xlim(rates[0], rates[-1])
         last.set_ylim(1.0, TOP)
         decades(last.yaxis)
-        _legend(drawn.figure, plan)
+        marks: list[Line2D | Patch] = [
+            Patch(color=BLUE, label="condition number"),
+            Line2D([], [], color=ORANGE, label="worst u over that of white noise"),
+            Patch(color=PREFERRED_COLOUR, label="fundamental at 0.1 to 0.4 of the rate"),
+            Line2D([], [], color=GREY, linestyle=(0, (4, 2)), label="lines dropped above"),
+            Line2D(
+                [], [], color=RED, marker="v", linestyle="", label="given" if plan.request.rate_hz else "best rates"
+            ),
+        ]
+        if plan.shared and len(plan.points) > 1:
+            marks.append(Line2D([], [], color=RED, label="as few as possible"))
+        drawn.figure.legend(handles=marks, loc="upper right", ncols=3, fontsize=7.0, borderaxespad=0.1)
         return drawn.file(kind, top=0.55, gap=(0.5, 0.2))
 
 
@@ -81,20 +91,6 @@ def _draw_point(axes: Axes, plan: Plan, index: int, rates: FloatArray) -> None:
     panel_label(axes, f"{low:.7g} Hz" if low == high else f"{low:.7g} to {high:.7g} Hz together")
 
 
-def _legend(figure: Figure, plan: Plan) -> None:
-    """Name curves and marks, once for all panels."""
-    marks: list[Line2D | Patch] = [
-        Patch(color=BLUE, label="condition number"),
-        Line2D([], [], color=ORANGE, label="worst u over that of white noise"),
-        Patch(color=PREFERRED_COLOUR, label="fundamental at 0.1 to 0.4 of the rate"),
-        Line2D([], [], color=GREY, linestyle=(0, (4, 2)), label="lines dropped above"),
-        Line2D([], [], color=RED, marker="v", linestyle="", label="given" if plan.request.rate_hz else "best rates"),
-    ]
-    if plan.shared and len(plan.points) > 1:
-        marks.append(Line2D([], [], color=RED, label="as few as possible"))
-    figure.legend(handles=marks, loc="upper right", ncols=3, fontsize=7.0, borderaxespad=0.1)
-
-
 def draw_lines(lists: Sequence[LineList], kind: str) -> bytes:
     """Draw spectrum, noise floor and lines of every channel, as a file (png, svg, pdf)."""
     panels = [(item, c) for item in lists for c in range(len(item.channels))]
@@ -107,12 +103,13 @@ def draw_lines(lists: Sequence[LineList], kind: str) -> bytes:
 
 def _draw_channel(axes: Axes, item: LineList, c: int) -> None:
     """One channel's spectrum with its lines."""
-    frequency, amplitude = item.spectrum_hz[FIRST_BIN:], item.spectrum[FIRST_BIN:, c]
+    frequency, amplitude = item.spectrum.frequency_hz[FIRST_BIN:], item.spectrum.amplitude[FIRST_BIN:, c]
     edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, POINTS)
     axes.loglog(*thin_out(frequency, amplitude, edges), color=BLUE, linewidth=0.6)
-    if len(item.floor_hz):
-        above = item.floor_hz >= frequency[0]
-        axes.plot(item.floor_hz[above], item.floor[above, c], color=BLACK, linewidth=0.9)
+    floor_hz, floor = item.survey.floor_hz, item.survey.floor
+    if len(floor_hz):
+        above = floor_hz >= frequency[0]
+        axes.plot(floor_hz[above], floor[above, c], color=BLACK, linewidth=0.9)
     shown = [entry for entry in item.entries if np.isfinite(entry.amplitude[c])]
     for rank, entry in enumerate(sorted(shown, key=lambda entry: -float(entry.amplitude[c]))):
         place = float(abs(entry.frequency_hz - item.rate_hz * round(entry.frequency_hz / item.rate_hz)))  # as sampled
@@ -124,8 +121,8 @@ def _draw_channel(axes: Axes, item: LineList, c: int) -> None:
             text = f"{entry.frequency_hz:.5g} {DETAILS.split(entry.what)[0].strip()}"
             look: dict[str, Any] = {"fontsize": 5.5, "rotation": 90, "ha": "center", "color": colour}
             axes.annotate(text, (place, float(entry.amplitude[c])), (0, 5), textcoords="offset points", **look)
-    floor = item.floor[:, c] if len(item.floor_hz) else amplitude[amplitude > 0.0]
-    axes.set_ylim(0.2 * float(np.min(floor)), 1e4 * float(amplitude.max()))
+    lowest = floor[:, c] if len(floor_hz) else amplitude[amplitude > 0.0]
+    axes.set_ylim(0.2 * float(np.min(lowest)), 1e4 * float(amplitude.max()))
     decades(axes.yaxis)
     unit = f" / {item.units[c]}" if item.units[c] else ""
     axes.set_ylabel(f"amplitude{unit}")

@@ -12,7 +12,7 @@ import numpy as np
 
 from fusion.base import K2, AnyNotice, InputError, rounded, stdout_console
 from fusion.phasors.channels import line_record, lines_in
-from fusion.phasors.timing import TimeBase, tie_daqs
+from fusion.phasors.timing import tie_daqs
 from fusion.recording.files import read_set_ups, told_in
 from fusion.recording.load import Manifest
 from shaker.arrays import FloatArray
@@ -20,7 +20,7 @@ from shaker.io import read_channels
 from shaker.io.channel import RawChannel
 from shaker.lines.detection import Survey, decibel, survey_lines
 from shaker.lines.frequencies import Lines
-from shaker.lines.spectrum import amplitude_spectrum
+from shaker.lines.spectrum import Spectrum, amplitude_spectrum
 from shaker.sine.aliasing import alias_frequency
 from shaker.sine.fit import fit_sines
 
@@ -51,10 +51,9 @@ class Entry:
 
 @dataclass(frozen=True)
 class LineList:
-    """Lines of channels sampled together, in ascending frequency, with the spectrum they stand in.
+    """Lines of channels sampled together, in ascending frequency, with spectrum and noise floor for the figure.
 
-    `cameras`: name and rate (Hz) of what sees the lines aliased. `spectrum_hz` (B,), `spectrum` (B, C), `floor_hz`
-    (D,), `floor` (D, C): amplitudes for the figure.
+    `cameras`: name and rate (Hz) of what sees the lines aliased.
     """
 
     source: Path
@@ -64,10 +63,8 @@ class LineList:
     samples: int
     entries: tuple[Entry, ...]
     cameras: tuple[tuple[str, float], ...]
-    spectrum_hz: FloatArray
-    spectrum: FloatArray
-    floor_hz: FloatArray
-    floor: FloatArray
+    spectrum: Spectrum
+    survey: Survey
     notices: tuple[AnyNotice, ...]
 
 
@@ -100,17 +97,30 @@ def lines_of_recording(manifest: Manifest) -> LineList:
     if chosen is None:
         raise InputError(manifest.path, "daq", found="triggers only", expected="a channel that shows the excitation")
     lines = lines_in(manifest, chosen)
-    names = [channel.name for channel in chosen.channels]
-    units = [manifest.rig.unit_of(channel) for channel in chosen.channels]
-    cameras = _cameras(manifest, base)
+    names = tuple(channel.name for channel in chosen.channels)
+    rates = {name: 1.0 / fit.period_s for (_, name), fit in base.triggers.items()}
+    pairs: dict[str, list[str]] = {}  # those of one trigger together
+    for pair in (*manifest.images, *manifest.points):
+        if pair.trigger in rates:
+            pairs.setdefault(pair.trigger, []).append(pair.stereo)
+    cameras = tuple((", ".join(seen_by), rates[trigger]) for trigger, seen_by in pairs.items())
     rate_hz = chosen.record.raw[names[0]].sample_rate_hz
     entries = [*_fitted(chosen.time_s, chosen.values, lines, rate_hz), *_others(lines.others, lines.nuisance_hz)]
-    entries = [
-        replace(entry, places=tuple(float(alias_frequency(entry.frequency_hz, rate)) for _, rate in cameras))
-        for entry in sorted(entries, key=lambda entry: entry.frequency_hz)
-    ]
-    empty = _as_list(chosen.record.entry.file, names, units, rate_hz, chosen.values, lines.others)
-    return replace(empty, entries=tuple(entries), cameras=cameras, notices=lines.notices)
+    return LineList(
+        chosen.record.entry.file,
+        names,
+        tuple(manifest.rig.unit_of(channel) for channel in chosen.channels),
+        rate_hz,
+        len(chosen.values),
+        tuple(
+            replace(entry, places=tuple(float(alias_frequency(entry.frequency_hz, rate)) for _, rate in cameras))
+            for entry in sorted(entries, key=lambda entry: entry.frequency_hz)
+        ),
+        cameras,
+        amplitude_spectrum(chosen.values, rate_hz),
+        lines.others,
+        lines.notices,
+    )
 
 
 def lines_csv(lists: Sequence[LineList]) -> str:
@@ -132,41 +142,29 @@ def lines_csv(lists: Sequence[LineList]) -> str:
 
 def _file_group(path: Path, group: dict[str, RawChannel], band_hz: tuple[float, float] | None) -> LineList:
     """Survey channels that were sampled alike."""
-    names, first = list(group), next(iter(group.values()))
+    rate_hz = next(iter(group.values())).sample_rate_hz
     values = np.stack([channel.samples for channel in group.values()], axis=1)
     for name, channel in group.items():
         missing = int(np.count_nonzero(~np.isfinite(channel.samples)))
         if missing:
             raise InputError(path, name, found=f"{missing} that are not", expected="finite samples")
     try:
-        survey = survey_lines(values, first.sample_rate_hz)
+        survey = survey_lines(values, rate_hz)
     except ValueError as error:
-        raise InputError.told_by(error, path, names[0]) from error
+        raise InputError.told_by(error, path, next(iter(group))) from error
     if band_hz is not None:
         survey = survey.select((survey.frequency_hz >= band_hz[0]) & (survey.frequency_hz <= band_hz[1]))
-    units = [channel.unit for channel in group.values()]
-    empty = _as_list(path, names, units, first.sample_rate_hz, values, survey)
-    return replace(empty, entries=tuple(_others(survey, None)), notices=survey.notices)
-
-
-def _as_list(
-    path: Path, names: Sequence[str], units: Sequence[str], rate_hz: float, values: FloatArray, survey: Survey
-) -> LineList:
-    """Return a list of no lines yet, with the spectrum of its channels."""
-    spectrum = amplitude_spectrum(values, rate_hz)
     return LineList(
-        source=path,
-        channels=tuple(names),
-        units=tuple(units),
-        rate_hz=rate_hz,
-        samples=len(values),
-        entries=(),
-        cameras=(),
-        spectrum_hz=spectrum.frequency_hz,
-        spectrum=spectrum.amplitude,
-        floor_hz=survey.floor_hz,
-        floor=survey.floor,
-        notices=(),
+        path,
+        tuple(group),
+        tuple(channel.unit for channel in group.values()),
+        rate_hz,
+        len(values),
+        tuple(_others(survey, None)),
+        (),
+        amplitude_spectrum(values, rate_hz),
+        survey,
+        survey.notices,
     )
 
 
@@ -180,19 +178,16 @@ def _fitted(time_s: FloatArray, values: FloatArray, lines: Lines, rate_hz: float
     entries = []
     for k, (frequency, u_frequency) in enumerate(zip(lines.frequency_hz, lines.u_frequency_hz, strict=True)):
         height = decibel(float(np.max((amplitude[k] / np.maximum(u[k], np.finfo(np.float64).tiny)) ** 2)) / _HANN_NOISE)
-        aliased = f", read at {float(alias_frequency(frequency, rate_hz)):.6g} Hz" if frequency > rate_hz / 2.0 else ""
-        what = f"{_named(lines, k, amplitude)}{aliased}"
+        nominal_hz, multiple = lines.nominal_hz[k], lines.multiple[k]
+        what = f"fundamental, nominally {nominal_hz:.6g} Hz"
+        if multiple != 1:
+            (first, *_) = np.flatnonzero((lines.multiple == 1) & (lines.nominal_hz == nominal_hz))
+            share = float(np.max(amplitude[k] / amplitude[first]))
+            what = f"harmonic {multiple} of {nominal_hz:.6g} Hz, {share:.2g} of it"
+        if frequency > rate_hz / 2.0:
+            what += f", read at {float(alias_frequency(frequency, rate_hz)):.6g} Hz"
         entries.append(Entry(float(frequency), float(u_frequency), amplitude[k], u[k], height, what, "fitted"))
     return entries
-
-
-def _named(lines: Lines, k: int, amplitude: FloatArray) -> str:
-    """Say what line k of a fit is, and how large beside its fundamental."""
-    if lines.multiple[k] == 1:
-        return f"fundamental, nominally {lines.nominal_hz[k]:.6g} Hz"
-    first = int(np.flatnonzero((lines.multiple == 1) & (lines.nominal_hz == lines.nominal_hz[k]))[0])
-    share = float(np.max(amplitude[k] / amplitude[first]))
-    return f"harmonic {lines.multiple[k]} of {lines.nominal_hz[k]:.6g} Hz, {share:.2g} of it"
 
 
 def _others(survey: Survey, nuisance_hz: FloatArray | None) -> list[Entry]:
@@ -207,16 +202,6 @@ def _others(survey: Survey, nuisance_hz: FloatArray | None) -> list[Entry]:
         numbers = frequency, float(survey.u_frequency_hz[i]), survey.amplitude[i], survey.u_amplitude[i]
         entries.append(Entry(*numbers, decibel(float(survey.snr[i])), origin.text, use))
     return entries
-
-
-def _cameras(manifest: Manifest, base: TimeBase) -> tuple[tuple[str, float], ...]:
-    """Return name and rate of the stereo pairs, those of one trigger together."""
-    rates = {name: 1.0 / fit.period_s for (_, name), fit in base.triggers.items()}
-    pairs: dict[str, list[str]] = {}
-    for entry in (*manifest.images, *manifest.points):
-        if entry.trigger in rates:
-            pairs.setdefault(entry.trigger, []).append(entry.stereo)
-    return tuple((", ".join(names), rates[trigger]) for trigger, names in pairs.items())
 
 
 def print_lines(lists: Sequence[LineList]) -> None:
@@ -243,7 +228,16 @@ def print_lines(lists: Sequence[LineList]) -> None:
         table.add_column("dB", justify="right")
         table.add_column("what and why", min_width=WHY_WIDTH)
         for entry in item.entries:
-            table.add_row(*_cells(item, entry))
+            best = int(np.nanargmax(entry.amplitude / np.maximum(entry.u_amplitude, np.finfo(np.float64).tiny)))
+            size = _with_u(float(entry.amplitude[best]), float(entry.u_amplitude[best]))
+            table.add_row(
+                _with_u(entry.frequency_hz, entry.u_frequency_hz, 0),
+                *(f"{place:.4f}" for place in entry.places),
+                f"{size} {item.units[best]}".strip(),
+                *([item.channels[best]] if len(item.channels) > 1 else []),
+                f"{entry.floor_db:.0f}",
+                f"{entry.use}: {entry.what}" if entry.use else entry.what,
+            )
         console.print(table)
     for notice in dict.fromkeys(notice for item in lists for notice in item.notices if notice.where != LISTED):
         console.print(f"{notice.severity}: {notice.text}", soft_wrap=True)
@@ -252,18 +246,6 @@ def print_lines(lists: Sequence[LineList]) -> None:
         "noise in a bin of the Hann spectrum",
         soft_wrap=True,
     )
-
-
-def _cells(item: LineList, entry: Entry) -> list[str]:
-    """Return the cells of one line."""
-    cells = [_with_u(entry.frequency_hz, entry.u_frequency_hz, 0)]
-    cells += [f"{place:.4f}" for place in entry.places]
-    best = int(np.nanargmax(entry.amplitude / np.maximum(entry.u_amplitude, np.finfo(np.float64).tiny)))
-    size = _with_u(float(entry.amplitude[best]), float(entry.u_amplitude[best]))
-    cells.append(f"{size} {item.units[best]}".strip())
-    if len(item.channels) > 1:
-        cells.append(item.channels[best])
-    return [*cells, f"{entry.floor_db:.0f}", f"{entry.use}: {entry.what}" if entry.use else entry.what]
 
 
 def _with_u(value: float, u: float, exponent: int | None = None) -> str:

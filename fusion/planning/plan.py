@@ -1,17 +1,18 @@
-"""`shakercal plan`: camera rates for the frequencies of a calibration, as numbers and as a table in a file."""
+"""`shakercal plan`: camera rates for the frequencies of a calibration, as numbers, as a table in a file, in words."""
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from fusion.base import InputError
+from fusion.base import DASH, InputError, prefix, stdout_console
+from fusion.report.table import Column, R, csv_text, on_page
 from shaker.arrays import FloatArray
 from shaker.lines.rate_planner import (
+    PREFERRED,
     Lines,
     RatePlan,
     Sampling,
@@ -22,25 +23,14 @@ from shaker.lines.rate_planner import (
     plan_at,
     scan_rates,
 )
+from shaker.sine.aliasing import CLEAR_BINS
 
-COLUMNS = (
-    "point",
-    "choice",
-    "rate_hz",
-    "duration_s",
-    "condition",
-    "line_hz",
-    "fundamental_hz",
-    "multiple",
-    "alias_hz",
-    "alias_over_rate",
-    "distance_bins",
-    "exposure_gain",
-    "u_amplitude",
-    "u_amplitude_unit",
-    "u_phase_rad",
-)
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
 PER_NOISE = "noise per frame"
+SHOWN = 3  # frequencies and aliased harmonics that are written out; of more there is a count
 
 
 @dataclass(frozen=True)
@@ -51,12 +41,19 @@ class Size:
     amplitude_m: float | None = None
     acceleration_mps2: float | None = None
 
-    def relative(self, frequency_hz: float, u_amplitude: float) -> float | None:
-        """Relative standard uncertainty of a fundamental's amplitude (that of its phase in rad), None if unstated."""
+    @property
+    def is_whole(self) -> bool:
+        """Whether relative uncertainties can be given."""
+        return self.noise_m is not None and (self.amplitude_m is not None or self.acceleration_mps2 is not None)
+
+    def relative(self, plan: RatePlan, k: int) -> float | None:
+        """Relative standard uncertainty of line k's amplitude (that of its phase in rad), None if it is not known."""
         amplitude = self.amplitude_m
         if self.acceleration_mps2 is not None:
-            amplitude = float(self.acceleration_mps2 / (2.0 * np.pi * frequency_hz) ** 2)
-        return None if amplitude is None or self.noise_m is None else u_amplitude * self.noise_m / amplitude
+            amplitude = float(self.acceleration_mps2 / (2.0 * np.pi * plan.lines.frequency_hz[k]) ** 2)
+        if amplitude is None or self.noise_m is None or plan.lines.multiple[k] != 1:
+            return None
+        return float(plan.u_amplitude[k]) * self.noise_m / amplitude
 
 
 @dataclass(frozen=True)
@@ -108,10 +105,6 @@ class Plan:
     points: tuple[Point, ...]
     shared: tuple[SharedRate, ...]
 
-    def total_s(self, plans: Sequence[RatePlan]) -> float:
-        """Time of the points whose plans these are, each after its settling time."""
-        return sum(plan.duration_s + self.request.settle_s for plan in plans)
-
 
 def make_plan(request: Request) -> Plan:
     """Look for the rates of every point, or see what the given rate makes of it.
@@ -145,21 +138,6 @@ def make_plan(request: Request) -> Plan:
     return Plan(request, chosen, tuple(shared))
 
 
-def plan_csv(plan: Plan) -> str:
-    """Return the plan as a table: a row per point, choice and line; SI units, one header line."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for number, point in enumerate(plan.points, start=1):
-        for choice, at_rate in enumerate(point.choices, start=1):
-            given = plan.request.rate_hz is not None
-            writer.writerows(_rows(plan.request.size, number, "given" if given else str(choice), at_rate))
-    for shared in plan.shared:
-        for index, at_rate in zip(shared.points, shared.plans, strict=True):
-            writer.writerows(_rows(plan.request.size, index + 1, "shared", at_rate))
-    return stream.getvalue()
-
-
 def _explained(lines: Lines, rate_hz: float, rates: FloatArray, sampling: Sampling) -> Point:
     """Return what the given rate makes of a point, with the nearest good rate unless it is good itself."""
     scan = scan_rates(lines, np.sort(np.append(rates, rate_hz)), sampling)
@@ -169,30 +147,6 @@ def _explained(lines: Lines, rate_hz: float, rates: FloatArray, sampling: Sampli
         nearest = float(good[np.argmin(np.abs(good - rate_hz))])
         nearby = None if nearest == rate_hz else plan_at(lines, nearest, sampling)
     return Point(lines, (plan_at(lines, rate_hz, sampling),), nearby)
-
-
-def _rows(size: Size, number: int, choice: str, plan: RatePlan) -> list[list[str]]:
-    """Return the rows of one point at one rate."""
-    unit, scale = (PER_NOISE, 1.0) if size.noise_m is None else ("m", size.noise_m)
-    rows = []
-    for k, frequency in enumerate(plan.lines.frequency_hz):
-        u = float(plan.u_amplitude[k])
-        relative = size.relative(float(frequency), u) if plan.lines.multiple[k] == 1 else None
-        numbers = [plan.rate_hz, plan.duration_s, plan.condition, frequency, plan.lines.fundamental_hz[k]]
-        seen = [
-            plan.alias_hz[k],
-            plan.alias_hz[k] / plan.rate_hz,
-            plan.distance_hz[k] / plan.resolution_hz,
-            plan.gain[k],
-        ]
-        rows.append(
-            [str(number), choice]
-            + [f"{value:.9g}" for value in numbers]
-            + [str(plan.lines.multiple[k])]
-            + [f"{value:.6g}" for value in seen]
-            + [f"{u * scale:.4g}", unit, "" if relative is None else f"{relative:.4g}"]
-        )
-    return rows
 
 
 def _check(request: Request, points: Sequence[Lines]) -> None:
@@ -213,3 +167,298 @@ def _check(request: Request, points: Sequence[Lines]) -> None:
     if sized and request.size.noise_m is None:
         option = "--amplitude" if request.size.amplitude_m is not None else "--acceleration"
         raise InputError(option, "", found="none", expected="--noise beside it")
+
+
+# The plan as tables, in a file and on the terminal.
+
+
+class _Line(NamedTuple):
+    """One line at one rate; `point`: number or excitation; `relative`: u over the amplitude, None if not known."""
+
+    point: str
+    choice: str
+    plan: RatePlan
+    frequency_hz: float
+    fundamental_hz: float
+    multiple: int
+    alias_hz: float
+    bins: float
+    neighbour_hz: float
+    gain: float
+    u_amplitude: float
+    relative: float | None
+
+
+def _lines_at(size: Size, plan: RatePlan, point: str = "", choice: str = "") -> list[_Line]:
+    """Return the lines of a point at one rate."""
+    numbers = (
+        plan.lines.frequency_hz,
+        plan.lines.fundamental_hz,
+        plan.lines.multiple,
+        plan.alias_hz,
+        plan.distance_hz / plan.resolution_hz,
+        plan.neighbour_hz,
+        plan.gain,
+        plan.u_amplitude,
+        [size.relative(plan, k) for k in range(len(plan.gain))],
+    )
+    return [_Line(point, choice, plan, *values) for values in zip(*numbers, strict=True)]
+
+
+def plan_csv(plan: Plan) -> str:
+    """Return the plan as a table: a row per point, choice and line; SI units, one header line."""
+    size, rows = plan.request.size, list[_Line]()
+    for number, point in enumerate(plan.points, start=1):
+        for choice, at_rate in enumerate(point.choices, start=1):
+            name = str(choice) if plan.request.rate_hz is None else "given"
+            rows += _lines_at(size, at_rate, str(number), name)
+    for shared in plan.shared:
+        for index, at_rate in zip(shared.points, shared.plans, strict=True):
+            rows += _lines_at(size, at_rate, str(index + 1), "shared")
+    return csv_text(_line_columns(size), rows)
+
+
+def _line_columns(size: Size) -> list[Column[_Line]]:
+    """Return the columns of lines at a rate: a file has those with a name, the terminal those with a head."""
+    noise_m, unit = (1.0, PER_NOISE) if size.noise_m is None else (size.noise_m, "m")
+    noise, shown_unit = _shown_noise(size)
+
+    def nearest(line: _Line) -> str:
+        if line.neighbour_hz == 0.0:
+            return "zero"
+        return f"{line.neighbour_hz:.9g} Hz" if np.isfinite(line.neighbour_hz) else "Nyquist"
+
+    return [
+        Column("point", lambda line: line.point),
+        Column("choice", lambda line: line.choice),
+        Column("rate_hz", lambda line: f"{line.plan.rate_hz:.9g}"),
+        Column("duration_s", lambda line: f"{line.plan.duration_s:.9g}"),
+        Column("condition", lambda line: f"{line.plan.condition:.9g}"),
+        Column("line_hz", lambda line: f"{line.frequency_hz:.9g}", "line / Hz"),
+        Column("fundamental_hz", lambda line: f"{line.fundamental_hz:.9g}"),
+        Column("multiple", lambda line: line.multiple, "harmonic"),
+        Column("alias_hz", lambda line: f"{line.alias_hz:.6g}", "seen at / Hz", lambda line: f"{line.alias_hz:.3f}"),
+        Column(
+            "alias_over_rate",
+            lambda line: f"{line.alias_hz / line.plan.rate_hz:.6g}",
+            "of rate",
+            lambda line: f"{line.alias_hz / line.plan.rate_hz:.3f}",
+        ),
+        Column("distance_bins", lambda line: f"{line.bins:.6g}", "apart", lambda line: f"{line.bins:.2f}"),
+        on_page("nearest", nearest),
+        Column("exposure_gain", lambda line: f"{line.gain:.6g}", "loss / %", _loss),
+        Column(
+            "u_amplitude",
+            lambda line: f"{line.u_amplitude * noise_m:.4g}",
+            f"u{shown_unit}",
+            lambda line: _three_digits(noise * line.u_amplitude),
+        ),
+        Column("u_amplitude_unit", lambda line: unit),
+        Column("u_phase_rad", lambda line: "" if line.relative is None else f"{line.relative:.4g}"),
+        *_relative_columns(size),
+    ]
+
+
+def _rate_columns(size: Size) -> list[Column[_Line]]:
+    """Return the columns of rates, of which each row is the least certain fundamental."""
+    noise, unit = _shown_noise(size)
+
+    def aliases(line: _Line) -> FloatArray:
+        return np.asarray(line.plan.alias_hz[line.plan.lines.multiple == 1])
+
+    return [
+        on_page("excited / Hz", lambda line: line.point),
+        on_page("rate / Hz", lambda line: f"{line.plan.rate_hz:.3f}"),
+        on_page("seen at / Hz", lambda line: _range(aliases(line))),
+        on_page("of rate", lambda line: _range(aliases(line) / line.plan.rate_hz)),
+        on_page("apart", lambda line: f"{line.plan.distance_bins:.2f}"),
+        on_page("cond.", lambda line: f"{line.plan.condition:.2f}"),
+        on_page(f"u{unit}", lambda line: _three_digits(noise * line.u_amplitude)),
+        on_page(f"worst u{unit}", lambda line: _three_digits(noise * float(np.max(line.plan.u_amplitude)))),
+        *_relative_columns(size),
+        on_page("loss / %", _loss),
+        on_page("time / s", lambda line: f"{line.plan.duration_s:.2f}"),
+    ]
+
+
+def _relative_columns(size: Size) -> list[Column[_Line]]:
+    """Return the columns of the relative uncertainty of amplitude and phase, where the size of the motion is known."""
+
+    def shown(line: _Line, factor: float) -> str:
+        return "" if line.relative is None else _three_digits(factor * line.relative)
+
+    if not size.is_whole:
+        return []
+    return [on_page("u / %", lambda line: shown(line, 100.0)), on_page("phase / mrad", lambda line: shown(line, 1e3))]
+
+
+def _loss(line: _Line) -> str:
+    """Return what the exposure takes of an amplitude, in per cent."""
+    return f"{100.0 * (1.0 - line.gain):.3f}"
+
+
+def _range(values: FloatArray) -> str:
+    """Return one value, or the ends of several."""
+    ends = sorted({f"{value:.3f}" for value in (float(np.min(values)), float(np.max(values)))}, key=float)
+    return DASH.join(ends)
+
+
+def _three_digits(value: float) -> str:
+    """Return a number with three significant digits."""
+    return f"{value:#.3g}".rstrip(".")
+
+
+def _shown_noise(size: Size) -> tuple[float, str]:
+    """Return the noise of one frame in a readable unit, and what stands behind u in a table's head."""
+    if size.noise_m is None:
+        return 1.0, ""
+    factor, letter = prefix(np.array([0.1 * size.noise_m]))
+    return size.noise_m / factor, f" / {letter}m"
+
+
+# What `shakercal plan` prints: the rates of every frequency, the fewest that serve all, or what one rate does.
+
+
+def print_plan(plan: Plan) -> None:
+    """Print the plan to stdout."""
+    console, request, sampling = stdout_console(), plan.request, plan.request.sampling
+    frequencies = ", ".join(f"{f:.9g}" for f in request.frequency_hz)
+    if len(request.frequency_hz) > SHOWN:
+        ends = f"{min(request.frequency_hz):.9g} to {max(request.frequency_hz):.9g}"
+        frequencies = f"{len(request.frequency_hz)} frequencies, {ends}"
+    together = " at the same time" if request.together else ""
+    fitted = "fundamentals alone" if sampling.harmonics == 1 else f"harmonics 1 to {sampling.harmonics}"
+    rates = "" if request.rate_hz else f", camera rate {request.limits_hz[0]:g} to {request.limits_hz[1]:g} Hz"
+    _say(
+        console,
+        f"Excitation {frequencies} Hz{together}, {fitted}; {sampling.frames} frames, exposure "
+        f"{sampling.exposure_s * 1e6:g} µs{rates}; 1/f noise exceeds white noise below {sampling.corner_hz:g} Hz",
+    )
+    if request.rate_hz is None:
+        _print_choices(console, plan)
+    else:
+        for point in plan.points:
+            _print_explained(console, request.size, point)
+    unit = " in units of the noise of one frame" if request.size.noise_m is None else ""
+    _say(
+        console,
+        f"u: standard uncertainty (k = 1) of an amplitude{unit}, of the fundamental and of the worst line; "
+        "over the amplitude it is that of the phase in rad",
+    )
+    if not request.size.is_whole:
+        _say(console, "(--noise with --amplitude or --acceleration gives numbers)")
+    apart = "apart: smallest distance of two lines as the camera sees them, in bins of rate/frames"
+    _say(console, f"{apart} ({CLEAR_BINS:g} needed); loss: of amplitude, by exposure (a run corrects it)")
+
+
+def _say(console: Console, text: str) -> None:
+    """Print a sentence on one line."""
+    console.print(text, soft_wrap=True)
+
+
+def _boxed(title: str, columns: Sequence[Column[R]], sections: Sequence[Sequence[R]]) -> Table:
+    """Return a table for the terminal, its sections with a line between them."""
+    from rich.table import Table
+
+    boxed = Table(title=title, title_justify="left")
+    shown = [column for column in columns if column.head is not None]
+    for column in shown:
+        boxed.add_column(column.head or "", justify="right")
+    for rows in sections:
+        for row in rows:
+            boxed.add_row(*(column.cell(row) for column in shown))
+        boxed.add_section()
+    return boxed
+
+
+def _print_choices(console: Console, plan: Plan) -> None:
+    """Print the rates of every point, and the fewest that serve all."""
+    size, points, settle_s = plan.request.size, plan.points, plan.request.settle_s
+    columns = _rate_columns(size)
+    excited = [_range(point.lines.fundamentals_hz) for point in points]
+
+    def row(name: str, at_rate: RatePlan) -> _Line:
+        fundamentals = [line for line in _lines_at(size, at_rate, name) if line.multiple == 1]
+        return max(fundamentals, key=lambda line: line.u_amplitude)
+
+    def time_of(plans: Sequence[RatePlan]) -> str:
+        total_s = sum(at_rate.duration_s + settle_s for at_rate in plans)
+        return f"{total_s:.1f} s" + (f", {settle_s:g} s before each included" if settle_s else "")
+
+    def served(plans: Sequence[RatePlan], how: str) -> str:
+        number = f"All {len(plans)}" if len(plans) == len(points) else f"{len(plans)} of {len(points)}"
+        return f"{number}, {how}: {time_of(plans)}"
+
+    sections = [
+        [row(name if at_rate is point.choices[0] else "", at_rate) for at_rate in point.choices]
+        for name, point in zip(excited, points, strict=True)
+        if point.choices
+    ]
+    if sections:
+        console.print(_boxed("Camera rates, best first", columns, sections))
+    fewer = "fewer harmonics, or know the frequencies better (--tolerance)"
+    for name, point in zip(excited, points, strict=True):
+        if not point.choices:
+            _say(console, f"{name} Hz: no such rate keeps all lines apart; take more frames or {fewer}")
+    first = [point.choices[0] for point in points if point.choices]
+    if len(points) > 1 and first:
+        _say(console, served(first, "each at its first rate"))
+        pairs = [zip(shared.points, shared.plans, strict=True) for shared in plan.shared]
+        sections = [[row(excited[index], at_rate) for index, at_rate in pair] for pair in pairs]
+        console.print(_boxed("With as few rates as possible", columns, sections))
+        rates = ", ".join(f"{shared.rate_hz:.3f}" for shared in plan.shared)
+        number = "one rate" if len(plan.shared) == 1 else f"{len(plan.shared)} rates"
+        plans = [at_rate for shared in plan.shared for at_rate in shared.plans]
+        _say(console, served(plans, f"with {number} ({rates} Hz)"))
+    elif first:
+        _say(console, f"Time: {time_of(first)}")
+        _print_lines(console, size, first[0])
+
+
+def _print_lines(console: Console, size: Size, plan: RatePlan) -> None:
+    """Print all lines of a point at one rate."""
+    console.print(_boxed(f"Lines at {plan.rate_hz:.9g} Hz", _line_columns(size), [_lines_at(size, plan)]))
+
+
+def _print_explained(console: Console, size: Size, point: Point) -> None:
+    """Print what the given rate does to one point, line by line."""
+    (plan,) = point.choices
+    for frequency, alias in zip(plan.lines.frequency_hz, plan.alias_hz, strict=True):
+        if frequency in plan.lines.fundamentals_hz:  # so many turns between two frames and a bit: so slow a beat
+            turns = round(frequency / plan.rate_hz)
+            sign = "+" if frequency >= turns * plan.rate_hz else "-"
+            seen = "as it is" if turns == 0 else f"as a beat of {alias:.3f} Hz"
+            _say(
+                console,
+                f"{frequency:.9g} Hz = {turns} × {plan.rate_hz:.9g} Hz {sign} {alias:.3f} Hz: seen {seen}, "
+                f"{alias * plan.duration_s:.2f} periods in {plan.duration_s:.2f} s",
+            )
+    _print_lines(console, size, plan)
+    for frequency, alias in zip(plan.lines.fundamentals_hz, plan.alias_hz, strict=False):
+        share = float(alias) / plan.rate_hz
+        if share < PREFERRED[0]:
+            _say(
+                console,
+                f"{frequency:.9g} Hz is seen below {PREFERRED[0]:g} of the rate: drift, slow motion of the rig and "
+                f"other 1/f noise around {alias:.3f} Hz disturb it",
+            )
+        elif share > PREFERRED[1]:
+            _say(
+                console,
+                f"{frequency:.9g} Hz is seen above {PREFERRED[1]:g} of the rate: near the Nyquist frequency a small "
+                "change of rate brings its mirror image onto it",
+            )
+    if plan.distance_bins < CLEAR_BINS:
+        _say(
+            console, f"lines are only {plan.distance_bins:.2f} bins apart: {CLEAR_BINS:g} are needed to tell them apart"
+        )
+    for other in plan.folds[:SHOWN]:
+        name = f"harmonic {other.multiple} of {other.fundamental_hz:.9g} Hz, not fitted"
+        _say(console, f"{name}, is aliased to {other.alias_hz:.3f} Hz, within a bin of a line that is fitted")
+    if len(plan.folds) > SHOWN:
+        _say(console, f"so do {len(plan.folds) - SHOWN} more")
+    if point.nearby is not None:
+        rate = point.nearby.rate_hz
+        share = float(np.max(point.nearby.u_amplitude)) / float(np.max(plan.u_amplitude))
+        gain = f", worst u {share:.2g} times the present one" if share > 0.0 else ""
+        _say(console, f"Nearest good rate: {rate:.3f} Hz ({rate - plan.rate_hz:+.3f} Hz){gain}")

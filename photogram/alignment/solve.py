@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from photogram.alignment.evidence import CALIBRATION, Evidence, KnownFace, KnownPoints, KnownPoses, Residuals
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, Notice
+from photogram.alignment.evidence import CALIBRATION, Evidence, KnownFace, KnownPoints, KnownPoses, sum_of_squares
+from photogram.arrays import Arrays, FloatArray, IntArray, Notice
 from photogram.geometry import RigidTransform, fit_rigid, fixes_rotation, nearest_rotation, rotation_from_vector
 
 
@@ -21,44 +21,31 @@ def starting_pose(evidence: Sequence[Evidence]) -> RigidTransform | None:
         if isinstance(item, KnownPoses):
             return item.sensor_from_body[0] @ item.left_from_body[0].inverse()
     points = [item for item in evidence if isinstance(item, KnownPoints)]
-    faces = [item for item in evidence if isinstance(item, KnownFace)]
-    found = _from_points(points)
-    return _from_faces(faces) if found is None else found
+    if sum(len(item.names) for item in points) >= 3:
+        camera, sensor = (np.concatenate([getattr(p, name) for p in points]) for name in ("camera_m", "sensor_m"))
+        try:
+            return fit_rigid(camera, sensor)
+        except ValueError:
+            pass  # points that leave the rotation open
+    return _pose_from_faces([item for item in evidence if isinstance(item, KnownFace)])
 
 
-def _from_points(points: Sequence[KnownPoints]) -> RigidTransform | None:
-    """Return the rigid fit of all points, None where they leave the rotation open."""
-    if sum(len(item.names) for item in points) < 3:
-        return None
-    camera = np.concatenate([item.camera_m for item in points])
-    sensor = np.concatenate([item.sensor_m for item in points])
-    try:
-        return fit_rigid(camera, sensor)
-    except ValueError:
-        return None
-
-
-def _from_faces(faces: Sequence[KnownFace]) -> RigidTransform | None:
+def _pose_from_faces(faces: Sequence[KnownFace]) -> RigidTransform | None:
     """Return the pose in which the fitted planes lie on the faces, as near as two or more normals decide."""
-    flat = [(item, *fitted) for item in faces if (fitted := _plane(item.camera_m)) is not None]
-    scatter = sum((np.outer(item.normal, normal) for item, _, normal in flat), start=np.zeros((3, 3)))
+    flat, centres, scatter = [], [], np.zeros((3, 3))
+    for face in (face for face in faces if len(face.camera_m) >= 3):
+        centre = face.camera_m.mean(axis=0)
+        _, singular, rows = np.linalg.svd(face.camera_m - centre, full_matrices=False)
+        if singular[1] < 1e-6 * max(singular[0], 1e-300):
+            continue  # on a line
+        flat.append(face)
+        centres.append(centre)
+        scatter += np.outer(face.normal, rows[2] if rows[2] @ centre < 0.0 else -rows[2])  # towards the camera
     if len(flat) < 2 or not fixes_rotation(scatter):
         return None
     rotation = nearest_rotation(scatter)
-    normals = np.array([item.normal for item, _, _ in flat])
-    offset = np.array([item.normal @ (item.point_m - rotation @ centre) for item, centre, _ in flat])
-    return RigidTransform(rotation, np.linalg.lstsq(normals, offset, rcond=1e-9)[0])
-
-
-def _plane(points_m: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return centre and normal of the plane of points (N, 3), the normal towards the camera; None on a line."""
-    if len(points_m) < 3:
-        return None
-    centre = points_m.mean(axis=0)
-    _, singular, rows = np.linalg.svd(points_m - centre, full_matrices=False)
-    if singular[1] < 1e-6 * max(singular[0], 1e-300):
-        return None
-    return centre, rows[2] if rows[2] @ centre < 0.0 else -rows[2]
+    offset = [face.normal @ (face.point_m - rotation @ centre) for face, centre in zip(flat, centres, strict=True)]
+    return RigidTransform(rotation, np.linalg.lstsq([face.normal for face in flat], offset, rcond=1e-9)[0])
 
 
 # Which components of a pose the evidence leaves open, told by name.
@@ -97,10 +84,10 @@ def open_components(information: FloatArray) -> tuple[str, ...]:
     left, singular, right = np.linalg.svd(basis[3:])
     turning = int(np.count_nonzero(singular > _PURE))
     shifts = (basis @ right[turning:].T)[:3]
-    found = [f"rotation about {_axes(left[:, :turning])}"] if turning else []
+    names = [f"rotation about {_axes(left[:, :turning])}"] if turning else []
     if shifts.shape[1]:
-        found.append(f"position along {_axes(np.linalg.svd(shifts, full_matrices=False)[0])}")
-    return tuple(found)
+        names.append(f"position along {_axes(np.linalg.svd(shifts, full_matrices=False)[0])}")
+    return tuple(names)
 
 
 def _axes(basis: FloatArray) -> str:
@@ -195,9 +182,8 @@ def align(evidence: Sequence[Evidence], start: RigidTransform | None = None) -> 
         )
     for _ in range(_STEPS):
         system = assemble(evidence, pose)
-        found = open_components(system.information)
-        if found:
-            raise OpenPose(found)
+        if components := open_components(system.information):
+            raise OpenPose(components)
         step = np.asarray(np.linalg.lstsq(system.rows, -system.residual, rcond=None)[0][:6], dtype=np.float64)
         turn = rotation_from_vector(step[3:])
         pose = RigidTransform(nearest_rotation(turn @ pose.rotation), turn @ pose.translation_m + step[:3])
@@ -217,7 +203,17 @@ def _judged(pose: RigidTransform, system: System) -> Alignment:
         without, freedom = sum_of_squares(system.rows[kept], system.residual[kept])
         pieces.append(Piece(name, max(chi2 - without, 0.0), dof - freedom))
     fits = dof == 0 or chi2 <= chi_square.ppf(TEST_LEVEL, dof)
-    enlargement = 1.0 if fits else float(np.sqrt(chi2 / dof))
+    enlargement, notices = 1.0, list[Notice]()
+    if not fits:
+        enlargement = float(np.sqrt(chi2 / dof))
+        compared = [piece for piece in pieces if piece.dof]
+        worst = min(compared, key=lambda piece: float(chi_square.logsf(piece.chi2, piece.dof)))
+        text = (
+            f"the evidence does not fit together (chi2 {chi2:.3g} with {dof} degrees of freedom); {worst.name} fits "
+            f"least, off by {worst.normalised:.2g} times what is stated; uncertainties are enlarged by "
+            f"{enlargement:.2g}"
+        )
+        notices.append(Notice("warning", text, worst.name))
     return Alignment(
         pose,
         enlargement**2 * system.covariance(),
@@ -227,26 +223,11 @@ def _judged(pose: RigidTransform, system: System) -> Alignment:
         dof,
         enlargement,
         tuple(pieces),
-        () if fits else (_misfit(pieces, chi2, dof),),
+        tuple(notices),
     )
-
-
-def _misfit(pieces: Sequence[Piece], chi2: float, dof: int) -> Notice:
-    """Return the remark on evidence that does not fit together, naming the least likely piece."""
-    from scipy.stats import chi2 as chi_square
-
-    compared = [piece for piece in pieces if piece.dof]
-    worst = min(compared, key=lambda piece: float(chi_square.logsf(piece.chi2, piece.dof)))
-    text = (
-        f"the evidence does not fit together (chi2 {chi2:.3g} with {dof} degrees of freedom); {worst.name} fits least, "
-        f"off by {worst.normalised:.2g} times what is stated; uncertainties are enlarged by {np.sqrt(chi2 / dof):.2g}"
-    )
-    return Notice("warning", text, worst.name)
 
 
 # The whitened linear system of all evidence about a trial pose.
-
-_RANK = 1e-10  # singular values below this share of the largest count as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,66 +265,40 @@ class System:
 def assemble(evidence: Sequence[Evidence], pose: RigidTransform) -> System:
     """Return the system of all evidence at a trial pose."""
     parts = [item.residuals(pose) for item in evidence]
-    columns = _columns(parts)
-    total = sum(count for _, count in columns.values())
+    columns: dict[str, tuple[int, int]] = {}
+    width = 6
+    for name, changes in [pair for part in parts for pair in part.common.items() if len(pair[1])]:
+        first, count = columns.setdefault(name, (width, len(changes)))
+        if count != len(changes):
+            raise ValueError(f"{name}: expected {count} common errors as before, found {len(changes)}")
+        width = max(width, first + count)
     names = tuple(dict.fromkeys(name for part in parts for name in part.piece))
-    blocks = [_rows(part, columns, total) for part in parts]
-    piece = [np.repeat([names.index(name) for name in part.piece], part.residual.shape[1]) for part in parts]
-    prior = np.eye(6 + total)[6:]
-    rows = np.concatenate([*(rows for rows, _, _ in blocks), prior])
-    claimed = np.concatenate(
-        [*(rows * np.concatenate([mask, np.ones(total)]).astype(np.float64) for rows, _, mask in blocks), prior]
-    )
+    prior = np.eye(width)[6:]
+    blocks, claims, pieces = [], [], []
+    for part in parts:
+        groups, size = part.residual.shape
+        full = np.zeros((groups, size, width + 1))
+        full[..., :6], full[..., width] = part.jacobian, part.residual
+        for name, changes in part.common.items():
+            if len(changes):
+                first, count = columns[name]
+                full[..., first : first + count] += np.moveaxis(changes, 0, -1)
+        try:
+            white = np.linalg.solve(np.linalg.cholesky(part.covariance), full).reshape(-1, width + 1)
+        except np.linalg.LinAlgError as error:
+            raise ValueError(f"{part.piece[0]}: expected a positive definite covariance") from error
+        blocks.append(white)
+        claims.append(white[:, :-1] * np.concatenate([part.determines, np.ones(width - 6)]))
+        pieces.append(np.repeat([names.index(name) for name in part.piece], size))
+    blocks.append(np.column_stack([prior, np.zeros(width - 6)]))
+    system, claimed = np.concatenate(blocks), np.concatenate([*claims, prior])
     normal = claimed.T @ claimed
     return System(
-        rows,
-        np.concatenate([*(residual for _, residual, _ in blocks), np.zeros(total)]),
-        np.concatenate([*piece, np.full(total, -1)]).astype(np.int64),
+        system[:, :-1],
+        system[:, -1],
+        np.concatenate([*pieces, np.full(width - 6, -1)]).astype(np.int64),
         names,
         columns,
         # about the pose when the common errors are unknown: the Schur complement
         normal[:6, :6] - normal[:6, 6:] @ np.linalg.solve(normal[6:, 6:], normal[6:, :6]),
     )
-
-
-def sum_of_squares(rows: FloatArray, residual: FloatArray) -> tuple[float, int]:
-    """Return the least sum of squares of residual + rows·x and its degrees of freedom."""
-    if not len(rows):
-        return 0.0, 0
-    scale = np.linalg.norm(rows, axis=0)
-    u, singular, _ = np.linalg.svd(rows / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-    fitted = u[:, singular > _RANK * singular[0]]
-    left = residual - fitted @ (fitted.T @ residual)
-    return float(left @ left), len(rows) - fitted.shape[1]
-
-
-def _columns(parts: Sequence[Residuals]) -> dict[str, tuple[int, int]]:
-    """Return first column and number of the unknowns of every common error."""
-    columns: dict[str, tuple[int, int]] = {}
-    place = 6
-    for part in parts:
-        for name, changes in part.common.items():
-            if not len(changes):
-                continue
-            if columns.setdefault(name, (place, len(changes)))[1] != len(changes):
-                raise ValueError(f"{name}: expected {columns[name][1]} common errors as before, found {len(changes)}")
-            place = max(place, sum(columns[name]))
-    return columns
-
-
-def _rows(part: Residuals, columns: dict[str, tuple[int, int]], total: int) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return one evidence's whitened rows (m, 6 + Q) and residuals (m,), and which components it may determine."""
-    groups, size = part.residual.shape
-    full = np.zeros((groups, size, 6 + total))
-    full[..., :6] = part.jacobian
-    for name, changes in part.common.items():
-        if len(changes):
-            first, count = columns[name]
-            full[..., first : first + count] += np.moveaxis(changes, 0, -1)
-    try:
-        root = np.linalg.cholesky(part.covariance)
-    except np.linalg.LinAlgError as error:
-        raise ValueError(f"{part.piece[0]}: expected a positive definite covariance") from error
-    white = np.linalg.solve(root, np.concatenate([full, part.residual[..., None]], axis=-1))
-    white = white.reshape(groups * size, 7 + total)
-    return white[:, :-1], white[:, -1], part.determines

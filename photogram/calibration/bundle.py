@@ -56,24 +56,19 @@ def see(
     in_camera = in_camera_turned + camera_from_left.translation_m
     flat, flat_by_place, flat_by_normal = ellipse_centres(in_camera, normal, radius_m)
     placed, by_flat = distorted(camera, flat)
-    by_flat = np.array([camera.matrix[0, 0], camera.matrix[1, 1]])[:, None] * by_flat
+    by_flat = np.diagonal(camera.matrix)[:2, None] * by_flat
     by_place, by_normal = by_flat @ flat_by_place, by_flat @ flat_by_normal
     by_left, by_left_normal = by_place @ camera_from_left.rotation, by_normal @ camera_from_left.rotation
     if radius_m > 0:
         placed = placed + _bent(camera, in_camera, camera_from_left.rotation @ left_from_target.rotation, radius_m)
+    pixel = placed * np.diagonal(camera.matrix)[:2] + camera.matrix[:2, 2]
     return Seen(
-        camera_pixels(camera, placed),
+        pixel,
         _by_camera(camera, flat, placed),
         np.concatenate([by_place, -by_place @ skew(in_camera_turned) - by_normal @ skew(normal)], axis=-1),
         np.concatenate([by_left, -by_left @ skew(turned) - by_left_normal @ skew(normal_left)], axis=-1),
         by_left @ left_from_target.rotation,
     )
-
-
-def camera_pixels(camera: Camera, distorted: FloatArray) -> FloatArray:
-    """Return the pixels (N, 2) of distorted normalised coordinates (N, 2)."""
-    k = camera.matrix
-    return np.asarray(distorted * [k[0, 0], k[1, 1]] + [k[0, 2], k[1, 2]])
 
 
 def ellipse_centres(
@@ -241,7 +236,6 @@ def make_shape(kind: ShapeKind, index: IntArray, spacing_m: float) -> Shape:
 _RIG = len(RIG_PARAMETERS)
 _STEPS = 100  # steps allowed; five to ten are the rule, more with long focal lengths and large residuals
 _CONVERGED = 1e-3  # expected decrease of χ² that ends the iteration: parameters to 0.03 of their uncertainty
-_IDENTITY = RigidTransform(np.eye(3), np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,7 +301,7 @@ class Bundle:
     def see(self, picture: Picture) -> Seen:
         """Return where the picture's points are expected, with derivatives."""
         camera = self.rig.right if picture.side else self.rig.left
-        relative = self.rig.right_from_left if picture.side else _IDENTITY
+        relative = self.rig.right_from_left if picture.side else RigidTransform.identity()
         points = self.shape.points_m[picture.point]
         return see(camera, relative, self.poses[picture.view], points, picture.radius_m)
 
@@ -461,12 +455,10 @@ def _normal(bundle: Bundle, pictures: Sequence[Picture], prior: Prior) -> _Norma
     pose, coupling, pose_side = np.zeros((views, 6, 6)), np.zeros((views, size, 6)), np.zeros((views, 6))
     for picture in pictures:
         seen, view = bundle.see(picture), picture.view
-        slope = np.concatenate(
-            [seen.by_rig(picture.side), seen.by_point @ shape.basis[picture.point]], axis=-1
-        ).reshape(-1, size)
-        pose_slope = seen.by_pose.reshape(-1, 6)
+        slope = np.concatenate([seen.by_rig(picture.side), seen.by_point @ shape.basis[picture.point]], axis=-1)
+        weighted_common = (picture.precision @ slope).reshape(-1, size)
         weighted = (picture.precision @ seen.by_pose).reshape(-1, 6)
-        weighted_common = (picture.precision @ slope.reshape(-1, 2, size)).reshape(-1, size)
+        slope, pose_slope = slope.reshape(-1, size), seen.by_pose.reshape(-1, 6)
         residual = (picture.position_px - seen.pixel).ravel()
         common += slope.T @ weighted_common
         common_side += weighted_common.T @ residual

@@ -93,9 +93,8 @@ def _rig(content: Any) -> StereoRig:
         raise ValueError(f"image_size: expected two whole numbers of pixels, found {content['image_size']}")
     if content["reprojection_rms"] is not None:
         _numbers("reprojection_rms", content["reprojection_rms"], ())
-    rotation = _numbers("rotation", content["rotation"], (3, 3))
     translation = _numbers("translation", content["translation"], (3,))
-    given = RigidTransform(rotation, translation)
+    given = RigidTransform(_numbers("rotation", content["rotation"], (3, 3)), translation)
     return StereoRig(
         left=_camera("left", content["left"], size),
         right=_camera("right", content["right"], size),

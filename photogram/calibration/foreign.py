@@ -1,10 +1,10 @@
-"""Calibrations of other programs as this program has them: lens models, parameters; VIC-3D files."""
+"""Calibrations of other programs as this program has them: lens models, parameters, units."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -72,43 +72,33 @@ def nearest_camera(lens: Lens, size_px: IntArray) -> Nearest:
     matrix. Of a skew, u = … + s·y_d, about one half is a turn about the axis by −s/(fx + fy), which the camera's frame
     takes up; the other half, a stretch along the diagonals, is no part of this program's camera and remains.
     """
+    from scipy.optimize import least_squares
+
     start = np.concatenate([lens.focal_px, lens.centre_px, lens.radial[:2], lens.tangential, lens.radial[2:]])
     if lens.is_exact:
         return Nearest(Camera.from_parameters(start, size_px), 0.0, 0.0)
     if lens.exponents != EVEN:
         start[_RADIAL] = 0.0
+    free = _LINEAR if lens.exponents == EVEN else [*_LINEAR, *_RADIAL]
     normalised = _seen(lens, size_px)
     pixel = lens.project(normalised)
-    free = _LINEAR if lens.exponents == EVEN else [*_LINEAR, *_RADIAL]
-    found = _fit(normalised, pixel, (np.append(start, 0.0), free), size_px)
-    camera, turn = Camera.from_parameters(found[:9], size_px), float(found[9])
-    left = np.linalg.norm(camera.project(_rays(normalised, turn)) - pixel, axis=1)
-    return Nearest(camera, turn, float(left.max()))
-
-
-def _fit(
-    normalised: FloatArray, pixel: FloatArray, start: tuple[FloatArray, list[int]], size_px: IntArray
-) -> FloatArray:
-    """Return parameters and turn (10,) by least squares over the free ones, each scaled to about 1 px at the corner."""
-    from scipy.optimize import least_squares
-
-    first, free = start
+    # Each unknown in steps that move the corner by about 1 px.
     radius = float(np.linalg.norm(normalised, axis=1).max())
-    reach = radius * float(first[:2].mean())
+    reach = radius * float(lens.focal_px.mean())
     steps = np.array([1 / radius, 1 / radius, 1, 1, *(1 / (reach * radius**n) for n in (2, 4, 1, 1, 6, 0))])
 
-    def moved(scaled: FloatArray) -> FloatArray:
-        values = first.copy()
+    def moved(scaled: FloatArray) -> tuple[Camera, float]:
+        values = np.append(start, 0.0)
         values[free] += scaled * steps[free]
-        return values
+        return Camera.from_parameters(values[:9], size_px), float(values[9])
 
     def difference(scaled: FloatArray) -> FloatArray:
-        values = moved(scaled)
-        camera = Camera.from_parameters(values[:9], size_px)
-        return np.asarray((camera.project(_rays(normalised, values[9])) - pixel).ravel())
+        camera, turn = moved(scaled)
+        return np.asarray(camera.project(_rays(normalised, turn)) - pixel)
 
-    solution = least_squares(difference, np.zeros(len(free)), method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    return moved(solution.x)
+    tight = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
+    fit = least_squares(lambda x: difference(x).ravel(), np.zeros(len(free)), method="lm", **tight).x
+    return Nearest(*moved(fit), float(np.linalg.norm(difference(fit), axis=1).max()))
 
 
 def _rays(normalised: FloatArray, turn_rad: float) -> FloatArray:
@@ -155,8 +145,8 @@ class ImportedCalibration:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """What a file holds: lenses, sizes (None where it has none), x_right = rotation·x_left + translation (file units).
+class Stated:
+    """What a file states: lenses, sizes (None where it has none), x_right = rotation·x_left + translation (file units).
 
     `unit` is the unit that the format fixes or its program uses, None where nobody can know.
     """
@@ -170,17 +160,23 @@ class Found:
     notices: tuple[Notice, ...] = ()
 
 
-def build(found: Found, image_size: tuple[int, int] | None, length_unit: LengthUnit | None) -> ImportedCalibration:
-    """Return the stereo rig of what was found in a file."""
-    size, unit = _size(found.sizes_px, image_size), length_unit or found.unit
+def build(stated: Stated, image_size: tuple[int, int] | None, length_unit: LengthUnit | None) -> ImportedCalibration:
+    """Return the stereo rig of what a file states."""
+    size, unit = _size(stated.sizes_px, image_size), length_unit or stated.unit
     if unit is None:
-        raise ValueError(f"length_unit: expected m or mm, which a file of {found.format} does not say")
-    rotation, notices = _rotation(found.rotation)
-    sides = [
-        (side, lens, _nearest(side, lens, size)) for side, lens in zip(("left", "right"), found.lenses, strict=True)
-    ]
-    (_, _, left), (_, _, right) = sides
-    given = RigidTransform(rotation, found.translation * METRES[unit])
+        raise ValueError(f"length_unit: expected m or mm, which a file of {stated.format} does not say")
+    departure = float(np.abs(stated.rotation.T @ stated.rotation - np.eye(3)).max())
+    if not departure <= NO_ROTATION or np.linalg.det(stated.rotation) < 0:
+        raise ValueError(
+            f"rotation: expected an orthonormal matrix with determinant +1, found one {departure:.1e} from "
+            f"orthonormal with determinant {np.linalg.det(stated.rotation):+.2f}"
+        )
+    notices = list(stated.notices)
+    if departure > FEW_DIGITS:
+        text = f"the rotation is written with so few digits that it is {1e3 * departure:.2f} mrad away from one"
+        notices.append(Notice("warning", text, "rotation"))
+    left, right = (_nearest(side, lens, size, notices) for side, lens in zip(SIDES, stated.lenses, strict=True))
+    given = RigidTransform(nearest_rotation(stated.rotation), stated.translation * METRES[unit])
     turns = [RigidTransform.from_pose(np.array([0, 0, 0, 0, 0, near.turn_rad])) for near in (left, right)]
     between = turns[1] @ given @ turns[0].inverse()
     cosine = np.clip((np.trace(between.rotation) - 1.0) / 2.0, -1.0, 1.0)
@@ -189,35 +185,23 @@ def build(found: Found, image_size: tuple[int, int] | None, length_unit: LengthU
         f"{np.rad2deg(np.arccos(cosine)):.2f} degrees against each other (lengths in the file taken as {unit})"
     )
     missing = "no uncertainties came with it: state scale_uncertainty under [stereo.NAME] in rig.toml"
-    remarks = (
-        *found.notices,
-        *notices,
-        *(_model_notice(*each) for each in sides),
-        *(_centre_notice(side, near.camera) for side, _, near in sides),
-        Notice("info", told, "extrinsics"),
-        Notice("info", missing, "covariance"),
-    )
-    rig = StereoRig(left.camera, right.camera, between)
-    return ImportedCalibration(rig, found.format, tuple(remark for remark in remarks if remark is not None))
+    notices += [Notice("info", told, "extrinsics"), Notice("info", missing, "covariance")]
+    return ImportedCalibration(StereoRig(left.camera, right.camera, between), stated.format, tuple(notices))
 
 
 def numbers(where: str, values: Any, count: int | tuple[int, ...]) -> FloatArray:
     """Return texts or numbers as an array of `count` elements or of that shape; `ValueError` names what is wrong."""
     shape = (count,) if isinstance(count, int) else count
+    expected = " x ".join(str(length) for length in shape) + " numbers"
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{where}: expected {_shape_text(shape)}, found {str(values)[:60]!r}") from error
+        raise ValueError(f"{where}: expected {expected}, found {str(values)[:60]!r}") from error
     if array.size != int(np.prod(shape)):
-        raise ValueError(f"{where}: expected {_shape_text(shape)}, found {array.size}")
+        raise ValueError(f"{where}: expected {expected}, found {array.size}")
     if not np.isfinite(array).all():
         raise ValueError(f"{where}: expected finite numbers, found NaN or infinity")
     return array.reshape(shape)
-
-
-def _shape_text(shape: tuple[int, ...]) -> str:
-    """The shape in words."""
-    return " x ".join(str(length) for length in shape) + " numbers"
 
 
 def rotation_from_cardan(angles_deg: FloatArray) -> FloatArray:
@@ -232,23 +216,20 @@ def rotation_from_cardan(angles_deg: FloatArray) -> FloatArray:
     return np.asarray(about_z @ about_y @ about_x)
 
 
-def right_from_left(
-    left_from_world: tuple[FloatArray, FloatArray], right_from_world: tuple[FloatArray, FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Return rotation and translation from the left to the right camera, of two poses x_camera = R·x_world + t."""
-    (left, left_t), (right, right_t) = left_from_world, right_from_world
-    rotation = right @ np.linalg.inv(left)
-    return rotation, right_t - rotation @ left_t
+def right_from_left(left: Sequence[FloatArray], right: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return rotation and translation from the left to the right camera, of their poses x_camera = R·x_world + t."""
+    rotation = right[0] @ np.linalg.inv(left[0])
+    return rotation, right[1] - rotation @ left[1]
 
 
 def _size(sizes: tuple[tuple[int, int] | None, ...], option: tuple[int, int] | None) -> IntArray:
     """Return the one image size (2,), width and height, from the file or from the caller."""
-    found = {size for size in sizes if size is not None}
-    if len(found) > 1:
+    stated = {size for size in sizes if size is not None}
+    if len(stated) > 1:
         raise ValueError(f"image size: expected one for both cameras, found {_times(sizes[0])} and {_times(sizes[1])}")
-    if not found and option is None:
+    size = stated.pop() if stated else option
+    if size is None:
         raise ValueError("image_size: expected width and height of the pictures, which the file does not hold")
-    size = found.pop() if found else option
     if option is not None and size != option:
         raise ValueError(f"image_size: expected {_times(size)} as in the file, found {_times(option)}")
     return np.array(size, dtype=np.int64)
@@ -259,125 +240,32 @@ def _times(size: tuple[int, int] | None) -> str:
     return "none" if size is None else f"{size[0]}x{size[1]}"
 
 
-def _rotation(matrix: FloatArray) -> tuple[FloatArray, list[Notice]]:
-    """Return the nearest rotation, and a warning where the matrix is one to a few digits only."""
-    departure = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
-    if not departure <= NO_ROTATION or np.linalg.det(matrix) < 0:
-        raise ValueError(
-            f"rotation: expected an orthonormal matrix with determinant +1, found one {departure:.1e} from "
-            f"orthonormal with determinant {np.linalg.det(matrix):+.2f}"
-        )
-    if departure <= FEW_DIGITS:
-        return nearest_rotation(matrix), []
-    text = f"the rotation is written with so few digits that it is {1e3 * departure:.2f} mrad away from one"
-    return nearest_rotation(matrix), [Notice("warning", text, "rotation")]
+def _nearest(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Nearest:
+    """Return the nearest camera of one side and note what it cannot describe; `ValueError` where none is near enough.
 
-
-def _nearest(side: str, lens: Lens, size: IntArray) -> Nearest:
-    """Return the nearest camera of one side; `ValueError` where nothing near enough exists."""
+    Noted is also a principal point that cannot belong to a picture of that size.
+    """
+    where = f"{side} camera"
     try:
         nearest = nearest_camera(lens, size)
     except ValueError as error:
-        raise ValueError(f"{side} camera: {error}") from error
+        raise ValueError(f"{where}: {error}") from error
+    odd = lens.exponents != EVEN and lens.radial.any()
+    parts = [f"a skew of {lens.skew_px:.3g} px"] if lens.skew_px else []
+    parts += [f"a distortion in powers {lens.exponents} of r"] if odd else []
+    beyond = " and ".join(parts)
     if nearest.largest_px > UNUSABLE_PX:
         raise ValueError(
-            f"{side} camera: {_difference(lens)} cannot be taken over: up to {nearest.largest_px:.2f} px of it remain "
+            f"{where}: {beyond} cannot be taken over: up to {nearest.largest_px:.2f} px of it remain "
             f"over the picture, {UNUSABLE_PX} px are allowed"
         )
+    if beyond:
+        turned = f", its frame turned by {1e3 * nearest.turn_rad:.3f} mrad about its axis" if lens.skew_px else ""
+        text = f"{beyond} is described by the nearest camera without it{turned}; "
+        text += f"up to {nearest.largest_px:.3f} px remain over the picture"
+        notices.append(Notice("warning" if nearest.largest_px > REMARKABLE_PX else "info", text, where))
+    centre, (width, height) = nearest.camera.matrix[:2, 2], size
+    if not ((centre >= 0).all() and (centre < size).all()):
+        text = f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies outside a picture of {width}x{height}: "
+        notices.append(Notice("warning", f"{text}width and height may be exchanged", where))
     return nearest
-
-
-def _difference(lens: Lens) -> str:
-    """What the lens has that this program's camera has not."""
-    skew = f"a skew of {lens.skew_px:.3g} px" if lens.skew_px else ""
-    odd = "" if lens.exponents == EVEN or not lens.radial.any() else f"a distortion in powers {lens.exponents} of r"
-    return " and ".join(part for part in (skew, odd) if part)
-
-
-def _model_notice(side: str, lens: Lens, nearest: Nearest) -> Notice | None:
-    """What became of a lens that this program's camera cannot describe exactly."""
-    if lens.is_exact:
-        return None
-    turned = f", its frame turned by {1e3 * nearest.turn_rad:.3f} mrad about its axis" if lens.skew_px else ""
-    text = (
-        f"{_difference(lens)} is described by the nearest camera without it{turned}; "
-        f"up to {nearest.largest_px:.3f} px remain over the picture"
-    )
-    return Notice("warning" if nearest.largest_px > REMARKABLE_PX else "info", text, f"{side} camera")
-
-
-def _centre_notice(side: str, camera: Camera) -> Notice | None:
-    """A warning where the principal point cannot belong to a picture of that size."""
-    centre, (width, height) = camera.matrix[:2, 2], camera.size_px
-    if (centre >= 0).all() and (centre < camera.size_px).all():
-        return None
-    text = (
-        f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies outside a picture of {width}x{height}: "
-        "width and height may be exchanged"
-    )
-    return Notice("warning", text, f"{side} camera")
-
-
-# VIC-3D: the calibration in a project's XML, on its own or inside a .z3d file.
-
-FORMAT = "VIC-3D"
-PROJECT = "project.xml"
-"""The file inside a .z3d file that holds the calibration."""
-
-
-def read_vic3d(root: ElementTree.Element) -> Found:
-    """Return what a VIC-3D project or calibration holds.
-
-    `camera`: cx cy fx fy s k1 k2 k3, as text or split into `intrinsics` and `distortion`, with u = fx·x_d + s·y_d + cx;
-    `orientation`: α β γ (degrees) tx ty tz (mm) of x_camera = R_z(γ)·R_y(β)·R_x(α)·x_world + t (sdynpy,
-    `camera_matrix_from_vic_parameters`; dicengine, `DICe_CameraSystem.cpp`). The distortion is not published; of the
-    usual polynomials, 1 + k1·r² + k2·r⁴ + k3·r⁶ leaves the smallest epipolar residuals in a recording of the DIC
-    challenge with its VIC-3D calibration (`tests/photogram/test_calibration_files.py`).
-    """
-    cameras = {camera.get("id", ""): camera for camera in root.iter("camera")}
-    if set(cameras) != {"0", "1"}:
-        raise ValueError(f"camera: expected the ids 0 and 1, found {', '.join(sorted(cameras)) or 'none'}")
-    lenses = [_lens(f"camera {key}", cameras[key]) for key in "01"]
-    poses = [_pose(f"camera {key}", cameras[key]) for key in "01"]
-    rotation, translation = right_from_left(poses[0], poses[1])
-    size = _vic3d_size(root)
-    return Found(FORMAT, (lenses[0], lenses[1]), (size, size), rotation, translation, "mm")
-
-
-def _lens(name: str, camera: ElementTree.Element) -> Lens:
-    """Return the lens of one camera in either spelling."""
-    intrinsics, distortion = camera.find("intrinsics"), camera.find("distortion")
-    if intrinsics is None:
-        words = (camera.text or "").split()
-        inner, radial = words[:5], words[5:]
-    else:
-        inner = (intrinsics.text or "").split()
-        radial = [] if distortion is None else (distortion.text or "").split()
-    cx, cy, fx, fy, skew = numbers(f"{name}.intrinsics", inner, 5)
-    coefficients = numbers(f"{name}.distortion", radial, len(radial))
-    if coefficients[3:].any():
-        raise ValueError(
-            f"{name}.distortion: expected k1 k2 k3, found {coefficients[3:].tolist()} beside them, "
-            "whose meaning is not published; calibrate with radial distortion alone"
-        )
-    padded = np.zeros(3)
-    padded[: min(3, len(coefficients))] = coefficients[:3]
-    return Lens(np.array([fx, fy]), np.array([cx, cy]), padded, np.zeros(2), skew_px=float(skew))
-
-
-def _pose(name: str, camera: ElementTree.Element) -> tuple[FloatArray, FloatArray]:
-    """Return rotation and translation (mm) of one camera."""
-    orientation = camera.find("orientation")
-    if orientation is None:
-        raise ValueError(f"{name}.orientation: missing")
-    values = numbers(f"{name}.orientation", (orientation.text or "").split(), 6)
-    return rotation_from_cardan(values[:3]), values[3:]
-
-
-def _vic3d_size(root: ElementTree.Element) -> tuple[int, int] | None:
-    """Return the size of the pictures, which stands at an area of interest where there is one."""
-    for mask in root.iter("polygonmask"):
-        if mask.get("width") and mask.get("height"):
-            width, height = numbers("polygonmask", [mask.get("width"), mask.get("height")], 2)
-            return int(width), int(height)
-    return None

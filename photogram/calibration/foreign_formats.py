@@ -1,4 +1,4 @@
-"""Calibration files of OpenCV, DICe and MATLAB, and of any program by what the file looks like."""
+"""Calibration files of OpenCV, DICe, VIC-3D, MATLAB and Bouguet's toolbox, told apart by what they look like."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ import numpy as np
 from photogram.arrays import FloatArray, Notice
 from photogram.calibration.foreign import (
     EVEN,
-    PROJECT,
-    Found,
+    SIDES,
     ImportedCalibration,
     LengthUnit,
     Lens,
+    Stated,
     build,
     numbers,
-    read_vic3d,
     right_from_left,
     rotation_from_cardan,
 )
@@ -58,7 +57,7 @@ Values = dict[str, tuple[str, Any]]
 """Values of a file by simplified name, each with the name as it stands there."""
 
 
-def read_opencv(text: str, extrinsics: str | None = None) -> Found:
+def read_opencv(text: str, extrinsics: str | None = None) -> Stated:
     """Return what an OpenCV file holds: matrices and distortions of two cameras, R and T with x₂ = R·x₁ + T.
 
     Names in any of the usual spellings (M1 D1 M2 D2 R T, cameraMatrix1 distCoeffs1, K_left, mtxL, left: {…}); a
@@ -68,20 +67,13 @@ def read_opencv(text: str, extrinsics: str | None = None) -> Found:
     if extrinsics is not None:
         values |= _values(extrinsics)
     matrices, distortions = _pair(values, _MATRICES, "M1 and M2"), _pair(values, _DISTORTIONS, "D1 and D2")
-    lenses = [_lens(matrix, distortion) for matrix, distortion in zip(matrices, distortions, strict=True)]
+    left, right = (_lens(matrix, distortion) for matrix, distortion in zip(matrices, distortions, strict=True))
     size = _size(values)
     name, value = _one(values, _ROTATIONS, "rotation R")
     is_vector = np.size(np.asarray(value, dtype=object)) == 3
     rotation = rotation_from_vector(numbers(name, value, 3)) if is_vector else numbers(name, value, (3, 3))
-    name, value = _one(values, _TRANSLATIONS, "translation T")
-    return Found(
-        "OpenCV",
-        (lenses[0], lenses[1]),
-        (size, size),
-        rotation,
-        numbers(name, value, 3),
-        None,
-    )
+    translation = numbers(*_one(values, _TRANSLATIONS, "translation T"), 3)
+    return Stated("OpenCV", (left, right), (size, size), rotation, translation, None)
 
 
 def _values(text: str) -> Values:
@@ -102,45 +94,33 @@ def _flat(prefix: str, content: Any) -> Iterator[tuple[str, Any]]:
     """Yield name and value of everything, the names of objects within objects joined by points."""
     if not isinstance(content, dict):
         yield prefix, content
-    elif _is_array(content):
+    elif "data" in content and ("rows" in content or "sizes" in content):  # a matrix; a vector of OpenCV 5
         yield prefix, content["data"]
     else:
         for name, value in content.items():
             yield from _flat(f"{prefix}.{name}" if prefix else name, value)
 
 
-def _is_array(content: dict[str, Any]) -> bool:
-    """Whether a map is an OpenCV matrix: two-dimensional, or of any dimension as OpenCV 5 writes vectors."""
-    return "data" in content and ("rows" in content or "sizes" in content)
-
-
-def _storage(text: str) -> dict[str, Any]:
+def _storage(text: str) -> Any:
     """Return the content of a FileStorage text as nested objects."""
     import cv2
 
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        return dict(_children(storage.root()))
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)  # its nodes live as long
+        return _node(storage.root())
     except (SystemError, cv2.error) as error:
         raise ValueError("expected an OpenCV FileStorage text, found one that OpenCV cannot parse") from error
     finally:
         cv2.utils.logging.setLogLevel(level)
 
 
-def _children(node: Any) -> Iterator[tuple[str, Any]]:
-    """Yield name and content of everything in a map."""
-    names = node.keys()
-    for name in names:
-        yield name, _node(node.getNode(name))
-
-
 def _node(node: Any) -> Any:
-    """Return a node as number, text, list, array, or object of such."""
+    """Return a node of a FileStorage as number, text, list, or object of such."""
     if node.isMap():
-        children = dict(_children(node))
-        return np.asarray(node.mat(), dtype=np.float64) if _is_array(children) else children
+        names = node.keys()
+        return {name: _node(node.getNode(name)) for name in names}
     if node.isSeq():
         return [_node(node.at(index)) for index in range(node.size())]
     return node.string() if node.isString() else node.real()
@@ -192,13 +172,11 @@ def _size(values: Values) -> tuple[int, int] | None:
     """Return width and height where the file holds them."""
     for name in _SIZES:
         if name in values:
-            width, height = numbers(values[name][0], values[name][1], 2)
+            width, height = numbers(*values[name], 2)
             return int(width), int(height)
-    width_value = [values[name] for name in _WIDTHS if name in values]
-    height_value = [values[name] for name in _HEIGHTS if name in values]
-    if not (width_value and height_value):
-        return None
-    return int(numbers(*width_value[0], 1)[0]), int(numbers(*height_value[0], 1)[0])
+    sides = [next((values[name] for name in names if name in values), None) for names in (_WIDTHS, _HEIGHTS)]
+    whole = [int(numbers(*side, 1)[0]) for side in sides if side is not None]
+    return (whole[0], whole[1]) if len(whole) == 2 else None
 
 
 # DICe: camera systems in XML, and the text of 16 intrinsic and 6 or 12 extrinsic numbers before it.
@@ -217,7 +195,7 @@ _DICE_BEYOND = ("K4", "K5", "K6", "S1", "S2", "S3", "S4", "T1", "T2")
 _TEXT_ORDER = "cx cy fx fy fs k1 k2 k3 of either camera, alpha beta gamma or R11…R33, tx ty tz, [height width]"
 
 
-def read_dice_xml(root: ElementTree.Element) -> Found:
+def read_dice_xml(root: ElementTree.Element) -> Stated:
     """Return what a DICe camera system file holds (`DICe_Camera.cpp`, `DICe_CameraSystem.cpp` of dicengine).
 
     Either camera has x_camera = R·x_world + t, or, with `extrinsics_relative_camera_to_camera`, the second one
@@ -235,20 +213,25 @@ def read_dice_xml(root: ElementTree.Element) -> Found:
     first, second = (_camera(name, lists[name]) for name in cameras)
     rotation, translation = second[2], second[3]
     if system.get("EXTRINSICS_RELATIVE_CAMERA_TO_CAMERA", "false").lower() != "true":
-        rotation, translation = right_from_left((first[2], first[3]), (second[2], second[3]))
-    notices = _linear_notice(first[0], second[0])
-    return Found("DICe", (first[0], second[0]), (first[1], second[1]), rotation, translation, "mm", notices)
+        rotation, translation = right_from_left(first[2:], second[2:])
+    lenses, notices = (first[0], second[0]), list[Notice]()
+    if any(lens.exponents == _POWERS[_LINEAR] and lens.radial.any() for lens in lenses):
+        text = (
+            f"the lenses are taken as {_LINEAR}, as the file says; DICe writes this also for files that it converted "
+            "from its former text, whose numbers are OpenCV's or VIC-3D's: K1R3_K2R5_K3R7 would be right there"
+        )
+        notices.append(Notice("warning", text, "distortion"))  # r itself: a change of focal length, seldom meant
+    return Stated("DICe", lenses, (first[1], second[1]), rotation, translation, "mm", tuple(notices))
 
 
-def read_dice_text(text: str) -> Found:
+def read_dice_text(text: str) -> Stated:
     """Return what DICe's former text holds: one number a line, comments after #.
 
     Order: cx cy fx fy fs k1 k2 k3 of either camera, then α β γ (degrees) or R by rows, tx ty tz of x₁ = R·x₀ + t, then
     height and width where they are given. The program's readers differ in what they do with k1 k2 k3; they are taken as
     what its own calibration (OpenCV's) and VIC-3D, from where such lists are copied, write: 1 + k1·r² + k2·r⁴ + k3·r⁶.
     """
-    lines = [line.split("#", 1)[0].strip() for line in text.splitlines()]
-    words = [line for line in lines if line]
+    words = [word for line in text.splitlines() if (word := line.split("#", 1)[0].strip())]
     extrinsic, has_size = {22: (6, False), 24: (6, True), 28: (12, False), 30: (12, True)}.get(len(words), (0, False))
     if not extrinsic:
         raise ValueError(f"expected 22, 24, 28 or 30 numbers, one a line ({_TEXT_ORDER}), found {len(words)}")
@@ -256,25 +239,14 @@ def read_dice_text(text: str) -> Found:
     outer = values[16 : 16 + extrinsic]
     rotation = rotation_from_cardan(outer[:3]) if extrinsic == 6 else outer[:9].reshape(3, 3)
     size = (int(values[-1]), int(values[-2])) if has_size else None
-    lenses = tuple(
+    left, right = (
         Lens(each[2:4], each[:2], each[5:8], np.zeros(2), skew_px=float(each[4])) for each in (values[:8], values[8:16])
     )
     notices: tuple[Notice, ...] = ()
     if values[[5, 6, 7, 13, 14, 15]].any():
         told = "k1 k2 k3 are taken as the factor 1 + k1 r^2 + k2 r^4 + k3 r^6, r = 1 one focal length off the centre"
         notices = (Notice("info", told, "distortion"),)
-    return Found("DICe", (lenses[0], lenses[1]), (size, size), rotation, outer[-3:], "mm", notices)
-
-
-def _linear_notice(*lenses: Lens) -> tuple[Notice, ...]:
-    """A warning where a distortion grows with r itself, which is a change of the focal length and seldom meant."""
-    if not any(lens.exponents == _POWERS[_LINEAR] and lens.radial.any() for lens in lenses):
-        return ()
-    text = (
-        f"the lenses are taken as {_LINEAR}, as the file says; DICe writes this also for files that it converted from "
-        "its former text, whose numbers are OpenCV's or VIC-3D's: K1R3_K2R5_K3R7 would be right there"
-    )
-    return (Notice("warning", text, "distortion"),)
+    return Stated("DICe", (left, right), (size, size), rotation, outer[-3:], "mm", notices)
 
 
 def _parameters(element: ElementTree.Element) -> dict[str, str]:
@@ -309,23 +281,67 @@ def _camera(name: str, element: ElementTree.Element) -> tuple[Lens, tuple[int, i
         exponents=_POWERS.get(model, EVEN),
     )
     height, width = _list(f"{name}.IMAGE_HEIGHT_WIDTH", values["IMAGE_HEIGHT_WIDTH"], 2)
-    translation = np.array([number("TX"), number("TY"), number("TZ")])
-    return lens, (int(width), int(height)), _camera_rotation(name, element, values), translation
-
-
-def _camera_rotation(name: str, element: ElementTree.Element, values: dict[str, str]) -> FloatArray:
-    """Return the rotation of one camera: matrix, angles, or none."""
+    rotation = rotation_from_cardan(np.array([number("ALPHA"), number("BETA"), number("GAMMA")]))
     for part in element.findall("parameterlist"):
         if part.get("name", "").lower() == "rotation_3x3_matrix":
             rows = _parameters(part)
-            return np.array([_list(f"{name}.ROW {i}", rows.get(f"ROW {i}", ""), 3) for i in range(3)])
-    angles = [values.get(key, "0") for key in ("ALPHA", "BETA", "GAMMA")]
-    return rotation_from_cardan(numbers(f"{name}.ALPHA, BETA, GAMMA", angles, 3))
+            rotation = np.array([_list(f"{name}.ROW {i}", rows.get(f"ROW {i}", ""), 3) for i in range(3)])
+    return lens, (int(width), int(height)), rotation, np.array([number("TX"), number("TY"), number("TZ")])
 
 
 def _list(where: str, text: str, count: int) -> FloatArray:
     """Return the numbers of a text like { 1, 2 }."""
     return numbers(where, re.findall(r"[^\s,{}]+", text), count)
+
+
+# VIC-3D: the calibration in a project's XML, on its own or inside a .z3d file.
+
+_PROJECT = "project.xml"  # the file inside a .z3d file that holds the calibration
+
+
+def read_vic3d(root: ElementTree.Element) -> Stated:
+    """Return what a VIC-3D project or calibration holds.
+
+    `camera`: cx cy fx fy s k1 k2 k3, as text or split into `intrinsics` and `distortion`, with u = fx·x_d + s·y_d + cx;
+    `orientation`: α β γ (degrees) tx ty tz (mm) of x_camera = R_z(γ)·R_y(β)·R_x(α)·x_world + t (sdynpy,
+    `camera_matrix_from_vic_parameters`; dicengine, `DICe_CameraSystem.cpp`). The distortion is not published; of the
+    usual polynomials, 1 + k1·r² + k2·r⁴ + k3·r⁶ leaves the smallest epipolar residuals in a recording of the DIC
+    challenge with its VIC-3D calibration (`tests/photogram/test_calibration_files.py`).
+    """
+    cameras = {camera.get("id", ""): camera for camera in root.iter("camera")}
+    if set(cameras) != {"0", "1"}:
+        raise ValueError(f"camera: expected the ids 0 and 1, found {', '.join(sorted(cameras)) or 'none'}")
+    (left, *left_pose), (right, *right_pose) = (_vic3d_camera(f"camera {key}", cameras[key]) for key in "01")
+    rotation, translation = right_from_left(left_pose, right_pose)
+    size = None  # of the pictures: it stands at an area of interest where there is one
+    for mask in root.iter("polygonmask"):
+        if size is None and mask.get("width") and mask.get("height"):
+            width, height = numbers("polygonmask", [mask.get("width"), mask.get("height")], 2)
+            size = int(width), int(height)
+    return Stated("VIC-3D", (left, right), (size, size), rotation, translation, "mm")
+
+
+def _vic3d_camera(name: str, camera: ElementTree.Element) -> tuple[Lens, FloatArray, FloatArray]:
+    """Return lens, in either spelling, rotation and translation (mm) of one camera."""
+    intrinsics, distortion, orientation = (camera.find(tag) for tag in ("intrinsics", "distortion", "orientation"))
+    words = (camera.text or "").split()
+    inner, radial = words[:5], words[5:]
+    if intrinsics is not None:
+        inner = (intrinsics.text or "").split()
+        radial = [] if distortion is None else (distortion.text or "").split()
+    cx, cy, fx, fy, skew = numbers(f"{name}.intrinsics", inner, 5)
+    coefficients = numbers(f"{name}.distortion", radial, len(radial))
+    if coefficients[3:].any():
+        raise ValueError(
+            f"{name}.distortion: expected k1 k2 k3, found {coefficients[3:].tolist()} beside them, "
+            "whose meaning is not published; calibrate with radial distortion alone"
+        )
+    if orientation is None:
+        raise ValueError(f"{name}.orientation: missing")
+    pose = numbers(f"{name}.orientation", (orientation.text or "").split(), 6)
+    padded = np.concatenate([coefficients, np.zeros(3)])[:3]
+    lens = Lens(np.array([fx, fy]), np.array([cx, cy]), padded, np.zeros(2), skew_px=float(skew))
+    return lens, rotation_from_cardan(pose[:3]), pose[3:]
 
 
 # MATLAB: stereoParameters as JSON, and Bouguet's calibration toolbox as text.
@@ -335,27 +351,28 @@ _ESSENTIAL = 1e-3  # relative departure of an essential matrix from that of R an
 _ASSIGNMENT = re.compile(r"\b([A-Za-z]\w*)\s*=\s*(?:\[([^\]]*)\]|([-+]?[\d.][\w.+-]*))")
 
 
-def read_matlab(content: dict[str, Any]) -> Found:
+def read_matlab(content: dict[str, Any]) -> Stated:
     """Return what jsonencode(toStruct(stereoParams)), or jsonencode(stereoParams), wrote.
 
     Pixels count from 1 there, so that 1 is taken off the principal point (MathWorks, `stereoParametersToOpenCV`).
     `K` is the camera matrix and `PoseCamera2` has x₂ = R·x₁ + T; the older `IntrinsicMatrix` and `RotationOfCamera2`
     are the transposed ones, x₂ᵀ = x₁ᵀ·R + T. An `EssentialMatrix` in the file must agree with R and T.
     """
-    names = ("CameraParameters1", "CameraParameters2")
-    cameras: list[Any] = [content.get(name) for name in names]
-    for name, camera in zip(names, cameras, strict=True):
-        if not isinstance(camera, dict):
-            raise ValueError(f"{name}: expected an object, found {str(camera)[:40]!r}")
-    lenses = [_matlab_lens(name, camera) for name, camera in zip(names, cameras, strict=True)]
-    sizes = [_matlab_size(name, camera) for name, camera in zip(names, cameras, strict=True)]
+    (left, left_size, unit), (right, right_size, _) = (
+        _matlab_camera(name, content.get(name)) for name in ("CameraParameters1", "CameraParameters2")
+    )
     rotation, translation = _extrinsics(content)
-    _check_essential(content, rotation, translation)
-    unit = _UNITS.get(str(content.get("WorldUnits", cameras[0].get("WorldUnits", ""))).lower())
-    return Found("MATLAB", (lenses[0], lenses[1]), (sizes[0], sizes[1]), rotation, translation, unit)
+    if content.get("EssentialMatrix") is not None:
+        given = numbers("EssentialMatrix", content["EssentialMatrix"], 9)
+        expected = (skew(translation) @ rotation).ravel()
+        share = abs(given @ expected) / (np.linalg.norm(given) * np.linalg.norm(expected))
+        if not 1.0 - share < _ESSENTIAL**2:
+            raise ValueError("EssentialMatrix: expected the one of the file's rotation and translation, found another")
+    known = _UNITS.get(str(content.get("WorldUnits", unit)).lower())
+    return Stated("MATLAB", (left, right), (left_size, right_size), rotation, translation, known)
 
 
-def read_bouguet(text: str) -> Found:
+def read_bouguet(text: str) -> Stated:
     """Return what Bouguet's stereo calibration prints or saves as assignments: fc_left = [ … ], …, om, T.
 
     x_right = R(om)·x_left + T in mm; kc: k1 k2 p1 p2 k3; skew alpha_c·fc(1); the toolbox counts pixels from 0, as it
@@ -372,19 +389,21 @@ def read_bouguet(text: str) -> Found:
         return numbers(name, re.findall(r"[^\s,;]+", values[name]), count)
 
     lenses = []
-    for side in ("left", "right"):
+    for side in SIDES:
         focal, centre, kc = array(f"fc_{side}", 2), array(f"cc_{side}", 2), array(f"kc_{side}", 5)
         alpha = float(array(f"alpha_c_{side}", 1)[0]) if f"alpha_c_{side}" in values else 0.0
         lenses.append(Lens(focal, centre, kc[[0, 1, 4]], kc[2:4], skew_px=alpha * float(focal[0])))
     rotation = array("R", 9).reshape(3, 3) if "om" not in values else rotation_from_vector(array("om", 3))
     size = (int(array("nx", 1)[0]), int(array("ny", 1)[0])) if {"nx", "ny"} <= set(values) else None
-    return Found("Bouguet's toolbox", (lenses[0], lenses[1]), (size, size), rotation, array("T", 3), "mm")
+    return Stated("Bouguet's toolbox", (lenses[0], lenses[1]), (size, size), rotation, array("T", 3), "mm")
 
 
-def _matlab_lens(name: str, camera: dict[str, Any]) -> Lens:
-    """Return one camera's lens, its principal point counted from 0."""
-    inner = camera.get("Intrinsics") if isinstance(camera.get("Intrinsics"), dict) else camera
-    parameters = {**camera, **inner} if inner is not None else camera
+def _matlab_camera(name: str, camera: Any) -> tuple[Lens, tuple[int, int] | None, str]:
+    """Return one camera's lens, its principal point counted from 0, width and height, and the unit of lengths."""
+    if not isinstance(camera, dict):
+        raise ValueError(f"{name}: expected an object, found {str(camera)[:40]!r}")
+    inner = camera.get("Intrinsics")
+    parameters = {**camera, **inner} if isinstance(inner, dict) else camera
     if parameters.get("K") is not None:
         k = numbers(f"{name}.K", parameters["K"], (3, 3))
     elif parameters.get("IntrinsicMatrix") is not None:
@@ -399,17 +418,10 @@ def _matlab_lens(name: str, camera: dict[str, Any]) -> Lens:
         raise ValueError(f"{name}.RadialDistortion: expected 2 or 3 numbers, found {coefficients.size}")
     radial[: coefficients.size] = numbers(f"{name}.RadialDistortion", coefficients, coefficients.size)
     tangential = numbers(f"{name}.TangentialDistortion", parameters.get("TangentialDistortion", [0, 0]), 2)
-    return Lens(np.array([k[0, 0], k[1, 1]]), k[:2, 2] - 1.0, radial, tangential, skew_px=float(k[0, 1]))
-
-
-def _matlab_size(name: str, camera: dict[str, Any]) -> tuple[int, int] | None:
-    """Return width and height of a camera's pictures, which MATLAB keeps as rows and columns."""
-    inner = camera.get("Intrinsics")
-    given = camera.get("ImageSize") or (inner.get("ImageSize") if isinstance(inner, dict) else None)
-    if not given:
-        return None
-    rows, columns = numbers(f"{name}.ImageSize", given, 2)
-    return int(columns), int(rows)
+    lens = Lens(np.array([k[0, 0], k[1, 1]]), k[:2, 2] - 1.0, radial, tangential, skew_px=float(k[0, 1]))
+    size = camera.get("ImageSize") or parameters.get("ImageSize")
+    rows, columns = numbers(f"{name}.ImageSize", size, 2) if size else (0, 0)
+    return lens, (int(columns), int(rows)) if size else None, camera.get("WorldUnits", "")
 
 
 def _extrinsics(content: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
@@ -425,17 +437,6 @@ def _extrinsics(content: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
         raise ValueError("expected PoseCamera2, or RotationOfCamera2 and TranslationOfCamera2, found neither")
     rotation = numbers("RotationOfCamera2", content["RotationOfCamera2"], (3, 3)).T
     return rotation, numbers("TranslationOfCamera2", content.get("TranslationOfCamera2"), 3)
-
-
-def _check_essential(content: dict[str, Any], rotation: FloatArray, translation: FloatArray) -> None:
-    """Raise `ValueError` where the file's essential matrix is not [T]ₓ·R up to a factor."""
-    if content.get("EssentialMatrix") is None:
-        return
-    found = numbers("EssentialMatrix", content["EssentialMatrix"], 9)
-    expected = (skew(translation) @ rotation).ravel()
-    share = abs(found @ expected) / (np.linalg.norm(found) * np.linalg.norm(expected))
-    if not 1.0 - share < _ESSENTIAL**2:
-        raise ValueError("EssentialMatrix: expected the one of the file's rotation and translation, found another")
 
 
 # Calibrations of other programs → `StereoRig`: OpenCV, DICe, VIC-3D, MATLAB, Bouguet's toolbox.
@@ -474,7 +475,7 @@ def import_calibration(
         except UnicodeDecodeError as error:
             raise ValueError(f"{extrinsics}: expected a text, found other bytes") from error
     try:
-        return build(_found(_content(path), second), image_size, length_unit)
+        return build(_read(_content(path), second), image_size, length_unit)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -485,17 +486,23 @@ def _content(path: Path) -> bytes:
         return path.read_bytes()
     with zipfile.ZipFile(path) as archive:
         try:
-            return archive.read(PROJECT)
+            return archive.read(_PROJECT)
         except KeyError as error:
-            raise ValueError(f"expected {PROJECT} in this zipped file, found none") from error
+            raise ValueError(f"expected {_PROJECT} in this zipped file, found none") from error
 
 
-def _found(content: bytes, extrinsics: str | None) -> Found:
-    """Return what a file of any known format holds."""
+def _read(content: bytes, extrinsics: str | None) -> Stated:
+    """Return what a file of any known format states."""
     text = content.decode("utf-8-sig", errors="replace")
     if text.lstrip().startswith("<"):
-        return _found_in_xml(content, text, extrinsics)
-    if text.lstrip().startswith("{"):
+        root = parse_xml(content)
+        if root.tag == "parameterlist":
+            return read_dice_xml(root)
+        if root.tag != "opencv_storage":
+            if next(root.iter("camera"), None) is not None:
+                return read_vic3d(root)
+            raise ValueError(f"expected XML of OpenCV, DICe or VIC-3D, found one that begins with <{root.tag}>")
+    elif text.lstrip().startswith("{"):
         values = _json(text)
         if "CameraParameters1" in values:
             return read_matlab(values)
@@ -504,15 +511,3 @@ def _found(content: bytes, extrinsics: str | None) -> Found:
     elif not text.startswith("%YAML"):
         return read_bouguet(text) if "fc_left" in text else read_dice_text(text)
     return read_opencv(text, extrinsics)
-
-
-def _found_in_xml(content: bytes, text: str, extrinsics: str | None) -> Found:
-    """Return what an XML text of OpenCV, DICe or VIC-3D holds."""
-    root = parse_xml(content)
-    if root.tag == "opencv_storage":
-        return read_opencv(text, extrinsics)
-    if root.tag == "parameterlist":
-        return read_dice_xml(root)
-    if next(root.iter("camera"), None) is not None:
-        return read_vic3d(root)
-    raise ValueError(f"expected XML of OpenCV, DICe or VIC-3D, found one that begins with <{root.tag}>")

@@ -144,12 +144,16 @@ _FOCAL_U = 0.005  # relative standard uncertainty of a focal length above which 
 _FOCAL_LIMIT = 0.05  # and above which the calibration is refused
 _ADDED_PX = 0.15  # noise beyond the pictures' own, per coordinate, above which the user is told
 _UNITS = {"f": "px", "c": "px", "k": "1", "p": "1"}
+_STATES = {
+    "open": "not determined by these views (taken from an ordinary lens)",
+    "indistinct": "not distinguishable from zero",
+}
 
 
 def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[Parameter, ...]:
     """Return the 24 parameters of a rig with covariance, and what the views say about each beside the prior."""
     covariance = np.zeros((24, 24)) if rig.covariance is None else rig.covariance
-    found = []
+    parameters = []
     for number, (name, value) in enumerate(zip(RIG_PARAMETERS, rig.values, strict=True)):
         u, kind = float(np.sqrt(covariance[number, number])), name.split(".")[1][0]
         lens = not name.startswith(("rotation", "translation"))
@@ -159,8 +163,8 @@ def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[Parameter, 
             state = "open"
         elif lens and kind in "kp" and abs(value) < _DISTINCT * u:
             state = "indistinct"
-        found.append(Parameter(name, float(value), u, unit, state))
-    return tuple(found)
+        parameters.append(Parameter(name, float(value), u, unit, state))
+    return tuple(parameters)
 
 
 def refuse_open_focal_lengths(parameters: Sequence[Parameter]) -> None:
@@ -175,7 +179,32 @@ def refuse_open_focal_lengths(parameters: Sequence[Parameter]) -> None:
 
 def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
     """Return what the user should know of a calibration, and what to add to the session."""
-    notices = [*_view_notices(calibration), *_parameter_notices(calibration)]
+    notices: list[Notice] = []
+
+    def warn(text: str, where: str) -> None:
+        notices.append(Notice("warning", text, where))
+
+    pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
+    if pairs < _MANY_VIEWS:
+        warn(f"only {pairs} pairs; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
+    spread, axes = spread_of_turns([view.left_from_target for view in calibration.views])
+    if spread[0] < _LITTLE_TURN_RAD:
+        axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
+        text = f"the target is hardly turned about the picture's {axis} axis ({np.degrees(spread[0]):.1f}° rms)"
+        warn(f"{text}; add views turned by 20° and more about it", "views")
+    for side, share in zip(("left", "right"), calibration.covered, strict=True):
+        if share < _ENOUGH_COVER:
+            text = f"the points cover {100 * share:.0f} % of the {side} picture"
+            more = "add views with the target near its edges, or measure within the part that is covered"
+            warn(f"{text}; {more}", side)
+    for item in calibration.parameters:
+        if item.name.endswith((".fx", ".fy")) and item.u > _FOCAL_U * item.value:
+            text = f"{item.name} is known to {100 * item.u / item.value:.1f} % only (k = 1)"
+            warn(f"{text}; more turned views at other distances improve it", item.name)
+    for state, text in _STATES.items():
+        names = [item.name for item in calibration.parameters if item.state == state]
+        if names:
+            notices.append(Notice("info", f"{', '.join(names)}: {text}", "distortion"))
     flat = np.column_stack([calibration.shape_index * calibration.target.spacing_m, np.zeros(len(calibration.shape_m))])
     off = calibration.shape_m - flat
     if off.any():
@@ -185,49 +214,7 @@ def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
     worst = max(calibration.added_px)
     if worst >= _ADDED_PX:
         text = f"the points are {worst:.2f} px (per coordinate) off beyond the pictures' noise: rough print, a bent"
-        text += " target or a lens that the model does not describe; see the residual maps"
-        notices.append(Notice("warning", text, "residuals"))
+        warn(f"{text} target or a lens that the model does not describe; see the residual maps", "residuals")
     if calibration.scale_u == 0:
-        text = "the uncertainty of the target's spacing is not stated, so that of all lengths lacks its share"
-        notices.append(Notice("warning", text, "scale"))
+        warn("the uncertainty of the target's spacing is not stated, so that of all lengths lacks its share", "scale")
     return tuple(notices)
-
-
-def _view_notices(calibration: Calibration) -> list[Notice]:
-    """Return what is missing in number, turn and place of the views."""
-    found = []
-    pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
-    if pairs < _MANY_VIEWS:
-        found.append(
-            Notice("warning", f"only {pairs} pairs; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
-        )
-    spread, axes = spread_of_turns([view.left_from_target for view in calibration.views])
-    if spread[0] < _LITTLE_TURN_RAD:
-        axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
-        text = f"the target is hardly turned about the picture's {axis} axis ({np.degrees(spread[0]):.1f}° rms)"
-        found.append(Notice("warning", f"{text}; add views turned by 20° and more about it", "views"))
-    for side, share in zip(("left", "right"), calibration.covered, strict=True):
-        if share < _ENOUGH_COVER:
-            text = (
-                f"the points cover {100 * share:.0f} % of the {side} picture; add views with the target near its edges"
-            )
-            found.append(Notice("warning", f"{text}, or measure within the part that is covered", side))
-    return found
-
-
-def _parameter_notices(calibration: Calibration) -> list[Notice]:
-    """Return what the views say about the parameters."""
-    found = []
-    for item in calibration.parameters:
-        if item.name.endswith((".fx", ".fy")) and item.u > _FOCAL_U * item.value:
-            text = f"{item.name} is known to {100 * item.u / item.value:.1f} % only (k = 1)"
-            found.append(Notice("warning", f"{text}; more turned views at other distances improve it", item.name))
-    states = {
-        "open": "not determined by these views (taken from an ordinary lens)",
-        "indistinct": "not distinguishable from zero",
-    }
-    for state, text in states.items():
-        names = [item.name for item in calibration.parameters if item.state == state]
-        if names:
-            found.append(Notice("info", f"{', '.join(names)}: {text}", "distortion"))
-    return found

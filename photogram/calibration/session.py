@@ -9,14 +9,7 @@ from typing import Literal
 import numpy as np
 
 from photogram.arrays import BoolArray, FloatArray
-from photogram.calibration.bundle import (
-    Adjusted,
-    Bundle,
-    Picture,
-    ShapeKind,
-    adjust,
-    whitened_squares,
-)
+from photogram.calibration.bundle import Adjusted, Bundle, Picture, ShapeKind, adjust, whitened_squares
 from photogram.calibration.result import (
     CalibratedPicture,
     CalibratedView,
@@ -29,9 +22,6 @@ from photogram.calibration.result import (
 )
 from photogram.calibration.start import Pair, lens_prior, picture_of, start_bundle
 from photogram.targets.view import Target, TargetView
-
-"""Columns and rows of the cells of a picture by which its coverage is told."""
-
 
 _ROUNDS = 12
 _START_NOISE_PX = 0.2  # noise added to every point's own in the first round
@@ -91,13 +81,11 @@ def _calibrated(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> tupl
         fit = _settle(start.bundle, _Session.of(start.bundle, start.pairs, target))
         bad = _bad_pictures(fit)
         dropped += (*start.dropped, *bad)
-        names = [item.name for item in bad]
-        kept = [
-            tuple(None if view is not None and view.name in names else view for view in pair) for pair in start.pairs
-        ]
-        pairs = [(left, right) for left, right in kept if left is not None or right is not None]
         if not bad:
             return fit, dropped
+        names = [None, *(item.name for item in bad)]
+        kept = [[view if view and view.name not in names else None for view in pair] for pair in start.pairs]
+        pairs = [(left, right) for left, right in kept if left is not None or right is not None]
 
 
 def _unexplained(fit: _Fit) -> float:
@@ -110,7 +98,6 @@ def _unexplained(fit: _Fit) -> float:
 class _Session:
     """The pictures, which of their points (N,) take part, and the noise (left, right) added to the points' own."""
 
-    names: tuple[str, ...]
     views: tuple[TargetView, ...]
     pictures: tuple[Picture, ...]
     used: tuple[BoolArray, ...]
@@ -128,8 +115,7 @@ class _Session:
                     views.append(same)
                     pictures.append(picture_of(same, number, side, bundle.shape.index, target.spacing_m))
         used = tuple(np.ones(len(view.index), np.bool_) for view in views)
-        names = tuple(view.name for view in views)
-        return _Session(names, tuple(views), tuple(pictures), used, (_START_NOISE_PX, _START_NOISE_PX))
+        return _Session(tuple(views), tuple(pictures), used, (_START_NOISE_PX, _START_NOISE_PX))
 
     def weighted(self, every: bool = False) -> tuple[Picture, ...]:
         """Return the pictures with the weights of this round; of `every` point, or zero for those left out."""
@@ -177,11 +163,10 @@ def _settle(bundle: Bundle, session: _Session) -> _Fit:
 def _fit(bundle: Bundle, session: _Session) -> _Fit:
     """Adjust once with the session's weights."""
     adjusted = adjust(bundle, session.weighted(), lens_prior(bundle.rig))
-    found = [whitened_squares(adjusted.bundle, picture) for picture in session.weighted(every=True)]
-    residuals, squares = tuple(residual for residual, _ in found), tuple(square for _, square in found)
+    both = (whitened_squares(adjusted.bundle, picture) for picture in session.weighted(every=True))
+    residuals, squares = zip(*both, strict=True)
     # The number of coordinates minus that of parameters, a parameter counting as far as the data fix it
-    prior = lens_prior(adjusted.bundle.rig).sigma
-    prior = np.concatenate([prior, adjusted.bundle.shape.prior_m])
+    prior = np.concatenate([lens_prior(adjusted.bundle.rig).sigma, adjusted.bundle.shape.prior_m])
     parameters = float(np.sum(1 - np.diagonal(adjusted.covariance) / prior**2)) + 6 * len(adjusted.bundle.poses)
     dof = 2 * sum(int(used.sum()) for used in session.used) - parameters
     if dof < 1:
@@ -214,13 +199,14 @@ def _bad_pictures(fit: _Fit) -> list[Dropped]:
     session, bad = fit.session, []
     spread = np.array([np.sqrt(np.median((residual**2).sum(axis=1))) for residual in fit.residuals])
     typical = float(np.median(spread))
-    for name, used, own in zip(session.names, session.used, spread, strict=True):
+    for view, used, own in zip(session.views, session.used, spread, strict=True):
         share = 1 - used.mean()
         if share > _REJECTED_SHARE:
             reason = f"{100 * share:.0f} % of its points are more than {np.sqrt(_REJECTED):.0f} standard deviations off"
-            bad.append(Dropped(name, 0, reason))
+            bad.append(Dropped(view.name, 0, reason))
         elif own > _SCATTER * typical:
-            bad.append(Dropped(name, 0, f"its points scatter by {own:.2f} px, those of the others by {typical:.2f} px"))
+            reason = f"its points scatter by {own:.2f} px, those of the others by {typical:.2f} px"
+            bad.append(Dropped(view.name, 0, reason))
     return bad
 
 
@@ -241,9 +227,9 @@ def _result(fit: _Fit, dropped: tuple[Dropped, ...], target: Target, scale_u: fl
     ]
     views = []
     for number, pose in enumerate(bundle.poses):
-        sides = {p.side: found for p, found in zip(session.pictures, pictures, strict=True) if p.view == number}
+        sides = {p.side: seen for p, seen in zip(session.pictures, pictures, strict=True) if p.view == number}
         views.append(CalibratedView(pose, fit.adjusted.pose_covariance[number] * factor, sides.get(0), sides.get(1)))
-    by_side = [[found for p, found in zip(session.pictures, pictures, strict=True) if p.side == s] for s in (0, 1)]
+    by_side = [[seen for p, seen in zip(session.pictures, pictures, strict=True) if p.side == s] for s in (0, 1)]
     parameters = rig_parameters(rig, lens_prior(bundle.rig).sigma)
     refuse_open_focal_lengths(parameters)
     calibration = Calibration(

@@ -23,18 +23,12 @@ _TOLERATED = 0.05  # disagreement that is never strange: rad, share of the dista
 _QUARTER_TURN = np.array([[0, -1], [1, 0]])
 
 
-@dataclass(frozen=True, eq=False)
-class Pairing:
-    """`right_from_left`, the pairs with their right poses, and the numbers of the pairs that do not agree with it."""
+def _pair_up(
+    pairs: Sequence[Pair], left_poses: Poses, right_poses: Poses, target: Target
+) -> tuple[RigidTransform, list[Pair], Poses, list[int]]:
+    """Return the relative pose of the pair that agrees best with all others, and the numbers of those that do not.
 
-    right_from_left: RigidTransform
-    pairs: tuple[Pair, ...]
-    right_poses: Poses
-    strange: tuple[int, ...]
-
-
-def pair_up(pairs: Sequence[Pair], left_poses: Poses, right_poses: Poses, target: Target) -> Pairing:
-    """Return the relative pose of the pair that agrees best with all others, and who does not agree.
+    Between them the pairs and their right poses, numbered anew.
 
     A target that looks alike after half a turn (a square one after a quarter) may be numbered differently in the two
     pictures of a pair: where another numbering of the right one makes it agree, that is taken. Raises `ValueError`
@@ -46,20 +40,20 @@ def pair_up(pairs: Sequence[Pair], left_poses: Poses, right_poses: Poses, target
             "no position of the target is seen by both cameras; the two lists of pictures must be in one order"
         )
     depth = float(np.median([np.linalg.norm(left_poses[view].translation_m) for view in common]))
-    found = [right_poses[view] @ left_poses[view].inverse() for view in common]
-    apart = np.array([[_disagreement(a, b, depth) for b in found] for a in found])
+    relatives = [right_poses[view] @ left_poses[view].inverse() for view in common]
+    apart = np.array([[_disagreement(a, b, depth) for b in relatives] for a in relatives])
     best = int(np.argmin(np.median(apart, axis=1)))
-    relative, limit = found[best], max(_TOLERATED, _STRANGE * float(np.median(apart[best])))
+    relative, limit = relatives[best], max(_TOLERATED, _STRANGE * float(np.median(apart[best])))
     numbered, poses, strange = list(pairs), dict(right_poses), []
     for view in common:
-        for turn in ((np.eye(2, dtype=np.int64), np.zeros(2)), *_look_alikes(target)):
+        for turn, shift in ((np.eye(2, dtype=np.int64), np.zeros(2)), *_look_alikes(target)):
             rotation = np.eye(3)
-            rotation[:2, :2] = turn[0]
-            pose = right_poses[view] @ RigidTransform(rotation, np.append(turn[1], 0.0) * target.spacing_m).inverse()
+            rotation[:2, :2] = turn
+            pose = right_poses[view] @ RigidTransform(rotation, np.append(shift, 0.0) * target.spacing_m).inverse()
             if _disagreement(pose @ left_poses[view].inverse(), relative, depth) <= limit:
                 left, right = pairs[view]
                 if right is not None:
-                    right = replace(right, index=np.rint(right.index @ turn[0].T + turn[1]).astype(np.int64))
+                    right = replace(right, index=np.rint(right.index @ turn.T + shift).astype(np.int64))
                 numbered[view], poses[view] = (left, right), pose
                 break
         else:
@@ -69,7 +63,7 @@ def pair_up(pairs: Sequence[Pair], left_poses: Poses, right_poses: Poses, target
             "the left and right pictures do not belong together: no relative pose of the cameras fits most pairs; "
             "give all left pictures first, then all right ones in the same order"
         )
-    return Pairing(relative, tuple(numbered), poses, tuple(strange))
+    return relative, numbered, poses, strange
 
 
 def _disagreement(a: RigidTransform, b: RigidTransform, depth_m: float) -> float:
@@ -109,17 +103,28 @@ def target_pose(
     (Collins and Bartoli 2014, International Journal of Computer Vision 109, 252). The covariance is that of the
     pictures' noise: the calibration's and the spacing's uncertainty are common to all poses and not contained.
     """
+    import cv2
+
     seen = [(view, side) for side, view in enumerate((left, right)) if view is not None]
     if not seen:
         raise ValueError("left, right: expected at least one picture of the target, found none")
     index = np.unique(np.concatenate([view.index for view, _ in seen]), axis=0)
     shape = make_shape("flat", index, target.spacing_m)
     pictures = [picture_of(view, 0, side, index, target.spacing_m) for view, side in seen]
-    found = [_refined(Bundle(rig, (start,), shape), pictures) for start in _starts(rig, pictures[0], shape.flat_m)]
-    best = min(found, key=lambda fit: fit[2])
-    if not np.isfinite(best[2]):
+    first = pictures[0]
+    rays = (rig.right if first.side else rig.left).undistort(first.position_px)
+    count, turns, shifts, _ = cv2.solvePnPGeneric(
+        shape.flat_m[first.point], rays, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+    )
+    if not count:
+        raise ValueError("left, right: expected points of a target that are not all on one line")
+    to_left = rig.right_from_left.inverse() if first.side else RigidTransform.identity()
+    starts = [to_left @ pose for pose in _opencv_poses(turns, shifts)]
+    fits = [_refined(Bundle(rig, (start,), shape), pictures) for start in starts]
+    pose, covariance, squares = min(fits, key=lambda fit: fit[2])
+    if not np.isfinite(squares):
         raise ValueError(f"{seen[0][0].name}: no pose of the target explains its points")
-    return best[0], best[1]
+    return pose, covariance
 
 
 def picture_of(view: TargetView, number: int, side: int, index: IntArray, spacing_m: float) -> Picture:
@@ -128,21 +133,6 @@ def picture_of(view: TargetView, number: int, side: int, index: IntArray, spacin
     point = np.array([rows[tuple(pair)] for pair in view.index.tolist()], dtype=np.int64)
     precision = np.asarray(np.linalg.inv(view.covariance_px2), dtype=np.float64)
     return Picture(number, side, point, view.position_px, precision, view.radius * spacing_m)
-
-
-def _starts(rig: StereoRig, picture: Picture, flat_m: FloatArray) -> list[RigidTransform]:
-    """Return the two poses of a plane that one picture allows, as poses in the left camera."""
-    import cv2
-
-    camera = rig.right if picture.side else rig.left
-    rays = camera.undistort(picture.position_px)
-    count, turns, shifts, _ = cv2.solvePnPGeneric(
-        flat_m[picture.point], rays, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
-    )
-    if not count:
-        raise ValueError("left, right: expected points of a target that are not all on one line")
-    to_left = rig.right_from_left.inverse() if picture.side else RigidTransform.identity()
-    return [to_left @ pose for pose in _opencv_poses(turns, shifts)]
 
 
 def _opencv_poses(turns: Sequence[Any], shifts: Sequence[Any]) -> list[RigidTransform]:
@@ -205,8 +195,7 @@ def start_bundle(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> Sta
     dropped = [item for side in sides for item in side.dropped]
     for side in sides:
         refuse_similar_views(list(side.poses.values()))
-    pairing = pair_up(pairs, sides[0].poses, sides[1].poses, target)
-    relative, strange, pairs = pairing.right_from_left, pairing.strange, pairing.pairs
+    relative, pairs, right_poses, strange = _pair_up(pairs, sides[0].poses, sides[1].poses, target)
     for view in strange:
         names = " and ".join(seen.name for seen in pairs[view] if seen is not None)
         reason = "the two pictures do not show one position of the target (mixed up, mirrored, or it moved in between)"
@@ -219,7 +208,7 @@ def start_bundle(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> Sta
         if used[0] is None and used[1] is None:
             continue
         kept.append((used[0], used[1]))
-        poses.append(sides[0].poses[view] if used[0] is not None else relative.inverse() @ pairing.right_poses[view])
+        poses.append(sides[0].poses[view] if used[0] is not None else relative.inverse() @ right_poses[view])
     both = sum(left is not None and right is not None for left, right in kept)
     if both < FEWEST_VIEWS:
         raise ValueError(f"{both} positions of the target are seen by both cameras, at least {FEWEST_VIEWS} are needed")
@@ -252,20 +241,18 @@ class _Single:
     """One camera alone: its parameters, the target's pose in it by view, and what was dropped."""
 
     camera: Camera
-    poses: dict[int, RigidTransform]
+    poses: Poses
     dropped: tuple[Dropped, ...]
 
 
 def _single(pairs: Sequence[Pair], side: int, target: Target) -> _Single:
     """Calibrate one camera by OpenCV (focal length and k1), leaving out pictures that do not fit the others."""
-    seen = {view: pair[side] for view, pair in enumerate(pairs)}
-    views = {view: found for view, found in seen.items() if found is not None and len(found.index) >= FEWEST_POINTS}
-    sizes = {tuple(found.size_px.tolist()) for found in views.values()}
+    seen = [(number, pair[side]) for number, pair in enumerate(pairs)]
+    views = {number: view for number, view in seen if view is not None and len(view.index) >= FEWEST_POINTS}
+    sizes = {tuple(view.size_px.tolist()): view.name for view in reversed(views.values())}
     if len(sizes) > 1:
-        names = [
-            next(found.name for found in views.values() if tuple(found.size_px.tolist()) == s) for s in sorted(sizes)
-        ]
-        raise ValueError(f"pictures of one camera differ in size: {names[0]} and {names[1]}")
+        first, second, *_ = (name for _, name in sorted(sizes.items()))
+        raise ValueError(f"pictures of one camera differ in size: {first} and {second}")
     dropped: list[Dropped] = []
     while True:
         if len(views) < FEWEST_VIEWS:
@@ -292,15 +279,19 @@ def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[R
         np.column_stack([seen.index * target.spacing_m, np.zeros(len(seen.index))]).astype(np.float32) for seen in views
     ]
     pixels = [seen.position_px.astype(np.float32).reshape(-1, 1, 2) for seen in views]
-    size = views[0].size_px
-    shape = (int(size[0]), int(size[1]))
+    shape = tuple(views[0].size_px.tolist())
     flags = cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
     flags |= cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_ASPECT_RATIO  # hardly determined with long focal lengths
     centred = np.array([[shape[0], 0.0, (shape[0] - 1) / 2], [0.0, shape[0], (shape[1] - 1) / 2], [0.0, 0.0, 1.0]])
     try:
-        found = cv2.calibrateCameraExtended(objects, pixels, shape, centred, np.zeros(5), flags=flags)
+        _, matrix, distortion, turns, shifts, *_, rms = cv2.calibrateCameraExtended(
+            objects, pixels, shape, centred, np.zeros(5), flags=flags
+        )
     except cv2.error as error:
         raise ValueError(f"the pictures of {views[0].name} and others do not determine a camera") from error
-    _, matrix, distortion, turns, shifts, *_, rms = found
     parameters = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.ravel(distortion)[:5]])
-    return Camera.from_parameters(parameters, size), _opencv_poses(turns, shifts), np.array(rms, float).ravel()
+    return (
+        Camera.from_parameters(parameters, views[0].size_px),
+        _opencv_poses(turns, shifts),
+        np.array(rms, float).ravel(),
+    )

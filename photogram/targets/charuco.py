@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, IntArray
-from photogram.targets.chessboard import _SEARCHED_PX, corner_view, eight_bit, reduced
-from photogram.targets.view import (
-    Target,
-    TargetNotFound,
-    TargetView,
-    picture_fault,
-)
+from photogram.targets.chessboard import SEARCHED_PX, corner_view, eight_bit, lattice_powers, reduced
+from photogram.targets.view import Target, TargetNotFound, TargetView, picture_fault
 
 _NEAR = 1.3  # squares between a corner and the nearest marker that was seen
 _FIT_SHARE = 0.7  # of the markers seen that have to be in their places
@@ -47,29 +42,26 @@ def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: flo
 
 def _dictionary(grey: NDArray[np.uint8], size: tuple[int, int]) -> str | None:
     """Return the dictionary that fits the board in the picture, None for none."""
-    small, factor = reduced(grey, _SEARCHED_PX)
-    found = find_dictionary(small, size)
-    return found if found is not None or factor == 1 else find_dictionary(grey, size)
+    small, factor = reduced(grey, SEARCHED_PX)
+    name = find_dictionary(small, size)
+    return name if name is not None or factor == 1 else find_dictionary(grey, size)
 
 
 def _search(grey: NDArray[np.uint8], size: tuple[int, int], dictionary: str) -> Board | None:
     """Return the board seen, in a smaller picture or, if some markers are missing there, in the picture itself."""
-    small, factor = reduced(grey, _SEARCHED_PX)
-    board = _enlarged(find_board(find_markers(small, dictionary), size, small.shape), factor)
-    if factor == 1 or (board is not None and len(board.place) == markers_on(size, board.legacy)):
+    small, factor = reduced(grey, SEARCHED_PX)
+    board = find_board(find_markers(small, dictionary), size, small.shape)
+    if factor == 1:
         return board
+    if board is not None:  # in the pixels of the picture itself
+        small_from_px = np.array([[1, 0, 0.5 - factor / 2], [0, 1, 0.5 - factor / 2], [0, 0, factor]]) / factor
+        centre, homography = (board.centre_px + 0.5) * factor - 0.5, board.lattice_from_px @ small_from_px
+        board = replace(board, centre_px=centre, lattice_from_px=homography)
+        if len(board.place) == len(_places(size, board.legacy)):
+            return board
     whole = find_board(find_markers(grey, dictionary), size, grey.shape)
-    both = [found for found in (whole, board) if found is not None]
-    return max(both, key=lambda found: len(found.place), default=None)
-
-
-def _enlarged(board: Board | None, factor: int) -> Board | None:
-    """Return a board found in a picture smaller by `factor` in the pixels of the picture itself."""
-    if board is None:
-        return None
-    small_from_px = np.array([[1, 0, 0.5 - factor / 2], [0, 1, 0.5 - factor / 2], [0, 0, factor]]) / factor
-    centre = (board.centre_px + 0.5) * factor - 0.5
-    return Board(board.place, centre, board.lattice_from_px @ small_from_px, board.legacy, board.seen)
+    both = [one for one in (whole, board) if one is not None]
+    return max(both, key=lambda one: len(one.place), default=None)
 
 
 def _expected(board: Board, size: tuple[int, int]) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -85,23 +77,16 @@ def _expected(board: Board, size: tuple[int, int]) -> tuple[IntArray, FloatArray
     bent = board.centre_px - apply(px_from_lattice, board.place)
     count = len(board.place)
     terms = 10 if count >= 20 else 6 if count >= 12 else 3 if count >= 6 else 0
-    solution = np.linalg.lstsq(_powers(board.place)[:, :terms], bent, rcond=None)[0]
+    solution = np.linalg.lstsq(lattice_powers(board.place)[:, :terms], bent, rcond=None)[0]
 
     def expected(place: FloatArray) -> FloatArray:
-        return np.asarray(apply(px_from_lattice, place) + _powers(place)[:, :terms] @ solution)
+        return np.asarray(apply(px_from_lattice, place) + lattice_powers(place)[:, :terms] @ solution)
 
     half = 0.5 * np.eye(2)
     sides = [expected(corner + half[k]) - expected(corner - half[k]) for k in range(2)]
     distance = np.linalg.norm(index[:, None] - board.place[None], axis=2).min(axis=1)
     near = distance < _NEAR
     return index[near], expected(corner)[near], np.stack(sides, axis=1)[near]
-
-
-def _powers(place: FloatArray) -> FloatArray:
-    """Return the powers (N, 10) of lattice points up to the third degree."""
-    x, y = place.T / 10.0
-    one = np.ones_like(x)
-    return np.stack([one, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
 
 
 def _reason(
@@ -169,11 +154,6 @@ class Board:
     seen: int
 
 
-def markers_on(size: tuple[int, int], legacy: bool) -> int:
-    """Return how many markers a board of `size` squares (columns, rows) has."""
-    return len(_places(size, legacy))
-
-
 def _places(size: tuple[int, int], legacy: bool) -> FloatArray:
     """Return the centres (M, 2) of the white squares in the order of the markers.
 
@@ -230,16 +210,16 @@ def find_board(markers: Markers, size: tuple[int, int], shape: tuple[int, ...]) 
     are not, and the new one if a part of the board is seen that belongs to both.
     """
     boards = [_board(markers, size, legacy) for legacy in ((False, True) if size[1] % 2 == 0 else (False,))]
-    found = [board for board in boards if board is not None]
-    return max(found, key=lambda board: (len(board.place), -_expected_in(board, size, shape)), default=None)
 
+    def whole_markers(board: Board) -> int:
+        """How many of a board's markers lie in the picture as a whole."""
+        corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+        corners = (_places(size, board.legacy)[:, None, :] + corner).reshape(-1, 2)
+        pixels = apply(np.asarray(np.linalg.inv(board.lattice_from_px)), corners).reshape(-1, 4, 2)
+        return int(((pixels > 0) & (pixels < [shape[1] - 1, shape[0] - 1])).all(axis=(1, 2)).sum())
 
-def _expected_in(board: Board, size: tuple[int, int], shape: tuple[int, ...]) -> int:
-    """Return how many of a board's markers lie in the picture as a whole."""
-    places = _places(size, board.legacy)
-    square = places[:, None, :] + np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-    corners = apply(np.asarray(np.linalg.inv(board.lattice_from_px)), square.reshape(-1, 2)).reshape(-1, 4, 2)
-    return int(((corners > 0) & (corners < [shape[1] - 1, shape[0] - 1])).all(axis=(1, 2)).sum())
+    candidates = [board for board in boards if board is not None]
+    return max(candidates, key=lambda board: (len(board.place), -whole_markers(board)), default=None)
 
 
 def _board(markers: Markers, size: tuple[int, int], legacy: bool) -> Board | None:
@@ -276,7 +256,7 @@ def find_dictionary(grey: NDArray[np.uint8], size: tuple[int, int]) -> str | Non
     Of a family of dictionaries that begin alike the smallest with enough markers; the families are tried in the order
     of their use until one explains half of the board.
     """
-    wanted = markers_on(size, False)
+    wanted = len(_places(size, False))
     best, most = None, 0
     for family in _FAMILIES:
         name = next((name for name in family if len(_predefined(name).bytesList) >= wanted), None)

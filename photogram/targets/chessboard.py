@@ -98,24 +98,18 @@ def lattice_bend(index: IntArray, position_px: FloatArray) -> FloatArray:
         normal *= np.sign((normal * across).sum(axis=-1, keepdims=True))
         turn = -((after + before - 2 * middle) * normal).sum(axis=-1) / length**2
         at = np.argwhere(np.isfinite(turn))
-        wanted = place if k == 0 else place[:, ::-1]
-        bend[:, k] = _smooth(at + np.array([0, 1]), turn[tuple(at.T)], wanted)
+        if len(at) >= 3:
+            terms = 6 if len(at) >= 18 else 3 if len(at) >= 9 else 1
+            powers, wanted = lattice_powers(at + np.array([0, 1])), place if k == 0 else place[:, ::-1]
+            solution = np.linalg.lstsq(powers[:, :terms], turn[tuple(at.T)], rcond=None)[0]
+            bend[:, k] = lattice_powers(wanted)[:, :terms] @ solution
     return bend
 
 
-def _smooth(at: IntArray, value: FloatArray, wanted: IntArray) -> FloatArray:
-    """Return a polynomial through values (M,) at lattice points (M, 2), evaluated at `wanted` (N, 2)."""
-    if len(value) < 3:
-        return np.zeros(len(wanted))
-    terms = 6 if len(value) >= 18 else 3 if len(value) >= 9 else 1
-    solution = np.linalg.lstsq(_powers(at)[:, :terms], value, rcond=None)[0]
-    return np.asarray(_powers(wanted)[:, :terms] @ solution)
-
-
-def _powers(at: IntArray) -> FloatArray:
-    """Return 1, x, y, x², xy, y² (N, 6) of lattice points."""
-    x, y = at.T / 10.0
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+def lattice_powers(place: FloatArray | IntArray) -> FloatArray:
+    """Return 1, x, y, x², xy, y² and those of third degree (N, 10) of lattice points (N, 2), in tens."""
+    x, y = place.T / 10.0
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
 
 
 def _few(status: IntArray, good: BoolArray) -> str:
@@ -127,7 +121,7 @@ def _few(status: IntArray, good: BoolArray) -> str:
 
 # A chessboard in a picture: coarse search by OpenCV, which corner is which, sub-pixel positions.
 
-_SEARCHED_PX = 1400  # longest side of the picture in which the board is searched first
+SEARCHED_PX = 1400  # longest side of the picture in which the board is searched first
 
 
 def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: float) -> TargetView:
@@ -147,9 +141,10 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
         raise TargetNotFound(_reason(image, grey, target.size, full_scale))
     _refuse_larger(grey, corners)
     lattice = _oriented(grey, corners)
-    axes = np.stack([np.gradient(lattice, axis=0), np.gradient(lattice, axis=1)], axis=2)
     index = np.stack(np.meshgrid(*[np.arange(n) for n in lattice.shape[:2]], indexing="ij"), axis=-1)
-    return corner_view(image, index.reshape(-1, 2), lattice.reshape(-1, 2), axes.reshape(-1, 2, 2), name, full_scale)
+    return corner_view(
+        image, index.reshape(-1, 2), lattice.reshape(-1, 2), _axes(lattice).reshape(-1, 2, 2), name, full_scale
+    )
 
 
 def eight_bit(image: NDArray[Any]) -> NDArray[np.uint8]:
@@ -175,13 +170,18 @@ def _search(grey: NDArray[np.uint8], size: tuple[int, int]) -> FloatArray | None
     """Return the corners (columns, rows, 2) in px that OpenCV finds, first in a smaller picture, None for none."""
     import cv2
 
-    small, factor = reduced(grey, _SEARCHED_PX)
+    small, factor = reduced(grey, SEARCHED_PX)
     for picture, scale in ((small, factor), (grey, 1)) if factor > 1 else ((grey, 1),):
         found, corners = cv2.findChessboardCornersSB(picture, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if found:
             position = (np.asarray(corners, dtype=np.float64).reshape(size[1], size[0], 2) + 0.5) * scale - 0.5
             return position.swapaxes(0, 1)
     return None
+
+
+def _axes(lattice: FloatArray) -> FloatArray:
+    """Return the sides (I, J, 2, 2) of the squares of a lattice of corners (I, J, 2)."""
+    return np.stack([np.gradient(lattice, axis=0), np.gradient(lattice, axis=1)], axis=2)
 
 
 def _quadrants(grey: NDArray[np.uint8], corners: FloatArray, axes: FloatArray) -> FloatArray:
@@ -202,7 +202,7 @@ def _saddle(quadrants: FloatArray) -> FloatArray:
 
 def _refuse_larger(grey: NDArray[np.uint8], corners: FloatArray) -> None:
     """Raise `TargetNotFound` where the lattice of corners goes on beyond one of its sides."""
-    axes = np.stack([np.gradient(corners, axis=0), np.gradient(corners, axis=1)], axis=2)
+    axes = _axes(corners)
     usual = float(np.nanmedian(_saddle(_quadrants(grey, corners, axes))))
     for side in range(4):
         turned, turned_axes = np.rot90(corners, side), np.rot90(axes, side)
@@ -221,22 +221,19 @@ def _oriented(grey: NDArray[np.uint8], corners: FloatArray) -> FloatArray:
         corners = corners[::-1]
     turns = range(4) if columns == rows else (0, 2)
     candidates = [np.rot90(corners, turn) for turn in turns]
-    black = [lattice for lattice in candidates if _begins_black(grey, lattice)]
+
+    def begins_black(lattice: FloatArray) -> bool:
+        """Whether the square beyond corner (0, 0) and those of its colour are the dark ones."""
+        quadrants = _quadrants(grey, lattice, _axes(lattice))
+        brighter = np.nan_to_num(quadrants[..., :2].sum(-1) - quadrants[..., 2:].sum(-1))
+        parity = np.indices(lattice.shape[:2]).sum(axis=0) % 2
+        return bool((brighter * np.where(parity == 0, 1, -1)).sum() < 0)
 
     def rightward(lattice: FloatArray) -> float:
         along = lattice[-1].mean(axis=0) - lattice[0].mean(axis=0)
         return float(along[0] / np.linalg.norm(along))
 
-    return max(black or candidates, key=rightward)
-
-
-def _begins_black(grey: NDArray[np.uint8], lattice: FloatArray) -> bool:
-    """Return whether the square beyond corner (0, 0) and those of its colour are the dark ones."""
-    axes = np.stack([np.gradient(lattice, axis=0), np.gradient(lattice, axis=1)], axis=2)
-    quadrants = _quadrants(grey, lattice, axes)
-    brighter = np.nan_to_num(quadrants[..., :2].sum(-1) - quadrants[..., 2:].sum(-1))
-    parity = np.add.outer(np.arange(lattice.shape[0]), np.arange(lattice.shape[1])) % 2
-    return bool((brighter * np.where(parity == 0, 1, -1)).sum() < 0)
+    return max(list(filter(begins_black, candidates)) or candidates, key=rightward)
 
 
 def _reason(image: NDArray[Any], grey: NDArray[np.uint8], size: tuple[int, int], full_scale: float) -> str:
@@ -244,11 +241,19 @@ def _reason(image: NDArray[Any], grey: NDArray[np.uint8], size: tuple[int, int],
     fault = picture_fault(image, full_scale)
     if fault is not None:
         return fault
-    small, _ = reduced(grey, _SEARCHED_PX)
-    wanted = f"{size[0]} x {size[1]}"
-    lattice = _largest(small, size)
-    if lattice is None:
+    import cv2
+
+    small, _ = reduced(grey, SEARCHED_PX)
+    wanted, lattices = f"{size[0]} x {size[1]}", []
+    for less in (1, 2, 4, max(size)):  # smaller lattices, which OpenCV lets grow
+        seed = (max(size[0] - less, 3), max(size[1] - less, 3))
+        flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
+        found, corners, meta = cv2.findChessboardCornersSBWithMeta(small, seed, flags=flags)
+        if found:
+            lattices.append(np.asarray(corners, dtype=np.float64).reshape(*np.asarray(meta).shape[:2], 2))
+    if not lattices:
         return f"no chessboard of {wanted} inner corners"
+    lattice = max(lattices, key=lambda lattice: lattice.size)
     rows, columns = lattice.shape[:2]
     seen = f"{max(rows, columns)} x {min(rows, columns)}"
     sides = [np.rot90(lattice, turn) for turn in range(4)]
@@ -256,17 +261,3 @@ def _reason(image: NDArray[Any], grey: NDArray[np.uint8], size: tuple[int, int],
     if ((beyond < 0) | (beyond > [small.shape[1] - 1, small.shape[0] - 1])).any():
         return f"runs over the edge of the picture: {seen} of {wanted} inner corners are seen"
     return f"another target, or one partly covered: a chessboard of {seen} inner corners, expected {wanted}"
-
-
-def _largest(grey: NDArray[np.uint8], size: tuple[int, int]) -> FloatArray | None:
-    """Return the largest lattice (rows, columns, 2) of corners that OpenCV grows from smaller ones, None for none."""
-    import cv2
-
-    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
-    lattices = []
-    for less in (1, 2, 4, max(size)):
-        seed = (max(size[0] - less, 3), max(size[1] - less, 3))
-        found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, seed, flags=flags)
-        if found:
-            lattices.append(np.asarray(corners, dtype=np.float64).reshape(*np.asarray(meta).shape[:2], 2))
-    return max(lattices, key=lambda lattice: lattice.size, default=None)

@@ -24,8 +24,8 @@ _FARTHEST = 0.35  # of a square's side, that a corner may lie from where it was 
 
 
 @njit(error_model="numpy")
-def _cholesky(matrix: FloatArray, factor: FloatArray) -> bool:
-    """Fill the lower factor of a symmetric matrix; return whether it is positive definite."""
+def cholesky(matrix: FloatArray, factor: FloatArray) -> bool:
+    """Fill the lower factor of a symmetric matrix (P, P); return whether it is positive definite."""
     size = matrix.shape[0]
     for i in range(size):
         for j in range(i + 1):
@@ -42,7 +42,7 @@ def _cholesky(matrix: FloatArray, factor: FloatArray) -> bool:
 
 
 @njit(error_model="numpy")
-def _solve(factor: FloatArray, vector: FloatArray) -> None:
+def solve(factor: FloatArray, vector: FloatArray) -> None:
     """Replace a vector by the solution of factor·factorᵀ·x = vector."""
     size = vector.size
     for i in range(size):
@@ -177,10 +177,10 @@ def _fit(image, pixels, bend, weight, p, inverse):  # type: ignore[no-untyped-de
         damped[:] = matrix
         for i in range(PARAMETERS):
             damped[i, i] *= 1.0 + damping
-        if not _cholesky(damped, factor):
+        if not cholesky(damped, factor):
             return math.nan
         step[:] = vector
-        _solve(factor, step)
+        solve(factor, step)
         tried[:] = p + step
         tried[8], tried[9] = max(tried[8], _SHARPEST_PX), max(tried[9], _SHARPEST_PX)
         new_cost = _normal_equations(image, pixels, tried, bend, weight, matrix, vector)
@@ -193,12 +193,12 @@ def _fit(image, pixels, bend, weight, p, inverse):  # type: ignore[no-untyped-de
             damping = max(damping * 10.0, 1e-6)
         if converged or damping > 1e6:
             break
-    if not converged or not _cholesky(matrix, factor):
+    if not converged or not cholesky(matrix, factor):
         return math.nan
     for i in range(2):
         inverse[i] = 0.0
         inverse[i, i] = 1.0
-        _solve(factor, inverse[i])
+        solve(factor, inverse[i])
     return float(cost)
 
 
@@ -221,9 +221,9 @@ def _spread(pixels, taper, weight, p, bend, inverse, out):  # type: ignore[no-un
 
 @njit(nogil=True, error_model="numpy")
 def fit_crossings(image, corners, noise, saturation, fitted):  # type: ignore[no-untyped-def]
-    """Fill fitted (N, 16) for corners expected at start (N, 2).
+    """Fill fitted (N, 15) for corners expected at start (N, 2).
 
-    fitted: parameters (10), covariance xx xy yy, reduced χ², share of saturated pixels, status.
+    fitted: parameters (10), covariance xx xy yy, share of saturated pixels, status.
     axes (N, 2, 2): a square's two sides in px. bend (N, 2): curvature of both edges, 1/px.
     window (N, 3): see `_window`. noise (3,): variance of a black pixel, its rise per grey value, its least value.
     """
@@ -233,7 +233,7 @@ def fit_crossings(image, corners, noise, saturation, fitted):  # type: ignore[no
     for n in range(start.shape[0]):
         out = fitted[n]
         out[:] = math.nan
-        out[15] = OUTSIDE
+        out[14] = OUTSIDE
         shorter = math.sqrt(min(axes[n, 0, 0] ** 2 + axes[n, 0, 1] ** 2, axes[n, 1, 0] ** 2 + axes[n, 1, 1] ** 2))
         size[:] = window[n]
         count = _window(image, start[n], axes[n], size, buffer, taper)
@@ -245,22 +245,20 @@ def fit_crossings(image, corners, noise, saturation, fitted):  # type: ignore[no
         full = 0
         for k in range(count):
             full += image[buffer[k, 1], buffer[k, 0]] >= saturation
-        out[14] = full / count
+        out[13] = full / count
         _start(image, buffer[:count], start[n], axes[n], p)
         _weigh(buffer[:count], taper, p, bend[n], noise, weight)
         cost = _fit(image, buffer[:count], bend[n], weight, p, inverse)
-        out[15] = NO_CROSSING
+        out[14] = NO_CROSSING
         if not (cost >= 0.0 and math.hypot(p[0] - start[n, 0], p[1] - start[n, 1]) < _FARTHEST * shorter):
             continue
         recount = _window(image, p[:2].copy(), axes[n], size, buffer, taper)
         count = recount if recount > 0 else _window(image, start[n], axes[n], size, buffer, taper)
         _weigh(buffer[:count], taper, p, bend[n], noise, weight)
-        cost = _fit(image, buffer[:count], bend[n], weight, p, inverse)
-        if not cost >= 0.0:
+        if not _fit(image, buffer[:count], bend[n], weight, p, inverse) >= 0.0:
             continue
         _spread(buffer[:count], taper, weight, p, bend[n], inverse, out[10:13])
-        out[:10] = p
-        out[13], out[15] = cost / max(taper[:count].sum() - PARAMETERS, 1.0), GOOD
+        out[:10], out[14] = p, GOOD
 
 
 # Sub-pixel positions of chessboard corners, by least squares to the crossing of two blurred edges.
@@ -280,19 +278,17 @@ _LEAST_SIGNAL = 4.0  # half contrast in standard deviations of the noise
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Corners(Arrays, shapes="position_px N 2; covariance_px2 N 2 2; blur_px N; half_contrast N; misfit N; status N"):
+class Corners(Arrays, shapes="position_px N 2; covariance_px2 N 2 2; blur_px N; half_contrast N; status N"):
     """Corners found: position_px (N, 2), covariance_px2 (N, 2, 2), NaN where `status` (N,) is not 0 (see `REASONS`).
 
     `blur_px` (N,): σ of the edges without the pixels' own width. `half_contrast` (N,): half the difference of the
-    quadrants in grey values, positive where those between axes of equal sign are bright. `misfit` (N,): reduced χ²
-    of the grey values: 1 where the model holds to within the noise.
+    quadrants in grey values, positive where those between axes of equal sign are bright.
     """
 
     position_px: FloatArray
     covariance_px2: FloatArray
     blur_px: FloatArray
     half_contrast: FloatArray
-    misfit: FloatArray
     status: IntArray
 
 
@@ -318,6 +314,8 @@ def refine_corners(
 
     The covariance is that of the weighted fit for the given noise, the other parameters unknown.
     """
+    from scipy.ndimage import map_coordinates
+
     check_shape("start_px", start_px, (None, 2))
     count = len(start_px)
     check_shape("axes_px", axes_px, (count, 2, 2))
@@ -328,12 +326,15 @@ def refine_corners(
     window = np.zeros((count, 3))
     window[:, 0] = np.minimum(_WINDOW, _WIDEST_PX / side)
     window[:, 1] = strip
-    window[:, 2] = _bright_quadrants(grey, start_px, axes_px) if np.isfinite(strip) else 0.0
+    if np.isfinite(strip):  # +1 where the quadrants between axes of equal sign are the brighter ones, else −1
+        points = start_px[:, None, :] + 0.08 * np.array([[1, 1], [-1, -1], [1, -1], [-1, 1]]) @ axes_px
+        values = map_coordinates(grey, points.reshape(-1, 2).T[::-1], order=1, mode="nearest").reshape(-1, 4)
+        window[:, 2] = np.where(values[:, :2].sum(axis=1) > values[:, 2:].sum(axis=1), 1.0, -1.0)
     variance = np.array([noise.read_variance_grey2, noise.variance_per_grey, QUANTISATION])
-    fitted = np.empty((count, 16))
+    fitted = np.empty((count, 15))
     fit_crossings(grey, (start_px, axes_px, bend, window), variance, _SATURATED * full_scale, fitted)
-    status = fitted[:, 15].astype(np.int64)
-    status[(status != OUTSIDE) & (fitted[:, 14] > _MOST_SATURATED)] = SATURATED
+    status = fitted[:, 14].astype(np.int64)
+    status[(status != OUTSIDE) & (fitted[:, 13] > _MOST_SATURATED)] = SATURATED
     sigma = np.sqrt(noise.variance(fitted[:, 4]))
     status[(status == GOOD) & ~(np.abs(fitted[:, 5]) > _LEAST_SIGNAL * sigma)] = NO_CROSSING
     good = status == GOOD
@@ -344,16 +345,5 @@ def refine_corners(
         np.where(good[:, None, None], covariance, np.nan),
         np.where(good, blur, np.nan),
         np.where(good, fitted[:, 5], np.nan),
-        np.where(good, fitted[:, 13], np.nan),
         status,
     )
-
-
-def _bright_quadrants(grey: NDArray[np.float32], start_px: FloatArray, axes_px: FloatArray) -> FloatArray:
-    """Return +1 (N,) where the quadrants between axes of equal sign are the brighter ones near the corner, else −1."""
-    from scipy.ndimage import map_coordinates
-
-    place = np.array([[1, 1], [-1, -1], [1, -1], [-1, 1]]) * 0.08
-    points = start_px[:, None, :] + place @ axes_px
-    values = map_coordinates(grey, points.reshape(-1, 2).T[::-1], order=1, mode="nearest").reshape(-1, 4)
-    return np.where(values[:, :2].sum(axis=1) > values[:, 2:].sum(axis=1), 1.0, -1.0)

@@ -67,10 +67,10 @@ def find_dots(image: NDArray[Any], target: Target, name: str, full_scale: int) -
     failures = [_Failure(0, "no dots")]
     for share in WINDOWS:
         for blobs in find_blobs(image, share * max(image.shape)):
-            found = _attempt(image, blobs, target, name, full_scale)
-            if isinstance(found, TargetView):
-                return found
-            failures.append(found)
+            outcome = _attempt(image, blobs, target, name, full_scale)
+            if isinstance(outcome, TargetView):
+                return outcome
+            failures.append(outcome)
     worth = max(failures, key=lambda failure: failure.dots)
     fault = picture_fault(image, full_scale) if worth.dots < LEAST_DOTS else None
     raise TargetNotFound(fault or worth.reason)
@@ -95,7 +95,17 @@ def _attempt(image: NDArray[Any], blobs: Blobs, target: Target, name: str, full_
     places = _places(grid, target, image.shape)
     if isinstance(places, str):
         return _Failure(dots, places)
-    return _view(grid, places, name, image.shape)
+    ellipses, order = grid.ellipses, np.lexsort(places.T)
+    radius = ellipses.radius_px / _spacing(local_fit(places, ellipses.centre_px)[1])
+    return TargetView(
+        name,
+        places[order],
+        ellipses.centre_px[order],
+        ellipses.covariance_px2[order],
+        float(np.nanmedian(radius[~grid.ring])),
+        float(np.median(ellipses.blur_px)),
+        np.array(image.shape[::-1], dtype=np.int64),
+    )
 
 
 def _measure(image: NDArray[Any], blobs: Blobs, lattice: Lattice) -> _Grid:
@@ -197,23 +207,6 @@ def _leaves(grid: _Grid, shape: tuple[int, ...]) -> bool:
     return bool((empty & outside).any())
 
 
-def _view(grid: _Grid, places: IntArray, name: str, shape: tuple[int, ...]) -> TargetView:
-    """The view with the dots in the order of their places."""
-    ellipses = grid.ellipses
-    _, jacobian = local_fit(places, ellipses.centre_px)
-    radius = ellipses.radius_px / _spacing(jacobian)
-    order = np.lexsort(places.T)
-    return TargetView(
-        name=name,
-        index=places[order],
-        position_px=ellipses.centre_px[order],
-        covariance_px2=ellipses.covariance_px2[order],
-        radius=float(np.nanmedian(radius[~grid.ring])),
-        blur_px=float(np.median(ellipses.blur_px)),
-        size_px=np.array(shape[::-1], dtype=np.int64),
-    )
-
-
 # Patches that lie on a lattice, seen in perspective and through a lens.
 
 AREA_SPAN = 4.0
@@ -279,10 +272,10 @@ def local_fit(index: IntArray, position_px: FloatArray) -> tuple[FloatArray, Flo
         step = index - place
         near = np.abs(step).max(axis=1) <= RINGS_ABOUT_A_CELL[0]
         near[n] = False
-        found = _extrapolate(step[near], position_px[near], order=2 if near.sum() >= 10 else 1)
-        if found is not None:
-            jacobian[n] = found[1]
-            off[n] = np.linalg.norm(np.linalg.solve(found[1], position_px[n] - found[0]))
+        expected = _extrapolate(step[near], position_px[near], order=2 if near.sum() >= 10 else 1)
+        if expected is not None:
+            jacobian[n] = expected[1]
+            off[n] = np.linalg.norm(np.linalg.solve(expected[1], position_px[n] - expected[0]))
     return off, jacobian
 
 
@@ -360,16 +353,16 @@ class _Growth:
         index, member = np.array(list(self.at)), np.array(list(self.at.values()))
         wanted: dict[int, tuple[tuple[int, int], float]] = {}
         for place in empty:
-            found = self._look(np.array(place), index, member)
-            if found is not None and (found[0] not in wanted or found[1] < wanted[found[0]][1]):
-                wanted[found[0]] = (place, found[1])
+            patch, off = self._look(np.array(place), index, member)
+            if off < TOLERANCE and (patch not in wanted or off < wanted[patch][1]):
+                wanted[patch] = (place, off)
         taken = set(self.at.values())
         filled = {place: patch for patch, (place, _) in wanted.items() if patch not in taken}
         self.at.update(filled)
         return list(filled)
 
-    def _look(self, place: IntArray, index: IntArray, member: IntArray) -> tuple[int, float] | None:
-        """Return the patch at a place and how far off it lies, in spacings; None where there is none."""
+    def _look(self, place: IntArray, index: IntArray, member: IntArray) -> tuple[int, float]:
+        """Return the patch at a place and how far off it lies, in spacings, infinitely far where there is none."""
         step = index - place
         distance = np.abs(step).max(axis=1)
         for rings in RINGS_ABOUT_A_CELL:
@@ -378,12 +371,12 @@ class _Growth:
             if expected is not None:
                 break
         else:
-            return None
+            return -1, np.inf
         position, jacobian = expected
         patch = int(self.tree.query(position)[1])
         off = float(np.linalg.norm(np.linalg.solve(jacobian, self.centre[patch] - position)))
         like = self.area[patch] / np.median(self.area[member[near]])
-        return (patch, off) if off < TOLERANCE and AREA_RATIO[0] < like < AREA_RATIO[1] else None
+        return (patch, off) if AREA_RATIO[0] < like < AREA_RATIO[1] else (-1, np.inf)
 
 
 def _extrapolate(step: IntArray, position: FloatArray, order: int) -> tuple[FloatArray, FloatArray] | None:

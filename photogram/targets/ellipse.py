@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
 from photogram.kernels import njit
+from photogram.targets.crossing import cholesky, solve
 
 LEAST_AREA_PX = 20
 EDGE_PX = 3
@@ -44,12 +45,6 @@ def find_blobs(image: NDArray[Any], window_px: float) -> tuple[Blobs, Blobs]:
     The threshold is the mean of the grey closing and the grey opening over squares of `window_px`, which must be larger
     than the dots and than the gaps between them: it follows the lighting as long as that is smooth over such a square.
     """
-    dark, bright = (_Patches.of(mask) for mask in _split(image, window_px))
-    return _elliptic(dark, bright), _elliptic(bright, dark)
-
-
-def _split(image: NDArray[Any], window_px: float) -> tuple[BoolArray, BoolArray]:
-    """Pixels (H, W) darker and pixels brighter than the local threshold, none where there is no contrast."""
     import cv2
 
     height, width = image.shape
@@ -64,7 +59,8 @@ def _split(image: NDArray[Any], window_px: float) -> tuple[BoolArray, BoolArray]
     level = cv2.resize((upper + lower) / 2, (width, height), interpolation=cv2.INTER_LINEAR)
     used = cv2.resize(distinct.view(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST).view(np.bool_)
     smooth = cv2.blur(grey, (3, 3)) if factor > 1 else grey
-    return (smooth < level) & used, (smooth > level) & used
+    dark, bright = _Patches.of((smooth < level) & used), _Patches.of((smooth > level) & used)
+    return _elliptic(dark, bright), _elliptic(bright, dark)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,59 +87,45 @@ class _Patches:
         kept = inside & (area >= LEAST_AREA_PX / 4) & (area < mask.size / 20) & (longer <= MOST_ELONGATED * shorter + 1)
         kept &= area > 0.2 * width * height
         kept[0] = False
-        centre, moments = _moments(labels, kept)
+        number, count = np.full(len(kept), -1, dtype=np.int32), int(kept.sum())
+        number[kept] = np.arange(count, dtype=np.int32)
+        patch = number[labels.reshape(-1)]
+        pixels = np.flatnonzero(patch >= 0)
+        patch = patch[pixels]
+        y, x = np.divmod(pixels, labels.shape[1])
+        centre = np.column_stack([np.bincount(patch, axis, minlength=count) / area[kept] for axis in (x, y)])
+        dx, dy = x - centre[patch, 0], y - centre[patch, 1]
+        products = (dx * dx, dx * dy, dy * dy)
+        xx, xy, yy = (np.bincount(patch, product, minlength=count) / area[kept] for product in products)
+        moments = np.stack([xx + 1 / 12, xy, xy, yy + 1 / 12], axis=-1).reshape(-1, 2, 2)  # of the pixels' areas
         return _Patches(area[kept], centre, moments, np.column_stack([left, top, right, bottom])[kept])
-
-
-def _moments(labels: NDArray[np.int32], kept: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Centres (N, 2) and covariances (N, 2, 2) of the pixels' areas of the kept patches."""
-    number = np.full(len(kept), -1, dtype=np.int32)
-    number[kept] = np.arange(kept.sum(), dtype=np.int32)
-    patch = number[labels.reshape(-1)]
-    pixels = np.flatnonzero(patch >= 0)
-    patch = patch[pixels]
-    y, x = np.divmod(pixels, labels.shape[1])
-    count = int(kept.sum())
-    area = np.bincount(patch, minlength=count)
-    centre = np.column_stack([np.bincount(patch, axis, minlength=count) / area for axis in (x, y)])
-    dx, dy = x - centre[patch, 0], y - centre[patch, 1]
-    xx, xy, yy = (np.bincount(patch, product, minlength=count) / area for product in (dx * dx, dx * dy, dy * dy))
-    return centre, np.stack([xx + 1 / 12, xy, xy, yy + 1 / 12], axis=-1).reshape(-1, 2, 2)
 
 
 def _elliptic(patches: _Patches, others: _Patches) -> Blobs:
     """The patches that fill an ellipse, a round hole in the middle included."""
-    area, centre, moments, ring = _fill_holes(patches, others)
-    fullness = area / np.maximum(4 * np.pi * np.sqrt(np.linalg.det(moments)), 1e-9)
-    half_trace = np.trace(moments, axis1=1, axis2=2) / 2
-    difference = np.sqrt(np.maximum(half_trace**2 - np.linalg.det(moments), 0.0))
-    slim = half_trace + difference <= MOST_ELONGATED**2 * (half_trace - difference)
-    good = slim & (fullness > FULL_ELLIPSE[0]) & (fullness < FULL_ELLIPSE[1]) & (area >= LEAST_AREA_PX)
-    return Blobs(centre[good], 4 * moments[good], ring[good])
-
-
-def _fill_holes(patches: _Patches, others: _Patches) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Area, centre and moments of the patches with their holes, and which have one in the middle."""
     from scipy.spatial import cKDTree
 
     area, centre, moments = patches.area.copy(), patches.centre.copy(), patches.moments.copy()
     ring = np.zeros(len(area), dtype=bool)
-    if not len(area) or not len(others.area):
-        return area, centre, moments, ring
-    distance, hole = cKDTree(others.centre).query(patches.centre)
-    whole = area + others.area[hole]
-    share = others.area[hole] / whole
-    ring = (share > HOLE[0]) & (share < HOLE[1]) & (distance < HOLE_OFF_CENTRE * np.sqrt(whole / np.pi))
-    ring &= (others.box[hole][:, :2] > patches.box[:, :2]).all(1) & (others.box[hole][:, 2:] < patches.box[:, 2:]).all(
-        1
-    )
-    own, part, from_hole = 1 - share[ring], share[ring], hole[ring]
-    apart = others.centre[from_hole] - patches.centre[ring]
-    centre[ring] = patches.centre[ring] + part[:, None] * apart
-    spread = (own * part)[:, None, None] * apart[:, :, None] * apart[:, None, :]
-    moments[ring] = own[:, None, None] * moments[ring] + part[:, None, None] * others.moments[from_hole] + spread
-    area[ring] = whole[ring]
-    return area, centre, moments, ring
+    if len(area) and len(others.area):
+        distance, hole = cKDTree(others.centre).query(patches.centre)
+        whole = area + others.area[hole]
+        share = others.area[hole] / whole
+        ring = (share > HOLE[0]) & (share < HOLE[1]) & (distance < HOLE_OFF_CENTRE * np.sqrt(whole / np.pi))
+        ring &= (others.box[hole][:, :2] > patches.box[:, :2]).all(axis=1)
+        ring &= (others.box[hole][:, 2:] < patches.box[:, 2:]).all(axis=1)
+        part, hole = share[ring, None], hole[ring]
+        apart = others.centre[hole] - centre[ring]
+        centre[ring] += part * apart
+        mixed = (1 - part[..., None]) * (moments[ring] + part[..., None] * apart[:, :, None] * apart[:, None, :])
+        moments[ring] = mixed + part[..., None] * others.moments[hole]
+        area[ring] = whole[ring]
+    determinant, half_trace = np.linalg.det(moments), np.trace(moments, axis1=1, axis2=2) / 2
+    fullness = area / np.maximum(4 * np.pi * np.sqrt(determinant), 1e-9)
+    difference = np.sqrt(np.maximum(half_trace**2 - determinant, 0.0))
+    slim = half_trace + difference <= MOST_ELONGATED**2 * (half_trace - difference)
+    good = slim & (fullness > FULL_ELLIPSE[0]) & (fullness < FULL_ELLIPSE[1]) & (area >= LEAST_AREA_PX)
+    return Blobs(centre[good], 4 * moments[good], ring[good])
 
 
 # The blurred ellipse that a round dot shows: its centre to a few thousandths of a pixel, with covariance.
@@ -162,13 +144,13 @@ RING_SHARE = 0.25
 @dataclass(frozen=True, eq=False, repr=False)
 class Ellipses(
     Arrays,
-    shapes="centre_px N 2; covariance_px2 N 2 2; shape_px2 N 2 2; blur_px N; contrast N; noise N; roughness_px N",
+    shapes="centre_px N 2; covariance_px2 N 2 2; shape_px2 N 2 2; blur_px N; contrast N; roughness_px N",
 ):
     """N fitted ellipses (x − c)ᵀ S⁻¹ (x − c) = 1; all NaN where the fit failed.
 
     `centre_px` c (N, 2) and its `covariance_px2` (N, 2, 2); `shape_px2` S (N, 2, 2), of determinant (product of the
-    semi-axes)²; `blur_px` (N,): σ of the edge; `contrast` (N,): dot less background, grey values; `noise` (N,): rms of
-    what is left, grey values; `roughness_px` (N,): rms over sixteen sectors of how far the edge lies off the ellipse.
+    semi-axes)²; `blur_px` (N,): σ of the edge; `contrast` (N,): dot less background, grey values; `roughness_px` (N,):
+    rms over sixteen sectors of how far the edge lies off the ellipse.
     """
 
     centre_px: FloatArray
@@ -176,7 +158,6 @@ class Ellipses(
     shape_px2: FloatArray
     blur_px: FloatArray
     contrast: FloatArray
-    noise: FloatArray
     roughness_px: FloatArray
 
     @property
@@ -214,27 +195,23 @@ def fit_ellipses(
     check_shape("start_px", start_px, (count, 2))
     check_shape("start_shape_px2", start_shape_px2, (count, 2, 2))
     check_shape("reach_px", reach_px, (count,))
-    found = np.full((count, PARAMETERS), np.nan)
-    spread = np.full((count, 5), np.nan)
-    _fit_all(
-        np.ascontiguousarray(image, dtype=np.float32), start_px, np.linalg.inv(start_shape_px2), reach_px, ring, found,
-        spread,
-    )  # fmt: skip
-    a, b, c = found[:, 2:5].T
+    fitted, spread = np.full((count, PARAMETERS), np.nan), np.full((count, 4), np.nan)
+    grey, precisions = np.ascontiguousarray(image, dtype=np.float32), np.linalg.inv(start_shape_px2)
+    _fit_all(grey, start_px, precisions, reach_px, ring, fitted, spread)
+    a, b, c = fitted[:, 2:5].T
     shape = np.stack([c, -b, -b, a], axis=-1).reshape(-1, 2, 2) / (a * c - b * b)[:, None, None]
     return Ellipses(
-        centre_px=found[:, :2],
+        centre_px=fitted[:, :2],
         covariance_px2=spread[:, [0, 1, 1, 2]].reshape(-1, 2, 2),
         shape_px2=shape,
-        blur_px=found[:, 5],
-        contrast=found[:, 7],
-        noise=spread[:, 3],
-        roughness_px=spread[:, 4],
+        blur_px=fitted[:, 5],
+        contrast=fitted[:, 7],
+        roughness_px=spread[:, 3],
     )
 
 
 @njit()
-def _fit_all(image, starts, precisions, reach, ring, found, spread):  # type: ignore[no-untyped-def]
+def _fit_all(image, starts, precisions, reach, ring, fitted, spread):  # type: ignore[no-untyped-def]
     """Every dot on its own, first on every second pixel of a row and column, then on all; a failed one stays NaN."""
     for n in range(len(starts)):
         parameters = np.zeros(PARAMETERS)
@@ -246,33 +223,25 @@ def _fit_all(image, starts, precisions, reach, ring, found, spread):  # type: ig
         good = True
         for stride, small_step_px in ((coarse, FIRST_STEP_PX), (1, LAST_STEP_PX)):
             if good:
-                pixels = _collect(image, starts[n], parameters, _band(parameters, reach[n], ring[n]), stride)
+                pixels = _collect(image, starts[n], parameters, reach[n], ring[n], stride)
                 if parameters[7] == 0.0:
                     _first_levels(pixels, parameters)
                 good = parameters[7] != 0.0 and _descend(pixels, parameters, small_step_px)
         if good:
             _judge(pixels, parameters, spread[n])
-            found[n] = parameters
+            fitted[n] = parameters
 
 
 @njit()
-def _band(parameters, reach, ring):  # type: ignore[no-untyped-def]
-    """How far inside and outside of the edge pixels are used."""
-    a, b, c = parameters[2], parameters[3], parameters[4]
-    half = (a + c) / 2.0
-    minor = 1.0 / math.sqrt(half + math.sqrt(max(half * half - (a * c - b * b), 0.0)))
-    wide = BAND_SIGMAS * parameters[5] + LEAST_BAND_PX
-    inside = min(wide, RING_SHARE * minor) if ring else wide
-    return inside, min(wide, max(reach, LEAST_BAND_PX))
-
-
-@njit()
-def _collect(image, origin, parameters, band, stride):  # type: ignore[no-untyped-def]
+def _collect(image, origin, parameters, reach, ring, stride):  # type: ignore[no-untyped-def]
     """Return x − x₀, y − y₀ and grey value (3, K) of the pixels in the band about the ellipse, and x₀, y₀."""
     a, b, c = parameters[2], parameters[3], parameters[4]
-    determinant = a * c - b * b
-    half_x = math.sqrt(c / determinant) + band[1] + 1.0
-    half_y = math.sqrt(a / determinant) + band[1] + 1.0
+    determinant, half = a * c - b * b, (a + c) / 2.0
+    minor = 1.0 / math.sqrt(half + math.sqrt(max(half * half - determinant, 0.0)))
+    wide = BAND_SIGMAS * parameters[5] + LEAST_BAND_PX
+    inside, outside = min(wide, RING_SHARE * minor) if ring else wide, min(wide, max(reach, LEAST_BAND_PX))
+    half_x = math.sqrt(c / determinant) + outside + 1.0
+    half_y = math.sqrt(a / determinant) + outside + 1.0
     top, bottom = max(0, math.ceil(parameters[1] - half_y)), min(image.shape[0], math.floor(parameters[1] + half_y) + 1)
     left, right = max(0, math.ceil(parameters[0] - half_x)), min(image.shape[1], math.floor(parameters[0] + half_x) + 1)
     pixels = np.empty((3, max(0, bottom - top) * max(0, right - left)))
@@ -280,7 +249,7 @@ def _collect(image, origin, parameters, band, stride):  # type: ignore[no-untype
     for y in range(top, bottom, stride):
         for x in range(left, right, stride):
             _, distance, _ = _distance(parameters, x - parameters[0], y - parameters[1])
-            if -band[0] <= distance <= band[1]:
+            if -inside <= distance <= outside:
                 pixels[0, count], pixels[1, count], pixels[2, count] = x - origin[0], y - origin[1], image[y, x]
                 count += 1
     return pixels[:, :count].copy(), (origin[0], origin[1])
@@ -365,27 +334,6 @@ def _normal_equations(residual, jacobian, matrix, vector):  # type: ignore[no-un
 
 
 @njit()
-def _factorise(matrix, damping, lower):  # type: ignore[no-untyped-def]
-    """Write the Cholesky factor of a matrix of unit diagonal, that raised by the damping."""
-    for i in range(PARAMETERS):
-        for j in range(i + 1):
-            rest = matrix[i, j] - _dot(lower[i, :j], lower[j, :j])
-            if i == j:
-                lower[i, i] = math.sqrt(max(rest + damping, 1e-14))
-            else:
-                lower[i, j] = rest / lower[j, j]
-
-
-@njit()
-def _solve(lower, vector, solution):  # type: ignore[no-untyped-def]
-    """Write the solution of L Lᵀ x = vector."""
-    for i in range(PARAMETERS):
-        solution[i] = (vector[i] - _dot(lower[i, :i], solution[:i])) / lower[i, i]
-    for i in range(PARAMETERS - 1, -1, -1):
-        solution[i] = (solution[i] - _dot(lower[i + 1 :, i], solution[i + 1 :])) / lower[i, i]
-
-
-@njit()
 def _descend(pixels, parameters, small_step_px):  # type: ignore[no-untyped-def]
     """Levenberg–Marquardt until centre and σ move less than a step; return whether it got there."""
     count = pixels[0].shape[1]
@@ -394,19 +342,23 @@ def _descend(pixels, parameters, small_step_px):  # type: ignore[no-untyped-def]
     residual, trial_residual, by_distance = np.empty(count), np.empty(count), np.empty(count)
     jacobian, trial_jacobian = np.empty((PARAMETERS, count)), np.empty((PARAMETERS, count))
     matrix, lower = np.empty((PARAMETERS, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
-    vector, step = np.empty(PARAMETERS), np.empty(PARAMETERS)
+    vector = np.empty(PARAMETERS)
     _evaluate(pixels, parameters, residual, jacobian, by_distance)
     squares = _dot(residual, residual)
     scale = _normal_equations(residual, jacobian, matrix, vector)
     damping = FIRST_DAMPING
     for _ in range(MOST_STEPS):
-        _factorise(matrix, damping, lower)
-        _solve(lower, vector, step)
-        for i in range(PARAMETERS):
-            step[i] /= scale[i]
+        if not cholesky(matrix + damping * np.eye(PARAMETERS), lower):
+            damping *= 10.0
+            continue
+        step = vector.copy()
+        solve(lower, step)
+        step /= scale
         trial = parameters + step
         small = max(abs(step[0]), abs(step[1]), abs(step[5])) < small_step_px
-        if not _possible(trial):
+        a, c, determinant = trial[2], trial[4], trial[2] * trial[4] - trial[3] * trial[3]
+        area = 1.0 / math.sqrt(determinant) if determinant > 0.0 and a > 0.0 and c > 0.0 else 0.0
+        if not (1.0 < area < 1e7 and trial[5] > 0.05 and trial[5] ** 2 < area):  # no ellipse with a dot's blur
             damping *= 10.0
             continue
         _evaluate(pixels, trial, trial_residual, trial_jacobian, by_distance)
@@ -426,32 +378,21 @@ def _descend(pixels, parameters, small_step_px):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _possible(parameters):  # type: ignore[no-untyped-def]
-    """Whether the parameters are an ellipse with a blur that a dot can have."""
-    a, b, c = parameters[2], parameters[3], parameters[4]
-    determinant = a * c - b * b
-    if not (determinant > 0.0 and a > 0.0 and parameters[5] > 0.05):
-        return False
-    area = 1.0 / math.sqrt(determinant)
-    return 1.0 < area < 1e7 and parameters[5] ** 2 < area
-
-
-@njit()
 def _judge(pixels, parameters, spread):  # type: ignore[no-untyped-def]
-    """Write the centre's variances xx xy yy, the noise and the roughness of the edge."""
+    """Write the centre's variances xx xy yy and the roughness of the edge."""
     values, origin = pixels
     count = values.shape[1]
     residual, by_distance, jacobian = np.empty(count), np.empty(count), np.empty((PARAMETERS, count))
     matrix, vector = np.empty((PARAMETERS, PARAMETERS)), np.empty(PARAMETERS)
     _evaluate(pixels, parameters, residual, jacobian, by_distance)
     scale = _normal_equations(residual, jacobian, matrix, vector)
-    lower, inverse = np.zeros((PARAMETERS, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
+    lower, inverse = np.zeros((PARAMETERS, PARAMETERS)), np.eye(PARAMETERS)
     pull = np.zeros(PARAMETERS)
-    _factorise(matrix, 1e-12, lower)
+    if not cholesky(matrix + 1e-12 * np.eye(PARAMETERS), lower):
+        spread[:] = math.nan
+        return
     for i in range(PARAMETERS):
-        vector[:] = 0.0
-        vector[i] = 1.0
-        _solve(lower, vector, inverse[i])
+        solve(lower, inverse[i])
     moved, weight = np.zeros(SECTORS), np.zeros(SECTORS)
     spread[:3] = 0.0
     for k in range(count):
@@ -468,5 +409,4 @@ def _judge(pixels, parameters, spread):  # type: ignore[no-untyped-def]
         sector = min(int((turn / (2.0 * math.pi) + 0.5) * SECTORS), SECTORS - 1)
         moved[sector] += by_distance[k] * residual[k]
         weight[sector] += by_distance[k] ** 2
-    spread[3] = math.sqrt(_dot(residual, residual) / (count - PARAMETERS))
-    spread[4] = math.sqrt(np.mean((moved / np.maximum(weight, 1e-12)) ** 2))
+    spread[3] = math.sqrt(np.mean((moved / np.maximum(weight, 1e-12)) ** 2))

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
+from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
 from photogram.images import GreyImage, NoiseModel, fit_noise_model
 
 TargetKind = Literal["chessboard", "charuco", "dots", "asymmetric-dots"]
@@ -77,18 +77,22 @@ class TargetNotFound(ValueError):
 _SATURATED = 0.995  # of full scale: what counts as saturated
 _MOST_SATURATED = 0.1  # share of the target's pixels that may be saturated
 _LEAST_CONTRAST = 0.02  # between bright and dark, of full scale
-_LEAST_SIGNAL = 8.0  # the same, in standard deviations of the noise
 _BLUR_PX, _BLUR_CELL = 2.6, 0.12  # blur σ that always passes, in px, and in units of the target's cells
 _FLAT = 0.02  # gradient per px, of the picture's contrast, below which a pixel counts as flat
 
 
-def check_exposure(image: NDArray[Any], area: NDArray[Any], full_scale: float) -> None:
-    """Raise `TargetNotFound` for a target too bright or without contrast; `area`: polygon (P, 2) px or mask (H, W).
+def check_exposure(image: NDArray[Any], area: FloatArray, full_scale: float) -> None:
+    """Raise `TargetNotFound` for a target too bright or without contrast within the polygon `area` (P, 2) px.
 
     Overexposed: more than a tenth of its pixels reach full scale. Underexposed: the range between the 5th and the
     95th percentile is below 2 % of full scale.
     """
-    grey = image[_mask(image, area)]
+    import cv2
+
+    check_shape("area", area, (None, 2))
+    filled = np.zeros(image.shape, dtype=np.uint8)
+    cv2.fillPoly(filled, [np.rint(area).astype(np.int32)], 1)
+    grey = image[filled > 0]
     if grey.size == 0:
         raise ValueError("area: expected a part of the picture, found none of its pixels")
     saturated = float((grey >= _SATURATED * full_scale).mean())
@@ -152,19 +156,6 @@ def picture_noise(image: NDArray[Any]) -> NoiseModel:
         flat = np.ones_like(flat)
     stride = max(1, int(flat.sum()) // 100_000)
     return fit_noise_model(smooth[flat][::stride].astype(np.float64), fine[flat][::stride].astype(np.float64) ** 2)
-
-
-def _mask(image: NDArray[Any], area: NDArray[Any]) -> BoolArray:
-    """Return the pixels (H, W) of a polygon (P, 2), or of a mask as it is."""
-    if area.dtype == np.bool_:
-        check_shape("area", area, image.shape)
-        return area
-    import cv2
-
-    check_shape("area", area, (None, 2))
-    filled = np.zeros(image.shape, dtype=np.uint8)
-    cv2.fillPoly(filled, [np.rint(area).astype(np.int32)], 1)
-    return np.asarray(filled > 0)
 
 
 def outline(position_px: FloatArray) -> FloatArray:

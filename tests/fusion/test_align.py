@@ -38,7 +38,7 @@ from fusion.cameras.align_manifest import (
 from fusion.cli import main
 from fusion.recording.manifest import Stereo
 from fusion.simulate.write import to_toml
-from photogram.alignment.seen import calibration_steps
+from photogram.alignment.evidence import calibration_steps
 from photogram.alignment.solve import align
 from photogram.calibration.file import write_calibration
 from photogram.camera import triangulate
@@ -411,7 +411,7 @@ def test_two_axes_place_the_camera() -> None:
             block = AxisBlock(
                 name=name, recordings=(), point=tuple(place), direction=tuple(direction), direction_uncertainty=2e-5
             )
-            found, notices = _axis(block, [seen_turning(world, place, direction)], pair)
+            found, notices = _axis(block, seen_turning(world, place, direction), pair)
             assert notices == []
             evidence.append(found)
         start = displaced(world.sensor_from_camera, np.full(6, 2e-3))
@@ -429,5 +429,5 @@ def test_an_unsteady_axis_is_told() -> None:
     block = AxisBlock(
         name="x", recordings=(), point=(0.0, 0.0, 0.0), direction=(1.0, 0.0, 0.0), direction_uncertainty=2e-5
     )
-    _, (notice,) = _axis(block, [seen], None)
+    _, (notice,) = _axis(block, seen, None)
     assert "turns about no fixed axis" in notice.text

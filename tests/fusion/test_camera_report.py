@@ -12,7 +12,7 @@ import pytest
 from calibration_factory import SIZE_PX, SPACING_M, Session, make_calibration
 from page_outline import outline
 
-from fusion.cameras import facts
+from fusion.cameras import quantities
 from fusion.cameras.figures import draw_pictures
 from fusion.cameras.report import (
     camera_headlines,
@@ -45,7 +45,7 @@ def calibration() -> Calibration:
 def draws(calibration: Calibration) -> list[StereoRig]:
     """Rigs within the covariance of the calibrated one."""
     rng = np.random.default_rng(1)
-    covariance = facts.covariance_of(calibration.rig)
+    covariance = quantities.covariance_of(calibration.rig)
     u = np.sqrt(np.diagonal(covariance))
     deltas = rng.multivariate_normal(np.zeros(24), covariance / np.outer(u, u), DRAWS) * u
     return [calibration.rig.perturbed(delta) for delta in deltas]
@@ -56,7 +56,7 @@ def _scatter(values: object) -> float:
 
 
 def test_baseline_and_angle_scatter_as_stated(calibration: Calibration, draws: list[StereoRig]) -> None:
-    baseline, angle = facts.baseline_m(calibration.rig), facts.axes_angle_rad(calibration.rig)
+    baseline, angle = quantities.baseline_m(calibration.rig), quantities.axes_angle_rad(calibration.rig)
     lengths = [np.linalg.norm(rig.right_from_left.translation_m) for rig in draws]
     angles = [np.arccos(rig.right_from_left.rotation[2, 2]) for rig in draws]
     assert baseline.value == pytest.approx(np.linalg.norm([0.168, -0.003, 0.036]), abs=4 * baseline.u)
@@ -67,9 +67,9 @@ def test_baseline_and_angle_scatter_as_stated(calibration: Calibration, draws: l
 
 def test_parallel_axes_have_an_uncertain_angle(calibration: Calibration) -> None:
     parallel = dataclasses.replace(calibration.rig, right_from_left=RigidTransform(np.eye(3), np.array([-0.1, 0, 0])))
-    found = facts.axes_angle_rad(parallel)
+    found = quantities.axes_angle_rad(parallel)
     assert found.value == 0.0
-    assert found.u >= np.sqrt(np.diagonal(facts.covariance_of(parallel))[18:20]).max()
+    assert found.u >= np.sqrt(np.diagonal(quantities.covariance_of(parallel))[18:20]).max()
 
 
 def test_distance_scatters_as_stated(calibration: Calibration) -> None:
@@ -83,13 +83,13 @@ def test_distance_scatters_as_stated(calibration: Calibration) -> None:
         + delta[:3]
         for delta in deltas
     ]
-    found = facts.distance_m(calibration, view)
+    found = quantities.distance_m(calibration, view)
     assert found.value == pytest.approx(np.linalg.norm(view.left_from_target.apply(middle)))
     assert found.u == pytest.approx(_scatter(np.linalg.norm(places, axis=1)), rel=0.06)
 
 
 def test_distortion_is_that_of_opencv(calibration: Calibration) -> None:
-    field, camera = facts.distortion(calibration, "right", columns=7), calibration.rig.right
+    field, camera = quantities.distortion(calibration, "right", columns=7), calibration.rig.right
     ideal = (field.pixel - field.displacement_px).reshape(-1, 2)
     rays = np.column_stack([(ideal - camera.matrix[:2, 2]) / np.diagonal(camera.matrix)[:2], np.ones(len(ideal))])
     pixel, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.matrix, camera.distortion)
@@ -97,7 +97,7 @@ def test_distortion_is_that_of_opencv(calibration: Calibration) -> None:
 
 
 def test_distortion_scatters_as_stated(calibration: Calibration, draws: list[StereoRig]) -> None:
-    field = facts.distortion(calibration, "left", columns=9)
+    field = quantities.distortion(calibration, "left", columns=9)
     corner = field.pixel[0, 0]
     moved = []
     for rig in draws:
@@ -112,12 +112,12 @@ def test_lengths_scale_with_the_baseline(calibration: Calibration) -> None:
     baseline = np.zeros(24)
     baseline[21:] = calibration.rig.right_from_left.translation_m
     rig = dataclasses.replace(calibration.rig, covariance=1e-4**2 * np.outer(baseline, baseline))
-    found = facts.length_u(dataclasses.replace(calibration, rig=rig))
+    found = quantities.length_u(dataclasses.replace(calibration, rig=rig))
     np.testing.assert_allclose(found, 1e-4, rtol=1e-6)
 
 
 def test_depth_is_less_certain_than_what_lies_across(calibration: Calibration) -> None:
-    across, down, away = facts.length_u(calibration)
+    across, down, away = quantities.length_u(calibration)
     assert calibration.scale_u < min(across, down)
     assert away > 1.5 * across
 
@@ -127,7 +127,7 @@ def test_systematic_part_of_residuals_is_told_from_noise() -> None:
     position = rng.uniform(0, 2000, (20000, 2))
     noise = rng.normal(0.0, 0.2, position.shape)
     pattern = 0.05 * np.sign(np.sin(2 * np.pi * (position + 0.5) / 400.0))
-    plain, wavy = (facts.residual_map(position, residual, 100.0) for residual in (noise, noise + pattern))
+    plain, wavy = (quantities.residual_map(position, residual, 100.0) for residual in (noise, noise + pattern))
     assert plain.systematic_px < 0.01
     assert wavy.systematic_px == pytest.approx(0.05 * np.sqrt(2), rel=0.06)
     assert wavy.within_px == pytest.approx(0.2 * np.sqrt(2), rel=0.02)
@@ -152,8 +152,8 @@ def test_errors_of_the_print_are_told_from_those_of_the_lens(calibration: Calibr
         dataclasses.replace(view, left=moved(view, 0, view.left), right=moved(view, 1, view.right))
         for view in calibration.views
     )
-    for side in facts.SIDES:
-        found = facts.residual_parts(dataclasses.replace(calibration, views=views), side)
+    for side in quantities.SIDES:
+        found = quantities.residual_parts(dataclasses.replace(calibration, views=views), side)
         assert found.point_m == pytest.approx(10e-6 * np.sqrt(2), rel=0.06)
         assert found.whole_px == pytest.approx(np.hypot(found.point_px, 0.02 * np.sqrt(2)), rel=0.02)
         assert found.place_px < 0.2 * found.point_px
@@ -162,8 +162,8 @@ def test_errors_of_the_print_are_told_from_those_of_the_lens(calibration: Calibr
 
 def test_residuals_of_a_lens_that_the_model_does_not_follow(calibration: Calibration) -> None:
     plain = make_calibration(Session(unmodelled_px=0.0))
-    for side in facts.SIDES:
-        wavy, noise = facts.residual_parts(calibration, side), facts.residual_parts(plain, side)
+    for side in quantities.SIDES:
+        wavy, noise = quantities.residual_parts(calibration, side), quantities.residual_parts(plain, side)
         assert noise.alone_px == pytest.approx(0.12 * np.sqrt(2), rel=0.03)
         assert max(noise.place_px, noise.point_px, noise.smooth_px) < 0.02
         assert 0.06 < wavy.place_px <= wavy.smooth_px < 0.15
@@ -171,50 +171,52 @@ def test_residuals_of_a_lens_that_the_model_does_not_follow(calibration: Calibra
 
 
 def test_tilt_has_angle_and_direction(calibration: Calibration) -> None:
-    tilts = facts.tilts_rad(calibration)
+    tilts = quantities.tilts_rad(calibration)
     angle = [np.arccos(abs(view.left_from_target.rotation[2, 2])) for view in calibration.views]
     np.testing.assert_allclose(np.linalg.norm(tilts, axis=1), angle, atol=1e-9)
     facing = rotation_from_vector(np.array([np.pi, 0.0, 0.0]))
     right = rotation_from_vector(np.array([0.0, -0.3, 0.0])) @ facing  # the normal −z turns towards +x
     pose = RigidTransform(right, np.array([0.0, 0.0, 0.4]))
     one = dataclasses.replace(calibration, views=(dataclasses.replace(calibration.views[0], left_from_target=pose),))
-    np.testing.assert_allclose(facts.tilts_rad(one), [[0.3, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(quantities.tilts_rad(one), [[0.3, 0.0]], atol=1e-12)
     behind = dataclasses.replace(one.views[0], left_from_target=RigidTransform(right @ facing, pose.translation_m))
-    np.testing.assert_allclose(facts.tilts_rad(dataclasses.replace(one, views=(behind,))), [[0.3, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(
+        quantities.tilts_rad(dataclasses.replace(one, views=(behind,))), [[0.3, 0.0]], atol=1e-12
+    )
 
 
-@pytest.mark.parametrize("side", facts.SIDES)
-def test_empty_cells_are_what_is_not_covered(calibration: Calibration, side: facts.Side) -> None:
-    position, residual, view = facts.used_points(calibration, side)
-    cells = facts.empty_cells(position, SIZE_PX)
+@pytest.mark.parametrize("side", quantities.SIDES)
+def test_empty_cells_are_what_is_not_covered(calibration: Calibration, side: quantities.Side) -> None:
+    position, residual, view = quantities.used_points(calibration, side)
+    cells = quantities.empty_cells(position, SIZE_PX)
     area = ((cells[:, 2] - cells[:, 0]) * (cells[:, 3] - cells[:, 1])).sum() / SIZE_PX.prod()
-    assert area == pytest.approx(1 - calibration.covered[facts.SIDES.index(side)])
+    assert area == pytest.approx(1 - calibration.covered[quantities.SIDES.index(side)])
     assert len(position) == len(residual) == len(view)
     rms = np.sqrt((residual**2).sum(axis=1).mean())
-    assert rms == pytest.approx(calibration.rms_sides_px[facts.SIDES.index(side)])
+    assert rms == pytest.approx(calibration.rms_sides_px[quantities.SIDES.index(side)])
 
 
 def test_shape_is_laid_onto_its_lattice(calibration: Calibration) -> None:
-    shape = facts.target_shape(calibration)
+    shape = quantities.target_shape(calibration)
     assert shape is not None
     assert np.ptp(shape.height_m) == pytest.approx(60e-6, rel=1e-3)
     assert abs(shape.height_m.mean()) < 1e-9
     moved = RigidTransform.from_pose(np.array([1e-3, 2e-3, 3e-3, 0.01, -0.02, 0.03]))
-    again = facts.target_shape(dataclasses.replace(calibration, shape_m=moved.apply(calibration.shape_m)))
+    again = quantities.target_shape(dataclasses.replace(calibration, shape_m=moved.apply(calibration.shape_m)))
     assert again is not None
     np.testing.assert_allclose(again.height_m, shape.height_m, atol=1e-12)
-    assert facts.target_shape(make_calibration(Session(views=4, bow_m=0.0))) is None
+    assert quantities.target_shape(make_calibration(Session(views=4, bow_m=0.0))) is None
 
 
 def test_a_pair_without_covariance_is_refused(calibration: Calibration) -> None:
     with pytest.raises(ValueError, match="covariance"):
-        facts.baseline_m(dataclasses.replace(calibration.rig, covariance=None))
+        quantities.baseline_m(dataclasses.replace(calibration.rig, covariance=None))
 
 
 def test_parameters_without_uncertainty_have_no_correlation(calibration: Calibration) -> None:
-    covariance = facts.covariance_of(calibration.rig).copy()
+    covariance = quantities.covariance_of(calibration.rig).copy()
     covariance[8], covariance[:, 8] = 0.0, 0.0
-    found = facts.correlation(covariance)
+    found = quantities.correlation(covariance)
     assert np.isnan(found[8]).all()
     np.testing.assert_allclose(np.delete(np.diagonal(found), 8), 1.0)
 

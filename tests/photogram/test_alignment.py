@@ -13,8 +13,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from photogram.alignment.evidence import Evidence, KnownFace, KnownPoints, KnownPoses, StatedFrame, across
-from photogram.alignment.seen import by_parameters, calibration_steps, fit_axis, linear_motion, seen_points, seen_target
+from photogram.alignment.evidence import (
+    Evidence,
+    KnownFace,
+    KnownPoints,
+    KnownPoses,
+    StatedFrame,
+    across,
+    by_parameters,
+    calibration_steps,
+    fit_axis,
+    linear_motion,
+    seen_points,
+    seen_target,
+)
 from photogram.alignment.solve import Alignment, OpenPose, align
 from photogram.calibration.start import target_pose as find_pose
 from photogram.camera import StereoRig

@@ -15,7 +15,7 @@ from fusion.campaign.repeats import BETWEEN, WITHIN
 from fusion.recording.load import load_for_command
 from fusion.report.folder import Command, subject_of
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.style import BLACK, GREY, LIGHT, Picture, panel_label, sheet
+from fusion.report.style import BLACK, COLOURS, GREY, LIGHT, Picture, panel_label, sheet
 from fusion.report.table import (
     Column,
     Headline,

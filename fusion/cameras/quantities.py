@@ -1,4 +1,4 @@
-"""What a calibrated stereo pair means in plain quantities, with their standard uncertainties."""
+"""Quantities derived from a calibrated stereo pair, with their standard uncertainties."""
 
 from __future__ import annotations
 
@@ -90,6 +90,12 @@ def covariance_of(rig: StereoRig) -> FloatArray:
     return rig.covariance
 
 
+def camera_of(rig: StereoRig, side: Side) -> tuple[Camera, FloatArray]:
+    """One camera and the covariance (9, 9) of its parameters."""
+    own = slice(0, 9) if side == "left" else slice(9, 18)
+    return (rig.left if side == "left" else rig.right), covariance_of(rig)[own, own]
+
+
 def baseline_m(rig: StereoRig) -> Quantity:
     """Distance of the two cameras: |t|, u² = eᵀ·C·e with e = t/|t|."""
     translation = rig.right_from_left.translation_m
@@ -166,7 +172,7 @@ def length_u(calibration: Calibration) -> FloatArray:
 
 def distortion(calibration: Calibration, side: Side, columns: int = 33) -> Distortion:
     """Distortion of one camera on a grid over its whole picture, with the uncertainty of all nine parameters."""
-    camera, covariance = _camera(calibration.rig, side)
+    camera, covariance = camera_of(calibration.rig, side)
     width, height = camera.size_px
     rows = max(3, round(columns * height / width))
     across, down = np.linspace(0, width - 1, columns), np.linspace(0, height - 1, rows)
@@ -181,12 +187,6 @@ def distortion(calibration: Calibration, side: Side, columns: int = 33) -> Disto
     return Distortion(pixel, displaced(np.zeros(9)), np.sqrt((u**2).mean(axis=-1)))
 
 
-def principal_point(rig: StereoRig, side: Side) -> tuple[FloatArray, FloatArray]:
-    """Principal point (2,) in px of one camera, and its covariance (2, 2)."""
-    camera, covariance = _camera(rig, side)
-    return camera.parameters[2:4], covariance[2:4, 2:4]
-
-
 def pictures(calibration: Calibration, side: Side) -> list[CalibratedPicture | None]:
     """The picture of one camera in every view."""
     return [view.left if side == "left" else view.right for view in calibration.views]
@@ -195,12 +195,10 @@ def pictures(calibration: Calibration, side: Side) -> list[CalibratedPicture | N
 def used_points(calibration: Calibration, side: Side) -> tuple[FloatArray, FloatArray, IntArray]:
     """Positions (M, 2) and residuals (M, 2) in px of all points of one camera in the fit, and their views (M,)."""
     taken = [(view, picture) for view, picture in enumerate(pictures(calibration, side)) if picture is not None]
-    empty = np.empty((0, 2))
-    return (
-        np.concatenate([empty, *(picture.position_px[picture.used] for _, picture in taken)]),
-        np.concatenate([empty, *(picture.residual_px[picture.used] for _, picture in taken)]),
-        np.concatenate([np.empty(0, int), *(np.full(picture.used.sum(), view) for view, picture in taken)]),
-    )
+    empty = [np.empty((0, 2)), np.empty((0, 2)), np.empty(0, int)]
+    each = ((p.position_px[p.used], p.residual_px[p.used], np.full(p.used.sum(), view)) for view, p in taken)
+    position, residual, view = (np.concatenate(parts) for parts in zip(empty, *each, strict=True))
+    return position, residual, view
 
 
 def residual_map(position_px: FloatArray, residual_px: FloatArray, side_px: float) -> ResidualMap:
@@ -211,14 +209,22 @@ def residual_map(position_px: FloatArray, residual_px: FloatArray, side_px: floa
 
 def cell_px(calibration: Calibration, side: Side) -> float:
     """Side of the square cells of one camera's picture in which residuals are averaged."""
-    return float(_camera(calibration.rig, side)[0].size_px[0]) / CELLS_ACROSS
+    return float(camera_of(calibration.rig, side)[0].size_px[0]) / CELLS_ACROSS
 
 
 def residual_parts(calibration: Calibration, side: Side) -> ResidualParts:
     """What the residuals of one camera have in common."""
-    position, residual, view = used_points(calibration, side)
+    (position, residual, view), spacing = used_points(calibration, side), calibration.target.spacing_m
     index = np.concatenate([p.index[p.used] for p in pictures(calibration, side) if p is not None])
-    on_target = _onto_target(calibration, side, index, residual, view)
+    lattice = spacing * np.column_stack([index, np.zeros(len(index))])
+    step = 1e-3 * spacing * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    on_target = np.empty_like(residual)  # in the target's plane, in m
+    for number in np.unique(view):
+        mine = view == number
+        places = calibration.views[number].left_from_target.apply(lattice[mine, None] + step)
+        pixel = calibration.rig.project(places)[SIDES.index(side)]
+        jacobian = np.swapaxes(pixel[:, 1:] - pixel[:, :1], 1, 2) / (1e-3 * spacing)
+        on_target[mine] = np.linalg.solve(jacobian, residual[mine, :, None])[..., 0]
     *_, place = _one_way(residual, np.floor((position + 0.5) / cell_px(calibration, side)))
     *_, print_m = _one_way(on_target, index)
     *_, alone, smooth = _one_way(residual, np.column_stack([view, index // NEIGHBOURS]))
@@ -229,9 +235,8 @@ def residual_parts(calibration: Calibration, side: Side) -> ResidualParts:
 
 def target_shape(calibration: Calibration) -> TargetShape | None:
     """How the target departs from its flat lattice, laid onto it as a rigid body; None where it was held flat."""
-    lattice = calibration.target.spacing_m * np.column_stack(
-        [calibration.shape_index, np.zeros(len(calibration.shape_m))]
-    )
+    index = calibration.shape_index
+    lattice = calibration.target.spacing_m * np.column_stack([index, np.zeros(len(index))])
     if np.abs(calibration.shape_m - lattice).max() < 1e-12:
         return None
     departure = fit_rigid(calibration.shape_m, lattice).apply(calibration.shape_m) - lattice
@@ -253,29 +258,6 @@ def correlation(covariance: FloatArray) -> FloatArray:
     u = np.sqrt(np.diagonal(covariance))
     u = np.where(u > 0, u, np.nan)
     return np.asarray(covariance / np.outer(u, u))
-
-
-def _camera(rig: StereoRig, side: Side) -> tuple[Camera, FloatArray]:
-    """One camera and the covariance (9, 9) of its parameters."""
-    own = slice(0, 9) if side == "left" else slice(9, 18)
-    return (rig.left if side == "left" else rig.right), covariance_of(rig)[own, own]
-
-
-def _onto_target(
-    calibration: Calibration, side: Side, index: IntArray, residual_px: FloatArray, view: IntArray
-) -> FloatArray:
-    """Residuals (M, 2) of points (M, 2) of the lattice in the target's plane, in m, views (M,)."""
-    spacing = calibration.target.spacing_m
-    step = 1e-3 * spacing * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    lattice = spacing * np.column_stack([index, np.zeros(len(index))])
-    found = np.empty_like(residual_px)
-    for number in np.unique(view):
-        mine = view == number
-        places = calibration.views[number].left_from_target.apply(lattice[mine, None] + step)
-        pixel = calibration.rig.project(places)[SIDES.index(side)]
-        jacobian = np.swapaxes(pixel[:, 1:] - pixel[:, :1], 1, 2) / (1e-3 * spacing)
-        found[mine] = np.linalg.solve(jacobian, residual_px[mine, :, None])[..., 0]
-    return found
 
 
 def _one_way(vector: FloatArray, key: FloatArray | IntArray) -> tuple[FloatArray, FloatArray, IntArray, float, float]:
