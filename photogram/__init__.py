@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from photogram.measure import measure_body
     from photogram.motion import fit_motion
     from photogram.point_tables import read_point_tables
-    from photogram.subsets.track import TrackSettings, track_stereo
+    from photogram.subsets.icgn import TrackSettings
+    from photogram.subsets.track import track_stereo
     from photogram.synthetic.board import Board, render_board
     from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, view_of
     from photogram.targets.view import Target, find_target
@@ -36,7 +37,7 @@ _MODULES = {
     "RigidTransform": "photogram.geometry",
     "StereoRig": "photogram.camera",
     "Target": "photogram.targets.view",
-    "TrackSettings": "photogram.subsets.track",
+    "TrackSettings": "photogram.subsets.icgn",
     "align": "photogram.alignment.solve",
     "calibrate_pair": "photogram.calibration.session",
     "check_epipolar": "photogram.epipolar",

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, Notice
-from photogram.camera import StereoRig, triangulate
-from photogram.geometry import RigidTransform, rotation_from_vector, skew
+from photogram.camera import StereoRig, epipolar_residual, triangulate
+from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.subsets.track import StereoTracks, Tracks
 
 FEWEST_POINTS = 8
@@ -49,25 +49,6 @@ class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3
     def mean_px(self) -> FloatArray:
         """Mean residual of every frame (F,)."""
         return self.course_px[:, 0]
-
-
-def epipolar_residual(
-    rig: StereoRig, left_px: FloatArray, right_px: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return residuals (...) in px of matches (..., 2), and their derivatives (..., 2) by the left and right pixels.
-
-    e = x'ᵀ·F·x / |(F·x)₁₂|, the signed distance of the right point from the epipolar line of the left one (Hartley and
-    Zisserman 2004, sections 9.2 and 11.4.3) in the undistorted picture: F = K_right⁻ᵀ·[t]×·R·K_left⁻¹ acts on pixels
-    without distortion. The derivatives take the distortion itself as constant over a point's noise.
-    """
-    left, right = _ideal(rig.left.undistort(left_px)), _ideal(rig.right.undistort(right_px))
-    essential = skew(rig.right_from_left.translation_m) @ rig.right_from_left.rotation
-    by_right, by_left = left @ essential.T, right @ essential
-    focal_left, focal_right = rig.left.matrix[[0, 1], [0, 1]], rig.right.matrix[[0, 1], [0, 1]]
-    slope_right, slope_left = by_right[..., :2] / focal_right, by_left[..., :2] / focal_left
-    length = np.linalg.norm(slope_right, axis=-1)
-    residual = (by_right * right).sum(axis=-1) / length
-    return residual, slope_left / length[..., None], slope_right / length[..., None]
 
 
 def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
@@ -131,11 +112,6 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
         np.where(good, mean, np.nan),
         tuple(notice for notice in notices if notice is not None),
     )
-
-
-def _ideal(normalised: FloatArray) -> FloatArray:
-    """Append the coordinate 1."""
-    return np.concatenate([normalised, np.ones((*normalised.shape[:-1], 1))], axis=-1)
 
 
 def _variance(tracks: Tracks, derivative: FloatArray) -> FloatArray:

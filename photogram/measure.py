@@ -14,14 +14,13 @@ from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_
 from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence, NoiseModel
 from photogram.motion import PlacedCamera, RigidMotion, fit_motion, overlap_correlation
-from photogram.subsets.icgn import Registration
+from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.reference import Reference
 from photogram.subsets.texture import SubsetQuality, assess
 from photogram.subsets.track import (
     FollowedFrame,
     StereoGrid,
     StereoTracks,
-    TrackSettings,
     follow_sequence,
     identity,
     lay_stereo_grid,

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray
 from photogram.bspline import spline_of_image
-from photogram.subsets.icgn import Registration
+from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.icgn_torch import TorchReference, TorchSplines, register_frames, spline_frames, torch_reference
 from photogram.subsets.reference import Reference, TrackStatus
 from photogram.subsets.search import neighbour_starts, predict_warp
-from photogram.subsets.track import NEIGHBOUR_ROUNDS, TrackSettings, follow, identity, merged
+from photogram.subsets.track import NEIGHBOUR_ROUNDS, follow, identity, merged
 
 Image = NDArray[Any]
 HISTORY = 64
@@ -34,9 +34,8 @@ class _Batch:
     settings: TrackSettings
 
     def find(self, start: FloatArray) -> tuple[Registration, ...]:
-        """Registration of all frames from the warps `start` (B,N,6) with the settings' limits."""
-        limits = (self.settings.max_iterations, self.settings.convergence_px, self.settings.min_zncc)
-        return register_frames(self.prepared, self.frames, start, *limits)
+        """Registration of all frames from the warps `start` (B,N,6)."""
+        return register_frames(self.prepared, self.frames, start, self.settings)
 
 
 def follow_frames(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, floor
 from typing import Any
 
@@ -106,6 +106,14 @@ def saturated(image: Image, full_scale: int, points_px: FloatArray, radius_px: i
     if image.max() < full_scale:
         return np.zeros(len(points_px), dtype=np.bool_)
     return np.asarray(subset_mean(image >= full_scale, points_px, radius_px) > SATURATED_SHARE)
+
+
+def without_saturated(reference: Reference, image: Image, full_scale: int) -> Reference:
+    """`reference` without NaN centres and without subsets that are saturated in it."""
+    absent = ~np.isfinite(reference.centre_px).all(axis=1)
+    full = saturated(image, full_scale, reference.centre_px, reference.radius_px)
+    status = np.where(full, np.int8(TrackStatus.SATURATED), reference.status)
+    return replace(reference, status=np.where(absent, np.int8(TrackStatus.NO_START), status))
 
 
 def speckle_size(image: Image, area: BoolArray) -> float:
@@ -271,16 +279,6 @@ class SubsetQuality(Arrays, shapes="predicted_sigma_px N 2; noise_grey N; status
         """Which subsets are worth tracking."""
         return np.asarray(self.status == TrackStatus.OK)
 
-    @property
-    def saturated(self) -> BoolArray:
-        """Which subsets have more than 1 % of their pixels at full scale."""
-        return np.asarray(self.status == TrackStatus.SATURATED)
-
-    @property
-    def flat(self) -> BoolArray:
-        """Which subsets have no texture that stands out of the noise."""
-        return np.asarray(self.status == TrackStatus.FLAT)
-
     def notices(self, where: str) -> tuple[Notice, ...]:
         """A remark on `where` that counts the unusable subsets by reason, if there are any."""
         lost = [(int(np.sum(self.status == status)), reason) for status, reason in REASONS.items()]
@@ -300,10 +298,7 @@ def assess(reference: Reference, image: Image, noise: NoiseModel, full_scale: in
     check_shape("image", image, (None, None))
     grey = image.astype(np.float64)
     level = noise.variance(grey)
-    absent = ~np.isfinite(reference.centre_px).all(axis=1)
-    full = saturated(image, full_scale, reference.centre_px, reference.radius_px)
-    status = np.where(full, np.int8(TrackStatus.SATURATED), reference.status)
-    status = np.where(absent, np.int8(TrackStatus.NO_START), status)
+    status = without_saturated(reference, image, full_scale).status
     variance = np.empty((len(status), 2))
     for i, slope in enumerate(np.gradient(grey)[::-1]):
         weight = subset_mean(slope**2, reference.centre_px, reference.radius_px)
@@ -311,7 +306,7 @@ def assess(reference: Reference, image: Image, noise: NoiseModel, full_scale: in
         variance[:, i] = np.divide(noisy, weight, out=np.full(len(status), np.nan), where=weight > 0.0)
     predicted = np.sqrt(variance * reference.position_variance[:, [0, 1], [0, 1]])
     predicted[status != TrackStatus.OK] = np.nan
-    return SubsetQuality(predicted, np.sqrt(variance.mean(axis=1)), status.astype(np.int8))
+    return SubsetQuality(predicted, np.sqrt(variance.mean(axis=1)), status)
 
 
 def default_radius_px(speckle_px: float) -> int:

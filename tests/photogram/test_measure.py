@@ -32,9 +32,10 @@ from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence, NoiseModel
 from photogram.measure import BodyMotion, body_motion, follow_block, measure_body, prepare_body
 from photogram.motion import PlacedCamera, body_patches, deformation, patch_rates, patch_warps
+from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.texture import textured_area
-from photogram.subsets.track import TrackSettings, follow_sequence, prepare_sequence
+from photogram.subsets.track import follow_sequence, prepare_sequence
 from photogram.synthetic.scene import Face, ImageSensor, motion_bound, render, speckle_texture, view_of
 
 PIXEL_M, FOCAL = 2e-4, 1500.0
