@@ -136,6 +136,13 @@ def rotation_vector_rate(vector_rad: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) - 0.5 * cross + coefficient * (cross @ cross))
 
 
+def pose_rate(pose: FloatArray) -> FloatArray:
+    """Return (..., 6, 6): how poses (..., 6) answer a small shift and a small left-multiplied rotation."""
+    rate = np.broadcast_to(np.eye(6), (*pose.shape, 6)).copy()
+    rate[..., 3:, 3:] = rotation_vector_rate(pose[..., 3:])
+    return rate
+
+
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
     """Return the rotations R (..., 3, 3), determinant +1, that maximise trace(Rᵀ·M) for matrices M (..., 3, 3).
 

@@ -269,8 +269,7 @@ def _register_pairs(
         frame, subset = pairs // len(reference.centre_px), pairs % len(reference.centre_px)
         gone = _gone(reference, frames, subset, warp, first_shift)
         sums = _correlate(reference, frames, (frame, subset, warp, gone), basis)
-        step, scores, small = _solve(reference, subset, *sums)
-        fate, scores = _judge(reference.rim, settings, gone, (step, scores, small))
+        step, scores, fate = _solve(reference, settings, (subset, gone), sums)
         all_warp[pairs], all_scores[pairs] = compose_inverse(warp, step), scores
         outcome[pairs] = torch.stack([fate, torch.full_like(fate, iteration)], dim=1)
         going_on = torch.nonzero(fate == RUNNING)[:, 0]
@@ -320,38 +319,28 @@ def _correlate(
 
 
 def _solve(
-    reference: TorchReference, subset: Tensor, total: Tensor, square: Tensor, moments: Tensor
+    reference: TorchReference, settings: TrackSettings, pair: tuple[Tensor, Tensor], sums: tuple[Tensor, Tensor, Tensor]
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Steps (n,6 or 12), scores (n,3) = [zncc, gain, residual variance] after them, and whether they are small (n,)."""
+    """Steps (n,6 or 12), scores (n,3) = [zncc, gain, residual variance] of those that then stand still, and statuses.
+
+    Pairs are subset and gone; the status (n,) is `RUNNING` where another step is needed.
+    """
     import torch
 
+    (subset, gone), (total, square, moments), rim = pair, sums, reference.rim
     size, energy, removed = reference.shape.shape[1], reference.energy[subset], reference.removed[subset]
     product = moments[:, 0, 0]
     spread, gain = square - total.square() / size, product / energy
     slope = moments[:, 1:, 0] if reference.order == 0 else _columns(moments[:, 1:])
     slope = slope - removed[:, 0] * total[:, None] - removed[:, 1] * product[:, None]
-    solution = torch.matmul(reference.inverse_hessian[subset], slope[:, :, None])[:, :, 0] / gain[:, None]
-    improvement = (solution * slope).sum(dim=1)
+    step = torch.matmul(reference.inverse_hessian[subset], slope[:, :, None])[:, :, 0] / gain[:, None]
+    improvement = (step * slope).sum(dim=1)
     left = (spread - (product + improvement) * gain).clamp(min=0.0)
     zncc, residual = (1.0 - left / spread).clamp(min=0.0).sqrt(), left / (size - slope.shape[1] - GAIN_AND_OFFSET)
-    correlated = (spread > 0.0) & (gain > 0.0)
-    scores = torch.stack([zncc, gain, residual], dim=1).masked_fill_(~correlated[:, None], torch.nan)
+    zncc = zncc.masked_fill((spread <= 0.0) | (gain <= 0.0), torch.nan)
     small = gain * improvement < SMALL_STEP**2 * slope.shape[1] * residual
-    step = solution
     if reference.order == 0:
-        step = torch.zeros((len(subset), 6), dtype=solution.dtype, device=solution.device)
-        step[:, :6:3] = solution
-    return step, scores, small
-
-
-def _judge(
-    rim: Tensor, settings: TrackSettings, gone: Tensor, solved: tuple[Tensor, Tensor, Tensor]
-) -> tuple[Tensor, Tensor]:
-    """Status (n,) after this step, `RUNNING` where another is needed, and scores (n,3) of those that stand still."""
-    import torch
-
-    step, scores, small = solved
-    zncc = scores[:, 0]
+        step = torch.stack([step, torch.zeros_like(step), torch.zeros_like(step)], dim=2).flatten(1)
     moved = (step[:, :6].view(-1, 2, 3) * rim[:3]).square().sum(dim=(1, 2))
     moved = moved + rim[1] ** 4 / 4.0 * step[:, 6:].square().sum(dim=1)
     still = (moved < LINEAR_PX**2) & (small | (REMAINING**2 * moved < settings.convergence_px**2))
@@ -359,7 +348,8 @@ def _judge(
     alike = zncc >= settings.min_zncc
     fate = torch.full_like(gone, RUNNING).masked_fill_(still & alike, int(TrackStatus.OK))
     fate.masked_fill_((still & ~alike) | ~zncc.isfinite(), int(TrackStatus.LOW_CORRELATION))
-    return torch.where(gone == RUNNING, fate, gone), scores.masked_fill(~still[:, None], torch.nan)
+    scores = torch.stack([zncc, gain, residual], dim=1).masked_fill(~still[:, None], torch.nan)
+    return step, scores, torch.where(gone == RUNNING, fate, gone)
 
 
 def _polynomials(warp: Tensor) -> Tensor:

@@ -38,12 +38,12 @@ def textured_area(image: Image) -> BoolArray:
     coarse = _textured(image, COARSE_WINDOW_PX)
     if coarse is None:
         return np.ones(image.shape, dtype=np.bool_)
-    body = _opened(_closed(coarse, COARSE_WINDOW_PX), COARSE_WINDOW_PX)
+    body = _morphed(_closed(coarse, COARSE_WINDOW_PX), "OPEN", COARSE_WINDOW_PX)
     fine = _textured(image, FINE_WINDOW_PX)
     if fine is not None:
-        core = _shrunk(np.pad(body, 1), COARSE_WINDOW_PX)[1:-1, 1:-1]
-        body = _opened(core | (body & _closed(fine, FINE_WINDOW_PX)), COARSE_WINDOW_PX)
-    mask = _shrunk(body, RIM_PX)
+        core = _morphed(np.pad(body, 1), "ERODE", COARSE_WINDOW_PX)[1:-1, 1:-1]
+        body = _morphed(core | (body & _closed(fine, FINE_WINDOW_PX)), "OPEN", COARSE_WINDOW_PX)
+    mask = _morphed(body, "ERODE", RIM_PX)
     # connected parts that have at least a fifth of the largest one's pixels
     labels, count = ndimage.label(mask)
     if count == 0:
@@ -81,11 +81,6 @@ def lay_grid(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
             centres.extend((float(column), float(row - 1)) for column in columns[row - 1])
             row = max(0, row - step_px)
     return np.array(sorted(centres, key=lambda point: (point[1], point[0])), dtype=np.float64).reshape(-1, 2)
-
-
-def subsets_inside(area: BoolArray, points_px: FloatArray, radius_px: int, share: float) -> BoolArray:
-    """Whether at least `share` of every subset's pixels around points_px (N,2) lie in `area` (H,W)."""
-    return subset_mean(area, points_px, radius_px) >= share
 
 
 def subset_mean(values: Image, points_px: FloatArray, radius_px: int) -> FloatArray:
@@ -177,34 +172,19 @@ def _textured(image: Image, window_px: int) -> BoolArray | None:
 
 def _closed(mask: BoolArray, radius_px: int) -> BoolArray:
     """The mask with gaps and holes filled; what lies beyond the image is empty, so that no wedge is filled there."""
-    import cv2
     from scipy import ndimage
 
-    framed = np.pad(mask, 2 * radius_px).astype(np.uint8)
-    closed = ndimage.binary_fill_holes(cv2.morphologyEx(framed, cv2.MORPH_CLOSE, _ball(radius_px)))
+    closed = ndimage.binary_fill_holes(_morphed(np.pad(mask, 2 * radius_px), "CLOSE", radius_px))
     return np.asarray(closed[2 * radius_px : -2 * radius_px, 2 * radius_px : -2 * radius_px], dtype=np.bool_)
 
 
-def _opened(mask: BoolArray, radius_px: int) -> BoolArray:
-    """The mask without parts narrower than a disc."""
-    import cv2
-
-    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, _ball(radius_px)) > 0)
-
-
-def _shrunk(mask: BoolArray, radius_px: int) -> BoolArray:
-    """Pixels at least `radius_px` from the mask's outline; the image's border is no outline."""
-    import cv2
-
-    return np.asarray(cv2.erode(mask.astype(np.uint8), _ball(radius_px)) > 0)
-
-
-def _ball(radius_px: int) -> NDArray[np.uint8]:
-    """A disc as structuring element."""
+def _morphed(mask: BoolArray, operation: str, radius_px: int) -> BoolArray:
+    """The mask after OpenCV's `operation` with a disc; the image's border is no outline."""
     import cv2
 
     size = 2 * radius_px + 1
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), getattr(cv2, f"MORPH_{operation}"), disc) > 0)
 
 
 def _packed(columns: NDArray[np.int64], step: int) -> list[int]:

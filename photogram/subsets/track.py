@@ -32,7 +32,7 @@ from photogram.subsets.texture import (
     lay_grid,
     saturated,
     speckle_size,
-    subsets_inside,
+    subset_mean,
     textured_area,
     without_saturated,
 )
@@ -220,7 +220,7 @@ def lay_stereo_grid(
         raise ValueError(f"left: expected a speckled body, found room for {len(points)} subsets in {left.names[0]}")
     matched = match_stereo(images[0], images[1], points, settings)
     right_px = matched.position_px[0]
-    kept = (matched.status[0] == TrackStatus.OK) & subsets_inside(areas[1], right_px, settings.radius_px, OVERLAP)
+    kept = (matched.status[0] == TrackStatus.OK) & (subset_mean(areas[1], right_px, settings.radius_px) >= OVERLAP)
     for image, camera, centres in ((images[0], left, points), (images[1], right, right_px)):
         kept &= ~saturated(image, camera.full_scale, centres, settings.radius_px)
     notices: list[Notice] = []

@@ -437,12 +437,10 @@ def test_every_tensor_is_made_on_the_device(noisy_frames, order):
     frame = subset = torch.zeros(9, dtype=torch.int64, device="meta")
     basis = torch.from_numpy(basis_polynomials(5)).to(reference.pixels)
     gone = engine._gone(reference, frames, subset, start, start[:, :6:3])
-    solved = engine._solve(
-        reference, subset, *engine._correlate(reference, frames, (frame, subset, start, gone), basis)
-    )
-    fate, scores = engine._judge(reference.rim, SETTINGS, gone, solved)
+    sums = engine._correlate(reference, frames, (frame, subset, start, gone), basis)
+    step, scores, fate = engine._solve(reference, SETTINGS, (subset, gone), sums)
     compose = engine._compose_inverse_quadratic if order == 2 else engine._compose_inverse
-    for tensor in (fate, scores, compose(start, solved[0])):
+    for tensor in (fate, scores, compose(start, step)):
         assert tensor.device.type == "meta"
 
 
