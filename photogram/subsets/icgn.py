@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
 from photogram.bspline import Spline, box_inside, mean_noise_gain, sample_line, sample_points
+from photogram.images import QUANTISATION
 from photogram.kernels import njit
 from photogram.subsets.reference import (
     AFFINE_SUMS,
@@ -139,12 +140,12 @@ def noise_of_residual(reference: Reference, found: Registration, degree: int) ->
 
     The residual g − gain·f̃ has the variance σ²(κ_g + gain²·κ_f) when both images carry white noise σ; κ is the
     variance that interpolation leaves (`noise_gain`), for g the mean over nine points of the subset. Shot noise is
-    covered, since every subset has its own σ; a misfit of the affine warp counts as noise too.
+    covered, since every subset has its own σ; a misfit of the affine warp counts as noise too. Rounding is the least.
     """
     places = subset_offsets(1) * (2.0 / 3.0 * reference.radius_px)
     kept = mean_noise_gain(reference.centre_px, found.warp, places, degree)
-    variance: FloatArray = found.residual_grey2 / (kept + found.gain**2 * reference.noise_gain)
-    return np.sqrt(variance)
+    variance = found.residual_grey2 / (kept + found.gain**2 * reference.noise_gain)
+    return np.sqrt(np.maximum(variance, QUANTISATION))
 
 
 @njit(parallel=True)
