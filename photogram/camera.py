@@ -277,9 +277,7 @@ class Points(Arrays, shapes="position_m F N 3; covariance_m2 F N 3 3; reprojecti
         """Return the points in another frame: R·x + t with covariance R·C·Rᵀ."""
         rotation = transform.rotation
         return replace(
-            self,
-            position_m=transform.apply(self.position_m),
-            covariance_m2=rotation @ self.covariance_m2 @ rotation.T,
+            self, position_m=transform.apply(self.position_m), covariance_m2=rotation @ self.covariance_m2 @ rotation.T
         )
 
 

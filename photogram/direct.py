@@ -312,11 +312,7 @@ class DirectFit(Arrays, shapes="covariance 6 6"):
 
 
 def view_body(
-    camera: PlacedCamera,
-    image: tuple[Spline, BoolArray, float],
-    known_m: FloatArray,
-    side_px: int,
-    noise: NoiseModel,
+    camera: PlacedCamera, image: tuple[Spline, BoolArray, float], known_m: FloatArray, side_px: int, noise: NoiseModel
 ) -> BodyView:
     """Return the body at rest in one camera: `image` = its spline, its textured area (H, W), and full scale.
 

@@ -145,11 +145,7 @@ def relative_to(motion: RigidMotion, mean_pose: FloatArray) -> RigidMotion:
     rate = pose_rate(pose)
     rate[:, :3, 3:] = skew(carried)
     jacobian = rate @ np.linalg.inv(pose_rate(motion.pose))
-    return replace(
-        motion,
-        pose=pose,
-        covariance=jacobian @ motion.covariance @ np.swapaxes(jacobian, 1, 2),
-    )
+    return replace(motion, pose=pose, covariance=jacobian @ motion.covariance @ np.swapaxes(jacobian, 1, 2))
 
 
 def points_with_estimated_noise(position_m: FloatArray, reference_m: FloatArray | None = None) -> Points:

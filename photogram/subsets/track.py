@@ -435,9 +435,7 @@ def merged(first: Registration, second: Registration) -> Registration:
 def dropped(found: Registration, which: BoolArray, status: TrackStatus) -> Registration:
     """`found` without the subsets `which`, which receive the status."""
     return replace(
-        found,
-        warp=np.where(which[:, None], np.nan, found.warp),
-        status=np.where(which, np.int8(status), found.status),
+        found, warp=np.where(which[:, None], np.nan, found.warp), status=np.where(which, np.int8(status), found.status)
     )
 
 
