@@ -59,12 +59,6 @@ class Spline(Arrays, shapes="coefficients H W"):
         super().__post_init__()
         poles_of(self.degree)
 
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """Width and height of the image."""
-        height, width = self.coefficients.shape
-        return width - 2 * PADDING_PX, height - 2 * PADDING_PX
-
 
 def poles_of(degree: int) -> tuple[float, ...]:
     """The poles inside the unit circle of the filter of a degree; `ValueError` for other degrees."""
@@ -105,13 +99,12 @@ def grey_values(spline: Spline) -> FloatArray:
     weights, slopes = np.empty(8), np.empty(8)
     basis(0.0, spline.degree, weights, slopes)
     reach = spline.degree // 2
-    width, height = spline.size_px
+    height, width = (length - 2 * PADDING_PX for length in spline.coefficients.shape)
     first = PADDING_PX - reach
     c = spline.coefficients[first : first + height + 2 * reach, first : first + width + 2 * reach]
     taps = range(2 * reach + 1)
     down = np.sum([weights[k] * c[k : k + height] for k in taps], axis=0)
-    values: FloatArray = np.sum([weights[k] * down[:, k : k + width] for k in taps], axis=0)
-    return values
+    return np.asarray(np.sum([weights[k] * down[:, k : k + width] for k in taps], axis=0))
 
 
 def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
@@ -121,8 +114,7 @@ def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
     """
     table = _noise_gain_table(degree)
     position = np.mod(fraction_px, 1.0) * (len(table) - 1)
-    gain: FloatArray = np.interp(position, np.arange(len(table)), table)
-    return gain
+    return np.asarray(np.interp(position, np.arange(len(table)), table))
 
 
 def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArray, degree: int = 5) -> FloatArray:
@@ -139,8 +131,7 @@ def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArr
 def _noise_gain_table(degree: int) -> FloatArray:
     """`noise_gain` at 33 offsets from 0 to 1."""
     values, _ = _cardinal(np.add.outer(np.arange(-31.0, 31), np.linspace(0.0, 1.0, 33)).ravel(), degree)
-    gains: FloatArray = np.sum(values.reshape(62, 33) ** 2, axis=0)
-    return gains
+    return np.asarray(np.sum(values.reshape(62, 33) ** 2, axis=0))
 
 
 @cache

@@ -139,14 +139,9 @@ def read_picture(path: str | Path) -> tuple[GreyImage, int]:
     return grey, 2**bits - 1
 
 
-def saturated_fraction(image: GreyImage, full_scale: int, area: NDArray[np.bool_] | None = None) -> float:
-    """Fraction of the pixels of `image` (H,W) that are at full scale, inside `area` (H,W) where one is given."""
-    if area is not None:
-        check_shape("area", area, image.shape)
-        if not area.any():
-            raise ValueError("area: expected at least one pixel, found none")
-    pixels = image if area is None else image[area]
-    return float(np.mean(pixels >= full_scale))
+def saturated_fraction(image: GreyImage, full_scale: int) -> float:
+    """Fraction of the pixels of `image` (H,W) that are at full scale."""
+    return float(np.mean(image >= full_scale))
 
 
 def _full_scale(path: Path, stored_bits: int, bit_depth: int | None) -> int:
@@ -211,8 +206,7 @@ def _read_tiff(path: Path, bits: int, page: int) -> GreyImage:
 
     try:
         with tifffile.TiffFile(path) as tiff:
-            image: GreyImage = tiff.pages[page].asarray()
-            return image
+            return np.asarray(tiff.pages[page].asarray())
     except (NotImplementedError, ImportError):
         return _read_tiff_opencv(path, bits, page)
     except (ValueError, zlib.error, IndexError) as error:

@@ -122,9 +122,6 @@ class Lanes:
             return right._plus_product(self.factors)
         return Lanes(self.builder, self.builder.fadd(self.value, right.value))
 
-    def __radd__(self, other: Any) -> Lanes:
-        return self.__add__(other)
-
     def __sub__(self, other: Any) -> Lanes:
         return self.__add__(-self._like(other))
 
@@ -135,9 +132,6 @@ class Lanes:
         factors = self.value, self._like(other).value
         return Lanes(self.builder, self.builder.fmul(*factors), factors)
 
-    def __rmul__(self, other: Any) -> Lanes:
-        return self.__mul__(other)
-
     def __truediv__(self, other: float) -> Lanes:
         return self * (1.0 / other)
 
@@ -146,6 +140,8 @@ class Lanes:
         if self.factors is None:
             return Lanes(self.builder, negative)
         return Lanes(self.builder, negative, (self.builder.fneg(self.factors[0]), self.factors[1]))
+
+    __radd__, __rmul__ = __add__, __mul__
 
     def _like(self, other: Any) -> Lanes:
         """Lanes as they are; a number stands for eight of it."""

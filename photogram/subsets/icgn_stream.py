@@ -170,16 +170,14 @@ def forecast_warps(history: Sequence[FloatArray], most: int) -> FloatArray:
 def _continued(series: FloatArray, frequency: float, count: int) -> FloatArray:
     """The next values (count,K) of a series (M,K) by least squares."""
     past, coming = np.split(np.arange(len(series) + count, dtype=np.float64), [len(series)])
-    guess: FloatArray = _design(frequency, coming) @ (np.linalg.pinv(_design(frequency, past)) @ series)
-    return guess
+    return np.asarray(_design(frequency, coming) @ (np.linalg.pinv(_design(frequency, past)) @ series))
 
 
 def _design(frequency: FloatArray | float, frames: FloatArray) -> FloatArray:
     """Columns (...,M,4) of a mean, a drift, a cosine and a sine of `frequency` (...) in radians per frame."""
     phase = np.multiply.outer(frequency, frames)
     drift = np.broadcast_to(frames, phase.shape)
-    columns: FloatArray = np.stack([np.ones_like(phase), drift, np.cos(phase), np.sin(phase)], axis=-1)
-    return columns
+    return np.asarray(np.stack([np.ones_like(phase), drift, np.cos(phase), np.sin(phase)], axis=-1))
 
 
 def _frequency(shifts: FloatArray) -> float:

@@ -208,17 +208,13 @@ def torch_reference(reference: Reference, device: str, precision: str = "float64
 
 
 def register_frames(
-    reference: TorchReference,
-    frames: TorchSplines,
-    start: FloatArray,
-    settings: TrackSettings,
-    working_bytes: int | None = None,
+    reference: TorchReference, frames: TorchSplines, start: FloatArray, settings: TrackSettings
 ) -> tuple[Registration, ...]:
     """Find every subset in every frame, beginning at the warps `start` (B,N,6); NaN = no start. One result per frame.
 
     Order 2 has warps (N,12) and takes starts (B,N,12) as well. Same steps, stopping rule and statuses as
     `photogram.subsets.icgn.register`. Pairs of frame and subset are worked through in portions that need about
-    `working_bytes` on the device (64 MiB on a CPU, 2 GiB on a GPU).
+    64 MiB on a CPU, 2 GiB on a GPU.
     """
     import torch
 
@@ -232,9 +228,8 @@ def register_frames(
     usable = reference.status.repeat(len(start)).to(torch.int64)
     ready = torch.where(warp.isfinite().all(dim=1), RUNNING, int(TrackStatus.NO_START))
     outcome[:, 0] = torch.where(usable == TrackStatus.OK, ready, usable)
-    budget = WORKING_BYTES[device.type] if working_bytes is None else working_bytes
     size = NUMBERS_PER_PIXEL * reference.shape.shape[1] * reference.shape.element_size()
-    for pairs in torch.nonzero(outcome[:, 0] == RUNNING)[:, 0].split(max(1, budget // size)):
+    for pairs in torch.nonzero(outcome[:, 0] == RUNNING)[:, 0].split(max(1, WORKING_BYTES[device.type] // size)):
         _register_pairs(reference, frames, settings, pairs, (warp, scores, outcome))
     warps, ratings, outcomes = (
         values.cpu().numpy().reshape(-1, count, values.shape[1]) for values in (warp, scores, outcome)

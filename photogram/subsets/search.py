@@ -165,8 +165,7 @@ def _eight_bit(image: Image) -> NDArray[np.uint8]:
     """Grey values between the 0.5 and 99.5 % quantiles spread over 8 bits, for feature detection alone."""
     low, high = np.percentile(image, (0.5, 99.5))
     spread = (image.astype(np.float64) - low) * (255.0 / max(high - low, 1.0))
-    eight: NDArray[np.uint8] = np.clip(spread, 0.0, 255.0).astype(np.uint8)
-    return eight
+    return np.asarray(np.clip(spread, 0.0, 255.0).astype(np.uint8))
 
 
 def _cut(image: NDArray[np.float32], x: int, y: int, radius: int) -> tuple[NDArray[np.float32], int, int]:

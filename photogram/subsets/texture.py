@@ -50,8 +50,7 @@ def textured_area(image: Image) -> BoolArray:
         return mask
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    kept: BoolArray = (sizes >= SMALLEST_SHARE * sizes.max())[labels] & mask
-    return kept
+    return np.asarray((sizes >= SMALLEST_SHARE * sizes.max())[labels] & mask)
 
 
 def lay_grid(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
@@ -92,8 +91,7 @@ def subset_mean(values: Image, points_px: FloatArray, radius_px: int) -> FloatAr
     left, right = np.clip(centre[:, 0] - radius_px, 0, width), np.clip(centre[:, 0] + radius_px + 1, 0, width)
     top, bottom = np.clip(centre[:, 1] - radius_px, 0, height), np.clip(centre[:, 1] + radius_px + 1, 0, height)
     total = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
-    mean: FloatArray = total / (2 * radius_px + 1) ** 2
-    return mean
+    return np.asarray(total / (2 * radius_px + 1) ** 2)
 
 
 def saturated(image: Image, full_scale: int, points_px: FloatArray, radius_px: int) -> BoolArray:
@@ -373,8 +371,7 @@ def _periodogram(image: Image, area: BoolArray, step_px: int) -> FloatArray | No
         return None
     tiles = np.stack([image[y - half : y + half, x - half : x + half] for x, y in centres]).astype(np.float64)
     tiles -= np.mean(tiles * window, axis=(1, 2), keepdims=True) / window.mean()
-    power: FloatArray = np.mean(np.abs(np.fft.fft2(tiles * window)) ** 2, axis=0) / np.sum(window**2)
-    return power
+    return np.asarray(np.mean(np.abs(np.fft.fft2(tiles * window)) ** 2, axis=0) / np.sum(window**2))
 
 
 def _axis_bias(power: FloatArray, noise_power: float, pixels: int, degree: int) -> tuple[float, float]:

@@ -184,11 +184,7 @@ def follow_sequence(
 
 
 def track_sequence(
-    sequence: ImageSequence,
-    points_px: FloatArray,
-    settings: TrackSettings,
-    progress: Progress | None = None,
-    device: str = "cpu",
+    sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, progress: Progress | None = None
 ) -> Tracks:
     """Positions in every frame of the subsets centred at points_px (N,2) in frame 0.
 
@@ -196,7 +192,7 @@ def track_sequence(
     """
     reference = prepare_sequence(sequence, points_px, settings)
     found = []
-    for frame in follow_sequence(sequence, reference, settings, device):
+    for frame in follow_sequence(sequence, reference, settings):
         found.append(frame.found)
         if progress is not None:
             progress(len(found))

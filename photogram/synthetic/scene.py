@@ -326,9 +326,7 @@ def _cover(size: FloatArray, u: float, v: float) -> float:
 _POSE_STEP = np.array([2e-6] * 3 + [2e-5] * 3)  # m and, at 0.1 m from the origin, rad: a few hundredths of a pixel
 
 
-def motion_bound(
-    views: Sequence[View], face: Face, sensor: ImageSensor, pose: FloatArray | None = None, nodes: int = 2
-) -> FloatArray:
+def motion_bound(views: Sequence[View], face: Face, sensor: ImageSensor, pose: FloatArray | None = None) -> FloatArray:
     """Return the smallest covariance (6, 6) of x y z rx ry rz (m, rad, at the world origin) of one frame.
 
     (Σ w·JᵀJ)⁻¹ over all pixels of all views: J = ∂grey/∂pose by central differences of the rendered images,
@@ -338,7 +336,7 @@ def motion_bound(
     start = np.zeros(6) if pose is None else np.asarray(pose, dtype=np.float64)
 
     def grey(view: View, change: FloatArray) -> FloatArray:
-        return render(view, face, (start + change)[None], np.ones(1), nodes) * sensor.full_scale
+        return render(view, face, (start + change)[None], np.ones(1)) * sensor.full_scale
 
     information = np.zeros((6, 6))
     for view in views:

@@ -415,13 +415,14 @@ def test_failures_have_the_same_status(texture, noisy_frames):
     assert seen == set(TrackStatus) - {TrackStatus.SATURATED}
 
 
-def test_portions_change_nothing_and_starts_stay_as_they_were(noisy_frames):
+def test_portions_change_nothing_and_starts_stay_as_they_were(noisy_frames, monkeypatch):
     reference = torch_reference(prepare_reference(spline_of_image(noisy_frames[0]), OFF_PIXEL, 10), "cpu")
     frames, start = spline_frames(noisy_frames, 5, "cpu"), np.zeros((4, len(OFF_PIXEL), 6))
     whole = register_frames(reference, frames, start, SETTINGS)
     assert not start.any()
     for working_bytes in (1, 5_000_000):
-        parts = register_frames(reference, frames, start, SETTINGS, working_bytes)
+        monkeypatch.setitem(engine.WORKING_BYTES, "cpu", working_bytes)
+        parts = register_frames(reference, frames, start, SETTINGS)
         for expected, found in zip(whole, parts, strict=True):
             assert_same(expected, found, atol_px=1e-11)
 
