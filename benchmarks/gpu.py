@@ -26,10 +26,10 @@ from speckle_plane import Motion, render, speckled_plane
 
 from photogram.bspline import spline_of_image
 from photogram.images import ImageSequence, open_sequence
-from photogram.subsets.icgn import Registration
+from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.icgn_stream import follow_frames
 from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
-from photogram.subsets.track import TrackSettings, resolve_device
+from photogram.subsets.track import resolve_device
 
 FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint16]

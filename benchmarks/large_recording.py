@@ -30,8 +30,9 @@ from fusion.simulate.preset import Preset, StereoSetup, face_of, nominal_rig, re
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence, open_sequence
+from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
-from photogram.subsets.track import StereoTracks, TrackSettings, track_stereo
+from photogram.subsets.track import StereoTracks, track_stereo
 from photogram.synthetic.scene import render, view_of
 
 FloatArray = NDArray[np.float64]

@@ -26,7 +26,7 @@ from fusion.simulate import simulate
 from fusion.simulate.world import frame_bounds
 from photogram.measure import measure_body
 from photogram.motion import RigidMotion
-from photogram.subsets.track import TrackSettings
+from photogram.subsets.icgn import TrackSettings
 from shaker.sine.fit import fit_sines
 
 FloatArray = NDArray[np.float64]

@@ -23,8 +23,9 @@ from photogram.camera import triangulate
 from photogram.geometry import fit_rigid
 from photogram.images import open_sequence
 from photogram.motion import fit_motion
+from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
-from photogram.subsets.track import TrackSettings, match_stereo, track_sequence, track_stereo
+from photogram.subsets.track import match_stereo, track_sequence, track_stereo
 from shaker.identification.measured import MeasuredCurve
 from shaker.identification.oscillator import Resonance, fit_resonance
 from shaker.identification.sensor import NO_CHAIN, Chain, Load, SensorModel, correct_record, usable_band

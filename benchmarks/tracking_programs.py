@@ -61,7 +61,8 @@ class Found:
 def shakercal(frames: list[Path], grid: Grid, degree: int) -> Found:
     """Ours, with splines of `degree` 3 or 5."""
     from photogram.images import open_sequence
-    from photogram.subsets.track import TrackSettings, track_sequence
+    from photogram.subsets.icgn import TrackSettings
+    from photogram.subsets.track import track_sequence
 
     settings = TrackSettings(radius_px=grid.radius, step_px=grid.step, degree=degree)
     return Found(grid.centres, track_sequence(open_sequence(frames), grid.centres, settings).position_px)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from importlib.metadata import version
 from typing import Any, ClassVar, Literal, cast
@@ -24,6 +25,11 @@ def check_shape(name: str, array: NDArray[Any], shape: tuple[int | None, ...]) -
     if not fits:
         wanted = "(" + ", ".join("any" if want is None else str(want) for want in shape) + ")"
         raise ValueError(f"{name}: expected an array of shape {wanted}, found {array.shape}")
+
+
+def derivatives(of: Callable[[FloatArray], FloatArray], step: FloatArray) -> FloatArray:
+    """Return the derivatives (..., N) of a function of N numbers, all zero, by central differences of steps (N,)."""
+    return np.stack([(of(delta) - of(-delta)) / (2.0 * delta.sum()) for delta in np.diag(step)], axis=-1)
 
 
 class Arrays:

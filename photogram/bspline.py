@@ -12,26 +12,36 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, reduce
 from math import sqrt
-from operator import add
+from operator import add, mul
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import prange, types
+from numba import prange
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, FloatArray, check_shape
-from photogram.kernels import INDEX, REAL, counted, in_blocks, load, njit, spread, store
+from photogram.kernels import (
+    INDEX,
+    REAL,
+    Lanes,
+    array_of,
+    counted,
+    element,
+    filling,
+    in_blocks,
+    load,
+    njit,
+    spread,
+    store,
+)
 
 PADDING_PX = 4
 POLES = {
     3: (sqrt(3.0) - 2.0,),
-    5: (
-        sqrt(67.5 - sqrt(4436.25)) + sqrt(26.25) - 6.5,
-        sqrt(67.5 + sqrt(4436.25)) - sqrt(26.25) - 6.5,
-    ),
+    5: (sqrt(67.5 - sqrt(4436.25)) + sqrt(26.25) - 6.5, sqrt(67.5 + sqrt(4436.25)) - sqrt(26.25) - 6.5),
     7: (-0.53528043079643816554, -0.12255461519232669052, -0.0091486948096082769286),
 }
 SMALLEST_TERM = 1e-17
@@ -47,14 +57,14 @@ class Spline(Arrays, shapes="coefficients H W"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.degree not in POLES:
-            raise ValueError(f"degree: expected 3, 5 or 7, found {self.degree}")
+        poles_of(self.degree)
 
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """Width and height of the image."""
-        height, width = self.coefficients.shape
-        return width - 2 * PADDING_PX, height - 2 * PADDING_PX
+
+def poles_of(degree: int) -> tuple[float, ...]:
+    """The poles inside the unit circle of the filter of a degree; `ValueError` for other degrees."""
+    if degree not in POLES:
+        raise ValueError(f"degree: expected 3, 5 or 7, found {degree}")
+    return POLES[degree]
 
 
 def spline_of_image(image: NDArray[np.generic], degree: int = 5) -> Spline:
@@ -66,10 +76,8 @@ def spline_of_image(image: NDArray[np.generic], degree: int = 5) -> Spline:
     check_shape("image", image, (None, None))
     if min(image.shape) < 2 * PADDING_PX:
         raise ValueError(f"image: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {image.shape}")
-    if degree not in POLES:
-        raise ValueError(f"degree: expected 3, 5 or 7, found {degree}")
     inside = np.ascontiguousarray(image, dtype=np.float64)
-    coefficients = _prefilter(inside, np.array(POLES[degree]), PADDING_PX)
+    coefficients = _prefilter(inside, np.array(poles_of(degree)), PADDING_PX)
     # Fill the frame of PADDING_PX around an image with its mirror image
     for lines in (coefficients, coefficients.T):
         for k in range(1, PADDING_PX + 1):
@@ -91,13 +99,12 @@ def grey_values(spline: Spline) -> FloatArray:
     weights, slopes = np.empty(8), np.empty(8)
     basis(0.0, spline.degree, weights, slopes)
     reach = spline.degree // 2
-    width, height = spline.size_px
+    height, width = (length - 2 * PADDING_PX for length in spline.coefficients.shape)
     first = PADDING_PX - reach
     c = spline.coefficients[first : first + height + 2 * reach, first : first + width + 2 * reach]
     taps = range(2 * reach + 1)
     down = np.sum([weights[k] * c[k : k + height] for k in taps], axis=0)
-    values: FloatArray = np.sum([weights[k] * down[:, k : k + width] for k in taps], axis=0)
-    return values
+    return np.asarray(np.sum([weights[k] * down[:, k : k + width] for k in taps], axis=0))
 
 
 def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
@@ -107,8 +114,7 @@ def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
     """
     table = _noise_gain_table(degree)
     position = np.mod(fraction_px, 1.0) * (len(table) - 1)
-    gain: FloatArray = np.interp(position, np.arange(len(table)), table)
-    return gain
+    return np.asarray(np.interp(position, np.arange(len(table)), table))
 
 
 def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArray, degree: int = 5) -> FloatArray:
@@ -123,25 +129,23 @@ def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArr
 
 @cache
 def _noise_gain_table(degree: int) -> FloatArray:
-    """`noise_gain` at 33 offsets from 0 to 1: the squared response to a unit impulse, summed over all pixels."""
-    impulse = np.zeros((2 * PADDING_PX, 65))
-    impulse[:] = np.arange(65) == 32
-    spline = spline_of_image(impulse, degree)
-    offsets = np.linspace(0.0, 1.0, 33)
-    x = (np.arange(1, 63)[:, None] + offsets).ravel()
-    values, _ = evaluate(spline, np.column_stack([x, np.full_like(x, PADDING_PX)]))
-    gains: FloatArray = np.sum(values.reshape(62, 33) ** 2, axis=0)
-    return gains
+    """`noise_gain` at 33 offsets from 0 to 1."""
+    values, _ = _cardinal(np.add.outer(np.arange(-31.0, 31), np.linspace(0.0, 1.0, 33)).ravel(), degree)
+    return np.asarray(np.sum(values.reshape(62, 33) ** 2, axis=0))
 
 
 @cache
 def slope_noise_gain(degree: int = 5) -> float:
     """Variance of the spline's slope at a pixel for white noise of variance 1: Σ_k h′(k)² of the cardinal spline h."""
+    return float(np.sum(_cardinal(np.arange(-32.0, 33), degree)[1] ** 2))
+
+
+def _cardinal(x: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
+    """Values and slopes (M,) of the cardinal spline at x (M,), |x| ≤ 32: the response to one bright column."""
     impulse = np.zeros((2 * PADDING_PX, 65))
-    impulse[:] = np.arange(65) == 32
-    points = np.column_stack([np.arange(65.0), np.full(65, float(PADDING_PX))])
-    _, gradients = evaluate(spline_of_image(impulse, degree), points)
-    return float(np.sum(gradients[:, 0] ** 2))
+    impulse[:, 32] = 1.0
+    values, gradients = evaluate(spline_of_image(impulse, degree), np.column_stack([x + 32.0, np.full_like(x, 4.0)]))
+    return values, gradients[:, 0]
 
 
 @njit(parallel=True)
@@ -200,8 +204,7 @@ def _filter_lines(lines, pole):  # type: ignore[no-untyped-def]
             lines[k, i] = pole * (lines[k + 1, i] - lines[k, i])
 
 
-@njit(inline="always")
-def weights_cubic(t):  # type: ignore[no-untyped-def]
+def weights_cubic(t: Lanes) -> tuple[Lanes, ...]:
     """Values of the four cubic B-splines that reach offset t in [0,1) (Thévenaz et al. 2000, eq. 18)."""
     last = t * t * t / 6.0
     first = 1.0 / 6.0 + 0.5 * t * (t - 1.0) - last
@@ -209,8 +212,7 @@ def weights_cubic(t):  # type: ignore[no-untyped-def]
     return first, 1.0 - first - third - last, third, last
 
 
-@njit(inline="always")
-def weights_quintic(t):  # type: ignore[no-untyped-def]
+def weights_quintic(t: Lanes) -> tuple[Lanes, ...]:
     """Values of the six quintic B-splines that reach offset t in [0,1) (P. Thévenaz's factorisation)."""
     t2 = t * t
     last = t * t2 * t2 / 120.0
@@ -224,8 +226,7 @@ def weights_quintic(t):  # type: ignore[no-untyped-def]
     return first, wide + skew, even + odd, even - odd, wide - skew, last
 
 
-@njit(inline="always")
-def weights_septic(t):  # type: ignore[no-untyped-def]
+def weights_septic(t: Lanes) -> tuple[Lanes, ...]:
     """Values of the eight septic B-splines that reach offset t in [0,1).
 
     With h = t − ½ the splines j and 7−j are E(h²) ± h·O(h²); polynomials from the sum of truncated powers (Unser 1999,
@@ -338,21 +339,6 @@ def sample_points(c, degree, x, y, grey):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _run(c, degree, first, drift, grey, span):  # type: ignore[no-untyped-def]
-    """Points start … stop of one run, the first of them at (x, y)."""
-    (x, y), (drift_x, drift_y), (start, stop) = first, drift, span
-    column, row = int(x), int(y)
-    s, t = x - column, y - row
-    row, column = row + PADDING_PX - degree // 2, column + PADDING_PX - degree // 2
-    if degree == 7:
-        _run_septic(c, row, column, s, t, drift_x, drift_y, grey, start, stop)
-    elif degree == 5:
-        _run_quintic(c, row, column, s, t, drift_x, drift_y, grey, start, stop)
-    else:
-        _run_cubic(c, row, column, s, t, drift_x, drift_y, grey, start, stop)
-
-
-@njit(inline="always")
 def box_inside(coefficients, x, y, reach_x, reach_y):  # type: ignore[no-untyped-def]
     """Whether the rectangle about (x, y) lies within the image; False for NaN."""
     right, bottom = coefficients.shape[1] - 2.0 * PADDING_PX - 1.0, coefficients.shape[0] - 2.0 * PADDING_PX - 1.0
@@ -412,64 +398,50 @@ def _sample_square(c, degree, x, y, side, square):  # type: ignore[no-untyped-de
                 down[i] += sy[k] * smooth[i]
 
 
-def _fill_block(builder: Any, weights: Callable[..., Any], image: Any, offsets: Any, grey: Any, mask: Any) -> None:
-    """Code for eight points, or those of a mask: grey = Σ_k b_k(t) Σ_j a_j(s) c[k, j + i].
-
-    image: pointer to the first coefficient and the row's length. offsets: s and t of the points.
-    """
-    (first, width), (a, b) = image, (weights(offset) for offset in offsets)
-    lines = []
-    for k in range(len(b)):
-        row = builder.gep(first, [builder.mul(ir.Constant(INDEX, k), width)])
-        taps = [along * load(builder, builder.gep(row, [ir.Constant(INDEX, j)]), mask) for j, along in enumerate(a)]
-        lines.append(reduce(add, taps))
-    store(builder, reduce(add, (down * line for down, line in zip(b, lines, strict=True))), grey, mask)
-
-
-def _run_code(weights: Callable[..., Any]) -> Callable[..., Any]:
-    """Generator of the code of one run for the B-spline weights of one degree: whole blocks, then a masked one."""
+def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:
+    """Kernel of one run for the B-spline `weights` of one degree: whole blocks of eight points, then a masked one."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
-        c, row, column, s, t, drift_x, drift_y, grey, start, stop = arguments
-        table = context.make_array(signature.args[0])(context, builder, c)
-        line = context.make_array(signature.args[7])(context, builder, grey)
-        width = cgutils.unpack_tuple(builder, table.shape)[1]
-        corner = builder.gep(table.data, [builder.add(builder.mul(row, width), column)])
+        table, grey = (array_of(context, builder, signature, arguments, k) for k in (0, 4))
+        corner, offset, drift, span = (cgutils.unpack_tuple(builder, arguments[k], 2) for k in (1, 2, 3, 5))
 
         def block(index: Any, mask: Any) -> None:
-            image = builder.gep(corner, [index]), width
-            points = counted(builder, builder.sitofp(index, REAL))
-            offsets = [points * spread(builder, drift) + spread(builder, begin) for begin, drift in along]
-            _fill_block(builder, weights, image, offsets, builder.gep(line.data, [builder.add(start, index)]), mask)
+            points, column = counted(builder, builder.sitofp(index, REAL)), builder.add(corner[1], index)
+            along, down = (
+                weights(points * spread(builder, step) + spread(builder, begin))
+                for begin, step in zip(offset, drift, strict=True)
+            )
+            lines = []
+            for k in range(len(down)):
+                first = element(builder, table, builder.add(corner[0], ir.Constant(INDEX, k)), column)
+                taps = [load(builder, builder.gep(first, [ir.Constant(INDEX, j)]), mask) for j in range(len(along))]
+                lines.append(reduce(add, map(mul, along, taps)))
+            place = builder.gep(grey.data, [builder.add(span[0], index)])
+            store(builder, reduce(add, map(mul, down, lines)), place, mask)
 
-        along = (s, drift_x), (t, drift_y)
-        in_blocks(builder, builder.sub(stop, start), block)
+        in_blocks(builder, builder.sub(span[1], span[0]), block)
         return context.get_dummy_value()
 
-    return generate
+    @intrinsic
+    def run(typing, c, corner, offset, drift, grey, span):  # type: ignore[no-untyped-def]
+        """Σ_k b_k(t) Σ_j a_j(s) c[row + k, column + j + i] at the points i of one run, s and t = offset + i·drift."""
+        return filling(c, corner, offset, drift, grey, span), generate
+
+    return run
 
 
-def _run_type(c: Any, grey: Any) -> Any:
-    """Types of a run's arguments; the arrays must be contiguous doubles."""
-    if (c.layout, c.dtype, grey.layout, grey.dtype) != ("C", types.float64, "C", types.float64):
-        raise TypeError(f"c, grey: expected contiguous float64 arrays, found {c} and {grey}")
-    whole, real = types.int64, types.float64
-    return types.void(c, whole, whole, real, real, real, real, grey, whole, whole)
+_run_cubic, _run_quintic, _run_septic = map(_run_by, (weights_cubic, weights_quintic, weights_septic))
 
 
-@intrinsic
-def _run_septic(typing, c, row, column, s, t, drift_x, drift_y, grey, start, stop):  # type: ignore[no-untyped-def]
-    """Septic values of the points start … stop of one run, whose coefficients begin at c[row, column]."""
-    return _run_type(c, grey), _run_code(weights_septic.py_func)
-
-
-@intrinsic
-def _run_quintic(typing, c, row, column, s, t, drift_x, drift_y, grey, start, stop):  # type: ignore[no-untyped-def]
-    """Quintic values of the points start … stop of one run, whose coefficients begin at c[row, column]."""
-    return _run_type(c, grey), _run_code(weights_quintic.py_func)
-
-
-@intrinsic
-def _run_cubic(typing, c, row, column, s, t, drift_x, drift_y, grey, start, stop):  # type: ignore[no-untyped-def]
-    """Cubic values of the points start … stop of one run, whose coefficients begin at c[row, column]."""
-    return _run_type(c, grey), _run_code(weights_cubic.py_func)
+@njit(inline="always")
+def _run(c, degree, first, drift, grey, span):  # type: ignore[no-untyped-def]
+    """Points start … stop of one run, the first of them at (x, y)."""
+    x, y = first
+    column, row = int(x), int(y)
+    offset, corner = (x - column, y - row), (row + PADDING_PX - degree // 2, column + PADDING_PX - degree // 2)
+    if degree == 7:
+        _run_septic(c, corner, offset, drift, grey, span)
+    elif degree == 5:
+        _run_quintic(c, corner, offset, drift, grey, span)
+    else:
+        _run_cubic(c, corner, offset, drift, grey, span)

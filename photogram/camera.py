@@ -213,15 +213,38 @@ class StereoRig(Arrays, shapes="covariance 24 24"):
         """Return the left and right pixels (..., 2) of points (..., 3) in the left camera's frame."""
         return self.left.project(points_m), self.right.project(self.right_from_left.apply(points_m))
 
+    @property
+    def essential(self) -> FloatArray:
+        """E = [t]×·R (3, 3): (x', y', 1)·E·(x, y, 1)ᵀ = 0 for normalised left (x, y) and right (x', y')."""
+        return skew(self.right_from_left.translation_m) @ self.right_from_left.rotation
+
     def fundamental(self) -> FloatArray:
         """Return F (3, 3) with (u', v', 1)·F·(u, v, 1)ᵀ = 0 for left (u, v) and right (u', v') pixels.
 
-        F = K_right⁻ᵀ·[t]×·R·K_left⁻¹ (Hartley and Zisserman 2004, eq. 9.12), scaled to norm 1. Distortion is left
-        out: it holds for ideal pixels, and for real ones within the lenses' distortion there.
+        F = K_right⁻ᵀ·E·K_left⁻¹ (Hartley and Zisserman 2004, eq. 9.12), scaled to norm 1. Distortion is left out: it
+        holds for ideal pixels, and for real ones within the lenses' distortion there.
         """
-        essential = skew(self.right_from_left.translation_m) @ self.right_from_left.rotation
-        matrix = np.linalg.inv(self.right.matrix).T @ essential @ np.linalg.inv(self.left.matrix)
+        matrix = np.linalg.inv(self.right.matrix).T @ self.essential @ np.linalg.inv(self.left.matrix)
         return np.asarray(matrix / np.linalg.norm(matrix))
+
+
+def epipolar_residual(
+    rig: StereoRig, left_px: FloatArray, right_px: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return residuals (...) in px of matches (..., 2), and their derivatives (..., 2) by the left and right pixels.
+
+    e = x'ᵀ·F·x / |(F·x)₁₂|, the signed distance of the right point from the epipolar line of the left one (Hartley and
+    Zisserman 2004, sections 9.2 and 11.4.3) in the undistorted picture: F acts on pixels without distortion. The
+    derivatives take the distortion itself as constant over a point's noise. A NaN stays one.
+    """
+    rays = rig.left.undistort(left_px), rig.right.undistort(right_px)
+    left, right = (np.concatenate([ray, np.ones((*ray.shape[:-1], 1))], axis=-1) for ray in rays)
+    by_right, by_left = left @ rig.essential.T, right @ rig.essential
+    focal_left, focal_right = rig.left.matrix[[0, 1], [0, 1]], rig.right.matrix[[0, 1], [0, 1]]
+    slope_right, slope_left = by_right[..., :2] / focal_right, by_left[..., :2] / focal_left
+    length = np.linalg.norm(slope_right, axis=-1)
+    residual = (by_right * right).sum(axis=-1) / length
+    return residual, slope_left / length[..., None], slope_right / length[..., None]
 
 
 def principal_components(covariance: FloatArray) -> FloatArray:
@@ -254,9 +277,7 @@ class Points(Arrays, shapes="position_m F N 3; covariance_m2 F N 3 3; reprojecti
         """Return the points in another frame: R·x + t with covariance R·C·Rᵀ."""
         rotation = transform.rotation
         return replace(
-            self,
-            position_m=transform.apply(self.position_m),
-            covariance_m2=rotation @ self.covariance_m2 @ rotation.T,
+            self, position_m=transform.apply(self.position_m), covariance_m2=rotation @ self.covariance_m2 @ rotation.T
         )
 
 

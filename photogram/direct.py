@@ -10,8 +10,8 @@ from numba import prange
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.bspline import Spline, box_inside, evaluate, mean_noise_gain, sample_line, slope_noise_gain
-from photogram.geometry import RigidTransform, rotation_vector_rate
-from photogram.images import NoiseModel, fit_noise_model
+from photogram.geometry import RigidTransform, pose_rate
+from photogram.images import QUANTISATION, NoiseModel, fit_noise_model
 from photogram.kernels import njit
 from photogram.motion import Patches, PlacedCamera, body_patches, patch_rates, patch_warps
 from photogram.subsets.reference import RUN_SUMS, run_sums
@@ -48,14 +48,18 @@ class Cells(
     hessian: FloatArray
     hessian_noise: FloatArray
 
+    @property
+    def layout(self) -> tuple[FloatArray, IntArray, IntArray, float]:
+        """Where the pixels are, for kernels: centres, runs, first runs, half the side less half a pixel."""
+        return self.centre_px, self.runs, self.first, (self.side_px - 1) / 2
+
 
 @dataclass(frozen=True, eq=False)
 class CellSums:
     """What another image says at given warps: gain (C,), misfit (C,) = Σw·r² of what gain and offset leave.
 
     slope (C, 6): Σw·SD·g over the projected steepest-descent images SD; misfit_noise (C,): expected misfit per unit of
-    noise variance ratio. A cell that leaves the image, or has less than a tenth of
-    its contrast there, is NaN.
+    noise variance ratio. A cell that leaves the image, or has less than a tenth of its contrast there, is NaN.
     """
 
     gain: FloatArray
@@ -79,7 +83,9 @@ def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntA
             tile = area[top : top + side_px, left : left + side_px]
             if np.count_nonzero(tile) < LEAST_FILLED * side_px**2:
                 continue
-            for row, start, length in _row_pieces(tile):
+            edges = np.diff(np.pad(tile.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+            (rows_in_tile, starts), stops = np.nonzero(edges == 1), np.nonzero(edges == -1)[1]
+            for row, start, length in zip(rows_in_tile, starts, stops - starts, strict=True):
                 runs.append((top + row, left + start, length, place))
                 place += length
             centres.append((left + (side_px - 1) / 2, top + (side_px - 1) / 2))
@@ -91,16 +97,14 @@ def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntA
     )
 
 
-def prepare_cells(
-    spline: Spline, layout: tuple[FloatArray, IntArray, IntArray], side_px: int, noise: NoiseModel, full_scale: float
-) -> Cells:
-    """Return the cells of `layout` (`lay_cells`) in the image `spline`; pixels at full scale have no weight.
+def prepare_cells(spline: Spline, area: BoolArray, side_px: int, noise: NoiseModel, full_scale: float) -> Cells:
+    """Return the cells of `area` (H, W) (`lay_cells`) in the image `spline`; pixels at full scale have no weight.
 
     Steepest-descent images as in `reference.prepare_reference`, weighted by 1/noise variance of the pixel's grey value.
     White noise of the reference also makes gradients: with the slope's noise gain γ it adds γ·diag(n, Σdx², Σdy²)
     to the Hessian in each direction.
     """
-    centre, runs, first = layout
+    centre, runs, first = lay_cells(area, side_px)
     length = runs[:, 2]
     along = np.arange(int(length.sum())) - np.repeat(runs[:, 3], length)
     where = np.column_stack([np.repeat(runs[:, 1], length) + along, np.repeat(runs[:, 0], length)]).astype(np.float64)
@@ -132,8 +136,9 @@ def compare_cells(cells: Cells, target: Spline, warp: FloatArray) -> CellSums:
     """
     check_shape("warp", warp, (len(cells.centre_px), 6))
     sums = np.full((len(warp), 9), np.nan)
-    shape = (cells.centre_px, cells.runs, cells.first, float(cells.side_px - 1) / 2)
-    _sum_cells(shape, cells.pixels, cells.mean, (target.coefficients, target.degree), np.ascontiguousarray(warp), sums)
+    _sum_cells(
+        cells.layout, cells.pixels, cells.mean, (target.coefficients, target.degree), np.ascontiguousarray(warp), sums
+    )
     gain = sums[:, 2] / cells.energy
     misfit = np.maximum(0.0, sums[:, 1] - sums[:, 0] ** 2 / cells.weight - gain**2 * cells.energy)
     slope = sums[:, 3:] - cells.removed[:, 0] * sums[:, :1] - cells.removed[:, 1] * sums[:, 2:3]
@@ -149,31 +154,20 @@ def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[Flo
     The residual g − a − b·f of each cell's fitted offset and gain, squared, over κ_g + b².
     """
     grey = np.full(cells.pixels.shape[1], np.nan)
-    shape = (cells.centre_px, cells.runs, cells.first, float(cells.side_px - 1) / 2)
-    _sample_cells(shape, (target.coefficients, target.degree), np.ascontiguousarray(warp), grey)
-    lengths = np.diff(cells.first)
-    cell_of_run = np.repeat(np.arange(len(lengths)), lengths)
-    cell = np.repeat(cell_of_run, cells.runs[:, 2])
+    _sample_cells(cells.layout, (target.coefficients, target.degree), np.ascontiguousarray(warp), grey)
+    count = len(cells.centre_px)
+    cell = np.repeat(np.repeat(np.arange(count), np.diff(cells.first)), cells.runs[:, 2])
     weight = cells.pixels[0]
     centred = np.where(weight > 0.0, cells.pixels[1] / np.where(weight > 0.0, weight, 1.0), 0.0)
     known = np.isfinite(grey) & (weight > 0.0)
     filled, used = np.where(known, grey, 0.0), np.where(known, weight, 0.0)
-    total = np.bincount(cell, used, len(lengths))
-    safe = np.where(total > 0.0, total, 1.0)
-    offset = np.bincount(cell, used * filled, len(lengths)) / safe
-    gain = np.bincount(cell, used * filled * centred, len(lengths)) / np.where(cells.energy > 0, cells.energy, 1.0)
+    total = np.bincount(cell, used, count)
+    offset = np.bincount(cell, used * filled, count) / np.where(total > 0.0, total, 1.0)
+    gain = np.bincount(cell, used * filled * centred, count) / np.where(cells.energy > 0, cells.energy, 1.0)
     share = _interpolated_noise(cells, warp, target.degree) + gain**2
     residual = filled - offset[cell] - gain[cell] * centred
     squares = residual**2 / share[cell] * (cells.count / np.maximum(cells.count - 2, 1))[cell]
     return centred + cells.mean[cell], np.where(known, squares, np.nan)
-
-
-def _row_pieces(tile: BoolArray) -> list[tuple[int, int, int]]:
-    """Return row, first column and length of every unbroken piece of a row."""
-    edges = np.diff(np.pad(tile.astype(np.int8), ((0, 0), (1, 1))), axis=1)
-    rows, starts = np.nonzero(edges == 1)
-    _, stops = np.nonzero(edges == -1)
-    return [(int(row), int(start), int(stop - start)) for row, start, stop in zip(rows, starts, stops, strict=True)]
 
 
 def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArray:
@@ -318,18 +312,14 @@ class DirectFit(Arrays, shapes="covariance 6 6"):
 
 
 def view_body(
-    camera: PlacedCamera,
-    image: tuple[Spline, BoolArray, float],
-    known_m: FloatArray,
-    side_px: int,
-    noise: NoiseModel,
+    camera: PlacedCamera, image: tuple[Spline, BoolArray, float], known_m: FloatArray, side_px: int, noise: NoiseModel
 ) -> BodyView:
     """Return the body at rest in one camera: `image` = its spline, its textured area (H, W), and full scale.
 
     known_m (N, 3): points of its surface in the body's frame, from which that of all cells is interpolated.
     """
     spline, area, full_scale = image
-    cells = prepare_cells(spline, lay_cells(area, side_px), side_px, noise, full_scale)
+    cells = prepare_cells(spline, area, side_px, noise, full_scale)
     patches = body_patches(camera, known_m, cells.centre_px, side_px / 4, REACH_CELLS * side_px)
     rates = patch_rates(camera, patches)
     known = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(cells.energy)
@@ -362,33 +352,35 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
     misfit, and cells whose own remaining shift is beyond five scaled standard deviations, are left out.
 
     The covariance is s²·H′⁻¹·H·H′⁻¹ with H′ = H less what the reference's noise adds to it, and s² the misfit per
-    expected misfit of the pixels used. It is that of the frame's own noise; the reference's moves all frames alike.
+    expected misfit of the pixels used, at least that of rounding: a frame like the reference to the last bit has none.
+    It is that of the frame's own noise; the reference's moves all frames alike.
     """
     moved = start
     for _ in range(EVALUATIONS):
-        sums = [
-            compare_cells(view.cells, target, patch_warps(view.camera, view.patches, moved))
-            for view, target in zip(views, targets, strict=True)
-        ]
-        used = [_rigid_cells(view, found) for view, found in zip(views, sums, strict=True)]
-        if sum(int(np.count_nonzero(cells)) for cells in used) < FEWEST_CELLS:
+        information, noise_part, slope = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
+        misfit = expected = rounding = 0.0
+        count = 0
+        for view, target in zip(views, targets, strict=True):
+            sums = compare_cells(view.cells, target, patch_warps(view.camera, view.patches, moved))
+            used = _rigid_cells(view, sums)
+            gain = sums.gain[used]
+            information += np.einsum("c,cij->ij", gain**2, view.information[used])
+            noise_part += np.einsum("c,cij->ij", gain**2, view.information_noise[used])
+            slope += np.einsum("c,cij,ci->j", gain, view.rates[used], sums.slope[used])
+            misfit += float(sums.misfit[used].sum())
+            expected += float(sums.misfit_noise[used].sum())
+            rounding += float(np.sum((QUANTISATION * sums.misfit_noise * view.cells.weight / view.cells.count)[used]))
+            count += int(np.count_nonzero(used))
+        if count < FEWEST_CELLS or not np.linalg.eigvalsh(_scaled(information))[0] > 1e-12:
             return None
-        information, noise_part, slope = _normal_equations(views, sums, used)
-        pairs = list(zip(sums, used, strict=True))
-        misfit, expected = (
-            sum(float(getattr(here, name)[cells].sum()) for here, cells in pairs) for name in ("misfit", "misfit_noise")
-        )
-        scale = misfit / expected
-        eigenvalues = np.linalg.eigvalsh(_scaled(information))
-        if not eigenvalues[0] > 1e-12:
-            return None
+        scale = max(misfit, rounding) / expected
         step = np.asarray(np.linalg.solve(information, slope), dtype=np.float64)
         moved = moved @ RigidTransform.from_pose(step).inverse()
         size = float(np.sqrt(step @ information @ step / scale))
         share = scale * float(np.trace(np.linalg.solve(information, noise_part))) / 6.0
         if size < LARGEST_STEP and share * size < LEFT_OVER:
             covariance = scale * _pose_covariance(information, scale * noise_part, moved)
-            return DirectFit(moved, covariance, scale, sum(int(np.count_nonzero(cells)) for cells in used))
+            return DirectFit(moved, covariance, scale, count)
     return None
 
 
@@ -399,32 +391,19 @@ def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:
     return noise * _pose_covariance(information, noise * noise_part, RigidTransform.identity())
 
 
-def _rigid_cells(view: BodyView, found: CellSums) -> BoolArray:
+def _rigid_cells(view: BodyView, sums: CellSums) -> BoolArray:
     """Return which cells (C,) show the body: their misfit and their own remaining shift are like the others'."""
-    ratio = found.misfit / found.misfit_noise
-    known = np.isfinite(ratio) & np.isfinite(found.slope).all(axis=1) & np.isfinite(view.translation[:, 0, 0])
+    ratio = sums.misfit / sums.misfit_noise
+    known = np.isfinite(ratio) & np.isfinite(sums.slope).all(axis=1) & np.isfinite(view.translation[:, 0, 0])
     known &= view.rates.any(axis=(1, 2))
     if not known.any():
         return known
     typical = max(float(np.median(ratio[known])), SMALLEST_MISFIT)
     known &= np.where(known, ratio, np.inf) <= MISFIT * typical
-    slope = found.slope[:, [0, 3]]
+    slope = sums.slope[:, [0, 3]]
     squares = np.einsum("ci,cij,cj->c", slope, view.translation, slope) / typical
     limit = REJECTED * max(1.0, float(np.median(squares[known])) / MEDIAN_CHI2)
     return np.asarray(known & (np.where(known, squares, np.inf) <= limit))
-
-
-def _normal_equations(
-    views: Sequence[BodyView], sums: Sequence[CellSums], used: Sequence[BoolArray]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return Σ b²·Bᵀ·H·B (6, 6), the part of it that is noise, and Σ b·Bᵀ·slope (6,) over the used cells."""
-    information, noise_part, slope = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
-    for view, found, cells in zip(views, sums, used, strict=True):
-        square = found.gain[cells] ** 2
-        information += np.einsum("c,cij->ij", square, view.information[cells])
-        noise_part += np.einsum("c,cij->ij", square, view.information_noise[cells])
-        slope += np.einsum("c,cij,ci->j", found.gain[cells], view.rates[cells], found.slope[cells])
-    return information, noise_part, slope
 
 
 def _scaled(matrix: FloatArray) -> FloatArray:
@@ -440,7 +419,5 @@ def _pose_covariance(information: FloatArray, noise_part: FloatArray, moved: Rig
     if not np.linalg.eigvalsh(_scaled(clean))[0] > SMALLEST_EXCESS * np.linalg.eigvalsh(_scaled(information))[0]:
         clean = information
     inverse = np.linalg.inv(clean)
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = moved.rotation
-    turn[3:, 3:] = rotation_vector_rate(moved.pose[3:]) @ moved.rotation
+    turn = pose_rate(moved.pose) @ np.kron(np.eye(2), moved.rotation)
     return np.asarray(turn @ inverse @ information @ inverse @ turn.T)

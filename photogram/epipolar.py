@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, Notice
-from photogram.camera import StereoRig, triangulate
-from photogram.geometry import RigidTransform, rotation_from_vector, skew
-from photogram.subsets.track import StereoTracks, Tracks
+from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, derivatives
+from photogram.camera import StereoRig, epipolar_residual, triangulate
+from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.subsets.track import StereoTracks
 
 FEWEST_POINTS = 8
 FEWEST_FRAMES = 4
@@ -51,25 +51,6 @@ class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3
         return self.course_px[:, 0]
 
 
-def epipolar_residual(
-    rig: StereoRig, left_px: FloatArray, right_px: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return residuals (...) in px of matches (..., 2), and their derivatives (..., 2) by the left and right pixels.
-
-    e = x'ᵀ·F·x / |(F·x)₁₂|, the signed distance of the right point from the epipolar line of the left one (Hartley and
-    Zisserman 2004, sections 9.2 and 11.4.3) in the undistorted picture: F = K_right⁻ᵀ·[t]×·R·K_left⁻¹ acts on pixels
-    without distortion. The derivatives take the distortion itself as constant over a point's noise.
-    """
-    left, right = _ideal(rig.left.undistort(left_px)), _ideal(rig.right.undistort(right_px))
-    essential = skew(rig.right_from_left.translation_m) @ rig.right_from_left.rotation
-    by_right, by_left = left @ essential.T, right @ essential
-    focal_left, focal_right = rig.left.matrix[[0, 1], [0, 1]], rig.right.matrix[[0, 1], [0, 1]]
-    slope_right, slope_left = by_right[..., :2] / focal_right, by_left[..., :2] / focal_left
-    length = np.linalg.norm(slope_right, axis=-1)
-    residual = (by_right * right).sum(axis=-1) / length
-    return residual, slope_left / length[..., None], slope_right / length[..., None]
-
-
 def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
     """Return the epipolar residuals of a recording, with warnings where the cameras are not what was calibrated.
 
@@ -93,7 +74,8 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
     True
     """
     residual, by_left, by_right = epipolar_residual(rig, tracks.left.position_px, tracks.right.position_px)
-    variance = _variance(tracks.left, by_left) + _variance(tracks.right, by_right)
+    sides = (by_left, tracks.left), (by_right, tracks.right)
+    variance = np.sum([np.einsum("fni,fnij,fnj->fn", by, side.covariance_px2, by) for by, side in sides], axis=0)
     mean = _mean(residual)
     position, other = _mean(tracks.left.position_px), _mean(tracks.right.position_px)
     good = _good(mean, position)
@@ -109,7 +91,13 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
     if rig.covariance is not None:
         left_over = mean[good] - basis @ pattern
         matching = float(left_over @ left_over) / (len(basis) - 3) * (solver @ solver.T) + bias_px**2 * np.eye(3)
-        derivative = solver @ _by_parameters(rig, rig.covariance, matches)
+        # by the parameters that have an uncertainty
+        u = np.sqrt(np.diagonal(rig.covariance))
+        free = np.diag(u > 0.0).astype(np.float64)[:, u > 0.0]
+        change_px = derivatives(
+            lambda delta: epipolar_residual(rig.perturbed(free @ delta), *matches)[0], _STEP * u[u > 0.0]
+        )
+        derivative = solver @ change_px @ free.T
         covariance = derivative @ rig.covariance @ derivative.T + matching
     excess = _unexplained(pattern, covariance)
     # A residual that belongs to places in the picture changes as the body passes over it: by the share of how far the
@@ -131,16 +119,6 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
         np.where(good, mean, np.nan),
         tuple(notice for notice in notices if notice is not None),
     )
-
-
-def _ideal(normalised: FloatArray) -> FloatArray:
-    """Append the coordinate 1."""
-    return np.concatenate([normalised, np.ones((*normalised.shape[:-1], 1))], axis=-1)
-
-
-def _variance(tracks: Tracks, derivative: FloatArray) -> FloatArray:
-    """Return the residual's variance (F, N) by the noise of one camera."""
-    return np.asarray(np.einsum("fni,fnij,fnj->fn", derivative, tracks.covariance_px2, derivative))
 
 
 def _mean(values: FloatArray) -> FloatArray:
@@ -188,35 +166,26 @@ def _course(residual: FloatArray, variance: FloatArray, basis: FloatArray) -> tu
     return np.where(enough, value, np.nan), np.where(enough, u, np.nan)
 
 
-def _by_parameters(rig: StereoRig, covariance: FloatArray, matches: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Return the derivatives (N, 24) of the residuals by the rig's parameters, zero for those without uncertainty."""
-    derivative = np.zeros((len(matches[0]), len(covariance)))
-    for place, step in enumerate(_STEP * np.sqrt(np.diagonal(covariance))):
-        if step > 0.0:
-            moved = (rig.perturbed(sign * step * np.eye(len(covariance))[place]) for sign in (1.0, -1.0))
-            ahead, back = (epipolar_residual(each, *matches)[0] for each in moved)
-            derivative[:, place] = (ahead - back) / (2.0 * step)
-    return derivative
-
-
 def _turn_text(rig: StereoRig, matches: tuple[FloatArray, FloatArray]) -> str:
     """Say which turn of the right camera about its centre puts the points on their epipolar lines, if one does.
 
     Of the turns that do, it is the one without a part across the plane of sight, which no residual shows.
     """
     residual, *_ = epipolar_residual(rig, *matches)
-    steps = _TURN_RAD * np.eye(3)[[0, 2]]
-    change = [epipolar_residual(_turned(rig, step), *matches)[0] - residual for step in steps]
-    derivative = np.stack(change, axis=1) / _TURN_RAD
-    found, *_ = np.linalg.lstsq(derivative, -residual, rcond=None)
-    if np.linalg.norm(residual + derivative @ found) > _TURN_EXPLAINS * np.linalg.norm(residual):
+    axes = np.eye(3)[:, [0, 2]]
+    derivative = derivatives(
+        lambda turn: epipolar_residual(_turned(rig, axes @ turn), *matches)[0], np.full(2, _TURN_RAD)
+    )
+    turn, *_ = np.linalg.lstsq(derivative, -residual, rcond=None)
+    if np.linalg.norm(residual + derivative @ turn) > _TURN_EXPLAINS * np.linalg.norm(residual):
         return ""
-    turned = _turned(rig, np.array([found[0], 0.0, found[1]]))
+    turned = _turned(rig, axes @ turn)
     pairs = matches[0][None], matches[1][None]
     moved = triangulate(turned, *pairs).position_m - triangulate(rig, *pairs).position_m
     displaced = float(np.sqrt(np.nanmean(np.sum(moved**2, axis=-1))))
+    about_x, about_z = (f"{round(1e3 * angle, 2) + 0.0:.2f} mrad" for angle in turn)  # no negative zero
     return (
-        f"; as if the right camera were turned by {_mrad(found[0])} mrad about its x axis and {_mrad(found[1])} mrad "
+        f"; as if the right camera were turned by {about_x} about its x axis and {about_z} "
         f"about its optical axis, which places the points at least {1e3 * displaced:.3f} mm off"
     )
 
@@ -242,11 +211,6 @@ def _unexplained(pattern: FloatArray, covariance: FloatArray | None) -> str | No
             return None
         explained = f"the calibration explains {COVERAGE * np.sqrt(np.trace(covariance)):.3f} px (k = 2)"
     return f"the cameras no longer are what was calibrated: the epipolar residual is {size:.3f} px, {explained}"
-
-
-def _mrad(angle_rad: float) -> str:
-    """The angle in mrad with two decimals and no negative zero."""
-    return f"{round(1e3 * angle_rad, 2) + 0.0:.2f}"
 
 
 def _course_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> Notice | None:

@@ -136,6 +136,13 @@ def rotation_vector_rate(vector_rad: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) - 0.5 * cross + coefficient * (cross @ cross))
 
 
+def pose_rate(pose: FloatArray) -> FloatArray:
+    """Return (..., 6, 6): how poses (..., 6) answer a small shift and a small left-multiplied rotation."""
+    rate = np.broadcast_to(np.eye(6), (*pose.shape, 6)).copy()
+    rate[..., 3:, 3:] = rotation_vector_rate(pose[..., 3:])
+    return rate
+
+
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
     """Return the rotations R (..., 3, 3), determinant +1, that maximise trace(Rᵀ·M) for matrices M (..., 3, 3).
 
@@ -157,26 +164,21 @@ def fixes_rotation(cross_scatter: FloatArray) -> BoolArray:
     return np.asarray((singular[..., 0] > 0) & (singular[..., 1] > _COLLINEAR**2 * singular[..., 0]))
 
 
-def fit_rigid(source_m: FloatArray, target_m: FloatArray, weight: FloatArray | None = None) -> RigidTransform:
-    """Return the rigid transform that carries source (N, 3) onto target (N, 3) with least squares, weight (N,) ≥ 0.
+def fit_rigid(source_m: FloatArray, target_m: FloatArray) -> RigidTransform:
+    """Return the rigid transform that carries source (N, 3) onto target (N, 3) with least squares.
 
-    Minimises Σ w·|y − R·x − t|²: centred on the weighted means, rotation by `nearest_rotation` (Arun et al. 1987).
-    Planar sets are normal; points on one line, or fewer than three, leave the rotation open and are refused.
+    Minimises Σ |y − R·x − t|²: centred on the means, rotation by `nearest_rotation` (Arun et al. 1987). Planar sets
+    are normal; points on one line, or fewer than three, leave the rotation open and are refused.
     """
     source, target = np.asarray(source_m, dtype=np.float64), np.asarray(target_m, dtype=np.float64)
     check_shape("source_m", source, (None, 3))
     check_shape("target_m", target, source.shape)
-    weights = np.ones(len(source)) if weight is None else np.asarray(weight, dtype=np.float64)
-    check_shape("weight", weights, (len(source),))
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
         raise ValueError("source_m, target_m: expected finite points, found NaN or infinity; drop failed points first")
-    if not (np.isfinite(weights).all() and (weights >= 0).all()):
-        raise ValueError("weight: expected finite values >= 0")
-    if np.count_nonzero(weights) < 3:
-        raise ValueError(f"source_m: expected at least 3 points with weight, found {np.count_nonzero(weights)}")
-    share = weights / weights.sum()
-    source_mean, target_mean = share @ source, share @ target
-    scatter = ((target - target_mean) * share[:, None]).T @ (source - source_mean)
+    if len(source) < 3:
+        raise ValueError(f"source_m: expected at least 3 points, found {len(source)}")
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    scatter = (target - target_mean).T @ (source - source_mean)
     if not fixes_rotation(scatter):
         raise ValueError("source_m: expected points that are not all on one line, found a set of rank below 2")
     rotation = nearest_rotation(scatter)

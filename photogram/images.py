@@ -8,121 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal, cast
+from typing import cast
 from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, check_shape
-
-XML_KEYS = {
-    "Total Frame": "frameInfo/totalFrame",
-    "Image Width": "imageDataInfo/resolution/width",
-    "Image Height": "imageDataInfo/resolution/height",
-    "Color Type": "imageDataInfo/colorInfo/type",
-    "Color Bit": "imageDataInfo/colorInfo/bit",
-    "EffectiveBit Depth": "imageDataInfo/effectiveBit/depth",
-    "EffectiveBit Side": "imageDataInfo/effectiveBit/side",
-    "File Format": "imageFileInfo/fileFormat",
-}
-
-
-@dataclass(frozen=True)
-class MrawVideo:
-    """Frames of one .mraw file: `stored_bits` per pixel in the file (8, 12 or 16), `bits` that carry the grey value.
-
-    `side` says where the grey value stands in 16 stored bits: "lower" as a plain number, "higher" shifted up.
-    """
-
-    path: Path
-    frames: int
-    size_px: tuple[int, int]
-    stored_bits: int
-    bits: int
-    side: Literal["lower", "higher"]
-
-    def read(self, index: int) -> NDArray[np.uint8 | np.uint16]:
-        """Frame `index` as (H,W), grey values in the lower bits."""
-        width, height = self.size_px
-        count = width * height * self.stored_bits // 8
-        raw = np.fromfile(self.path, np.uint8, count=count, offset=index * count)
-        if len(raw) < count:
-            raise ValueError(f"{self.path}: frame {index} is cut off, expected {count} bytes, found {len(raw)}")
-        if self.stored_bits == 8:
-            return raw.reshape(height, width)
-        if self.stored_bits == 12:
-            return unpack_12_bit(raw).reshape(height, width)
-        values = raw.view("<u2").astype(np.uint16).reshape(height, width)
-        return values >> np.uint16(16 - self.bits) if self.side == "higher" else values
-
-
-def unpack_12_bit(raw: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Grey values of pairs of pixels packed into three bytes, the most significant bits first."""
-    first, middle, last = raw.reshape(-1, 3).astype(np.uint16).T
-    return np.column_stack(((first << 4) | (middle >> 4), ((middle & 15) << 8) | last)).ravel()
-
-
-def open_mraw(header: str | Path) -> MrawVideo:
-    """Read the header .cih or .cihx and check that the .mraw beside it holds the frames it announces."""
-    header = Path(header)
-    if not header.is_file():
-        raise FileNotFoundError(f"{header}: no such file")
-    text = header.read_text(encoding="utf-8", errors="replace")
-    entries = _xml_entries(text, header) if header.suffix.lower() == ".cihx" else _text_entries(text)
-    raw = next((path for path in map(header.with_suffix, (".mraw", ".MRAW")) if path.is_file()), None)
-    if raw is None:
-        raise FileNotFoundError(f"{header.with_suffix('.mraw')}: no such file beside {header.name}")
-    stored_bits = _integer(entries, "Color Bit", header)
-    colour, layout = entries.get("Color Type", "Mono"), entries.get("File Format", "MRaw")
-    if colour.lower() != "mono" or layout.lower() != "mraw":
-        raise ValueError(f"{header}: expected monochrome MRaw frames, found {colour!r} and {layout!r}")
-    if stored_bits not in (8, 12, 16):
-        raise ValueError(f"{header}: Color Bit: expected 8, 12 or 16, found {stored_bits}")
-    side = entries.get("EffectiveBit Side", "Lower").lower()
-    if side not in ("lower", "higher"):
-        raise ValueError(f"{header}: EffectiveBit Side: expected Lower or Higher, found {side!r}")
-    video = MrawVideo(
-        path=raw,
-        frames=_integer(entries, "Total Frame", header),
-        size_px=(_integer(entries, "Image Width", header), _integer(entries, "Image Height", header)),
-        stored_bits=stored_bits,
-        bits=min(16, _integer(entries, "EffectiveBit Depth", header)) if stored_bits == 16 else stored_bits,
-        side="higher" if side == "higher" else "lower",
-    )
-    expected = video.frames * video.size_px[0] * video.size_px[1] * video.stored_bits // 8
-    found = video.path.stat().st_size
-    if found < expected:
-        raise ValueError(f"{video.path}: truncated, expected {expected} bytes for {video.frames} frames, found {found}")
-    return video
-
-
-def _text_entries(text: str) -> dict[str, str]:
-    """The `key : value` lines of a .cih file."""
-    pairs = (line.partition(":") for line in text.splitlines() if ":" in line)
-    return {key.strip(): value.strip() for key, _, value in pairs}
-
-
-def _xml_entries(text: str, header: Path) -> dict[str, str]:
-    """The entries of a .cihx file under their .cih names; the XML stands between other lines."""
-    start, end = text.find("<cih>"), text.rfind("</cih>")
-    try:
-        root = ElementTree.fromstring(text[start : end + len("</cih>")] if start >= 0 else "")
-    except ElementTree.ParseError as error:
-        raise ValueError(f"{header}: expected a <cih> element ({error})") from error
-    found = {key: root.findtext(place) for key, place in XML_KEYS.items()}
-    return {key: value.strip() for key, value in found.items() if value is not None}
-
-
-def _integer(entries: dict[str, str], key: str, header: Path) -> int:
-    """The positive whole number under `key`."""
-    text = entries.get(key, "nothing")
-    if not text.isdigit() or int(text) < 1:
-        raise ValueError(f"{header}: {key}: expected a positive whole number, found {text}")
-    return int(text)
-
-
-# Image sequences from disk with their full bit depth: TIFF and PNG files, multi-page TIFF, high-speed video.
 
 GreyImage = NDArray[np.uint8 | np.uint16]
 TIFF_SUFFIXES = (".tif", ".tiff")
@@ -170,7 +62,7 @@ class ImageSequence:
 
 @dataclass(frozen=True)
 class _Header:
-    """What a file says about its images without decoding them."""
+    """What a file says about its images without decoding them: size, bits of a grey value, how many there are."""
 
     size_px: tuple[int, int]
     bits: int
@@ -198,16 +90,14 @@ def open_sequence(paths: Sequence[str | Path], bit_depth: int | None = None) -> 
         raise ValueError("paths: expected at least one image file, found none")
     files = tuple(Path(path) for path in paths)
     if len(files) == 1 and files[0].suffix.lower() in VIDEO_SUFFIXES:
-        video = open_mraw(files[0])
-        names = tuple(f"{video.path}[{frame}]" for frame in range(video.frames))
-        return ImageSequence(names, video.size_px, _full_scale(files[0], video.bits, bit_depth), video.read)
+        return _open_video(files[0], bit_depth)
     headers = [_read_header(path) for path in files]
     first = headers[0]
     full_scale = _full_scale(files[0], first.bits, bit_depth)
     for path, header in zip(files, headers, strict=True):
         if header.size_px != first.size_px:
-            (width, height), (found_width, found_height) = first.size_px, header.size_px
-            raise ValueError(f"{path}: expected {width} x {height} px, found {found_width} x {found_height}")
+            expected, actual = (f"{width} x {height}" for width, height in (first.size_px, header.size_px))
+            raise ValueError(f"{path}: expected {expected} px, found {actual}")
         if header.bits != first.bits:
             raise ValueError(f"{path}: expected {first.bits} bits per pixel, found {header.bits}")
         if header.pages > 1 and len(files) > 1:
@@ -249,14 +139,9 @@ def read_picture(path: str | Path) -> tuple[GreyImage, int]:
     return grey, 2**bits - 1
 
 
-def saturated_fraction(image: GreyImage, full_scale: int, area: NDArray[np.bool_] | None = None) -> float:
-    """Fraction of the pixels of `image` (H,W) that are at full scale, inside `area` (H,W) where one is given."""
-    if area is not None:
-        check_shape("area", area, image.shape)
-        if not area.any():
-            raise ValueError("area: expected at least one pixel, found none")
-    pixels = image if area is None else image[area]
-    return float(np.mean(pixels >= full_scale))
+def saturated_fraction(image: GreyImage, full_scale: int) -> float:
+    """Fraction of the pixels of `image` (H,W) that are at full scale."""
+    return float(np.mean(image >= full_scale))
 
 
 def _full_scale(path: Path, stored_bits: int, bit_depth: int | None) -> int:
@@ -280,8 +165,15 @@ def _read_header(path: Path) -> _Header:
 
 def _read_file(paths: tuple[Path, ...], bits: int, index: int) -> GreyImage:
     """The only image of TIFF or PNG file `index`."""
+    import cv2
+
     path = paths[index]
-    return _read_png(path) if path.suffix.lower() == ".png" else _read_tiff(path, bits, 0)
+    if path.suffix.lower() != ".png":
+        return _read_tiff(path, bits, 0)
+    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ValueError(f"{path}: not a readable PNG file (its pixels cannot be decoded)")
+    return cast(GreyImage, np.asarray(image))
 
 
 def _tiff_header(path: Path) -> _Header:
@@ -314,8 +206,7 @@ def _read_tiff(path: Path, bits: int, page: int) -> GreyImage:
 
     try:
         with tifffile.TiffFile(path) as tiff:
-            image: GreyImage = tiff.pages[page].asarray()
-            return image
+            return np.asarray(tiff.pages[page].asarray())
     except (NotImplementedError, ImportError):
         return _read_tiff_opencv(path, bits, page)
     except (ValueError, zlib.error, IndexError) as error:
@@ -354,14 +245,84 @@ def _png_header(path: Path) -> _Header:
     return _Header((width, height), bits, 1)
 
 
-def _read_png(path: Path) -> GreyImage:
-    """The image of a PNG file."""
-    import cv2
+# High-speed video of Photron cameras: a header .cih or .cihx, and the frames in the .mraw beside it.
 
-    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise ValueError(f"{path}: not a readable PNG file (its pixels cannot be decoded)")
-    return cast(GreyImage, np.asarray(image))
+VIDEO_KEYS = {
+    "Total Frame": "frameInfo/totalFrame",
+    "Image Width": "imageDataInfo/resolution/width",
+    "Image Height": "imageDataInfo/resolution/height",
+    "Color Type": "imageDataInfo/colorInfo/type",
+    "Color Bit": "imageDataInfo/colorInfo/bit",
+    "EffectiveBit Depth": "imageDataInfo/effectiveBit/depth",
+    "EffectiveBit Side": "imageDataInfo/effectiveBit/side",
+    "File Format": "imageFileInfo/fileFormat",
+}
+
+
+def _open_video(header: Path, bit_depth: int | None) -> ImageSequence:
+    """The frames that a header announces, all of which the .mraw beside it holds."""
+    if not header.is_file():
+        raise FileNotFoundError(f"{header}: no such file")
+    entries = _video_entries(header)
+    path = next((path for path in map(header.with_suffix, (".mraw", ".MRAW")) if path.is_file()), None)
+    if path is None:
+        raise FileNotFoundError(f"{header.with_suffix('.mraw')}: no such file beside {header.name}")
+
+    def whole(key: str) -> int:
+        text = entries.get(key, "nothing")
+        if not text.isdigit() or int(text) < 1:
+            raise ValueError(f"{header}: {key}: expected a positive whole number, found {text}")
+        return int(text)
+
+    stored_bits = whole("Color Bit")
+    colour, layout = entries.get("Color Type", "Mono"), entries.get("File Format", "MRaw")
+    if colour.lower() != "mono" or layout.lower() != "mraw":
+        raise ValueError(f"{header}: expected monochrome MRaw frames, found {colour!r} and {layout!r}")
+    if stored_bits not in (8, 12, 16):
+        raise ValueError(f"{header}: Color Bit: expected 8, 12 or 16, found {stored_bits}")
+    side = entries.get("EffectiveBit Side", "Lower").lower()
+    if side not in ("lower", "higher"):
+        raise ValueError(f"{header}: EffectiveBit Side: expected Lower or Higher, found {side!r}")
+    frames, size_px = whole("Total Frame"), (whole("Image Width"), whole("Image Height"))
+    bits = min(16, whole("EffectiveBit Depth")) if stored_bits == 16 else stored_bits
+    expected, actual = frames * size_px[0] * size_px[1] * stored_bits // 8, path.stat().st_size
+    if actual < expected:
+        raise ValueError(f"{path}: truncated, expected {expected} bytes for {frames} frames, found {actual}")
+    shift = 16 - bits if side == "higher" else 0
+    names = tuple(f"{path}[{frame}]" for frame in range(frames))
+    reader = partial(_read_mraw, path, size_px, stored_bits, shift)
+    return ImageSequence(names, size_px, _full_scale(header, bits, bit_depth), reader)
+
+
+def _video_entries(header: Path) -> dict[str, str]:
+    """Entries by their .cih names: lines `key : value`, or in a .cihx the XML that stands between other lines."""
+    text = header.read_text(encoding="utf-8", errors="replace")
+    if header.suffix.lower() == ".cih":
+        pairs = (line.partition(":") for line in text.splitlines() if ":" in line)
+        return {key.strip(): value.strip() for key, _, value in pairs}
+    start, end = text.find("<cih>"), text.rfind("</cih>")
+    try:
+        root = ElementTree.fromstring(text[start : end + len("</cih>")] if start >= 0 else "")
+    except ElementTree.ParseError as error:
+        raise ValueError(f"{header}: expected a <cih> element ({error})") from error
+    entries = {key: root.findtext(place) for key, place in VIDEO_KEYS.items()}
+    return {key: entry.strip() for key, entry in entries.items() if entry is not None}
+
+
+def _read_mraw(path: Path, size_px: tuple[int, int], stored_bits: int, shift: int, index: int) -> GreyImage:
+    """Frame `index` of 8, 12 or 16 stored bits per pixel; of 16 the grey value may stand `shift` bits higher."""
+    width, height = size_px
+    count = width * height * stored_bits // 8
+    raw = np.fromfile(path, np.uint8, count=count, offset=index * count)
+    if len(raw) < count:
+        raise ValueError(f"{path}: frame {index} is cut off, expected {count} bytes, found {len(raw)}")
+    if stored_bits == 8:
+        return raw.reshape(height, width)
+    if stored_bits == 16:
+        return raw.view("<u2").astype(np.uint16).reshape(height, width) >> np.uint16(shift)
+    # pairs of pixels are packed into three bytes, the most significant bits first
+    first, middle, last = raw.reshape(-1, 3).astype(np.uint16).T
+    return np.column_stack(((first << 4) | (middle >> 4), ((middle & 15) << 8) | last)).reshape(height, width)
 
 
 # Image noise as a function of brightness: what the sensor reads with, and what the light itself brings.

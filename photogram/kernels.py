@@ -19,7 +19,7 @@ import hashlib
 import os
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -27,6 +27,7 @@ from typing import Any
 
 import numba
 from llvmlite import ir
+from numba import types
 from numba.core import cgutils
 from numba.core.caching import IndexDataCacheFile
 
@@ -52,6 +53,15 @@ def njit(
         return dispatcher
 
     return compiled
+
+
+def filling(*kinds: Any) -> Any:
+    """Type of generated code that fills arrays: these must be contiguous doubles; whole numbers stay whole."""
+    for kind in kinds:
+        if isinstance(kind, types.Array) and (kind.layout, kind.dtype) != ("C", types.float64):
+            raise TypeError(f"expected contiguous float64 arrays, found {kind}")
+    kept = types.Array | types.Integer | types.UniTuple
+    return types.void(*(kind if isinstance(kind, kept) else types.float64 for kind in kinds))
 
 
 @cache
@@ -92,6 +102,7 @@ REALS = ir.VectorType(REAL, LANES)
 INDEX = ir.IntType(64)
 INDICES = ir.VectorType(INDEX, LANES)
 MASK = ir.VectorType(ir.IntType(1), LANES)
+NOTHING = ir.Constant(REALS, [0.0] * LANES)
 _WORD = ir.IntType(32)
 
 
@@ -111,9 +122,6 @@ class Lanes:
             return right._plus_product(self.factors)
         return Lanes(self.builder, self.builder.fadd(self.value, right.value))
 
-    def __radd__(self, other: Any) -> Lanes:
-        return self.__add__(other)
-
     def __sub__(self, other: Any) -> Lanes:
         return self.__add__(-self._like(other))
 
@@ -124,9 +132,6 @@ class Lanes:
         factors = self.value, self._like(other).value
         return Lanes(self.builder, self.builder.fmul(*factors), factors)
 
-    def __rmul__(self, other: Any) -> Lanes:
-        return self.__mul__(other)
-
     def __truediv__(self, other: float) -> Lanes:
         return self * (1.0 / other)
 
@@ -135,6 +140,8 @@ class Lanes:
         if self.factors is None:
             return Lanes(self.builder, negative)
         return Lanes(self.builder, negative, (self.builder.fneg(self.factors[0]), self.factors[1]))
+
+    __radd__, __rmul__ = __add__, __mul__
 
     def _like(self, other: Any) -> Lanes:
         """Lanes as they are; a number stands for eight of it."""
@@ -157,10 +164,16 @@ def spread(builder: Any, scalar: Any) -> Lanes:
     return Lanes(builder, _spread(builder, scalar, REALS))
 
 
-def first_lanes(builder: Any, number: Any) -> Any:
-    """The mask of the first so many lanes."""
-    lanes = ir.Constant(INDICES, list(range(LANES)))
-    return builder.icmp_signed("<", lanes, _spread(builder, number, INDICES))
+def array_of(context: Any, builder: Any, signature: Any, arguments: Sequence[Any], number: int) -> Any:
+    """One of the arguments of generated code that are arrays."""
+    return context.make_array(signature.args[number])(context, builder, arguments[number])
+
+
+def element(builder: Any, table: Any, row: Any, column: Any) -> Any:
+    """Pointer to an element of a table of contiguous rows; a row known when code is generated is a number."""
+    width = cgutils.unpack_tuple(builder, table.shape)[1]
+    row = ir.Constant(INDEX, row) if isinstance(row, int) else row
+    return builder.gep(table.data, [builder.add(builder.mul(row, width), column)])
 
 
 def load(builder: Any, pointer: Any, mask: Any = None) -> Lanes:
@@ -170,8 +183,7 @@ def load(builder: Any, pointer: Any, mask: Any = None) -> Lanes:
         return Lanes(builder, builder.load(place, align=8))
     kind = ir.FunctionType(REALS, [place.type, _WORD, MASK, REALS])
     masked = cgutils.get_or_insert_function(builder.module, kind, f"llvm.masked.load.v{LANES}f64.p0")
-    nothing = ir.Constant(REALS, [0.0] * LANES)
-    return Lanes(builder, builder.call(masked, [place, ir.Constant(_WORD, 8), mask, nothing]))
+    return Lanes(builder, builder.call(masked, [place, ir.Constant(_WORD, 8), mask, NOTHING]))
 
 
 def store(builder: Any, lanes: Lanes, pointer: Any, mask: Any = None) -> None:
@@ -201,7 +213,8 @@ def in_blocks(builder: Any, count: Any, block: Any) -> None:
     with cgutils.for_range_slice(builder, ir.Constant(INDEX, 0), full, ir.Constant(INDEX, LANES), INDEX) as (index, _):
         block(index, None)
     with builder.if_then(builder.icmp_signed("<", full, count)):
-        block(full, first_lanes(builder, builder.sub(count, full)))
+        lanes = ir.Constant(INDICES, list(range(LANES)))
+        block(full, builder.icmp_signed("<", lanes, _spread(builder, builder.sub(count, full), INDICES)))
 
 
 def _spread(builder: Any, scalar: Any, kind: Any) -> Any:

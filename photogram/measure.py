@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -14,14 +15,12 @@ from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_
 from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence, NoiseModel
 from photogram.motion import PlacedCamera, RigidMotion, fit_motion, overlap_correlation
-from photogram.subsets.icgn import Registration
+from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.reference import Reference
 from photogram.subsets.texture import SubsetQuality, assess
 from photogram.subsets.track import (
-    FollowedFrame,
     StereoGrid,
     StereoTracks,
-    TrackSettings,
     follow_sequence,
     identity,
     lay_stereo_grid,
@@ -33,8 +32,7 @@ from photogram.subsets.track import (
 Progress = Callable[[int], None]
 Splines = tuple[Spline, Spline]
 Noise = tuple[NoiseModel, NoiseModel]
-Views = tuple[BodyView, ...]
-_Frame = tuple[tuple[Registration, Registration], Splines, FloatArray]
+Found = tuple[Registration, Registration]
 UNIFORM = NoiseModel(1.0, 0.0)
 BLOCK_FRAMES = 32
 """A constant, so that results do not depend on who computes them; few enough to share, many enough to start seldom."""
@@ -60,12 +58,8 @@ class BodyMotion(Arrays):
     notices: tuple[Notice, ...]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class FollowedBlock(Arrays):
-    """Successive frames: where the subsets are in the left and the right camera, and direct fits, None for none."""
-
-    found: tuple[tuple[Registration, Registration], ...]
-    fits: tuple[DirectFit | None, ...]
+FollowedBlock = tuple[tuple[Found, DirectFit | None], ...]
+"""Successive frames: where the subsets are in the left and the right camera, and the direct fit, None for none."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,7 +78,7 @@ class BodyScene(Arrays, shapes="rest_m N 3"):
     grid: StereoGrid
     references: tuple[Reference, Reference]
     rest_m: FloatArray
-    views: Views
+    views: tuple[BodyView, ...]
     noise: Noise | None
     lead: FollowedBlock
     blocks: tuple[range, ...]
@@ -138,16 +132,13 @@ def prepare_body(
     left, right = (
         prepare_sequence(side, px, settings) for side, px in zip(images, (grid.left_px, grid.right_px), strict=True)
     )
-    nothing = FollowedBlock((), ())
-    scene = BodyScene(
-        images, rig, body_from_left, settings, grid, (left, right), np.empty((0, 3)), (), None, nothing, ()
-    )
-    rest_m = _place(scene, identity(left), identity(right)).position_m[0]
+    scene = BodyScene(images, rig, body_from_left, settings, grid, (left, right), np.empty((0, 3)), (), None, (), ())
+    rest_m = _place(scene, (identity(left), identity(right))).position_m[0]
     first = spline_of_image(images[0].read(0), settings.degree), spline_of_image(images[1].read(0), settings.degree)
     scene = replace(scene, rest_m=rest_m, views=_views(scene, first, rest_m, (UNIFORM, UNIFORM)))
     _tell(progress, 1)
     scene = _with_noise(scene, first, device, progress)
-    rest = range(1 + len(scene.lead.fits), len(images[0]))
+    rest = range(1 + len(scene.lead), len(images[0]))
     length = BLOCK_FRAMES if device == "cpu" else max(1, len(rest))
     return replace(scene, blocks=tuple(rest[start : start + length] for start in range(0, len(rest), length)))
 
@@ -156,77 +147,69 @@ def follow_block(
     scene: BodyScene, frames: range, device: str = "cpu", progress: Progress | None = None
 ) -> FollowedBlock:
     """Follow the body through a block of later frames; the first of them is found from the reference alone."""
-    found: list[tuple[Registration, Registration]] = []
-    fits: list[DirectFit | None] = []
-    for number, (seen, splines, start) in zip(frames, _followed(scene, frames, device), strict=True):
-        found.append(seen)
-        fits.append(_fit(scene.views, splines, start))
+    followed = []
+    for number, (found, splines, start) in zip(frames, _found_in(scene, frames, device), strict=True):
+        followed.append((found, _fit(scene.views, splines, start)))
         _tell(progress, number + 1)
-    return FollowedBlock(tuple(found), tuple(fits))
+    return tuple(followed)
 
 
 def body_motion(scene: BodyScene, blocks: Sequence[FollowedBlock]) -> BodyMotion:
     """Return the motion of the body from what was found in the scene's blocks, in their order."""
-    parts = [scene.lead, *blocks]
-    fits = [fit for part in parts for fit in part.fits]
-    settings, images, (left, right), noise = scene.settings, scene.images, scene.references, scene.noise
-    found = [pair for part in parts for pair in part.found]
-    tracks = (
-        tracks_of([identity(left), *(pair[0] for pair in found)], left, settings.degree),
-        tracks_of([identity(right), *(pair[1] for pair in found)], right, settings.degree),
+    followed = [*scene.lead, *(frame for block in blocks for frame in block)]
+    fits = [fit for _, fit in followed]
+    settings, images, references, noise = scene.settings, scene.images, scene.references, scene.noise
+    left, right = (
+        tracks_of([identity(reference), *(found[side] for found, _ in followed)], reference, settings.degree)
+        for side, reference in enumerate(references)
     )
     firsts = images[0].read(0), images[1].read(0)
-    stereo = stereo_tracks(firsts, scene.grid, tracks, settings)
+    stereo = stereo_tracks(firsts, scene.grid, (left, right), settings)
     quality, remarks = None, list[Notice]()
     if noise is not None:
         quality = (
-            assess(left, firsts[0], noise[0], images[0].full_scale),
-            assess(right, firsts[1], noise[1], images[1].full_scale),
+            assess(references[0], firsts[0], noise[0], images[0].full_scale),
+            assess(references[1], firsts[1], noise[1], images[1].full_scale),
         )
         remarks = [*quality[0].notices("left camera"), *quality[1].notices("right camera")]
-    points = triangulate(
-        scene.rig, tracks[0].position_px, tracks[1].position_px, tracks[0].covariance_px2, tracks[1].covariance_px2
-    ).transformed(scene.body_from_left)
+    pixels = left.position_px, right.position_px, left.covariance_px2, right.covariance_px2
+    points = triangulate(scene.rig, *pixels).transformed(scene.body_from_left)
     shared = None
     if settings.grid_step_px <= 2 * settings.radius_px:
         shared = overlap_correlation(scene.grid.left_px, settings.radius_px)
     of_points = fit_motion(points, None, np.zeros(3), shared)
     motion = _with_direct(of_points, fits, scene.views)
-    notices = (*stereo.notices, *remarks, *_bending(points, of_points), *_direct_notices(motion, of_points, fits))
+    notices = (*stereo.notices, *remarks, *_rigid_notices(points, motion, of_points, fits))
     return BodyMotion(stereo, points, motion, of_points, noise, quality, notices)
 
 
 def _with_noise(scene: BodyScene, first: Splines, device: str, progress: Progress | None) -> BodyScene:
     """The scene with the noise models of the first frame that can be fitted, and what was found up to it."""
-    found: list[tuple[Registration, Registration]] = []
-    fits: list[DirectFit | None] = []
-    noise: Noise | None = None
-    while noise is None and len(fits) < len(scene.images[0]) - 1:
-        number = 1 + len(fits)
-        ((seen, splines, start),) = _followed(scene, range(number, number + 1), device)
+    for number in range(1, len(scene.images[0])):
+        ((found, splines, start),) = _found_in(scene, range(number, number + 1), device)
         fit = _fit(scene.views, splines, start)
         if fit is not None:
-            left, right = (
-                image_noise(view, spline, fit.moved) for view, spline in zip(scene.views, splines, strict=True)
-            )
-            noise = left, right
-            scene = replace(scene, noise=noise, views=_views(scene, first, scene.rest_m, noise))
+            left, right = map(partial(image_noise, moved=fit.moved), scene.views, splines)
+            scene = replace(scene, noise=(left, right), views=_views(scene, first, scene.rest_m, (left, right)))
             fit = _fit(scene.views, splines, start)
-        found.append(seen)
-        fits.append(fit)
+        scene = replace(scene, lead=(*scene.lead, (found, fit)))
         _tell(progress, number + 1)
-    return replace(scene, lead=FollowedBlock(tuple(found), tuple(fits)))
+        if scene.noise is not None:
+            break
+    return scene
 
 
-def _followed(scene: BodyScene, frames: range, device: str) -> Iterator[_Frame]:
+def _found_in(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[Found, Splines, FloatArray]]:
     """Some frames in turn: where the subsets are in both cameras, both splines, and the pose (6,) of the points."""
     sides = (
         follow_sequence(images, reference, scene.settings, device, frames)
         for images, reference in zip(scene.images, scene.references, strict=True)
     )
     for left, right in zip(*sides, strict=True):
-        start = fit_motion(_place(scene, left.found, right.found), scene.rest_m, np.zeros(3)).pose[0]
-        yield (left.found, right.found), (_spline(left, scene.settings), _spline(right, scene.settings)), start
+        found = left.found, right.found
+        splines = tuple(side.spline or spline_of_image(side.image, scene.settings.degree) for side in (left, right))
+        start = fit_motion(_place(scene, found), scene.rest_m, np.zeros(3)).pose[0]
+        yield found, (splines[0], splines[1]), start
 
 
 def _tell(progress: Progress | None, frames: int) -> None:
@@ -235,21 +218,16 @@ def _tell(progress: Progress | None, frames: int) -> None:
         progress(2 * frames)
 
 
-def _place(scene: BodyScene, left: Registration, right: Registration) -> Points:
+def _place(scene: BodyScene, found: Found) -> Points:
     """Points (1, N) of one frame in the body's frame, all subsets equally trusted."""
-    pixels = [
+    left, right = (
         (reference.centre_px + here.warp[:, [0, 3]])[None]
-        for reference, here in zip(scene.references, (left, right), strict=True)
-    ]
-    return triangulate(scene.rig, pixels[0], pixels[1]).transformed(scene.body_from_left)
+        for reference, here in zip(scene.references, found, strict=True)
+    )
+    return triangulate(scene.rig, left, right).transformed(scene.body_from_left)
 
 
-def _spline(frame: FollowedFrame, settings: TrackSettings) -> Spline:
-    """The frame's spline, made here when tracking needed none."""
-    return frame.spline if frame.spline is not None else spline_of_image(frame.image, settings.degree)
-
-
-def _views(scene: BodyScene, splines: Splines, rest_m: FloatArray, noise: Noise) -> Views:
+def _views(scene: BodyScene, splines: Splines, rest_m: FloatArray, noise: Noise) -> tuple[BodyView, ...]:
     """The body at rest in both cameras; `ValueError` where the calibration places no points of it."""
     placed = int(np.count_nonzero(np.isfinite(rest_m).all(axis=1)))
     if placed < 3:
@@ -269,12 +247,12 @@ def _views(scene: BodyScene, splines: Splines, rest_m: FloatArray, noise: Noise)
     )
 
 
-def _fit(views: Views, splines: Splines, start: FloatArray) -> DirectFit | None:
+def _fit(views: tuple[BodyView, ...], splines: Splines, start: FloatArray) -> DirectFit | None:
     """The direct fit of one frame, None where its points have no motion to start from."""
     return fit_direct(views, splines, RigidTransform.from_pose(start)) if np.isfinite(start).all() else None
 
 
-def _with_direct(of_points: RigidMotion, fits: list[DirectFit | None], views: Views) -> RigidMotion:
+def _with_direct(of_points: RigidMotion, fits: list[DirectFit | None], views: tuple[BodyView, ...]) -> RigidMotion:
     """The motion with pose and covariance of the direct fits; the first frame has the covariance of a typical one."""
     pose, covariance = of_points.pose.copy(), of_points.covariance.copy()
     done = [fit for fit in fits if fit is not None]
@@ -286,40 +264,32 @@ def _with_direct(of_points: RigidMotion, fits: list[DirectFit | None], views: Vi
     return replace(of_points, pose=pose, covariance=covariance)
 
 
-def _bending(points: Points, motion: RigidMotion) -> list[Notice]:
-    """A warning when the points depart from a rigid motion by much more than their noise."""
-    variance = np.trace(points.covariance_m2[1:], axis1=2, axis2=3) / 3.0
-    residual = motion.residual_m[1:]
-    known = np.isfinite(residual)
-    if not known.any():
-        return []
-    misfit, noise = float(np.median(residual[known])), float(np.sqrt(np.nanmedian(variance[known])))
-    if misfit < LARGEST_BENDING * noise:
-        return []
-    text = (
-        f"the points depart from a rigid motion by {1e6 * misfit:.1f} µm rms, {misfit / noise:.0f} times their noise: "
-        "the body bends, or parts of it move on their own"
-    )
-    return [Notice("warning", text, "rigid motion")]
-
-
-def _direct_notices(motion: RigidMotion, of_points: RigidMotion, fits: list[DirectFit | None]) -> list[Notice]:
-    """Warnings about frames without a direct fit, and about one that contradicts the points."""
-    notices = []
+def _rigid_notices(
+    points: Points, motion: RigidMotion, of_points: RigidMotion, fits: list[DirectFit | None]
+) -> list[Notice]:
+    """Warnings about points that move unlike a rigid body, frames without a direct fit, and one against the points."""
+    texts = []
+    known = np.isfinite(of_points.residual_m[1:])
+    if known.any():
+        variance = np.trace(points.covariance_m2[1:], axis1=2, axis2=3) / 3.0
+        misfit, noise = np.median(of_points.residual_m[1:][known]), np.sqrt(np.nanmedian(variance[known]))
+        if misfit >= LARGEST_BENDING * noise:
+            texts.append(
+                f"the points depart from a rigid motion by {1e6 * misfit:.1f} µm rms, {misfit / noise:.0f} times their "
+                "noise: the body bends, or parts of it move on their own"
+            )
     missed = sum(fit is None for fit in fits)
     if missed:
-        text = f"in {missed} of {len(fits)} frames the motion could not be fitted to the grey values; its points count"
-        notices.append(Notice("warning", text, "rigid motion"))
+        texts.append(
+            f"in {missed} of {len(fits)} frames the motion could not be fitted to the grey values; its points count"
+        )
     difference = (motion.pose - of_points.pose)[1:]
-    known = np.isfinite(difference).all(axis=1)
-    if not known.any():
-        return notices
-    squares = difference[known] ** 2 / np.diagonal(of_points.covariance[1:], axis1=1, axis2=2)[known]
-    ratio = float(np.sqrt(np.mean(squares)))
+    both = np.isfinite(difference).all(axis=1)
+    squares = difference[both] ** 2 / np.diagonal(of_points.covariance[1:], axis1=1, axis2=2)[both]
+    ratio = float(np.sqrt(np.mean(squares))) if both.any() else 0.0
     if ratio > LARGEST_DIFFERENCE:
-        text = (
+        texts.append(
             f"the motion fitted to the grey values is {ratio:.1f} standard uncertainties off that of the tracked "
             "points: the body bends, something in front of it moves, or its texture is not resolved"
         )
-        notices.append(Notice("warning", text, "rigid motion"))
-    return notices
+    return [Notice("warning", text, "rigid motion") for text in texts]

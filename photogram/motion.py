@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape, derivatives
 from photogram.camera import Camera, Points
 from photogram.geometry import (
     RigidTransform,
@@ -15,8 +15,8 @@ from photogram.geometry import (
     fixes_rotation,
     invert,
     nearest_rotation,
+    pose_rate,
     rotation_from_vector,
-    rotation_vector_rate,
     skew,
     vector_from_rotation,
 )
@@ -141,16 +141,11 @@ def relative_to(motion: RigidMotion, mean_pose: FloatArray) -> RigidMotion:
     relative = rotation @ rotation_from_vector(mean[3:]).T
     carried = relative @ mean[:3]
     vector = vector_from_rotation(relative)
-    jacobian = np.zeros((len(rotation), 6, 6))
-    jacobian[:, :3, :3] = np.eye(3)
-    rotations = np.linalg.inv(rotation_vector_rate(motion.pose[:, 3:]))
-    jacobian[:, :3, 3:] = skew(carried) @ rotations
-    jacobian[:, 3:, 3:] = rotation_vector_rate(vector) @ rotations
-    return replace(
-        motion,
-        pose=np.concatenate([motion.pose[:, :3] - carried, vector], axis=1),
-        covariance=jacobian @ motion.covariance @ np.swapaxes(jacobian, 1, 2),
-    )
+    pose = np.concatenate([motion.pose[:, :3] - carried, vector], axis=1)
+    rate = pose_rate(pose)
+    rate[:, :3, 3:] = skew(carried)
+    jacobian = rate @ np.linalg.inv(pose_rate(motion.pose))
+    return replace(motion, pose=pose, covariance=jacobian @ motion.covariance @ np.swapaxes(jacobian, 1, 2))
 
 
 def points_with_estimated_noise(position_m: FloatArray, reference_m: FloatArray | None = None) -> Points:
@@ -168,23 +163,19 @@ def points_with_estimated_noise(position_m: FloatArray, reference_m: FloatArray 
     reference = position[0] if reference_m is None else np.asarray(reference_m, dtype=np.float64)
     moved = reference @ np.swapaxes(rotation_from_vector(motion.pose[:, 3:]), 1, 2) + motion.pose[:, None, :3]
     error = (position - moved)[start:]
-    covariance = _pooled(error, motion.residual_m[start:])
-    known = np.asarray(np.isfinite(position).all(axis=2))[..., None, None]
-    return replace(unit, covariance_m2=np.where(known, covariance, np.nan))
-
-
-def _pooled(error: FloatArray, residual: FloatArray) -> FloatArray:
-    """Return the covariance (3, 3) over time of errors (F, N, 3) without those beyond five of their frame's rms."""
-    inside = np.less_equal((error**2).sum(axis=2), _REJECTED * residual[:, None] ** 2)
-    count = np.asarray(inside.sum(axis=0))
-    kept = np.asarray(inside & (count >= 2), dtype=np.bool_)
-    error = np.where(kept[..., None], error, 0.0)
-    deviation = np.where(kept[..., None], error - error.sum(axis=0) / np.maximum(count, 1)[:, None], 0.0)
+    # over time, without errors beyond five of their frame's rms
+    inside = np.less_equal((error**2).sum(axis=2), _REJECTED * motion.residual_m[start:, None] ** 2)
+    count = inside.sum(axis=0)
+    kept = (inside & (count >= 2))[..., None]
     tracks = int(np.count_nonzero(count >= 2))
-    freedom = (int(kept.sum()) - tracks) * (1 - 2 / max(tracks, 3))
     if tracks < 3:
         raise ValueError("position_m: expected at least 3 points in 2 frames besides the reference to estimate noise")
-    return np.asarray(np.einsum("fni,fnj->ij", deviation, deviation) / freedom)
+    error = np.where(kept, error, 0.0)
+    deviation = np.where(kept, error - error.sum(axis=0) / np.maximum(count, 1)[:, None], 0.0)
+    freedom = (int(kept.sum()) - tracks) * (1 - 2 / tracks)
+    covariance = np.einsum("fni,fnj->ij", deviation, deviation) / freedom
+    known = np.asarray(np.isfinite(position).all(axis=2))[..., None, None]
+    return replace(unit, covariance_m2=np.where(known, covariance, np.nan))
 
 
 def _fit(
@@ -233,9 +224,7 @@ def _fit(
     step_covariance = np.linalg.inv(normal)
     if correlation is not None:
         step_covariance = step_covariance @ _correlated_normal(arm, precision, used, correlation) @ step_covariance
-    # the covariance (F, 6, 6) of shift and rotation vector from that of shift and small left rotation
-    rate = np.broadcast_to(np.eye(6), step_covariance.shape).copy()
-    rate[:, 3:, 3:] = rotation_vector_rate(pose[:, 3:])
+    rate = pose_rate(pose)
     return RigidMotion(
         pose=np.where(fixed[:, None], pose, np.nan),
         covariance=np.where(fixed[:, None, None], np.asarray(rate @ step_covariance @ np.swapaxes(rate, 1, 2)), np.nan),
@@ -376,7 +365,12 @@ def deformation(points: Points, motion: RigidMotion, reference_m: FloatArray | N
     carried = points.position_m - motion.origin_m - motion.pose[:, None, :3]
     residual = carried @ rotation - rest
     arm = rest @ np.swapaxes(rotation, 1, 2)
-    own = np.swapaxes(rotation, 1, 2)[:, None] @ (points.covariance_m2 - _leverage(arm, motion)) @ rotation[:, None]
+    step_of_pose = np.linalg.inv(pose_rate(motion.pose))
+    step_covariance = step_of_pose @ motion.covariance @ np.swapaxes(step_of_pose, 1, 2)
+    own = np.empty((*arm.shape, 3))
+    for frame, slope in enumerate(map(displacement_jacobian, arm)):
+        left = points.covariance_m2[frame] - slope @ step_covariance[frame] @ np.swapaxes(slope, 1, 2)
+        own[frame] = rotation[frame].T @ left @ rotation[frame]
     seen = np.asarray(np.isfinite(residual).all(axis=2) & np.isfinite(own).all(axis=(2, 3)))
     number = np.maximum(seen.sum(axis=0), 1)
     mean = np.sum(np.where(seen[..., None], residual, 0.0), axis=0) / number[:, None]
@@ -387,18 +381,6 @@ def deformation(points: Points, motion: RigidMotion, reference_m: FloatArray | N
         np.where(seen[..., None], residual - mean, np.nan),
         np.where(seen[..., None, None], covariance, np.nan),
     )
-
-
-def _leverage(arm: FloatArray, motion: RigidMotion) -> FloatArray:
-    """Covariance (F, N, 3, 3) of the rigidly moved points with arms (F, N, 3), from that of the pose."""
-    step_of_pose = np.broadcast_to(np.eye(6), motion.covariance.shape).copy()
-    step_of_pose[:, 3:, 3:] = np.linalg.inv(rotation_vector_rate(motion.pose[:, 3:]))
-    covariance = step_of_pose @ motion.covariance @ np.swapaxes(step_of_pose, 1, 2)
-    leverage = np.empty((*arm.shape, 3))
-    for frame, here in enumerate(arm):
-        slope = displacement_jacobian(here)
-        leverage[frame] = slope @ covariance[frame] @ np.swapaxes(slope, 1, 2)
-    return leverage
 
 
 # Where a camera sees the body's surface, and how small patches of it move in the image when the body moves.
@@ -475,14 +457,7 @@ def patch_warps(camera: PlacedCamera, patches: Patches, moved: RigidTransform) -
 
 def patch_rates(camera: PlacedCamera, patches: Patches) -> FloatArray:
     """Return the derivatives (C, 6, 6) of the patches' affine warps by x y z (m) and rx ry rz (rad) at rest."""
-    rates = np.empty((len(patches.centre_px), 6, 6))
-    for component in range(6):
-        step = np.zeros(6)
-        step[component] = RATE_STEP
-        ahead = patch_warps(camera, patches, RigidTransform.from_pose(step))
-        behind = patch_warps(camera, patches, RigidTransform.from_pose(-step))
-        rates[:, :, component] = (ahead - behind) / (2 * RATE_STEP)
-    return rates
+    return derivatives(lambda pose: patch_warps(camera, patches, RigidTransform.from_pose(pose)), np.full(6, RATE_STEP))
 
 
 def _inverse_depth(ray: FloatArray, inverse: FloatArray, nearest: FloatArray, centre: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray
+from photogram.arrays import Arrays, FloatArray, IntArray
 
 POSITION = ("x", "y", "z")
 REFERENCE = ("x0", "y0", "z0")
@@ -25,17 +25,6 @@ class PointTable(Arrays, shapes="frames F; position_m F N 3; reference_m N 3"):
     position_m: FloatArray
     reference_m: FloatArray | None
     frames: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class _Frame:
-    """One frame's rows: identity (R,I), position and reference (R,3), whether valid (R,)."""
-
-    name: str
-    identity: FloatArray
-    position: FloatArray
-    reference: FloatArray | None
-    valid: BoolArray
 
 
 def read_point_tables(
@@ -58,16 +47,25 @@ def read_point_tables(
     if not files:
         raise ValueError("files: expected at least one table, found none")
     _check_columns(columns)
-    tables = [(path, _read_numbers(Path(path), len(columns))) for path in files]
+    tables = [(str(path), _read_numbers(Path(path), len(columns))) for path in files]
     if "frame" in columns:
         if len(files) > 1:
             raise ValueError(f"{files[1]}: expected one file when there is a column frame, found {len(files)}")
-        numbers = tables[0][1]
-        number = numbers[:, columns.index("frame")]
-        frames = [_frame_of(f"frame {k:g}", numbers[number == k], columns, valid_status) for k in np.unique(number)]
-    else:
-        frames = [_frame_of(str(path), numbers, columns, valid_status) for path, numbers in tables]
-    return _align(frames, scale)
+        rows = tables[0][1]
+        number = rows[:, columns.index("frame")]
+        tables = [(f"frame {k:g}", rows[number == k]) for k in np.unique(number)]
+    places, count = _places(tables, [place for place, column in enumerate(columns) if column.startswith("id")])
+    position = np.full((len(tables), count, 3), np.nan)
+    reference = np.full((count, 3), np.nan)
+    for frame, ((_, rows), place) in enumerate(zip(tables, places, strict=True)):
+        status = rows[:, [column == "status" for column in columns]]
+        here = rows[:, [columns.index(name) for name in POSITION]]
+        valid = np.isfinite(here).all(axis=1) & (valid_status is None or (status == valid_status).all(axis=1))
+        position[frame, place[valid]] = here[valid] * scale
+        if REFERENCE[0] in columns:
+            missing = valid & np.isnan(reference[place]).any(axis=1)
+            reference[place[missing]] = rows[missing][:, [columns.index(name) for name in REFERENCE]] * scale
+    return PointTable(position, reference if REFERENCE[0] in columns else None, tuple(name for name, _ in tables))
 
 
 def _check_columns(columns: Sequence[str]) -> None:
@@ -84,45 +82,52 @@ def _check_columns(columns: Sequence[str]) -> None:
             raise ValueError(f"columns: expected {' '.join(group)}, found {' '.join(present) or 'none of them'}")
 
 
+def _places(tables: Sequence[tuple[str, FloatArray]], columns: Sequence[int]) -> tuple[list[IntArray], int]:
+    """Which points the rows of each table are, by their identity in `columns` or else by their order; and how many."""
+    first, points = tables[0]
+    for name, rows in tables:
+        if not columns and len(rows) != len(points):
+            raise ValueError(
+                f"{name}: expected {len(points)} rows as in {first}, found {len(rows)} "
+                "(columns named id… tell points apart)"
+            )
+        if columns and len(np.unique(rows[:, columns], axis=0)) < len(rows):
+            raise ValueError(f"{name}: expected every point's identity once, found one twice")
+    if not columns:
+        return [np.arange(len(points))] * len(tables), len(points)
+    every = np.concatenate([rows[:, columns] for _, rows in tables])
+    identities, inverse = np.unique(every, axis=0, return_inverse=True)
+    ends = np.cumsum([len(rows) for _, rows in tables])
+    return np.split(inverse.ravel(), ends[:-1]), len(identities)
+
+
 def _read_numbers(path: Path, width: int) -> FloatArray:
-    """The numeric rows (R,width) of a text table."""
+    """The numeric rows (R,width) of a text table; a semicolon lets the comma be a decimal comma."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
     text = path.read_text(encoding="utf-8-sig", errors="replace")
-    rows: list[list[str]] = []
-    lines: list[int] = []
+    rows: dict[int, list[str]] = {}
     for number, line in enumerate(text.splitlines(), start=1):
-        fields = _fields(line)
+        fields = line.replace(",", ".").split(";") if ";" in line else line.split("," if "," in line else None)
+        fields = [field.strip() for field in fields]
         header = not rows and fields and not _is_number(fields[0])
         if not fields or fields[0].startswith("#") or header:
             continue
         if len(fields) != width:
             raise ValueError(f"{path}: line {number}: expected {width} columns, found {len(fields)}")
-        rows.append(fields)
-        lines.append(number)
+        rows[number] = fields
     if not rows:
         raise ValueError(f"{path}: expected rows of {width} numbers, found none")
     try:
-        return np.array(rows, dtype=np.float64)
+        return np.array(list(rows.values()), dtype=np.float64)
     except ValueError:
-        for fields, number in zip(rows, lines, strict=True):
+        for number, fields in rows.items():
             for column, field in enumerate(fields, start=1):
                 if not _is_number(field):
                     raise ValueError(
                         f"{path}: line {number}, column {column}: expected a number, found {field!r}"
                     ) from None
         raise
-
-
-def _fields(line: str) -> list[str]:
-    """The fields of one line; a semicolon lets the comma be a decimal comma."""
-    if ";" in line:
-        fields = line.replace(",", ".").split(";")
-    elif "," in line:
-        fields = line.split(",")
-    else:
-        return line.split()
-    return [field.strip() for field in fields]
 
 
 def _is_number(field: str) -> bool:
@@ -132,44 +137,3 @@ def _is_number(field: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _frame_of(name: str, numbers: FloatArray, columns: Sequence[str], valid_status: float | None) -> _Frame:
-    """One frame from its rows."""
-    place = {column: index for index, column in enumerate(columns)}
-    position = numbers[:, [place[column] for column in POSITION]]
-    reference = numbers[:, [place[column] for column in REFERENCE]] if REFERENCE[0] in place else None
-    identity = numbers[:, [index for index, column in enumerate(columns) if column.startswith("id")]]
-    status = numbers[:, [index for index, column in enumerate(columns) if column == "status"]]
-    accepted = np.ones_like(status, dtype=np.bool_) if valid_status is None else status == valid_status
-    valid = np.asarray(np.hstack([np.isfinite(position), accepted]).all(axis=1))
-    if identity.shape[1] and len(np.unique(identity, axis=0)) < len(identity):
-        raise ValueError(f"{name}: expected every point's identity once, found one twice")
-    return _Frame(name, identity, position, reference, valid)
-
-
-def _align(frames: Sequence[_Frame], scale: float) -> PointTable:
-    """All frames with the same points in the same order."""
-    if frames[0].identity.shape[1] == 0:
-        for frame in frames:
-            if len(frame.position) != len(frames[0].position):
-                raise ValueError(
-                    f"{frame.name}: expected {len(frames[0].position)} rows as in {frames[0].name}, "
-                    f"found {len(frame.position)} (columns named id… tell points apart)"
-                )
-        rows = [np.arange(len(frame.position)) for frame in frames]
-        count = len(frames[0].position)
-    else:
-        every = np.concatenate([frame.identity for frame in frames])
-        identities, inverse = np.unique(every, axis=0, return_inverse=True)
-        rows = np.split(inverse.ravel(), np.cumsum([len(frame.identity) for frame in frames])[:-1])
-        count = len(identities)
-    position = np.full((len(frames), count, 3), np.nan)
-    reference = np.full((count, 3), np.nan)
-    for k, (frame, row) in enumerate(zip(frames, rows, strict=True)):
-        position[k, row[frame.valid]] = frame.position[frame.valid] * scale
-        if frame.reference is not None:
-            missing = frame.valid & np.isnan(reference[row]).any(axis=1)
-            reference[row[missing]] = frame.reference[missing] * scale
-    names = tuple(frame.name for frame in frames)
-    return PointTable(position, None if frames[0].reference is None else reference, names)

@@ -41,8 +41,9 @@ from photogram.measure import (
 )
 from photogram.motion import Deformation, RigidMotion, deformation, fit_motion, points_with_estimated_noise
 from photogram.point_tables import read_point_tables
+from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.texture import SubsetQuality, suggested_radius_px
-from photogram.subsets.track import StereoTracks, TrackSettings, resolve_device
+from photogram.subsets.track import StereoTracks, resolve_device
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.sine.aliasing import usable_lines
 

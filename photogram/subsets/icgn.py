@@ -10,14 +10,58 @@ from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
 from photogram.bspline import Spline, box_inside, mean_noise_gain, sample_line, sample_points
+from photogram.images import QUANTISATION
 from photogram.kernels import njit
-from photogram.subsets.reference import AFFINE_SUMS, Reference, TrackStatus, affine_sums, curved_sums, subset_offsets
+from photogram.subsets.reference import (
+    AFFINE_SUMS,
+    PARAMETERS,
+    Reference,
+    TrackStatus,
+    affine_sums,
+    curved_sums,
+    subset_offsets,
+)
 
 GAIN_AND_OFFSET = 2
-FREE_PARAMETERS = 6 + GAIN_AND_OFFSET
 REMAINING = 0.02
 SMALL_STEP = 0.05 / REMAINING
 LINEAR_PX = 0.3
+
+
+@dataclass(frozen=True)
+class TrackSettings:
+    """How subsets are compared.
+
+    radius_px: subsets have (2·radius+1)² pixels; step_px: distance in the grid, by default just without overlap, so
+    that their noise is independent; degree: of the spline, 3 or 5; convergence_px: movement below which a subset stands
+    still; min_zncc: correlation below which it is lost; reach_px: how far it is looked for when prediction fails,
+    before it is looked for in the whole image; shape_order: of the shape function, 0 (translation), 1 (affine) or 2.
+
+    >>> TrackSettings(radius_px=12).grid_step_px
+    25
+    """
+
+    radius_px: int = 10
+    step_px: int | None = None
+    degree: int = 5
+    max_iterations: int = 30
+    convergence_px: float = 1e-4
+    min_zncc: float = 0.75
+    reach_px: int = 32
+    shape_order: int = 1
+
+    def __post_init__(self) -> None:
+        if self.shape_order not in PARAMETERS:
+            raise ValueError(f"shape_order: expected 0, 1 or 2, found {self.shape_order}")
+        if self.radius_px < 3:
+            raise ValueError(f"radius_px: expected at least 3, found {self.radius_px}")
+        if self.step_px is not None and self.step_px < 1:
+            raise ValueError(f"step_px: expected at least 1, found {self.step_px}")
+
+    @property
+    def grid_step_px(self) -> int:
+        """Distance of neighbouring subsets."""
+        return 2 * self.radius_px + 1 if self.step_px is None else self.step_px
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,9 +83,7 @@ class Registration(Arrays, shapes="warp N p; zncc N; gain N; residual_grey2 N; s
     iterations: IntArray
 
 
-def register(
-    reference: Reference, target: Spline, start: FloatArray, max_iterations: int, convergence_px: float, min_zncc: float
-) -> Registration:
+def register(reference: Reference, target: Spline, start: FloatArray, settings: TrackSettings) -> Registration:
     """Find every subset of `reference` in the image `target`, beginning at the warps `start` (N,6); NaN = no start.
 
     Minimises the zero-normalised sum of squared differences (its gain and offset eliminated) over the warp, by
@@ -51,9 +93,10 @@ def register(
 
     After a step below 0.3 px the error left is about a hundredth of it: 0.4 to 0.7 % (31 px), 0.7 to 1.1 % (21 px), 1.5
     to 2.5 % (13 px) were measured with noise of 1/255 of full scale and dots of 4.5 px, 0.05 to 3 % without noise. So a
-    subset is found when a fiftieth of the step is below `convergence_px` at every point of the subset, or below a
-    twentieth of the m parameters' standard uncertainties, 0.02² δᵀ(gain² H/s²)δ < 0.05² m with the residual variance
-    s². What the last step takes off the sum of squares, gain² δᵀHδ, is taken off in `zncc` and `residual_grey2`.
+    subset is found when a fiftieth of the step is below `convergence_px` of the `settings` at every point of the
+    subset, or below a twentieth of the m parameters' standard uncertainties, 0.02² δᵀ(gain² H/s²)δ < 0.05² m with the
+    residual variance s². What the last step takes off the sum of squares, gain² δᵀHδ, is taken off in `zncc` and
+    `residual_grey2`.
     """
     count = len(reference.centre_px)
     columns = 12 if reference.order == 2 else 6
@@ -67,7 +110,7 @@ def register(
         (reference.centre_px, reference.radius_px, reference.pixels, reference.mean, reference.energy, offsets),
         (reference.removed, reference.inverse_hessian),
         (target.coefficients, target.degree),
-        (max_iterations, convergence_px, min_zncc),
+        (settings.max_iterations, settings.convergence_px, settings.min_zncc),
         warp,
         scores,
         outcome,
@@ -97,12 +140,12 @@ def noise_of_residual(reference: Reference, found: Registration, degree: int) ->
 
     The residual g − gain·f̃ has the variance σ²(κ_g + gain²·κ_f) when both images carry white noise σ; κ is the
     variance that interpolation leaves (`noise_gain`), for g the mean over nine points of the subset. Shot noise is
-    covered, since every subset has its own σ; a misfit of the affine warp counts as noise too.
+    covered, since every subset has its own σ; a misfit of the affine warp counts as noise too. Rounding is the least.
     """
     places = subset_offsets(1) * (2.0 / 3.0 * reference.radius_px)
     kept = mean_noise_gain(reference.centre_px, found.warp, places, degree)
-    variance: FloatArray = found.residual_grey2 / (kept + found.gain**2 * reference.noise_gain)
-    return np.sqrt(variance)
+    variance = found.residual_grey2 / (kept + found.gain**2 * reference.noise_gain)
+    return np.sqrt(np.maximum(variance, QUANTISATION))
 
 
 @njit(parallel=True)

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray
 from photogram.bspline import spline_of_image
-from photogram.subsets.icgn import Registration
+from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.icgn_torch import TorchReference, TorchSplines, register_frames, spline_frames, torch_reference
 from photogram.subsets.reference import Reference, TrackStatus
 from photogram.subsets.search import neighbour_starts, predict_warp
-from photogram.subsets.track import NEIGHBOUR_ROUNDS, TrackSettings, follow, identity, merged
+from photogram.subsets.track import NEIGHBOUR_ROUNDS, follow, identity, merged
 
 Image = NDArray[Any]
 HISTORY = 64
@@ -34,9 +34,8 @@ class _Batch:
     settings: TrackSettings
 
     def find(self, start: FloatArray) -> tuple[Registration, ...]:
-        """Registration of all frames from the warps `start` (B,N,6) with the settings' limits."""
-        limits = (self.settings.max_iterations, self.settings.convergence_px, self.settings.min_zncc)
-        return register_frames(self.prepared, self.frames, start, *limits)
+        """Registration of all frames from the warps `start` (B,N,6)."""
+        return register_frames(self.prepared, self.frames, start, self.settings)
 
 
 def follow_frames(
@@ -171,16 +170,14 @@ def forecast_warps(history: Sequence[FloatArray], most: int) -> FloatArray:
 def _continued(series: FloatArray, frequency: float, count: int) -> FloatArray:
     """The next values (count,K) of a series (M,K) by least squares."""
     past, coming = np.split(np.arange(len(series) + count, dtype=np.float64), [len(series)])
-    guess: FloatArray = _design(frequency, coming) @ (np.linalg.pinv(_design(frequency, past)) @ series)
-    return guess
+    return np.asarray(_design(frequency, coming) @ (np.linalg.pinv(_design(frequency, past)) @ series))
 
 
 def _design(frequency: FloatArray | float, frames: FloatArray) -> FloatArray:
     """Columns (...,M,4) of a mean, a drift, a cosine and a sine of `frequency` (...) in radians per frame."""
     phase = np.multiply.outer(frequency, frames)
     drift = np.broadcast_to(frames, phase.shape)
-    columns: FloatArray = np.stack([np.ones_like(phase), drift, np.cos(phase), np.sin(phase)], axis=-1)
-    return columns
+    return np.asarray(np.stack([np.ones_like(phase), drift, np.cos(phase), np.sin(phase)], axis=-1))
 
 
 def _frequency(shifts: FloatArray) -> float:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, check_shape
-from photogram.bspline import PADDING_PX, POLES, SMALLEST_TERM
-from photogram.subsets.icgn import GAIN_AND_OFFSET, LINEAR_PX, REMAINING, SMALL_STEP, Registration
+from photogram.bspline import PADDING_PX, SMALLEST_TERM, poles_of
+from photogram.subsets.icgn import GAIN_AND_OFFSET, LINEAR_PX, REMAINING, SMALL_STEP, Registration, TrackSettings
 from photogram.subsets.reference import Reference, TrackStatus, shape_values, subset_offsets
 
 if TYPE_CHECKING:
@@ -38,8 +38,7 @@ class TorchSplines:
                 f"coefficients: expected a contiguous tensor of shape (any, any, any), "
                 f"found {tuple(self.coefficients.shape)}"
             )
-        if self.degree not in POLES:
-            raise ValueError(f"degree: expected 3, 5 or 7, found {self.degree}")
+        poles_of(self.degree)
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -49,12 +48,7 @@ class TorchSplines:
 
 
 def spline_frames(images: NDArray[np.generic], degree: int, device: str, precision: str = "float64") -> TorchSplines:
-    """The splines through the grey values of images (B,H,W), on the device."""
-    return TorchSplines(prefilter(images, degree, device, precision), degree)
-
-
-def prefilter(images: NDArray[np.generic], degree: int, device: str, precision: str = "float64") -> Tensor:
-    """Spline coefficients (B,H+8,W+8) of images (B,H,W), mirrored at the outermost pixels, on the device.
+    """The splines through the grey values of images (B,H,W), mirrored at the outermost pixels, on the device.
 
     C = A_H · image · A_Wᵀ with A the exact inverse of the B-spline sampled at whole pixels, its mirrored borders
     included: the recursion of `spline_of_image` as matrix products, which suit a GPU better. Blocks of A are multiplied
@@ -63,15 +57,12 @@ def prefilter(images: NDArray[np.generic], degree: int, device: str, precision: 
     import torch
 
     check_shape("images", images, (None, None, None))
-    _, height, width = images.shape
-    if min(height, width) < 2 * PADDING_PX:
+    if min(images.shape[1:]) < 2 * PADDING_PX:
         raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
-    if degree not in POLES:
-        raise ValueError(f"degree: expected 3, 5 or 7, found {degree}")
     native = np.ascontiguousarray(images, dtype=images.dtype.newbyteorder("="))
     raw = torch.from_numpy(native).to(device).to(torch_type(precision))
     down = _filtered(raw.transpose(1, 2).contiguous(), degree)
-    return _filtered(down.transpose(1, 2).contiguous(), degree)
+    return TorchSplines(_filtered(down.transpose(1, 2).contiguous(), degree), degree)
 
 
 def torch_type(precision: str) -> Any:
@@ -142,7 +133,7 @@ def _filtered(lines: Tensor, degree: int) -> Tensor:
     import torch
 
     inverse = torch.from_numpy(_inverse_filter(lines.shape[-1], degree)).to(lines)
-    reach = 2 * PADDING_PX + ceil(log(SMALLEST_TERM) / log(max(map(abs, POLES[degree]))))
+    reach = 2 * PADDING_PX + ceil(log(SMALLEST_TERM) / log(max(map(abs, poles_of(degree)))))
     coefficients = lines.new_empty((*lines.shape[:-1], len(inverse)))
     for first in range(0, len(inverse), BLOCK):
         block, near = slice(first, first + BLOCK), slice(max(0, first - reach), first + BLOCK + reach)
@@ -199,15 +190,6 @@ class TorchReference:
         return 2 * len(self.shape)
 
 
-@dataclass(frozen=True)
-class _Limits:
-    """When a subset is found, and when it is given up."""
-
-    max_iterations: int
-    convergence_px: float
-    min_zncc: float
-
-
 def torch_reference(reference: Reference, device: str, precision: str = "float64") -> TorchReference:
     """The reference on the device, its pixels in `precision`: 'float64', or 'float32' for GPUs without fast float64."""
     import torch
@@ -226,19 +208,13 @@ def torch_reference(reference: Reference, device: str, precision: str = "float64
 
 
 def register_frames(
-    reference: TorchReference,
-    frames: TorchSplines,
-    start: FloatArray,
-    max_iterations: int,
-    convergence_px: float,
-    min_zncc: float,
-    working_bytes: int | None = None,
+    reference: TorchReference, frames: TorchSplines, start: FloatArray, settings: TrackSettings
 ) -> tuple[Registration, ...]:
     """Find every subset in every frame, beginning at the warps `start` (B,N,6); NaN = no start. One result per frame.
 
     Order 2 has warps (N,12) and takes starts (B,N,12) as well. Same steps, stopping rule and statuses as
     `photogram.subsets.icgn.register`. Pairs of frame and subset are worked through in portions that need about
-    `working_bytes` on the device (64 MiB on a CPU, 2 GiB on a GPU).
+    64 MiB on a CPU, 2 GiB on a GPU.
     """
     import torch
 
@@ -252,11 +228,9 @@ def register_frames(
     usable = reference.status.repeat(len(start)).to(torch.int64)
     ready = torch.where(warp.isfinite().all(dim=1), RUNNING, int(TrackStatus.NO_START))
     outcome[:, 0] = torch.where(usable == TrackStatus.OK, ready, usable)
-    limits = _Limits(max_iterations, convergence_px, min_zncc)
-    budget = WORKING_BYTES[device.type] if working_bytes is None else working_bytes
     size = NUMBERS_PER_PIXEL * reference.shape.shape[1] * reference.shape.element_size()
-    for pairs in torch.nonzero(outcome[:, 0] == RUNNING)[:, 0].split(max(1, budget // size)):
-        _register_pairs(reference, frames, limits, pairs, (warp, scores, outcome))
+    for pairs in torch.nonzero(outcome[:, 0] == RUNNING)[:, 0].split(max(1, WORKING_BYTES[device.type] // size)):
+        _register_pairs(reference, frames, settings, pairs, (warp, scores, outcome))
     warps, ratings, outcomes = (
         values.cpu().numpy().reshape(-1, count, values.shape[1]) for values in (warp, scores, outcome)
     )
@@ -271,7 +245,7 @@ def register_frames(
 def _register_pairs(
     reference: TorchReference,
     frames: TorchSplines,
-    limits: _Limits,
+    settings: TrackSettings,
     pairs: Tensor,
     state: tuple[Tensor, Tensor, Tensor],
 ) -> None:
@@ -285,13 +259,12 @@ def _register_pairs(
     first_shift = all_warp[pairs][:, :6:3]
     basis = torch.from_numpy(basis_polynomials(frames.degree)).to(reference.pixels)
     compose_inverse = _compose_inverse_quadratic if reference.order == 2 else _compose_inverse
-    for iteration in range(1, limits.max_iterations + 1):
+    for iteration in range(1, settings.max_iterations + 1):
         warp = all_warp[pairs]
         frame, subset = pairs // len(reference.centre_px), pairs % len(reference.centre_px)
         gone = _gone(reference, frames, subset, warp, first_shift)
         sums = _correlate(reference, frames, (frame, subset, warp, gone), basis)
-        step, scores, small = _solve(reference, subset, *sums)
-        fate, scores = _judge(reference.rim, limits, gone, (step, scores, small))
+        step, scores, fate = _solve(reference, settings, (subset, gone), sums)
         all_warp[pairs], all_scores[pairs] = compose_inverse(warp, step), scores
         outcome[pairs] = torch.stack([fate, torch.full_like(fate, iteration)], dim=1)
         going_on = torch.nonzero(fate == RUNNING)[:, 0]
@@ -341,44 +314,37 @@ def _correlate(
 
 
 def _solve(
-    reference: TorchReference, subset: Tensor, total: Tensor, square: Tensor, moments: Tensor
+    reference: TorchReference, settings: TrackSettings, pair: tuple[Tensor, Tensor], sums: tuple[Tensor, Tensor, Tensor]
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Steps (n,6 or 12), scores (n,3) = [zncc, gain, residual variance] after them, and whether they are small (n,)."""
+    """Steps (n,6 or 12), scores (n,3) = [zncc, gain, residual variance] of those that then stand still, and statuses.
+
+    Pairs are subset and gone; the status (n,) is `RUNNING` where another step is needed.
+    """
     import torch
 
+    (subset, gone), (total, square, moments), rim = pair, sums, reference.rim
     size, energy, removed = reference.shape.shape[1], reference.energy[subset], reference.removed[subset]
     product = moments[:, 0, 0]
     spread, gain = square - total.square() / size, product / energy
     slope = moments[:, 1:, 0] if reference.order == 0 else _columns(moments[:, 1:])
     slope = slope - removed[:, 0] * total[:, None] - removed[:, 1] * product[:, None]
-    solution = torch.matmul(reference.inverse_hessian[subset], slope[:, :, None])[:, :, 0] / gain[:, None]
-    improvement = (solution * slope).sum(dim=1)
+    step = torch.matmul(reference.inverse_hessian[subset], slope[:, :, None])[:, :, 0] / gain[:, None]
+    improvement = (step * slope).sum(dim=1)
     left = (spread - (product + improvement) * gain).clamp(min=0.0)
     zncc, residual = (1.0 - left / spread).clamp(min=0.0).sqrt(), left / (size - slope.shape[1] - GAIN_AND_OFFSET)
-    correlated = (spread > 0.0) & (gain > 0.0)
-    scores = torch.stack([zncc, gain, residual], dim=1).masked_fill_(~correlated[:, None], torch.nan)
+    zncc = zncc.masked_fill((spread <= 0.0) | (gain <= 0.0), torch.nan)
     small = gain * improvement < SMALL_STEP**2 * slope.shape[1] * residual
-    step = solution
     if reference.order == 0:
-        step = torch.zeros((len(subset), 6), dtype=solution.dtype, device=solution.device)
-        step[:, :6:3] = solution
-    return step, scores, small
-
-
-def _judge(rim: Tensor, limits: _Limits, gone: Tensor, solved: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-    """Status (n,) after this step, `RUNNING` where another is needed, and scores (n,3) of those that stand still."""
-    import torch
-
-    step, scores, small = solved
-    zncc = scores[:, 0]
+        step = torch.stack([step, torch.zeros_like(step), torch.zeros_like(step)], dim=2).flatten(1)
     moved = (step[:, :6].view(-1, 2, 3) * rim[:3]).square().sum(dim=(1, 2))
     moved = moved + rim[1] ** 4 / 4.0 * step[:, 6:].square().sum(dim=1)
-    still = (moved < LINEAR_PX**2) & (small | (REMAINING**2 * moved < limits.convergence_px**2))
+    still = (moved < LINEAR_PX**2) & (small | (REMAINING**2 * moved < settings.convergence_px**2))
     still &= zncc.isfinite() & (gone == RUNNING)
-    alike = zncc >= limits.min_zncc
+    alike = zncc >= settings.min_zncc
     fate = torch.full_like(gone, RUNNING).masked_fill_(still & alike, int(TrackStatus.OK))
     fate.masked_fill_((still & ~alike) | ~zncc.isfinite(), int(TrackStatus.LOW_CORRELATION))
-    return torch.where(gone == RUNNING, fate, gone), scores.masked_fill(~still[:, None], torch.nan)
+    scores = torch.stack([zncc, gain, residual], dim=1).masked_fill(~still[:, None], torch.nan)
+    return step, scores, torch.where(gone == RUNNING, fate, gone)
 
 
 def _polynomials(warp: Tensor) -> Tensor:

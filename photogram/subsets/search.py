@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import BoolArray, FloatArray, check_shape
+from photogram.arrays import FloatArray, check_shape
 
 Image = NDArray[Any]
 FEATURES = 6000
@@ -138,21 +138,6 @@ def affine_field(points_px: FloatArray, displacement_px: FloatArray, targets_px:
     return starts
 
 
-def epipolar_distance(fundamental: FloatArray, left_px: FloatArray, right_px: FloatArray) -> FloatArray:
-    """Signed distances (N,) in px of right_px (N,2) from the epipolar lines F·[left; 1] of left_px (N,2)."""
-    check_shape("fundamental", fundamental, (3, 3))
-    lines = np.column_stack([left_px, np.ones(len(left_px))]) @ fundamental.T
-    distance: FloatArray = np.sum(lines[:, :2] * right_px, axis=1) + lines[:, 2]
-    return distance / np.hypot(lines[:, 0], lines[:, 1])
-
-
-def agreeing(distance_px: FloatArray, tolerance_px: float) -> BoolArray:
-    """Which distances lie within the tolerance of their median; NaN does not."""
-    if not np.isfinite(distance_px).any():
-        return np.zeros(len(distance_px), dtype=np.bool_)
-    return np.asarray(np.abs(distance_px - np.nanmedian(distance_px)) <= tolerance_px)
-
-
 def warp_of_affine(affine: FloatArray) -> FloatArray:
     """The warp [u, u_x, u_y, v, v_x, v_y] of the 2 x 3 affine map of coordinates."""
     (a, b, u), (c, d, v) = affine
@@ -180,8 +165,7 @@ def _eight_bit(image: Image) -> NDArray[np.uint8]:
     """Grey values between the 0.5 and 99.5 % quantiles spread over 8 bits, for feature detection alone."""
     low, high = np.percentile(image, (0.5, 99.5))
     spread = (image.astype(np.float64) - low) * (255.0 / max(high - low, 1.0))
-    eight: NDArray[np.uint8] = np.clip(spread, 0.0, 255.0).astype(np.uint8)
-    return eight
+    return np.asarray(np.clip(spread, 0.0, 255.0).astype(np.uint8))
 
 
 def _cut(image: NDArray[np.float32], x: int, y: int, radius: int) -> tuple[NDArray[np.float32], int, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, floor
 from typing import Any
 
@@ -38,20 +38,19 @@ def textured_area(image: Image) -> BoolArray:
     coarse = _textured(image, COARSE_WINDOW_PX)
     if coarse is None:
         return np.ones(image.shape, dtype=np.bool_)
-    body = _opened(_closed(coarse, COARSE_WINDOW_PX), COARSE_WINDOW_PX)
+    body = _morphed(_closed(coarse, COARSE_WINDOW_PX), "OPEN", COARSE_WINDOW_PX)
     fine = _textured(image, FINE_WINDOW_PX)
     if fine is not None:
-        core = _shrunk(np.pad(body, 1), COARSE_WINDOW_PX)[1:-1, 1:-1]
-        body = _opened(core | (body & _closed(fine, FINE_WINDOW_PX)), COARSE_WINDOW_PX)
-    mask = _shrunk(body, RIM_PX)
+        core = _morphed(np.pad(body, 1), "ERODE", COARSE_WINDOW_PX)[1:-1, 1:-1]
+        body = _morphed(core | (body & _closed(fine, FINE_WINDOW_PX)), "OPEN", COARSE_WINDOW_PX)
+    mask = _morphed(body, "ERODE", RIM_PX)
     # connected parts that have at least a fifth of the largest one's pixels
     labels, count = ndimage.label(mask)
     if count == 0:
         return mask
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    kept: BoolArray = (sizes >= SMALLEST_SHARE * sizes.max())[labels] & mask
-    return kept
+    return np.asarray((sizes >= SMALLEST_SHARE * sizes.max())[labels] & mask)
 
 
 def lay_grid(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
@@ -83,11 +82,6 @@ def lay_grid(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
     return np.array(sorted(centres, key=lambda point: (point[1], point[0])), dtype=np.float64).reshape(-1, 2)
 
 
-def subsets_inside(area: BoolArray, points_px: FloatArray, radius_px: int, share: float) -> BoolArray:
-    """Whether at least `share` of every subset's pixels around points_px (N,2) lie in `area` (H,W)."""
-    return subset_mean(area, points_px, radius_px) >= share
-
-
 def subset_mean(values: Image, points_px: FloatArray, radius_px: int) -> FloatArray:
     """Mean (N,) of values (H,W) over the subsets around points_px (N,2), rounded to pixels; beyond the image 0."""
     height, width = values.shape
@@ -97,8 +91,7 @@ def subset_mean(values: Image, points_px: FloatArray, radius_px: int) -> FloatAr
     left, right = np.clip(centre[:, 0] - radius_px, 0, width), np.clip(centre[:, 0] + radius_px + 1, 0, width)
     top, bottom = np.clip(centre[:, 1] - radius_px, 0, height), np.clip(centre[:, 1] + radius_px + 1, 0, height)
     total = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
-    mean: FloatArray = total / (2 * radius_px + 1) ** 2
-    return mean
+    return np.asarray(total / (2 * radius_px + 1) ** 2)
 
 
 def saturated(image: Image, full_scale: int, points_px: FloatArray, radius_px: int) -> BoolArray:
@@ -106,6 +99,14 @@ def saturated(image: Image, full_scale: int, points_px: FloatArray, radius_px: i
     if image.max() < full_scale:
         return np.zeros(len(points_px), dtype=np.bool_)
     return np.asarray(subset_mean(image >= full_scale, points_px, radius_px) > SATURATED_SHARE)
+
+
+def without_saturated(reference: Reference, image: Image, full_scale: int) -> Reference:
+    """`reference` without NaN centres and without subsets that are saturated in it."""
+    absent = ~np.isfinite(reference.centre_px).all(axis=1)
+    full = saturated(image, full_scale, reference.centre_px, reference.radius_px)
+    status = np.where(full, np.int8(TrackStatus.SATURATED), reference.status)
+    return replace(reference, status=np.where(absent, np.int8(TrackStatus.NO_START), status))
 
 
 def speckle_size(image: Image, area: BoolArray) -> float:
@@ -169,34 +170,19 @@ def _textured(image: Image, window_px: int) -> BoolArray | None:
 
 def _closed(mask: BoolArray, radius_px: int) -> BoolArray:
     """The mask with gaps and holes filled; what lies beyond the image is empty, so that no wedge is filled there."""
-    import cv2
     from scipy import ndimage
 
-    framed = np.pad(mask, 2 * radius_px).astype(np.uint8)
-    closed = ndimage.binary_fill_holes(cv2.morphologyEx(framed, cv2.MORPH_CLOSE, _ball(radius_px)))
+    closed = ndimage.binary_fill_holes(_morphed(np.pad(mask, 2 * radius_px), "CLOSE", radius_px))
     return np.asarray(closed[2 * radius_px : -2 * radius_px, 2 * radius_px : -2 * radius_px], dtype=np.bool_)
 
 
-def _opened(mask: BoolArray, radius_px: int) -> BoolArray:
-    """The mask without parts narrower than a disc."""
-    import cv2
-
-    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, _ball(radius_px)) > 0)
-
-
-def _shrunk(mask: BoolArray, radius_px: int) -> BoolArray:
-    """Pixels at least `radius_px` from the mask's outline; the image's border is no outline."""
-    import cv2
-
-    return np.asarray(cv2.erode(mask.astype(np.uint8), _ball(radius_px)) > 0)
-
-
-def _ball(radius_px: int) -> NDArray[np.uint8]:
-    """A disc as structuring element."""
+def _morphed(mask: BoolArray, operation: str, radius_px: int) -> BoolArray:
+    """The mask after OpenCV's `operation` with a disc; the image's border is no outline."""
     import cv2
 
     size = 2 * radius_px + 1
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), getattr(cv2, f"MORPH_{operation}"), disc) > 0)
 
 
 def _packed(columns: NDArray[np.int64], step: int) -> list[int]:
@@ -271,16 +257,6 @@ class SubsetQuality(Arrays, shapes="predicted_sigma_px N 2; noise_grey N; status
         """Which subsets are worth tracking."""
         return np.asarray(self.status == TrackStatus.OK)
 
-    @property
-    def saturated(self) -> BoolArray:
-        """Which subsets have more than 1 % of their pixels at full scale."""
-        return np.asarray(self.status == TrackStatus.SATURATED)
-
-    @property
-    def flat(self) -> BoolArray:
-        """Which subsets have no texture that stands out of the noise."""
-        return np.asarray(self.status == TrackStatus.FLAT)
-
     def notices(self, where: str) -> tuple[Notice, ...]:
         """A remark on `where` that counts the unusable subsets by reason, if there are any."""
         lost = [(int(np.sum(self.status == status)), reason) for status, reason in REASONS.items()]
@@ -300,10 +276,7 @@ def assess(reference: Reference, image: Image, noise: NoiseModel, full_scale: in
     check_shape("image", image, (None, None))
     grey = image.astype(np.float64)
     level = noise.variance(grey)
-    absent = ~np.isfinite(reference.centre_px).all(axis=1)
-    full = saturated(image, full_scale, reference.centre_px, reference.radius_px)
-    status = np.where(full, np.int8(TrackStatus.SATURATED), reference.status)
-    status = np.where(absent, np.int8(TrackStatus.NO_START), status)
+    status = without_saturated(reference, image, full_scale).status
     variance = np.empty((len(status), 2))
     for i, slope in enumerate(np.gradient(grey)[::-1]):
         weight = subset_mean(slope**2, reference.centre_px, reference.radius_px)
@@ -311,7 +284,7 @@ def assess(reference: Reference, image: Image, noise: NoiseModel, full_scale: in
         variance[:, i] = np.divide(noisy, weight, out=np.full(len(status), np.nan), where=weight > 0.0)
     predicted = np.sqrt(variance * reference.position_variance[:, [0, 1], [0, 1]])
     predicted[status != TrackStatus.OK] = np.nan
-    return SubsetQuality(predicted, np.sqrt(variance.mean(axis=1)), status.astype(np.int8))
+    return SubsetQuality(predicted, np.sqrt(variance.mean(axis=1)), status)
 
 
 def default_radius_px(speckle_px: float) -> int:
@@ -398,8 +371,7 @@ def _periodogram(image: Image, area: BoolArray, step_px: int) -> FloatArray | No
         return None
     tiles = np.stack([image[y - half : y + half, x - half : x + half] for x, y in centres]).astype(np.float64)
     tiles -= np.mean(tiles * window, axis=(1, 2), keepdims=True) / window.mean()
-    power: FloatArray = np.mean(np.abs(np.fft.fft2(tiles * window)) ** 2, axis=0) / np.sum(window**2)
-    return power
+    return np.asarray(np.mean(np.abs(np.fft.fft2(tiles * window)) ** 2, axis=0) / np.sum(window**2))
 
 
 def _axis_bias(power: FloatArray, noise_power: float, pixels: int, degree: int) -> tuple[float, float]:

@@ -14,30 +14,27 @@ from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, check_shape
 from photogram.bspline import Spline, spline_of_image
-from photogram.camera import Camera, StereoRig
-from photogram.geometry import skew
+from photogram.camera import StereoRig, epipolar_residual
 from photogram.images import GreyImage, ImageSequence
-from photogram.subsets.icgn import Registration, noise_of_residual, position_covariance, register
+from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
 from photogram.subsets.reference import PARAMETERS, Reference, TrackStatus, prepare_reference
 from photogram.subsets.search import (
     affine_field,
     affine_starts,
-    agreeing,
-    epipolar_distance,
     match_features,
     neighbour_starts,
     predict_warp,
     template_shifts,
 )
 from photogram.subsets.texture import (
-    AliasingBias,
     aliasing_bias,
     aliasing_notice,
     lay_grid,
     saturated,
     speckle_size,
-    subsets_inside,
+    subset_mean,
     textured_area,
+    without_saturated,
 )
 
 DEVICES = ("auto", "cpu", "cuda")
@@ -126,36 +123,20 @@ class StereoGrid(Arrays, shapes="left_px N 2; right_px N 2"):
     notices: tuple[Notice, ...]
 
 
-def match_stereo(
-    left_image: Image,
-    right_image: Image,
-    points_px: FloatArray,
-    settings: TrackSettings,
-    fundamental: FloatArray | None = None,
-) -> Tracks:
+def match_stereo(left_image: Image, right_image: Image, points_px: FloatArray, settings: TrackSettings) -> Tracks:
     """Positions in the right image (F = 1) of the subsets centred at points_px (N,2) in the left image.
 
-    Starts from local affine maps of matched features, then from neighbours that were found. With `fundamental` (3,3),
-    matches off the epipolar lines F·[left; 1] by more than 2 px from the median distance are dropped.
+    Starts from local affine maps of matched features, then from neighbours that were found.
     """
     check_shape("points_px", points_px, (None, 2))
     spline = spline_of_image(left_image, settings.degree)
     reference = prepare_reference(spline, points_px, settings.radius_px, settings.shape_order)
-    target = spline_of_image(right_image, settings.degree)
-    source, matched = match_features(left_image, right_image)
-    if fundamental is not None and len(source) > 0:
-        kept = agreeing(epipolar_distance(fundamental, source, matched), EPIPOLAR_TOLERANCE_PX)
-        source, matched = source[kept], matched[kept]
-    found = find_from(reference, target, affine_starts(points_px, source, matched), settings)
+    right = right_image, spline_of_image(right_image, settings.degree)
+    found = find_from_features(reference, left_image, right, settings)
     if not np.any(found.status == TrackStatus.OK):
         anywhere = replace(settings, reach_px=max(right_image.shape))
-        found = find_by_search(reference, left_image, (right_image, target), np.zeros_like(found.warp), anywhere)
-    found = find_from_neighbours(reference, target, found, settings)
-    if fundamental is not None:
-        right_px = points_px + found.warp[:, [0, 3]]
-        kept = agreeing(epipolar_distance(fundamental, points_px, right_px), EPIPOLAR_TOLERANCE_PX)
-        found = dropped(found, ~kept & (found.status == TrackStatus.OK), TrackStatus.LOW_CORRELATION)
-    return tracks_of([found], reference, settings.degree)
+        found = find_by_search(reference, left_image, right, identity(reference).warp, anywhere)
+    return tracks_of([find_from_neighbours(reference, right[1], found, settings)], reference, settings.degree)
 
 
 def prepare_sequence(sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings) -> Reference:
@@ -187,19 +168,23 @@ def follow_sequence(
     first = sequence.read(0)
     if wanted.start == 0:
         yield FollowedFrame(first, spline_of_image(first, settings.degree), identity(reference))
-    followed = _follow_here if device == "cpu" else _follow_on_device
-    for frame in followed(sequence, first, reference, settings, range(max(1, wanted.start), wanted.stop), device):
+    later = range(max(1, wanted.start), wanted.stop)
+    if device == "cpu":
+        followed = _follow_one_by_one(sequence, first, reference, settings, later)
+    else:
+        from photogram.subsets.icgn_stream import follow_frames
+
+        images = (sequence.read(number) for number in later)
+        batched = follow_frames(reference, first, images, settings, device)
+        followed = (FollowedFrame(image, None, found) for image, found in batched)
+    for frame in followed:
         centres = reference.centre_px + frame.found.warp[:, [0, 3]]
         full = saturated(frame.image, sequence.full_scale, centres, settings.radius_px)
         yield replace(frame, found=dropped(frame.found, full, TrackStatus.SATURATED))
 
 
 def track_sequence(
-    sequence: ImageSequence,
-    points_px: FloatArray,
-    settings: TrackSettings,
-    progress: Progress | None = None,
-    device: str = "cpu",
+    sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, progress: Progress | None = None
 ) -> Tracks:
     """Positions in every frame of the subsets centred at points_px (N,2) in frame 0.
 
@@ -207,7 +192,7 @@ def track_sequence(
     """
     reference = prepare_sequence(sequence, points_px, settings)
     found = []
-    for frame in follow_sequence(sequence, reference, settings, device):
+    for frame in follow_sequence(sequence, reference, settings):
         found.append(frame.found)
         if progress is not None:
             progress(len(found))
@@ -225,19 +210,26 @@ def lay_stereo_grid(
     if len(left) != len(right):
         raise ValueError(f"right: expected {len(left)} frames as in left, found {len(right)}")
     images = left.read(0), right.read(0)
-    areas = textured_area(images[0]), textured_area(images[1])
-    areas = areas[0] & _away_from_border(images[0].shape), areas[1] & _away_from_border(images[1].shape)
+    areas = _inner_area(images[0]), _inner_area(images[1])
     points = lay_grid(areas[0], settings.radius_px, settings.grid_step_px)
     if len(points) < 3:
         raise ValueError(f"left: expected a speckled body, found room for {len(points)} subsets in {left.names[0]}")
     matched = match_stereo(images[0], images[1], points, settings)
     right_px = matched.position_px[0]
-    kept = (matched.status[0] == TrackStatus.OK) & subsets_inside(areas[1], right_px, settings.radius_px, OVERLAP)
+    kept = (matched.status[0] == TrackStatus.OK) & (subset_mean(areas[1], right_px, settings.radius_px) >= OVERLAP)
     for image, camera, centres in ((images[0], left, points), (images[1], right, right_px)):
         kept &= ~saturated(image, camera.full_scale, centres, settings.radius_px)
     notices: list[Notice] = []
     if rig is not None:
-        kept &= _on_epipolar_lines(rig, points, np.where(kept[:, None], right_px, np.nan), notices)
+        distance, _, _ = epipolar_residual(rig, points, np.where(kept[:, None], right_px, np.nan))
+        off = _middle(distance)
+        kept &= np.abs(distance - off) <= EPIPOLAR_TOLERANCE_PX
+        if abs(off) > 1.0:
+            text = (
+                f"matched points lie {off:.1f} px off their epipolar lines on average: the calibration does not belong "
+                "to these images, or a camera has moved since"
+            )
+            notices.append(Notice("warning", text, "stereo calibration"))
     if kept.sum() < 3:
         raise ValueError(
             f"right: expected the body of {left.names[0]}, found {kept.sum()} of its {len(points)} subsets "
@@ -250,17 +242,22 @@ def stereo_tracks(
     images: tuple[GreyImage, GreyImage], grid: StereoGrid, tracks: tuple[Tracks, Tracks], settings: TrackSettings
 ) -> StereoTracks:
     """The tracks of both cameras with what their first images are like, and remarks on both."""
-    speckle = np.array([speckle_size(image, area) for image, area in zip(images, grid.areas, strict=True)])
-    levels = np.array([_middle(track.noise_grey) for track in tracks])
-    notices, biases = list(grid.notices), list[AliasingBias]()
-    for image, area, side, track in zip(images, grid.areas, ("left", "right"), tracks, strict=True):
+    notices, speckle, levels, biases = list(grid.notices), [], [], []
+    for image, area, track, where in zip(images, grid.areas, tracks, ("left camera", "right camera"), strict=True):
         noise = _middle(track.noise_grey)
-        biases.append(aliasing_bias(image, area, noise, settings.radius_px, settings.degree))
-        unresolved = aliasing_notice(image, area, noise, biases[-1], f"{side} camera")
+        bias = aliasing_bias(image, area, noise, settings.radius_px, settings.degree)
+        unresolved = aliasing_notice(image, area, noise, bias, where)
         notices += [unresolved] if unresolved is not None else []
-        notices += _lost(track, side)
-    bias = np.array([found.mean_px for found in biases])
-    return StereoTracks(*tracks, tuple(notices), speckle, levels, bias)
+        lost = track.status[track.status != TrackStatus.OK]
+        if lost.size > LARGEST_LOST_SHARE * track.status.size:
+            reasons, counts = np.unique(lost, return_counts=True)
+            why = TrackStatus(int(reasons[np.argmax(counts)])).name.lower().replace("_", " ")
+            share = f"{100 * lost.size / track.status.size:.0f} %"
+            notices.append(Notice("warning", f"{share} of the subset positions are missing, most often: {why}", where))
+        speckle.append(speckle_size(image, area))
+        levels.append(noise)
+        biases.append(bias.mean_px)
+    return StereoTracks(*tracks, tuple(notices), np.array(speckle), np.array(levels), np.array(biases))
 
 
 def track_stereo(
@@ -289,8 +286,8 @@ def track_stereo(
     return stereo_tracks((left.read(0), right.read(0)), grid, (left_tracks, right_tracks), settings)
 
 
-def _follow_here(
-    sequence: ImageSequence, first: Image, reference: Reference, settings: TrackSettings, frames: range, _: str
+def _follow_one_by_one(
+    sequence: ImageSequence, first: Image, reference: Reference, settings: TrackSettings, frames: range
 ) -> Iterator[FollowedFrame]:
     """Later frames, one by one on the CPU."""
     history: list[Registration] = []
@@ -307,61 +304,10 @@ def _follow_here(
         yield FollowedFrame(image, target, found)
 
 
-def _follow_on_device(
-    sequence: ImageSequence, first: Image, reference: Reference, settings: TrackSettings, frames: range, device: str
-) -> Iterator[FollowedFrame]:
-    """Later frames, in batches on a device."""
-    from photogram.subsets.icgn_stream import follow_frames
-
-    images = (sequence.read(number) for number in frames)
-    for image, found in follow_frames(reference, first, images, settings, device):
-        yield FollowedFrame(image, None, found)
-
-
-def _away_from_border(shape: tuple[int, ...]) -> BoolArray:
-    """Pixels that can move by a few pixels without leaving the image."""
-    inside = np.zeros(shape, dtype=np.bool_)
-    inside[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
-    return inside
-
-
-def _on_epipolar_lines(rig: StereoRig, left_px: FloatArray, right_px: FloatArray, notices: list[Notice]) -> BoolArray:
-    """Which matches lie within 2 px of the epipolar lines; a calibration that misses all of them is noted."""
-    essential = skew(rig.right_from_left.translation_m) @ rig.right_from_left.rotation
-    rays = [_undistorted(camera, points) for camera, points in ((rig.left, left_px), (rig.right, right_px))]
-    focal = float(np.mean(np.diag(rig.right.matrix)[:2]))
-    distance = focal * epipolar_distance(essential, rays[0], rays[1])
-    off = _middle(distance)
-    if abs(off) > 1.0:
-        text = (
-            f"matched points lie {off:.1f} px off their epipolar lines on average: the calibration does not belong "
-            "to these images, or a camera has moved since"
-        )
-        notices.append(Notice("warning", text, "stereo calibration"))
-    return agreeing(distance, EPIPOLAR_TOLERANCE_PX)
-
-
-def _undistorted(camera: Camera, points_px: FloatArray) -> FloatArray:
-    """Normalised coordinates, NaN where the point is NaN."""
-    rays = np.full_like(points_px, np.nan)
-    known = np.isfinite(points_px).all(axis=1)
-    if known.any():
-        rays[known] = camera.undistort(points_px[known])
-    return rays
-
-
-def _lost(tracks: Tracks, side: str) -> list[Notice]:
-    """A warning when many subsets were lost on the way."""
-    share = float(np.mean(tracks.status != TrackStatus.OK))
-    if share <= LARGEST_LOST_SHARE:
-        return []
-    reasons, counts = np.unique(tracks.status[tracks.status != TrackStatus.OK], return_counts=True)
-    why = TrackStatus(int(reasons[np.argmax(counts)])).name.lower().replace("_", " ")
-    return [
-        Notice(
-            "warning", f"{100 * share:.0f} % of the subset positions are missing, most often: {why}", f"{side} camera"
-        )
-    ]
+def _inner_area(image: Image) -> BoolArray:
+    """Textured pixels that can move by a few pixels without leaving the image."""
+    inside = slice(BORDER_PX, -BORDER_PX)
+    return np.pad(textured_area(image)[inside, inside], BORDER_PX)
 
 
 def _middle(values: FloatArray) -> float:
@@ -374,42 +320,6 @@ def _middle(values: FloatArray) -> float:
 
 NEIGHBOUR_ROUNDS = 8
 SEEDS = 12
-
-
-@dataclass(frozen=True)
-class TrackSettings:
-    """How subsets are compared.
-
-    radius_px: subsets have (2·radius+1)² pixels; step_px: distance in the grid, by default just without overlap, so
-    that their noise is independent; degree: of the spline, 3 or 5; convergence_px: movement below which a subset stands
-    still; min_zncc: correlation below which it is lost; reach_px: how far it is looked for when prediction fails,
-    before it is looked for in the whole image; shape_order: of the shape function, 0 (translation), 1 (affine) or 2.
-
-    >>> TrackSettings(radius_px=12).grid_step_px
-    25
-    """
-
-    radius_px: int = 10
-    step_px: int | None = None
-    degree: int = 5
-    max_iterations: int = 30
-    convergence_px: float = 1e-4
-    min_zncc: float = 0.75
-    reach_px: int = 32
-    shape_order: int = 1
-
-    def __post_init__(self) -> None:
-        if self.shape_order not in PARAMETERS:
-            raise ValueError(f"shape_order: expected 0, 1 or 2, found {self.shape_order}")
-        if self.radius_px < 3:
-            raise ValueError(f"radius_px: expected at least 3, found {self.radius_px}")
-        if self.step_px is not None and self.step_px < 1:
-            raise ValueError(f"step_px: expected at least 1, found {self.step_px}")
-
-    @property
-    def grid_step_px(self) -> int:
-        """Distance of neighbouring subsets."""
-        return 2 * self.radius_px + 1 if self.step_px is None else self.step_px
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -426,12 +336,6 @@ class Tracks(Arrays, shapes="position_px F N 2; covariance_px2 F N 2 2; zncc F N
     zncc: FloatArray
     status: NDArray[np.int8]
     noise_grey: FloatArray
-
-
-def find_from(reference: Reference, target: Spline, start: FloatArray, settings: TrackSettings) -> Registration:
-    """Registration with the settings' limits."""
-    limits = (settings.max_iterations, settings.convergence_px, settings.min_zncc)
-    return register(reference, target, start, *limits)
 
 
 def find_anew(reference: Reference, first: Image, frame: tuple[Image, Spline], settings: TrackSettings) -> Registration:
@@ -454,7 +358,7 @@ def follow(
     Searched seeds within `reach_px` of the prediction, then in the whole image, then matched features, which stand
     rotation as well; at last the lost ones from their neighbours.
     """
-    found = find_from(reference, frame[1], start, settings)
+    found = register(reference, frame[1], start, settings)
     for attempt in range(3):
         if np.sum(found.status == TrackStatus.OK) >= 0.5 * np.sum(reference.status == TrackStatus.OK):
             break
@@ -475,7 +379,7 @@ def find_from_features(
     starts = np.full((len(reference.centre_px), 6), np.nan)
     usable = reference.status == TrackStatus.OK
     starts[usable] = affine_starts(reference.centre_px[usable], source, moved)
-    return find_from(reference, frame[1], starts, settings)
+    return register(reference, frame[1], starts, settings)
 
 
 def find_by_search(
@@ -490,7 +394,7 @@ def find_by_search(
     guess = np.nan_to_num(start[seeds][:, [0, 3]])
     shifts = template_shifts(first, image, points, settings.radius_px, settings.reach_px, guess)
     field = affine_field(points, shifts, reference.centre_px)
-    return find_from(reference, target, field, settings)
+    return register(reference, target, field, settings)
 
 
 def find_from_neighbours(
@@ -503,7 +407,7 @@ def find_from_neighbours(
             break
         start = neighbour_starts(reference.centre_px, found.warp)
         start[~lost] = np.nan
-        more = find_from(reference, target, start, settings)
+        more = register(reference, target, start, settings)
         if not np.any(more.status[lost] == TrackStatus.OK):
             break
         found = merged(found, more)
@@ -527,9 +431,7 @@ def merged(first: Registration, second: Registration) -> Registration:
 def dropped(found: Registration, which: BoolArray, status: TrackStatus) -> Registration:
     """`found` without the subsets `which`, which receive the status."""
     return replace(
-        found,
-        warp=np.where(which[:, None], np.nan, found.warp),
-        status=np.where(which, np.int8(status), found.status),
+        found, warp=np.where(which[:, None], np.nan, found.warp), status=np.where(which, np.int8(status), found.status)
     )
 
 
@@ -546,14 +448,6 @@ def identity(reference: Reference) -> Registration:
         reference.status,
         np.zeros(count, np.int64),
     )
-
-
-def without_saturated(reference: Reference, image: GreyImage, full_scale: int) -> Reference:
-    """`reference` without NaN centres and without subsets that are saturated in it."""
-    absent = ~np.isfinite(reference.centre_px).all(axis=1)
-    full = saturated(image, full_scale, reference.centre_px, reference.radius_px)
-    status = np.where(full, np.int8(TrackStatus.SATURATED), reference.status)
-    return replace(reference, status=np.where(absent, np.int8(TrackStatus.NO_START), status))
 
 
 def tracks_of(found: Sequence[Registration], reference: Reference, degree: int) -> Tracks:

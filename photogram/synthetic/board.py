@@ -418,10 +418,8 @@ def _camera(rng: np.random.Generator, size_px: IntArray, focal_px: float) -> Cam
     return Camera.from_parameters(np.array([focal_px, fy, *centre, *distortion]), size_px)
 
 
-def random_poses(
-    rng: np.random.Generator, rig: StereoRig, board: Board, count: int, max_tilt_rad: float = 0.6
-) -> list[RigidTransform]:
-    """Return `count` poses left_from_target of a board that both cameras see whole, tilted by up to `max_tilt_rad`.
+def random_poses(rng: np.random.Generator, rig: StereoRig, board: Board, count: int) -> list[RigidTransform]:
+    """Return `count` poses left_from_target of a board that both cameras see whole, tilted by up to 0.6 rad.
 
     The tilt is that of the board's normal against the bisector of the two axes, about any axis in the plane; the board
     turns in its plane by up to 0.5 rad and lies anywhere between the cameras where it fits, in depth within 12 %. Of
@@ -432,7 +430,7 @@ def random_poses(
     poses: list[RigidTransform] = []
     for _ in range(_TRIES * count):
         turn = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(-0.5, 0.5)]))
-        direction, angle = rng.uniform(0, 2 * np.pi), rng.uniform(0, max_tilt_rad)
+        direction, angle = rng.uniform(0, 2 * np.pi), rng.uniform(0, 0.6)
         rotation = facing @ rotation_from_vector(angle * np.array([np.cos(direction), np.sin(direction), 0.0])) @ turn
         shift = rng.uniform(-1, 1, 3) * [lateral, lateral, 0.12 * distance]
         pose = RigidTransform(rotation, centre + shift - rotation @ np.asarray(_required(board).mean(axis=0)))

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from photogram.arrays import Arrays, FloatArray
-from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
+from photogram.arrays import Arrays, FloatArray, derivatives
+from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.kernels import njit
 
@@ -322,13 +323,10 @@ def _cover(size: FloatArray, u: float, v: float) -> float:
 
 # The Cramér-Rao bound of the motion in a set of images: how well any program could place the body.
 
-_STEP_M = 2e-6  # translation and, at 0.1 m from the origin, rotation of a few hundredths of a pixel
-_STEP_RAD = 2e-5
+_POSE_STEP = np.array([2e-6] * 3 + [2e-5] * 3)  # m and, at 0.1 m from the origin, rad: a few hundredths of a pixel
 
 
-def motion_bound(
-    views: Sequence[View], face: Face, sensor: ImageSensor, pose: FloatArray | None = None, nodes: int = 2
-) -> FloatArray:
+def motion_bound(views: Sequence[View], face: Face, sensor: ImageSensor, pose: FloatArray | None = None) -> FloatArray:
     """Return the smallest covariance (6, 6) of x y z rx ry rz (m, rad, at the world origin) of one frame.
 
     (Σ w·JᵀJ)⁻¹ over all pixels of all views: J = ∂grey/∂pose by central differences of the rendered images,
@@ -336,21 +334,15 @@ def motion_bound(
     not among the unknowns, so a program that estimates those from the images lies somewhat above.
     """
     start = np.zeros(6) if pose is None else np.asarray(pose, dtype=np.float64)
+
+    def grey(view: View, change: FloatArray) -> FloatArray:
+        return render(view, face, (start + change)[None], np.ones(1)) * sensor.full_scale
+
     information = np.zeros((6, 6))
     for view in views:
-        grey = render(view, face, start[None], np.ones(1), nodes) * sensor.full_scale
-        slope = np.stack([_slope(view, face, start, i, nodes) for i in range(6)], axis=-1) * sensor.full_scale
-        information += np.einsum("hwi,hwj,hw->ij", slope, slope, 1 / sensor.variance(grey), optimize=True)
+        slope, variance = derivatives(partial(grey, view), _POSE_STEP), sensor.variance(grey(view, np.zeros(6)))
+        information += np.einsum("hwi,hwj,hw->ij", slope, slope, 1 / variance, optimize=True)
     return np.asarray(np.linalg.inv(information))
-
-
-def _slope(view: View, face: Face, pose: FloatArray, component: int, nodes: int) -> FloatArray:
-    """Return the image's derivative (H, W) by one component of the pose."""
-    step = np.zeros(6)
-    step[component] = _STEP_M if component < 3 else _STEP_RAD
-    ahead = render(view, face, (pose + step)[None], np.ones(1), nodes)
-    behind = render(view, face, (pose - step)[None], np.ones(1), nodes)
-    return np.asarray((ahead - behind) / (2 * step[component]))
 
 
 # A calibration session that was never held: the covariance that a stereo pair's parameters would have.
@@ -359,9 +351,8 @@ def _slope(view: View, face: Face, pose: FloatArray, component: int, nodes: int)
 # distortion of a good lens, rotation in rad, translation in m). Without the latter k3 of a narrow field is open.
 _CAMERA_STEP = (0.1, 0.1, 0.1, 0.1, 1e-4, 1e-3, 1e-5, 1e-5, 1e-2)
 _CAMERA_PRIOR = (100.0, 100.0, 30.0, 30.0, 0.2, 0.5, 2e-3, 2e-3, 0.5)
-_STEPS = np.array([*_CAMERA_STEP, *_CAMERA_STEP, *[1e-6] * 3, *[1e-6] * 3])
+_STEPS = np.array([*_CAMERA_STEP, *_CAMERA_STEP, *[1e-6] * 6])
 _PRIOR = np.array([*_CAMERA_PRIOR, *_CAMERA_PRIOR, *[0.1] * 3, *[0.05] * 3])
-_POSE_STEPS = np.array([1e-6] * 3 + [1e-6] * 3)
 
 
 def session_covariance(
@@ -381,7 +372,8 @@ def session_covariance(
         pose = np.concatenate(
             [rng.uniform(-1, 1, 3) * field_m * np.array([0.12, 0.12, 0.4]), rng.uniform(-0.5, 0.5, 3)]
         )
-        rig_slope, pose_slope = _slopes(rig, target, pose, working_point_m)
+        points = target @ rotation_from_vector(pose[3:]).T + pose[:3] + working_point_m
+        rig_slope, pose_slope = _slopes(rig, points, working_point_m)
         cross = rig_slope.T @ pose_slope
         information += (
             rig_slope.T @ rig_slope - cross @ np.linalg.solve(pose_slope.T @ pose_slope, cross.T)
@@ -391,28 +383,14 @@ def session_covariance(
     return np.asarray((covariance + covariance.T) / 2)
 
 
-def _slopes(
-    rig: StereoRig, target: FloatArray, pose: FloatArray, working_point_m: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of a view's pixels by the rig (Q, 24) and by the target's pose (Q, 6)."""
-    points = target @ rotation_from_vector(pose[3:]).T + pose[:3] + working_point_m
-    rig_slope = np.empty((4 * len(points), len(RIG_PARAMETERS)))
-    for i, step in enumerate(_STEPS):
-        delta = np.zeros(len(_STEPS))
-        delta[i] = step
-        rig_slope[:, i] = (_pixels(rig.perturbed(delta), points) - _pixels(rig.perturbed(-delta), points)) / (2 * step)
-    pose_slope = np.empty((4 * len(points), 6))
-    for i, step in enumerate(_POSE_STEPS):
-        delta = np.zeros(6)
-        delta[i] = step
-        centred = points - working_point_m
-        ahead = RigidTransform.from_pose(delta).apply(centred) + working_point_m
-        behind = RigidTransform.from_pose(-delta).apply(centred) + working_point_m
-        pose_slope[:, i] = (_pixels(rig, ahead) - _pixels(rig, behind)) / (2 * step)
-    return rig_slope, pose_slope
+def _slopes(rig: StereoRig, points: FloatArray, pivot: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the derivatives of the points' pixels by the rig (Q, 24), and by their pose about a pivot (Q, 6)."""
 
+    def pixels(seen_by: StereoRig, points: FloatArray) -> FloatArray:
+        return np.concatenate([side.ravel() for side in seen_by.project(points)])
 
-def _pixels(rig: StereoRig, points: FloatArray) -> FloatArray:
-    """Return all pixel coordinates (4·N,) of points seen by both cameras."""
-    left, right = rig.project(points)
-    return np.concatenate([left.ravel(), right.ravel()])
+    def moved(pose: FloatArray) -> FloatArray:
+        return RigidTransform.from_pose(pose).apply(points - pivot) + pivot
+
+    by_rig = derivatives(lambda delta: pixels(rig.perturbed(delta), points), _STEPS)
+    return by_rig, derivatives(lambda delta: pixels(rig, moved(delta)), np.full(6, 1e-6))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from photogram.calibration.file import read_calibration
-from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
-from photogram.epipolar import MOVED_PX, EpipolarCheck, check_epipolar, epipolar_residual
+from photogram.camera import RIG_PARAMETERS, Camera, StereoRig, epipolar_residual
+from photogram.epipolar import MOVED_PX, EpipolarCheck, check_epipolar
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.subsets.track import StereoTracks, Tracks
 

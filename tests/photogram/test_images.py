@@ -171,13 +171,10 @@ def test_wrong_files_are_named(tmp_path, grey12):
         assert "\n" not in str(caught.value)
 
 
-def test_saturated_fraction_counts_inside_the_area():
+def test_saturated_fraction_counts():
     image = np.zeros((10, 10), np.uint16)
     image[:2] = 4095
-    left = np.zeros((10, 10), bool)
-    left[:4, :5] = True
     assert saturated_fraction(image, 4095) == pytest.approx(0.2)
-    assert saturated_fraction(image, 4095, left) == pytest.approx(0.5)
 
 
 def test_real_video_has_75_frames(data_dir):

@@ -32,9 +32,10 @@ from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence, NoiseModel
 from photogram.measure import BodyMotion, body_motion, follow_block, measure_body, prepare_body
 from photogram.motion import PlacedCamera, body_patches, deformation, patch_rates, patch_warps
+from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.texture import textured_area
-from photogram.subsets.track import TrackSettings, follow_sequence, prepare_sequence
+from photogram.subsets.track import follow_sequence, prepare_sequence
 from photogram.synthetic.scene import Face, ImageSensor, motion_bound, render, speckle_texture, view_of
 
 PIXEL_M, FOCAL = 2e-4, 1500.0
@@ -60,24 +61,30 @@ def two_places(tilt: float = 0.0) -> list[RigidTransform]:
     return [away @ RigidTransform.from_pose(turn) for turn in turns]
 
 
-def rendered(poses: np.ndarray, half_m: tuple[float, float], middle: tuple[int, int], seed: int) -> Stereo:
+def rendered(
+    poses: np.ndarray,
+    half_m: tuple[float, float],
+    middle: tuple[int, int],
+    seed: int,
+    sensor: ImageSensor = SENSOR,
+    noisy: bool = True,
+) -> Stereo:
     """A speckled face before two cameras, 28° apart: both cameras' images, rig, body_from_left."""
     texture = speckle_texture((0.04, 0.04), 5 * PIXEL_M, PIXEL_M / 4, 1.2 * PIXEL_M, np.random.default_rng(seed))
     face = Face(np.zeros(3), np.eye(3)[0], np.eye(3)[1], np.array(half_m), False, texture, 0.6 * PIXEL_M)
     matrix = np.array([[FOCAL, 0, middle[0]], [0, FOCAL, middle[1]], [0, 0, 1.0]])
     camera, rng = Camera(matrix, np.zeros(5), 2 * np.array(middle)), np.random.default_rng(seed + 1)
-    places = two_places()
-    left, right = (
-        sequence([SENSOR.digitise(render(view_of(camera, place), face, pose[None], np.ones(1)), rng) for pose in poses])
-        for place in places
-    )
+    places, noise = two_places(), rng if noisy else None
+    views = [view_of(camera, place) for place in places]
+    pictures = [[render(view, face, pose[None], np.ones(1)) for pose in poses] for view in views]
+    left, right = (sequence([sensor.digitise(each, noise) for each in side], sensor.full_scale) for side in pictures)
     return (left, right), StereoRig(camera, camera, places[1] @ places[0].inverse()), places[0].inverse()
 
 
-def sequence(images: list[np.ndarray]) -> ImageSequence:
+def sequence(images: list[np.ndarray], full_scale: int = SENSOR.full_scale) -> ImageSequence:
     height, width = images[0].shape
     names = tuple(f"frame {index}" for index in range(len(images)))
-    return ImageSequence(names, (width, height), SENSOR.full_scale, partial(_frame, images))
+    return ImageSequence(names, (width, height), full_scale, partial(_frame, images))
 
 
 def _frame(images: list[np.ndarray], index: int) -> np.ndarray:
@@ -88,6 +95,19 @@ def chosen(images: ImageSequence, *frames: int | None) -> ImageSequence:
     """Some frames of a sequence, None for a dark one."""
     dark = np.full_like(images.read(0), 60)
     return sequence([dark if frame is None else images.read(frame) for frame in frames])
+
+
+@pytest.mark.parametrize(("bits", "degree"), [(8, 5), (12, 7)])
+def test_a_body_at_rest_without_noise_is_at_rest_within_the_rounding(bits, degree):
+    """All frames are the reference to the last bit, which says no more than that nothing moves by its rounding."""
+    (left, right), *others = rendered(np.zeros((3, 6)), (0.015, 0.013), (100, 90), 31, ImageSensor(bits), noisy=False)
+    body = measure_body((left, right), *others, TrackSettings(radius_px=8, degree=degree))
+    assert body.notices == ()
+    step_px = PIXEL_M / 2**bits
+    for motion in (body.motion, body.motion_of_points):
+        np.testing.assert_allclose(motion.pose, 0.0, atol=1e-3 * step_px)
+        u = np.sqrt(np.diagonal(motion.covariance, axis1=1, axis2=2))
+        assert np.all((u[:, :2] > 1e-3 * step_px) & (u[:, :2] < step_px))
 
 
 @pytest.fixture(scope="module")
@@ -427,7 +447,7 @@ def test_sums_of_a_cell_against_numpy(make_texture, degree):
     area = np.zeros((50, 60), dtype=bool)
     area[18:31, 20:33] = True
     area[18:22, 20:25] = False
-    cells = prepare_cells(first, lay_cells(area, 13), 13, NOISE, 4095)
+    cells = prepare_cells(first, area, 13, NOISE, 4095)
     assert cells.count.tolist() == [13 * 13 - 20]
     warp = np.array([[0.37, 2e-3, -1e-3, -0.28, 3e-3, 1e-3]])
     found = compare_cells(cells, second, warp)
@@ -459,7 +479,7 @@ def test_cells_that_leave_the_image_and_saturated_pixels_do_not_count(make_textu
     image = 1000 + 200 * make_texture(seed=4, waves=60).image((60, 50))
     image[20:24, 20:30] = 4095
     area = np.ones((50, 60), dtype=bool)
-    cells = prepare_cells(spline_of_image(image), lay_cells(area, 10), 10, NOISE, 4095)
+    cells = prepare_cells(spline_of_image(image), area, 10, NOISE, 4095)
     assert cells.count.sum() == 50 * 60 - 40
     target = spline_of_image(np.roll(image, 4, axis=1))
     found = compare_cells(cells, target, np.tile([4.0, 0, 0, 0, 0, 0], (len(cells.count), 1)))

@@ -25,7 +25,7 @@ from photogram.motion import (
     points_with_estimated_noise,
     relative_to,
 )
-from photogram.subsets.icgn import register
+from photogram.subsets.icgn import TrackSettings, register
 from photogram.subsets.reference import prepare_reference
 
 ORIGIN = np.array([0.02, -0.01, 0.35])
@@ -374,9 +374,9 @@ def test_correlation_of_registered_subsets_is_their_shared_area(make_texture):
     image = 2000 + 500 * make_texture(seed=1, s=1.3, waves=80).image((110, 96))
     centres = np.array([(x, y) for y in range(14, 83, step) for x in range(14, 97, step)], dtype=float)
     reference = prepare_reference(spline_of_image(image), centres, radius)
-    still, limits = np.zeros((len(centres), 6)), (30, 1e-5, 0.75)
+    still, fine = np.zeros((len(centres), 6)), TrackSettings(convergence_px=1e-5)
     noisy = (spline_of_image(image + rng.normal(0, 12, image.shape)) for _ in range(120))
-    moved = np.array([register(reference, target, still, *limits).warp[:, [0, 3]] for target in noisy])
+    moved = np.array([register(reference, target, still, fine).warp[:, [0, 3]] for target in noisy])
     expected = overlap_correlation(centres, radius).toarray()
     apart = np.abs(centres[:, None] - centres[None])
     correlation = np.mean([np.corrcoef(moved[:, :, i].T) for i in range(2)], axis=0)

@@ -17,12 +17,11 @@ from scipy.ndimage import spline_filter
 
 from photogram.bspline import PADDING_PX, spline_of_image
 from photogram.subsets import icgn_torch as engine
-from photogram.subsets.icgn import Registration, noise_of_residual, position_covariance, register
+from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
 from photogram.subsets.icgn_stream import follow_frames, forecast_warps
 from photogram.subsets.icgn_torch import (
     TorchSplines,
     basis_polynomials,
-    prefilter,
     register_frames,
     spline_frames,
     torch_reference,
@@ -36,11 +35,11 @@ from photogram.subsets.reference import (
     subset_offsets,
 )
 from photogram.subsets.search import predict_warp
-from photogram.subsets.track import TrackSettings, follow, identity
+from photogram.subsets.track import follow, identity
 
 SIZE = (150, 108)
 CENTRES = np.array([(x, y) for y in range(20, 90, 22) for x in range(20, 132, 22)], dtype=float)
-LIMITS = (30, 1e-4, 0.75)
+SETTINGS = TrackSettings()
 
 
 def grey(texture_image: np.ndarray, full_scale: int = 4095) -> np.ndarray:
@@ -61,7 +60,7 @@ def image(texture) -> np.ndarray:
 def find(reference_image, target_image, centres=CENTRES, radius=10, degree=5, start=None):
     reference = prepare_reference(spline_of_image(reference_image, degree), centres, radius)
     start = np.zeros((len(centres), 6)) if start is None else start
-    return reference, register(reference, spline_of_image(target_image, degree), start, *LIMITS)
+    return reference, register(reference, spline_of_image(target_image, degree), start, SETTINGS)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.37])
@@ -97,7 +96,7 @@ def test_scatter_is_stated_and_near_the_bound(texture, image):
     positions, covariances, noises = [], [], []
     for _ in range(120):
         target = spline_of_image(moved + rng.normal(0, noise, image.shape))
-        found = register(reference, target, np.zeros((len(centres), 6)), *LIMITS)
+        found = register(reference, target, np.zeros((len(centres), 6)), SETTINGS)
         noises.append(noise_of_residual(reference, found, 5))
         covariances.append(position_covariance(reference, found, noises[-1]))
         positions.append(found.warp[:, [0, 3]])
@@ -171,7 +170,7 @@ def test_every_failure_has_its_status(image):
 # Shape functions of order 0, 1 and 2: what each can follow, and what it costs in noise.
 
 CURVED_SIZE, MIDDLE, RADIUS = (110, 100), np.array([55.0, 50.0]), 15
-FINE_LIMITS = (30, 1e-5, 0.75)
+FINE = TrackSettings(convergence_px=1e-5)
 CURVATURE = np.array([8e-4, -3e-4, 4e-4, -5e-4, 2e-4, 6e-4])
 SHIFT = np.array([0.3, -0.4])
 
@@ -199,9 +198,7 @@ def pair(make_texture) -> tuple[np.ndarray, np.ndarray]:
 
 def find_order(first: np.ndarray, second: np.ndarray, order: int, start: np.ndarray | None = None):
     reference = prepare_reference(spline_of_image(first), MIDDLE[None], RADIUS, order)
-    return reference, register(
-        reference, spline_of_image(second), np.zeros((1, 6)) if start is None else start, *FINE_LIMITS
-    )
+    return reference, register(reference, spline_of_image(second), np.zeros((1, 6)) if start is None else start, FINE)
 
 
 def test_second_order_recovers_what_biases_the_affine_map(pair):
@@ -251,7 +248,7 @@ def test_noise_grows_with_the_order_and_is_stated(make_texture):
     targets = [spline_of_image(second + rng.normal(0, noise, second.shape)) for _ in range(250)]
     for order in (0, 1, 2):
         reference = prepare_reference(spline_of_image(noisy), MIDDLE[None], RADIUS, order)
-        found = [register(reference, target, np.zeros((1, 6)), *FINE_LIMITS) for target in targets]
+        found = [register(reference, target, np.zeros((1, 6)), FINE) for target in targets]
         spread[order] = np.var([here.warp[0, [0, 3]] for here in found], axis=0, ddof=1)
         stated = [position_covariance(reference, here, noise_of_residual(reference, here, 5))[0] for here in found]
         shapes = shape_values(offsets, order)
@@ -276,7 +273,7 @@ def test_depth_of_twelve_bits_loses_nothing_and_gains_below_a_grey_level(make_te
         for depth in (8, 12, 16):
             grey = [np.rint(image * (2**depth - 1)).astype(np.uint16) for image in noisy]
             reference = prepare_reference(spline_of_image(grey[0]), centres, 10)
-            found = register(reference, spline_of_image(grey[1]), np.zeros((len(centres), 6)), *FINE_LIMITS)
+            found = register(reference, spline_of_image(grey[1]), np.zeros((len(centres), 6)), FINE)
             assert np.all(found.status == TrackStatus.OK)
             scatter[depth, noise] = float(np.sqrt(np.mean((found.warp[:, [0, 3]] - SHIFT) ** 2)))
     assert scatter[12, 1.0 / 255] <= scatter[8, 1.0 / 255]
@@ -311,12 +308,12 @@ def noisy_frames(texture) -> NDArray[np.uint16]:
 
 
 def both_engines(
-    reference: Reference, images, start, degree: int = 5, limits=LIMITS, precision: str = "float64", working_bytes=None
+    reference: Reference, images, start, degree: int = 5, how: TrackSettings = SETTINGS, precision: str = "float64"
 ) -> list[tuple[Registration, Registration]]:
     """Results of the compiled and of the batched engine, frame by frame."""
-    expected = [register(reference, spline_of_image(i, degree), s, *limits) for i, s in zip(images, start, strict=True)]
+    expected = [register(reference, spline_of_image(i, degree), s, how) for i, s in zip(images, start, strict=True)]
     frames = spline_frames(np.stack(images), degree, "cpu", precision)
-    found = register_frames(torch_reference(reference, "cpu", precision), frames, start, *limits, working_bytes)
+    found = register_frames(torch_reference(reference, "cpu", precision), frames, start, how)
     return list(zip(expected, found, strict=True))
 
 
@@ -335,7 +332,7 @@ def assert_same(expected: Registration, found: Registration, atol_px: float = 1e
 @pytest.mark.parametrize("shape", [(8, 9), (41, 30), (64, 97)])
 def test_prefilter_is_the_recursion(degree, shape):
     images = np.random.default_rng(1).uniform(0, 4095, (2, *shape))
-    found = prefilter(images, degree, "cpu").numpy()
+    found = spline_frames(images, degree, "cpu").coefficients.numpy()
     for image, coefficients in zip(images, found, strict=True):
         expected = spline_of_image(image, degree).coefficients
         np.testing.assert_allclose(coefficients, expected, atol=1e-10 * np.abs(expected).max())
@@ -348,8 +345,8 @@ def test_prefilter_is_the_recursion(degree, shape):
 @pytest.mark.parametrize("kind", ["uint8", "uint16", ">u2", "float32", "float64"])
 def test_prefilter_takes_every_kind_of_grey_value(kind):
     images = np.random.default_rng(2).integers(0, 255 if kind == "uint8" else 65535, (1, 9, 8))
-    expected = prefilter(images.astype(np.float64), 5, "cpu").numpy()
-    np.testing.assert_array_equal(prefilter(images.astype(kind), 5, "cpu").numpy(), expected)
+    found, expected = (spline_frames(images.astype(k), 5, "cpu").coefficients.numpy() for k in (kind, "float64"))
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_importing_the_package_does_not_import_torch():
@@ -411,20 +408,21 @@ def test_failures_have_the_same_status(texture, noisy_frames):
     unlike = np.random.default_rng(3).normal(2000, 400, first.shape)
     images = [first, noisy_frames[1], unlike, 4095.0 - first]
     seen = set[int]()
-    for limits in (LIMITS, (2, 1e-4, 0.75), (30, 1e-4, 0.9999)):
-        for expected, found in both_engines(reference, images, start, limits=limits):
+    for how in (SETTINGS, TrackSettings(max_iterations=2), TrackSettings(min_zncc=0.9999)):
+        for expected, found in both_engines(reference, images, start, how=how):
             assert_same(expected, found, atol_px=1e-5)
             seen |= set(found.status.tolist())
     assert seen == set(TrackStatus) - {TrackStatus.SATURATED}
 
 
-def test_portions_change_nothing_and_starts_stay_as_they_were(noisy_frames):
+def test_portions_change_nothing_and_starts_stay_as_they_were(noisy_frames, monkeypatch):
     reference = torch_reference(prepare_reference(spline_of_image(noisy_frames[0]), OFF_PIXEL, 10), "cpu")
     frames, start = spline_frames(noisy_frames, 5, "cpu"), np.zeros((4, len(OFF_PIXEL), 6))
-    whole = register_frames(reference, frames, start, *LIMITS)
+    whole = register_frames(reference, frames, start, SETTINGS)
     assert not start.any()
     for working_bytes in (1, 5_000_000):
-        parts = register_frames(reference, frames, start, *LIMITS, working_bytes)
+        monkeypatch.setitem(engine.WORKING_BYTES, "cpu", working_bytes)
+        parts = register_frames(reference, frames, start, SETTINGS)
         for expected, found in zip(whole, parts, strict=True):
             assert_same(expected, found, atol_px=1e-11)
 
@@ -440,12 +438,10 @@ def test_every_tensor_is_made_on_the_device(noisy_frames, order):
     frame = subset = torch.zeros(9, dtype=torch.int64, device="meta")
     basis = torch.from_numpy(basis_polynomials(5)).to(reference.pixels)
     gone = engine._gone(reference, frames, subset, start, start[:, :6:3])
-    solved = engine._solve(
-        reference, subset, *engine._correlate(reference, frames, (frame, subset, start, gone), basis)
-    )
-    fate, scores = engine._judge(reference.rim, engine._Limits(*LIMITS), gone, solved)
+    sums = engine._correlate(reference, frames, (frame, subset, start, gone), basis)
+    step, scores, fate = engine._solve(reference, SETTINGS, (subset, gone), sums)
     compose = engine._compose_inverse_quadratic if order == 2 else engine._compose_inverse
-    for tensor in (fate, scores, compose(start, solved[0])):
+    for tensor in (fate, scores, compose(start, step)):
         assert tensor.device.type == "meta"
 
 
@@ -455,7 +451,7 @@ def test_analytic_truth_comes_back(texture):
     images = np.stack([moved(texture, shift, turn), moved(texture, 2 * shift)])
     reference = torch_reference(prepare_reference(spline_of_image(moved(texture, [0, 0])), OFF_PIXEL, 10), "cpu")
     turned, shifted = register_frames(
-        reference, spline_frames(images, 5, "cpu"), np.zeros((2, len(OFF_PIXEL), 6)), *LIMITS
+        reference, spline_frames(images, 5, "cpu"), np.zeros((2, len(OFF_PIXEL), 6)), SETTINGS
     )
     matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     truth = (OFF_PIXEL - PIVOT) @ matrix.T + PIVOT + shift - OFF_PIXEL
@@ -575,10 +571,10 @@ def test_wrong_calls_are_refused(noisy_frames):
     frames = spline_frames(noisy_frames, 5, "cpu")
     assert frames.size_px == SIZE
     few, batched = np.zeros((3, len(OFF_PIXEL), 6)), torch_reference(reference, "cpu")
-    refused("start: expected an array of shape", register_frames, batched, frames, few, *LIMITS)
-    refused("images: expected an array of shape", prefilter, noisy_frames[0], 5, "cpu")
-    refused("images: expected at least 8 x 8 px", prefilter, noisy_frames[:, :5], 5, "cpu")
-    refused("degree: expected 3, 5 or 7, found 4", prefilter, noisy_frames, 4, "cpu")
+    refused("start: expected an array of shape", register_frames, batched, frames, few, SETTINGS)
+    refused("images: expected an array of shape", spline_frames, noisy_frames[0], 5, "cpu")
+    refused("images: expected at least 8 x 8 px", spline_frames, noisy_frames[:, :5], 5, "cpu")
+    refused("degree: expected 3, 5 or 7, found 4", spline_frames, noisy_frames, 4, "cpu")
     refused("degree: expected 3, 5 or 7, found 4", TorchSplines, frames.coefficients, 4)
     refused("coefficients: expected a contiguous tensor", TorchSplines, frames.coefficients[0], 5)
     refused("precision: expected one of float64, float32, found 'half'", torch_reference, reference, "cpu", "half")

@@ -21,11 +21,11 @@ from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence, open_sequence
 from photogram.motion import RigidMotion, fit_motion
 from photogram.subsets import track as device_module
+from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.search import predict_warp
 from photogram.subsets.track import (
     Tracks,
-    TrackSettings,
     follow_sequence,
     match_stereo,
     prepare_sequence,
