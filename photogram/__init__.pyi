@@ -18,7 +18,7 @@ from .images import read_picture as read_picture
 from .measure import measure_body as measure_body
 from .motion import fit_motion as fit_motion
 from .point_tables import read_point_tables as read_point_tables
-from .subsets.track import TrackSettings as TrackSettings
+from .subsets.icgn import TrackSettings as TrackSettings
 from .subsets.track import track_stereo as track_stereo
 from .synthetic.board import Board as Board
 from .synthetic.board import render_board as render_board
