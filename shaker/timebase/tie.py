@@ -340,7 +340,8 @@ def tie_clocks(
         notices = (Notice("info", text, "clock"),)
     pairs, _, there = np.intersect1d(base.number, other.number + decided.edges, return_indices=True)
     # Always from the coarser to the finer record, so that exchanged roles give the same tie.
-    if _fineness(other) < _fineness(base):
+    finer = min((base, other), key=lambda fit: (fit.resolution_s, fit.edges, fit.start_s))
+    if finer is other:
         line = clock_line(other, base, -decided.edges).inverse()
     else:
         line = clock_line(base, other, decided.edges)
@@ -354,11 +355,6 @@ def tie_clocks(
         middle_s=float(np.mean(other.edge_s[there] if len(pairs) else other.edge_s)),
         notices=notices,
     )
-
-
-def _fineness(fit: TriggerFit) -> tuple[float, int, float]:
-    """Return a key that orders records: the one with the finer edges first."""
-    return fit.resolution_s, fit.edges, fit.start_s
 
 
 # Instants of single trigger edges from all records that saw them: the periodic model and each edge's own deviation.
