@@ -76,14 +76,11 @@ def test_default_threshold_copes_with_any_duty(width_s):
     assert (len(edges.lower_s), edges.threshold) == (20, pytest.approx(2.5, abs=0.2))
 
 
-def test_noise_at_the_threshold_counts_once():
+def test_noise_at_the_threshold_counts_once_and_one_out_of_reach_is_refused():
     rng = np.random.default_rng(2)
     ramp = np.clip(np.sin(2 * np.pi * 10.0 * np.arange(20_000) / 20_000.0) * 3.0, -1.0, 1.0)
     edges = find_edges(ramp + 0.03 * rng.normal(size=len(ramp)), 20_000.0)
     assert len(edges.estimate_s) == 9  # the one at the very start has no low sample before it
-
-
-def test_threshold_out_of_reach_is_refused():
     with pytest.raises(ValueError, match="threshold: expected a level that the signal crosses, found 7"):
         find_edges(_pulses(np.array([0.1, 0.2]), 1e4, 0.3), 1e4, threshold=7.0)
     refused("samples: expected numbers, found 1 NaN", find_edges, np.array([0.0, np.nan, 1.0]), 1e4)
