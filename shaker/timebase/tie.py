@@ -345,16 +345,9 @@ def tie_clocks(
         line = clock_line(other, base, -decided.edges).inverse()
     else:
         line = clock_line(base, other, decided.edges)
-    return ClockTie(
-        offset_s=line.offset_s,
-        rate=line.rate,
-        covariance=line.covariance,
-        shift=decided.edges,
-        decided_by=decided.decided_by,
-        pairs=len(pairs),
-        middle_s=float(np.mean(other.edge_s[there] if len(pairs) else other.edge_s)),
-        notices=notices,
-    )
+    middle_s = float(np.mean(other.edge_s[there] if len(pairs) else other.edge_s))
+    own = line.offset_s, line.rate, line.covariance
+    return ClockTie(*own, decided.edges, decided.decided_by, len(pairs), middle_s, notices)
 
 
 # Instants of single trigger edges from all records that saw them: the periodic model and each edge's own deviation.

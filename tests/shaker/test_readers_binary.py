@@ -141,7 +141,7 @@ def test_channel_of_time_stamps_gives_the_rate(tmp_path, order):
         times[i]["s"], times[i]["f"] = now.__floor__(), int((now - now.__floor__()) * 2**64)
     flags = 14 | (tdms.BIG_ENDIAN if order == ">" else 0)
     entries = [
-        tdms.entry("/'daq'/'Time'", tdms.stamps(200, order), None, order),
+        tdms.entry("/'daq'/'Time'", tdms.plain("stamp", 200, order), None, order),
         tdms.entry(A, tdms.plain("f8", 200, order), None, order),
     ]
     raw = times.tobytes() + np.arange(200.0).astype(f"{order}f8").tobytes()
