@@ -105,9 +105,8 @@ def period_phasors(data: FloatArray, period: Period, share: tuple[float, float],
     A period of a whole number of samples is transformed as it is. Otherwise each period is seen through a window that
     rises and falls as 1 - rise of the next one, so that all windows add to one: then Σ w(t)·exp(j2πnt/T) is zero for
     every n but 0 to 1e-7 or better (at 0.4 of the rate 1e-11), and the harmonics do not leak into one another. The
-    harmonics of 1/T lie on no grid of a fast Fourier transform; the chirp z-transform (Rabiner, Schafer and Rader
-    1969) reaches them. What the seams at both ends of the record lack comes from the mean
-    period, in some rounds.
+    harmonics of 1/T lie on no grid of a fast Fourier transform; the chirp z-transform (Rabiner, Schafer and Rader 1969)
+    reaches them. What the seams at both ends of the record lack comes from the mean period, in some rounds.
     """
     harmonic = np.arange(max(1, int(np.ceil(share[0] * period.samples))), int(share[1] * period.samples) + 1)
     if not len(harmonic):

@@ -180,16 +180,15 @@ class LineSpectra:
 def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray) -> LineSpectra:
     """Return spectra [reference, responses] at lines (K,), Hz, a `length`-th of the sample rate apart.
 
-    Over a window of five lines of the record's own DFT, r bins from the line,
-    Y(r) = Σ g_s rˢ·X(r) + Σ t_s rˢ, s = 0 … 6, by least squares: t is what the record's beginning and end leave
-    (leakage), smooth in frequency, g₀ the transfer function at the line (Pintelon and Schoukens, System Identification,
-    2nd ed., 2012, sec. 7.2; Schoukens, Vandersteen, Barbé and Pintelon, Eur. J. Control 15, 2009). What the fit leaves,
-    per degree of freedom, is the noise S_ee. Given back is S_xx = mean |X|², S_yx = g₀ S_xx, S_yy = |g₀|² S_xx + S_ee,
-    worth n + 1 averages, n = (X*QX)/S_xx, Q the projection on what the other unknowns do not explain: then
-    var g₀ = S_ee/(n S_xx), and noise on the reference lowers g₀ as it lowers H1, so that H2 and Hv can be had from
-    these spectra as from averaged ones. Errors of two lines correlate as far as their windows overlap. A resonance
-    that is too narrow for these polynomials is still more so for those of order 4: the difference, where noise alone
-    does not make it, bounds the bias.
+    Over a window of five lines of the record's own DFT, r bins from the line, Y(r) = Σ g_s rˢ·X(r) + Σ t_s rˢ, s = 0 …
+    6, by least squares: t is what the record's beginning and end leave (leakage), smooth in frequency, g₀ the transfer
+    function at the line (Pintelon and Schoukens, System Identification, 2nd ed., 2012, sec. 7.2; Schoukens,
+    Vandersteen, Barbé and Pintelon, Eur. J. Control 15, 2009). What the fit leaves, per degree of freedom, is the noise
+    S_ee. Given back is S_xx = mean |X|², S_yx = g₀ S_xx, S_yy = |g₀|² S_xx + S_ee, worth n + 1 averages, n =
+    (X*QX)/S_xx, Q the projection on what the other unknowns do not explain: then var g₀ = S_ee/(n S_xx), and noise on
+    the reference lowers g₀ as it lowers H1, so that H2 and Hv can be had from these spectra as from averaged ones.
+    Errors of two lines correlate as far as their windows overlap. A resonance that is too narrow for these polynomials
+    is still more so for those of order 4: the difference, where noise alone does not make it, bounds the bias.
     """
     samples = len(record.reference)
     if samples < LEAST_SEGMENTS * length:

@@ -288,11 +288,10 @@ def find_peaks(
     """Find the lines of samples (S,): noise alone adds one with probability `chance` in the whole spectrum.
 
     Half of the chance is for peaks anywhere, half for those at the `expected` places (E,), where less height is enough.
-    Each line is fitted and taken out of the spectrum with its leakage before the floor is looked at again; a
-    line must stand out of what is left next to it just as well (and by no less than the square root of its chance
-    allows for so few bins), which the skirts of a stronger line and a resonance do not.
-    `taken` (T,): bins of lines fitted already, whose samples these are the residual of; `smallest`: amplitude below
-    which a peak is rounding.
+    Each line is fitted and taken out of the spectrum with its leakage before the floor is looked at again; a line must
+    stand out of what is left next to it just as well (and by no less than the square root of its chance allows for so
+    few bins), which the skirts of a stronger line and a resonance do not. `taken` (T,): bins of lines fitted already,
+    whose samples these are the residual of; `smallest`: amplitude below which a peak is rounding.
     """
     state = _Search(centred_spectrum(samples), len(samples), taken, expected, chance, smallest**2)
     for _ in range(_ROUNDS):

@@ -159,13 +159,10 @@ def usable_lines(
         chosen = [i for line in [*kept, k] for i in (2 * line, 2 * line + 1)] + constant
         usable = condition_number(gram[np.ix_(chosen, chosen)]) <= max_condition
         (kept if usable else dropped).append(k)
-    mask = np.zeros(len(frequency_hz), dtype=np.bool_)
-    mask[kept] = True
-    if not dropped:
-        return mask, ()
-    grid = sampling_grid(time_s)
+    grid = sampling_grid(time_s) if dropped else None
     lines = np.asarray(frequency_hz, dtype=np.float64)
-    return mask, tuple(_dropped(grid, float(lines[k]), lines[[i for i in kept if i < k]], lines) for k in dropped)
+    notices = tuple(_dropped(grid, float(lines[k]), lines[[i for i in kept if i < k]], lines) for k in dropped)
+    return np.isin(np.arange(len(lines)), kept), notices
 
 
 def separation_bins(frequency_hz: FloatArray, rate_hz: float, frames: int) -> float:

@@ -241,8 +241,7 @@ def _from_one_resolved(resolved: TriggerFit, sampled: TriggerFit, here: IntArray
 def _from_intervals(base: TriggerFit, other: TriggerFit, shift: int, start: ClockLine, paired: bool) -> ClockLine:
     """Estimate both lines and the common jitter from the intervals of both records.
 
-    The other record's intervals are read on the base clock by `start`; the two lines then differ by what `start`
-    lacks.
+    The other record's intervals are read on the base clock by `start`; the two lines then differ by what `start` lacks.
     """
     numbers = np.union1d(base.number, other.number + shift)
     centre, half = (numbers[0] + numbers[-1]) / 2.0, (numbers[-1] - numbers[0]) / 2.0
