@@ -26,6 +26,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import BinaryIO
 
@@ -83,27 +84,8 @@ def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: S
 
 def find_bytes(stream: BinaryIO, text: bytes, start: int, stop: int) -> int:
     """Return where a text first stands in bytes `start` to `stop` of a file, -1 where it does not."""
-    position, tail, overlap = start, b"", len(text) - 1
-    stream.seek(start)
-    while block := stream.read(min(BLOCK, stop - position)):
-        seam = tail + block[:overlap]
-        for place, part in ((position - len(tail), seam), (position, block)):
-            found = part.find(text)
-            if found >= 0:
-                return place + found
-        position += len(block)
-        tail = (seam if len(block) < overlap else block)[-overlap:]
-    return -1
-
-
-def count_lines(stream: BinaryIO, start: int, stop: int) -> int:
-    """Return the number of line ends in bytes `start` to `stop` of a file."""
-    stream.seek(start)
-    lines = 0
-    while start < stop and (block := stream.read(min(BLOCK, stop - start))):
-        start += len(block)
-        lines += block.count(b"\n")
-    return lines
+    with mmap(stream.fileno(), 0, access=ACCESS_READ) as mapped:
+        return mapped.find(text, start, stop)
 
 
 def decoded(raw: bytes) -> str:
