@@ -132,8 +132,7 @@ def _read_segment(path: Path, segment: _Segment, wanted: Sequence[str]) -> dict[
     own = {name: channels[name] for name in wanted}
     before = {name: [i for i in range(column) if segment.titles[i] == _TIMES] for name, column in own.items()}
     needed = sorted({*own.values(), *(i for places in before.values() for i in places)})
-    read = read_columns(segment.layout, segment.start, segment.stop, segment.line, needed)
-    columns = dict(zip(needed, read, strict=True))
+    columns = read_columns(segment.layout, segment.start, segment.stop, segment.line, needed)
     parts = {}
     for name in wanted:
         samples, index = columns[own[name]], list(channels).index(name)

@@ -55,8 +55,8 @@ class TextLayout:
     remarks: bool = False
 
 
-def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: Sequence[int]) -> list[FloatArray]:
-    """Return the columns wanted, each (S,), of the rows in bytes `start` to `stop`, which begin at line number `line`.
+def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: Sequence[int]) -> dict[int, FloatArray]:
+    """Return the columns wanted by their places, each (S,), of rows in bytes `start` to `stop`, the first in `line`.
 
     Empty cells are NaN; empty lines and lines that begin with # are passed over. Memory: the result and one block.
     """
@@ -79,7 +79,7 @@ def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: S
         column.resize(filled, refcheck=False)
     if not filled:
         raise ValueError(f"{layout.path}: line {line}: expected rows of numbers, found none")
-    return columns
+    return dict(zip(wanted, columns, strict=True))
 
 
 def find_bytes(stream: BinaryIO, text: bytes, start: int, stop: int) -> int:
@@ -195,7 +195,7 @@ class _Head:
     def columns(self, wanted: Sequence[int]) -> dict[int, FloatArray]:
         """Return columns by their places."""
         size = self.layout.path.stat().st_size
-        return dict(zip(wanted, read_columns(self.layout, self.start, size, self.line, wanted), strict=True))
+        return read_columns(self.layout, self.start, size, self.line, wanted)
 
 
 def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:

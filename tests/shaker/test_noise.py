@@ -26,6 +26,12 @@ def noise_of(residual: FloatArray, line_bin: list[float], *, blocks: bool = True
     return found
 
 
+def left_noise(time: FloatArray, series: FloatArray, lines: FloatArray, *, blocks: bool = True) -> LineNoise:
+    """The noise of lines in Hz, which are bins of a record of 1 s, in what their fit leaves."""
+    fit = fit_sines(time, series[:, None], lines, ["x"], ["m"])
+    return noise_of(fit.residual_of(time, series[:, None]), list(lines), blocks=blocks)
+
+
 def slow_noise(rng: np.random.Generator, samples: int, corner: float) -> FloatArray:
     """Return noise of density 1 + corner/j at bin j, cut from a record 16 times as long."""
     length = 16 * samples
@@ -48,11 +54,7 @@ def test_level_and_degrees_of_freedom_are_honest_for_white_noise():
 def test_lines_close_together_take_none_of_the_level_away():
     rng, time = np.random.default_rng(2), np.arange(400) / 400.0
     lines = 20.4 + 3.3 * np.arange(8)
-    levels = []
-    for _ in range(100):
-        series = 2.0 * rng.normal(size=(400, 1))
-        fit = fit_sines(time, series, lines, ["x"], ["m"])
-        levels.append(noise_of(fit.residual_of(time, series), list(lines)).variance)
+    levels = [left_noise(time, 2.0 * rng.normal(size=400), lines).variance for _ in range(100)]
     assert np.mean(levels) == pytest.approx(4.0, rel=0.03)
 
 
@@ -76,10 +78,8 @@ def test_a_mains_line_is_no_noise():
 def test_noise_is_no_smaller_than_the_scatter_between_blocks():
     rng, time = np.random.default_rng(5), np.arange(4000) / 4000.0
     wander = np.cumsum(rng.normal(size=4000)) / np.sqrt(4000)
-    series = (300.0 * (1.0 + 0.05 * wander) * np.cos(2 * np.pi * 100.0 * time) + rng.normal(size=4000))[:, None]
-    fit = fit_sines(time, series, np.array([100.0]), ["x"], ["m"])
-    residual = fit.residual_of(time, series)
-    raised, plain = noise_of(residual, [100.0]), noise_of(residual, [100.0], blocks=False)
+    series = 300.0 * (1.0 + 0.05 * wander) * np.cos(2 * np.pi * 100.0 * time) + rng.normal(size=4000)
+    raised, plain = (left_noise(time, series, np.array([100.0]), blocks=blocks) for blocks in (True, False))
     blocks = 300.0 * 0.05 * wander.reshape(8, 500).mean(axis=1)
     blocks -= np.polyval(np.polyfit(np.arange(8), blocks, 1), np.arange(8))
     # One of two quadratures scatters, about a straight line; u² = s²/B = 2·variance/N.
@@ -93,11 +93,7 @@ def test_a_steady_growth_is_no_noise():
     rng, time = np.random.default_rng(8), np.arange(4000) / 4000.0
     growing = 300.0 * np.exp(0.02j * (time - 0.5)) * (1.0 + 0.03 * (time - 0.5))
     wave = (growing * np.exp(2j * np.pi * 100.0 * time)).real
-    levels = []
-    for _ in range(30):
-        series = (wave + rng.normal(size=4000))[:, None]
-        fit = fit_sines(time, series, np.array([100.0]), ["x"], ["m"])
-        levels.append(noise_of(fit.residual_of(time, series), [100.0]).variance)
+    levels = [left_noise(time, wave + rng.normal(size=4000), np.array([100.0])).variance for _ in range(30)]
     assert np.mean(levels) == pytest.approx(1.0, abs=0.1)
 
 

@@ -314,14 +314,9 @@ def test_best_rates_are_clear_well_placed_and_apart():
 @given(st.integers(0, 10_000), st.integers(1, 6), st.integers(1, 8))
 def test_few_rates_serve_every_point_that_can_be_served(seed, points, rates):
     rng = np.random.default_rng(seed)
+    grid = np.arange(1.0, rates + 1.0)
     scans = [
-        Scan(
-            np.arange(1.0, rates + 1.0),
-            rng.uniform(0.0, 3.0, rates),
-            rng.uniform(1.0, 2.0, rates),
-            rng.integers(0, 2, rates),
-            rng.uniform(size=rates) < 0.7,
-        )
+        Scan(grid, 3.0 * rng.random(rates), 1.0 + rng.random(rates), rng.integers(0, 2, rates), rng.random(rates) < 0.7)
         for _ in range(points)
     ]
     chosen = fewest_rates(scans)
@@ -371,9 +366,8 @@ def _scatter(rate: float, trials: int, seed: int) -> float:
     density = np.concatenate([[0.0], 5.0 / np.fft.rfftfreq(length, 1.0 / rate)[1:]])
     found = []
     for _ in range(trials // 10):
-        pink = np.fft.irfft(
-            np.fft.rfft(rng.normal(size=(length, 10)), axis=0) * np.sqrt(density)[:, None], length, axis=0
-        )
+        white = np.fft.rfft(rng.normal(size=(length, 10)), axis=0)
+        pink = np.fft.irfft(white * np.sqrt(density)[:, None], length, axis=0)
         phase = rng.uniform(0.0, 2.0 * np.pi, 10)
         clean = 100.0 * plan.gain[0] * np.cos(2.0 * np.pi * 106.25 * time[:, None] + phase)
         values = clean + rng.normal(size=(211, 10)) + pink[:211]
