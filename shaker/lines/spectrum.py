@@ -94,13 +94,6 @@ def centred_spectrum(samples: FloatArray) -> ComplexArray:
     return np.asarray(spectrum)
 
 
-def take_out_ramp(spectrum: ComplexArray, samples: int) -> None:
-    """Take the straight line that the lowest bins show out of a spectrum, in place."""
-    _, ramp = kernel(0.0, 0, min(len(spectrum), _RAMP_BINS), samples)
-    size = float(ramp @ spectrum.imag[: len(ramp)]) / float(ramp @ ramp)
-    spectrum.imag[: len(ramp)] -= size * ramp
-
-
 def kernel(place: float, low: int, high: int, samples: int) -> tuple[FloatArray, FloatArray]:
     """Return what a unit line at `place` leaves in the bins from `low` to below `high`, and its derivative by `place`.
 
@@ -342,7 +335,10 @@ class _Search:
 
     def look(self) -> None:
         """Take the power of what is left, and its noise floor."""
-        take_out_ramp(self.rest, self.samples)
+        # The straight line that the lowest bins show is taken out.
+        _, ramp = kernel(0.0, 0, min(len(self.rest), _RAMP_BINS), self.samples)
+        lowest = self.rest.imag[: len(ramp)]
+        lowest -= float(ramp @ lowest) / float(ramp @ ramp) * ramp
         self.power = self.rest.real**2 + self.rest.imag**2
         level, self.independent = noise_level(self.power)
         strongest = max((abs(line.value) ** 2 for line in self.lines), default=float(self.power.max(initial=0.0)))
