@@ -10,7 +10,8 @@ import numpy as np
 
 NO_DATA, AS_BEFORE = struct.pack("<L", 0xFFFFFFFF), struct.pack("<L", 0)
 METADATA, NEW_LIST, RAW, INTERLEAVED, BIG_ENDIAN, DAQMX = 0x02, 0x04, 0x08, 0x20, 0x40, 0x80
-KINDS = {"i1": 1, "i2": 2, "i4": 3, "i8": 4, "u1": 5, "u2": 6, "u4": 7, "u8": 8, "f4": 9, "f8": 10, "c16": 0x10000D}
+KINDS = {"i1": 1, "i2": 2, "i4": 3, "i8": 4, "u1": 5, "u2": 6, "u4": 7, "u8": 8, "f4": 9, "f8": 10}
+KINDS |= {"c16": 0x10000D, "stamp": 0x44}
 CARD_KINDS = {"u1": 0, "i1": 1, "u2": 2, "i2": 3, "u4": 4, "i4": 5}
 Property = str | float | int | bool | Fraction
 
@@ -35,13 +36,8 @@ def value(own: Property, order: str = "<") -> bytes:
 
 
 def plain(kind: str, count: int, order: str = "<") -> bytes:
-    """The raw data index of a channel of numbers."""
+    """The raw data index of a channel of numbers or time stamps."""
     return struct.pack(f"{order}LLLQ", 20, KINDS[kind], 1, count)
-
-
-def stamps(count: int, order: str = "<") -> bytes:
-    """The raw data index of a channel of time stamps."""
-    return struct.pack(f"{order}LLLQ", 20, 0x44, 1, count)
 
 
 def texts(count: int, size: int) -> bytes:

@@ -251,11 +251,8 @@ def _product(s: ComplexArray, model: PoleModel) -> ComplexArray:
 
 def _frequency_slope(s: ComplexArray, model: PoleModel) -> ComplexArray:
     """Return ∂ln H/∂ln(all zeros and poles) at s (K,); roots at 0 stay there."""
-    slope = np.zeros(len(s), dtype=np.complex128)
-    for roots, sign in ((model.poles, 1.0), (model.zeros, -1.0)):
-        for root in roots[roots != 0.0]:
-            slope = slope + sign * root / (s - root)
-    return slope
+    poles, zeros = (roots[roots != 0.0] for roots in (model.poles, model.zeros))
+    return np.asarray(np.sum(poles / (s[:, None] - poles), axis=1) - np.sum(zeros / (s[:, None] - zeros), axis=1))
 
 
 def _finite(value: np.ndarray, frequency_hz: Sequence[float] | FloatArray) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,9 +105,8 @@ def period_phasors(data: FloatArray, period: Period, share: tuple[float, float],
     A period of a whole number of samples is transformed as it is. Otherwise each period is seen through a window that
     rises and falls as 1 - rise of the next one, so that all windows add to one: then Σ w(t)·exp(j2πnt/T) is zero for
     every n but 0 to 1e-7 or better (at 0.4 of the rate 1e-11), and the harmonics do not leak into one another. The
-    harmonics of 1/T lie on no grid of a fast Fourier transform; the chirp z-transform (Rabiner, Schafer and Rader
-    1969) reaches them. What the seams at both ends of the record lack comes from the mean
-    period, in some rounds.
+    harmonics of 1/T lie on no grid of a fast Fourier transform; the chirp z-transform (Rabiner, Schafer and Rader 1969)
+    reaches them. What the seams at both ends of the record lack comes from the mean period, in some rounds.
     """
     harmonic = np.arange(max(1, int(np.ceil(share[0] * period.samples))), int(share[1] * period.samples) + 1)
     if not len(harmonic):
@@ -121,48 +119,8 @@ def period_phasors(data: FloatArray, period: Period, share: tuple[float, float],
     return Periods(harmonic, _soft_phasors(data, period, harmonic, rounds))
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """One period as its window sees it: where it stands in the padded record, the window, and its transform."""
-
-    part: slice
-    window: FloatArray
-    transform: Callable[..., ComplexArray]
-    turn: ComplexArray
-
-    def phasors(self, padded: FloatArray) -> ComplexArray:
-        """Return the phasors (K, C) of the period."""
-        return self.turn[:, None] * self.transform(self.window[:, None] * padded[self.part], axis=0)
-
-
 def _soft_phasors(data: FloatArray, period: Period, harmonic: IntArray, rounds: int) -> ComplexArray:
     """Return phasors (M, K, C) through windows whose sum is one."""
-    half = int(np.ceil(0.5 * _seam(period.samples))) + 1
-    first = int(np.floor(period.start)) - half
-    last = int(np.ceil(period.start + period.count * period.samples)) + half
-    index = np.arange(first, last)
-    missing = (index < 0) | (index >= len(data))
-    padded = data[np.clip(index, 0, len(data) - 1)] - data.mean(axis=0)
-    padded[missing] = 0.0
-    seen = _windows(index, period, np.arange(1, int(0.49 * period.samples) + 1))
-    value = np.stack([window.phasors(padded) for window in seen])
-    weight = np.zeros(len(index))
-    for window in seen:
-        weight[window.part] += window.window
-    weight = weight[missing] / period.count
-    turns = 2j * np.pi / period.samples * (index[missing] - period.start)
-    basis = np.exp(np.multiply.outer(turns, np.arange(1.0, value.shape[1] + 1.0)))
-    for _ in range(rounds if missing.any() else 0):
-        model = (basis @ value.mean(axis=0)).real
-        # A sample that is missing lowers the mean it is taken from by its own weight.
-        padded[missing] += (model - padded[missing]) / (1.0 - weight[:, None])
-        for m in {0, period.count - 1}:
-            value[m] = seen[m].phasors(padded)
-    return np.asarray(value[:, harmonic[0] - 1 : harmonic[-1]])
-
-
-def _windows(index: IntArray, period: Period, harmonic: IntArray) -> list[_Seen]:
-    """Return the soft windows of all periods and their transforms at the harmonics 1, 2 … K."""
     from scipy.signal import CZT
     from scipy.special import betainc
 
@@ -171,19 +129,36 @@ def _windows(index: IntArray, period: Period, harmonic: IntArray) -> list[_Seen]
     def rise(t: FloatArray) -> FloatArray:
         return np.asarray(betainc(_SOFT_ORDER + 1, _SOFT_ORDER + 1, np.clip(t / seam + 0.5, 0.0, 1.0)))
 
-    step = np.exp(-2j * np.pi / samples)
-    transforms: dict[int, Callable[..., ComplexArray]] = {}
-    seen = []
-    for number in range(period.count):
-        begin = period.start + number * samples
-        low, high = np.searchsorted(index, [begin - 0.5 * seam, begin + samples + 0.5 * seam])
-        time = np.asarray(index[low:high] - begin, dtype=np.float64)
-        length = int(high - low)
-        if length not in transforms:
-            transforms[length] = CZT(length, m=len(harmonic), w=step, a=1.0 / step)
-        turn = 2.0 / samples * np.exp(-2j * np.pi * harmonic * (time[0] / samples))
-        seen.append(_Seen(slice(low, high), rise(time) - rise(time - samples), transforms[length], turn))
-    return seen
+    half = int(np.ceil(0.5 * seam)) + 2
+    first = int(np.floor(period.start)) - half
+    last = int(np.ceil(period.start + period.count * samples)) + half
+    index = np.arange(first, last)
+    missing = (index < 0) | (index >= len(data))
+    padded = data[np.clip(index, 0, len(data) - 1)] - data.mean(axis=0)
+    padded[missing] = 0.0
+    # Places (M, N) that the window of each period sees, and its transform at the harmonics 1, 2 … K.
+    begin = period.start + samples * np.arange(period.count)
+    place = np.searchsorted(index, begin - 0.5 * seam)[:, None] + np.arange(int(np.ceil(samples + seam)) + 1)
+    time = index[place] - begin[:, None]
+    window = rise(time) - rise(time - samples)
+    every, step = np.arange(1, int(0.49 * samples) + 1), np.exp(-2j * np.pi / samples)
+    transform = CZT(place.shape[1], m=len(every), w=step, a=1.0 / step)
+
+    def phasors(m: int) -> ComplexArray:
+        turn = 2.0 / samples * np.exp(-2j * np.pi * every * (time[m, 0] / samples))
+        return np.asarray(turn[:, None] * transform(window[m][:, None] * padded[place[m]], axis=0))
+
+    value = np.stack([phasors(m) for m in range(period.count)])
+    weight = np.bincount(place.ravel(), window.ravel(), len(index))[missing] / period.count
+    turns = 2j * np.pi / samples * (index[missing] - period.start)
+    basis = np.exp(np.multiply.outer(turns, every))
+    for _ in range(rounds if missing.any() else 0):
+        model = (basis @ value.mean(axis=0)).real
+        # A sample that is missing lowers the mean it is taken from by its own weight.
+        padded[missing] += (model - padded[missing]) / (1.0 - weight[:, None])
+        for m in {0, period.count - 1}:
+            value[m] = phasors(m)
+    return np.asarray(value[:, harmonic[0] - 1 : harmonic[-1]])
 
 
 def _seam(samples: float) -> float:

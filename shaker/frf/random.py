@@ -180,16 +180,15 @@ class LineSpectra:
 def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray) -> LineSpectra:
     """Return spectra [reference, responses] at lines (K,), Hz, a `length`-th of the sample rate apart.
 
-    Over a window of five lines of the record's own DFT, r bins from the line,
-    Y(r) = Σ g_s rˢ·X(r) + Σ t_s rˢ, s = 0 … 6, by least squares: t is what the record's beginning and end leave
-    (leakage), smooth in frequency, g₀ the transfer function at the line (Pintelon and Schoukens, System Identification,
-    2nd ed., 2012, sec. 7.2; Schoukens, Vandersteen, Barbé and Pintelon, Eur. J. Control 15, 2009). What the fit leaves,
-    per degree of freedom, is the noise S_ee. Given back is S_xx = mean |X|², S_yx = g₀ S_xx, S_yy = |g₀|² S_xx + S_ee,
-    worth n + 1 averages, n = (X*QX)/S_xx, Q the projection on what the other unknowns do not explain: then
-    var g₀ = S_ee/(n S_xx), and noise on the reference lowers g₀ as it lowers H1, so that H2 and Hv can be had from
-    these spectra as from averaged ones. Errors of two lines correlate as far as their windows overlap. A resonance
-    that is too narrow for these polynomials is still more so for those of order 4: the difference, where noise alone
-    does not make it, bounds the bias.
+    Over a window of five lines of the record's own DFT, r bins from the line, Y(r) = Σ g_s rˢ·X(r) + Σ t_s rˢ, s = 0 …
+    6, by least squares: t is what the record's beginning and end leave (leakage), smooth in frequency, g₀ the transfer
+    function at the line (Pintelon and Schoukens, System Identification, 2nd ed., 2012, sec. 7.2; Schoukens,
+    Vandersteen, Barbé and Pintelon, Eur. J. Control 15, 2009). What the fit leaves, per degree of freedom, is the noise
+    S_ee. Given back is S_xx = mean |X|², S_yx = g₀ S_xx, S_yy = |g₀|² S_xx + S_ee, worth n + 1 averages, n =
+    (X*QX)/S_xx, Q the projection on what the other unknowns do not explain: then var g₀ = S_ee/(n S_xx), and noise on
+    the reference lowers g₀ as it lowers H1, so that H2 and Hv can be had from these spectra as from averaged ones.
+    Errors of two lines correlate as far as their windows overlap. A resonance that is too narrow for these polynomials
+    is still more so for those of order 4: the difference, where noise alone does not make it, bounds the bias.
     """
     samples = len(record.reference)
     if samples < LEAST_SEGMENTS * length:
@@ -214,15 +213,6 @@ def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray)
     return LineSpectra(Spectra(power, averages), bias, dof, correlation.astype(np.complex128), text)
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """Polynomials in windows of B bins: `ratio` (K, C), `information` (K,) and `noise` (K, C, C) behind it."""
-
-    ratio: ComplexArray
-    information: FloatArray
-    noise: ComplexArray
-
-
 def _solved(
     transform: ComplexArray, place: FloatArray, first: IntArray, bins: int
 ) -> tuple[ComplexArray, FloatArray, ComplexArray]:
@@ -230,22 +220,27 @@ def _solved(
     index = first[:, None] + np.arange(bins)
     powers = ((index - place[:, None]) / (0.5 * bins))[:, :, None] ** np.arange(_ORDER + 1)
     reference, responses = transform[index, :1], transform[index, 1:]
-    fit = _fitted(powers, reference, responses)
-    lower = _fitted(powers[:, :, : _LOWER_ORDER + 1], reference, responses)
+    ratio, information, noise = _fitted(powers, reference, responses)
+    lower_ratio, lower_information, _ = _fitted(powers[:, :, : _LOWER_ORDER + 1], reference, responses)
     level = np.mean(np.abs(reference[:, :, 0]) ** 2, axis=1) + np.finfo(np.float64).tiny ** 0.5
-    through = np.concatenate([np.ones_like(fit.ratio[:, :1]), fit.ratio], axis=1)
+    through = np.concatenate([np.ones_like(ratio[:, :1]), ratio], axis=1)
     power = level[:, None, None] * through[:, :, None] * through.conj()[:, None, :]
-    power[:, 1:, 1:] += fit.noise
+    power[:, 1:, 1:] += noise
     # The lower fit is part of the higher one, so that the variance of their difference is that of their variances.
-    gained = 1.0 / fit.information - 1.0 / lower.information
-    by_chance = np.einsum("kcc->kc", fit.noise).real * gained[:, None]
-    difference = fit.ratio - lower.ratio
+    gained = 1.0 / information - 1.0 / lower_information
+    by_chance = np.einsum("kcc->kc", noise).real * gained[:, None]
+    difference = ratio - lower_ratio
     bias = np.where(np.abs(difference) ** 2 > _CERTAIN * by_chance, difference, 0.0)
-    return power, 1.0 + fit.information / level, bias
+    return power, 1.0 + information / level, bias
 
 
-def _fitted(powers: FloatArray, reference: ComplexArray, responses: ComplexArray) -> _Fit:
-    """Fit polynomials with `powers` (K, B, P) of the place to responses (K, B, C) on a reference (K, B, 1)."""
+def _fitted(
+    powers: FloatArray, reference: ComplexArray, responses: ComplexArray
+) -> tuple[ComplexArray, FloatArray, ComplexArray]:
+    """Fit polynomials with `powers` (K, B, P) of the place to responses (K, B, C) on a reference (K, B, 1).
+
+    Returns the ratio (K, C), the information (K,) and the noise (K, C, C) behind it.
+    """
     # The transfer function at the line comes last but the responses, so that the triangle holds it alone.
     columns = np.concatenate([powers[:, :, 1:] * reference, powers, reference, responses], axis=2)
     triangle: ComplexArray = np.asarray(np.linalg.qr(columns, mode="r"))
@@ -254,7 +249,7 @@ def _fitted(powers: FloatArray, reference: ComplexArray, responses: ComplexArray
     pivot = np.where(pivot == 0.0, np.finfo(np.float64).tiny ** 0.25, pivot)
     left = triangle[:, last + 1 :, last + 1 :]
     noise = left.swapaxes(1, 2) @ left.conj() / (powers.shape[1] - last - 1)
-    return _Fit(triangle[:, last, last + 1 :] / pivot[:, None], np.abs(pivot) ** 2, noise)
+    return triangle[:, last, last + 1 :] / pivot[:, None], np.abs(pivot) ** 2, noise
 
 
 # Transfer functions from noise: local polynomials, or averaged spectra of overlapping segments; H1, H2, Hv.

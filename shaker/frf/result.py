@@ -214,18 +214,17 @@ def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tu
     of freedom allow (mains, a spur) keeps its own noise to itself; where its scatter has too few degrees of freedom for
     the correlation of C responses, that of the neighbours, enlarged.
     """
-    lines = len(scatter)
+    from scipy.ndimage import convolve1d
+
     level = np.einsum("kcc->kc", scatter).real
     shape = np.sqrt(np.sum(_shape(level, np.abs(ratio) ** 2), axis=0))
     product = shape[:, :, None] * shape[:, None, :]
     even = scatter / product
     alone = _stands_out(level / shape**2, dof)
     counted = np.where(alone[:, None, None], 0.0, even)
-    total, number = np.zeros_like(counted), np.zeros(lines)
-    for offset in range(-min(_NEIGHBOURS, lines - 1), min(_NEIGHBOURS, lines - 1) + 1):
-        first, last = max(0, -offset), min(lines, lines - offset)
-        total[first:last] += counted[first + offset : last + offset]
-        number[first:last] += ~alone[first + offset : last + offset]
+    near = np.ones(2 * _NEIGHBOURS + 1)
+    total = convolve1d(counted, near, axis=0, mode="constant")
+    number = convolve1d((~alone).astype(np.float64), near, mode="constant")
     mean = np.asarray(total / np.maximum(number, 1.0)[:, None, None], dtype=np.complex128)
     own = even
     if dof < 2.0 * level.shape[1]:  # the neighbours' noise times what the line's own exceeds it by where most so

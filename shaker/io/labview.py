@@ -12,7 +12,7 @@ import numpy as np
 
 from shaker.arrays import FloatArray
 from shaker.io.channel import UNIFORM, RawChannel, chosen, rate_of_times
-from shaker.io.text import TextLayout, count_lines, decoded, find_bytes, read_columns
+from shaker.io.text import TextLayout, decoded, find_bytes, read_columns, whole_lines
 
 _END, _CHANNELS = b"***End_of_Header***", b"\nChannels"
 _SPECIAL, _SPECIAL_END = "***Start_Special***", "***End_Special***"
@@ -84,7 +84,8 @@ def _segments(path: Path, stream: BinaryIO) -> Iterator[_Segment]:
         yield _Segment({**file_header, **header}, titles, layout, start, rows_end, line + 1)
         if special >= 0 and find_bytes(stream, _END, special, size) < 0:
             return
-        line, place = line + 1 + count_lines(stream, start, rows_end), rows_end
+        line += 1 + sum(block.count(b"\n") for _, block in whole_lines(stream, start, rows_end))
+        place = rows_end
 
 
 def _header(
@@ -131,8 +132,7 @@ def _read_segment(path: Path, segment: _Segment, wanted: Sequence[str]) -> dict[
     own = {name: channels[name] for name in wanted}
     before = {name: [i for i in range(column) if segment.titles[i] == _TIMES] for name, column in own.items()}
     needed = sorted({*own.values(), *(i for places in before.values() for i in places)})
-    read = read_columns(segment.layout, segment.start, segment.stop, segment.line, needed)
-    columns = dict(zip(needed, read, strict=True))
+    columns = read_columns(segment.layout, segment.start, segment.stop, segment.line, needed)
     parts = {}
     for name in wanted:
         samples, index = columns[own[name]], list(channels).index(name)

@@ -26,6 +26,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import BinaryIO
 
@@ -54,8 +55,8 @@ class TextLayout:
     remarks: bool = False
 
 
-def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: Sequence[int]) -> list[FloatArray]:
-    """Return the columns wanted, each (S,), of the rows in bytes `start` to `stop`, which begin at line number `line`.
+def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: Sequence[int]) -> dict[int, FloatArray]:
+    """Return the columns wanted by their places, each (S,), of rows in bytes `start` to `stop`, the first in `line`.
 
     Empty cells are NaN; empty lines and lines that begin with # are passed over. Memory: the result and one block.
     """
@@ -78,32 +79,13 @@ def read_columns(layout: TextLayout, start: int, stop: int, line: int, wanted: S
         column.resize(filled, refcheck=False)
     if not filled:
         raise ValueError(f"{layout.path}: line {line}: expected rows of numbers, found none")
-    return columns
+    return dict(zip(wanted, columns, strict=True))
 
 
 def find_bytes(stream: BinaryIO, text: bytes, start: int, stop: int) -> int:
     """Return where a text first stands in bytes `start` to `stop` of a file, -1 where it does not."""
-    position, tail, overlap = start, b"", len(text) - 1
-    stream.seek(start)
-    while block := stream.read(min(BLOCK, stop - position)):
-        seam = tail + block[:overlap]
-        for place, part in ((position - len(tail), seam), (position, block)):
-            found = part.find(text)
-            if found >= 0:
-                return place + found
-        position += len(block)
-        tail = (seam if len(block) < overlap else block)[-overlap:]
-    return -1
-
-
-def count_lines(stream: BinaryIO, start: int, stop: int) -> int:
-    """Return the number of line ends in bytes `start` to `stop` of a file."""
-    stream.seek(start)
-    lines = 0
-    while start < stop and (block := stream.read(min(BLOCK, stop - start))):
-        start += len(block)
-        lines += block.count(b"\n")
-    return lines
+    with mmap(stream.fileno(), 0, access=ACCESS_READ) as mapped:
+        return mapped.find(text, start, stop)
 
 
 def decoded(raw: bytes) -> str:
@@ -213,7 +195,7 @@ class _Head:
     def columns(self, wanted: Sequence[int]) -> dict[int, FloatArray]:
         """Return columns by their places."""
         size = self.layout.path.stat().st_size
-        return dict(zip(wanted, read_columns(self.layout, self.start, size, self.line, wanted), strict=True))
+        return read_columns(self.layout, self.start, size, self.line, wanted)
 
 
 def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:

@@ -213,6 +213,7 @@ def plan_at(lines: Lines, rate_hz: float, sampling: Sampling) -> RatePlan:
 PREFERRED = (0.1, 0.4)
 """Share of the camera rate between which fundamentals are best seen: above 1/f noise, below the Nyquist frequency."""
 _NEAR_BEST = 1.05  # uncertainties this close are equal, and the distance between lines decides
+_CHOICES = 3
 _APART = 0.02  # of the range of rates: choices closer than this are one choice
 _POINTS_PER_INTERVAL = 4  # rates tried within the narrowest interval in which two lines meet
 _MAX_ENTRIES = 4_000_000  # points times rates held at a time
@@ -302,8 +303,8 @@ def scan_rates(lines: Lines, rate_hz: FloatArray, sampling: Sampling) -> Scan:
     return Scan(rate_hz, margin, penalty, preferred, unmixed)
 
 
-def best_rates(scan: Scan, count: int = 3) -> tuple[float, ...]:
-    """Return up to `count` rates, best first; empty where no rate keeps the lines apart.
+def best_rates(scan: Scan) -> tuple[float, ...]:
+    """Return up to three rates, best first; empty where no rate keeps the lines apart.
 
     The best is, among the good rates whose penalty is within 5 % of the smallest, the one that keeps the lines
     farthest apart; the next are the best of those that are not near one already chosen.
@@ -311,7 +312,7 @@ def best_rates(scan: Scan, count: int = 3) -> tuple[float, ...]:
     left = scan.good
     apart = _APART * float(scan.rate_hz[-1] - scan.rate_hz[0])
     chosen: list[float] = []
-    while left.any() and len(chosen) < count:
+    while left.any() and len(chosen) < _CHOICES:
         rate = float(scan.rate_hz[_best_of(left, scan.penalty, scan.margin_bins)])
         chosen.append(rate)
         left = left & (np.abs(scan.rate_hz - rate) > apart)

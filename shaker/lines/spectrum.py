@@ -94,13 +94,6 @@ def centred_spectrum(samples: FloatArray) -> ComplexArray:
     return np.asarray(spectrum)
 
 
-def take_out_ramp(spectrum: ComplexArray, samples: int) -> None:
-    """Take the straight line that the lowest bins show out of a spectrum, in place."""
-    _, ramp = kernel(0.0, 0, min(len(spectrum), _RAMP_BINS), samples)
-    size = float(ramp @ spectrum.imag[: len(ramp)]) / float(ramp @ ramp)
-    spectrum.imag[: len(ramp)] -= size * ramp
-
-
 def kernel(place: float, low: int, high: int, samples: int) -> tuple[FloatArray, FloatArray]:
     """Return what a unit line at `place` leaves in the bins from `low` to below `high`, and its derivative by `place`.
 
@@ -288,11 +281,10 @@ def find_peaks(
     """Find the lines of samples (S,): noise alone adds one with probability `chance` in the whole spectrum.
 
     Half of the chance is for peaks anywhere, half for those at the `expected` places (E,), where less height is enough.
-    Each line is fitted and taken out of the spectrum with its leakage before the floor is looked at again; a
-    line must stand out of what is left next to it just as well (and by no less than the square root of its chance
-    allows for so few bins), which the skirts of a stronger line and a resonance do not.
-    `taken` (T,): bins of lines fitted already, whose samples these are the residual of; `smallest`: amplitude below
-    which a peak is rounding.
+    Each line is fitted and taken out of the spectrum with its leakage before the floor is looked at again; a line must
+    stand out of what is left next to it just as well (and by no less than the square root of its chance allows for so
+    few bins), which the skirts of a stronger line and a resonance do not. `taken` (T,): bins of lines fitted already,
+    whose samples these are the residual of; `smallest`: amplitude below which a peak is rounding.
     """
     state = _Search(centred_spectrum(samples), len(samples), taken, expected, chance, smallest**2)
     for _ in range(_ROUNDS):
@@ -343,7 +335,10 @@ class _Search:
 
     def look(self) -> None:
         """Take the power of what is left, and its noise floor."""
-        take_out_ramp(self.rest, self.samples)
+        # The straight line that the lowest bins show is taken out.
+        _, ramp = kernel(0.0, 0, min(len(self.rest), _RAMP_BINS), self.samples)
+        lowest = self.rest.imag[: len(ramp)]
+        lowest -= float(ramp @ lowest) / float(ramp @ ramp) * ramp
         self.power = self.rest.real**2 + self.rest.imag**2
         level, self.independent = noise_level(self.power)
         strongest = max((abs(line.value) ** 2 for line in self.lines), default=float(self.power.max(initial=0.0)))

@@ -79,15 +79,14 @@ def sampling_grid(time_s: FloatArray) -> SamplingGrid | None:
     return SamplingGrid(start, 1.0 / interval, index) if deviation <= GRID_TOLERANCE * interval else None
 
 
-def sine_columns(time_s: FloatArray, frequency_hz: FloatArray, drift: bool = False) -> FloatArray:
-    """Return the design matrix (S, 2K + 1 or 2): cos and sin of each line in turn, then offset and drift.
+def sine_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
+    """Return the design matrix (S, 2K + 1): cos and sin of each line in turn, then the offset.
 
     Columns have unit length for ideal sampling (cos, sin by √(2/S)), so the condition number says how far the actual
-    sampling is from it; a line at zero or the Nyquist frequency keeps a vanishing column and is seen at once. The
-    drift column is linear in time, zero in the middle.
+    sampling is from it; a line at zero or the Nyquist frequency keeps a vanishing column and is seen at once.
     """
     samples, lines = len(time_s), len(frequency_hz)
-    columns = np.empty((samples, 2 * lines + (2 if drift else 1)), order="F")
+    columns = np.empty((samples, 2 * lines + 1), order="F")
     scale = np.sqrt(2.0 / samples)
     for k, frequency in enumerate(frequency_hz):
         # Whole turns are taken off before the angle is formed, so long records keep their last digits.
@@ -95,9 +94,6 @@ def sine_columns(time_s: FloatArray, frequency_hz: FloatArray, drift: bool = Fal
         columns[:, 2 * k] = scale * np.cos(angle)
         columns[:, 2 * k + 1] = scale * np.sin(angle)
     columns[:, 2 * lines] = np.sqrt(1.0 / samples)
-    if drift:
-        centred = time_s - np.mean(time_s)
-        columns[:, 2 * lines + 1] = centred / np.linalg.norm(centred)
     return columns
 
 
@@ -141,31 +137,25 @@ _MAX_CHANGE = 0.2  # of the rate: a cure that lies farther away is a new measure
 _RATE_STEP_HZ = 1e-3
 
 
-def usable_lines(
-    time_s: FloatArray, frequency_hz: FloatArray, max_condition: float = MAX_CONDITION, drift: bool = False
-) -> tuple[BoolArray, tuple[Notice, ...]]:
+def usable_lines(time_s: FloatArray, frequency_hz: FloatArray) -> tuple[BoolArray, tuple[Notice, ...]]:
     """Return which lines (K,) these sampling times can tell apart, and a notice for each that is dropped.
 
     Lines are taken in the order given (fundamentals first, please); one is dropped when, with the lines kept so far
-    and the offset, it lifts the condition number of the design matrix above `max_condition`. The notice says what it
+    and the offset, it lifts the condition number of the design matrix above `MAX_CONDITION`. The notice says what it
     folds onto and which nearby rate would separate all the lines.
     """
-    columns = sine_columns(time_s, frequency_hz, drift)
+    columns = sine_columns(time_s, frequency_hz)
     gram = columns.T @ columns
-    constant = list(range(2 * len(frequency_hz), columns.shape[1]))
     kept: list[int] = []
     dropped: list[int] = []
     for k in range(len(frequency_hz)):
-        chosen = [i for line in [*kept, k] for i in (2 * line, 2 * line + 1)] + constant
-        usable = condition_number(gram[np.ix_(chosen, chosen)]) <= max_condition
+        chosen = [i for line in [*kept, k] for i in (2 * line, 2 * line + 1)] + [-1]
+        usable = condition_number(gram[np.ix_(chosen, chosen)]) <= MAX_CONDITION
         (kept if usable else dropped).append(k)
-    mask = np.zeros(len(frequency_hz), dtype=np.bool_)
-    mask[kept] = True
-    if not dropped:
-        return mask, ()
-    grid = sampling_grid(time_s)
+    grid = sampling_grid(time_s) if dropped else None
     lines = np.asarray(frequency_hz, dtype=np.float64)
-    return mask, tuple(_dropped(grid, float(lines[k]), lines[[i for i in kept if i < k]], lines) for k in dropped)
+    notices = tuple(_dropped(grid, float(lines[k]), lines[[i for i in kept if i < k]], lines) for k in dropped)
+    return np.isin(np.arange(len(lines)), kept), notices
 
 
 def separation_bins(frequency_hz: FloatArray, rate_hz: float, frames: int) -> float:
@@ -193,20 +183,19 @@ def nearest_clear_rate(
     rate_hz: float,
     frames: int,
     *,
-    separation: float = CLEAR_BINS,
     step_hz: float = _RATE_STEP_HZ,
     max_change: float = _MAX_CHANGE,
 ) -> float | None:
-    """Return the rate nearest to `rate_hz` at which lines (K,) are `separation` bins apart, None if there is none.
+    """Return the rate nearest to `rate_hz` at which lines (K,) are `CLEAR_BINS` apart, None if there is none.
 
     Only multiples of `step_hz` within `max_change`·`rate_hz` count. Two exponentials that differ by F are too close
-    where |F/rate - k| < separation/frames for a whole number k, which is an interval of rates; from the present rate
+    where |F/rate - k| < `CLEAR_BINS`/frames for a whole number k, which is an interval of rates; from the present rate
     outwards, each interval met is left at its far end, so no rate is missed and few are looked at.
     """
     if not (rate_hz > 0.0 and step_hz > 0.0):
         raise ValueError(f"rate_hz, step_hz: expected numbers above 0, found {rate_hz} and {step_hz}")
     differences = differences_hz(frequency_hz)
-    margin = separation / frames
+    margin = CLEAR_BINS / frames
     limits = (rate_hz * (1.0 - max_change), rate_hz * (1.0 + max_change))
     found = [
         rate

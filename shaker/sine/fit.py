@@ -110,7 +110,8 @@ def _fitted(
     lines, unknown = len(frequency_hz), model.exponents(frequency_hz)
     columns, system, coefficients = estimate(samples, frequency_hz, model)
     left = remainder(samples, columns, coefficients)
-    channels, free = samples.values.shape[1], samples.count - system.linear - unknown.shape[1] / len(names[0])
+    channels = samples.values.shape[1]
+    free = samples.count - system.linear - unknown.shape[1] / channels
     # The last step, on the exact residual.
     change = system.coefficients(left.right)
     gained = left.right[: system.linear].T @ change

@@ -84,10 +84,6 @@ class System:
         """Return the linear parameters (P, C) of right-hand sides (P', C)."""
         return _products(self.inverse, right[: self.linear])
 
-    def slopes(self, right: FloatArray) -> FloatArray:
-        """Return the projected slopes' products (2K, C) with the values."""
-        return _products(self.project.swapaxes(1, 2), right)
-
     def information(self) -> FloatArray:
         """Return the products (D, D, 2K, 2K) of the projected slopes of one channel with those of another."""
         return np.asarray(self.project.swapaxes(1, 2)[:, None] @ self.gram @ self.project[None])
@@ -156,7 +152,7 @@ def frequency_step(
     if not np.linalg.eigvalsh(scaled)[0] > _SINGULAR:
         raise ValueError("frequency_hz: expected lines whose frequencies and decays the record tells, found none")
     inverse = np.linalg.inv(scaled) / np.multiply.outer(size, size)
-    gradient = np.einsum("ckq,kc->q", pull, system.slopes(right))
+    gradient = np.einsum("ckq,kc->q", pull, _products(system.project.swapaxes(1, 2), right))
     return Step(inverse @ gradient, inverse, derivative, pull)
 
 

@@ -241,8 +241,7 @@ def _from_one_resolved(resolved: TriggerFit, sampled: TriggerFit, here: IntArray
 def _from_intervals(base: TriggerFit, other: TriggerFit, shift: int, start: ClockLine, paired: bool) -> ClockLine:
     """Estimate both lines and the common jitter from the intervals of both records.
 
-    The other record's intervals are read on the base clock by `start`; the two lines then differ by what `start`
-    lacks.
+    The other record's intervals are read on the base clock by `start`; the two lines then differ by what `start` lacks.
     """
     numbers = np.union1d(base.number, other.number + shift)
     centre, half = (numbers[0] + numbers[-1]) / 2.0, (numbers[-1] - numbers[0]) / 2.0
@@ -340,25 +339,14 @@ def tie_clocks(
         notices = (Notice("info", text, "clock"),)
     pairs, _, there = np.intersect1d(base.number, other.number + decided.edges, return_indices=True)
     # Always from the coarser to the finer record, so that exchanged roles give the same tie.
-    if _fineness(other) < _fineness(base):
+    finer = min((base, other), key=lambda fit: (fit.resolution_s, fit.edges, fit.start_s))
+    if finer is other:
         line = clock_line(other, base, -decided.edges).inverse()
     else:
         line = clock_line(base, other, decided.edges)
-    return ClockTie(
-        offset_s=line.offset_s,
-        rate=line.rate,
-        covariance=line.covariance,
-        shift=decided.edges,
-        decided_by=decided.decided_by,
-        pairs=len(pairs),
-        middle_s=float(np.mean(other.edge_s[there] if len(pairs) else other.edge_s)),
-        notices=notices,
-    )
-
-
-def _fineness(fit: TriggerFit) -> tuple[float, int, float]:
-    """Return a key that orders records: the one with the finer edges first."""
-    return fit.resolution_s, fit.edges, fit.start_s
+    middle_s = float(np.mean(other.edge_s[there] if len(pairs) else other.edge_s))
+    own = line.offset_s, line.rate, line.covariance
+    return ClockTie(*own, decided.edges, decided.decided_by, len(pairs), middle_s, notices)
 
 
 # Instants of single trigger edges from all records that saw them: the periodic model and each edge's own deviation.

@@ -27,13 +27,16 @@ from shaker.sine.solve import SineModel
 NOTHING, RATE = np.empty(0), 6400.0
 
 
-def _tones(seconds: float, tones: dict[float, float], noise: float, seed: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    time = np.arange(round(seconds * RATE)) / RATE
+def _sum(rng: np.random.Generator, time: np.ndarray, tones: dict[float, float], noise: float) -> np.ndarray:
+    """Tones of random phase, amplitudes by their frequency, and white noise."""
     values = noise * rng.normal(size=len(time))
     for frequency, amplitude in tones.items():
         values += amplitude * np.cos(2 * np.pi * frequency * time + rng.uniform(0, 2 * np.pi))
     return values
+
+
+def _tones(seconds: float, tones: dict[float, float], noise: float, seed: int = 0) -> np.ndarray:
+    return _sum(np.random.default_rng(seed), np.arange(round(seconds * RATE)) / RATE, tones, noise)
 
 
 def _pink(rng: np.random.Generator, samples: int, exponent: float) -> np.ndarray:
@@ -242,16 +245,13 @@ def test_modes_of_a_beam_that_was_struck(data_dir):
             assert np.min(np.abs(found - mode)) < tolerance
 
 
-def test_sine_on_a_bin_shows_its_peak_amplitude():
+def test_sine_on_a_bin_shows_its_peak_amplitude_in_every_channel():
+    np.testing.assert_allclose(hann_window(64), 2.0 * scipy.signal.get_window("hann", 64, fftbins=True), atol=1e-12)
     t = np.arange(4096) / 4096.0
     spectrum = amplitude_spectrum(3.0 * np.sin(2 * np.pi * 400.0 * t) + 7.0, 4096.0)
     assert spectrum.frequency_hz[np.argmax(spectrum.amplitude)] == 400.0
     assert spectrum.amplitude.max() == pytest.approx(3.0, rel=1e-9)
     assert spectrum.amplitude[0] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_the_window_is_the_known_one_and_channels_are_independent():
-    np.testing.assert_allclose(hann_window(64), 2.0 * scipy.signal.get_window("hann", 64, fftbins=True), atol=1e-12)
     data = np.random.default_rng(0).normal(size=(300, 2))
     both = amplitude_spectrum(data, 100.0)
     np.testing.assert_allclose(both.amplitude[:, 1], amplitude_spectrum(data[:, 1], 100.0).amplitude)
@@ -262,10 +262,7 @@ SAMPLED_HZ, TRUE_HZ = 12_800.0, 106.2495
 
 def _record(rng, amplitudes, noise=0.5, seconds=4.0):
     time = np.arange(int(seconds * SAMPLED_HZ)) / SAMPLED_HZ
-    values = noise * rng.normal(size=len(time))
-    for multiple, amplitude in amplitudes.items():
-        values += amplitude * np.cos(2 * np.pi * multiple * TRUE_HZ * time + rng.uniform(0.0, 2 * np.pi))
-    return time, values
+    return time, _sum(rng, time, {multiple * TRUE_HZ: a for multiple, a in amplitudes.items()}, noise)
 
 
 def _refined(time: np.ndarray, values: np.ndarray, start: float, multiples: tuple[int, ...]) -> tuple[float, float]:
@@ -342,9 +339,7 @@ def test_frequency_follows_the_clock(scale, stretch):
 
 def test_several_fundamentals_share_a_harmonic_once():
     time = np.arange(40_000) / 10_000.0
-    values = 0.01 * np.random.default_rng(6).normal(size=len(time))
-    for f, a in ((100.0, 1.0), (150.0, 1.0), (300.0, 0.1)):
-        values += a * np.sin(2 * np.pi * f * time)
+    values = _sum(np.random.default_rng(6), time, {100.0: 1.0, 150.0: 1.0, 300.0: 0.1}, 0.01)
     lines = find_lines(time, values, [150.0, 100.0])
     np.testing.assert_allclose(lines.frequency_hz, [100.0, 150.0, 300.0], atol=1e-3)
     assert lines.multiple.tolist() == [1, 1, 2]
@@ -395,9 +390,7 @@ def test_a_neighbour_that_leaks_is_fitted_too():
 
 def test_everything_else_is_in_the_list_with_a_reason():
     time, values = _record(np.random.default_rng(21), {1: 100.0, 2: 1.0, 25: 0.2})
-    rng = np.random.default_rng(22)
-    for frequency, amplitude in ((TRUE_HZ / 2, 0.2), (150.06, 0.2), (777.7, 0.2)):
-        values += amplitude * np.cos(2 * np.pi * frequency * time + rng.uniform(0.0, 2 * np.pi))
+    values += _sum(np.random.default_rng(22), time, {TRUE_HZ / 2: 0.2, 150.06: 0.2, 777.7: 0.2}, 0.0)
     lines = find_lines(time, values, [106.25])
     assert lines.multiple.tolist() == [1, 2]
     assert [o.kind for o in lines.others.origin] == ["sub-harmonic", "mains", "unexplained", "harmonic"]

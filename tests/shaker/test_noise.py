@@ -1,5 +1,7 @@
 """Noise of a line, drifts over blocks, phasors, band-limited interpolation: against known densities and arithmetic."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from contracts import refused
@@ -24,6 +26,12 @@ def noise_of(residual: FloatArray, line_bin: list[float], *, blocks: bool = True
     return found
 
 
+def left_noise(time: FloatArray, series: FloatArray, lines: FloatArray, *, blocks: bool = True) -> LineNoise:
+    """The noise of lines in Hz, which are bins of a record of 1 s, in what their fit leaves."""
+    fit = fit_sines(time, series[:, None], lines, ["x"], ["m"])
+    return noise_of(fit.residual_of(time, series[:, None]), list(lines), blocks=blocks)
+
+
 def slow_noise(rng: np.random.Generator, samples: int, corner: float) -> FloatArray:
     """Return noise of density 1 + corner/j at bin j, cut from a record 16 times as long."""
     length = 16 * samples
@@ -46,11 +54,7 @@ def test_level_and_degrees_of_freedom_are_honest_for_white_noise():
 def test_lines_close_together_take_none_of_the_level_away():
     rng, time = np.random.default_rng(2), np.arange(400) / 400.0
     lines = 20.4 + 3.3 * np.arange(8)
-    levels = []
-    for _ in range(100):
-        series = 2.0 * rng.normal(size=(400, 1))
-        fit = fit_sines(time, series, lines, ["x"], ["m"])
-        levels.append(noise_of(fit.residual_of(time, series), list(lines)).variance)
+    levels = [left_noise(time, 2.0 * rng.normal(size=400), lines).variance for _ in range(100)]
     assert np.mean(levels) == pytest.approx(4.0, rel=0.03)
 
 
@@ -74,10 +78,8 @@ def test_a_mains_line_is_no_noise():
 def test_noise_is_no_smaller_than_the_scatter_between_blocks():
     rng, time = np.random.default_rng(5), np.arange(4000) / 4000.0
     wander = np.cumsum(rng.normal(size=4000)) / np.sqrt(4000)
-    series = (300.0 * (1.0 + 0.05 * wander) * np.cos(2 * np.pi * 100.0 * time) + rng.normal(size=4000))[:, None]
-    fit = fit_sines(time, series, np.array([100.0]), ["x"], ["m"])
-    residual = fit.residual_of(time, series)
-    raised, plain = noise_of(residual, [100.0]), noise_of(residual, [100.0], blocks=False)
+    series = 300.0 * (1.0 + 0.05 * wander) * np.cos(2 * np.pi * 100.0 * time) + rng.normal(size=4000)
+    raised, plain = (left_noise(time, series, np.array([100.0]), blocks=blocks) for blocks in (True, False))
     blocks = 300.0 * 0.05 * wander.reshape(8, 500).mean(axis=1)
     blocks -= np.polyval(np.polyfit(np.arange(8), blocks, 1), np.arange(8))
     # One of two quadratures scatters, about a straight line; u² = s²/B = 2·variance/N.
@@ -91,24 +93,17 @@ def test_a_steady_growth_is_no_noise():
     rng, time = np.random.default_rng(8), np.arange(4000) / 4000.0
     growing = 300.0 * np.exp(0.02j * (time - 0.5)) * (1.0 + 0.03 * (time - 0.5))
     wave = (growing * np.exp(2j * np.pi * 100.0 * time)).real
-    levels = []
-    for _ in range(30):
-        series = (wave + rng.normal(size=4000))[:, None]
-        fit = fit_sines(time, series, np.array([100.0]), ["x"], ["m"])
-        levels.append(noise_of(fit.residual_of(time, series), [100.0]).variance)
+    levels = [left_noise(time, wave + rng.normal(size=4000), np.array([100.0])).variance for _ in range(30)]
     assert np.mean(levels) == pytest.approx(1.0, abs=0.1)
 
 
-def test_few_bins_give_no_level():
+def test_few_bins_give_no_level_and_nothing_left_is_no_noise():
+    assert np.all(noise_of(np.zeros((300, 2)), [20.0]).variance < 1e-60)
     assert line_noise(np.ones((16, 1)), 16, np.array([3.0])) is None
     bins = neighbour_bins(211, np.array([2.0, 0.5]))
     assert bins is not None
     assert bins[0, 0] == 1  # the place of the offset empties no bin
     assert 2 not in bins
-
-
-def test_nothing_left_is_no_noise():
-    assert np.all(noise_of(np.zeros((300, 2)), [20.0]).variance < 1e-60)
 
 
 @settings(max_examples=20, deadline=None)
@@ -199,11 +194,8 @@ def test_noise_alone_has_even_chances():
 
 
 def test_slow_noise_is_no_drift():
-    rng = np.random.default_rng(4)
-    time, length = np.arange(FRAMES) / CAMERA_HZ, 8 * FRAMES
-    frequency = np.fft.rfftfreq(length, 1.0 / CAMERA_HZ)
-    shape = np.sqrt(1.0 + 5.0 / np.maximum(frequency, frequency[1]))
-    noise = np.fft.irfft(np.fft.rfft(rng.normal(size=(200, length))) * shape)[:, :FRAMES]
+    rng, time = np.random.default_rng(4), np.arange(FRAMES) / CAMERA_HZ
+    noise = (slow_noise(rng, FRAMES, 5.0 * FRAMES / CAMERA_HZ) for _ in range(200))
     line = 500.0 * np.cos(2 * np.pi * 106.25 * time)
     alarms = [found(time, (line + series)[:, None], [106.25]).p_value[0, 0] < 0.01 for series in noise]
     assert np.mean(alarms) < 0.03
@@ -227,12 +219,9 @@ def test_halves_where_there_are_no_two_beats_and_nothing_where_they_are_too_shor
     assert (len(result.time_s), result.whole) == (2, False)
     assert result.periods == pytest.approx(0.71, abs=0.01)
     assert stationarity(time[:40], values[:40], np.array([106.25]), ["x"]) is None
-
-
-def test_missing_rows_are_left_out():
     time = np.arange(1000) / 1000.0
     values = np.cos(2 * np.pi * 50.0 * time)[:, None]
-    values[100:150] = np.nan
+    values[100:150] = np.nan  # missing rows are left out
     np.testing.assert_allclose(found(time, values, [50.0]).value, 1.0, atol=1e-9)
 
 
@@ -280,29 +269,18 @@ def test_selection_keeps_values_and_covariances_together():
     np.testing.assert_array_equal(picked.covariance[:, 1, 2], phasors.covariance[:, 0, 5])
     np.testing.assert_array_equal(picked.u_im[:, 0] ** 2, phasors.covariance[:, 5, 5])
     refused(r"channels: expected some of a, b, c, found d", phasors.select, ["d"])
-
-
-def test_stacking_undoes_selection_for_independent_channels():
-    phasors = _random_phasors(np.random.default_rng(2))
+    line = phasors.at_lines(np.array([False, True]))
+    assert line.frequency_hz.tolist() == [425.0]
+    np.testing.assert_array_equal(line.value[0], phasors.value[1])
+    # Stacking undoes selection for independent channels.
     joined = stack_phasors([phasors.select(["a", "b"]), phasors.select(["c"])])
     assert joined.channels == phasors.channels
     np.testing.assert_array_equal(joined.value, phasors.value)
     np.testing.assert_array_equal(joined.select(["a", "b"]).covariance, phasors.select(["a", "b"]).covariance)
     np.testing.assert_array_equal(joined.covariance[:, 0, 2], 0.0)
-
-
-def test_lines_can_be_picked():
-    phasors = _random_phasors(np.random.default_rng(3))
-    picked = phasors.at_lines(np.array([False, True]))
-    assert picked.frequency_hz.tolist() == [425.0]
-    np.testing.assert_array_equal(picked.value[0], phasors.value[1])
-
-
-def test_wrong_shapes_are_refused_by_name():
-    with pytest.raises(ValueError, match=r"covariance: expected an array of shape \(1, 2, 2\), found \(1, 1, 1\)"):
-        Phasors(np.ones(1), np.ones((1, 1), complex), np.ones((1, 1, 1)), ("a",), ("m",), np.ones(1))
-    with pytest.raises(ValueError, match="unit: expected 1 units"):
-        Phasors(np.ones(1), np.ones((1, 1), complex), np.ones((1, 2, 2)), ("a",), (), np.ones(1))
+    wrong = r"covariance: expected an array of shape \(2, 6, 6\), found \(1, 6, 6\)"
+    refused(wrong, replace, phasors, covariance=phasors.covariance[:1])
+    refused("unit: expected 3 units", replace, phasors, unit=("m",))
 
 
 @settings(max_examples=25, deadline=None)
@@ -319,14 +297,11 @@ def test_a_line_in_the_pass_band_keeps_amplitude_and_phase(share, place, phase, 
     np.testing.assert_allclose(found, np.cos(2.0 * np.pi * place * share * position + phase), atol=3e-5)
 
 
-@pytest.mark.parametrize("place", [0.6, 0.75, 0.95])
-def test_what_would_fold_into_the_pass_band_is_taken_out(place):
+def test_what_would_fold_is_taken_out_samples_are_met_and_positions_beyond_the_record_refused():
     time, reach = np.arange(3000.0), kernel_reach(0.5)
-    found = resampled(np.cos(np.pi * place * time), np.arange(reach + 0.3, 3000 - reach, 2.0), 0.5)
-    assert np.abs(found).max() < 2e-5
-
-
-def test_samples_are_met_and_positions_beyond_the_record_refused():
+    for place in (0.6, 0.75, 0.95):
+        folding = resampled(np.cos(np.pi * place * time), np.arange(reach + 0.3, 3000 - reach, 2.0), 0.5)
+        assert np.abs(folding).max() < 2e-5
     samples = np.random.default_rng(1).standard_normal(200)
     reach = kernel_reach(1.0)
     place = np.arange(reach, 200 - reach).astype(float)

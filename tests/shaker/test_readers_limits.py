@@ -237,38 +237,36 @@ def test_uff_text_of_a_power_spectral_density(data_dir):
     assert not read_universal_shapes(path)
 
 
-def test_uff_binary_of_single_precision(data_dir):
-    path = present(data_dir, "uff", "Sample_UFF58b_bin.uff")
-    channel, raw = read_channels(path)["Mic 01"], path.read_bytes()
-    assert raw.endswith(b"    -1\r\n")
-    np.testing.assert_array_equal(channel.samples, np.frombuffer(raw[-8 - 4 * 79_292 : -8], "<f4"))
-    assert (len(channel.samples), channel.unit) == (79_292, "Pa")
-    assert channel.sample_rate_hz == pytest.approx(65_536.0, rel=1e-6)
+@pytest.mark.parametrize(
+    ("file", "name", "kind", "count", "rate", "unit"),
+    [
+        ("Sample_UFF58b_bin.uff", "Mic 01", "<f4", 79_292, pytest.approx(65_536.0, rel=1e-6), "Pa"),
+        ("binary8byte.uff", "sine 5 Hz", "<f8", 250, 100.0, "g"),
+    ],
+)
+def test_uff_binary(data_dir, file, name, kind, count, rate, unit):
+    path = present(data_dir, "uff", file)
+    channel, raw = read_channels(path)[name], path.read_bytes()
+    own = np.frombuffer(raw[-8 - int(kind[-1]) * count : -8], kind)  # what follows is the mark of the end
+    np.testing.assert_array_equal(channel.samples, own)
+    assert (len(channel.samples), channel.sample_rate_hz, channel.unit) == (count, rate, unit)
+    if name == "sine 5 Hz":
+        np.testing.assert_allclose(own, np.sin(2 * np.pi * 5.0 * np.arange(250) / 100.0), atol=1e-5)
 
 
-def test_uff_binary_of_double_precision(data_dir):
-    path = present(data_dir, "uff", "binary8byte.uff")
-    channel, raw = read_channels(path)["sine 5 Hz"], path.read_bytes()
-    np.testing.assert_array_equal(channel.samples, np.frombuffer(raw[-8 - 8 * 250 : -8], "<f8"))
-    np.testing.assert_allclose(channel.samples, np.sin(2 * np.pi * 5.0 * np.arange(250) / 100.0), atol=1e-5)
-    assert (channel.sample_rate_hz, channel.unit) == (100.0, "g")
-
-
-def npTDMS(path: Path) -> dict[str, np.ndarray]:
-    file = TdmsFile.read(path)
-    return {f"{group.name}/{channel.name}": channel[:] for group in file.groups() for channel in group.channels()}
-
-
-def compare(found: dict[str, RawChannel], other: dict[str, np.ndarray]) -> None:
+def as_npTDMS_reads_it(path: Path) -> dict[str, RawChannel]:
+    """The channels of a file, compared with those of the other library."""
+    found, groups = read_channels(path), TdmsFile.read(path).groups()
+    other = {f"{group.name}/{channel.name}": channel[:] for group in groups for channel in group.channels()}
     assert list(found) == list(other)
     for name, samples in other.items():
         np.testing.assert_array_equal(found[name].samples, samples)
+    return found
 
 
 def test_tdms_of_a_card_with_seven_channels(data_dir):
     path = present(data_dir, "tdms", "raw1.tdms")
-    found = read_channels(path)
-    compare(found, npTDMS(path))
+    found = as_npTDMS_reads_it(path)
     counts = np.frombuffer(path.read_bytes()[4737 : 4737 + 28_000], "<i2").reshape(2000, 7)
     for column, channel in zip(counts.T, found.values(), strict=True):
         np.testing.assert_allclose(channel.samples, column * 0.0003051850947599719, rtol=1e-15)
@@ -278,8 +276,7 @@ def test_tdms_of_a_card_with_seven_channels(data_dir):
 
 def test_tdms_with_the_most_significant_byte_first(data_dir):
     path = present(data_dir, "tdms", "big_endian.tdms")
-    found = read_channels(path)
-    compare(found, npTDMS(path))
+    found = as_npTDMS_reads_it(path)
     tail = np.frombuffer(path.read_bytes()[-48_000:], ">f8").reshape(6, 2, 500)
     np.testing.assert_array_equal(found["Measured Data/Phase sweep"].samples[500:], tail[:, 1].ravel())
     assert found["Measured Data/Amplitude sweep"].sample_rate_hz == pytest.approx(1000.0)
@@ -287,8 +284,7 @@ def test_tdms_with_the_most_significant_byte_first(data_dir):
 
 def test_tdms_of_a_digital_line(data_dir):
     path = present(data_dir, "tdms", "Digital_Input.tdms")
-    found = read_channels(path)
-    compare(found, npTDMS(path))
+    found = as_npTDMS_reads_it(path)
     group = "07/09/2012 06:58:23 PM - Digital Input - All Data"
     line = found[f"{group}/Dev1_port3_line7 - line 0"]
     np.testing.assert_array_equal(line.samples, np.frombuffer(path.read_bytes()[1678:21_678], "u1"))

@@ -76,30 +76,23 @@ def test_default_threshold_copes_with_any_duty(width_s):
     assert (len(edges.lower_s), edges.threshold) == (20, pytest.approx(2.5, abs=0.2))
 
 
-def test_noise_at_the_threshold_counts_once():
+def test_noise_at_the_threshold_counts_once_and_one_out_of_reach_is_refused():
     rng = np.random.default_rng(2)
     ramp = np.clip(np.sin(2 * np.pi * 10.0 * np.arange(20_000) / 20_000.0) * 3.0, -1.0, 1.0)
     edges = find_edges(ramp + 0.03 * rng.normal(size=len(ramp)), 20_000.0)
     assert len(edges.estimate_s) == 9  # the one at the very start has no low sample before it
-
-
-def test_threshold_out_of_reach_is_refused():
     with pytest.raises(ValueError, match="threshold: expected a level that the signal crosses, found 7"):
         find_edges(_pulses(np.array([0.1, 0.2]), 1e4, 0.3), 1e4, threshold=7.0)
     refused("samples: expected numbers, found 1 NaN", find_edges, np.array([0.0, np.nan, 1.0]), 1e4)
 
 
 def test_band_limited_edges_have_no_bias():
-    rng = np.random.default_rng(3)
-    deviations = []
-    for _ in range(2):
-        first = 0.05 + rng.uniform(0.0, 1e-3)
-        instants = first + PERIOD_S * np.arange(60)
+    for late in np.random.default_rng(3).uniform(0.0, 1e-3, 2):
+        instants = 0.05 + late + PERIOD_S * np.arange(60)
         edges = find_edges(_band_limited(instants, 51_200.0, 1.3), 51_200.0)
         assert edges.kind == "resolved"
-        deviations.append(fit_trigger(edges).time_s(np.array(30)) - instants[30])
-    # A sample is 19.5 us; half of it is the bias of the naive reading.
-    assert np.max(np.abs(deviations)) < 0.1e-6
+        # A sample is 19.5 us; half of it is the bias of the naive reading.
+        assert abs(fit_trigger(edges).time_s(np.array(30)) - instants[30]) < 0.1e-6
 
 
 def test_start_period_and_numbers_are_found():
@@ -131,13 +124,10 @@ def test_missing_doubled_and_stray_edges_are_survived():
 
 
 def test_jitter_is_measured():
-    rng = np.random.default_rng(6)
+    rng, even = np.random.default_rng(6), 0.1 + PERIOD_S * np.arange(EDGES)
     for jitter in (2e-6, 100e-6):
-        found = []
-        for _ in range(6):
-            instants = 0.1 + PERIOD_S * np.arange(EDGES) + jitter * rng.normal(size=EDGES)
-            found.append(fit_trigger(_latched(instants, 51_200.0, 4.3)).jitter_s)
-        assert np.mean(found) == pytest.approx(jitter, rel=0.3)
+        fits = [fit_trigger(_latched(even + jitter * rng.normal(size=EDGES), 51_200.0, 4.3)) for _ in range(6)]
+        assert np.mean([fit.jitter_s for fit in fits]) == pytest.approx(jitter, rel=0.3)
 
 
 @pytest.mark.parametrize(

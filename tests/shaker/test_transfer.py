@@ -216,9 +216,6 @@ def test_the_modes_of_a_real_beam(data_dir):
         fit = fit_resonance(MeasuredCurve.of(found, "acceleration", (low, high)), "accelerance", residual_terms=True)
         assert fit.frequency_hz == pytest.approx(known, abs=within)
     assert found.added_decay_per_s > 0.0
-
-
-def test_the_overload_of_a_real_record_is_told(data_dir):
     refused("overloaded", transfer_impact, beam(data_dir, "camera.lvm"), 0.999, pretrigger_s=5e-4)
 
 
@@ -445,12 +442,6 @@ def test_errors_of_local_lines_correlate_as_stated():
         assert np.mean(off[apart:] * off[:-apart].conj()).real / power == pytest.approx(stated.real, abs=0.08)
 
 
-def test_a_record_too_short_for_polynomials_is_cut_into_segments():
-    data = record(*PAIR, NOISE_HZ)
-    assert transfer_random(data, 0.25, band_hz=NOISE_BAND).estimator == "H1"
-    refused("local polynomials", transfer_random, data, 0.25, estimator="local", band_hz=NOISE_BAND)
-
-
 def test_overlapping_segments_are_worth_what_welch_says():
     # Welch 1967: 1 + 2 Σ (1 - d/n) ρ_d², ρ_d = Σ w(n)·w(n + d·hop) / Σ w².
     window, hop = get_window("hann", 3200), 3200 // 3
@@ -538,8 +529,10 @@ def test_scales_move_the_ratio(gain, other, estimator):
     np.testing.assert_allclose(two.coherence, one.coherence, rtol=1e-9)
 
 
-def test_noise_that_tells_nothing_is_refused_with_a_reason():
+def test_a_record_too_short_for_polynomials_is_cut_into_segments_and_one_that_tells_nothing_refused():
     data = record(*PAIR, NOISE_HZ)
+    assert transfer_random(data, 0.25, band_hz=NOISE_BAND).estimator == "H1"
+    refused("local polynomials", transfer_random, data, 0.25, estimator="local", band_hz=NOISE_BAND)
     refused("two segments or more", transfer_random, data, 0.06)
     refused("resolution_hz", transfer_random, data, 0.0)
     refused("band_hz", transfer_random, data, 10.0, band_hz=(5000.0, 6000.0))
