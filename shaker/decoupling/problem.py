@@ -200,7 +200,7 @@ def model_covariance(
     return np.asarray(rows @ spread @ rows.T + own), np.asarray(np.sqrt(np.diag(own)))
 
 
-def left_open(found: Fitted) -> FloatArray:
+def left_open(fit: Fitted) -> FloatArray:
     """Return the reciprocal variances (P,) of lags and durations by what bounds them.
 
     A lag 1/(1 + s/a) behind a release that takes the time T acts like a later release to first order, and to second
@@ -208,16 +208,16 @@ def left_open(found: Fitted) -> FloatArray:
     where they cannot tell the parts apart each of these is positive and at most the sum, as is a time at most its root:
     rectangular distributions of that half width.
     """
-    poles, vector = found.poles, found.solution.point.parameters
+    poles, vector = fit.poles, fit.solution.point.parameters
     lags = np.arange(2 * poles.modes, poles.count)
-    spread, known, largest = _inverse(found.solution.point.normal[0]), np.zeros(len(vector)), np.inf
+    spread, known, largest = _inverse(fit.solution.point.normal[0]), np.zeros(len(vector)), np.inf
 
     def bound(places: IntArray | list[int], square: FloatArray | float, most: float) -> None:
         share = np.asarray(square) / most
         known[places] = 3.0 * np.maximum(share, 4.0 * share**2)
 
     squares = (2.0 * np.pi * poles.real_hz) ** -2.0
-    for i, release in enumerate(found.releases):
+    for i, release in enumerate(fit.releases):
         own = poles.count + 2 * i + 1
         moment = MOMENTS[release.shape] * release.duration_s**2
         slope = np.zeros(len(vector))
@@ -230,13 +230,13 @@ def left_open(found: Fitted) -> FloatArray:
     return known
 
 
-def widened(found: Fitted, spread: FloatArray) -> FloatArray:
+def widened(fit: Fitted, spread: FloatArray) -> FloatArray:
     """Return the covariance (P, P) of the parameters, wide enough for the time 1/a of every lag.
 
     Records tell 1/a², of which the time is no linear function where little is known: along with the lag everything is
     widened so that 1.96 standard uncertainties reach as far as the root of what 1.96 of the square allow.
     """
-    for lag in range(2 * found.poles.modes, found.poles.count):
+    for lag in range(2 * fit.poles.modes, fit.poles.count):
         u = float(np.sqrt(spread[lag, lag]))
         far = max(1.0 - np.sqrt(max(1.0 - 2.0 * _REACH * u, 0.0)), np.sqrt(1.0 + 2.0 * _REACH * u) - 1.0)
         more = max((far / (_REACH * u)) ** 2, 1.0) - 1.0
@@ -260,7 +260,7 @@ def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], plac
 
     def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
         """Poles move the responses and turn the basis; middle and duration move those of their own record."""
-        found = np.zeros((edges[-1], len(moved), own.shape[1]))
+        change = np.zeros((edges[-1], len(moved), own.shape[1]))
         turned = np.einsum("pbs,sc->bpc", poles.smooth_slopes, own)
         re, im, real = np.split(smooth @ own, [modes, 2 * modes])
         residues = np.concatenate([2 * (re + 1j * im), real])  # those of modes twice, for their conjugates
@@ -268,11 +268,11 @@ def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], plac
         for k, (i, record) in enumerate(zip(places, records, strict=True)):
             rows, here = slice(edges[k], edges[k + 1]), record.answers(poles.values, releases[i])
             along = here.by_pole[:, which, None] * (slope[:, None] * residues[which])
-            found[rows, : poles.count] = along.real + np.tensordot(designs[k], turned, axes=1)
-            found[rows, poles.count + 2 * k] = (here.by_onset @ residues).real
-            found[rows, poles.count + 2 * k + 1] = releases[i].duration_s * (here.by_length @ residues).real
-            found[rows] -= found[rows].mean(axis=0)
-        return moved, found
+            change[rows, : poles.count] = along.real + np.tensordot(designs[k], turned, axes=1)
+            change[rows, poles.count + 2 * k] = (here.by_onset @ residues).real
+            change[rows, poles.count + 2 * k + 1] = releases[i].duration_s * (here.by_length @ residues).real
+            change[rows] -= change[rows].mean(axis=0)
+        return moved, change
 
     return Block(design @ smooth, np.concatenate([record.samples.value for record in records]), changes)
 
@@ -359,41 +359,41 @@ def chosen(problem: StepProblem, start: Offer, most: int | None, reals: int) -> 
     return here, trials
 
 
-def shaped(problem: StepProblem, found: Fitted) -> Fitted:
+def shaped(problem: StepProblem, fit: Fitted) -> Fitted:
     """Return the fit in which each release goes along a line or half a cosine, whichever leaves clearly less."""
     releases = tuple(
-        _better_shape(problem, found, i) if release.duration_s > _TOLD_SAMPLES * problem.step_s else release
-        for i, release in enumerate(found.releases)
+        _better_shape(problem, fit, i) if release.duration_s > _TOLD_SAMPLES * problem.step_s else release
+        for i, release in enumerate(fit.releases)
     )
-    return found if releases == found.releases else fit_poles(problem, found.poles, releases, _FEW_STEPS, _ROUGH)
+    return fit if releases == fit.releases else fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
 
 
-def _better_shape(problem: StepProblem, found: Fitted, place: int) -> Release:
+def _better_shape(problem: StepProblem, fit: Fitted, place: int) -> Release:
     """One release, or the same in the other shape, with its best duration, where that leaves clearly less."""
     near = problem.places(problem.records[place].component)
-    part, own = problem.part(near), found.releases[place]
+    part, own = problem.part(near), fit.releases[place]
     other: Shape = "smooth" if own.shape == "ramp" else "ramp"
     ratios = _AS_LONG if other == "smooth" else [1.0 / ratio for ratio in _AS_LONG]
     tried = [own, *(replace(own, shape=other, duration_s=ratio * own.duration_s) for ratio in ratios)]
-    places = [[one if i == place else found.releases[i] for i in near] for one in tried]
-    losses = [part.point(found.poles, releases).loss for releases in places]
+    places = [[one if i == place else fit.releases[i] for i in near] for one in tried]
+    losses = [part.point(fit.poles, releases).loss for releases in places]
     best = int(np.argmin(losses))
     return tried[best] if losses[best] < losses[0] - _CLEARLY else own
 
 
-def otherwise(problem: StepProblem, found: Fitted) -> Fitted:
+def otherwise(problem: StepProblem, fit: Fitted) -> Fitted:
     """The fit from shorter or longer releases of each load, where these leave less: the least of several minima."""
-    releases = list(found.releases)
+    releases = list(fit.releases)
     for component in problem.components:
         places = problem.places(component)
         tried = [
             [replace(releases[i], duration_s=by * releases[i].duration_s) for i in places] for by in (1.0, *_OTHERWISE)
         ]
-        ends = [_timed(problem.part(places), found.poles, one) for one in tried]
+        ends = [_timed(problem.part(places), fit.poles, one) for one in tried]
         for i, release in zip(places, min(ends, key=lambda end: end[0])[1], strict=True):
             releases[i] = release
-    other = fit_poles(problem, found.poles, releases, _FEW_STEPS, _ROUGH)
-    return min(found, other, key=lambda fitted: fitted.loss)
+    other = fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
+    return min(fit, other, key=lambda fitted: fitted.loss)
 
 
 def _timed(problem: StepProblem, poles: Poles, releases: Sequence[Release]) -> tuple[float, tuple[Release, ...]]:
@@ -507,10 +507,10 @@ def _larger(problem: StepProblem, here: Fitted, most: int | None, reals: int) ->
     return min(tried, key=lambda fitted: criterion(problem, fitted.poles, fitted.loss), default=None)
 
 
-def by_record(problem: StepProblem, found: Fitted) -> list[tuple[int, FloatArray]]:
+def by_record(problem: StepProblem, fit: Fitted) -> list[tuple[int, FloatArray]]:
     """What is left of every record (A, C), load after load."""
     rests: list[tuple[int, FloatArray]] = []
-    for component, rest in zip(problem.components, found.solution.point.residuals, strict=True):
+    for component, rest in zip(problem.components, fit.solution.point.residuals, strict=True):
         places = problem.places(component)
         ends = np.cumsum([len(problem.records[i].samples.time_s) for i in places])[:-1]
         rests += zip(places, np.split(rest, ends), strict=True)

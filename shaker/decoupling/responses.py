@@ -207,8 +207,8 @@ def _zeros(poles: Poles, own: FloatArray) -> Poles:
     table[2 * m :, 2 * m :] = np.diag(real.real)
     ones[2 * m :] = 1.0
     row = np.concatenate([np.stack([own[:m], own[m : 2 * m]], axis=1).ravel(), own[2 * m :]])
-    found = np.linalg.eigvals(table - np.outer(ones, row))
-    pairs = found[found.imag > 1e-9 * np.abs(found)]
-    alone = np.abs(found[np.abs(found.imag) <= 1e-9 * np.abs(found)].real)
+    zeros = np.linalg.eigvals(table - np.outer(ones, row))
+    pairs = zeros[zeros.imag > 1e-9 * np.abs(zeros)]
+    alone = np.abs(zeros[np.abs(zeros.imag) <= 1e-9 * np.abs(zeros)].real)
     damping = np.clip(np.abs(pairs.real) / np.abs(pairs), 1e-5, 0.69)
     return Poles(np.abs(pairs) / (2 * np.pi), damping, np.maximum(alone, 1e-3) / (2 * np.pi))
