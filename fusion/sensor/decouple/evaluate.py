@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fusion.base import ComputeError, InputError, Outcome
 from fusion.recording.load import Manifest
+from fusion.sensor.models_file import FORMAT, read_stored
 from fusion.sensor.step.records import StepInput, read_step
 from shaker.arrays import FloatArray, Notice
 from shaker.decoupling.filter import (
@@ -231,7 +232,7 @@ def _notices(
 
 # decoupling.json: the filter with the model it comes from, at full precision.
 
-FORMAT = 1
+FILTER_FILE = "decoupling.json"
 KIND = "shakercal decoupling"
 RECURSION = (
     "f[n] = sum_k taps[k] y[n-k] + Re sum_i shown[:,i] x_i[n-L]; x_i[n+1] = poles[i] x_i[n] + driven[i] y[n]; "
@@ -270,17 +271,16 @@ def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
 
 
 def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
-    """Return the filter of a decoupling.json, to the last bit; raises `InputError`.
+    """Return the filter of a decoupling.json, or of the one in a folder, to the last bit; raises `InputError`.
 
     >>> from fusion import read_decoupling_filter
     >>> decoupler = read_decoupling_filter("my-steps/decouple/decoupling.json")  # doctest: +SKIP
     """
-    path = Path(path)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content.get("kind") != KIND or content.get("format") != FORMAT:
-            found = f"kind {content.get('kind')!r}, format {content.get('format')!r}"
-            raise InputError(path, "kind", found=found, expected=f"{KIND}, format {FORMAT}")
+
+    def parsed(content: dict[str, Any]) -> DecouplingFilter:
+        if content["kind"] != KIND:
+            raise ValueError(f"kind {content['kind']!r}")
+        target = {name: np.array(value, dtype=np.float64) for name, value in content["target"].items()}
         return DecouplingFilter(
             channels=tuple(content["channels"]),
             components=tuple(content["components"]),
@@ -290,12 +290,11 @@ def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
             poles=_complex(content["poles"]),
             driven=_complex(content["driven"]),
             shown=_complex(content["shown"]),
-            target_hz=np.array(content["target"]["frequency_hz"], dtype=np.float64),
-            target_damping=np.array(content["target"]["damping_ratio"], dtype=np.float64),
+            target_hz=target["frequency_hz"],
+            target_damping=target["damping_ratio"],
         )
-    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
-        expected = "a decoupling.json written by shakercal decouple"
-        raise InputError(path, "", found=str(error), expected=expected) from error
+
+    return read_stored(Path(path), FILTER_FILE, "decouple", parsed, "filters")
 
 
 def _pairs(values: NDArray[np.complex128]) -> Any:
