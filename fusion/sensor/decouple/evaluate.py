@@ -130,10 +130,8 @@ def evaluate_decoupling(
     frequency_hz = np.unique(np.concatenate([spaced, modes_hz]))
     stages = crosstalks(fit.model, decoupler, fit.noise, frequency_hz, np.random.default_rng(settings.seed), DRAWS)
     sensor, names = manifests[0].rig.sensor, fit.model.components
-    stated = (
-        {} if sensor is None or sensor.capacity is None else dict(zip(LOAD_COMPONENTS, sensor.capacity, strict=False))
-    )
-    rated = np.array([stated.get(name, 0.0) for name in names])
+    stated = (None if sensor is None else sensor.capacity) or (0.0,) * len(LOAD_COMPONENTS)
+    rated = np.array([dict(zip(LOAD_COMPONENTS, stated, strict=True)).get(name, 0.0) for name in names])
     capacity = rated if np.all(rated > 0) else None
     difference = np.abs(stages[-1].value - decoupler.target(frequency_hz)[:, :, None] * np.eye(len(names)))
     if capacity is None:  # loads with themselves alone
