@@ -28,6 +28,10 @@ class Release:
     shape: Shape
 
 
+Offer: TypeAlias = tuple[Poles, tuple[Release, ...]]
+"""Poles with the releases that they answer to, of all records."""
+
+
 @dataclass(frozen=True)
 class Sampled:
     """One record ready for a fit: means over blocks of samples (A, C) over their noise, times, load."""
@@ -86,15 +90,13 @@ class StepProblem:
         own = [value for release in releases for value in (release.middle_s, np.log(release.duration_s))]
         return np.concatenate([poles.vector, own])
 
-    def prior(self, vector: FloatArray, poles: Poles) -> Prior:
+    def prior(self, vector: FloatArray, poles: Poles, held: int) -> Prior:
         """Return what a start says of lags and durations, loosely: it leads a search along the valley between them."""
         u = np.full(len(vector), np.inf)
         u[2 * poles.modes : poles.count], u[poles.count + 1 :: 2] = _LOOSE
-        return Prior(vector, u)
+        return Prior(vector[held:], u[held:])
 
-    def split(
-        self, vector: FloatArray, poles: Poles, releases: Sequence[Release]
-    ) -> tuple[Poles, tuple[Release, ...]] | None:
+    def split(self, vector: FloatArray, poles: Poles, releases: Sequence[Release]) -> Offer | None:
         """Return poles and releases of a vector, None where they are not allowed."""
         there, own = poles.with_vector(vector), vector[poles.count :].reshape(-1, 2)
         longest = np.array([float(np.ptp(record.samples.time_s)) for record in self.records])
@@ -105,10 +107,13 @@ class StepProblem:
         moved = (replace(release, middle_s=float(t), duration_s=float(length)) for release, t, length in times)
         return there, tuple(moved)
 
-    def point(self, poles: Poles, releases: Sequence[Release]) -> Separable:
-        """Return poles and releases as a point of the search, with one block of rows per load component."""
-        blocks = tuple(_block(self, poles, releases, self.places(component)) for component in self.components)
-        return Separable(self.vector(poles, releases), blocks)
+    def point(self, poles: Poles, releases: Sequence[Release], held: int = 0) -> Separable:
+        """Return poles and releases as a point of the search, with one block of rows per load component.
+
+        `held`: how many of the first parameters stay and are none of the point's.
+        """
+        blocks = tuple(_block(self, poles, releases, self.places(name), held) for name in self.components)
+        return Separable(self.vector(poles, releases)[held:], blocks)
 
 
 @dataclass(frozen=True)
@@ -131,23 +136,34 @@ def rules(steps: int, calm: float) -> Rules:
 
 
 def fit_poles(
-    problem: StepProblem, poles: Poles, releases: Sequence[Release], steps: int = 40, calm: float = 1e-2
+    problem: StepProblem,
+    poles: Poles,
+    releases: Sequence[Release],
+    steps: int = 40,
+    calm: float = 1e-2,
+    held: int = 0,
 ) -> Fitted:
-    """Return the least squares poles and releases from a start, by at most `steps` steps or till one gains `calm`."""
+    """Return the least squares poles and releases from a start, by at most `steps` steps or till one gains `calm`.
+
+    `held`: how many of the first parameters stay as they are.
+    """
+    start = problem.vector(poles, releases)
+
+    def parts(vector: FloatArray) -> Offer | None:
+        return problem.split(np.concatenate([start[:held], vector]), poles, releases)
 
     def at(vector: FloatArray) -> Separable | None:
-        parts = problem.split(vector, poles, releases)
-        return None if parts is None else problem.point(*parts)
+        there = parts(vector)
+        return None if there is None else problem.point(*there, held)
 
-    start = problem.vector(poles, releases)
-    first = at(start)
+    first = at(start[held:])
     if first is None:
-        raise ValueError(f"start: expected poles that swing and decay, found {start.tolist()}")
-    smallest = np.concatenate([poles.scale, np.tile([problem.step_s, 0.1], len(releases))])
-    solution = levenberg_marquardt(at, first, rules(steps, calm), smallest, problem.prior(start, poles))
-    parts = problem.split(solution.point.parameters, poles, releases)
-    assert parts is not None
-    return Fitted(*parts, solution)
+        raise ValueError(f"start: expected poles that swing and decay within their records, found {start.tolist()}")
+    smallest = np.concatenate([poles.scale, np.tile([problem.step_s, 0.1], len(releases))])[held:]
+    solution = levenberg_marquardt(at, first, rules(steps, calm), smallest, problem.prior(start, poles, held))
+    end = parts(solution.point.parameters)
+    assert end is not None
+    return Fitted(*end, solution)
 
 
 def covariances(
@@ -244,7 +260,7 @@ def widened(fit: Fitted, spread: FloatArray) -> FloatArray:
     return spread
 
 
-def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], places: Sequence[int]) -> Block:
+def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], places: Sequence[int], held: int) -> Block:
     """All records of one load; the level of each is taken off data and design alike."""
     records, smooth, modes = [problem.records[i] for i in places], poles.smooth, poles.modes
     edges = np.cumsum([0, *(len(record.samples.time_s) for record in records)])
@@ -272,7 +288,7 @@ def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], plac
             change[rows, poles.count + 2 * k] = (here.by_onset @ residues).real
             change[rows, poles.count + 2 * k + 1] = releases[i].duration_s * (here.by_length @ residues).real
             change[rows] -= change[rows].mean(axis=0)
-        return moved, change
+        return moved[held:] - held, change[:, held:]
 
     return Block(design @ smooth, np.concatenate([record.samples.value for record in records]), changes)
 
@@ -297,8 +313,6 @@ _CLEARLY = 10.0
 _OTHERWISE = (0.75, 1.4)
 _STRONG = 0.5
 """A mode above this share of the strongest is no make-up for releases read some hundredths of a period off."""
-
-Offer: TypeAlias = tuple[Poles, tuple[Release, ...]]
 
 
 @dataclass(frozen=True)
@@ -329,7 +343,7 @@ def lagged(problem: StepProblem, poles: Poles, releases: tuple[Release, ...]) ->
             shortest = _SHORTEST * release.duration_s
             shorter = float(np.sqrt(max(square, shortest**2)))
             moved.append(replace(release, middle_s=release.middle_s - late_s, duration_s=shorter))
-        times = [_timed(problem.part([i]), poles.with_real(hz), [one])[1][0] for i, one in enumerate(moved)]
+        times = [_timed(problem.part([i]), poles.with_real(hz), [one]).releases[0] for i, one in enumerate(moved)]
         offers.append((poles.with_real(hz), tuple(times)))
     return min(offers, key=lambda offer: problem.point(*offer).loss)
 
@@ -390,40 +404,15 @@ def otherwise(problem: StepProblem, fit: Fitted) -> Fitted:
             [replace(releases[i], duration_s=by * releases[i].duration_s) for i in places] for by in (1.0, *_OTHERWISE)
         ]
         ends = [_timed(problem.part(places), fit.poles, one) for one in tried]
-        for i, release in zip(places, min(ends, key=lambda end: end[0])[1], strict=True):
+        for i, release in zip(places, min(ends, key=lambda end: end.loss).releases, strict=True):
             releases[i] = release
     other = fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
     return min(fit, other, key=lambda fitted: fitted.loss)
 
 
-def _timed(problem: StepProblem, poles: Poles, releases: Sequence[Release]) -> tuple[float, tuple[Release, ...]]:
-    """The loss and the best times of releases where the poles are known."""
-    count, start = poles.count, problem.vector(poles, releases)
-
-    def at(times: FloatArray) -> Separable | None:
-        parts = problem.split(np.concatenate([poles.vector, times]), poles, releases)
-        if parts is None:
-            return None
-        blocks = []
-        for block in problem.point(poles, parts[1]).blocks:
-
-            def changes(own: FloatArray, whole: Block = block) -> tuple[IntArray, FloatArray]:
-                places, change = whole.changes(own)
-                return places[count:] - count, change[:, count:]
-
-            blocks.append(replace(block, changes=changes))
-        return Separable(times, tuple(blocks))
-
-    first = at(start[count:])
-    if first is None:
-        raise ValueError(f"releases: expected ones within their records, found {list(releases)}")
-    whole = problem.prior(start, poles)
-    smallest = np.tile([problem.step_s, 0.1], len(releases))
-    prior = Prior(whole.value[count:], whole.u[count:])
-    point = levenberg_marquardt(at, first, rules(_FEW_STEPS, _ROUGH), smallest, prior).point
-    parts = problem.split(np.concatenate([poles.vector, point.parameters]), poles, releases)
-    assert parts is not None
-    return point.loss, parts[1]
+def _timed(problem: StepProblem, poles: Poles, releases: Sequence[Release]) -> Fitted:
+    """The best times of releases where the poles are known."""
+    return fit_poles(problem, poles, releases, _FEW_STEPS, _ROUGH, held=poles.count)
 
 
 def _begun(part: StepProblem, poles: Poles, release: Release) -> Release:
@@ -431,10 +420,10 @@ def _begun(part: StepProblem, poles: Poles, release: Release) -> Release:
     too where the record is not explained."""
     ramp, smooth = replace(release, shape="ramp"), replace(release, shape="smooth")
     tried = [_timed(part, poles, [one]) for one in (ramp, smooth)]
-    if min(tried, key=lambda end: end[0])[0] >= _UNEXPLAINED * part.values:
+    if min(end.loss for end in tried) >= _UNEXPLAINED * part.values:
         others = [replace(one, duration_s=by * one.duration_s) for one in (ramp, smooth) for by in _LONGER]
         tried += [_timed(part, poles, [one]) for one in others]
-    return min(tried, key=lambda end: end[0])[1][0]
+    return min(tried, key=lambda end: end.loss).releases[0]
 
 
 def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:

@@ -462,10 +462,11 @@ def _fill(file: h5py.File, evaluation: ElementEvaluation) -> None:
     write_value(file, "comparison", {column.name: column for column in evaluation.columns})
     write_value(file, "sensitivity", evaluation.sensitivity)
     if evaluation.fits:
-        fits = {f"half_size_{fit.half_size_m:g}": fit for fit in evaluation.fits}
-        names = {"platform": "platform", "frequency_hz": "frequency_hz", "misfit": "largest_misfit"}
-        told = {size: {name: getattr(fit, own) for own, name in names.items()} for size, fit in fits.items()}
-        write_value(file, "fits", told)
+        fits = {}
+        for fit in evaluation.fits:
+            told = {"platform": fit.platform, "frequency_hz": fit.frequency_hz, "largest_misfit": fit.misfit}
+            fits[f"half_size_{fit.half_size_m:g}"] = told
+        write_value(file, "fits", fits)
     write_value(file, "mounted", evaluation.mounted)
 
 
