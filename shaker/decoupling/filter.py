@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
-from shaker.decoupling.model import MultiModel, StateSpace, sampled_modes
+from shaker.decoupling.model import MultiModel, Poles, StateSpace, sampled_modes
 
 # The filter against cross-talk: outputs to loads, as direct taps and a bank of poles, block by block.
 
@@ -192,8 +192,7 @@ def design_decoupling(
     check_shape("frequency_hz", target.frequency_hz, (len(model.components),))
     shape, rate = recorded.load / recorded.noise[:, None], recorded.sample_rate_hz
     plant = sampled_modes(model.poles, [residue * shape for residue in (*model.residue, *model.real_residue)], rate)
-    omega, zeta = 2 * np.pi * target.frequency_hz, target.damping_ratio
-    upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    omega, upper = 2 * np.pi * target.frequency_hz, Poles(target.frequency_hz, target.damping_ratio, np.zeros(0)).values
     own = [np.outer(unit, unit) * omega[i] ** 2 / (2j * upper[i].imag) for i, unit in enumerate(np.eye(len(omega)))]
     wanted = sampled_modes(upper, own, rate)  # from the loads over their size, as the plant's outputs over their noise
     gains = _smoother(plant, wanted, _DELAYS if delay is None else delay)
