@@ -183,10 +183,8 @@ def moved(sensor: SensorDynamics, vector: FloatArray) -> LinearSystem:
     modes, reals = len(sensor.frequency_hz), len(sensor.real_hz)
     f, zeta, real, gain = np.split(np.asarray(vector, dtype=np.float64), np.cumsum([modes, modes, reals]))
     poles = [pole for one, damping in zip(f, zeta, strict=True) for pole in mode_poles(one, damping)]
-    left = list(sensor.system.poles)
-    for pole in np.concatenate(cancelled_poles(sensor)):
-        left.pop(int(np.argmin(np.abs(np.array(left) - pole))))
-    unscaled = LinearSystem(sensor.system.zeros, np.array([*left, *poles, *(-2 * np.pi * real)]), 1.0)
+    every = np.array([*sensor.other_poles, *poles, *(-2 * np.pi * real)])
+    unscaled = LinearSystem(sensor.system.zeros, every, 1.0)
     return replace(unscaled, gain=float(gain[0]) / unscaled.static_gain)
 
 

@@ -53,6 +53,14 @@ class SensorDynamics(Brief):
         return np.concatenate([self.frequency_hz, self.damping_ratio, self.real_hz, [self.static_gain]])
 
     @property
+    def other_poles(self) -> ComplexArray:
+        """Poles in rad/s of the whole sensor that stay."""
+        left = list(self.system.poles)
+        for pole in np.concatenate(cancelled_poles(self)):
+            left.pop(int(np.argmin(np.abs(np.array(left) - pole))))
+        return np.array(left, dtype=np.complex128)
+
+    @property
     def u(self) -> FloatArray:
         """Standard uncertainties (P,) of `vector`, NaN where they are not known."""
         if self.covariance is None:
@@ -243,11 +251,8 @@ class Compensation:
     @property
     def compensated(self) -> LinearSystem:
         """Sensor and filter in a row, without the poles that the filter cancels."""
-        left, gain = list(self.sensor.system.poles), self.system.gain * self.sensor.system.gain
-        zeros, poles = (np.concatenate(part) for part in zip(*self.factors, strict=True))
-        for zero in zeros:
-            left.pop(int(np.argmin(np.abs(np.array(left) - zero))))
-        return LinearSystem(self.sensor.system.zeros, np.concatenate([left, poles]), gain)
+        whole, made = self.sensor.system, self.system
+        return LinearSystem(whole.zeros, np.concatenate([self.sensor.other_poles, made.poles]), made.gain * whole.gain)
 
     def sensitivities(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return ∂ ln G_c/∂θ (K, P) of the parameters θ of `sensor.vector` at frequencies (K,) in Hz.

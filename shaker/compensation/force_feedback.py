@@ -187,20 +187,20 @@ def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArr
 
 def _modal(sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A, B, C of a sensor over its static gain as decoupled modes and real poles."""
+    from scipy.linalg import block_diag
+
     if len(sensor.zeros) >= len(sensor.poles):
         raise ValueError("sensor: expected more poles than zeros, found as many")
-    residues = sensor.residues() / sensor.static_gain
-    size = len(sensor.poles)
-    own, into, output, place = np.zeros((size, size)), np.zeros(size), np.zeros(size), 0
-    for pole, residue in zip(sensor.poles, residues, strict=True):
-        if pole.imag < 0:
-            continue
-        into[place] = 1.0
-        if pole.imag == 0:
-            own[place, place], output[place] = pole.real, residue.real
-            place += 1
-            continue
-        own[place : place + 2, place : place + 2] = [[pole.real, -pole.imag], [pole.imag, pole.real]]
-        output[place : place + 2] = [2.0 * residue.real, -2.0 * residue.imag]
-        place += 2
-    return own, into, output
+    own: list[list[list[float]]] = []
+    into: list[float] = []
+    output: list[float] = []
+    for pole, residue in zip(sensor.poles, sensor.residues() / sensor.static_gain, strict=True):
+        if pole.imag > 0:
+            own.append([[pole.real, -pole.imag], [pole.imag, pole.real]])
+            into += [1.0, 0.0]
+            output += [2.0 * residue.real, -2.0 * residue.imag]
+        elif pole.imag == 0:
+            own.append([[pole.real]])
+            into.append(1.0)
+            output.append(residue.real)
+    return block_diag(*own), np.array(into), np.array(output)

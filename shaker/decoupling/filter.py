@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
-from shaker.decoupling.model import MultiModel, StateSpace, sampled_modes
+from shaker.decoupling.model import MultiModel, Poles, StateSpace, sampled_modes
 
 # The filter against cross-talk: outputs to loads, as direct taps and a bank of poles, block by block.
 
@@ -77,11 +77,11 @@ class DecouplingFilter(Brief):
             return np.zeros((0, len(self.components))), state
         whole = np.concatenate([state.inputs, values]).T.copy()
         count, delay = len(values), self.delay
-        found = np.zeros((len(self.components), count))
+        loads = np.zeros((len(self.components), count))
         for k, tap in enumerate(self.taps):
             for c, column in enumerate(tap.T):
                 for d, weight in enumerate(column):
-                    found[d] += weight * whole[c, delay - k : delay - k + count]
+                    loads[d] += weight * whole[c, delay - k : delay - k + count]
         held = np.empty_like(state.poles)
         for i, pole in enumerate(self.poles):
             drive = np.zeros(count, dtype=np.complex128)
@@ -91,8 +91,8 @@ class DecouplingFilter(Brief):
             answer, held[i : i + 1] = lfilter([0.0, 1.0], [1.0, -pole], drive, zi=state.poles[i : i + 1])
             real, imag = answer.real.copy(), answer.imag.copy()
             for d, weight in enumerate(self.shown[:, i]):
-                found[d] += weight.real * real - weight.imag * imag
-        return found.T.copy(), FilterState(whole[:, count:].T.copy(), held)
+                loads[d] += weight.real * real - weight.imag * imag
+        return loads.T.copy(), FilterState(whole[:, count:].T.copy(), held)
 
     def apply(self, outputs: FloatArray) -> FloatArray:
         """Return the loads (N, D) of a whole record (N, C) that begins at rest at its first sample."""
@@ -101,14 +101,14 @@ class DecouplingFilter(Brief):
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the loads over the outputs (K, D, C) at frequencies (K,) in Hz."""
         z = np.exp(2j * np.pi * np.asarray(frequency_hz, dtype=np.float64) / self.sample_rate_hz)
-        found = np.einsum("kl,ldc->kdc", z[:, None] ** -np.arange(len(self.taps)), self.taps)
+        response = np.einsum("kl,ldc->kdc", z[:, None] ** -np.arange(len(self.taps)), self.taps)
         for sign in (1, -1):
             poles, driven, shown = (
                 part if sign > 0 else part.conj() for part in (self.poles, self.driven, self.shown / 2.0)
             )
             basis = z[:, None] ** -self.delay / (z[:, None] - poles)
-            found = found + np.einsum("kn,dn,nc->kdc", basis, shown, driven, optimize=True)
-        return np.asarray(found)
+            response = response + np.einsum("kn,dn,nc->kdc", basis, shown, driven, optimize=True)
+        return np.asarray(response)
 
     def target(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the wanted dynamics (K, D) with the delay: ω²/(s² + 2ζωs + ω²)·exp(-sL/fs)."""
@@ -192,8 +192,7 @@ def design_decoupling(
     check_shape("frequency_hz", target.frequency_hz, (len(model.components),))
     shape, rate = recorded.load / recorded.noise[:, None], recorded.sample_rate_hz
     plant = sampled_modes(model.poles, [residue * shape for residue in (*model.residue, *model.real_residue)], rate)
-    omega, zeta = 2 * np.pi * target.frequency_hz, target.damping_ratio
-    upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    omega, upper = 2 * np.pi * target.frequency_hz, Poles(target.frequency_hz, target.damping_ratio, np.zeros(0)).values
     own = [np.outer(unit, unit) * omega[i] ** 2 / (2j * upper[i].imag) for i, unit in enumerate(np.eye(len(omega)))]
     wanted = sampled_modes(upper, own, rate)  # from the loads over their size, as the plant's outputs over their noise
     gains = _smoother(plant, wanted, _DELAYS if delay is None else delay)
@@ -246,23 +245,23 @@ def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _Gains:
     return _Gains(m, k, c, shown, gains, before - told, size)
 
 
-def _assembled(model: MultiModel, target: Target, recorded: Recorded, found: _Gains, lag: int) -> DecouplingFilter:
+def _assembled(model: MultiModel, target: Target, recorded: Recorded, kalman: _Gains, lag: int) -> DecouplingFilter:
     """The filter as taps and poles: innovations up to the delay are written as outputs and the state before them.
 
     f(t) = z·x(t) + Σ_i G_i (y(t + i) - c·x(t + i)), x(t + i) = mⁱ x(t) + Σ_{l < i} m^{i - 1 - l} k y(t + l).
     """
-    outputs, loads = found.c.shape[0], len(found.wanted)
-    taps, shown = np.zeros((lag + 1, loads, outputs)), found.wanted.copy()
-    powers = [np.eye(len(found.m))]
+    outputs, loads = kalman.c.shape[0], len(kalman.wanted)
+    taps, shown = np.zeros((lag + 1, loads, outputs)), kalman.wanted.copy()
+    powers = [np.eye(len(kalman.m))]
     for _ in range(lag):
-        powers.append(found.m @ powers[-1])
+        powers.append(kalman.m @ powers[-1])
     for i in range(lag + 1):
-        taps[lag - i] += found.gains[i]
-        shown = shown - found.gains[i] @ found.c @ powers[i]
+        taps[lag - i] += kalman.gains[i]
+        shown = shown - kalman.gains[i] @ kalman.c @ powers[i]
         for early in range(i):
-            taps[lag - early] -= found.gains[i] @ found.c @ powers[i - 1 - early] @ found.k
-    poles, vectors = np.linalg.eig(found.m)
-    driven, seen = np.linalg.solve(vectors, found.k.astype(np.complex128)), shown @ vectors
+            taps[lag - early] -= kalman.gains[i] @ kalman.c @ powers[i - 1 - early] @ kalman.k
+    poles, vectors = np.linalg.eig(kalman.m)
+    driven, seen = np.linalg.solve(vectors, kalman.k.astype(np.complex128)), shown @ vectors
     kept = poles.imag > -_REAL * np.abs(poles)
     double = np.where(poles[kept].imag > _REAL * np.abs(poles[kept]), 2.0, 1.0)
     return DecouplingFilter(

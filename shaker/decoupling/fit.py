@@ -83,16 +83,16 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
         before_s, after_s = release.duration_s + _BEFORE * lasts_s, release.duration_s + _AFTER * lasts_s
         cut.append(record.cut(release.middle_s - before_s, release.middle_s + after_s))
     near = replace(problem, records=tuple(cut))
-    found, trials = chosen(near, (start, releases), most_modes, most_reals)
-    found = otherwise(near, found)
-    found = shaped(problem, fit_poles(problem, found.poles, found.releases, calm=_NEAR))
-    again = noise * misfits(found, len(noise))
+    fit, trials = chosen(near, (start, releases), most_modes, most_reals)
+    fit = otherwise(near, fit)
+    fit = shaped(problem, fit_poles(problem, fit.poles, fit.releases, calm=_NEAR))
+    again = noise * misfits(fit, len(noise))
     weighted = [
         replace(one, samples=replace(one.samples, value=one.samples.value * noise / again)) for one in problem.records
     ]
     problem = replace(problem, records=tuple(weighted))
-    found = fit_poles(problem, found.poles, found.releases)
-    return multi_fit(records, problem, found, again, tuple(trials))
+    fit = fit_poles(problem, fit.poles, fit.releases)
+    return multi_fit(records, problem, fit, again, tuple(trials))
 
 
 def _noise(records: Sequence[StepRecord], readings: Sequence[Reading]) -> FloatArray:
@@ -141,12 +141,12 @@ def _posed(
 
 def _swings(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) -> ComplexArray:
     """Poles of all decays together, and those of each load's decays that are not among them."""
-    found = shared_poles(decays, rate_hz)
+    poles = shared_poles(decays, rate_hz)
     for load in dict.fromkeys(loads):
         for pole in shared_poles([part for part, own in zip(decays, loads, strict=True) if own == load], rate_hz):
-            if not np.any(np.abs(found - pole) < _APART * np.maximum(-pole.real, -found.real)):
-                found = np.append(found, pole)
-    return found
+            if not np.any(np.abs(poles - pole) < _APART * np.maximum(-pole.real, -poles.real)):
+                poles = np.append(poles, pole)
+    return poles
 
 
 # What was found, in the units of the records.
@@ -214,16 +214,16 @@ class MultiFit(Brief):
 def multi_fit(
     records: Sequence[StepRecord],
     problem: StepProblem,
-    found: Fitted,
+    fit: Fitted,
     noise: FloatArray,
     trials: tuple[Trial, ...],
 ) -> MultiFit:
     """Return the result of a fit in the units of the records; `noise` (C,) of a sample weighted the outputs."""
-    point, poles = found.solution.point, found.poles
-    spread, follows = covariances(point, [misfits(found, len(noise)) ** 2] * len(point.blocks), left_open(found))
-    spread = widened(found, spread)
+    point, poles = fit.solution.point, fit.poles
+    spread, follows = covariances(point, [misfits(fit, len(noise)) ** 2] * len(point.blocks), left_open(fit))
+    spread = widened(fit, spread)
     scaled = noise / np.sqrt(problem.records[0].samples.length[0])
-    releases = _releases(problem, records, found, spread)
+    releases = _releases(problem, records, fit, spread)
     shares = np.array([_scale_share(name, records, releases) for name in problem.components])
     table = np.stack([poles.smooth @ own for own in point.coefficients], axis=2) * scaled[:, None]
     model = MultiModel.of_poles(poles, table, (records[0].channels, problem.components), records[0].unit)
@@ -242,34 +242,34 @@ def multi_fit(
     amplitude = [max(abs(r.amplitude) for r in records if r.component == name) for name in problem.components]
     return MultiFit(
         model=replace(model, covariance=covariance),
-        noise=noise * misfits(found, len(noise)),
+        noise=noise * misfits(fit, len(noise)),
         sample_rate_hz=records[0].sample_rate_hz,
         amplitude=np.array(amplitude),
         u_amplitude=shares,
         releases=releases,
         variance_accounted=1.0 - np.array(left) / np.array(data),
         trials=trials,
-        losses=found.solution.losses,
+        losses=fit.solution.losses,
         ranks=mode_ranks(model, alone),
-        notices=_notices(model, releases, found),
+        notices=_notices(model, releases, fit),
     )
 
 
-def misfits(found: Fitted, outputs: int) -> FloatArray:
+def misfits(fit: Fitted, outputs: int) -> FloatArray:
     """Return the standard deviation of the residual of each output over its weight, all records together."""
-    rests = np.concatenate(found.solution.point.residuals)
-    free = sum(block.design.shape[1] for block in found.solution.point.blocks)
-    free += (found.poles.count + 2 * len(found.releases)) / outputs
+    rests = np.concatenate(fit.solution.point.residuals)
+    free = sum(block.design.shape[1] for block in fit.solution.point.blocks)
+    free += (fit.poles.count + 2 * len(fit.releases)) / outputs
     return np.asarray(np.sqrt(np.sum(rests**2, axis=0) / (len(rests) - free)))
 
 
 def _releases(
-    problem: StepProblem, records: Sequence[StepRecord], found: Fitted, spread: FloatArray
+    problem: StepProblem, records: Sequence[StepRecord], fit: Fitted, spread: FloatArray
 ) -> tuple[ReleaseFit, ...]:
     """What every record shows of its release, in the order of the records."""
-    times = np.sqrt(np.diag(spread))[found.poles.count :].reshape(-1, 2).tolist()
-    rests, results = dict(by_record(problem, found)), []
-    for i, (record, release) in enumerate(zip(problem.records, found.releases, strict=True)):
+    times = np.sqrt(np.diag(spread))[fit.poles.count :].reshape(-1, 2).tolist()
+    rests, results = dict(by_record(problem, fit)), []
+    for i, (record, release) in enumerate(zip(problem.records, fit.releases, strict=True)):
         data = record.samples.value
         fitted = data - rests[i]
         power = float(np.vdot(fitted, fitted))
@@ -301,10 +301,10 @@ def _scale_share(component: str, records: Sequence[StepRecord], releases: Sequen
     return float(np.hypot(stated, np.sqrt(max(0.0, beyond) / len(own))))
 
 
-def _notices(model: MultiModel, releases: Sequence[ReleaseFit], found: Fitted) -> tuple[Notice, ...]:
+def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: Fitted) -> tuple[Notice, ...]:
     """What the user should know of the fit."""
     told = []
-    if not found.solution.converged:
+    if not fit.solution.converged:
         told.append(Notice("warning", "the fit did not come to rest: its poles may be off", "model"))
     if not model.stable:
         told.append(Notice("warning", "the model has a pole that grows", "model"))
@@ -341,9 +341,9 @@ def mode_ranks(model: MultiModel, u: FloatArray) -> tuple[ModeRank, ...]:
     ]
     pairs += list(zip(model.real_residue, spread.real_residue, strict=True))
     limit = 2.0 * (np.sqrt(len(model.channels)) + np.sqrt(len(model.components)))
-    found = []
+    ranks = []
     for value, part in pairs:
         whole, rows, columns = (np.sqrt(np.mean(part**2, axis=axis)) for axis in (None, 1, 0))
         singular = np.linalg.svd(value * whole / np.outer(rows, columns), compute_uv=False)
-        found.append(ModeRank(singular, max(1, int(np.count_nonzero(singular > limit)))))
-    return tuple(found)
+        ranks.append(ModeRank(singular, max(1, int(np.count_nonzero(singular > limit)))))
+    return tuple(ranks)

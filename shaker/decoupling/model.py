@@ -11,7 +11,6 @@ import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.labels import LOAD_COMPONENTS
-from shaker.lti.system import ModalModel
 
 # Poles that outputs and loads share.
 
@@ -119,15 +118,15 @@ class Poles(Brief):
         k = np.arange(len(self.real_hz) + 1)
         power = (values[:, None] / unit) ** k
         grows = k * (values[:, None] / unit) ** np.maximum(k - 1, 0) / unit
-        found = np.concatenate([2 * power[:m].real, -2 * power[:m].imag, power[m:].real])
-        slopes = np.zeros((self.count, *found.shape))
+        moments = np.concatenate([2 * power[:m].real, -2 * power[:m].imag, power[m:].real])
+        slopes = np.zeros((self.count, *moments.shape))
         for i, (place, slope) in enumerate(zip(*self.slopes, strict=True)):
             change = slope * grows[place]
             if place < m:
                 slopes[i, place], slopes[i, m + place] = 2 * change.real, -2 * change.imag
             else:
                 slopes[i, m + place] = change.real
-        return found, slopes
+        return moments, slopes
 
     def columns(self, place: int) -> list[int]:
         """Return the columns of a design that belong to one pole."""
@@ -254,18 +253,6 @@ class MultiModel(Brief):
         swing = 2.0 * np.real(np.einsum("nm,mcd->ncd", np.expm1(upper * t) / upper, self.residue))
         return np.asarray(swing + np.einsum("nq,qcd->ncd", np.expm1(real.real * t) / real.real, self.real_residue))
 
-    def element(self, channel: str, component: str) -> ModalModel:
-        """Return one output over one load, with its covariance."""
-        c, d = self.channels.index(channel), self.components.index(component)
-        covariance = None
-        if self.covariance is not None:
-            m, n = len(self.frequency_hz), self.shared
-            own = n + n * (d * len(self.channels) + c) + np.arange(n)
-            places = np.concatenate([np.arange(2 * m), own[: 2 * m], np.arange(2 * m, n), own[2 * m :]])
-            covariance = self.covariance[np.ix_(places, places)]
-        residues = self.residue[:, c, d], self.real_hz, self.real_residue[:, c, d]
-        return ModalModel(self.frequency_hz, self.damping_ratio, *residues, covariance)
-
     @property
     def u(self) -> ModelParts:
         """Standard uncertainties of all parameters in their places, of Re and Im of a residue each."""
@@ -281,15 +268,15 @@ class MultiModel(Brief):
         if self.covariance is None:
             raise ValueError("covariance: expected that of the parameters, found none")
         n, outputs, common = self.shared, len(self.channels), self.common_poles
-        found = np.zeros((len(frequency_hz), outputs, n * (1 + outputs)), dtype=np.complex128)
+        slope = np.zeros((len(frequency_hz), outputs, n * (1 + outputs)), dtype=np.complex128)
         residues = np.concatenate([self.residue[:, :, component], self.real_residue[:, :, component]]).T
         unit = np.concatenate([np.ones(2 * common.modes), 1.0 / self.real_hz])  # of poles in Hz, not in logarithms
-        found[:, :, :n] = common.response_slopes(frequency_hz, residues).transpose(1, 0, 2) * unit
+        slope[:, :, :n] = common.response_slopes(frequency_hz, residues).transpose(1, 0, 2) * unit
         for c in range(outputs):
-            found[:, c, n * (1 + c) : n * (2 + c)] = common.basis(frequency_hz)
+            slope[:, c, n * (1 + c) : n * (2 + c)] = common.basis(frequency_hz)
         own = n + n * outputs * component + np.arange(n * outputs)
         places = np.concatenate([np.arange(n), own])
-        return found, np.asarray(self.covariance[np.ix_(places, places)])
+        return slope, np.asarray(self.covariance[np.ix_(places, places)])
 
 
 # A sum of modes at the samples' times, for loads that go straight from sample to sample.

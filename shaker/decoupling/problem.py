@@ -28,6 +28,10 @@ class Release:
     shape: Shape
 
 
+Offer: TypeAlias = tuple[Poles, tuple[Release, ...]]
+"""Poles with the releases that they answer to, of all records."""
+
+
 @dataclass(frozen=True)
 class Sampled:
     """One record ready for a fit: means over blocks of samples (A, C) over their noise, times, load."""
@@ -86,15 +90,13 @@ class StepProblem:
         own = [value for release in releases for value in (release.middle_s, np.log(release.duration_s))]
         return np.concatenate([poles.vector, own])
 
-    def prior(self, vector: FloatArray, poles: Poles) -> Prior:
+    def prior(self, vector: FloatArray, poles: Poles, held: int) -> Prior:
         """Return what a start says of lags and durations, loosely: it leads a search along the valley between them."""
         u = np.full(len(vector), np.inf)
         u[2 * poles.modes : poles.count], u[poles.count + 1 :: 2] = _LOOSE
-        return Prior(vector, u)
+        return Prior(vector[held:], u[held:])
 
-    def split(
-        self, vector: FloatArray, poles: Poles, releases: Sequence[Release]
-    ) -> tuple[Poles, tuple[Release, ...]] | None:
+    def split(self, vector: FloatArray, poles: Poles, releases: Sequence[Release]) -> Offer | None:
         """Return poles and releases of a vector, None where they are not allowed."""
         there, own = poles.with_vector(vector), vector[poles.count :].reshape(-1, 2)
         longest = np.array([float(np.ptp(record.samples.time_s)) for record in self.records])
@@ -105,10 +107,13 @@ class StepProblem:
         moved = (replace(release, middle_s=float(t), duration_s=float(length)) for release, t, length in times)
         return there, tuple(moved)
 
-    def point(self, poles: Poles, releases: Sequence[Release]) -> Separable:
-        """Return poles and releases as a point of the search, with one block of rows per load component."""
-        blocks = tuple(_block(self, poles, releases, self.places(component)) for component in self.components)
-        return Separable(self.vector(poles, releases), blocks)
+    def point(self, poles: Poles, releases: Sequence[Release], held: int = 0) -> Separable:
+        """Return poles and releases as a point of the search, with one block of rows per load component.
+
+        `held`: how many of the first parameters stay and are none of the point's.
+        """
+        blocks = tuple(_block(self, poles, releases, self.places(name), held) for name in self.components)
+        return Separable(self.vector(poles, releases)[held:], blocks)
 
 
 @dataclass(frozen=True)
@@ -131,23 +136,34 @@ def rules(steps: int, calm: float) -> Rules:
 
 
 def fit_poles(
-    problem: StepProblem, poles: Poles, releases: Sequence[Release], steps: int = 40, calm: float = 1e-2
+    problem: StepProblem,
+    poles: Poles,
+    releases: Sequence[Release],
+    steps: int = 40,
+    calm: float = 1e-2,
+    held: int = 0,
 ) -> Fitted:
-    """Return the least squares poles and releases from a start, by at most `steps` steps or till one gains `calm`."""
+    """Return the least squares poles and releases from a start, by at most `steps` steps or till one gains `calm`.
+
+    `held`: how many of the first parameters stay as they are.
+    """
+    start = problem.vector(poles, releases)
+
+    def parts(vector: FloatArray) -> Offer | None:
+        return problem.split(np.concatenate([start[:held], vector]), poles, releases)
 
     def at(vector: FloatArray) -> Separable | None:
-        parts = problem.split(vector, poles, releases)
-        return None if parts is None else problem.point(*parts)
+        there = parts(vector)
+        return None if there is None else problem.point(*there, held)
 
-    start = problem.vector(poles, releases)
-    first = at(start)
+    first = at(start[held:])
     if first is None:
-        raise ValueError(f"start: expected poles that swing and decay, found {start.tolist()}")
-    smallest = np.concatenate([poles.scale, np.tile([problem.step_s, 0.1], len(releases))])
-    solution = levenberg_marquardt(at, first, rules(steps, calm), smallest, problem.prior(start, poles))
-    parts = problem.split(solution.point.parameters, poles, releases)
-    assert parts is not None
-    return Fitted(*parts, solution)
+        raise ValueError(f"start: expected poles that swing and decay within their records, found {start.tolist()}")
+    smallest = np.concatenate([poles.scale, np.tile([problem.step_s, 0.1], len(releases))])[held:]
+    solution = levenberg_marquardt(at, first, rules(steps, calm), smallest, problem.prior(start, poles, held))
+    end = parts(solution.point.parameters)
+    assert end is not None
+    return Fitted(*end, solution)
 
 
 def covariances(
@@ -200,7 +216,7 @@ def model_covariance(
     return np.asarray(rows @ spread @ rows.T + own), np.asarray(np.sqrt(np.diag(own)))
 
 
-def left_open(found: Fitted) -> FloatArray:
+def left_open(fit: Fitted) -> FloatArray:
     """Return the reciprocal variances (P,) of lags and durations by what bounds them.
 
     A lag 1/(1 + s/a) behind a release that takes the time T acts like a later release to first order, and to second
@@ -208,16 +224,16 @@ def left_open(found: Fitted) -> FloatArray:
     where they cannot tell the parts apart each of these is positive and at most the sum, as is a time at most its root:
     rectangular distributions of that half width.
     """
-    poles, vector = found.poles, found.solution.point.parameters
+    poles, vector = fit.poles, fit.solution.point.parameters
     lags = np.arange(2 * poles.modes, poles.count)
-    spread, known, largest = _inverse(found.solution.point.normal[0]), np.zeros(len(vector)), np.inf
+    spread, known, largest = _inverse(fit.solution.point.normal[0]), np.zeros(len(vector)), np.inf
 
     def bound(places: IntArray | list[int], square: FloatArray | float, most: float) -> None:
         share = np.asarray(square) / most
         known[places] = 3.0 * np.maximum(share, 4.0 * share**2)
 
     squares = (2.0 * np.pi * poles.real_hz) ** -2.0
-    for i, release in enumerate(found.releases):
+    for i, release in enumerate(fit.releases):
         own = poles.count + 2 * i + 1
         moment = MOMENTS[release.shape] * release.duration_s**2
         slope = np.zeros(len(vector))
@@ -230,13 +246,13 @@ def left_open(found: Fitted) -> FloatArray:
     return known
 
 
-def widened(found: Fitted, spread: FloatArray) -> FloatArray:
+def widened(fit: Fitted, spread: FloatArray) -> FloatArray:
     """Return the covariance (P, P) of the parameters, wide enough for the time 1/a of every lag.
 
     Records tell 1/a², of which the time is no linear function where little is known: along with the lag everything is
     widened so that 1.96 standard uncertainties reach as far as the root of what 1.96 of the square allow.
     """
-    for lag in range(2 * found.poles.modes, found.poles.count):
+    for lag in range(2 * fit.poles.modes, fit.poles.count):
         u = float(np.sqrt(spread[lag, lag]))
         far = max(1.0 - np.sqrt(max(1.0 - 2.0 * _REACH * u, 0.0)), np.sqrt(1.0 + 2.0 * _REACH * u) - 1.0)
         more = max((far / (_REACH * u)) ** 2, 1.0) - 1.0
@@ -244,7 +260,7 @@ def widened(found: Fitted, spread: FloatArray) -> FloatArray:
     return spread
 
 
-def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], places: Sequence[int]) -> Block:
+def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], places: Sequence[int], held: int) -> Block:
     """All records of one load; the level of each is taken off data and design alike."""
     records, smooth, modes = [problem.records[i] for i in places], poles.smooth, poles.modes
     edges = np.cumsum([0, *(len(record.samples.time_s) for record in records)])
@@ -260,7 +276,7 @@ def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], plac
 
     def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
         """Poles move the responses and turn the basis; middle and duration move those of their own record."""
-        found = np.zeros((edges[-1], len(moved), own.shape[1]))
+        change = np.zeros((edges[-1], len(moved), own.shape[1]))
         turned = np.einsum("pbs,sc->bpc", poles.smooth_slopes, own)
         re, im, real = np.split(smooth @ own, [modes, 2 * modes])
         residues = np.concatenate([2 * (re + 1j * im), real])  # those of modes twice, for their conjugates
@@ -268,11 +284,11 @@ def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], plac
         for k, (i, record) in enumerate(zip(places, records, strict=True)):
             rows, here = slice(edges[k], edges[k + 1]), record.answers(poles.values, releases[i])
             along = here.by_pole[:, which, None] * (slope[:, None] * residues[which])
-            found[rows, : poles.count] = along.real + np.tensordot(designs[k], turned, axes=1)
-            found[rows, poles.count + 2 * k] = (here.by_onset @ residues).real
-            found[rows, poles.count + 2 * k + 1] = releases[i].duration_s * (here.by_length @ residues).real
-            found[rows] -= found[rows].mean(axis=0)
-        return moved, found
+            change[rows, : poles.count] = along.real + np.tensordot(designs[k], turned, axes=1)
+            change[rows, poles.count + 2 * k] = (here.by_onset @ residues).real
+            change[rows, poles.count + 2 * k + 1] = releases[i].duration_s * (here.by_length @ residues).real
+            change[rows] -= change[rows].mean(axis=0)
+        return moved[held:] - held, change[:, held:]
 
     return Block(design @ smooth, np.concatenate([record.samples.value for record in records]), changes)
 
@@ -297,8 +313,6 @@ _CLEARLY = 10.0
 _OTHERWISE = (0.75, 1.4)
 _STRONG = 0.5
 """A mode above this share of the strongest is no make-up for releases read some hundredths of a period off."""
-
-Offer: TypeAlias = tuple[Poles, tuple[Release, ...]]
 
 
 @dataclass(frozen=True)
@@ -329,7 +343,7 @@ def lagged(problem: StepProblem, poles: Poles, releases: tuple[Release, ...]) ->
             shortest = _SHORTEST * release.duration_s
             shorter = float(np.sqrt(max(square, shortest**2)))
             moved.append(replace(release, middle_s=release.middle_s - late_s, duration_s=shorter))
-        times = [_timed(problem.part([i]), poles.with_real(hz), [one])[1][0] for i, one in enumerate(moved)]
+        times = [_timed(problem.part([i]), poles.with_real(hz), [one]).releases[0] for i, one in enumerate(moved)]
         offers.append((poles.with_real(hz), tuple(times)))
     return min(offers, key=lambda offer: problem.point(*offer).loss)
 
@@ -359,71 +373,46 @@ def chosen(problem: StepProblem, start: Offer, most: int | None, reals: int) -> 
     return here, trials
 
 
-def shaped(problem: StepProblem, found: Fitted) -> Fitted:
+def shaped(problem: StepProblem, fit: Fitted) -> Fitted:
     """Return the fit in which each release goes along a line or half a cosine, whichever leaves clearly less."""
     releases = tuple(
-        _better_shape(problem, found, i) if release.duration_s > _TOLD_SAMPLES * problem.step_s else release
-        for i, release in enumerate(found.releases)
+        _better_shape(problem, fit, i) if release.duration_s > _TOLD_SAMPLES * problem.step_s else release
+        for i, release in enumerate(fit.releases)
     )
-    return found if releases == found.releases else fit_poles(problem, found.poles, releases, _FEW_STEPS, _ROUGH)
+    return fit if releases == fit.releases else fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
 
 
-def _better_shape(problem: StepProblem, found: Fitted, place: int) -> Release:
+def _better_shape(problem: StepProblem, fit: Fitted, place: int) -> Release:
     """One release, or the same in the other shape, with its best duration, where that leaves clearly less."""
     near = problem.places(problem.records[place].component)
-    part, own = problem.part(near), found.releases[place]
+    part, own = problem.part(near), fit.releases[place]
     other: Shape = "smooth" if own.shape == "ramp" else "ramp"
     ratios = _AS_LONG if other == "smooth" else [1.0 / ratio for ratio in _AS_LONG]
     tried = [own, *(replace(own, shape=other, duration_s=ratio * own.duration_s) for ratio in ratios)]
-    places = [[one if i == place else found.releases[i] for i in near] for one in tried]
-    losses = [part.point(found.poles, releases).loss for releases in places]
+    places = [[one if i == place else fit.releases[i] for i in near] for one in tried]
+    losses = [part.point(fit.poles, releases).loss for releases in places]
     best = int(np.argmin(losses))
     return tried[best] if losses[best] < losses[0] - _CLEARLY else own
 
 
-def otherwise(problem: StepProblem, found: Fitted) -> Fitted:
+def otherwise(problem: StepProblem, fit: Fitted) -> Fitted:
     """The fit from shorter or longer releases of each load, where these leave less: the least of several minima."""
-    releases = list(found.releases)
+    releases = list(fit.releases)
     for component in problem.components:
         places = problem.places(component)
         tried = [
             [replace(releases[i], duration_s=by * releases[i].duration_s) for i in places] for by in (1.0, *_OTHERWISE)
         ]
-        ends = [_timed(problem.part(places), found.poles, one) for one in tried]
-        for i, release in zip(places, min(ends, key=lambda end: end[0])[1], strict=True):
+        ends = [_timed(problem.part(places), fit.poles, one) for one in tried]
+        for i, release in zip(places, min(ends, key=lambda end: end.loss).releases, strict=True):
             releases[i] = release
-    other = fit_poles(problem, found.poles, releases, _FEW_STEPS, _ROUGH)
-    return min(found, other, key=lambda fitted: fitted.loss)
+    other = fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
+    return min(fit, other, key=lambda fitted: fitted.loss)
 
 
-def _timed(problem: StepProblem, poles: Poles, releases: Sequence[Release]) -> tuple[float, tuple[Release, ...]]:
-    """The loss and the best times of releases where the poles are known."""
-    count, start = poles.count, problem.vector(poles, releases)
-
-    def at(times: FloatArray) -> Separable | None:
-        parts = problem.split(np.concatenate([poles.vector, times]), poles, releases)
-        if parts is None:
-            return None
-        blocks = []
-        for block in problem.point(poles, parts[1]).blocks:
-
-            def changes(own: FloatArray, whole: Block = block) -> tuple[IntArray, FloatArray]:
-                places, change = whole.changes(own)
-                return places[count:] - count, change[:, count:]
-
-            blocks.append(replace(block, changes=changes))
-        return Separable(times, tuple(blocks))
-
-    first = at(start[count:])
-    if first is None:
-        raise ValueError(f"releases: expected ones within their records, found {list(releases)}")
-    whole = problem.prior(start, poles)
-    smallest = np.tile([problem.step_s, 0.1], len(releases))
-    prior = Prior(whole.value[count:], whole.u[count:])
-    point = levenberg_marquardt(at, first, rules(_FEW_STEPS, _ROUGH), smallest, prior).point
-    parts = problem.split(np.concatenate([poles.vector, point.parameters]), poles, releases)
-    assert parts is not None
-    return point.loss, parts[1]
+def _timed(problem: StepProblem, poles: Poles, releases: Sequence[Release]) -> Fitted:
+    """The best times of releases where the poles are known."""
+    return fit_poles(problem, poles, releases, _FEW_STEPS, _ROUGH, held=poles.count)
 
 
 def _begun(part: StepProblem, poles: Poles, release: Release) -> Release:
@@ -431,10 +420,10 @@ def _begun(part: StepProblem, poles: Poles, release: Release) -> Release:
     too where the record is not explained."""
     ramp, smooth = replace(release, shape="ramp"), replace(release, shape="smooth")
     tried = [_timed(part, poles, [one]) for one in (ramp, smooth)]
-    if min(tried, key=lambda end: end[0])[0] >= _UNEXPLAINED * part.values:
+    if min(end.loss for end in tried) >= _UNEXPLAINED * part.values:
         others = [replace(one, duration_s=by * one.duration_s) for one in (ramp, smooth) for by in _LONGER]
         tried += [_timed(part, poles, [one]) for one in others]
-    return min(tried, key=lambda end: end[0])[1][0]
+    return min(tried, key=lambda end: end.loss).releases[0]
 
 
 def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:
@@ -507,10 +496,10 @@ def _larger(problem: StepProblem, here: Fitted, most: int | None, reals: int) ->
     return min(tried, key=lambda fitted: criterion(problem, fitted.poles, fitted.loss), default=None)
 
 
-def by_record(problem: StepProblem, found: Fitted) -> list[tuple[int, FloatArray]]:
+def by_record(problem: StepProblem, fit: Fitted) -> list[tuple[int, FloatArray]]:
     """What is left of every record (A, C), load after load."""
     rests: list[tuple[int, FloatArray]] = []
-    for component, rest in zip(problem.components, found.solution.point.residuals, strict=True):
+    for component, rest in zip(problem.components, fit.solution.point.residuals, strict=True):
         places = problem.places(component)
         ends = np.cumsum([len(problem.records[i].samples.time_s) for i in places])[:-1]
         rests += zip(places, np.split(rest, ends), strict=True)

@@ -197,18 +197,16 @@ def fitted_poles(frequency_hz: FloatArray, responses: ComplexArray, weights: Flo
 
 def _zeros(poles: Poles, own: FloatArray) -> Poles:
     """Zeros of 1 + Σ d/(s - a) in the left half plane: eigenvalues of diag(a) - 1·d in real form."""
-    m, q = poles.modes, len(poles.real_hz)
+    from scipy.linalg import block_diag
+
+    m = poles.modes
     upper, real = np.split(poles.values, [m])
-    size = 2 * m + q
-    table, ones = np.zeros((size, size)), np.zeros(size)
-    for i, pole in enumerate(upper):
-        table[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
-        ones[2 * i] = 2.0
-    table[2 * m :, 2 * m :] = np.diag(real.real)
-    ones[2 * m :] = 1.0
+    swings = [[[pole.real, pole.imag], [-pole.imag, pole.real]] for pole in upper]
+    table = block_diag(*swings, np.diag(real.real))
+    ones = np.concatenate([np.tile([2.0, 0.0], m), np.ones(len(real))])
     row = np.concatenate([np.stack([own[:m], own[m : 2 * m]], axis=1).ravel(), own[2 * m :]])
-    found = np.linalg.eigvals(table - np.outer(ones, row))
-    pairs = found[found.imag > 1e-9 * np.abs(found)]
-    alone = np.abs(found[np.abs(found.imag) <= 1e-9 * np.abs(found)].real)
+    zeros = np.linalg.eigvals(table - np.outer(ones, row))
+    pairs = zeros[zeros.imag > 1e-9 * np.abs(zeros)]
+    alone = np.abs(zeros[np.abs(zeros.imag) <= 1e-9 * np.abs(zeros)].real)
     damping = np.clip(np.abs(pairs.real) / np.abs(pairs), 1e-5, 0.69)
     return Poles(np.abs(pairs) / (2 * np.pi), damping, np.maximum(alone, 1e-3) / (2 * np.pi))

@@ -400,7 +400,7 @@ def fit_platform(beams: CrossBeams, half_size_m: float, wanted_hz: Mapping[str, 
     """
     unknown = [name for name in wanted_hz if name not in NAMES]
     if unknown or any(not any(name in wanted_hz for name in group) for group in NEEDED):
-        expected = "one of Tx, Ty, one of Rx, Ry, and Tz, Rz"
+        expected = "Tz, Rz, one of Tx, Ty and one of Rx, Ry"
         raise ValueError(f"wanted_hz: expected {expected}, found {', '.join(wanted_hz) or 'none'}")
     frame = cross_frame(beams, half_size_m, PIECES)
     targets = np.array([np.mean([wanted_hz[name] for name in group if name in wanted_hz]) for group in NEEDED])

@@ -277,12 +277,6 @@ def test_bad_files_are_one_sentence(tmp_path, refused):
         read_compensation_filters(broken)
 
 
-def test_other_results_are_not_overwritten(tmp_path, refused):
-    (tmp_path / "mine.txt").write_text("mine", encoding="utf-8")
-    assert str(tmp_path) in refused("compensate", *NUMBERS, "--frequency", "900", "-o", tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
-
-
 SIZES = st.tuples(st.integers(1, 3), st.integers(0, 2))
 
 

@@ -95,10 +95,10 @@ def test_filter_file_reads_back_to_the_last_bit(results, tmp_path):
     assert decoupler.poles.real.tolist() == [pair[0] for pair in content["poles"]]
     broken = tmp_path / "decoupling.json"
     broken.write_text(json.dumps({**content, "kind": "other"}), encoding="utf-8")
-    with pytest.raises(InputError, match="kind"):
+    with pytest.raises(InputError, match="expected filters as shakercal decouple writes them, found kind 'other'"):
         read_decoupling_filter(broken)
     broken.write_text("{", encoding="utf-8")
-    with pytest.raises(InputError, match="written by shakercal decouple"):
+    with pytest.raises(InputError, match="as shakercal decouple writes them"):
         read_decoupling_filter(broken)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.ticker import MultipleLocator
 
 from fusion.base import MILLI, PERCENT, prefix, typeset
@@ -64,10 +63,10 @@ def draw_bode(name: str, made: LoadFilter, permitted_error: float) -> Picture:
                 upper.axvline(indices.band_10_hz, color=colour, linewidth=0.7, linestyle=DASHED, zorder=1)
         upper.set_xscale("log")
         plain_logarithm(upper.yaxis, (1.0,))
-        upper.set_ylim(0.03, max(3.0, 1.5 * float(np.max(np.abs([sensor, after])))))
-        upper.set_ylabel("gain / static gain")
-        lower.set_xlabel("frequency / Hz")
-        lower.set_ylim(float(np.degrees(np.min(np.unwrap(np.angle([sensor, after]))))) - 30.0, 30.0)
+        highest = max(3.0, 1.5 * float(np.max(np.abs([sensor, after]))))
+        lowest = float(np.degrees(np.min(np.unwrap(np.angle([sensor, after]))))) - 30.0
+        upper.set(ylabel="gain / static gain", ylim=(0.03, highest))
+        lower.set(xlabel="frequency / Hz", ylim=(lowest, 30.0))
         lower.yaxis.set_major_locator(MultipleLocator(90.0))
         upper.legend(loc="lower left")
         panel_label(upper, title)
@@ -89,9 +88,8 @@ def draw_step(name: str, made: LoadFilter) -> Picture:
         axes.axhspan(0.98, 1.02, color=LIGHT, zorder=0)
         axes.plot(MILLI * time, before, color=GREY, linewidth=0.9, label="sensor")
         axes.plot(MILLI * time, after, color=BLUE, label="compensated")
-        axes.set_xlabel("time after the step / ms")
-        axes.set_ylabel("output / final value")
-        axes.set_xlim(0.0, MILLI * float(time[-1]))
+        limits = (0.0, MILLI * float(time[-1]))
+        axes.set(xlabel="time after the step / ms", ylabel="output / final value", xlim=limits)
         axes.legend(loc="upper right")
         panel_label(axes, title)
         return drawn.picture(f"{title}: a step before and after", "Grey: ±2 % of the final value.")
@@ -107,7 +105,8 @@ def draw_noise(evaluation: CompensateEvaluation) -> Picture:
             text = f"{made.name} (white noise × {made.noise_factor:.3g})"
             axes.loglog(hertz, gain, color=COLOURS[place % len(COLOURS)], label=text)
         plain_logarithm(axes.yaxis, (1.0,))
-        _label(axes, "frequency / Hz", "gain of the filter", "noise")
+        axes.set(xlabel="frequency / Hz", ylabel="gain of the filter")
+        panel_label(axes, "noise")
         axes.legend(loc="upper left")
         caption = "Gain of the filters over their static gain: the density of the noise is raised by this factor."
         return drawn.picture("What the filters do to noise", caption)
@@ -133,8 +132,8 @@ def draw_mismatch(name: str, result: SubjectResult) -> Picture | None:
         for place, (text, off, ringing) in enumerate(curves):
             colour = COLOURS[place % len(COLOURS)]
             axes.plot(off, PERCENT * ringing, "o-", color=colour, markersize=3.5, label=text)
-        _label(axes, axis, "ringing / % of the step", "another sensor than the filter is for")
-        axes.set_ylim(bottom=0.0)
+        axes.set(xlabel=axis, ylabel="ringing / % of the step", ylim=(0.0, None))
+        panel_label(axes, "another sensor than the filter is for")
         axes.legend(loc="best")
         after = f"Largest deviation from the final value from {MILLI * first.after_s:.3g} ms after a step on."
         return drawn.picture("Residual ringing", after)
@@ -152,8 +151,7 @@ def draw_force_feedback(evaluation: CompensateEvaluation) -> Picture | None:
             time, fed_back = case.run.time_s, case.run.fed_back
             axes.plot(time, case.run.applied, color=GREY, linewidth=1.4, label="applied by the hand")
             axes.plot(time, fed_back, color=BLUE, linewidth=0.9, linestyle=DASHED, label="fed back by the ball")
-            axes.set_xlabel("time / s")
-            axes.set_ylim(-0.3 * top, top)
+            axes.set(xlabel="time / s", ylim=(-0.3 * top, top))
             panel_label(axes, f"{case.name}, K = {check.gain:.3g}")
         drawn.panels[0].set_ylabel("force / N")
         drawn.panels[-1].legend(loc="upper right")
@@ -172,9 +170,9 @@ def draw_channel(recording: CompensatedRecording, channel: CompensatedChannel) -
         upper.plot(time, raw / scale, color=GREY, linewidth=0.7, label="output", zorder=2)
         upper.plot(time, value / scale, color=BLUE, linewidth=0.8, label="compensated", zorder=3)
         lower.plot(time, 2.0 * u / small, color=BLACK, linewidth=0.7)
-        lower.set_ylim(0.0, 2.2 * float(np.max(u)) / small or 1.0)
         upper.set_ylabel(f"change / {_unit(letter, channel.unit)}")
-        _label(lower, "time / s", f"U / {_unit(small_letter, channel.unit)}", "")
+        highest = 2.2 * float(np.max(u)) / small or 1.0
+        lower.set(xlabel="time / s", ylabel=f"U / {_unit(small_letter, channel.unit)}", ylim=(0.0, highest))
         upper.legend(loc="upper right")
         panel_label(upper, channel.channel)
         for axes in drawn.panels:
@@ -182,13 +180,6 @@ def draw_channel(recording: CompensatedRecording, channel: CompensatedChannel) -
         caption = "Both less their first value, the output times the static gain of the filter. "
         caption += "Below: U (k = 2) of every sample, from model and noise."
         return drawn.picture(f"{channel.channel}: recording before and after", caption, gap=(0.5, 0.18))
-
-
-def _label(axes: Axes, across: str, up: str, text: str) -> None:
-    """Labels of both axes and of the panel."""
-    axes.set_xlabel(across)
-    axes.set_ylabel(up)
-    panel_label(axes, text)
 
 
 def _unit(letter: str, unit: str) -> str:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import chain
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +26,7 @@ from fusion.report.table import (
     capital,
     columns_of,
     csv_text,
+    known,
     measured,
     number,
     on_page,
@@ -155,7 +157,7 @@ def _entry(made: LoadFilter) -> dict[str, Any]:
         "sensor": {
             **{name: getattr(sensor, name).tolist() for name in ("frequency_hz", "damping_ratio", "real_hz")},
             "static_gain": sensor.static_gain,
-            "u": [None if np.isnan(u) else float(u) for u in sensor.u],
+            "u": [known(u) for u in sensor.u],
         },
         "target": {name: getattr(target, name) for name in ("frequency_hz", "damping_ratio", "real_hz", "low_pass_hz")},
         "continuous": {
@@ -224,13 +226,6 @@ class NumberRow(NamedTuple):
     unit: str
 
 
-def quantity_rows(evaluation: CompensateEvaluation) -> Iterator[NumberRow]:
-    """One row per number."""
-    for made in evaluation.filters:
-        for told in _numbers(made):
-            yield NumberRow(made.subject.channel, made.subject.component, made.load_mass, *told)
-
-
 def over(top: str, bottom: str) -> str:
     """One unit over another; 1 where they are the same."""
     if top == bottom:
@@ -239,28 +234,32 @@ def over(top: str, bottom: str) -> str:
     return "/".join(parts)
 
 
-def _numbers(made: LoadFilter) -> Iterator[tuple[str, float | None, float | None, str]]:
-    """Name, value, u and unit of everything told of one filter."""
+def number_rows(made: LoadFilter) -> Iterator[NumberRow]:
+    """One row per number of one filter."""
     sensor, target = made.compensation.sensor, made.compensation.target
+
+    def row(name: str, value: float | None, unit: str, u: float | None = None) -> NumberRow:
+        return NumberRow(made.subject.channel, made.subject.component, made.load_mass, name, value, u, unit)
+
     modes = len(sensor.frequency_hz)
     names = [f"sensor_{name}_{m + 1}" for name in ("frequency_hz", "damping_ratio") for m in range(modes)]
     names += [f"sensor_real_hz_{q + 1}" for q in range(len(sensor.real_hz))] + ["sensor_static_gain"]
     gain_unit = over(made.subject.unit, made.subject.load_unit)
     for name, value, u in zip(names, sensor.vector, sensor.u, strict=True):
         unit = "Hz" if "_hz" in name else gain_unit if name == "sensor_static_gain" else "1"
-        yield name, float(value), None if np.isnan(u) else float(u), unit
-    yield "target_frequency_hz", target.frequency_hz, None, "Hz"
-    yield "target_damping_ratio", target.damping_ratio, None, "1"
+        yield row(name, float(value), unit, known(u))
+    yield row("target_frequency_hz", target.frequency_hz, "Hz")
+    yield row("target_damping_ratio", target.damping_ratio, "1")
     for when, figures in (("before", made.before), ("after", made.after)):
         for name, value in figures.indices.figures().items():
-            yield f"{when}_{name}", value, figures.u[name], unit_of(name) or "1"
-    yield "white_noise_gain", made.noise_gain, None, over(made.output_unit, made.subject.unit)
-    yield "noise", made.noise, None, made.output_unit
-    yield "discretisation_error", made.discretisation_error, None, "1"
+            yield row(f"{when}_{name}", value, unit_of(name) or "1", figures.u[name])
+    yield row("white_noise_gain", made.noise_gain, over(made.output_unit, made.subject.unit))
+    yield row("noise", made.noise, made.output_unit)
+    yield row("discretisation_error", made.discretisation_error, "1")
     for off, ringing in zip(made.off_frequency, made.off_ringing, strict=True):
-        yield f"ringing_frequency_{off:+g}", float(ringing), None, "1"
+        yield row(f"ringing_frequency_{off:+g}", float(ringing), "1")
     for load, ringing in zip(made.off_load, made.load_ringing, strict=True):
-        yield f"ringing_load_{load:.12g}_kg", float(ringing), None, "1"
+        yield row(f"ringing_load_{load:.12g}_kg", float(ringing), "1")
 
 
 def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
@@ -300,8 +299,8 @@ def index_table(made: LoadFilter) -> Table | None:
         on_page("sensor", lambda name: cell(made.before, name)),
         on_page("compensated", lambda name: cell(made.after, name)),
     ]
-    known = made.compensation.sensor.covariance is not None
-    return table(f"{made.name}: before and after{', with U (k = 2)' if known else ''}", columns, SHOWN)
+    told = "" if made.compensation.sensor.covariance is None else ", with U (k = 2)"
+    return table(f"{made.name}: before and after{told}", columns, SHOWN)
 
 
 def _poles(made: LoadFilter) -> Markup:
@@ -395,10 +394,16 @@ def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
 
 def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
-    error, applied, haptics = evaluation.wish.permitted_error, evaluation.applied, evaluation.haptics
+    wish, applied, haptics = evaluation.wish, evaluation.applied, evaluation.haptics
+    error, aim = wish.permitted_error, f"{wish.frequency_hz or 0.0:g} Hz"
+    if wish.bandwidth_hz is not None:
+        aim = f"±{PERCENT * error:g} % to {wish.bandwidth_hz:g} Hz"
+    kind = "matched poles and zeros" if wish.discretisation == "matched" else "Tustin, prewarped at each mode"
+    models = [(f"Model of {one.subject.name}", one.subject.source) for one in evaluation.subjects]
+    recording = [] if applied is None else [("Recording", applied.name)]
     mismatches = [draw_mismatch(f"mismatch-{n}", result) for n, result in enumerate(evaluation.subjects)]
     return {
-        "subject": _subject(evaluation),
+        "subject": [("Wanted", aim), ("For samples", kind), *models, *recording],
         "headlines": headlines(evaluation),
         "filters": table("Filters, with U (k = 2) where it is known", FILTERS, evaluation.filters),
         "damping": damping_table(evaluation),
@@ -414,22 +419,6 @@ def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
         "haptics_pictures": [picture for picture in [draw_force_feedback(evaluation)] if picture is not None],
         "loop": LOOP.format(0.0 if haptics is None else haptics.ball_stiffness),
     }
-
-
-def _subject(evaluation: CompensateEvaluation) -> list[tuple[str, str]]:
-    """What is compensated, and how."""
-    wish = evaluation.wish
-    aim = (
-        f"±{100 * wish.permitted_error:g} % to {wish.bandwidth_hz:g} Hz"
-        if wish.bandwidth_hz is not None
-        else f"{wish.frequency_hz:g} Hz"
-    )
-    kind = "matched poles and zeros" if wish.discretisation == "matched" else "Tustin, prewarped at each mode"
-    facts = [("Wanted", aim), ("For samples", kind)]
-    facts += [(f"Model of {one.subject.name}", one.subject.source) for one in evaluation.subjects]
-    if evaluation.applied is not None:
-        facts.append(("Recording", evaluation.applied.name))
-    return facts
 
 
 # The result folder.
@@ -454,7 +443,7 @@ def _stored(made: LoadFilter) -> dict[str, Any]:
     design, sections, subject, hertz = made.compensation, made.sections, made.subject, frequencies(made)
     names = ("output_unit", "load_mass", "noise_gain", "noise", "band_hz", "discretisation_error", "after_s")
     curves = ("off_frequency", "off_ringing", "off_load", "load_ringing")
-    known = None if design.sensor.covariance is None else gain_band(design, hertz)
+    band = None if design.sensor.covariance is None else gain_band(design, hertz)
     return {
         "channel": subject.channel,
         "component": subject.component,
@@ -463,7 +452,7 @@ def _stored(made: LoadFilter) -> dict[str, Any]:
         **vars(sections),
         "sensor": design.sensor.vector,
         "covariance": design.sensor.covariance,
-        **({} if known is None else {"u_gain": known.u_gain, "u_phase_rad": known.u_phase_rad}),
+        **({} if band is None else {"u_gain": band.u_gain, "u_phase_rad": band.u_phase_rad}),
         "frequency_hz": hertz,
         "before": design.sensor.system.response(hertz),
         "filter": design.system.response(hertz),
@@ -476,7 +465,7 @@ def _texts(evaluation: CompensateEvaluation) -> dict[str, str | bytes]:
     texts: dict[str, str | bytes] = {
         JSON_FILE: json_text(evaluation),
         HEADER_FILE: header_text(evaluation),
-        "compensate.csv": csv_text(columns_of(NumberRow), quantity_rows(evaluation)),
+        "compensate.csv": csv_text(columns_of(NumberRow), chain.from_iterable(map(number_rows, evaluation.filters))),
     }
     applied = evaluation.applied
     if applied is not None:

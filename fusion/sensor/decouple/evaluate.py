@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fusion.base import ComputeError, InputError, Outcome
 from fusion.recording.load import Manifest
+from fusion.sensor.models_file import FORMAT, read_stored
 from fusion.sensor.step.records import StepInput, read_step
 from shaker.arrays import FloatArray, Notice
 from shaker.decoupling.filter import (
@@ -126,10 +127,8 @@ def evaluate_decoupling(
     frequency_hz = np.unique(np.concatenate([spaced, modes_hz]))
     stages = crosstalks(fit.model, decoupler, fit.noise, frequency_hz, np.random.default_rng(settings.seed), DRAWS)
     sensor, names = manifests[0].rig.sensor, fit.model.components
-    stated = (
-        {} if sensor is None or sensor.capacity is None else dict(zip(LOAD_COMPONENTS, sensor.capacity, strict=False))
-    )
-    rated = np.array([stated.get(name, 0.0) for name in names])
+    stated = (None if sensor is None else sensor.capacity) or (0.0,) * len(LOAD_COMPONENTS)
+    rated = np.array([dict(zip(LOAD_COMPONENTS, stated, strict=True)).get(name, 0.0) for name in names])
     capacity = rated if np.all(rated > 0) else None
     difference = np.abs(stages[-1].value - decoupler.target(frequency_hz)[:, :, None] * np.eye(len(names)))
     if capacity is None:  # loads with themselves alone
@@ -228,7 +227,7 @@ def _notices(
 
 # decoupling.json: the filter with the model it comes from, at full precision.
 
-FORMAT = 1
+FILTER_FILE = "decoupling.json"
 KIND = "shakercal decoupling"
 RECURSION = (
     "f[n] = sum_k taps[k] y[n-k] + Re sum_i shown[:,i] x_i[n-L]; x_i[n+1] = poles[i] x_i[n] + driven[i] y[n]; "
@@ -267,17 +266,16 @@ def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
 
 
 def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
-    """Return the filter of a decoupling.json, to the last bit; raises `InputError`.
+    """Return the filter of a decoupling.json, or of the one in a folder, to the last bit; raises `InputError`.
 
     >>> from fusion import read_decoupling_filter
     >>> decoupler = read_decoupling_filter("my-steps/decouple/decoupling.json")  # doctest: +SKIP
     """
-    path = Path(path)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content.get("kind") != KIND or content.get("format") != FORMAT:
-            found = f"kind {content.get('kind')!r}, format {content.get('format')!r}"
-            raise InputError(path, "kind", found=found, expected=f"{KIND}, format {FORMAT}")
+
+    def parsed(content: dict[str, Any]) -> DecouplingFilter:
+        if content["kind"] != KIND:
+            raise ValueError(f"kind {content['kind']!r}")
+        target = {name: np.array(value, dtype=np.float64) for name, value in content["target"].items()}
         return DecouplingFilter(
             channels=tuple(content["channels"]),
             components=tuple(content["components"]),
@@ -287,12 +285,11 @@ def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
             poles=_complex(content["poles"]),
             driven=_complex(content["driven"]),
             shown=_complex(content["shown"]),
-            target_hz=np.array(content["target"]["frequency_hz"], dtype=np.float64),
-            target_damping=np.array(content["target"]["damping_ratio"], dtype=np.float64),
+            target_hz=target["frequency_hz"],
+            target_damping=target["damping_ratio"],
         )
-    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
-        expected = "a decoupling.json written by shakercal decouple"
-        raise InputError(path, "", found=str(error), expected=expected) from error
+
+    return read_stored(Path(path), FILTER_FILE, "decouple", parsed, "filters")
 
 
 def _pairs(values: NDArray[np.complex128]) -> Any:

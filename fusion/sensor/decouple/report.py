@@ -46,6 +46,7 @@ from fusion.report.table import (
     times_ten,
 )
 from fusion.sensor.decouple.evaluate import (
+    FILTER_FILE,
     DecoupleEvaluation,
     DecoupleSettings,
     evaluate_decoupling,
@@ -397,9 +398,9 @@ def _fill(file: h5py.File, evaluation: DecoupleEvaluation) -> None:
 DECOUPLE = Command(
     "decouple",
     "decouple",
-    ("decoupling.json", "model.csv", "crosstalk.csv"),
+    (FILTER_FILE, "model.csv", "crosstalk.csv"),
     lambda evaluation: {
-        "decoupling.json": filter_text(evaluation.decoupler, evaluation.fit.model),
+        FILTER_FILE: filter_text(evaluation.decoupler, evaluation.fit.model),
         "model.csv": csv_text(columns_of(ModelRow), model_rows(evaluation)),
         "crosstalk.csv": csv_text(columns_of(CrosstalkRow), crosstalk_rows(evaluation)),
     },

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import InputError, Outcome, ProgressCallback, no_progress
+from fusion.base import InputError, Outcome, ProgressCallback, as_input_error, no_progress
 from fusion.sensor.elastomer.definition import Definition
 from fusion.sensor.models_file import read_models
 from shaker.arrays import FloatArray, Notice
@@ -311,6 +311,10 @@ def evaluate_element(
     file = definition.file
     consistent = file.frame.mass_matrix == "consistent"
     half_size = file.platform.half_size
+    fits: tuple[PlatformFit, ...] = ()
+    if file.fit is not None:
+        with as_input_error(definition.path, "fit.frequencies"):
+            fits = platform_family(definition.beams, file.fit.half_sizes, file.fit.frequencies.stated)
     frame = solve_frame(definition.beams, half_size, definition.platform, file.frame.pieces, consistent)
     study = _solid(definition, progress) if solid else None
     stiffness, mass = beam_stiffness(definition.beams, half_size), definition.platform.mass_kg
@@ -321,8 +325,6 @@ def evaluate_element(
     measured, notices = measured_column(definition)
     columns += [] if measured is None else [measured]
     columns += [_exact(item.name, "stated", item.stated) for item in file.stated]
-    wanted = file.fit
-    fits = platform_family(definition.beams, wanted.half_sizes, wanted.frequencies.stated) if wanted else ()
     remarks = [notice for fit in fits for notice in fit.notices]
     texts = [notice.text for notice in remarks]  # what several fits say is said once
     told = [replace(notice, where="fit") if texts.count(notice.text) > 1 else notice for notice in remarks]

@@ -293,8 +293,7 @@ def draw_compared(evaluation: ElementEvaluation) -> Picture:
                 axes.errorbar(places[known] + shift, departure[known], expanded[known], label=column.name, **look)
         axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=1)
         axes.set_xticks(places, NAMES)
-        axes.set_xlim(-0.5, len(places) - 0.5)
-        axes.set_ylabel(f"less {frame.name} / %")
+        axes.set(xlim=(-0.5, len(places) - 0.5), ylabel=f"less {frame.name} / %")
         panel_label(axes, "natural frequencies")
         axes.legend(loc="lower right", ncols=4, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
         caption = "Departure of every column from the frame. Bars: expanded uncertainty U (k = 2) where there is one."
@@ -313,9 +312,9 @@ def draw_hand(evaluation: ElementEvaluation) -> Picture | None:
         axes.plot(scale * mounted.hand_mass, mounted.mounted_hz, color=BLUE, label=label)
         places = np.full(len(mounted.frequency_hz), scale * stated.hand_mass)
         axes.plot(places, mounted.frequency_hz, "o", color=RED, label="hand, sensor and pedestal on springs")
-        axes.set_ylim(0.0, 1.1 * max(float(mounted.frequency_hz.max()), float(mounted.mounted_hz.max())))
-        axes.set_xlabel(f"{'mass' if unit == 'g' else 'moment of inertia'} of the hand / {unit}")
-        axes.set_ylabel("natural frequency / Hz")
+        highest = 1.1 * float(max(mounted.frequency_hz.max(), mounted.mounted_hz.max()))
+        quantity = f"{'mass' if unit == 'g' else 'moment of inertia'} of the hand / {unit}"
+        axes.set(ylim=(0.0, highest), xlabel=quantity, ylabel="natural frequency / Hz")
         panel_label(axes, f"mounted sensor, {mounted.direction}")
         axes.legend(loc="lower right", ncols=2, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
         caption = "What a hand or gripper leaves of the element's own frequency."
@@ -349,8 +348,9 @@ def _panel(figure: Figure, place: int, shape: Shape) -> None:
     for along, label in zip(0.2 * half * np.eye(3), "xyz", strict=True):
         axes.plot(*np.stack([foot, foot + along], axis=1), color=BLACK, linewidth=0.8, clip_on=False)
         axes.text(*(foot + 1.3 * along), label, fontsize=7.0, ha="center", va="center")
-    told = f"{shape.name}   {shape.frequency_hz:.0f} Hz"
-    axes.set_title(told, fontsize=8.5, fontweight="bold", pad=-6.0, loc="center")
+    axes.set_title(
+        f"{shape.name}   {shape.frequency_hz:.0f} Hz", fontsize=8.5, fontweight="bold", pad=-6.0, loc="center"
+    )
 
 
 # What stands on the page, in the files and on the terminal.
@@ -457,10 +457,11 @@ def _fill(file: h5py.File, evaluation: ElementEvaluation) -> None:
     write_value(file, "comparison", {column.name: column for column in evaluation.columns})
     write_value(file, "sensitivity", evaluation.sensitivity)
     if evaluation.fits:
-        fits = {f"half_size_{fit.half_size_m:g}": fit for fit in evaluation.fits}
-        names = {"platform": "platform", "frequency_hz": "frequency_hz", "misfit": "largest_misfit"}
-        told = {size: {name: getattr(fit, own) for own, name in names.items()} for size, fit in fits.items()}
-        write_value(file, "fits", told)
+        fits = {}
+        for fit in evaluation.fits:
+            told = {"platform": fit.platform, "frequency_hz": fit.frequency_hz, "largest_misfit": fit.misfit}
+            fits[f"half_size_{fit.half_size_m:g}"] = told
+        write_value(file, "fits", fits)
     write_value(file, "mounted", evaluation.mounted)
 
 
