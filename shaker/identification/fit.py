@@ -39,16 +39,6 @@ class ModeEstimate:
     damping_ratio: float
     u_damping_ratio: float
 
-    @property
-    def quality(self) -> float:
-        """Quality factor Q = 1/(2ζ)."""
-        return 0.5 / self.damping_ratio
-
-    @property
-    def u_quality(self) -> float:
-        """Standard uncertainty of Q."""
-        return abs(self.quality / self.damping_ratio) * self.u_damping_ratio
-
 
 @dataclass(frozen=True)
 class FreeFactor:

@@ -73,14 +73,6 @@ class Resonance(Brief):
         """Quality factor Q = 1/(2ζ)."""
         return 0.5 / self.damping_ratio
 
-    @property
-    def half_power_hz(self) -> tuple[float, float]:
-        """Frequencies where |1/(1 - r² + 2jζr)|² is half of its maximum: r² = 1 - 2ζ² ∓ 2ζ√(1 - ζ²)."""
-        z = self.damping_ratio
-        middle, half = 1.0 - 2.0 * z * z, 2.0 * z * np.sqrt(max(0.0, 1.0 - z * z))
-        low, high = np.sqrt(np.maximum(0.0, np.array([middle - half, middle + half])))
-        return self.frequency_hz * float(low), self.frequency_hz * float(high)
-
 
 def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, residual_terms: bool = False) -> Resonance:
     """Fit one resonance to a measured curve (K lines).

@@ -332,11 +332,6 @@ class PeakReading:
     u_damping_ratio: float = np.nan
     note: str = ""
 
-    @property
-    def quality(self) -> float:
-        """Quality factor 1/(2ζ)."""
-        return 0.5 / self.damping_ratio
-
 
 @dataclass(frozen=True)
 class PeakReadings:

@@ -184,11 +184,6 @@ class AngleFit(Brief):
         """Return the harmonics in the fit, ascending."""
         return tuple(int(name[4:]) for name in self.terms if name.startswith("cos "))
 
-    @property
-    def offset(self) -> FloatArray:
-        """Return the mean reading over a turn (C,)."""
-        return np.asarray(self.coefficient[0])
-
     def amplitude(self, order: int = 1) -> ComplexArray:
         """Return A (C,) of a harmonic, so that the reading is Re{A exp(+j·order·angle)}."""
         cosine, sine = self._places(order)

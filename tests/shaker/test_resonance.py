@@ -78,14 +78,6 @@ def test_delay_and_the_rest_of_the_structure_come_back():
     refused("expected one of frequency_hz", fit.u, "mass_kg")
 
 
-def test_half_power_frequencies_are_where_the_receptance_has_lost_three_decibels():
-    fit = Resonance(
-        "receptance", 100.0, 0.05, 1.0, 0.0, np.zeros(2, dtype=np.complex128), (), np.zeros((0, 0)), 0.0, 1.0
-    )
-    peak = np.max(np.abs(fit.model(np.linspace(80.0, 120.0, 400001))))
-    np.testing.assert_allclose(np.abs(fit.model(np.array(fit.half_power_hz))), peak / np.sqrt(2.0), rtol=1e-8)
-
-
 def test_errors_are_those_of_the_bound_and_intervals_hold():
     # Bound: the covariance at the truth, from derivatives by differences, independent of the fit's own.
     truth, s = np.array([1477.35, 0.5 / 66.0, 1.0, 0.0]), 2j * np.pi * FREQUENCY
