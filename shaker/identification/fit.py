@@ -278,7 +278,6 @@ _HELPS = {
 def _notices(
     problem: Problem, state: State, found: Spread, estimates: tuple[ParameterEstimate, ...], noise: SeenNoise
 ) -> tuple[Notice, ...]:
-    """Return all notices of an identification."""
     notices = []
     if noise.common >= max(_NOISE_INFO, 1.0 + _CHANCES * noise.chance):
         text = (
@@ -416,7 +415,6 @@ def _weighed(problem: Problem, state: State) -> tuple[Problem, State, SeenNoise]
 
 
 def _result(problem: Problem, state: State, found: Spread, noise: SeenNoise) -> Identification:
-    """Return what a solution says."""
     count, unit = len(problem.kind), np.eye(len(problem.names))
     estimates = tuple(
         ParameterEstimate(p.name, p.label, float(state.parameters[place]), found.u(unit[place]), p.unit)
@@ -484,7 +482,6 @@ def _modes(problem: Problem, state: State, found: Spread) -> tuple[ModeEstimate,
 
 
 def _factors(problem: Problem, state: State, found: Spread) -> tuple[FreeFactor, ...]:
-    """Return the gains and delays that were free."""
     places, unit = {name: place for place, name in enumerate(problem.names)}, np.eye(len(problem.names))
 
     def of(name: str) -> tuple[float, float]:

@@ -292,7 +292,7 @@ def rational_poles(
         rows = []
         for own, scale in zip(value.T[:, :, None], weight.T[:, :, None], strict=True):
             both = np.concatenate([numerator, own * power, own * highest], axis=1) * scale
-            triangle = np.linalg.qr(np.concatenate([both.real, both.imag]), mode="r")
+            triangle = np.asarray(np.linalg.qr(np.concatenate([both.real, both.imag]), mode="r"))
             rows.append(triangle[numerator.shape[1] :, numerator.shape[1] :])
         below = np.concatenate(rows)
         return np.asarray(np.linalg.lstsq(-below[:, :-1], below[:, -1], rcond=None)[0])

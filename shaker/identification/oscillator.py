@@ -119,7 +119,6 @@ def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, resi
 
 
 def _names(delay: bool, residual_terms: bool) -> tuple[str, ...]:
-    """Return the names of the parameters that are fitted."""
     names = ["frequency_hz", "damping_ratio", "gain_re", "gain_im"]
     names += ["delay_s"] if delay else []
     names += ["mass_line_re", "mass_line_im", "constant_re", "constant_im"] if residual_terms else []

@@ -101,8 +101,8 @@ class Curve(Brief):
         """Return whether masses and stiffnesses of the mechanics are positive definite."""
         (mass, _, stiffness), _ = self.mechanics.at(self.weights(vector))
         if len(mass) == 1:
-            return min(mass[0, 0], stiffness[0, 0]) > 0.0
-        return min(np.linalg.eigvalsh(mass)[0], np.linalg.eigvalsh(stiffness)[0]) > 0.0
+            return bool(min(mass[0, 0], stiffness[0, 0]) > 0.0)
+        return bool(min(np.linalg.eigvalsh(mass)[0], np.linalg.eigvalsh(stiffness)[0]) > 0.0)
 
     @property
     def places(self) -> IntArray:
@@ -274,7 +274,6 @@ def _curve(
     free: Mapping[str, ComplexArray],
     names: Mapping[str, int],
 ) -> Curve:
-    """Return a recording with the places of its unknowns."""
     relative = [*free.values(), *(error.relative for error in record.errors)]
     inertia = [names[f"error: {error.name}"] for error in record.inertia_errors]
     factors = [*(names[name] for name in free), *(names[f"error: {error.name}"] for error in record.errors)]

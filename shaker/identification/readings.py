@@ -225,7 +225,6 @@ class _Parabola:
 
     @staticmethod
     def of(curve: MeasuredCurve, frequency_hz: float, reach_hz: float, fewest: int) -> _Parabola:
-        """Return the parabola of the lines around a frequency."""
         distance = np.abs(curve.frequency_hz - frequency_hz)
         reach = max(reach_hz, float(np.sort(distance)[fewest - 1]))
         chosen: BoolArray = distance <= reach

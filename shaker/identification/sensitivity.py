@@ -181,7 +181,6 @@ class _Problem:
 
     @staticmethod
     def of(measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior | None, spring_free: bool) -> _Problem:
-        """Return the problem of a measured sensitivity."""
         known: list[tuple[int, float, float]] = []
         if measured.static is not None:
             if not measured.u_static > 0.0:
@@ -273,7 +272,9 @@ def sensor_model(fit: SensitivityFit, mechanics: FloatArray, covariance: FloatAr
         joined[:3, 3:] = np.multiply.outer(gain, fit.covariance[1, others])
         joined[3:, :3] = joined[:3, 3:].T
     order = [3, 0, 1, 2, *range(4, len(joined))]
-    return SensorModel(fit.sensitivity, *moved.tolist(), fit.chain, joined[np.ix_(order, order)], fit.unit)
+    stiffness, damping, mass = moved.tolist()
+    covariance = joined[np.ix_(order, order)]
+    return SensorModel(fit.sensitivity, stiffness, damping, mass, fit.chain, covariance, fit.unit)
 
 
 # What makes the sensitivity change with frequency: the sensor's damper, or the measuring chain behind it.
@@ -448,7 +449,6 @@ def _sentence(fits: tuple[SensitivityFit, ...], verdict: tuple[Verdict, ...], al
 
 
 def _explained(fit: SensitivityFit, alone: bool) -> str:
-    """Return an explanation with its numbers."""
     chain = fit.chain
     numbers = {name: _microseconds(getattr(chain, name), fit.u(name)) for name in ("delay_s", "lag_s")}
     for estimate in fit.estimates:

@@ -212,7 +212,6 @@ class AngleFit(Brief):
         return Reversal(np.array(met), np.reshape(differences, (len(met), len(self.channels))))
 
     def _places(self, order: int) -> list[int]:
-        """Columns of a harmonic."""
         if order not in self.orders:
             raise ValueError(f"order: expected one of {self.orders}, found {order}")
         return [self.terms.index(f"{part} {order}") for part in ("cos", "sin")]

@@ -334,7 +334,6 @@ class _Fit:
 
     @staticmethod
     def of(problem: _Problem) -> _Fit:
-        """Return the least squares of a problem."""
         point = problem.point(problem.start)
         for _ in range(2):  # what is little beside the loss of a far start may be much beside the noise
             point = levenberg_marquardt(problem.point, point, _RULES).point

@@ -373,7 +373,6 @@ def printed(evaluation: RotationEvaluation) -> Iterator[str]:
 
 
 def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
-    """What the page shows."""
     recordings = evaluation.recordings
     told = [f"{recording.name} ({recording.manifest.name})" for recording in recordings]
     groups = [(recording, kind, places) for recording in recordings for kind, places in _groups(recording)]
@@ -397,10 +396,11 @@ def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
 # The files.
 
 
+NUMBERS: list[Column[RotationQuantity]] = quantity_columns(lambda q: q)
 QUANTITIES: list[Column[RotationQuantity]] = [
     word("name", lambda q: q.name),
     word("component", lambda q: q.component or "-"),
-    *quantity_columns(lambda q: q),
+    *NUMBERS,
     word("recording", lambda q: q.recording or "all"),
 ]
 
