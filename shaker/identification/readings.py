@@ -42,30 +42,21 @@ def fit_circle(curve: MeasuredCurve, frequency_hz: float, damping_ratio: float) 
     modes add moves the circle and not the angles. `frequency_hz`, `damping_ratio`: start, also of which lines are used:
     those above half the maximum, at least five.
     """
-    fit = None
+    f0, zeta = frequency_hz, damping_ratio
     for _ in range(_PASSES):
-        fit = _fit_once(curve, frequency_hz, damping_ratio)
-        if fit is None:
+        distance = np.abs(curve.frequency_hz - f0)
+        nearest = float(np.sort(distance)[min(_FEWEST_LINES, len(distance)) - 1])
+        part = curve.at_lines(distance <= max(np.sqrt(3.0) * zeta * f0, nearest))
+        r = part.frequency_hz / f0
+        factor = 1j * r / (1.0 + 2j * zeta * r)
+        points = part.value * factor
+        circle = _geometric(points, part, factor)
+        angles = _angles(points, part, factor, circle[0], (f0, zeta)) if circle is not None else None
+        if circle is None or angles is None:
             return None
-        frequency_hz, damping_ratio = fit.frequency_hz, fit.damping_ratio
-    return fit
-
-
-def _fit_once(curve: MeasuredCurve, f0: float, zeta: float) -> CircleFit | None:
-    """Return the circle of the lines above half amplitude, five at least, of a resonance known from before."""
-    distance = np.abs(curve.frequency_hz - f0)
-    nearest = float(np.sort(distance)[min(_FEWEST_LINES, len(distance)) - 1])
-    part = curve.at_lines(distance <= max(np.sqrt(3.0) * zeta * f0, nearest))
-    r = part.frequency_hz / f0
-    factor = 1j * r / (1.0 + 2j * zeta * r)
-    points = part.value * factor
-    circle = _geometric(points, part, factor)
-    angles = _angles(points, part, factor, circle[0], (f0, zeta)) if circle is not None else None
-    if circle is None or angles is None:
-        return None
+        (x, y, radius), by_point = circle
+        (f0, zeta), by_angle = angles
     # f₀ and ζ change with every point by its own angle and by the centre that all points set.
-    (x, y, radius), by_point = circle
-    (f0, zeta), by_angle = angles
     out = points - complex(x, y)
     tangent, normal = 1j * out / np.abs(out) ** 2, out / np.abs(out)
     by_centre = np.stack([by_angle @ tangent.real, by_angle @ tangent.imag], axis=1)
@@ -364,8 +355,7 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
     if len(curve.frequency_hz) < _FEWEST_LINES:
         raise ValueError(f"frequency_hz: expected at least {_FEWEST_LINES} lines, found {len(curve.frequency_hz)}")
     top, crossings = read_shape(curve)
-    low, high = crossings["half_power"]
-    width = high.frequency_hz - low.frequency_hz
+    width = crossings["half_power"][1].frequency_hz - crossings["half_power"][0].frequency_hz
     lines, note = width / curve.spacing_hz, ""
     if lines < _RESOLVED_LINES:
         few = f"{lines:.1f} lines in the half-power width, fewer than {_RESOLVED_LINES:.0f}"
@@ -375,12 +365,12 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
     wandering = wandering_hz2(curve, top, width) if np.isfinite(width) else np.nan
     u_line = float(np.sqrt(curve.spacing_hz**2 / 12.0 + wandering))
     between = "" if np.isfinite(top.frequency_hz) else "no maximum between the lines of this band"
-    half_power = _half_power(curve, top, low, high, note)
+    half_power, half_amplitude = (_by_width(own, curve, top, *crossings[own], note) for own in LEVELS)
     return PeakReadings(
         maximum_bin=PeakReading("maximum_bin", line_hz, u_line),
         maximum=PeakReading("maximum", top.frequency_hz, float(uncertainties(curve, top.by_line)[0]), note=between),
         half_power=half_power,
-        half_amplitude=_half_amplitude(curve, top, *crossings["half_amplitude"], note),
+        half_amplitude=half_amplitude,
         circle=_circle(curve, half_power),
         lines_in_width=float(lines),
     )
@@ -398,35 +388,28 @@ def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[f
     return float(np.sqrt(highest)), float(np.sqrt(max(0.0, middle - root))), float(np.sqrt(middle + root))
 
 
-def _half_power(curve: MeasuredCurve, top: Place, low: Place, high: Place, note: str) -> PeakReading:
-    """Return the f₀ and ζ of which the oscillator has its maximum and its half-power points where they were read."""
+def _by_width(method: Width, curve: MeasuredCurve, top: Place, low: Place, high: Place, note: str) -> PeakReading:
+    """Return what a maximum and the width at a level tell.
+
+    Half power: the f₀ and ζ of which the oscillator has its maximum and its half-power points where they were read.
+    Half amplitude: equation 10 with the width at half the maximum, without the √3 that this width is wider.
+    """
     width = high.frequency_hz - low.frequency_hz
     if not np.isfinite(width):
-        return PeakReading("half_power", note=_NOT_BELOW.format("1/√2"))
-    zeta = 0.5 * width / top.frequency_hz
-    for _ in range(20):
-        highest, below, above = transmissibility_levels(zeta)
-        zeta *= width / top.frequency_hz * highest / (above - below)
-    middle = 1.0 / np.sqrt(below * above)
-    f0 = float(np.sqrt(low.frequency_hz * high.frequency_hz) * middle)
-    by_width = high.by_line - low.by_line
-    by_f0 = 0.5 * f0 * (low.by_line / low.frequency_hz + high.by_line / high.frequency_hz)
+        return PeakReading(method, note=_NOT_BELOW.format("1/√2" if method == "half_power" else "1/2"))
+    f0, by_f0, by_width = top.frequency_hz, top.by_line, high.by_line - low.by_line
+    zeta = 0.5 * width / f0
+    if method == "half_power":
+        for _ in range(20):
+            highest, below, above = transmissibility_levels(zeta)
+            zeta *= width / top.frequency_hz * highest / (above - below)
+        f0 = float(np.sqrt(low.frequency_hz * high.frequency_hz / (below * above)))
+        by_f0 = 0.5 * f0 * (low.by_line / low.frequency_hz + high.by_line / high.frequency_hz)
+    else:
+        note = "damping overstated by √3" + (f"; {note}" if note else "")
     by_zeta = zeta * (by_width / width - top.by_line / top.frequency_hz)
     u_f0, u_width, u_zeta = uncertainties(curve, by_f0, by_width, by_zeta).tolist()
-    return PeakReading("half_power", f0, u_f0, width, u_width, float(zeta), u_zeta, note)
-
-
-def _half_amplitude(curve: MeasuredCurve, top: Place, low: Place, high: Place, note: str) -> PeakReading:
-    """Return equation 10 with the width at half the maximum, without the √3 that this width is wider."""
-    width = high.frequency_hz - low.frequency_hz
-    if not np.isfinite(width):
-        return PeakReading("half_amplitude", note=_NOT_BELOW.format("1/2"))
-    by_width = high.by_line - low.by_line
-    zeta = 0.5 * width / top.frequency_hz
-    by_zeta = zeta * (by_width / width - top.by_line / top.frequency_hz)
-    u_f0, u_width, u_zeta = uncertainties(curve, top.by_line, by_width, by_zeta).tolist()
-    note = "damping overstated by √3" + (f"; {note}" if note else "")
-    return PeakReading("half_amplitude", top.frequency_hz, u_f0, width, u_width, float(zeta), u_zeta, note)
+    return PeakReading(method, f0, u_f0, width, u_width, float(zeta), u_zeta, note)
 
 
 def _circle(curve: MeasuredCurve, start: PeakReading) -> PeakReading:
