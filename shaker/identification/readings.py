@@ -12,8 +12,6 @@ from shaker.identification.measured import MeasuredCurve
 
 # The circle that a resonance draws in the complex plane, and the frequency and damping that its angles tell.
 
-_CIRCLE_STEPS = 20
-_ANGLE_STEPS = 30
 _PASSES = 3
 _FEWEST_LINES = 5
 
@@ -64,27 +62,24 @@ def fit_circle(curve: MeasuredCurve, frequency_hz: float, damping_ratio: float) 
     return CircleFit(f0, zeta, part.propagated(gradient), complex(x, y), float(radius))
 
 
-def _taubin(points: ComplexArray) -> FloatArray:
-    """Return centre and radius (3,) of the algebraic circle through points, Taubin's normalisation."""
+def _geometric(
+    points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return the circle (3,) of least weighted distances, and its change (3, K) with the distance of each point.
+
+    Started by the algebraic circle, Taubin's normalisation.
+    """
     middle = points.mean()
     around = points - middle
     square = np.abs(around) ** 2
     scale = 2.0 * np.sqrt(square.mean())
     columns = np.stack([(square - square.mean()) / scale, around.real, around.imag], axis=1)
     a, b, c = np.linalg.svd(columns, full_matrices=False)[2][2]
-    a = a / scale
-    shift = -complex(b, c) / (2.0 * a)
-    centre = middle + shift
-    return np.array([centre.real, centre.imag, np.sqrt(abs(shift) ** 2 + square.mean())])
-
-
-def _geometric(
-    points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return the circle (3,) of least weighted distances, and its change (3, K) with the distance of each point."""
     with np.errstate(all="ignore"):
-        circle = _taubin(points)
-    for _ in range(_CIRCLE_STEPS):
+        shift = -complex(b, c) / (2.0 * a / scale)
+        centre = middle + shift
+    circle = np.array([centre.real, centre.imag, np.sqrt(abs(shift) ** 2 + square.mean())])
+    for _ in range(20):
         if not np.all(np.isfinite(circle)):
             return None
         out = points - complex(circle[0], circle[1])
@@ -109,7 +104,7 @@ def _angles(
     root = 1.0 / np.sqrt(curve.variance_along(tangent * factor.conj()))
     f0, zeta = start
     alpha = float(np.angle(np.sum(out * np.exp(-1j * _angle_model(frequency, f0, zeta)[0]))))
-    for _ in range(_ANGLE_STEPS):
+    for _ in range(30):
         model, columns = _angle_model(frequency, f0, zeta)
         change = np.linalg.pinv(columns * root[:, None]) * root
         step = change @ np.angle(out * np.exp(-1j * (model + alpha)))
@@ -160,8 +155,20 @@ def read_shape(curve: MeasuredCurve) -> tuple[Place, dict[Width, tuple[Place, Pl
 
     1/|H|² of one base-excited oscillator is a parabola over f², but for a factor 1 + 4ζ²f²/f₀². The maximum is the
     vertex of the parabola of the lines above half power, a crossing that of the lines within a quarter width around it.
+    The first look: the line of the maximum and where the lines next to it first fall below 1/√2 of it, mirrored if
+    absent, |H|² averaged over as many lines as make 3 % of its noise at the maximum, a twentieth at most.
     """
-    frequency, low, high = _first_look(curve)
+    magnitude = np.abs(curve.value)
+    largest = int(np.argmax(magnitude))
+    noise = 2.0 * np.sqrt(np.trace(curve.covariance[largest]) / 2.0) / magnitude[largest]
+    window = np.ones(int(np.clip(np.ceil((noise / 0.03) ** 2), 1, max(1, len(magnitude) // 20))))
+    counted = np.convolve(np.ones(len(magnitude)), window, mode="same")
+    power = np.convolve(magnitude**2, window, mode="same") / counted
+    largest = int(np.argmax(power))
+    frequency, below = float(curve.frequency_hz[largest]), np.flatnonzero(power < 0.5 * power[largest])
+    ends = [*below[below < largest][-1:], *below[below > largest][:1]]
+    reach = float(np.min(np.abs(curve.frequency_hz[ends] - frequency))) if ends else float(np.ptp(curve.frequency_hz))
+    low, high = frequency - reach, frequency + reach
     top = _nowhere(curve)
     crossings: dict[Width, tuple[Place, Place]] = {}
     for _ in range(_PASSES):
@@ -170,35 +177,14 @@ def read_shape(curve: MeasuredCurve) -> tuple[Place, dict[Width, tuple[Place, Pl
         if not np.isfinite(top.frequency_hz):
             return top, dict.fromkeys(LEVELS, (top, top))
         for name, level in LEVELS.items():
-            reach = 0.5 * width * np.sqrt(level - 1.0)
-            pair = [_crossing(curve, top, level, top.frequency_hz + side * reach, 0.25 * width) for side in (-1, 1)]
+            away = 0.5 * width * np.sqrt(level - 1.0)
+            pair = [_crossing(curve, top, level, top.frequency_hz + side * away, 0.25 * width) for side in (-1, 1)]
             crossings[name] = pair[0], pair[1]
         found = [place.frequency_hz for place in crossings["half_power"]]
         if not np.all(np.isfinite(found)):
             break
         frequency, (low, high) = top.frequency_hz, found
     return top, crossings
-
-
-def _first_look(curve: MeasuredCurve) -> tuple[float, float, float]:
-    """Return the line of the maximum and where the lines next to it first fall below 1/√2 of it, mirrored if absent.
-
-    |H|² is averaged over as many lines as make 3 % of its noise at the maximum, a twentieth at most.
-    """
-    magnitude = np.abs(curve.value)
-    peak = int(np.argmax(magnitude))
-    noise = 2.0 * np.sqrt(np.trace(curve.covariance[peak]) / 2.0) / magnitude[peak]
-    window = np.ones(int(np.clip(np.ceil((noise / 0.03) ** 2), 1, max(1, len(magnitude) // 20))))
-    counted = np.convolve(np.ones(len(magnitude)), window, mode="same")
-    power = np.convolve(magnitude**2, window, mode="same") / counted
-    peak = int(np.argmax(power))
-    at = float(curve.frequency_hz[peak])
-    below = np.flatnonzero(power < 0.5 * power[peak])
-    left, right = below[below < peak], below[below > peak]
-    reach = [at - curve.frequency_hz[left[-1]]] if len(left) else []
-    reach += [curve.frequency_hz[right[0]] - at] if len(right) else []
-    nearest = float(np.min(reach)) if reach else float(curve.frequency_hz[-1] - curve.frequency_hz[0])
-    return at, at - nearest, at + nearest
 
 
 @dataclass(frozen=True)
@@ -366,12 +352,20 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
     u_line = float(np.sqrt(curve.spacing_hz**2 / 12.0 + wandering))
     between = "" if np.isfinite(top.frequency_hz) else "no maximum between the lines of this band"
     half_power, half_amplitude = (_by_width(own, curve, top, *crossings[own], note) for own in LEVELS)
+    fit, circle = None, PeakReading("circle", note="no circle found in the complex plane")
+    if np.isfinite(half_power.damping_ratio):
+        fit = fit_circle(curve, half_power.frequency_hz, half_power.damping_ratio)
+    if fit is not None:
+        f0, zeta = fit.frequency_hz, fit.damping_ratio
+        (u_f0, u_zeta), by_width = np.sqrt(np.diag(fit.covariance)).tolist(), np.array([2.0 * zeta, 2.0 * f0])
+        u_width = float(np.sqrt(by_width @ fit.covariance @ by_width))
+        circle = PeakReading("circle", f0, u_f0, 2.0 * zeta * f0, u_width, zeta, u_zeta)
     return PeakReadings(
         maximum_bin=PeakReading("maximum_bin", line_hz, u_line),
         maximum=PeakReading("maximum", top.frequency_hz, float(uncertainties(curve, top.by_line)[0]), note=between),
         half_power=half_power,
         half_amplitude=half_amplitude,
-        circle=_circle(curve, half_power),
+        circle=circle,
         lines_in_width=float(lines),
     )
 
@@ -410,15 +404,3 @@ def _by_width(method: Width, curve: MeasuredCurve, top: Place, low: Place, high:
     by_zeta = zeta * (by_width / width - top.by_line / top.frequency_hz)
     u_f0, u_width, u_zeta = uncertainties(curve, by_f0, by_width, by_zeta).tolist()
     return PeakReading(method, f0, u_f0, width, u_width, float(zeta), u_zeta, note)
-
-
-def _circle(curve: MeasuredCurve, start: PeakReading) -> PeakReading:
-    """Return f₀ and ζ of the angles of the Nyquist circle, started where the half-power reading stands."""
-    fit = fit_circle(curve, start.frequency_hz, start.damping_ratio) if np.isfinite(start.damping_ratio) else None
-    if fit is None:
-        return PeakReading("circle", note="no circle found in the complex plane")
-    f0, zeta = fit.frequency_hz, fit.damping_ratio
-    by_width = np.array([2.0 * zeta, 2.0 * f0])
-    u_f0, u_zeta = np.sqrt(np.diag(fit.covariance)).tolist()
-    u_width = float(np.sqrt(by_width @ fit.covariance @ by_width))
-    return PeakReading("circle", f0, u_f0, 2.0 * zeta * f0, u_width, zeta, u_zeta)
