@@ -13,8 +13,15 @@ from scipy.optimize import brentq, least_squares, minimize_scalar
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 from shaker.fitting import Block, Prior, Residuals, Rules, Separable, eliminate, levenberg_marquardt
 from shaker.identification.measured import MeasuredCurve
-from shaker.identification.oscillator import Kind, Resonance, fit_resonance
-from shaker.identification.readings import PeakReadings, fit_circle, peak_readings, transmissibility_levels
+from shaker.identification.oscillator import (
+    Kind,
+    PeakReadings,
+    Resonance,
+    fit_circle,
+    fit_resonance,
+    peak_readings,
+    transmissibility_levels,
+)
 
 KINDS: tuple[Kind, ...] = ("transmissibility", "receptance", "mobility", "accelerance")
 FREQUENCY = np.arange(1300.0, 1650.0, 1.0)

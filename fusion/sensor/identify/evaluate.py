@@ -28,7 +28,7 @@ from fusion.sensor.identify.fit import (
 from fusion.sensor.identify.measured import Campaign, EvaluatedSines, IdentifySettings, Prepared, load_along, prepare
 from shaker.arrays import Notice
 from shaker.identification.measured import MeasuredCurve, MeasuredSensitivity, ParameterEstimate, RelativeError
-from shaker.identification.readings import PeakReading, peak_readings
+from shaker.identification.oscillator import PeakReading, peak_readings
 from shaker.identification.sensor import Load, SensorModel, UsableBand, usable_band
 from shaker.labels import LOAD_COMPONENTS
 from shaker.mechanics import required_stiffness
