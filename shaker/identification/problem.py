@@ -104,6 +104,13 @@ class Curve(Brief):
             return bool(min(mass[0, 0], stiffness[0, 0]) > 0.0)
         return bool(min(np.linalg.eigvalsh(mass)[0], np.linalg.eigvalsh(stiffness)[0]) > 0.0)
 
+    def poles(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return the poles (n,) of the mechanics that unknowns lead to, with derivatives (n, N) by all unknowns."""
+        roots, by_term = poles(self.mechanics, self.weights(vector))
+        by_unknown = np.zeros((len(roots), len(vector)), dtype=np.complex128)
+        np.add.at(by_unknown.T, self.terms, by_term.T)
+        return roots, by_unknown
+
     @property
     def places(self) -> IntArray:
         """Places of the columns of `modelled` among the unknowns."""
@@ -364,9 +371,7 @@ def _matched(problem: Problem, start: FloatArray, measured: Sequence[ComplexArra
         for curve, roots in zip(problem.curves, measured, strict=True):
             if not curve.possible(vector):
                 return None
-            modes, by_term = poles(curve.mechanics, curve.weights(vector))
-            by_unknown = np.zeros((len(modes), len(vector)), dtype=np.complex128)
-            np.add.at(by_unknown.T, curve.terms, by_term.T)
+            modes, by_unknown = curve.poles(vector)
             for place, pole in enumerate(roots):  # in order, or of the nearest where some lack
                 whose = place if len(roots) == len(modes) else int(np.argmin(np.abs(np.log(np.abs(pole / modes)))))
                 off, slope = np.log(modes[whose] / pole), by_unknown[whose, free] * scale / modes[whose]
