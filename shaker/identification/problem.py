@@ -33,8 +33,6 @@ class Displacements(Brief):
 
     def moved(self, mechanics: Mechanics, vector: FloatArray) -> Mechanics:
         """Return mechanics as seen from where the unknowns say that the transducers are."""
-        if len(self.places) == 0:
-            return mechanics
         off = vector[self.places]
         return replace(
             mechanics,
