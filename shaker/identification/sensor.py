@@ -73,10 +73,7 @@ class Chain(Brief):
         divisor = self._divisor(s)
         by_lag = -s * (1.0 + s * self.lag_s) if self.kind == "butterworth" else -s
         columns = {"delay_s": -s, "lag_s": by_lag / divisor, "square_s2": -s * s / divisor}
-        slopes = np.empty((len(s), len(self.names)), dtype=np.complex128)
-        for place, name in enumerate(self.names):
-            slopes[:, place] = columns[name]
-        return slopes
+        return np.array([columns[name] for name in self.names], dtype=np.complex128).reshape(-1, len(s)).T
 
     def corner(self, covariance: FloatArray) -> tuple[tuple[float, float], tuple[float, float]] | None:
         """Return (f_c, u) in Hz and (ζ, u) of a low-pass from the covariance (P, P) of its parameters.
@@ -182,10 +179,9 @@ class SensorModel(Brief):
         by_force = np.asarray(-s * s / self.stiffness / divisor)
         mass = by_force if load.drive == "force" else np.full(len(s), 1.0 / total + 0j)
         own = mass if load.drive == "force" else mass - 1.0 / load.mass
-        stretch = self._divisor(s, load) - 1.0
         columns = [
             np.full(len(s), 1.0 / self.sensitivity + 0j),
-            stretch / self.stiffness / divisor,
+            (divisor - 1.0) / self.stiffness / divisor,
             -s / self.stiffness / divisor,
             mass,
             *self.chain.log_slopes(frequency_hz).T,
