@@ -234,8 +234,7 @@ def test_results_of_other_files_are_refused(spoiled, refused):
 
 
 @pytest.mark.parametrize(
-    "choices",
-    [{"model": "rope"}, {"band_hz": (3.0, 2.0)}, {"load_masses_kg": (0.0,)}, {"permitted": 1.0}],
+    "choices", [{"model": "rope"}, {"band_hz": (3.0, 2.0)}, {"load_masses_kg": (0.0,)}, {"permitted": 1.0}]
 )
 def test_settings_that_mean_nothing_are_refused(choices):
     with pytest.raises(ValueError, match=f"^{next(iter(choices))}: expected"):

@@ -102,9 +102,7 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     )
 
 
-def _read(
-    manifests: Sequence[Manifest],
-) -> tuple[tuple[RotationRecording, ...], SensorOutputs, list[Notice]]:
+def _read(manifests: Sequence[Manifest]) -> tuple[tuple[RotationRecording, ...], SensorOutputs, list[Notice]]:
     """All recordings, which must hold the same channels."""
     read = [read_rotation(manifest) for manifest in manifests]
     first, outputs, _ = read[0]
