@@ -19,7 +19,7 @@ import papers_rows_wrist as wrist
 import published_paper as paper
 from papers_rows import Row, motion, oscillator, resonance, rotation, sensitivity, table_2
 
-from shaker.identification.readings import PeakReadings
+from shaker.identification.oscillator import PeakReadings
 
 
 def spacing_rows() -> list[tuple[str, ...]]:

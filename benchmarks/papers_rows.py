@@ -19,7 +19,7 @@ from published_formulas import (
 from scipy.optimize import least_squares
 
 from shaker.identification.measured import MeasuredCurve
-from shaker.identification.readings import PeakReadings, peak_readings
+from shaker.identification.oscillator import PeakReadings, peak_readings
 from shaker.identification.sensor import Chain
 from shaker.mechanics import MassChain, required_stiffness, shared_spring
 from shaker.sine.phasor import derivative_factor

@@ -14,7 +14,7 @@ import numpy as np
 
 from shaker.arrays import FloatArray, check_shape
 from shaker.elastomer.geometry import PublishedStatics
-from shaker.identification.readings import LEVELS, Width
+from shaker.identification.oscillator import LEVELS, Width
 
 Form = Literal["exact", "series"]
 

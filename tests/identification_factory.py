@@ -46,12 +46,8 @@ def state_space(
     base's own acceleration on rigidly coupled coordinates being none.
     """
     size = len(mass)
-    a = np.block(
-        [
-            [np.zeros((size, size)), np.eye(size)],
-            [-linalg.solve(mass, stiffness), -linalg.solve(mass, damping)],
-        ]
-    )
+    lower = [-linalg.solve(mass, stiffness), -linalg.solve(mass, damping)]
+    a = np.block([[np.zeros((size, size)), np.eye(size)], lower])
     by_displacement = np.concatenate([np.zeros(size), linalg.solve(mass, stiffness @ base)])
     by_velocity = np.concatenate([np.zeros(size), linalg.solve(mass, damping @ base)])
     moved = [linalg.solve(one * np.eye(2 * size) - a, by_displacement + one * by_velocity)[:size] for one in s]
@@ -97,14 +93,8 @@ def recording(
         value = value + size * (draws[0] + 1j * draws[1])
         covariance *= (rng.chisquare(dof, lines) / dof)[:, None, None]
     sight = Placement(np.zeros(3), drive[:3] if np.any(drive[:3]) else Z)
-    ratio = Phasors(
-        frequency_hz,
-        value,
-        covariance,
-        tuple(f"top {c + 1}" for c in range(channels)),
-        ("1",) * channels,
-        np.full(lines, dof),
-    )
+    names = tuple(f"top {c + 1}" for c in range(channels))
+    ratio = Phasors(frequency_hz, value, covariance, names, ("1",) * channels, np.full(lines, dof))
     return MeasuredTransfer(
         name=name,
         ratio=ratio,
@@ -141,13 +131,8 @@ def pitching(
     """
     mass, height, inertia = load
     whole = rigid_mass(mass + off_kg, height, inertia) + rigid_mass(internal[0], 0.0, internal[1])
-    moved = state_space(
-        2j * np.pi * frequency_hz,
-        whole[np.ix_(FREE, FREE)],
-        np.diag(springs[2:]),
-        np.diag(springs[:2]),
-        np.array([1.0, 0.0]),
-    )
+    free_mass, s = whole[np.ix_(FREE, FREE)], 2j * np.pi * frequency_hz
+    moved = state_space(s, free_mass, np.diag(springs[2:]), np.diag(springs[:2]), np.array([1.0, 0.0]))
     seen = []
     for top in true:
         (x, _, z), (along, _, up) = top.point_m, top.direction

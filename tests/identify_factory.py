@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -47,39 +46,22 @@ def _write_sine(folder: Path, frequency: float, seed: int) -> Path:
     turning = np.exp(s * time_s)
     with h5py.File(place / "daq.h5", "w") as file:
         file.attrs["sample_rate"] = _RATE_HZ
-        for name, phasor, noise in (
-            ("base_motion", _DRIVE_MPS2, _NOISE),
-            ("top_motion", top, _NOISE),
-            ("bridge", output, 1e-10),
-        ):
+        seen = {"base_motion": (_DRIVE_MPS2, _NOISE), "top_motion": (top, _NOISE), "bridge": (output, 1e-10)}
+        for name, (phasor, noise) in seen.items():
             file[name] = (phasor * turning).real + noise * rng.standard_normal(len(time_s))
-    (place / "recording.toml").write_text(to_toml(_sine_tables(frequency)), encoding="utf-8")
-    return place
-
-
-def _sine_tables(frequency: float) -> dict[str, Any]:
-    """recording.toml of one sine."""
-    seen = {"quantity": "acceleration", "direction": [0.0, 0.0, 1.0], "scale_uncertainty": 2e-4}
-    return {
+    moves = {"quantity": "acceleration", "direction": [0.0, 0.0, 1.0], "scale_uncertainty": 2e-4}
+    channels = [
+        {"name": "base_motion", **moves, "body": "base", "point": [0.0, 0.0, -0.05]},
+        {"name": "top_motion", **moves, "body": "load", "point": [0.0, 0.0, 0.1]},
+        {"name": "bridge", "quantity": "output", "channel": "Fz", "scale_uncertainty": 1e-4},
+    ]
+    driven = {"kind": "sine", "direction": [0.0, 0.0, 1.0], "frequencies": [frequency], "harmonics": []}
+    tables = {
         "format": 1,
         "name": f"sine {frequency:g} Hz",
         "rig": f"../{rig_file(SINE_LOAD)}",
-        "excitation": {
-            "kind": "sine",
-            "direction": [0.0, 0.0, 1.0],
-            "frequencies": [frequency],
-            "harmonics": [],
-        },
-        "daq": [
-            {
-                "name": "daq",
-                "file": "daq.h5",
-                "clock_uncertainty": 1e-6,
-                "channel": [
-                    {"name": "base_motion", **seen, "body": "base", "point": [0.0, 0.0, -0.05]},
-                    {"name": "top_motion", **seen, "body": "load", "point": [0.0, 0.0, 0.1]},
-                    {"name": "bridge", "quantity": "output", "channel": "Fz", "scale_uncertainty": 1e-4},
-                ],
-            }
-        ],
+        "excitation": driven,
+        "daq": [{"name": "daq", "file": "daq.h5", "clock_uncertainty": 1e-6, "channel": channels}],
     }
+    (place / "recording.toml").write_text(to_toml(tables), encoding="utf-8")
+    return place

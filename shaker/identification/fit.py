@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,7 +20,6 @@ from shaker.identification.measured import (
 )
 from shaker.identification.problem import DELAY_UNIT_S, Problem, build, factor_name, starting_vectors, whole_inertia
 from shaker.identification.structures import Structure
-from shaker.mechanics import poles
 
 # What an identification says: parameters, modes, named errors, how well the model explains the curves.
 
@@ -38,16 +37,6 @@ class ModeEstimate:
     u_frequency_hz: float
     damping_ratio: float
     u_damping_ratio: float
-
-    @property
-    def quality(self) -> float:
-        """Quality factor Q = 1/(2ζ)."""
-        return 0.5 / self.damping_ratio
-
-    @property
-    def u_quality(self) -> float:
-        """Standard uncertainty of Q."""
-        return abs(self.quality / self.damping_ratio) * self.u_damping_ratio
 
 
 @dataclass(frozen=True)
@@ -287,80 +276,69 @@ _HELPS = {
 
 def _notices(
     problem: Problem, state: State, found: Spread, estimates: tuple[ParameterEstimate, ...], noise: SeenNoise
-) -> tuple[Notice, ...]:
-    """Return all notices of an identification."""
-    notices = []
+) -> Iterator[Notice]:
     if noise.common >= max(_NOISE_INFO, 1.0 + _CHANCES * noise.chance):
+        far = noise.common >= _NOISE_WARNING
         text = (
             f"the curves depart from the model by {np.sqrt(noise.common):.2g} times their noise; the uncertainties are "
             "enlarged by this factor"
         )
-        if noise.common < _NOISE_WARNING:
-            notices.append(Notice("info", text, "identification"))
-        else:
-            text += ", and the parameters depend on the lines that are fitted"
-            notices.append(Notice("warning", text, "identification"))
+        text += ", and the parameters depend on the lines that are fitted" if far else ""
+        yield Notice("warning" if far else "info", text, "identification")
     if found.unsettled >= _SETTLED:
         text = (
             f"the fit ended {found.unsettled:.2g} standard uncertainties before it settled; state what is known of "
             "the parameters, or fit fewer components"
         )
-        notices.append(Notice("warning", text, "identification"))
+        yield Notice("warning", text, "identification")
     whole = np.nan_to_num(whole_inertia(problem, state.parameters))
-    for place, estimate in enumerate(estimates):
-        if problem.fixed[place]:
-            continue
+    for place in np.flatnonzero(~problem.fixed[: len(estimates)]).tolist():
+        estimate = estimates[place]
         if problem.precision[place] > 0.0:
-            notices += [*_against_stated(problem, estimate, place), *_negative(estimate)]
+            yield from _against_stated(estimate, problem.expected[place], problem.precision[place] ** -0.5)
         elif estimate.u > _UNKNOWN * max(abs(estimate.value), _NEGLIGIBLE * whole[place]):
             size = "" if not np.isfinite(estimate.u) else f": its uncertainty is {estimate.u:.2g} {estimate.unit}"
             helps = next((text for start, text in _HELPS.items() if estimate.name.startswith(start)), "state its value")
-            text = f"the data cannot tell the {estimate.label}{size}; {helps}"
-            notices.append(Notice("warning", text, estimate.name))
-        else:
-            notices += _negative(estimate)
+            yield Notice("warning", f"the data cannot tell the {estimate.label}{size}; {helps}", estimate.name)
+            continue
+        yield from _negative(estimate)
     for place in range(len(estimates), len(problem.names)):
         off, remaining = float(state.parameters[place]), float(found.covariance[place, place])
         if problem.precision[place] > 0.0 and off**2 > _PULL**2 * max(1e-6, 1.0 - remaining):
             name = problem.names[place].removeprefix("error: ")
             text = f"the fit needs {name} to be off by {abs(off):.2g} times its standard uncertainty"
-            notices.append(Notice("warning", text, name))
-    return tuple(notices)
+            yield Notice("warning", text, name)
 
 
-def _negative(estimate: ParameterEstimate) -> list[Notice]:
+def _negative(estimate: ParameterEstimate) -> Iterator[Notice]:
     """Say that a mass or a damping came out below zero."""
     if estimate.value >= 0.0 or not np.isfinite(estimate.u):
-        return []
+        return
     number = f"{estimate.label} is {estimate.value:.4g} ± {estimate.u:.2g} {estimate.unit} (k = 1)"
     if estimate.value > -2.0 * estimate.u:
-        return [Notice("info", f"{number}: zero within its uncertainty", estimate.name)]
+        yield Notice("info", f"{number}: zero within its uncertainty", estimate.name)
+        return
+    text = "a delay or a mode outside the model turns the phase at the resonance"
     if estimate.name.startswith("internal"):
         text = (
-            f"{number}, below zero: these resonances are not those of the load on the springs assumed, but of another "
-            "motion, e.g. pitching or a mount that gives"
+            "these resonances are not those of the load on the springs assumed, but of another motion, e.g. pitching "
+            "or a mount that gives"
         )
-    else:
-        text = f"{number}, below zero: a delay or a mode outside the model turns the phase at the resonance"
-    return [Notice("warning", text, estimate.name)]
+    yield Notice("warning", f"{number}, below zero: {text}", estimate.name)
 
 
-def _against_stated(problem: Problem, estimate: ParameterEstimate, place: int) -> list[Notice]:
+def _against_stated(estimate: ParameterEstimate, stated: float, u: float) -> Iterator[Notice]:
     """Say that a stated parameter is contradicted, or that the recordings add nothing to it."""
-    stated, u = problem.expected[place], 1.0 / np.sqrt(problem.precision[place])
+    known = f"{stated:.6g} ± {u:.2g} {estimate.unit}"
     if estimate.u > _UNTOUCHED * u:
+        text = f"the {estimate.label} is as stated, {known}: the data cannot tell it better"
+        yield Notice("info", text, estimate.name)
+    elif (pull := abs(estimate.value - stated) / float(np.sqrt(u**2 - estimate.u**2))) >= _PULL:
         text = (
-            f"the {estimate.label} is as stated, {stated:.6g} ± {u:.2g} {estimate.unit}: the data cannot tell it better"
+            f"the {estimate.label} stated, {known}, is contradicted by the recordings: together they give "
+            f"{estimate.value:.6g} {estimate.unit}, {pull:.2g} standard deviations off"
         )
-        return [Notice("info", text, estimate.name)]
-    pull = abs(estimate.value - stated) / float(np.sqrt(u**2 - estimate.u**2))
-    if pull < _PULL:
-        return []
-    text = (
-        f"the {estimate.label} stated, {stated:.6g} ± {u:.2g} {estimate.unit}, is contradicted by the recordings: "
-        f"together they give {estimate.value:.6g} {estimate.unit}, {pull:.2g} standard deviations off"
-    )
-    return [Notice("warning", text, estimate.name)]
+        yield Notice("warning", text, estimate.name)
 
 
 # All recordings in one complex least-squares fit.
@@ -392,7 +370,7 @@ def identify(
         raise ValueError(f"records: expected more real values than unknowns, found {lines} for {len(problem.names)}")
     tried: list[State] = []
     vectors = starting_vectors(problem, structure.starts(records))
-    starts = [state for vector in vectors if (state := evaluate(problem, vector)) is not None]
+    starts = filter(None, (evaluate(problem, vector) for vector in vectors))
     for start in sorted(starts, key=lambda state: state.loss):
         tried.append(solve(problem, start))
         if tried[-1].loss < _EXPLAINED * lines:
@@ -426,7 +404,6 @@ def _weighed(problem: Problem, state: State) -> tuple[Problem, State, SeenNoise]
 
 
 def _result(problem: Problem, state: State, found: Spread, noise: SeenNoise) -> Identification:
-    """Return what a solution says."""
     count, unit = len(problem.kind), np.eye(len(problem.names))
     estimates = tuple(
         ParameterEstimate(p.name, p.label, float(state.parameters[place]), found.u(unit[place]), p.unit)
@@ -453,7 +430,7 @@ def _result(problem: Problem, state: State, found: Spread, noise: SeenNoise) -> 
         residual=tuple(curve.record.ratio.value - value for curve, value in zip(problem.curves, model, strict=True)),
         chi_squared=noise.chi_squared,
         dof=noise.dof,
-        notices=_notices(problem, state, found, estimates, noise),
+        notices=tuple(_notices(problem, state, found, estimates, noise)),
         budget={"noise": noise_left, **causes},
     )
 
@@ -478,23 +455,16 @@ def _modes(problem: Problem, state: State, found: Spread) -> tuple[ModeEstimate,
     """Return the modes of every recording, from the poles of its fitted mechanics."""
     modes = []
     for curve in problem.curves:
-        roots, by_term = poles(curve.mechanics, curve.weights(state.parameters))
-        for number, (root, change) in enumerate(zip(roots, by_term, strict=True)):
-            by_unknown = np.zeros(len(state.parameters), dtype=np.complex128)
-            np.add.at(by_unknown, curve.terms, change)
-            size = abs(root)
-            by_size = (by_unknown * root.conj()).real / size
-            by_ratio = -by_unknown.real / size + root.real / size**2 * by_size
-            u_frequency, u_ratio = found.u(by_size / (2.0 * np.pi)), found.u(by_ratio)
-            ratio = float(-root.real / size)
-            modes.append(
-                ModeEstimate(curve.record.name, number, float(size / (2.0 * np.pi)), u_frequency, ratio, u_ratio)
-            )
+        for number, (root, change) in enumerate(zip(*curve.poles(state.parameters), strict=True)):
+            size, ratio = abs(root), float(-root.real / abs(root))
+            by_size = (change * root.conj()).real / size
+            u_size, u_ratio = found.u(by_size / (2.0 * np.pi)), found.u(-(change.real + ratio * by_size) / size)
+            f0 = float(size / (2.0 * np.pi))
+            modes.append(ModeEstimate(curve.record.name, number, f0, u_size, ratio, u_ratio))
     return tuple(modes)
 
 
 def _factors(problem: Problem, state: State, found: Spread) -> tuple[FreeFactor, ...]:
-    """Return the gains and delays that were free."""
     places, unit = {name: place for place, name in enumerate(problem.names)}, np.eye(len(problem.names))
 
     def of(name: str) -> tuple[float, float]:

@@ -38,8 +38,7 @@ class Placement(Brief):
         """Row (6,) that turns the motion of the sensor origin into the reading: [d, r × d], of a turn [0, d]."""
         if self.turning:
             return np.concatenate([np.zeros(3), self.direction])
-        (x, y, z), (dx, dy, dz) = self.point_m, self.direction
-        return np.array([dx, dy, dz, y * dz - z * dy, z * dx - x * dz, x * dy - y * dx])
+        return np.concatenate([self.direction, np.cross(self.point_m, self.direction)])
 
 
 @dataclass(frozen=True, repr=False)
@@ -228,14 +227,8 @@ class MeasuredCurve(Brief):
         """Return one response of a transfer function between two frequencies."""
         part = transfer.between(band_hz)
         ratio = part.ratio.select([channel])
-        return MeasuredCurve(
-            ratio.frequency_hz,
-            ratio.value[:, 0],
-            ratio.covariance,
-            part.line_correlation,
-            part.added_decay_per_s,
-            ratio.dof,
-        )
+        seen = (ratio.frequency_hz, ratio.value[:, 0], ratio.covariance)
+        return MeasuredCurve(*seen, part.line_correlation, part.added_decay_per_s, ratio.dof)
 
     def at_lines(self, lines: BoolArray) -> MeasuredCurve:
         """Return the lines chosen by a mask (K,)."""
@@ -292,7 +285,7 @@ def rational_poles(
         rows = []
         for own, scale in zip(value.T[:, :, None], weight.T[:, :, None], strict=True):
             both = np.concatenate([numerator, own * power, own * highest], axis=1) * scale
-            triangle = np.linalg.qr(np.concatenate([both.real, both.imag]), mode="r")
+            triangle = np.asarray(np.linalg.qr(np.concatenate([both.real, both.imag]), mode="r"))
             rows.append(triangle[numerator.shape[1] :, numerator.shape[1] :])
         below = np.concatenate(rows)
         return np.asarray(np.linalg.lstsq(-below[:, :-1], below[:, -1], rcond=None)[0])

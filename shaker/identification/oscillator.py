@@ -1,13 +1,14 @@
-"""One resonance fitted to a transfer function, with covariance."""
+"""One resonance: fitted to a transfer function with covariance, and read from it without a fit."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
 from shaker.identification.measured import (
     CurveResidual,
@@ -22,6 +23,8 @@ from shaker.mechanics import laplace
 
 Kind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
 
+_OSCILLATOR = ("frequency_hz", "damping_ratio", "gain_re", "gain_im")
+_OTHERS = ("mass_line_re", "mass_line_im", "constant_re", "constant_im")
 _ORDER: dict[str, int] = {"transmissibility": 0, "receptance": 0, "mobility": 1, "accelerance": 2}
 _RULES = Rules(foretold=1e-13, foretold_share=0.0, steps=60, tries=13, first=1e-6)
 """A fit has converged where the whitened model would change by 3e-7, or where no damping up to 1e6 helps."""
@@ -59,7 +62,9 @@ class Resonance(Brief):
         """Return H(s) (K,) at s = a + jω."""
         vector = [self.frequency_hz, self.damping_ratio, self.gain.real, self.gain.imag, self.delay_s]
         vector += [part for term in self.residual for part in (term.real, term.imag)]
-        return _evaluate(self.kind, _names(True, True), laplace(frequency_hz, added_decay_per_s), np.array(vector))[0]
+        return _evaluate(
+            self.kind, (*_OSCILLATOR, "delay_s", *_OTHERS), laplace(frequency_hz, added_decay_per_s), np.array(vector)
+        )[0]
 
     def u(self, parameter: str) -> float:
         """Return the standard uncertainty of a fitted parameter."""
@@ -72,14 +77,6 @@ class Resonance(Brief):
     def quality(self) -> float:
         """Quality factor Q = 1/(2ζ)."""
         return 0.5 / self.damping_ratio
-
-    @property
-    def half_power_hz(self) -> tuple[float, float]:
-        """Frequencies where |1/(1 - r² + 2jζr)|² is half of its maximum: r² = 1 - 2ζ² ∓ 2ζ√(1 - ζ²)."""
-        z = self.damping_ratio
-        middle, half = 1.0 - 2.0 * z * z, 2.0 * z * np.sqrt(max(0.0, 1.0 - z * z))
-        low, high = np.sqrt(np.maximum(0.0, np.array([middle - half, middle + half])))
-        return self.frequency_hz * float(low), self.frequency_hz * float(high)
 
 
 def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, residual_terms: bool = False) -> Resonance:
@@ -100,7 +97,7 @@ def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, resi
     >>> print(f"{found.frequency_hz:.1f} Hz, damping ratio {found.damping_ratio:.3f}")
     300.0 Hz, damping ratio 0.020
     """
-    names = _names(delay, residual_terms)
+    names = (*_OSCILLATOR, *(("delay_s",) if delay else ()), *(_OTHERS if residual_terms else ()))
     if 2 * len(curve.frequency_hz) <= len(names):
         raise ValueError(f"frequency_hz: expected more than {len(names) // 2} lines, found {len(curve.frequency_hz)}")
     vector, jacobian, noise = _weighed(curve, kind, names)
@@ -124,14 +121,6 @@ def fit_resonance(curve: MeasuredCurve, kind: Kind, *, delay: bool = False, resi
         chi_squared=noise.chi_squared / noise.expected,
         dof=noise.dof,
     )
-
-
-def _names(delay: bool, residual_terms: bool) -> tuple[str, ...]:
-    """Return the names of the parameters that are fitted."""
-    names = ["frequency_hz", "damping_ratio", "gain_re", "gain_im"]
-    names += ["delay_s"] if delay else []
-    names += ["mass_line_re", "mass_line_im", "constant_re", "constant_im"] if residual_terms else []
-    return tuple(names)
 
 
 def _evaluate(
@@ -223,3 +212,388 @@ def _adjusted(
     vector[~linear], vector[linear] = search.point.parameters, search.point.coefficients[0][:, 0]
     model, derivative = _evaluate(kind, names, s, vector)
     return vector, _real(whitening, (value - model)[:, None])[:, :, 0], _real(whitening, derivative)
+
+
+# The circle that a resonance draws in the complex plane, and the frequency and damping that its angles tell.
+
+_PASSES = 3
+_FEWEST_LINES = 5
+
+
+@dataclass(frozen=True, repr=False)
+class CircleFit(Brief):
+    """Natural frequency f₀ of the undamped oscillator and damping ratio ζ with `covariance` (2, 2) of both.
+
+    `centre`, `radius`: the circle in the plane of H·(jf/f₀)/(1 + 2jζf/f₀).
+    """
+
+    frequency_hz: float
+    damping_ratio: float
+    covariance: FloatArray
+    centre: complex
+    radius: float
+
+
+def fit_circle(curve: MeasuredCurve, frequency_hz: float, damping_ratio: float) -> CircleFit | None:
+    """Return f₀ and ζ of a base-excited oscillator from the angles of its circle, None where no circle is found.
+
+    G·(1 + 2jζr)/(1 - r² + 2jζr) times jr/(1 + 2jζr), r = f/f₀, is G/(2ζ + j(r - 1/r)): a circle, whose angle about its
+    centre is θ = α + 2 atan((1/r - r)/(2ζ)), so that f·tan((θ - α)/2) is a straight line over f². The circle: algebraic
+    (Taubin, IEEE Trans. PAMI 13, 1991), then of least weighted distances; the angles: f₀, ζ and α by weighted least
+    squares (Kennedy and Pancoast, J. Aeronaut. Sci. 14, 1947; Ewins, Modal Testing, 2000, 4.3). A constant that other
+    modes add moves the circle and not the angles. `frequency_hz`, `damping_ratio`: start, also of which lines are used:
+    those above half the maximum, at least five.
+    """
+    f0, zeta = frequency_hz, damping_ratio
+    for _ in range(_PASSES):
+        distance = np.abs(curve.frequency_hz - f0)
+        nearest = float(np.sort(distance)[min(_FEWEST_LINES, len(distance)) - 1])
+        part = curve.at_lines(distance <= max(np.sqrt(3.0) * zeta * f0, nearest))
+        r = part.frequency_hz / f0
+        factor = 1j * r / (1.0 + 2j * zeta * r)
+        points = part.value * factor
+        circle = _geometric(points, part, factor)
+        angles = _angles(points, part, factor, circle[0], (f0, zeta)) if circle is not None else None
+        if circle is None or angles is None:
+            return None
+        (x, y, radius), by_point = circle
+        (f0, zeta), by_angle = angles
+    # f₀ and ζ change with every point by its own angle and by the centre that all points set.
+    out = points - complex(x, y)
+    tangent, normal = 1j * out / np.abs(out) ** 2, out / np.abs(out)
+    by_centre = np.stack([by_angle @ tangent.real, by_angle @ tangent.imag], axis=1)
+    gradient = (by_angle * tangent - (by_centre @ by_point[:2]) * normal) * factor.conj()
+    return CircleFit(f0, zeta, part.propagated(gradient), complex(x, y), float(radius))
+
+
+def _geometric(
+    points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return the circle (3,) of least weighted distances, and its change (3, K) with the distance of each point.
+
+    Started by the algebraic circle, Taubin's normalisation.
+    """
+    middle = points.mean()
+    around = points - middle
+    square = np.abs(around) ** 2
+    scale = 2.0 * np.sqrt(square.mean())
+    columns = np.stack([(square - square.mean()) / scale, around.real, around.imag], axis=1)
+    a, b, c = np.linalg.svd(columns, full_matrices=False)[2][2]
+    with np.errstate(all="ignore"):
+        shift = -complex(b, c) / (2.0 * a / scale)
+        centre = middle + shift
+    circle = np.array([centre.real, centre.imag, np.sqrt(abs(shift) ** 2 + square.mean())])
+    for _ in range(20):
+        if not np.all(np.isfinite(circle)):
+            return None
+        out = points - complex(circle[0], circle[1])
+        normal = out / np.maximum(np.abs(out), np.finfo(np.float64).tiny)
+        root = 1.0 / np.sqrt(curve.variance_along(normal * factor.conj()))
+        columns = np.stack([normal.real, normal.imag, np.ones(len(points))], axis=1)
+        change = np.linalg.pinv(columns * root[:, None]) * root
+        step = change @ (np.abs(out) - circle[2])
+        circle = circle + step
+        if np.abs(step).max() < 1e-12 * circle[2]:
+            break
+    return circle, change
+
+
+def _angles(
+    points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray, circle: FloatArray, start: tuple[float, float]
+) -> tuple[tuple[float, float], FloatArray] | None:
+    """Return f₀ and ζ of the angles about the centre, and their change (2, K) with the angle of each point."""
+    frequency = curve.frequency_hz
+    out = points - complex(circle[0], circle[1])
+    tangent = 1j * out / np.abs(out) ** 2
+    root = 1.0 / np.sqrt(curve.variance_along(tangent * factor.conj()))
+    f0, zeta = start
+    alpha = float(np.angle(np.sum(out * np.exp(-1j * _angle_model(frequency, f0, zeta)[0]))))
+    for _ in range(30):
+        model, columns = _angle_model(frequency, f0, zeta)
+        change = np.linalg.pinv(columns * root[:, None]) * root
+        step = change @ np.angle(out * np.exp(-1j * (model + alpha)))
+        step *= min(1.0, 0.5 / max(abs(step[0]), abs(step[1])))
+        f0, zeta, alpha = f0 * np.exp(step[0] * zeta), zeta * np.exp(step[1]), alpha + step[2]
+        if not (np.isfinite(f0) and 1e-9 < zeta < 1.0):
+            return None
+        if np.abs(step).max() < 1e-12:
+            break
+    if np.abs(step).max() > 1e-6:
+        return None
+    return (float(f0), float(zeta)), change[:2] * np.array([[zeta * f0], [zeta]])
+
+
+def _angle_model(frequency_hz: FloatArray, f0: float, zeta: float) -> tuple[FloatArray, FloatArray]:
+    """Return 2 atan((1/r - r)/(2ζ)) (K,) and its derivatives (K, 3) by ln(f₀)/ζ, ln ζ and the angle α."""
+    r = frequency_hz / f0
+    tangent = (1.0 / r - r) / (2.0 * zeta)
+    by_tangent = 2.0 / (1.0 + tangent**2)
+    columns = [by_tangent * (1.0 / r + r) / 2.0, -by_tangent * tangent, np.ones(len(r))]
+    return np.asarray(2.0 * np.arctan(tangent)), np.stack(columns, axis=1)
+
+
+# Where |H| of one resonance is largest and where it has fallen to a given share of that, between the lines.
+
+Width = Literal["half_power", "half_amplitude"]
+LEVELS: dict[Width, float] = {"half_power": 2.0, "half_amplitude": 4.0}  # of 1/|H|², relative to the maximum
+
+
+@dataclass(frozen=True, repr=False)
+class Place(Brief):
+    """A frequency read from a curve, 1/|H|² there, and their gradients (K,) by 1/|H|² of every line; NaN: not found."""
+
+    frequency_hz: float
+    inverse: float
+    by_line: FloatArray
+    inverse_by_line: FloatArray
+
+
+def _nowhere(curve: MeasuredCurve) -> Place:
+    """Return the place that was not found."""
+    nothing = np.full(len(curve.frequency_hz), np.nan)
+    return Place(np.nan, np.nan, nothing, nothing)
+
+
+def read_shape(curve: MeasuredCurve) -> tuple[Place, dict[Width, tuple[Place, Place]]]:
+    """Return the maximum and the crossings below and above it for both widths.
+
+    1/|H|² of one base-excited oscillator is a parabola over f², but for a factor 1 + 4ζ²f²/f₀². The maximum is the
+    vertex of the parabola of the lines above half power, a crossing that of the lines within a quarter width around it.
+    The first look: the line of the maximum and where the lines next to it first fall below 1/√2 of it, mirrored if
+    absent, |H|² averaged over as many lines as make 3 % of its noise at the maximum, a twentieth at most.
+    """
+    magnitude = np.abs(curve.value)
+    largest = int(np.argmax(magnitude))
+    noise = 2.0 * np.sqrt(np.trace(curve.covariance[largest]) / 2.0) / magnitude[largest]
+    window = np.ones(int(np.clip(np.ceil((noise / 0.03) ** 2), 1, max(1, len(magnitude) // 20))))
+    counted = np.convolve(np.ones(len(magnitude)), window, mode="same")
+    power = np.convolve(magnitude**2, window, mode="same") / counted
+    largest = int(np.argmax(power))
+    frequency, below = float(curve.frequency_hz[largest]), np.flatnonzero(power < 0.5 * power[largest])
+    ends = [*below[below < largest][-1:], *below[below > largest][:1]]
+    reach = float(np.min(np.abs(curve.frequency_hz[ends] - frequency))) if ends else float(np.ptp(curve.frequency_hz))
+    low, high = frequency - reach, frequency + reach
+    top = _nowhere(curve)
+    crossings: dict[Width, tuple[Place, Place]] = {}
+    for _ in range(_PASSES):
+        width = high - low
+        top = _top(curve, frequency, 0.5 * width)
+        if not np.isfinite(top.frequency_hz):
+            return top, dict.fromkeys(LEVELS, (top, top))
+        for name, level in LEVELS.items():
+            away = 0.5 * width * np.sqrt(level - 1.0)
+            pair = [_crossing(curve, top, level, top.frequency_hz + side * away, 0.25 * width) for side in (-1, 1)]
+            crossings[name] = pair[0], pair[1]
+        found = [place.frequency_hz for place in crossings["half_power"]]
+        if not np.all(np.isfinite(found)):
+            break
+        frequency, (low, high) = top.frequency_hz, found
+    return top, crossings
+
+
+def _parabola(
+    curve: MeasuredCurve, frequency_hz: float, reach_hz: float, fewest: int
+) -> tuple[FloatArray, FloatArray, Callable[[float, FloatArray], tuple[float, FloatArray]]]:
+    """Return c (3,) of 1/|H|² = c₀ + c₁u + c₂u² near one frequency, its change (3, K) with 1/|H|² of every line, and
+    what gives the frequency at u, with its gradient (K,) by that of u.
+
+    u ∝ f² less that of the frequency. By weights to the lines within reach, the nearest at least. Noise of variances
+    σᵣ², σₜ² along and across H makes 1/|H|² too large by (3σᵣ² - σₜ²)/|H|⁴ on average.
+    """
+    distance = np.abs(curve.frequency_hz - frequency_hz)
+    reach = max(reach_hz, float(np.sort(distance)[fewest - 1]))
+    chosen: BoolArray = distance <= reach
+    centre, scale = frequency_hz**2, 2.0 * frequency_hz * reach
+    u = (curve.frequency_hz[chosen] ** 2 - centre) / scale
+    powers = np.stack([np.ones(len(u)), u, u * u], axis=1)
+    unit = curve.value / np.abs(curve.value)
+    radial, tangential = (curve.variance_along(direction)[chosen] for direction in (unit, 1j * unit))
+    smooth = np.abs(curve.value[chosen]) ** -2.0
+    inverse = smooth - (3.0 * radial - tangential) * smooth**2
+    for _ in range(2):
+        weighted = powers / (smooth**3 * radial)[:, None]
+        solve = np.linalg.solve(weighted.T @ powers, weighted.T)
+        coefficients = solve @ inverse
+        smooth = np.maximum(powers @ coefficients, 0.1 * smooth)
+    by_line = np.zeros((3, len(distance)))
+    by_line[:, chosen] = solve
+
+    def place(u: float, u_by_line: FloatArray) -> tuple[float, FloatArray]:
+        frequency = float(np.sqrt(centre + scale * u))
+        return frequency, u_by_line * scale / (2.0 * frequency)
+
+    return coefficients, by_line, place
+
+
+def _top(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> Place:
+    """Return the vertex of the parabola of the lines around a maximum."""
+    (c0, c1, c2), by_line, place = _parabola(curve, frequency_hz, reach_hz, 3)
+    u = -0.5 * c1 / c2 if c2 > 0.0 else np.nan
+    inverse = c0 + 0.5 * c1 * u
+    if not (abs(u) < 2.0 and inverse > 0.0):
+        return _nowhere(curve)
+    frequency, frequency_by_line = place(u, (c1 / c2 * by_line[2] - by_line[1]) / (2.0 * c2))
+    return Place(frequency, float(inverse), frequency_by_line, np.array([1.0, u, u * u]) @ by_line)
+
+
+def _crossing(curve: MeasuredCurve, top: Place, level: float, frequency_hz: float, reach_hz: float) -> Place:
+    """Return where the parabola of the lines around a flank has `level` times the 1/|H|² of the maximum."""
+    if not curve.frequency_hz[0] <= frequency_hz <= curve.frequency_hz[-1]:
+        return _nowhere(curve)
+    (c0, c1, c2), by_line, place = _parabola(curve, frequency_hz, reach_hz, 4)
+    target, by_target = level * top.inverse, level * top.inverse_by_line
+    root = c1 * c1 - 4.0 * c2 * (c0 - target)
+    slope = np.sign(frequency_hz - top.frequency_hz) * np.sqrt(max(root, 0.0))
+    u = 2.0 * (target - c0) / (slope + c1) if root > 0.0 else np.nan
+    if not abs(u) < 3.0:
+        return _nowhere(curve)
+    frequency, frequency_by_line = place(u, (by_target - np.array([1.0, u, u * u]) @ by_line) / slope)
+    return Place(frequency, target, frequency_by_line, by_target)
+
+
+def uncertainties(curve: MeasuredCurve, *by_inverse: FloatArray) -> FloatArray:
+    """Return standard uncertainties (P,) of numbers with these gradients (K,) by 1/|H|² of every line."""
+    square = np.abs(curve.value) ** 2
+    gradient = np.stack(by_inverse) * (-2.0 * curve.value / square**2)
+    return np.asarray(np.sqrt(np.diag(curve.propagated(gradient))))
+
+
+def wandering_hz2(curve: MeasuredCurve, top: Place, width_hz: float) -> float:
+    """Return the variance of the line of the largest |H| that comes from noise: which line wins, all equally spaced.
+
+    The lines above half power are independent and normal about |H| of the oscillator; each wins with the probability
+    ∫ φₖ(a) Πⱼ Φⱼ(a) da.
+    """
+    from scipy.special import log_ndtr
+
+    near = np.abs(curve.frequency_hz - top.frequency_hz) <= max(0.5 * width_hz, curve.spacing_hz)
+    frequency = curve.frequency_hz[near]
+    detuned = 2.0 * (frequency - top.frequency_hz) / width_hz
+    expected = 1.0 / np.sqrt(top.inverse * (1.0 + detuned**2))
+    u = np.sqrt(curve.variance_along(curve.value / np.abs(curve.value)))[near]
+    level = np.linspace(expected.max() - 4.0 * u.max(), expected.max() + 6.0 * u.max(), 400)
+    score = (level[:, None] - expected) / u
+    log_below = log_ndtr(score)
+    wins = np.exp(log_below.sum(axis=1, keepdims=True) - log_below - 0.5 * score**2) / u
+    chance = wins.sum(axis=0) / wins.sum()
+    return float(chance @ (frequency - chance @ frequency) ** 2)
+
+
+_RESOLVED_LINES = 4.0  # in the half-power width, below which a width read from the lines is not to be trusted
+
+
+@dataclass(frozen=True)
+class PeakReading:
+    """One reading: frequency, width and damping ratio with standard uncertainties; NaN for what it does not tell.
+
+    `note`: what the reader of these numbers has to know, empty for most.
+    """
+
+    method: str
+    frequency_hz: float = np.nan
+    u_frequency_hz: float = np.nan
+    width_hz: float = np.nan
+    u_width_hz: float = np.nan
+    damping_ratio: float = np.nan
+    u_damping_ratio: float = np.nan
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class PeakReadings:
+    """All readings of one resonance of a base-excited mass.
+
+    `maximum_bin`: the line of the largest |H|; `maximum`: the top between the lines; both are the frequency of the
+    maximum, which lies ζ²f₀ below f₀. `half_power`: f₀ and ζ from the two frequencies where |H| is 1/√2 of its maximum.
+    `half_amplitude`: f₀ = frequency of the maximum and ζ = width/(2f₀) with the width at half the maximum, as equation
+    10 of Nitsche et al. (J. Sens. Sens. Syst. 7, 2018) words it: √3 times the damping there is. `circle`: f₀ and ζ from
+    the angles of the Nyquist circle. `lines_in_width`: half-power width over line spacing.
+    """
+
+    maximum_bin: PeakReading
+    maximum: PeakReading
+    half_power: PeakReading
+    half_amplitude: PeakReading
+    circle: PeakReading
+    lines_in_width: float
+
+    @property
+    def all(self) -> tuple[PeakReading, ...]:
+        """Return the readings in the order of their description."""
+        return self.maximum_bin, self.maximum, self.half_power, self.half_amplitude, self.circle
+
+
+def peak_readings(curve: MeasuredCurve) -> PeakReadings:
+    """Read the highest resonance of H = motion of a mass over that of its base.
+
+    All but `maximum_bin` are free of bias by the line spacing.
+    """
+    if len(curve.frequency_hz) < _FEWEST_LINES:
+        raise ValueError(f"frequency_hz: expected at least {_FEWEST_LINES} lines, found {len(curve.frequency_hz)}")
+    top, crossings = read_shape(curve)
+    width = crossings["half_power"][1].frequency_hz - crossings["half_power"][0].frequency_hz
+    lines, note = width / curve.spacing_hz, ""
+    if lines < _RESOLVED_LINES:
+        note = (
+            f"{lines:.1f} lines in the half-power width, fewer than {_RESOLVED_LINES:.0f}: between them the curve is "
+        )
+        note += "taken to be that of one oscillator"
+    # The line of the maximum is uncertain by half a spacing and by which line noise lets win.
+    line_hz = float(curve.frequency_hz[np.argmax(np.abs(curve.value))])
+    wandering = wandering_hz2(curve, top, width) if np.isfinite(width) else np.nan
+    u_line = float(np.sqrt(curve.spacing_hz**2 / 12.0 + wandering))
+    between = "" if np.isfinite(top.frequency_hz) else "no maximum between the lines of this band"
+    half_power, half_amplitude = (_by_width(own, curve, top, *crossings[own], note) for own in LEVELS)
+    fit, circle = None, PeakReading("circle", note="no circle found in the complex plane")
+    if np.isfinite(half_power.damping_ratio):
+        fit = fit_circle(curve, half_power.frequency_hz, half_power.damping_ratio)
+    if fit is not None:
+        f0, zeta = fit.frequency_hz, fit.damping_ratio
+        (u_f0, u_zeta), by_width = np.sqrt(np.diag(fit.covariance)).tolist(), np.array([2.0 * zeta, 2.0 * f0])
+        u_width = float(np.sqrt(by_width @ fit.covariance @ by_width))
+        circle = PeakReading("circle", f0, u_f0, 2.0 * zeta * f0, u_width, zeta, u_zeta)
+    return PeakReadings(
+        maximum_bin=PeakReading("maximum_bin", line_hz, u_line),
+        maximum=PeakReading("maximum", top.frequency_hz, float(uncertainties(curve, top.by_line)[0]), note=between),
+        half_power=half_power,
+        half_amplitude=half_amplitude,
+        circle=circle,
+        lines_in_width=float(lines),
+    )
+
+
+def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[float, float, float]:
+    """Return r = f/f₀ of the maximum of |(1 + 2jζr)/(1 - r² + 2jζr)|, and below and above it where 1/|H|² is `level`
+    times as large, zero where that is nowhere: r² solves y² - (2 - 4ζ² + 4ζ²c)y + 1 - c = 0, c = level/|H|²max.
+    """
+    square = 4.0 * damping_ratio**2
+    highest = 2.0 / (np.sqrt(1.0 + 2.0 * square) + 1.0)
+    at_level = level * ((1.0 - highest) ** 2 + square * highest) / (1.0 + square * highest)
+    middle = 1.0 - 0.5 * square * (1.0 - at_level)
+    root = np.sqrt(middle**2 - 1.0 + at_level)
+    return float(np.sqrt(highest)), float(np.sqrt(max(0.0, middle - root))), float(np.sqrt(middle + root))
+
+
+def _by_width(method: Width, curve: MeasuredCurve, top: Place, low: Place, high: Place, note: str) -> PeakReading:
+    """Return what a maximum and the width at a level tell.
+
+    Half power: the f₀ and ζ of which the oscillator has its maximum and its half-power points where they were read.
+    Half amplitude: equation 10 with the width at half the maximum, without the √3 that this width is wider.
+    """
+    width = high.frequency_hz - low.frequency_hz
+    if not np.isfinite(width):
+        share = "1/√2" if method == "half_power" else "1/2"
+        return PeakReading(method, note=f"|H| does not fall to {share} of its maximum on both sides inside the band")
+    f0, by_f0, by_width = top.frequency_hz, top.by_line, high.by_line - low.by_line
+    zeta = 0.5 * width / f0
+    if method == "half_power":
+        for _ in range(20):
+            highest, below, above = transmissibility_levels(zeta)
+            zeta *= width / top.frequency_hz * highest / (above - below)
+        f0 = float(np.sqrt(low.frequency_hz * high.frequency_hz / (below * above)))
+        by_f0 = 0.5 * f0 * (low.by_line / low.frequency_hz + high.by_line / high.frequency_hz)
+    else:
+        note = "damping overstated by √3" + (f"; {note}" if note else "")
+    by_zeta = zeta * (by_width / width - top.by_line / top.frequency_hz)
+    u_f0, u_width, u_zeta = uncertainties(curve, by_f0, by_width, by_zeta).tolist()
+    return PeakReading(method, f0, u_f0, width, u_width, float(zeta), u_zeta, note)

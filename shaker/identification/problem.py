@@ -33,8 +33,6 @@ class Displacements(Brief):
 
     def moved(self, mechanics: Mechanics, vector: FloatArray) -> Mechanics:
         """Return mechanics as seen from where the unknowns say that the transducers are."""
-        if len(self.places) == 0:
-            return mechanics
         off = vector[self.places]
         return replace(
             mechanics,
@@ -101,8 +99,15 @@ class Curve(Brief):
         """Return whether masses and stiffnesses of the mechanics are positive definite."""
         (mass, _, stiffness), _ = self.mechanics.at(self.weights(vector))
         if len(mass) == 1:
-            return min(mass[0, 0], stiffness[0, 0]) > 0.0
-        return min(np.linalg.eigvalsh(mass)[0], np.linalg.eigvalsh(stiffness)[0]) > 0.0
+            return bool(min(mass[0, 0], stiffness[0, 0]) > 0.0)
+        return bool(min(np.linalg.eigvalsh(mass)[0], np.linalg.eigvalsh(stiffness)[0]) > 0.0)
+
+    def poles(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return the poles (n,) of the mechanics that unknowns lead to, with derivatives (n, N) by all unknowns."""
+        roots, by_term = poles(self.mechanics, self.weights(vector))
+        by_unknown = np.zeros((len(roots), len(vector)), dtype=np.complex128)
+        np.add.at(by_unknown.T, self.terms, by_term.T)
+        return roots, by_unknown
 
     @property
     def places(self) -> IntArray:
@@ -274,7 +279,6 @@ def _curve(
     free: Mapping[str, ComplexArray],
     names: Mapping[str, int],
 ) -> Curve:
-    """Return a recording with the places of its unknowns."""
     relative = [*free.values(), *(error.relative for error in record.errors)]
     inertia = [names[f"error: {error.name}"] for error in record.inertia_errors]
     factors = [*(names[name] for name in free), *(names[f"error: {error.name}"] for error in record.errors)]
@@ -365,9 +369,7 @@ def _matched(problem: Problem, start: FloatArray, measured: Sequence[ComplexArra
         for curve, roots in zip(problem.curves, measured, strict=True):
             if not curve.possible(vector):
                 return None
-            modes, by_term = poles(curve.mechanics, curve.weights(vector))
-            by_unknown = np.zeros((len(modes), len(vector)), dtype=np.complex128)
-            np.add.at(by_unknown.T, curve.terms, by_term.T)
+            modes, by_unknown = curve.poles(vector)
             for place, pole in enumerate(roots):  # in order, or of the nearest where some lack
                 whose = place if len(roots) == len(modes) else int(np.argmin(np.abs(np.log(np.abs(pole / modes)))))
                 off, slope = np.log(modes[whose] / pole), by_unknown[whose, free] * scale / modes[whose]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -181,7 +182,6 @@ class _Problem:
 
     @staticmethod
     def of(measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior | None, spring_free: bool) -> _Problem:
-        """Return the problem of a measured sensitivity."""
         known: list[tuple[int, float, float]] = []
         if measured.static is not None:
             if not measured.u_static > 0.0:
@@ -273,7 +273,9 @@ def sensor_model(fit: SensitivityFit, mechanics: FloatArray, covariance: FloatAr
         joined[:3, 3:] = np.multiply.outer(gain, fit.covariance[1, others])
         joined[3:, :3] = joined[:3, 3:].T
     order = [3, 0, 1, 2, *range(4, len(joined))]
-    return SensorModel(fit.sensitivity, *moved.tolist(), fit.chain, joined[np.ix_(order, order)], fit.unit)
+    stiffness, damping, mass = moved.tolist()
+    covariance = joined[np.ix_(order, order)]
+    return SensorModel(fit.sensitivity, stiffness, damping, mass, fit.chain, covariance, fit.unit)
 
 
 # What makes the sensitivity change with frequency: the sensor's damper, or the measuring chain behind it.
@@ -383,7 +385,7 @@ def fit_sensitivity(measured: MeasuredSensitivity, spring: SpringPrior | None = 
     compared = SensitivityComparison(
         fits, weight, verdict, spring, damping, _sentence(fits, verdict, spring is None), ()
     )
-    return replace(compared, notices=_notices(compared.best, measured.channel))
+    return replace(compared, notices=tuple(_notices(compared.best, measured.channel)))
 
 
 def _verdicts(fits: tuple[SensitivityFit, ...], weight: FloatArray) -> tuple[Verdict, ...]:
@@ -448,7 +450,6 @@ def _sentence(fits: tuple[SensitivityFit, ...], verdict: tuple[Verdict, ...], al
 
 
 def _explained(fit: SensitivityFit, alone: bool) -> str:
-    """Return an explanation with its numbers."""
     chain = fit.chain
     numbers = {name: _microseconds(getattr(chain, name), fit.u(name)) for name in ("delay_s", "lag_s")}
     for estimate in fit.estimates:
@@ -467,19 +468,17 @@ def _explained(fit: SensitivityFit, alone: bool) -> str:
     return text[chain.kind]
 
 
-def _notices(fit: SensitivityFit, channel: str) -> tuple[Notice, ...]:
+def _notices(fit: SensitivityFit, channel: str) -> Iterator[Notice]:
     """Say of the explanation to use what a reader should doubt."""
-    notices = []
     if fit.chain.delay_s < -2.0 * fit.u("delay_s"):
         lead = _microseconds(-fit.chain.delay_s, fit.u("delay_s"))
-        notices.append(Notice("warning", f"the output leads by {lead}: no chain does, the reference is late", channel))
+        yield Notice("warning", f"the output leads by {lead}: no chain does, the reference is late", channel)
     if not fit.converged:
-        notices.append(Notice("warning", "the fit of the chain did not settle: the readings leave it open", channel))
+        yield Notice("warning", "the fit of the chain did not settle: the readings leave it open", channel)
     for error in fit.unknowns:
         if abs(error.estimate) > FARTHEST_ERROR:
             text = f"{error.name} is found {error.estimate:.1f} of its standard uncertainties away: stated too small"
-            notices.append(Notice("warning", text, channel))
-    return tuple(notices)
+            yield Notice("warning", text, channel)
 
 
 def _microseconds(value_s: float, u_s: float) -> str:

@@ -73,16 +73,7 @@ class Chain(Brief):
         divisor = self._divisor(s)
         by_lag = -s * (1.0 + s * self.lag_s) if self.kind == "butterworth" else -s
         columns = {"delay_s": -s, "lag_s": by_lag / divisor, "square_s2": -s * s / divisor}
-        slopes = np.empty((len(s), len(self.names)), dtype=np.complex128)
-        for place, name in enumerate(self.names):
-            slopes[:, place] = columns[name]
-        return slopes
-
-    def log_frequency_slope(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the derivative (K,) of the logarithm of the response by the frequency, in 1/Hz."""
-        s = laplace(frequency_hz)
-        by_s = -self.delay_s - (self.lag_s + 2.0 * self.square_s2 * s) / self._divisor(s)
-        return np.asarray(2j * np.pi * by_s)
+        return np.array([columns[name] for name in self.names], dtype=np.complex128).reshape(-1, len(s)).T
 
     def corner(self, covariance: FloatArray) -> tuple[tuple[float, float], tuple[float, float]] | None:
         """Return (f_c, u) in Hz and (ζ, u) of a low-pass from the covariance (P, P) of its parameters.
@@ -188,23 +179,15 @@ class SensorModel(Brief):
         by_force = np.asarray(-s * s / self.stiffness / divisor)
         mass = by_force if load.drive == "force" else np.full(len(s), 1.0 / total + 0j)
         own = mass if load.drive == "force" else mass - 1.0 / load.mass
-        stretch = self._divisor(s, load) - 1.0
         columns = [
             np.full(len(s), 1.0 / self.sensitivity + 0j),
-            stretch / self.stiffness / divisor,
+            (divisor - 1.0) / self.stiffness / divisor,
             -s / self.stiffness / divisor,
             mass,
             *self.chain.log_slopes(frequency_hz).T,
             own,
         ]
         return np.stack(columns, axis=1)
-
-    def log_frequency_slope(self, frequency_hz: FloatArray, load: Load) -> ComplexArray:
-        """Return the derivative (K,) of ln `output_factor` by the frequency, in 1/Hz."""
-        s = laplace(frequency_hz)
-        mass = load.mass + self.internal_mass if load.drive == "force" else 0.0
-        own = -(self.damping + 2.0 * s * mass) / self.stiffness / self._divisor(s, load)
-        return np.asarray(2j * np.pi * own + self.chain.log_frequency_slope(frequency_hz))
 
     def covariance_root(self, load: Load) -> FloatArray:
         """Return the parameters' deviations (4 + P + 1, E) by E independent causes of variance one."""
@@ -287,10 +270,11 @@ def usable_band(
         edge = optimize.brentq(lambda f, i=i: excess(np.array([f]))[i, 0], first, grid[last], xtol=1e-9 * grid[last])
         edges.append((float(edge), i))
     upper, which = min(edges)
-    at, turn = np.array([upper]), -1j if _LIMITS[which] == "phase" else 1.0
-    slopes = model.log_slopes(at, load) - model.log_slopes(np.zeros(1), load)
+    turn, near = -1j if _LIMITS[which] == "phase" else 1.0, upper * (1.0 + np.array([-1e-5, 1e-5]))
+    slopes = model.log_slopes(np.array([upper]), load) - model.log_slopes(np.zeros(1), load)
     moved = np.linalg.norm((turn * slopes @ model.covariance_root(load)).real)
-    u = float(moved / abs(float((turn * model.log_frequency_slope(at, load)).real[0])))
+    (change,) = np.diff(turn * np.log(model.output_factor(near, load))).real / np.diff(near)
+    u = float(moved / abs(change))
     return UsableBand(upper, u, permitted, permitted_phase_rad, _LIMITS[which])
 
 
@@ -408,7 +392,6 @@ def correct_record(
 
 
 def _taper(sample_rate_hz: float, band_hz: float) -> FloatArray:
-    """Return the taps (2h + 1,) of the taper."""
     highest = 0.5 * sample_rate_hz / (1.0 + TRANSITION)
     if not 0.0 < band_hz <= highest:
         raise ValueError(f"band_hz: expected up to {highest:g} Hz for {sample_rate_hz:g} Hz, found {band_hz:g}")

@@ -138,7 +138,7 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
     top, passing = peak(curve), transient(system)
     usable = bool(np.isfinite(static)) and static != 0
     levels = [(gain, part) for gain in (static, nominal_gain) for part in (0.05, 0.10)]
-    bands = [band_end(curve, *level) if usable else None for level in levels]
+    band_5, band_10, nominal_5, nominal_10 = (band_end(curve, *level) if usable else None for level in levels)
     _, poles = places_rad(system)
     return Indices(
         static,
@@ -150,8 +150,14 @@ def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: flo
         None if top is None or not usable or not np.isfinite(top[1]) else top[1] / abs(static),
         quadrature(system) if usable else None,
         half_power(curve) if usable else None,
-        *bands,
-        *(passing.overshoot, passing.rise_s, passing.settling_2_s, passing.settling_5_s),
+        band_5,
+        band_10,
+        nominal_5,
+        nominal_10,
+        passing.overshoot,
+        passing.rise_s,
+        passing.settling_2_s,
+        passing.settling_5_s,
         pole_notices(system, sample_rate_hz),
     )
 

@@ -184,11 +184,6 @@ class AngleFit(Brief):
         """Return the harmonics in the fit, ascending."""
         return tuple(int(name[4:]) for name in self.terms if name.startswith("cos "))
 
-    @property
-    def offset(self) -> FloatArray:
-        """Return the mean reading over a turn (C,)."""
-        return np.asarray(self.coefficient[0])
-
     def amplitude(self, order: int = 1) -> ComplexArray:
         """Return A (C,) of a harmonic, so that the reading is Re{A exp(+j·order·angle)}."""
         cosine, sine = self._places(order)
@@ -217,7 +212,6 @@ class AngleFit(Brief):
         return Reversal(np.array(met), np.reshape(differences, (len(met), len(self.channels))))
 
     def _places(self, order: int) -> list[int]:
-        """Columns of a harmonic."""
         if order not in self.orders:
             raise ValueError(f"order: expected one of {self.orders}, found {order}")
         return [self.terms.index(f"{part} {order}") for part in ("cos", "sin")]

@@ -334,7 +334,6 @@ class _Fit:
 
     @staticmethod
     def of(problem: _Problem) -> _Fit:
-        """Return the least squares of a problem."""
         point = problem.point(problem.start)
         for _ in range(2):  # what is little beside the loss of a far start may be much beside the noise
             point = levenberg_marquardt(problem.point, point, _RULES).point
@@ -378,42 +377,32 @@ def _projection(problem: _Problem, r: int, vector: FloatArray) -> ComplexArray:
 
 def _sources(fit: _Fit) -> Iterator[Source]:
     """Every cause of error with its effect on all values; effects of deviates that are one in truth."""
-    problem, vector, prior = fit.problem, fit.point.parameters, fit.problem.prior
-    count, own, elements = len(problem.records), OWN * len(problem.records), problem.elements
-    gain = fit.inverse @ (fit.point.jacobian[: len(problem.weight)].T * np.sqrt(problem.weight))
-    size = 2 * len(problem.outputs.sensitivity)
-    departing = []
-    for r, record in enumerate(problem.records):
-        rows = slice(size * r, size * (r + 1))
-        by_row = _spread(gain[:, rows], count)
-        to_load = problem.outputs.inverse[:FORCES] * _projection(problem, r, vector)[:, None]
-        by_row[ROWS * r + OWN : ROWS * (r + 1)] = np.hstack([to_load.real, -to_load.imag])
-        yield Source(f"noise of {record.name}", "A", record.dof, by_row @ covariance_root(record.covariance))
-        departing.append(by_row * problem.departures[rows])
+    problem, vector, outputs = fit.problem, fit.point.parameters, fit.problem.outputs
+    count, elements, u_angle = len(problem.records), problem.elements, problem.u_angle_rad
+    own, (row, column) = OWN * count, elements.T
+    wide = np.zeros((ROWS * count, len(vector)))  # which value is which unknown
+    wide.reshape(count, ROWS, -1)[:, :OWN, :own] = np.eye(own).reshape(count, OWN, own)
+    by_row = wide @ fit.inverse @ (fit.point.jacobian[: len(problem.weight)].T * np.sqrt(problem.weight))
+    shared = -wide @ (fit.inverse * problem.prior)
+    size = 2 * len(outputs.sensitivity)
+    for r, record in enumerate(problem.records):  # weights by each force component alone have effects of their own
+        alone, rows = slice(ROWS * r + OWN, ROWS * (r + 1)), slice(size * r, size * (r + 1))
+        projection = _projection(problem, r, vector)[:, None]
+        to_load = outputs.inverse[:FORCES] * projection
+        by_row[alone, rows] = np.hstack([to_load.real, -to_load.imag])
+        load, _ = weight_load(record, vector[OWN * r : OWN * (r + 1)], outputs.sense)
+        by_element = outputs.inverse[:FORCES, row] * outputs.u[row, column] * load[column]
+        by_head = -0.5j * u_angle * np.conj(load[:FORCES, None]) * np.array([1.0, -1j])
+        every = np.hstack([by_element, by_head]) if u_angle > 0.0 else by_element
+        shared[alone, own:] = np.real(every * projection)
+        yield Source(f"noise of {record.name}", "A", record.dof, by_row[:, rows] @ covariance_root(record.covariance))
     if problem.departure > 0.0:
         freedom = min(test.dof for test in fit.tests if test.dof > 0.5)
-        yield Source("channels that disagree", "A", freedom, np.hstack(departing))
-    shared = -_spread(fit.inverse * prior, count)
-    row, column = elements.T
-    for r, record in enumerate(problem.records):  # of the weights by each force component alone
-        load, _ = weight_load(record, vector[OWN * r : OWN * (r + 1)], problem.outputs.sense)
-        by_element = problem.outputs.inverse[:FORCES, row] * problem.outputs.u[row, column] * load[column]
-        by_head = -0.5j * problem.u_angle_rad * np.conj(load[:FORCES, None]) * np.array([1.0, -1j])
-        every = np.hstack([by_element, by_head]) if problem.u_angle_rad > 0.0 else by_element
-        alone = np.real(every * _projection(problem, r, vector)[:, None])
-        shared[ROWS * r + OWN : ROWS * (r + 1), own:] = alone
+        yield Source("channels that disagree", "A", freedom, by_row * problem.departures)
     ends = own + len(elements)
-    weak = [OWN * r + place for r in range(count) for place in (1, 2, 3, 5, 6)]
     if len(elements):
         yield Source("calibration matrix", "B", np.inf, shared[:, own:ends])
-    if problem.u_angle_rad > 0.0:
+    if u_angle > 0.0:
         yield Source("angle of the head", "B", np.inf, shared[:, ends:])
-    yield Source("what no channel tells", "B", np.inf, shared[:, weak] / np.sqrt(prior[weak]))
-
-
-def _spread(effect: FloatArray, recordings: int) -> FloatArray:
-    """Effects on the unknowns (U, r) as effects on all values (V, r), zero where a value is no unknown."""
-    wide = np.zeros((ROWS * recordings, effect.shape[1]))
-    for r in range(recordings):
-        wide[ROWS * r : ROWS * r + OWN] = effect[OWN * r : OWN * (r + 1)]
-    return wide
+    weak = [OWN * r + place for r in range(count) for place in (1, 2, 3, 5, 6)]
+    yield Source("what no channel tells", "B", np.inf, shared[:, weak] / np.sqrt(problem.prior[weak]))

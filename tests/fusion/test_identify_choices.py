@@ -75,6 +75,17 @@ def _fit(prepared: list[Prepared], **choices: object) -> JointFit:
     return found
 
 
+def _moved(item: Prepared, *stages: tuple[str, float, float, float], seed: int | None = None) -> Prepared:
+    """The recording of stages (name, mass, stiffness, damping) in a row, the last the load's, exact but for noise."""
+    ratio, (names, *numbers) = item.measured.ratio, zip(*stages, strict=True)
+    value = MassChain(names, *map(np.array, numbers)).transfer(ratio.frequency_hz, names[-1]).value
+    if seed is not None:
+        draws = np.random.default_rng(seed).standard_normal((len(value), 2, 1))
+        parts = np.linalg.cholesky(ratio.covariance) @ draws
+        value = value + parts[:, :1, 0] + 1j * parts[:, 1:, 0]
+    return replace(item, measured=replace(item.measured, ratio=replace(ratio, value=value)))
+
+
 def test_one_damping_for_each_recording(prepared):
     fit = _fit(prepared, damping="each")
     found = fit.identification
@@ -98,7 +109,11 @@ def test_one_load_takes_the_internal_mass_as_stated(prepared):
 
 
 def test_a_mount_that_gives_is_fitted_with_the_sensor(prepared):
-    moved = [_on_adapter(item, seed) for seed, item in enumerate(prepared)]
+    adapter = ("adapter", 5.0, 2e9, 6e3)
+    moved = [
+        _moved(item, adapter, ("sensor", item.load_kg + 0.769, 6e8, 1.5e3), seed=seed)
+        for seed, item in enumerate(prepared)
+    ]
     fit = _fit(moved, model="adapter")
     found, sensor = fit.identification, fit.identification["stiffness_z"]
     assert abs(sensor.value - 6e8) < 4.0 * sensor.u
@@ -108,32 +123,15 @@ def test_a_mount_that_gives_is_fitted_with_the_sensor(prepared):
     assert (model.stiffness, model.chain.kind, model.unit) == (sensor.value, "none", "(V/V)/N")
 
 
-def _on_adapter(item: Prepared, seed: int) -> Prepared:
-    """The same recording of a load whose sensor stands on an adapter of 5 kg that gives, exact but for the noise."""
-    rng, ratio = np.random.default_rng(seed), item.measured.ratio
-    masses, springs, dampers = np.array([5.0, item.load_kg + 0.769]), np.array([2e9, 6e8]), np.array([6e3, 1.5e3])
-    chain = MassChain(("adapter", "sensor"), masses, springs, dampers)
-    value = chain.transfer(ratio.frequency_hz, "sensor").value
-    parts = np.linalg.cholesky(ratio.covariance) @ rng.standard_normal((len(value), 2, 1))
-    noisy = value + parts[:, :1, 0] + 1j * parts[:, 1:, 0]
-    return replace(item, measured=replace(item.measured, ratio=replace(ratio, value=noisy)))
-
-
 def test_an_internal_mass_below_zero_leaves_a_model_without_one(prepared):
-    fit = _fit([_stiffer(item, 0.985) for item in prepared[:1]] + [_stiffer(prepared[1], 1.0)])
+    masses = [prepared[0].load_kg * 0.985, prepared[1].load_kg]
+    pairs = zip(prepared, masses, strict=True)
+    fit = _fit([_moved(item, ("sensor", mass, STIFFNESS, DAMPING)) for item, mass in pairs])
     assert fit.identification.value("internal_mass") < 0.0
     assert any("below zero" in notice.text for notice in fit.identification.notices)
     found = modelled(fit, None, None)
     assert found.model.internal_mass == 0.0
     assert (found.model.sensitivity, found.model.unit) == (1.0, "1/N")
-
-
-def _stiffer(item: Prepared, factor: float) -> Prepared:
-    """The same recording with a load whose mass, times a factor, moves without any internal mass."""
-    ratio = item.measured.ratio
-    chain = MassChain(("sensor",), np.array([item.load_kg * factor]), np.array([STIFFNESS]), np.array([DAMPING]))
-    value = chain.transfer(ratio.frequency_hz, "sensor").value
-    return replace(item, measured=replace(item.measured, ratio=replace(ratio, value=value)))
 
 
 def test_what_is_stated_and_not_used_is_said(spoiled):
@@ -236,8 +234,7 @@ def test_results_of_other_files_are_refused(spoiled, refused):
 
 
 @pytest.mark.parametrize(
-    "choices",
-    [{"model": "rope"}, {"band_hz": (3.0, 2.0)}, {"load_masses_kg": (0.0,)}, {"permitted": 1.0}],
+    "choices", [{"model": "rope"}, {"band_hz": (3.0, 2.0)}, {"load_masses_kg": (0.0,)}, {"permitted": 1.0}]
 )
 def test_settings_that_mean_nothing_are_refused(choices):
     with pytest.raises(ValueError, match=f"^{next(iter(choices))}: expected"):

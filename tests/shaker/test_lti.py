@@ -383,10 +383,7 @@ def test_poles_and_zeros_on_the_axis():
 
 
 def test_an_integrator_has_no_static_gain():
-    for system in (
-        lti([0j], 2.0),
-        lti([1 + 0j], 2.0, rate=1e3),
-    ):
+    for system in (lti([0j], 2.0), lti([1 + 0j], 2.0, rate=1e3)):
         found = indices(system)
         assert (found.static_gain, found.band_5_hz, found.settling_2_s) == (np.inf, None, None)
         assert not found.stable

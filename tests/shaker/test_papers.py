@@ -30,7 +30,7 @@ from shaker.compensation.filter import Compensation, Target, band_ratio, loaded_
 from shaker.elastomer.frame import fit_platform
 from shaker.elastomer.geometry import PublishedStatics
 from shaker.identification.measured import MeasuredCurve
-from shaker.identification.readings import peak_readings
+from shaker.identification.oscillator import peak_readings
 from shaker.lti.indices import Indices, indices
 from shaker.lti.system import LinearSystem
 from shaker.mechanics import required_stiffness

@@ -13,8 +13,15 @@ from scipy.optimize import brentq, least_squares, minimize_scalar
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 from shaker.fitting import Block, Prior, Residuals, Rules, Separable, eliminate, levenberg_marquardt
 from shaker.identification.measured import MeasuredCurve
-from shaker.identification.oscillator import Kind, Resonance, fit_resonance
-from shaker.identification.readings import PeakReadings, fit_circle, peak_readings, transmissibility_levels
+from shaker.identification.oscillator import (
+    Kind,
+    PeakReadings,
+    Resonance,
+    fit_circle,
+    fit_resonance,
+    peak_readings,
+    transmissibility_levels,
+)
 
 KINDS: tuple[Kind, ...] = ("transmissibility", "receptance", "mobility", "accelerance")
 FREQUENCY = np.arange(1300.0, 1650.0, 1.0)
@@ -76,14 +83,6 @@ def test_delay_and_the_rest_of_the_structure_come_back():
     assert len(fit.parameters) == 9
     assert fit.u("delay_s") > 0.0
     refused("expected one of frequency_hz", fit.u, "mass_kg")
-
-
-def test_half_power_frequencies_are_where_the_receptance_has_lost_three_decibels():
-    fit = Resonance(
-        "receptance", 100.0, 0.05, 1.0, 0.0, np.zeros(2, dtype=np.complex128), (), np.zeros((0, 0)), 0.0, 1.0
-    )
-    peak = np.max(np.abs(fit.model(np.linspace(80.0, 120.0, 400001))))
-    np.testing.assert_allclose(np.abs(fit.model(np.array(fit.half_power_hz))), peak / np.sqrt(2.0), rtol=1e-8)
 
 
 def test_errors_are_those_of_the_bound_and_intervals_hold():

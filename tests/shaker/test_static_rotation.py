@@ -105,7 +105,7 @@ def test_a_sine_fit_is_that_of_least_squares():
     np.testing.assert_allclose(np.diag(fit.noise), rss / 13.0, rtol=1e-9)
     np.testing.assert_allclose(np.abs(fit.amplitude()), [7.558, 7.532], atol=2e-3)
     np.testing.assert_allclose(np.angle(fit.amplitude()[0]), -0.4, atol=1e-3)
-    np.testing.assert_allclose(fit.offset, [0.3, -0.2], atol=2e-3)
+    np.testing.assert_allclose(fit.coefficient[0], [0.3, -0.2], atol=2e-3)
     np.testing.assert_allclose(fit.curve(STEPS) + fit.residual, values, atol=1e-12)
 
 

@@ -28,7 +28,7 @@ from fusion.sensor.identify.fit import (
 from fusion.sensor.identify.measured import Campaign, EvaluatedSines, IdentifySettings, Prepared, load_along, prepare
 from shaker.arrays import Notice
 from shaker.identification.measured import MeasuredCurve, MeasuredSensitivity, ParameterEstimate, RelativeError
-from shaker.identification.readings import PeakReading, peak_readings
+from shaker.identification.oscillator import PeakReading, peak_readings
 from shaker.identification.sensor import Load, SensorModel, UsableBand, usable_band
 from shaker.labels import LOAD_COMPONENTS
 from shaker.mechanics import required_stiffness
@@ -257,8 +257,9 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
         notices += told
     recorded = []
     for sine in campaign.sines:
-        own, name = read_recorded(sine.results), names[sine.manifest.path]
-        recorded.append(replace(own, name=name, drives=tuple(replace(drive, recording=name) for drive in own.drives)))
+        told_by, name = read_recorded(sine.results), names[sine.manifest.path]
+        drives = tuple(replace(drive, recording=name) for drive in told_by.drives)
+        recorded.append(replace(told_by, name=name, drives=drives))
     driven = {item.component for item in prepared}
     added = sine_transfers(campaign.sines, names, settings.band_hz)
     fits = joint_fits([*prepared, *(item for item in added if item.component in driven)], settings)
@@ -267,9 +268,9 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
     sensor = next((manifest.rig.sensor for manifest in manifests if manifest.rig.sensor is not None), None)
     components = []
     for fit in fits:
-        component, told = _component(fit, measured.get(LOAD_COMPONENTS[fit.component]), sensor, settings)
+        component, own = _component(fit, measured.get(LOAD_COMPONENTS[fit.component]), sensor, settings)
         components.append(component)
-        notices += told
+        notices += own
     return IdentifyEvaluation(
         name=campaign.name,
         sensor=sensor,

@@ -82,7 +82,6 @@ def curve_pictures(component: ComponentResult) -> list[Picture]:
 
 
 def _curve(component: ComponentResult, place: int, response: str) -> FittedCurve:
-    """One response of one recording."""
     measured, identified = component.fit.prepared[place].measured, component.fit.identification
     one = measured.ratio.select([response])
     modes = [mode for mode in identified.modes if mode.record == measured.name]
@@ -149,7 +148,6 @@ def draw_circles(name: str, curves: Sequence[FittedCurve]) -> Picture:
 
 
 def _draw_circle(axes: Axes, curve: FittedCurve) -> None:
-    """One curve in the complex plane."""
     lines = curve.near(CIRCLE_WIDTHS)
     value, model, frequency = curve.value[lines], curve.model[lines], curve.frequency_hz[lines]
     for zero in (axes.axhline, axes.axvline):

@@ -20,13 +20,7 @@ from fusion.sensitivity.body import inertia_errors, rigid_load
 from fusion.sensor.transfer.evaluate import KINDS, evaluate_transfer
 from fusion.sensor.transfer.records import FoundResonance, ReferenceResult, TransferSettings
 from shaker.arrays import FloatArray, Notice
-from shaker.identification.measured import (
-    AT_THE_BASE,
-    MeasuredTransfer,
-    Placement,
-    PlacementError,
-    RelativeError,
-)
+from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, Placement, PlacementError, RelativeError
 from shaker.labels import LOAD_UNITS
 from shaker.sine.phasor import Phasors
 

@@ -262,7 +262,6 @@ def _in_microseconds(estimate: ParameterEstimate) -> Markup:
 
 
 def _with_u(estimate: ParameterEstimate) -> str:
-    """Value with U and unit."""
     return measured(estimate.value, K * estimate.u, "" if estimate.unit == "1" else typeset(estimate.unit))
 
 
@@ -291,7 +290,6 @@ def page_context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
 
 
 def _component_context(component: ComponentResult) -> dict[str, Any]:
-    """Everything the template shows of one component."""
     sentences = ["No sensitivity over frequency was evaluated: whether the chain has a lag remains open."]
     if component.sensitivity is not None:
         comparison = component.sensitivity.comparison
@@ -411,19 +409,19 @@ def _model_of(component: ComponentResult) -> dict[str, Any]:
 
 
 def _read_component(item: dict[str, Any]) -> ComponentModel:
-    """One component from its dictionary."""
     if item["chain"] not in get_args(ChainKind):
         raise ValueError(f"expected a chain of {', '.join(get_args(ChainKind))}, found {item['chain']}")
     kind = cast("ChainKind", item["chain"])
     named = {parameter["name"]: float(parameter["value"]) for parameter in item["parameters"]}
     chain = Chain(kind, np.array([named[name] for name in CHAIN_PARAMETERS[kind]], dtype=np.float64))
     covariance, unit = np.array(item["covariance"], dtype=np.float64), str(item["parameters"][0]["unit"])
+    sensitivity, stiffness, damping, mass = (named[name] for name in SENSOR_PARAMETERS)
     low, high = item["frequency_range_hz"]
     return ComponentModel(
         component=str(item["component"]),
         channel=str(item["channel"]),
         structure=str(item["structure"]),
-        sensor=SensorModel(*(named[name] for name in SENSOR_PARAMETERS), chain, covariance, unit),
+        sensor=SensorModel(sensitivity, stiffness, damping, mass, chain, covariance, unit),
         range_hz=(float(low), float(high)),
         sensitivity_measured=bool(item["sensitivity_measured"]),
     )
@@ -456,7 +454,6 @@ def _fill(file: h5py.File, evaluation: IdentifyEvaluation) -> None:
 
 
 def _texts(evaluation: IdentifyEvaluation) -> dict[str, str | bytes]:
-    """Tables and model."""
     readings = [(component.name, reading) for component in evaluation.components for reading in component.readings]
 
     def of_reading(column: Column[Reading]) -> Column[tuple[str, Reading]]:

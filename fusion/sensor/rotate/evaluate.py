@@ -102,9 +102,7 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     )
 
 
-def _read(
-    manifests: Sequence[Manifest],
-) -> tuple[tuple[RotationRecording, ...], SensorOutputs, list[Notice]]:
+def _read(manifests: Sequence[Manifest]) -> tuple[tuple[RotationRecording, ...], SensorOutputs, list[Notice]]:
     """All recordings, which must hold the same channels."""
     read = [read_rotation(manifest) for manifest in manifests]
     first, outputs, _ = read[0]
@@ -120,7 +118,6 @@ def _read(
 
 
 def _of_surroundings(manifest: Manifest, gravity: Known, outputs: SensorOutputs) -> Iterator[Notice]:
-    """What of gravity, air and calibration had to be assumed."""
     value, environment = rounded(gravity.value, 2.0 * gravity.u), manifest.rig.environment
     if environment is None or environment.gravity is None:
         text = f"local gravity is not stated: ({value.value} ± {value.expanded}) m/s² (k = 2), {gravity.source}"
@@ -192,7 +189,7 @@ UNTOLD = "what no channel tells"
 LARGEST_UNTOLD = 0.1
 """Share of that in the uncertainty of a number above which the recordings do not tell it."""
 MEAN_ROWS = np.array([0, *range(OWN, OWN + FORCES), 1, 2, 3])
-"""Places of weights and first moment among the numbers of a recording."""
+"""Places of weights (joint, by Fx, Fy, Fz) and first moment among the numbers of a recording."""
 
 
 class Head(NamedTuple):
@@ -236,20 +233,9 @@ class Campaign:
 
     @cached_property
     def alone(self) -> list[list[tuple[int, str]]]:
-        """Return the forces that tell the weight alone, as (column of `Mean.weight`, name), of every recording."""
+        """Return the forces that tell the weight alone, as (place in `MEAN_ROWS`, name), of every recording."""
         finite = np.isfinite(self.weights.value.reshape(-1, ROWS)[:, OWN:])
         return [[(1 + i, name) for i, name in enumerate(LOAD_COMPONENTS[:3]) if row[i]] for row in finite]
-
-
-class Mean(NamedTuple):
-    """What recordings carry less what is known of it: weights N (4, B) joint, Fx, Fy, Fz; first moment N·m (3, B)."""
-
-    weight: FloatArray
-    moment: FloatArray
-
-    def less(self, weight: FloatArray, moment: FloatArray) -> Mean:
-        """Return what remains."""
-        return Mean(self.weight - weight, self.moment - moment)
 
 
 class _Inputs:
@@ -296,13 +282,13 @@ class _Inputs:
         gradient[:, self.uncertain] = (high - low) / (2.0 * self.u[self.uncertain])
         return gradient
 
-    def carried(self, bodies: Sequence[Weighed]) -> tuple[FloatArray, FloatArray]:
-        """Weight in air N and first moment N·m (3, B) of bodies."""
-        weight, moment = np.zeros_like(self.gravity), np.zeros((3, len(self.gravity)))
+    def carried(self, bodies: Sequence[Weighed]) -> FloatArray:
+        """Weight in air N, for every row of weights, and first moment N·m of bodies, in the order of `MEAN_ROWS`."""
+        load = np.zeros((len(MEAN_ROWS), len(self.gravity)))
         for row in (self.body[body.name] for body in bodies):
-            own = self.gravity * row[0] * (1.0 - self.air * row[1])
-            weight, moment = weight + own, moment + own * row[2:]
-        return weight, moment
+            weight = self.gravity * row[0] * (1.0 - self.air * row[1])
+            load += weight * np.vstack([np.ones_like(load[:-3]), row[2:]])
+        return load
 
     def stated(self, bodies: Sequence[Weighed]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Mass kg, volume per mass m³/kg and centre of mass m (3, B) of bodies together."""
@@ -311,15 +297,14 @@ class _Inputs:
         volume = np.sum(rows[:, 0] * rows[:, 1], axis=0) / mass
         return mass, volume, np.sum(rows[:, :1] * rows[:, 2:], axis=0) / mass
 
-    def net(self, r: int) -> Mean:
+    def net(self, r: int) -> FloatArray:
         """What a recording carries beside the bodies that only it has, in the order of `MEAN_ROWS`."""
-        row = self.fit[r, MEAN_ROWS]
-        return Mean(row[:-3], row[-3:]).less(*self.carried(self.campaign.own[r]))
+        return np.asarray(self.fit[r, MEAN_ROWS] - self.carried(self.campaign.own[r]))
 
-    def mean(self, with_load: bool) -> Mean | None:
+    def mean(self, with_load: bool) -> FloatArray | None:
         """Mean over the recordings with, or without, load; None where there are none."""
-        found = [self.net(r) for r in self.campaign.places(with_load)]
-        return Mean(*(np.mean(parts, axis=0) for parts in zip(*found, strict=True))) if found else None
+        places = self.campaign.places(with_load)
+        return np.mean([self.net(r) for r in places], axis=0) if places else None
 
 
 def quantities(campaign: Campaign) -> tuple[RotationQuantity, ...]:
@@ -330,7 +315,7 @@ def quantities(campaign: Campaign) -> tuple[RotationQuantity, ...]:
     inputs = _Inputs(campaign)
     told = list(_derived(inputs))
     gradient = inputs.gradient(np.array([value for _, value in told]))
-    names, parts = [source.name for source in inputs.sources], []
+    names, parts = [source.name for source in inputs.sources], list[tuple[FloatArray, ...]]()
     for source in inputs.sources:
         variance = np.sum((gradient @ source.effect) ** 2, axis=1)
         parts.append((variance, variance, np.full(len(told), source.dof)))
@@ -382,12 +367,12 @@ def _states(inputs: _Inputs) -> Iterator[tuple[Carried, list[int]]]:
         places = inputs.campaign.places(with_load)
         if len(places) < 2:
             continue
-        found = np.array([np.vstack(inputs.net(r)) for r in places])
-        gradient = inputs.gradient(found.reshape(-1, found.shape[2]))
-        effects = tuple((gradient @ source.effect).reshape(*found.shape[:2], -1) for source in inputs.sources)
+        net = np.array([inputs.net(r) for r in places])
+        gradient = inputs.gradient(net.reshape(-1, net.shape[2]))
+        effects = tuple((gradient @ source.effect).reshape(*net.shape[:2], -1) for source in inputs.sources)
         recordings = [inputs.campaign.recordings[r] for r in places]
         names, mountings = tuple(r.name for r in recordings), tuple(r.manifest.mounting for r in recordings)
-        yield Carried(recordings[0].state, names, mountings, found[:, :, 0], effects), places
+        yield Carried(recordings[0].state, names, mountings, net[:, :, 0], effects), places
 
 
 Told = Iterator[tuple[Head, FloatArray]]
@@ -401,14 +386,14 @@ def _derived(inputs: _Inputs) -> Told:
     seen = [(0, JOINT), *(own for own in campaign.alone[0] if all(own in others for others in campaign.alone))]
     internal = bare
     if internal is None and loaded is not None and campaign.load:
-        internal = loaded.less(*inputs.carried(campaign.load))
+        internal = loaded - inputs.carried(campaign.load)
     if internal is not None:
         share = inputs.air * inputs.volume
-        masses = {name: mass_of_weight(internal.weight[i], inputs.gravity, share) for i, name in seen}
+        masses = {name: mass_of_weight(internal[i], inputs.gravity, share) for i, name in seen}
         yield from _by_component("internal_mass", "internal mass", masses)
         yield from _centre("internal_centre_of_mass", "centre of the internal mass", internal)
     if bare is not None and loaded is not None:
-        yield from _load(inputs, loaded.less(*bare), seen)
+        yield from _load(inputs, loaded - bare, seen)
     for r, recording in enumerate(campaign.recordings):
         name, row, net = recording.name, inputs.fit[r], inputs.net(r)
         yield Head("N", "weight", "weight in air", JOINT, name), row[0]
@@ -424,16 +409,16 @@ def _derived(inputs: _Inputs) -> Told:
         if mean is not None and len(campaign.places(recording.with_load)) > 1:
             for i, component in seen:
                 head = Head("N", "weight_deviation", "weight less mean of repeats", component, name)
-                yield head, net.weight[i] - mean.weight[i]
+                yield head, net[i] - mean[i]
     yield Head("m/s^2", "gravity", "local gravity", ""), inputs.gravity
     yield Head("kg/m^3", "air_density", "density of the air", ""), inputs.air
 
 
-def _load(inputs: _Inputs, mean: Mean, seen: Sequence[tuple[int, str]]) -> Told:
+def _load(inputs: _Inputs, mean: FloatArray, seen: Sequence[tuple[int, str]]) -> Told:
     """Load mass as the difference of the recordings, its centre, and what was weighed."""
     load = inputs.campaign.load
-    weighed, volume, centre = inputs.stated(load) if load else (inputs.air, inputs.volume, mean.moment)
-    masses = {name: mass_of_weight(mean.weight[i], inputs.gravity, inputs.air * volume) for i, name in seen}
+    weighed, volume, centre = inputs.stated(load) if load else (inputs.air, inputs.volume, mean[-3:])
+    masses = {name: mass_of_weight(mean[i], inputs.gravity, inputs.air * volume) for i, name in seen}
     yield from _by_component("load_mass", "load mass", masses)
     yield from _centre("load_centre_of_mass", "centre of the load", mean)
     if not load:
@@ -445,7 +430,7 @@ def _load(inputs: _Inputs, mean: Mean, seen: Sequence[tuple[int, str]]) -> Told:
         yield Head("%", "load_mass_relative_deviation", "load mass less weighed mass", name), relative
     for i, axis in enumerate(AXES):
         head = Head("m", "load_centre_of_mass_deviation", "centre of the load less stated centre", axis)
-        yield head, mean.moment[i] / mean.weight[0] - centre[i]
+        yield head, mean[i - 3] / mean[0] - centre[i]
 
 
 def _by_component(name: str, label: str, masses: dict[str, FloatArray]) -> Told:
@@ -461,7 +446,6 @@ def _by_component(name: str, label: str, masses: dict[str, FloatArray]) -> Told:
         yield Head("%", f"{name}_relative_difference", f"{label}, axis to axis", between), relative
 
 
-def _centre(name: str, label: str, mean: Mean) -> Told:
-    """Centre of mass from first moment and weight."""
+def _centre(name: str, label: str, mean: FloatArray) -> Told:
     for i, axis in enumerate(AXES):
-        yield Head("m", name, label, axis), mean.moment[i] / mean.weight[0]
+        yield Head("m", name, label, axis), mean[i - 3] / mean[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -186,14 +186,6 @@ JOINT = "joint"
 """Component of a mass that all force channels tell together."""
 
 
-class TableColumn(NamedTuple):
-    """One column of a recording's table that is used: the sensor's channel, its unit as written, load or output."""
-
-    channel: str
-    unit: str
-    is_load: bool
-
-
 @dataclass(frozen=True)
 class RotationRecording:
     """One recording: readings over the angle in the sensor's unit or in N and N·m, and the fit to them.
@@ -278,31 +270,31 @@ def read_rotation(manifest: Manifest) -> tuple[RotationRecording, SensorOutputs,
     sensor, where = manifest.rig.sensor, manifest.folder.name
     if sensor is None:
         raise InputError(manifest.rig_path, "sensor", "nothing", "the [sensor] whose readings stand in the table")
-    columns = _columns(manifest, sensor)
-    angle, values = _numbers(manifest, sensor, columns)
+    units, are_loads = _columns(manifest, sensor)
+    angle, values = _numbers(manifest, sensor, units, are_loads)
     changing = np.ptp(values, axis=0) > 0.0
-    still = [column.channel for column, moves in zip(columns, changing, strict=True) if not moves]
+    still = [name for name, moves in zip(units, changing, strict=True) if not moves]
     notices = [Notice("warning", f"{', '.join(still)}: every reading is the same, left out", where)] if still else []
-    missing = [name for name in sensor.channels if name not in [column.channel for column in columns]]
+    missing = [name for name in sensor.channels if name not in units]
     if missing:
         text = f"{table_path(manifest).name} has no column of {', '.join(missing)}"
         notices.append(Notice("info", text, where))
-    columns = [column for column, moves in zip(columns, changing, strict=True) if moves]
-    if not columns:
+    channels = tuple(name for name in units if name not in still)
+    if not channels:
         raise InputError(table_path(manifest), "", "readings that do not change with the angle", "the sensor's outputs")
-    if columns[0].is_load:
-        matrix = np.eye(6)[[LOAD_COMPONENTS.index(column.channel) for column in columns]]
+    if are_loads:
+        matrix = np.eye(6)[[LOAD_COMPONENTS.index(name) for name in channels]]
     else:
-        matrix = np.array(sensor.static_sensitivity)[[sensor.channels.index(column.channel) for column in columns]]
+        matrix = np.array(sensor.static_sensitivity)[[sensor.channels.index(name) for name in channels]]
     sense: Literal[1, -1] = 1 if sensor.sense == "on_sensor" else -1
     outputs = SensorOutputs(matrix, sensor.static_sensitivity_uncertainty * np.abs(matrix), sense)
     with as_input_error(table_path(manifest)):
-        fit = fit_angles(tuple(column.channel for column in columns), angle, values[:, changing])
+        fit = fit_angles(channels, angle, values[:, changing])
     recording = RotationRecording(
         name=where,
         manifest=manifest,
         with_load=bool(manifest.excitation.with_load),
-        unit=tuple(column.unit if column.is_load else sensor.unit for column in columns),
+        unit=tuple(units[name] if are_loads else sensor.unit for name in channels),
         fit=fit,
         inverse=outputs.inverse,
         load=np.where(outputs.determined, fit.reading @ outputs.inverse.T, np.nan),
@@ -330,8 +322,8 @@ def table_path(manifest: Manifest) -> Path:
     return manifest.excitation.file
 
 
-def _columns(manifest: Manifest, sensor: Sensor) -> list[TableColumn]:
-    """Which columns are the sensor's channels, and whether they are outputs or loads.
+def _columns(manifest: Manifest, sensor: Sensor) -> tuple[dict[str, str], bool]:
+    """Units of the columns that are the sensor's channels, and whether these are loads rather than outputs.
 
     A column without a unit holds a load where the sensor's outputs are loads, without sensitivities.
     """
@@ -355,7 +347,7 @@ def _columns(manifest: Manifest, sensor: Sensor) -> list[TableColumn]:
         if sensor.static_sensitivity is None:
             expected = "the sensitivities that turn outputs into loads (the inverse of a calibration matrix)"
             raise InputError(manifest.rig_path, "sensor.static_sensitivity", "nothing", f"{expected}, or columns in N")
-        return [TableColumn(name, spelt[name], is_load=False) for name in present]
+        return spelt, False
     for name in present:
         if name not in loads:
             expected = f"N or N.m as of {loads[0]}, or outputs throughout"
@@ -367,7 +359,7 @@ def _columns(manifest: Manifest, sensor: Sensor) -> list[TableColumn]:
             raise InputError(manifest.rig_path, "sensor.channels", found=f'"{name}"', expected=expected)
         if spelt[name] not in ("", right[name]):
             raise InputError(path, name, found=f'the unit "{spelt[name]}"', expected=right[name])
-    return [TableColumn(name, right[name], is_load=True) for name in present]
+    return {name: right[name] for name in present}, True
 
 
 def _spelt(unit: str) -> str:
@@ -378,26 +370,25 @@ def _spelt(unit: str) -> str:
     return text
 
 
-def _numbers(manifest: Manifest, sensor: Sensor, columns: Sequence[TableColumn]) -> tuple[FloatArray, FloatArray]:
+def _numbers(
+    manifest: Manifest, sensor: Sensor, units: dict[str, str], are_loads: bool
+) -> tuple[FloatArray, FloatArray]:
     """Angles in rad (N,) and readings (N, C), of outputs in the sensor's unit, of loads in N and N·m."""
-    path, excitation = table_path(manifest), manifest.excitation
+    path, excitation, names = table_path(manifest), manifest.excitation, [ANGLE, *units]
     with as_input_error(path):
-        table = read_table_columns(path, [ANGLE, *(column.channel for column in columns)])
+        table = read_table_columns(path, names)
     if not np.isfinite(table).all():
         row, place = (int(i) for i in np.argwhere(~np.isfinite(table))[0])
-        name = ANGLE if place == 0 else columns[place - 1].channel
-        raise InputError(path, name, found=f"none in row {row + 1}", expected="a number in every row")
-    scale, own = np.ones(len(columns)), _spelt(sensor.unit)
-    for c, column in enumerate(columns):
-        if column.is_load:
-            continue
-        if "scale" in excitation.model_fields_set or not column.unit:
+        raise InputError(path, names[place], found=f"none in row {row + 1}", expected="a number in every row")
+    scale, own = np.ones(len(units)), _spelt(sensor.unit)
+    for c, (name, unit) in enumerate([] if are_loads else units.items()):
+        if "scale" in excitation.model_fields_set or not unit:
             scale[c] = excitation.scale
             continue
-        factors = [factor for prefix, factor in PREFIXES.items() if column.unit == prefix + own]
+        factors = [factor for prefix, factor in PREFIXES.items() if unit == prefix + own]
         if not factors:
             expected = f'"{sensor.unit}", the same with m or µ before it, N and N.m, or the key scale in recording.toml'
-            raise InputError(path, column.channel, found=f'the unit "{column.unit}"', expected=expected)
+            raise InputError(path, name, found=f'the unit "{unit}"', expected=expected)
         scale[c] = factors[0]
     angle = np.radians(table[:, 0]) if excitation.angle_unit == "deg" else table[:, 0]
     return angle, table[:, 1:] * scale

@@ -76,12 +76,6 @@ def _over(what: str, unit: str) -> str:
     return f"{what} / ({unit})" if "·" in unit else f"{what} / {unit}"
 
 
-def _groups(recording: RotationRecording) -> list[tuple[str, list[int]]]:
-    """Load components that the channels tell, forces and moments apart."""
-    forces, moments = ([i for i in recording.told if (i < FORCES) == is_force] for is_force in (True, False))
-    return [(kind, places) for kind, places in (("forces", forces), ("moments", moments)) if places]
-
-
 def _term_name(name: str) -> str:
     """Name of a term, of cosine and sine together."""
     kind, _, rest = name.partition(" ")
@@ -388,10 +382,15 @@ def printed(evaluation: RotationEvaluation) -> Iterator[str]:
 
 
 def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
-    """What the page shows."""
     recordings = evaluation.recordings
     told = [f"{recording.name} ({recording.manifest.name})" for recording in recordings]
-    groups = [(recording, kind, places) for recording in recordings for kind, places in _groups(recording)]
+    kinds = {"forces": range(FORCES), "moments": range(FORCES, len(LOAD_COMPONENTS))}
+    groups = [
+        (recording, kind, places)
+        for recording in recordings
+        for kind, own in kinds.items()
+        if (places := [i for i in recording.told if i in own])
+    ]
     return {
         "subject": [*subject_of(recordings[0].manifest.rig), ("Recordings", ", ".join(told))],
         "headlines": headlines(evaluation),
@@ -412,10 +411,11 @@ def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
 # The files.
 
 
+NUMBERS: list[Column[RotationQuantity]] = quantity_columns(lambda q: q)
 QUANTITIES: list[Column[RotationQuantity]] = [
     word("name", lambda q: q.name),
     word("component", lambda q: q.component or "-"),
-    *quantity_columns(lambda q: q),
+    *NUMBERS,
     word("recording", lambda q: q.recording or "all"),
 ]
 
