@@ -411,7 +411,6 @@ def printed(evaluation: LoadEvaluation) -> Iterator[str]:
 
 
 def _structure(solution: Solution) -> str:
-    """The model in words."""
     return "two masses" if solution.model.is_rigid else "three masses"
 
 
