@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -300,25 +300,20 @@ def _short(folder: Path) -> Path:
     return _text(folder, laser("1", ORIGIN), reference("2"), output("3"))
 
 
+def _seen(number: int, point: Sequence[float], at: str = "") -> str:
+    return laser(f"1/{number}", point, at) + reference(f"2/{number}", at) + output(f"3/{number}", at)
+
+
 def _long(folder: Path) -> Path:
     """Every channel by block and point, lasers with their own place."""
-    channels = []
-    for number, point in enumerate(SCANNED, 1):
-        channels.append(laser(f"1/{number}", point))
-        channels.append(reference(f"2/{number}"))
-        channels.append(output(f"3/{number}"))
-    return _text(folder, *channels)
+    return _text(folder, *(_seen(number, point) for number, point in enumerate(SCANNED, 1)))
 
 
 def _blocks(folder: Path) -> Path:
     """The same as blocks of takes."""
-    text = head()
-    for number, point in enumerate(SCANNED, 1):
-        text += block("[take]") + block("[take.daq]", **DAQ)
-        text += laser(f"1/{number}", point, "take.")
-        text += reference(f"2/{number}", "take.")
-        text += output(f"3/{number}", "take.")
-    (folder / "recording.toml").write_text(text)
+    daq = block("[take]") + block("[take.daq]", **DAQ)
+    text = "".join(daq + _seen(number, point, "take.") for number, point in enumerate(SCANNED, 1))
+    (folder / "recording.toml").write_text(head() + text)
     return folder
 
 
@@ -342,8 +337,7 @@ def test_points_are_placed_where_the_file_says(tmp_path):
 
 def test_a_scan_of_one_point_needs_no_reference(tmp_path):
     folder = _scan(tmp_path, np.random.default_rng(6), points=1)
-    found = evaluated(_text(folder, laser("1", SCANNED[0])))
-    assert found.set_ups == ()
+    assert evaluated(_text(folder, laser("1", SCANNED[0]))).set_ups == ()
 
 
 @pytest.mark.parametrize(

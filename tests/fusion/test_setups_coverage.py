@@ -21,7 +21,9 @@ from take_factory import (
     RIG,
     SENSITIVITY,
     at_point,
+    camera_trigger,
     head,
+    moving_plate,
     output,
     reference,
     write_shot,
@@ -35,7 +37,6 @@ from fusion.recording.values import validate
 from fusion.report.csv_files import result_tables
 from fusion.sensitivity.analyse import Analysis, Evaluation, Inputs, analyse
 from fusion.sensitivity.body import Body, make_part
-from photogram.geometry import rotation_from_vector
 from shaker.lines.frequencies import Lines
 from shaker.sine.phasor import Phasors
 
@@ -66,14 +67,8 @@ def _reading(entry: ChannelEntry, value: complex, rng: np.random.Generator, cloc
     """A channel's phasor with noise and what its noise is stated to be."""
     spread = NOISE * abs(value)
     noisy = value + spread * complex(*rng.normal(size=2))
-    phasors = Phasors(
-        LINES.frequency_hz,
-        np.array([[noisy]]),
-        (spread**2 * np.eye(2))[None],
-        (entry.name,),
-        ("1",),
-        np.array([1e4]),
-    )
+    covariance, value = (spread**2 * np.eye(2))[None], np.array([[noisy]])
+    phasors = Phasors(LINES.frequency_hz, value, covariance, (entry.name,), ("1",), np.array([1e4]))
     return Reading(entry, phasors, ChainUncertainty(clock=clock, u_clock_s=u_clock_s))
 
 
@@ -155,7 +150,7 @@ def test_noise_of_the_reference_is_one_error_of_all_takes(rig):
 
 BASE = np.array([0.1, -0.2j, 98.0 * np.exp(0.72j), 1.0, 0.5j, 0.0])
 SAMPLES, BRIDGE_RATE_HZ = 8000, 9600.0
-FRAME_RATE_HZ, FRAMES, FIRST_EDGE_S, EXPOSURE_S = 49.7, 80, 0.0213, 40e-6
+FRAMES = 80
 PAIR = """
 [stereo.{name}]
 body = "{body}"
@@ -189,23 +184,11 @@ def _sine(phasor: complex, time_s: np.ndarray) -> np.ndarray:
     return np.asarray((phasor * np.exp(1j * OMEGA * time_s)).real)
 
 
-def _trigger(time_s: np.ndarray) -> np.ndarray:
-    period = (time_s - FIRST_EDGE_S) * FRAME_RATE_HZ
-    number = np.floor(period)
-    return np.asarray(5.0 * ((number >= 0) & (number < FRAMES) & (period - number < 0.25)))
-
-
 def _write_points(path: Path, look: Look, rng: np.random.Generator) -> None:
     """Points of a plate, in m, as they stand in the middle of each exposure."""
-    middle_s = FIRST_EDGE_S + np.arange(FRAMES) / FRAME_RATE_HZ + EXPOSURE_S / 2.0
-    displacement = np.sinc(FREQUENCY_HZ * EXPOSURE_S) * look.level * look.motion / -(OMEGA**2)
-    pose = np.array([_sine(complex(part), middle_s) for part in displacement]).T
-    x, y = np.meshgrid(np.linspace(-0.05, 0.05, 6), np.linspace(-0.04, 0.04, 5))
-    rest = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
-    moved = np.einsum("fij,nj->fni", rotation_from_vector(pose[:, 3:]), rest) + pose[:, None, :3]
+    moved = moving_plate(look.level * look.motion / -(OMEGA**2), FRAMES, (6, 5), 0.0)
     moved += 2e-7 * rng.normal(size=moved.shape)
-    frames, points = np.indices(moved.shape[:2])
-    table = np.column_stack([frames.ravel(), points.ravel(), moved.reshape(-1, 3)])
+    table = np.column_stack([*(part.ravel() for part in np.indices(moved.shape[:2])), moved.reshape(-1, 3)])
     np.savetxt(path, table, fmt=["%d", "%d", "%.10f", "%.10f", "%.10f"], delimiter=",")
 
 
@@ -220,11 +203,13 @@ def _write(folder: Path) -> Path:
     for number, look in enumerate(LOOKS, 1):
         time_s = np.arange(SAMPLES) / RATE_HZ
         drive = _sine(look.level * BASE[2] / 98.1, time_s) + 1e-5 * rng.normal(size=SAMPLES)
-        write_shot(recording / f"{number}.h5", {"camera": _trigger(time_s), "drive": drive}, RATE_HZ)
+        write_shot(recording / f"{number}.h5", {"camera": camera_trigger(time_s, FRAMES), "drive": drive}, RATE_HZ)
         bridge_s = np.arange(int(SAMPLES / RATE_HZ * BRIDGE_RATE_HZ) - 300) / BRIDGE_RATE_HZ + 0.0031 * number
         force = _sine(look.level * SENSITIVITY * MASS_KG * LOAD[2] / 1e-3, bridge_s)
         force += 1e-8 * rng.normal(size=len(bridge_s))
-        write_shot(recording / f"{number}b.h5", {"camera": _trigger(bridge_s), "Fz": force}, BRIDGE_RATE_HZ)
+        write_shot(
+            recording / f"{number}b.h5", {"camera": camera_trigger(bridge_s, FRAMES), "Fz": force}, BRIDGE_RATE_HZ
+        )
         _write_points(recording / f"{number}.csv", look, rng)
         text += f'[[take]]\n[[take.daq]]\nname = "daq"\nfile = "{number}.h5"\n{TRIGGER}'
         text += reference("drive", "take.")
