@@ -20,7 +20,6 @@ from shaker.release.response import Load, averaged, every_sample, in_blocks
 
 # What an identification from a step response returns, whatever the method.
 
-
 Method = Literal["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients"]
 
 
@@ -105,7 +104,6 @@ def outcome(record: StepRecord, reading: Reading, found: Found, method: Method, 
 
 # A model of a sensor from the record of one release.
 
-
 Release = Literal["step", "ramp", "smooth", "measured"]
 
 
@@ -159,7 +157,6 @@ def loads(record: StepRecord, reading: Reading, release: Release | None) -> tupl
 
 
 # Difference equations of every order from one factorisation of the data.
-
 
 _BEND = 0.15  # share of the whole fall of ln J that may be left beyond the order chosen
 
@@ -342,7 +339,6 @@ def modal_form(system: LinearSystem) -> ModalModel | None:
 
 # Differential evolution: with the published settings, and on parameters that suit the problem.
 
-
 MUTATION, CROSSOVER, POPULATION, GENERATIONS, BOUND = 0.8, 0.7, 100, 500, 5.0  # the published settings
 _FEWER = (30, 40)  # members and generations that three bounded parameters take
 _DAMPING = (1e-4, 0.5)
@@ -449,7 +445,6 @@ def _evolved(
 
 
 # Every method on the same record.
-
 
 METHODS: tuple[Method, ...] = ("pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients")
 

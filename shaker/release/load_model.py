@@ -16,7 +16,6 @@ from shaker.mechanics import Mechanics, chain_terms, poles
 
 # The sensor and its load as masses in a row on a rigid base.
 
-
 PARAMETERS = ("stiffness", "damping", "coupling_stiffness", "coupling_damping")
 
 
@@ -209,7 +208,6 @@ def _modes(model: LoadModel, masses: FloatArray) -> FloatArray:
 
 # How far a loaded sensor can be used as it is.
 
-
 TOLERANCES = (0.05, 0.10)  # departures of the gain from that at rest for which bands are given
 SMALLEST_DAMPING = 1e-4  # damping ratio that stands for none: bands do not depend on it
 
@@ -231,7 +229,6 @@ def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, .
 
 
 # How much load a sensor bears before its resonance, or a formula for it, is off by more than permitted.
-
 
 ROUNDING = 1e-9  # relative uncertainty that only the rounding of a root makes
 HEAVIEST = 1e4  # load mass over the moving mass up to which limits are looked for

@@ -127,7 +127,6 @@ def stated_resonances(
 
 # The free oscillation after a release, decimated: what the poles of a load are fitted to.
 
-
 RATE_OVER_FIRST = 16.0
 """Sampling rate over the first resonance: second modes up to six times the first stay in the passband."""
 PASSBAND = 0.42  # edge of the decimating filter's passband over the rate it decimates to
@@ -228,7 +227,6 @@ def coloured(slope: FloatArray, residual: FloatArray) -> FloatArray:
 
 
 # The modes that one record shows after its release, by itself.
-
 
 PARTS = (1, 3, 9, 27)  # the record and ever shorter beginnings of it in which modes of any damping stand out
 NEAREST = 2  # number of starts that are followed, those that leave least

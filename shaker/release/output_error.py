@@ -83,7 +83,6 @@ class Structure:
 
 # Output-error least squares: linear parameters projected out, the others by Levenberg-Marquardt.
 
-
 _STEPS = 60  # more than any solvable case was seen to take
 _ENOUGH = 1e-4  # foretold fall of the sum of squares, over the variance, below which a step changes nothing
 _STEEPEST = 0.995  # largest |ζ| of an oscillating mode
@@ -247,7 +246,6 @@ def _twice(structure: Structure) -> FloatArray:
 
 
 # Covariance of a fit, honest with noise that is coloured by a filter and with a coarse converter.
-
 
 _LAGS = 20  # the record's length over the lags of the residual's correlation that are kept
 _TESTED = 40  # lags that the residual is tested for correlation at

@@ -27,7 +27,6 @@ from shaker.release.response import MOMENTS, load_rate, load_share
 
 # Onset and length of a release with what noise, and an unknown lag behind the sensor, leave open of them.
 
-
 _NODES = 13  # lags at which everything else is fitted anew
 _FEWEST = 5
 _TIMES = 121
@@ -163,7 +162,6 @@ def _moments(weight: FloatArray, value: FloatArray, likely: BoolArray) -> tuple[
 
 # The release as a force channel measured it.
 
-
 _LENGTHS = 3.0  # of the release on either side that the fit takes
 
 
@@ -223,7 +221,6 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
 
 
 # When the channels of a record were released, and what they ring with.
-
 
 STRONG = 5.0  # change of level, over the noise of a sample, from which a channel shows the release by itself
 _ROUGH = 2.0  # of the longest ramp that the output may follow: what lag, ringing and noise make of times without a fit
@@ -287,7 +284,6 @@ def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
 
 
 # Reading of a release: when, how long, from which level to which, and what rings then.
-
 
 _SETTLED = 8.0  # lags after the release from which the ringing is free
 _LEAST = 32  # samples of either level

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -21,6 +21,7 @@ from shaker.arrays import FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS
 from shaker.release.load_model import (
     LoadCurve,
+    LoadLimit,
     LoadModel,
     change_limit,
     formula_limit,
@@ -42,7 +43,6 @@ from shaker.release.load_modes import (
 from shaker.release.load_series import LoadIdentification, identify_loads
 
 # What a user of `shakercal load` may choose.
-
 
 PERMITTED = 0.05
 
@@ -73,7 +73,6 @@ class LoadSettings:
 
 
 # What a series of loads consists of before any model: records with their masses, or a table of resonances.
-
 
 FORCES = 3
 MOVING = "moving mass of the sensor"
@@ -202,7 +201,6 @@ def _masses(moving: Moving, loads: Sequence[tuple[float, dict[str, float]]]) -> 
 
 
 # A table of resonance frequencies of several loads, such as publications and spectrum analysers give.
-
 
 LOAD, FIRST, U_FIRST, SECOND, U_LOAD = "load_mass_kg", "frequency_hz", "u_frequency_hz", "second_hz", "u_load_mass_kg"
 COLUMNS = (LOAD, FIRST, U_FIRST, SECOND, U_LOAD)
@@ -334,7 +332,6 @@ class LoadEvaluation:
 
 # From recordings with several loads, or a table of resonances, to load characteristics.
 
-
 GRID = 61
 BEYOND = 1.25  # largest load that curves are drawn to, over the largest one recorded or asked for
 
@@ -401,19 +398,6 @@ def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSe
     loads = series.masses.load
     asked = np.array(settings.predicted, dtype=np.float64)
     largest = float(np.max(np.concatenate([loads, asked]))) or model.moving_mass
-    return Solution(
-        model=model,
-        recorded=load_curve(model, loads, series.masses.u_load),
-        predicted=load_curve(model, asked),
-        drawn=load_curve(model, np.linspace(0.0, BEYOND * largest, GRID)),
-        bands=np.array([working_bands(model, float(load)) for load in loads]).reshape(-1, 2),
-        predicted_bands=np.array([working_bands(model, float(load)) for load in asked]).reshape(-1, 2),
-        limits=tuple(_limits(model, dof, settings)),
-    )
-
-
-def _limits(model: LoadModel, dof: float, settings: LoadSettings) -> Iterator[NamedQuantity]:
-    """Loads that are permitted."""
     share, unit = settings.permitted, parameter_units(model.component)["moving_mass"]
     percent = f"{100.0 * share:g} %"
     limits = [
@@ -422,6 +406,13 @@ def _limits(model: LoadModel, dof: float, settings: LoadSettings) -> Iterator[Na
     ]
     for wanted in settings.wanted_hz:
         limits.append(("frequency_limit", f"resonance of at least {wanted:g} Hz", frequency_limit(model, wanted)))
-    for name, label, limit in limits:
-        value, u = limit or (float("nan"), float("nan"))
-        yield NamedQuantity(value, u, dof, unit, name, label)
+    unlimited = LoadLimit(float("nan"), float("nan"))
+    return Solution(
+        model=model,
+        recorded=load_curve(model, loads, series.masses.u_load),
+        predicted=load_curve(model, asked),
+        drawn=load_curve(model, np.linspace(0.0, BEYOND * largest, GRID)),
+        bands=np.array([working_bands(model, float(load)) for load in loads]).reshape(-1, 2),
+        predicted_bands=np.array([working_bands(model, float(load)) for load in asked]).reshape(-1, 2),
+        limits=tuple(NamedQuantity(*(limit or unlimited), dof, unit, name, label) for name, label, limit in limits),
+    )

@@ -22,7 +22,6 @@ from shaker.timebase.edges import kernel_reach, resampled
 
 # What the user chooses of an identification from step responses.
 
-
 MethodChoice = Literal["pencil", "arx", "all"]
 ReleaseChoice = Literal["auto", "step", "ramp", "smooth", "measured"]
 
@@ -201,7 +200,6 @@ def _all(model: ModalModel) -> tuple[ComplexArray, ComplexArray]:
 
 # Models of several releases become one: a weighted mean, with what releases or mountings scatter by.
 
-
 STEP = 1e-2  # standard uncertainties over which coordinates are moved for derivatives
 ROUNDING = 1e-9  # part of a coordinate's size that is rounding
 
@@ -357,7 +355,6 @@ def sorted_modes(model: ModalModel) -> ModalModel:
 
 
 # Numbers of a pooled model with uncertainty: its parameters and its indices.
-
 
 PARAMETERS = {
     "frequency_hz": "natural frequency of mode",

@@ -25,7 +25,6 @@ from shaker.release.record import Reading, StepRecord
 
 # What evaluated step responses consist of.
 
-
 UNNAMED = "not stated"  # what let go where no recording says it
 
 
@@ -170,7 +169,6 @@ FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # what an ident
 
 # One recording: what its outputs show, which of them is driven, and the model of that.
 
-
 CLEAR = 4.0  # change of the driven output, over its standard uncertainty, below which there is no step
 
 
@@ -235,7 +233,6 @@ def fit_release(
 
 
 # Which releases of a component make its model, and of which structure.
-
 
 LONGEST_RELEASE = 0.5
 """Periods of the first mode that a release may last for its rope to be used beside the fastest one."""
@@ -328,7 +325,6 @@ def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted
 
 
 # What different methods make of one release.
-
 
 SEED = 1  # of the generator that draws the first generation of differential evolution
 LABELS: dict[Method, str] = {
