@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -276,7 +276,8 @@ def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
         shape: Shape = "step" if interval.release_s < 2.0 * interval.u_release_s else fit.shape
         block = window.step_s * record.sample_rate_hz
         misfit = float(np.sqrt(block * np.mean(residual**2))) / max(place.noise, 1e-300)
-        timing = Timing(*astuple(interval), name, lag_s, *crossing, shape, fit, misfit)
+        when = interval.onset_s, interval.u_onset_s, interval.release_s, interval.u_release_s
+        timing = Timing(*when, name, lag_s, *crossing, shape, fit, misfit)
     if record.force is None:
         return timing
     interval = read_force(record.force, record.sample_rate_hz, record.start_s).interval
