@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -447,22 +448,17 @@ def compare_releases(readings: Sequence[Reading]) -> tuple[ReleaseKind, ...]:
     """Return the kinds of release among readings of one output and one component, by rank."""
     places = {(reading.channel, reading.component) for reading in readings}
     if len(places) != 1:
-        found = ", ".join(f"{channel} under {component}" for channel, component in sorted(places)) or "none"
-        raise ValueError(f"readings: expected those of one output under one component, found {found}")
-    names = dict.fromkeys(reading.release for reading in readings)
-    spreads = {}
-    for name in names:
+        told = ", ".join(f"{channel} under {component}" for channel, component in sorted(places)) or "none"
+        raise ValueError(f"readings: expected those of one output under one component, found {told}")
+    kinds = []
+    for name in dict.fromkeys(reading.release for reading in readings):
         own = [reading for reading in readings if reading.release == name]
         rise = _spread([r.rise_s for r in own], [r.u_rise_s for r in own])
-        spreads[name] = len(own), rise, _spread([r.release_s for r in own], [r.u_release_s for r in own])
-    order = sorted(names, key=lambda name: spreads[name][1].mean)
-    following: list[str | None] = [*order[1:], None]
-    return tuple(
-        ReleaseKind(
-            name, *spreads[name], rank, np.nan if other is None else _faster(spreads[name][1], spreads[other][1])
-        )
-        for rank, (name, other) in enumerate(zip(order, following, strict=True), 1)
-    )
+        kinds.append((name, len(own), rise, _spread([r.release_s for r in own], [r.u_release_s for r in own])))
+    kinds.sort(key=lambda kind: kind[2].mean)
+    faster = [*(_faster(one[2], other[2]) for one, other in pairwise(kinds)), np.nan]
+    ranked = enumerate(zip(kinds, faster, strict=True), 1)
+    return tuple(ReleaseKind(*kind, rank, chance) for rank, (kind, chance) in ranked)
 
 
 def _spread(values: Sequence[float], u: Sequence[float]) -> Spread:

@@ -65,14 +65,12 @@ class StepInput:
 def output_entries(manifest: Manifest) -> dict[str, tuple[str, ChannelEntry]]:
     """Return block and entry of every output of the sensor by the output's name; raises `InputError` without any."""
     outputs: dict[str, tuple[str, ChannelEntry]] = {}
-    for daq in manifest.daq:
-        for entry in daq.channel:
-            if entry.quantity == "output":
-                name = entry.channel or entry.name
-                if name in outputs:
-                    expected = "one record of every output of the sensor"
-                    raise InputError(manifest.path, "daq.channel", found=f'output "{name}" twice', expected=expected)
-                outputs[name] = daq.name, entry
+    for recorder, entry in ((daq, entry) for daq in manifest.daq for entry in daq.channel if entry.quantity == "output"):
+        name = entry.channel or entry.name
+        if name in outputs:
+            expected = "one record of every output of the sensor"
+            raise InputError(manifest.path, "daq.channel", found=f'output "{name}" twice', expected=expected)
+        outputs[name] = recorder.name, entry
     if not outputs:
         raise InputError(manifest.path, "daq.channel", found="none", expected='a channel with quantity = "output"')
     return outputs
@@ -108,9 +106,8 @@ def read_step(manifest: Manifest) -> StepInput:
         expected = f"a time within the record, {record.start_s:.6g} s to {last:.6g} s"
         raise InputError(manifest.path, "excitation.onset", found=f"{record.onset_s:g} s", expected=expected)
     notices = [*aligned.notices]
-    if chained := [channel.entry.name for channel in aligned.channels if channel.entry.response is not None]:
-        names = ", ".join(chained)
-        text = f"the stated response of {names} is not taken off: the model is that of sensor and chain together"
+    if chained := ", ".join(channel.entry.name for channel in aligned.channels if channel.entry.response is not None):
+        text = f"the stated response of {chained} is not taken off: the model is that of sensor and chain together"
         notices.append(Notice("warning", text, record.name))
     return StepInput(manifest, record, tuple(notices))
 
