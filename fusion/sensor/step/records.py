@@ -65,12 +65,13 @@ class StepInput:
 def output_entries(manifest: Manifest) -> dict[str, tuple[str, ChannelEntry]]:
     """Return block and entry of every output of the sensor by the output's name; raises `InputError` without any."""
     outputs: dict[str, tuple[str, ChannelEntry]] = {}
-    for recorder, entry in ((daq, entry) for daq in manifest.daq for entry in daq.channel if entry.quantity == "output"):
+    recorded = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.quantity == "output"]
+    for block, entry in recorded:
         name = entry.channel or entry.name
         if name in outputs:
             expected = "one record of every output of the sensor"
             raise InputError(manifest.path, "daq.channel", found=f'output "{name}" twice', expected=expected)
-        outputs[name] = recorder.name, entry
+        outputs[name] = block, entry
     if not outputs:
         raise InputError(manifest.path, "daq.channel", found="none", expected='a channel with quantity = "output"')
     return outputs
