@@ -166,12 +166,11 @@ class EveryOrder(Brief):
     """Least-squares difference equations of order 0 … n at once.
 
     `triangle` (2n + 2, 2n + 2): R of the QR factorisation of the rows [u(k-n) y(k-n) … u(k-1) y(k-1) u(k) y(k)] over
-    `rows` instants k; the interleaved order makes every leading part the data of a lower order (augmented UD
+    all instants k; the interleaved order makes every leading part the data of a lower order (augmented UD
     identification, also called simultaneous identification of order and parameters). `sample_rate_hz` of the samples.
     """
 
     triangle: FloatArray
-    rows: int
     sample_rate_hz: float
 
     def __post_init__(self) -> None:
@@ -221,8 +220,7 @@ def every_order(load: FloatArray, output: FloatArray, sample_rate_hz: float, mos
         raise ValueError(f"load: expected at least {4 * most + 4} samples for order {most}, found {len(load)}")
     windows = [np.lib.stride_tricks.sliding_window_view(part, most + 1) for part in (load, output)]
     rows = np.stack(windows, axis=2).reshape(len(windows[0]), 2 * most + 2)
-    triangle = np.asarray(np.linalg.qr(rows)[1])
-    return EveryOrder(triangle, len(rows), sample_rate_hz)
+    return EveryOrder(np.asarray(np.linalg.qr(rows)[1]), sample_rate_hz)
 
 
 # Simultaneous identification of order and parameters, as the published work does it.

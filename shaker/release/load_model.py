@@ -248,21 +248,15 @@ def formula_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
     √(1 + k/k_L).
     """
     _check_share(permitted)
-
-    def beyond(changed: LoadModel, load: float) -> float:
-        return rigid_formula_hz(changed, load) / first_mode_hz(changed, load) - 1.0 - permitted
-
-    return _limit(model, beyond)
+    most = 1.0 + permitted
+    return _limit(model, lambda changed, load: rigid_formula_hz(changed, load) / first_mode_hz(changed, load) - most)
 
 
 def change_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
     """Return the load mass that lowers the resonance by a share `permitted` of that without load."""
     _check_share(permitted)
-
-    def beyond(changed: LoadModel, load: float) -> float:
-        return 1.0 - permitted - first_mode_hz(changed, load) / first_mode_hz(changed, 0.0)
-
-    return _limit(model, beyond)
+    least = 1.0 - permitted
+    return _limit(model, lambda changed, load: least - first_mode_hz(changed, load) / first_mode_hz(changed, 0.0))
 
 
 def frequency_limit(model: LoadModel, wanted_hz: float) -> LoadLimit | None:

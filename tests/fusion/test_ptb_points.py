@@ -21,6 +21,7 @@ from take_factory import (
 
 from fusion.base import InputError
 from fusion.estimation.fuse import Acceleration
+from fusion.report.numbers import acceleration
 from fusion.sensitivity.analyse import Evaluation
 from photogram.geometry import rotation_from_vector
 
@@ -107,10 +108,6 @@ def campaign(tmp_path: Path, request: pytest.FixtureRequest) -> Campaign:
     return Campaign(folder, [recording_head("no images")], {}, np.random.default_rng(request.param))
 
 
-def source(evaluation: Evaluation, body: str, name: str) -> Acceleration:
-    return next(a for a in evaluation.accelerations if (a.body, a.source) == (body, name))
-
-
 def deviation(found: Acceleration, displacement: np.ndarray) -> np.ndarray:
     """Errors of the real and imaginary parts (6, 2) over their standard uncertainties, NaN where not observed."""
     line = int(np.argmin(np.abs(found.phasors.frequency_hz - FREQUENCY_HZ)))
@@ -122,12 +119,12 @@ def test_points_and_an_accelerometer(campaign):
     campaign.add_points()
     campaign.add_sensor("base_z", "acceleration", ("base", BASE), [0.01, 0.02, 0.0])
     evaluation = campaign.evaluate()
-    photogrammetry = source(evaluation, "base", "photogrammetry")
+    photogrammetry = acceleration(evaluation, "base", "photogrammetry")
     assert np.all(photogrammetry.observed)
     assert np.abs(deviation(photogrammetry, BASE)).max() < 4
     z = photogrammetry.phasors
     assert z.u_re[0, 2] < 1e-3 * abs(z.value[0, 2])  # the stated uncertainty says something
-    assert np.abs(deviation(source(evaluation, "base", "fused"), BASE)).max() < 4
+    assert np.abs(deviation(acceleration(evaluation, "base", "fused"), BASE)).max() < 4
     assert evaluation.stereo[0].motion.points.min() > 40
     assert evaluation.load is None
 
@@ -139,7 +136,7 @@ def test_points_and_a_trigger_only(campaign):
     lines = evaluation.lines
     assert lines.multiple.tolist() == [1]
     assert abs(lines.frequency_hz[0] - FREQUENCY_HZ) < 4 * lines.u_frequency_hz[0] < 1e-3
-    fused = source(evaluation, "base", "fused")
+    fused = acceleration(evaluation, "base", "fused")
     assert np.abs(deviation(fused, BASE)).max() < 4
     # The phase at time zero rests on the frequency, which only 64 frames and their trigger tell.
     assert "frequency of 106.25 Hz" in {contribution.label for contribution in fused.contributions}
@@ -150,7 +147,7 @@ def test_lasers_and_outputs_only(campaign):
         campaign.add_sensor(name, "velocity", ("load", LOAD), point)
     campaign.add_output()
     evaluation = campaign.evaluate()
-    fused = source(evaluation, "load", "fused")
+    fused = acceleration(evaluation, "load", "fused")
     assert fused.observed[0].tolist() == [False, False, True, True, True, False]
     assert np.nanmax(np.abs(deviation(fused, LOAD)[fused.observed[0]])) < 4
     assert not evaluation.stereo

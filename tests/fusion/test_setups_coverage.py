@@ -9,10 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from contracts import coverage_contract
-from support import evaluated, far
+from support import block, channel, evaluated, far
 from take_factory import (
     BASE_Z,
     BRIDGE_V,
+    EXPOSURE_S,
     FREQUENCY_HZ,
     LOAD,
     MASS_KG,
@@ -35,6 +36,7 @@ from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
 from fusion.recording.manifest import ChannelEntry, Rig
 from fusion.recording.values import validate
 from fusion.report.csv_files import result_tables
+from fusion.report.numbers import acceleration
 from fusion.sensitivity.analyse import Analysis, Evaluation, Inputs, analyse
 from fusion.sensitivity.body import Body, make_part
 from shaker.lines.frequencies import Lines
@@ -151,21 +153,9 @@ def test_noise_of_the_reference_is_one_error_of_all_takes(rig):
 BASE = np.array([0.1, -0.2j, 98.0 * np.exp(0.72j), 1.0, 0.5j, 0.0])
 SAMPLES, BRIDGE_RATE_HZ = 8000, 9600.0
 FRAMES = 80
-PAIR = """
-[stereo.{name}]
-body = "{body}"
-rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-translation = [0.0, 0.0, 0.0]
-scale_uncertainty = 2e-4
-exposure = 40e-6
-"""
-TRIGGER = '[[take.daq.channel]]\nname = "camera"\nquantity = "trigger"\n'
-POINTS = """[[take.points]]
-stereo = "{name}"
-files = "{number}.csv"
-columns = ["frame", "id", "x", "y", "z"]
-trigger = "camera"
-"""
+PLACED = {"rotation": np.eye(3).tolist(), "translation": [0.0, 0.0, 0.0], "scale_uncertainty": 2e-4}
+TRIGGER = channel("camera", "trigger", "take.")
+TABLE = {"columns": ["frame", "id", "x", "y", "z"], "trigger": "camera"}
 
 
 @dataclass(frozen=True)
@@ -197,7 +187,8 @@ def _write(folder: Path) -> Path:
     rng = np.random.default_rng(17)
     recording = folder / "takes"
     recording.mkdir()
-    pairs = PAIR.format(name="top", body="load") + PAIR.format(name="base", body="base")
+    bodies = {"top": "load", "base": "base"}
+    pairs = "".join(block(f"stereo.{n}", body=bodies[n], exposure=EXPOSURE_S, **PLACED) for n in bodies)
     (folder / "rig.toml").write_text(RIG + pairs)
     text = head()
     for number, look in enumerate(LOOKS, 1):
@@ -211,10 +202,10 @@ def _write(folder: Path) -> Path:
             recording / f"{number}b.h5", {"camera": camera_trigger(bridge_s, FRAMES), "Fz": force}, BRIDGE_RATE_HZ
         )
         _write_points(recording / f"{number}.csv", look, rng)
-        text += f'[[take]]\n[[take.daq]]\nname = "daq"\nfile = "{number}.h5"\n{TRIGGER}'
-        text += reference("drive", "take.")
-        text += f'[[take.daq]]\nname = "bridge"\nfile = "{number}b.h5"\n{TRIGGER}'
-        text += output("Fz", "take.") + POINTS.format(name=look.pair, number=number)
+        blocks = {"daq": f"{number}.h5", "bridge": f"{number}b.h5"}
+        daq, bridge = (block("[take.daq]", name=n, file=file) + TRIGGER for n, file in blocks.items())
+        text += block("[take]") + daq + reference("drive", "take.") + bridge + output("Fz", "take.")
+        text += block("[take.points]", stereo=look.pair, files=f"{number}.csv", **TABLE)
     (recording / "recording.toml").write_text(text)
     return recording
 
@@ -226,17 +217,15 @@ def looked(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
 
 def test_load_and_base_are_on_one_time_base(looked):
     for body, truth in (("load", LOAD), ("base", BASE)):
-        found = next(a for a in looked.accelerations if (a.body, a.source) == (body, "fused"))
-        error = found.phasors.value[0] - truth
-        u = np.sqrt(found.phasors.covariance[0].diagonal())
+        motion = acceleration(looked, body, "fused").phasors
+        error, u = motion.value[0] - truth, np.sqrt(motion.covariance[0].diagonal())
         assert np.all(np.abs(np.concatenate([error.real, error.imag])) < 4.0 * u)
-        assert abs(found.phasors.value[0, 2] / truth[2]) == pytest.approx(1.0, abs=3e-4)
+        assert abs(motion.value[0, 2] / truth[2]) == pytest.approx(1.0, abs=3e-4)
         assert np.hypot(u[2], u[8]) / abs(truth[2]) < 6e-3  # edges of a trigger between samples 250 µs apart
 
 
 def test_what_takes_share_is_one_unknown_and_what_they_do_not_is_not(looked):
-    load = next(a for a in looked.accelerations if (a.body, a.source) == ("load", "fused"))
-    names = [influence.name for influence in load.uncertainty.influences]
+    names = [influence.name for influence in acceleration(looked, "load", "fused").uncertainty.influences]
     assert names.count("stereo top: scale") == 1
     assert {"take 1: camera: time", "take 3: camera: time"} <= set(names)
     clocks = {i.name for i in looked.outputs.uncertainty.influences if i.name.startswith("clock ")}
