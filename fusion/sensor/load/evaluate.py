@@ -6,6 +6,7 @@ import csv
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -98,14 +99,9 @@ def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], 
 
     Raises `InputError` for what the user can mend in the files.
     """
-    releases: list[Release] = []
-    notices: list[Notice] = []
-    for manifest in manifests:
-        release, told = read_recording(manifest)
-        releases.append(release)
-        notices += told
-    series: list[LoadSeries] = []
-    refused: list[InputError] = []
+    releases, told = zip(*(read_recording(manifest) for manifest in manifests), strict=True)
+    notices: list[Notice] = [*chain.from_iterable(told)]
+    series, refused = list[LoadSeries](), list[InputError]()
     for place, component in enumerate(LOAD_COMPONENTS):
         own = [release for release in releases if release.record.component == component]
         moving = [_moving(release.manifest, place) for release in own]

@@ -57,12 +57,6 @@ class LoadRow(NamedTuple):
     bands: FloatArray
 
     @property
-    def is_damped(self) -> bool:
-        """Return whether the model tells damping."""
-        ratio = self.curve.damping_ratio
-        return bool(np.any(ratio[np.isfinite(ratio)] > 1e-9))
-
-    @property
     def mass_text(self) -> str:
         """Return the load in g or g·m²."""
         return f"{GRAM * self.curve.load_mass[self.place]:.6g}"
@@ -82,8 +76,8 @@ class LoadRow(NamedTuple):
 
 def _of_curve(name: str, of: str, mode: int, *, expanded: bool = False) -> Column[LoadRow]:
     def value(row: LoadRow) -> float | None:
-        if "damping" in of and not row.is_damped:
-            return None
+        if "damping" in of and not np.any(np.nan_to_num(row.curve.damping_ratio) > 1e-9):
+            return None  # the model tells no damping
         return known(getattr(row.curve, of)[row.place, mode] * (row.component.k if expanded else 1.0))
 
     return Column(name, value)
