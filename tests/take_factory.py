@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from support import block, channel, recording_head
 
+from photogram.geometry import rotation_from_vector
+
 FREQUENCY_HZ = 106.2507
 RATE_HZ, SAMPLES = 4000.0, 6000
 # Acceleration of the load at the sensor origin, m/s^2 and rad/s^2; that of the base's reference point along z.
@@ -97,6 +99,28 @@ def signals(shot: Shot, rng: np.random.Generator) -> dict[str, NDArray[np.float6
         size = abs(acceleration / (1j * omega) ** integrals / scale)
         values[name] = signal + shot.noise * max(size, 1e-9) * rng.normal(size=shot.samples)
     return values
+
+
+FRAME_RATE_HZ, FIRST_EDGE_S, EXPOSURE_S = 49.7, 0.02131, 40e-6
+
+
+def camera_trigger(time_s: NDArray[np.float64], frames: int) -> NDArray[np.float64]:
+    """Pulses of 5 V that start the exposures."""
+    period = (time_s - FIRST_EDGE_S) * FRAME_RATE_HZ
+    number = np.floor(period)
+    return np.asarray(5.0 * ((number >= 0) & (number < frames) & (period - number < 0.25)))
+
+
+def moving_plate(
+    displacement: NDArray[np.complex128], frames: int, nodes: tuple[int, int], z: float, delay_s: float = 0.0
+) -> NDArray[np.float64]:
+    """Points (F, N, 3) of a plate in m, in the mean over each exposure, by displacement phasors (6,) in m and rad."""
+    middle_s = FIRST_EDGE_S + np.arange(frames) / FRAME_RATE_HZ + delay_s + EXPOSURE_S / 2.0
+    turned = np.exp(2j * np.pi * FREQUENCY_HZ * middle_s)[:, None]
+    pose = np.sinc(FREQUENCY_HZ * EXPOSURE_S) * (displacement * turned).real
+    x, y = np.meshgrid(np.linspace(-0.05, 0.05, nodes[0]), np.linspace(-0.04, 0.04, nodes[1]))
+    rest = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, z)])
+    return np.einsum("fij,nj->fni", rotation_from_vector(pose[:, 3:]), rest) + pose[:, None, :3]
 
 
 def write_shot(path: Path, values: Mapping[str, NDArray[np.float64]], rate_hz: float = RATE_HZ) -> None:

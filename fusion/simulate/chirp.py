@@ -189,6 +189,7 @@ def chirp_samples(
 ) -> dict[str, NDArray[np.float32]]:
     """Return what `base` and all `tops` hold, in V: acceleration through sensor, delay, amplifier, noise, converter.
 
+    Scale, delay and corner of every chain are off by what the manifest leaves open.
     The record begins at rest: one period of silence precedes the chirps in the transform and is cut off. `noise` names
     the recording whose noise it is.
     """
@@ -206,23 +207,16 @@ def chirp_samples(
     samples = {}
     for name in ("base", *tops):
         motion = tops[name](frequency) if name in tops else np.ones(len(frequency))
-        chain = _true_chain(chirp, name, frequency, draws)
+        scale = float(draws.normal(f"{name}.scale", chirp.scale_uncertainty))
+        delay = float(draws.normal(f"{name}.delay", chirp.delay_uncertainty))
+        chain = np.exp(-2j * np.pi * frequency * delay) / (1.0 + scale)
+        if name != "base":
+            off = float(draws.normal(f"{name.replace('top', 'amplifier')}.corner", chirp.corner_uncertainty))
+            chain = chain * pole_response(frequency, filter_poles("butterworth", ORDER, CORNER_HZ * (1.0 + off))).value
         clean = np.fft.irfft(spectrum * motion * chain, len(drive))[silent * length :]
         random = chirp.noise * draws.stream(f"{noise}{name}.noise").standard_normal(len(clean))
         samples[name] = np.asarray((clean + random) * 0.01, dtype=np.float32)
     return samples
-
-
-def _true_chain(chirp: Chirp, name: str, frequency_hz: FloatArray, draws: Draws) -> ComplexArray:
-    """Return the response of one chain as it is: scale, delay and corner off by what the manifest leaves open."""
-    scale = float(draws.normal(f"{name}.scale", chirp.scale_uncertainty))
-    delay = float(draws.normal(f"{name}.delay", chirp.delay_uncertainty))
-    factor = np.exp(-2j * np.pi * frequency_hz * delay) / (1.0 + scale)
-    if name != "base":
-        off = draws.normal(f"{name.replace('top', 'amplifier')}.corner", chirp.corner_uncertainty)
-        corner = CORNER_HZ * (1.0 + float(off))
-        factor = factor * pole_response(frequency_hz, filter_poles("butterworth", ORDER, corner)).value
-    return np.asarray(factor)
 
 
 def chirp_channels(chirp: Chirp, base: Vector, tops: Mapping[str, Vector], direction: Vector) -> list[dict[str, Any]]:

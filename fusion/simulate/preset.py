@@ -214,23 +214,14 @@ def nominal_rig(setup: StereoSetup) -> tuple[StereoRig, RigidTransform]:
     """
     left, right = (camera_pose(setup, sign) for sign in (-1.0, 1.0))
     size = np.array(setup.size_px, dtype=np.int64)
-    cameras = []
+    cameras, (x, y) = [], (size - 1) / 2 + [2.3, -1.7]
     for focal, lens in ((setup.focal_px, _LEFT_LENS), (setup.focal_px * 1.003, _RIGHT_LENS)):
-        matrix = np.array(
-            [[focal, 0, (size[0] - 1) / 2 + 2.3], [0, focal * 1.0004, (size[1] - 1) / 2 - 1.7], [0, 0, 1]]
-        )
+        matrix = np.array([[focal, 0, x], [0, focal * 1.0004, y], [0, 0, 1]])
         cameras.append(Camera(matrix, np.array(lens), size))
     rig = StereoRig(cameras[0], cameras[1], right.inverse() @ left)
-    distance = setup.focal_px * setup.pixel_m
-    covariance = session_covariance(
-        rig,
-        np.array([0, 0, distance]),
-        setup.pixel_m * float(size[0]),
-        _CORNER_NOISE_PX,
-        _SESSION_VIEWS,
-        np.random.default_rng(20),
-    )
-    return replace(rig, covariance=covariance), left
+    middle, width = np.array([0, 0, setup.focal_px * setup.pixel_m]), setup.pixel_m * float(size[0])
+    session = _CORNER_NOISE_PX, _SESSION_VIEWS, np.random.default_rng(20)
+    return replace(rig, covariance=session_covariance(rig, middle, width, *session)), left
 
 
 def camera_pose(setup: StereoSetup, sign: float = -1.0) -> RigidTransform:

@@ -59,7 +59,6 @@ from shaker.labels import LOAD_COMPONENTS
 
 # What each recorder's file holds, on its own clock, and what manifests and truth say.
 
-
 RESPONSE_HZ = np.array([0.0, 20.0, 50.0, *np.arange(100.0, 3001.0, 100.0)])
 _RESPONSE_U = (1e-4, 1e-4)  # relative magnitude, phase in rad
 _PULSE_S = 2e-3
@@ -336,7 +335,6 @@ def truth_tables(run: Run, world: World, draws: Draws) -> dict[str, Any]:
 
 
 # One rendered recording, campaigns over frequency and of six components.
-
 
 TRIGGER_JITTER_S = 30e-9
 LEAD_S = 0.1  # of the first frame after the first recorder's start, and of a record's end after the last frame

@@ -233,9 +233,8 @@ def write_element(folder: Path, seed: int) -> Path:
     """Write `elastomer.toml`, the measured `models.json` and `truth.json` into an empty folder and return the first."""
     preset, draws = read_preset(ElementPreset, "elastomer"), Draws(seed, True)
     drawing = preset.drawing
-    material, beams, compliant, platform = (
-        drawing[key] for key in ("material", "beams", "compliant_beams", "platform")
-    )
+    blocks = ("material", "beams", "compliant_beams", "platform")
+    material, beams, compliant, platform = (drawing[key] for key in blocks)
     size: dict[str, float] = {
         "span_m": beams["span"],
         "beam_width_m": beams["width"],
@@ -245,16 +244,12 @@ def write_element(folder: Path, seed: int) -> Path:
         "compliant_height_m": beams["height"],
     }
     milled = {name: float(size[name] + draws.normal(f"element.{name}", u)) for name, u in preset.tolerance_m.items()}
-    made = CrossBeams(
-        Material(material["youngs_modulus"], material["poisson_ratio"], material["density"]), **(size | milled)
-    )
+    stuff = Material(material["youngs_modulus"], material["poisson_ratio"], material["density"])
+    made = CrossBeams(stuff, **(size | milled))
     solid = block(made.material.density_kgm3, platform["half_size"], platform["thickness"])
     frequency = solve_frame(made, platform["half_size"], solid).modes.frequency_hz
-    truth = {
-        "seed": seed,
-        "dimensions_m": milled,
-        "frequency_hz": dict(zip(NAMES, frequency.tolist(), strict=True)),
-    }
+    named = dict(zip(NAMES, frequency.tolist(), strict=True))
+    truth = {"seed": seed, "dimensions_m": milled, "frequency_hz": named}
     entries = tuple(_entry(preset, *pair, draws) for pair in zip(LOAD_COMPONENTS, frequency.tolist(), strict=True))
     models = ModelsFile("cross-beam element, simulated", "six-axis wrist sensor", "simulated", entries)
     texts = {GEOMETRY_FILE: to_toml(drawing), MODELS_FILE: models_text(models), TRUTH_FILE: json.dumps(truth)}
@@ -269,14 +264,7 @@ def _entry(preset: ElementPreset, component: str, frequency_hz: float, draws: Dr
     omega, gain = 2.0 * np.pi * measured, 1e-6
     residue = gain * omega / (2j * np.sqrt(1.0 - zeta**2))
     u = [preset.u_frequency * frequency_hz, preset.u_damping_ratio, 1e-4 * abs(residue), 1e-4 * abs(residue)]
-    model = ModalModel(
-        frequency_hz=np.array([measured]),
-        damping_ratio=np.array([zeta]),
-        residue=np.array([residue]),
-        real_hz=np.zeros(0),
-        real_residue=np.zeros(0),
-        covariance=np.diag(np.array(u) ** 2),
-    )
-    return ModelEntry(
-        component, component, "V/V", "pencil", model, preset.sample_rate_hz, preset.noise, f"{component}-1"
-    )
+    mode, none = (np.array([measured]), np.array([zeta]), np.array([residue])), np.zeros(0)
+    model = ModalModel(*mode, none, none, covariance=np.diag(np.array(u) ** 2))
+    recorder = preset.sample_rate_hz, preset.noise
+    return ModelEntry(component, component, "V/V", "pencil", model, *recorder, f"{component}-1")

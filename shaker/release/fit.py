@@ -20,7 +20,6 @@ from shaker.release.response import Load, averaged, every_sample, in_blocks
 
 # What an identification from a step response returns, whatever the method.
 
-
 Method = Literal["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients"]
 
 
@@ -105,7 +104,6 @@ def outcome(record: StepRecord, reading: Reading, found: Found, method: Method, 
 
 # A model of a sensor from the record of one release.
 
-
 Release = Literal["step", "ramp", "smooth", "measured"]
 
 
@@ -160,7 +158,6 @@ def loads(record: StepRecord, reading: Reading, release: Release | None) -> tupl
 
 # Difference equations of every order from one factorisation of the data.
 
-
 _BEND = 0.15  # share of the whole fall of ln J that may be left beyond the order chosen
 
 
@@ -169,12 +166,11 @@ class EveryOrder(Brief):
     """Least-squares difference equations of order 0 … n at once.
 
     `triangle` (2n + 2, 2n + 2): R of the QR factorisation of the rows [u(k-n) y(k-n) … u(k-1) y(k-1) u(k) y(k)] over
-    `rows` instants k; the interleaved order makes every leading part the data of a lower order (augmented UD
+    all instants k; the interleaved order makes every leading part the data of a lower order (augmented UD
     identification, also called simultaneous identification of order and parameters). `sample_rate_hz` of the samples.
     """
 
     triangle: FloatArray
-    rows: int
     sample_rate_hz: float
 
     def __post_init__(self) -> None:
@@ -224,8 +220,7 @@ def every_order(load: FloatArray, output: FloatArray, sample_rate_hz: float, mos
         raise ValueError(f"load: expected at least {4 * most + 4} samples for order {most}, found {len(load)}")
     windows = [np.lib.stride_tricks.sliding_window_view(part, most + 1) for part in (load, output)]
     rows = np.stack(windows, axis=2).reshape(len(windows[0]), 2 * most + 2)
-    triangle = np.asarray(np.linalg.qr(rows)[1])
-    return EveryOrder(triangle, len(rows), sample_rate_hz)
+    return EveryOrder(np.asarray(np.linalg.qr(rows)[1]), sample_rate_hz)
 
 
 # Simultaneous identification of order and parameters, as the published work does it.
@@ -342,7 +337,6 @@ def modal_form(system: LinearSystem) -> ModalModel | None:
 
 # Differential evolution: with the published settings, and on parameters that suit the problem.
 
-
 MUTATION, CROSSOVER, POPULATION, GENERATIONS, BOUND = 0.8, 0.7, 100, 500, 5.0  # the published settings
 _FEWER = (30, 40)  # members and generations that three bounded parameters take
 _DAMPING = (1e-4, 0.5)
@@ -449,7 +443,6 @@ def _evolved(
 
 
 # Every method on the same record.
-
 
 METHODS: tuple[Method, ...] = ("pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients")
 

@@ -16,7 +16,6 @@ from shaker.mechanics import Mechanics, chain_terms, poles
 
 # The sensor and its load as masses in a row on a rigid base.
 
-
 PARAMETERS = ("stiffness", "damping", "coupling_stiffness", "coupling_damping")
 
 
@@ -209,7 +208,6 @@ def _modes(model: LoadModel, masses: FloatArray) -> FloatArray:
 
 # How far a loaded sensor can be used as it is.
 
-
 TOLERANCES = (0.05, 0.10)  # departures of the gain from that at rest for which bands are given
 SMALLEST_DAMPING = 1e-4  # damping ratio that stands for none: bands do not depend on it
 
@@ -232,7 +230,6 @@ def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, .
 
 # How much load a sensor bears before its resonance, or a formula for it, is off by more than permitted.
 
-
 ROUNDING = 1e-9  # relative uncertainty that only the rounding of a root makes
 HEAVIEST = 1e4  # load mass over the moving mass up to which limits are looked for
 
@@ -251,21 +248,15 @@ def formula_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
     √(1 + k/k_L).
     """
     _check_share(permitted)
-
-    def beyond(changed: LoadModel, load: float) -> float:
-        return rigid_formula_hz(changed, load) / first_mode_hz(changed, load) - 1.0 - permitted
-
-    return _limit(model, beyond)
+    most = 1.0 + permitted
+    return _limit(model, lambda changed, load: rigid_formula_hz(changed, load) / first_mode_hz(changed, load) - most)
 
 
 def change_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
     """Return the load mass that lowers the resonance by a share `permitted` of that without load."""
     _check_share(permitted)
-
-    def beyond(changed: LoadModel, load: float) -> float:
-        return 1.0 - permitted - first_mode_hz(changed, load) / first_mode_hz(changed, 0.0)
-
-    return _limit(model, beyond)
+    least = 1.0 - permitted
+    return _limit(model, lambda changed, load: least - first_mode_hz(changed, load) / first_mode_hz(changed, 0.0))
 
 
 def frequency_limit(model: LoadModel, wanted_hz: float) -> LoadLimit | None:

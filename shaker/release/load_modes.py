@@ -127,7 +127,6 @@ def stated_resonances(
 
 # The free oscillation after a release, decimated: what the poles of a load are fitted to.
 
-
 RATE_OVER_FIRST = 16.0
 """Sampling rate over the first resonance: second modes up to six times the first stay in the passband."""
 PASSBAND = 0.42  # edge of the decimating filter's passband over the rate it decimates to
@@ -229,7 +228,6 @@ def coloured(slope: FloatArray, residual: FloatArray) -> FloatArray:
 
 # The modes that one record shows after its release, by itself.
 
-
 PARTS = (1, 3, 9, 27)  # the record and ever shorter beginnings of it in which modes of any damping stand out
 NEAREST = 2  # number of starts that are followed, those that leave least
 SEPARATE = 1.15  # ratio to the first resonance from which another one counts as second mode
@@ -264,14 +262,12 @@ class RecordModes(Brief):
     @property
     def u(self) -> tuple[FloatArray, FloatArray]:
         """Standard uncertainties of frequencies and damping ratios (M,)."""
-        found = []
-        for m, p in enumerate(self.poles):
-            own, size = self.covariance[2 * m : 2 * m + 2, 2 * m : 2 * m + 2], abs(p)
-            f = np.array([p.real, p.imag]) / size
-            z = np.array([-(p.imag**2), p.real * p.imag]) / size**3
-            found.append((np.sqrt(f @ own @ f) / (2.0 * np.pi), np.sqrt(z @ own @ z)))
-        both = np.array(found)
-        return both[:, 0], both[:, 1]
+        p, size, modes = self.poles, np.abs(self.poles), np.arange(len(self.poles))
+        by_f = np.stack([p.real, p.imag], axis=1) / (2.0 * np.pi * size[:, None])
+        by_zeta = np.stack([-(p.imag**2), p.real * p.imag], axis=1) / size[:, None] ** 3
+        own = self.covariance.reshape(len(p), 2, len(p), 2)[modes, :, modes]
+        u_f, u_zeta = (np.sqrt(np.einsum("mi,mij,mj->m", by, own, by)) for by in (by_f, by_zeta))
+        return u_f, u_zeta
 
 
 def record_modes(decay: FreeDecay) -> RecordModes:
@@ -292,14 +288,12 @@ def record_modes(decay: FreeDecay) -> RecordModes:
     return two if usable and fdtrc(4, free, max(gain, 0.0)) < SURE else one
 
 
-def as_resonances(found: list[RecordModes]) -> Resonances:
+def as_resonances(records: list[RecordModes]) -> Resonances:
     """Return the modes of all records as one table."""
-    table = np.full((4, len(found), 2), np.nan)
-    for r, modes in enumerate(found):
-        count = len(modes.poles)
-        for place, values in enumerate((modes.frequency_hz, modes.u[0], modes.damping_ratio, modes.u[1])):
-            table[place, r, :count] = values
-    return Resonances(tuple(modes.name for modes in found), *table)
+    table = np.full((4, len(records), 2), np.nan)
+    for r, modes in enumerate(records):
+        table[:, r, : len(modes.poles)] = modes.frequency_hz, modes.u[0], modes.damping_ratio, modes.u[1]
+    return Resonances(tuple(modes.name for modes in records), *table)
 
 
 def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[complex]:
@@ -307,7 +301,7 @@ def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[comple
 
     The decay rate follows from the line's amplitudes in the first and in the second half.
     """
-    found = []
+    starts = []
     for part in PARTS:
         count = len(value) // part
         if count < 32:
@@ -321,8 +315,8 @@ def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[comple
             wave = np.hanning(half) * np.exp(-1j * omega * np.arange(half) / decay.rate_hz)
             early, late = abs(wave @ value[:half]), abs(wave @ value[half : 2 * half])
             rate = float(max(np.log(early / max(late, 1e-300)), 0.1) * decay.rate_hz / half)
-            found.append(complex(-rate, omega))
-    return found
+            starts.append(complex(-rate, omega))
+    return starts
 
 
 def _fitted(decay: FreeDecay, starts: list[complex], known: ComplexArray) -> RecordModes:

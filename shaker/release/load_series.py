@@ -15,7 +15,6 @@ from shaker.release.load_modes import SEARCH, FreeDecay, Output, Resonances, Ser
 
 # Rows and unknowns of a fit of load models to resonances.
 
-
 LARGEST = 100.0  # logarithm of a stiffness or damping, in size, from which a step has gone astray
 FLOOR = 1e-8  # relative uncertainty that stands where none is stated and none has shown yet
 
@@ -178,7 +177,6 @@ class SeriesProblem:
 
 # Stiffnesses and dampings from the resonances of several loads.
 
-
 STARTS = np.geomspace(0.03, 30.0, 9)  # ratios k_L/k from which the fit starts
 ALIKE = 1e-2  # relative difference of parameters below which two minima are one
 COARSE = (1e-2, 1e-1)
@@ -328,7 +326,6 @@ def _of_numbers(problem: SeriesProblem, x: FloatArray, covariance: FloatArray) -
 
 # One load model fitted to the time records of all loads together.
 
-
 ALLOWED = 2.0  # excess over that of white noise that is taken for the noise's colour
 
 
@@ -378,7 +375,6 @@ def fit_decays(
 
 # Which second modes belong to the coupling of the load.
 
-
 BELONGING_FARTHEST = 0.10
 """Relative distance of a second mode from where the first ones put it, from which it is another one."""
 
@@ -400,7 +396,6 @@ def belonging(measured: Resonances, masses: SeriesMasses) -> tuple[Resonances, t
 
 
 # The model that a series of loads supports.
-
 
 CONTRADICTED = 0.01  # chance below which a rigid load is contradicted
 NEGLIGIBLE = 1e-3  # deviation in % that is not worth a number

@@ -14,7 +14,6 @@ from shaker.release.response import load_rate, load_share, pole_responses
 
 # The beginning of a response: onset and length of the release, by the modes that answer it.
 
-
 _GROWTH = 30.0  # largest exponent by which a trial mode may grow over the window
 _DIFFERENCE = 1e-5
 _AHEAD = 2  # rows ahead of the samples
@@ -255,7 +254,6 @@ def longest_lag_s(fit: Beginning) -> float:
 
 # The fit of a beginning from start values that the record itself gives.
 
-
 _PERIODS = 12.0  # of the lowest mode after the release that the fit takes
 _PER_PERIOD = 50  # samples per period of the highest mode below which nothing is averaged
 _MOST = 2000
@@ -343,7 +341,6 @@ def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz:
 
 
 # The rise time of a response from its fitted beginning.
-
 
 _SHARES = np.array([0.1, 0.9])
 _CURVE = 800  # samples of it in which crossings are looked for

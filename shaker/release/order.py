@@ -18,7 +18,6 @@ from shaker.release.response import Load, Samples, block_length, in_blocks
 
 # The modes that ring after a release: how many, and where the fit with the release starts from.
 
-
 MOST = 4  # modes that the rule looks for
 CLEAR = 12.0  # fall of B·ln(sum of squares) by a parameter that is taken for real
 _STEEP = 0.5  # damping ratio above which a further mode is taken for a disturbance
@@ -84,7 +83,6 @@ def _left(decay: Samples, found: Solution) -> FloatArray:
 
 # When and how a load goes, how fast the real poles are, how smooth the start is: the best of a grid, modes known.
 
-
 LENGTHS = (0.25, 0.6, 1.2)  # lengths of the release tried, in rise times
 TERM = 8.0  # fall of B·ln(sum of squares) by a numerator term that is taken for real
 _REAL = (1.5, 4.0, 10.0)  # real poles tried, in frequencies of the lowest mode
@@ -144,7 +142,6 @@ def _grid(
 
 
 # How many poles a record tells, how its load went, and how smoothly its response starts.
-
 
 _CERTAIN = 4.0  # standard uncertainties of the release's length, as read, from which on its shape may be told
 _SHORT = 0.25  # periods of the fastest mode that a release has to last for its shape to matter
@@ -263,7 +260,6 @@ def more_terms(found: Solution, starts: list[FloatArray], highest_hz: float) -> 
 
 
 # What the user should know of an identification.
-
 
 SHAPES = {"step": "a step", "ramp": "a ramp", "smooth": "half a cosine", "measured": "the measured force"}
 _UNCLEAR = 0.25  # relative standard uncertainty of a real pole or of a damping ratio that says little of it

@@ -83,7 +83,6 @@ class Structure:
 
 # Output-error least squares: linear parameters projected out, the others by Levenberg-Marquardt.
 
-
 _STEPS = 60  # more than any solvable case was seen to take
 _ENOUGH = 1e-4  # foretold fall of the sum of squares, over the variance, below which a step changes nothing
 _STEEPEST = 0.995  # largest |ζ| of an oscillating mode
@@ -131,20 +130,9 @@ class Solution(Brief):
         return len(self.problem.samples.value)
 
     @property
-    def free(self) -> int:
-        """Number of all parameters."""
-        return len(self.vector) + len(self.linear)
-
-    @property
     def variance(self) -> float:
         """Variance of a sample's noise by the residual."""
-        return self.square / max(1, self.size - self.free)
-
-    @property
-    def residues(self) -> ComplexArray:
-        """Residues (M + Q,) in output unit per load unit and second, upper poles first, real ones last."""
-        shares, _ = self.problem.structure.shares(self.vector)
-        return np.asarray(shares @ self.linear[1:])
+        return self.square / max(1, self.size - len(self.vector) - len(self.linear))
 
 
 def columns(problem: Problem, vector: FloatArray, samples: Samples) -> tuple[FloatArray, Answers]:
@@ -248,7 +236,6 @@ def _twice(structure: Structure) -> FloatArray:
 
 # Covariance of a fit, honest with noise that is coloured by a filter and with a coarse converter.
 
-
 _LAGS = 20  # the record's length over the lags of the residual's correlation that are kept
 _TESTED = 40  # lags that the residual is tested for correlation at
 _WHITE = 73.4  # largest sum of N·r² over forty lags that white noise passes 999 times in 1000
@@ -316,7 +303,8 @@ def spread(solution: Solution, whole: Samples) -> FitSpread:
 def modal_model(solution: Solution, covariance: FloatArray, u_amplitude: float) -> ModalModel:
     """Return a fit as a model; the load's relative uncertainty joins the residues."""
     structure = solution.problem.structure
-    poles, residues, m = structure.poles(solution.vector), solution.residues, structure.modes
+    poles, m = structure.poles(solution.vector), structure.modes
+    residues = structure.shares(solution.vector)[0] @ solution.linear[1:]
     omega = np.abs(poles[:m])
     hz = -poles[m:].real / (2 * np.pi)
     common = np.concatenate([np.zeros(2 * m), residues[:m].real, residues[:m].imag, 0 * hz, residues[m:].real])

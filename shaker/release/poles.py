@@ -45,7 +45,6 @@ def instruments(values: FloatArray, step_s: float, order: int) -> ComplexArray:
 
 # One output that rings: as many modes as stand out of its noise.
 
-
 _LINE = 6.0  # noise levels that a line of the spectrum must stand above
 _SMALL = 3e-3  # share of the highest line below which others are left out
 _MODES = 3
@@ -86,7 +85,6 @@ def _highest_line(samples: FloatArray, sample_rate_hz: float, noise: float) -> f
 
 
 # One output, modes one by one: those of the highest peaks.
-
 
 _STRETCHES = 16  # stretches of the spectrum that tell their own noise
 _FLOOR = 25.0  # power of a peak over the median of the spectrum, that noise alone passes once in 10^7 lines
@@ -144,7 +142,6 @@ def upper_poles(offered: ComplexArray, modes: int, near_hz: FloatArray) -> Compl
 
 
 # Many outputs of many records that share their poles.
-
 
 _WINDOW = 128
 _STANDS_OUT = 30.0  # noise alone reaches this density, over its mean, once in exp(30) lines

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -27,7 +28,6 @@ from shaker.release.response import MOMENTS, load_rate, load_share
 
 # Onset and length of a release with what noise, and an unknown lag behind the sensor, leave open of them.
 
-
 _NODES = 13  # lags at which everything else is fitted anew
 _FEWEST = 5
 _TIMES = 121
@@ -38,19 +38,16 @@ _DAMPER = 2.0 / np.sqrt(3.0)  # of ζ/ω: rectangular distribution of half width
 
 
 @dataclass(frozen=True)
-class ReleaseTimes:
-    """Onset, length and lag in s with standard uncertainties."""
+class Interval:
+    """When a load begins to change and how long it does, in s with standard uncertainties."""
 
     onset_s: float
     u_onset_s: float
     release_s: float
     u_release_s: float
-    lag_s: float
-    u_lag_s: float
 
 
-@dataclass(frozen=True)
-class _Node:
+class _Node(NamedTuple):
     """What a given lag leaves: squares of the residual at the best length, its square and `centre_s` there.
 
     `by_square`: change of the centre with the squared length; variances of the latter and of the centre beside it.
@@ -64,8 +61,8 @@ class _Node:
     own: float
 
 
-def release_times(window: Window, fit: Beginning, correlation: float) -> ReleaseTimes | None:
-    """Return means and standard deviations of onset, length T and lag τ of a fit to a window.
+def release_times(window: Window, fit: Beginning, correlation: float) -> tuple[Interval, float] | None:
+    """Return means and standard deviations of onset and length T, and the mean lag τ, of a fit to a window.
 
     At each lag everything else is fitted, the likelihood being normal in T²; priors are flat in T ≥ 0 and in τ from 0
     to the lag whose corner is the lowest mode's frequency. Onset = centre - T/2 - τ. `correlation`: by how much that of
@@ -79,8 +76,7 @@ def release_times(window: Window, fit: Beginning, correlation: float) -> Release
     if len(nodes) < _FEWEST:
         return None
     lag = np.linspace(lags[0], lags[-1], _TIMES)
-    table = [[n.squares, n.length2, n.variance, n.centre_s, n.by_square, n.own] for n in nodes]
-    squares, length2, spread, centre, by_square, own = np.asarray(CubicSpline(lags, np.array(table))(lag)).T
+    squares, length2, spread, centre, by_square, own = np.asarray(CubicSpline(lags, np.array(nodes))(lag)).T
     spread, own = np.maximum(spread, 1e-300), np.maximum(own, 0.0)
     u_square = np.sqrt(spread)
     low = np.sqrt(np.maximum(length2 - _NEAR * u_square, 0.0))
@@ -97,9 +93,8 @@ def release_times(window: Window, fit: Beginning, correlation: float) -> Release
     damper = _DAMPER * float(np.max(np.abs(fit.damping_ratio) / (2 * np.pi * fit.frequency_hz)))
     onset_s, u_onset_s = _moments(weight, onset, likely)
     release_s, u_release_s = _moments(weight, length, likely)
-    lag_s, u_lag_s = _moments(weight, np.broadcast_to(lag[:, None], weight.shape), likely)
     u_onset_s = float(np.sqrt(u_onset_s**2 + np.sum(weight * own[:, None]) + damper**2))
-    return ReleaseTimes(onset_s, u_onset_s, release_s, u_release_s, lag_s, u_lag_s)
+    return Interval(onset_s, u_onset_s, release_s, u_release_s), float(np.sum(weight * lag[:, None]))
 
 
 def _nodes(window: Window, fit: Beginning, variance: float) -> tuple[FloatArray, list[_Node]]:
@@ -168,21 +163,16 @@ def _moments(weight: FloatArray, value: FloatArray, likely: BoolArray) -> tuple[
 
 # The release as a force channel measured it.
 
-
 _LENGTHS = 3.0  # of the release on either side that the fit takes
 
 
-@dataclass(frozen=True)
-class ForceReading:
-    """Onset and length in s of the load's change, and the change in N or N·m, with standard uncertainties.
+class ForceReading(NamedTuple):
+    """The load's change in N or N·m with its standard uncertainty, when it happened, and its shape.
 
     `shape`: the better of a straight ramp and half a cosine.
     """
 
-    onset_s: float
-    u_onset_s: float
-    release_s: float
-    u_release_s: float
+    interval: Interval
     change: float
     u_change: float
     shape: Literal["ramp", "smooth"]
@@ -223,39 +213,28 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
         covariance = variance * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
         half, u = np.array([0.0, 0.0, 1.0, -0.5]), np.sqrt(np.diagonal(covariance))
         middle, long = point.parameters
-        reading = ForceReading(
-            onset_s=start_s + float(middle - 0.5 * long) / sample_rate_hz,
-            u_onset_s=float(np.sqrt(half @ covariance @ half)) / sample_rate_hz,
-            release_s=float(long) / sample_rate_hz,
-            u_release_s=float(u[3]) / sample_rate_hz,
-            change=float(part.coefficients[1, 0]),
-            u_change=float(u[1]),
-            shape=shape,
-        )
-        return reading, point.loss
+        times = np.array([middle - 0.5 * long, np.sqrt(half @ covariance @ half), long, u[3]]) / sample_rate_hz
+        times[0] += start_s
+        interval = Interval(*times.tolist())
+        return ForceReading(interval, float(part.coefficients[1, 0]), float(u[1]), shape), point.loss
 
     return min((fitted("ramp"), fitted("smooth")), key=lambda reading: reading[1])[0]
 
 
 # When the channels of a record were released, and what they ring with.
 
-
 STRONG = 5.0  # change of level, over the noise of a sample, from which a channel shows the release by itself
 _ROUGH = 2.0  # of the longest ramp that the output may follow: what lag, ringing and noise make of times without a fit
 
 
 @dataclass(frozen=True)
-class Timing:
-    """Times in s of a release as channel `of` shows it; `fit` is None where none describes it.
+class Timing(Interval):
+    """When a load changes as channel `of` shows it; `fit` is None where none describes it.
 
     `misfit`: standard deviation of the fit's residual over the noise at rest.
     """
 
     of: str
-    onset_s: float
-    u_onset_s: float
-    release_s: float
-    u_release_s: float
     lag_s: float
     rise_s: float
     u_rise_s: float
@@ -279,26 +258,9 @@ def places_of(record: StepRecord) -> list[Location]:
 
 def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
     """Return when a channel was released; where the force was measured along, it tells begin and length."""
-    samples = record.samples[channel]
+    samples, name = record.samples[channel], record.channels[channel]
     window, fit = find_beginning(samples, record.sample_rate_hz, record.start_s, place)
-    timing = _by_fit(record, channel, place, window, fit)
-    if record.force is None:
-        return timing
-    force = read_force(record.force, record.sample_rate_hz, record.start_s)
-    return replace(
-        timing,
-        onset_s=force.onset_s,
-        u_onset_s=force.u_onset_s,
-        release_s=force.release_s,
-        u_release_s=force.u_release_s,
-        shape="measured",
-    )
-
-
-def _by_fit(record: StepRecord, channel: int, place: Location, window: Window, fit: Beginning) -> Timing:
-    """Return the times of a fitted beginning, its covariance enlarged by the residual's correlation."""
-    late = window.time_s > fit.onset_s
-    residual = (window.samples - fit.at(window.time_s))[late]
+    residual = (window.samples - fit.at(window.time_s))[window.time_s > fit.onset_s]
     correlation = correlation_factor(residual)
     assert fit.covariance is not None
     fit = replace(fit, covariance=fit.covariance * correlation)
@@ -309,26 +271,21 @@ def _by_fit(record: StepRecord, channel: int, place: Location, window: Window, f
         rise_s = max(place.high - place.low, 1.0) * step_s
         u = float(np.hypot(_ROUGH * place.longest * step_s, step_s))
         onset_s = record.start_s + place.low * step_s - rise_s / 8.0
-        return Timing(record.channels[channel], onset_s, u, rise_s / 0.8, u, 0.0, rise_s, u, "ramp", None, 1.0)
-    rise_s, u_rise_s = crossing
-    block = window.step_s * record.sample_rate_hz
-    return Timing(
-        of=record.channels[channel],
-        onset_s=times.onset_s,
-        u_onset_s=times.u_onset_s,
-        release_s=times.release_s,
-        u_release_s=times.u_release_s,
-        lag_s=times.lag_s,
-        rise_s=rise_s,
-        u_rise_s=u_rise_s,
-        shape="step" if times.release_s < 2.0 * times.u_release_s else fit.shape,
-        fit=fit,
-        misfit=float(np.sqrt(block * np.mean(residual**2))) / max(place.noise, 1e-300),
-    )
+        timing = Timing(onset_s, u, rise_s / 0.8, u, name, 0.0, rise_s, u, "ramp", None, 1.0)
+    else:
+        interval, lag_s = times
+        shape: Shape = "step" if interval.release_s < 2.0 * interval.u_release_s else fit.shape
+        block = window.step_s * record.sample_rate_hz
+        misfit = float(np.sqrt(block * np.mean(residual**2))) / max(place.noise, 1e-300)
+        when = interval.onset_s, interval.u_onset_s, interval.release_s, interval.u_release_s
+        timing = Timing(*when, name, lag_s, *crossing, shape, fit, misfit)
+    if record.force is None:
+        return timing
+    interval = read_force(record.force, record.sample_rate_hz, record.start_s).interval
+    return replace(timing, **asdict(interval), shape="measured")
 
 
 # Reading of a release: when, how long, from which level to which, and what rings then.
-
 
 _SETTLED = 8.0  # lags after the release from which the ringing is free
 _LEAST = 32  # samples of either level
@@ -491,22 +448,17 @@ def compare_releases(readings: Sequence[Reading]) -> tuple[ReleaseKind, ...]:
     """Return the kinds of release among readings of one output and one component, by rank."""
     places = {(reading.channel, reading.component) for reading in readings}
     if len(places) != 1:
-        found = ", ".join(f"{channel} under {component}" for channel, component in sorted(places)) or "none"
-        raise ValueError(f"readings: expected those of one output under one component, found {found}")
-    names = dict.fromkeys(reading.release for reading in readings)
-    spreads = {}
-    for name in names:
+        told = ", ".join(f"{channel} under {component}" for channel, component in sorted(places)) or "none"
+        raise ValueError(f"readings: expected those of one output under one component, found {told}")
+    kinds = []
+    for name in dict.fromkeys(reading.release for reading in readings):
         own = [reading for reading in readings if reading.release == name]
         rise = _spread([r.rise_s for r in own], [r.u_rise_s for r in own])
-        spreads[name] = len(own), rise, _spread([r.release_s for r in own], [r.u_release_s for r in own])
-    order = sorted(names, key=lambda name: spreads[name][1].mean)
-    following: list[str | None] = [*order[1:], None]
-    return tuple(
-        ReleaseKind(
-            name, *spreads[name], rank, np.nan if other is None else _faster(spreads[name][1], spreads[other][1])
-        )
-        for rank, (name, other) in enumerate(zip(order, following, strict=True), 1)
-    )
+        kinds.append((name, len(own), rise, _spread([r.release_s for r in own], [r.u_release_s for r in own])))
+    kinds.sort(key=lambda kind: kind[2].mean)
+    faster = [*(_faster(one[2], other[2]) for one, other in pairwise(kinds)), np.nan]
+    ranked = enumerate(zip(kinds, faster, strict=True), 1)
+    return tuple(ReleaseKind(*kind, rank, chance) for rank, (kind, chance) in ranked)
 
 
 def _spread(values: Sequence[float], u: Sequence[float]) -> Spread:

@@ -63,7 +63,6 @@ class StepRecord:
 
 # What a record shows of its release before any model is identified.
 
-
 Shape = Literal["step", "ramp", "smooth", "measured"]
 """How the load goes: at once, along a straight line, along half a cosine, or as the force channel shows."""
 
@@ -116,7 +115,6 @@ class Reading:
 
 
 # Where in a record the release is, found without a model.
-
 
 _FIRST = 0.005  # share of the record that is taken for rest before the release is looked for
 _LAST = 0.2  # share of what follows the release from which the new level is read
@@ -198,7 +196,6 @@ def _passing(samples: FloatArray, baseline: float, steady: float, share: float, 
 
 
 # Levels before and after a release, and whether the record holds all of it.
-
 
 _OUTSIDE = 12.0  # resolutions that the record falls off beside a cut peak; the top of a wave falls off by 9 at most
 _NOISE = 6.0
@@ -283,7 +280,6 @@ def clipped(samples: FloatArray, resolution: float, noise: float) -> bool:
 
 
 # The spectrum of a response: its first and second peak.
-
 
 _LEVEL = 5.0  # noise levels that a peak must stand above
 _PADDED = 4  # length of the transform over that of the record

@@ -99,16 +99,14 @@ def test_one_point_apart_is_what_the_plane_leaves():
 
 
 def test_points_may_look_the_other_way_and_along_any_axis():
-    entries = [(0.05, 0.03, 0.0), (0.05, -0.03, 0.02), (0.05, 0.0, -0.04)]
+    points, sign = [(0.05, 0.03, 0.0), (0.05, -0.03, 0.02), (0.05, 0.0, -0.04)], (1.0, -1.0, 1.0)
+    value = [TRUTH[:, 4] * z - TRUTH[:, 5] * y for _, y, z in points]
     chain = ChainUncertainty(clock="daq")
-    sign = (1.0, -1.0, 1.0)
-    value = [TRUTH[:, 4] * z - TRUTH[:, 5] * y for _, y, z in entries]
     readings = [
         _reading(s * v / (1j * OMEGA), 1e-8, "m/s", chain, name=f"p{n}", point=p, direction=(s, 0.0, 0.0))
-        for n, (s, v, p) in enumerate(zip(sign, value, entries, strict=True))
+        for n, (s, v, p) in enumerate(zip(sign, value, points, strict=True))
     ]
-    (observation,) = observe_channels(readings)
-    spread = spread_of(observation)
+    spread = spread_of(*observe_channels(readings))
     np.testing.assert_allclose(spread.direction, [1.0, 0.0, 0.0], atol=1e-15)
     np.testing.assert_allclose(spread.value, np.array(value).T, atol=1e-12)
     np.testing.assert_allclose(spread.plane[:, 1:], TRUTH[:, 4:6], atol=1e-9)
@@ -129,20 +127,18 @@ def test_a_common_scale_is_in_the_mean_and_not_in_what_the_plane_leaves():
 
 def test_drawn_errors_are_covered():
     """800 draws of scale, placement and noise: normalised errors of mean and rocking have unit variance."""
-    rng = np.random.default_rng(4)
-    observation = lasers(sigma=2e-6, **STATED)
-    spread = spread_of(observation)
+    rng, observation = np.random.default_rng(4), lasers(sigma=2e-6, **STATED)
+    spread, columns = spread_of(observation), np.array([[1.0, y, -x] for x, y, _ in POINTS])
     u = np.sqrt(spread.plane_uncertainty.covariance.diagonal(axis1=1, axis2=2))
-    left = []
-    normalised = []
+    left, normalised = [], []
     for _ in range(800):
         error = np.sum([rng.normal() * common.effect(TRUTH) for common in observation.common], axis=0)
         error = error + 2e-6 * (rng.normal(size=(2, 8)) + 1j * rng.normal(size=(2, 8)))
         value = (observation.phasors.value + error) * (1j * OMEGA[:, None])
-        plane = np.linalg.lstsq(np.array([[1.0, y, -x] for x, y, _ in POINTS]), value.T, rcond=None)[0].T
-        normalised.append(np.concatenate([(plane - TRUTH[:, 2:5]).real, (plane - TRUTH[:, 2:5]).imag], axis=1) / u)
-        rest = value - plane @ np.array([[1.0, y, -x] for x, y, _ in POINTS]).T
-        left.append(np.mean(np.abs(rest) ** 2, axis=1))
+        plane = np.linalg.lstsq(columns, value.T, rcond=None)[0].T
+        off = plane - TRUTH[:, 2:5]
+        normalised.append(np.concatenate([off.real, off.imag], axis=1) / u)
+        left.append(np.mean(np.abs(value - plane @ columns.T) ** 2, axis=1))
     np.testing.assert_allclose(np.std(normalised, axis=0), 1.0, atol=0.1)
     np.testing.assert_allclose(np.sqrt(np.mean(left, axis=0)) / np.abs(spread.mean), spread.left_expected, rtol=0.03)
 
@@ -155,14 +151,13 @@ def _outputs(u_clock_s: float) -> Outputs:
     )
 
 
-def _with_ratios(observation: Observation, u_clock_s: float = 0.0) -> tuple[PointRatios, Sensitivity]:
-    acceleration = fuse([observation])
-    outputs = _outputs(u_clock_s)
-    load = load_phasors(acceleration, BODY)
-    found = sensitivity_ratio(outputs, load, 2, (1, 2))
+def _with_ratios(
+    observation: Observation, u_clock_s: float = 0.0, driven: int = 2
+) -> tuple[PointRatios | None, Sensitivity]:
+    acceleration, outputs = fuse([observation]), _outputs(u_clock_s)
+    ratio = sensitivity_ratio(outputs, load_phasors(acceleration, BODY), driven, (1, 2))
     (spread,) = point_spreads([observation], [acceleration])
-    ratios = with_ratios(spread, outputs, found, BODY).ratios
-    return ratios, found
+    return with_ratios(spread, outputs, ratio, BODY).ratios, ratio
 
 
 def test_ratios_of_the_points_are_output_over_mass_times_acceleration():
@@ -194,13 +189,7 @@ def test_a_clock_of_both_sides_cancels():
 
 
 def test_points_across_the_driven_force_have_no_ratios():
-    observation = lasers()
-    acceleration = fuse([observation])
-    outputs = _outputs(0.0)
-    load = load_phasors(acceleration, BODY)
-    other = sensitivity_ratio(outputs, load, 0, (1, 2))
-    (spread,) = point_spreads([observation], [acceleration])
-    assert with_ratios(spread, outputs, other, BODY).ratios is None
+    assert _with_ratios(lasers(), driven=0)[0] is None
 
 
 FREQUENCY = np.array([106.2503, 212.5006, 425.0012])
@@ -263,18 +252,15 @@ def test_the_page_shows_points_where_there_are_some(evaluation, monkeypatch):
     assert "points" not in without.ids
 
 
-def test_the_figure_is_the_same_every_time(evaluation):
-    (picture,) = point_pictures(evaluation)
-    assert picture.svg == draw_points(evaluation.points[0], 0, 0).svg
+def test_the_figure_is_the_same_every_time_and_the_file_holds_the_spread(evaluation, tmp_path):
+    (picture,), spread = point_pictures(evaluation), evaluation.points[0]
+    assert picture.svg == draw_points(spread, 0, 0).svg
     assert "425" not in picture.caption
-
-
-def test_result_file_holds_the_spread(evaluation, tmp_path):
     write_h5(tmp_path / "result.h5", evaluation, [])
     with h5py.File(tmp_path / "result.h5") as file:
         (group,) = file["points"].values()
-        np.testing.assert_array_equal(group["plane"], evaluation.points[0].plane)
-        np.testing.assert_array_equal(group["ratios/value"], evaluation.points[0].ratios.value)
+        np.testing.assert_array_equal(group["plane"], spread.plane)
+        np.testing.assert_array_equal(group["ratios/value"], spread.ratios.value)
 
 
 def test_directions_have_names():

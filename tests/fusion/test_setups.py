@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,18 +29,14 @@ from take_factory import (
 
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
-from fusion.estimation.fuse import Acceleration
 from fusion.recording.files import read_set_ups
 from fusion.recording.load import load_manifest
 from fusion.report.recording import result_tables
+from fusion.report.tables import acceleration
 from fusion.sensitivity.analyse import Evaluation
 
 SEEN = [2, 3, 4]  # z, rx, ry
 HARMONICS = {2: 0.01, 3: 0.004}
-
-
-def fused(evaluation: Evaluation, body: str = "load") -> Acceleration:
-    return next(a for a in evaluation.accelerations if (a.body, a.source) == (body, "fused"))
 
 
 def _shots(rng: np.random.Generator, count: int = 8, drift: float = 0.005) -> list[Shot]:
@@ -62,7 +58,7 @@ def eight(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
 
 def test_eight_points_one_after_another_give_the_motion(eight):
     """The phase of every take and its level are those of the first; what is stated of the drift covers what is left."""
-    load = fused(eight)
+    load = acceleration(eight, "load", "fused")
     assert load.observed[0].tolist() == [False, False, True, True, True, False]
     error = (load.phasors.value[0] - LOAD)[SEEN]
     u = np.sqrt(load.phasors.covariance[0].diagonal())
@@ -74,7 +70,7 @@ def test_eight_points_one_after_another_give_the_motion(eight):
 
 
 def test_the_drift_between_takes_is_part_of_the_uncertainty(eight):
-    load = fused(eight)
+    load = acceleration(eight, "load", "fused")
     size = abs(LOAD[2])
     budget = {part.label: np.sqrt(part.covariance[0, 2, 2]) / size for part in load.uncertainty.grouped()}
     # By hand: eight points, each with what its take drifted by, and three unknowns.
@@ -103,7 +99,7 @@ def test_output_of_all_takes_is_one_and_gives_the_sensitivity(eight):
 
 
 def test_harmonics_are_referred_by_the_reference_at_their_own_line(eight):
-    load = fused(eight)
+    load = acceleration(eight, "load", "fused")
     assert eight.lines.multiple.tolist() == [1, 2, 3]
     for line, (multiple, share) in enumerate(HARMONICS.items(), 1):
         error = load.phasors.value[line, 2] - share * LOAD[2]
@@ -250,7 +246,7 @@ def test_an_output_can_be_the_reference_and_its_noise_then_cancels_in_the_ratio(
     found = evaluated(folder)
     ratio = found.sensitivity
     assert ratio.value[0, 0, 2] == pytest.approx(SENSITIVITY, rel=1e-5)
-    load = fused(found)
+    load = acceleration(found, "load", "fused")
     noise = {part.label: part.covariance[0] for part in load.uncertainty.grouped()}["reference noise"]
     entry = next(entry for entry in ratio.budget if entry.label == "reference noise")
     assert entry.type == "A"
@@ -300,25 +296,20 @@ def _short(folder: Path) -> Path:
     return _text(folder, laser("1", ORIGIN), reference("2"), output("3"))
 
 
+def _seen(number: int, point: Sequence[float], at: str = "") -> str:
+    return laser(f"1/{number}", point, at) + reference(f"2/{number}", at) + output(f"3/{number}", at)
+
+
 def _long(folder: Path) -> Path:
     """Every channel by block and point, lasers with their own place."""
-    channels = []
-    for number, point in enumerate(SCANNED, 1):
-        channels.append(laser(f"1/{number}", point))
-        channels.append(reference(f"2/{number}"))
-        channels.append(output(f"3/{number}"))
-    return _text(folder, *channels)
+    return _text(folder, *(_seen(number, point) for number, point in enumerate(SCANNED, 1)))
 
 
 def _blocks(folder: Path) -> Path:
     """The same as blocks of takes."""
-    text = head()
-    for number, point in enumerate(SCANNED, 1):
-        text += block("[take]") + block("[take.daq]", **DAQ)
-        text += laser(f"1/{number}", point, "take.")
-        text += reference(f"2/{number}", "take.")
-        text += output(f"3/{number}", "take.")
-    (folder / "recording.toml").write_text(text)
+    daq = block("[take]") + block("[take.daq]", **DAQ)
+    text = "".join(daq + _seen(number, point, "take.") for number, point in enumerate(SCANNED, 1))
+    (folder / "recording.toml").write_text(head() + text)
     return folder
 
 
@@ -342,8 +333,7 @@ def test_points_are_placed_where_the_file_says(tmp_path):
 
 def test_a_scan_of_one_point_needs_no_reference(tmp_path):
     folder = _scan(tmp_path, np.random.default_rng(6), points=1)
-    found = evaluated(_text(folder, laser("1", SCANNED[0])))
-    assert found.set_ups == ()
+    assert evaluated(_text(folder, laser("1", SCANNED[0]))).set_ups == ()
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from contracts import coverage_contract
-from support import evaluated, far
+from support import block, channel, evaluated, far
 from take_factory import (
     BASE_Z,
     BRIDGE_V,
+    EXPOSURE_S,
     FREQUENCY_HZ,
     LOAD,
     MASS_KG,
@@ -21,7 +22,9 @@ from take_factory import (
     RIG,
     SENSITIVITY,
     at_point,
+    camera_trigger,
     head,
+    moving_plate,
     output,
     reference,
     write_shot,
@@ -34,9 +37,9 @@ from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
 from fusion.recording.manifest import ChannelEntry, Rig
 from fusion.recording.values import validate
 from fusion.report.recording import result_tables
+from fusion.report.tables import acceleration
 from fusion.sensitivity.analyse import Analysis, Evaluation, Inputs, analyse
 from fusion.sensitivity.body import Body, make_part
-from photogram.geometry import rotation_from_vector
 from shaker.lines.frequencies import Lines
 from shaker.sine.phasor import Phasors
 
@@ -67,14 +70,8 @@ def _reading(entry: ChannelEntry, value: complex, rng: np.random.Generator, cloc
     """A channel's phasor with noise and what its noise is stated to be."""
     spread = NOISE * abs(value)
     noisy = value + spread * complex(*rng.normal(size=2))
-    phasors = Phasors(
-        LINES.frequency_hz,
-        np.array([[noisy]]),
-        (spread**2 * np.eye(2))[None],
-        (entry.name,),
-        ("1",),
-        np.array([1e4]),
-    )
+    covariance, value = (spread**2 * np.eye(2))[None], np.array([[noisy]])
+    phasors = Phasors(LINES.frequency_hz, value, covariance, (entry.name,), ("1",), np.array([1e4]))
     return Reading(entry, phasors, ChainUncertainty(clock=clock, u_clock_s=u_clock_s))
 
 
@@ -158,22 +155,10 @@ def test_noise_of_the_reference_is_one_error_of_all_takes(rig):
 
 BASE = np.array([0.1, -0.2j, 98.0 * np.exp(0.72j), 1.0, 0.5j, 0.0])
 SAMPLES, BRIDGE_RATE_HZ = 8000, 9600.0
-FRAME_RATE_HZ, FRAMES, FIRST_EDGE_S, EXPOSURE_S = 49.7, 80, 0.0213, 40e-6
-PAIR = """
-[stereo.{name}]
-body = "{body}"
-rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-translation = [0.0, 0.0, 0.0]
-scale_uncertainty = 2e-4
-exposure = 40e-6
-"""
-TRIGGER = '[[take.daq.channel]]\nname = "camera"\nquantity = "trigger"\n'
-POINTS = """[[take.points]]
-stereo = "{name}"
-files = "{number}.csv"
-columns = ["frame", "id", "x", "y", "z"]
-trigger = "camera"
-"""
+FRAMES = 80
+PLACED = {"rotation": np.eye(3).tolist(), "translation": [0.0, 0.0, 0.0], "scale_uncertainty": 2e-4}
+TRIGGER = channel("camera", "trigger", "take.")
+TABLE = {"columns": ["frame", "id", "x", "y", "z"], "trigger": "camera"}
 
 
 @dataclass(frozen=True)
@@ -192,23 +177,11 @@ def _sine(phasor: complex, time_s: np.ndarray) -> np.ndarray:
     return np.asarray((phasor * np.exp(1j * OMEGA * time_s)).real)
 
 
-def _trigger(time_s: np.ndarray) -> np.ndarray:
-    period = (time_s - FIRST_EDGE_S) * FRAME_RATE_HZ
-    number = np.floor(period)
-    return np.asarray(5.0 * ((number >= 0) & (number < FRAMES) & (period - number < 0.25)))
-
-
 def _write_points(path: Path, look: Look, rng: np.random.Generator) -> None:
     """Points of a plate, in m, as they stand in the middle of each exposure."""
-    middle_s = FIRST_EDGE_S + np.arange(FRAMES) / FRAME_RATE_HZ + EXPOSURE_S / 2.0
-    displacement = np.sinc(FREQUENCY_HZ * EXPOSURE_S) * look.level * look.motion / -(OMEGA**2)
-    pose = np.array([_sine(complex(part), middle_s) for part in displacement]).T
-    x, y = np.meshgrid(np.linspace(-0.05, 0.05, 6), np.linspace(-0.04, 0.04, 5))
-    rest = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
-    moved = np.einsum("fij,nj->fni", rotation_from_vector(pose[:, 3:]), rest) + pose[:, None, :3]
+    moved = moving_plate(look.level * look.motion / -(OMEGA**2), FRAMES, (6, 5), 0.0)
     moved += 2e-7 * rng.normal(size=moved.shape)
-    frames, points = np.indices(moved.shape[:2])
-    table = np.column_stack([frames.ravel(), points.ravel(), moved.reshape(-1, 3)])
+    table = np.column_stack([*(part.ravel() for part in np.indices(moved.shape[:2])), moved.reshape(-1, 3)])
     np.savetxt(path, table, fmt=["%d", "%d", "%.10f", "%.10f", "%.10f"], delimiter=",")
 
 
@@ -217,22 +190,25 @@ def _write(folder: Path) -> Path:
     rng = np.random.default_rng(17)
     recording = folder / "takes"
     recording.mkdir()
-    pairs = PAIR.format(name="top", body="load") + PAIR.format(name="base", body="base")
+    bodies = {"top": "load", "base": "base"}
+    pairs = "".join(block(f"stereo.{n}", body=bodies[n], exposure=EXPOSURE_S, **PLACED) for n in bodies)
     (folder / "rig.toml").write_text(RIG + pairs)
     text = head()
     for number, look in enumerate(LOOKS, 1):
         time_s = np.arange(SAMPLES) / RATE_HZ
         drive = _sine(look.level * BASE[2] / 98.1, time_s) + 1e-5 * rng.normal(size=SAMPLES)
-        write_shot(recording / f"{number}.h5", {"camera": _trigger(time_s), "drive": drive}, RATE_HZ)
+        write_shot(recording / f"{number}.h5", {"camera": camera_trigger(time_s, FRAMES), "drive": drive}, RATE_HZ)
         bridge_s = np.arange(int(SAMPLES / RATE_HZ * BRIDGE_RATE_HZ) - 300) / BRIDGE_RATE_HZ + 0.0031 * number
         force = _sine(look.level * SENSITIVITY * MASS_KG * LOAD[2] / 1e-3, bridge_s)
         force += 1e-8 * rng.normal(size=len(bridge_s))
-        write_shot(recording / f"{number}b.h5", {"camera": _trigger(bridge_s), "Fz": force}, BRIDGE_RATE_HZ)
+        write_shot(
+            recording / f"{number}b.h5", {"camera": camera_trigger(bridge_s, FRAMES), "Fz": force}, BRIDGE_RATE_HZ
+        )
         _write_points(recording / f"{number}.csv", look, rng)
-        text += f'[[take]]\n[[take.daq]]\nname = "daq"\nfile = "{number}.h5"\n{TRIGGER}'
-        text += reference("drive", "take.")
-        text += f'[[take.daq]]\nname = "bridge"\nfile = "{number}b.h5"\n{TRIGGER}'
-        text += output("Fz", "take.") + POINTS.format(name=look.pair, number=number)
+        blocks = {"daq": f"{number}.h5", "bridge": f"{number}b.h5"}
+        daq, bridge = (block("[take.daq]", name=n, file=file) + TRIGGER for n, file in blocks.items())
+        text += block("[take]") + daq + reference("drive", "take.") + bridge + output("Fz", "take.")
+        text += block("[take.points]", stereo=look.pair, files=f"{number}.csv", **TABLE)
     (recording / "recording.toml").write_text(text)
     return recording
 
@@ -244,17 +220,15 @@ def looked(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
 
 def test_load_and_base_are_on_one_time_base(looked):
     for body, truth in (("load", LOAD), ("base", BASE)):
-        found = next(a for a in looked.accelerations if (a.body, a.source) == (body, "fused"))
-        error = found.phasors.value[0] - truth
-        u = np.sqrt(found.phasors.covariance[0].diagonal())
+        motion = acceleration(looked, body, "fused").phasors
+        error, u = motion.value[0] - truth, np.sqrt(motion.covariance[0].diagonal())
         assert np.all(np.abs(np.concatenate([error.real, error.imag])) < 4.0 * u)
-        assert abs(found.phasors.value[0, 2] / truth[2]) == pytest.approx(1.0, abs=3e-4)
+        assert abs(motion.value[0, 2] / truth[2]) == pytest.approx(1.0, abs=3e-4)
         assert np.hypot(u[2], u[8]) / abs(truth[2]) < 6e-3  # edges of a trigger between samples 250 µs apart
 
 
 def test_what_takes_share_is_one_unknown_and_what_they_do_not_is_not(looked):
-    load = next(a for a in looked.accelerations if (a.body, a.source) == ("load", "fused"))
-    names = [influence.name for influence in load.uncertainty.influences]
+    names = [influence.name for influence in acceleration(looked, "load", "fused").uncertainty.influences]
     assert names.count("stereo top: scale") == 1
     assert {"take 1: camera: time", "take 3: camera: time"} <= set(names)
     clocks = {i.name for i in looked.outputs.uncertainty.influences if i.name.startswith("clock ")}

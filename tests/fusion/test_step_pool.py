@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -29,10 +31,7 @@ BLANK = ModalModel(np.zeros(2), np.zeros(2), np.zeros(2, dtype=np.complex128), n
 
 def model(vector: FloatArray, u: FloatArray) -> ModalModel:
     """A model with two modes and a real pole, of independent parameters."""
-    with_u = ModalModel(
-        BLANK.frequency_hz, BLANK.damping_ratio, BLANK.residue, BLANK.real_hz, BLANK.real_residue, np.diag(u**2)
-    )
-    return with_u.with_vector(vector)
+    return replace(BLANK, covariance=np.diag(u**2)).with_vector(vector)
 
 
 def test_equal_releases_halve_the_variance_of_two():
@@ -139,12 +138,11 @@ def test_coordinates_lead_back_to_the_model(modes, reals, seed):
     frequency = 300.0 * np.cumsum(1.0 + rng.random(modes))
     residue = rng.standard_normal(modes) + 1j * rng.standard_normal(modes)
     real_hz = 2e3 * np.cumsum(1.0 + rng.random(reals))
-    found = ModalModel(frequency, rng.uniform(1e-3, 0.9, modes), residue, real_hz, rng.standard_normal(reals))
-    scale = scale_of(found)
-    coordinates = to_coordinates(found, scale)
-    assert coordinates[2 * modes + reals] == pytest.approx(found.static_gain, rel=1e-9, abs=1e-15)
-    back = from_coordinates(coordinates, modes, reals, scale)
-    assert back == pytest.approx(found.vector, rel=1e-7, abs=1e-9)
+    drawn = ModalModel(frequency, rng.uniform(1e-3, 0.9, modes), residue, real_hz, rng.standard_normal(reals))
+    scale = scale_of(drawn)
+    coordinates = to_coordinates(drawn, scale)
+    assert coordinates[2 * modes + reals] == pytest.approx(drawn.static_gain, rel=1e-9, abs=1e-15)
+    assert from_coordinates(coordinates, modes, reals, scale) == pytest.approx(drawn.vector, rel=1e-7, abs=1e-9)
 
 
 def second_order(frequency_hz: float, lag_s: float, gain: float) -> ModalModel:

@@ -190,12 +190,11 @@ def test_a_coarse_converter_is_in_the_uncertainty_of_the_gain():
 @pytest.mark.parametrize("length", [0.0, 4e-4])
 def test_two_modes_and_a_release_that_takes_its_time(length):
     """The release's length is found, and the poles are those of the sensor whatever it was."""
-    modes = ((450.0, 0.004), (1120.0, 0.008))
-    output = released(sensor(modes, (6000.0,)), onset_s=0.0200012, length_s=length, count=12000)
-    record = record_of(output, 1e-3, 5)
-    fit = fit_step(record, "Fz", reading=rough(record, 0.0200012, length, 5e-4), modes=2, real_poles=1)
+    truth, onset = np.array([450.0, 1120.0, 0.004, 0.008]), 0.0200012
+    system = sensor(((450.0, 0.004), (1120.0, 0.008)), (6000.0,))
+    record = record_of(released(system, onset_s=onset, length_s=length, count=12000), 1e-3, 5)
+    fit = fit_step(record, "Fz", reading=rough(record, onset, length, 5e-4), modes=2, real_poles=1)
     model, u = model_of(fit)
-    truth = np.array([450.0, 1120.0, 0.004, 0.008])
     assert np.all(np.abs(model.vector[:4] - truth) < 4 * u[:4])
     np.testing.assert_allclose(model.vector[:2], truth[:2], rtol=3e-5)
     assert abs(fit.release_s - length) < max(4 * fit.u_release_s, 3e-5)
@@ -350,17 +349,15 @@ def test_one_factorisation_holds_every_order():
     rng = np.random.default_rng(4)
     load = rng.standard_normal(300)
     output = answered(sensor(((9000.0, 0.2),)), load, 1e-5) + 0.05 * rng.standard_normal(300)
-    found = every_order(load, output, 1e5, most=6)
+    orders = every_order(load, output, 1e5, most=6)
     for order in (1, 2, 4, 6):
         k = np.arange(order, len(load) - (6 - order))
         past = [part[k - i] for i in range(order, 0, -1) for part in (load, output)]
         rows = np.stack([*past, load[k]], axis=1)
-        own, rest, *_ = np.linalg.lstsq(rows, output[k], rcond=None)
-        np.testing.assert_allclose(found.parameters(order), own, rtol=1e-8, atol=1e-9)
-        assert found.loss()[order - 1] == pytest.approx(rest[0], rel=1e-9)
-        short, rest, *_ = np.linalg.lstsq(rows[:, :-1], output[k], rcond=None)
-        np.testing.assert_allclose(found.parameters(order, direct=False), short, rtol=1e-8, atol=1e-9)
-        assert found.loss(direct=False)[order - 1] == pytest.approx(rest[0], rel=1e-9)
+        for direct, columns_ in ((True, rows), (False, rows[:, :-1])):
+            own, rest, *_ = np.linalg.lstsq(columns_, output[k], rcond=None)
+            np.testing.assert_allclose(orders.parameters(order, direct), own, rtol=1e-8, atol=1e-9)
+            assert orders.loss(direct)[order - 1] == pytest.approx(rest[0], rel=1e-9)
 
 
 def simultaneous(noise: float, **choice: object) -> StepFit:

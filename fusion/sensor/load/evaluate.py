@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from shaker.arrays import FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS
 from shaker.release.load_model import (
     LoadCurve,
+    LoadLimit,
     LoadModel,
     change_limit,
     formula_limit,
@@ -40,10 +42,8 @@ from shaker.release.load_modes import (
     stated_resonances,
 )
 from shaker.release.load_series import LoadIdentification, identify_loads
-from shaker.release.record import Reading
 
 # What a user of `shakercal load` may choose.
-
 
 PERMITTED = 0.05
 
@@ -75,7 +75,6 @@ class LoadSettings:
 
 # What a series of loads consists of before any model: records with their masses, or a table of resonances.
 
-
 FORCES = 3
 MOVING = "moving mass of the sensor"
 
@@ -100,14 +99,9 @@ def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], 
 
     Raises `InputError` for what the user can mend in the files.
     """
-    releases: list[Release] = []
-    notices: list[Notice] = []
-    for manifest in manifests:
-        release, told = read_recording(manifest)
-        releases.append(release)
-        notices += told
-    series: list[LoadSeries] = []
-    refused: list[InputError] = []
+    releases, told = zip(*(read_recording(manifest) for manifest in manifests), strict=True)
+    notices: list[Notice] = [*chain.from_iterable(told)]
+    series, refused = list[LoadSeries](), list[InputError]()
     for place, component in enumerate(LOAD_COMPONENTS):
         own = [release for release in releases if release.record.component == component]
         moving = [_moving(release.manifest, place) for release in own]
@@ -165,23 +159,18 @@ def _series(releases: Sequence[Release], moving: Sequence[Moving], component: in
         if own != moving[0]:
             expected = f"{moving[0].value:g} as in {first.manifest.rig_path.name}"
             raise InputError(manifest.rig_path, own.key, found=f"{own.value:g}", expected=expected)
+    gains, u = np.array([(release.reading.static_gain, release.reading.u_static_gain) for release in releases]).T
+    between = float(np.std(gains, ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else 0.0
+    u_gain = max(between, float(np.sqrt(np.sum(u**2))) / len(u))
+    reading = first.reading
     return LoadSeries(
-        output=_output([release.reading for release in releases]),
+        output=Output(reading.component, reading.channel, reading.unit, float(np.mean(gains)), u_gain),
         names=tuple(release.name for release in releases),
         measured=as_resonances(modes),
         masses=_masses(moving[0], masses),
         decays=tuple(decays),
         noise=np.array([item.noise for item in modes]),
     )
-
-
-def _output(readings: Sequence[Reading]) -> Output:
-    """The driven output with its static sensitivity, the mean of all releases."""
-    gains = np.array([reading.static_gain for reading in readings])
-    u = np.array([reading.u_static_gain for reading in readings])
-    between = float(np.std(gains, ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else 0.0
-    spread = max(between, float(np.sqrt(np.sum(u**2))) / len(u))
-    return Output(readings[0].component, readings[0].channel, readings[0].unit, float(np.mean(gains)), spread)
 
 
 def _load(manifest: Manifest, component: int) -> tuple[float, dict[str, float]]:
@@ -208,7 +197,6 @@ def _masses(moving: Moving, loads: Sequence[tuple[float, dict[str, float]]]) -> 
 
 
 # A table of resonance frequencies of several loads, such as publications and spectrum analysers give.
-
 
 LOAD, FIRST, U_FIRST, SECOND, U_LOAD = "load_mass_kg", "frequency_hz", "u_frequency_hz", "second_hz", "u_load_mass_kg"
 COLUMNS = (LOAD, FIRST, U_FIRST, SECOND, U_LOAD)
@@ -239,34 +227,31 @@ def _columns(path: Path) -> dict[str, FloatArray]:
     except UnicodeDecodeError as error:
         raise InputError(path, "", found="bytes that are no UTF-8", expected="a CSV text") from error
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    rows = list(csv.DictReader(lines, delimiter=";" if lines and ";" in lines[0] else ",", skipinitialspace=True))
-    head = [name.strip() for name in (rows[0] if rows else {}) if name is not None]
+    read = csv.DictReader(lines, delimiter=";" if lines and ";" in lines[0] else ",", skipinitialspace=True)
+    rows = [{name.strip(): (cell or "").strip() for name, cell in row.items() if name is not None} for row in read]
+    head = list(rows[0] if rows else {})
     missing = next((name for name in (LOAD, FIRST) if name not in head), None)
     if missing is not None:
         raise InputError(path, missing, found="nothing", expected="this column and a row for every load")
     unknown = next((name for name in head if name not in COLUMNS), None)
     if unknown is not None:
         raise InputError(path, unknown, found="this column", expected="columns of " + ", ".join(COLUMNS))
-    return {name: np.array([_number(path, row, name, place) for place, row in enumerate(rows, 1)]) for name in COLUMNS}
 
+    def number(column: str, text: str, place: int) -> float:
+        if not text and column not in (LOAD, FIRST):
+            return float("nan")
+        low = 0.0 if column in (LOAD, U_FIRST, U_LOAD) else np.nextafter(0.0, 1.0)
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not low <= value < np.inf:
+            expected = "a number of at least 0" if low == 0.0 else "a frequency above 0"
+            told = (text, expected) if text else ("nothing", "a number")
+            raise InputError(path, f"{column}, row {place}", found=told[0], expected=told[1])
+        return value
 
-def _number(path: Path, row: dict[str, str], column: str, place: int) -> float:
-    """One cell, checked."""
-    cell = next((value for name, value in row.items() if name is not None and name.strip() == column), None)
-    text = (cell or "").strip()
-    if not text:
-        if column in (LOAD, FIRST):
-            raise InputError(path, f"{column}, row {place}", found="nothing", expected="a number")
-        return float("nan")
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    low = 0.0 if column in (LOAD, U_FIRST, U_LOAD) else np.nextafter(0.0, 1.0)
-    if not low <= value < np.inf:
-        expected = "a number of at least 0" if low == 0.0 else "a frequency above 0"
-        raise InputError(path, f"{column}, row {place}", found=text, expected=expected)
-    return value
+    return {name: np.array([number(name, row.get(name, ""), n) for n, row in enumerate(rows, 1)]) for name in COLUMNS}
 
 
 # What evaluated load characteristics consist of.
@@ -343,7 +328,6 @@ class LoadEvaluation:
 
 # From recordings with several loads, or a table of resonances, to load characteristics.
 
-
 GRID = 61
 BEYOND = 1.25  # largest load that curves are drawn to, over the largest one recorded or asked for
 
@@ -392,17 +376,17 @@ def evaluate_loads(
 def _component(series: LoadSeries, settings: LoadSettings) -> ComponentLoads:
     """Model and characteristics of one component."""
     try:
-        found = identify_loads(series.measured, series.masses, series.output, series.decays, series.noise)
+        identified = identify_loads(series.measured, series.masses, series.output, series.decays, series.noise)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         text = f"{series.output.component}: no load model was found ({error}); see docs/load.md, when it refuses"
         raise ComputeError(text) from error
     loads, moving = series.masses.load, series.masses.moving
     lightest = int(np.argmin(loads))
     scale = np.sqrt((moving + loads[lightest]) / (moving + loads))
-    fit = found.chosen[0]
+    fit = identified.chosen[0]
     dof = float(fit.dof[0]) if fit.scatter[0] > 0.0 else float(np.inf)
-    solutions = tuple(_solution(model, dof, series, settings) for model in found.models)
-    return ComponentLoads(series, found, series.measured.frequency_hz[lightest, 0] * scale, solutions, dof)
+    solutions = tuple(_solution(model, dof, series, settings) for model in identified.models)
+    return ComponentLoads(series, identified, series.measured.frequency_hz[lightest, 0] * scale, solutions, dof)
 
 
 def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSettings) -> Solution:
@@ -410,19 +394,6 @@ def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSe
     loads = series.masses.load
     asked = np.array(settings.predicted, dtype=np.float64)
     largest = float(np.max(np.concatenate([loads, asked]))) or model.moving_mass
-    return Solution(
-        model=model,
-        recorded=load_curve(model, loads, series.masses.u_load),
-        predicted=load_curve(model, asked),
-        drawn=load_curve(model, np.linspace(0.0, BEYOND * largest, GRID)),
-        bands=np.array([working_bands(model, float(load)) for load in loads]).reshape(-1, 2),
-        predicted_bands=np.array([working_bands(model, float(load)) for load in asked]).reshape(-1, 2),
-        limits=tuple(_limits(model, dof, settings)),
-    )
-
-
-def _limits(model: LoadModel, dof: float, settings: LoadSettings) -> Iterator[NamedQuantity]:
-    """Loads that are permitted."""
     share, unit = settings.permitted, parameter_units(model.component)["moving_mass"]
     percent = f"{100.0 * share:g} %"
     limits = [
@@ -431,6 +402,13 @@ def _limits(model: LoadModel, dof: float, settings: LoadSettings) -> Iterator[Na
     ]
     for wanted in settings.wanted_hz:
         limits.append(("frequency_limit", f"resonance of at least {wanted:g} Hz", frequency_limit(model, wanted)))
-    for name, label, limit in limits:
-        value, u = limit or (float("nan"), float("nan"))
-        yield NamedQuantity(value, u, dof, unit, name, label)
+    unlimited = LoadLimit(float("nan"), float("nan"))
+    return Solution(
+        model=model,
+        recorded=load_curve(model, loads, series.masses.u_load),
+        predicted=load_curve(model, asked),
+        drawn=load_curve(model, np.linspace(0.0, BEYOND * largest, GRID)),
+        bands=np.array([working_bands(model, float(load)) for load in loads]).reshape(-1, 2),
+        predicted_bands=np.array([working_bands(model, float(load)) for load in asked]).reshape(-1, 2),
+        limits=tuple(NamedQuantity(*(limit or unlimited), dof, unit, name, label) for name, label, limit in limits),
+    )

@@ -19,7 +19,7 @@ from fusion.report.style import (
     panel_label,
     sheet,
 )
-from fusion.sensor.load.evaluate import ComponentLoads, Solution
+from fusion.sensor.load.evaluate import ComponentLoads
 from shaker.arrays import FloatArray
 from shaker.release.load_modes import projected
 
@@ -40,7 +40,9 @@ def draw_characteristics(component: ComponentLoads, permitted: float) -> Picture
         first, second, off, damping = drawn.panels
         first.plot(GRAM * grid, formula, color=GREY, linestyle=(0, (5, 3)), label="two masses, by the lightest load")
         for solution, colour in zip(solutions, COLOURS, strict=False):
-            curve, label = solution.drawn, _label(solution)
+            curve, model = solution.drawn, solution.model
+            label = "two masses" if model.is_rigid else "three masses"
+            label += f", solution {model.solution}" if model.solutions > 1 else ""
             over, expanded = GRAM * curve.load_mass, k * curve.u_frequency_hz
             _band(first, over, curve.frequency_hz[:, 0], expanded[:, 0], colour, label)
             _band(second, over, curve.frequency_hz[:, 1], expanded[:, 1], colour, label)
@@ -109,22 +111,13 @@ def draw_spectra(component: ComponentLoads) -> Picture | None:
         return drawn.picture("Spectra of the free oscillations", caption, **layout)
 
 
-def _label(solution: Solution) -> str:
-    """A solution in words."""
-    model = solution.model
-    label = "two masses" if model.is_rigid else "three masses"
-    return f"{label}, solution {model.solution}" if model.solutions > 1 else label
-
-
 def _band(axes: Axes, load: FloatArray, value: FloatArray, expanded: FloatArray, colour: str, label: str) -> None:
-    """A curve with its 95 % band."""
     axes.plot(load, value, color=colour, label=label, zorder=3)
     if np.any(np.isfinite(expanded)):
         axes.fill_between(load, value - expanded, value + expanded, color=colour, alpha=0.25, linewidth=0, zorder=2)
 
 
 def _draw_deviations(axes: Axes, component: ComponentLoads, permitted: float) -> None:
-    """Models less measured in %."""
     first, load = component.series.measured.frequency_hz[:, 0], GRAM * component.series.masses.load
     compared = [
         ("two masses, by the lightest load", component.formula_hz),

@@ -69,17 +69,6 @@ class LoadRow(NamedTuple):
     bands: FloatArray
 
     @property
-    def is_recorded(self) -> bool:
-        """Return whether this load was measured."""
-        return self.kind == RECORDED
-
-    @property
-    def is_damped(self) -> bool:
-        """Return whether the model tells damping."""
-        ratio = self.curve.damping_ratio
-        return bool(np.any(ratio[np.isfinite(ratio)] > 1e-9))
-
-    @property
     def mass_text(self) -> str:
         """Return the load in g or g·m²."""
         return f"{GRAM * self.curve.load_mass[self.place]:.6g}"
@@ -98,21 +87,17 @@ class LoadRow(NamedTuple):
 
 
 def _of_curve(name: str, of: str, mode: int, *, expanded: bool = False) -> Column[LoadRow]:
-    """Column of the model's curve, empty where it tells nothing."""
-
     def value(row: LoadRow) -> float | None:
-        if "damping" in of and not row.is_damped:
-            return None
+        if "damping" in of and not np.any(np.nan_to_num(row.curve.damping_ratio) > 1e-9):
+            return None  # the model tells no damping
         return known(getattr(row.curve, of)[row.place, mode] * (row.component.k if expanded else 1.0))
 
     return Column(name, value)
 
 
 def _of_measured(name: str, of: str, mode: int) -> Column[LoadRow]:
-    """Column of what a record or a table shows of one load."""
-
     def value(row: LoadRow) -> float | None:
-        return known(getattr(row.component.series.measured, of)[row.place, mode]) if row.is_recorded else None
+        return known(getattr(row.component.series.measured, of)[row.place, mode]) if row.kind == RECORDED else None
 
     return Column(name, value)
 
@@ -143,7 +128,7 @@ LOADS: list[Column[LoadRow]] = [
     _of_measured("u_measured_second_hz", "u_frequency_hz", 1),
     _of_measured("measured_damping_first", "damping_ratio", 0),
     _of_measured("u_measured_damping_first", "u_damping_ratio", 0),
-    Column("formula_hz", lambda row: known(row.component.formula_hz[row.place]) if row.is_recorded else None),
+    Column("formula_hz", lambda row: known(row.component.formula_hz[row.place]) if row.kind == RECORDED else None),
     Column("band_5_hz", lambda row: known(row.bands[0])),
     Column("band_10_hz", lambda row: known(row.bands[1])),
 ]
@@ -348,7 +333,7 @@ def loads_table(component: ComponentLoads, solution: Solution) -> Table | None:
         less_measured("two masses / %", lambda row: float(rigid.frequency_hz[row.place, 0])),
     ]
     caption = f"Resonances with U; first ones of the models less measured{_which(solution)}"
-    return table(caption, columns, (row for row in load_rows(component, solution) if row.is_recorded))
+    return table(caption, columns, (row for row in load_rows(component, solution) if row.kind == RECORDED))
 
 
 def bands_table(component: ComponentLoads, solution: Solution) -> Table | None:
@@ -413,7 +398,7 @@ def printed(evaluation: LoadEvaluation) -> Iterator[str]:
                 if row.kind != DRAWN:
                     model, mass = row.model_hz(0), f"{row.mass_text} {small}"
                     line = f"  {row.recording or row.kind}: load {mass}, resonance {_plain(*model, 'Hz')}"
-                    if row.is_recorded:
+                    if row.kind == RECORDED:
                         seen, _ = row.measured_hz(0)
                         line += f", measured {seen:.6g} Hz ({_percent(model[0] / seen - 1.0)} %)"
                     yield line
@@ -423,7 +408,6 @@ def printed(evaluation: LoadEvaluation) -> Iterator[str]:
 
 
 def _structure(solution: Solution) -> str:
-    """The model in words."""
     return "two masses" if solution.model.is_rigid else "three masses"
 
 

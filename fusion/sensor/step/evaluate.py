@@ -175,7 +175,6 @@ def _read(manifests: Sequence[Manifest], settings: StepSettings) -> tuple[dict[s
 
 # The response over frequency that a release shows by itself, without a model.
 
-
 LAST = 20  # share 1/LAST of a force's record, its end, that gives its last level
 WEAK = 0.2  # share of a step's spectrum below which a release drives too little
 
@@ -210,8 +209,14 @@ def measured_response(release: Release) -> Measured:
         ends = float(record.force[: max(first, 1)].mean()), float(force[-max(1, len(force) // LAST) :].mean())
         driven = _derivative(force, ends, start_s, step)[1]
     else:
+        turn = frequency * release.release_s
+        share = np.sinc(turn)
+        if release.reading.shape == "smooth":
+            near = np.abs(1.0 - (2.0 * turn) ** 2) < 1e-9
+            below = np.where(near, 1.0, 1.0 - (2.0 * turn) ** 2)
+            share = np.where(near, np.pi / 4.0, np.cos(np.pi * turn) / below)
         middle = np.exp(-2j * np.pi * frequency * (onset + 0.5 * release.release_s))
-        driven = record.amplitude * _share(release, frequency) * middle
+        driven = record.amplitude * share * middle
     kept = (np.abs(driven) >= WEAK * abs(record.amplitude)) & (frequency > 0.0)
     noise = 2.0 * np.pi * frequency * release.reading.noise * step * np.sqrt(len(samples))
     return Measured(frequency[kept], moved[kept] / driven[kept], noise[kept] / np.abs(driven[kept]))
@@ -230,13 +235,3 @@ def _derivative(
     wide = np.divide(turn, np.sin(turn), out=np.ones_like(turn), where=turn > 0.0)
     spectrum = np.fft.rfft(change)[:-1] * wide
     return np.asarray(frequency), np.asarray(spectrum * np.exp(-2j * np.pi * frequency * (start_s - 0.5 * step_s)))
-
-
-def _share(release: Release, frequency: FloatArray) -> FloatArray:
-    """What a release drives over what a step would (K,)."""
-    turn = frequency * release.release_s
-    if release.reading.shape != "smooth":
-        return np.asarray(np.sinc(turn))
-    near = np.abs(1.0 - (2.0 * turn) ** 2) < 1e-9
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(near, np.pi / 4.0, np.cos(np.pi * turn) / (1.0 - (2.0 * turn) ** 2))

@@ -29,7 +29,7 @@ from fusion.report.style import (
 )
 from fusion.sensor.step.evaluate import measured_response
 from fusion.sensor.step.records import Pooled
-from fusion.sensor.step.releases import LABELS, ComponentResult, MethodRow, Release
+from fusion.sensor.step.releases import LABELS, ComponentResult, Release
 from shaker.arrays import FloatArray
 from shaker.lti.system import ModalModel
 
@@ -40,7 +40,7 @@ PERIODS = 12.0
 POINTS = 500
 HIGHEST = 6.0  # frequencies shown, over the highest mode
 SHOWN_RELEASES = 3
-OVER_ORDER = ("sim", "sim_zoh")
+OVER_ORDER = "sim"  # the loss of "sim_zoh" is its twin
 OVER_GENERATION = ("evolution", "evolution_coefficients")
 
 
@@ -51,7 +51,13 @@ def component_pictures(component: ComponentResult) -> Iterator[Picture]:
         yield draw_model(f"bode-{component.component}", component, component.pooled)
     if len(component.ropes) > 1:
         yield draw_devices(f"ropes-{component.component}", component)
-    losses = list(_losses(component.methods))
+    losses: list[tuple[str, str, FloatArray, int | None]] = []
+    for fit in (row.fit for row in component.methods if len(row.fit.convergence) > 1):
+        if fit.method == OVER_ORDER:
+            chosen = fit.order - 1 if 1 <= fit.order <= len(fit.convergence) else None
+            losses.append((LABELS[fit.method].partition(",")[0], "order", fit.convergence, chosen))
+        elif fit.method in OVER_GENERATION:
+            losses.append((LABELS[fit.method], "generation", fit.convergence, None))
     if losses:
         yield draw_convergence(f"convergence-{component.component}", losses)
 
@@ -219,17 +225,6 @@ def draw_convergence(name: str, losses: list[tuple[str, str, FloatArray, int | N
         )
         title = "How the methods came to their models"
         return drawn.picture(title, caption, gap=(0.62, 0.3), left=0.72, label=0.54)
-
-
-def _losses(rows: tuple[MethodRow, ...]) -> Iterator[tuple[str, str, FloatArray, int | None]]:
-    """Label, what it runs over, loss and place taken: SIM's over the order once, that of evolution over generations."""
-    for row in rows:
-        fit, method = row.fit, row.fit.method
-        if method == OVER_ORDER[0] and len(fit.convergence) > 1:
-            chosen = fit.order - 1 if 1 <= fit.order <= len(fit.convergence) else None
-            yield LABELS[method].partition(",")[0], "order", fit.convergence, chosen
-        elif method in OVER_GENERATION and len(fit.convergence) > 1:
-            yield LABELS[method], "generation", fit.convergence, None
 
 
 def _modes_hz(model: ModalModel) -> FloatArray:

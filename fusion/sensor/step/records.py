@@ -22,7 +22,6 @@ from shaker.timebase.edges import kernel_reach, resampled
 
 # What the user chooses of an identification from step responses.
 
-
 MethodChoice = Literal["pencil", "arx", "all"]
 ReleaseChoice = Literal["auto", "step", "ramp", "smooth", "measured"]
 
@@ -66,14 +65,13 @@ class StepInput:
 def output_entries(manifest: Manifest) -> dict[str, tuple[str, ChannelEntry]]:
     """Return block and entry of every output of the sensor by the output's name; raises `InputError` without any."""
     outputs: dict[str, tuple[str, ChannelEntry]] = {}
-    for daq in manifest.daq:
-        for entry in daq.channel:
-            if entry.quantity == "output":
-                name = entry.channel or entry.name
-                if name in outputs:
-                    expected = "one record of every output of the sensor"
-                    raise InputError(manifest.path, "daq.channel", found=f'output "{name}" twice', expected=expected)
-                outputs[name] = daq.name, entry
+    recorded = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.quantity == "output"]
+    for block, entry in recorded:
+        name = entry.channel or entry.name
+        if name in outputs:
+            expected = "one record of every output of the sensor"
+            raise InputError(manifest.path, "daq.channel", found=f'output "{name}" twice', expected=expected)
+        outputs[name] = block, entry
     if not outputs:
         raise InputError(manifest.path, "daq.channel", found="none", expected='a channel with quantity = "output"')
     return outputs
@@ -109,9 +107,8 @@ def read_step(manifest: Manifest) -> StepInput:
         expected = f"a time within the record, {record.start_s:.6g} s to {last:.6g} s"
         raise InputError(manifest.path, "excitation.onset", found=f"{record.onset_s:g} s", expected=expected)
     notices = [*aligned.notices]
-    if chained := [channel.entry.name for channel in aligned.channels if channel.entry.response is not None]:
-        names = ", ".join(chained)
-        text = f"the stated response of {names} is not taken off: the model is that of sensor and chain together"
+    if chained := ", ".join(channel.entry.name for channel in aligned.channels if channel.entry.response is not None):
+        text = f"the stated response of {chained} is not taken off: the model is that of sensor and chain together"
         notices.append(Notice("warning", text, record.name))
     return StepInput(manifest, record, tuple(notices))
 
@@ -200,7 +197,6 @@ def _all(model: ModalModel) -> tuple[ComplexArray, ComplexArray]:
 
 
 # Models of several releases become one: a weighted mean, with what releases or mountings scatter by.
-
 
 STEP = 1e-2  # standard uncertainties over which coordinates are moved for derivatives
 ROUNDING = 1e-9  # part of a coordinate's size that is rounding
@@ -357,7 +353,6 @@ def sorted_modes(model: ModalModel) -> ModalModel:
 
 
 # Numbers of a pooled model with uncertainty: its parameters and its indices.
-
 
 PARAMETERS = {
     "frequency_hz": "natural frequency of mode",

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +26,6 @@ from shaker.release.reading import ReleaseKind, compare_releases, read_releases
 from shaker.release.record import Reading, StepRecord
 
 # What evaluated step responses consist of.
-
 
 UNNAMED = "not stated"  # what let go where no recording says it
 
@@ -170,7 +171,6 @@ FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # what an ident
 
 # One recording: what its outputs show, which of them is driven, and the model of that.
 
-
 CLEAR = 4.0  # change of the driven output, over its standard uncertainty, below which there is no step
 
 
@@ -235,7 +235,6 @@ def fit_release(
 
 
 # Which releases of a component make its model, and of which structure.
-
 
 LONGEST_RELEASE = 0.5
 """Periods of the first mode that a release may last for its rope to be used beside the fastest one."""
@@ -302,7 +301,7 @@ def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted
     Chosen releases whose models have another structure than most are fitted anew; what cannot be fitted so is left out.
     """
     own, told = zip(*(fit_release(release, settings) for release in releases), strict=True)
-    notices: list[Notice] = [notice for of_release in told for notice in of_release]
+    notices: list[Notice] = [*chain.from_iterable(told)]
     chosen, reason = choose_releases(own)
     if not chosen:
         return Fitted(own, (), reason, tuple(notices))
@@ -310,8 +309,7 @@ def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted
     counted = zip(wanted, ("mode", "real pole"), strict=True)
     text = " and ".join(f"{count or 'no'} {what}{'' if count == 1 else 's'}" for count, what in counted)
     text = f"{text}, as others show"
-    alike: dict[str, Release] = {}
-    anew: list[str] = []
+    alike, anew = dict[str, Release](), list[str]()
     for release in chosen:
         again = release
         if release.structure != wanted:
@@ -329,7 +327,6 @@ def fit_component(releases: Sequence[Release], settings: StepSettings) -> Fitted
 
 # What different methods make of one release.
 
-
 SEED = 1  # of the generator that draws the first generation of differential evolution
 LABELS: dict[Method, str] = {
     "pencil": "matrix pencil, output error",
@@ -343,15 +340,11 @@ LABELS: dict[Method, str] = {
 
 def compare_methods(release: Release, settings: StepSettings) -> tuple[tuple[MethodRow, ...], tuple[Notice, ...]]:
     """Return what every method makes of a release; a notice says which of them finds nothing, and what each remarks."""
-    rng = np.random.default_rng(SEED)
-    rows: list[MethodRow] = []
-    notices: list[Notice] = []
-    structure = {"modes": settings.modes, "real_poles": settings.real_poles}
+    rng, rows, notices = np.random.default_rng(SEED), list[MethodRow](), list[Notice]()
+    by = partial(compare, release.record, release.driven, rng=rng, reading=release.reading)
     for method in METHODS:
         try:
-            (fit,) = compare(
-                release.record, release.driven, rng=rng, reading=release.reading, methods=(method,), **structure
-            )
+            (fit,) = by(methods=(method,), modes=settings.modes, real_poles=settings.real_poles)
         except FAILURES as error:
             notices.append(Notice("info", f"{LABELS[method]}: no model ({error})", release.name))
             continue
@@ -431,5 +424,5 @@ def ropes_of(releases: Sequence[Release], used: Sequence[str]) -> tuple[Rope, ..
     ropes = []
     for kind in compare_releases(readings):
         own = tuple(release.name for release in releases if release.record.release == kind.release)
-        ropes.append(Rope(kind, own, any(name in used for name in own)))
+        ropes.append(Rope(kind, own, not set(used).isdisjoint(own)))
     return tuple(ropes)

@@ -188,8 +188,7 @@ def texts(evaluation: StepEvaluation) -> dict[str, str | bytes]:
     outputs = (
         Output(c, release, reading) for c in components for release in c.releases for reading in release.readings
     )
-    parameters: list[Number] = []
-    indices: list[Number] = []
+    parameters, indices = list[Number](), list[Number]()
     for c in components:
         names = [release.name for release in c.releases]
         parameters += [Number(c.component, c.channel, one.name, one, c.used) for one in c.parameters]
