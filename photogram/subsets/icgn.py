@@ -9,7 +9,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
-from photogram.bspline import Spline, box_inside, mean_noise_gain, sample_line, sample_points
+from photogram.bspline import Spline, mean_noise_gain, sample_line, sample_points, warp_inside
 from photogram.images import QUANTISATION
 from photogram.kernels import njit
 from photogram.subsets.reference import (
@@ -169,7 +169,7 @@ def _register(subsets, solved, target, limits, warp, scores, outcome):  # type: 
 @njit()
 def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore[no-untyped-def]
     """Gauss-Newton steps of one subset until it stands still; returns status and iterations, fills warp and scores."""
-    _, _, radius, _, _, energy, _ = subset
+    centre_x, centre_y, radius, _, _, energy, _ = subset
     removed, inverse = solved
     max_iterations, convergence, min_zncc = limits
     count, parameters = (2 * radius + 1) ** 2, inverse.shape[0]
@@ -183,7 +183,7 @@ def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore
     for iteration in range(1, max_iterations + 1):
         if abs(warp[0] - start_x) + abs(warp[3] - start_y) > 2.0 * radius:
             return 1, iteration
-        if not _inside(subset, target, warp):
+        if not warp_inside(target[0], centre_x, centre_y, radius, warp):
             return 3, iteration
         _sample(subset, target, warp, grey, room)
         _correlate(subset, grey, parameters, sums)
@@ -226,20 +226,6 @@ def _step_of(solution, radius, step):  # type: ignore[no-untyped-def]
     for curvature in step[6:]:
         moved += 0.25 * radius**4 * curvature**2
     return moved
-
-
-@njit(inline="always")
-def _inside(subset, target, warp):  # type: ignore[no-untyped-def]
-    """Whether all corners of the warped subset lie within the image."""
-    centre_x, centre_y, radius, _, _, _, _ = subset
-    coefficients, _ = target
-    x, y = centre_x + warp[0], centre_y + warp[3]
-    reach_x = radius * (abs(1.0 + warp[1]) + abs(warp[2]))
-    reach_y = radius * (abs(warp[4]) + abs(1.0 + warp[5]))
-    if warp.size == 12:
-        reach_x += radius**2 * (0.5 * abs(warp[6]) + abs(warp[7]) + 0.5 * abs(warp[8]))
-        reach_y += radius**2 * (0.5 * abs(warp[9]) + abs(warp[10]) + 0.5 * abs(warp[11]))
-    return box_inside(coefficients, x, y, reach_x, reach_y)
 
 
 @njit()
