@@ -28,6 +28,7 @@ from photogram.subsets.search import predict_warp
 from photogram.subsets.track import (
     Tracks,
     follow_sequence,
+    lay_stereo_grid,
     match_stereo,
     prepare_sequence,
     resolve_device,
@@ -123,7 +124,15 @@ def test_the_path_of_a_stereo_pair(texture, pair, rig):
         assert np.abs(error - (tracks.right.position_px[0] - true_right(rig, points))).max() < 0.03
 
 
-def test_a_wrong_calibration_is_said(pair, rig):
+def test_matches_off_their_epipolar_lines_are_dropped_and_a_wrong_calibration_is_said(pair, rig):
+    shifted = pair[1].copy()
+    shifted[110:150, 140:190] = np.roll(pair[1], 4, axis=0)[110:150, 140:190]  # a part that the calibration excludes
+    grids = [lay_stereo_grid(sequence([pair[0]]), sequence([shifted]), one, TrackSettings()) for one in (rig, None)]
+    off = [np.abs(grid.right_px - true_right(rig, grid.left_px)).max(axis=1) > 2.0 for grid in grids]
+    assert not off[0].any()
+    assert off[1].any()
+    assert len(grids[0].left_px) > 20
+    assert grids[0].notices == ()
     tilt = RigidTransform.from_pose(np.array([0, 0, 0, 0.004, 0, 0]))
     wrong = StereoRig(rig.left, rig.right, tilt @ rig.right_from_left)
     tracks = track_stereo(sequence([pair[0]] * 2), sequence([pair[1]] * 2), wrong, TrackSettings())
@@ -502,19 +511,16 @@ def test_device_is_chosen(monkeypatch, choice, driver, torch_finds, expected):
     assert resolve_device(choice) == expected
 
 
-def test_an_absent_gpu_is_an_error_only_when_asked_for(monkeypatch):
-    monkeypatch.setattr(device_module, "_torch_finds_cuda", lambda: False)
-    refused("device: expected a GPU that torch can use for 'cuda', found none", resolve_device, "cuda")
-    refused("device: expected one of auto, cpu, cuda, found 'gpu'", resolve_device, "gpu")
-
-
-def test_a_machine_without_a_driver_is_not_asked_for_torch(monkeypatch):
+def test_an_absent_gpu_is_an_error_only_when_asked_for_and_torch_is_not_imported_without_a_driver(monkeypatch):
     def refuse(name: str) -> None:
         raise OSError(f"{name}: no such library")
 
     def never() -> bool:
         raise AssertionError("torch was imported")
 
+    monkeypatch.setattr(device_module, "_torch_finds_cuda", lambda: False)
+    refused("device: expected a GPU that torch can use for 'cuda', found none", resolve_device, "cuda")
+    refused("device: expected one of auto, cpu, cuda, found 'gpu'", resolve_device, "gpu")
     monkeypatch.setattr(device_module.ctypes, "CDLL", refuse)
     monkeypatch.setattr(device_module, "_torch_finds_cuda", never)
     assert resolve_device("auto") == "cpu"
