@@ -1,9 +1,8 @@
 """B-spline interpolation of images: coefficients, values and gradients, and values along lines of points.
 
 Lines are the inner loop of every registration. Neighbouring points of a line read neighbouring coefficients as long as
-the line does not pass into another row or drift by a column. Such runs are computed with vectors of eight points.
-Compilers do not find this by themselves (they cannot know that the grey values written are no coefficients), so the few
-vector operations are written out here.
+it does not pass into another row or drift by a column. Such runs are computed with vectors of eight points, written out
+here: compilers cannot know that the grey values written are no coefficients.
 """
 
 from __future__ import annotations
