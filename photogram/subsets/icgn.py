@@ -241,28 +241,23 @@ def _correlate(subset, grey, parameters, sums):  # type: ignore[no-untyped-def]
 
 @njit()
 def _sample(subset, target, warp, grey, room):  # type: ignore[no-untyped-def]
-    """Grey values (P,) of the target at the warped subset, row by row."""
-    radius, width = subset[2], room.shape[1]
-    for row in range(width):
-        _sample_row(subset, target, warp, row - radius, grey[row * width : (row + 1) * width], room)
-
-
-@njit(inline="always")
-def _sample_row(subset, target, warp, dy, grey, room):  # type: ignore[no-untyped-def]
-    """Grey values of the target at one row of the warped subset; `room` is for points of a curved row."""
+    """Grey values (P,) of the target at the warped subset, row by row; `room` is for points of a curved row."""
     centre_x, centre_y, radius, _, _, _, _ = subset
     coefficients, degree = target
-    x = centre_x + warp[0] + warp[2] * dy - (1.0 + warp[1]) * radius
-    y = centre_y + warp[3] + (1.0 + warp[5]) * dy - warp[4] * radius
-    if warp.size == 12:
-        for i in range(grey.size):
-            dx = float(i - radius)
-            curved_x = 0.5 * warp[6] * dx * dx + warp[7] * dx * dy + 0.5 * warp[8] * dy * dy
-            curved_y = 0.5 * warp[9] * dx * dx + warp[10] * dx * dy + 0.5 * warp[11] * dy * dy
-            room[0, i], room[1, i] = x + i * (1.0 + warp[1]) + curved_x, y + i * warp[4] + curved_y
-        sample_points(coefficients, degree, room[0], room[1], grey)
-    else:
-        sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], grey)
+    width = room.shape[1]
+    for number in range(width):
+        dy, row = number - radius, grey[number * width : (number + 1) * width]
+        x = centre_x + warp[0] + warp[2] * dy - (1.0 + warp[1]) * radius
+        y = centre_y + warp[3] + (1.0 + warp[5]) * dy - warp[4] * radius
+        if warp.size == 12:
+            for i in range(width):
+                dx = float(i - radius)
+                curved_x = 0.5 * warp[6] * dx * dx + warp[7] * dx * dy + 0.5 * warp[8] * dy * dy
+                curved_y = 0.5 * warp[9] * dx * dx + warp[10] * dx * dy + 0.5 * warp[11] * dy * dy
+                room[0, i], room[1, i] = x + i * (1.0 + warp[1]) + curved_x, y + i * warp[4] + curved_y
+            sample_points(coefficients, degree, room[0], room[1], row)
+        else:
+            sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], row)
 
 
 @njit()
