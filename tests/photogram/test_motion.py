@@ -262,27 +262,23 @@ ROOT = np.array([[0.3, 0.0, 0.0], [0.05, 0.25, 0.0], [0.1, -0.2, 0.9]]) * 1e-6
 FRAMES = 60
 
 
-def plate(columns: int = 9, rows: int = 7) -> np.ndarray:
-    x, y = np.meshgrid(np.linspace(-0.05, 0.05, columns), np.linspace(-0.04, 0.04, rows))
-    return np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.02)])
+PLATE = np.array([(x, y, 0.02) for y in np.linspace(-0.04, 0.04, 7) for x in np.linspace(-0.05, 0.05, 9)])
 
 
 def moving(rng: np.random.Generator, bent: np.ndarray | float = 0.0, uneven: float = 10.0) -> Points:
     """Points whose noise grows away from the middle; the reference frame has noise of its own."""
-    rest = plate()
     pose = np.concatenate([rng.normal(0, 1e-4, (FRAMES, 3)), rng.normal(0, 0.02, (FRAMES, 3))], axis=1)
     pose[0] = 0.0
-    moved = (rest + bent) @ np.swapaxes(rotation_from_vector(pose[:, 3:]), 1, 2) + pose[:, None, :3]
-    grow = (1.0 + uneven * np.abs(rest[:, 0]))[:, None, None]
+    moved = (PLATE + bent) @ np.swapaxes(rotation_from_vector(pose[:, 3:]), 1, 2) + pose[:, None, :3]
+    grow = (1.0 + uneven * np.abs(PLATE[:, 0]))[:, None, None]
     noise = rng.normal(size=moved.shape)[..., None, :] @ np.swapaxes(grow * ROOT, 1, 2)
     covariance = np.broadcast_to(grow**2 * (ROOT @ ROOT.T), (*moved.shape, 3))
     return Points(moved + noise[..., 0, :], covariance, np.zeros(moved.shape[:2]))
 
 
-def about(points: Points) -> tuple[RigidMotion, Deformation]:
+def beside(points: Points) -> Deformation:
     """Against the first frame, whose noise is that of the reference."""
-    motion = fit_motion(points, None, np.array([0.01, 0.0, -0.03]))
-    return motion, deformation(points, motion)
+    return deformation(points, fit_motion(points, None, np.array([0.01, 0.0, -0.03])))
 
 
 def squares(shape: Deformation) -> np.ndarray:
@@ -291,7 +287,7 @@ def squares(shape: Deformation) -> np.ndarray:
 
 def test_a_rigid_body_leaves_noise_of_the_stated_covariance():
     """Chi-square of all points, and of each point, over 8 series."""
-    found = np.array([squares(about(moving(np.random.default_rng(seed)))[1]) for seed in range(8)])
+    found = np.array([squares(beside(moving(np.random.default_rng(seed)))) for seed in range(8)])
     assert found.mean() / 3 == pytest.approx(1.0, abs=0.02)
     np.testing.assert_allclose(found.mean(axis=(0, 1)) / 3, 1.0, atol=0.2)
 
@@ -300,7 +296,7 @@ def test_without_the_leverage_of_the_fit_few_points_would_look_too_still():
     points = moving(np.random.default_rng(9))
     few = np.array([0, 8, 30, 54, 62])
     part = Points(points.position_m[:, few], points.covariance_m2[:, few], points.reprojection_px[:, few])
-    shape = about(part)[1]
+    shape = beside(part)
     full = np.linalg.inv(part.covariance_m2)
     assert squares(shape).mean() / 3 == pytest.approx(1.0, abs=0.1)
     assert np.einsum("fni,fnij,fnj->fn", shape.residual_m, full, shape.residual_m).mean() / 3 < 0.7
@@ -308,7 +304,7 @@ def test_without_the_leverage_of_the_fit_few_points_would_look_too_still():
 
 def test_bending_comes_back_in_the_axes_of_the_body():
     """A saddle, orthogonal to all rigid motions, that turns with the body; constant parts are not seen."""
-    rest = plate()
+    rest = PLATE
     saddle = rest[:, 0] ** 2 / np.mean(rest[:, 0] ** 2) - rest[:, 1] ** 2 / np.mean(rest[:, 1] ** 2)
     swing = np.sin(np.arange(FRAMES))
     bent = np.zeros((FRAMES, len(rest), 3))
@@ -328,8 +324,8 @@ def test_missing_points_are_missing_and_harm_nobody():
     points = moving(np.random.default_rng(11))
     points.position_m[5, 3] = np.nan
     points.position_m[:, 7] = np.nan
-    shape = about(points)[1]
-    missing = np.zeros((FRAMES, len(plate())), bool)
+    shape = beside(points)
+    missing = np.zeros((FRAMES, len(PLATE)), bool)
     missing[5, 3], missing[:, 7] = True, True
     np.testing.assert_array_equal(np.isnan(shape.residual_m).all(axis=2), missing)
     np.testing.assert_array_equal(np.isnan(shape.covariance_m2).any(axis=(2, 3)), missing)

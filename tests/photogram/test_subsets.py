@@ -222,7 +222,7 @@ def test_radius_follows_the_speckle(speckle_px, radius):
     assert default_radius_px(float("nan")) == 10
 
 
-# First guesses: features and affine starts, templates, fields through few points, epipolar distances.
+# First guesses: features and affine starts, templates, fields through few points.
 
 MATRIX = np.array([[0.87, 0.02], [-0.05, 1.01]])
 SHIFT = np.array([14.0, -6.0])
