@@ -1,9 +1,8 @@
 """B-spline interpolation of images: coefficients, values and gradients, and values along lines of points.
 
 Lines are the inner loop of every registration. Neighbouring points of a line read neighbouring coefficients as long as
-the line does not pass into another row or drift by a column. Such runs are computed with vectors of eight points.
-Compilers do not find this by themselves (they cannot know that the grey values written are no coefficients), so the few
-vector operations are written out here.
+it does not pass into another row or drift by a column. Such runs are computed with vectors of eight points, written out
+here: compilers cannot know that the grey values written are no coefficients.
 """
 
 from __future__ import annotations
@@ -339,8 +338,14 @@ def sample_points(c, degree, x, y, grey):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def box_inside(coefficients, x, y, reach_x, reach_y):  # type: ignore[no-untyped-def]
-    """Whether the rectangle about (x, y) lies within the image; False for NaN."""
+def warp_inside(coefficients, x, y, radius, warp):  # type: ignore[no-untyped-def]
+    """Whether all corners of the square about (x, y), warped by (6,) or (12,), lie in the image; False for NaN."""
+    x, y = x + warp[0], y + warp[3]
+    reach_x = radius * (abs(1.0 + warp[1]) + abs(warp[2]))
+    reach_y = radius * (abs(warp[4]) + abs(1.0 + warp[5]))
+    if warp.size == 12:
+        reach_x += radius**2 * (0.5 * abs(warp[6]) + abs(warp[7]) + 0.5 * abs(warp[8]))
+        reach_y += radius**2 * (0.5 * abs(warp[9]) + abs(warp[10]) + 0.5 * abs(warp[11]))
     right, bottom = coefficients.shape[1] - 2.0 * PADDING_PX - 1.0, coefficients.shape[0] - 2.0 * PADDING_PX - 1.0
     return x - reach_x >= 0.0 and x + reach_x <= right and y - reach_y >= 0.0 and y + reach_y <= bottom
 

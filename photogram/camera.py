@@ -291,11 +291,10 @@ def triangulate(
     """Return the most likely points (F, N), in the left camera's frame, for pixels (F, N, 2) seen by both cameras.
 
     Minimises Σ rᵀ·C⁻¹·r over both cameras, r the reprojection error in distorted pixels and C its covariance,
-    broadcast to (F, N, 2, 2); `None` stands for 1 px² in each coordinate, so that the covariance of the point is then
-    that of 1 px. Gauss-Newton from the midpoint of the two rays (Hartley and Sturm 1997, Computer Vision and Image
-    Understanding 68, 146, whose optimum it is); covariance (Jᵀ·C⁻¹·J)⁻¹; `reprojection_px` is the rms of the four
-    residuals, of which one degree of freedom remains. A point with NaN, without an inverse of the distortion, with
-    parallel rays or behind a camera is NaN throughout.
+    broadcast to (F, N, 2, 2); `None` stands for 1 px² in each coordinate. Gauss-Newton from the midpoint of the two
+    rays (Hartley and Sturm 1997, Computer Vision and Image Understanding 68, 146, whose optimum it is); covariance
+    (Jᵀ·C⁻¹·J)⁻¹; `reprojection_px` is the rms of the four residuals, of which one degree of freedom remains. A point
+    with NaN, without an inverse of the distortion, with parallel rays or behind a camera is NaN throughout.
 
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
     >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.1, 0.0, 0.0])))

@@ -9,7 +9,7 @@ import numpy as np
 from numba import prange
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
-from photogram.bspline import Spline, box_inside, evaluate, mean_noise_gain, sample_line, slope_noise_gain
+from photogram.bspline import Spline, evaluate, mean_noise_gain, sample_line, slope_noise_gain, warp_inside
 from photogram.geometry import RigidTransform, pose_rate
 from photogram.images import QUANTISATION, NoiseModel, fit_noise_model
 from photogram.kernels import njit
@@ -212,15 +212,6 @@ def _prepare(centre, runs, first, pixels, scalars, moments, extent):  # type: ig
 
 
 @njit(inline="always")
-def _cell_inside(centre_x, centre_y, reach, warp, coefficients):  # type: ignore[no-untyped-def]
-    """Whether all corners of the warped cell lie within the image; False for NaN."""
-    x, y = centre_x + warp[0], centre_y + warp[3]
-    reach_x = reach * (abs(1.0 + warp[1]) + abs(warp[2]))
-    reach_y = reach * (abs(warp[4]) + abs(1.0 + warp[5]))
-    return box_inside(coefficients, x, y, reach_x, reach_y)
-
-
-@njit(inline="always")
 def _sample_run(run, centre_x, centre_y, target, warp, grey):  # type: ignore[no-untyped-def]
     """Grey values of the target along one warped run."""
     coefficients, degree = target
@@ -236,7 +227,7 @@ def _sum_cells(shape, pixels, means, target, warps, sums):  # type: ignore[no-un
     centres, runs, first, reach = shape
     for c in prange(centres.shape[0]):
         centre_x, centre_y, warp = centres[c, 0], centres[c, 1], warps[c]
-        if not _cell_inside(centre_x, centre_y, reach, warp, target[0]):
+        if not warp_inside(target[0], centre_x, centre_y, reach, warp):
             continue
         line, row = np.empty(int(2 * reach) + 1), np.empty(RUN_SUMS)
         found, mean = np.zeros(9), means[c]
@@ -260,7 +251,7 @@ def _sample_cells(shape, target, warps, grey):  # type: ignore[no-untyped-def]
     """Grey values of the target at all warped pixels."""
     centres, runs, first, reach = shape
     for c in prange(centres.shape[0]):
-        if _cell_inside(centres[c, 0], centres[c, 1], reach, warps[c], target[0]):
+        if warp_inside(target[0], centres[c, 0], centres[c, 1], reach, warps[c]):
             for r in range(first[c], first[c + 1]):
                 piece = grey[runs[r, 3] : runs[r, 3] + runs[r, 2]]
                 _sample_run(runs[r], centres[c, 0], centres[c, 1], target, warps[c], piece)

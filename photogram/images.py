@@ -362,11 +362,12 @@ def fit_noise_model(grey: FloatArray, residual_grey2: FloatArray) -> NoiseModel:
     """Noise model from pixels' brightness (M,) and squared residuals (M,), each χ² with one degree of freedom.
 
     Up to 32 bins of equal count along brightness. In a bin the variance s² is the mean of the residuals below 9·s²,
-    enlarged by F₁(9)/F₃(9) = 1.027 (Fₙ: distribution of χ² with n degrees of freedom, since ∫₀ᵗ x·f₁ = F₃(t)): skewness
-    costs nothing, outliers little. The line through the bins has no negative coefficient and relative weights, taken
-    from the line itself, since bins that happen to be low would else pull it down. A brightness range of less than
-    10 % of the brightest bin gives a constant. NaN pixels are left out.
+    enlarged by F₁(9)/F₃(9) = 1.027 (Fₙ: distribution of χ² with n degrees of freedom, since ∫₀ᵗ x·f₁ = F₃(t)). The line
+    through the bins has no negative coefficient and relative weights, taken from the line itself. A brightness range of
+    less than 10 % of the brightest bin gives a constant. NaN pixels are left out.
     """
+    from scipy.optimize import nnls
+
     check_shape("grey", grey, (None,))
     check_shape("residual_grey2", residual_grey2, (len(grey),))
     known = np.isfinite(grey) & np.isfinite(residual_grey2)
@@ -379,7 +380,13 @@ def fit_noise_model(grey: FloatArray, residual_grey2: FloatArray) -> NoiseModel:
     count = np.array([float(len(part)) for part in parts])
     if np.ptp(brightness) < NARROW * np.abs(brightness).max():
         return NoiseModel(max(float(np.average(variance, weights=count)), QUANTISATION), 0.0)
-    return _line(np.maximum(brightness, 0.0), variance, count)
+    columns = np.column_stack([np.ones_like(brightness), np.maximum(brightness, 0.0)])
+    solution, expected = np.zeros(2), np.full_like(variance, variance.mean())
+    for _ in range(4):
+        weight = np.sqrt(count) / np.maximum(expected, QUANTISATION)
+        solution, _ = nnls(columns * weight[:, None], variance * weight)
+        expected = columns @ solution
+    return NoiseModel(float(solution[0]), float(solution[1]))
 
 
 def _robust_variance(squares: FloatArray) -> float:
@@ -394,17 +401,3 @@ def _robust_variance(squares: FloatArray) -> float:
         if abs(variance - before) <= 1e-6 * before:
             break
     return variance
-
-
-def _line(brightness: FloatArray, variance: FloatArray, count: FloatArray) -> NoiseModel:
-    """Line with coefficients of 0 or more through the bins' variances, weighted by the line's own values."""
-    from scipy.optimize import nnls
-
-    expected = np.full_like(variance, variance.mean())
-    columns = np.column_stack([np.ones_like(brightness), brightness])
-    solution = np.zeros(2)
-    for _ in range(4):
-        weight = np.sqrt(count) / np.maximum(expected, QUANTISATION)
-        solution, _ = nnls(columns * weight[:, None], variance * weight)
-        expected = columns @ solution
-    return NoiseModel(float(solution[0]), float(solution[1]))

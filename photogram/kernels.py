@@ -1,15 +1,13 @@
 """Compiled kernels: numba with a cache that knows its sources, and vectors of eight doubles in generated code.
 
-Numba keeps a compiled function as long as the function's own file is unchanged. A kernel holds the code and the
-constants of the functions that it calls, though, which are in other files: after a change there it would go on
-computing with the old ones. Here the cache is the user's, one for all checkouts, and a change in any source of the
-package makes all kernels new.
+Numba keeps a compiled function as long as its own file is unchanged, though it holds code and constants of functions in
+other files. Here the cache is the user's, one for all checkouts, and a change in any source of the package makes all
+kernels new.
 
 A kernel computes the same digits in every process. Numba compiles a function with the options of the one that calls it
-where it states none itself, and copies it into the kernels that call it; which of the copies runs hangs on what was
-compiled or loaded before. So all options are stated, and fast-math, by which every copy may round in another way, is
-none of them: `Lanes` has the arithmetic that needs it, written out operation by operation: a product that goes into a
-sum is fused with it, and lanes are added in pairs.
+where it states none itself; which of the copies runs hangs on what was compiled or loaded before. So all options are
+stated, and fast-math, by which every copy may round in another way, is none of them: `Lanes` writes out the arithmetic
+that needs it. A product that goes into a sum is fused with it, and lanes are added in pairs.
 """
 
 from __future__ import annotations

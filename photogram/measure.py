@@ -178,7 +178,13 @@ def body_motion(scene: BodyScene, blocks: Sequence[FollowedBlock]) -> BodyMotion
     if settings.grid_step_px <= 2 * settings.radius_px:
         shared = overlap_correlation(scene.grid.left_px, settings.radius_px)
     of_points = fit_motion(points, None, np.zeros(3), shared)
-    motion = _with_direct(of_points, fits, scene.views)
+    pose, covariance = of_points.pose.copy(), of_points.covariance.copy()
+    done = {frame: fit for frame, fit in enumerate(fits, start=1) if fit is not None}
+    for frame, fit in done.items():
+        pose[frame], covariance[frame] = fit.moved.pose, fit.covariance
+    if done:  # the first frame has the covariance of a typical one
+        covariance[0] = rest_covariance(scene.views, float(np.median([fit.noise for fit in done.values()])))
+    motion = replace(of_points, pose=pose, covariance=covariance)
     notices = (*stereo.notices, *remarks, *_rigid_notices(points, motion, of_points, fits))
     return BodyMotion(stereo, points, motion, of_points, noise, quality, notices)
 
@@ -250,18 +256,6 @@ def _views(scene: BodyScene, splines: Splines, rest_m: FloatArray, noise: Noise)
 def _fit(views: tuple[BodyView, ...], splines: Splines, start: FloatArray) -> DirectFit | None:
     """The direct fit of one frame, None where its points have no motion to start from."""
     return fit_direct(views, splines, RigidTransform.from_pose(start)) if np.isfinite(start).all() else None
-
-
-def _with_direct(of_points: RigidMotion, fits: list[DirectFit | None], views: tuple[BodyView, ...]) -> RigidMotion:
-    """The motion with pose and covariance of the direct fits; the first frame has the covariance of a typical one."""
-    pose, covariance = of_points.pose.copy(), of_points.covariance.copy()
-    done = [fit for fit in fits if fit is not None]
-    if done:
-        covariance[0] = rest_covariance(views, float(np.median([fit.noise for fit in done])))
-    for frame, fit in enumerate(fits, start=1):
-        if fit is not None:
-            pose[frame], covariance[frame] = fit.moved.pose, fit.covariance
-    return replace(of_points, pose=pose, covariance=covariance)
 
 
 def _rigid_notices(

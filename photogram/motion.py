@@ -95,14 +95,13 @@ def fit_motion(
     the six components); points with dᵢ² > 25·s² (1.5·10⁻⁵ of normal ones) are left out, and may come back during the
     first eight rounds. Fewer than six points reject nobody.
 
-    The covariance is (Σ Jᵀ·C⁻¹·J)⁻¹ over the points used: the noise of this single frame as the points state it, not
-    enlarged or reduced by the residuals. The noise of the reference is left out: it moves all frames of a series
-    alike. Frame 0, whose pose against itself is exactly zero, gets a covariance of the same kind. A frame with fewer
-    than three usable points, or with all on one line, is NaN.
+    The covariance is (Σ Jᵀ·C⁻¹·J)⁻¹ over the points used: the noise of this single frame as the points state it, also
+    of frame 0, whose pose is exactly zero. The noise of the reference is left out: it moves all frames of a series
+    alike. A frame with fewer than three usable points, or with all on one line, is NaN.
 
     Points that depart from a rigid motion by more than five times their noise (median(dᵢ²)/2.366 > 25 at the start)
-    belong to a body that bends. Their noise then says nothing about the misfit, and weights by it would turn the body
-    to where it is known worst; such a frame is fitted with Cᵢ = I·median(eᵢ²)/2.366.
+    belong to a body that bends, which weights by noise would turn to where it is known worst; such a frame is fitted
+    with Cᵢ = I·median(eᵢ²)/2.366.
 
     Points of overlapping subsets have noise in common: with their `correlation` ρ (N, N) (`overlap_correlation`) and
     C = L·Lᵀ the covariance of two points is ρ·Lₙ·Lₘᵀ, and that of the pose N⁻¹·(Σₙₘ ρₙₘ·Bₙᵀ·Bₘ)·N⁻¹ with B = L⁻¹·J and

@@ -9,7 +9,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
-from photogram.bspline import Spline, box_inside, mean_noise_gain, sample_line, sample_points
+from photogram.bspline import Spline, mean_noise_gain, sample_line, sample_points, warp_inside
 from photogram.images import QUANTISATION
 from photogram.kernels import njit
 from photogram.subsets.reference import (
@@ -169,7 +169,7 @@ def _register(subsets, solved, target, limits, warp, scores, outcome):  # type: 
 @njit()
 def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore[no-untyped-def]
     """Gauss-Newton steps of one subset until it stands still; returns status and iterations, fills warp and scores."""
-    _, _, radius, _, _, energy, _ = subset
+    centre_x, centre_y, radius, _, _, energy, _ = subset
     removed, inverse = solved
     max_iterations, convergence, min_zncc = limits
     count, parameters = (2 * radius + 1) ** 2, inverse.shape[0]
@@ -183,7 +183,7 @@ def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore
     for iteration in range(1, max_iterations + 1):
         if abs(warp[0] - start_x) + abs(warp[3] - start_y) > 2.0 * radius:
             return 1, iteration
-        if not _inside(subset, target, warp):
+        if not warp_inside(target[0], centre_x, centre_y, radius, warp):
             return 3, iteration
         _sample(subset, target, warp, grey, room)
         _correlate(subset, grey, parameters, sums)
@@ -228,20 +228,6 @@ def _step_of(solution, radius, step):  # type: ignore[no-untyped-def]
     return moved
 
 
-@njit(inline="always")
-def _inside(subset, target, warp):  # type: ignore[no-untyped-def]
-    """Whether all corners of the warped subset lie within the image."""
-    centre_x, centre_y, radius, _, _, _, _ = subset
-    coefficients, _ = target
-    x, y = centre_x + warp[0], centre_y + warp[3]
-    reach_x = radius * (abs(1.0 + warp[1]) + abs(warp[2]))
-    reach_y = radius * (abs(warp[4]) + abs(1.0 + warp[5]))
-    if warp.size == 12:
-        reach_x += radius**2 * (0.5 * abs(warp[6]) + abs(warp[7]) + 0.5 * abs(warp[8]))
-        reach_y += radius**2 * (0.5 * abs(warp[9]) + abs(warp[10]) + 0.5 * abs(warp[11]))
-    return box_inside(coefficients, x, y, reach_x, reach_y)
-
-
 @njit()
 def _correlate(subset, grey, parameters, sums):  # type: ignore[no-untyped-def]
     """Sums over the subset of g, g², f̃g and of the steepest-descent images times g (g without the mean of f)."""
@@ -255,28 +241,23 @@ def _correlate(subset, grey, parameters, sums):  # type: ignore[no-untyped-def]
 
 @njit()
 def _sample(subset, target, warp, grey, room):  # type: ignore[no-untyped-def]
-    """Grey values (P,) of the target at the warped subset, row by row."""
-    radius, width = subset[2], room.shape[1]
-    for row in range(width):
-        _sample_row(subset, target, warp, row - radius, grey[row * width : (row + 1) * width], room)
-
-
-@njit(inline="always")
-def _sample_row(subset, target, warp, dy, grey, room):  # type: ignore[no-untyped-def]
-    """Grey values of the target at one row of the warped subset; `room` is for points of a curved row."""
+    """Grey values (P,) of the target at the warped subset, row by row; `room` is for points of a curved row."""
     centre_x, centre_y, radius, _, _, _, _ = subset
     coefficients, degree = target
-    x = centre_x + warp[0] + warp[2] * dy - (1.0 + warp[1]) * radius
-    y = centre_y + warp[3] + (1.0 + warp[5]) * dy - warp[4] * radius
-    if warp.size == 12:
-        for i in range(grey.size):
-            dx = float(i - radius)
-            curved_x = 0.5 * warp[6] * dx * dx + warp[7] * dx * dy + 0.5 * warp[8] * dy * dy
-            curved_y = 0.5 * warp[9] * dx * dx + warp[10] * dx * dy + 0.5 * warp[11] * dy * dy
-            room[0, i], room[1, i] = x + i * (1.0 + warp[1]) + curved_x, y + i * warp[4] + curved_y
-        sample_points(coefficients, degree, room[0], room[1], grey)
-    else:
-        sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], grey)
+    width = room.shape[1]
+    for number in range(width):
+        dy, row = number - radius, grey[number * width : (number + 1) * width]
+        x = centre_x + warp[0] + warp[2] * dy - (1.0 + warp[1]) * radius
+        y = centre_y + warp[3] + (1.0 + warp[5]) * dy - warp[4] * radius
+        if warp.size == 12:
+            for i in range(width):
+                dx = float(i - radius)
+                curved_x = 0.5 * warp[6] * dx * dx + warp[7] * dx * dy + 0.5 * warp[8] * dy * dy
+                curved_y = 0.5 * warp[9] * dx * dx + warp[10] * dx * dy + 0.5 * warp[11] * dy * dy
+                room[0, i], room[1, i] = x + i * (1.0 + warp[1]) + curved_x, y + i * warp[4] + curved_y
+            sample_points(coefficients, degree, room[0], room[1], row)
+        else:
+            sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], row)
 
 
 @njit()

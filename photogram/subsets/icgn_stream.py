@@ -50,9 +50,8 @@ def follow_frames(
     """Every image after the `first` in turn, with where the subsets of `reference` are in it.
 
     Images are read in batches, the next one by a thread meanwhile, so at most two are in memory. A batch is done at
-    once as far as its starts can be foretold (`forecast_warps`). Frames of which half is not found start again from
-    the nearest frame found, then single subsets from their neighbours as in `photogram.subsets.track`; a frame still
-    lost is searched on the CPU.
+    once as far as its starts can be foretold. Frames of which half is not found start again from the nearest frame
+    found, then single subsets from their neighbours; a frame still lost is searched on the CPU.
     """
     if batch_frames < 1:
         raise ValueError(f"batch_frames: expected at least 1, found {batch_frames}")
@@ -147,12 +146,11 @@ def forecast_warps(history: Sequence[FloatArray], most: int) -> FloatArray:
     than there were, and only the next one, by `predict_warp`, when that last quarter would have been missed by half a
     pixel. In a frame in which it was lost, a subset counts as in the one before.
     """
-    found = np.stack(history)
-    filled = found.copy()
-    for before, here in pairwise(filled):
+    seen = np.stack(history)
+    series = seen.copy()
+    for before, here in pairwise(series):
         np.copyto(here, before, where=np.isnan(here))
-    series = filled
-    kept = np.isfinite(found if np.isfinite(found).all(axis=(0, 2)).any() else series).all(axis=(0, 2))
+    kept = np.isfinite(seen if np.isfinite(seen).all(axis=(0, 2)).any() else series).all(axis=(0, 2))
     shifts = series[:, kept][..., [0, 3]].reshape(len(series), -1)
     count, tested = min(most, len(series)), len(series) // 4
     if count == 1 or len(series) - tested < FEWEST or shifts.size == 0:

@@ -28,9 +28,9 @@ def textured_area(image: Image) -> BoolArray:
     """Pixels (H,W) of the speckled body: background without texture and the body's rim are left out.
 
     The local standard deviation (9 x 9 px) is split by Otsu's threshold on its logarithm (Otsu 1979, IEEE Trans. Syst.
-    Man Cybern. 9, 62) and holes are closed. The same with a window of 5 x 5 px, which large speckle would tear, draws
-    the outline within the last 9 px; 6 px are taken off it: 2 for the window's reach, 4 for the blurred rim. An image
-    whose two classes differ by less than a factor of 3 is textured everywhere.
+    Man Cybern. 9, 62) and holes are closed. A window of 5 x 5 px draws the outline within the last 9 px; 6 px are taken
+    off it: 2 for the window's reach, 4 for the blurred rim. An image whose classes differ by less than a factor of 3 is
+    textured everywhere.
     """
     from scipy import ndimage
 
@@ -324,8 +324,8 @@ def aliasing_bias(image: Image, area: BoolArray, noise_grey: float, radius_px: i
     F(ν)·[1 + W·(e^{∓2πju} − 1)]: W(ν) = H(ν−1), H the frequency response of the cardinal spline (Unser 1999, IEEE
     Signal Process. Mag. 16(6), 22), goes from 0 below Nyquist (images left by the spline) to 1 above it (aliases). The
     error e moves a subset by δ = Σ fₓe/Σ fₓ². With the spline's derivative D(ν) and the spectrum P the mean over
-    subsets is B·sin 2πu, B = ∫P·W·D/∫P·D² over 0 < ν < 1, whose parts below and above Nyquist have opposite signs; the
-    larger part is taken, since the difference hangs on the extrapolation. A subset of n pixels has beside it the rms
+    subsets is B·sin 2πu, B = ∫P·W·D/∫P·D² over 0 < ν < 1, of whose parts below and above Nyquist, of opposite signs,
+    the larger is taken. A subset of n pixels has beside it the rms
     amplitude √(2∫∫P·D²·P·W²/n)/∫∫P·D².
 
     P beyond Nyquist is the folded part of the periodogram under the law A·ν⁻²·sinc²ν·exp(−cν²): rims of dots, pixel

@@ -437,17 +437,10 @@ def dropped(found: Registration, which: BoolArray, status: TrackStatus) -> Regis
 
 def identity(reference: Reference) -> Registration:
     """The reference found in itself; its noise is filled in from the other frames."""
-    count = len(reference.centre_px)
-    usable = reference.status == TrackStatus.OK
-    ones = np.where(usable, 1.0, np.nan)
-    return Registration(
-        np.where(usable[:, None], 0.0, np.nan) * np.ones(max(6, PARAMETERS[reference.order])),
-        ones,
-        ones,
-        np.full(count, np.nan),
-        reference.status,
-        np.zeros(count, np.int64),
-    )
+    ones = np.where(reference.status == TrackStatus.OK, 1.0, np.nan)
+    warp = np.outer(ones, np.zeros(max(6, PARAMETERS[reference.order])))
+    nothing, none = np.full(len(ones), np.nan), np.zeros(len(ones), np.int64)
+    return Registration(warp, ones, ones, nothing, reference.status, none)
 
 
 def tracks_of(found: Sequence[Registration], reference: Reference, degree: int) -> Tracks:

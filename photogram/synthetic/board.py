@@ -227,8 +227,7 @@ class Board:
     def index(self) -> FloatArray:
         """Lattice indices (N, 2), whole numbers, of all corners or dots."""
         if self.target.size is None:
-            first_column, last_column, first_row, last_row = self.lattice
-            return _lattice(first_column, last_column, first_row, last_row)
+            return _lattice(*self.lattice)
         columns, rows = self.target.size
         if self.target.kind == "charuco":
             return _lattice(0, columns - 2, 0, rows - 2)
@@ -425,6 +424,7 @@ def random_poses(rng: np.random.Generator, rig: StereoRig, board: Board, count: 
     turns in its plane by up to 0.5 rad and lies anywhere between the cameras where it fits, in depth within 12 %. Of
     dots with ring markers only the markers and the dots around them have to be seen.
     """
+    required = _required(board)
     centre, facing, distance = _working_point(rig, board)
     lateral = 0.5 * distance * float(rig.left.size_px[0]) / rig.left.matrix[0, 0]
     poses: list[RigidTransform] = []
@@ -433,8 +433,8 @@ def random_poses(rng: np.random.Generator, rig: StereoRig, board: Board, count: 
         direction, angle = rng.uniform(0, 2 * np.pi), rng.uniform(0, 0.6)
         rotation = facing @ rotation_from_vector(angle * np.array([np.cos(direction), np.sin(direction), 0.0])) @ turn
         shift = rng.uniform(-1, 1, 3) * [lateral, lateral, 0.12 * distance]
-        pose = RigidTransform(rotation, centre + shift - rotation @ np.asarray(_required(board).mean(axis=0)))
-        if _seen(rig, pose, board):
+        pose = RigidTransform(rotation, centre + shift - rotation @ required.mean(axis=0))
+        if _seen(rig, pose, required):
             poses.append(pose)
         if len(poses) == count:
             return poses
@@ -464,17 +464,15 @@ def _required(board: Board) -> FloatArray:
         x, y = board.rings
         corners = np.array([[-1.0, -1.0], [x + 1, -1], [x + 1, y + 1], [-1, y + 1]])
     else:
-        x0, x1, y0, y1 = board.extent_m / board.target.spacing_m
         inset = board.margin - 0.25
-        corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]) + inset * np.array(
-            [[1.0, 1.0], [-1, 1], [-1, -1], [1, -1]]
-        )
+        x0, x1, y0, y1 = board.extent_m / board.target.spacing_m + inset * np.array([1.0, -1.0, 1.0, -1.0])
+        corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
     return np.column_stack([corners, np.zeros(4)]) * board.target.spacing_m
 
 
-def _seen(rig: StereoRig, pose: RigidTransform, board: Board) -> bool:
-    """Return whether both cameras see the board whole and not too steeply."""
-    points = pose.apply(_required(board))
+def _seen(rig: StereoRig, pose: RigidTransform, required: FloatArray) -> bool:
+    """Return whether both cameras see the required points of a board, and it not too steeply."""
+    points = pose.apply(required)
     for camera, camera_from_left in ((rig.left, RigidTransform.identity()), (rig.right, rig.right_from_left)):
         pixels = camera.project(camera_from_left.apply(points))
         if not ((pixels > 4) & (pixels < camera.size_px - 5)).all():

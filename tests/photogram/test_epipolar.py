@@ -52,19 +52,17 @@ def _scene(frames: int = FRAMES) -> _Scene:
 
 def _side(position: np.ndarray, rng: np.random.Generator, noise_px: float, registration_px: float) -> Tracks:
     """Tracks with the noise of their own frames, of the reference (from frame 1 on) and of the match across cameras."""
-    frames, points = position.shape[:2]
     noise = noise_px * rng.standard_normal(position.shape)
     noise[1:] -= noise[0]
     noise[0] = 0.0
-    offset = registration_px * rng.standard_normal((points, 2))
-    covariance = np.broadcast_to(noise_px**2 * np.eye(2), (frames, points, 2, 2)).copy()
-    return Tracks(
-        position + noise + offset,
-        covariance,
-        np.ones((frames, points)),
-        np.zeros((frames, points), dtype=np.int8),
-        np.ones(points),
-    )
+    return _found(position + noise + registration_px * rng.standard_normal(position.shape[1:]), noise_px)
+
+
+def _found(position: np.ndarray, noise_px: float) -> Tracks:
+    frames, points = position.shape[:2]
+    covariance = np.broadcast_to(noise_px**2 * np.eye(2), (frames, points, 2, 2))
+    ones = np.ones((frames, points))
+    return Tracks(position, covariance, ones, np.zeros((frames, points), dtype=np.int8), ones[0])
 
 
 def _tracks(scene: _Scene, rigs: list[StereoRig], seed: int = 0, noise_px: float = NOISE_PX) -> StereoTracks:
@@ -115,13 +113,10 @@ def test_derivatives_are_those_of_the_residual():
     rig = replace(rig, right=replace(rig.right, distortion=np.zeros(5)))
     left, right = rig.project(np.random.default_rng(1).uniform([-0.1, -0.1, 0.7], [0.1, 0.1, 0.9], (20, 3)))
     _, by_left, by_right = epipolar_residual(rig, left, right)
-    for axis in (0, 1):
-        step = np.zeros(2)
-        step[axis] = 1e-3
-        numeric_left = epipolar_residual(rig, left + step, right)[0] - epipolar_residual(rig, left - step, right)[0]
-        numeric_right = epipolar_residual(rig, left, right + step)[0] - epipolar_residual(rig, left, right - step)[0]
-        np.testing.assert_allclose(by_left[:, axis], numeric_left / 2e-3, atol=1e-6)
-        np.testing.assert_allclose(by_right[:, axis], numeric_right / 2e-3, atol=1e-6)
+    for axis, step in enumerate(1e-3 * np.eye(2)):
+        for by, a, b in ((by_left, step, 0.0), (by_right, 0.0, step)):
+            numeric = epipolar_residual(rig, left + a, right + b)[0] - epipolar_residual(rig, left - a, right - b)[0]
+            np.testing.assert_allclose(by[:, axis], numeric / 2e-3, atol=1e-6)
 
 
 def test_course_has_the_stated_noise():
@@ -224,16 +219,7 @@ def test_a_real_pair_at_fifteen_places_of_a_stage(data_dir):
     """The published calibration has no uncertainties and is 0.12 px off; the cameras stood still meanwhile."""
     folder = data_dir / "duodic_rigid"
     points = np.load(folder / "matched_points.npz")
-    left, right = (
-        Tracks(
-            points[side],
-            np.broadcast_to(0.02**2 * np.eye(2), (*points[side].shape, 2)),
-            np.ones(points[side].shape[:2]),
-            np.zeros(points[side].shape[:2], dtype=np.int8),
-            np.ones(points[side].shape[1]),
-        )
-        for side in ("left", "right")
-    )
+    left, right = (_found(points[side], 0.02) for side in ("left", "right"))
     tracks = StereoTracks(left, right, (), np.full(2, np.nan), np.full(2, np.nan), np.full(2, np.nan))
     (notice,) = check_epipolar(tracks, read_calibration(folder / "calibration.json")).notices
     assert "the epipolar residual is 0.125 px" in notice.text

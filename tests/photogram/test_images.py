@@ -11,7 +11,7 @@ import pytest
 import tifffile
 from contracts import refused
 
-from photogram.images import NoiseModel, fit_noise_model, open_sequence, saturated_fraction
+from photogram.images import ImageSequence, NoiseModel, fit_noise_model, open_sequence, saturated_fraction
 from photogram.point_tables import read_point_tables
 from photogram.synthetic.scene import ImageSensor
 
@@ -65,29 +65,25 @@ def test_twelve_bits_survive_every_container(tmp_path, grey12):
         np.testing.assert_array_equal(sequence.read(0), grey12, err_msg=name)
 
 
-@pytest.mark.parametrize(("kind", "full_scale"), [(np.uint8, 255), (np.uint16, 65535)])
-def test_bit_depth_follows_the_stored_type(tmp_path, kind, full_scale):
-    tifffile.imwrite(tmp_path / "a.tif", np.full((48, 64), 200, kind))
-    assert open_sequence([tmp_path / "a.tif"]).full_scale == full_scale
+def frames_of(sequence: ImageSequence) -> np.ndarray:
+    return np.stack([sequence.read(frame) for frame in range(len(sequence))])
 
 
 @pytest.mark.parametrize("options", [{}, {"compression": "zlib"}])
 def test_pages_of_one_file_are_frames(tmp_path, grey12, options):
     stack = np.stack([grey12, grey12[::-1], grey12[:, ::-1]])
     tifffile.imwrite(tmp_path / "stack.tif", stack, photometric="minisblack", **options)
-    sequence = open_sequence([tmp_path / "stack.tif"], bit_depth=12)
-    assert len(sequence) == 3
-    np.testing.assert_array_equal(np.stack([sequence.read(frame) for frame in range(3)]), stack)
+    np.testing.assert_array_equal(frames_of(open_sequence([tmp_path / "stack.tif"], bit_depth=12)), stack)
 
 
-def test_files_are_frames_in_the_order_given(tmp_path, grey12):
-    paths = [tmp_path / "b.png", tmp_path / "a.png"]
+@pytest.mark.parametrize(("kind", "full_scale"), [(np.uint8, 255), (np.uint16, 65535)])
+def test_files_are_frames_in_the_order_given_and_their_type_is_their_depth(tmp_path, kind, full_scale):
+    paths, grey = [tmp_path / "b.png", tmp_path / "a.png"], np.full((48, 64), 200, kind)
     for shift, path in enumerate(paths):
-        cv2.imwrite(str(path), grey12 + shift)
+        cv2.imwrite(str(path), grey + shift)
     sequence = open_sequence(paths)
-    assert len(sequence) == 2
-    assert [name.endswith(("b.png", "a.png")[index]) for index, name in enumerate(sequence.names)] == [True, True]
-    np.testing.assert_array_equal(sequence.read(1), grey12 + 1)
+    assert (sequence.names, sequence.full_scale) == (tuple(map(str, paths)), full_scale)
+    np.testing.assert_array_equal(frames_of(sequence), [grey, grey + 1])
 
 
 def test_high_speed_video_in_8_12_and_16_bits(tmp_path, grey12):
@@ -102,7 +98,7 @@ def test_high_speed_video_in_8_12_and_16_bits(tmp_path, grey12):
     for data, bits, other, truth, full_scale in cases:
         sequence = open_sequence([write_cih(tmp_path, data, bits, 2, **other)])
         assert (len(sequence), sequence.full_scale) == (2, full_scale)
-        np.testing.assert_array_equal(np.stack([sequence.read(frame) for frame in range(2)]), truth)
+        np.testing.assert_array_equal(frames_of(sequence), truth)
 
 
 def test_the_xml_header_says_the_same(tmp_path, grey12):
@@ -225,10 +221,7 @@ def test_equal_brightness_gives_a_constant():
     refused("residual_grey2: expected an array of shape", fit_noise_model, np.zeros(100), np.zeros(99))
     refused("grey: expected at least 50 finite", fit_noise_model, np.full(100, np.nan), np.zeros(100))
     refused("variance_per_grey: expected a finite variance", NoiseModel, 1.0, -1.0)
-
-
-def test_noise_free_images_keep_their_rounding():
-    grey, _ = residuals(5)
+    grey, _ = residuals(5)  # noise-free images keep their rounding
     np.testing.assert_array_equal(fit_noise_model(grey, np.zeros_like(grey)).variance(grey[:3]), 1 / 12)
     np.testing.assert_array_equal(NoiseModel(4.0, 0.0).variance(np.array([-5.0, 5.0])), 4.0)
 

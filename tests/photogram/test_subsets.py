@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from contracts import refused
+from speckle import sequence
 
 from photogram.bspline import spline_of_image
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
-from photogram.images import ImageSequence, NoiseModel
+from photogram.images import NoiseModel
 from photogram.subsets.icgn import TrackSettings, register
 from photogram.subsets.reference import TrackStatus, prepare_reference
 from photogram.subsets.search import (
@@ -55,24 +56,22 @@ def test_the_body_is_found_and_its_rim_left_out(speckle):
     assert area.sum() > 0.8 * body.sum()
 
 
-def test_an_image_full_of_texture_is_textured_everywhere(speckle):
+def test_an_image_full_of_texture_is_textured_everywhere_and_dust_is_no_body(speckle):
     assert textured_area(2000 + 500 * speckle).all()
     assert textured_area(np.full((60, 60), 7.0)).all()
-
-
-def test_dust_is_no_body(speckle):
-    body = disc(speckle.shape, (90, 100), 70)
-    dust = disc(speckle.shape, (230, 30), 14)
+    body, dust = disc(speckle.shape, (90, 100), 70), disc(speckle.shape, (230, 30), 14)
     image = np.where(body | dust, 1800 + 500 * speckle, 300) + np.random.default_rng(32).normal(0, 8, speckle.shape)
     assert not np.any(textured_area(image) & dust)
 
 
-def test_subsets_fill_a_rectangle_completely():
+def test_subsets_fill_a_rectangle_completely_and_a_small_area_holds_none():
     area = np.zeros((80, 120), bool)
     area[5:75, 10:115] = True
     points = lay_grid(area, 10, 21)
     assert len(points) == 3 * 5
     assert np.all(subset_mean(area, points, 10) == 1.0)
+    assert lay_grid(disc((50, 50), (25, 25), 12), 10, 21).shape == (0, 2)
+    refused("radius_px, step_px: expected at least 1", lay_grid, np.ones((9, 9), bool), 0, 1)
 
 
 def test_subsets_neither_overlap_nor_leave_the_area():
@@ -85,11 +84,6 @@ def test_subsets_neither_overlap_nor_leave_the_area():
     assert len(points) * 21**2 > 0.8 * area.sum()
     regular = np.stack(np.meshgrid(np.arange(10, 340, 21), np.arange(10, 300, 21)), -1).reshape(-1, 2)
     assert len(points) > np.sum(subset_mean(area, regular, 10) == 1.0)
-
-
-def test_a_small_area_holds_no_subset():
-    assert lay_grid(disc((50, 50), (25, 25), 12), 10, 21).shape == (0, 2)
-    refused("radius_px, step_px: expected at least 1", lay_grid, np.ones((9, 9), bool), 0, 1)
 
 
 def test_subset_mean_is_the_mean():
@@ -228,7 +222,7 @@ def test_radius_follows_the_speckle(speckle_px, radius):
     assert default_radius_px(float("nan")) == 10
 
 
-# First guesses: features and affine starts, templates, fields through few points, epipolar distances.
+# First guesses: features and affine starts, templates, fields through few points.
 
 MATRIX = np.array([[0.87, 0.02], [-0.05, 1.01]])
 SHIFT = np.array([14.0, -6.0])
@@ -241,7 +235,7 @@ def warp_at(points: np.ndarray) -> np.ndarray:
     return warps
 
 
-def test_features_of_speckle_give_affine_starts(make_texture):
+def test_features_of_speckle_give_affine_starts_and_there_are_none_without(make_texture):
     texture = make_texture(seed=41, s=1.4, waves=80)
     inverse = np.linalg.inv(MATRIX)
     left = 2000 + 400 * texture.image((240, 200))
@@ -253,9 +247,6 @@ def test_features_of_speckle_give_affine_starts(make_texture):
     starts = affine_starts(points, source, target)
     np.testing.assert_allclose(starts[:, [0, 3]], warp_at(points)[:, [0, 3]], atol=0.5)
     np.testing.assert_allclose(starts[:, [1, 2, 4, 5]], warp_at(points)[:, [1, 2, 4, 5]], atol=0.06)
-
-
-def test_without_features_there_is_no_start():
     source, target = match_features(np.full((60, 60), 7.0), np.full((60, 60), 7.0))
     assert len(source) == len(target) == 0
     assert np.isnan(affine_starts(np.array([[30.0, 30.0]]), source, target)).all()
@@ -331,11 +322,6 @@ def grid(middle: tuple[float, float], reach: float) -> np.ndarray:
     return points[np.hypot(*points.T) <= reach] + middle
 
 
-def followed(frames: list[np.ndarray], points: np.ndarray):
-    names = tuple(str(k) for k in range(len(frames)))
-    return track_sequence(ImageSequence(names, PICTURE_SIZE, 4095, frames.__getitem__), points, TrackSettings())
-
-
 @pytest.mark.parametrize(
     ("shift_px", "angle_deg"),
     [((75.0, 0.0), 0.0), ((-60.3, 45.7), 0.0), ((70.2, -26.4), 1.0), ((20.6, -15.2), 20.0), ((-75.0, 10.0), -20.0)],
@@ -344,10 +330,8 @@ def test_jumps_of_75_px_and_turns_of_20_degrees(face, shift_px, angle_deg):
     rest = np.array([*(-0.5 * SCALE_M * np.asarray(shift_px)), 0, 0, 0, 0])
     moved = np.array([*(0.5 * SCALE_M * np.asarray(shift_px)), 0, 0, 0, np.radians(angle_deg)])
     points = grid((199.5, 159.5), 75.0)
-    tracks = followed(
-        [photo(face, LEFT_FROM_WORLD, rest, 1), photo(face, LEFT_FROM_WORLD, moved, 2)],
-        seen(LEFT_FROM_WORLD, rest, points),
-    )
+    frames = [photo(face, LEFT_FROM_WORLD, rest, 1), photo(face, LEFT_FROM_WORLD, moved, 2)]
+    tracks = track_sequence(sequence(frames), seen(LEFT_FROM_WORLD, rest, points), TrackSettings())
     assert np.mean(tracks.status[1] == TrackStatus.OK) == 1.0
     error = tracks.position_px[1] - seen(LEFT_FROM_WORLD, moved, points)
     assert np.sqrt(np.mean(error**2)) < 0.02

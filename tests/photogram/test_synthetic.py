@@ -28,19 +28,12 @@ from photogram.targets.view import Target
 PIXEL_M = 0.2e-3
 DOWN = RigidTransform(np.diag([1.0, -1.0, -1.0]), np.array([0, 0, 0.3]))  # a pixel sees PIXEL_M
 FOCAL_PX = 1500.0
-CAMERA = Camera(
-    np.array([[FOCAL_PX, 0, 61.0], [0, FOCAL_PX * 1.001, 46.5], [0, 0, 1]]),
-    np.array([-0.3, 0.4, 1e-3, -2e-3, 0.0]),
-    np.array([128, 96]),
+CAMERA = Camera.from_parameters(
+    np.array([FOCAL_PX, FOCAL_PX * 1.001, 61.0, 46.5, -0.3, 0.4, 1e-3, -2e-3, 0.0]), np.array([128, 96])
 )
-POSE = RigidTransform(rotation_from_vector(np.array([np.pi - 0.3, 0.05, 0.02])), np.array([0.001, -0.002, 0.30]))
-
-
-IDEAL = view_of(
-    Camera(np.array([[FOCAL_PX, 0, 31.0], [0, FOCAL_PX, 31.0], [0, 0, 1]]), np.zeros(5), np.array([64, 64])),
-    DOWN,
-    falloff=0.0,
-)
+POSE = RigidTransform.from_pose(np.array([0.001, -0.002, 0.30, np.pi - 0.3, 0.05, 0.02]))
+SQUARE = Camera.from_parameters(np.array([FOCAL_PX, FOCAL_PX, 31, 31, 0, 0, 0, 0, 0]), np.array([64, 64]))
+IDEAL = view_of(SQUARE, DOWN, falloff=0.0)
 
 
 def _wave(length_m: float) -> Texture:
@@ -154,14 +147,13 @@ def test_bound_of_the_motion_agrees_with_monte_carlo():
     bound = motion_bound(views, face, sensor)
     # One Gauss-Newton step from the truth on noisy images, with derivatives of its own step width.
     steps = np.array([1e-6] * 3 + [1e-5] * 3)
-    slopes, means = [], []
-    for view in views:
-        means.append(_still(view, face).ravel() * 4095)
-        slopes.append(
-            np.stack([(_still(view, face, e * s) - _still(view, face, -e * s)).ravel() / (2 * s) for e, s in
-                      zip(np.eye(6), steps, strict=True)], axis=-1) * 4095
-        )  # fmt: skip
-    slope, mean = np.concatenate(slopes), np.concatenate(means)
+    means = [_still(view, face).ravel() * 4095 for view in views]
+    ahead, behind = (
+        [[_still(view, face, step).ravel() * 4095 for step in np.diag(sign * steps)] for view in views]
+        for sign in (1.0, -1.0)
+    )
+    slope = (np.concatenate(ahead, axis=1) - np.concatenate(behind, axis=1)).T / (2 * steps)
+    mean = np.concatenate(means)
     weighted = slope / sensor.variance(mean)[:, None]
     rng = np.random.default_rng(2)
     noisy = [np.concatenate([sensor.digitise((m / 4095)[None], rng)[0] for m in means]) - mean for _ in range(300)]

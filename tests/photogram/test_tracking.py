@@ -15,6 +15,7 @@ from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
+from speckle import rendered, sequence
 
 from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform
@@ -27,23 +28,18 @@ from photogram.subsets.search import predict_warp
 from photogram.subsets.track import (
     Tracks,
     follow_sequence,
+    lay_stereo_grid,
     match_stereo,
     prepare_sequence,
     resolve_device,
     track_sequence,
     track_stereo,
 )
-from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, view_of
+from photogram.synthetic.scene import ImageSensor
 
 SIZE = (320, 256)
 FOCAL, DISTANCE_M, PIXEL_M = 1500.0, 0.5, 0.5 / 1500.0
 DISC_M = 0.034
-
-
-def sequence(images: list[np.ndarray], full_scale: int = 4095) -> ImageSequence:
-    names = tuple(f"frame {index}" for index in range(len(images)))
-    height, width = images[0].shape
-    return ImageSequence(names, (width, height), full_scale, images.__getitem__)
 
 
 def stereo_rig(angle_deg: float) -> StereoRig:
@@ -92,15 +88,6 @@ def true_right(rig: StereoRig, left_px: np.ndarray, shift_m=(0.0, 0.0)) -> np.nd
     return rig.project(np.column_stack([plane, np.full(len(plane), DISTANCE_M)]))[1]
 
 
-def test_two_views_thirty_degrees_apart_need_no_start(pair, rig):
-    grid = np.stack(np.meshgrid(np.arange(100.0, 221, 24), np.arange(70.0, 190, 24)), axis=-1).reshape(-1, 2)
-    tracks = match_stereo(*pair, grid, TrackSettings())
-    assert np.mean(tracks.status == TrackStatus.OK) == 1.0
-    error = tracks.position_px[0] - true_right(rig, grid)
-    assert np.sqrt(np.mean(error**2)) < 0.03
-    assert np.all(tracks.zncc > 0.95)
-
-
 def test_the_path_of_a_stereo_pair(texture, pair, rig):
     shifts = PIXEL_M * 1.5 * np.column_stack([np.sin(np.arange(6.0)), np.cos(np.arange(6.0)) - 1])
     frames = [
@@ -123,12 +110,23 @@ def test_the_path_of_a_stereo_pair(texture, pair, rig):
     assert np.abs(moved.mean(axis=1)).max() < 2e-3
     assert np.sqrt(np.mean((moved / stated) ** 2)) < 1.8
     np.testing.assert_allclose(tracks.noise_grey, 6.0, rtol=0.05)
+    first = tracks.right.position_px[0] - true_right(rig, points)  # without a start, 30 degrees apart
+    assert np.sqrt(np.mean(first**2)) < 0.03
+    assert np.all(tracks.right.zncc[0] > 0.95)
     for k, shift in enumerate(shifts):
         error = tracks.right.position_px[k] - true_right(rig, points, shift)
-        assert np.abs(error - (tracks.right.position_px[0] - true_right(rig, points))).max() < 0.03
+        assert np.abs(error - first).max() < 0.03
 
 
-def test_a_wrong_calibration_is_said(pair, rig):
+def test_matches_off_their_epipolar_lines_are_dropped_and_a_wrong_calibration_is_said(pair, rig):
+    shifted = pair[1].copy()
+    shifted[110:150, 140:190] = np.roll(pair[1], 4, axis=0)[110:150, 140:190]  # a part that the calibration excludes
+    grids = [lay_stereo_grid(sequence([pair[0]]), sequence([shifted]), one, TrackSettings()) for one in (rig, None)]
+    off = [np.abs(grid.right_px - true_right(rig, grid.left_px)).max(axis=1) > 2.0 for grid in grids]
+    assert not off[0].any()
+    assert off[1].any()
+    assert len(grids[0].left_px) > 20
+    assert grids[0].notices == ()
     tilt = RigidTransform.from_pose(np.array([0, 0, 0, 0.004, 0, 0]))
     wrong = StereoRig(rig.left, rig.right, tilt @ rig.right_from_left)
     tracks = track_stereo(sequence([pair[0]] * 2), sequence([pair[1]] * 2), wrong, TrackSettings())
@@ -463,43 +461,21 @@ def sigma_px(tracks: Tracks) -> np.ndarray:
     return np.sqrt(np.diagonal(tracks.covariance_px2, axis1=2, axis2=3))
 
 
-@pytest.fixture(scope="module")
-def stereo() -> tuple[StereoRig, list[list[np.ndarray]]]:
-    """A round speckled face before two cameras, 24° apart, at rest and in two other poses."""
-    pixel_m, focal = 2e-4, 1500.0
-    texture = speckle_texture((0.04, 0.04), 5 * pixel_m, pixel_m / 4, 1.2 * pixel_m, np.random.default_rng(42))
-    axes = np.eye(3)
-    face = Face(np.zeros(3), axes[0], axes[1], np.array([0.017, 0.017]), True, texture, 0.6 * pixel_m)
-    camera = Camera(np.array([[focal, 0, 110], [0, focal, 100], [0, 0, 1.0]]), np.zeros(5), np.array([220, 200]))
-    places = [
-        RigidTransform(np.eye(3), np.array([0, 0, focal * pixel_m]))
-        @ RigidTransform.from_pose(np.array([0, 0, 0, 0, angle, 0]))
-        for angle in np.radians([-12.0, 12.0])
-    ]
-    poses = np.array([np.zeros(6), [1e-4, -8e-5, 2e-4, 1e-3, -2e-3, 3e-3], [-9e-5, 5e-5, -3e-4, -2e-3, 1e-3, 1e-3]])
-    sensor, rng = ImageSensor(12, 16.0, 3.0), np.random.default_rng(43)
-    images = []
-    for place in places:
-        view = view_of(camera, place)
-        images.append([sensor.digitise(render(view, face, pose[None], np.ones(1)), rng) for pose in poses])
-    return StereoRig(camera, camera, places[1] @ places[0].inverse()), images
-
-
-def motion_of(rig: StereoRig, left: Images, right: Images, origin_m: np.ndarray) -> RigidMotion:
+def motion_of(rig: StereoRig, images: Sequence[ImageSequence], origin_m: np.ndarray) -> RigidMotion:
     """Motion of what both cameras see, in the left camera's frame."""
-    seen = track_stereo(sequence(left), sequence(right), rig, TrackSettings())
+    seen = track_stereo(*images, rig, TrackSettings())
     positions = seen.left.position_px, seen.right.position_px
     points = triangulate(rig, *positions, seen.left.covariance_px2, seen.right.covariance_px2)
     return fit_motion(points, None, origin_m)
 
 
-def test_swapped_cameras_see_the_same_motion(stereo):
+def test_swapped_cameras_see_the_same_motion():
     """The left camera lays the grid, so other subsets are followed: the same motion within its uncertainty."""
-    rig, (left, right) = stereo
+    poses = np.array([np.zeros(6), [1e-4, -8e-5, 2e-4, 1e-3, -2e-3, 3e-3], [-9e-5, 5e-5, -3e-4, -2e-3, 1e-3, 1e-3]])
+    images, rig, _ = rendered(poses, (0.017, 0.017), (110, 100), 42, ImageSensor(12, 16.0, 3.0))
     swap = StereoRig(rig.right, rig.left, rig.right_from_left.inverse())
     origin = np.array([0.0, 0.0, 0.3])
-    plain = motion_of(rig, left, right, origin)
-    swapped = motion_of(swap, right, left, rig.right_from_left.apply(origin))
+    plain, swapped = motion_of(rig, images, origin), motion_of(swap, images[::-1], rig.right_from_left.apply(origin))
     turn = np.kron(np.eye(2), rig.right_from_left.rotation.T)
     difference = swapped.pose @ turn.T - plain.pose
     covariance = plain.covariance + turn @ swapped.covariance @ turn.T
@@ -529,19 +505,16 @@ def test_device_is_chosen(monkeypatch, choice, driver, torch_finds, expected):
     assert resolve_device(choice) == expected
 
 
-def test_an_absent_gpu_is_an_error_only_when_asked_for(monkeypatch):
-    monkeypatch.setattr(device_module, "_torch_finds_cuda", lambda: False)
-    refused("device: expected a GPU that torch can use for 'cuda', found none", resolve_device, "cuda")
-    refused("device: expected one of auto, cpu, cuda, found 'gpu'", resolve_device, "gpu")
-
-
-def test_a_machine_without_a_driver_is_not_asked_for_torch(monkeypatch):
+def test_an_absent_gpu_is_an_error_only_when_asked_for_and_torch_is_not_imported_without_a_driver(monkeypatch):
     def refuse(name: str) -> None:
         raise OSError(f"{name}: no such library")
 
     def never() -> bool:
         raise AssertionError("torch was imported")
 
+    monkeypatch.setattr(device_module, "_torch_finds_cuda", lambda: False)
+    refused("device: expected a GPU that torch can use for 'cuda', found none", resolve_device, "cuda")
+    refused("device: expected one of auto, cpu, cuda, found 'gpu'", resolve_device, "gpu")
     monkeypatch.setattr(device_module.ctypes, "CDLL", refuse)
     monkeypatch.setattr(device_module, "_torch_finds_cuda", never)
     assert resolve_device("auto") == "cpu"
