@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterable
 from itertools import cycle
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support import Refused, refusals
+from support import Refused
 
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
@@ -45,16 +46,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, object]:
 @pytest.fixture
 def pictures(session: tuple[Path, object], tmp_path: Path) -> Path:
     """A copy of the session whose pictures may be spoilt."""
-    for side in ("left", "right"):
-        (tmp_path / side).mkdir()
-        for path in (session[0] / side).iterdir():
-            (tmp_path / side / path.name).write_bytes(path.read_bytes())
-    return tmp_path
-
-
-@pytest.fixture
-def refused(capsys: Capture) -> Refused:
-    return refusals(capsys)
+    return Path(shutil.copytree(session[0], tmp_path, dirs_exist_ok=True))
 
 
 def _command(folder: Path, *extra: str) -> list[str]:
@@ -125,12 +117,6 @@ def test_no_calibration_from_spoilt_pictures(pictures: Path, refused: Refused) -
     assert not list(pictures.glob("top.*"))
 
 
-@pytest.mark.slow
-def test_another_target_is_refused(pictures: Path, refused: Refused) -> None:
-    dots = ["--target", "dots", "--spacing", "9e-3", "-o", pictures / "top.json", "-q"]
-    assert "0 usable of 7 left pictures" in refused("cameras", pictures / "left", pictures / "right", *dots)
-
-
 def test_an_earlier_calibration_is_kept(pictures: Path, refused: Refused) -> None:
     (pictures / "top.json").write_text("kept", encoding="utf-8")
     assert "--force" in refused(*_command(pictures, "-q"))
@@ -185,7 +171,9 @@ def opencv_file(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_calibration_is_written_and_explained(opencv_file: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_a_calibration_is_written_and_explained(
+    opencv_file: Path, tmp_path: Path, capsys: Capture, refused: Refused
+) -> None:
     output = tmp_path / "top.json"
     command = ["import-calibration", str(opencv_file), "-o", str(output), "--image-size", "1280x1024"]
     assert main([*command, "--length-unit", "mm"]) == EXIT_DONE
@@ -198,7 +186,7 @@ def test_a_calibration_is_written_and_explained(opencv_file: Path, tmp_path: Pat
     assert rig.left.size_px.tolist() == [1280, 1024]
 
     written = output.read_bytes()
-    assert "expected a new file (--force replaces it)" in refusals(capsys)(*command, "--length-unit", "m")
+    assert "expected a new file (--force replaces it)" in refused(*command, "--length-unit", "m")
     assert output.read_bytes() == written
     assert main([*command, "--length-unit", "m", "--force"]) == EXIT_DONE
     assert read_calibration(output).right_from_left.translation_m[0] == -150.0
