@@ -13,12 +13,10 @@ from calibration_factory import SIZE_PX, SPACING_M, Session, make_calibration
 from page_outline import outline
 
 from fusion.cameras import quantities
-from fusion.cameras.figures import draw_pictures
+from fusion.cameras.figures import draw_coverage, draw_pictures, draw_views
 from fusion.cameras.report import (
     camera_headlines,
     correlations_table,
-    draw_coverage,
-    draw_views,
     dropped_table,
     lengths_table,
     parameters_table,
