@@ -143,8 +143,7 @@ RING_SHARE = 0.25
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ellipses(
-    Arrays,
-    shapes="centre_px N 2; covariance_px2 N 2 2; shape_px2 N 2 2; blur_px N; contrast N; roughness_px N",
+    Arrays, shapes="centre_px N 2; covariance_px2 N 2 2; shape_px2 N 2 2; blur_px N; contrast N; roughness_px N"
 ):
     """N fitted ellipses (x − c)ᵀ S⁻¹ (x − c) = 1; all NaN where the fit failed.
 
