@@ -51,6 +51,13 @@ def between(start: RigidTransform, end: RigidTransform) -> FloatArray:
     return np.concatenate([end.translation_m - turn @ start.translation_m, vector_from_rotation(turn)])
 
 
+def rig_error(rig: StereoRig, truth: StereoRig) -> FloatArray:
+    """Return the errors (24,) of a rig's parameters."""
+    lens = [rig.left.parameters - truth.left.parameters, rig.right.parameters - truth.right.parameters]
+    turn = vector_from_rotation(rig.right_from_left.rotation @ truth.right_from_left.rotation.T)
+    return np.concatenate([*lens, turn, rig.right_from_left.translation_m - truth.right_from_left.translation_m])
+
+
 def target_pose(rng: np.random.Generator, tilt: float) -> RigidTransform:
     """Return a pose of the target in view of both cameras."""
     turn = rotation_from_vector(rng.uniform(-tilt, tilt, 3))

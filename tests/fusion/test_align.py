@@ -380,6 +380,11 @@ def seen_turning(world: World, point_m: np.ndarray, direction: np.ndarray) -> Si
     return SimpleNamespace(manifest=manifest, measured=measured, sensor_from_camera=provisional)
 
 
+def axis(name: str, point_m: np.ndarray, direction: np.ndarray) -> AxisBlock:
+    known = {"point": tuple(point_m), "direction": tuple(direction), "direction_uncertainty": 2e-5}
+    return AxisBlock(name=name, recordings=(), **known)
+
+
 def test_two_axes_place_the_camera() -> None:
     normalised = []
     for seed in range(2):
@@ -388,12 +393,9 @@ def test_two_axes_place_the_camera() -> None:
         evidence = []
         for name, direction in zip("xy", np.eye(3), strict=False):
             place = np.array([0.0, 0.01, 0.02])
-            block = AxisBlock(
-                name=name, recordings=(), point=tuple(place), direction=tuple(direction), direction_uncertainty=2e-5
-            )
-            found, notices = _axis(block, seen_turning(world, place, direction), pair)
+            known, notices = _axis(axis(name, place, direction), seen_turning(world, place, direction), pair)
             assert notices == []
-            evidence.append(found)
+            evidence.append(known)
         start = displaced(world.sensor_from_camera, np.full(6, 2e-3))
         result = align(evidence, start)
         normalised.append(world.error(result)[0] / result.u)
@@ -406,8 +408,5 @@ def test_an_unsteady_axis_is_told() -> None:
     seen = seen_turning(world, np.zeros(3), np.eye(3)[0])
     motion = seen.measured.motion
     seen.measured.motion = replace(motion, pose=motion.pose + 1e-4 * world.rng.normal(size=motion.pose.shape))
-    block = AxisBlock(
-        name="x", recordings=(), point=(0.0, 0.0, 0.0), direction=(1.0, 0.0, 0.0), direction_uncertainty=2e-5
-    )
-    _, (notice,) = _axis(block, seen, None)
+    _, (notice,) = _axis(axis("x", np.zeros(3), np.eye(3)[0]), seen, None)
     assert "turns about no fixed axis" in notice.text

@@ -17,6 +17,7 @@ from alignment_factory import (
     face,
     make_world,
     off,
+    rig_error,
     shaken,
     target_pose,
     turned,
@@ -426,12 +427,7 @@ def test_a_pose_moved_with_the_true_calibration_scatters_as_with_an_exact_one():
         world = make_world(seed)
         steps = calibration_steps(world.rig)
         found = _aligned(world.rig, steps, *_seen(world, 0.01))
-        turn = vector_from_rotation(world.true.right_from_left.rotation @ world.rig.right_from_left.rotation.T)
-        shift = world.true.right_from_left.translation_m - world.rig.right_from_left.translation_m
-        lens = [
-            getattr(world.true, side).parameters - getattr(world.rig, side).parameters for side in ("left", "right")
-        ]
-        moved = by_parameters(found.by_calibration, steps) @ np.concatenate([*lens, turn, shift])
+        moved = by_parameters(found.by_calibration, steps) @ rig_error(world.true, world.rig)
         error = between(displaced(found.sensor_from_camera, moved), world.sensor_from_camera)
         u = np.sqrt(np.diagonal(found.held_covariance))
         root = np.linalg.cholesky(found.held_covariance / np.outer(u, u))
