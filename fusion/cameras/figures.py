@@ -352,8 +352,8 @@ def draw_correlation(calibration: Calibration) -> Picture:
             "as k1, k2 and k3, or principal point and tangential distortion, are each less certain than what they do "
             "together: judge them by the uncertainty of the distortion. Grey: held fixed."
         )
-        layout: dict[str, Any] = {"left": 1.1, "right": 1.1, "bottom": 0.95, "top": 0.1, "label": 0.52}
-        return drawn.picture("Correlation of the parameters", caption, **layout)
+        margins = {"left": 1.1, "right": 1.1, "bottom": 0.95, "top": 0.1}
+        return drawn.picture("Correlation of the parameters", caption, label=0.52, **margins)
 
 
 def draw_shape(calibration: Calibration) -> Picture | None:
@@ -496,8 +496,8 @@ def draw_distribution(calibration: Calibration) -> Picture:
             f"line, exp(−d²/2); dashed: the same for {scale:.2f} times the noise, the size found. Points above the "
             "lines on the right are outliers that the rule for dropping them has kept, or a systematic part."
         )
-        layout: dict[str, Any] = {"left": 0.72, "top": 0.12, "gap": (0.75, 0.1), "label": 0.52}
-        return drawn.picture("Distribution of the residuals", caption, **layout)
+        title = "Distribution of the residuals"
+        return drawn.picture(title, caption, left=0.72, top=0.12, gap=(0.75, 0.1), label=0.52)
 
 
 def draw_pictures(calibration: Calibration) -> Picture:

@@ -452,7 +452,6 @@ def test_centre_has_no_bias_at_any_size_and_blur(radius, sigma, slope):
         assert np.abs(found.centre_px[0] - centre).max() < 0.005
         assert found.radius_px[0] == pytest.approx(radius, rel=0.004)
         assert found.blur_px[0] == pytest.approx(np.hypot(sigma, np.sqrt(1 / 12)), rel=0.05)
-        assert found.contrast[0] == pytest.approx(CONTRAST, rel=0.04)
 
 
 def test_the_truth_is_covered():
