@@ -164,16 +164,16 @@ def parameters_table(calibration: Calibration) -> Table | None:
         part, _, name = item.name.partition(".")
         return f"{MEANINGS[part]}, {name}" if part in MEANINGS else MEANINGS.get(name, "")
 
-    columns: list[Column[tuple[Parameter, tuple[str, str, str, Markup]]]] = [
-        on_page("parameter", lambda row: row[0].name, "l"),
-        on_page("meaning", lambda row: meaning(row[0]), "l"),
-        on_page("value", lambda row: row[1][0]),
-        on_page("u (k = 1)", lambda row: row[1][1]),
-        on_page("U (k = 2)", lambda row: row[1][2]),
-        on_page("unit", lambda row: row[1][3], "l"),
-        on_page("state", lambda row: STATES[row[0].state] if row[0].u > 0 else "held", "l"),
+    columns: list[Column[Parameter]] = [
+        on_page("parameter", lambda item: item.name, "l"),
+        on_page("meaning", meaning, "l"),
+        on_page("value", lambda item: printed(item)[0]),
+        on_page("u (k = 1)", lambda item: printed(item)[1]),
+        on_page("U (k = 2)", lambda item: printed(item)[2]),
+        on_page("unit", lambda item: printed(item)[3], "l"),
+        on_page("state", lambda item: STATES[item.state] if item.u > 0 else "held", "l"),
     ]
-    return table("Parameters of the pair", columns, ((item, printed(item)) for item in calibration.parameters))
+    return table("Parameters of the pair", columns, calibration.parameters)
 
 
 def correlations_table(calibration: Calibration) -> Table | None:

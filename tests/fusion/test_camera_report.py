@@ -49,10 +49,6 @@ def draws(calibration: Calibration) -> list[StereoRig]:
     return [calibration.rig.perturbed(delta) for delta in deltas]
 
 
-def _scatter(values: object) -> float:
-    return float(np.std(np.asarray(values), ddof=1))
-
-
 def test_baseline_and_angle_scatter_as_stated_also_of_parallel_axes(
     calibration: Calibration, draws: list[StereoRig]
 ) -> None:
@@ -60,9 +56,9 @@ def test_baseline_and_angle_scatter_as_stated_also_of_parallel_axes(
     lengths = [np.linalg.norm(rig.right_from_left.translation_m) for rig in draws]
     angles = [np.arccos(rig.right_from_left.rotation[2, 2]) for rig in draws]
     assert baseline.value == pytest.approx(np.linalg.norm([0.168, -0.003, 0.036]), abs=4 * baseline.u)
-    assert baseline.u == pytest.approx(_scatter(lengths), rel=0.06)
+    assert baseline.u == pytest.approx(np.std(lengths), rel=0.06)
     assert angle.value == pytest.approx(np.linalg.norm([0.011, 0.42]), abs=4 * angle.u + 1e-4)
-    assert angle.u == pytest.approx(_scatter(angles), rel=0.06)
+    assert angle.u == pytest.approx(np.std(angles), rel=0.06)
     parallel = dataclasses.replace(calibration.rig, right_from_left=RigidTransform(np.eye(3), np.array([-0.1, 0, 0])))
     angle = quantities.axes_angle_rad(parallel)
     assert angle.value == 0.0
@@ -80,9 +76,9 @@ def test_distance_scatters_as_stated(calibration: Calibration) -> None:
         + delta[:3]
         for delta in deltas
     ]
-    found = quantities.distance_m(calibration, view)
-    assert found.value == pytest.approx(np.linalg.norm(view.left_from_target.apply(middle)))
-    assert found.u == pytest.approx(_scatter(np.linalg.norm(places, axis=1)), rel=0.06)
+    distance = quantities.distance_m(calibration, view)
+    assert distance.value == pytest.approx(np.linalg.norm(view.left_from_target.apply(middle)))
+    assert distance.u == pytest.approx(np.std(np.linalg.norm(places, axis=1)), rel=0.06)
 
 
 def test_distortion_is_that_of_opencv_and_scatters_as_stated(calibration: Calibration, draws: list[StereoRig]) -> None:
