@@ -20,6 +20,7 @@ SIZE_PX = np.array([1280, 1024])
 WORKING_M = 0.45
 BODY_M = np.array([0.0, 0.0, 0.07])
 TARGET = Target("chessboard", 8e-3, (9, 6))
+INDEX = np.array([(i, j) for j in range(6) for i in range(9)])
 
 
 @cache
@@ -38,20 +39,23 @@ def calibrated_rig() -> StereoRig:
     return replace(rig, covariance=covariance + np.outer(scale, scale))
 
 
-def lattice() -> FloatArray:
-    """Return the target's points (54, 3)."""
-    return np.column_stack([TARGET.spacing_m * lattice_index(), np.zeros(54)])
-
-
-def lattice_index() -> FloatArray:
-    """Return the target's indices (54, 2)."""
-    return np.array([(i, j) for j in range(6) for i in range(9)])
-
-
 def displaced(pose: RigidTransform, step: FloatArray) -> RigidTransform:
     """Return the pose after a displacement (6,), shift and rotation about its own frame's origin, from the left."""
     turn = rotation_from_vector(step[3:])
     return RigidTransform(turn @ pose.rotation, turn @ pose.translation_m + step[:3])
+
+
+def between(start: RigidTransform, end: RigidTransform) -> FloatArray:
+    """Return the displacement (6,) that leads from one pose to another."""
+    turn = end.rotation @ start.rotation.T
+    return np.concatenate([end.translation_m - turn @ start.translation_m, vector_from_rotation(turn)])
+
+
+def rig_error(rig: StereoRig, truth: StereoRig) -> FloatArray:
+    """Return the errors (24,) of a rig's parameters."""
+    lens = [rig.left.parameters - truth.left.parameters, rig.right.parameters - truth.right.parameters]
+    turn = vector_from_rotation(rig.right_from_left.rotation @ truth.right_from_left.rotation.T)
+    return np.concatenate([*lens, turn, rig.right_from_left.translation_m - truth.right_from_left.translation_m])
 
 
 def target_pose(rng: np.random.Generator, tilt: float) -> RigidTransform:
@@ -78,19 +82,14 @@ class World:
 
     def view(self, sensor_from_target: RigidTransform, u_px: float) -> tuple[TargetView, TargetView]:
         """Return left and right view of the target at a pose."""
-        pixels = self.see(sensor_from_target.apply(lattice()), u_px)
-        covariance = np.broadcast_to(u_px**2 * np.eye(2), (54, 2, 2))
-        index = lattice_index()
-        left, right = (
-            TargetView(side, index, p, covariance, 0.0, 0.7, SIZE_PX) for side, p in zip("lr", pixels, strict=True)
-        )
-        return left, right
+        lattice = np.column_stack([TARGET.spacing_m * INDEX, np.zeros(54)])
+        left, right = self.see(sensor_from_target.apply(lattice), u_px)
+        rest = (np.broadcast_to(u_px**2 * np.eye(2), (54, 2, 2)), 0.0, 0.7, SIZE_PX)
+        return TargetView("l", INDEX, left, *rest), TargetView("r", INDEX, right, *rest)
 
     def error(self, found: Alignment) -> tuple[FloatArray, FloatArray]:
         """Return the displacement (6,) from the pose found to the true one, and it in independent units of its u."""
-        turn = self.sensor_from_camera.rotation @ found.sensor_from_camera.rotation.T
-        shift = self.sensor_from_camera.translation_m - turn @ found.sensor_from_camera.translation_m
-        error = np.concatenate([shift, vector_from_rotation(turn)])
+        error = between(found.sensor_from_camera, self.sensor_from_camera)
         scale = found.u
         root = np.linalg.cholesky(found.covariance / np.outer(scale, scale))
         return error, np.linalg.solve(root, error / scale)
@@ -108,6 +107,15 @@ def make_world(seed: int) -> World:
     )
     aimed = np.array([0.0, 0.0, WORKING_M]) + rng.uniform(-0.005, 0.005, 3)
     return World(rig, rig.perturbed(draw), RigidTransform(view, BODY_M - view @ aimed), rng)
+
+
+def face(world: World, angle_rad: float, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return centre and normal of a face of the body that is turned towards the cameras, and points (N, 3) on it."""
+    towards = -world.sensor_from_camera.rotation[:, 2]
+    normal = towards + 0.8 * np.array([np.cos(angle_rad), np.sin(angle_rad)]) @ across(towards)
+    normal /= np.linalg.norm(normal)
+    centre = BODY_M + 0.02 * normal
+    return centre, normal, centre + world.rng.uniform(-0.03, 0.03, (count, 2)) @ across(normal)
 
 
 NOISE = np.diag([1e-7] * 3 + [1e-6] * 3) ** 2
@@ -186,13 +194,12 @@ def turned(
     motion, exact, seen_about = watch(world, [RigidTransform(turn, point_m - turn @ point_m) for turn in turns])
     axis = fit_axis(motion)
     nominal, *others = (fit_axis(replace(motion, pose=pose)).line for pose in exact)
-    effects = np.array([_like(other, axis.line) - _like(nominal, axis.line) for other in others])
+
+    def alike(line: FloatArray) -> FloatArray:
+        return line * np.repeat([1.0, np.sign(line[3:] @ axis.line[3:])], 3)
+
+    effects = np.array([alike(other) - alike(nominal) for other in others])
     stated = off(direction, u[1], world.rng)
     place = point_m + u[0] * world.rng.normal(size=3)
     line = axis.line + np.concatenate([seen_about, np.zeros(3)])
     return KnownAxis(name, line[None], axis.covariance[None], place, stated, effects[:, None], np.full(3, u[0]), u[1])
-
-
-def _like(line: FloatArray, other: FloatArray) -> FloatArray:
-    """Return an axis (6,) with its direction in the sense of another's."""
-    return line * np.repeat([1.0, np.sign(line[3:] @ other[3:])], 3)

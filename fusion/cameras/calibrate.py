@@ -78,24 +78,6 @@ def calibrate_cameras(
     return replace(calibration, dropped=(*failed, *calibration.dropped))
 
 
-def write_cameras(
-    output: Path, calibration: Calibration, pictures: Sequence[Path], settings: CameraSettings, duration_s: float
-) -> Path:
-    """Write the calibration file and, beside it, its page; return the page's path."""
-    page = output.with_suffix(".html")
-    used: dict[str, str | float | int] = {
-        **{name: str(value) for name, value in asdict(settings.target).items() if value is not None},
-        "shape": str(settings.shape),
-        "scale_uncertainty": settings.scale_u,
-    }
-    hashes = hash_files(pictures, _folder(pictures))
-    provenance = Provenance(hashes, used, versions(), (output.name, page.name))
-    text = render_camera_report(calibration, output.stem, provenance, duration_s)
-    write_calibration(output, calibration.rig, calibration.rms_px)
-    write_whole(page, text)
-    return page
-
-
 def split_pictures(arguments: Sequence[str]) -> tuple[list[Path], list[Path]]:
     """Return left and right pictures: of two arguments each a folder, a pattern or a file; of more, half and half."""
     parts = [_expanded(argument) for argument in arguments]
@@ -137,14 +119,24 @@ def run_cameras(
     arguments: Sequence[str], settings: CameraSettings, output: Path, force: bool, progress: ProgressCallback
 ) -> None:
     """Calibrate from the pictures that the arguments name, write calibration and page, print the summary."""
-    started = time.monotonic()
+    started, page = time.monotonic(), output.with_suffix(".html")
     if output.suffix != ".json":
         raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
-    for path in (output, output.with_suffix(".html")):
+    for path in (output, page):
         check_new_file(path, force=force)
     left, right = split_pictures(arguments)
     calibration = calibrate_cameras(left, right, settings, progress)
-    page = write_cameras(output, calibration, [*left, *right], settings, time.monotonic() - started)
+    used: dict[str, str | float | int] = {
+        **{name: str(value) for name, value in asdict(settings.target).items() if value is not None},
+        "shape": str(settings.shape),
+        "scale_uncertainty": settings.scale_u,
+    }
+    pictures = [*left, *right]
+    hashes = hash_files(pictures, _folder(pictures))
+    provenance = Provenance(hashes, used, versions(), (output.name, page.name))
+    text = render_camera_report(calibration, output.stem, provenance, time.monotonic() - started)
+    write_calibration(output, calibration.rig, calibration.rms_px)
+    write_whole(page, text)
     print_calibration(calibration, output, page)
 
 

@@ -13,17 +13,7 @@ from matplotlib.patches import Patch
 
 from fusion.planning.lines import LineList
 from fusion.planning.plan import Plan
-from fusion.report.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    ORANGE,
-    RED,
-    decades,
-    panel_label,
-    sheet,
-    thin_out,
-)
+from fusion.report.style import BLACK, BLUE, GREY, ORANGE, RED, decades, panel_label, sheet, thin_out
 from shaker.arrays import FloatArray
 from shaker.lines.rate_planner import condition_over_rate, scan_rates
 from shaker.lines.spectrum import FIRST_BIN

@@ -431,14 +431,13 @@ class Axis(Arrays, shapes="line 6; covariance 6 6"):
 
     The point is the one nearest to the motion's origin. `chi2`, `dof`: of the motion against a rotation about that
     axis; the covariance is enlarged by χ²/dof where that is above 1, since then the axis was not as fixed as the frames
-    are exact. `turn_rad`: range of the angles.
+    are exact.
     """
 
     line: FloatArray
     covariance: FloatArray
     chi2: float
     dof: int
-    turn_rad: float
 
 
 def fit_axis(motion: RigidMotion) -> Axis:
@@ -457,12 +456,10 @@ def fit_axis(motion: RigidMotion) -> Axis:
     held = tilt @ (np.eye(3) - rotation_from_vector(pose[:, 3:])) @ tilt.T
     point = np.linalg.lstsq(held.reshape(-1, 2), (pose[:, :3] @ tilt.T).ravel(), rcond=None)[0]
     line = np.concatenate([point @ tilt, direction])  # the point that moves least
-    spread = pose[:, 3:] @ direction
+    angle = np.ptp(pose[:, 3:] @ direction)
     noise = float(np.sqrt(np.median(covariance[:, 3:, 3:] @ line[3:] @ line[3:])))
-    if not np.ptp(spread) > _LEAST_TURN * noise:
-        raise ValueError(
-            f"motion: expected a body that turns, found {np.ptp(spread):.2g} rad with a noise of {noise:.2g}"
-        )
+    if not angle > _LEAST_TURN * noise:
+        raise ValueError(f"motion: expected a body that turns, found {angle:.2g} rad with a noise of {noise:.2g}")
     reference = motion.covariance[0] if np.isfinite(motion.covariance[0]).all() else covariance[0]
     for _ in range(_STEPS):
         rows, residual, tangents = _equations(pose, covariance, reference, line)
@@ -476,7 +473,7 @@ def fit_axis(motion: RigidMotion) -> Axis:
     chi2, dof = sum_of_squares(rows, residual)
     free = tangents @ np.linalg.inv(rows.T @ rows)[:4, :4] @ tangents.T
     origin = np.concatenate([motion.origin_m, np.zeros(3)])
-    return Axis(line + origin, free * max(1.0, chi2 / dof), chi2, dof, float(np.ptp(spread)))
+    return Axis(line + origin, free * max(1.0, chi2 / dof), chi2, dof)
 
 
 def _equations(

@@ -311,7 +311,7 @@ class Prior:
     """What is known of the rig before the pictures: expected parameters (24,) and standard deviations, inf for none.
 
     The three of the rotation are no parameters with a value, so they have no prior. `aspect_px` (left, right): standard
-    deviation of fx − fy around zero.
+    deviation of fx − fy around the expected.
     """
 
     value: FloatArray
@@ -320,8 +320,7 @@ class Prior:
 
     def away(self, parameters: FloatArray) -> FloatArray:
         """Return how far (26,) parameters are from what is expected, in standard deviations."""
-        aspect = (parameters[[0, 9]] - parameters[[1, 10]]) / self.aspect_px
-        return np.concatenate([(parameters - self.value) / self.sigma, aspect])
+        return np.asarray(self.slope @ (parameters - self.value))
 
     @property
     def slope(self) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, IntArray, Notice
 from photogram.camera import Camera, StereoRig
-from photogram.geometry import RigidTransform, nearest_rotation
+from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector
 
 EVEN = (2, 4, 6)
 """Exponents of the radial polynomial 1 + k1·r² + k2·r⁴ + k3·r⁶, which is this program's."""
@@ -81,7 +81,7 @@ def nearest_camera(lens: Lens, size_px: IntArray) -> Nearest:
         start[_RADIAL] = 0.0
     free = _LINEAR if lens.exponents == EVEN else [*_LINEAR, *_RADIAL]
     normalised = _seen(lens, size_px)
-    pixel = lens.project(normalised)
+    pixel, rays = lens.project(normalised), np.column_stack([normalised, np.ones(len(normalised))])
     # Each unknown in steps that move the corner by about 1 px.
     radius = float(np.linalg.norm(normalised, axis=1).max())
     reach = radius * float(lens.focal_px.mean())
@@ -94,18 +94,11 @@ def nearest_camera(lens: Lens, size_px: IntArray) -> Nearest:
 
     def difference(scaled: FloatArray) -> FloatArray:
         camera, turn = moved(scaled)
-        return np.asarray(camera.project(_rays(normalised, turn)) - pixel)
+        return np.asarray(camera.project(rays @ rotation_from_vector(np.array([0.0, 0.0, turn])).T) - pixel)
 
     tight = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
     fit = least_squares(lambda x: difference(x).ravel(), np.zeros(len(free)), method="lm", **tight).x
     return Nearest(*moved(fit), float(np.linalg.norm(difference(fit), axis=1).max()))
-
-
-def _rays(normalised: FloatArray, turn_rad: float) -> FloatArray:
-    """Return the directions (N, 3) in a frame turned by an angle about the optical axis."""
-    cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
-    x, y = normalised.T
-    return np.stack([cosine * x - sine * y, sine * x + cosine * y, np.ones(len(x))], axis=1)
 
 
 def _seen(lens: Lens, size_px: IntArray) -> FloatArray:

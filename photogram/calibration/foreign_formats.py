@@ -306,7 +306,7 @@ def read_vic3d(root: ElementTree.Element) -> Stated:
     `orientation`: α β γ (degrees) tx ty tz (mm) of x_camera = R_z(γ)·R_y(β)·R_x(α)·x_world + t (sdynpy,
     `camera_matrix_from_vic_parameters`; dicengine, `DICe_CameraSystem.cpp`). The distortion is not published; of the
     usual polynomials, 1 + k1·r² + k2·r⁴ + k3·r⁶ leaves the smallest epipolar residuals in a recording of the DIC
-    challenge with its VIC-3D calibration (`tests/photogram/test_calibration_files.py`).
+    challenge with its VIC-3D calibration (`tests/photogram/test_calibration_import.py`).
     """
     cameras = {camera.get("id", ""): camera for camera in root.iter("camera")}
     if set(cameras) != {"0", "1"}:

@@ -77,14 +77,14 @@ def _calibrated(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> tupl
     """Return the fit and what was dropped on the way, pictures that do not belong to the others included."""
     dropped: tuple[Dropped, ...] = ()
     while True:
-        start = start_bundle(pairs, target, shape)
-        fit = _settle(start.bundle, _Session.of(start.bundle, start.pairs, target))
+        bundle, pairs, dropped_at_start = start_bundle(pairs, target, shape)
+        fit = _settle(bundle, _Session.of(bundle, pairs, target))
         bad = _bad_pictures(fit)
-        dropped += (*start.dropped, *bad)
+        dropped += (*dropped_at_start, *bad)
         if not bad:
             return fit, dropped
         names = [None, *(item.name for item in bad)]
-        kept = [[view if view and view.name not in names else None for view in pair] for pair in start.pairs]
+        kept = [[view if view and view.name not in names else None for view in pair] for pair in pairs]
         pairs = [(left, right) for left, right in kept if left is not None or right is not None]
 
 
@@ -136,12 +136,6 @@ class _Fit:
     residuals: tuple[FloatArray, ...]
     squares: tuple[FloatArray, ...]
     dof: float
-
-    @property
-    def variance_factor(self) -> float:
-        """Reduced χ² of the points that take part."""
-        total = sum(float(square[used].sum()) for square, used in zip(self.squares, self.session.used, strict=True))
-        return total / self.dof
 
 
 def _settle(bundle: Bundle, session: _Session) -> _Fit:
@@ -212,7 +206,9 @@ def _bad_pictures(fit: _Fit) -> list[Dropped]:
 
 def _result(fit: _Fit, dropped: tuple[Dropped, ...], target: Target, scale_u: float) -> Calibration:
     """Collect everything that the calibration tells."""
-    bundle, session, factor = fit.adjusted.bundle, fit.session, fit.variance_factor
+    bundle, session = fit.adjusted.bundle, fit.session
+    taken = zip(fit.squares, session.used, strict=True)
+    factor = sum(float(squares[used].sum()) for squares, used in taken) / fit.dof  # the reduced χ²
     covariance = fit.adjusted.covariance[:24, :24] * factor
     baseline = np.concatenate([np.zeros(21), bundle.rig.right_from_left.translation_m])
     rig = replace(bundle.rig, covariance=covariance + scale_u**2 * np.outer(baseline, baseline))

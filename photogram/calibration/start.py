@@ -176,20 +176,14 @@ _DECENTRING_SPREAD = 0.005
 _ASPECT_SPREAD = 1e-3
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
-    """The first bundle, the pairs that take part in it (one per pose), and what was dropped."""
+def start_bundle(
+    pairs: Sequence[Pair], target: Target, shape: ShapeKind
+) -> tuple[Bundle, tuple[Pair, ...], tuple[Dropped, ...]]:
+    """Return the first bundle, the pairs of target views that take part in it (one per pose), and what was dropped.
 
-    bundle: Bundle
-    pairs: tuple[Pair, ...]
-    dropped: tuple[Dropped, ...]
-
-
-def start_bundle(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> Start:
-    """Return the first guess of everything from target views (left, right), None for a picture without target.
-
-    A picture whose points fit its camera's others badly is dropped, and a pair whose relative pose is not the
-    others'. Raises `ValueError` when fewer than three views remain for a camera, or no pair.
+    The pairs are views (left, right), None for a picture without target. A picture whose points fit its camera's others
+    badly is dropped, and a pair whose relative pose is not the others'. Raises `ValueError` when fewer than three views
+    remain for a camera, or no pair.
     """
     sides = [_single(pairs, side, target) for side in (0, 1)]
     dropped = [item for side in sides for item in side.dropped]
@@ -214,7 +208,7 @@ def start_bundle(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> Sta
         raise ValueError(f"{both} positions of the target are seen by both cameras, at least {FEWEST_VIEWS} are needed")
     rig = StereoRig(sides[0].camera, sides[1].camera, relative)
     index = np.unique(np.concatenate([seen.index for pair in kept for seen in pair if seen is not None]), axis=0)
-    return Start(Bundle(rig, tuple(poses), make_shape(shape, index, target.spacing_m)), tuple(kept), tuple(dropped))
+    return Bundle(rig, tuple(poses), make_shape(shape, index, target.spacing_m)), tuple(kept), tuple(dropped)
 
 
 def lens_prior(rig: StereoRig) -> Prior:

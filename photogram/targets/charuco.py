@@ -25,8 +25,7 @@ def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: flo
     dictionary that is not named are found from the picture; the size of the markers in their squares plays no part.
     Raises `TargetNotFound` with what is wrong with the picture.
     """
-    if target.size is None:
-        raise ValueError("target: expected the number of squares, found no size")
+    assert target.size is not None
     grey = eight_bit(image)
     dictionary = target.dictionary or _dictionary(grey, target.size)
     board = None if dictionary is None else _search(grey, target.size, dictionary)

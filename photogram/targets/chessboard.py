@@ -133,8 +133,7 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
     A chessboard's mirror image is a chessboard; no single picture tells it.
     Raises `TargetNotFound` with what is wrong with the picture.
     """
-    if target.size is None:
-        raise ValueError("target: expected the number of inner corners, found no size")
+    assert target.size is not None
     grey = eight_bit(image)
     corners = _search(grey, target.size)
     if corners is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +27,12 @@ OFF_LATTICE = 0.1
 QUARTER_TURN = np.array([[0, -1], [1, 0]])
 
 
-class _Failure(NamedTuple):
-    """Why an attempt failed, and how many dots it had found."""
+class _NoGrid(ValueError):
+    """Why patches are no grid, and how many dots it had."""
 
-    dots: int
-    reason: str
+    def __init__(self, dots: int, reason: str) -> None:
+        super().__init__(reason)
+        self.dots = dots
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,37 +65,33 @@ def find_dots(image: NDArray[Any], target: Target, name: str, full_scale: int) -
     Dark dots on bright and bright dots on dark are both found. Raises `TargetNotFound` with what is wrong.
     """
     check_shape("image", image, (None, None))
-    failures = [_Failure(0, "no dots")]
+    failures = [_NoGrid(0, "no dots")]
     for share in WINDOWS:
         for blobs in find_blobs(image, share * max(image.shape)):
-            outcome = _attempt(image, blobs, target, name, full_scale)
-            if isinstance(outcome, TargetView):
-                return outcome
-            failures.append(outcome)
+            try:
+                return _view(image, blobs, target, name, full_scale)
+            except _NoGrid as failure:
+                failures.append(failure)
     worth = max(failures, key=lambda failure: failure.dots)
     fault = picture_fault(image, full_scale) if worth.dots < LEAST_DOTS else None
-    raise TargetNotFound(fault or worth.reason)
+    raise TargetNotFound(fault or str(worth))
 
 
-def _attempt(image: NDArray[Any], blobs: Blobs, target: Target, name: str, full_scale: int) -> TargetView | _Failure:
-    """The view that these patches are, or why they are none."""
+def _view(image: NDArray[Any], blobs: Blobs, target: Target, name: str, full_scale: int) -> TargetView:
+    """The view that these patches are; raises `_NoGrid`."""
     lattice = find_lattice(blobs.centre_px, blobs.shape_px2)
-    if len(lattice.member) < LEAST_DOTS:
-        seen = len(lattice.member)
+    seen = len(lattice.member)
+    if seen < LEAST_DOTS:
         few = f"no grid of dots: {seen} on a lattice, at least {LEAST_DOTS} are needed"
-        return _Failure(seen, few if seen else "no dots")
+        raise _NoGrid(seen, few if seen else "no dots")
     grid = _measure(image, blobs, lattice)
     dots = len(grid.index)
     if dots < LEAST_DOTS:
-        return _Failure(
-            dots, f"no round dots: {len(lattice.member)} patches on a lattice, but only {dots} are elliptic"
-        )
+        raise _NoGrid(dots, f"no round dots: {seen} patches on a lattice, but only {dots} are elliptic")
     spacing_px = float(np.median(_spacing(grid.jacobian)))
     check_exposure(image, outline(grid.ellipses.centre_px), full_scale)
     check_blur(float(np.median(grid.ellipses.blur_px)), spacing_px)
     places = _places(grid, target, image.shape)
-    if isinstance(places, str):
-        return _Failure(dots, places)
     ellipses, order = grid.ellipses, np.lexsort(places.T)
     radius = ellipses.radius_px / _spacing(local_fit(places, ellipses.centre_px)[1])
     return TargetView(
@@ -135,20 +132,20 @@ def _spacing(jacobian: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.abs(jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0])))
 
 
-def _places(grid: _Grid, target: Target, shape: tuple[int, ...]) -> IntArray | str:
-    """Places (N, 2) in the target's lattice, or why there are none."""
-    rings = int(grid.ring.sum())
+def _places(grid: _Grid, target: Target, shape: tuple[int, ...]) -> IntArray:
+    """Places (N, 2) in the target's lattice; raises `_NoGrid`."""
+    rings, dots = int(grid.ring.sum()), len(grid.index)
     if target.kind == "dots" and rings == 3:
         return _places_from_rings(grid)
     if target.kind == "dots" and rings:
         edge = "runs over the edge of the picture, " if rings < 3 and _leaves(grid, shape) else ""
-        return f"{edge}{rings} of {len(grid.index)} dots are ring markers, expected three"
+        raise _NoGrid(dots, f"{edge}{rings} of {dots} dots are ring markers, expected three")
     if target.size is None:
-        return f"no ring markers among {len(grid.index)} dots: give the number of dots, columns x rows"
-    return _places_from_size(grid, target, target.size, shape)
+        raise _NoGrid(dots, f"no ring markers among {dots} dots: give the number of dots, columns x rows")
+    return _places_from_size(grid, target.kind == "asymmetric-dots", target.size, shape)
 
 
-def _places_from_rings(grid: _Grid) -> IntArray | str:
+def _places_from_rings(grid: _Grid) -> IntArray:
     """Places from the ring at the corner of the L, x along the longer arm, y the shorter."""
     rings = grid.index[grid.ring]
     for corner in range(3):
@@ -161,15 +158,14 @@ def _places_from_rings(grid: _Grid) -> IntArray | str:
         if (lengths[0] < lengths[1]) or (lengths[0] == lengths[1] and not up):
             axes, up = axes[::-1], not up
         if not up:
-            return "mirrored: the ring markers run the wrong way round"
+            raise _NoGrid(len(grid.index), "mirrored: the ring markers run the wrong way round")
         return np.asarray((grid.index - rings[corner]) @ axes.T)
-    return "the three ring markers do not form an L"
+    raise _NoGrid(len(grid.index), "the three ring markers do not form an L")
 
 
-def _places_from_size(grid: _Grid, target: Target, size: tuple[int, int], shape: tuple[int, ...]) -> IntArray | str:
+def _places_from_size(grid: _Grid, asymmetric: bool, size: tuple[int, int], shape: tuple[int, ...]) -> IntArray:
     """Places from the corner of a full grid."""
-    asymmetric = target.kind == "asymmetric-dots"
-    columns, rows = size
+    (columns, rows), dots = size, len(grid.index)
     wanted = {(2 * i + j % 2 if asymmetric else i, j) for i in range(columns) for j in range(rows)}
     basis = np.array([[1, -1], [1, 1]]) if asymmetric else np.eye(2, dtype=np.int64)
     mean = grid.jacobian.mean(axis=0) @ np.linalg.inv(basis)
@@ -179,12 +175,13 @@ def _places_from_size(grid: _Grid, target: Target, size: tuple[int, int], shape:
     if fitting:  # the one whose first index runs most to the right
         return max(fitting, key=lambda fit: float(fit[0][0, 0] / np.linalg.norm(fit[0][:, 0])))[1]
     if any(_same(_from_corner(places * np.array([-1, 1])), wanted) for _, places in turned):
-        return "mirrored: the rows of the dots are shifted the wrong way"
+        raise _NoGrid(dots, "mirrored: the rows of the dots are shifted the wrong way")
     edge = "runs over the edge of the picture: " if _leaves(grid, shape) else ""
-    if edge or len(grid.index) < len(wanted):
-        return f"{edge}{len(grid.index)} dots on a lattice, expected all {columns} x {rows}"
+    if edge or dots < len(wanted):
+        raise _NoGrid(dots, f"{edge}{dots} dots on a lattice, expected all {columns} x {rows}")
     extent = np.ptp(grid.index, axis=0) + 1
-    return f"another grid: {len(grid.index)} dots within {extent[0]} x {extent[1]} places, expected {columns} x {rows}"
+    seen = f"{dots} dots within {extent[0]} x {extent[1]} places"
+    raise _NoGrid(dots, f"another grid: {seen}, expected {columns} x {rows}")
 
 
 def _from_corner(index: IntArray) -> IntArray:
@@ -245,8 +242,13 @@ def find_lattice(centre_px: FloatArray, shape_px2: FloatArray) -> Lattice:
     check_shape("centre_px", centre_px, (None, 2))
     check_shape("shape_px2", shape_px2, (len(centre_px), 2, 2))
     best = Lattice(np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64))
+    if not len(centre_px):
+        return best
     area = np.sqrt(np.linalg.det(shape_px2))
-    for group in _groups_of_like_size(area):
+    octaves = np.arange(np.floor(np.log2(area.min())) - 1, np.ceil(np.log2(area.max())) + 1)
+    groups = [np.flatnonzero((area >= 2.0**k) & (area < AREA_SPAN * 2.0**k)) for k in octaves]
+    large = [group for group in groups if len(group) >= LEAST_POINTS]
+    for group in sorted(large, key=lambda group: -area[group].sum())[:MOST_GROUPS]:  # those that cover most first
         tried: set[int] = set()
         for seed in _seeds(centre_px[group], shape_px2[group]):
             if int(group[seed[0]]) in tried:
@@ -277,16 +279,6 @@ def local_fit(index: IntArray, position_px: FloatArray) -> tuple[FloatArray, Flo
             jacobian[n] = expected[1]
             off[n] = np.linalg.norm(np.linalg.solve(expected[1], position_px[n] - expected[0]))
     return off, jacobian
-
-
-def _groups_of_like_size(area: FloatArray) -> list[IntArray]:
-    """Patches whose areas are within a factor four, by octaves: those that cover most of the picture first."""
-    if not len(area):
-        return []
-    octaves = np.arange(np.floor(np.log2(area.min())) - 1, np.ceil(np.log2(area.max())) + 1)
-    groups = [np.flatnonzero((area >= 2.0**k) & (area < AREA_SPAN * 2.0**k)) for k in octaves]
-    large = [group for group in groups if len(group) >= LEAST_POINTS]
-    return sorted(large, key=lambda group: -area[group].sum())[:MOST_GROUPS]
 
 
 def _seeds(centre: FloatArray, shape: FloatArray) -> IntArray:

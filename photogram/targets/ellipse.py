@@ -142,22 +142,18 @@ RING_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Ellipses(
-    Arrays,
-    shapes="centre_px N 2; covariance_px2 N 2 2; shape_px2 N 2 2; blur_px N; contrast N; roughness_px N",
-):
+class Ellipses(Arrays, shapes="centre_px N 2; covariance_px2 N 2 2; shape_px2 N 2 2; blur_px N; roughness_px N"):
     """N fitted ellipses (x − c)ᵀ S⁻¹ (x − c) = 1; all NaN where the fit failed.
 
     `centre_px` c (N, 2) and its `covariance_px2` (N, 2, 2); `shape_px2` S (N, 2, 2), of determinant (product of the
-    semi-axes)²; `blur_px` (N,): σ of the edge; `contrast` (N,): dot less background, grey values; `roughness_px` (N,):
-    rms over sixteen sectors of how far the edge lies off the ellipse.
+    semi-axes)²; `blur_px` (N,): σ of the edge; `roughness_px` (N,): rms over sixteen sectors of how far the edge lies
+    off the ellipse.
     """
 
     centre_px: FloatArray
     covariance_px2: FloatArray
     shape_px2: FloatArray
     blur_px: FloatArray
-    contrast: FloatArray
     roughness_px: FloatArray
 
     @property
@@ -205,7 +201,6 @@ def fit_ellipses(
         covariance_px2=spread[:, [0, 1, 1, 2]].reshape(-1, 2, 2),
         shape_px2=shape,
         blur_px=fitted[:, 5],
-        contrast=fitted[:, 7],
         roughness_px=spread[:, 3],
     )
 

@@ -95,13 +95,22 @@ def check_exposure(image: NDArray[Any], area: FloatArray, full_scale: float) -> 
     grey = image[filled > 0]
     if grey.size == 0:
         raise ValueError("area: expected a part of the picture, found none of its pixels")
+    fault = _exposure_fault(grey, full_scale, _MOST_SATURATED, (5, 95), "target's")
+    if fault is not None:
+        raise TargetNotFound(fault)
+
+
+def _exposure_fault(
+    grey: NDArray[Any], full_scale: float, most: float, ends: tuple[int, int], whose: str
+) -> str | None:
+    """Return what is wrong with grey values: more than a share of them saturated, or percentiles without contrast."""
     saturated = float((grey >= _SATURATED * full_scale).mean())
-    if saturated > _MOST_SATURATED:
-        raise TargetNotFound(f"overexposed: {100 * saturated:.0f} % of the target's pixels reach full scale")
-    low, high = np.percentile(grey, [5, 95])
+    if saturated > most:
+        return f"overexposed: {100 * saturated:.0f} % of the {whose} pixels reach full scale"
+    low, high = np.percentile(grey, ends)
     if high - low < _LEAST_CONTRAST * full_scale:
-        share = 100 * (high - low) / full_scale
-        raise TargetNotFound(f"underexposed: bright and dark differ by {share:.1f} % of full scale")
+        return f"underexposed: bright and dark differ by {100 * (high - low) / full_scale:.1f} % of full scale"
+    return None
 
 
 def check_blur(blur_px: float, cell_px: float) -> None:
@@ -121,12 +130,10 @@ def picture_fault(image: NDArray[Any], full_scale: float) -> str | None:
     """
     from scipy.ndimage import gaussian_gradient_magnitude
 
-    saturated = float((image >= _SATURATED * full_scale).mean())
-    if saturated > 0.5:
-        return f"overexposed: {100 * saturated:.0f} % of the picture's pixels reach full scale"
+    fault = _exposure_fault(image, full_scale, 0.5, (1, 99), "picture's")
+    if fault is not None:
+        return fault
     low, high = np.percentile(image, [1, 99])
-    if high - low < _LEAST_CONTRAST * full_scale:
-        return f"underexposed: bright and dark differ by {100 * (high - low) / full_scale:.1f} % of full scale"
     steepest = float(np.percentile(gaussian_gradient_magnitude(image.astype(np.float32), 1.0), 99.9))
     sigma = float(high - low) / (np.sqrt(2 * np.pi) * max(steepest, 1e-9))
     if sigma > 1.5 * _BLUR_PX:

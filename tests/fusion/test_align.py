@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import shutil
@@ -16,9 +15,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from alignment_factory import BODY_M, TARGET, World, displaced, make_world, target_pose
+from alignment_factory import BODY_M, TARGET, World, between, displaced, face, make_world, target_pose
 from pydantic import BaseModel
-from support import DOCS, Refused, refusals
+from support import DOCS, Refused
 
 from fusion.cameras.align import _axis
 from fusion.cameras.align_manifest import (
@@ -109,17 +108,15 @@ def aligned(capsys: pytest.CaptureFixture[str]) -> Aligned:
     return run
 
 
-@pytest.fixture
-def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
-    return refusals(capsys)
-
-
 def normalised(block: dict[str, Any], true: RigidTransform) -> np.ndarray:
     """Displacement (6,) from the printed pose to the true one over its standard uncertainties."""
     found = RigidTransform(np.array(block["rotation"]), np.array(block["translation"]))
-    turn = true.rotation @ found.rotation.T
-    error = np.concatenate([true.translation_m - turn @ found.translation_m, vector_from_rotation(turn)])
-    return np.asarray(error / np.array(block["pose_uncertainty"]))
+    return np.asarray(between(found, true) / np.array(block["pose_uncertainty"]))
+
+
+def stated(pose: RigidTransform) -> dict[str, Any]:
+    """The keys of a pose."""
+    return {"rotation": pose.rotation.tolist(), "translation": pose.translation_m.tolist()}
 
 
 def test_fiducials_give_a_block_of_the_rig(tmp_path: Path, aligned: Aligned) -> None:
@@ -136,23 +133,14 @@ def test_fiducials_give_a_block_of_the_rig(tmp_path: Path, aligned: Aligned) -> 
 
 
 def test_faces_come_from_tables_of_pixels(tmp_path: Path, aligned: Aligned) -> None:
-    world = make_world(2)
-    towards = -world.sensor_from_camera.rotation[:, 2]
-    blocks = []
+    world, blocks = make_world(2), []
     for number in range(3):
-        side = np.linalg.svd(towards[None])[2][1:]
-        angle = 0.4 + number * 2 * np.pi / 3
-        normal = towards + 0.8 * np.array([np.cos(angle), np.sin(angle)]) @ side
-        normal /= np.linalg.norm(normal)
-        centre = BODY_M + 0.02 * normal
-        true = centre + world.rng.uniform(-0.03, 0.03, (40, 2)) @ np.linalg.svd(normal[None])[2][1:]
-        pixels = np.concatenate(world.see(true, 0.02), axis=1)
-        with (tmp_path / f"face-{number}.csv").open("w", newline="") as stream:
-            writer = csv.writer(stream)
-            writer.writerow(["left_x", "left_y", "right_x", "right_y"])
-            writer.writerows(pixels.tolist())
-        block = {"name": f"{number}", "point": centre.tolist(), "normal": normal.tolist(), "pixel_uncertainty": 0.02}
-        blocks.append({**block, "pixels": f"face-{number}.csv"})
+        centre, normal, true = face(world, 0.4 + number * 2 * np.pi / 3, 40)
+        table = np.concatenate(world.see(true, 0.02), axis=1)
+        file = f"face-{number}.csv"
+        np.savetxt(tmp_path / file, table, delimiter=",", header="left_x,left_y,right_x,right_y", comments="")
+        keys = {"point": centre.tolist(), "normal": normal.tolist(), "pixel_uncertainty": 0.02}
+        blocks.append({"name": f"{number}", "pixels": file, **keys})
     block = aligned(write(tmp_path, world, face=blocks))
     assert np.abs(normalised(block, world.sensor_from_camera)).max() < 4.5
 
@@ -172,8 +160,7 @@ def test_what_is_open_is_told_in_one_sentence(tmp_path: Path, refused: Refused) 
     points = fiducials(world, 2)
     pose = displaced(world.sensor_from_camera, np.full(6, 1e-3))
     assert "expected a first pose" in refused("align", write(tmp_path, world, point=points), status=1)
-    known = {"rotation": pose.rotation.tolist(), "translation": pose.translation_m.tolist()}
-    path = write(tmp_path, world, point=points, pose={**known, "pose_uncertainty": [0.2] * 6})
+    path = write(tmp_path, world, point=points, pose={**stated(pose), "pose_uncertainty": [0.2] * 6})
     output = tmp_path / "pose.toml"
     told = refused("align", path, "-o", output, status=1)
     assert "rotation about" in told
@@ -192,16 +179,17 @@ def test_an_output_that_is_there_is_refused_without_force(tmp_path: Path, aligne
     refused("align", path, "-o", tmp_path / "none" / "pose.toml", "-q")
 
 
+AT_ORIGIN = {"rotation": np.eye(3).tolist(), "translation": [0.0] * 3}
 WRONG = {
     "calibration": ({"calibration": "none.json"}, "alignment.toml: calibration: expected an existing file"),
     "no evidence": ({"point": []}, "at least one block of evidence"),
     "unknown key": ({"points": []}, 'probably "point"'),
     "a certain pose": (
-        {"pose": {"rotation": np.eye(3).tolist(), "translation": [0.0] * 3, "pose_uncertainty": [0.0] * 6}},
+        {"pose": {**AT_ORIGIN, "pose_uncertainty": [0.0] * 6}},
         "pose.pose_uncertainty: expected 6 numbers above 0",
     ),
     "target view": (
-        {"target_view": [{"name": "a", "left": "top.json", "rotation": np.eye(3).tolist(), "translation": [0.0] * 3}]},
+        {"target_view": [{"name": "a", "left": "top.json", **AT_ORIGIN}]},
         "target: expected the [target] that is seen in the views",
     ),
     "motion": (
@@ -304,10 +292,8 @@ def pictures(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest
 def test_a_target_at_a_known_pose(pictures: Pictures, aligned: Aligned) -> None:
     world, folder = make_world(1), pictures.folder
     seen = target_pose(world.rng, 0.15)
-    placed = world.sensor_from_camera @ seen
-    view: dict[str, Any] = {"name": "plate", **pictures.take("plate", world, seen)}
-    view |= {"rotation": placed.rotation.tolist(), "translation": placed.translation_m.tolist()}
-    view["pose_uncertainty"] = [1e-6] * 3 + [1e-5] * 3
+    keys = {**stated(world.sensor_from_camera @ seen), "pose_uncertainty": [1e-6] * 3 + [1e-5] * 3}
+    view = {"name": "plate", **pictures.take("plate", world, seen), **keys}
     block = aligned(write(folder, world, target=TABLE, target_view=[view]))
     assert "from 1 target view." in block["text"]
     assert np.abs(normalised(block, world.sensor_from_camera)).max() < 4.5
@@ -329,17 +315,9 @@ def test_common_views_give_the_relative_pose(pictures: Pictures, aligned: Aligne
 
 def test_a_picture_that_is_none_is_named(tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "a.png").write_text("no picture")
-    view = {"name": "plate", "left": "a.png", "rotation": np.eye(3).tolist(), "translation": [0.0, 0.0, 0.0]}
+    view = {"name": "plate", "left": "a.png", **AT_ORIGIN}
     told = refused("align", write(tmp_path, make_world(1), target=TABLE, target_view=[view]), "-q")
     assert "target_view.plate.left: " in told
-
-
-def true_direction(truth: dict[str, dict[str, dict[str, list[list[float]]]]]) -> np.ndarray:
-    """Major axis of the load's translation at the fundamental."""
-    load = truth["acceleration"]["load"]
-    phasor = (np.array(load["re"]) + 1j * np.array(load["im"]))[0, :3]
-    axis = (phasor * np.exp(-0.5j * np.angle((phasor**2).sum()))).real
-    return np.asarray(axis / np.linalg.norm(axis))
 
 
 @pytest.mark.slow
@@ -350,18 +328,20 @@ def test_one_direction_puts_two_angles_right(
     shutil.copytree(demo_recording, campaign)
     rig = tomllib.loads((campaign / "rig.toml").read_text(encoding="utf-8"))
     truth = json.loads((campaign / "Fz-0080" / "truth.json").read_text(encoding="utf-8"))
-    stated = rig["stereo"]["top"]
+    known = rig["stereo"]["top"]
     turn = rotation_from_vector(np.array(truth["drawn"]["top.pose"][3:]))
-    true = turn @ np.array(stated["rotation"])
+    true = turn @ np.array(known["rotation"])
     wrong = rotation_from_vector(WRONG_RAD) @ true
-    stated["rotation"] = wrong.tolist()
+    known["rotation"] = wrong.tolist()
     (campaign / "rig.toml").write_text(to_toml(rig), encoding="utf-8")
-    known = {"rotation": wrong.tolist(), "translation": stated["translation"], "pose_uncertainty": U_BEFORE}
-    direction = true_direction(truth)
+    before = {"rotation": wrong.tolist(), "translation": known["translation"], "pose_uncertainty": U_BEFORE}
+    load = truth["acceleration"]["load"]
+    phasor = (np.array(load["re"]) + 1j * np.array(load["im"]))[0, :3]
+    major = (phasor * np.exp(-0.5j * np.angle((phasor**2).sum()))).real  # axis of the load's translation
     motion = {
         "name": "along z",
         "recordings": "Fz-*/recording.toml",
-        "direction": direction.tolist(),
+        "direction": (major / np.linalg.norm(major)).tolist(),
         "direction_uncertainty": 1e-5,
     }
     head = {"format": 1, "stereo": "top", "calibration": "calibration/top.json", "scale_uncertainty": 2e-4}
@@ -369,7 +349,7 @@ def test_one_direction_puts_two_angles_right(
     path.write_text(to_toml({**head, "motion": [motion]}), encoding="utf-8")
     assert main(["align", str(path), "-q"]) == 1
     assert "rotation about z and position along x, y and z are open" in capsys.readouterr().err
-    path.write_text(to_toml({**head, "pose": known, "motion": [motion]}), encoding="utf-8")
+    path.write_text(to_toml({**head, "pose": before, "motion": [motion]}), encoding="utf-8")
     assert main(["align", str(path), "-q"]) == 0
     printed = capsys.readouterr()
     assert "moves on an ellipse" in printed.err
@@ -400,6 +380,11 @@ def seen_turning(world: World, point_m: np.ndarray, direction: np.ndarray) -> Si
     return SimpleNamespace(manifest=manifest, measured=measured, sensor_from_camera=provisional)
 
 
+def axis(name: str, point_m: np.ndarray, direction: np.ndarray) -> AxisBlock:
+    known = {"point": tuple(point_m), "direction": tuple(direction), "direction_uncertainty": 2e-5}
+    return AxisBlock(name=name, recordings=(), **known)
+
+
 def test_two_axes_place_the_camera() -> None:
     normalised = []
     for seed in range(2):
@@ -408,12 +393,9 @@ def test_two_axes_place_the_camera() -> None:
         evidence = []
         for name, direction in zip("xy", np.eye(3), strict=False):
             place = np.array([0.0, 0.01, 0.02])
-            block = AxisBlock(
-                name=name, recordings=(), point=tuple(place), direction=tuple(direction), direction_uncertainty=2e-5
-            )
-            found, notices = _axis(block, seen_turning(world, place, direction), pair)
+            known, notices = _axis(axis(name, place, direction), seen_turning(world, place, direction), pair)
             assert notices == []
-            evidence.append(found)
+            evidence.append(known)
         start = displaced(world.sensor_from_camera, np.full(6, 2e-3))
         result = align(evidence, start)
         normalised.append(world.error(result)[0] / result.u)
@@ -426,8 +408,5 @@ def test_an_unsteady_axis_is_told() -> None:
     seen = seen_turning(world, np.zeros(3), np.eye(3)[0])
     motion = seen.measured.motion
     seen.measured.motion = replace(motion, pose=motion.pose + 1e-4 * world.rng.normal(size=motion.pose.shape))
-    block = AxisBlock(
-        name="x", recordings=(), point=(0.0, 0.0, 0.0), direction=(1.0, 0.0, 0.0), direction_uncertainty=2e-5
-    )
-    _, (notice,) = _axis(block, seen, None)
+    _, (notice,) = _axis(axis("x", np.zeros(3), np.eye(3)[0]), seen, None)
     assert "turns about no fixed axis" in notice.text

@@ -13,12 +13,10 @@ from calibration_factory import SIZE_PX, SPACING_M, Session, make_calibration
 from page_outline import outline
 
 from fusion.cameras import quantities
-from fusion.cameras.figures import draw_pictures
+from fusion.cameras.figures import draw_coverage, draw_pictures, draw_views
 from fusion.cameras.report import (
     camera_headlines,
     correlations_table,
-    draw_coverage,
-    draw_views,
     dropped_table,
     lengths_table,
     parameters_table,
@@ -51,25 +49,20 @@ def draws(calibration: Calibration) -> list[StereoRig]:
     return [calibration.rig.perturbed(delta) for delta in deltas]
 
 
-def _scatter(values: object) -> float:
-    return float(np.std(np.asarray(values), ddof=1))
-
-
-def test_baseline_and_angle_scatter_as_stated(calibration: Calibration, draws: list[StereoRig]) -> None:
+def test_baseline_and_angle_scatter_as_stated_also_of_parallel_axes(
+    calibration: Calibration, draws: list[StereoRig]
+) -> None:
     baseline, angle = quantities.baseline_m(calibration.rig), quantities.axes_angle_rad(calibration.rig)
     lengths = [np.linalg.norm(rig.right_from_left.translation_m) for rig in draws]
     angles = [np.arccos(rig.right_from_left.rotation[2, 2]) for rig in draws]
     assert baseline.value == pytest.approx(np.linalg.norm([0.168, -0.003, 0.036]), abs=4 * baseline.u)
-    assert baseline.u == pytest.approx(_scatter(lengths), rel=0.06)
+    assert baseline.u == pytest.approx(np.std(lengths), rel=0.06)
     assert angle.value == pytest.approx(np.linalg.norm([0.011, 0.42]), abs=4 * angle.u + 1e-4)
-    assert angle.u == pytest.approx(_scatter(angles), rel=0.06)
-
-
-def test_parallel_axes_have_an_uncertain_angle(calibration: Calibration) -> None:
+    assert angle.u == pytest.approx(np.std(angles), rel=0.06)
     parallel = dataclasses.replace(calibration.rig, right_from_left=RigidTransform(np.eye(3), np.array([-0.1, 0, 0])))
-    found = quantities.axes_angle_rad(parallel)
-    assert found.value == 0.0
-    assert found.u >= np.sqrt(np.diagonal(quantities.covariance_of(parallel))[18:20]).max()
+    angle = quantities.axes_angle_rad(parallel)
+    assert angle.value == 0.0
+    assert angle.u >= np.sqrt(np.diagonal(quantities.covariance_of(parallel))[18:20]).max()
 
 
 def test_distance_scatters_as_stated(calibration: Calibration) -> None:
@@ -83,20 +76,17 @@ def test_distance_scatters_as_stated(calibration: Calibration) -> None:
         + delta[:3]
         for delta in deltas
     ]
-    found = quantities.distance_m(calibration, view)
-    assert found.value == pytest.approx(np.linalg.norm(view.left_from_target.apply(middle)))
-    assert found.u == pytest.approx(_scatter(np.linalg.norm(places, axis=1)), rel=0.06)
+    distance = quantities.distance_m(calibration, view)
+    assert distance.value == pytest.approx(np.linalg.norm(view.left_from_target.apply(middle)))
+    assert distance.u == pytest.approx(np.std(np.linalg.norm(places, axis=1)), rel=0.06)
 
 
-def test_distortion_is_that_of_opencv(calibration: Calibration) -> None:
+def test_distortion_is_that_of_opencv_and_scatters_as_stated(calibration: Calibration, draws: list[StereoRig]) -> None:
     field, camera = quantities.distortion(calibration, "right", columns=7), calibration.rig.right
     ideal = (field.pixel - field.displacement_px).reshape(-1, 2)
     rays = np.column_stack([(ideal - camera.matrix[:2, 2]) / np.diagonal(camera.matrix)[:2], np.ones(len(ideal))])
     pixel, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.matrix, camera.distortion)
     np.testing.assert_allclose(pixel.reshape(field.pixel.shape), field.pixel, atol=1e-6)
-
-
-def test_distortion_scatters_as_stated(calibration: Calibration, draws: list[StereoRig]) -> None:
     field = quantities.distortion(calibration, "left", columns=9)
     corner = field.pixel[0, 0]
     moved = []
@@ -108,18 +98,16 @@ def test_distortion_scatters_as_stated(calibration: Calibration, draws: list[Ste
     assert np.linalg.norm(np.mean(moved, axis=0) - field.displacement_px[0, 0]) < 6 * scatter / np.sqrt(DRAWS) + 0.01
 
 
-def test_lengths_scale_with_the_baseline(calibration: Calibration) -> None:
+def test_lengths_scale_with_the_baseline_and_depth_is_less_certain(calibration: Calibration) -> None:
+    across, down, away = quantities.length_u(calibration)
+    assert calibration.scale_u < min(across, down)
+    assert away > 1.5 * across
+    assert all(float(row[1]) > 200 * calibration.scale_u for row in lengths_table(calibration).rows)
     baseline = np.zeros(24)
     baseline[21:] = calibration.rig.right_from_left.translation_m
     rig = dataclasses.replace(calibration.rig, covariance=1e-4**2 * np.outer(baseline, baseline))
     found = quantities.length_u(dataclasses.replace(calibration, rig=rig))
     np.testing.assert_allclose(found, 1e-4, rtol=1e-6)
-
-
-def test_depth_is_less_certain_than_what_lies_across(calibration: Calibration) -> None:
-    across, down, away = quantities.length_u(calibration)
-    assert calibration.scale_u < min(across, down)
-    assert away > 1.5 * across
 
 
 def test_systematic_part_of_residuals_is_told_from_noise() -> None:
@@ -208,12 +196,12 @@ def test_shape_is_laid_onto_its_lattice(calibration: Calibration) -> None:
     assert quantities.target_shape(make_calibration(Session(views=4, bow_m=0.0))) is None
 
 
-def test_a_pair_without_covariance_is_refused(calibration: Calibration) -> None:
+def test_correlations_are_sorted_and_none_without_uncertainty(calibration: Calibration) -> None:
+    strongest = [abs(float(row[2].replace("−", "-"))) for row in correlations_table(calibration).rows]
+    assert strongest == sorted(strongest, reverse=True)
+    assert strongest[0] > 0.9
     with pytest.raises(ValueError, match="covariance"):
-        quantities.baseline_m(dataclasses.replace(calibration.rig, covariance=None))
-
-
-def test_parameters_without_uncertainty_have_no_correlation(calibration: Calibration) -> None:
+        quantities.covariance_of(dataclasses.replace(calibration.rig, covariance=None))
     covariance = quantities.covariance_of(calibration.rig).copy()
     covariance[8], covariance[:, 8] = 0.0, 0.0
     found = quantities.correlation(covariance)
@@ -221,16 +209,8 @@ def test_parameters_without_uncertainty_have_no_correlation(calibration: Calibra
     np.testing.assert_allclose(np.delete(np.diagonal(found), 8), 1.0)
 
 
-@pytest.fixture(scope="module")
-def page(calibration: Calibration) -> str:
-    return render_camera_report(calibration, "top", PROVENANCE, 12.3)
-
-
-def _text(page: str) -> str:
-    return "".join(outline(page).text)
-
-
-def test_page_is_well_formed_and_self_contained(page: str) -> None:
+def test_page_says_what_was_found_and_is_well_formed_and_self_contained(calibration: Calibration) -> None:
+    page = render_camera_report(calibration, "top", PROVENANCE, 12.3)
     found = outline(page)
     assert page.startswith("<!doctype html>")
     assert len(found.ids) == len(set(found.ids))
@@ -241,10 +221,7 @@ def test_page_is_well_formed_and_self_contained(page: str) -> None:
     assert all(address.startswith("data:image/svg+xml,%3Csvg") for address in others)
     assert not re.search(r"url\((?!%23)|@import", page)
     assert len(page.encode()) < 6_000_000
-
-
-def test_page_says_what_was_found(page: str) -> None:
-    text = _text(page)
+    text = "".join(found.text)
     assert all(name in text for name in RIG_PARAMETERS)
     assert "One warning (coverage): the lower left corner" in text
     assert text.index("Warning · coverage") < text.index("Note · target")
@@ -303,16 +280,6 @@ def test_states_in_plain_words(calibration: Calibration) -> None:
     assert verdict(twice).startswith("2 warnings, the first: few views.")
 
 
-def test_correlations_are_sorted(calibration: Calibration) -> None:
-    found = [abs(float(row[2].replace("−", "-"))) for row in correlations_table(calibration).rows]
-    assert found == sorted(found, reverse=True)
-    assert found[0] > 0.9
-
-
-def test_lengths_hold_the_scale(calibration: Calibration) -> None:
-    assert all(float(row[1]) > 200 * calibration.scale_u for row in lengths_table(calibration).rows)
-
-
 def test_views_and_what_was_left_out(calibration: Calibration) -> None:
     rows = views_table(calibration).rows
     assert rows[5][1] == "left-06.tif<br>–"
@@ -335,7 +302,7 @@ def test_flat_target_missing_pictures_and_odd_names_still_have_a_page() -> None:
     assert html.escape("<script>alert(1)</script>-01.tif") in page
     assert html.escape("$x_1$ & \\co-02.tif") in page
     assert "<h1>&lt;b&gt;top&lt;/b&gt;</h1>" in page
-    text = _text(page)
+    text = "".join(outline(page).text)
     assert "Shape of the target" not in text
     assert "It was not stated" in text
     assert "2 pairs in 6 views" in text

@@ -8,7 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from support import refusals, rows
+from support import Refused, rows
 
 from fusion.cli import main
 from fusion.phasors.channels import channel_phasors, find_channel_lines
@@ -18,7 +18,7 @@ from fusion.recording.load import load_manifest
 from fusion.report.recording import write_h5
 from fusion.report.tables import lines_table
 from fusion.sensitivity.analyse import Evaluation
-from shaker.lines.frequencies import Lines, find_lines
+from shaker.lines.frequencies import find_lines
 
 RATE = 12_800.0
 RIG = 'format = 1\nname = "test"\n'
@@ -66,14 +66,6 @@ def _recording(folder: Path, excitation: str, tones: dict[float, float]) -> Path
     return folder / "run"
 
 
-def _fundamentals(run: Path) -> Lines:
-    """The lines of a recording's channels."""
-    manifest = load_manifest(run)
-    lines = find_channel_lines(manifest, tie_daqs(manifest, read_daqs(manifest)))
-    assert lines is not None
-    return lines
-
-
 def test_a_file_is_listed_with_reasons(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = _signals(tmp_path / "signals.h5", {106.25: 1.0, 318.75: 0.02, 50.02: 0.05})
     table, picture = tmp_path / "lines.csv", tmp_path / "lines.png"
@@ -99,10 +91,9 @@ def test_a_band_keeps_its_lines(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "no line stands out of the noise" in capsys.readouterr().out
 
 
-def test_wrong_input_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_input_is_one_sentence(tmp_path: Path, refused: Refused) -> None:
     file = _signals(tmp_path / "signals.h5", {106.25: 1.0})
     (tmp_path / "there.csv").write_text("")
-    refused = refusals(capsys)
     for arguments, sentence in (
         ([tmp_path / "none.h5"], "expected a file, found none"),
         ([file, "--channel", "b"], 'found "a"'),
@@ -130,7 +121,9 @@ def test_a_recording_says_what_is_fitted(tmp_path: Path, capsys: pytest.CaptureF
     assert "fitted beside" in capsys.readouterr().out
 
 
-def test_a_campaign_is_listed_recording_by_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_campaign_is_listed_recording_by_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
+) -> None:
     run = _recording(tmp_path, "frequencies = [53.7]", {53.7: 1.0})
     run.rename(tmp_path / "first")
     _recording(tmp_path, "frequencies = [61.1]", {61.1: 1.0})
@@ -138,7 +131,7 @@ def test_a_campaign_is_listed_recording_by_recording(tmp_path: Path, capsys: pyt
     text = capsys.readouterr().out
     assert "53.7000" in text
     assert "61.1000" in text
-    assert "2 recordings" in refusals(capsys)("lines", tmp_path, "--csv", tmp_path / "lines.csv")
+    assert "2 recordings" in refused("lines", tmp_path, "--csv", tmp_path / "lines.csv")
     assert not (tmp_path / "lines.csv").exists()
 
 
@@ -159,14 +152,16 @@ def test_channels_are_fitted_with_what_leaks_into_their_lines(tmp_path: Path) ->
 def test_a_multisine_may_state_a_band_only(tmp_path: Path, period: str) -> None:
     tones = {100.0: 1.0, 120.0: 0.8, 150.0: 0.9, 50.03: 0.5, 300.0: 0.02, 1000.0: 1.0}
     run = _recording(tmp_path, f"band = [80.0, 400.0]\n{period or 'period = 1.0'}", tones)
-    lines = _fundamentals(run)
+    manifest = load_manifest(run)
+    lines = find_channel_lines(manifest, tie_daqs(manifest, read_daqs(manifest)))
+    assert lines is not None
     assert lines.nominal_hz[lines.multiple == 1].tolist() == pytest.approx([100.0, 120.0, 150.0])
     assert lines.notices[0].text == "no frequencies are stated; found in the band: 100, 120, 150 Hz"
 
 
-def test_a_band_without_lines_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_band_without_lines_is_refused(tmp_path: Path, refused: Refused) -> None:
     run = _recording(tmp_path, "band = [2000.0, 3000.0]\nperiod = 1.0", {100.0: 1.0})
-    assert "expected lines between 2000 and 3000 Hz" in refusals(capsys)("lines", run)
+    assert "expected lines between 2000 and 3000 Hz" in refused("lines", run)
 
 
 def test_three_tones_of_a_shaker(data_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:

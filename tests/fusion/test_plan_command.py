@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from support import Refused, refusals, rows
+from support import Refused, rows
 
 from fusion.cli import main
 from fusion.commands.measure import frequencies
@@ -27,11 +27,6 @@ def planned(capsys: pytest.CaptureFixture[str]) -> Planned:
         return capsys.readouterr().out
 
     return run
-
-
-@pytest.fixture
-def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
-    return refusals(capsys)
 
 
 def _cells(out: str, first: str) -> list[str]:

@@ -143,8 +143,14 @@ def _matlab(old: bool) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("old", [False, True])
-def test_matlab(tmp_path, old):
-    _assert_same(_imported(tmp_path, json.dumps(_matlab(old))))
+def test_matlab_and_the_way_through_the_calibration_file(tmp_path, old):
+    imported = _imported(tmp_path, json.dumps(_matlab(old)))
+    _assert_same(imported)
+    write_calibration(tmp_path / "top.json", imported.rig)
+    again = read_calibration(tmp_path / "top.json")
+    for first, second in zip(imported.rig.project(POINTS_M), again.project(POINTS_M), strict=True):
+        np.testing.assert_allclose(first, second, atol=1e-9)
+    refused(r"top\.json: .* one of this program", import_calibration, tmp_path / "top.json")
 
 
 def test_matlab_with_two_radial_coefficients_and_a_unit_nobody_knows(tmp_path):
@@ -185,34 +191,32 @@ def _bouguet(skew: str = "0.00000") -> str:
     )
 
 
-def test_bouguet(tmp_path):
+def test_bouguet_as_printed_and_with_column_vectors_and_image_size(tmp_path):
     _assert_same(_imported(tmp_path, _bouguet(), SIZE))
-
-
-def test_bouguet_column_vectors_and_image_size(tmp_path):
     text = _bouguet().replace("   ", " ;\n ") + "\nnx = 1280;\nny = 1024;"
     _assert_same(_imported(tmp_path, text.replace("± [ 1.00000 ;\n 2.00000 ]", ";")))
 
 
-def _dice_xml(model: str, relative: bool, digits: int = 12) -> str:
+def _poses(world: Rotation, shift: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Rotation and translation (mm) of both cameras against a world that lies so before the left one."""
+    return [(world.as_matrix(), shift), (ROTATION @ world.as_matrix(), ROTATION @ shift + T_MM)]
+
+
+def _dice_xml(model: str, relative: bool, digits: int = 12, radial: tuple[dict[str, float], ...] = ({}, {})) -> str:
     """A DICe camera system file: the world's frame turned against camera 0 unless the file is relative."""
-    world = Rotation.from_euler("zyx", [0.02, -0.3, 3.0])
-    shift = np.array([12.0, -7.0, 950.0])
-    poses = [(world.as_matrix(), shift), (ROTATION @ world.as_matrix(), ROTATION @ shift + T_MM)]
-    if relative:
-        poses = [(np.eye(3), np.zeros(3)), (ROTATION, T_MM)]
+    poses = _poses(Rotation.from_euler("zyx", [0.02, -0.3, 3.0]), np.array([12.0, -7.0, 950.0]))
     parts = ['<?xml version="1.0"?>', "<ParameterList>", "<!-- DICe formatted camera system file -->"]
     parts += ['<Parameter name="xml_file_format" type="string" value="DICe_xml_camera_system_file" />']
     if relative:
+        poses = [(np.eye(3), np.zeros(3)), (ROTATION, T_MM)]
         parts += ['<Parameter name="extrinsics_relative_camera_to_camera" type="bool" value="true" />']
     for index, (matrix, distortion) in enumerate(((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT))):
         rotation, translation = poses[index]
         names = ("FX", "FY", "CX", "CY", "K1", "K2", "P1", "P2", "K3", "TX", "TY", "TZ")
         values = (*matrix[[0, 1], [0, 1]], *matrix[:2, 2], *distortion, *translation)
+        numbers = dict(zip(names, values, strict=True)) | radial[index]
         parts += [f'<ParameterList name="CAMERA {index}">']
-        parts += [
-            f'<Parameter name="{n}" type="double" value="{v:.12g}" />' for n, v in zip(names, values, strict=True)
-        ]
+        parts += [f'<Parameter name="{n}" type="double" value="{v:.12g}" />' for n, v in numbers.items()]
         parts += [f'<Parameter name="LENS_DISTORTION_MODEL" type="string" value="{model}" />']
         parts += [f'<Parameter name="IMAGE_HEIGHT_WIDTH" type="string" value="{{ {SIZE[1]}, {SIZE[0]} }}" />']
         parts += ['<ParameterList name="rotation_3x3_matrix">']
@@ -233,10 +237,8 @@ def test_dice_xml(tmp_path, relative):
 
 
 def test_dice_model_linear_in_the_radius_is_a_longer_focal_length_and_told(tmp_path):
-    text = _dice_xml("K1R1_K2R2_K3R3", True)
-    for old, new in ((-0.08, 0.015), (0.05, 0.0), (0.02, 0.0), (-0.07, 0.015), (0.03, 0.0), (0.01, 0.0)):
-        text = text.replace(f'"{old:.12g}" />\n<Parameter name="', f'"{new:.12g}" />\n<Parameter name="')
-    imported = _imported(tmp_path, text)
+    linear = {"K1": 0.015, "K2": 0.0, "K3": 0.0}
+    imported = _imported(tmp_path, _dice_xml("K1R1_K2R2_K3R3", True, radial=(linear, linear)))
     np.testing.assert_allclose(imported.rig.left.parameters[:2], 1.015 * K_LEFT[[0, 1], [0, 1]], rtol=1e-6)
     assert any("K1R3_K2R5_K3R7 would be right there" in notice.text for notice in imported.notices)
 
@@ -244,15 +246,13 @@ def test_dice_model_linear_in_the_radius_is_a_longer_focal_length_and_told(tmp_p
 def test_dice_rotation_with_few_digits_is_told(tmp_path):
     imported = _imported(tmp_path, _dice_xml("OPENCV_LENS_DISTORTION", True, digits=4))
     assert [notice.where for notice in imported.notices if notice.severity == "warning"] == ["rotation"]
-    with pytest.raises(ValueError, match="rotation: expected an orthonormal matrix"):
-        _imported(tmp_path, _dice_xml("OPENCV_LENS_DISTORTION", True, digits=2))
+    few = _dice_xml("OPENCV_LENS_DISTORTION", True, digits=2)
+    refused("rotation: expected an orthonormal matrix", _imported, tmp_path, few)
 
 
 def test_dice_polynomial_in_odd_powers_is_fitted_by_even_ones(tmp_path):
-    text = _dice_xml("K1R2_K2R4_K3R6", True)
-    for old, new in ((-0.08, -1e-3), (0.05, 2e-3), (-0.07, 1.5e-3), (0.03, -1e-3)):
-        text = text.replace(f'"{old:.12g}"', f'"{new:.12g}"')
-    imported = _imported(tmp_path, text)
+    radial = {"K1": -1e-3, "K2": 2e-3}, {"K1": 1.5e-3, "K2": -1e-3}
+    imported = _imported(tmp_path, _dice_xml("K1R2_K2R4_K3R6", True, radial=radial))
     x, y = POINTS_M[:, 0] / POINTS_M[:, 2], POINTS_M[:, 1] / POINTS_M[:, 2]
     radius = np.hypot(x, y)
     grown = radius + (-1e-3 * radius**2 + 2e-3 * radius**4 + 0.02 * radius**6)  # DICe_Camera.cpp, sensor_to_image
@@ -314,21 +314,19 @@ def test_skew_is_taken_up_by_a_turn_as_far_as_it_can(tmp_path, fs):
 
 
 def test_a_large_skew_is_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"left camera: a skew of 40 px cannot be taken over: up to \d\.\d+ px"):
-        _imported(tmp_path, _dice_text((40.0, 0.0)))
+    words = r"left camera: a skew of 40 px cannot be taken over: up to \d\.\d+ px"
+    refused(words, _imported, tmp_path, _dice_text((40.0, 0.0)))
     refused("left camera: a skew of 64", import_calibration, _file(tmp_path, "b.txt", _bouguet("0.02")), SIZE)
 
 
 def _vic3d(split: bool, size: bool = True) -> str:
     """A VIC-3D project: both cameras against a world between them, Cardan angles in degrees, lengths in mm."""
-    world = Rotation.from_euler("xyz", [179.9, 9.0, 0.05], degrees=True)
-    shift = np.array([-60.0, 0.5, 18.0])
-    poses = [(world, shift), (Rotation.from_matrix(ROTATION) * world, ROTATION @ shift + T_MM)]
+    poses = _poses(Rotation.from_euler("xyz", [179.9, 9.0, 0.05], degrees=True), np.array([-60.0, 0.5, 18.0]))
     parts = ['<?xml version="1.0" encoding="ISO-8859-1"?>\n<!DOCTYPE vpml>\n<project dir="C:/Üb">\n <calibration>']
     for index, (matrix, distortion) in enumerate(((K_LEFT, D_LEFT), (K_RIGHT, D_RIGHT))):
         inner = f"{matrix[0, 2]} {matrix[1, 2]} {matrix[0, 0]} {matrix[1, 1]} 0.0"
         radial = f"{distortion[0]} {distortion[1]} {distortion[4]}"
-        angles = poses[index][0].as_euler("xyz", degrees=True)
+        angles = Rotation.from_matrix(poses[index][0]).as_euler("xyz", degrees=True)
         outer = " ".join(f"{v:.12g}" for v in (*angles, *poses[index][1]))
         text = f"<intrinsics>{inner}</intrinsics><distortion>{radial}</distortion>" if split else f"{inner} {radial}"
         parts += [f'  <camera id="{index}">{text}<orientation>{outer}</orientation></camera>']
@@ -349,15 +347,6 @@ def test_vic3d(tmp_path, split):
     with zipfile.ZipFile(tmp_path / "a.z3d", "w") as archive:
         archive.writestr("project.xml", _vic3d(split).encode("latin-1"))
     _assert_same(import_calibration(tmp_path / "a.z3d"), (RADIAL_LEFT, RADIAL_RIGHT))
-
-
-def test_round_trip_through_the_calibration_file(tmp_path):
-    imported = _imported(tmp_path, json.dumps(_matlab(old=False)))
-    write_calibration(tmp_path / "top.json", imported.rig)
-    again = read_calibration(tmp_path / "top.json")
-    for first, second in zip(imported.rig.project(POINTS_M), again.project(POINTS_M), strict=True):
-        np.testing.assert_allclose(first, second, atol=1e-9)
-    refused(r"top\.json: .* one of this program", import_calibration, tmp_path / "top.json")
 
 
 @pytest.mark.parametrize(
@@ -390,8 +379,8 @@ def test_what_cannot_be_read_is_told_in_one_sentence(tmp_path, text, message):
 def test_exchanged_width_and_height_are_told(tmp_path):
     imported = _imported(tmp_path, _dice_text(size=False), (600, 800))
     assert {n.where for n in imported.notices if n.severity == "warning"} == {"left camera", "right camera"}
-    with pytest.raises(ValueError, match="image_size: expected 1280x1024 as in the file, found 1024x1280"):
-        _imported(tmp_path, _dice_text(), (1024, 1280))
+    words = "image_size: expected 1280x1024 as in the file, found 1024x1280"
+    refused(words, _imported, tmp_path, _dice_text(), (1024, 1280))
 
 
 # Calibrations of other programs against what those programs, and the recordings they belong to, say.
