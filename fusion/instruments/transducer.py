@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from fusion.estimation.measurement_model import Deviates, Geometry
 from fusion.estimation.uncertainty import Unknown
 from photogram.geometry import rotation_from_vector
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.phasor import derivative_factor
 
 if TYPE_CHECKING:
-    from fusion.estimation.measurement_model import Deviates
     from fusion.recording.manifest import ChannelEntry
 
 TRANSVERSE = "transverse sensitivity"
@@ -122,7 +122,7 @@ def geometry_errors(transducer: Transducer, entry: ChannelEntry) -> tuple[Unknow
 
 
 @dataclass(frozen=True)
-class ChannelGeometry:
+class ChannelGeometry(Geometry):
     """Places and directions of the channels of one instrument, for the Monte Carlo run."""
 
     transducer: Transducer
@@ -134,10 +134,6 @@ class ChannelGeometry:
     def unknowns(self) -> frozenset[str]:
         """Return the names of the unknowns that `rows` draws."""
         return frozenset(error.name for entry in self.entries for error in geometry_errors(self.transducer, entry))
-
-    def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return the readings as they are: another place is another row."""
-        return readings
 
     def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
         """Return the rows (N, K, M, 6) at points moved and along axes turned by finite angles, with a leak across them.

@@ -404,12 +404,12 @@ def join_set_ups(set_ups: Sequence[SetUp]) -> Joined:
     opened, lines, clock = first.opened, first.lines, first.opened.base.records[0].entry.clock_uncertainty
     if len(set_ups) == 1:
         clocks, stereo = opened.base.results(), tuple(item.result for item in first.stereo)
-        steady = stationarity_notices(line_stationarity(opened.channels, stereo, lines, clocks))
-        notices = (*first.notices, *steady)
-        found = (clocks, opened.channels, stereo, opened.readings, tuple(item.reading for item in first.stereo))
-        return Joined(lines, *found, clock, (), first.aliased, notices)
+        changes = stationarity_notices(line_stationarity(opened.channels, stereo, lines, clocks))
+        pairs = tuple(item.reading for item in first.stereo)
+        seen = (clocks, opened.channels, stereo, opened.readings, pairs)
+        return Joined(lines, *seen, clock, (), first.aliased, (*first.notices, *changes))
     ties = reference_ties([item.opened for item in set_ups])
-    pairs: list[StereoReading] = []
+    named_pairs: list[StereoReading] = []
     clocks_named: list[ClockResult] = []
     channels: list[ChannelResult] = []
     by_name: dict[str, StereoResult] = {}
@@ -417,42 +417,34 @@ def join_set_ups(set_ups: Sequence[SetUp]) -> Joined:
     told: list[AnyNotice] = []
     for item, tie in zip(set_ups, ties, strict=True):
         name = tie.name
-        pairs += [tie.stereo(pair.reading) for pair in item.stereo]
+        named_pairs += [tie.stereo(pair.reading) for pair in item.stereo]
         # The reference is that of the first set-up and counts once.
         own = [r for r in item.opened.readings if tie.first or not r.entry.reference]
         referred.append((name, [tie.reference(r) if r.entry.reference else tie.reading(r) for r in own]))
         clocks_named += [replace(c, daq=f"{name}: {c.daq}") for c in item.opened.base.results()]
-        channels += [_channel(c, item, tie) for c in item.opened.channels]
+        for channel in item.opened.channels:  # what the figures show stays
+            steady = _at_lines(channel.stationarity, item.lines, lines.frequency_hz)
+            referred_channel = replace(channel, phasors=tie.phasors(channel.phasors), stationarity=steady)
+            channels.append(replace(referred_channel, name=f"{name}: {channel.name}", daq=f"{name}: {channel.daq}"))
         for result in (pair.result for pair in item.stereo):  # one that saw several set-ups is named by the later ones
             key = f"{result.name}-{name.replace(' ', '')}" if result.name in by_name else result.name
-            steady_pair = _at_lines(result.stationarity, item.lines, lines.frequency_hz)
-            by_name[key] = replace(result, name=key, stationarity=steady_pair)
+            steady = _at_lines(result.stationarity, item.lines, lines.frequency_hz)
+            by_name[key] = replace(result, name=key, stationarity=steady)
         told += [replace(notice, text=f"{name}: {notice.text}") for notice in item.notices]
     readings, scattered = merge_readings(referred)
     results = tuple(by_name.values())
-    steady = stationarity_notices(line_stationarity(channels, results, lines, clocks_named))
+    changes = stationarity_notices(line_stationarity(channels, results, lines, clocks_named))
     return Joined(
         lines=lines,
         clocks=tuple(clocks_named),
         channels=tuple(channels),
         stereo=results,
         readings=readings,
-        pairs=tuple(pairs),
+        pairs=tuple(named_pairs),
         clock_uncertainty=clock,
         set_ups=tuple(tie.result for tie in ties),
         aliased=tuple(notice for item in set_ups for notice in item.aliased),
-        notices=(*told, *drift_notices(ties, lines.multiple == 1), *scattered, *steady),
-    )
-
-
-def _channel(channel: ChannelResult, set_up: SetUp, tie: ReferenceTie) -> ChannelResult:
-    """Return a channel by the name of its set-up, its phasors referred to the first; what the figures show stays."""
-    return replace(
-        channel,
-        name=f"{tie.name}: {channel.name}",
-        daq=f"{tie.name}: {channel.daq}",
-        phasors=tie.phasors(channel.phasors),
-        stationarity=_at_lines(channel.stationarity, set_up.lines, tie.frequency_hz),
+        notices=(*told, *drift_notices(ties, lines.multiple == 1), *scattered, *changes),
     )
 
 

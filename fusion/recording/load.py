@@ -21,9 +21,9 @@ from fusion.recording.manifest import (
     Images,
     Part,
     PointFiles,
-    Recorded,
     RecordingFile,
     Rig,
+    SetUpFiles,
     Stereo,
     Take,
 )
@@ -225,7 +225,7 @@ def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
     """Raise `InputError` for the first reference between rig and recording that leads nowhere."""
     if not record.daq and not record.take and not KINDS[record.excitation.kind].tabled:
         raise InputError(path, "daq", "none", "at least one [[daq]] or [[take]] block")
-    blocks: list[tuple[str, Recorded]] = [("", record)] if record.daq or record.images or record.points else []
+    blocks: list[tuple[str, SetUpFiles]] = [("", record)] if record.daq or record.images or record.points else []
     blocks += [(f"take[{number}].", take) for number, take in enumerate(record.take, 1)]
     channels = [
         [
@@ -258,7 +258,7 @@ def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
         raise InputError(path, f"part.{quoted(twice)}.name", f'"{twice}" twice', expected)
 
 
-def _check_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, Recorded]]) -> None:
+def _check_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFiles]]) -> None:
     """Images need a calibration; a scale needs an uncertainty, stated or from the calibration."""
     pictured = [images.stereo for _, block in blocks for images in block.images]
     tabled = [points.stereo for _, block in blocks for points in block.points]
@@ -285,7 +285,7 @@ def _has_covariance(pair: Stereo) -> bool:
     return isinstance(content, dict) and content.get("covariance") is not None
 
 
-def _check_triggers(block: Recorded, triggers: set[str], prefix: str, path: Path) -> None:
+def _check_triggers(block: SetUpFiles, triggers: set[str], prefix: str, path: Path) -> None:
     """Frames belong to the edges of a trigger channel recorded with them, and to one set of frames per pair."""
     kinds: tuple[tuple[str, tuple[Frames, ...]], ...] = (("images", block.images), ("points", block.points))
     for kind, frames in ((kind, frames) for kind, entries in kinds for frames in entries):

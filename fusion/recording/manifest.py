@@ -413,7 +413,7 @@ class PointFiles(Frames):
         return self
 
 
-class Recorded(Block):
+class SetUpFiles(Block):
     """What was recorded at once."""
 
     daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables)] = ()
@@ -436,13 +436,13 @@ class Recorded(Block):
         return files + [file for points in self.points for file in points.files]
 
 
-class Take(Recorded):
+class Take(SetUpFiles):
     """What was recorded at once, where a recording holds several measurements one after another."""
 
     daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
 
-class RecordingFile(Recorded):
+class RecordingFile(SetUpFiles):
     """recording.toml as it stands: one excitation and the files recorded under it."""
 
     format: Literal[1]
