@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation.consistency import CommonEstimate, Consistency
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
-from fusion.instruments.output import Outputs
+from fusion.instruments.channel import Outputs
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 
 from fusion.base import Executor, ProgressCallback, Settings, no_progress, versions
-from fusion.instruments.output import sensor_outputs
+from fusion.instruments.channel import sensor_outputs
 from fusion.instruments.vibrometer import point_spreads
 from fusion.phasors.setup import measure_set_up, open_set_ups
 from fusion.phasors.setups import join_set_ups

@@ -20,7 +20,7 @@ from fusion.estimation.uncertainty import (
     real_design,
     real_stack,
 )
-from fusion.instruments.output import Outputs
+from fusion.instruments.channel import Outputs
 from fusion.instruments.vibrometer import PARALLEL, PointRatios, PointSpread
 from fusion.sensitivity.body import Body
 from fusion.sensitivity.load import BudgetEntry, LoadResult, budget
