@@ -89,6 +89,13 @@ class Contrasts:
         return np.einsum("cij,dji->cd", turned, turned), right
 
 
+def fails(chi2: float, dof: int, level: float = TEST_LEVEL) -> bool:
+    """Return whether chi-square is beyond its quantile."""
+    from scipy.special import chdtrc
+
+    return dof > 0 and bool(chdtrc(dof, chi2) < 1.0 - level)
+
+
 def variance_components(groups: Sequence[Contrasts]) -> tuple[FloatArray, FloatArray]:
     """Return variances (C,) common to independent groups, none negative, and their degrees of freedom (C,).
 
@@ -195,9 +202,7 @@ def _joint_dof(components: FloatArray, dof: FloatArray) -> FloatArray:
 
 def _improbable(group: Contrasts, tests: int) -> bool:
     """Tell whether chi-square of what is stated is too great for one of several tests together at 1 %."""
-    from scipy.special import chdtrc
-
-    return bool(chdtrc(len(group.values), group.chi2(NOTHING)) < (1.0 - TEST_LEVEL) / tests)
+    return fails(group.chi2(NOTHING), len(group.values), 1.0 - (1.0 - TEST_LEVEL) / tests)
 
 
 def scatter_covariances(system: System, acceleration: ComplexArray, found: Sequence[Scatter]) -> list[Discrepancy]:

@@ -1,4 +1,4 @@
-"""The kinds of instruments, one module each: rows of the model, errors by name and drawn, unit, what can be observed.
+"""The kinds of instruments: rows of the model, errors by name and drawn, unit, what can be observed.
 
 A new kind of transducer is a `Transducer`, named here: manifest, model, Monte Carlo run, identification, `check` and
 units follow. The simulator does not: it is what all these are tested against.

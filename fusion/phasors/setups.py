@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.base import AnyNotice
-from fusion.estimation.consistency import fails
 from fusion.estimation.measurement_model import Observation
+from fusion.estimation.variance_components import fails
 from fusion.instruments.channel import Reading, RelativeError, acting, late, observe_channels
 from fusion.instruments.stereo import PERIODIC, StereoReading
 from fusion.phasors.channels import ChannelResult

@@ -296,11 +296,7 @@ def unseen_fundamentals(
     `folded`: what was said of the lines that camera rates cannot tell apart.
     """
     driven = lines.frequency_hz[lines.multiple == 1]
-    lost = []
-    for f in driven:
-        values = [o.phasors.value[o.phasors.frequency_hz == f] for o in seen]
-        if not any(np.isfinite(value).any() for value in values):
-            lost.append(f)
+    lost = [f for f in driven if not any(np.isfinite(o.phasors.value[o.phasors.frequency_hz == f]).any() for o in seen)]
     if len(driven) and len(lost) == len(driven) and (seen or folded):
         listed = " and ".join(f"{f:.6g} Hz" for f in lost)
         reasons = dict.fromkeys(notice.text for notice in folded if any(f"{f:.6g} Hz" in notice.text for f in lost))
