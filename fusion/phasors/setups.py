@@ -102,7 +102,6 @@ class ReferenceTie:
             f"{what}, {self.name}" if what == PERIODIC else what: change * self.factor[:, None]
             for what, change in pair.effects.items()
         }
-
         own = [replace(e, name=f"{self.name}: {e.name}", label=f"{self.name}: {e.label}") for e in pair.errors]
         return replace(pair, phasors=self.phasors(pair.phasors), effects=effects, errors=(*own, *self.errors))
 
