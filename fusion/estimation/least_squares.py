@@ -281,8 +281,8 @@ class _Step:
         right[: len(self.readings)] = self.readings
         triangle = np.asarray(np.linalg.qr(np.column_stack([self.matrix, right]), mode="r"))
         size = self.matrix.shape[1]
-        found = solve_triangular(triangle[:size, :size], triangle[:size, -1], check_finite=False)
-        return system.acceleration(found[:unknowns] / self.scale)
+        unknown_values = solve_triangular(triangle[:size, :size], triangle[:size, -1], check_finite=False)
+        return system.acceleration(unknown_values[:unknowns] / self.scale)
 
 
 def _augmented(system: System, noise: FloatArray, acceleration: ComplexArray) -> _Step:
@@ -306,7 +306,6 @@ def _augmented(system: System, noise: FloatArray, acceleration: ComplexArray) ->
 
 
 def _solution(system: System, step: _Step) -> Solution:
-    """Estimate with all that follows from it."""
     count, unknowns = len(system.readings), system.design.shape[1]
     q, r = np.linalg.qr(step.matrix)
     white_projector = np.eye(count) - q[:count] @ q[:count].T

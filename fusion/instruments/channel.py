@@ -145,11 +145,11 @@ def geometry_errors(transducer: Transducer, entry: ChannelEntry) -> tuple[Unknow
     direction is two components of t/√2 across the axis.
     """
     point, direction, chain = placed_at(entry), unit_direction(entry), chain_name(entry)
-    found = []
+    errors = []
     if not transducer.turning:
         for axis, unit, u in zip("xyz", np.eye(3), np.broadcast_to(entry.point_uncertainty, 3).tolist(), strict=True):
             lever = np.concatenate([np.zeros(3), np.cross(unit, direction) * u])
-            found.append(Unknown(placement_name(entry, "point", axis), f"{chain}: point", u, "m", lever, "mounting"))
+            errors.append(Unknown(placement_name(entry, "point", axis), f"{chain}: point", u, "m", lever, "mounting"))
     leaks = (
         ("direction", "rad", entry.direction_uncertainty),
         (TRANSVERSE, "1", entry.transverse_sensitivity / np.sqrt(2.0)),
@@ -158,8 +158,8 @@ def geometry_errors(transducer: Transducer, entry: ChannelEntry) -> tuple[Unknow
         for kind, of_kind, u in leaks:
             name = placement_name(entry, kind, str(number))
             turned = u * transducer.geometry(point, tangent)
-            found.append(Unknown(name, f"{chain}: {kind}", float(u), of_kind, turned, "mounting"))
-    return tuple(error for error in found if np.any(error.effect != 0.0))
+            errors.append(Unknown(name, f"{chain}: {kind}", float(u), of_kind, turned, "mounting"))
+    return tuple(error for error in errors if np.any(error.effect != 0.0))
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,6 @@ class StereoReading(Geometry):
 
     @property
     def _title(self) -> str:
-        """Return the pair's name in budgets."""
         return f"stereo {self.name}"
 
     def _frame_errors(self) -> Iterator[tuple[str, str, float, str, FloatArray]]:
@@ -135,7 +134,6 @@ class StereoReading(Geometry):
         return frozenset(name for kind in ("position", "rotation") for name in self._pose_names(kind))
 
     def _pose_names(self, kind: str) -> list[str]:
-        """Return the names of the unknowns of the pose, by axis."""
         return [f"{self._title}: pose {kind} {axis}" for axis in "xyz"]
 
     def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:

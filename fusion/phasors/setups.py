@@ -127,7 +127,6 @@ def reference_ties(set_ups: Sequence[OpenSetUp]) -> tuple[ReferenceTie, ...]:
 
 
 def _tie(set_ups: Sequence[OpenSetUp], references: Sequence[Reading], place: int) -> ReferenceTie:
-    """Tie one set-up to the first."""
     opened, first, own = set_ups[place], references[0], references[place]
     stands_out = _standing_out(own) & _standing_out(first)
     _check_driven(opened, own, stands_out)
@@ -182,7 +181,7 @@ def _check_driven(opened: OpenSetUp, reference: Reading, stands_out: BoolArray) 
 
 def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArray) -> tuple[RelativeError, ...]:
     """Relative errors (K, 1) of a reference's phasor from its noise: two real unknowns at each of the lines chosen."""
-    found = []
+    errors = []
     phasors = reading.phasors
     for k in np.flatnonzero(lines):
         (turn,) = real_stacked_diagonal(1.0 / phasors.value[k : k + 1])
@@ -191,8 +190,8 @@ def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArr
             relative = np.zeros((len(frequency_hz), 1), dtype=np.complex128)
             relative[k, 0] = np.sqrt(max(variance, 0.0)) * complex(*vector)
             unknown = f"reference noise of {name} at {frequency_hz[k]:.9g} Hz, part {part + 1}"
-            found.append(RelativeError(unknown, "reference noise", 1.0, "1", relative, "recording", "A"))
-    return tuple(found)
+            errors.append(RelativeError(unknown, "reference noise", 1.0, "1", relative, "recording", "A"))
+    return tuple(errors)
 
 
 def _clock_error(name: str, reading: Reading) -> list[RelativeError]:
@@ -204,15 +203,15 @@ def _clock_error(name: str, reading: Reading) -> list[RelativeError]:
 
 def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[RelativeError]:
     """Relative errors (K, 1) of magnitude and phase of all phasors of a set-up whose reference drifted this far."""
-    label, found = "drift between takes", []
+    label, errors = "drift between takes", []
     for k in np.flatnonzero(half_width > 0.0):
         u = float(half_width[k]) / np.sqrt(3.0)
         for part, unit, turn in (("magnitude", "1", 1.0 + 0.0j), ("phase", "rad", 1.0j)):
             relative = np.zeros((len(frequency_hz), 1), dtype=np.complex128)
             relative[k, 0] = u * turn
             unknown = f"{label}: {part} of {name} at {frequency_hz[k]:.9g} Hz"
-            found.append(RelativeError(unknown, label, u, unit, relative))
-    return found
+            errors.append(RelativeError(unknown, label, u, unit, relative))
+    return errors
 
 
 def drift_notices(ties: Sequence[ReferenceTie], driven: BoolArray) -> tuple[Notice, ...]:

@@ -284,8 +284,8 @@ def _phasor_frames(time_s: FloatArray, tracks: StereoTracks, frequency_hz: Float
 def _phasor_motion(rig: StereoRig, pose: RigidTransform, frames: tuple[FloatArray, FloatArray]) -> ComplexArray:
     """Return the displacement phasors (K, 6) that a rig, its left camera in this pose, makes of phasor frames."""
     points = triangulate(rig, frames[0], frames[1], None, None).transformed(pose)
-    found = fit_motion(points, None, np.zeros(3)).pose[1:]
-    return np.asarray(found[0::2] + 1j * found[1::2])
+    poses = fit_motion(points, None, np.zeros(3)).pose[1:]
+    return np.asarray(poses[0::2] + 1j * poses[1::2])
 
 
 def unseen_fundamentals(

@@ -74,7 +74,6 @@ def _harmonics(value: object) -> Any:
 
 
 def _band(value: object) -> tuple[float, ...]:
-    """Lower and upper frequency in Hz."""
     low, high = vector(2)(value)
     if not 0 <= low < high:
         raise refusal("two frequencies in Hz, the lower first", f"[{low:g}, {high:g}]")

@@ -190,7 +190,6 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
 
 
 def _rig_path(path: Path, text: dict[str, Any]) -> Path:
-    """Path of rig.toml as a recording names it."""
     name = text.get("rig")
     if not isinstance(name, str) or not name or "\\" in name:
         raise InputError(path, "rig", describe(name), 'the path of rig.toml such as "../rig.toml"')
@@ -205,7 +204,6 @@ def _rig_path(path: Path, text: dict[str, Any]) -> Path:
 
 
 def _input_files(path: Path, rig_path: Path, rig: Rig, record: RecordingFile) -> tuple[Path, ...]:
-    """Every file that bears on the result, once each."""
     named = [path.resolve(), rig_path.resolve(), *rig.files, *record.files]
     named += [file for take in record.take for file in take.files]
     named += [] if record.excitation.file is None else [record.excitation.file]

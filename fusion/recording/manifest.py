@@ -251,7 +251,6 @@ class Rig(Block):
 
 
 def _columns(value: object) -> tuple[str, ...]:
-    """What the columns of a point table hold."""
     if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
         raise refusal("a list of column names", describe(value))
     unknown = next((name for name in value if name not in COLUMNS and not name.startswith("id")), None)
@@ -268,7 +267,6 @@ def _columns(value: object) -> tuple[str, ...]:
 
 
 def _daq_suffix(value: Path) -> Path:
-    """A DAQ file is recognised by its suffix."""
     if value.suffix.lower() not in DAQ_SUFFIXES:
         raise refusal("a file that ends in one of " + " ".join(DAQ_SUFFIXES), f"{value.name}")
     return value
