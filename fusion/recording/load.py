@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from fusion.base import InputError
-from fusion.recording.excitation import KINDS, Excitation, check_kind, kinds_of, listed
+from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
 from fusion.recording.manifest import (
     ChannelEntry,
     Daq,
@@ -85,7 +85,14 @@ class Manifest:
 
     def check_command(self, command: str) -> None:
         """Raise `InputError` where `shakercal COMMAND` evaluates no such recording."""
-        check_kind(command, self.path, self.excitation, len(self.take))
+        kind, kinds = self.excitation.kind, kinds_of(command)
+        if kind not in kinds:
+            which = "kind" if len(kinds) == 1 else "kinds"
+            other = f"(shakercal {KINDS[kind].commands[0]} takes this one)"
+            expected = f"{listed(kinds)}, the {which} that shakercal {command} evaluates {other}"
+            raise InputError(self.path, "excitation.kind", found=kind, expected=expected)
+        if self.take and command in ONE_SET_UP:
+            raise InputError(self.path, "take", found=f"{len(self.take)} takes", expected=ONE_SET_UP[command])
 
 
 def find_recordings(path: str | Path) -> list[Path]:
