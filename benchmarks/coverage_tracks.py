@@ -22,8 +22,7 @@ from coverage_statistics import HEAD, Counts
 from numpy.typing import NDArray
 
 from fusion.base import ComputeError
-from fusion.instruments.channel import observe_channels
-from fusion.instruments.output import sensor_outputs
+from fusion.instruments.channel import observe_channels, sensor_outputs
 from fusion.phasors.channels import channel_phasors, find_channel_lines
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from fusion.phasors.stereo_phasors import pairs_phasors

@@ -9,8 +9,7 @@ import numpy as np
 
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments import TRANSDUCERS
-from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels
-from fusion.instruments.output import output_phasors
+from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels, output_phasors
 from fusion.instruments.stereo import StereoReading
 from fusion.recording.manifest import ChannelEntry, Sensor, Stereo
 from fusion.sensitivity.analyse import Inputs

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fusion.estimation.consistency import CommonEstimate, Consistency
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
-from fusion.instruments.output import Outputs
+from fusion.instruments.channel import Outputs
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult
@@ -24,6 +24,7 @@ from fusion.sensitivity.ratio import Sensitivity
 from photogram.epipolar import EpipolarCheck
 from photogram.motion import RigidMotion
 from shaker.arrays import Notice
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import Lines
 from shaker.sine.fit import fit_sines
 from shaker.sine.phasor import Phasors
@@ -31,9 +32,6 @@ from shaker.timebase.tie import ClockTie
 from shaker.timebase.trigger import TriggerFit
 
 FREQUENCY_HZ = np.array([106.2503, 212.5006, 425.0012])
-COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
-LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-UNITS = ("m/s^2",) * 3 + ("rad/s^2",) * 3
 ACCELERATION = np.array(
     [
         [0.31 - 0.12j, -0.18 + 0.05j, 189.3217 * np.exp(0.369j), 1.4 + 0.3j, -0.9 + 1.1j, 0.06 - 0.02j],
@@ -116,7 +114,9 @@ def _acceleration(
     error = 0.5 * u * (rng.standard_normal(u.shape) + 0.6j * rng.standard_normal(u.shape))
     mask = np.zeros(true.shape, dtype=bool)
     mask[:, list(observed)] = True
-    values = phasors(np.where(mask, true + error, np.nan), np.where(mask, u, np.nan), COMPONENTS, UNITS)
+    values = phasors(
+        np.where(mask, true + error, np.nan), np.where(mask, u, np.nan), MOTION_COMPONENTS, component_units(2)
+    )
     parts = (
         Contribution("scatter of the sine approximation", "A", 0.2 * values.covariance, np.full(3, 8.16)),
         Contribution("length scale of the stereo pair", "B", 0.8 * values.covariance),
@@ -132,14 +132,14 @@ def _acceleration(
 
 def _load(acceleration: Phasors) -> LoadResult:
     inertia = np.array([MASS_KG, MASS_KG, MASS_KG, 0.036, 0.036, 0.031])
-    load = acceleration.scaled(inertia, ("N",) * 3 + ("N.m",) * 3)
+    load = acceleration.scaled(inertia, LOAD_UNITS)
     noise = Contribution("scatter of the sine approximation", "A", load.covariance, load.dof)
     return LoadResult(FREQUENCY_HZ, load.value, Uncertainty((noise,)), np.ones((3, 6), dtype=bool), ())
 
 
 def _outputs() -> Outputs:
     value = CROSS * MASS_KG * ACCELERATION[:, 2:3]
-    found = phasors(value, np.full((3, 6), 2e-9), LOADS, ("V/V",) * 6)
+    found = phasors(value, np.full((3, 6), 2e-9), LOAD_COMPONENTS, ("V/V",) * 6)
     return Outputs(found, Uncertainty((Contribution("output noise", "A", found.covariance, found.dof),)))
 
 
@@ -158,8 +158,8 @@ def _sensitivity() -> Sensitivity:
         value=value,
         elements=tuple((channel, 2) for channel in range(6)),
         uncertainty=Uncertainty((noise,), _influences(value[:, :, 2])),
-        channels=LOADS,
-        components=LOADS,
+        channels=LOAD_COMPONENTS,
+        components=LOAD_COMPONENTS,
         unit="V/V",
         kind=("ratio", "harmonic", "harmonic"),
         notices=(),
@@ -197,7 +197,7 @@ def _stereo(name: str, body: str, choice: Choice, rng: np.random.Generator) -> S
     covariance[failed] = np.nan
     points = np.where(failed, 0, 437)
     residual = np.where(failed, np.nan, 0.9e-6 + 5e-8 * rng.standard_normal(choice.frames))
-    fit = fit_sines(time, pose, FREQUENCY_HZ, COMPONENTS, ("m",) * 3 + ("rad",) * 3)
+    fit = fit_sines(time, pose, FREQUENCY_HZ, MOTION_COMPONENTS, component_units(0))
     grid = np.stack(np.meshgrid(np.arange(40, 600, 22), np.arange(40, 480, 22)), axis=-1).reshape(-1, 2)
     return StereoResult(
         name=name,
@@ -237,7 +237,7 @@ def _speckle(rng: np.random.Generator) -> NDArray[np.uint16]:
 def _channels(rng: np.random.Generator) -> tuple[ChannelResult, ...]:
     velocity = ACCELERATION[:, 2] / (2j * np.pi * FREQUENCY_HZ)
     found = [_channel("velocity", "vibrometer", "velocity", "m/s", 51200.0, velocity, 4e-5, rng)]
-    for name, ratio in zip(LOADS, CROSS, strict=True):
+    for name, ratio in zip(LOAD_COMPONENTS, CROSS, strict=True):
         output = ratio * MASS_KG * ACCELERATION[:, 2]
         found.append(_channel(name, "bridge", "output", "V/V", 10000.0, output, 2e-7, rng))
     return tuple(found)
@@ -322,7 +322,7 @@ def _manifest(folder: Path, choice: Choice) -> Any:
     sensor = SimpleNamespace(
         name="six-component transducer",
         serial="0815",
-        channels=LOADS,
+        channels=LOAD_COMPONENTS,
         unit="V/V",
         sense="on_load",
         capacity=(2000.0, 2000.0, 4000.0, 100.0, 100.0, 100.0),

@@ -19,7 +19,7 @@ from fusion.campaign.matrix_solve import (
     stack_drives,
 )
 from fusion.campaign.repeats import FREQUENCY_TOLERANCE, LOADS, Drive
-from fusion.estimation.consistency import deleted, fails
+from fusion.estimation.consistency import deleted
 from fusion.estimation.uncertainty import (
     Contribution,
     Uncertainty,
@@ -28,6 +28,7 @@ from fusion.estimation.uncertainty import (
     real_design,
     region,
 )
+from fusion.estimation.variance_components import fails
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
 from shaker.labels import LOAD_COMPONENTS

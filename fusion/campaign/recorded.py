@@ -9,7 +9,7 @@ import h5py
 
 from fusion.base import InputError
 from fusion.campaign.repeats import Drive, line_drives
-from fusion.instruments.output import Outputs
+from fusion.instruments.channel import Outputs
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT, Provenance, read_provenance
 from fusion.report.h5 import read_uncertainty
 from fusion.sensitivity.load import LoadResult

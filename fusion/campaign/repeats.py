@@ -16,7 +16,7 @@ from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shap
 from shaker.sine.phasor import real_stacked_diagonal
 
 if TYPE_CHECKING:
-    from fusion.instruments.output import Outputs
+    from fusion.instruments.channel import Outputs
     from fusion.sensitivity.analyse import Evaluation
     from fusion.sensitivity.load import LoadResult
 

@@ -13,13 +13,19 @@ import numpy as np
 
 from fusion.estimation.least_squares import Solution, System
 from fusion.estimation.uncertainty import real_design, real_stack
-from fusion.estimation.variance_components import LEAST_DOF, Contrasts, Discrepancy, variance_components
+from fusion.estimation.variance_components import (
+    LEAST_DOF,
+    TEST_LEVEL,
+    Contrasts,
+    Discrepancy,
+    fails,
+    variance_components,
+)
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from fusion.estimation.measurement_model import CommonError, Observation
 
-TEST_LEVEL = 0.99
 RANK_TOLERANCE = 1e-11
 UNTESTED = 0.99
 """An unknown of which more of its stated uncertainty remains after the estimate cannot be judged by the data."""
@@ -77,13 +83,6 @@ class Consistency:
     used: bool = True
     ratio: complex = complex(np.nan, np.nan)
     suspect: bool = False
-
-
-def fails(chi2: float, dof: int, level: float = TEST_LEVEL) -> bool:
-    """Return whether chi-square is beyond its quantile."""
-    from scipy.special import chdtrc
-
-    return dof > 0 and bool(chdtrc(dof, chi2) < 1.0 - level)
 
 
 def estimates(common: Sequence[CommonError], solution: Solution) -> tuple[CommonEstimate, ...]:

@@ -16,7 +16,6 @@ from fusion.estimation.consistency import (
     compare,
     contradicts,
     estimates,
-    fails,
     leave_one_out,
     not_allowed_for,
     undetected_errors,
@@ -36,6 +35,7 @@ from fusion.estimation.variance_components import (
     disagreement,
     estimate_scatter,
     failing_lines,
+    fails,
     scatter_covariances,
 )
 from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, brief

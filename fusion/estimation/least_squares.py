@@ -33,8 +33,7 @@ def row_space(observations: Sequence[Observation], line: int) -> ComplexArray:
     Rows are brought to equal length and rotations measured by `BODY_SIZE_M`, so that only the geometry decides;
     directions whose singular value is below 1e-6 of the largest are left out.
     """
-    rows = [o.design[line][np.isfinite(o.phasors.value[line])] * SCALE for o in observations]
-    stacked = np.concatenate(rows) if rows else np.zeros((0, 6), np.complex128)
+    stacked = np.concatenate([o.design[line][np.isfinite(o.phasors.value[line])] * SCALE for o in observations])
     length = np.linalg.norm(stacked, axis=1, keepdims=True)
     stacked = stacked / np.where(length > 0.0, length, 1.0)
     if not len(stacked) or not np.any(stacked):
@@ -134,13 +133,9 @@ class Places:
     @classmethod
     def of(cls, observation: Observation) -> Places:
         """Return the rows of all usable readings, line by line, real parts before imaginary ones."""
-        line, channel, imaginary = [], [], []
-        for k, usable in enumerate(np.isfinite(observation.phasors.value)):
-            (found,) = np.nonzero(usable)
-            line.append(np.full(2 * len(found), k))
-            channel.append(np.tile(found, 2))
-            imaginary.append(np.repeat([False, True], len(found)))
-        return cls(np.concatenate(line), np.concatenate(channel), np.concatenate(imaginary))
+        line, part = np.nonzero(np.tile(np.isfinite(observation.phasors.value), (1, 2)))
+        channels = observation.phasors.value.shape[1]
+        return cls(line, part % channels, part >= channels)
 
     def rows(self, values: ComplexArray) -> FloatArray:
         """Return (..., K, M) complex values as (..., n) real rows."""
@@ -286,8 +281,8 @@ class _Step:
         right[: len(self.readings)] = self.readings
         triangle = np.asarray(np.linalg.qr(np.column_stack([self.matrix, right]), mode="r"))
         size = self.matrix.shape[1]
-        found = solve_triangular(triangle[:size, :size], triangle[:size, -1], check_finite=False)
-        return system.acceleration(found[:unknowns] / self.scale)
+        unknown_values = solve_triangular(triangle[:size, :size], triangle[:size, -1], check_finite=False)
+        return system.acceleration(unknown_values[:unknowns] / self.scale)
 
 
 def _augmented(system: System, noise: FloatArray, acceleration: ComplexArray) -> _Step:
@@ -311,7 +306,6 @@ def _augmented(system: System, noise: FloatArray, acceleration: ComplexArray) ->
 
 
 def _solution(system: System, step: _Step) -> Solution:
-    """Estimate with all that follows from it."""
     count, unknowns = len(system.readings), system.design.shape[1]
     q, r = np.linalg.qr(step.matrix)
     white_projector = np.eye(count) - q[:count] @ q[:count].T

@@ -6,8 +6,8 @@ What a kind of instrument contributes stands in `fusion.instruments`; here is wh
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -45,18 +45,21 @@ class CommonError:
         return np.asarray(np.einsum("kmj,kj->km", self.slope, acceleration) + self.offset)
 
 
-class Geometry(Protocol):
-    """Where an instrument is placed, whose uncertain numbers a Monte Carlo run draws without linearisation."""
+class Geometry:
+    """Where an instrument is placed: what a Monte Carlo run draws of it without linearisation, here nothing."""
 
     @property
     def unknowns(self) -> frozenset[str]:
         """Names of the common errors that `rows` and `moved` take over."""
+        return frozenset()
 
     def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
         """Return the rows (N, K, M, 6) of N draws of places and directions; `design` (K, M, 6) where they are exact."""
+        return np.broadcast_to(design, (deviates.count, *design.shape))
 
     def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
         """Return readings (N, K, M) as instruments in N other places give them."""
+        return readings
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,6 @@ class Observation:
     `phasors` (K lines, M channels; NaN where a line is not usable), `design` (K, M, 6) complex:
     phasors = design · [x y z rx ry rz accelerations at the sensor origin]. `members` (M,): the name under which each
     row is tested for consistency. `stated`: some systematic uncertainty is stated, so it takes part in the fusion.
-    `geometry`: None where every common error acts as it does to first order.
     """
 
     name: str
@@ -77,7 +79,7 @@ class Observation:
     common: tuple[CommonError, ...]
     members: tuple[str, ...]
     stated: bool
-    geometry: Geometry | None = None
+    geometry: Geometry = field(default_factory=Geometry)
 
     def __post_init__(self) -> None:
         shape = (*self.phasors.value.shape, 6)
@@ -107,7 +109,7 @@ class Observation:
         channels = value.shape[1]
         readings = value + both[..., :channels] + 1j * both[..., channels:]
         factor = np.ones_like(readings)
-        placed = frozenset[str]() if self.geometry is None else self.geometry.unknowns
+        placed = self.geometry.unknowns
         for error in (error for error in self.common if error.name not in placed):
             drawn = deviates.normal(error.name)[:, None, None]
             relative = relative_change(error, self.design)
@@ -115,10 +117,8 @@ class Observation:
                 readings = readings - drawn * error.effect(acceleration)
             else:
                 factor = factor * (1.0 + drawn * relative.real) * np.exp(1j * drawn * relative.imag)
-        readings = readings / factor
-        if self.geometry is None:
-            return Drawn(readings, np.broadcast_to(self.design, (deviates.count, *self.design.shape)))
-        return Drawn(self.geometry.moved(readings, deviates), self.geometry.rows(self.design, deviates))
+        readings = self.geometry.moved(readings / factor, deviates)
+        return Drawn(readings, self.geometry.rows(self.design, deviates))
 
 
 def relative_change(error: CommonError, design: ComplexArray) -> ComplexArray | None:

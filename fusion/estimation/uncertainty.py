@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Literal, TypeVar
 
@@ -208,15 +208,18 @@ class Uncertainty:
             parts.append(Contribution(label, group[0].type, np.einsum("eki,ekj->kij", effects, effects)))
         return merge_contributions(parts)
 
+    def _mapped(
+        self, of_covariance: Callable[[FloatArray], FloatArray], of_effect: Callable[[FloatArray], FloatArray]
+    ) -> Uncertainty:
+        random = tuple(replace(part, covariance=of_covariance(part.covariance)) for part in self.random)
+        return Uncertainty(random, tuple(i.acting(of_effect(i.effect)) for i in self.influences))
+
     def transformed(self, jacobian: FloatArray) -> Uncertainty:
         """Return the uncertainty of D values that change by `jacobian` (K, 2D, 2C) times these values' changes."""
-        random = tuple(
-            replace(part, covariance=jacobian @ part.covariance @ jacobian.swapaxes(1, 2)) for part in self.random
+        return self._mapped(
+            lambda covariance: jacobian @ covariance @ jacobian.swapaxes(1, 2),
+            lambda effect: np.einsum("kij,kj->ki", jacobian, effect),
         )
-        if not self.influences:
-            return Uncertainty(random)
-        effects = np.einsum("kij,ekj->eki", jacobian, np.stack([influence.effect for influence in self.influences]))
-        return Uncertainty(random, tuple(i.acting(effect) for i, effect in zip(self.influences, effects, strict=True)))
 
     def scaled(self, factor: ComplexArray) -> Uncertainty:
         """Return the uncertainty of the values times complex factors (K, C)."""
@@ -232,13 +235,11 @@ class Uncertainty:
         size = self.random[0].covariance.shape[1] // 2
         index = np.asarray(values, dtype=np.int64)
         both = np.concatenate([index, index + size])
-        random = tuple(replace(part, covariance=part.covariance[:, both[:, None], both]) for part in self.random)
-        return Uncertainty(random, tuple(i.acting(i.effect[:, both]) for i in self.influences))
+        return self._mapped(lambda covariance: covariance[:, both[:, None], both], lambda effect: effect[:, both])
 
     def where_known(self) -> Uncertainty:
         """Return the uncertainty with nothing in place of what is not known (NaN)."""
-        random = tuple(replace(part, covariance=np.nan_to_num(part.covariance)) for part in self.random)
-        return Uncertainty(random, tuple(i.acting(np.nan_to_num(i.effect)) for i in self.influences))
+        return self._mapped(np.nan_to_num, np.nan_to_num)
 
     def dof(self) -> FloatArray:
         """Return the effective degrees of freedom (K, C) of every value.

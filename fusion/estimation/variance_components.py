@@ -89,6 +89,13 @@ class Contrasts:
         return np.einsum("cij,dji->cd", turned, turned), right
 
 
+def fails(chi2: float, dof: int, level: float = TEST_LEVEL) -> bool:
+    """Return whether chi-square is beyond its quantile."""
+    from scipy.special import chdtrc
+
+    return dof > 0 and bool(chdtrc(dof, chi2) < 1.0 - level)
+
+
 def variance_components(groups: Sequence[Contrasts]) -> tuple[FloatArray, FloatArray]:
     """Return variances (C,) common to independent groups, none negative, and their degrees of freedom (C,).
 
@@ -98,8 +105,8 @@ def variance_components(groups: Sequence[Contrasts]) -> tuple[FloatArray, FloatA
     components = np.zeros(len(groups[0].patterns))
     for _ in range(ITERATIONS):
         parts = [group.normal_equations(components) for group in groups]
-        found = _not_negative(np.sum([f for f, _ in parts], axis=0), np.sum([r for _, r in parts], axis=0))
-        change, components = np.max(np.abs(found - components)), found
+        estimate = _not_negative(np.sum([f for f, _ in parts], axis=0), np.sum([r for _, r in parts], axis=0))
+        change, components = np.max(np.abs(estimate - components)), estimate
         if change <= 1e-6 * np.max(components):
             break
     dof = np.zeros(len(components))
@@ -120,7 +127,7 @@ def _not_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
     diagonal = np.diag(matrix)
     scale = np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
     square, target = matrix / np.outer(scale, scale), right / scale
-    found = np.zeros(len(right))
+    solution = np.zeros(len(right))
     free = np.zeros(len(right), dtype=np.bool_)
 
     def minimum() -> FloatArray:
@@ -130,20 +137,20 @@ def _not_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
         return best
 
     for _ in range(ITERATIONS):
-        slope = np.where(free, -np.inf, target - square @ found)
+        slope = np.where(free, -np.inf, target - square @ solution)
         if np.max(slope) <= 1e-10 * np.max(np.abs(target)):
             break
         free[np.argmax(slope)] = True
         best = minimum()
         while np.any(best[free] <= 0.0):
             blocking = np.flatnonzero(free & (best <= 0.0))
-            steps = found[blocking] / np.maximum(found[blocking] - best[blocking], 1e-300)
-            found = found + np.min(steps) * (best - found)
+            steps = solution[blocking] / np.maximum(solution[blocking] - best[blocking], 1e-300)
+            solution = solution + np.min(steps) * (best - solution)
             free[blocking[steps <= np.min(steps)]] = False
-            found = np.where(free, found, 0.0)
+            solution = np.where(free, solution, 0.0)
             best = minimum()
-        found = best
-    return np.asarray(found / scale)
+        solution = best
+    return np.asarray(solution / scale)
 
 
 def estimate_scatter(system: System, solution: Solution) -> tuple[Scatter, ...]:
@@ -175,14 +182,14 @@ def _scatter(observation: Observation, groups: dict[int, Contrasts], lines: int)
     """Components of one instrument, pooled over its lines unless a likelihood ratio says that these differ."""
     from scipy.stats import chi2
 
-    found, dof = np.zeros((lines, 2)), np.zeros((lines, 2))
+    components, dof = np.zeros((lines, 2)), np.zeros((lines, 2))
     pooled = variance_components(list(groups.values()))
     own = {k: variance_components([group]) for k, group in groups.items()}
     gain = sum(group.deviance(pooled[0]) - group.deviance(own[k][0]) for k, group in groups.items())
     together = gain <= chi2.ppf(TEST_LEVEL, 2 * len(groups) - 2) if len(groups) > 1 else True
     for k in groups:
-        found[k], dof[k] = pooled if together else own[k]
-    return Scatter(observation.title, np.sqrt(found[:, 0]), np.sqrt(found[:, 1]), _joint_dof(found, dof))
+        components[k], dof[k] = pooled if together else own[k]
+    return Scatter(observation.title, np.sqrt(components[:, 0]), np.sqrt(components[:, 1]), _joint_dof(components, dof))
 
 
 def _joint_dof(components: FloatArray, dof: FloatArray) -> FloatArray:
@@ -195,19 +202,17 @@ def _joint_dof(components: FloatArray, dof: FloatArray) -> FloatArray:
 
 def _improbable(group: Contrasts, tests: int) -> bool:
     """Tell whether chi-square of what is stated is too great for one of several tests together at 1 %."""
-    from scipy.special import chdtrc
-
-    return bool(chdtrc(len(group.values), group.chi2(NOTHING)) < (1.0 - TEST_LEVEL) / tests)
+    return fails(group.chi2(NOTHING), len(group.values), 1.0 - (1.0 - TEST_LEVEL) / tests)
 
 
-def scatter_covariances(system: System, acceleration: ComplexArray, found: Sequence[Scatter]) -> list[Discrepancy]:
+def scatter_covariances(system: System, acceleration: ComplexArray, scatters: Sequence[Scatter]) -> list[Discrepancy]:
     """Return what the scatter of instruments adds to the covariance of the readings."""
-    if not found:
+    if not scatters:
         return []
     sizes, parts = row_sizes(system, acceleration), []
     patterns = _own_patterns(system, acceleration, sizes)
     titles = np.array([observation.title for observation in system.observations])[system.observation]
-    for scatter in found:
+    for scatter in scatters:
         size = np.where(titles == scatter.instrument, sizes, 0.0)
         if np.any(size > 0.0):
             both = zip(patterns, (scatter.amplitude, scatter.phase), strict=True)
@@ -319,7 +324,7 @@ def _common_patterns(system: System, acceleration: ComplexArray, rows: IntArray,
     direction = _motion_phase(acceleration)[line]
     size = np.linalg.norm(acceleration[line] / SCALE)
     unit = np.concatenate([np.diag(SCALE * direction), np.diag(SCALE * direction * 1j)]) * size
-    found = np.zeros((12, len(rows), len(rows)))
+    patterns = np.zeros((12, len(rows), len(rows)))
     start = 0
     for observation in system.observations:
         places = Places.of(observation)
@@ -327,6 +332,6 @@ def _common_patterns(system: System, acceleration: ComplexArray, rows: IntArray,
         seen = places.design(observation.design)[chosen] @ np.concatenate([unit.real, unit.imag], axis=1).T
         end = start + len(seen)
         scaled = seen / sizes[rows[start:end], None]
-        found[:, start:end, start:end] = np.einsum("nc,mc->cnm", scaled, scaled)
+        patterns[:, start:end, start:end] = np.einsum("nc,mc->cnm", scaled, scaled)
         start = end
-    return found
+    return patterns

@@ -1,4 +1,4 @@
-"""Channels as they are read through their measuring chains: errors of the chain by name, rows of the linear model."""
+"""Channels read through their chains: errors of a chain by name, rows of the linear model, the sensor's outputs."""
 
 from __future__ import annotations
 
@@ -9,10 +9,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion.estimation.measurement_model import CommonError, Observation
-from fusion.estimation.uncertainty import Scope, Unknown, added_up
+from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
+from fusion.estimation.uncertainty import (
+    Contribution,
+    Scope,
+    Uncertainty,
+    Unknown,
+    added_up,
+    as_complex,
+    real_stack,
+)
 from fusion.instruments import TRANSDUCERS
-from fusion.instruments.transducer import ChannelGeometry, chain_name, geometry_errors, placed_at, unit_direction
+from fusion.instruments.transducer import (
+    TRANSVERSE,
+    Transducer,
+    across,
+    chain_name,
+    placed_at,
+    placement_name,
+    unit_direction,
+)
+from photogram.geometry import rotation_from_vector
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.phasor import Phasors, stack_phasors
 
@@ -116,6 +133,72 @@ def clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: floa
     return [rate] if np.any(rate.slope != 0.0) else []
 
 
+# Where and along what the channels measure, and what is uncertain of that.
+
+
+def geometry_errors(transducer: Transducer, entry: ChannelEntry) -> tuple[Unknown[FloatArray], ...]:
+    """Return what is uncertain of a channel's place and direction, by names that hold in every recording.
+
+    Effects (6,) on its geometry, as long as things are mounted as they are.
+
+    A point has three coordinates; a direction errs by two small rotations; a transverse sensitivity t of unknown
+    direction is two components of t/√2 across the axis.
+    """
+    point, direction, chain = placed_at(entry), unit_direction(entry), chain_name(entry)
+    errors = []
+    if not transducer.turning:
+        for axis, unit, u in zip("xyz", np.eye(3), np.broadcast_to(entry.point_uncertainty, 3).tolist(), strict=True):
+            lever = np.concatenate([np.zeros(3), np.cross(unit, direction) * u])
+            errors.append(Unknown(placement_name(entry, "point", axis), f"{chain}: point", u, "m", lever, "mounting"))
+    leaks = (
+        ("direction", "rad", entry.direction_uncertainty),
+        (TRANSVERSE, "1", entry.transverse_sensitivity / np.sqrt(2.0)),
+    )
+    for number, tangent in enumerate(across(direction)):
+        for kind, of_kind, u in leaks:
+            name = placement_name(entry, kind, str(number))
+            turned = u * transducer.geometry(point, tangent)
+            errors.append(Unknown(name, f"{chain}: {kind}", float(u), of_kind, turned, "mounting"))
+    return tuple(error for error in errors if np.any(error.effect != 0.0))
+
+
+@dataclass(frozen=True)
+class ChannelGeometry(Geometry):
+    """Places and directions of the channels of one instrument, for the Monte Carlo run."""
+
+    transducer: Transducer
+    entries: tuple[ChannelEntry, ...]
+    frequency_hz: FloatArray
+    gravity_mps2: FloatArray | None
+
+    @property
+    def unknowns(self) -> frozenset[str]:
+        """Return the names of the unknowns that `rows` draws."""
+        return frozenset(error.name for entry in self.entries for error in geometry_errors(self.transducer, entry))
+
+    def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
+        """Return the rows (N, K, M, 6) at points moved and along axes turned by finite angles, with a leak across them.
+
+        The size of a transverse sensitivity is known and its direction is not, so its angle is uniform.
+        """
+        drawn = []
+        for entry in self.entries:
+            u = np.broadcast_to(np.asarray(entry.point_uncertainty, dtype=np.float64), (3,))
+            shift = np.stack([deviates.normal(placement_name(entry, "point", axis)) for axis in "xyz"], axis=1)
+            stated = unit_direction(entry)
+            sides = across(stated)
+            tilt = np.stack([deviates.normal(placement_name(entry, "direction", axis)) for axis in "01"], axis=1)
+            spin = np.cross(stated, entry.direction_uncertainty * tilt @ sides)
+            turned = np.einsum("nij,j->ni", rotation_from_vector(spin), stated)
+            angle = deviates.angle(placement_name(entry, TRANSVERSE, "0"))
+            leak = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ sides
+            geometry = self.transducer.geometry(
+                placed_at(entry) + u * shift, np.asarray(turned + entry.transverse_sensitivity * leak)
+            )
+            drawn.append(self.transducer.rows(geometry, self.frequency_hz, self.gravity_mps2))
+        return np.stack(drawn, axis=2)
+
+
 # The channels of one instrument as rows of the linear model.
 
 
@@ -164,3 +247,76 @@ def _observe(readings: Sequence[Reading], gravity_mps2: FloatArray | None, clock
         stated=stated,
         geometry=ChannelGeometry(transducer, entries, frequency, gravity_mps2),
     )
+
+
+# The outputs of the sensor under test, read through a bridge amplifier: phasors, common errors by name, and drawn.
+
+NOISE = "output noise"
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Phasors (K, C) of the sensor's outputs, in the unit of the sensor, with their whole covariance.
+
+    `uncertainty`: noise of the sine approximation, and scale, delay, response and clock errors under the names that
+    the motion's instruments use, so that what both share (a clock, an amplifier) acts on both.
+    """
+
+    phasors: Phasors
+    uncertainty: Uncertainty
+
+    def __post_init__(self) -> None:
+        expected, found = self.phasors.covariance.shape, self.uncertainty.random[0].covariance.shape
+        if found != expected:
+            raise ValueError(f"uncertainty: expected covariances of shape {expected}, found {found}")
+
+    def draw(self, deviates: Deviates) -> ComplexArray:
+        """Return N draws (N, K, C) with noise, from which relative errors c of the chains are taken off exactly.
+
+        They act as (1 + Re c)·exp(j·Im c).
+        """
+        value = self.phasors.value
+        drawn = np.repeat(value[None], deviates.count, axis=0)
+        for part in self.uncertainty.random:
+            dof = np.full(len(part.covariance), np.inf) if part.dof is None else part.dof
+            drawn = drawn + as_complex(deviates.noise(f"{part.label} of outputs", part.covariance, dof))
+        for influence in self.uncertainty.influences:
+            effect = as_complex(influence.effect)
+            relative = np.divide(effect, value, out=np.zeros_like(value), where=(value != 0.0) & np.isfinite(effect))
+            size = deviates.normal(influence.name)[:, None, None]
+            drawn = drawn / ((1.0 + size * relative.real) * np.exp(1j * size * relative.imag))
+        return np.asarray(drawn)
+
+
+def sensor_outputs(readings: Sequence[Reading], order: Sequence[str]) -> Outputs | None:
+    """Return what of some readings are outputs of the sensor, in the order and by the names of its outputs, if any."""
+    named = {str(reading.entry.channel): reading for reading in readings if reading.entry.quantity == "output"}
+    own = [
+        replace(named[name], phasors=replace(named[name].phasors, channels=(name,))) for name in order if name in named
+    ]
+    return output_phasors(own) if own else None
+
+
+def output_phasors(readings: Sequence[Reading]) -> Outputs:
+    """Return the outputs of C channels, in the order given.
+
+    An error of a chain, relative (K, C), changes the reading U by relative · U for one standard uncertainty; channels
+    that name one `common` instrument share its errors. A budget names those of a chain by their kind, whichever channel
+    has them.
+    """
+    if not readings:
+        raise ValueError("readings: expected at least one output channel, found none")
+    signals = stack_phasors([reading.phasors for reading in readings])
+    chains: dict[str, list[int]] = {}
+    for place, reading in enumerate(readings):
+        chains.setdefault(chain_name(reading.entry), []).append(place)
+    influences = []
+    for places in chains.values():
+        for error in chain_errors([readings[place] for place in places]):
+            change = np.zeros_like(signals.value)
+            change[:, places] = error.effect * signals.value[:, places]
+            label = error.label if error.scope == "recording" else "output " + error.label.rpartition(": ")[2]
+            influences.append(replace(error.acting(real_stack(change)), label=label))
+    noise = Contribution(NOISE, "A", signals.covariance, signals.dof)
+    uncertainty = Uncertainty((noise,), added_up(influences))
+    return Outputs(replace(signals, covariance=uncertainty.covariance), uncertainty)

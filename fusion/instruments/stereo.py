@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.estimation.measurement_model import CommonError, Deviates, Observation
+from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
 from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import RelativeError, clock_rate, late
 from photogram.geometry import rotation_from_vector, skew
@@ -60,7 +60,7 @@ def line_turns(lines: Lines, middle_s: float) -> Iterator[RelativeError]:
 
 
 @dataclass(frozen=True)
-class StereoReading:
+class StereoReading(Geometry):
     """One stereo pair: `pair` as rig.toml has it, displacement phasors (K, 6) in m and rad about the sensor origin.
 
     `effects`: by name, changes (P, K, 6) of the phasors for one standard uncertainty of further unknowns, such as the
@@ -108,7 +108,6 @@ class StereoReading:
 
     @property
     def _title(self) -> str:
-        """Return the pair's name in budgets."""
         return f"stereo {self.name}"
 
     def _frame_errors(self) -> Iterator[tuple[str, str, float, str, FloatArray]]:
@@ -135,12 +134,7 @@ class StereoReading:
         return frozenset(name for kind in ("position", "rotation") for name in self._pose_names(kind))
 
     def _pose_names(self, kind: str) -> list[str]:
-        """Return the names of the unknowns of the pose, by axis."""
         return [f"{self._title}: pose {kind} {axis}" for axis in "xyz"]
-
-    def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return the rows as they are, once per draw: a frame elsewhere gives other vectors, not other rows."""
-        return np.broadcast_to(design, (deviates.count, *design.shape))
 
     def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
         """Return displacement phasors (N, K, 6) in frames elsewhere: t' = R (t + theta × p), theta' = R theta."""

@@ -1,6 +1,6 @@
-"""Transducers: what kind of motion they read, where and along which direction, and what is uncertain of that.
+"""Transducers: what kind of motion they read, in which unit, where and along which direction.
 
-Model, Monte Carlo run, identification and `check` take rows [d, r × d] · (jω)^n and their errors by name from here.
+Model, Monte Carlo run, identification and `check` take rows [d, r × d] · (jω)^n from here.
 """
 
 from __future__ import annotations
@@ -10,13 +10,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from fusion.estimation.uncertainty import Unknown
-from photogram.geometry import rotation_from_vector
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.phasor import derivative_factor
 
 if TYPE_CHECKING:
-    from fusion.estimation.measurement_model import Deviates
     from fusion.recording.manifest import ChannelEntry
 
 TRANSVERSE = "transverse sensitivity"
@@ -58,6 +55,8 @@ class Transducer:
         return np.asarray(derivative_factor(frequency_hz, self.order)[:, None] * rows)
 
 
+DISPLACEMENT = Transducer("displacement", "m", "vibrometer", order=-2)
+VELOCITY = Transducer("velocity", "m/s", "vibrometer", order=-1)
 ACCELERATION = Transducer("acceleration", "m/s^2", "accelerometer", order=0, weighs=True)
 """Uni- and triaxial: the axes of a triaxial one are channels with the same `common` name, which share a chain."""
 ANGULAR_VELOCITY = Transducer("angular_velocity", "rad/s", "accelerometer", order=-1, turning=True)
@@ -93,70 +92,3 @@ def placement_name(entry: ChannelEntry, kind: str, axis: str) -> str:
     at = "" if entry.point is None else f" at ({', '.join(f'{x:.9g}' for x in entry.point)})"
     along = "" if kind == "point" else f" along ({', '.join(f'{x:.9g}' for x in entry.direction or ())})"
     return f"{chain_name(entry)}: {kind} {entry.name}{at}{along} {axis}"
-
-
-def geometry_errors(transducer: Transducer, entry: ChannelEntry) -> tuple[Unknown[FloatArray], ...]:
-    """Return what is uncertain of a channel's place and direction, by names that hold in every recording.
-
-    Effects (6,) on its geometry, as long as things are mounted as they are.
-
-    A point has three coordinates; a direction errs by two small rotations; a transverse sensitivity t of unknown
-    direction is two components of t/√2 across the axis.
-    """
-    point, direction, chain = placed_at(entry), unit_direction(entry), chain_name(entry)
-    found = []
-    if not transducer.turning:
-        for axis, unit, u in zip("xyz", np.eye(3), np.broadcast_to(entry.point_uncertainty, 3).tolist(), strict=True):
-            lever = np.concatenate([np.zeros(3), np.cross(unit, direction) * u])
-            found.append(Unknown(placement_name(entry, "point", axis), f"{chain}: point", u, "m", lever, "mounting"))
-    leaks = (
-        ("direction", "rad", entry.direction_uncertainty),
-        (TRANSVERSE, "1", entry.transverse_sensitivity / np.sqrt(2.0)),
-    )
-    for number, tangent in enumerate(across(direction)):
-        for kind, of_kind, u in leaks:
-            name = placement_name(entry, kind, str(number))
-            turned = u * transducer.geometry(point, tangent)
-            found.append(Unknown(name, f"{chain}: {kind}", float(u), of_kind, turned, "mounting"))
-    return tuple(error for error in found if np.any(error.effect != 0.0))
-
-
-@dataclass(frozen=True)
-class ChannelGeometry:
-    """Places and directions of the channels of one instrument, for the Monte Carlo run."""
-
-    transducer: Transducer
-    entries: tuple[ChannelEntry, ...]
-    frequency_hz: FloatArray
-    gravity_mps2: FloatArray | None
-
-    @property
-    def unknowns(self) -> frozenset[str]:
-        """Return the names of the unknowns that `rows` draws."""
-        return frozenset(error.name for entry in self.entries for error in geometry_errors(self.transducer, entry))
-
-    def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return the readings as they are: another place is another row."""
-        return readings
-
-    def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return the rows (N, K, M, 6) at points moved and along axes turned by finite angles, with a leak across them.
-
-        The size of a transverse sensitivity is known and its direction is not, so its angle is uniform.
-        """
-        drawn = []
-        for entry in self.entries:
-            u = np.broadcast_to(np.asarray(entry.point_uncertainty, dtype=np.float64), (3,))
-            shift = np.stack([deviates.normal(placement_name(entry, "point", axis)) for axis in "xyz"], axis=1)
-            stated = unit_direction(entry)
-            sides = across(stated)
-            tilt = np.stack([deviates.normal(placement_name(entry, "direction", axis)) for axis in "01"], axis=1)
-            spin = np.cross(stated, entry.direction_uncertainty * tilt @ sides)
-            turned = np.einsum("nij,j->ni", rotation_from_vector(spin), stated)
-            angle = deviates.angle(placement_name(entry, TRANSVERSE, "0"))
-            leak = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ sides
-            geometry = self.transducer.geometry(
-                placed_at(entry) + u * shift, np.asarray(turned + entry.transverse_sensitivity * leak)
-            )
-            drawn.append(self.transducer.rows(geometry, self.frequency_hz, self.gravity_mps2))
-        return np.stack(drawn, axis=2)

@@ -1,7 +1,4 @@
-"""Vibrometers: channels that read displacement or velocity along a laser beam; several points on one body.
-
-Parallel points on one body: how far they differ, what rocking explains of it.
-"""
+"""Vibrometer points that look along one direction at one body: how far they differ, what rocking explains of it."""
 
 from __future__ import annotations
 
@@ -12,17 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, added_up, real_design, real_stack
-from fusion.instruments.transducer import Transducer
 from shaker.arrays import ComplexArray, FloatArray, check_shape
 
 if TYPE_CHECKING:
     from fusion.estimation.fuse import Acceleration
     from fusion.estimation.measurement_model import Observation
-
-DISPLACEMENT = Transducer("displacement", "m", "vibrometer", order=-2)
-VELOCITY = Transducer("velocity", "m/s", "vibrometer", order=-1)
-
-# Parallel points on one body: their mean and the best rigid plane through them.
 
 PARALLEL = 1e-3
 """Largest angle in rad between directions that count as one."""

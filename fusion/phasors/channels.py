@@ -101,13 +101,13 @@ def line_record(base: TimeBase) -> LineRecord | None:
 
 def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
     """Find the lines in the fastest channels; None where there are only triggers."""
-    found = line_record(base)
-    return None if found is None else lines_in(manifest, found)
+    chosen = line_record(base)
+    return None if chosen is None else lines_in(manifest, chosen)
 
 
-def lines_in(manifest: Manifest, found: LineRecord) -> Lines:
+def lines_in(manifest: Manifest, chosen: LineRecord) -> Lines:
     """Find the lines that the manifest states, their harmonics and all else in the channels chosen for it."""
-    record, together, time_s, values = found.record, found.channels, found.time_s, found.values
+    record, together, time_s, values = chosen.record, chosen.channels, chosen.time_s, chosen.values
     harmonics = manifest.excitation.harmonics
     try:
         if manifest.excitation.frequencies is not None:
@@ -132,9 +132,9 @@ def _driven_lines(
     excitation = manifest.excitation
     chosen = [c for c, name in enumerate(names) if name in excitation.reference] or list(range(len(names)))
     rate_hz = (len(time_s) - 1) / float(time_s[-1] - time_s[0])
-    found = survey_lines(values[:, chosen], rate_hz)
+    lines = survey_lines(values[:, chosen], rate_hz)
     low, high = excitation.band or (0.0, rate_hz / 2.0)
-    in_band = found.select((found.frequency_hz >= low) & (found.frequency_hz <= high))
+    in_band = lines.select((lines.frequency_hz >= low) & (lines.frequency_hz <= high))
     kept = in_band.select(relative_strength(in_band.amplitude) >= DRIVEN) if len(in_band.frequency_hz) else in_band
     nominal_hz = [float(f"{f:.6g}") for f in kept.frequency_hz]
     if excitation.period is not None:

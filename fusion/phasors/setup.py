@@ -85,11 +85,11 @@ class SetUp:
         base = self.opened.base
         clocks = [(daq, notice) for (daq, _), fit in base.triggers.items() for notice in fit.notices]
         clocks += [(daq, notice) for daq, tie in base.ties.items() if tie is not None for notice in tie.notices]
-        found: list[AnyNotice] = [Notice(n.severity, f"{daq}: {n.text}", daq) for daq, n in clocks]
-        found += [*self.lines.notices, *self.aliased]
-        found += [notice for channel in self.opened.channels for notice in channel.notices]
-        found += [notice for item in self.stereo for notice in item.notices]
-        return tuple(found)
+        told: list[AnyNotice] = [Notice(n.severity, f"{daq}: {n.text}", daq) for daq, n in clocks]
+        told += [*self.lines.notices, *self.aliased]
+        told += [notice for channel in self.opened.channels for notice in channel.notices]
+        told += [notice for item in self.stereo for notice in item.notices]
+        return tuple(told)
 
 
 def open_set_ups(manifest: Manifest) -> tuple[OpenSetUp, ...]:
@@ -106,15 +106,15 @@ def open_set_ups(manifest: Manifest) -> tuple[OpenSetUp, ...]:
             images = tuple(open_images(part, base, entry) for entry in part.images)
             points = tuple(measure_points(part, base, entry) for entry in part.points)
         opened.append(OpenSetUp(name, recorded.where, part, base, images, points))
-    found = []
+    fitted = []
     for one, lines in zip(opened, _lines(opened), strict=True):
         if lines is None:
-            found.append(one)
+            fitted.append(one)
             continue
         with told_in(one.manifest.path, one.where, one.name):
             channels, readings = channel_phasors(one.manifest, one.base, lines)
-        found.append(replace(one, lines=lines, channels=channels, readings=readings))
-    return tuple(found)
+        fitted.append(replace(one, lines=lines, channels=channels, readings=readings))
+    return tuple(fitted)
 
 
 def measure_set_up(
@@ -141,11 +141,11 @@ def _lines(set_ups: Sequence[OpenSetUp]) -> list[Lines | None]:
     if len(set_ups) == 1 or first is None:
         return [first for _ in set_ups]
     nominal = tuple(np.unique(first.nominal_hz).tolist())
-    found = [first, *(_own_lines(opened, nominal) for opened in set_ups[1:])]
-    known = {key: f for lines in reversed(found) for key, f in zip(_keys(lines), lines.frequency_hz, strict=True)}
+    own = [first, *(_own_lines(opened, nominal) for opened in set_ups[1:])]
+    known = {key: f for lines in reversed(own) for key, f in zip(_keys(lines), lines.frequency_hz, strict=True)}
     keys = sorted(known, key=lambda key: float(known[key]))
     hidden: dict[Key, str] = {}
-    for opened, lines in zip(set_ups, found, strict=True):
+    for opened, lines in zip(set_ups, own, strict=True):
         hidden |= dict.fromkeys(_indistinct(opened, lines, keys), opened.name)
     left_out = [
         Notice(
@@ -155,8 +155,8 @@ def _lines(set_ups: Sequence[OpenSetUp]) -> list[Lines | None]:
         )
         for (nominal_hz, multiple), name in hidden.items()
     ]
-    found[0] = replace(found[0], notices=(*found[0].notices, *left_out))
-    return [_extended(lines, [key for key in keys if key not in hidden]) for lines in found]
+    own[0] = replace(own[0], notices=(*own[0].notices, *left_out))
+    return [_extended(lines, [key for key in keys if key not in hidden]) for lines in own]
 
 
 def _own_lines(opened: OpenSetUp, nominal: tuple[float, ...]) -> Lines:
@@ -174,7 +174,6 @@ def _own_lines(opened: OpenSetUp, nominal: tuple[float, ...]) -> Lines:
 
 
 def _keys(lines: Lines) -> list[Key]:
-    """Return what identifies each line over all set-ups."""
     return list(zip(lines.nominal_hz.tolist(), lines.multiple.tolist(), strict=True))
 
 
@@ -187,12 +186,12 @@ def _indistinct(opened: OpenSetUp, lines: Lines, keys: Sequence[Key]) -> list[Ke
     length_s = float(record.time_s[-1] - record.time_s[0])
     rate_hz = (len(record.time_s) - 1) / length_s
     places = alias_frequency(_extended(lines, keys).frequency_hz, rate_hz)
-    found = []
+    hidden = []
     for k, key in enumerate(keys):
         others = np.concatenate([np.delete(places, k), [0.0, rate_hz / 2.0]])
         if key in added and np.min(np.abs(others - places[k])) * length_s < APART_PERIODS:
-            found.append(key)
-    return found
+            hidden.append(key)
+    return hidden
 
 
 def _extended(lines: Lines, keys: Sequence[Key]) -> Lines:

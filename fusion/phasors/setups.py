@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.base import AnyNotice
-from fusion.estimation.consistency import fails
 from fusion.estimation.measurement_model import Observation
+from fusion.estimation.variance_components import fails
 from fusion.instruments.channel import Reading, RelativeError, acting, late, observe_channels
 from fusion.instruments.stereo import PERIODIC, StereoReading
 from fusion.phasors.channels import ChannelResult
@@ -102,7 +102,6 @@ class ReferenceTie:
             f"{what}, {self.name}" if what == PERIODIC else what: change * self.factor[:, None]
             for what, change in pair.effects.items()
         }
-
         own = [replace(e, name=f"{self.name}: {e.name}", label=f"{self.name}: {e.label}") for e in pair.errors]
         return replace(pair, phasors=self.phasors(pair.phasors), effects=effects, errors=(*own, *self.errors))
 
@@ -128,7 +127,6 @@ def reference_ties(set_ups: Sequence[OpenSetUp]) -> tuple[ReferenceTie, ...]:
 
 
 def _tie(set_ups: Sequence[OpenSetUp], references: Sequence[Reading], place: int) -> ReferenceTie:
-    """Tie one set-up to the first."""
     opened, first, own = set_ups[place], references[0], references[place]
     stands_out = _standing_out(own) & _standing_out(first)
     _check_driven(opened, own, stands_out)
@@ -183,7 +181,7 @@ def _check_driven(opened: OpenSetUp, reference: Reading, stands_out: BoolArray) 
 
 def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArray) -> tuple[RelativeError, ...]:
     """Relative errors (K, 1) of a reference's phasor from its noise: two real unknowns at each of the lines chosen."""
-    found = []
+    errors = []
     phasors = reading.phasors
     for k in np.flatnonzero(lines):
         (turn,) = real_stacked_diagonal(1.0 / phasors.value[k : k + 1])
@@ -192,8 +190,8 @@ def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArr
             relative = np.zeros((len(frequency_hz), 1), dtype=np.complex128)
             relative[k, 0] = np.sqrt(max(variance, 0.0)) * complex(*vector)
             unknown = f"reference noise of {name} at {frequency_hz[k]:.9g} Hz, part {part + 1}"
-            found.append(RelativeError(unknown, "reference noise", 1.0, "1", relative, "recording", "A"))
-    return tuple(found)
+            errors.append(RelativeError(unknown, "reference noise", 1.0, "1", relative, "recording", "A"))
+    return tuple(errors)
 
 
 def _clock_error(name: str, reading: Reading) -> list[RelativeError]:
@@ -205,15 +203,15 @@ def _clock_error(name: str, reading: Reading) -> list[RelativeError]:
 
 def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[RelativeError]:
     """Relative errors (K, 1) of magnitude and phase of all phasors of a set-up whose reference drifted this far."""
-    label, found = "drift between takes", []
+    label, errors = "drift between takes", []
     for k in np.flatnonzero(half_width > 0.0):
         u = float(half_width[k]) / np.sqrt(3.0)
         for part, unit, turn in (("magnitude", "1", 1.0 + 0.0j), ("phase", "rad", 1.0j)):
             relative = np.zeros((len(frequency_hz), 1), dtype=np.complex128)
             relative[k, 0] = u * turn
             unknown = f"{label}: {part} of {name} at {frequency_hz[k]:.9g} Hz"
-            found.append(RelativeError(unknown, label, u, unit, relative))
-    return found
+            errors.append(RelativeError(unknown, label, u, unit, relative))
+    return errors
 
 
 def drift_notices(ties: Sequence[ReferenceTie], driven: BoolArray) -> tuple[Notice, ...]:
@@ -404,12 +402,12 @@ def join_set_ups(set_ups: Sequence[SetUp]) -> Joined:
     opened, lines, clock = first.opened, first.lines, first.opened.base.records[0].entry.clock_uncertainty
     if len(set_ups) == 1:
         clocks, stereo = opened.base.results(), tuple(item.result for item in first.stereo)
-        steady = stationarity_notices(line_stationarity(opened.channels, stereo, lines, clocks))
-        notices = (*first.notices, *steady)
-        found = (clocks, opened.channels, stereo, opened.readings, tuple(item.reading for item in first.stereo))
-        return Joined(lines, *found, clock, (), first.aliased, notices)
+        changes = stationarity_notices(line_stationarity(opened.channels, stereo, lines, clocks))
+        pairs = tuple(item.reading for item in first.stereo)
+        seen = (clocks, opened.channels, stereo, opened.readings, pairs)
+        return Joined(lines, *seen, clock, (), first.aliased, (*first.notices, *changes))
     ties = reference_ties([item.opened for item in set_ups])
-    pairs: list[StereoReading] = []
+    named_pairs: list[StereoReading] = []
     clocks_named: list[ClockResult] = []
     channels: list[ChannelResult] = []
     by_name: dict[str, StereoResult] = {}
@@ -417,42 +415,34 @@ def join_set_ups(set_ups: Sequence[SetUp]) -> Joined:
     told: list[AnyNotice] = []
     for item, tie in zip(set_ups, ties, strict=True):
         name = tie.name
-        pairs += [tie.stereo(pair.reading) for pair in item.stereo]
+        named_pairs += [tie.stereo(pair.reading) for pair in item.stereo]
         # The reference is that of the first set-up and counts once.
         own = [r for r in item.opened.readings if tie.first or not r.entry.reference]
         referred.append((name, [tie.reference(r) if r.entry.reference else tie.reading(r) for r in own]))
         clocks_named += [replace(c, daq=f"{name}: {c.daq}") for c in item.opened.base.results()]
-        channels += [_channel(c, item, tie) for c in item.opened.channels]
+        for channel in item.opened.channels:  # what the figures show stays
+            steady = _at_lines(channel.stationarity, item.lines, lines.frequency_hz)
+            referred_channel = replace(channel, phasors=tie.phasors(channel.phasors), stationarity=steady)
+            channels.append(replace(referred_channel, name=f"{name}: {channel.name}", daq=f"{name}: {channel.daq}"))
         for result in (pair.result for pair in item.stereo):  # one that saw several set-ups is named by the later ones
             key = f"{result.name}-{name.replace(' ', '')}" if result.name in by_name else result.name
-            steady_pair = _at_lines(result.stationarity, item.lines, lines.frequency_hz)
-            by_name[key] = replace(result, name=key, stationarity=steady_pair)
+            steady = _at_lines(result.stationarity, item.lines, lines.frequency_hz)
+            by_name[key] = replace(result, name=key, stationarity=steady)
         told += [replace(notice, text=f"{name}: {notice.text}") for notice in item.notices]
     readings, scattered = merge_readings(referred)
     results = tuple(by_name.values())
-    steady = stationarity_notices(line_stationarity(channels, results, lines, clocks_named))
+    changes = stationarity_notices(line_stationarity(channels, results, lines, clocks_named))
     return Joined(
         lines=lines,
         clocks=tuple(clocks_named),
         channels=tuple(channels),
         stereo=results,
         readings=readings,
-        pairs=tuple(pairs),
+        pairs=tuple(named_pairs),
         clock_uncertainty=clock,
         set_ups=tuple(tie.result for tie in ties),
         aliased=tuple(notice for item in set_ups for notice in item.aliased),
-        notices=(*told, *drift_notices(ties, lines.multiple == 1), *scattered, *steady),
-    )
-
-
-def _channel(channel: ChannelResult, set_up: SetUp, tie: ReferenceTie) -> ChannelResult:
-    """Return a channel by the name of its set-up, its phasors referred to the first; what the figures show stays."""
-    return replace(
-        channel,
-        name=f"{tie.name}: {channel.name}",
-        daq=f"{tie.name}: {channel.daq}",
-        phasors=tie.phasors(channel.phasors),
-        stationarity=_at_lines(channel.stationarity, set_up.lines, tie.frequency_hz),
+        notices=(*told, *drift_notices(ties, lines.multiple == 1), *scattered, *changes),
     )
 
 

@@ -267,7 +267,15 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
     if excitation.frequencies is None:
         expected = "the frequencies of the lines, since no channel shows them"
         raise InputError(manifest.path, "excitation.frequencies", found="none", expected=expected)
-    first = _first_that_tells(motions, excitation.frequencies)
+    reasons: list[str] = []
+    for first in motions:  # whose frames tell a fundamental from zero, the Nyquist rate and the others
+        usable, notices = usable_lines(first.sight.time_s, np.array(excitation.frequencies, dtype=np.float64))
+        if usable.any():
+            break
+        reasons += [f"stereo pair {first.sight.name}: {notice.text}" for notice in notices]
+    else:
+        listed = " and ".join(f"{frequency:g} Hz" for frequency in excitation.frequencies)
+        raise ComputeError(f"no instrument sees the motion of the driven line at {listed} ({'; '.join(reasons)})")
     try:
         lines = find_lines(first.sight.time_s, first.motion.pose, excitation.frequencies, excitation.harmonics)
     except ValueError as error:
@@ -275,15 +283,3 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
         raise InputError.told_by(told, manifest.path, "excitation.frequencies") from error
     u_clock_hz = lines.frequency_hz * base.u_trigger_rate(first.sight.exposure.trigger)
     return replace(lines, u_frequency_hz=np.hypot(lines.u_frequency_hz, u_clock_hz))
-
-
-def _first_that_tells(motions: Sequence[StereoMotion], nominal_hz: Sequence[float]) -> StereoMotion:
-    """Return the first stereo pair whose frames tell a fundamental from zero, the Nyquist rate and the others."""
-    reasons: list[str] = []
-    for motion in motions:
-        usable, notices = usable_lines(motion.sight.time_s, np.array(nominal_hz, dtype=np.float64))
-        if usable.any():
-            return motion
-        reasons += [f"stereo pair {motion.sight.name}: {notice.text}" for notice in notices]
-    listed = " and ".join(f"{frequency:g} Hz" for frequency in nominal_hz)
-    raise ComputeError(f"no instrument sees the motion of the driven line at {listed} ({'; '.join(reasons)})")

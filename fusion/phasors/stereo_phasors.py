@@ -284,8 +284,8 @@ def _phasor_frames(time_s: FloatArray, tracks: StereoTracks, frequency_hz: Float
 def _phasor_motion(rig: StereoRig, pose: RigidTransform, frames: tuple[FloatArray, FloatArray]) -> ComplexArray:
     """Return the displacement phasors (K, 6) that a rig, its left camera in this pose, makes of phasor frames."""
     points = triangulate(rig, frames[0], frames[1], None, None).transformed(pose)
-    found = fit_motion(points, None, np.zeros(3)).pose[1:]
-    return np.asarray(found[0::2] + 1j * found[1::2])
+    poses = fit_motion(points, None, np.zeros(3)).pose[1:]
+    return np.asarray(poses[0::2] + 1j * poses[1::2])
 
 
 def unseen_fundamentals(
@@ -296,11 +296,7 @@ def unseen_fundamentals(
     `folded`: what was said of the lines that camera rates cannot tell apart.
     """
     driven = lines.frequency_hz[lines.multiple == 1]
-    lost = []
-    for f in driven:
-        values = [o.phasors.value[o.phasors.frequency_hz == f] for o in seen]
-        if not any(np.isfinite(value).any() for value in values):
-            lost.append(f)
+    lost = [f for f in driven if not any(np.isfinite(o.phasors.value[o.phasors.frequency_hz == f]).any() for o in seen)]
     if len(driven) and len(lost) == len(driven) and (seen or folded):
         listed = " and ".join(f"{f:.6g} Hz" for f in lost)
         reasons = dict.fromkeys(notice.text for notice in folded if any(f"{f:.6g} Hz" in notice.text for f in lost))

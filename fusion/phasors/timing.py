@@ -93,11 +93,11 @@ class TimeBase:
     @cached_property
     def pulses(self) -> dict[tuple[str, str], PulseWidth]:
         """Width of the pulses per block and trigger channel, where both flanks can be told."""
-        found = {}
+        widths = {}
         for daq, name in self.triggers:
             with suppress(ValueError):
-                found[daq, name] = self.record(daq).pulse_width(name)
-        return found
+                widths[daq, name] = self.record(daq).pulse_width(name)
+        return widths
 
     def record(self, daq: str) -> DaqRecord:
         """Return a block by its name."""
@@ -105,14 +105,14 @@ class TimeBase:
 
     def results(self) -> tuple[ClockResult, ...]:
         """Return one entry per block for the result tree."""
-        found = []
+        clocks = []
         for record in self.records:
             name = record.entry.name
             key = next((key for key in self.triggers if key[0] == name), ("", ""))
             pulse = self.pulses.get(key)
             width = (None, None) if pulse is None else (pulse.width_s, pulse.u_width_s)
-            found.append(ClockResult(name, record.entry.file, self.triggers.get(key), self.ties[name], *width))
-        return tuple(found)
+            clocks.append(ClockResult(name, record.entry.file, self.triggers.get(key), self.ties[name], *width))
+        return tuple(clocks)
 
 
 def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:

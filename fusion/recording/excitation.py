@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from fusion.base import InputError
 from fusion.recording.values import (
     Block,
     Component,
@@ -74,7 +72,6 @@ def _harmonics(value: object) -> Any:
 
 
 def _band(value: object) -> tuple[float, ...]:
-    """Lower and upper frequency in Hz."""
     low, high = vector(2)(value)
     if not 0 <= low < high:
         raise refusal("two frequencies in Hz, the lower first", f"[{low:g}, {high:g}]")
@@ -220,15 +217,3 @@ def kinds_of(command: str) -> tuple[str, ...]:
 def listed(names: Sequence[str]) -> str:
     """Return names as a sentence has alternatives: `sine or multisine`."""
     return " or ".join(filter(None, (", ".join(names[:-1]), names[-1])))
-
-
-def check_kind(command: str, path: Path, excitation: Excitation, takes: int) -> None:
-    """Refuse a recording (its recording.toml, its excitation, its number of takes) that a command does not evaluate."""
-    kinds = kinds_of(command)
-    if excitation.kind not in kinds:
-        which = "kind" if len(kinds) == 1 else "kinds"
-        other = f"(shakercal {KINDS[excitation.kind].commands[0]} takes this one)"
-        expected = f"{listed(kinds)}, the {which} that shakercal {command} evaluates {other}"
-        raise InputError(path, "excitation.kind", found=excitation.kind, expected=expected)
-    if takes and command in ONE_SET_UP:
-        raise InputError(path, "take", found=f"{takes} takes", expected=ONE_SET_UP[command])

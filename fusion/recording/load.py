@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from fusion.base import InputError
-from fusion.recording.excitation import KINDS, Excitation, check_kind, kinds_of, listed
+from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
 from fusion.recording.manifest import (
     ChannelEntry,
     Daq,
@@ -21,9 +21,9 @@ from fusion.recording.manifest import (
     Images,
     Part,
     PointFiles,
-    Recorded,
     RecordingFile,
     Rig,
+    SetUpFiles,
     Stereo,
     Take,
 )
@@ -85,7 +85,14 @@ class Manifest:
 
     def check_command(self, command: str) -> None:
         """Raise `InputError` where `shakercal COMMAND` evaluates no such recording."""
-        check_kind(command, self.path, self.excitation, len(self.take))
+        kind, kinds = self.excitation.kind, kinds_of(command)
+        if kind not in kinds:
+            which = "kind" if len(kinds) == 1 else "kinds"
+            other = f"(shakercal {KINDS[kind].commands[0]} takes this one)"
+            expected = f"{listed(kinds)}, the {which} that shakercal {command} evaluates {other}"
+            raise InputError(self.path, "excitation.kind", found=kind, expected=expected)
+        if self.take and command in ONE_SET_UP:
+            raise InputError(self.path, "take", found=f"{len(self.take)} takes", expected=ONE_SET_UP[command])
 
 
 def find_recordings(path: str | Path) -> list[Path]:
@@ -190,7 +197,6 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
 
 
 def _rig_path(path: Path, text: dict[str, Any]) -> Path:
-    """Path of rig.toml as a recording names it."""
     name = text.get("rig")
     if not isinstance(name, str) or not name or "\\" in name:
         raise InputError(path, "rig", describe(name), 'the path of rig.toml such as "../rig.toml"')
@@ -205,7 +211,6 @@ def _rig_path(path: Path, text: dict[str, Any]) -> Path:
 
 
 def _input_files(path: Path, rig_path: Path, rig: Rig, record: RecordingFile) -> tuple[Path, ...]:
-    """Every file that bears on the result, once each."""
     named = [path.resolve(), rig_path.resolve(), *rig.files, *record.files]
     named += [file for take in record.take for file in take.files]
     named += [] if record.excitation.file is None else [record.excitation.file]
@@ -225,7 +230,7 @@ def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
     """Raise `InputError` for the first reference between rig and recording that leads nowhere."""
     if not record.daq and not record.take and not KINDS[record.excitation.kind].tabled:
         raise InputError(path, "daq", "none", "at least one [[daq]] or [[take]] block")
-    blocks: list[tuple[str, Recorded]] = [("", record)] if record.daq or record.images or record.points else []
+    blocks: list[tuple[str, SetUpFiles]] = [("", record)] if record.daq or record.images or record.points else []
     blocks += [(f"take[{number}].", take) for number, take in enumerate(record.take, 1)]
     channels = [
         [
@@ -258,7 +263,7 @@ def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
         raise InputError(path, f"part.{quoted(twice)}.name", f'"{twice}" twice', expected)
 
 
-def _check_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, Recorded]]) -> None:
+def _check_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFiles]]) -> None:
     """Images need a calibration; a scale needs an uncertainty, stated or from the calibration."""
     pictured = [images.stereo for _, block in blocks for images in block.images]
     tabled = [points.stereo for _, block in blocks for points in block.points]
@@ -285,7 +290,7 @@ def _has_covariance(pair: Stereo) -> bool:
     return isinstance(content, dict) and content.get("covariance") is not None
 
 
-def _check_triggers(block: Recorded, triggers: set[str], prefix: str, path: Path) -> None:
+def _check_triggers(block: SetUpFiles, triggers: set[str], prefix: str, path: Path) -> None:
     """Frames belong to the edges of a trigger channel recorded with them, and to one set of frames per pair."""
     kinds: tuple[tuple[str, tuple[Frames, ...]], ...] = (("images", block.images), ("points", block.points))
     for kind, frames in ((kind, frames) for kind, entries in kinds for frames in entries):

@@ -251,7 +251,6 @@ class Rig(Block):
 
 
 def _columns(value: object) -> tuple[str, ...]:
-    """What the columns of a point table hold."""
     if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
         raise refusal("a list of column names", describe(value))
     unknown = next((name for name in value if name not in COLUMNS and not name.startswith("id")), None)
@@ -268,7 +267,6 @@ def _columns(value: object) -> tuple[str, ...]:
 
 
 def _daq_suffix(value: Path) -> Path:
-    """A DAQ file is recognised by its suffix."""
     if value.suffix.lower() not in DAQ_SUFFIXES:
         raise refusal("a file that ends in one of " + " ".join(DAQ_SUFFIXES), f"{value.name}")
     return value
@@ -413,7 +411,7 @@ class PointFiles(Frames):
         return self
 
 
-class Recorded(Block):
+class SetUpFiles(Block):
     """What was recorded at once."""
 
     daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables)] = ()
@@ -436,13 +434,13 @@ class Recorded(Block):
         return files + [file for points in self.points for file in points.files]
 
 
-class Take(Recorded):
+class Take(SetUpFiles):
     """What was recorded at once, where a recording holds several measurements one after another."""
 
     daq: Annotated[tuple[Daq, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
 
-class RecordingFile(Recorded):
+class RecordingFile(SetUpFiles):
     """recording.toml as it stands: one excitation and the files recorded under it."""
 
     format: Literal[1]

@@ -49,7 +49,6 @@ Roots = Annotated[
 
 
 def _complex(roots: tuple[tuple[float, float], ...]) -> NDArray[np.complex128]:
-    """Return pairs of real and imaginary part as complex numbers."""
     return np.array([complex(*root) for root in roots], dtype=np.complex128)
 
 

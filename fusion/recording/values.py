@@ -164,7 +164,6 @@ def _is_number(value: Any) -> bool:
 
 
 def _numbers(value: Any, count: int, expected: str) -> tuple[float, ...]:
-    """Check a list of exactly `count` numbers."""
     if not isinstance(value, list | tuple):
         raise refusal(expected, describe(value))
     if len(value) != count:

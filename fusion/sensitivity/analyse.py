@@ -10,7 +10,7 @@ import numpy as np
 from fusion.base import AnyNotice, ComputeError
 from fusion.estimation.fuse import Acceleration, fuse_sources
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments.output import Outputs
+from fusion.instruments.channel import Outputs
 from fusion.instruments.vibrometer import PointSpread
 from fusion.sensitivity.body import Body
 from fusion.sensitivity.distributions import MonteCarlo

@@ -250,12 +250,11 @@ class Body:
         """
         drawn = []
         for part in self.parts:
-            mass = part.mass_kg + part.u_mass_kg * deviates.normal(f"{part.name}: mass")
-            centre = part.centre_of_mass_m + part.u_centre_of_mass_m * deviates.normal(
-                f"{part.name}: centre of mass", 3
-            )
-            inertia = part.inertia_kgm2 + part.u_inertia_kgm2 * _symmetric(deviates.normal(f"{part.name}: inertia", 6))
-            terms = InertialTerms.of(mass, centre, inertia, part.air_share)
+            heavier = part.u_mass_kg * deviates.normal(f"{part.name}: mass")
+            moved = part.u_centre_of_mass_m * deviates.normal(f"{part.name}: centre of mass", 3)
+            turned = part.u_inertia_kgm2 * _symmetric(deviates.normal(f"{part.name}: inertia", 6))
+            centre, inertia = part.centre_of_mass_m + moved, part.inertia_kgm2 + turned
+            terms = InertialTerms.of(part.mass_kg + heavier, centre, inertia, part.air_share)
             drawn.append(self._carried(frequency_hz, part, terms))
         total = np.asarray(np.sum(drawn, axis=0))
         own = {f"{part.name}: {what}" for part in self.parts for what in ("mass", "centre of mass", "inertia")}
@@ -288,9 +287,10 @@ def _parameters(part: Part, matrix: Callable[[InertialTerms], ComplexArray]) -> 
     for letter, step in zip("xyz", np.diag(part.u_centre_of_mass_m), strict=True):
         if np.any(step > 0.0):
             # The terms are of second order in the place: half their difference is the derivative.
-            ahead, behind = (InertialTerms.of(part.mass_kg, centre + s, rigid, part.air_share) for s in (step, -step))
-            turned = (ahead.mass_matrix - behind.mass_matrix) / 2.0
-            moved = InertialTerms(turned, np.zeros(()), (ahead.weight_moment_kgm - behind.weight_moment_kgm) / 2.0)
+            ahead, behind = (InertialTerms.of(part.mass_kg, centre + s, rigid) for s in (step, -step))
+            matrix_change = (ahead.mass_matrix - behind.mass_matrix) / 2.0
+            in_air = part.mass_kg * (1.0 - part.air_share) * step
+            moved = InertialTerms(matrix_change, np.zeros(()), in_air)
             yield unknown("centre of mass", f" [{place}] {letter}", float(step.sum()), "m", moved)
     for entry, (row, column) in zip(np.eye(6), INERTIA_ENTRIES, strict=True):
         u = float(part.u_inertia_kgm2[row, column])

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 
 from fusion.base import Executor, ProgressCallback, Settings, no_progress, versions
-from fusion.instruments.output import sensor_outputs
+from fusion.instruments.channel import sensor_outputs
 from fusion.instruments.vibrometer import point_spreads
 from fusion.phasors.setup import measure_set_up, open_set_ups
 from fusion.phasors.setups import join_set_ups
@@ -45,22 +45,22 @@ def evaluate_recording(
     sensor, body = manifest.rig.sensor, load_body(manifest.rig, manifest.part)
     outputs = sensor_outputs(joined.readings, sensor.channels) if sensor is not None else None
     inputs = Inputs(joined.lines, observations, outputs, body, sensor, manifest.excitation.direction)
-    found = analyse(inputs)
-    drawn = propagate(inputs, found, settings.monte_carlo, settings.seed, progress) if settings.monte_carlo else None
-    points = point_spreads(observations, found.accelerations)
-    if body is not None and outputs is not None and found.sensitivity is not None:
-        points = tuple(with_ratios(spread, outputs, found.sensitivity, body) for spread in points)
-    notices = [*joined.notices, *unseen, *found.notices, *(drawn.notices if drawn else ())]
+    analysis = analyse(inputs)
+    drawn = propagate(inputs, analysis, settings.monte_carlo, settings.seed, progress) if settings.monte_carlo else None
+    points = point_spreads(observations, analysis.accelerations)
+    if body is not None and outputs is not None and analysis.sensitivity is not None:
+        points = tuple(with_ratios(spread, outputs, analysis.sensitivity, body) for spread in points)
+    notices = [*joined.notices, *unseen, *analysis.notices, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,
         lines=joined.lines,
         clocks=joined.clocks,
         channels=joined.channels,
         stereo=joined.stereo,
-        accelerations=found.accelerations,
-        load=found.load,
+        accelerations=analysis.accelerations,
+        load=analysis.load,
         outputs=outputs,
-        sensitivity=found.sensitivity,
+        sensitivity=analysis.sensitivity,
         notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
         versions=versions(),

@@ -109,30 +109,30 @@ def _hidden_contributions(
     variance = hidden_motion(np.nan_to_num(acceleration.phasors.value), acceleration.observed) ** 2 / 2.0
     # Through the uncertain parameters an unobserved component acts even where its coefficient is zero.
     ways = np.stack([matrix, *(c.effect for c in changes)])
-    found = {}
+    hidden = {}
     for place, name in enumerate(MOTION_COMPONENTS):
         if np.any(variance[:, place] > 0.0):
             columns = real_design(ways[..., place, None])
             covariance = np.einsum("wkia,wkja,k->kij", columns, columns, variance[:, place])
-            found[name] = Contribution(f"unobserved {name}", "B", covariance)
-    return found
+            hidden[name] = Contribution(f"unobserved {name}", "B", covariance)
+    return hidden
 
 
 def _notices(acceleration: Acceleration, observed: BoolArray, hidden: Mapping[str, Contribution]) -> tuple[Notice, ...]:
     """Say which load components rest on assumed zeros and which are not given."""
-    found = []
+    told = []
     assumed = [name for name, part in hidden.items() if np.any((total_variance(part.covariance) > 0.0) & observed)]
     if assumed:
         text = (
             f"{', '.join(assumed)} of the load were not observed at some lines: taken as zero with a standard "
             f"uncertainty of {UNOBSERVED_MOTION:.0%} of the motion (rotations: over {BODY_SIZE_M} m)"
         )
-        found.append(Notice("warning", text, acceleration.body))
+        told.append(Notice("warning", text, acceleration.body))
     missing = [name for place, name in enumerate(LOAD_COMPONENTS) if not np.any(observed[:, place])]
     if missing:
         text = f"no value of {', '.join(missing)}: components of the motion that were not observed may dominate them"
-        found.append(Notice("info", text, "load"))
-    return tuple(found)
+        told.append(Notice("info", text, "load"))
+    return tuple(told)
 
 
 def _joint_notice(body: Body, frequency_hz: FloatArray, value: ComplexArray, rigid: ComplexArray) -> tuple[Notice, ...]:

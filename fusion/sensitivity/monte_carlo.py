@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.base import ComputeError, ProgressCallback, no_progress
 from fusion.estimation.fuse import UNOBSERVED, Acceleration, solve_consistently
-from fusion.estimation.least_squares import Solution, build_system, hidden_motion
+from fusion.estimation.least_squares import Places, Solution, build_system, hidden_motion
 from fusion.estimation.measurement_model import Deviates, Drawn, Observation
 from fusion.estimation.uncertainty import Uncertainty, as_complex, real_stack
 from fusion.estimation.variance_components import LEAST_DOF
@@ -78,18 +78,14 @@ class Estimator:
         `start` (K, 6): where to start; `hidden` (N, K, 6): motion that no reading tells, which the rows may see.
         """
         count, lines = hidden.shape[:2]
+        places = [Places.of(observation) for observation in self.observations]
         unknowns = np.repeat((np.linalg.pinv(self.expand) @ real_stack(start).ravel())[None], count, axis=0)
         # What a step may leave: in each unknown's own unit, the largest of its kind in the estimate.
         limit = CONVERGED * np.max(np.abs(unknowns), initial=1e-300)
         for _ in range(MOST_STEPS):
             estimate = as_complex((unknowns @ self.expand.T).reshape(count, lines, 12))
             rest = [d.readings - np.einsum("nkmj,nkj->nkm", d.design, estimate + hidden) for d in drawn]
-            # Real rows in the system's order: observation by observation, line by line, usable channels, Re then Im.
-            rows = [
-                real_stack(value[:, k, usable])
-                for observation, value in zip(self.observations, rest, strict=True)
-                for k, usable in enumerate(np.isfinite(observation.phasors.value))
-            ]
+            rows = [place.rows(value) for place, value in zip(places, rest, strict=True)]
             step = np.concatenate(rows, axis=1) @ self.gain.T
             unknowns = unknowns + step
             if np.abs(step).max(initial=0.0) <= limit:

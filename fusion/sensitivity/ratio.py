@@ -20,7 +20,7 @@ from fusion.estimation.uncertainty import (
     real_design,
     real_stack,
 )
-from fusion.instruments.output import Outputs
+from fusion.instruments.channel import Outputs
 from fusion.instruments.vibrometer import PARALLEL, PointRatios, PointSpread
 from fusion.sensitivity.body import Body
 from fusion.sensitivity.load import BudgetEntry, LoadResult, budget
@@ -71,20 +71,19 @@ class Sensitivity:
     @cached_property
     def covariance(self) -> FloatArray:
         """Return the covariance (K, C, 6, 2, 2) of (Re, Im) of every element, NaN where there is none."""
-        found = np.full((*self.value.shape, 2, 2), np.nan)
+        every = np.full((*self.value.shape, 2, 2), np.nan)
         pair = np.arange(len(self.elements))[:, None] + [0, len(self.elements)]
-        found[:, *self._places()] = self.uncertainty.covariance[:, pair[:, :, None], pair[:, None, :]]
-        return found
+        every[:, *self._places()] = self.uncertainty.covariance[:, pair[:, :, None], pair[:, None, :]]
+        return every
 
     @cached_property
     def dof(self) -> FloatArray:
         """Return the effective degrees of freedom (K, C, 6) of every element, NaN where there is none."""
-        found = np.full(self.value.shape, np.nan)
-        found[:, *self._places()] = self.uncertainty.dof()
-        return found
+        every = np.full(self.value.shape, np.nan)
+        every[:, *self._places()] = self.uncertainty.dof()
+        return every
 
     def _places(self) -> tuple[list[int], list[int]]:
-        """Channels and components of the elements, as indices."""
         return [channel for channel, _ in self.elements], [component for _, component in self.elements]
 
 

@@ -86,7 +86,7 @@ def grown(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     return evaluated(recording(tmp_path_factory.mktemp("grown"), CLEAR_HZ, laser=True, growth=GROWTH))
 
 
-def test_the_change_over_each_record_is_found(grown):
+def test_the_change_over_each_record_is_found_and_told(grown):
     laser, pair = line_stationarity(grown.channels, grown.stereo, grown.lines, grown.clocks)
     assert (laser.name, pair.name) == ("laser", "stereo pair base")
     assert laser.frequency_hz == pytest.approx(DRIVEN_HZ, rel=1e-6)
@@ -97,15 +97,11 @@ def test_the_change_over_each_record_is_found(grown):
     assert abs(pair.phase_rad) < 4.0 * pair.u_phase_rad
     assert laser.whole
     assert pair.whole
-
-
-def test_the_user_is_told(grown):
-    told = [notice for notice in grown.notices if "changes over the record" in notice.text]
-    assert len(told) == 1
-    assert told[0].severity == "warning"
-    assert "the amplitude at 106.25 Hz changes over the record: +0.55 % in laser" in told[0].text
+    (told,) = (notice for notice in grown.notices if "changes over the record" in notice.text)
+    assert told.severity == "warning"
+    assert "the amplitude at 106.25 Hz changes over the record: +0.55 % in laser" in told.text
     table = drift_table(grown)
-    assert [row[0] for row in table.rows] == ["laser", "stereo pair base"]
+    assert [row[0] for row in table.rows] == [laser.name, pair.name]
     assert "0.552" in table.rows[0][4]
     assert table.rows[0][6] == "below 0.0001"
 
@@ -119,11 +115,13 @@ def test_the_blocks_stand_in_the_result_file(grown, tmp_path):
         assert file["stereo/base/stationarity/u_amplitude_per_s"].shape == (len(grown.lines.frequency_hz), 6)
 
 
-def test_a_steady_drive_gives_no_notice(tmp_path):
+def test_a_steady_drive_at_a_clear_rate_needs_no_notice(tmp_path):
     steady = evaluated(recording(tmp_path, CLEAR_HZ, laser=True))
-    found = line_stationarity(steady.channels, steady.stereo, steady.lines, steady.clocks)
-    assert len(found) == 2
-    assert stationarity_notices(found) == ()
+    changes = line_stationarity(steady.channels, steady.stereo, steady.lines, steady.clocks)
+    assert len(changes) == 2
+    assert stationarity_notices(changes) == ()
+    assert len(steady.stereo) == 1
+    assert not [notice for notice in steady.notices if "dropped" in notice.text]
 
 
 def test_the_rate_of_a_tied_clock_is_part_of_a_phase(grown):
@@ -170,9 +168,3 @@ def test_cameras_alone_fail_in_one_sentence(tmp_path, capsys):
     assert told.count("\n") == 0
     assert "folds to" in told
     assert "Traceback" not in told
-
-
-def test_a_clear_rate_needs_no_notice(tmp_path):
-    evaluation = evaluated(recording(tmp_path, CLEAR_HZ, laser=True))
-    assert len(evaluation.stereo) == 1
-    assert not [notice for notice in evaluation.notices if "dropped" in notice.text]

@@ -28,6 +28,7 @@ from fusion.sensitivity.body import Body, make_joint, make_part
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, shortest_interval, summarise, tolerance
 from fusion.sensitivity.monte_carlo import Estimator, propagate
 from fusion.simulate.world import Draws
+from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
 
 LINES = lines_at([100.0], [1])
@@ -80,8 +81,8 @@ def test_tolerances_of_the_guide():
     assert np.isnan(tolerance(np.array([0.0, np.nan]), 2)).all()
 
 
-def normal_draws(value: complex, spread: np.ndarray, count: int = 100_000) -> Propagated:
-    parts = np.random.default_rng(2).multivariate_normal(np.zeros(2), spread, count)
+def normal_draws(value: complex, spread: np.ndarray) -> Propagated:
+    parts = np.random.default_rng(2).multivariate_normal(np.zeros(2), spread, 100_000)
     draws = (value + parts[:, 0] + 1j * parts[:, 1])[:, None, None]
     dof = np.array([[np.inf]])
     first = FirstOrder("load", np.array([1.0]), ("Fz",), ("N",), np.array([[value]]), spread[None, None], dof)
@@ -159,9 +160,8 @@ def test_a_frame_turned_by_finite_angles_shortens_what_it_shows():
         }
     )  # fmt: skip
     motion = np.array([[0.0, 0.0, 100.0, 0.0, 0.0, 0.0]], dtype=complex)
-    covariance = 1e-20 * np.eye(12)[None]
-    names, units = ("x", "y", "z", "rx", "ry", "rz"), ("m", "m", "m", "rad", "rad", "rad")
-    phasors = Phasors(LINES.frequency_hz, -motion / OMEGA[:, None] ** 2, covariance, names, units, np.array([1e6]))
+    value, covariance, dof = -motion / OMEGA[:, None] ** 2, 1e-20 * np.eye(12)[None], np.array([1e6])
+    phasors = Phasors(LINES.frequency_hz, value, covariance, MOTION_COMPONENTS, component_units(0), dof)
     _, drawn = run(inputs_of(pairs=(StereoReading("top", pair, phasors),)), 20_000)
     (result,) = drawn.results
     z = element(result, "z")

@@ -17,8 +17,7 @@ from page_outline import outline
 from fusion.estimation.fuse import fuse
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
-from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
-from fusion.instruments.output import Outputs, output_phasors
+from fusion.instruments.channel import ChainUncertainty, Outputs, Reading, observe_channels, output_phasors
 from fusion.instruments.vibrometer import PointRatios, PointSpread, axis_name, point_spreads
 from fusion.report.recording import render_report, write_h5
 from fusion.report.signal_figures import draw_points, point_pictures

@@ -13,7 +13,7 @@ from support import AT_ORIGIN, block, channel, evaluated, recording_head
 from fusion.base import InputError
 from fusion.cli import main
 from fusion.instruments.stereo import Exposure
-from fusion.phasors.timing import see, tie_daqs
+from fusion.phasors.timing import Sight, TimeBase, see, tie_daqs
 from fusion.planning.check import check
 from fusion.recording.files import read_daqs
 from fusion.recording.load import load_manifest
@@ -100,25 +100,27 @@ def _base(evaluation: Evaluation) -> np.ndarray:
     return found.phasors.value[0]
 
 
+def _seen(run: Path, frames: int = 40) -> tuple[Sight, TimeBase]:
+    manifest = load_manifest(run)
+    base = tie_daqs(manifest, read_daqs(manifest))
+    return see(manifest, base, manifest.points[0], frames), base
+
+
 @pytest.mark.parametrize("filtered", [False, True])
 @pytest.mark.parametrize("width_s", [WIDTH_S, 413e-6])
 def test_the_exposure_is_the_width_recorded(tmp_path, filtered, width_s):
-    run = _write(tmp_path, Shot(width_s=width_s, filtered=filtered), '"pulse"')
-    manifest = load_manifest(run)
-    base = tie_daqs(manifest, read_daqs(manifest))
-    sight = see(manifest, base, manifest.points[0], 40)
-    found = sight.exposure
-    assert abs(found.length_s - width_s) < 4.0 * found.u_length_s
-    assert found.u_length_s < 0.05 / RATE_HZ
+    sight, base = _seen(_write(tmp_path, Shot(width_s=width_s, filtered=filtered), '"pulse"'))
+    exposure = sight.exposure
+    assert abs(exposure.length_s - width_s) < 4.0 * exposure.u_length_s
+    assert exposure.u_length_s < 0.05 / RATE_HZ
     true_s = FIRST_EDGE_S + np.arange(40) / FRAME_RATE_HZ + DELAY_S + width_s / 2
-    u = np.hypot(base.u_trigger_s("camera_trigger"), found.u_length_s / 2)
+    u = np.hypot(base.u_trigger_s("camera_trigger"), exposure.u_length_s / 2)
     assert np.max(np.abs(sight.time_s - true_s)) < 4.0 * u
 
 
 def test_a_stated_exposure_is_exact(tmp_path):
-    manifest = load_manifest(_write(tmp_path, Shot(), '"pulse"', "exposure = 1e-3"))
-    base = tie_daqs(manifest, read_daqs(manifest))
-    assert see(manifest, base, manifest.points[0], 40).exposure == Exposure("camera_trigger", 1e-3, 0.0)
+    sight, _ = _seen(_write(tmp_path, Shot(), '"pulse"', "exposure = 1e-3"))
+    assert sight.exposure == Exposure("camera_trigger", 1e-3, 0.0)
 
 
 def test_a_run_is_that_with_the_width_stated(tmp_path):
@@ -180,8 +182,9 @@ def test_pulses_that_cannot_be_measured_are_refused(tmp_path, shot, reason, caps
     assert "rig.toml: stereo.base.exposure: expected the exposure in s" in told
     assert reason in told
     assert any("stereo.base.exposure" in problem for problem in check(load_manifest(run)).problems)
-    manifest = load_manifest(_write(tmp_path, shot, "1e-3", 'exposure = "pulse"'))
-    base = tie_daqs(manifest, read_daqs(manifest))
+    run = _write(tmp_path, shot, "1e-3", 'exposure = "pulse"')
     with pytest.raises(InputError, match=r"recording\.toml: points\.base\.exposure: expected the exposure in s"):
-        see(manifest, base, manifest.points[0], shot.frames)
+        _seen(run, shot.frames)
+    manifest = load_manifest(run)
+    base = tie_daqs(manifest, read_daqs(manifest))
     assert base.results()[0].pulse_width_s is None

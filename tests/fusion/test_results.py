@@ -11,7 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from evaluation_factory import ACCELERATION, LOADS, STATIC, Choice, make_evaluation
+from evaluation_factory import ACCELERATION, LOAD_COMPONENTS, STATIC, Choice, make_evaluation
 from support import rows, state, without_pages
 
 from fusion.base import InputError, versions
@@ -94,7 +94,7 @@ def test_only_what_a_source_determines_has_rows(folder):
     driven = next(row for row in rows(folder / "acceleration.csv") if row["component"] == "z")
     assert abs(float(driven["amplitude"]) - abs(ACCELERATION[0, 2])) < 4.0 * float(driven["u_amplitude"])
     found = rows(folder / "sensitivity.csv")
-    assert [(row["channel"], row["component"]) for row in found] == [(name, "Fz") for name in LOADS] * 3
+    assert [(row["channel"], row["component"]) for row in found] == [(name, "Fz") for name in LOAD_COMPONENTS] * 3
     assert {row["unit"] for row in found} == {"(V/V)/N"}
     assert [row["kind"] for row in found] == ["ratio"] * 6 + ["harmonic"] * 12
     assert found[-1]["dof"] == "inf"

@@ -12,8 +12,7 @@ from instrument_factory import TRUTH, moving, output
 
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Influence
-from fusion.instruments.channel import ChainUncertainty, Reading
-from fusion.instruments.output import Outputs, output_phasors
+from fusion.instruments.channel import ChainUncertainty, Outputs, Reading, output_phasors
 from fusion.sensitivity.body import Body, make_part
 from fusion.sensitivity.load import LoadResult, load_phasors
 from fusion.sensitivity.ratio import Sensitivity, driven_component, parasitic_loads, sensitivity_ratio

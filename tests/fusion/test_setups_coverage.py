@@ -30,8 +30,7 @@ from take_factory import (
     write_shot,
 )
 
-from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
-from fusion.instruments.output import output_phasors
+from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels, output_phasors
 from fusion.phasors.setup import OpenSetUp
 from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
 from fusion.recording.manifest import ChannelEntry, Rig
