@@ -30,8 +30,7 @@ from fusion.estimation.uncertainty import (
     Polar,
     Uncertainty,
     as_complex,
-    element_covariance,
-    polar,
+    polar_elements,
     real_design,
     real_stack,
     region,
@@ -458,7 +457,7 @@ def single_points(curve: Curve, element: int, drives: Iterable[Drive]) -> list[t
         line = int(np.argmin(np.abs(curve.frequency_hz - drive.frequency_hz)))
         if (drive.recording, line) in behind and channel in drive.channels:
             value, uncertainty = drive_ratio(drive, component, [channel])
-            point = _elements(value[None], uncertainty)[0][0]
+            ((point,),) = polar_elements(value[None], uncertainty.covariance, uncertainty.dof())
             if point is not None:
                 found.append((drive.frequency_hz, drive.mounting, point))
     return found
@@ -466,18 +465,4 @@ def single_points(curve: Curve, element: int, drives: Iterable[Drive]) -> list[t
 
 def curve_elements(curve: Curve) -> list[list[Polar | None]]:
     """Return every element (K lines of E) with magnitude and phase, None where there is no value."""
-    return _elements(curve.value, curve.uncertainty)
-
-
-def _elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar | None]]:
-    """Return complex values (K, C) with magnitude and phase, None where there is no value."""
-    covariance, dof = uncertainty.covariance, uncertainty.dof()
-    return [
-        [
-            polar(complex(entry), element_covariance(covariance[k], c), float(dof[k, c]))
-            if np.isfinite(entry)
-            else None
-            for c, entry in enumerate(row)
-        ]
-        for k, row in enumerate(value)
-    ]
+    return polar_elements(curve.value, curve.uncertainty.covariance, curve.uncertainty.dof())

@@ -15,7 +15,7 @@ from evaluation_factory import ACCELERATION, LOADS, STATIC, Choice, make_evaluat
 from support import rows, state, without_pages
 
 from fusion.base import InputError, versions
-from fusion.campaign.recorded import read_drives, read_recorded
+from fusion.campaign.recorded import read_recorded
 from fusion.campaign.repeats import drives_of
 from fusion.estimation.uncertainty import Influence, Uncertainty
 from fusion.report import recording as results
@@ -261,7 +261,7 @@ def test_drives_are_read_back_to_the_last_bit(write, tmp_path):
     assert [drive.mounting for drive in drives] == ["second"]
     names = [influence.name for influence in drives[0].outputs_uncertainty.influences]
     assert names == ["clock bridge: time", "scale 2"]
-    assert identical(drives, read_drives(write(evaluation)))
+    assert identical(drives, read_recorded(write(evaluation)).drives)
 
 
 def test_sensor_excitation_and_notices_are_read_back(write, tmp_path):
