@@ -86,11 +86,7 @@ def linearity(drives: Sequence[Drive], component: int) -> Linearity:
     beyond what is stated enlarges the covariance by chi-square per degree of freedom (Birge 1932, Phys. Rev. 40, 207).
     Only outputs with a reading other than zero in all recordings have a slope.
     """
-    channels = [
-        name
-        for name in common_outputs(drives)
-        if all(drive.outputs[drive.channels.index(name)] != 0.0 for drive in drives)
-    ]
+    channels = [name for name in common_outputs(drives) if all(drive.output(name) != 0.0 for drive in drives)]
     found = [drive_ratio(drive, component, channels) for drive in drives]
     plain = plain_mean([value for value, _ in found])
     readings, stated = stack_values(over_plain(found, plain))
@@ -405,10 +401,8 @@ def _interpolated(curve: Curve, weight: FloatArray, between: FloatArray, dof: fl
     random = [_averaged(part, weight, size) for part in curve.uncertainty.random]
     spread = between[:, :, None] * np.eye(between.shape[1])
     random.append(Contribution(INTERPOLATION, "A", spread, np.full(len(between), dof)))
-    influences = tuple(
-        replace(influence, effect=np.einsum("qki,ki->qi", weight, influence.effect))
-        for influence in curve.uncertainty.influences
-    )
+    shared = curve.uncertainty.influences
+    influences = tuple(i.acting(np.einsum("qki,ki->qi", weight, i.effect)) for i in shared)
     return Uncertainty(tuple(random), influences)
 
 

@@ -71,9 +71,7 @@ def stack_drives(drives: Sequence[Drive], channels: Sequence[str]) -> Stack:
         raise ValueError("drives: expected at least one, found none")
     wanted = tuple(channels)
     load = np.stack([drive.load for drive in drives])
-    empty = complex(np.nan, np.nan)
-    rows = [[d.outputs[d.channels.index(c)] if c in d.channels else empty for c in wanted] for d in drives]
-    output = np.array(rows, dtype=np.complex128)
+    output = np.array([[drive.output(channel) for channel in wanted] for drive in drives], dtype=np.complex128)
     load_size, output_size = _size(load), _size(output)
     output = output / output_size
     sized = [
@@ -124,7 +122,7 @@ def _outputs_in_order(
     have, want = len(drive.channels), len(channels)
     matrix = np.zeros((2 * want, 2 * have))
     for row, channel in enumerate(channels):
-        if channel in drive.channels and np.isfinite(drive.outputs[drive.channels.index(channel)]):
+        if np.isfinite(drive.output(channel)):
             column = drive.channels.index(channel)
             matrix[row, column] = matrix[row + want, column + have] = 1.0 / size[row]
     return uncertainty.where_known().transformed(matrix[None])

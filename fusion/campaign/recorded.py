@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,6 +34,10 @@ class SensorFacts:
     capacity: FloatArray | None
     static: FloatArray | None
     u_static: float
+
+    def static_of(self, channels: Sequence[str]) -> FloatArray | None:
+        """Return the static sensitivity of some outputs, None where it is not stated."""
+        return None if self.static is None else self.static[[self.channels.index(channel) for channel in channels]]
 
 
 @dataclass(frozen=True)

@@ -58,10 +58,10 @@ class Drive:
             "outputs_uncertainty", self.outputs_uncertainty.random[0].covariance, (1, 2 * channels, 2 * channels)
         )
 
-    @property
-    def name(self) -> str:
-        """Return what tells this drive from others: its recording and its frequency."""
-        return f"{self.recording} ({self.nominal_hz:g} Hz)"
+    def output(self, channel: str) -> complex:
+        """Return the reading of a channel, NaN where there is none."""
+        known = channel in self.channels
+        return complex(self.outputs[self.channels.index(channel)]) if known else complex(np.nan, np.nan)
 
     def shared(self) -> tuple[Uncertainty, Uncertainty]:
         """Return the uncertainties of load and outputs with the names that hold between recordings."""
@@ -357,11 +357,7 @@ class _Scatter:
 
 def common_outputs(drives: Sequence[Drive]) -> list[str]:
     """Return the outputs that have a reading in all drives."""
-    return [
-        name
-        for name in drives[0].channels
-        if all(name in d.channels and np.isfinite(d.outputs[d.channels.index(name)]) for d in drives)
-    ]
+    return [name for name in drives[0].channels if all(np.isfinite(drive.output(name)) for drive in drives)]
 
 
 def plain_mean(values: Sequence[ComplexArray]) -> ComplexArray:

@@ -211,7 +211,6 @@ def _run_elsewhere(jobs: Sequence[Job], executor: Executor, progress: ProgressCa
 
 
 def _tell(answered: SimpleQueue[int], rank: int, _: object) -> None:
-    """Say that the answer of a recording is there."""
     answered.put(rank)
 
 
@@ -271,13 +270,8 @@ def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
     table = Table(title=f"Sensitivity, {what} (U = k·u, 95 %)", title_justify="left")
     if several:
         table.add_column("recording")
-    table.add_column("frequency / Hz", justify="right")
-    table.add_column("element")
-    table.add_column("magnitude ± U", justify="right")
-    table.add_column("unit")
-    table.add_column("phase ± U / rad", justify="right")
-    table.add_column("k", justify="right")
-    table.add_column("kind")
+    for head in ("frequency / Hz", "element", "magnitude ± U", "unit", "phase ± U / rad", "k", "kind"):
+        table.add_column(head, justify="left" if head in ("element", "unit", "kind") else "right")
     for row in rows:
         name = f"{row['channel']} / {row['component']}"
         magnitude, phase, factor = _cells(row_element(row))

@@ -236,11 +236,7 @@ def align(options: argparse.Namespace) -> None:
     print(text, end="")
 
 
-def _check_options(parser: Parser) -> None:
-    parser.recording()
-
-
-@command(_check_options)
+@command(Parser.recording)
 def check(options: argparse.Namespace) -> int:
     """Say what a recording holds; compute nothing."""
     from fusion.base import InputError
