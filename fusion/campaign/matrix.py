@@ -102,9 +102,7 @@ class MatrixFit:
         )
 
 
-def fit_matrix(
-    drives: Sequence[Drive], channels: Sequence[str] | None = None, tolerance: float = FREQUENCY_TOLERANCE
-) -> MatrixFit:
+def fit_matrix(drives: Sequence[Drive], channels: Sequence[str] | None = None) -> MatrixFit:
     """Return the matrix S of outputs = S · load at the frequency of several drives, by maximum likelihood.
 
     Loads and outputs err, and what drives share is one unknown for all of them (`fusion.campaign.matrix_solve`). All
@@ -118,8 +116,9 @@ def fit_matrix(
     if not drives:
         raise ValueError("drives: expected at least one, found none")
     low, high = (limit(drive.frequency_hz for drive in drives) for limit in (min, max))
-    if high > low * (1.0 + tolerance):
-        raise ValueError(f"drives: expected one frequency within {tolerance:.2%}, found {low:g} Hz to {high:g} Hz")
+    if high > low * (1.0 + FREQUENCY_TOLERANCE):
+        width = f"{FREQUENCY_TOLERANCE:.2%}"
+        raise ValueError(f"drives: expected one frequency within {width}, found {low:g} Hz to {high:g} Hz")
     wanted = tuple(dict.fromkeys(name for drive in drives for name in drive.channels) if channels is None else channels)
     stack = stack_drives(drives, wanted)
     found = excitation(stack)

@@ -156,13 +156,11 @@ def over_lines(parts: Sequence[Uncertainty]) -> Uncertainty:
     return Uncertainty(tuple(random.values()), tuple(influences.values()))
 
 
-def group_by_frequency(
-    drives: Sequence[Drive], tolerance: float = FREQUENCY_TOLERANCE
-) -> tuple[tuple[Drive, ...], ...]:
-    """Return the drives in groups of one frequency, ascending, each at most `tolerance` (relative) wide."""
+def group_by_frequency(drives: Sequence[Drive]) -> tuple[tuple[Drive, ...], ...]:
+    """Return the drives in groups of one frequency, ascending, each 1 % wide at most."""
     groups: list[list[Drive]] = []
     for drive in sorted(drives, key=lambda drive: drive.frequency_hz):
-        if groups and drive.frequency_hz <= groups[-1][0].frequency_hz * (1.0 + tolerance):
+        if groups and drive.frequency_hz <= groups[-1][0].frequency_hz * (1.0 + FREQUENCY_TOLERANCE):
             groups[-1].append(drive)
         else:
             groups.append([drive])
@@ -222,22 +220,23 @@ def drive_ratio(drive: Drive, component: int, channels: Sequence[str]) -> tuple[
     return np.asarray(ratio), upper.plus(of_load.at([component]).transformed(through))
 
 
-def find_repeats(
-    drives: Iterable[Drive], capacity: Sequence[float] | None = None, *, amplitudes_apart: bool = True
-) -> tuple[Repeats, ...]:
+def find_repeats(drives: Iterable[Drive], capacity: Sequence[float] | None = None) -> tuple[Repeats, ...]:
     """Return the drives in groups of one excitation, each with its mean, ascending in frequency.
 
     One excitation: frequencies within 1e-4, directions within 1e-3, and every load component (moments over 0.1 m)
-    within 5 % of the driven one; with `amplitudes_apart` false after the loads have been scaled to one amplitude.
+    within 5 % of the driven one.
     """
-    groups = alike(drives, capacity, amplitudes_apart=amplitudes_apart)
+    groups = alike(drives, capacity)
     return tuple(mean_ratio(group, driven_component(group[0].direction, capacity)) for group in groups)
 
 
 def alike(
     drives: Iterable[Drive], capacity: Sequence[float] | None = None, *, amplitudes_apart: bool = True
 ) -> tuple[tuple[Drive, ...], ...]:
-    """Return the drives in groups of one excitation, ascending in frequency."""
+    """Return the drives in groups of one excitation, ascending in frequency.
+
+    With `amplitudes_apart` false loads are compared after they have been scaled to one amplitude.
+    """
     groups: list[list[Drive]] = []
     for drive in sorted(drives, key=lambda drive: drive.frequency_hz):
         component = driven_component(drive.direction, capacity)

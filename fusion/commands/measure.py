@@ -332,7 +332,7 @@ def _run_options(parser: Parser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Evaluate one recording or a campaign of several."""
     from fusion.base import Settings, progress_bar
-    from fusion.campaign.run import exit_status, is_campaign, print_campaign, print_outcomes, run_path
+    from fusion.campaign.run import exit_status, is_campaign, print_campaign, print_recording, run_path
     from photogram.subsets.track import resolve_device
 
     settings = Settings(
@@ -351,7 +351,10 @@ def run(options: argparse.Namespace) -> int:
             workers=options.workers if options.scheduler is None else options.scheduler,
             progress=progress,
         )
-    (print_campaign if is_campaign(options.recording) else print_outcomes)(outcomes)
+    if is_campaign(options.recording):
+        print_campaign(outcomes)
+    else:
+        print_recording(outcomes[0])
     return exit_status(outcomes)
 
 

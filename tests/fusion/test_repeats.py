@@ -17,9 +17,11 @@ from fusion.campaign.repeats import (
     BETWEEN,
     WITHIN,
     Drive,
+    alike,
     between_recordings,
     find_repeats,
     group_by_frequency,
+    mean_ratio,
     over_lines,
 )
 
@@ -103,7 +105,7 @@ def test_what_counts_as_a_repeat_and_as_one_frequency():
     groups = [set(r.recordings) for r in find_repeats([first, louder, eccentric, along_x, late, upside, apart])]
     assert {"a", "e", "f"} in groups
     assert len(groups) == 5
-    merged = [set(r.recordings) for r in find_repeats([first, louder, late], amplitudes_apart=False)]
+    merged = [{drive.recording for drive in g} for g in alike([first, louder, late], amplitudes_apart=False)]
     assert merged == [{"a", "b", "e"}]
     drives = [replace(first, frequency_hz=f) for f in (200.0, 100.0, 100.9, 101.5)]
     assert [[d.frequency_hz for d in g] for g in group_by_frequency(drives)] == [[100.0, 100.9], [101.5], [200.0]]
@@ -124,7 +126,7 @@ def test_what_has_no_component_no_mean_or_no_slope():
         find_repeats([replace(partial, outputs=np.full(2, complex(np.nan, np.nan)))])
     drives = [recorded(1.0 + 1e-3 * n, f"{n}", load=n * LOAD) for n in (1, 2, 3)]
     dead = [replace(drive, outputs=drive.outputs * [1.0, 0.0]) for drive in drives]
-    (found,) = find_repeats(dead, amplitudes_apart=False)
+    found = mean_ratio(dead, 2)
     assert found.value[1] == 0.0
     assert np.isfinite(found.uncertainty.covariance).all()
     (series,) = find_linearity(dead)
