@@ -1,4 +1,4 @@
-"""Documents promise public names only: what README and docs take from the packages is exported by them."""
+"""Documents promise public names only, their links lead somewhere, and the published comparison is filled in."""
 
 from __future__ import annotations
 
@@ -32,3 +32,15 @@ def test_documents_name_what_is_exported(document: Path) -> None:
 def test_links_of_documents_lead_somewhere(document: Path) -> None:
     for target in re.findall(r"\]\(([^)#\s]+)", document.read_text(encoding="utf-8")):
         assert "://" in target or (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+def test_the_published_comparison_has_its_tables_filled_and_its_pictures():
+    page = ROOT / "docs" / "nitsche2018.md"
+    text = page.read_text(encoding="utf-8")
+    for name in ("table 1", "agreement", "figure 14"):
+        (content,) = re.findall(f"<!-- {name} -->(.*?)<!-- end of {name} -->", text, re.DOTALL)
+        assert content.count("|") > 20
+    pictures = re.findall(r"\((images/[^)]*)\)", text)
+    assert len(pictures) == 5
+    for picture in pictures:
+        assert (page.parent / picture).read_bytes().startswith(b"\x89PNG")

@@ -15,17 +15,15 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = {"photogram", "shaker", "fusion"}
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("dist")
-    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(out), str(ROOT)]
+def _pip(what: str, *arguments: object) -> None:
+    command = [sys.executable, "-m", "pip", what, "--quiet", "--no-deps", *map(str, arguments)]
     subprocess.run(command, check=True, capture_output=True, text=True)
-    (built,) = out.glob("shakercal-*.whl")
-    return built
 
 
 @pytest.mark.slow
-def test_wheel_holds_the_three_packages_and_nothing_else(wheel: Path) -> None:
+def test_wheel_holds_the_three_packages_and_nothing_else_and_runs_outside_the_clone(demo_recording, tmp_path):
+    _pip("wheel", "--wheel-dir", tmp_path, ROOT)
+    (wheel,) = tmp_path.glob("shakercal-*.whl")
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
     tops = {name.split("/")[0] for name in names}
@@ -34,13 +32,8 @@ def test_wheel_holds_the_three_packages_and_nothing_else(wheel: Path) -> None:
     wanted = {path.relative_to(ROOT).as_posix() for path in files if "__pycache__" not in path.parts}
     assert any(name.endswith("py.typed") for name in wanted)
     assert wanted <= set(names)  # templates and presets, too
-
-
-@pytest.mark.slow
-def test_wheel_runs_outside_the_clone(wheel: Path, demo_recording: Path, tmp_path: Path) -> None:
     site = tmp_path / "site"
-    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(site), str(wheel)]
-    subprocess.run(install, check=True, capture_output=True, text=True)
+    _pip("install", "--target", site, wheel)
     environment = {**os.environ, "PYTHONPATH": str(site)}
     outside = {"capture_output": True, "text": True, "cwd": tmp_path, "env": environment}
     run = [sys.executable, "-c", "import fusion; print(fusion.__file__)"]

@@ -30,8 +30,7 @@ from fusion.estimation.uncertainty import (
     Polar,
     Uncertainty,
     as_complex,
-    element_covariance,
-    polar,
+    polar_elements,
     real_design,
     real_stack,
     region,
@@ -87,11 +86,7 @@ def linearity(drives: Sequence[Drive], component: int) -> Linearity:
     beyond what is stated enlarges the covariance by chi-square per degree of freedom (Birge 1932, Phys. Rev. 40, 207).
     Only outputs with a reading other than zero in all recordings have a slope.
     """
-    channels = [
-        name
-        for name in common_outputs(drives)
-        if all(drive.outputs[drive.channels.index(name)] != 0.0 for drive in drives)
-    ]
+    channels = [name for name in common_outputs(drives) if all(drive.output(name) != 0.0 for drive in drives)]
     found = [drive_ratio(drive, component, channels) for drive in drives]
     plain = plain_mean([value for value, _ in found])
     readings, stated = stack_values(over_plain(found, plain))
@@ -406,10 +401,8 @@ def _interpolated(curve: Curve, weight: FloatArray, between: FloatArray, dof: fl
     random = [_averaged(part, weight, size) for part in curve.uncertainty.random]
     spread = between[:, :, None] * np.eye(between.shape[1])
     random.append(Contribution(INTERPOLATION, "A", spread, np.full(len(between), dof)))
-    influences = tuple(
-        replace(influence, effect=np.einsum("qki,ki->qi", weight, influence.effect))
-        for influence in curve.uncertainty.influences
-    )
+    shared = curve.uncertainty.influences
+    influences = tuple(i.acting(np.einsum("qki,ki->qi", weight, i.effect)) for i in shared)
     return Uncertainty(tuple(random), influences)
 
 
@@ -458,7 +451,7 @@ def single_points(curve: Curve, element: int, drives: Iterable[Drive]) -> list[t
         line = int(np.argmin(np.abs(curve.frequency_hz - drive.frequency_hz)))
         if (drive.recording, line) in behind and channel in drive.channels:
             value, uncertainty = drive_ratio(drive, component, [channel])
-            point = _elements(value[None], uncertainty)[0][0]
+            ((point,),) = polar_elements(value[None], uncertainty.covariance, uncertainty.dof())
             if point is not None:
                 found.append((drive.frequency_hz, drive.mounting, point))
     return found
@@ -466,18 +459,4 @@ def single_points(curve: Curve, element: int, drives: Iterable[Drive]) -> list[t
 
 def curve_elements(curve: Curve) -> list[list[Polar | None]]:
     """Return every element (K lines of E) with magnitude and phase, None where there is no value."""
-    return _elements(curve.value, curve.uncertainty)
-
-
-def _elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar | None]]:
-    """Return complex values (K, C) with magnitude and phase, None where there is no value."""
-    covariance, dof = uncertainty.covariance, uncertainty.dof()
-    return [
-        [
-            polar(complex(entry), element_covariance(covariance[k], c), float(dof[k, c]))
-            if np.isfinite(entry)
-            else None
-            for c, entry in enumerate(row)
-        ]
-        for k, row in enumerate(value)
-    ]
+    return polar_elements(curve.value, curve.uncertainty.covariance, curve.uncertainty.dof())

@@ -85,7 +85,11 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
     recording's name. Recordings of several sensors have nothing to say together.
     """
     names = [entry.name for entry in recorded]
-    known = tuple(entry if names.count(entry.name) == 1 else _with_folder(entry) for entry in recorded)
+    known = []
+    for entry in recorded:
+        name_known = entry.name if names.count(entry.name) == 1 else f"{entry.name} [{entry.folder}]"
+        drives = tuple(replace(drive, recording=name_known) for drive in entry.drives)
+        known.append(replace(entry, name=name_known, drives=drives))
     sensors = {(entry.sensor.name, entry.sensor.serial): entry.sensor for entry in known if entry.sensor is not None}
     sensor = next(iter(sensors.values())) if len(sensors) == 1 else None
     notices = []
@@ -96,13 +100,13 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
     if failed:
         text = f"{len(failed)} of the recordings could not be evaluated and are in no result: {', '.join(failed)}"
         notices.append(Notice("warning", text, "campaign"))
-    drives = [drive for entry in known for drive in entry.drives] if sensor is not None else []
+    driven = [drive for entry in known for drive in entry.drives] if sensor is not None else []
     capacity = None if sensor is None or sensor.capacity is None else sensor.capacity.tolist()
-    matrices, refused = _fit_matrices(drives, () if sensor is None else sensor.channels)
+    matrices, refused = _fit_matrices(driven, () if sensor is None else sensor.channels)
     notices += [notice for notice in refused if notice.severity == "warning"]
-    ratios = _attempt("curves of ratios", lambda: ratio_curves(drives, capacity), notices)
-    alike = _attempt("means of repeats", lambda: find_repeats(drives, capacity), notices)
-    series = _attempt("linearity", lambda: find_linearity(drives, capacity), notices)
+    ratios = _attempt("curves of ratios", lambda: ratio_curves(driven, capacity), notices)
+    alike = _attempt("means of repeats", lambda: find_repeats(driven, capacity), notices)
+    series = _attempt("linearity", lambda: find_linearity(driven, capacity), notices)
     # The matrices of all frequencies are one curve for each set of outputs that they have.
     sets = dict.fromkeys(fit.channels for fit in matrices)
     curves = (*ratios, *(matrix_curve([fit for fit in matrices if fit.channels == own]) for own in sets))
@@ -111,11 +115,11 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
     notices += [notice for mean in repeats for notice in mean.notices]
     return CampaignEvaluation(
         name=name,
-        recorded=known,
+        recorded=tuple(known),
         failed=dict(failed),
         sensor=sensor,
         curves=curves,
-        relative=tuple(None if sensor is None else _over_static(curve, sensor) for curve in curves),
+        relative=tuple(_over_static(curve, sensor) for curve in curves),
         repeats=repeats,
         linearity=series,
         matrices=matrices,
@@ -123,12 +127,6 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
         refused=refused,
         notices=tuple(notices),
     )
-
-
-def _with_folder(entry: Recorded) -> Recorded:
-    """Return a recording whose name tells its folder, too."""
-    name = f"{entry.name} [{entry.folder}]"
-    return replace(entry, name=name, drives=tuple(replace(drive, recording=name) for drive in entry.drives))
 
 
 def _attempt(what: str, make: Callable[[], tuple[Joint, ...]], notices: list[Notice]) -> tuple[Joint, ...]:
@@ -140,12 +138,9 @@ def _attempt(what: str, make: Callable[[], tuple[Joint, ...]], notices: list[Not
         return ()
 
 
-def _over_static(curve: Curve, sensor: SensorFacts) -> Curve | None:
-    """Return a curve over the static sensitivity, None where that is not stated."""
-    if sensor.static is None:
-        return None
-    rows = [sensor.channels.index(channel) for channel in curve.channels]
-    return relative_curve(curve, sensor.static[rows], sensor.u_static)
+def _over_static(curve: Curve, sensor: SensorFacts | None) -> Curve | None:
+    static = None if sensor is None else sensor.static_of(curve.channels)
+    return None if sensor is None or static is None else relative_curve(curve, static, sensor.u_static)
 
 
 def main_channel(evaluation: CampaignEvaluation, channels: Sequence[str], component: int) -> int:
@@ -153,12 +148,11 @@ def main_channel(evaluation: CampaignEvaluation, channels: Sequence[str], compon
 
     The one of the same name, else the largest by static sensitivity, else the largest found.
     """
-    sensor = evaluation.sensor
     if LOAD_COMPONENTS[component] in channels:
         return list(channels).index(LOAD_COMPONENTS[component])
-    if sensor is not None and sensor.static is not None:
-        rows = [sensor.channels.index(channel) for channel in channels]
-        return int(np.argmax(np.abs(sensor.static[rows, component])))
+    static = None if evaluation.sensor is None else evaluation.sensor.static_of(channels)
+    if static is not None:
+        return int(np.argmax(np.abs(static[:, component])))
     size = np.zeros(len(channels))
     for curve in evaluation.curves:
         for e, (channel, j) in enumerate(curve.elements):

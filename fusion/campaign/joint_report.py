@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
@@ -29,7 +29,7 @@ from fusion.campaign.matrix import CrossTalk
 from fusion.campaign.matrix_solve import LEAST_SINGULAR
 from fusion.campaign.recorded import Recorded, read_recorded
 from fusion.campaign.repeats import Repeats
-from fusion.estimation.uncertainty import Polar, element_covariance, polar
+from fusion.estimation.uncertainty import Polar, element_covariance, polar, polar_elements
 from fusion.report.folder import RESULT_FORMAT, Provenance, origin_frame, render_page, write_provenance
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.recording import (
@@ -115,11 +115,9 @@ def campaign_tables(evaluation: CampaignEvaluation, folders: Sequence[Path]) -> 
 
 def _beside_the_main(found: CrossTalk) -> Iterator[CrossTalkElement]:
     """Yield every element beside the main ones."""
-    covariance, dof, count = found.uncertainty.covariance[0], found.uncertainty.dof()[0], found.value.size
-    for place, (c, j) in enumerate(np.ndindex(found.value.shape)):
-        if found.main[c] != j:
-            both = [place, place + count]
-            value = polar(complex(found.value[c, j]), covariance[np.ix_(both, both)], float(dof[place]))
+    (elements,) = polar_elements(found.value.reshape(1, -1), found.uncertainty.covariance, found.uncertainty.dof())
+    for (c, j), value in zip(np.ndindex(found.value.shape), elements, strict=True):
+        if found.main[c] != j and value is not None:
             size, zero = float(found.half_axis[c, j]), bool(found.holds_zero[c, j])
             yield CrossTalkElement(found.frequency_hz, found.channels[c], found.components[j], value, size, zero)
 
@@ -138,7 +136,11 @@ def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
         file.attrs["campaign"] = evaluation.name
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
         write_provenance(file, campaign_origin(evaluation.recorded), files)
-        _write_recordings(file.create_group("recordings"), evaluation)
+        recordings = file.create_group("recordings")
+        for name in ("folder", "name", "mounting", "rig", "kind"):
+            write_value(recordings, name, [getattr(entry, name) for entry in evaluation.recorded])
+        write_value(recordings, "failed", list(evaluation.failed))
+        write_value(recordings, "reason", list(evaluation.failed.values()))
         if evaluation.sensor is not None:
             write_fields(file.create_group("sensor", track_order=True), evaluation.sensor)
         for name in JOINT_FIELDS:
@@ -156,51 +158,33 @@ def campaign_origin(recorded: Sequence[Recorded]) -> Provenance:
     return Provenance(dict(sorted(hashes.items())), first.settings, first.versions, ())
 
 
-def _write_recordings(group: h5py.Group, evaluation: CampaignEvaluation) -> None:
-    """Write which recordings there are, and which failed."""
-    recorded = evaluation.recorded
-    for name in ("folder", "name", "mounting", "rig", "kind"):
-        write_value(group, name, [getattr(entry, name) for entry in recorded])
-    write_value(group, "failed", list(evaluation.failed))
-    write_value(group, "reason", list(evaluation.failed.values()))
-
-
 # The tables of a campaign's page: recordings, matrices, repeats and linearity.
 
 
-@dataclass(frozen=True)
-class RecordingRow:
-    """One recording of the list: cells of the table, and where its report lies, empty where there is none."""
+def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
+    """Every recording that could be evaluated, its name leading to its report, then the others with the reason."""
+    blank = "\N{NO-BREAK SPACE}"
 
-    name: str
-    folder: str
-    mounting: str
-    excitation: str
-    frequency: str
-    warnings: str
-    result: str
-    link: str
+    def name(entry: Recorded) -> str:
+        link = f"{quote(entry.folder)}/{REPORT_FILE}"
+        return Markup('<a href="{}">{}</a><br><span class="below">{}</span>').format(link, entry.name, entry.folder)
 
+    def excitation(entry: Recorded) -> str:
+        direction = f",{blank}".join(f"{number:.4g}" for number in entry.direction)
+        return f"{entry.kind}{blank}({direction})" if direction else entry.kind
 
-def _recording_rows(evaluation: CampaignEvaluation) -> list[RecordingRow]:
-    """Every recording that could be evaluated, then those that could not, with the reason."""
-    rows = []
-    for entry in evaluation.recorded:
-        direction = ",\N{NO-BREAK SPACE}".join(f"{number:.4g}" for number in entry.direction)
-        row = RecordingRow(
-            name=entry.name,
-            folder=entry.folder,
-            mounting=entry.mounting,
-            excitation=f"{entry.kind}\N{NO-BREAK SPACE}({direction})" if direction else entry.kind,
-            frequency=", ".join(f"{drive.frequency_hz:.6g}" for drive in entry.drives) or DASH,
-            warnings=str(sum(notice.severity == "warning" for notice in entry.notices)),
-            result="evaluated" if entry.drives else "no load or no output",
-            link=f"{quote(entry.folder)}/{REPORT_FILE}",
-        )
-        rows.append(row)
-    for folder, reason in evaluation.failed.items():
-        rows.append(RecordingRow(folder, folder, DASH, DASH, DASH, DASH, f"failed: {reason}", ""))
-    return rows
+    columns: list[Column[Recorded]] = [
+        on_page("recording", name, "l"),
+        on_page("mounting", lambda entry: entry.mounting, "l"),
+        on_page("excitation", excitation, "l"),
+        on_page("frequency / Hz", lambda entry: ", ".join(f"{d.frequency_hz:.6g}" for d in entry.drives) or DASH),
+        on_page("warnings", lambda entry: str(sum(notice.severity == "warning" for notice in entry.notices))),
+        on_page("result", lambda entry: "evaluated" if entry.drives else "no load or no output", "l"),
+    ]
+    found = table("Recordings in the order of the tables; names lead to their reports", columns, evaluation.recorded)
+    twice = Markup('{0}<br><span class="below">{0}</span>')
+    failed = [(twice.format(f), *[DASH] * 4, f"failed: {reason}") for f, reason in evaluation.failed.items()]
+    return None if found is None else replace(found, rows=(*found.rows, *failed))
 
 
 def _agreement_table(evaluation: CampaignEvaluation) -> Table | None:
@@ -339,7 +323,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         "agreement": _agreement_table(evaluation),
         "repeats": repeats_table(evaluation),
         "linearity": linearity_table(evaluation),
-        "recordings": _recording_rows(evaluation),
+        "recordings": recordings_table(evaluation),
         **origin_frame(campaign_origin(evaluation.recorded), evaluation.notices),
     }
     return render_page("campaign.html", context)

@@ -103,9 +103,7 @@ class MatrixFit:
         )
 
 
-def fit_matrix(
-    drives: Sequence[Drive], channels: Sequence[str] | None = None, tolerance: float = FREQUENCY_TOLERANCE
-) -> MatrixFit:
+def fit_matrix(drives: Sequence[Drive], channels: Sequence[str] | None = None) -> MatrixFit:
     """Return the matrix S of outputs = S · load at the frequency of several drives, by maximum likelihood.
 
     Loads and outputs err, and what drives share is one unknown for all of them (`fusion.campaign.matrix_solve`). All
@@ -119,8 +117,9 @@ def fit_matrix(
     if not drives:
         raise ValueError("drives: expected at least one, found none")
     low, high = (limit(drive.frequency_hz for drive in drives) for limit in (min, max))
-    if high > low * (1.0 + tolerance):
-        raise ValueError(f"drives: expected one frequency within {tolerance:.2%}, found {low:g} Hz to {high:g} Hz")
+    if high > low * (1.0 + FREQUENCY_TOLERANCE):
+        width = f"{FREQUENCY_TOLERANCE:.2%}"
+        raise ValueError(f"drives: expected one frequency within {width}, found {low:g} Hz to {high:g} Hz")
     wanted = tuple(dict.fromkeys(name for drive in drives for name in drive.channels) if channels is None else channels)
     stack = stack_drives(drives, wanted)
     found = excitation(stack)
@@ -216,38 +215,26 @@ def _disagreeing(stack: Stack) -> tuple[Solution, float]:
 def _uncertainty(stack: Stack, solution: Solution, tau: float) -> Uncertainty:
     """Uncertainty of the 6C elements in their units: readings' own errors, shared unknowns, disagreement."""
     usable = np.tile(stack.usable, (1, 2))
+    gains = np.zeros((len(stack.drives), len(solution.gain), usable.shape[1]))
     parts: list[Contribution] = []
-    for r in range(len(stack.drives)):
-        gain = np.zeros((len(solution.gain), usable.shape[1]))
+    for r, gain in enumerate(gains):
         gain[:, usable[r]] = solution.gain[:, solution.drive == r]
         parts += stack.output_noise[r].transformed(gain[None]).random
         parts += stack.load_noise[r].transformed(-(gain @ solution.through[r])[None]).random
     if tau > 0.0:
-        parts.append(_disagreement(stack, solution, _spread(stack, tau)))
-    effects = solution.effects.T @ solution.gain.T
-    influences = tuple(
-        replace(unknown, effect=effect[None]) for unknown, effect in zip(stack.unknowns, effects, strict=True)
-    )
+        # One error for drives mounted and driven alike.
+        errors = gains * np.tile(_spread(stack, tau), (1, 2))[:, None]
+        alike: dict[tuple[str, tuple[float, ...]], list[int]] = {}
+        for r, drive in enumerate(stack.drives):
+            alike.setdefault((drive.mounting, drive.direction), []).append(r)
+        effects = [np.sum(errors[members], axis=0) for members in alike.values()]
+        covariance = np.sum([effect @ effect.T for effect in effects], axis=0)
+        parts.append(Contribution(DISAGREEMENT, "A", covariance[None], np.array([float(max(solution.dof, 1))])))
+    changes = zip(stack.unknowns, solution.effects.T @ solution.gain.T, strict=True)
+    influences = tuple(unknown.acting(effect[None]) for unknown, effect in changes)
     # Elements are brought to comparable sizes before contributions are joined, so that degrees of freedom are theirs.
     units = np.asarray((stack.output_size[:, None] / stack.load_size).reshape(1, -1), dtype=np.complex128)
     return Uncertainty(merge_contributions(parts), influences).transformed(real_stacked_diagonal(units))
-
-
-def _disagreement(stack: Stack, solution: Solution, spread: FloatArray) -> Contribution:
-    """Covariance of the matrix from what recordings disagree by, one error for drives mounted and driven alike."""
-    doubled = np.tile(spread, (1, 2))
-    usable = np.tile(stack.usable, (1, 2))
-    alike: dict[tuple[str, tuple[float, ...]], list[int]] = {}
-    for r, drive in enumerate(stack.drives):
-        alike.setdefault((drive.mounting, drive.direction), []).append(r)
-    total = np.zeros((len(solution.gain),) * 2)
-    for members in alike.values():
-        effect = np.zeros((len(solution.gain), usable.shape[1]))
-        for r in members:
-            effect[:, usable[r]] += solution.gain[:, solution.drive == r] * doubled[r, usable[r]]
-        total += effect @ effect.T
-    dof = np.array([float(max(solution.dof, 1))])
-    return Contribution(DISAGREEMENT, "A", total[None], dof)
 
 
 # Cross-talk: what the outputs of a sensor say of loads that are not theirs, at rated loads.
@@ -302,10 +289,8 @@ def cross_talk(fit: MatrixFit, capacity: Sequence[float]) -> CrossTalk:
             jacobian[i * LOADS + j, i * LOADS + main[i]] = -value[i, j] / own[i]
     uncertainty = fit.uncertainty.transformed(real_design(jacobian)[None])
     covariance, dof = uncertainty.covariance[0], uncertainty.dof()[0]
-    regions = [
-        region(complex(element), element_covariance(covariance, place), float(dof[place]))
-        for place, element in enumerate(value.ravel())
-    ]
+    elements = enumerate(value.ravel().tolist())
+    regions = [region(e, element_covariance(covariance, place), float(dof[place])) for place, e in elements]
     half_axis = np.array([found.half_axes[0] for found in regions]).reshape(value.shape)
     holds_zero = np.array([found.holds_zero for found in regions]).reshape(value.shape)
     return CrossTalk(fit.frequency_hz, fit.channels, LOAD_COMPONENTS, main, value, uncertainty, half_axis, holds_zero)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 
 from fusion.campaign.repeats import LOADS, Drive
 from fusion.estimation.uncertainty import Influence, Uncertainty, as_complex, real_design, real_stack
@@ -55,11 +55,15 @@ class Stack:
         """Return which outputs (R, C) have a reading."""
         return np.isfinite(self.output)
 
+    @property
+    def own_load_covariance(self) -> FloatArray:
+        """Return the covariance (R, 12, 12) of every drive's load without what drives share."""
+        return np.concatenate([noise.covariance for noise in self.load_noise])
+
     def load_covariance(self) -> FloatArray:
         """Return the whole covariance (R, 12, 12) of every drive's load, common errors included."""
         effect = real_stack(self.load_effect)
-        own = np.concatenate([noise.covariance for noise in self.load_noise])
-        return np.asarray(own + np.einsum("eri,erj->rij", effect, effect))
+        return np.asarray(self.own_load_covariance + np.einsum("eri,erj->rij", effect, effect))
 
 
 def stack_drives(drives: Sequence[Drive], channels: Sequence[str]) -> Stack:
@@ -71,9 +75,7 @@ def stack_drives(drives: Sequence[Drive], channels: Sequence[str]) -> Stack:
         raise ValueError("drives: expected at least one, found none")
     wanted = tuple(channels)
     load = np.stack([drive.load for drive in drives])
-    empty = complex(np.nan, np.nan)
-    rows = [[d.outputs[d.channels.index(c)] if c in d.channels else empty for c in wanted] for d in drives]
-    output = np.array(rows, dtype=np.complex128)
+    output = np.array([[drive.output(channel) for channel in wanted] for drive in drives], dtype=np.complex128)
     load_size, output_size = _size(load), _size(output)
     output = output / output_size
     sized = [
@@ -124,7 +126,7 @@ def _outputs_in_order(
     have, want = len(drive.channels), len(channels)
     matrix = np.zeros((2 * want, 2 * have))
     for row, channel in enumerate(channels):
-        if channel in drive.channels and np.isfinite(drive.outputs[drive.channels.index(channel)]):
+        if np.isfinite(drive.output(channel)):
             column = drive.channels.index(channel)
             matrix[row, column] = matrix[row + want, column + have] = 1.0 / size[row]
     return uncertainty.where_known().transformed(matrix[None])
@@ -377,21 +379,22 @@ def _linearise(stack: Stack, point: _Point) -> _Linear:
     weight = stack.load.conj() / np.sum(np.abs(stack.load) ** 2, axis=1, keepdims=True)
     size = np.sum(weight * point.load, axis=1)
     shift = np.einsum("erj,e->rj", stack.load_effect, point.errors)
-    parts = []
-    for r in range(drives):
-        step = np.linalg.inv(np.eye(LOADS) + shift[r][:, None] * weight[r])
-        through = factor[r][:, None] * point.matrix @ step
-        design = np.zeros((channels, channels * LOADS), np.complex128)
-        for c in range(channels):
-            design[c, c * LOADS : (c + 1) * LOADS] = factor[r, c] * point.load[r]
-        output_effect = (stack.output_effect[:, r] * plain[r]).T
-        load_effect = stack.load_effect[:, r].T * size[r]
-        residual = stack.output[r] - factor[r] * plain[r] - through @ (stack.load[r] - point.load[r])
-        residual = residual + output_effect @ point.errors
-        effects = output_effect - through @ load_effect
-        tall = [np.concatenate([part.real, part.imag]) for part in (residual, effects, load_effect)]
-        parts.append((tall[0], real_design(design), real_design(through), tall[1], tall[2], real_design(step)))
-    return _Linear(*(np.stack(column) for column in zip(*parts, strict=True)))
+    step = np.linalg.inv(np.eye(LOADS) + shift[:, :, None] * weight[:, None])
+    through = factor[:, :, None] * point.matrix @ step
+    rows = np.einsum("cd,rc,rj->rcdj", np.eye(channels), factor, point.load)
+    output_effect = (stack.output_effect * plain).transpose(1, 2, 0)
+    load_effect = stack.load_effect.transpose(1, 2, 0) * size[:, None, None]
+    residual = stack.output - factor * plain + output_effect @ point.errors
+    residual = residual - (through @ (stack.load - point.load)[..., None])[..., 0]
+    effects = output_effect - through @ load_effect
+    return _Linear(
+        residual=real_stack(residual),
+        design=real_design(rows.reshape(drives, channels, -1)),
+        through=real_design(through),
+        effects=np.concatenate([effects.real, effects.imag], axis=1),
+        load_effect=np.concatenate([load_effect.real, load_effect.imag], axis=1),
+        load_step=real_design(step),
+    )
 
 
 def _step(stack: Stack, point: _Point, discrepancy: FloatArray) -> Solution:
@@ -412,13 +415,11 @@ def _step(stack: Stack, point: _Point, discrepancy: FloatArray) -> Solution:
     change = as_complex(step).reshape(channels, LOADS)
     full = np.zeros(mask.shape)
     full[mask] = left
-    load = np.empty_like(point.load)
-    for r, reading in enumerate(stack.load):
-        # What is left of a drive's outputs is shared with the noise of its load. Readings at the point,
-        # l(L, e) = L + E(L)·e, leave l - l(L, e) - E·(e_new - e) - noise to the step of L.
-        own = -stack.load_noise[r].covariance[0] @ linear.through[r].T @ full[r]
-        apart = real_stack(reading - point.load[r]) - linear.load_effect[r] @ errors - own
-        load[r] = point.load[r] + as_complex(linear.load_step[r] @ apart)
+    # What is left of a drive's outputs is shared with the noise of its load. Readings at the point,
+    # l(L, e) = L + E(L)·e, leave l - l(L, e) - E·(e_new - e) - noise to the step of L.
+    own = -stack.own_load_covariance @ linear.through.swapaxes(1, 2) @ full[..., None]
+    apart = real_stack(stack.load - point.load) - linear.load_effect @ errors - own[..., 0]
+    load = point.load + as_complex((linear.load_step @ apart[..., None])[..., 0])
     return Solution(
         matrix=point.matrix + change,
         load=load,
@@ -465,11 +466,7 @@ def _least_squares(
 
 def _noise(stack: Stack, linear: _Linear, discrepancy: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
     """Covariance (N, N) of the residuals without the unknowns: outputs, loads seen through the matrix, discrepancy."""
-    ends = np.cumsum(np.sum(mask, axis=1))
-    total = np.zeros((ends[-1], ends[-1]))
-    for r, end in enumerate(ends):
-        own = stack.output_noise[r].covariance[0] + np.diag(np.tile(discrepancy[r] ** 2, 2))
-        own = own + linear.through[r] @ stack.load_noise[r].covariance[0] @ linear.through[r].T
-        start = end - np.count_nonzero(mask[r])
-        total[start:end, start:end] = own[np.ix_(mask[r], mask[r])]
-    return total
+    outputs = np.concatenate([noise.covariance for noise in stack.output_noise])
+    own = outputs + linear.through @ stack.own_load_covariance @ linear.through.swapaxes(1, 2)
+    own = own + np.tile(discrepancy**2, 2)[:, :, None] * np.eye(own.shape[1])
+    return np.asarray(block_diag(*(own[r][np.ix_(known, known)] for r, known in enumerate(mask))))

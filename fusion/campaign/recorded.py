@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,6 +35,10 @@ class SensorFacts:
     static: FloatArray | None
     u_static: float
 
+    def static_of(self, channels: Sequence[str]) -> FloatArray | None:
+        """Return the static sensitivity of some outputs, None where it is not stated."""
+        return None if self.static is None else self.static[[self.channels.index(channel) for channel in channels]]
+
 
 @dataclass(frozen=True)
 class Recorded:
@@ -56,11 +61,6 @@ class Recorded:
     origin: Provenance
 
 
-def read_drives(folder: Path) -> tuple[Drive, ...]:
-    """Return the driven lines of the recording whose results lie in `folder`, to the last bit those of `drives_of`."""
-    return read_recorded(folder).drives
-
-
 def read_recorded(folder: str | Path) -> Recorded:
     """Return what a campaign needs of the recording whose results lie in `folder`.
 
@@ -73,12 +73,10 @@ def read_recorded(folder: str | Path) -> Recorded:
         raise InputError(folder / RESULT_FILE, "", found="no results", expected="the results of a recording")
     with h5py.File(folder / RESULT_FILE, "r") as file:
         if file.attrs["format"] != RESULT_FORMAT:
-            found, expected = (
-                f"format {file.attrs['format']}",
-                f"format {RESULT_FORMAT}; --force evaluates the recording anew",
-            )
-            raise InputError(folder / RESULT_FILE, "", found=found, expected=expected)
-        driven = file["excitation"]
+            expected = f"format {RESULT_FORMAT}; --force evaluates the recording anew"
+            raise InputError(folder / RESULT_FILE, "", found=f"format {file.attrs['format']}", expected=expected)
+        driven, told = file["excitation"], file["notices"]
+        notices = zip(*(_texts(told, name) for name in ("severity", "text", "where")), strict=True) if len(told) else ()
         return Recorded(
             folder=folder.name,
             name=str(file.attrs["recording"]),
@@ -89,46 +87,31 @@ def read_recorded(folder: str | Path) -> Recorded:
             frequencies=_numbers(driven, "frequencies"),
             sensor=_sensor(file["sensor"]) if "sensor" in file else None,
             drives=_drives(file),
-            notices=_notices(file),
+            notices=tuple(Notice(*row) for row in notices),
             origin=origin,
         )
 
 
 def _drives(file: h5py.File) -> tuple[Drive, ...]:
-    """The driven lines, from load and outputs as they were stored."""
+    """The driven lines, from load and outputs with their whole uncertainty as they were stored."""
     direction = _numbers(file["excitation"], "direction")
     if "load" not in file or "outputs" not in file or not direction:
         return ()
-    lines = file["lines"]
-    return line_drives(
-        str(file.attrs["recording"]),
-        str(file.attrs["mounting"]),
-        direction,
-        lines["nominal_hz"][()],
-        lines["multiple"][()],
-        _load(file["load"]),
-        _outputs(file["outputs"]),
-    )
-
-
-def _load(group: h5py.Group) -> LoadResult:
-    """The load with its whole uncertainty; its notices stand among those of the recording."""
-    uncertainty = read_uncertainty(group["uncertainty"])
-    return LoadResult(group["frequency_hz"][()], group["value"][()], uncertainty, group["observed"][()], ())
-
-
-def _outputs(group: h5py.Group) -> Outputs:
-    """The outputs with their whole uncertainty."""
-    inner = group["phasors"]
+    lines, load, inner = file["lines"], file["load"], file["outputs/phasors"]
     phasors = Phasors(
         frequency_hz=inner["frequency_hz"][()],
         value=inner["value"][()],
         covariance=inner["covariance"][()],
-        channels=tuple(inner["channels"].asstr()[()].tolist()),
-        unit=tuple(inner["unit"].asstr()[()].tolist()),
+        channels=_texts(inner, "channels"),
+        unit=_texts(inner, "unit"),
         dof=inner["dof"][()],
     )
-    return Outputs(phasors, read_uncertainty(group["uncertainty"]))
+    wrench = LoadResult(
+        load["frequency_hz"][()], load["value"][()], read_uncertainty(load["uncertainty"]), load["observed"][()], ()
+    )
+    outputs = Outputs(phasors, read_uncertainty(file["outputs/uncertainty"]))
+    names = str(file.attrs["recording"]), str(file.attrs["mounting"])
+    return line_drives(*names, direction, lines["nominal_hz"][()], lines["multiple"][()], wrench, outputs)
 
 
 def _sensor(group: h5py.Group) -> SensorFacts:
@@ -136,7 +119,7 @@ def _sensor(group: h5py.Group) -> SensorFacts:
     return SensorFacts(
         name=str(group.attrs["name"]),
         serial=str(group.attrs["serial"]),
-        channels=tuple(group["channels"].asstr()[()].tolist()),
+        channels=_texts(group, "channels"),
         unit=str(group.attrs["unit"]),
         sense=str(group.attrs["sense"]),
         capacity=group["capacity"][()] if "capacity" in group else None,
@@ -145,15 +128,11 @@ def _sensor(group: h5py.Group) -> SensorFacts:
     )
 
 
-def _notices(file: h5py.File) -> tuple[Notice, ...]:
-    """Notices of the recording."""
-    group = file["notices"]
-    if not isinstance(group, h5py.Group):
-        return ()
-    columns = [group[name].asstr()[()].tolist() for name in ("severity", "text", "where")]
-    return tuple(Notice(*row) for row in zip(*columns, strict=True))
-
-
 def _numbers(group: h5py.Group, name: str) -> tuple[float, ...]:
     """A list of numbers, empty where it is not stored."""
     return tuple(group[name][()].tolist()) if name in group else ()
+
+
+def _texts(group: h5py.Group, name: str) -> tuple[str, ...]:
+    """A list of texts."""
+    return tuple(group[name].asstr()[()].tolist())

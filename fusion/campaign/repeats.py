@@ -58,10 +58,10 @@ class Drive:
             "outputs_uncertainty", self.outputs_uncertainty.random[0].covariance, (1, 2 * channels, 2 * channels)
         )
 
-    @property
-    def name(self) -> str:
-        """Return what tells this drive from others: its recording and its frequency."""
-        return f"{self.recording} ({self.nominal_hz:g} Hz)"
+    def output(self, channel: str) -> complex:
+        """Return the reading of a channel, NaN where there is none."""
+        known = channel in self.channels
+        return complex(self.outputs[self.channels.index(channel)]) if known else complex(np.nan, np.nan)
 
     def shared(self) -> tuple[Uncertainty, Uncertainty]:
         """Return the uncertainties of load and outputs with the names that hold between recordings."""
@@ -156,13 +156,11 @@ def over_lines(parts: Sequence[Uncertainty]) -> Uncertainty:
     return Uncertainty(tuple(random.values()), tuple(influences.values()))
 
 
-def group_by_frequency(
-    drives: Sequence[Drive], tolerance: float = FREQUENCY_TOLERANCE
-) -> tuple[tuple[Drive, ...], ...]:
-    """Return the drives in groups of one frequency, ascending, each at most `tolerance` (relative) wide."""
+def group_by_frequency(drives: Sequence[Drive]) -> tuple[tuple[Drive, ...], ...]:
+    """Return the drives in groups of one frequency, ascending, each 1 % wide at most."""
     groups: list[list[Drive]] = []
     for drive in sorted(drives, key=lambda drive: drive.frequency_hz):
-        if groups and drive.frequency_hz <= groups[-1][0].frequency_hz * (1.0 + tolerance):
+        if groups and drive.frequency_hz <= groups[-1][0].frequency_hz * (1.0 + FREQUENCY_TOLERANCE):
             groups[-1].append(drive)
         else:
             groups.append([drive])
@@ -222,22 +220,23 @@ def drive_ratio(drive: Drive, component: int, channels: Sequence[str]) -> tuple[
     return np.asarray(ratio), upper.plus(of_load.at([component]).transformed(through))
 
 
-def find_repeats(
-    drives: Iterable[Drive], capacity: Sequence[float] | None = None, *, amplitudes_apart: bool = True
-) -> tuple[Repeats, ...]:
+def find_repeats(drives: Iterable[Drive], capacity: Sequence[float] | None = None) -> tuple[Repeats, ...]:
     """Return the drives in groups of one excitation, each with its mean, ascending in frequency.
 
     One excitation: frequencies within 1e-4, directions within 1e-3, and every load component (moments over 0.1 m)
-    within 5 % of the driven one; with `amplitudes_apart` false after the loads have been scaled to one amplitude.
+    within 5 % of the driven one.
     """
-    groups = alike(drives, capacity, amplitudes_apart=amplitudes_apart)
+    groups = alike(drives, capacity)
     return tuple(mean_ratio(group, driven_component(group[0].direction, capacity)) for group in groups)
 
 
 def alike(
     drives: Iterable[Drive], capacity: Sequence[float] | None = None, *, amplitudes_apart: bool = True
 ) -> tuple[tuple[Drive, ...], ...]:
-    """Return the drives in groups of one excitation, ascending in frequency."""
+    """Return the drives in groups of one excitation, ascending in frequency.
+
+    With `amplitudes_apart` false loads are compared after they have been scaled to one amplitude.
+    """
     groups: list[list[Drive]] = []
     for drive in sorted(drives, key=lambda drive: drive.frequency_hz):
         component = driven_component(drive.direction, capacity)
@@ -357,11 +356,7 @@ class _Scatter:
 
 def common_outputs(drives: Sequence[Drive]) -> list[str]:
     """Return the outputs that have a reading in all drives."""
-    return [
-        name
-        for name in drives[0].channels
-        if all(name in d.channels and np.isfinite(d.outputs[d.channels.index(name)]) for d in drives)
-    ]
+    return [name for name in drives[0].channels if all(np.isfinite(drive.output(name)) for drive in drives)]
 
 
 def plain_mean(values: Sequence[ComplexArray]) -> ComplexArray:

@@ -79,6 +79,12 @@ class Outcome:
         """Name of the recording's folder."""
         return self.recording.absolute().parent.name
 
+    @property
+    def told(self) -> str:
+        """Where the report lies, or why there is none."""
+        what = "unchanged since the last run" if self.resumed else "written"
+        return f"failed, {self.error}" if self.error is not None else f"report ({what}): {self.folder / REPORT_FILE}"
+
 
 def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Executor | None = None) -> Outcome:
     """Evaluate one recording unless its results are there, and write them; an executor follows its images."""
@@ -211,7 +217,6 @@ def _run_elsewhere(jobs: Sequence[Job], executor: Executor, progress: ProgressCa
 
 
 def _tell(answered: SimpleQueue[int], rank: int, _: object) -> None:
-    """Say that the answer of a recording is there."""
     answered.put(rank)
 
 
@@ -239,20 +244,14 @@ def _outcome(job: Job, work: Callable[[], Outcome]) -> Outcome:
 # What the command prints when it is done: what became of the recordings, the sensitivity, where the report lies.
 
 
-def print_outcomes(outcomes: Sequence[Outcome]) -> None:
-    """Print one block per recording: its sensitivity with expanded uncertainty and the path of its report."""
+def print_recording(outcome: Outcome) -> None:
+    """Print the sensitivity of a recording with expanded uncertainty, and the path of its report."""
     console = stdout_console()
-    for outcome in outcomes:
-        if outcome.error is not None:
-            console.print(f"{outcome.recording.parent.name}: failed, {outcome.error}", soft_wrap=True)
-            continue
-        _print_sensitivity(console, outcome.folder / SENSITIVITY_FILE)
-        what = "unchanged since the last run" if outcome.resumed else "written"
-        console.print(f"report ({what}): {outcome.folder / 'report.html'}", soft_wrap=True)
+    _print_sensitivity(console, outcome.folder / SENSITIVITY_FILE)
+    console.print(outcome.told, soft_wrap=True)
 
 
 def _print_sensitivity(console: Console, file: Path) -> None:
-    """Print the sensitivity of one recording or of several together."""
     rows = read_rows(file)
     console.print(sensitivity_table(rows) if rows else "no sensitivity: see the report for what was observed")
 
@@ -271,13 +270,8 @@ def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
     table = Table(title=f"Sensitivity, {what} (U = k·u, 95 %)", title_justify="left")
     if several:
         table.add_column("recording")
-    table.add_column("frequency / Hz", justify="right")
-    table.add_column("element")
-    table.add_column("magnitude ± U", justify="right")
-    table.add_column("unit")
-    table.add_column("phase ± U / rad", justify="right")
-    table.add_column("k", justify="right")
-    table.add_column("kind")
+    for head in ("frequency / Hz", "element", "magnitude ± U", "unit", "phase ± U / rad", "k", "kind"):
+        table.add_column(head, justify="left" if head in ("element", "unit", "kind") else "right")
     for row in rows:
         name = f"{row['channel']} / {row['component']}"
         magnitude, phase, factor = _cells(row_element(row))
@@ -309,11 +303,7 @@ def print_campaign(outcomes: Sequence[Outcome]) -> None:
     """Print one line per recording, each failure with its reason, how many there are of each, and the joint report."""
     console = stdout_console()
     for outcome in outcomes:
-        what = "unchanged since the last run" if outcome.resumed else "written"
-        report = f"report ({what}): {outcome.folder / REPORT_FILE}"
-        console.print(
-            f"{outcome.name}: {report if outcome.error is None else f'failed, {outcome.error}'}", soft_wrap=True
-        )
+        console.print(f"{outcome.name}: {outcome.told}", soft_wrap=True)
     console.print(tally(outcomes))
     done = [outcome for outcome in outcomes if outcome.error is None]
     if done:

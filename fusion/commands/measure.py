@@ -235,11 +235,7 @@ def align(options: argparse.Namespace) -> None:
     print(text, end="")
 
 
-def _check_options(parser: Parser) -> None:
-    parser.recording()
-
-
-@command(_check_options)
+@command(Parser.recording)
 def check(options: argparse.Namespace) -> int:
     """Say what a recording holds; compute nothing."""
     from fusion.base import InputError
@@ -335,7 +331,7 @@ def _run_options(parser: Parser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Evaluate one recording or a campaign of several."""
     from fusion.base import Settings, progress_bar
-    from fusion.campaign.run import exit_status, is_campaign, print_campaign, print_outcomes, run_path
+    from fusion.campaign.run import exit_status, is_campaign, print_campaign, print_recording, run_path
     from photogram.subsets.track import resolve_device
 
     settings = Settings(
@@ -354,7 +350,10 @@ def run(options: argparse.Namespace) -> int:
             workers=options.workers if options.scheduler is None else options.scheduler,
             progress=progress,
         )
-    (print_campaign if is_campaign(options.recording) else print_outcomes)(outcomes)
+    if is_campaign(options.recording):
+        print_campaign(outcomes)
+    else:
+        print_recording(outcomes[0])
     return exit_status(outcomes)
 
 

@@ -260,7 +260,7 @@ class Uncertainty:
 
 
 def real_design(matrix: ComplexArray) -> FloatArray:
-    """Return the real (2M, 2J) form of a complex (M, J) matrix that acts on [all Re, all Im]."""
+    """Return the real form (..., 2M, 2J) of complex matrices (..., M, J), which acts on [all Re, all Im]."""
     return np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])
 
 

@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from itertools import count
 from pathlib import PurePath
-from typing import Any, cast, get_args
+from typing import Any, get_args
 
 import h5py
 import numpy as np
 
 from fusion.estimation.uncertainty import Contribution, Influence, Kind, Scope, Uncertainty
-from shaker.arrays import FloatArray
 
 COMPRESS_ABOVE = 512
 LEFT_OUT = {"manifest", "reference_image", "settings", "versions", "input_hashes"}
@@ -91,7 +90,12 @@ def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
     """
     random = group.create_group("random", track_order=True)
     for part in uncertainty.random:
-        _write_contribution(random.create_group(_free_name(random, part.label)), part)
+        own = random.create_group(_free_name(random, part.label))
+        own.attrs["label"] = part.label
+        own.attrs["type"] = part.type
+        _write_array(own, "covariance", part.covariance)
+        if part.dof is not None:
+            own.create_dataset("dof", data=part.dof)
     for field in INFLUENCE_TEXTS:
         texts = [getattr(influence, field) for influence in uncertainty.influences]
         group.create_dataset(field, data=np.array(texts, dtype=object), dtype=h5py.string_dtype())
@@ -100,15 +104,6 @@ def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
     effects = [influence.effect for influence in uncertainty.influences]
     _write_array(group, "effect", np.stack(effects) if effects else np.zeros(shape))
     _write_array(group, "covariance", uncertainty.covariance)
-
-
-def _write_contribution(group: h5py.Group, part: Contribution) -> None:
-    """Write one random contribution."""
-    group.attrs["label"] = part.label
-    group.attrs["type"] = part.type
-    _write_array(group, "covariance", part.covariance)
-    if part.dof is not None:
-        group.create_dataset("dof", data=part.dof)
 
 
 def _free_name(group: h5py.Group, label: str) -> str:
@@ -128,36 +123,21 @@ def _write_array(group: h5py.Group, name: str, array: np.typing.NDArray[Any]) ->
 
 def read_uncertainty(group: h5py.Group) -> Uncertainty:
     """Return the `Uncertainty` that `fusion.report.h5.write_uncertainty` put into a group, to the last bit."""
-    random = tuple(_read_contribution(part) for part in group["random"].values())
-    texts = {field: group[field].asstr()[()] for field in ("name", "label", "unit", "scope", "type")}
-    u, effect = group["u"][()], group["effect"][()]
-    return Uncertainty(random, tuple(_influence(texts, e, float(u[e]), effect[e]) for e in range(len(u))))
+    random = []
+    for part in group["random"].values():
+        dof = part["dof"][()] if "dof" in part else None
+        kind = _known("type", part.attrs["type"], Kind)
+        random.append(Contribution(str(part.attrs["label"]), kind, part["covariance"][()], dof))
+    columns = [group[field].asstr()[()] for field in INFLUENCE_TEXTS]
+    influences = []
+    for name, label, unit, scope, kind, u, effect in zip(*columns, group["u"][()], group["effect"][()], strict=True):
+        known = _known("scope", scope, Scope), _known("type", kind, Kind)
+        influences.append(Influence(name, label, float(u), unit, effect, *known))
+    return Uncertainty(tuple(random), tuple(influences))
 
 
-def _read_contribution(group: h5py.Group) -> Contribution:
-    """One random contribution."""
-    dof = group["dof"][()] if "dof" in group else None
-    return Contribution(str(group.attrs["label"]), _kind(group.attrs["type"]), group["covariance"][()], dof)
-
-
-def _influence(texts: Mapping[str, Any], place: int, u: float, effect: FloatArray) -> Influence:
-    """One influence from its place in the packed arrays."""
-    scope = texts["scope"][place]
-    if scope not in get_args(Scope):
-        raise ValueError(f"scope: expected one of {get_args(Scope)}, found {scope!r}")
-    return Influence(
-        name=texts["name"][place],
-        label=texts["label"][place],
-        u=u,
-        unit=texts["unit"][place],
-        effect=effect,
-        scope=cast("Scope", scope),
-        type=_kind(texts["type"][place]),
-    )
-
-
-def _kind(text: object) -> Kind:
-    """Type A or B of an evaluation."""
-    if text not in get_args(Kind):
-        raise ValueError(f"type: expected one of {get_args(Kind)}, found {text!r}")
-    return cast("Kind", text)
+def _known(what: str, text: object, choices: Any) -> Any:
+    """Return a text that is one of the choices."""
+    if text not in get_args(choices):
+        raise ValueError(f"{what}: expected one of {get_args(choices)}, found {text!r}")
+    return text

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from markupsafe import Markup
 
 from fusion.base import DASH, rounded, typeset
-from fusion.estimation.consistency import CommonEstimate
+from fusion.estimation.consistency import CommonEstimate, Consistency
 from fusion.estimation.fuse import REMAINING, Acceleration, Untested, untested
 from fusion.estimation.uncertainty import Polar, Uncertainty, polar_elements
 from fusion.instruments.vibrometer import FEWEST_POINTS, PointRatios, PointSpread, axis_name
@@ -79,17 +80,24 @@ def chi_square_table(evaluation: Evaluation) -> Table | None:
 
 def consistency_table(evaluation: Evaluation) -> Table | None:
     """How each instrument agrees with the others."""
-    rows = []
-    for result in evaluation.accelerations:
-        for entry in result.consistency:
-            amplitude = signed(100.0 * (abs(entry.ratio) - 1.0), "+.3f")
-            turn = signed(1e3 * float(np.angle(entry.ratio)), "+.2f")
-            use = ("fused, suspect" if entry.suspect else "fused") if entry.used else "compared only"
-            who = (result.body, result.source, entry.instrument, str(entry.channels))
-            rows.append((*who, signed(entry.normalised_deviation), amplitude, turn, use))
-    head = ("body", "result", "instrument", "channels", "normalised deviation", "amplitude / %", "phase / mrad", "use")
+
+    def use(entry: Consistency) -> str:
+        return ("fused, suspect" if entry.suspect else "fused") if entry.used else "compared only"
+
+    columns: list[Column[tuple[Acceleration, Consistency]]] = [
+        on_page("body", lambda row: row[0].body, "l"),
+        on_page("result", lambda row: row[0].source, "l"),
+        on_page("instrument", lambda row: row[1].instrument, "l"),
+        on_page("channels", lambda row: str(row[1].channels)),
+        on_page("normalised deviation", lambda row: signed(row[1].normalised_deviation)),
+        on_page("amplitude / %", lambda row: signed(100.0 * (abs(row[1].ratio) - 1.0), "+.3f")),
+        on_page("phase / mrad", lambda row: signed(1e3 * float(np.angle(row[1].ratio)), "+.2f")),
+        on_page("use", lambda row: use(row[1]), "l"),
+    ]
     caption = "Each instrument against the prediction of all others (normalised deviation: 1 is expected)"
-    return Table(caption, head, "lllrrrrl", tuple(dict.fromkeys(rows))) if rows else None
+    found = [(result, entry) for result in evaluation.accelerations for entry in result.consistency]
+    shown = table(caption, columns, found)
+    return None if shown is None else replace(shown, rows=tuple(dict.fromkeys(shown.rows)))
 
 
 def _scatter_table(results: list[Acceleration]) -> Table | None:
@@ -250,13 +258,12 @@ def other_loads_table(evaluation: Evaluation) -> Table | None:
 
 def point_tables(evaluation: Evaluation) -> list[Table]:
     """Per group of parallel points: the points at the strongest line, their spread at every line, their ratios."""
-    tables = []
-    line = main_line(evaluation)
+    tables: list[Table | None] = []
     for spread in evaluation.points:
-        tables += [_points_table(spread, line), _spread_table(spread)]
+        tables += [_points_table(spread, main_line(evaluation)), _spread_table(spread)]
         if spread.ratios is not None:
             tables.append(_ratios_table(spread, spread.ratios))
-    return tables
+    return [shown for shown in tables if shown is not None]
 
 
 def known_elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar]]:
@@ -265,106 +272,83 @@ def known_elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[P
     return [[element for element in row if element is not None] for row in lines]
 
 
-def _points_table(spread: PointSpread, line: int) -> Table:
+def _points_table(spread: PointSpread, line: int) -> Table | None:
     """Every point at one line: where it is, what it measures, how far it is from the mean and from the plane."""
     first, second = (axis_name(axis) for axis in spread.axes)
-    mean = spread.mean[line]
-    rows = []
     points = known_elements(spread.value, spread.uncertainty)[line]
-    for place, (name, found) in enumerate(zip(spread.channels, points, strict=True)):
-        ratio = spread.value[line, place] / mean
-        left = abs(spread.residual[line, place] / mean)
-        rows.append(
-            (
-                name,
-                *(signed(1e3 * lever, ".1f") for lever in spread.place_m[place]),
-                measured(found.magnitude, found.expanded_magnitude),
-                phase(found),
-                signed(100.0 * (abs(ratio) - 1.0), "+.3f"),
-                signed(1e3 * float(np.angle(ratio)), "+.2f"),
-                number(100.0 * left) if _has_rest(spread) else DASH,
-            )
-        )
-    head = (
-        *("point", f"{first} / mm", f"{second} / mm", "amplitude / (m/s²)", "phase / rad"),
-        *("from the mean / %", "from the mean / mrad", "from the plane / %"),
-    )
-    frequency = float(spread.frequency_hz[line])
-    caption = f"{_title(spread)} at {frequency:.4f} Hz: acceleration of every point with U"
-    return Table(caption, head, "lrrrrrrr", tuple(rows))
+    ratio, left = (values[line] / spread.mean[line] for values in (spread.value, spread.residual))
+    columns: list[Column[int]] = [
+        on_page("point", lambda i: spread.channels[i], "l"),
+        on_page(f"{first} / mm", lambda i: signed(1e3 * spread.place_m[i, 0], ".1f")),
+        on_page(f"{second} / mm", lambda i: signed(1e3 * spread.place_m[i, 1], ".1f")),
+        on_page("amplitude / (m/s²)", lambda i: measured(points[i].magnitude, points[i].expanded_magnitude)),
+        on_page("phase / rad", lambda i: phase(points[i])),
+        on_page("from the mean / %", lambda i: signed(100.0 * (abs(ratio[i]) - 1.0), "+.3f")),
+        on_page("from the mean / mrad", lambda i: signed(1e3 * float(np.angle(ratio[i])), "+.2f")),
+        on_page("from the plane / %", lambda i: _left(spread, abs(left[i]))),
+    ]
+    caption = f"{_title(spread)} at {spread.frequency_hz[line]:.4f} Hz: acceleration of every point with U"
+    return table(caption, columns, range(len(points)))
 
 
-def _spread_table(spread: PointSpread) -> Table:
+def _spread_table(spread: PointSpread) -> Table | None:
     """Mean, spread, rocking and what the plane leaves at every line."""
-    first, second = (axis_name(axis) for axis in spread.axes)
-    rows = []
     planes = known_elements(spread.plane, spread.plane_uncertainty)
-    for line, (frequency, (mean, *turns)) in enumerate(zip(spread.frequency_hz, planes, strict=True)):
-        micro = 1e6 / (2.0 * np.pi * frequency) ** 2
-        rows.append(
-            (
-                f"{frequency:.4f}",
-                measured(mean.magnitude, mean.expanded_magnitude),
-                phase(mean),
-                number(100.0 * float(spread.amplitude_spread[line])),
-                number(1e3 * float(spread.phase_spread_rad[line])),
-                *(measured(micro * turn.magnitude, micro * turn.expanded_magnitude) for turn in turns),
-                number(100.0 * float(spread.left_relative[line])) if _has_rest(spread) else DASH,
-                number(100.0 * float(spread.left_expected[line])) if _has_rest(spread) else DASH,
-            )
-        )
-    head = (
-        *("frequency / Hz", "mean / (m/s²)", "phase / rad", "spread / %", "spread / mrad"),
-        *(f"rocking about {first} / µrad", f"rocking about {second} / µrad", "left / %", "expected / %"),
-    )
+
+    def turn(line: int, axis: int) -> str:
+        element, micro = planes[line][axis + 1], 1e6 / (2.0 * np.pi * spread.frequency_hz[line]) ** 2
+        return measured(micro * element.magnitude, micro * element.expanded_magnitude)
+
+    first, second = (axis_name(axis) for axis in spread.axes)
+    columns: list[Column[int]] = [
+        on_page("frequency / Hz", lambda k: f"{spread.frequency_hz[k]:.4f}"),
+        on_page("mean / (m/s²)", lambda k: measured(planes[k][0].magnitude, planes[k][0].expanded_magnitude)),
+        on_page("phase / rad", lambda k: phase(planes[k][0])),
+        on_page("spread / %", lambda k: number(100.0 * float(spread.amplitude_spread[k]))),
+        on_page("spread / mrad", lambda k: number(1e3 * float(spread.phase_spread_rad[k]))),
+        on_page(f"rocking about {first} / µrad", lambda k: turn(k, 0)),
+        on_page(f"rocking about {second} / µrad", lambda k: turn(k, 1)),
+        on_page("left / %", lambda k: _left(spread, float(spread.left_relative[k]))),
+        on_page("expected / %", lambda k: _left(spread, float(spread.left_expected[k]))),
+    ]
     caption = (
         f"{_title(spread)}: mean with U, standard deviation over the points, best rigid plane with U, "
         "and rms of what it leaves"
     )
-    return Table(caption, head, "r" * len(head), tuple(rows))
+    return table(caption, columns, range(len(planes)))
 
 
-def _ratios_table(spread: PointSpread, ratios: PointRatios) -> Table:
+def _ratios_table(spread: PointSpread, ratios: PointRatios) -> Table | None:
     """Mean and standard deviation of the points' ratios beside the ratio of the fused motion."""
     exponent = common_exponent(ratios.value)
     mean = ratios.value.mean(axis=1, keepdims=True)
     count = ratios.value.shape[1]
     average = np.kron(np.eye(2), np.full((1, count), 1.0 / count))
     uncertainty = ratios.uncertainty.transformed(np.broadcast_to(average, (len(mean), *average.shape)))
-    rows = []
-    means = known_elements(mean, uncertainty)
-    for line, (frequency, (found,)) in enumerate(zip(spread.frequency_hz, means, strict=True)):
-        fused = complex(ratios.fused[line])
-        rows.append(
-            (
-                f"{frequency:.4f}",
-                fixed(found.magnitude, found.expanded_magnitude, exponent),
-                number(100.0 * float(ratios.magnitude_spread[line] / ratios.mean_magnitude[line])),
-                phase(found),
-                number(1e3 * float(ratios.phase_spread_rad[line])),
-                signed(100.0 * (ratios.mean_magnitude[line] / abs(fused) - 1.0), "+.3f"),
-                signed(1e3 * float(np.angle(mean[line, 0] / fused)), "+.2f"),
-            )
-        )
+    means = [element for (element,) in known_elements(mean, uncertainty)]
+    size, turn = ratios.mean_magnitude / np.abs(ratios.fused), np.angle(mean[:, 0] / ratios.fused)
+    columns: list[Column[int]] = [
+        on_page("frequency / Hz", lambda k: f"{spread.frequency_hz[k]:.4f}"),
+        on_page("mean", lambda k: fixed(means[k].magnitude, means[k].expanded_magnitude, exponent)),
+        on_page("spread / %", lambda k: number(100.0 * float(ratios.magnitude_spread[k] / ratios.mean_magnitude[k]))),
+        on_page("phase / rad", lambda k: phase(means[k])),
+        on_page("spread / mrad", lambda k: number(1e3 * float(ratios.phase_spread_rad[k]))),
+        on_page("to the fused ratio / %", lambda k: signed(100.0 * (size[k] - 1.0), "+.3f")),
+        on_page("to the fused ratio / mrad", lambda k: signed(1e3 * float(turn[k]), "+.2f")),
+    ]
     unit = times_ten(exponent, typeset(sensitivity_unit(ratios.unit, ratios.component)))
     caption = Markup("Output {} over load mass times acceleration, point by point, in {}").format(ratios.channel, unit)
-    head = (
-        *("frequency / Hz", "mean", "spread / %", "phase / rad", "spread / mrad"),
-        *("to the fused ratio / %", "to the fused ratio / mrad"),
-    )
-    return Table(caption, head, "rrrrrrr", tuple(rows))
+    return table(caption, columns, range(len(means)))
 
 
 def _title(spread: PointSpread) -> str:
-    """What was measured where."""
-    return (
-        f"{len(spread.channels)} points of {spread.instrument} along {axis_name(spread.direction)} on the {spread.body}"
-    )
+    where = f"along {axis_name(spread.direction)} on the {spread.body}"
+    return f"{len(spread.channels)} points of {spread.instrument} {where}"
 
 
-def _has_rest(spread: PointSpread) -> bool:
-    """Whether there are more points than a plane needs."""
-    return len(spread.channels) > FEWEST_POINTS
+def _left(spread: PointSpread, share: float) -> str:
+    """What a plane leaves, in per cent; a dash where there are no more points than it needs."""
+    return number(100.0 * share) if len(spread.channels) > FEWEST_POINTS else DASH
 
 
 # A Monte Carlo run: 95 % intervals of the draws beside those of first-order propagation.

@@ -45,12 +45,12 @@ def _times(folder: Path) -> dict[str, int]:
     return {path.relative_to(folder).as_posix(): path.stat().st_mtime_ns for path in folder.rglob("*.*")}
 
 
+def names_in(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
 def _recordings(path: Path) -> list[str]:
     return list(dict.fromkeys(row["recording"] for row in rows(path)))
-
-
-def _names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
 
 
 def _fail(patch: pytest.MonkeyPatch, error: BaseException, *failing: str) -> None:
@@ -65,26 +65,22 @@ def _fail(patch: pytest.MonkeyPatch, error: BaseException, *failing: str) -> Non
     patch.setattr(under_test, "evaluate_recording", evaluate)
 
 
-def test_one_folder_each_and_merged_tables_at_the_top(campaign, evaluated, capsys):
+def test_one_folder_each_and_merged_tables_at_the_top(campaign, evaluated, tmp_path, capsys):
+    before = state(campaign)
+    outcomes = run_path(campaign, tmp_path / "elsewhere", Settings())
+    assert [outcome.folder for outcome in outcomes] == [tmp_path / "elsewhere" / name for name in NAMES]
+    assert state(campaign) == before
     assert main(["run", str(campaign)]) == EXIT_DONE
     top = campaign / "results"
-    assert evaluated == NAMES
-    assert _names(top) == {*NAMES, *JOINT}
+    assert evaluated == [*NAMES, *NAMES]
+    assert names_in(top) == {*NAMES, *JOINT}
     for name in NAMES:
-        assert _names(top / name) == {*TABLES, "result.h5", "report.html"}
+        assert names_in(top / name) == {*TABLES, "result.h5", "report.html"}
     for table in TABLES:
         assert _recordings(top / table) == TITLES
         parts = [(top / name / table).read_text().splitlines() for name in NAMES]
         assert (top / table).read_text().splitlines() == [*parts[0], *parts[1][1:]]
     assert capsys.readouterr().out.count("report (written)") == 2
-
-
-def test_results_of_another_place(campaign, evaluated, tmp_path):
-    before = state(campaign)
-    outcomes = run_path(campaign, tmp_path / "elsewhere", Settings())
-    assert [outcome.folder for outcome in outcomes] == [tmp_path / "elsewhere" / name for name in NAMES]
-    assert state(campaign) == before
-    assert len(evaluated) == 2
 
 
 @pytest.mark.parametrize("named", ["folder", "file", "here"])
@@ -94,14 +90,14 @@ def test_a_single_recording_writes_into_its_own_folder(named, campaign, evaluate
     path = {"folder": folder, "file": folder / "recording.toml", "here": Path(".")}[named]
     (outcome,) = run_path(path, None, Settings())
     assert outcome.folder.resolve() == folder / "results"
-    assert _names(folder / "results") == {*TABLES, "result.h5", "report.html"}
+    assert names_in(folder / "results") == {*TABLES, "result.h5", "report.html"}
     assert evaluated == [NAMES[0]]
 
 
 def test_a_campaign_of_one_recording_is_a_campaign_and_prints_its_sensitivity(make_campaign, evaluated, capsys):
     top = make_campaign().parent
     assert main(["run", str(top)]) == EXIT_DONE
-    assert _names(top / "results") == {NAMES[0], *JOINT}
+    assert names_in(top / "results") == {NAMES[0], *JOINT}
     assert len(evaluated) == 1
     told = capsys.readouterr().out.splitlines()
     assert any(line.startswith("Sensitivity, Fz 106.25 Hz (U = k·u, 95 %)") for line in told)
@@ -127,7 +123,7 @@ def test_a_recording_that_fails_does_not_stop_the_other(
     assert main(["run", str(campaign), "-q", "--workers", workers]) == status
     (other,) = set(NAMES) - {failing}
     assert evaluated == [other]
-    assert _names(campaign / "results") == {other, *JOINT}
+    assert names_in(campaign / "results") == {other, *JOINT}
     told = capsys.readouterr()
     assert f"shakercal: {sentence}\n" in told.err
     assert f"{failing}: failed, {sentence}\n" in told.out
@@ -135,26 +131,14 @@ def test_a_recording_that_fails_does_not_stop_the_other(
     assert told.out.count("report (written)") == 1
 
 
-def test_a_broken_manifest_does_not_stop_the_other(campaign, evaluated, capsys):
-    edit(campaign / NAMES[0] / "recording.toml", "scale = 0.125", "scal = 0.125")
-    assert main(["run", str(campaign)]) == EXIT_INPUT
-    assert evaluated == [NAMES[1]]
-    assert f"shakercal: {campaign / NAMES[0] / 'recording.toml'}: daq.vibrometer" in capsys.readouterr().err
-
-
 @pytest.mark.usefixtures("evaluated")
-def test_when_all_fail_there_is_no_results_folder(campaign, monkeypatch):
+def test_where_all_fail_there_is_no_results_folder_and_a_single_one_tells_it_once(campaign, monkeypatch, refused):
+    monkeypatch.setattr("fusion.campaign.run.Workers", lambda _: Inline())
     _fail(monkeypatch, ComputeError("no motion"))
     before = state(campaign)
     assert main(["run", str(campaign)]) == EXIT_FAILED
     assert state(campaign) == before
     assert not (campaign / "results").exists()
-
-
-@pytest.mark.usefixtures("evaluated")
-def test_the_failure_of_a_single_recording_is_told_once(campaign, monkeypatch, refused):
-    monkeypatch.setattr("fusion.campaign.run.Workers", lambda _: Inline())
-    _fail(monkeypatch, ComputeError("no motion"))
     assert refused("run", campaign / NAMES[0], "--workers", 2, status=EXIT_FAILED) == "shakercal: no motion"
 
 
@@ -164,7 +148,7 @@ def test_wrong_input_weighs_more_than_what_could_not_be_computed():
         assert exit_status([Outcome(Path("a"), Path("b"), error=error) for error in errors]) == status
 
 
-def test_the_second_run_computes_nothing_and_changes_no_byte(campaign, evaluated, capsys):
+def test_a_second_run_computes_only_what_is_damaged_or_has_other_settings(campaign, evaluated, capsys):
     assert main(["run", str(campaign)]) == EXIT_DONE
     first, times = state(campaign / "results"), _times(campaign / "results")
     assert main(["run", str(campaign)]) == EXIT_DONE
@@ -173,16 +157,22 @@ def test_the_second_run_computes_nothing_and_changes_no_byte(campaign, evaluated
     again = _times(campaign / "results")
     assert all(again[name] == times[name] for name in first if "/" in name)  # not even written again
     assert capsys.readouterr().out.count("report (unchanged since the last run)") == 2
+    (campaign / "results" / NAMES[0] / "report.html").unlink()
+    assert main(["run", str(campaign)]) == EXIT_DONE
+    assert evaluated == [*NAMES, NAMES[0]]
+    assert (campaign / "results" / NAMES[0] / "report.html").is_file()
+    assert main(["run", str(campaign), "--subset-radius", "12"]) == EXIT_DONE
+    assert evaluated == [*NAMES, NAMES[0], *NAMES]
 
 
 def test_an_interrupted_campaign_goes_on_where_it_stopped(campaign, evaluated, monkeypatch):
     with monkeypatch.context() as patch:
         _fail(patch, KeyboardInterrupt(), NAMES[1])
         assert main(["run", str(campaign)]) == 130
-    assert _names(campaign / "results") == {NAMES[0]}
+    assert names_in(campaign / "results") == {NAMES[0]}
     assert main(["run", str(campaign)]) == EXIT_DONE
     assert evaluated == NAMES
-    assert _names(campaign / "results") == {*NAMES, *JOINT}
+    assert names_in(campaign / "results") == {*NAMES, *JOINT}
 
 
 def test_results_of_changed_input_are_refused_and_force_replaces_them(campaign, evaluated, capsys):
@@ -202,16 +192,6 @@ def test_results_of_changed_input_are_refused_and_force_replaces_them(campaign, 
     assert _recordings(campaign / "results" / "load.csv") == TITLES
 
 
-def test_other_settings_and_damaged_results_are_computed_again(campaign, evaluated):
-    assert main(["run", str(campaign)]) == EXIT_DONE
-    (campaign / "results" / NAMES[0] / "report.html").unlink()
-    assert main(["run", str(campaign)]) == EXIT_DONE
-    assert evaluated == [*NAMES, NAMES[0]]
-    assert (campaign / "results" / NAMES[0] / "report.html").is_file()
-    assert main(["run", str(campaign), "--subset-radius", "12"]) == EXIT_DONE
-    assert evaluated == [*NAMES, NAMES[0], *NAMES]
-
-
 @pytest.mark.parametrize("name", ["thesis.txt", "sensitivity.csv", "Fz-0800.00/notes.txt"])
 def test_merged_tables_never_go_among_other_files(name, campaign, evaluated, tmp_path, refused):
     top = tmp_path / "mine"
@@ -219,19 +199,23 @@ def test_merged_tables_never_go_among_other_files(name, campaign, evaluated, tmp
     (top / name).write_text("mine")
     told = refused("run", campaign, "-o", top)
     assert told.startswith(f"shakercal: {top}: expected results of this campaign only (--force")
-    assert _names(top) == {name.split("/", maxsplit=1)[0]}
+    assert names_in(top) == {name.split("/", maxsplit=1)[0]}
     assert not evaluated
     if name != "sensitivity.csv":
         assert main(["run", str(campaign), "-o", str(top), "--force"]) == EXIT_DONE
         assert (top / name).read_text() == "mine"
 
 
-def test_results_of_a_recording_that_is_gone_do_not_disturb(campaign, evaluated):
+def test_a_recording_that_is_broken_or_gone_does_not_disturb_the_other(campaign, evaluated, capsys):
     assert main(["run", str(campaign)]) == EXIT_DONE
+    edit(campaign / NAMES[0] / "recording.toml", "scale = 0.125", "scal = 0.125")
+    assert main(["run", str(campaign), "--force"]) == EXIT_INPUT
+    assert evaluated == [*NAMES, NAMES[1]]
+    assert f"shakercal: {campaign / NAMES[0] / 'recording.toml'}: daq.vibrometer" in capsys.readouterr().err
     shutil.rmtree(campaign / NAMES[0])
     (campaign / "results" / ".DS_Store").write_text("of the system")
     assert main(["run", str(campaign)]) == EXIT_DONE
-    assert evaluated == NAMES
+    assert evaluated == [*NAMES, NAMES[1]]
     assert _recordings(campaign / "results" / "sensitivity.csv") == TITLES[1:]
 
 

@@ -79,18 +79,13 @@ def test_of_several_lever_arms_the_purest_is_on_the_curve():
 
 def test_an_output_that_a_frequency_lacks_is_no_number_there():
     drives, _ = sweep(lines=6)
-    partial = [
-        replace(
-            d,
-            outputs=d.outputs[:3],
-            outputs_uncertainty=d.outputs_uncertainty.at([0, 1, 2]),
-            channels=LOAD_COMPONENTS[:3],
-        )
-        if n < 2
-        else d
-        for n, d in enumerate(drives)
-    ]
-    (curve,) = ratio_curves(partial, CAPACITY.tolist())
+    forces = slice(3)
+    fewer = [
+        replace(d, outputs=d.outputs[forces], outputs_uncertainty=d.outputs_uncertainty.at([0, 1, 2]),
+                channels=LOAD_COMPONENTS[forces])
+        for d in drives[:2]
+    ]  # fmt: skip
+    (curve,) = ratio_curves([*fewer, *drives[2:]], CAPACITY.tolist())
     assert curve.channels == LOAD_COMPONENTS
     assert np.isnan(curve.value[0, 3:]).all()
     assert np.isfinite(curve.value[0, :3]).all()
@@ -174,9 +169,6 @@ def test_weights_reproduce_a_parabola_and_points_without_noise():
     exact = interpolation_weights(frequency, value, np.zeros(14), frequency)
     np.testing.assert_allclose(exact.weight @ value, value, rtol=1e-6)
     assert np.all(exact.variance < 1e-10)
-
-
-def test_too_few_points_are_refused():
     few = np.arange(1.0, LEAST_POINTS)
     with pytest.raises(ValueError, match=f"at least {LEAST_POINTS} points, found {LEAST_POINTS - 1}"):
         interpolation_weights(few, few, few, few)

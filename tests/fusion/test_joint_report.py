@@ -99,13 +99,13 @@ def swept() -> CampaignEvaluation:
     return evaluate_campaign("sweep along z", sweep(), FAILED)
 
 
+def table_of(evaluation: CampaignEvaluation, name: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(campaign_tables(evaluation, [])[name])))
+
+
 @pytest.fixture(scope="module")
 def matrix() -> CampaignEvaluation:
     return evaluate_campaign("eight recordings", eight(), {})
-
-
-def table(text: str) -> list[dict[str, str]]:
-    return list(csv.DictReader(io.StringIO(text)))
 
 
 def within(row: dict[str, str], true: complex, times: float = 5.0) -> bool:
@@ -114,8 +114,8 @@ def within(row: dict[str, str], true: complex, times: float = 5.0) -> bool:
     return abs(error.real) < times * float(row["u_re"]) and abs(error.imag) < times * float(row["u_im"])
 
 
-def test_one_curve_over_frequency(swept):
-    rows = table(campaign_tables(swept, [])["curve.csv"])
+def test_one_curve_over_frequency_relative_to_static_where_that_is_stated(swept):
+    rows = table_of(swept, "curve.csv")
     assert ",".join(rows[0]) == HEADER
     assert [float(row["frequency_hz"]) for row in rows[::6]] == pytest.approx(SWEEP_HZ, rel=1e-6)
     head = {(row["component"], row["kind"], row["recordings"], row["mountings"]) for row in rows}
@@ -124,26 +124,19 @@ def test_one_curve_over_frequency(swept):
         assert all(row.values())
         assert within(row, complex(truth(float(row["frequency_hz"]))[LOADS.index(row["channel"]), 2]))
         assert float(row["U_magnitude"]) == pytest.approx(float(row["k"]) * float(row["u_magnitude"]), rel=1e-12)
-
-
-def test_relative_to_static_where_that_is_stated(swept):
-    rows = table(campaign_tables(swept, [])["curve.csv"])
+    shared = np.linalg.norm([2.5e-4, 1e-3 / 9.73, 1e-4, 1e-4])  # scales of motion, bridge and channel, and the mass
     main = [row for row in rows if row["channel"] == "Fz"]
     for row in main:
         assert float(row["relative"]) == pytest.approx(float(row["magnitude"]) / STATIC[2, 2], rel=1e-12)
         share = float(row["u_magnitude"]) / float(row["magnitude"])
+        assert 0.999 * shared < share  # what is shared does not average away
         assert float(row["u_relative"]) / float(row["relative"]) == pytest.approx(np.hypot(share, 1e-4), rel=1e-9)
+    assert float(main[0]["u_magnitude"]) / float(main[0]["magnitude"]) < 2.0 * shared
     assert {row["relative"] for row in rows if row["channel"] != "Fz"} == {"nan"}
 
 
-def test_what_is_shared_does_not_average_away(swept):
-    main = next(row for row in table(campaign_tables(swept, [])["curve.csv"]) if row["channel"] == "Fz")
-    shared = np.linalg.norm([2.5e-4, 1e-3 / 9.73, 1e-4, 1e-4])  # scales of motion, bridge and channel, and the mass
-    assert 0.999 * shared < float(main["u_magnitude"]) / float(main["magnitude"]) < 2.0 * shared
-
-
 def test_elements_of_the_matrix_stand_among_the_sensitivities(matrix):
-    rows = table(campaign_tables(matrix, [])["sensitivity.csv"])
+    rows = table_of(matrix, "sensitivity.csv")
     assert {(row["kind"], row["recording"]) for row in rows} == {("matrix", "eight recordings")}
     assert len(rows) == 36 * len(MATRIX_HZ)
     for row in rows:
@@ -153,7 +146,7 @@ def test_elements_of_the_matrix_stand_among_the_sensitivities(matrix):
 
 
 def test_cross_talk_at_rated_loads(matrix):
-    rows = table(campaign_tables(matrix, [])["crosstalk.csv"])
+    rows = table_of(matrix, "crosstalk.csv")
     assert ",".join(rows[0]) == f"frequency_hz,channel,component,{POLAR},U_region,holds_zero"
     assert len(rows) == 30 * len(MATRIX_HZ)
     for row in rows:
@@ -181,10 +174,13 @@ def test_uncertainties_are_kept_with_their_names(matrix):
     assert kinds[-1] == "matrix"
 
 
-def test_equal_input_gives_equal_bytes(swept):
+def test_equal_input_gives_equal_bytes_and_without_six_loads_there_is_no_matrix(swept):
     again = evaluate_campaign("sweep along z", sweep(), FAILED)
     assert campaign_tables(swept, []) == campaign_tables(again, [])
     assert campaign_h5(swept, []) == campaign_h5(again, [])
+    assert swept.matrices == ()
+    assert table_of(swept, "crosstalk.csv") == []
+    assert "too few independent loads" in swept.refused[0].text
 
 
 def test_the_example_of_the_page_combines_two_elements(swept, tmp_path, monkeypatch):
@@ -207,12 +203,6 @@ def test_the_example_of_the_page_combines_two_elements(swept, tmp_path, monkeypa
     assert line.shape == (6, 2, 6, 2)
     assert line[0, 0, 0, 0] == pytest.approx(both.covariance[0, 0, 0], rel=1e-9)
     assert line[0, 0, 5, 0] / np.sqrt(line[0, 0, 0, 0] * line[5, 0, 5, 0]) > 0.5
-
-
-def test_without_six_loads_there_is_no_matrix(swept):
-    assert swept.matrices == ()
-    assert table(campaign_tables(swept, [])["crosstalk.csv"]) == []
-    assert "too few independent loads" in swept.refused[0].text
 
 
 def test_page_of_a_sweep(swept):
@@ -272,35 +262,34 @@ def test_a_series_of_amplitudes_tells_linearity():
         assert file["repeats/001/mountings"].asstr()[()].tolist().count("2") == 2
 
 
-def test_inputs_of_all_recordings_are_known_by_name():
-    first, second = sweep()[:2]
-    hashes = {"rig.toml": "cd" * 32, **first.origin.input_hashes}
-    other = replace(second.origin, input_hashes={"rig.toml": "ef" * 32})
-    known = replace(first, origin=replace(first.origin, input_hashes=hashes))
-    origin = campaign_origin([known, replace(second, origin=other)])
-    assert origin.input_hashes == {**hashes, f"{second.folder}: rig.toml": "ef" * 32}
-
-
-def test_recordings_of_one_name_are_told_apart():
+def test_recordings_of_one_name_and_inputs_of_all_are_told_apart():
     first, second = (replace(entry, name="the same") for entry in sweep()[:2])
     found = evaluate_campaign("twice", (first, second), {})
     assert [entry.name for entry in found.recorded] == [f"the same [{entry.folder}]" for entry in (first, second)]
     assert [drive.recording for drive in found.drives] == [entry.name for entry in found.recorded]
+    hashes = {"rig.toml": "cd" * 32, **first.origin.input_hashes}
+    known = replace(first, origin=replace(first.origin, input_hashes=hashes))
+    other = replace(second, origin=replace(second.origin, input_hashes={"rig.toml": "ef" * 32}))
+    assert campaign_origin([known, other]).input_hashes == {**hashes, f"{second.folder}: rig.toml": "ef" * 32}
 
 
-def test_several_sensors_have_nothing_to_say_together():
+def no_common_output(entry: Recorded) -> Recorded:
+    drives = [replace(drive, channels=tuple(f"{name}'" for name in drive.channels)) for drive in entry.drives]
+    return replace(entry, drives=tuple(drives))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda entry: replace(entry, sensor=replace(SENSOR, serial="4711")), "tested several sensors"),
+        (no_common_output, "no curves of ratios: drives: expected an output"),
+    ],
+)
+def test_recordings_that_have_nothing_to_say_together_keep_their_own_results(change, told):
     first, second = sweep()[:2]
-    found = evaluate_campaign("two", (first, replace(second, sensor=replace(SENSOR, serial="4711"))), {})
+    found = evaluate_campaign("two", (first, change(second)), {})
     assert found.curves == ()
-    assert "tested several sensors" in found.notices[0].text
-
-
-def test_recordings_that_have_no_output_in_common_keep_their_own_results():
-    first, second = sweep()[:2]
-    only = tuple(replace(d, channels=tuple(f"{name}'" for name in d.channels)) for d in second.drives)
-    found = evaluate_campaign("apart", (first, replace(second, drives=only)), {})
-    assert found.curves == ()
-    assert "no curves of ratios: drives: expected an output" in found.notices[0].text
+    assert told in found.notices[0].text
 
 
 def test_no_sensor_leaves_a_page_without_sensitivity():
@@ -323,7 +312,7 @@ def test_files_are_written_from_files(tmp_path, monkeypatch):
     before = {path.name: path.read_bytes() for path in paths}
     assert all(write_campaign(top, "three", folders, {}))
     assert {path.name: path.read_bytes() for path in paths} == before
-    rows = table(before["curve.csv"].decode())
+    rows = list(csv.DictReader(io.StringIO(before["curve.csv"].decode())))
     assert {(row["channel"], row["recordings"], row["mountings"]) for row in rows} == {
         (name, "3", "2") for name in LOADS
     }

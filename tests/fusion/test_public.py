@@ -34,12 +34,9 @@ def test_every_public_name_has_an_example_that_runs(name, monkeypatch):
     assert not failed, "".join(told)
 
 
-def test_the_example_of_the_package_runs(monkeypatch):
+def test_the_names_of_the_package_and_its_example(monkeypatch):
     monkeypatch.chdir(ROOT)
     assert doctest.testmod(fusion).failed == 0
-
-
-def test_names_are_those_of_the_table():
     assert dir(fusion) == fusion.__all__
     assert len(set(fusion.__all__)) == len(fusion.__all__)
     assert all(getattr(fusion, name).__doc__ for name in RESULTS)

@@ -17,9 +17,11 @@ from fusion.campaign.repeats import (
     BETWEEN,
     WITHIN,
     Drive,
+    alike,
     between_recordings,
     find_repeats,
     group_by_frequency,
+    mean_ratio,
     over_lines,
 )
 
@@ -92,18 +94,7 @@ def test_stated_errors_of_a_recording_are_not_counted_again_as_scatter():
     assert np.mean(np.array(left) == 0.0) > 0.4
 
 
-def test_one_recording_has_no_components_and_one_mounting_says_so():
-    (single,) = find_repeats([recorded(1.0, "a")])
-    assert np.isnan(single.within).all()
-    assert np.isnan(single.between).all()
-    assert not single.notices
-    (same,) = find_repeats([recorded(1.0, "a"), recorded(1.001, "b")])
-    assert same.within_dof == 1
-    assert same.between_dof == 0
-    assert "are of one mounting" in same.notices[0].text
-
-
-def test_what_counts_as_a_repeat():
+def test_what_counts_as_a_repeat_and_as_one_frequency():
     first = recorded(1.0, "a")
     louder = recorded(1.0, "b", load=1.5 * LOAD)
     eccentric = recorded(1.0, "c", load=LOAD + 30.0 * np.eye(6)[4])
@@ -114,23 +105,28 @@ def test_what_counts_as_a_repeat():
     groups = [set(r.recordings) for r in find_repeats([first, louder, eccentric, along_x, late, upside, apart])]
     assert {"a", "e", "f"} in groups
     assert len(groups) == 5
-    merged = [set(r.recordings) for r in find_repeats([first, louder, late], amplitudes_apart=False)]
+    merged = [{drive.recording for drive in g} for g in alike([first, louder, late], amplitudes_apart=False)]
     assert merged == [{"a", "b", "e"}]
+    drives = [replace(first, frequency_hz=f) for f in (200.0, 100.0, 100.9, 101.5)]
+    assert [[d.frequency_hz for d in g] for g in group_by_frequency(drives)] == [[100.0, 100.9], [101.5], [200.0]]
 
 
-def test_an_output_that_one_recording_lacks_has_no_mean():
+def test_what_has_no_component_no_mean_or_no_slope():
+    (single,) = find_repeats([recorded(1.0, "a")])
+    assert np.isnan([single.within, single.between]).all()
+    assert not single.notices
+    (same,) = find_repeats([recorded(1.0, "a"), recorded(1.001, "b")])
+    assert (same.within_dof, same.between_dof) == (1, 0)
+    assert "are of one mounting" in same.notices[0].text
     partial = recorded(1.0, "b")
     partial = replace(partial, outputs=np.array([partial.outputs[0], complex(np.nan, np.nan)]))
     (found,) = find_repeats([recorded(1.0, "a"), partial])
     assert found.channels == ("U0",)
     with pytest.raises(ValueError, match="expected an output that all recordings"):
         find_repeats([replace(partial, outputs=np.full(2, complex(np.nan, np.nan)))])
-
-
-def test_a_dead_output_has_a_mean_of_zero_and_no_slope():
     drives = [recorded(1.0 + 1e-3 * n, f"{n}", load=n * LOAD) for n in (1, 2, 3)]
     dead = [replace(drive, outputs=drive.outputs * [1.0, 0.0]) for drive in drives]
-    (found,) = find_repeats(dead, amplitudes_apart=False)
+    found = mean_ratio(dead, 2)
     assert found.value[1] == 0.0
     assert np.isfinite(found.uncertainty.covariance).all()
     (series,) = find_linearity(dead)
@@ -187,28 +183,17 @@ def test_scatter_of_a_series_enlarges_the_uncertainty_of_its_slope():
     assert 0.9 < np.mean(inside) <= 1.0
 
 
-def test_names_between_recordings():
+def test_names_between_recordings_and_what_lines_joined_share():
     effect = np.ones(1)
     parts = [("laser: scale", "rig", effect), ("point x", "mounting", effect), ("trigger: time", "recording", effect)]
     names = [i.name for i in between_recordings(uncertainty([1.0], parts), "Fz 100", "B").influences]
     assert names == ["laser: scale", "point x [B]", "trigger: time [Fz 100]"]
     again = between_recordings(between_recordings(uncertainty([1.0], parts), "Fz 100", "B"), "other", "C")
     assert [i.name for i in again.influences] == names
-
-
-def test_lines_joined_keep_what_they_share():
-    parts = [
-        between_recordings(uncertainty([0.1 * n], [("scale", "rig", [1.0]), ("time", "recording", [2.0])]), str(n), "1")
-        for n in (1, 2)
-    ]
-    joined = over_lines(parts)
-    assert {i.name: i.effect[:, 0].tolist() for i in joined.influences} == {
-        "scale": [1.0, 1.0], "time [1]": [2.0, 0.0], "time [2]": [0.0, 2.0],
-    }  # fmt: skip
+    unknowns = [("scale", "rig", [1.0]), ("time", "recording", [2.0])]
+    lines = [between_recordings(uncertainty([0.1 * n], unknowns), str(n), "1") for n in (1, 2)]
+    joined = over_lines(lines)
+    effects = {i.name: i.effect[:, 0].tolist() for i in joined.influences}
+    assert effects == {"scale": [1.0, 1.0], "time [1]": [2.0, 0.0], "time [2]": [0.0, 2.0]}
     np.testing.assert_allclose(joined.covariance[:, 0, 0], [5.01, 5.04])
-    np.testing.assert_allclose(joined.covariance, np.concatenate([part.covariance for part in parts]))
-
-
-def test_groups_of_one_frequency():
-    drives = [replace(recorded(1.0, f"{f}"), frequency_hz=f) for f in (200.0, 100.0, 100.9, 101.5)]
-    assert [[d.frequency_hz for d in g] for g in group_by_frequency(drives)] == [[100.0, 100.9], [101.5], [200.0]]
+    np.testing.assert_allclose(joined.covariance, np.concatenate([part.covariance for part in lines]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import html
 from dataclasses import replace
 from xml.etree import ElementTree
@@ -69,42 +68,37 @@ def test_page_shows_results_warnings_and_origin(page):
     assert "4.20 ± 0.20" in text  # clock rate in 1e-6
 
 
-def test_texts_are_escaped(evaluation):
-    manifest = evaluation.manifest
-    manifest.rig.name = "<script>alert(1)</script> & co"
-    page = render_report(dataclasses.replace(evaluation, stereo=(), channels=(), clocks=()))
-    outline(page)
+def test_texts_are_escaped_and_a_recording_without_anything_to_determine_still_has_a_page(evaluation):
+    evaluation.manifest.rig.name = "<script>alert(1)</script> & co"
+    nothing = {"accelerations": (), "load": None, "sensitivity": None, "notices": ()}
+    page = render_report(replace(evaluation, stereo=(), channels=(), clocks=(), **nothing))
     assert html.escape("<script>alert(1)</script> & co") in page
-
-
-def test_recording_without_anything_to_determine_still_has_a_page(evaluation):
-    bare = dataclasses.replace(
-        evaluation, stereo=(), channels=(), clocks=(), accelerations=(), load=None, sensitivity=None, notices=()
-    )
-    assert "neither an acceleration nor a sensitivity" in "".join(outline(render_report(bare)).text)
+    assert "neither an acceleration nor a sensitivity" in "".join(outline(page).text)
 
 
 def test_undetermined_values_do_not_break_the_page(tmp_path):
-    evaluation = make_evaluation(tmp_path, Choice(frames=24))
-    sensitivity = evaluation.sensitivity
-    lost = sensitivity.value.copy()
+    evaluation = make_evaluation(tmp_path, Choice(frames=100))
+    assert camera_rate_hz(evaluation.stereo[0]) == pytest.approx(52.874)  # missing frames count
+    lost = evaluation.sensitivity.value.copy()
     lost[0] = np.nan
-    changed = dataclasses.replace(sensitivity, value=lost)
-    page = render_report(dataclasses.replace(evaluation, sensitivity=changed, stereo=evaluation.stereo[:1]))
+    changed = replace(evaluation.sensitivity, value=lost)
+    page = render_report(replace(evaluation, sensitivity=changed, stereo=evaluation.stereo[:1]))
     assert "nan" not in "".join(outline(page).text).lower().replace("resonan", "")
 
 
-def test_headlines_name_the_deviation_from_the_static_sensitivity(evaluation):
-    first = headlines(evaluation)[0]
-    assert first.label == "Sensitivity Fz per Fz, 106.2503 Hz"
-    assert "from static: (−1.40 ± 0.22) %" in first.remark  # 1.972/2 - 1, and 1.96 of 4.9e-4 and 1e-3
-
-
-def test_sources_stand_side_by_side(evaluation):
+def test_sources_stand_side_by_side_and_headlines_name_the_deviation_from_static(evaluation):
     load, base = source_tables(evaluation)
     assert load.head == ("", "unit", "fused", "photogrammetry", "vibrometer", "accelerometer")
     assert base.head == ("", "unit", "fused")
     assert load.rows[3][4] == "–"
+    weak, strong = load.rows[5][2], load.rows[2][2]  # rz: 0.06 - 0.02j rad/s² ± 0.4, judged by its region
+    assert "not distinguishable from 0" in weak
+    assert weak.startswith("region ± ")
+    assert "189" in strong
+    assert "k = 1.97" in strong
+    first = headlines(evaluation)[0]
+    assert first.label == "Sensitivity Fz per Fz, 106.2503 Hz"
+    assert "from static: (−1.40 ± 0.22) %" in first.remark  # 1.972/2 - 1, and 1.96 of 4.9e-4 and 1e-3
 
 
 def test_budget_is_sorted_and_its_shares_make_a_whole(evaluation):
@@ -126,17 +120,7 @@ def test_what_other_loads_explain(evaluation):
     assert shares["Fz"][0] == "0"  # the static sensitivity of the factory is diagonal
     # Fx: 5.1e-7 V/V/N times 0.33 m/s² times 7.7 kg over an output of 3e-7 V/V: several times the whole output.
     assert float(shares["Fx"][0].partition(" ")[0].replace("−", "-")) != 0.0
-    assert other_loads_table(dataclasses.replace(evaluation, load=None)) is None
-
-
-def test_weak_components_are_judged_by_their_region(evaluation):
-    load = source_tables(evaluation)[0]
-    weak = load.rows[5][2]  # rz: 0.06 - 0.02j rad/s² ± 0.4
-    assert "not distinguishable from 0" in weak
-    assert weak.startswith("region ± ")
-    strong = load.rows[2][2]
-    assert "189" in strong
-    assert "k = 1.97" in strong
+    assert other_loads_table(replace(evaluation, load=None)) is None
 
 
 def test_numbers_as_html():
@@ -153,7 +137,8 @@ def test_numbers_as_html():
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def test_every_figure_is_well_formed_and_asks_for_nothing_outside(pictures):
+def test_every_figure_is_well_formed_and_asks_for_nothing_outside(pictures, evaluation):
+    assert draw_trigger(evaluation.clocks).svg == draw_trigger(evaluation.clocks).svg  # the same each time
     every = [picture for group in pictures.values() for picture in group]
     assert len({picture.name for picture in every}) == len(every) >= 13
     for picture in every:
@@ -166,31 +151,17 @@ def test_every_figure_is_well_formed_and_asks_for_nothing_outside(pictures):
         assert picture.caption.endswith(".")
 
 
-def test_a_figure_is_the_same_each_time(evaluation):
-    clocks = evaluation.clocks
-    assert draw_trigger(clocks).svg == draw_trigger(clocks).svg
-
-
-def test_beat_curve_is_slow_and_passes_through_the_fit_at_every_frame(evaluation):
+def test_beat_curve_passes_through_the_fit_at_every_frame_and_the_folded_one_is_it_without_offset(evaluation):
     stereo = evaluation.stereo[0]
     assert np.allclose(beat_curve(stereo, stereo.time_s), stereo.fit.model(stereo.time_s), rtol=0, atol=1e-11)
     z = beat_curve(stereo, np.linspace(stereo.time_s[0], stereo.time_s[-1], 4000))[:, 2]
     assert np.count_nonzero(np.diff(np.sign(z))) == 4  # 106.25 Hz - 2 × 52.874 Hz = 0.502 Hz: two periods in 3.97 s
-
-
-def test_folded_curve_is_the_model_without_its_offset(evaluation):
-    stereo = evaluation.stereo[0]
     frequency = main_frequency(stereo)
     assert frequency == FREQUENCY_HZ[0]
-    phase = np.mod(stereo.time_s * frequency, 1.0)
     model = stereo.fit.model(stereo.time_s) - stereo.fit.offset
     # The factory's harmonics are 0.6 mHz off the multiples, 2e-5 periods per second.
-    assert np.allclose(folded_curve(stereo, frequency, phase)[:, 2], model[:, 2], rtol=0, atol=5e-9)
-
-
-def test_camera_rate_counts_missing_frames(tmp_path):
-    evaluation = make_evaluation(tmp_path, Choice(frames=100))
-    assert camera_rate_hz(evaluation.stereo[0]) == pytest.approx(52.874)
+    folded = folded_curve(stereo, frequency, np.mod(stereo.time_s * frequency, 1.0))
+    assert np.allclose(folded[:, 2], model[:, 2], rtol=0, atol=5e-9)
 
 
 def test_residual_spectrum_shows_the_amplitude_of_what_was_not_fitted(evaluation):
@@ -204,18 +175,13 @@ def test_residual_spectrum_shows_the_amplitude_of_what_was_not_fitted(evaluation
     assert amplitude[peak, 0] == pytest.approx(2e-6, rel=0.05)
 
 
-def test_thinning_keeps_peaks():
-    x = np.arange(1.0, 1001.0)
+def test_thinning_keeps_peaks_and_axes_have_room():
     y = np.ones(1000)
     y[512] = 9.0
-    few_x, few_y = thin_out(x, y, np.geomspace(1.0, 1001.0, 50))
+    few_x, few_y = thin_out(np.arange(1.0, 1001.0), y, np.geomspace(1.0, 1001.0, 50))
     assert len(few_x) < 60
-    assert few_y.max() == 9.0
-    assert few_x[np.argmax(few_y)] == 513.0
+    assert (few_y.max(), few_x[np.argmax(few_y)]) == (9.0, 513.0)
     assert np.all(np.diff(few_x) > 0.0)
-
-
-def test_small_helpers():
     assert padded(0.0, 10.0, 0.1) == (-1.0, 11.0)
     assert padded(2.0, 2.0)[0] < 2.0 < padded(2.0, 2.0)[1]
     assert power_text(-7) == "10⁻⁷"

@@ -15,7 +15,7 @@ from evaluation_factory import ACCELERATION, LOAD_COMPONENTS, STATIC, Choice, ma
 from support import rows, state, without_pages
 
 from fusion.base import InputError, versions
-from fusion.campaign.recorded import read_drives, read_recorded
+from fusion.campaign.recorded import read_recorded
 from fusion.campaign.repeats import drives_of
 from fusion.estimation.uncertainty import Influence, Uncertainty
 from fusion.report import recording as results
@@ -48,29 +48,29 @@ def folder(evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> 
     return out
 
 
-def test_exactly_the_files_of_the_format(folder):
-    names = {path.name for path in folder.iterdir()}
-    wanted = {"sensitivity.csv", "acceleration.csv", "load.csv", "motion-top.csv", "motion-base.csv"}
-    assert names == wanted | {"result.h5", "report.html"}
+@pytest.fixture
+def write(no_pages: None, tmp_path: Path) -> Callable[[Evaluation], Path]:
+    """Return a function that writes an evaluation without figures and returns the folder."""
+
+    def written(evaluation: Evaluation) -> Path:
+        write_results(evaluation, tmp_path / "out")
+        return tmp_path / "out"
+
+    return written
+
+
+def test_exactly_the_files_columns_and_cells_of_the_format(folder):
+    heads = {"sensitivity.csv": SENSITIVITY, "acceleration.csv": PHASOR, "load.csv": PHASOR}
+    heads |= {"motion-top.csv": MOTION, "motion-base.csv": MOTION}
+    assert {path.name for path in folder.iterdir()} == {*heads, "result.h5", "report.html"}
     assert list(folder.parent.iterdir()) == [folder]
-
-
-@pytest.mark.parametrize(
-    ("name", "header"),
-    [
-        ("sensitivity.csv", SENSITIVITY),
-        ("acceleration.csv", PHASOR),
-        ("load.csv", PHASOR),
-        ("motion-top.csv", MOTION),
-    ],
-)
-def test_columns_and_cells(folder, name, header):
-    text = (folder / name).read_text(encoding="utf-8")
-    assert text.splitlines()[0] == header
-    assert "\r" not in text
-    for row in rows(folder / name):
-        assert all(row.values()), f"empty cell in {row}"
-        assert row.get("unit", "").isascii()
+    for name, header in heads.items():
+        text = (folder / name).read_bytes().decode("utf-8")
+        assert text.splitlines()[0] == header
+        assert "\r" not in text
+        for row in rows(folder / name):
+            assert all(row.values()), f"empty cell in {row}"
+            assert row.get("unit", "").isascii()
 
 
 def test_phasors_are_read_back_to_the_last_bit(folder, evaluation):
@@ -146,18 +146,7 @@ def test_results_answer_for_the_same_input_only(folder, evaluation, monkeypatch)
 
 
 @pytest.mark.usefixtures("no_pages")
-def test_other_peoples_files_are_refused_and_survive_force(evaluation, tmp_path):
-    (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(InputError):
-        write_results(evaluation, tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
-    written = write_results(evaluation, tmp_path, force=True)
-    assert all(path.is_file() for path in written)
-    assert (tmp_path / "notes.txt").read_text(encoding="utf-8") == "mine"
-
-
-@pytest.mark.usefixtures("no_pages")
-def test_results_are_replaced_by_those_of_the_same_input_or_by_force(evaluation, tmp_path):
+def test_results_are_replaced_by_those_of_the_same_input_or_by_force_and_nothing_else(evaluation, tmp_path):
     out = tmp_path / "results"
     first = {path.name: path.read_bytes() for path in write_results(evaluation, out) if path.suffix == ".csv"}
     write_results(evaluation, out)
@@ -172,6 +161,13 @@ def test_results_are_replaced_by_those_of_the_same_input_or_by_force(evaluation,
     assert is_current(out, other.input_hashes, other.settings)
     (out / "load.csv").unlink()
     assert not is_current(out, other.input_hashes, other.settings)
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "notes.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(InputError):
+        write_results(evaluation, tmp_path / "b")
+    assert [path.name for path in (tmp_path / "b").iterdir()] == ["notes.txt"]
+    assert all(path.is_file() for path in write_results(evaluation, tmp_path / "b", force=True))
+    assert (tmp_path / "b" / "notes.txt").read_text(encoding="utf-8") == "mine"
 
 
 @pytest.mark.usefixtures("no_pages")
@@ -192,13 +188,21 @@ def test_a_failure_leaves_everything_as_it_was(evaluation, tmp_path, monkeypatch
     assert out.exists() == existing
 
 
-@pytest.mark.usefixtures("no_pages")
-def test_recording_without_sensor_and_cameras(tmp_path):
+def test_recording_without_sensor_and_cameras(write, tmp_path):
     bare = make_evaluation(tmp_path, Choice(sensor=False, images=False))
-    written = write_results(bare, tmp_path / "results")
-    assert (tmp_path / "results" / "sensitivity.csv").read_text(encoding="utf-8") == SENSITIVITY + "\n"
+    folder = write(bare)
+    assert (folder / "sensitivity.csv").read_text(encoding="utf-8") == SENSITIVITY + "\n"
     names = {"sensitivity.csv", "acceleration.csv", "load.csv", "report.html", "result.h5"}
-    assert {path.name for path in written} == names
+    assert {path.name for path in folder.iterdir()} == names
+    found = read_recorded(folder)
+    assert (found.sensor, found.drives) == (None, ())
+    assert read_recorded(write(dataclasses.replace(bare, notices=()))).notices == ()
+    with h5py.File(folder / "result.h5", "r+") as file:
+        file.attrs["format"] = 1
+    with pytest.raises(InputError, match="--force evaluates the recording anew"):
+        read_recorded(folder)
+    with pytest.raises(InputError, match="no results"):
+        read_recorded(tmp_path)
 
 
 @pytest.mark.usefixtures("no_pages")
@@ -214,23 +218,9 @@ def test_campaign_tables_are_the_recordings_rows_in_order(tmp_path):
         separate = rows(folders[0] / name) + rows(folders[1] / name)
         assert rows(tmp_path / name) == separate
     assert rows(tmp_path / "load.csv")[-1]["recording"] == 'Fz "second"'
-
-
-def test_campaign_refuses_a_table_of_another_format(tmp_path):
     (tmp_path / "load.csv").write_text("a,b\n1,2\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"load\.csv: expected the columns"):
         merge_tables([tmp_path])
-
-
-@pytest.fixture
-def write(no_pages: None, tmp_path: Path) -> Callable[[Evaluation], Path]:
-    """Return a function that writes an evaluation without figures and returns the folder."""
-
-    def written(evaluation: Evaluation) -> Path:
-        write_results(evaluation, tmp_path / "out")
-        return tmp_path / "out"
-
-    return written
 
 
 def identical(first: Any, second: Any) -> bool:
@@ -261,7 +251,7 @@ def test_drives_are_read_back_to_the_last_bit(write, tmp_path):
     assert [drive.mounting for drive in drives] == ["second"]
     names = [influence.name for influence in drives[0].outputs_uncertainty.influences]
     assert names == ["clock bridge: time", "scale 2"]
-    assert identical(drives, read_drives(write(evaluation)))
+    assert identical(drives, read_recorded(write(evaluation)).drives)
 
 
 def test_sensor_excitation_and_notices_are_read_back(write, tmp_path):
@@ -275,24 +265,7 @@ def test_sensor_excitation_and_notices_are_read_back(write, tmp_path):
     assert found.origin.input_hashes == evaluation.input_hashes
 
 
-def test_a_recording_without_sensor_or_notices(write, tmp_path):
-    found = read_recorded(write(make_evaluation(tmp_path, Choice(sensor=False, images=False))))
-    assert (found.sensor, found.drives) == (None, ())
-    bare = dataclasses.replace(make_evaluation(tmp_path, Choice(sensor=False, images=False)), notices=())
-    assert read_recorded(write(bare)).notices == ()
-
-
-def test_results_of_another_format_are_refused(write, tmp_path):
-    folder = write(make_evaluation(tmp_path, Choice(sensor=False, images=False)))
-    with h5py.File(folder / "result.h5", "r+") as file:
-        file.attrs["format"] = 1
-    with pytest.raises(InputError, match="--force evaluates the recording anew"):
-        read_recorded(folder)
-    with pytest.raises(InputError, match="no results"):
-        read_recorded(tmp_path)
-
-
-def test_hash_is_that_of_the_whole_file(tmp_path):
+def test_hashes_are_of_whole_files_named_from_the_root_and_sorted(tmp_path):
     content = bytes(range(256)) * 9000
     assert len(content) > 2 << 20
     for data, digest in (
@@ -301,9 +274,6 @@ def test_hash_is_that_of_the_whole_file(tmp_path):
     ):
         (tmp_path / "file").write_bytes(data)
         assert sha256(tmp_path / "file") == digest
-
-
-def test_files_are_named_from_the_root_and_sorted(tmp_path):
     root = tmp_path / "campaign"
     (root / "b").mkdir(parents=True)
     paths = [root / "rig.toml", root / "b" / "x.tif", tmp_path / "elsewhere.h5"]
@@ -328,12 +298,8 @@ def test_folder_rules(tmp_path):
     check_folder(tmp_path, {}, force=True)
     with pytest.raises(InputError, match="a folder"):
         check_folder(tmp_path / "thesis.txt", {}, force=True)
-
-
-def test_a_foreign_or_broken_result_file_is_no_provenance(tmp_path):
-    path = tmp_path / "result.h5"
-    path.write_bytes(b"not HDF5")
+    (tmp_path / "result.h5").write_bytes(b"not HDF5")
     assert read_provenance(tmp_path) is None
-    with h5py.File(path, "w") as file:
+    with h5py.File(tmp_path / "result.h5", "w") as file:
         file["data"] = 1.0
     assert read_provenance(tmp_path) is None

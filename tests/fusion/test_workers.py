@@ -75,6 +75,7 @@ def test_one_thread_of_linear_algebra_gives_the_same_digits_everywhere(two):
 def test_failures_and_remarks_come_back(kind, error, sentence, two, capsys):
     answer = two.submit(0, tasks.refuse, kind).result(PATIENCE_S)
     log = logging.getLogger("shakercal")
+    level = log.level
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(log, "handlers", [logging.StreamHandler(sys.stderr)])
         patch.setattr(log, "propagate", False)
@@ -85,21 +86,21 @@ def test_failures_and_remarks_come_back(kind, error, sentence, two, capsys):
     assert str(raised.value).startswith(sentence)
     if kind != "unpicklable":
         assert "in refuse" in raised.value.__notes__[0]
+    here = call(tasks.refuse, kind)  # is answered likewise
+    assert isinstance(here.error, ValueError if kind == "unpicklable" else error)
+    assert [record.getMessage() for record in here.told] == [f"a remark about {kind}"]
+    assert log.level == level
 
 
-def test_the_task_of_a_worker_that_was_killed_is_done_by_another(two, tmp_path):
-    answer, other = two.submit(0, tasks.die_until, tmp_path / "tries", 2), two.submit(1, tasks.product, 2.0, 3.0)
+def test_the_task_of_a_worker_that_was_killed_is_done_by_another_and_one_that_kills_all_fails_alone(two, tmp_path):
+    answer, other = two.submit(0, tasks.die_until, tmp_path / "two", 2), two.submit(1, tasks.product, 2.0, 3.0)
     assert answer.result(PATIENCE_S).opened() == 3
     assert other.result(PATIENCE_S).opened() == 6.0
-
-
-def test_a_task_that_kills_every_worker_fails_alone(two, tmp_path):
-    answer = two.submit(0, tasks.die_until, tmp_path / "tries", 99).result(PATIENCE_S)
-    with pytest.raises(
-        ComputeError, match=r"3 worker processes ended while they computed it; does the memory suffice\?"
-    ):
+    answer = two.submit(0, tasks.die_until, tmp_path / "all", 99).result(PATIENCE_S)
+    told = r"3 worker processes ended while they computed it; does the memory suffice\?"
+    with pytest.raises(ComputeError, match=told):
         answer.opened()
-    assert (tmp_path / "tries").stat().st_size == 3
+    assert (tmp_path / "all").stat().st_size == 3
     assert two.submit(0, tasks.product, 2.0, 3.0).result(PATIENCE_S).opened() == 6.0
 
 
@@ -130,14 +131,6 @@ def test_workers_end_when_the_process_that_leads_them_is_killed(tmp_path):
     leader.kill()
     leader.wait()
     wait_until(lambda: not _is_running(int(begun.read_text())))
-
-
-def test_a_call_here_is_answered_likewise():
-    level = logging.getLogger("shakercal").level
-    answer = call(tasks.refuse, "input")
-    assert isinstance(answer.error, InputError)
-    assert [record.getMessage() for record in answer.told] == ["a remark about input"]
-    assert logging.getLogger("shakercal").level == level
 
 
 def test_only_what_a_process_left_that_is_gone_is_removed(tmp_path):
@@ -232,11 +225,15 @@ def test_an_image_that_another_process_refuses_is_told_as_here(demo_recording, t
     assert len(crew.asked) > 0
 
 
+def _empty_recordings(campaign: Path, count: int) -> None:
+    for number in range(count):
+        (campaign / f"{number}").mkdir(parents=True)
+        (campaign / f"{number}" / "recording.toml").write_text("")
+
+
 @pytest.mark.parametrize(("recordings", "shared"), [(1, True), (2, False)])
 def test_few_recordings_share_their_frames_and_many_the_workers(recordings, shared, tmp_path, monkeypatch):
-    for number in range(recordings):
-        (tmp_path / "campaign" / f"{number}").mkdir(parents=True)
-        (tmp_path / "campaign" / f"{number}" / "recording.toml").write_text("")
+    _empty_recordings(tmp_path / "campaign", recordings)
     crew = Inline()
     monkeypatch.setattr(leading, "Workers", lambda _: crew)
     outcomes = run_path(tmp_path / "campaign", None, Settings(), workers=2)
@@ -334,9 +331,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_tables(sweep, serial, tmp_pat
 def test_an_interruption_ends_all_workers_and_leaves_nothing_half_written(tmp_path):
     script, out = tmp_path / "run.py", tmp_path / "out"
     script.write_text(RUN)
-    for name in ("a", "b", "c"):
-        (tmp_path / "campaign" / name).mkdir(parents=True)
-        (tmp_path / "campaign" / name / "recording.toml").write_text("")
+    _empty_recordings(tmp_path / "campaign", 3)
     command = [sys.executable, script, "endless_job", "run", tmp_path / "campaign", "-o", out, "--workers", "2"]
     with subprocess.Popen(command, env=environment(), stderr=subprocess.PIPE, start_new_session=True) as run:
         wait_until(lambda: len([path for path in out.glob("begun-*") if path.read_text()]) == 2)
