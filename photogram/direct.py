@@ -149,10 +149,7 @@ def compare_cells(cells: Cells, target: Spline, warp: FloatArray) -> CellSums:
 
 
 def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return grey value and squared residual (P,) of every pixel, the latter per expected share of noise variance.
-
-    The residual g − a − b·f of each cell's fitted offset and gain, squared, over κ_g + b².
-    """
+    """Return grey value f and squared residual (g − a − b·f)²/(κ_g + b²) (P,) of every pixel, a, b fitted per cell."""
     grey = np.full(cells.pixels.shape[1], np.nan)
     _sample_cells(cells.layout, (target.coefficients, target.degree), np.ascontiguousarray(warp), grey)
     count = len(cells.centre_px)

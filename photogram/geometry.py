@@ -97,8 +97,7 @@ def rotation_from_vector(vector_rad: FloatArray) -> FloatArray:
 def vector_from_rotation(rotation: FloatArray) -> FloatArray:
     """Return the rotation vectors (..., 3) in rad, |v| ≤ π, of rotation matrices (..., 3, 3).
 
-    By way of the unit quaternion taken from its largest component (Shepperd 1978, J. Guidance and Control 1, 223), so
-    that angles near 0 and near π keep full precision.
+    By the unit quaternion's largest component (Shepperd 1978, J. Guidance and Control 1, 223): precise from 0 to π.
     """
     r = np.asarray(rotation, dtype=np.float64)
     candidates = np.empty((*r.shape[:-2], 4, 4))

@@ -93,8 +93,7 @@ def basis_polynomials(degree: int) -> FloatArray:
 def sample(frames: TorchSplines, corner: Tensor, place_px: Tensor, polynomials: Tensor) -> Tensor:
     """Grey values (n,P) at place_px (2,n,P) [x, y], relative to the pixels whose coefficients begin at corner (n,).
 
-    Every point gathers (degree+1) rows of neighbouring coefficients, overlapping windows of one long line, and sums
-    them with its weights down; the weights along x follow.
+    A point gathers degree + 1 rows of coefficients, windows of one long line, weighted down and then along x.
     """
     import torch
     from torch.nn.functional import embedding_bag

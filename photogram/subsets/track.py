@@ -339,10 +339,9 @@ class Tracks(Arrays, shapes="position_px F N 2; covariance_px2 F N 2 2; zncc F N
 
 
 def find_anew(reference: Reference, first: Image, frame: tuple[Image, Spline], settings: TrackSettings) -> Registration:
-    """Subsets of the first image in a frame of which nothing is foretold.
+    """Subsets of the first image in a frame of which nothing is foretold: from rest and by search, the better one.
 
-    From rest, and from one affine motion through searched seeds, each where it correlates better: a start at rest finds
-    some subsets of a body that has moved by a speckle in a wrong place, and a search slides along edges.
+    A start at rest finds some subsets of a body that moved by a speckle in a wrong place; a search slides along edges.
     """
     rest = identity(reference).warp
     found = follow(reference, first, frame, rest, settings)
@@ -386,15 +385,14 @@ def find_by_search(
     reference: Reference, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
 ) -> Registration:
     """All subsets from one affine motion through a few well-textured seeds, which are searched by correlation."""
-    image, target = frame
     usable = np.flatnonzero(reference.status == TrackStatus.OK)
     spread = usable[np.linspace(0, len(usable) - 1, min(len(usable), 4 * SEEDS)).astype(np.int64)]
     seeds = spread[np.argsort(-reference.energy[spread])[:SEEDS]]
     points = reference.centre_px[seeds]
     guess = np.nan_to_num(start[seeds][:, [0, 3]])
-    shifts = template_shifts(first, image, points, settings.radius_px, settings.reach_px, guess)
+    shifts = template_shifts(first, frame[0], points, settings.radius_px, settings.reach_px, guess)
     field = affine_field(points, shifts, reference.centre_px)
-    return register(reference, target, field, settings)
+    return register(reference, frame[1], field, settings)
 
 
 def find_from_neighbours(

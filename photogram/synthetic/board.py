@@ -265,10 +265,9 @@ def render_board(
 ) -> FloatArray:
     """Return the noise-free picture (H, W), fractions of full scale, of a board.
 
-    The lens blurs the picture by a Gaussian of σ `blur_px`, the same everywhere and in all directions: the pattern is
-    drawn at half the pixel's width with edges softened just enough (0.5 of these pixels) to be sampled, convolved with
-    the rest of the Gaussian, and averaged over each pixel's square. Light falls off by `falloff` to the corners of the
-    picture and rises by `slant` from its left to its right edge.
+    The lens blurs it by a Gaussian of σ `blur_px`: the pattern is drawn at half the pixel's width with edges softened
+    just enough (0.5 of these pixels) to be sampled, convolved with the rest of the Gaussian, and averaged over each
+    pixel's square. Light falls off by `falloff` to the picture's corners and rises by `slant` from left to right.
 
     >>> camera = Camera.from_parameters(np.array([400.0, 400, 80, 60, 0, 0, 0, 0, 0]), np.array([160, 120]))
     >>> pose = RigidTransform(np.eye(3), np.array([-0.02, -0.015, 0.2]))

@@ -165,10 +165,7 @@ class View(Arrays, shapes="ray H W 2; ray_x H W 2; ray_y H W 2; light H W"):
     light: FloatArray
 
     def homography(self, face: Face, pose: FloatArray) -> FloatArray:
-        """Return the matrix (3, 3) that takes a ray (x, y, 1) to w·(u, v, 1) on the face of a body in `pose` (6,).
-
-        A face point is R·(plane·(u, v, 1)) + t in the world, so the ray is camera_from_world · that · (u, v, 1).
-        """
+        """Return the matrix (3, 3) that takes a ray (x, y, 1) to w·(u, v, 1) on the face of a body in `pose` (6,)."""
         camera_from_body = self.camera_from_world @ RigidTransform.from_pose(pose)
         face_to_ray = camera_from_body.rotation @ face.plane
         face_to_ray[:, 2] += camera_from_body.translation_m
@@ -330,8 +327,7 @@ def motion_bound(views: Sequence[View], face: Face, sensor: ImageSensor, pose: F
     """Return the smallest covariance (6, 6) of x y z rx ry rz (m, rad, at the world origin) of one frame.
 
     (Σ w·JᵀJ)⁻¹ over all pixels of all views: J = ∂grey/∂pose by central differences of the rendered images,
-    w = 1/noise variance. The appearance of the body is taken as known: gain, offset and a reference's noise are
-    not among the unknowns, so a program that estimates those from the images lies somewhat above.
+    w = 1/noise variance. Gain, offset and a reference's noise are no unknowns; estimating them costs more.
     """
     start = np.zeros(6) if pose is None else np.asarray(pose, dtype=np.float64)
 
