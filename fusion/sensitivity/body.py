@@ -282,15 +282,16 @@ def _parameters(part: Part, matrix: Callable[[InertialTerms], ComplexArray]) -> 
         return Unknown(name, f"{part.name}: {what}", u, unit, matrix(change), scope)
 
     if part.u_mass_kg > 0.0:
-        yield unknown("mass", "", part.u_mass_kg, "kg", InertialTerms.of(part.u_mass_kg, centre, rigid))
+        heavier = InertialTerms.of(part.u_mass_kg, centre, rigid, part.air_share)
+        yield unknown("mass", "", part.u_mass_kg, "kg", heavier)
     place = ", ".join(f"{x:.9g}" for x in centre.tolist())
     for letter, step in zip("xyz", np.diag(part.u_centre_of_mass_m), strict=True):
         if np.any(step > 0.0):
             # The terms are of second order in the place: half their difference is the derivative.
-            ahead, behind = (InertialTerms.of(part.mass_kg, centre + s, rigid) for s in (step, -step))
+            ahead, behind = (InertialTerms.of(part.mass_kg, centre + s, rigid, part.air_share) for s in (step, -step))
             matrix_change = (ahead.mass_matrix - behind.mass_matrix) / 2.0
-            in_air = part.mass_kg * (1.0 - part.air_share) * step
-            moved = InertialTerms(matrix_change, np.zeros(()), in_air)
+            moment_change = (ahead.weight_moment_kgm - behind.weight_moment_kgm) / 2.0
+            moved = InertialTerms(matrix_change, np.zeros(()), moment_change)
             yield unknown("centre of mass", f" [{place}] {letter}", float(step.sum()), "m", moved)
     for entry, (row, column) in zip(np.eye(6), INERTIA_ENTRIES, strict=True):
         u = float(part.u_inertia_kgm2[row, column])
