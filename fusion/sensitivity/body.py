@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from fusion.base import InputError
 from fusion.estimation.uncertainty import Scope, Unknown
 from photogram.geometry import skew
-from shaker.arrays import ComplexArray, FloatArray
+from shaker.arrays import ComplexArray, FloatArray, check_shapes
 from shaker.identification.measured import InertiaError
 from shaker.labels import MOTION_COMPONENTS
 
@@ -102,11 +102,8 @@ class Part:
     below_joint: bool = False
 
     def __post_init__(self) -> None:
-        for key, shape in (("centre_of_mass_m", (3,)), ("inertia_kgm2", (3, 3))):
-            for name in (key, f"u_{key}"):
-                found = np.shape(getattr(self, name))
-                if found != shape:
-                    raise ValueError(f"{name}: expected shape {shape}, found {found}")
+        check_shapes(self, (3,), "centre_of_mass_m", "u_centre_of_mass_m")
+        check_shapes(self, (3, 3), "inertia_kgm2", "u_inertia_kgm2")
         if not np.allclose(self.inertia_kgm2, self.inertia_kgm2.T, rtol=0.0, atol=1e-12):
             raise ValueError(f"inertia_kgm2: expected a symmetric matrix, found {self.inertia_kgm2.tolist()}")
 

@@ -102,7 +102,7 @@ def test_parameter_changes_are_derivatives(gravity, air_share):
 
 
 def test_refusals_name_the_argument():
-    with pytest.raises(ValueError, match=r"centre_of_mass_m: expected shape \(3,\), found \(2,\)"):
+    with pytest.raises(ValueError, match=r"centre_of_mass_m: expected an array of shape \(3\), found \(2,\)"):
         make_part("p", 1.0, [0.0, 0.0], np.zeros((3, 3)))
     with pytest.raises(ValueError, match="symmetric"):
         make_part("p", 1.0, np.zeros(3), [[0, 1e-3, 0], [0, 0, 0], [0, 0, 0]])
