@@ -393,7 +393,7 @@ def _u(model: MultiModel, shown: ComplexArray, frequency_hz: FloatArray) -> Floa
 
 
 def _root(covariance: FloatArray) -> FloatArray:
-    """Cholesky's root of a covariance whose eigenvalues are made positive, however small."""
+    """Cholesky's root, of which there is one, so that draws are alike everywhere; eigenvalues are made positive."""
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     value, vector = np.linalg.eigh(covariance / np.outer(size, size))
     mended = (vector * np.maximum(value, 1e-12)) @ vector.T
