@@ -102,9 +102,9 @@ def line_drives(
             nominal_hz=float(nominal_hz[line]),
             direction=tuple(float(number) for number in direction),
             load=load.value[line],
-            load_uncertainty=at_line(load.uncertainty, line),
+            load_uncertainty=load.uncertainty.at_lines([line]),
             outputs=outputs.phasors.value[line],
-            outputs_uncertainty=at_line(outputs.uncertainty, line),
+            outputs_uncertainty=outputs.uncertainty.at_lines([line]),
             channels=outputs.phasors.channels,
         )
         for line in driven.tolist()
@@ -120,16 +120,6 @@ def between_recordings(uncertainty: Uncertainty, recording: str, mounting: str) 
     suffix = {"rig": "", "mounting": f" [{mounting}]", "recording": f" [{recording}]"}
     influences = [replace(i, name=f"{i.name}{suffix[i.scope]}", scope="rig") for i in uncertainty.influences]
     return replace(uncertainty, influences=tuple(influences))
-
-
-def at_line(uncertainty: Uncertainty, line: int) -> Uncertainty:
-    """Return the uncertainty of the values at one of the K lines."""
-    here = slice(line, line + 1)
-    random = tuple(
-        replace(part, covariance=part.covariance[here], dof=None if part.dof is None else part.dof[here])
-        for part in uncertainty.random
-    )
-    return Uncertainty(random, tuple(replace(i, effect=i.effect[here]) for i in uncertainty.influences))
 
 
 def over_lines(parts: Sequence[Uncertainty]) -> Uncertainty:

@@ -8,7 +8,7 @@ from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.sine.phasor import real_stacked_diagonal
 
 # Coverage: factors that turn standard into expanded uncertainties, and 95 % regions of complex values.
@@ -236,6 +236,15 @@ class Uncertainty:
         index = np.asarray(values, dtype=np.int64)
         both = np.concatenate([index, index + size])
         return self._mapped(lambda covariance: covariance[:, both[:, None], both], lambda effect: effect[:, both])
+
+    def at_lines(self, lines: IntArray | BoolArray | Sequence[int]) -> Uncertainty:
+        """Return the uncertainty of the values at some of the K lines, by their places or by a mask."""
+        index = np.asarray(lines)
+        random = tuple(
+            replace(part, covariance=part.covariance[index], dof=None if part.dof is None else part.dof[index])
+            for part in self.random
+        )
+        return Uncertainty(random, tuple(i.acting(i.effect[index]) for i in self.influences))
 
     def where_known(self) -> Uncertainty:
         """Return the uncertainty with nothing in place of what is not known (NaN)."""

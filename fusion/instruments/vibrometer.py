@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, added_up, real_design, real_stack
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.arrays import ComplexArray, FloatArray, check_shape, check_shapes
 
 if TYPE_CHECKING:
     from fusion.estimation.fuse import Acceleration
@@ -85,9 +85,8 @@ class PointSpread:
     def __post_init__(self) -> None:
         lines, count = len(self.frequency_hz), len(self.channels)
         check_shape("place_m", self.place_m, (count, 2))
-        check_shape("value", self.value, (lines, count))
+        check_shapes(self, (lines, count), "value", "residual")
         check_shape("plane", self.plane, (lines, 3))
-        check_shape("residual", self.residual, (lines, count))
 
     @property
     def mean(self) -> ComplexArray:

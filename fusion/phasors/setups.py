@@ -21,7 +21,7 @@ from fusion.phasors.setup import OpenSetUp, SetUp, line_stationarity, stationari
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult
 from fusion.recording.manifest import ChannelEntry
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shapes
 from shaker.lines.frequencies import Lines
 from shaker.sine.fit import Stationarity
 from shaker.sine.phasor import Phasors, real_stacked_diagonal
@@ -55,8 +55,7 @@ class SetUpResult:
     u_drift: FloatArray
 
     def __post_init__(self) -> None:
-        for name in ("value", "factor", "drift", "u_drift"):
-            check_shape(name, getattr(self, name), self.frequency_hz.shape)
+        check_shapes(self, self.frequency_hz.shape, "value", "factor", "drift", "u_drift")
 
 
 @dataclass(frozen=True)

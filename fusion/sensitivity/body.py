@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from fusion.base import InputError
 from fusion.estimation.uncertainty import Scope, Unknown
 from photogram.geometry import skew
-from shaker.arrays import ComplexArray, FloatArray
+from shaker.arrays import ComplexArray, FloatArray, check_shapes
 from shaker.identification.measured import InertiaError
 from shaker.labels import MOTION_COMPONENTS
 
@@ -102,11 +102,8 @@ class Part:
     below_joint: bool = False
 
     def __post_init__(self) -> None:
-        for key, shape in (("centre_of_mass_m", (3,)), ("inertia_kgm2", (3, 3))):
-            for name in (key, f"u_{key}"):
-                found = np.shape(getattr(self, name))
-                if found != shape:
-                    raise ValueError(f"{name}: expected shape {shape}, found {found}")
+        check_shapes(self, (3,), "centre_of_mass_m", "u_centre_of_mass_m")
+        check_shapes(self, (3, 3), "inertia_kgm2", "u_inertia_kgm2")
         if not np.allclose(self.inertia_kgm2, self.inertia_kgm2.T, rtol=0.0, atol=1e-12):
             raise ValueError(f"inertia_kgm2: expected a symmetric matrix, found {self.inertia_kgm2.tolist()}")
 
@@ -282,15 +279,16 @@ def _parameters(part: Part, matrix: Callable[[InertialTerms], ComplexArray]) -> 
         return Unknown(name, f"{part.name}: {what}", u, unit, matrix(change), scope)
 
     if part.u_mass_kg > 0.0:
-        yield unknown("mass", "", part.u_mass_kg, "kg", InertialTerms.of(part.u_mass_kg, centre, rigid))
+        heavier = InertialTerms.of(part.u_mass_kg, centre, rigid, part.air_share)
+        yield unknown("mass", "", part.u_mass_kg, "kg", heavier)
     place = ", ".join(f"{x:.9g}" for x in centre.tolist())
     for letter, step in zip("xyz", np.diag(part.u_centre_of_mass_m), strict=True):
         if np.any(step > 0.0):
             # The terms are of second order in the place: half their difference is the derivative.
-            ahead, behind = (InertialTerms.of(part.mass_kg, centre + s, rigid) for s in (step, -step))
+            ahead, behind = (InertialTerms.of(part.mass_kg, centre + s, rigid, part.air_share) for s in (step, -step))
             matrix_change = (ahead.mass_matrix - behind.mass_matrix) / 2.0
-            in_air = part.mass_kg * (1.0 - part.air_share) * step
-            moved = InertialTerms(matrix_change, np.zeros(()), in_air)
+            moment_change = (ahead.weight_moment_kgm - behind.weight_moment_kgm) / 2.0
+            moved = InertialTerms(matrix_change, np.zeros(()), moment_change)
             yield unknown("centre of mass", f" [{place}] {letter}", float(step.sum()), "m", moved)
     for entry, (row, column) in zip(np.eye(6), INERTIA_ENTRIES, strict=True):
         u = float(part.u_inertia_kgm2[row, column])

@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.base import AnyNotice
 from fusion.estimation.uncertainty import COVERAGE, coverage_factor, region_factor
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shapes
 
 DIGITS = 2
 """Significant digits of the standard uncertainty in which both ways can agree at best (JCGM 101, 7.9.2)."""
@@ -123,10 +123,8 @@ class Propagated(FirstOrder):
 
     def __post_init__(self) -> None:
         shape = (len(self.frequency_hz), len(self.elements))
-        for key in ("value", "first_factor", "dof", "mean", "factor", "first_holds"):
-            check_shape(key, getattr(self, key), shape)
-        for key in ("first_covariance", "covariance"):
-            check_shape(key, getattr(self, key), (*shape, 2, 2))
+        check_shapes(self, shape, "value", "first_factor", "dof", "mean", "factor", "first_holds")
+        check_shapes(self, (*shape, 2, 2), "first_covariance", "covariance")
         if len(self.unit) != shape[1]:
             raise ValueError(f"unit: expected {shape[1]} units, one per element, found {len(self.unit)}")
 

@@ -21,7 +21,7 @@ from fusion.estimation.uncertainty import (
     total_variance,
 )
 from fusion.sensitivity.body import Body
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief, check_shape, check_shapes
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors, real_stacked_diagonal
 
@@ -54,8 +54,7 @@ class LoadResult:
 
     def __post_init__(self) -> None:
         lines = len(self.frequency_hz)
-        check_shape("value", self.value, (lines, 6))
-        check_shape("observed", self.observed, (lines, 6))
+        check_shapes(self, (lines, 6), "value", "observed")
         check_shape("covariance", self.uncertainty.covariance, (lines, 12, 12))
 
     @property

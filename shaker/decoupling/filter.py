@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.random import Generator
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.decoupling.model import MultiModel, Poles, StateSpace, sampled_modes
 
 # The filter against cross-talk: outputs to loads, as direct taps and a bank of poles, block by block.
@@ -48,8 +48,7 @@ class DecouplingFilter(Brief):
         check_shape("poles", self.poles, (count,))
         check_shape("driven", self.driven, (count, outputs))
         check_shape("shown", self.shown, (loads, count))
-        check_shape("target_hz", self.target_hz, (loads,))
-        check_shape("target_damping", self.target_damping, (loads,))
+        check_shapes(self, (loads,), "target_hz", "target_damping")
         if np.any(np.abs(self.poles) >= 1.0):
             raise ValueError(f"poles: expected within the unit circle, found {np.abs(self.poles).max():.9g}")
 
@@ -394,7 +393,7 @@ def _u(model: MultiModel, shown: ComplexArray, frequency_hz: FloatArray) -> Floa
 
 
 def _root(covariance: FloatArray) -> FloatArray:
-    """Cholesky's root of a covariance whose eigenvalues are made positive, however small."""
+    """Cholesky's root, of which there is one, so that draws are alike everywhere; eigenvalues are made positive."""
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     value, vector = np.linalg.eigh(covariance / np.outer(size, size))
     mended = (vector * np.maximum(value, 1e-12)) @ vector.T

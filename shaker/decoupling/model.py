@@ -9,8 +9,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 from shaker.labels import LOAD_COMPONENTS
+from shaker.lti.system import modal_poles
 
 # Poles that outputs and loads share.
 
@@ -80,9 +81,7 @@ class Poles(Brief):
     @cached_property
     def values(self) -> ComplexArray:
         """Poles in rad/s, those of the modes first."""
-        omega, zeta = 2 * np.pi * self.frequency_hz, self.damping_ratio
-        upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
-        return np.concatenate([upper, -2 * np.pi * self.real_hz + 0j])
+        return modal_poles(2 * np.pi * self.frequency_hz, self.damping_ratio, 2 * np.pi * self.real_hz)
 
     def with_mode(self, pole: complex) -> Poles:
         """Return these and one more mode."""
@@ -171,8 +170,7 @@ class MultiModel(Brief):
 
     def __post_init__(self) -> None:
         modes, reals, shape = len(self.frequency_hz), len(self.real_hz), (len(self.channels), len(self.components))
-        check_shape("frequency_hz", self.frequency_hz, (modes,))
-        check_shape("damping_ratio", self.damping_ratio, (modes,))
+        check_shapes(self, (modes,), "frequency_hz", "damping_ratio")
         check_shape("real_hz", self.real_hz, (reals,))
         check_shape("residue", self.residue, (modes, *shape))
         check_shape("real_residue", self.real_residue, (reals, *shape))

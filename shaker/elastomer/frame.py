@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from shaker.arrays import Brief, FloatArray, IntArray, Notice, check_shape
+from shaker.arrays import Brief, FloatArray, IntArray, Notice, check_shape, check_shapes
 from shaker.elastomer.geometry import CrossBeams, Material, Section, beam_matrices, lumped
 from shaker.fitting import Residuals, Rules, levenberg_marquardt
 
@@ -99,8 +99,7 @@ class Frame(Brief):
     def __post_init__(self) -> None:
         check_shape("node_m", self.node_m, (None, 3))
         check_shape("beam", self.beam, (len(self.section), 2))
-        check_shape("rigid", self.rigid, (None,))
-        check_shape("clamped", self.clamped, (None,))
+        check_shapes(self, (None,), "rigid", "clamped")
         if np.intersect1d(self.rigid, self.clamped).size:
             raise ValueError("rigid, clamped: expected different nodes, found some in both")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.frf.result import TransferFunction
 from shaker.mechanics import laplace
 from shaker.sine.phasor import Phasors
@@ -28,8 +28,7 @@ class Placement(Brief):
     turning: bool = False
 
     def __post_init__(self) -> None:
-        check_shape("point_m", self.point_m, (3,))
-        check_shape("direction", self.direction, (3,))
+        check_shapes(self, (3,), "point_m", "direction")
         if abs(float(np.linalg.norm(self.direction)) - 1.0) > 1e-6:
             raise ValueError(f"direction: expected a unit vector, found {self.direction.tolist()}")
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
 
 Method = Literal["tustin", "zoh", "matched"]
 SOUND = 1e5
@@ -345,6 +345,12 @@ def paired(roots: ComplexArray, name: str) -> ComplexArray:
 # A system as a sum of modes: what is fitted to a record, with its covariance.
 
 
+def modal_poles(omega: FloatArray, damping_ratio: FloatArray, rate: FloatArray) -> ComplexArray:
+    """Return poles in rad/s: the upper ones ω(-ζ + j√(1 - ζ²)) of the modes (M,), then the real ones, -`rate` (Q,)."""
+    upper = omega * (-damping_ratio + 1j * np.sqrt(1 - damping_ratio**2))
+    return np.concatenate([upper, -rate + 0j])
+
+
 @dataclass(frozen=True, repr=False)
 class ModalModel(Brief):
     """H(s) = Σ_m [r_m/(s - p_m) + r̄_m/(s - p̄_m)] + Σ_q r_q/(s - p_q), output over load.
@@ -364,8 +370,8 @@ class ModalModel(Brief):
 
     def __post_init__(self) -> None:
         modes, reals = len(self.frequency_hz), len(self.real_hz)
-        for name in ("frequency_hz", "damping_ratio", "residue", "real_hz", "real_residue"):
-            check_shape(name, getattr(self, name), (reals if name.startswith("real") else modes,))
+        check_shapes(self, (modes,), "frequency_hz", "damping_ratio", "residue")
+        check_shapes(self, (reals,), "real_hz", "real_residue")
         if self.covariance is not None:
             check_shape("covariance", self.covariance, (4 * modes + 2 * reals,) * 2)
         if np.any(np.abs(self.damping_ratio) >= 1.0):
@@ -396,9 +402,7 @@ class ModalModel(Brief):
     @property
     def poles(self) -> ComplexArray:
         """Poles in rad/s: the upper ones of the modes (M,), then the real ones (Q,)."""
-        omega, zeta = 2 * np.pi * self.frequency_hz, self.damping_ratio
-        upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
-        return np.concatenate([upper, -2 * np.pi * self.real_hz + 0j])
+        return modal_poles(2 * np.pi * self.frequency_hz, self.damping_ratio, 2 * np.pi * self.real_hz)
 
     @property
     def terms(self) -> tuple[ComplexArray, ComplexArray]:
@@ -438,22 +442,6 @@ class ModalModel(Brief):
         """The same as zeros, poles and gain."""
         return LinearSystem.from_residues(*self.terms)
 
-    @staticmethod
-    def from_system(system: LinearSystem) -> ModalModel:
-        """Return a continuous system of different poles, with fewer zeros than poles, as a sum of modes."""
-        if system.sample_rate_hz is not None:
-            raise ValueError(f"system: expected a continuous one, found samples at {system.sample_rate_hz} Hz")
-        if len(system.zeros) >= len(system.poles):
-            raise ValueError(f"zeros: expected fewer than poles, {len(system.poles)}, found {len(system.zeros)}")
-        residues = system.residues()
-        if not np.all(np.isfinite(residues)):
-            raise ValueError(f"poles: expected different ones, found {system.poles.tolist()}")
-        upper, real = system.poles.imag > 0, system.poles.imag == 0
-        size = np.abs(system.poles[upper])
-        damping = -system.poles[upper].real / size
-        hertz = -system.poles[real].real / (2 * np.pi)
-        return ModalModel(size / (2 * np.pi), damping, residues[upper], hertz, residues[real].real)
-
     def jacobian(
         self, function: Callable[[ModalModel], FloatArray], step: float = 1e-2
     ) -> tuple[FloatArray, FloatArray]:
@@ -465,13 +453,7 @@ class ModalModel(Brief):
         moves = step * np.sqrt(np.diag(self._known_covariance()))
         reals = slice(4 * len(self.frequency_hz), 4 * len(self.frequency_hz) + len(self.real_hz))
         moves[reals] = np.minimum(moves[reals], 0.05 * np.abs(self.real_hz))
-        value = np.asarray(function(self))
-        slope = np.zeros((len(value), len(moves)))
-        for place in np.flatnonzero(moves):
-            up, down = (self.vector + sign * moves[place] * np.eye(len(moves))[place] for sign in (1.0, -1.0))
-            change = np.asarray(function(self.with_vector(up))) - np.asarray(function(self.with_vector(down)))
-            slope[:, place] = change / (2 * moves[place])
-        return value, slope
+        return differences(lambda moved: function(self.with_vector(moved)), self.vector, moves)
 
     def propagate(
         self, function: Callable[[ModalModel], FloatArray], step: float = 1e-2
@@ -485,3 +467,19 @@ class ModalModel(Brief):
         if self.covariance is None:
             raise ValueError("covariance: expected that of the parameters, found none")
         return self.covariance
+
+
+def differences(
+    function: Callable[[FloatArray], FloatArray], parameters: FloatArray, moves: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return a function's values (Q,) and their derivatives (Q, P) by its parameters (P,), as central differences.
+
+    Each parameter is moved to either side by its part of `moves` (P,); derivatives by those that are not moved are 0.
+    """
+    value = np.asarray(function(parameters))
+    slopes = np.zeros((len(value), len(parameters)))
+    for place in np.flatnonzero(moves):
+        shift = np.eye(len(moves))[place] * moves[place]
+        up, down = (np.asarray(function(parameters + sign * shift)) for sign in (1.0, -1.0))
+        slopes[:, place] = (up - down) / (2.0 * moves[place])
+    return value, slopes

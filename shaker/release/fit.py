@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from shaker.arrays import Brief, FloatArray, Notice, check_shape
+from shaker.arrays import Brief, FloatArray, Notice, check_shape, check_shapes
 from shaker.lti.indices import pole_notices
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.order import Found, Search, known_about, more_terms, remarks, searched
@@ -58,10 +58,8 @@ class StepFit(Brief):
     notices: tuple[Notice, ...] = ()
 
     def __post_init__(self) -> None:
-        check_shape("time_s", self.time_s, (None,))
-        check_shape("fitted", self.fitted, self.time_s.shape)
-        check_shape("residual", self.residual, self.time_s.shape)
-        check_shape("convergence", self.convergence, (None,))
+        check_shapes(self, (None,), "time_s", "convergence")
+        check_shapes(self, self.time_s.shape, "fitted", "residual")
 
 
 # A solution as what an identification returns.

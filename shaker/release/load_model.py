@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
+from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.lti.responses import band_end, gain_curve
-from shaker.lti.system import LinearSystem
+from shaker.lti.system import LinearSystem, differences
 from shaker.mechanics import Mechanics, chain_terms, poles
 
 # The sensor and its load as masses in a row on a rigid base.
@@ -91,13 +91,10 @@ class LoadModel(Brief):
         total = self.total_covariance
         if total is None:
             raise ValueError("covariance: expected that of the parameters, found none")
-        value, u = np.asarray(function(self)), np.sqrt(np.diag(total))
         numbers = np.append(self.vector, self.moving_mass)
-        jacobian = np.zeros((len(value), len(u)))
-        for place in np.flatnonzero(u):
-            shift = np.eye(len(u))[place] * min(1e-2 * u[place], 1e-3 * abs(numbers[place]) or np.inf)
-            up, down = (np.asarray(function(self.with_numbers(numbers + s * shift))) for s in (1.0, -1.0))
-            jacobian[:, place] = (up - down) / (2.0 * shift[place])
+        most = np.where(numbers == 0.0, np.inf, 1e-3 * np.abs(numbers))
+        moves = np.minimum(1e-2 * np.sqrt(np.diag(total)), most)
+        value, jacobian = differences(lambda moved: function(self.with_numbers(moved)), numbers, moves)
         return value, jacobian @ total @ jacobian.T
 
     def poles(self, load_mass: float) -> ComplexArray:
@@ -162,8 +159,8 @@ class LoadCurve(Brief):
     u_damping_ratio: FloatArray
 
     def __post_init__(self) -> None:
-        for name in ("frequency_hz", "damping_ratio", "u_frequency_hz", "u_damping_ratio"):
-            check_shape(name, getattr(self, name), (len(self.load_mass), 2))
+        modes = (len(self.load_mass), 2)
+        check_shapes(self, modes, "frequency_hz", "damping_ratio", "u_frequency_hz", "u_damping_ratio")
 
 
 def load_curve(model: LoadModel, load_mass: FloatArray, u_load_mass: FloatArray | None = None) -> LoadCurve:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
 from shaker.release.record import Reading, StepRecord
 
@@ -97,8 +97,8 @@ class Resonances(Brief):
     u_damping_ratio: FloatArray
 
     def __post_init__(self) -> None:
-        for name in ("frequency_hz", "u_frequency_hz", "damping_ratio", "u_damping_ratio"):
-            check_shape(name, getattr(self, name), (len(self.names), 2))
+        modes = (len(self.names), 2)
+        check_shapes(self, modes, "frequency_hz", "u_frequency_hz", "damping_ratio", "u_damping_ratio")
         known = self.frequency_hz[np.isfinite(self.frequency_hz)]
         if np.any(known <= 0) or np.any(np.isnan(self.frequency_hz[:, 0])):
             raise ValueError("frequency_hz: expected a first resonance above 0 of every record, found none")

@@ -8,6 +8,7 @@ import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray
 from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
+from shaker.lti.system import modal_poles
 from shaker.release.poles import ringing_poles
 from shaker.release.record import Location, Shape
 from shaker.release.response import load_rate, load_share, pole_responses
@@ -97,9 +98,8 @@ class Beginning(Brief):
     @property
     def poles(self) -> ComplexArray:
         """Upper poles of the modes (M,), and that of the lag where there is one, in rad/s."""
-        omega, zeta = 2 * np.pi * self.frequency_hz, self.damping_ratio
-        upper = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
-        return np.append(upper, -1.0 / self.lag_s + 0j) if self.lag_s > 0 else np.asarray(upper)
+        rate = np.array([1.0 / self.lag_s] if self.lag_s > 0 else [])
+        return modal_poles(2 * np.pi * self.frequency_hz, self.damping_ratio, rate)
 
     @property
     def weights(self) -> ComplexArray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray
 from shaker.fitting import Block, Prior, Rules, Separable, eliminate, levenberg_marquardt
-from shaker.lti.system import ModalModel
+from shaker.lti.system import ModalModel, modal_poles
 from shaker.release.response import Answers, Load, Samples, answers, responses
 
 # How many poles and zeros a model has, and what its parameters make of them.
@@ -45,8 +45,7 @@ class Structure:
         """Return the upper poles of the modes and the real ones (M + Q,) in rad/s."""
         m = self.modes
         log_omega, zeta, log_real = vector[:m], vector[m : 2 * m], vector[2 * m : self.order]
-        upper = np.exp(log_omega) * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
-        return np.concatenate([upper, -np.exp(log_real) + 0j])
+        return modal_poles(np.exp(log_omega), zeta, np.exp(log_real))
 
     def vector(self, poles: ComplexArray) -> FloatArray:
         """Return the parameters (2M + Q,) of poles (M + Q,), upper ones first."""

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 from shaker.fitting import Residuals, Rules, covariance_root, levenberg_marquardt
 
 FORCES = 3
@@ -67,8 +67,7 @@ class Turned(Brief):
 
     def __post_init__(self) -> None:
         check_shape("covariance", self.covariance, (2 * len(self.amplitude), 2 * len(self.amplitude)))
-        check_shape("axis", self.axis, (3,))
-        check_shape("down", self.down, (3,))
+        check_shapes(self, (3,), "axis", "down")
         if np.linalg.norm(np.cross(self.axis, self.down)) < 0.5:
             raise ValueError("axis: expected one across gravity, found one within 30 degrees of it")
 

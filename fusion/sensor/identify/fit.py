@@ -8,7 +8,6 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.base import ARGUMENT, ComputeError, InputError
 from fusion.campaign.repeats import between_recordings
@@ -263,9 +262,9 @@ def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | No
     # what load and base share acts on both
     base = values[1][chosen]
     ratio = values[0][chosen] / base
-    below = _at_lines(parts[1], chosen).scaled((-ratio / base)[:, None])
+    below = parts[1].at_lines(chosen).scaled((-ratio / base)[:, None])
     relabelled = tuple(replace(part, label=f"base: {part.label}") for part in below.random)
-    whole = _at_lines(parts[0], chosen).scaled((1.0 / base)[:, None]).plus(replace(below, random=relabelled))
+    whole = parts[0].at_lines(chosen).scaled((1.0 / base)[:, None]).plus(replace(below, random=relabelled))
     whole = between_recordings(whole, name, manifest.mounting)
     body = rigid_load(manifest)
     along = Placement(np.zeros(3), np.eye(3)[component])
@@ -289,15 +288,6 @@ def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | No
         clock=f"clock of {clock.name}" if clock else f"clock of {name}",
         u_clock=clock.clock_uncertainty if clock else 0.0,
     )
-
-
-def _at_lines(uncertainty: Uncertainty, chosen: NDArray[np.bool_]) -> Uncertainty:
-    """Uncertainty of the values at some lines."""
-    random = tuple(
-        replace(part, covariance=part.covariance[chosen], dof=None if part.dof is None else part.dof[chosen])
-        for part in uncertainty.random
-    )
-    return Uncertainty(random, tuple(i.acting(i.effect[chosen]) for i in uncertainty.influences))
 
 
 # The sensor of one component as a correction needs it: spring and damper of the joint fit, chain of S(f).
