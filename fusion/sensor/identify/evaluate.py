@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.base import ARGUMENT, versions
+from fusion.base import ARGUMENT, Outcome
 from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
 from fusion.campaign.repeats import Drive, drive_ratio, over_lines
 from fusion.recording.manifest import Sensor
@@ -221,17 +221,11 @@ class ComponentResult:
 
 
 @dataclass(frozen=True)
-class IdentifyEvaluation:
-    """A campaign's identification: the sensor, one result per driven component, notices and origin."""
+class IdentifyEvaluation(Outcome):
+    """A campaign's identification: the sensor, and one result per driven component."""
 
-    name: str
     sensor: Sensor | None
     components: tuple[ComponentResult, ...]
-    notices: tuple[Notice, ...]
-    settings: dict[str, str | float | int]
-    versions: dict[str, str]
-    input_hashes: dict[str, str]
-    duration_s: float
 
 
 # From a campaign to the sensor as a mechanical system: curves → joint fits → readings, sensitivity, usable bands.
@@ -277,7 +271,6 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
         components=tuple(components),
         notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
-        versions=versions(),
         input_hashes=campaign.input_hashes,
         duration_s=time.monotonic() - started,
     )

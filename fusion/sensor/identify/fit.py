@@ -345,8 +345,8 @@ def modelled(fit: JointFit, measured: MeasuredSensitivity | None, sensor: Sensor
     if comparison.damping is not None:
         told.append(("warning" if comparison.damping.contradicts else "info", comparison.damping.text))
     clauses = [(severity, text[:1].lower() + text[1:].removesuffix(".")) for severity, text in told]
-    notices = tuple(Notice(severity, text, f"sensitivity {measured.component}") for severity, text in clauses)
-    return Modelled(model, range_hz, SensitivityResult(measured, comparison), notices)
+    notices = [Notice(severity, text, f"sensitivity {measured.component}") for severity, text in clauses]
+    return Modelled(model, range_hz, SensitivityResult(measured, comparison), (*notices, *comparison.notices))
 
 
 def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:

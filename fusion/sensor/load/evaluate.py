@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import ComputeError, InputError, versions
+from fusion.base import ComputeError, InputError, Outcome
 from fusion.estimation.uncertainty import NamedQuantity, coverage_factor
 from fusion.recording.load import Manifest
 from fusion.sensitivity.body import inertia_errors, rigid_load
@@ -306,19 +306,13 @@ class ComponentLoads:
 
 
 @dataclass(frozen=True)
-class LoadEvaluation:
+class LoadEvaluation(Outcome):
     """Load characteristics of every component of a sensor."""
 
-    name: str
     rig: str
     sensor: str
     components: tuple[ComponentLoads, ...]
     chosen: LoadSettings
-    notices: tuple[Notice, ...]
-    settings: dict[str, str | float | int]
-    versions: dict[str, str]
-    input_hashes: dict[str, str]
-    duration_s: float
 
     @property
     def models(self) -> tuple[LoadModel, ...]:
@@ -367,7 +361,6 @@ def evaluate_loads(
         chosen=settings,
         notices=tuple(dict.fromkeys(told)),
         settings=settings.as_settings(),
-        versions=versions(),
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
     )

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import PERCENT, InputError, rounded, versions
+from fusion.base import PERCENT, InputError, rounded
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.recording.load import Manifest
 from fusion.sensor.rotate.readings import (
@@ -96,7 +96,6 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
         repeats=again,
         notices=tuple(dict.fromkeys(notices)),
         settings={"gravity": gravity.source, "air_density": air.source},
-        versions=versions(),
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
     )

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import ComputeError, InputError, versions
+from fusion.base import ComputeError, InputError
 from fusion.recording.load import Manifest
 from fusion.report.table import sensitivity_unit
 from fusion.sensor.models_file import ModelEntry
@@ -145,7 +145,6 @@ def evaluate_steps(
         components=tuple(components),
         notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_settings(),
-        versions=versions(),
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
     )
