@@ -23,7 +23,6 @@ from fusion.sensor.identify.fit import (
     modelled,
     relative_errors,
     sine_transfers,
-    stated_mass,
 )
 from fusion.sensor.identify.measured import Campaign, EvaluatedSines, IdentifySettings, Prepared, load_along, prepare
 from shaker.arrays import Notice
@@ -287,7 +286,7 @@ def _by_found_mass(
     found, changes = fit.identification[mass_name(fit.component)], {}
     for manifest in (sine.manifest for sine in sines):
         if manifest.rig.sensor is not None and manifest.rig.load is not None:
-            load, (stated, _) = load_along(manifest, fit.component), stated_mass(manifest.rig.sensor, fit.component)
+            load, (stated, _) = load_along(manifest, fit.component), manifest.rig.sensor.moving(fit.component)
             whole = load + found.value
             changes[names[manifest.path]] = (load + stated) / whole, -found.u / whole
     return changes

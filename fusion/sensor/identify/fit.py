@@ -138,7 +138,7 @@ def _fitted(
     if inside and sensor is None:
         expected = "[sensor] with internal_mass, which recordings of one load mass cannot tell from the stiffness"
         raise InputError(group[0].manifest.rig_path, "sensor", found="nothing", expected=expected)
-    known = {} if sensor is None else {name: stated_mass(sensor, own) for name, own in inside.items()}
+    known = {} if sensor is None else {name: sensor.moving(own) for name, own in inside.items()}
     records = [item.measured for item in group]
     try:
         return identify(records, structure, known=known, each_recording=each)
@@ -159,14 +159,6 @@ def _mass_is_free(component: int, group: Sequence[Prepared], settings: IdentifyS
         )
         raise InputError(group[0].manifest.rig_path, "load.mass", found=listed, expected=expected)
     return differ if settings.internal_mass == "auto" else settings.internal_mass == "free"
-
-
-def stated_mass(sensor: Sensor, component: int) -> tuple[float, float]:
-    """Return what moves with the load inside the sensor along a component as the rig states it, and its u."""
-    if component < 3:
-        return sensor.internal_mass, sensor.internal_mass_uncertainty
-    axis = component - 3
-    return float(sensor.internal_inertia[axis][axis]), float(sensor.internal_inertia_uncertainty[axis][axis])
 
 
 def mass_name(component: int) -> str:

@@ -75,7 +75,6 @@ class LoadSettings:
 
 # What a series of loads consists of before any model: records with their masses, or a table of resonances.
 
-FORCES = 3
 MOVING = "moving mass of the sensor"
 
 
@@ -130,11 +129,7 @@ def _moving(manifest: Manifest, component: int) -> Moving:
     sensor = manifest.rig.sensor
     if sensor is None:
         raise InputError(manifest.rig_path, "sensor", found="nothing", expected="[sensor] with internal_mass")
-    if component < FORCES:
-        return Moving(sensor.internal_mass, sensor.internal_mass_uncertainty, "sensor.internal_mass")
-    axis = component - FORCES
-    u = float(sensor.internal_inertia_uncertainty[axis][axis])
-    return Moving(float(sensor.internal_inertia[axis][axis]), u, "sensor.internal_inertia")
+    return Moving(*sensor.moving(component), f"sensor.internal_{'mass' if component < 3 else 'inertia'}")
 
 
 def _series(releases: Sequence[Release], moving: Sequence[Moving], component: int) -> LoadSeries:
