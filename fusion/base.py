@@ -321,6 +321,12 @@ class Rounded(NamedTuple):
     expanded: str
     exponent: int
 
+    @property
+    def text(self) -> str:
+        """Return both for the terminal: `(2.0012 ± 0.0013)e-7`, without an uncertainty the value alone."""
+        body = self.value if self.expanded == DASH else f"({self.value} ± {self.expanded})"
+        return f"{body}e{self.exponent}" if self.exponent else body
+
 
 def rounded(value: float, expanded: float, exponent: int | None = None) -> Rounded:
     """Return a value rounded to the second significant digit of its expanded uncertainty (GUM 7.2.6).

@@ -95,6 +95,15 @@ class Manifest:
             raise InputError(self.path, "take", found=f"{len(self.take)} takes", expected=ONE_SET_UP[command])
 
 
+def check_one_rig(manifests: Sequence[Manifest]) -> None:
+    """Raise `InputError` where recordings that are evaluated together are not all of the first one's rig."""
+    first = manifests[0]
+    for manifest in manifests:
+        if manifest.rig_path.resolve() != first.rig_path.resolve():
+            expected = f"{first.rig_path}, the rig of {first.folder.name}"
+            raise InputError(manifest.path, "rig", found=str(manifest.rig_path), expected=expected)
+
+
 def find_recordings(path: str | Path) -> list[Path]:
     """List the recording.toml files a command is to work on: the one of a recording, or those of a campaign folder.
 

@@ -119,6 +119,13 @@ class Sensor(Block):
             raise refusal(f"{len(self.channels)} rows, one per channel", f"{len(rows)} rows", key="static_sensitivity")
         return self
 
+    def moving(self, component: int) -> tuple[float, float]:
+        """Return what moves with the load along a component, mass or moment of inertia, and its u."""
+        if component < 3:
+            return self.internal_mass, self.internal_mass_uncertainty
+        axis = component - 3
+        return float(self.internal_inertia[axis][axis]), float(self.internal_inertia_uncertainty[axis][axis])
+
 
 class Mounted(Block):
     """A rigid thing with mass: what the load and every further part have in common.

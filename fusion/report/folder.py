@@ -18,11 +18,10 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from fusion.base import PROGRAM, AnyNotice, InputError, __version__, temporary_beside, warnings_first
+from fusion.base import PROGRAM, AnyNotice, InputError, Outcome, __version__, temporary_beside, warnings_first
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Rig
 from fusion.report.table import Table
-from shaker.arrays import Notice
 
 # What was run on what: hashes of the input files, versions, and whether a folder still answers to them.
 
@@ -189,23 +188,7 @@ FORMAT = 1
 log = logging.getLogger("shakercal")
 
 
-class Evaluated(Origin, Protocol):
-    """An evaluation as every command leaves it: with its name, its notices and its origin."""
-
-    @property
-    def name(self) -> str:
-        """What was evaluated."""
-
-    @property
-    def notices(self) -> tuple[Notice, ...]:
-        """What the user should know."""
-
-    @property
-    def duration_s(self) -> float:
-        """How long it took."""
-
-
-E = TypeVar("E", bound=Evaluated)
+E = TypeVar("E", bound=Outcome)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,9 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -12,7 +14,9 @@ from support import rows as read_rows
 
 from fusion.base import InputError
 from fusion.cli import main
-from fusion.sensor.decouple.evaluate import read_decoupling_filter
+from fusion.report.style import Sheet
+from fusion.sensor.decouple.evaluate import DecoupleEvaluation, evaluate_decoupling, read_decoupling_filter
+from fusion.sensor.decouple.report import DECOUPLE, draw_step
 from fusion.simulate.preset import read_preset
 from fusion.simulate.releases import StepRig, sensor_model, write_steps
 from fusion.simulate.world import Draws
@@ -40,8 +44,22 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def results(campaign: Path) -> Path:
-    assert main(["decouple", str(campaign), "--frequency", "90", "--damping", "0.6", "-q"]) == 0
+def evaluation(campaign: Path) -> DecoupleEvaluation:
+    """What the command evaluates, whose results stand in the campaign's folder."""
+    kept: list[DecoupleEvaluation] = []
+
+    def keep(*inputs: Any) -> DecoupleEvaluation:
+        kept.append(evaluate_decoupling(*inputs))
+        return kept[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fusion.sensor.decouple.report.evaluate_decoupling", keep)
+        assert main(["decouple", str(campaign), "--frequency", "90", "--damping", "0.6", "-q"]) == 0
+    return kept[0]
+
+
+@pytest.fixture(scope="module")
+def results(evaluation: DecoupleEvaluation, campaign: Path) -> Path:
     return campaign / "decouple"
 
 
@@ -86,6 +104,23 @@ def test_crosstalk_table_holds_every_stage(results):
 
     assert worst("filtered") < 0.25 * worst("static")
     assert worst("static") <= worst("raw") * 1.5
+
+
+def test_without_rated_loads_only_loads_of_one_unit_are_compared(evaluation, monkeypatch):
+    sheets: list[Sheet] = []
+    monkeypatch.setattr(Sheet, "picture", lambda sheet, *_, **__: sheets.append(sheet))
+    for capacity, count in ((evaluation.capacity, 5), (None, 2)):
+        draw_step(replace(evaluation, capacity=capacity))
+        assert [len(axes.get_lines()) for axes in sheets[-1].panels] == [count] * 3
+    shown = [line.get_label() for line in sheets[-1].panels[0].get_lines()]
+    stepped = sheets[-1].name.removeprefix("decouple-step-")
+    assert {*shown, stepped} in ({"Fx", "Fy", "Fz"}, {"Mx", "My", "Mz"})
+
+
+def test_loads_of_which_none_has_the_unit_of_another_have_no_figures(evaluation, monkeypatch):
+    monkeypatch.setattr(DecoupleEvaluation, "ratio", np.where(np.eye(6, dtype=np.bool_), 1.0, np.nan))
+    page = DECOUPLE.page(replace(evaluation, capacity=None))
+    assert "<figure" not in page
 
 
 def test_filter_file_reads_back_to_the_last_bit(results, tmp_path):

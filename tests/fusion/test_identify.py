@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -20,7 +21,10 @@ from fusion.campaign.run import run_path
 from fusion.cli import main
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import find_recordings, for_kinds
+from fusion.report.style import Sheet
 from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, evaluate_identification
+from fusion.sensor.identify.figures import POINTS, draw_explained
+from fusion.sensor.identify.fit import modelled
 from fusion.sensor.identify.measured import IdentifySettings, read_campaign
 from fusion.sensor.identify.report import IDENTIFY, read_sensor_models
 from fusion.sensor.transfer.evaluate import KINDS as TRANSFER_KINDS
@@ -110,6 +114,27 @@ def test_the_lag_of_the_chain_is_told_from_the_spring(evaluation, component):
     assert [notice.severity for notice in told] == ["info", "warning"]
     assert "the data support a first-order lag" in told[0].text
     assert "they contradict each other" in told[1].text
+
+
+def test_what_is_to_be_doubted_of_the_chain_is_told(evaluation, component):
+    measured = component.sensitivity.measured
+    early = measured.value * np.exp(2j * np.pi * measured.frequency_hz * 50e-6)
+    found = modelled(component.fit, replace(measured, value=early), evaluation.sensor)
+    doubts = [notice for notice in found.notices if notice.where == "Fz"]
+    assert [notice.severity for notice in doubts] == ["warning"]
+    assert doubts[0].text.startswith("the output leads by (")
+
+
+def test_curves_of_the_sensitivity_are_in_view(component, monkeypatch):
+    sheets: list[Sheet] = []
+    monkeypatch.setattr(Sheet, "picture", lambda sheet, *_, **__: sheets.append(sheet))
+    stiff = replace(component.model, damping=20.0 * component.model.damping)
+    draw_explained(replace(component, model=stiff), component.sensitivity)
+    for axes in sheets[0].panels:
+        low, high = axes.get_ylim()
+        curves = [line.get_ydata() for line in axes.get_lines() if len(line.get_ydata()) == POINTS]
+        assert len(curves) == 3
+        assert low < np.min(curves) < np.max(curves) < high
 
 
 def test_the_load_is_taken_with_the_internal_mass_found(component):

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import process_time
 
 import numpy as np
 
@@ -312,7 +312,7 @@ def evaluate_compensation(
     >>> wish = Wish(frequency_hz=3000.0, damping_ratio=0.6)  # doctest: +SKIP
     >>> evaluation = evaluate_compensation(read_sources(["steps/step"]), wish, None, {})  # doctest: +SKIP
     """
-    started = process_time()
+    started = time.monotonic()
     rate = None if record is None else record.sample_rate_hz
     subjects = [_subject(subject, wish, rate) for subject in chosen(sources, wish.channels)]
     applied, more = (None, ()) if record is None else apply(record, subjects, wish)
@@ -333,7 +333,7 @@ def evaluate_compensation(
         notices=(*notices, *more),
         settings=wish.settings,
         input_hashes=dict(hashes),
-        duration_s=process_time() - started,
+        duration_s=time.monotonic() - started,
     )
 
 

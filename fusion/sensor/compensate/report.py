@@ -286,9 +286,7 @@ def cell(figures: Figures, name: str, *, plain: bool = False) -> str:
     scale, unit = (PERCENT, "%") if name == "overshoot" else SCALE[unit_of(name)]
     expanded = 0.0 if u is None else K2 * scale * u
     if plain:
-        told = rounded(scale * value, expanded)
-        body = told.value if told.expanded == DASH else f"({told.value} ± {told.expanded})"
-        return f"{body}{f'e{told.exponent}' if told.exponent else ''} {unit}".strip()
+        return f"{rounded(scale * value, expanded).text} {unit}".strip()
     return f"{scale * value:.5g} {unit}".strip() if u is None else measured(scale * value, expanded, unit)
 
 

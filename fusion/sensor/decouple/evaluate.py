@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.base import ComputeError, InputError, Outcome
-from fusion.recording.load import Manifest
+from fusion.recording.load import Manifest, check_one_rig
 from fusion.sensor.models_file import FORMAT, read_stored
 from fusion.sensor.step.records import StepInput, read_step
 from shaker.arrays import FloatArray, Notice
@@ -159,10 +159,7 @@ def evaluate_decoupling(
 def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
     """All records, of one rig, with the same outputs at one rate, and of every load that the sensor measures."""
     first = manifests[0]
-    for manifest in manifests:
-        if manifest.rig_path.resolve() != first.rig_path.resolve():
-            expected = f"{first.rig_path}, the rig of {first.folder.name}"
-            raise InputError(manifest.path, "rig", found=str(manifest.rig_path), expected=expected)
+    check_one_rig(manifests)
     inputs = [read_step(manifest) for manifest in manifests]
     record = inputs[0].record
     for item in inputs[1:]:

@@ -287,19 +287,26 @@ def draw_crosstalk(evaluation: DecoupleEvaluation) -> Picture:
         for axes in used[::COLUMNS]:
             axes.set_ylabel("cross-talk / %")
         used[0].legend(loc="lower right", ncols=3, bbox_to_anchor=(2.1, 1.08), borderaxespad=0.0)
+        rated, bare = (
+            "load while one oscillates, in rated loads",
+            "load of its unit while one oscillates, over that one",
+        )
         caption = (
-            "Largest reading of any other load while one oscillates, in rated loads. Shaded: U (k = 2) by the "
-            "uncertainty of the model. Dotted: modes; dashed: frequency of the wanted dynamics."
+            f"Largest reading of any other {rated if evaluation.capacity is not None else bare}. Shaded: U (k = 2) by "
+            "the uncertainty of the model. Dotted: modes; dashed: frequency of the wanted dynamics."
         )
         layout: dict[str, Any] = {"top": 0.42, "gap": (0.25, 0.3), "left": 0.7, "label": 0.52}
         return drawn.picture("Cross-talk over frequency", caption, **layout)
 
 
 def draw_step(evaluation: DecoupleEvaluation) -> Picture:
-    """Readings of the other loads while the load steps that shows most with the static matrix alone, by stage."""
-    model, ratio = evaluation.fit.model, evaluation.scale / evaluation.scale[:, None]
+    """Readings of the other loads while the load steps that shows most with the static matrix alone, by stage.
+
+    Without rated loads only those of the unit of the load that steps can be compared with it.
+    """
+    model, ratio = evaluation.fit.model, 100 * evaluation.ratio
     static = next(stage for stage in evaluation.stages if stage.stage == "static")
-    size = np.nan_to_num(static.peak * evaluation.ratio)
+    size = np.nan_to_num(static.peak * ratio)
     np.fill_diagonal(size, 0.0)
     load = int(np.argmax(size.max(axis=0)))
     time_s = step_times(model, evaluation.decoupler)
@@ -310,16 +317,16 @@ def draw_step(evaluation: DecoupleEvaluation) -> Picture:
     with sheet(f"decouple-step-{name}", 1.5 * len(readings) + 0.6, len(readings)) as drawn:
         for axes, (stage, value) in zip(drawn.panels, readings.items(), strict=True):
             for d, reading in enumerate(model.components):
-                if d != load:
-                    share = 100 * (value[:, :, load] * ratio[:, load])[:, d]
+                if d != load and np.isfinite(ratio[d, load]):
+                    share = value[:, d, load] * ratio[d, load]
                     axes.plot(1e3 * time_s, share, color=COLOURS[d], label=reading, linewidth=0.8)
             axes.set_ylabel("reading / %")
             panel_label(axes, f"step of {name}: {STAGE_NAMES[stage]}")
         drawn.panels[-1].set_xlabel("time after the step / ms")
         drawn.panels[0].legend(loc="lower right", ncols=6, bbox_to_anchor=(1.0, 1.02), borderaxespad=0.0)
-        caption = (
-            "Readings of all other loads by the model, in per cent of their rated loads for a step of the rated one."
-        )
+        rated = "all other loads by the model, in per cent of their rated loads for a step of the rated one"
+        bare = "the other loads of its unit by the model, in per cent of the step"
+        caption = f"Readings of {rated if evaluation.capacity is not None else bare}."
         title = f"Other loads while {name} makes a step"
         return drawn.picture(title, caption, top=0.3, gap=(0.5, 0.3), label=0.52)
 
@@ -350,6 +357,7 @@ def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
     counts = [f"{name} {sum(release.component == name for release in fit.releases)}" for name in names]
     outputs = f"{', '.join(fit.model.channels)} at {fit.sample_rate_hz:g} Hz"
     within = evaluation.frequency_hz <= evaluation.decoupler.target_hz.max()
+    comparable = np.count_nonzero(np.isfinite(evaluation.ratio)) > len(names)
     noise = zip(names, evaluation.noise.tolist(), evaluation.noise_gain.tolist(), strict=True)
     return {
         "subject": [
@@ -358,9 +366,9 @@ def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
             ("Outputs", outputs),
         ],
         "headlines": headlines(evaluation),
-        "crosstalk": [draw_crosstalk(evaluation)],
+        "crosstalk": [draw_crosstalk(evaluation)] if comparable else [],
         "peaks": peak_tables(evaluation),
-        "steps": [draw_step(evaluation)],
+        "steps": [draw_step(evaluation)] if comparable else [],
         "modes": modes_table(evaluation),
         "static": static_table(evaluation),
         "noise": table("Noise of a sample (standard deviation) by the outputs' noise", NOISE, noise),

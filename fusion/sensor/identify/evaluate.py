@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.base import ARGUMENT, versions
+from fusion.base import ARGUMENT, Outcome
 from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
 from fusion.campaign.repeats import Drive, drive_ratio, over_lines
 from fusion.recording.manifest import Sensor
@@ -23,7 +23,6 @@ from fusion.sensor.identify.fit import (
     modelled,
     relative_errors,
     sine_transfers,
-    stated_mass,
 )
 from fusion.sensor.identify.measured import Campaign, EvaluatedSines, IdentifySettings, Prepared, load_along, prepare
 from shaker.arrays import Notice
@@ -221,17 +220,11 @@ class ComponentResult:
 
 
 @dataclass(frozen=True)
-class IdentifyEvaluation:
-    """A campaign's identification: the sensor, one result per driven component, notices and origin."""
+class IdentifyEvaluation(Outcome):
+    """A campaign's identification: the sensor, and one result per driven component."""
 
-    name: str
     sensor: Sensor | None
     components: tuple[ComponentResult, ...]
-    notices: tuple[Notice, ...]
-    settings: dict[str, str | float | int]
-    versions: dict[str, str]
-    input_hashes: dict[str, str]
-    duration_s: float
 
 
 # From a campaign to the sensor as a mechanical system: curves → joint fits → readings, sensitivity, usable bands.
@@ -277,7 +270,6 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
         components=tuple(components),
         notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
-        versions=versions(),
         input_hashes=campaign.input_hashes,
         duration_s=time.monotonic() - started,
     )
@@ -294,7 +286,7 @@ def _by_found_mass(
     found, changes = fit.identification[mass_name(fit.component)], {}
     for manifest in (sine.manifest for sine in sines):
         if manifest.rig.sensor is not None and manifest.rig.load is not None:
-            load, (stated, _) = load_along(manifest, fit.component), stated_mass(manifest.rig.sensor, fit.component)
+            load, (stated, _) = load_along(manifest, fit.component), manifest.rig.sensor.moving(fit.component)
             whole = load + found.value
             changes[names[manifest.path]] = (load + stated) / whole, -found.u / whole
     return changes

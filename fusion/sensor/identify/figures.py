@@ -195,16 +195,18 @@ def draw_explained(component: ComponentResult, item: SensitivityResult) -> Pictu
     size = np.abs(measured.value) / factor
     level = np.stack([size, np.angle(measured.value * sign)])
     half = K2 * np.stack([u_relative * size, u_phase])
+    lines = [np.stack([np.abs(curve) / factor, np.angle(curve * sign)]) for _, curve in curves]
     static = None if measured.static is None else (abs(measured.static) / factor, "static")
     with sheet(f"sensitivity-{component.name}", 4.6, 2, heights=(1.4, 1.0)) as drawn:
         upper, lower = drawn.panels
         bars: dict[str, Any] = {"fmt": "o", "color": BLUE, "markersize": 3.5, "elinewidth": 0.9, "zorder": 2.5}
         upper.errorbar(measured.frequency_hz, level[0], half[0], label="measured, U (k = 2)", **bars)
         lower.errorbar(measured.frequency_hz, level[1], half[1], **bars)
-        for (words, curve), (colour, dash) in zip(curves, STYLES, strict=False):
-            upper.plot(hertz, np.abs(curve) / factor, color=colour, linestyle=dash, label=words, zorder=2)
-            lower.plot(hertz, np.angle(curve * sign), color=colour, linestyle=dash, zorder=2)
-        frame_bars(upper, lower, (level, half), f"{tens}{typeset(measured.unit)}", static)
+        for (words, _), line, (colour, dash) in zip(curves, lines, STYLES, strict=False):
+            upper.plot(hertz, line[0], color=colour, linestyle=dash, label=words, zorder=2)
+            lower.plot(hertz, line[1], color=colour, linestyle=dash, zorder=2)
+        shown = np.hstack([level, *lines]), np.hstack([half, *map(np.zeros_like, lines)])
+        frame_bars(upper, lower, shown, f"{tens}{typeset(measured.unit)}", static)
         upper.set_xlim(0.0, float(hertz[-1]))
         lower.set_xlabel("frequency / Hz")
         upper.legend(loc="lower left")

@@ -137,7 +137,7 @@ def _fitted(
     if inside and sensor is None:
         expected = "[sensor] with internal_mass, which recordings of one load mass cannot tell from the stiffness"
         raise InputError(group[0].manifest.rig_path, "sensor", found="nothing", expected=expected)
-    known = {} if sensor is None else {name: stated_mass(sensor, own) for name, own in inside.items()}
+    known = {} if sensor is None else {name: sensor.moving(own) for name, own in inside.items()}
     records = [item.measured for item in group]
     try:
         return identify(records, structure, known=known, each_recording=each)
@@ -158,14 +158,6 @@ def _mass_is_free(component: int, group: Sequence[Prepared], settings: IdentifyS
         )
         raise InputError(group[0].manifest.rig_path, "load.mass", found=listed, expected=expected)
     return differ if settings.internal_mass == "auto" else settings.internal_mass == "free"
-
-
-def stated_mass(sensor: Sensor, component: int) -> tuple[float, float]:
-    """Return what moves with the load inside the sensor along a component as the rig states it, and its u."""
-    if component < 3:
-        return sensor.internal_mass, sensor.internal_mass_uncertainty
-    axis = component - 3
-    return float(sensor.internal_inertia[axis][axis]), float(sensor.internal_inertia_uncertainty[axis][axis])
 
 
 def mass_name(component: int) -> str:
@@ -335,8 +327,8 @@ def modelled(fit: JointFit, measured: MeasuredSensitivity | None, sensor: Sensor
     if comparison.damping is not None:
         told.append(("warning" if comparison.damping.contradicts else "info", comparison.damping.text))
     clauses = [(severity, text[:1].lower() + text[1:].removesuffix(".")) for severity, text in told]
-    notices = tuple(Notice(severity, text, f"sensitivity {measured.component}") for severity, text in clauses)
-    return Modelled(model, range_hz, SensitivityResult(measured, comparison), notices)
+    notices = [Notice(severity, text, f"sensitivity {measured.component}") for severity, text in clauses]
+    return Modelled(model, range_hz, SensitivityResult(measured, comparison), (*notices, *comparison.notices))
 
 
 def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:

@@ -247,9 +247,7 @@ def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
         if component.sensitivity is not None:
             estimates += [e for e in component.sensitivity.comparison.best.estimates if e.name != "spring_time_s"]
         for estimate in estimates:
-            text = rounded(estimate.value, K * estimate.u)
-            power = f"e{text.exponent}" if text.exponent else ""
-            yield f"  {estimate.label}: ({text.value} ± {text.expanded}){power} {typeset(estimate.unit)}"
+            yield f"  {estimate.label}: {rounded(estimate.value, K * estimate.u).text} {typeset(estimate.unit)}"
         for load, band in zip(component.loads, component.bands, strict=True):
             text = rounded(band.upper_hz, K * band.u_upper_hz, 0)
             yield f"  usable up to ({band.permitted:.2%}, load {load:.6g}): {text.value} ± {text.expanded} Hz"

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import ComputeError, InputError, versions
+from fusion.base import ComputeError, InputError, Outcome
 from fusion.estimation.uncertainty import NamedQuantity, coverage_factor
 from fusion.recording.load import Manifest
 from fusion.sensitivity.body import inertia_errors, rigid_load
@@ -75,7 +75,6 @@ class LoadSettings:
 
 # What a series of loads consists of before any model: records with their masses, or a table of resonances.
 
-FORCES = 3
 MOVING = "moving mass of the sensor"
 
 
@@ -130,11 +129,7 @@ def _moving(manifest: Manifest, component: int) -> Moving:
     sensor = manifest.rig.sensor
     if sensor is None:
         raise InputError(manifest.rig_path, "sensor", found="nothing", expected="[sensor] with internal_mass")
-    if component < FORCES:
-        return Moving(sensor.internal_mass, sensor.internal_mass_uncertainty, "sensor.internal_mass")
-    axis = component - FORCES
-    u = float(sensor.internal_inertia_uncertainty[axis][axis])
-    return Moving(float(sensor.internal_inertia[axis][axis]), u, "sensor.internal_inertia")
+    return Moving(*sensor.moving(component), f"sensor.internal_{'mass' if component < 3 else 'inertia'}")
 
 
 def _series(releases: Sequence[Release], moving: Sequence[Moving], component: int) -> LoadSeries:
@@ -306,19 +301,13 @@ class ComponentLoads:
 
 
 @dataclass(frozen=True)
-class LoadEvaluation:
+class LoadEvaluation(Outcome):
     """Load characteristics of every component of a sensor."""
 
-    name: str
     rig: str
     sensor: str
     components: tuple[ComponentLoads, ...]
     chosen: LoadSettings
-    notices: tuple[Notice, ...]
-    settings: dict[str, str | float | int]
-    versions: dict[str, str]
-    input_hashes: dict[str, str]
-    duration_s: float
 
     @property
     def models(self) -> tuple[LoadModel, ...]:
@@ -367,7 +356,6 @@ def evaluate_loads(
         chosen=settings,
         notices=tuple(dict.fromkeys(told)),
         settings=settings.as_settings(),
-        versions=versions(),
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
     )

@@ -390,21 +390,21 @@ def printed(evaluation: LoadEvaluation) -> Iterator[str]:
         small = small_unit(component)
         for solution in component.solutions:
             told = ", ".join(
-                f"{one.label.rpartition(' ')[2]} = {_plain(one.value, one.expanded, unit_text(one.unit))}"
+                f"{one.label.rpartition(' ')[2]} = {rounded(one.value, one.expanded).text} {unit_text(one.unit)}"
                 for _, one, _ in parameters(component, solution)
             )
             yield f"{component.name} ({_structure(solution)}{_which(solution)}): {told}"
             for row in load_rows(component, solution):
                 if row.kind != DRAWN:
                     model, mass = row.model_hz(0), f"{row.mass_text} {small}"
-                    line = f"  {row.recording or row.kind}: load {mass}, resonance {_plain(*model, 'Hz')}"
+                    line = f"  {row.recording or row.kind}: load {mass}, resonance {rounded(*model).text} Hz"
                     if row.kind == RECORDED:
                         seen, _ = row.measured_hz(0)
                         line += f", measured {seen:.6g} Hz ({_percent(model[0] / seen - 1.0)} %)"
                     yield line
             for limit in solution.limits:
-                mass = _plain(GRAM * limit.value, GRAM * limit.expanded, small)
-                yield f"  {limit.label}: {f'load up to {mass}' if np.isfinite(limit.value) else NO_LIMIT}"
+                mass = rounded(GRAM * limit.value, GRAM * limit.expanded).text
+                yield f"  {limit.label}: {f'load up to {mass} {small}' if np.isfinite(limit.value) else NO_LIMIT}"
 
 
 def _structure(solution: Solution) -> str:
@@ -425,14 +425,6 @@ def _limit(component: ComponentLoads, limit: NamedQuantity) -> str:
 def unit_text(unit: str) -> str:
     """ASCII unit of the result files as it is printed."""
     return typeset(unit).replace(".", "·")
-
-
-def _plain(value: float, expanded: float, unit: str) -> str:
-    """A value with U and unit as plain text, with a power of ten where that is shorter."""
-    text = rounded(value, expanded)
-    power = f"e{text.exponent}" if text.exponent else ""
-    body = text.value if text.expanded == DASH else f"({text.value} ± {text.expanded})"
-    return f"{body}{power} {unit}"
 
 
 def _percent(share: float) -> str:

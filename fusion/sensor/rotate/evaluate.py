@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import PERCENT, InputError, rounded, versions
+from fusion.base import PERCENT, InputError, rounded
 from fusion.estimation.uncertainty import coverage_factor
-from fusion.recording.load import Manifest
+from fusion.recording.load import Manifest, check_one_rig
 from fusion.sensor.rotate.readings import (
     JOINT,
     Carried,
@@ -69,9 +69,7 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     started = time.monotonic()
     for manifest in manifests:
         manifest.check_command("rotate")
-        if manifest.rig_path.resolve() != manifests[0].rig_path.resolve():
-            expected = f"{manifests[0].rig_path}, the rig of {manifests[0].folder.name}"
-            raise InputError(manifest.path, "rig", found=str(manifest.rig_path), expected=expected)
+    check_one_rig(manifests)
     gravity, air = local_gravity(manifests[0]), air_density(manifests[0])
     recordings, outputs, notices = _read(manifests)
     records = tuple(turned(recording) for recording in recordings)
@@ -96,7 +94,6 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
         repeats=again,
         notices=tuple(dict.fromkeys(notices)),
         settings={"gravity": gravity.source, "air_density": air.source},
-        versions=versions(),
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
     )

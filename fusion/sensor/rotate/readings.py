@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from fusion.base import InputError, as_input_error
+from fusion.base import InputError, Outcome, as_input_error
 from fusion.campaign.repeats import BETWEEN, WITHIN, nested
 from fusion.estimation.uncertainty import NamedQuantity
 from fusion.recording.load import Manifest
@@ -227,13 +227,12 @@ class RotationQuantity(NamedQuantity):
 
 
 @dataclass(frozen=True)
-class RotationEvaluation:
+class RotationEvaluation(Outcome):
     """All recordings of one sensor on the head, what they weigh, and their surroundings.
 
     `repeats`: of each state that was recorded more than once.
     """
 
-    name: str
     recordings: tuple[RotationRecording, ...]
     outputs: SensorOutputs
     gravity: Known
@@ -241,11 +240,6 @@ class RotationEvaluation:
     weights: WeightFit
     quantities: tuple[RotationQuantity, ...]
     repeats: tuple[Repeats, ...]
-    notices: tuple[Notice, ...]
-    settings: dict[str, str | float | int]
-    versions: dict[str, str]
-    input_hashes: dict[str, str]
-    duration_s: float
 
     def find(self, name: str, component: str = JOINT, recording: str = "") -> RotationQuantity | None:
         """Return a quantity, None where the recordings do not tell it."""

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import ComputeError, InputError, versions
-from fusion.recording.load import Manifest
+from fusion.base import ComputeError, InputError
+from fusion.recording.load import Manifest, check_one_rig
 from fusion.report.table import sensitivity_unit
 from fusion.sensor.models_file import ModelEntry
 from fusion.sensor.step.records import StepSettings, index_quantities, parameter_quantities, pool_models
@@ -145,7 +145,6 @@ def evaluate_steps(
         components=tuple(components),
         notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_settings(),
-        versions=versions(),
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
     )
@@ -153,11 +152,8 @@ def evaluate_steps(
 
 def _read(manifests: Sequence[Manifest], settings: StepSettings) -> tuple[dict[str, list[Release]], list[Notice]]:
     """Releases of one rig by component; those of one component must drive the same output."""
-    first_rig, releases, notices = manifests[0].rig_path, defaultdict[str, list[Release]](list), list[Notice]()
-    for manifest in manifests:
-        if manifest.rig_path.resolve() != first_rig.resolve():
-            expected = f"{first_rig}, the rig of {manifests[0].folder.name}"
-            raise InputError(manifest.path, "rig", found=str(manifest.rig_path), expected=expected)
+    releases, notices = defaultdict[str, list[Release]](list), list[Notice]()
+    check_one_rig(manifests)
     for manifest in manifests:
         release, told = read_recording(manifest)
         notices += told

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import InputError
+from fusion.base import InputError, Outcome
 from fusion.estimation.uncertainty import NamedQuantity, Quantity
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Rig
@@ -153,17 +153,11 @@ class ComponentResult:
 
 
 @dataclass(frozen=True)
-class StepEvaluation:
-    """All releases of one sensor, one result per load component, notices and origin."""
+class StepEvaluation(Outcome):
+    """All releases of one sensor, one result per load component."""
 
-    name: str
     rig: Rig
     components: tuple[ComponentResult, ...]
-    notices: tuple[Notice, ...]
-    settings: dict[str, str | float | int]
-    versions: dict[str, str]
-    input_hashes: dict[str, str]
-    duration_s: float
 
 
 FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # what an identification raises where it finds no model

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.base import ARGUMENT, InputError, versions
+from fusion.base import ARGUMENT, InputError
 from fusion.instruments import TRANSDUCERS
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import Manifest
@@ -272,12 +272,12 @@ def evaluate_transfer(
     base = next((together.aligned.base for together in read if together.aligned.base is not None), None)
     notices = [notice for _, told in found for notice in told]
     return TransferEvaluation(
+        name=manifest.name,
         manifest=manifest,
         references=tuple(result for result, _ in found),
         clocks=() if base is None else base.results(),
         notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
-        versions=versions(),
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
     )

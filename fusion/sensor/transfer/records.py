@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from fusion.base import InputError
+from fusion.base import InputError, Outcome
 from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
 from fusion.recording.files import DaqRecord, read_daqs
 from fusion.recording.load import Manifest
@@ -91,22 +91,12 @@ class ReferenceResult:
 
 
 @dataclass(frozen=True)
-class TransferEvaluation:
-    """One evaluated recording: transfer functions over every reference, clocks where blocks were tied, origin."""
+class TransferEvaluation(Outcome):
+    """One evaluated recording: transfer functions over every reference, clocks where blocks were tied."""
 
     manifest: Manifest
     references: tuple[ReferenceResult, ...]
     clocks: tuple[ClockResult, ...]
-    notices: tuple[Notice, ...]
-    settings: dict[str, str | float | int]
-    versions: dict[str, str]
-    input_hashes: dict[str, str]
-    duration_s: float
-
-    @property
-    def name(self) -> str:
-        """Return the name of the recording."""
-        return self.manifest.name
 
 
 # Errors that act on all lines of a transfer function at once: scale, delay, chain response, clock.

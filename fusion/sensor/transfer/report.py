@@ -17,7 +17,7 @@ from fusion.estimation.uncertainty import Polar, element_covariance, polar
 from fusion.recording.load import load_for_command
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.folder import Command
-from fusion.report.h5 import write_fields
+from fusion.report.h5 import write_value
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -302,10 +302,11 @@ def _one_digit(value: float, _: float) -> str:
 
 
 def _fill(file: h5py.File, evaluation: TransferEvaluation) -> None:
-    file.attrs["recording"] = evaluation.manifest.name
+    file.attrs["recording"] = evaluation.name
     file.attrs["rig"] = evaluation.manifest.rig.name
     file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
-    write_fields(file, evaluation)
+    for name in ("references", "clocks", "notices", "duration_s"):
+        write_value(file, name, getattr(evaluation, name))
 
 
 TRANSFER: Command[TransferEvaluation] = Command(
