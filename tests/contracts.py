@@ -22,11 +22,7 @@ def acceptance(trials: int, values: int = 1, level: float = LEVEL) -> tuple[int,
 
 
 def coverage_contract(
-    estimate: Callable[[int], tuple[ArrayLike, ArrayLike]],
-    truth: ArrayLike,
-    trials: int,
-    *,
-    cautious: bool = False,
+    estimate: Callable[[int], tuple[ArrayLike, ArrayLike]], truth: ArrayLike, trials: int, *, cautious: bool = False
 ) -> np.ndarray:
     """Assert that 95 % regions hold the truth as often as those of a perfect estimator, and return how often (Q,).
 

@@ -107,11 +107,7 @@ def evaluated(monkeypatch: pytest.MonkeyPatch, ready_evaluation: Evaluation) -> 
     def evaluate(manifest: Manifest, settings: Settings, hashes: dict[str, str], *_: Any) -> Evaluation:
         done.append(manifest.folder.name)
         return replace(
-            ready_evaluation,
-            manifest=manifest,
-            settings=settings.as_dict(),
-            versions=versions(),
-            input_hashes=hashes,
+            ready_evaluation, manifest=manifest, settings=settings.as_dict(), versions=versions(), input_hashes=hashes
         )
 
     monkeypatch.setattr("fusion.campaign.run.evaluate_recording", evaluate)

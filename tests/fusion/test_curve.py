@@ -8,15 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
-from simulated_drives import (
-    CAPACITY,
-    MAIN,
-    DriveErrors,
-    drive_setup,
-    eight_setups,
-    simulate_drives,
-    true_matrix,
-)
+from simulated_drives import CAPACITY, MAIN, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
 
 from fusion.campaign.curve import (
     INTERPOLATION,

@@ -9,15 +9,7 @@ import h5py
 import numpy as np
 import pytest
 from support import block, channel, evaluated, recording_head
-from take_factory import (
-    EXPOSURE_S,
-    FREQUENCY_HZ,
-    MASS_KG,
-    RIG,
-    SENSITIVITY,
-    camera_trigger,
-    moving_plate,
-)
+from take_factory import EXPOSURE_S, FREQUENCY_HZ, MASS_KG, RIG, SENSITIVITY, camera_trigger, moving_plate
 
 from fusion.base import InputError
 from fusion.estimation.fuse import Acceleration
