@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
-from support import AT_ORIGIN, DOCS, block, channel, recording_head
+from support import AT_ORIGIN, DOCS, block, channel, examples, recording_head, write_daq
 
 from fusion.base import InputError
 from fusion.instruments import TRANSDUCERS
@@ -69,10 +68,7 @@ def recording(make_campaign: Campaign) -> Path:
     image = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64)
     for path in folder.glob("top-*/*.tif"):
         tifffile.imwrite(path, image)
-    with h5py.File(folder / "vibrometer.h5", "w") as file:
-        for name in ("velocity", "camera_trigger"):
-            file[name] = np.zeros(1000)
-            file[name].attrs["sample_rate"] = 51200.0
+    write_daq(folder / "vibrometer.h5", 51200.0, dict.fromkeys(("velocity", "camera_trigger"), np.zeros(1000)))
     return folder
 
 
@@ -135,7 +131,7 @@ DOC = (DOCS / "recording-format.md").read_text(encoding="utf-8")
 
 def test_the_example_of_the_format_is_a_chain(tmp_path):
     path = tmp_path / "chain.toml"
-    path.write_text(re.findall(r"^```toml\n(.*?)^```", DOC, re.DOTALL | re.MULTILINE)[2], encoding="utf-8")
+    path.write_text(examples(DOC)[2], encoding="utf-8")
     response = read_response(path, FREQUENCY)
     assert len(read_chain(path).element) == 3
     b, a = signal.butter(4, 2.0 * np.pi * 10e3, analog=True)

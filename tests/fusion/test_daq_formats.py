@@ -12,7 +12,7 @@ import pytest
 import pyuff
 import scipy.io
 from nptdms import ChannelObject, TdmsWriter
-from support import AT_ORIGIN, channel, evaluated
+from support import AT_ORIGIN, channel, evaluated, write_daq
 
 from fusion.base import InputError
 from fusion.sensitivity.analyse import Evaluation
@@ -23,10 +23,7 @@ Signals = dict[str, np.ndarray]
 
 
 def _h5(path: Path, signals: Signals) -> None:
-    with h5py.File(path, "w") as file:
-        file.attrs["sample_rate"] = RATE_HZ
-        for name, samples in signals.items():
-            file[name] = samples
+    write_daq(path, RATE_HZ, signals)
 
 
 def _tdms(path: Path, signals: Signals) -> None:

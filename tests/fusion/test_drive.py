@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from support import AT_ORIGIN, block, channel, evaluated, recording_head
+from support import AT_ORIGIN, block, channel, evaluated, recording_head, write_daq
 
 from fusion.base import ComputeError
 from fusion.cli import main
@@ -68,13 +68,12 @@ def recording(
         np.savetxt(place / "points" / f"frame_{frame:03d}.txt", np.column_stack([rest, seen]), fmt="%.9f")
     time_s = np.arange(SAMPLES) / DAQ_HZ
     turns = (time_s - first_s) * frame_hz
-    with h5py.File(place / "daq.h5", "w") as file:
-        file.attrs["sample_rate"] = DAQ_HZ
-        file["camera_trigger"] = 5.0 * ((turns >= 0) & (turns < FRAMES) & (np.mod(turns, 1.0) < 0.25))
-        if laser:
-            omega = 2.0 * np.pi * DRIVEN_HZ
-            velocity = -omega * AMPLITUDE_M * (np.sin(omega * time_s) + 3 * overtone * np.sin(3 * omega * time_s))
-            file["laser"] = velocity * (1.0 + growth * time_s) + 1e-5 * rng.normal(size=SAMPLES)
+    signals = {"camera_trigger": 5.0 * ((turns >= 0) & (turns < FRAMES) & (np.mod(turns, 1.0) < 0.25))}
+    if laser:
+        omega = 2.0 * np.pi * DRIVEN_HZ
+        velocity = -omega * AMPLITUDE_M * (np.sin(omega * time_s) + 3 * overtone * np.sin(3 * omega * time_s))
+        signals["laser"] = velocity * (1.0 + growth * time_s) + 1e-5 * rng.normal(size=SAMPLES)
+    write_daq(place / "daq.h5", DAQ_HZ, signals)
     return place
 
 

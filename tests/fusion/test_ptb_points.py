@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
-from support import block, channel, evaluated, recording_head
+from support import block, channel, evaluated, recording_head, write_daq
 from take_factory import EXPOSURE_S, FREQUENCY_HZ, MASS_KG, RIG, SENSITIVITY, camera_trigger, moving_plate
 
 from fusion.base import InputError
@@ -84,10 +83,7 @@ class Campaign:
 
     def evaluate(self) -> Evaluation:
         """Write the manifest and the channels, and evaluate the recording."""
-        with h5py.File(self.folder / "daq.h5", "w") as file:
-            file.attrs["sample_rate"] = RATE_HZ
-            for name, samples in self.channels.items():
-                file[name] = samples
+        write_daq(self.folder / "daq.h5", RATE_HZ, self.channels)
         (self.folder / "recording.toml").write_text("".join(self.text), encoding="utf-8")
         return evaluated(self.folder)
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
-from support import AT_ORIGIN, block, channel, evaluated, recording_head
+from support import AT_ORIGIN, block, channel, evaluated, recording_head, write_daq
 
 from fusion.base import InputError
 from fusion.cli import main
@@ -88,10 +87,8 @@ def _write(folder: Path, shot: Shot, exposure: str, override: str = "") -> Path:
         near = slice(max(int((edge - 2e-3) * RATE_HZ), 0), int((edge + shot.width_s + 2e-3) * RATE_HZ))
         place = time_s[near] * RATE_HZ
         trigger[near] += 5.0 * (step(place - edge * RATE_HZ) - step(place - (edge + shot.width_s) * RATE_HZ))
-    with h5py.File(run / "daq.h5", "w") as file:
-        file.attrs["sample_rate"] = RATE_HZ
-        file["z"] = np.cos(OMEGA * time_s) + 1e-4 * rng.normal(size=len(time_s))
-        file["camera_trigger"] = trigger
+    z = np.cos(OMEGA * time_s) + 1e-4 * rng.normal(size=len(time_s))
+    write_daq(run / "daq.h5", RATE_HZ, {"z": z, "camera_trigger": trigger})
     return run
 
 

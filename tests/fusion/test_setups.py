@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import block, edit, evaluated
+from support import block, edit, evaluated, write_daq
 from take_factory import (
     FREQUENCY_HZ,
     LOAD,
@@ -23,7 +23,6 @@ from take_factory import (
     reference,
     signals,
     take,
-    write_shot,
     write_takes,
 )
 
@@ -125,7 +124,7 @@ def test_takes_cut_from_one_recording_give_what_the_recording_gives(tmp_path):
     folder = tmp_path / "takes"
     folder.mkdir()
     (tmp_path / "rig.toml").write_text(RIG)
-    write_shot(folder / "all.h5", values)
+    write_daq(folder / "all.h5", RATE_HZ, values)
     (folder / "recording.toml").write_text(head() + take("all.h5", POINTS, at=""))
     whole = evaluated(folder)
     common, *lasers = take("all.h5", POINTS).split('[[take.daq.channel]]\nname = "velocity_')
@@ -152,7 +151,7 @@ def test_a_channel_in_every_take_is_one_reading_and_its_scatter_counts(tmp_path)
     gains = 1.0 + 0.01 * np.array([1.0, -1.2, 0.4, 0.9, -0.7])
     for number, (shot, gain) in enumerate(zip(shots, gains, strict=True), 1):
         values = signals(shot, rng)
-        write_shot(folder / f"{number}.h5", values | {"Fz": gain * values["Fz"]})
+        write_daq(folder / f"{number}.h5", RATE_HZ, values | {"Fz": gain * values["Fz"]})
     found = evaluated(folder)
     u = np.sqrt(found.outputs.uncertainty.random[0].covariance[0, 0, 0]) / abs(found.outputs.phasors.value[0, 0])
     assert u * np.sqrt(2.0) == pytest.approx(np.std(gains, ddof=1) / np.sqrt(5.0), rel=0.05)
@@ -178,7 +177,7 @@ def _without_reference(folder: Path) -> None:
 def _second(change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]], **shot: Any) -> Callable[[Path], None]:
     """Change the samples of the second take."""
     values = signals(Shot(POINTS[1:2], **shot), np.random.default_rng(0))
-    return lambda folder: write_shot(folder / "2.h5", change(values))
+    return lambda folder: write_daq(folder / "2.h5", RATE_HZ, change(values))
 
 
 def _drive(factor: float) -> Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]:

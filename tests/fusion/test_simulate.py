@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 from contracts import refused
-from support import state
+from support import complex_of, state, truth_of
 
 from fusion.base import InputError
 from fusion.cli import main
@@ -162,7 +161,7 @@ def test_recording_is_complete_and_its_manifest_valid(small: Path) -> None:
     image = tifffile.imread(manifest.images[0].left[0])
     assert image.dtype == np.uint16
     assert image.max() < 1023
-    truth = json.loads((small / "truth.json").read_text())
+    truth = truth_of(small)
     assert np.shape(truth["motion"]["top"]) == (4, 6)
     assert np.shape(truth["sensitivity"]["re"]) == (3, 6, 6)
     assert "top.calibration" in truth["drawn"]
@@ -210,13 +209,12 @@ def test_a_wrong_call_names_what_was_expected(tmp_path: Path) -> None:
 def test_noise_free_channels_are_the_truth(tmp_path: Path) -> None:
     plain = dict.fromkeys(("channel_noise", "systematic_errors", "trigger_jitter"), False)
     folder = simulate(tmp_path / "exact", "demo", 1, frames=3, image_scale=0.3, **plain)
-    truth = json.loads((folder / "truth.json").read_text())
+    truth = truth_of(folder)
     with h5py.File(folder / "vibrometer.h5") as file:
         samples, rate = file["velocity_1"][:], file["velocity_1"].attrs["sample_rate"]
         trigger = file["camera_trigger"][:]
     time = np.arange(len(samples)) / rate
-    load = truth["acceleration"]["load"]
-    a = np.array(load["re"]) + 1j * np.array(load["im"])
+    a = complex_of(truth["acceleration"]["load"])
     at_point = a[:, 2] - a[:, 4] * 0.033  # z of a + α × r at (0.033, 0, ·)
     omega = 2 * np.pi * np.array(truth["frequencies"])
     expected = np.sin(np.outer(time, omega) + np.angle(at_point)) @ (np.abs(at_point) / omega)
