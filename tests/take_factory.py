@@ -23,22 +23,11 @@ LASER_V, ACCELEROMETER_V, BRIDGE_V = 0.125, 98.1, 1e-3  # SI per file value
 SCALE_U = 2.5e-4
 POINTS = tuple((float(0.04 * np.cos(angle)), float(0.04 * np.sin(angle)), 0.05) for angle in np.arange(8) * np.pi / 4.0)
 
-RIG = """
-format = 1
-name = "laser that looks at one point after another"
-[sensor]
-name = "transducer"
-channels = ["Fz"]
-unit = "V/V"
-sense = "on_load"
-internal_mass = 0.769
-internal_mass_uncertainty = 0.002
-[load]
-mass = 6.9605
-mass_uncertainty = 0.001
-centre_of_mass = [0.0, 0.0, 0.0]
-inertia = [[0.036, 0.0, 0.0], [0.0, 0.036, 0.0], [0.0, 0.0, 0.031]]
-"""
+SENSOR = {"channels": ["Fz"], "unit": "V/V", "sense": "on_load"}
+RIG = block(format=1, name="laser that looks at one point after another")
+RIG += block("sensor", name="transducer", **SENSOR, internal_mass=0.769, internal_mass_uncertainty=0.002)
+INERTIA = np.diag([0.036, 0.036, 0.031]).tolist()
+RIG += block("load", mass=6.9605, mass_uncertainty=0.001, centre_of_mass=[0.0] * 3, inertia=INERTIA)
 
 
 def head(harmonics: Any = (1,)) -> str:

@@ -68,9 +68,9 @@ def test_one_component_is_the_excess_of_the_sample_variance(noise):
 
 def test_the_same_errors_at_all_lines_count_once():
     group, variance = scattered(1e-12, 9, 2)
-    components, dof = variance_components([group] * 4)
-    assert components[0] == pytest.approx(variance, rel=1e-5)
-    assert dof[0] == pytest.approx(8.0, rel=1e-4)
+    (component,), (dof,) = variance_components([group] * 4)
+    assert component == pytest.approx(variance, rel=1e-5)
+    assert dof == pytest.approx(8.0, rel=1e-4)
 
 
 def test_an_instrument_that_cannot_test_itself_has_no_scatter_of_its_own():

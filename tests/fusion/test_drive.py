@@ -23,16 +23,10 @@ DRIVEN_HZ, DAQ_HZ, SAMPLES, FRAMES = 106.25, 10_000.0, 14_000, 64
 FOLDING_HZ, CLEAR_HZ = 53.125, 49.7
 AMPLITUDE_M = 2.4e-4
 
-RIG = """
-format = 1
-name = "points and a laser"
-[stereo.base]
-body = "base"
-rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-translation = [0.0, 0.0, 0.0]
-scale_uncertainty = 2e-4
-exposure = 40e-6
-"""
+RIG = block(format=1, name="points and a laser") + block(
+    "stereo.base", body="base", rotation=np.eye(3).tolist(), translation=[0.0] * 3, scale_uncertainty=2e-4,
+    exposure=40e-6,
+)  # fmt: skip
 LASER = channel("laser", "velocity", body="base", **AT_ORIGIN, scale=1.0, scale_uncertainty=5e-4)
 POINTS = block("[points]", stereo="base", files="points/frame_*.txt", columns=["x0", "y0", "z0", "x", "y", "z"],
                trigger="camera_trigger")  # fmt: skip

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 from collections.abc import Callable
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -152,7 +152,7 @@ def test_results_are_replaced_by_those_of_the_same_input_or_by_force_and_nothing
     write_results(evaluation, out)
     assert {name: (out / name).read_bytes() for name in first} == first
     (out / "motion-mine.csv").write_text("not a result of the program", encoding="utf-8")
-    other = dataclasses.replace(evaluation, stereo=(), input_hashes={"rig.toml": "11" * 32})
+    other = replace(evaluation, stereo=(), input_hashes={"rig.toml": "11" * 32})
     with pytest.raises(InputError, match="other input"):
         write_results(other, out)
     write_results(other, out, force=True)
@@ -196,7 +196,7 @@ def test_recording_without_sensor_and_cameras(write, tmp_path):
     assert {path.name for path in folder.iterdir()} == names
     found = read_recorded(folder)
     assert (found.sensor, found.drives) == (None, ())
-    assert read_recorded(write(dataclasses.replace(bare, notices=()))).notices == ()
+    assert read_recorded(write(replace(bare, notices=()))).notices == ()
     with h5py.File(folder / "result.h5", "r+") as file:
         file.attrs["format"] = 1
     with pytest.raises(InputError, match="--force evaluates the recording anew"):
@@ -227,8 +227,8 @@ def identical(first: Any, second: Any) -> bool:
     """Whether two trees of data classes hold the same types, texts and bits."""
     if isinstance(first, np.ndarray):
         return first.dtype == second.dtype and first.shape == second.shape and first.tobytes() == second.tobytes()
-    if dataclasses.is_dataclass(first):
-        names = [field.name for field in dataclasses.fields(first)]
+    if is_dataclass(first):
+        names = [field.name for field in fields(first)]
         return type(first) is type(second) and all(identical(getattr(first, n), getattr(second, n)) for n in names)
     if isinstance(first, tuple):
         return len(first) == len(second) and all(map(identical, first, second))
@@ -241,12 +241,12 @@ def with_clock(item: Any, seed: int) -> Any:
     effect = np.random.default_rng(seed).standard_normal((2, lines, size))
     shared = Influence("clock bridge: time", "clock", 1e-7, "s", effect[0], "recording")
     own = Influence(f"scale {seed}", "scale", 2.5e-4, "1", effect[1], "rig")
-    return dataclasses.replace(item, uncertainty=Uncertainty(item.uncertainty.random, (shared, own)))
+    return replace(item, uncertainty=Uncertainty(item.uncertainty.random, (shared, own)))
 
 
 def test_drives_are_read_back_to_the_last_bit(write, tmp_path):
     plain = make_evaluation(tmp_path, Choice(frames=24, images=False, mounting="second"))
-    evaluation = dataclasses.replace(plain, load=with_clock(plain.load, 1), outputs=with_clock(plain.outputs, 2))
+    evaluation = replace(plain, load=with_clock(plain.load, 1), outputs=with_clock(plain.outputs, 2))
     drives = drives_of(evaluation)
     assert [drive.mounting for drive in drives] == ["second"]
     names = [influence.name for influence in drives[0].outputs_uncertainty.influences]

@@ -38,21 +38,16 @@ SEEN = [2, 3, 4]  # z, rx, ry
 HARMONICS = {2: 0.01, 3: 0.004}
 
 
-def _shots(rng: np.random.Generator, count: int = 8, drift: float = 0.005) -> list[Shot]:
-    """One laser point per take; level drifts, phase is whatever it was when the recording was started."""
-    levels = (1.0 + drift * rng.normal(size=count)) * np.exp(2j * np.pi * rng.random(count))
-    levels[0] = 1.0
-    ppm = 1.0 + 2e-6 * rng.normal(size=count)
-    return [
-        Shot([point], complex(level), FREQUENCY_HZ * float(f), HARMONICS)
-        for point, level, f in zip(POINTS, levels, ppm, strict=False)
-    ]
-
-
 @pytest.fixture(scope="module")
 def eight(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    """One laser point per take; level drifts, phase is whatever it was when the recording was started."""
     rng = np.random.default_rng(5)
-    return evaluated(write_takes(tmp_path_factory.mktemp("eight"), _shots(rng), rng, top=True))
+    levels = (1.0 + 0.005 * rng.normal(size=8)) * np.exp(2j * np.pi * rng.random(8))
+    levels[0] = 1.0
+    frequencies = FREQUENCY_HZ * (1.0 + 2e-6 * rng.normal(size=8))
+    driven = zip(POINTS, levels.tolist(), frequencies.tolist(), strict=True)
+    shots = [Shot([point], level, frequency, HARMONICS) for point, level, frequency in driven]
+    return evaluated(write_takes(tmp_path_factory.mktemp("eight"), shots, rng, top=True))
 
 
 def test_eight_points_one_after_another_give_the_motion(eight):

@@ -180,15 +180,21 @@ def test_the_same_seed_gives_the_same_bytes(preset: str, tmp_path: Path) -> None
     assert changed & {"0000.tif", "channels.h5", "accelerometers.h5", "readings.csv", "outputs.h5", "models.json"}
 
 
-@pytest.mark.parametrize("preset", ["loads", "elastomer"])
+@pytest.mark.parametrize("preset", ["rotation", "loads", "elastomer", "chirp"])
 def test_the_command_replaces_an_earlier_simulation_and_nothing_else(
     preset: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "it"
-    assert main(["simulate", str(out), "--preset", preset]) == 0
+    run = ["simulate", str(out), "--preset", preset]
+    assert main(run) == 0
     assert str(out) in capsys.readouterr().out
-    assert main(["simulate", str(out), "--preset", preset]) == 2
-    assert main(["simulate", str(out), "--preset", preset, "--force", "--seed", "2"]) == 0
+    first = state(out)
+    assert main(run) == 2
+    assert main([*run, "--force"]) == 0
+    assert state(out) == first
+    assert main([*run, "--force", "--seed", "2"]) == 0
+    assert state(out) != first
+    assert preset != "chirp" or main(["check", str(out)]) == 0
     (out / "thesis.txt").write_text("mine")
     with pytest.raises(InputError, match=r"expected a new folder.*found thesis.txt in it"):
         simulate(out, preset, 1)
