@@ -54,12 +54,8 @@ def _write_sine(folder: Path, frequency: float, seed: int) -> Path:
         {"name": "bridge", "quantity": "output", "channel": "Fz", "scale_uncertainty": 1e-4},
     ]
     driven = {"kind": "sine", "direction": [0.0, 0.0, 1.0], "frequencies": [frequency], "harmonics": []}
-    tables = {
-        "format": 1,
-        "name": f"sine {frequency:g} Hz",
-        "rig": f"../{rig_file(SINE_LOAD)}",
-        "excitation": driven,
-        "daq": [{"name": "daq", "file": "daq.h5", "clock_uncertainty": 1e-6, "channel": channels}],
-    }
+    daq = {"name": "daq", "file": "daq.h5", "clock_uncertainty": 1e-6, "channel": channels}
+    names = {"name": f"sine {frequency:g} Hz", "rig": f"../{rig_file(SINE_LOAD)}"}
+    tables = {"format": 1, **names, "excitation": driven, "daq": [daq]}
     (place / "recording.toml").write_text(to_toml(tables), encoding="utf-8")
     return place

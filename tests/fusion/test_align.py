@@ -298,12 +298,8 @@ def test_one_direction_puts_two_angles_right(
     before = {"rotation": wrong.tolist(), "translation": known["translation"], "pose_uncertainty": U_BEFORE}
     phasor = complex_of(truth["acceleration"]["load"])[0, :3]
     major = (phasor * np.exp(-0.5j * np.angle((phasor**2).sum()))).real  # axis of the load's translation
-    motion = {
-        "name": "along z",
-        "recordings": "Fz-*/recording.toml",
-        "direction": (major / np.linalg.norm(major)).tolist(),
-        "direction_uncertainty": 1e-5,
-    }
+    motion = {"name": "along z", "recordings": "Fz-*/recording.toml", "direction_uncertainty": 1e-5}
+    motion["direction"] = (major / np.linalg.norm(major)).tolist()
     head = {"format": 1, "stereo": "top", "calibration": "calibration/top.json", "scale_uncertainty": 2e-4}
     path = campaign / "alignment.toml"
     path.write_text(to_toml({**head, "motion": [motion]}), encoding="utf-8")

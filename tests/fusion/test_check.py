@@ -129,7 +129,7 @@ FREQUENCY = np.array([100.0, 1000.0, 4000.0])
 DOC = (DOCS / "recording-format.md").read_text(encoding="utf-8")
 
 
-def test_the_example_of_the_format_is_a_chain(tmp_path):
+def test_the_example_of_the_format_is_a_chain_and_every_key_of_an_element_is_listed(tmp_path):
     path = tmp_path / "chain.toml"
     path.write_text(examples(DOC)[2], encoding="utf-8")
     response = read_response(path, FREQUENCY)
@@ -143,9 +143,6 @@ def test_the_example_of_the_format_is_a_chain(tmp_path):
     expected = amplifier * signal.freqs(b, a, 2.0 * np.pi * FREQUENCY)[1] * np.exp(-s * 8e-6)
     np.testing.assert_allclose(response.value, expected / (1.0 - ratio**2 + 0.04j * ratio), rtol=1e-9)
     assert {"gain of charge amplifier", "delay of anti-alias filter"} <= set(response.causes)
-
-
-def test_the_format_lists_every_key_of_an_element():
     section = DOC[DOC.index("| key of `[[element]]`") : DOC.index("## Every key")]
     told = [line.split("`")[1] for line in section.splitlines()[2:] if line.startswith("| `")]
     assert told == list(Element.model_fields)
@@ -180,8 +177,7 @@ def test_a_wrong_element_is_one_sentence_with_its_key(tmp_path, element, key, wo
     path.write_text("format = 1\n" if element is None else f"[[element]]\n{element}\n", encoding="utf-8")
     with pytest.raises(InputError) as caught:
         read_response(path, FREQUENCY)
-    assert caught.value.file == path
-    assert caught.value.key == key
+    assert (caught.value.file, caught.value.key) == (path, key)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 

@@ -159,9 +159,7 @@ def test_where_instruments_agree_fused_is_no_worse_than_the_best_of_them():
         for component in range(6):
             best = min(expanded(one, component) for one in single if one.observed[0, component])
             assert expanded(fused, component) <= best * (1 + 1e-3)
-
-
-def test_one_kind_of_instrument_alone_is_the_fused_result():
+    # One kind of instrument alone is the fused result.
     fused, single = fuse_sources(measured([lasers(8)], np.random.default_rng(10)), "load")
     assert single.source == "vibrometer"
     np.testing.assert_array_equal(single.phasors.value, fused.phasors.value)

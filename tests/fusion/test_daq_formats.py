@@ -22,10 +22,6 @@ GRAVITY = 9.80665
 Signals = dict[str, np.ndarray]
 
 
-def _h5(path: Path, signals: Signals) -> None:
-    write_daq(path, RATE_HZ, signals)
-
-
 def _tdms(path: Path, signals: Signals) -> None:
     properties = {"wf_increment": 1.0 / RATE_HZ, "wf_start_offset": 0.0}
     with TdmsWriter(str(path)) as writer:
@@ -42,10 +38,6 @@ def _uff(path: Path, signals: Signals) -> None:
             orddenom_spec_data_type=0, z_axis_spec_data_type=0, z_axis_value=0.0,
         )  # fmt: skip
         pyuff.UFF(str(path)).write_sets([data], "add")
-
-
-def _mat(path: Path, signals: Signals) -> None:
-    scipy.io.savemat(path, signals)
 
 
 def _wav(path: Path, signals: Signals) -> None:
@@ -70,10 +62,10 @@ def _lvm(path: Path, signals: Signals) -> None:
 
 # Suffix → writer and what the format needs in the manifest's block: channel names, rate.
 FORMATS: dict[str, tuple[Callable[[Path, Signals], None], tuple[str, str], bool]] = {
-    "h5": (_h5, ("a", "b"), False),
+    "h5": (lambda path, signals: write_daq(path, RATE_HZ, signals), ("a", "b"), False),
     "tdms": (_tdms, ("daq/a", "b"), False),
     "uff": (_uff, ("a", "b"), False),
-    "mat": (_mat, ("a", "b"), True),
+    "mat": (scipy.io.savemat, ("a", "b"), True),
     "wav": (_wav, ("1", "2"), False),
     "csv": (_csv, ("a", "b"), False),
     "lvm": (_lvm, ("a", "b"), False),

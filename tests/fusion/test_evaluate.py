@@ -48,13 +48,10 @@ def _over_u(value: np.ndarray, true: np.ndarray, covariance: np.ndarray) -> np.n
 
 def _normalised(evaluation: Evaluation, truth: dict[str, Any], source: str) -> np.ndarray:
     """Errors of all observed components of both bodies over their standard uncertainties."""
-    values = np.concatenate(
-        [
-            _over_u(a.phasors.value, complex_of(truth["acceleration"][a.body]), a.phasors.covariance)
-            for a in evaluation.accelerations
-            if a.source == source
-        ]
-    )
+    seen = [
+        (a.phasors, complex_of(truth["acceleration"][a.body])) for a in evaluation.accelerations if a.source == source
+    ]
+    values = np.concatenate([_over_u(phasors.value, true, phasors.covariance) for phasors, true in seen])
     return values[np.isfinite(values)]
 
 
@@ -186,10 +183,8 @@ DEMO_SEED = 1  # that of sample_images/demo
 def _photograph(folder: Path, name: str, stereo: TrueStereo, pose: RigidTransform, rng: np.random.Generator) -> None:
     """Render what the true cameras see of the target."""
     rig = stereo.rig
-    for side, camera, relative in (
-        ("left", rig.left, RigidTransform.identity()),
-        ("right", rig.right, rig.right_from_left),
-    ):
+    sides = ("left", rig.left, RigidTransform.identity()), ("right", rig.right, rig.right_from_left)
+    for side, camera, relative in sides:
         grey = 255 * render_board(camera, relative @ pose, BOARD) + rng.normal(0, 0.7, camera.size_px[::-1])
         (folder / side).mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(folder / side / f"{name}.png"), np.clip(np.rint(grey), 0, 255).astype(np.uint8))
@@ -208,18 +203,10 @@ def _calibrated_block(folder: Path, stereo: TrueStereo, rng: np.random.Generator
     _photograph(folder / f"{name}-placed", "0", stereo, poses[VIEWS], rng)
     placed = stereo.left_from_sensor.inverse() @ poses[VIEWS]
     view = {"name": "plate", "left": f"{name}-placed/left/0.png", "right": f"{name}-placed/right/0.png"}
-    known = {
-        "rotation": placed.rotation.tolist(),
-        "translation": placed.translation_m.tolist(),
-        "pose_uncertainty": [2e-6] * 3 + [2e-5] * 3,
-    }
-    alignment = {
-        "format": 1,
-        "stereo": name,
-        "calibration": calibration.name,
-        "target": {"kind": "chessboard", "spacing": 5e-3, "size": [9, 6]},
-        "target_view": [view | known],
-    }
+    known = {"rotation": placed.rotation.tolist(), "translation": placed.translation_m.tolist()}
+    known["pose_uncertainty"] = [2e-6] * 3 + [2e-5] * 3
+    alignment = {"format": 1, "stereo": name, "calibration": calibration.name, "target_view": [view | known]}
+    alignment["target"] = {"kind": "chessboard", "spacing": 5e-3, "size": [9, 6]}
     (folder / f"{name}.toml").write_text(to_toml(alignment), encoding="utf-8")
     pose = folder / f"{name}-pose.toml"
     assert main(["align", str(folder / f"{name}.toml"), "-o", str(pose), "-q"]) == EXIT_DONE

@@ -244,20 +244,16 @@ def with_clock(item: Any, seed: int) -> Any:
     return replace(item, uncertainty=Uncertainty(item.uncertainty.random, (shared, own)))
 
 
-def test_drives_are_read_back_to_the_last_bit(write, tmp_path):
+def test_drives_are_read_back_to_the_last_bit_with_sensor_excitation_and_notices(write, tmp_path):
     plain = make_evaluation(tmp_path, Choice(frames=24, images=False, mounting="second"))
     evaluation = replace(plain, load=with_clock(plain.load, 1), outputs=with_clock(plain.outputs, 2))
     drives = drives_of(evaluation)
     assert [drive.mounting for drive in drives] == ["second"]
     names = [influence.name for influence in drives[0].outputs_uncertainty.influences]
     assert names == ["clock bridge: time", "scale 2"]
-    assert identical(drives, read_recorded(write(evaluation)).drives)
-
-
-def test_sensor_excitation_and_notices_are_read_back(write, tmp_path):
-    evaluation = make_evaluation(tmp_path, Choice(frames=24, images=False))
     found = read_recorded(write(evaluation))
-    assert (found.folder, found.name, found.mounting, found.kind) == ("out", "Fz 106.25 Hz", "1", "sine")
+    assert identical(drives, found.drives)
+    assert (found.folder, found.name, found.mounting, found.kind) == ("out", "Fz 106.25 Hz", "second", "sine")
     assert (found.direction, found.frequencies) == ((0.0, 0.0, 1.0), (106.25,))
     assert np.array_equal(np.asarray(found.sensor.static), STATIC)
     assert (found.sensor.serial, found.sensor.unit, found.sensor.u_static) == ("0815", "V/V", 1e-3)
@@ -284,9 +280,8 @@ def test_hashes_are_of_whole_files_named_from_the_root_and_sorted(tmp_path):
 
 
 def test_versions_name_the_program_and_only_what_was_imported():
-    found = versions()
-    assert {"shakercal", "python", "platform", "numpy", "h5py"} <= set(found)
-    assert "pyarrow" not in found
+    assert {"shakercal", "python", "platform", "numpy", "h5py"} <= set(versions())
+    assert "pyarrow" not in versions()
 
 
 def test_folder_rules(tmp_path):

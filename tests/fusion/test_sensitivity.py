@@ -173,11 +173,8 @@ def case() -> Case:
     turn = -2j * np.pi * GTC_HZ[0]
     parts = [make_part(name, mass, np.zeros(3), np.zeros((3, 3)), (u, 0.0, 0.0)) for name, mass, u in MASSES]
     load = load_phasors(_acceleration(turn), Body(tuple(parts)))
-    chain, stated = (
-        ChainUncertainty(clock="bridge", u_clock_s=CLOCK),
-        {"common": "amplifier", "scale_uncertainty": SCALE},
-    )
-    noisy = *CORRELATED["output"], chain, GTC_HZ
+    stated = {"common": "amplifier", "scale_uncertainty": SCALE}
+    noisy = *CORRELATED["output"], ChainUncertainty(clock="bridge", u_clock_s=CLOCK), GTC_HZ
     readings = zip(GTC_OUTPUT.T, ("Fz", "Fx"), strict=True)
     outputs = output_phasors([output(value, *noisy, name=name, **stated) for value, name in readings])
     ratio = sensitivity_ratio(outputs, load, 2, [1])
@@ -223,15 +220,13 @@ def test_ratio_of_outputs_and_load_that_share_unknowns(case, channel):
     assert 5.0 < found.dof[0, channel, 2] < 1e4
 
 
-def test_load_and_outputs_alone(case):
+def test_load_and_outputs_alone_and_elements_together(case):
     dof, pair = case.load.uncertainty.dof(), np.array([2, 8])
     _agrees(case.load.value[0, 2], case.load.uncertainty.covariance[0][np.ix_(pair, pair)], dof[0, 2], case.gtc_load[2])
     pair = np.array([0, 2])
     covariance, dof = case.outputs.uncertainty.covariance[0], case.outputs.uncertainty.dof()
     _agrees(case.outputs.phasors.value[0, 0], covariance[np.ix_(pair, pair)], dof[0, 0], case.gtc_outputs[0])
-
-
-def test_elements_of_one_recording_are_correlated(case):
+    # Elements of one recording are correlated.
     first, second = (signal / case.gtc_load[2] for signal in case.gtc_outputs)
     expected = np.reshape(GTC.get_covariance(first, second), (2, 2))
     found = case.ratio.uncertainty.covariance[0]

@@ -318,11 +318,17 @@ def test_every_point_of_a_scan_is_a_take(tmp_path):
     assert [f"{take.drift[0]:.4f}" for take in found[0].set_ups] == ["0.0000", "0.0020", "0.0040", "0.0060"]
 
 
-def test_points_are_placed_where_the_file_says(tmp_path):
-    takes = read_set_ups(load_manifest(_short(_scan(tmp_path, np.random.default_rng(6)))))
+def test_points_are_placed_where_the_file_says_and_counted_by_check(tmp_path, capsys):
+    folder = _short(_scan(tmp_path, np.random.default_rng(6)))
+    takes = read_set_ups(load_manifest(folder))
     placed = [take.records[0].entry.channel[0].point for take in takes]
     np.testing.assert_allclose(np.array(placed, dtype=np.float64), SCANNED, atol=1e-9)
     assert {take.records[0].entry.channel[1].point for take in takes} == {(0.0, 0.0, -0.1)}  # the reference stays
+    assert main(["check", str(folder)]) == EXIT_DONE
+    told = capsys.readouterr().out
+    assert "3000 samples at 4000 Hz, a scan of 4 points, each a take" in told
+    assert "takes: 4, tied by 2" in told
+    assert "load: laser: z rx ry" in told
 
 
 def test_a_scan_of_one_point_needs_no_reference(tmp_path):
@@ -345,12 +351,3 @@ def test_a_scan_of_one_point_needs_no_reference(tmp_path):
 def test_wrong_scans_are_one_sentence(tmp_path, refused, channels, sentence):
     folder = _text(_scan(tmp_path, np.random.default_rng(6)), *channels)
     assert sentence in refused("run", folder)
-
-
-def test_check_counts_the_points_of_a_scan(tmp_path, capsys):
-    folder = _short(_scan(tmp_path, np.random.default_rng(6)))
-    assert main(["check", str(folder)]) == EXIT_DONE
-    told = capsys.readouterr().out
-    assert "3000 samples at 4000 Hz, a scan of 4 points, each a take" in told
-    assert "takes: 4, tied by 2" in told
-    assert "load: laser: z rx ry" in told

@@ -36,9 +36,10 @@ FREQUENCY = np.array([40.0, 120.0])
 PART = TruePart(2.0, np.array([0.01, -0.02, 0.05]), np.array([[3e-3, 1e-4, 0], [1e-4, 4e-3, 2e-4], [0, 2e-4, 5e-3]]))
 
 
-def _motion(scale: float = 1.0) -> Motion:
+def _motion() -> Motion:
+    """A motion so small that terms of second order vanish."""
     rng = np.random.default_rng(3)
-    amplitude = np.array([3.0, 2.0, 40.0, 30.0, 20.0, 10.0]) * scale
+    amplitude = np.array([3.0, 2.0, 40.0, 30.0, 20.0, 10.0]) * 1e-3
     phasors = amplitude * np.exp(2j * np.pi * rng.uniform(size=(2, 6)))
     return Motion(FREQUENCY, phasors)
 
@@ -50,7 +51,7 @@ def _derivatives(values: np.ndarray, step: float) -> np.ndarray:
 
 
 def test_wrench_agrees_with_momentum_differentiated_numerically() -> None:
-    motion, step = _motion(1e-3), 2e-5  # small, so that terms of second order vanish
+    motion, step = _motion(), 2e-5
     for time in (0.0, 0.0031, 0.0127):
         stencil = time + step * np.arange(-3, 4)
         poses = motion.pose(stencil)
@@ -78,7 +79,7 @@ def test_wrench_of_a_mass_on_an_arm_by_hand() -> None:
 
 
 def test_laser_and_accelerometer_read_what_the_moving_point_does() -> None:
-    motion, step = _motion(1e-3), 2e-5
+    motion, step = _motion(), 2e-5
     point, direction = np.array([0.03, -0.04, 0.06]), np.array([0.36, 0.48, 0.8])
     velocity = velocity_at(motion, point, direction)
     reading = acceleration_at(motion, point, direction, GRAVITY)
