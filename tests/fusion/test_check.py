@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 import tifffile
+from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
@@ -186,5 +187,5 @@ def test_a_wrong_element_is_one_sentence_with_its_key(tmp_path, element, key, wo
 def test_negative_uncertainties_are_refused(tmp_path, column, row):
     path = tmp_path / "table.csv"
     path.write_text(f"frequency_hz,magnitude,phase_rad,u_magnitude,u_phase_rad\n{row}\n", encoding="utf-8")
-    with pytest.raises(InputError, match=f"{column}: expected no negative values, found -1"):
-        read_response(path, np.array([1.0]))
+    told = f"{column}: expected no negative values, found -1"
+    refused(told, read_response, path, np.array([1.0]), error=InputError)

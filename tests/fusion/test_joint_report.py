@@ -12,6 +12,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from contracts import refused
 from evaluation_factory import Choice, make_evaluation
 from page_outline import outline
 from simulated_drives import CAPACITY, MAIN, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
@@ -307,5 +308,5 @@ def test_files_are_written_from_files(tmp_path, monkeypatch):
     assert seen == {(name, "3", "2") for name in LOADS}
     check_campaign_folder(top, [folder.name for folder in folders], force=False)
     (top / "notes.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(InputError, match="results of this campaign only"):
-        check_campaign_folder(top, [folder.name for folder in folders], force=False)
+    names = [folder.name for folder in folders]
+    refused("results of this campaign only", check_campaign_folder, top, names, force=False, error=InputError)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contracts import refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
@@ -113,10 +114,8 @@ def test_a_campaign_lists_its_recordings_in_natural_order(tmp_path):
             (tmp_path / name / "recording.toml").write_text("", encoding="utf-8")
     assert [path.parent.name for path in find_recordings(tmp_path)] == ["Fz-20", "Fz-100"]
     assert find_recordings(tmp_path / "Fz-20") == [tmp_path / "Fz-20" / "recording.toml"]
-    with pytest.raises(InputError, match=r"notes: expected recording\.toml"):
-        find_recordings(tmp_path / "notes")
-    with pytest.raises(InputError, match="nothing at this path"):
-        find_recordings(tmp_path / "absent")
+    refused(r"notes: expected recording\.toml", find_recordings, tmp_path / "notes", error=InputError)
+    refused("nothing at this path", find_recordings, tmp_path / "absent", error=InputError)
 
 
 def test_directions_become_unit_vectors():

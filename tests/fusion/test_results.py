@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from contracts import refused
 from evaluation_factory import ACCELERATION, LOAD_COMPONENTS, STATIC, Choice, make_evaluation
 from support import rows, state, without_pages
 
@@ -153,8 +154,7 @@ def test_results_are_replaced_by_those_of_the_same_input_or_by_force_and_nothing
     assert {name: (out / name).read_bytes() for name in first} == first
     (out / "motion-mine.csv").write_text("not a result of the program", encoding="utf-8")
     other = replace(evaluation, stereo=(), input_hashes={"rig.toml": "11" * 32})
-    with pytest.raises(InputError, match="other input"):
-        write_results(other, out)
+    refused("other input", write_results, other, out, error=InputError)
     write_results(other, out, force=True)
     assert not (out / "motion-top.csv").exists()
     assert (out / "motion-mine.csv").exists()
@@ -163,8 +163,7 @@ def test_results_are_replaced_by_those_of_the_same_input_or_by_force_and_nothing
     assert not is_current(out, other.input_hashes, other.settings)
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "notes.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(InputError):
-        write_results(evaluation, tmp_path / "b")
+    refused("expected an empty folder", write_results, evaluation, tmp_path / "b", error=InputError)
     assert [path.name for path in (tmp_path / "b").iterdir()] == ["notes.txt"]
     assert all(path.is_file() for path in write_results(evaluation, tmp_path / "b", force=True))
     assert (tmp_path / "b" / "notes.txt").read_text(encoding="utf-8") == "mine"
@@ -182,8 +181,7 @@ def test_a_failure_leaves_everything_as_it_was(evaluation, tmp_path, monkeypatch
         raise RuntimeError("out of paper")
 
     monkeypatch.setattr(results, "render_report", fail)
-    with pytest.raises(RuntimeError, match="out of paper"):
-        write_results(evaluation, out)
+    refused("out of paper", write_results, evaluation, out, error=RuntimeError)
     assert state(tmp_path) == before
     assert out.exists() == existing
 
@@ -199,10 +197,8 @@ def test_recording_without_sensor_and_cameras(write, tmp_path):
     assert read_recorded(write(replace(bare, notices=()))).notices == ()
     with h5py.File(folder / "result.h5", "r+") as file:
         file.attrs["format"] = 1
-    with pytest.raises(InputError, match="--force evaluates the recording anew"):
-        read_recorded(folder)
-    with pytest.raises(InputError, match="no results"):
-        read_recorded(tmp_path)
+    refused("--force evaluates the recording anew", read_recorded, folder, error=InputError)
+    refused("no results", read_recorded, tmp_path, error=InputError)
 
 
 @pytest.mark.usefixtures("no_pages")
@@ -219,8 +215,7 @@ def test_campaign_tables_are_the_recordings_rows_in_order(tmp_path):
         assert rows(tmp_path / name) == separate
     assert rows(tmp_path / "load.csv")[-1]["recording"] == 'Fz "second"'
     (tmp_path / "load.csv").write_text("a,b\n1,2\n", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"load\.csv: expected the columns"):
-        merge_tables([tmp_path])
+    refused(r"load\.csv: expected the columns", merge_tables, [tmp_path])
 
 
 def identical(first: Any, second: Any) -> bool:
@@ -288,11 +283,9 @@ def test_folder_rules(tmp_path):
     check_folder(tmp_path / "absent", {}, force=False)
     check_folder(tmp_path, {}, force=False)
     (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match="--force"):
-        check_folder(tmp_path, {}, force=False)
+    refused("--force", check_folder, tmp_path, {}, force=False, error=InputError)
     check_folder(tmp_path, {}, force=True)
-    with pytest.raises(InputError, match="a folder"):
-        check_folder(tmp_path / "thesis.txt", {}, force=True)
+    refused("a folder", check_folder, tmp_path / "thesis.txt", {}, force=True, error=InputError)
     (tmp_path / "result.h5").write_bytes(b"not HDF5")
     assert read_provenance(tmp_path) is None
     with h5py.File(tmp_path / "result.h5", "w") as file:
