@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from calibration_factory import SIZE_PX, SPACING_M, Session, make_calibration
+from contracts import refused
 from page_outline import outline, self_contained
 
 from fusion.cameras import quantities
@@ -197,8 +198,7 @@ def test_correlations_are_sorted_and_none_without_uncertainty(calibration: Calib
     strongest = [abs(float(row[2].replace("−", "-"))) for row in correlations_table(calibration).rows]
     assert strongest == sorted(strongest, reverse=True)
     assert strongest[0] > 0.9
-    with pytest.raises(ValueError, match="covariance"):
-        quantities.covariance_of(replace(calibration.rig, covariance=None))
+    refused("covariance", quantities.covariance_of, replace(calibration.rig, covariance=None))
     covariance = quantities.covariance_of(calibration.rig).copy()
     covariance[8], covariance[:, 8] = 0.0, 0.0
     found = quantities.correlation(covariance)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contracts import refused
 from support import block, channel, evaluated, recording_head, write_daq
 from take_factory import EXPOSURE_S, FREQUENCY_HZ, MASS_KG, RIG, SENSITIVITY, camera_trigger, moving_plate
 
@@ -149,8 +150,6 @@ def test_tables_that_do_not_fit_are_named(campaign):
     campaign.add_points()
     last = campaign.folder / "DIC_results" / "result_B63.txt"
     last.write_text("1 2 3 3 3 0 0 0 0 0\n")
-    with pytest.raises(InputError, match=r"result_B63\.txt: line 1: expected 11 columns, found 10"):
-        campaign.evaluate()
+    refused(r"result_B63\.txt: line 1: expected 11 columns, found 10", campaign.evaluate, error=InputError)
     last.unlink()
-    with pytest.raises(InputError, match=r"points\.base\.first_edge: expected .* of 63 frames, .* 64 edges"):
-        campaign.evaluate()
+    refused(r"points\.base\.first_edge: expected .* of 63 frames, .* 64 edges", campaign.evaluate, error=InputError)

@@ -197,8 +197,7 @@ def test_the_command_replaces_an_earlier_simulation_and_nothing_else(
     assert state(out) != first
     assert preset != "chirp" or main(["check", str(out)]) == 0
     (out / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"expected a new folder.*found thesis.txt in it"):
-        simulate(out, preset, 1)
+    refused(r"expected a new folder.*found thesis.txt in it", simulate, out, preset, 1, error=InputError)
     assert (out / "thesis.txt").read_text() == "mine"
 
 

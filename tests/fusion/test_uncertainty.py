@@ -7,6 +7,7 @@ from dataclasses import fields
 import h5py
 import numpy as np
 import pytest
+from contracts import refused
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -310,5 +311,4 @@ def test_a_text_that_means_nothing_is_refused(field, found):
     with h5py.File("any.h5", "w", driver="core", backing_store=False) as file:
         write_uncertainty(file.create_group("u"), Uncertainty((Contribution("n", "A", np.eye(2)[None]),), (influence,)))
         file["u"][field][0] = found
-        with pytest.raises(ValueError, match=f"{field}: expected one of"):
-            read_uncertainty(file["u"])
+        refused(f"{field}: expected one of", read_uncertainty, file["u"])
