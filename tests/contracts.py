@@ -15,18 +15,14 @@ CHANCE = 1e-3
 """Chance that a perfect estimator fails a contract."""
 
 
-def acceptance(trials: int, values: int = 1, level: float = LEVEL) -> tuple[int, int]:
+def acceptance(trials: int, values: int = 1) -> tuple[int, int]:
     """Return the fewest and the most of `trials` that a perfect estimator's regions hold, over several values."""
     tail = 0.5 * CHANCE / values
-    return int(binom.ppf(tail, trials, level)), int(binom.isf(tail, trials, level))
+    return int(binom.ppf(tail, trials, LEVEL)), int(binom.isf(tail, trials, LEVEL))
 
 
 def coverage_contract(
-    estimate: Callable[[int], tuple[ArrayLike, ArrayLike]],
-    truth: ArrayLike,
-    trials: int,
-    *,
-    cautious: bool = False,
+    estimate: Callable[[int], tuple[ArrayLike, ArrayLike]], truth: ArrayLike, trials: int, *, cautious: bool = False
 ) -> np.ndarray:
     """Assert that 95 % regions hold the truth as often as those of a perfect estimator, and return how often (Q,).
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import h5py
 import numpy as np
+from support import write_daq
 
 from fusion.simulate.chirp import Chirp, Suspension, rig_file, write_chirps
 from fusion.simulate.preset import read_preset
@@ -44,11 +44,9 @@ def _write_sine(folder: Path, frequency: float, seed: int) -> Path:
     output = SENSITIVITY * force / (1.0 + s * DAMPING / STIFFNESS) / (1.0 + s * LAG_S)
     time_s = np.arange(round(_LENGTH_S * _RATE_HZ)) / _RATE_HZ
     turning = np.exp(s * time_s)
-    with h5py.File(place / "daq.h5", "w") as file:
-        file.attrs["sample_rate"] = _RATE_HZ
-        seen = {"base_motion": (_DRIVE_MPS2, _NOISE), "top_motion": (top, _NOISE), "bridge": (output, 1e-10)}
-        for name, (phasor, noise) in seen.items():
-            file[name] = (phasor * turning).real + noise * rng.standard_normal(len(time_s))
+    seen = {"base_motion": (_DRIVE_MPS2, _NOISE), "top_motion": (top, _NOISE), "bridge": (output, 1e-10)}
+    signals = {name: (x * turning).real + u * rng.standard_normal(len(time_s)) for name, (x, u) in seen.items()}
+    write_daq(place / "daq.h5", _RATE_HZ, signals)
     moves = {"quantity": "acceleration", "direction": [0.0, 0.0, 1.0], "scale_uncertainty": 2e-4}
     channels = [
         {"name": "base_motion", **moves, "body": "base", "point": [0.0, 0.0, -0.05]},
@@ -56,12 +54,8 @@ def _write_sine(folder: Path, frequency: float, seed: int) -> Path:
         {"name": "bridge", "quantity": "output", "channel": "Fz", "scale_uncertainty": 1e-4},
     ]
     driven = {"kind": "sine", "direction": [0.0, 0.0, 1.0], "frequencies": [frequency], "harmonics": []}
-    tables = {
-        "format": 1,
-        "name": f"sine {frequency:g} Hz",
-        "rig": f"../{rig_file(SINE_LOAD)}",
-        "excitation": driven,
-        "daq": [{"name": "daq", "file": "daq.h5", "clock_uncertainty": 1e-6, "channel": channels}],
-    }
+    daq = {"name": "daq", "file": "daq.h5", "clock_uncertainty": 1e-6, "channel": channels}
+    names = {"name": f"sine {frequency:g} Hz", "rig": f"../{rig_file(SINE_LOAD)}"}
+    tables = {"format": 1, **names, "excitation": driven, "daq": [daq]}
     (place / "recording.toml").write_text(to_toml(tables), encoding="utf-8")
     return place

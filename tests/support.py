@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import csv
 import json
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+import h5py
 import numpy as np
 import pytest
+from pydantic import BaseModel
 
 from fusion.base import Settings
 from fusion.cli import main
@@ -52,10 +56,61 @@ def recording_head(name: str, frequency_hz: float = 106.25, **keys: Any) -> str:
     return head + block("[daq]", name="daq", file="daq.h5")
 
 
+def write_daq(path: Path, rate_hz: float, signals: Mapping[str, np.ndarray]) -> None:
+    """Write channels of one rate into an HDF5 file."""
+    with h5py.File(path, "w") as file:
+        file.attrs["sample_rate"] = rate_hz
+        for name, samples in signals.items():
+            file[name] = samples
+
+
 def rows(path: Path) -> list[dict[str, str]]:
     """The rows of a CSV file."""
     with path.open(encoding="utf-8", newline="") as stream:
         return list(csv.DictReader(stream))
+
+
+def truth_of(folder: Path) -> dict[str, Any]:
+    """What the simulator says of a recording or of a campaign."""
+    return dict(json.loads((folder / "truth.json").read_text(encoding="utf-8")))
+
+
+def complex_of(entry: dict[str, Any]) -> np.ndarray:
+    """Numbers of a truth that are kept as their real and imaginary parts."""
+    return np.asarray(entry["re"]) + 1j * np.asarray(entry["im"])
+
+
+def examples(text: str, language: str = "toml") -> list[str]:
+    """The blocks of a document that are marked with a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+
+
+def key_tables(section: str, level: str = "###") -> dict[str, dict[str, str]]:
+    """Title -> key -> second column of every table on keys below the headings of a section."""
+    titles, tables = (re.split(rf"^{level} (.*)$", section, flags=re.MULTILINE)[place::2] for place in (1, 2))
+    row = re.compile(r"^\| `(\w+)` \| (.*?) \|", re.MULTILINE)
+    return {title: dict(row.findall(table)) for title, table in zip(titles, tables, strict=True)}
+
+
+def told_keys(models: dict[str, type[BaseModel]]) -> dict[str, dict[str, str]]:
+    """What these tables have to say: that a key is required, inherited or optional, or what it is by default."""
+    return {title: {key: _told(model, key) for key in model.model_fields} for title, model in models.items()}
+
+
+def _told(model: type[BaseModel], key: str) -> str:
+    field = model.model_fields[key]
+    if key in getattr(model, "INHERITED", ()):
+        return "as the pair"
+    if field.is_required():
+        return "required"
+    default: Any = field.get_default(call_default_factory=True)
+    if default is None:
+        return "optional"
+    if isinstance(default, str | bool | int | float):
+        return f"`{json.dumps(default)}`" if isinstance(default, str | bool) else f"{default:g}"
+    assert not np.any(default)
+    zeros = "0" if "uncertainty" in key and key not in ("pose_uncertainty", "datum_uncertainty") else "zeros"
+    return zeros if len(default) else "none"
 
 
 def state(folder: Path) -> dict[str, bytes]:

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
-from support import block, channel, recording_head
+from support import block, channel, recording_head, write_daq
 
 from photogram.geometry import rotation_from_vector
 
@@ -24,22 +23,11 @@ LASER_V, ACCELEROMETER_V, BRIDGE_V = 0.125, 98.1, 1e-3  # SI per file value
 SCALE_U = 2.5e-4
 POINTS = tuple((float(0.04 * np.cos(angle)), float(0.04 * np.sin(angle)), 0.05) for angle in np.arange(8) * np.pi / 4.0)
 
-RIG = """
-format = 1
-name = "laser that looks at one point after another"
-[sensor]
-name = "transducer"
-channels = ["Fz"]
-unit = "V/V"
-sense = "on_load"
-internal_mass = 0.769
-internal_mass_uncertainty = 0.002
-[load]
-mass = 6.9605
-mass_uncertainty = 0.001
-centre_of_mass = [0.0, 0.0, 0.0]
-inertia = [[0.036, 0.0, 0.0], [0.0, 0.036, 0.0], [0.0, 0.0, 0.031]]
-"""
+SENSOR = {"channels": ["Fz"], "unit": "V/V", "sense": "on_load"}
+RIG = block(format=1, name="laser that looks at one point after another")
+RIG += block("sensor", name="transducer", **SENSOR, internal_mass=0.769, internal_mass_uncertainty=0.002)
+INERTIA = np.diag([0.036, 0.036, 0.031]).tolist()
+RIG += block("load", mass=6.9605, mass_uncertainty=0.001, centre_of_mass=[0.0] * 3, inertia=INERTIA)
 
 
 def head(harmonics: Any = (1,)) -> str:
@@ -52,9 +40,9 @@ def laser(name: str, point: Sequence[float], at: str = "") -> str:
     return channel(name, "velocity", at, **place, scale=LASER_V, scale_uncertainty=SCALE_U, common="laser")
 
 
-def reference(name: str, at: str = "", mark: bool = True) -> str:
+def reference(name: str, at: str = "") -> str:
     place = {"body": "base", "point": [0.0, 0.0, -0.1], "direction": [0.0, 0.0, 1.0]}
-    return channel(name, "acceleration", at, **place, scale=ACCELEROMETER_V, scale_uncertainty=5e-3, reference=mark)
+    return channel(name, "acceleration", at, **place, scale=ACCELEROMETER_V, scale_uncertainty=5e-3, reference=True)
 
 
 def output(name: str, at: str = "") -> str:
@@ -123,14 +111,6 @@ def moving_plate(
     return np.einsum("fij,nj->fni", rotation_from_vector(pose[:, 3:]), rest) + pose[:, None, :3]
 
 
-def write_shot(path: Path, values: Mapping[str, NDArray[np.float64]], rate_hz: float = RATE_HZ) -> None:
-    """Write a take's samples."""
-    with h5py.File(path, "w") as file:
-        file.attrs["sample_rate"] = rate_hz
-        for name, samples in values.items():
-            file[name] = samples
-
-
 def take(file: str, points: Sequence[Sequence[float]], at: str = "take.") -> str:
     """The DAQ block of one take."""
     text = (block("[take]") if at else "") + block(f"[{at}daq]", name="daq", file=file)
@@ -147,7 +127,7 @@ def write_takes(
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
     text = head(harmonics)
     for number, shot in enumerate(shots, 1):
-        write_shot(recording / f"{number}.h5", signals(shot, rng), shot.rate_hz)
+        write_daq(recording / f"{number}.h5", shot.rate_hz, signals(shot, rng))
         text += take(f"{number}.h5", shot.points, "" if top and number == 1 else "take.")
     (recording / "recording.toml").write_text(text, encoding="utf-8")
     return recording

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import pytest
 from evaluation_factory import Choice, make_evaluation
 from recordings import once
-from support import Refused, refusals, without_pages
+from support import DOCS, Refused, examples, refusals, without_pages
 
 from fusion.base import Settings, versions
 from fusion.campaign.executor import one_blas_thread
@@ -19,7 +18,6 @@ from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.evaluate import evaluate_recording
 
-FORMAT_DOC = Path(__file__).resolve().parents[2] / "docs" / "recording-format.md"
 FILES = (
     *(f"{folder}/{frame:04d}.tif" for folder in ("top-left", "top-right") for frame in range(3)),
     *(f"DIC_results/result_B{frame}.txt" for frame in (1, 2, 10)),
@@ -37,16 +35,12 @@ exposure = 40e-6
 """
 
 
-def blocks_of(language: str) -> list[str]:
-    """Every example of the format's document that is marked with a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```", FORMAT_DOC.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-
-
 @pytest.fixture(scope="session")
 def format_examples() -> dict[str, str]:
     """The examples rig.toml, recording.toml and calibration/NAME.json of the format's document."""
-    rig, recording, *_ = blocks_of("toml")
-    return {"rig": rig, "recording": recording, "calibration": blocks_of("json")[0]}
+    text = (DOCS / "recording-format.md").read_text(encoding="utf-8")
+    rig, recording, *_ = examples(text)
+    return {"rig": rig, "recording": recording, "calibration": examples(text, "json")[0]}
 
 
 @pytest.fixture
@@ -107,11 +101,7 @@ def evaluated(monkeypatch: pytest.MonkeyPatch, ready_evaluation: Evaluation) -> 
     def evaluate(manifest: Manifest, settings: Settings, hashes: dict[str, str], *_: Any) -> Evaluation:
         done.append(manifest.folder.name)
         return replace(
-            ready_evaluation,
-            manifest=manifest,
-            settings=settings.as_dict(),
-            versions=versions(),
-            input_hashes=hashes,
+            ready_evaluation, manifest=manifest, settings=settings.as_dict(), versions=versions(), input_hashes=hashes
         )
 
     monkeypatch.setattr("fusion.campaign.run.evaluate_recording", evaluate)

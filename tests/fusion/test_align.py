@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from alignment_factory import BODY_M, TARGET, World, between, displaced, face, make_world, target_pose
 from pydantic import BaseModel
-from support import DOCS, Refused
+from support import DOCS, Refused, complex_of, examples, key_tables, told_keys, truth_of
 
 from fusion.cameras.align import _axis
 from fusion.cameras.align_manifest import (
@@ -72,17 +72,9 @@ def fiducials(world: World, count: int = 8) -> list[dict[str, Any]]:
     true = BODY_M + world.rng.uniform(-0.05, 0.05, (count, 3)) * np.array([1.0, 1.0, 0.4])
     left, right = world.see(true, 0.02)
     stated = true + 5e-6 * world.rng.normal(size=true.shape)
-    return [
-        {
-            "name": f"P{number}",
-            "position": stated[number].tolist(),
-            "position_uncertainty": 5e-6,
-            "left": left[number].tolist(),
-            "right": right[number].tolist(),
-            "pixel_uncertainty": 0.02,
-        }
-        for number in range(count)
-    ]
+    keys = {"position_uncertainty": 5e-6, "pixel_uncertainty": 0.02}
+    seen = zip(stated.tolist(), left.tolist(), right.tolist(), strict=True)
+    return [{"name": f"P{n}", "position": x, "left": a, "right": b, **keys} for n, (x, a, b) in enumerate(seen)]
 
 
 def write(folder: Path, world: World, **blocks: Any) -> Path:
@@ -192,16 +184,16 @@ WRONG = {
         {"target_view": [{"name": "a", "left": "top.json", **AT_ORIGIN}]},
         "target: expected the [target] that is seen in the views",
     ),
+    "no picture": (
+        {"target": TABLE, "target_view": [{"name": "plate", "left": "top.json", **AT_ORIGIN}]},
+        "target_view.plate.left: ",
+    ),
     "motion": (
         {"motion": [{"name": "z", "recordings": "*/recording.toml", "direction_uncertainty": 1e-3}]},
         "motion.z.recordings: expected at least one file",
     ),
     "face": (
-        {
-            "face": [
-                {"name": "t", "point": [0.0] * 3, "normal": [0.0, 0, 1], "pixels": "top.json", "pixel_uncertainty": 1}
-            ]
-        },
+        {"face": [{"name": "t", "point": [0] * 3, "normal": [0, 0, 1], "pixels": "top.json", "pixel_uncertainty": 1}]},
         "expected the columns left_x, left_y, right_x, right_y",
     ),
     "names": ({"point": "twice"}, 'point: expected different names, found "P0" twice'),
@@ -217,45 +209,21 @@ def test_wrong_input_is_told_in_one_sentence(name: str, tmp_path: Path, refused:
     assert expected in refused("align", write(tmp_path, world, **given))
 
 
-def _told(model: type[BaseModel], key: str) -> str:
-    """What the document's second column has to say about a key of a model."""
-    field = model.model_fields[key]
-    if field.is_required():
-        return "required"
-    default: Any = field.get_default(call_default_factory=True)
-    if default is None:
-        return "optional"
-    if isinstance(default, int | float):
-        return f"{default:g}"
-    if len(default) == 0:
-        return "none"
-    assert not np.any(default)
-    return "0" if len(default) == 3 else "zeros"
-
-
-def _tables() -> dict[str, dict[str, str]]:
-    """Title -> key -> second column of every table on keys."""
-    parts = re.split(r"^#### (.*)$", SECTION[SECTION.index("### Every key") :], flags=re.MULTILINE)[1:]
-    rows = re.compile(r"^\| `(\w+)` \| (.*?) \|", re.MULTILINE)
-    return {title: dict(rows.findall(text)) for title, text in zip(parts[::2], parts[1::2], strict=True)}
-
-
 def test_every_key_stands_in_the_document() -> None:
-    told = {title: {key: _told(model, key) for key in model.model_fields} for title, model in MODELS.items()}
-    assert _tables() == told
+    assert key_tables(SECTION[SECTION.index("### Every key") :], "####") == told_keys(MODELS)
 
 
 @pytest.mark.parametrize("number", range(3))
 def test_every_example_of_the_document_loads(number: int, tmp_path: Path) -> None:
-    examples = re.findall(r"^```toml\n(.*?)^```", SECTION, re.DOTALL | re.MULTILINE)
-    assert len(examples) == 3
-    for name in re.findall(r'"([\w*/-]+\.(?:toml|json|csv|png))"', examples[number]):
+    shown = examples(SECTION)
+    assert len(shown) == 3
+    for name in re.findall(r'"([\w*/-]+\.(?:toml|json|csv|png))"', shown[number]):
         file = tmp_path / name.replace("*", "1")
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps({}), encoding="utf-8")
     path = tmp_path / "alignment.toml"
-    path.write_text(examples[number], encoding="utf-8")
-    given = tomllib.loads(examples[number])
+    path.write_text(shown[number], encoding="utf-8")
+    given = tomllib.loads(shown[number])
     loaded = read_alignment(path).model_dump(mode="json", exclude_unset=True)
     assert loaded.keys() == given.keys()
 
@@ -313,13 +281,6 @@ def test_common_views_give_the_relative_pose(pictures: Pictures, aligned: Aligne
     assert np.abs(normalised(block, true)).max() < 4.5
 
 
-def test_a_picture_that_is_none_is_named(tmp_path: Path, refused: Refused) -> None:
-    (tmp_path / "a.png").write_text("no picture")
-    view = {"name": "plate", "left": "a.png", **AT_ORIGIN}
-    told = refused("align", write(tmp_path, make_world(1), target=TABLE, target_view=[view]), "-q")
-    assert "target_view.plate.left: " in told
-
-
 @pytest.mark.slow
 def test_one_direction_puts_two_angles_right(
     demo_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -327,7 +288,7 @@ def test_one_direction_puts_two_angles_right(
     campaign = tmp_path / "demo"
     shutil.copytree(demo_recording, campaign)
     rig = tomllib.loads((campaign / "rig.toml").read_text(encoding="utf-8"))
-    truth = json.loads((campaign / "Fz-0080" / "truth.json").read_text(encoding="utf-8"))
+    truth = truth_of(campaign / "Fz-0080")
     known = rig["stereo"]["top"]
     turn = rotation_from_vector(np.array(truth["drawn"]["top.pose"][3:]))
     true = turn @ np.array(known["rotation"])
@@ -335,15 +296,10 @@ def test_one_direction_puts_two_angles_right(
     known["rotation"] = wrong.tolist()
     (campaign / "rig.toml").write_text(to_toml(rig), encoding="utf-8")
     before = {"rotation": wrong.tolist(), "translation": known["translation"], "pose_uncertainty": U_BEFORE}
-    load = truth["acceleration"]["load"]
-    phasor = (np.array(load["re"]) + 1j * np.array(load["im"]))[0, :3]
+    phasor = complex_of(truth["acceleration"]["load"])[0, :3]
     major = (phasor * np.exp(-0.5j * np.angle((phasor**2).sum()))).real  # axis of the load's translation
-    motion = {
-        "name": "along z",
-        "recordings": "Fz-*/recording.toml",
-        "direction": (major / np.linalg.norm(major)).tolist(),
-        "direction_uncertainty": 1e-5,
-    }
+    motion = {"name": "along z", "recordings": "Fz-*/recording.toml", "direction_uncertainty": 1e-5}
+    motion["direction"] = (major / np.linalg.norm(major)).tolist()
     head = {"format": 1, "stereo": "top", "calibration": "calibration/top.json", "scale_uncertainty": 2e-4}
     path = campaign / "alignment.toml"
     path.write_text(to_toml({**head, "motion": [motion]}), encoding="utf-8")

@@ -104,16 +104,13 @@ def test_spoilt_pictures_are_named_with_the_reason_and_left_out(pictures: Path, 
         assert reason in line
 
 
-def test_no_calibration_from_spoilt_pictures(pictures: Path, refused: Refused) -> None:
+def test_no_calibration_from_spoilt_pictures_and_an_earlier_one_is_kept(pictures: Path, refused: Refused) -> None:
     reasons = _spoil(pictures, range(8, 8 + VIEWS))
     told = refused(*_command(pictures, "-q"))
     assert f"0 usable of {VIEWS} left pictures" in told
     for number, reason in reasons.items():
         assert f"{number}.png: {reason}" in told
     assert not list(pictures.glob("top.*"))
-
-
-def test_an_earlier_calibration_is_kept(pictures: Path, refused: Refused) -> None:
     (pictures / "top.json").write_text("kept", encoding="utf-8")
     assert "--force" in refused(*_command(pictures, "-q"))
     assert (pictures / "top.json").read_text(encoding="utf-8") == "kept"

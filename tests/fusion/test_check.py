@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,10 +9,11 @@ import h5py
 import numpy as np
 import pytest
 import tifffile
+from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
-from support import AT_ORIGIN, DOCS, block, channel, recording_head
+from support import AT_ORIGIN, DOCS, block, channel, examples, recording_head, write_daq
 
 from fusion.base import InputError
 from fusion.instruments import TRANSDUCERS
@@ -69,10 +69,7 @@ def recording(make_campaign: Campaign) -> Path:
     image = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64)
     for path in folder.glob("top-*/*.tif"):
         tifffile.imwrite(path, image)
-    with h5py.File(folder / "vibrometer.h5", "w") as file:
-        for name in ("velocity", "camera_trigger"):
-            file[name] = np.zeros(1000)
-            file[name].attrs["sample_rate"] = 51200.0
+    write_daq(folder / "vibrometer.h5", 51200.0, dict.fromkeys(("velocity", "camera_trigger"), np.zeros(1000)))
     return folder
 
 
@@ -133,9 +130,9 @@ FREQUENCY = np.array([100.0, 1000.0, 4000.0])
 DOC = (DOCS / "recording-format.md").read_text(encoding="utf-8")
 
 
-def test_the_example_of_the_format_is_a_chain(tmp_path):
+def test_the_example_of_the_format_is_a_chain_and_every_key_of_an_element_is_listed(tmp_path):
     path = tmp_path / "chain.toml"
-    path.write_text(re.findall(r"^```toml\n(.*?)^```", DOC, re.DOTALL | re.MULTILINE)[2], encoding="utf-8")
+    path.write_text(examples(DOC)[2], encoding="utf-8")
     response = read_response(path, FREQUENCY)
     assert len(read_chain(path).element) == 3
     b, a = signal.butter(4, 2.0 * np.pi * 10e3, analog=True)
@@ -147,9 +144,6 @@ def test_the_example_of_the_format_is_a_chain(tmp_path):
     expected = amplifier * signal.freqs(b, a, 2.0 * np.pi * FREQUENCY)[1] * np.exp(-s * 8e-6)
     np.testing.assert_allclose(response.value, expected / (1.0 - ratio**2 + 0.04j * ratio), rtol=1e-9)
     assert {"gain of charge amplifier", "delay of anti-alias filter"} <= set(response.causes)
-
-
-def test_the_format_lists_every_key_of_an_element():
     section = DOC[DOC.index("| key of `[[element]]`") : DOC.index("## Every key")]
     told = [line.split("`")[1] for line in section.splitlines()[2:] if line.startswith("| `")]
     assert told == list(Element.model_fields)
@@ -184,8 +178,7 @@ def test_a_wrong_element_is_one_sentence_with_its_key(tmp_path, element, key, wo
     path.write_text("format = 1\n" if element is None else f"[[element]]\n{element}\n", encoding="utf-8")
     with pytest.raises(InputError) as caught:
         read_response(path, FREQUENCY)
-    assert caught.value.file == path
-    assert caught.value.key == key
+    assert (caught.value.file, caught.value.key) == (path, key)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -194,5 +187,5 @@ def test_a_wrong_element_is_one_sentence_with_its_key(tmp_path, element, key, wo
 def test_negative_uncertainties_are_refused(tmp_path, column, row):
     path = tmp_path / "table.csv"
     path.write_text(f"frequency_hz,magnitude,phase_rad,u_magnitude,u_phase_rad\n{row}\n", encoding="utf-8")
-    with pytest.raises(InputError, match=f"{column}: expected no negative values, found -1"):
-        read_response(path, np.array([1.0]))
+    told = f"{column}: expected no negative values, found -1"
+    refused(told, read_response, path, np.array([1.0]), error=InputError)

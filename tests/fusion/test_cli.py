@@ -250,19 +250,6 @@ def test_simulate_refuses_what_is_there_and_replaces_no_file(simulated, tmp_path
     assert "file/below" in _refused([tmp_path / "file" / "below"], tmp_path, refused)
 
 
-@pytest.mark.parametrize("preset", ["rotation", "elastomer", "chirp"])
-def test_the_same_seed_gives_the_same_files_and_another_others(preset, tmp_path):
-    run = ["simulate", str(tmp_path / "one"), "--preset", preset, "-q"]
-    assert main(run) == EXIT_DONE
-    first = state(tmp_path / "one")
-    assert main([*run, "--force"]) == EXIT_DONE
-    assert state(tmp_path / "one") == first
-    assert main([*run, "--force", "--seed", "2"]) == EXIT_DONE
-    assert state(tmp_path / "one") != first
-    if preset == "chirp":
-        assert main(["check", str(tmp_path / "one")]) == EXIT_DONE
-
-
 @pytest.mark.usefixtures("tiny")
 def test_force_replaces_an_earlier_simulation(simulated, capsys):
     before = state(simulated)

@@ -68,9 +68,9 @@ def test_one_component_is_the_excess_of_the_sample_variance(noise):
 
 def test_the_same_errors_at_all_lines_count_once():
     group, variance = scattered(1e-12, 9, 2)
-    components, dof = variance_components([group] * 4)
-    assert components[0] == pytest.approx(variance, rel=1e-5)
-    assert dof[0] == pytest.approx(8.0, rel=1e-4)
+    (component,), (dof,) = variance_components([group] * 4)
+    assert component == pytest.approx(variance, rel=1e-5)
+    assert dof == pytest.approx(8.0, rel=1e-4)
 
 
 def test_an_instrument_that_cannot_test_itself_has_no_scatter_of_its_own():
@@ -159,9 +159,7 @@ def test_where_instruments_agree_fused_is_no_worse_than_the_best_of_them():
         for component in range(6):
             best = min(expanded(one, component) for one in single if one.observed[0, component])
             assert expanded(fused, component) <= best * (1 + 1e-3)
-
-
-def test_one_kind_of_instrument_alone_is_the_fused_result():
+    # One kind of instrument alone is the fused result.
     fused, single = fuse_sources(measured([lasers(8)], np.random.default_rng(10)), "load")
     assert single.source == "vibrometer"
     np.testing.assert_array_equal(single.phasors.value, fused.phasors.value)

@@ -12,7 +12,7 @@ import pytest
 import pyuff
 import scipy.io
 from nptdms import ChannelObject, TdmsWriter
-from support import AT_ORIGIN, channel, evaluated
+from support import AT_ORIGIN, channel, evaluated, write_daq
 
 from fusion.base import InputError
 from fusion.sensitivity.analyse import Evaluation
@@ -20,13 +20,6 @@ from fusion.sensitivity.analyse import Evaluation
 RATE_HZ, SAMPLES, FREQUENCY_HZ, PHASOR = 4096.0, 4096, 100.01, 0.6 * np.exp(1.1j)
 GRAVITY = 9.80665
 Signals = dict[str, np.ndarray]
-
-
-def _h5(path: Path, signals: Signals) -> None:
-    with h5py.File(path, "w") as file:
-        file.attrs["sample_rate"] = RATE_HZ
-        for name, samples in signals.items():
-            file[name] = samples
 
 
 def _tdms(path: Path, signals: Signals) -> None:
@@ -45,10 +38,6 @@ def _uff(path: Path, signals: Signals) -> None:
             orddenom_spec_data_type=0, z_axis_spec_data_type=0, z_axis_value=0.0,
         )  # fmt: skip
         pyuff.UFF(str(path)).write_sets([data], "add")
-
-
-def _mat(path: Path, signals: Signals) -> None:
-    scipy.io.savemat(path, signals)
 
 
 def _wav(path: Path, signals: Signals) -> None:
@@ -73,10 +62,10 @@ def _lvm(path: Path, signals: Signals) -> None:
 
 # Suffix → writer and what the format needs in the manifest's block: channel names, rate.
 FORMATS: dict[str, tuple[Callable[[Path, Signals], None], tuple[str, str], bool]] = {
-    "h5": (_h5, ("a", "b"), False),
+    "h5": (lambda path, signals: write_daq(path, RATE_HZ, signals), ("a", "b"), False),
     "tdms": (_tdms, ("daq/a", "b"), False),
     "uff": (_uff, ("a", "b"), False),
-    "mat": (_mat, ("a", "b"), True),
+    "mat": (scipy.io.savemat, ("a", "b"), True),
     "wav": (_wav, ("1", "2"), False),
     "csv": (_csv, ("a", "b"), False),
     "lvm": (_lvm, ("a", "b"), False),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import tomllib
 from dataclasses import replace
@@ -17,7 +16,7 @@ import pytest
 from contracts import coverage_contract
 from scipy.stats import binom
 from simulated_phasors import CASES, case_setup, simulate_phasors
-from support import evaluated, far, rows
+from support import complex_of, evaluated, far, rows, truth_of
 
 from fusion.base import Settings, no_progress
 from fusion.cli import main
@@ -36,16 +35,9 @@ from photogram.calibration.file import read_calibration, write_calibration
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.board import Board, random_poses, render_board
 from photogram.targets.view import Target
+from shaker.arrays import brief
 
 DRIVEN = 2  # z, Fz
-
-
-def _complex(entry: dict[str, Any]) -> np.ndarray:
-    return np.asarray(entry["re"]) + 1j * np.asarray(entry["im"])
-
-
-def _truth(recording: Path) -> dict[str, Any]:
-    return dict(json.loads((recording.parent / "truth.json").read_text(encoding="utf-8")))
 
 
 def _over_u(value: np.ndarray, true: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -56,19 +48,16 @@ def _over_u(value: np.ndarray, true: np.ndarray, covariance: np.ndarray) -> np.n
 
 def _normalised(evaluation: Evaluation, truth: dict[str, Any], source: str) -> np.ndarray:
     """Errors of all observed components of both bodies over their standard uncertainties."""
-    values = np.concatenate(
-        [
-            _over_u(a.phasors.value, _complex(truth["acceleration"][a.body]), a.phasors.covariance)
-            for a in evaluation.accelerations
-            if a.source == source
-        ]
-    )
+    seen = [
+        (a.phasors, complex_of(truth["acceleration"][a.body])) for a in evaluation.accelerations if a.source == source
+    ]
+    values = np.concatenate([_over_u(phasors.value, true, phasors.covariance) for phasors, true in seen])
     return values[np.isfinite(values)]
 
 
 @pytest.fixture(scope="module")
 def demo(demo_recording: Path, demo_evaluation: Evaluation) -> tuple[Evaluation, dict[str, Any]]:
-    return demo_evaluation, _truth(find_recordings(demo_recording)[0])
+    return demo_evaluation, truth_of(find_recordings(demo_recording)[0].parent)
 
 
 def test_demo_acceleration_is_covered_by_its_uncertainty(demo):
@@ -84,9 +73,9 @@ def test_demo_sensitivity_and_load_agree_with_the_truth(demo):
     sensitivity = evaluation.sensitivity
     load = evaluation.load.phasors
     assert sensitivity.kind == ("ratio", "harmonic", "harmonic")
-    ratio, true = sensitivity.value[:, :, DRIVEN, None], _complex(truth["ratio"])[..., None]
+    ratio, true = sensitivity.value[:, :, DRIVEN, None], complex_of(truth["ratio"])[..., None]
     assert np.all(np.abs(_over_u(ratio, true, sensitivity.covariance[:, :, DRIVEN])) < 4.5)
-    assert np.nanmax(np.abs(_over_u(load.value, _complex(truth["load"]), load.covariance))) < 4.5
+    assert np.nanmax(np.abs(_over_u(load.value, complex_of(truth["load"]), load.covariance))) < 4.5
 
 
 def test_demo_frames_are_dated_and_placed(demo):
@@ -115,28 +104,36 @@ def test_result_files_of_the_demo_hold_the_evaluation(demo, tmp_path):
     assert complex(float(first["re"]), float(first["im"])) == evaluation.sensitivity.value[0, 2, DRIVEN]
 
 
+def test_results_print_on_one_line(demo_evaluation):
+    for result in (demo_evaluation, demo_evaluation.sensitivity, demo_evaluation.stereo[0]):
+        assert repr(result) == brief(result)
+        assert len(repr(result)) < 1500
+    assert "value=array (3, 6, 6)" in repr(demo_evaluation.sensitivity)
+    assert repr(demo_evaluation.manifest).startswith("Manifest('Fz 80.0 Hz, simulated', sine, ")
+
+
 @pytest.mark.slow
 def test_published_set_up_at_full_size(tmp_path):
     """The bars of the simulated published set-up: 106.25 Hz, 211 frames, four cameras of 640 x 512 px."""
     recording = simulate(tmp_path / "campaign", "nitsche2018", 1) / "recording.toml"
-    evaluation, truth = evaluated(recording), _truth(recording)
+    evaluation, truth = evaluated(recording), truth_of(recording.parent)
     seen = {a.body: a.phasors for a in evaluation.accelerations if a.source == "photogrammetry"}
-    exact = _complex(truth["acceleration"]["load"])[0, DRIVEN]
+    exact = complex_of(truth["acceleration"]["load"])[0, DRIVEN]
     ratio = seen["load"].value[0, DRIVEN] / exact
     assert abs(abs(ratio) - 1.0) < 1e-3
     assert abs(np.angle(ratio)) < 2e-3
     for body, phasors in seen.items():
-        true = _complex(truth["acceleration"][body])[0]
+        true = complex_of(truth["acceleration"][body])[0]
         assert np.max(np.abs(_over_u(phasors.value[0], true, phasors.covariance[0]))) < 4.0
         assert phasors.u_re[0, DRIVEN] < 2e-3 * abs(phasors.value[0, DRIVEN])
-    found = evaluation.sensitivity.value[0, 2, DRIVEN] / _complex(truth["ratio"])[0, 2]
+    found = evaluation.sensitivity.value[0, 2, DRIVEN] / complex_of(truth["ratio"])[0, 2]
     assert abs(abs(found) - 1.0) < 1e-3
     # 1.04 to 1.09 on average (benchmarks/motion.py), and 211 frames leave 5 % of a standard deviation open.
     bounds = frame_bounds("nitsche2018", 1)
     for stereo in evaluation.stereo:
         parameters = 2 * len(stereo.fit.phasors.frequency_hz) + 1
         assert np.all(np.std(stereo.residual, axis=0, ddof=parameters) < 1.3 * bounds[stereo.name])
-    weak = seen["load"].value[3, DRIVEN] / _complex(truth["acceleration"]["load"])[3, DRIVEN]
+    weak = seen["load"].value[3, DRIVEN] / complex_of(truth["acceleration"]["load"])[3, DRIVEN]
     assert abs(abs(weak) - 1.0) < 0.15  # 0.96 m/s² at 425 Hz: 0.135 µm beside 425 µm
 
 
@@ -144,7 +141,7 @@ def test_published_set_up_at_full_size(tmp_path):
 def test_speckle_finer_than_the_pixels_is_told_and_costs_certainty(tmp_path):
     """Sharp dots of 2 px: errors periodic in the pixel, up to thirteen times the noise, are noticed and in U."""
     recording = simulate(tmp_path / "campaign", "demo", 1, aliased=True) / "recording.toml"
-    evaluation, truth = evaluated(recording), _truth(recording)
+    evaluation, truth = evaluated(recording), truth_of(recording.parent)
     assert sum("finer than the camera resolves" in notice.text for notice in evaluation.notices) == 4
     assert np.sqrt(np.mean(_normalised(evaluation, truth, "photogrammetry") ** 2)) < 1.6
     fused = _normalised(evaluation, truth, "fused")
@@ -186,10 +183,8 @@ DEMO_SEED = 1  # that of sample_images/demo
 def _photograph(folder: Path, name: str, stereo: TrueStereo, pose: RigidTransform, rng: np.random.Generator) -> None:
     """Render what the true cameras see of the target."""
     rig = stereo.rig
-    for side, camera, relative in (
-        ("left", rig.left, RigidTransform.identity()),
-        ("right", rig.right, rig.right_from_left),
-    ):
+    sides = ("left", rig.left, RigidTransform.identity()), ("right", rig.right, rig.right_from_left)
+    for side, camera, relative in sides:
         grey = 255 * render_board(camera, relative @ pose, BOARD) + rng.normal(0, 0.7, camera.size_px[::-1])
         (folder / side).mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(folder / side / f"{name}.png"), np.clip(np.rint(grey), 0, 255).astype(np.uint8))
@@ -208,18 +203,10 @@ def _calibrated_block(folder: Path, stereo: TrueStereo, rng: np.random.Generator
     _photograph(folder / f"{name}-placed", "0", stereo, poses[VIEWS], rng)
     placed = stereo.left_from_sensor.inverse() @ poses[VIEWS]
     view = {"name": "plate", "left": f"{name}-placed/left/0.png", "right": f"{name}-placed/right/0.png"}
-    known = {
-        "rotation": placed.rotation.tolist(),
-        "translation": placed.translation_m.tolist(),
-        "pose_uncertainty": [2e-6] * 3 + [2e-5] * 3,
-    }
-    alignment = {
-        "format": 1,
-        "stereo": name,
-        "calibration": calibration.name,
-        "target": {"kind": "chessboard", "spacing": 5e-3, "size": [9, 6]},
-        "target_view": [view | known],
-    }
+    known = {"rotation": placed.rotation.tolist(), "translation": placed.translation_m.tolist()}
+    known["pose_uncertainty"] = [2e-6] * 3 + [2e-5] * 3
+    alignment = {"format": 1, "stereo": name, "calibration": calibration.name, "target_view": [view | known]}
+    alignment["target"] = {"kind": "chessboard", "spacing": 5e-3, "size": [9, 6]}
     (folder / f"{name}.toml").write_text(to_toml(alignment), encoding="utf-8")
     pose = folder / f"{name}-pose.toml"
     assert main(["align", str(folder / f"{name}.toml"), "-o", str(pose), "-q"]) == EXIT_DONE
@@ -242,7 +229,7 @@ def test_a_run_with_cameras_calibrated_and_placed_by_the_program(demo_recording,
     (campaign / "rig.toml").write_text(to_toml(rig), encoding="utf-8")
     (recording,) = find_recordings(campaign)
     evaluation = evaluated(recording)
-    normalised = _normalised(evaluation, _truth(recording), "photogrammetry")
+    normalised = _normalised(evaluation, truth_of(recording.parent), "photogrammetry")
     assert len(normalised) >= 18
     assert np.abs(normalised).max() < 4.5
     assert 0.4 < np.sqrt(np.mean(normalised**2)) < 1.5

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from contracts import coverage_contract
+from contracts import coverage_contract, refused
 from instrument_factory import (
     FREQUENCY,
     GRAVITY,
@@ -341,12 +341,8 @@ def test_channels_whose_noise_is_one_and_the_same_are_no_obstacle():
     np.testing.assert_allclose(result.phasors.value[0, 2], TRUTH[0, 2], rtol=1e-9)
 
 
-def test_effects_of_another_shape_are_refused():
-    entry = stereo_entry(scale_uncertainty=None)
-    with pytest.raises(ValueError, match=r"offset of stereo top: calibration 0: expected an array of shape \(2, 6\)"):
-        StereoReading("top", entry, camera().phasors, {"calibration": np.zeros((3, 1, 6), complex)}).observed()
-
-
-def test_no_instrument_of_the_body_is_refused():
-    with pytest.raises(ValueError, match="body base"):
-        fuse([camera()], "base")
+def test_effects_of_another_shape_and_a_body_without_instruments_are_refused():
+    effects = {"calibration": np.zeros((3, 1, 6), complex)}
+    pair = StereoReading("top", stereo_entry(scale_uncertainty=None), camera().phasors, effects)
+    refused(r"offset of stereo top: calibration 0: expected an array of shape \(2, 6\)", pair.observed)
+    refused("body base", fuse, [camera()], "base")

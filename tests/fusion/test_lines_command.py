@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from support import Refused, rows
+from support import AT_ORIGIN, Refused, block, channel, rows
 
 from fusion.cli import main
 from fusion.phasors.channels import channel_phasors, find_channel_lines
@@ -21,34 +22,13 @@ from fusion.sensitivity.analyse import Evaluation
 from shaker.lines.frequencies import find_lines
 
 RATE = 12_800.0
-RIG = 'format = 1\nname = "test"\n'
-RECORDING = """
-format = 1
-name = "three lines"
-rig = "../rig.toml"
-
-[excitation]
-kind = "multisine"
-direction = [0.0, 0.0, 1.0]
-EXCITATION
-
-[[daq]]
-name = "vibrometer"
-file = "signals.h5"
-
-  [[daq.channel]]
-  name = "a"
-  quantity = "acceleration"
-  body = "load"
-  point = [0.0, 0.0, 0.0]
-  direction = [0.0, 0.0, 1.0]
-"""
 
 
-def _signals(path: Path, tones: dict[float, float], seconds: float = 2.0, noise: float = 0.01) -> Path:
+def _signals(path: Path, tones: dict[float, float]) -> Path:
+    """Two seconds of tones by frequency and amplitude, in noise of a hundredth."""
     rng = np.random.default_rng(0)
-    time = np.arange(round(seconds * RATE)) / RATE
-    values = noise * rng.normal(size=len(time))
+    time = np.arange(25_600) / RATE
+    values = 0.01 * rng.normal(size=len(time))
     for frequency, amplitude in tones.items():
         values += amplitude * np.cos(2 * np.pi * frequency * time + rng.uniform(0.0, 2 * np.pi))
     with h5py.File(path, "w") as file:
@@ -58,12 +38,17 @@ def _signals(path: Path, tones: dict[float, float], seconds: float = 2.0, noise:
     return path
 
 
-def _recording(folder: Path, excitation: str, tones: dict[float, float]) -> Path:
-    (folder / "rig.toml").write_text(RIG)
-    (folder / "run").mkdir()
-    _signals(folder / "run" / "signals.h5", tones)
-    (folder / "run" / "recording.toml").write_text(RECORDING.replace("EXCITATION", excitation))
-    return folder / "run"
+def _recording(folder: Path, tones: dict[float, float], **driven: Any) -> Path:
+    """A multisine with the keys of its excitation, and the tones that are recorded."""
+    run = folder / "run"
+    run.mkdir()
+    (folder / "rig.toml").write_text(block(format=1, name="test"))
+    _signals(run / "signals.h5", tones)
+    text = block(format=1, name="three lines", rig="../rig.toml")
+    text += block("excitation", kind="multisine", direction=[0.0, 0.0, 1.0], **driven)
+    text += block("[daq]", name="vibrometer", file="signals.h5")
+    (run / "recording.toml").write_text(text + channel("a", "acceleration", body="load", **AT_ORIGIN))
+    return run
 
 
 def test_a_file_is_listed_with_reasons(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,16 +86,18 @@ def test_wrong_input_is_one_sentence(tmp_path: Path, refused: Refused) -> None:
         ([tmp_path], "recording.toml"),
     ):
         assert sentence in refused("lines", *arguments)
-    run = _recording(tmp_path, "frequencies = [106.25]", {106.25: 1.0})
+    run = _recording(tmp_path, {106.25: 1.0}, frequencies=[106.25])
     assert "recording.toml states it" in refused("lines", run, "--band", "1:2")
+    (tmp_path / "empty").mkdir()
+    run = _recording(tmp_path / "empty", {100.0: 1.0}, band=[2000.0, 3000.0], period=1.0)
+    assert "expected lines between 2000 and 3000 Hz" in refused("lines", run)
     for wrong in ("5", "7:3", "a:b"):
         with pytest.raises(SystemExit, match="2"):
             main(["lines", str(file), "--band", wrong])
 
 
 def test_a_recording_says_what_is_fitted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    tones = {53.7: 1.0, 107.4: 0.01, 50.02: 0.05, 777.7: 0.001}
-    run = _recording(tmp_path, "frequencies = [53.7]", tones)
+    run = _recording(tmp_path, {53.7: 1.0, 107.4: 0.01, 50.02: 0.05, 777.7: 0.001}, frequencies=[53.7])
     table = tmp_path / "lines.csv"
     assert main(["lines", str(run), "--csv", str(table)]) == 0
     listed = {round(float(row["frequency_hz"]), 1): row for row in rows(table)}
@@ -124,9 +111,9 @@ def test_a_recording_says_what_is_fitted(tmp_path: Path, capsys: pytest.CaptureF
 def test_a_campaign_is_listed_recording_by_recording(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Refused
 ) -> None:
-    run = _recording(tmp_path, "frequencies = [53.7]", {53.7: 1.0})
+    run = _recording(tmp_path, {53.7: 1.0}, frequencies=[53.7])
     run.rename(tmp_path / "first")
-    _recording(tmp_path, "frequencies = [61.1]", {61.1: 1.0})
+    _recording(tmp_path, {61.1: 1.0}, frequencies=[61.1])
     assert main(["lines", str(tmp_path)]) == 0
     text = capsys.readouterr().out
     assert "53.7000" in text
@@ -136,7 +123,7 @@ def test_a_campaign_is_listed_recording_by_recording(
 
 
 def test_channels_are_fitted_with_what_leaks_into_their_lines(tmp_path: Path) -> None:
-    run = _recording(tmp_path, "frequencies = [53.7]", {53.7: 1.0, 50.02: 0.5})
+    run = _recording(tmp_path, {53.7: 1.0, 50.02: 0.5}, frequencies=[53.7])
     manifest = load_manifest(run)
     base = tie_daqs(manifest, read_daqs(manifest))
     lines = find_channel_lines(manifest, base)
@@ -148,20 +135,15 @@ def test_channels_are_fitted_with_what_leaks_into_their_lines(tmp_path: Path) ->
     assert channel.residual_rms == pytest.approx(0.01, rel=0.05)
 
 
-@pytest.mark.parametrize("period", ["", "period = 0.1"])
-def test_a_multisine_may_state_a_band_only(tmp_path: Path, period: str) -> None:
+@pytest.mark.parametrize("period", [1.0, 0.1])
+def test_a_multisine_may_state_a_band_only(tmp_path: Path, period: float) -> None:
     tones = {100.0: 1.0, 120.0: 0.8, 150.0: 0.9, 50.03: 0.5, 300.0: 0.02, 1000.0: 1.0}
-    run = _recording(tmp_path, f"band = [80.0, 400.0]\n{period or 'period = 1.0'}", tones)
+    run = _recording(tmp_path, tones, band=[80.0, 400.0], period=period)
     manifest = load_manifest(run)
     lines = find_channel_lines(manifest, tie_daqs(manifest, read_daqs(manifest)))
     assert lines is not None
     assert lines.nominal_hz[lines.multiple == 1].tolist() == pytest.approx([100.0, 120.0, 150.0])
     assert lines.notices[0].text == "no frequencies are stated; found in the band: 100, 120, 150 Hz"
-
-
-def test_a_band_without_lines_is_refused(tmp_path: Path, refused: Refused) -> None:
-    run = _recording(tmp_path, "band = [2000.0, 3000.0]\nperiod = 1.0", {100.0: 1.0})
-    assert "expected lines between 2000 and 3000 Hz" in refused("lines", run)
 
 
 def test_three_tones_of_a_shaker(data_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:

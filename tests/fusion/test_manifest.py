@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from contracts import refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
-from support import DOCS
+from support import DOCS, examples, key_tables, told_keys
 
 from fusion.base import InputError
 from fusion.recording.excitation import Excitation
@@ -116,10 +114,8 @@ def test_a_campaign_lists_its_recordings_in_natural_order(tmp_path):
             (tmp_path / name / "recording.toml").write_text("", encoding="utf-8")
     assert [path.parent.name for path in find_recordings(tmp_path)] == ["Fz-20", "Fz-100"]
     assert find_recordings(tmp_path / "Fz-20") == [tmp_path / "Fz-20" / "recording.toml"]
-    with pytest.raises(InputError, match=r"notes: expected recording\.toml"):
-        find_recordings(tmp_path / "notes")
-    with pytest.raises(InputError, match="nothing at this path"):
-        find_recordings(tmp_path / "absent")
+    refused(r"notes: expected recording\.toml", find_recordings, tmp_path / "notes", error=InputError)
+    refused("nothing at this path", find_recordings, tmp_path / "absent", error=InputError)
 
 
 def test_directions_become_unit_vectors():
@@ -179,41 +175,14 @@ MODELS: dict[str, type[BaseModel]] = {
 }
 
 
-def _tables() -> dict[str, dict[str, str]]:
-    """Title -> key -> second column of every table of the section on keys."""
-    section = DOC[DOC.index("## Every key") : DOC.index("## What a run leaves")]
-    parts = re.split(r"^### (.*)$", section, flags=re.MULTILINE)[1:]
-    rows = re.compile(r"^\| `(\w+)` \| (.*?) \|", re.MULTILINE)
-    return {title: dict(rows.findall(text)) for title, text in zip(parts[::2], parts[1::2], strict=True)}
-
-
-def _told(model: type[BaseModel], key: str) -> str:
-    """What the document's second column has to say about a key of a model."""
-    field = model.model_fields[key]
-    if key in getattr(model, "INHERITED", ()):
-        return "as the pair"
-    if field.is_required():
-        return "required"
-    default: Any = field.get_default(call_default_factory=True)
-    if default is None:
-        return "optional"
-    if isinstance(default, str | bool | int | float):
-        return f"`{json.dumps(default)}`" if isinstance(default, str | bool) else f"{default:g}"
-    assert not np.any(default)
-    if len(default) == 0:
-        return "none"
-    return "0" if "uncertainty" in key and key != "pose_uncertainty" else "zeros"
-
-
 def test_every_block_has_a_table_that_is_its_model():
-    expected = {title: {key: _told(model, key) for key in model.model_fields} for title, model in MODELS.items()}
-    assert _tables() == expected
-    assert list(_tables()) == list(expected)
+    tables = key_tables(DOC[DOC.index("## Every key") : DOC.index("## What a run leaves")])
+    assert tables == told_keys(MODELS)
+    assert list(tables) == list(MODELS)
 
 
 def test_every_toml_example_is_toml_that_loads(make_campaign):
-    examples = re.findall(r"^```toml\n(.*?)^```", DOC, re.DOTALL | re.MULTILINE)
-    rig, recording, chain = (tomllib.loads(text) for text in examples)
+    rig, recording, chain = (tomllib.loads(text) for text in examples(DOC))
     assert len(chain["element"]) == 3  # tests/fusion/test_check.py reads it
     manifest = load_manifest(make_campaign())
     pair = manifest.rig.stereo["top"]

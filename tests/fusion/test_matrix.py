@@ -12,14 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from plain_drives import plain_drive, uncertainty
 from scipy.optimize import least_squares
-from simulated_drives import (
-    CAPACITY,
-    DriveErrors,
-    drive_setup,
-    eight_setups,
-    simulate_drives,
-    true_matrix,
-)
+from simulated_drives import CAPACITY, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
 from support import far
 
 from fusion.campaign.matrix import MatrixFit, cross_talk, fit_matrix, main_components

@@ -78,7 +78,7 @@ def test_what_is_unfavourable_is_told(planned: Planned) -> None:
     assert "24.9 Hz is seen above 0.4 of the rate" in planned("--frequencies 24.9 --rate 52 --frames 400")
 
 
-def test_table_and_figure(planned: Planned, tmp_path: Path) -> None:
+def test_table_and_figures(planned: Planned, tmp_path: Path) -> None:
     table, figure = tmp_path / "plan.csv", tmp_path / "plan.svg"
     options = "--frequencies 53.7,106.25 --max-rate 82 --frames 211"
     planned(options, "--csv", table, "--figure", figure)
@@ -95,13 +95,9 @@ def test_table_and_figure(planned: Planned, tmp_path: Path) -> None:
     assert sorted(tmp_path.iterdir()) == [table, figure]
     planned(options, "--figure", figure, "--force")
     assert figure.read_bytes() == before  # nothing of the day or the run is in it
-
-
-@pytest.mark.parametrize(("suffix", "magic"), [(".png", b"\x89PNG"), (".pdf", b"%PDF")])
-def test_figure_of_one_rate(planned: Planned, tmp_path: Path, suffix: str, magic: bytes) -> None:
-    path = tmp_path / f"plan{suffix}"
-    planned(PUBLISHED, "--figure", path)
-    assert path.read_bytes().startswith(magic)
+    for name, magic in (("one-rate.png", b"\x89PNG"), ("one-rate.pdf", b"%PDF")):
+        planned(PUBLISHED, "--figure", tmp_path / name)
+        assert (tmp_path / name).read_bytes().startswith(magic)
 
 
 def test_files_that_are_there_are_kept(planned: Planned, refused: Refused, tmp_path: Path) -> None:

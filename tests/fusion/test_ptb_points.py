@@ -5,19 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
-from support import block, channel, evaluated, recording_head
-from take_factory import (
-    EXPOSURE_S,
-    FREQUENCY_HZ,
-    MASS_KG,
-    RIG,
-    SENSITIVITY,
-    camera_trigger,
-    moving_plate,
-)
+from contracts import refused
+from support import block, channel, evaluated, recording_head, write_daq
+from take_factory import EXPOSURE_S, FREQUENCY_HZ, MASS_KG, RIG, SENSITIVITY, camera_trigger, moving_plate
 
 from fusion.base import InputError
 from fusion.estimation.fuse import Acceleration
@@ -92,10 +84,7 @@ class Campaign:
 
     def evaluate(self) -> Evaluation:
         """Write the manifest and the channels, and evaluate the recording."""
-        with h5py.File(self.folder / "daq.h5", "w") as file:
-            file.attrs["sample_rate"] = RATE_HZ
-            for name, samples in self.channels.items():
-                file[name] = samples
+        write_daq(self.folder / "daq.h5", RATE_HZ, self.channels)
         (self.folder / "recording.toml").write_text("".join(self.text), encoding="utf-8")
         return evaluated(self.folder)
 
@@ -161,8 +150,6 @@ def test_tables_that_do_not_fit_are_named(campaign):
     campaign.add_points()
     last = campaign.folder / "DIC_results" / "result_B63.txt"
     last.write_text("1 2 3 3 3 0 0 0 0 0\n")
-    with pytest.raises(InputError, match=r"result_B63\.txt: line 1: expected 11 columns, found 10"):
-        campaign.evaluate()
+    refused(r"result_B63\.txt: line 1: expected 11 columns, found 10", campaign.evaluate, error=InputError)
     last.unlink()
-    with pytest.raises(InputError, match=r"points\.base\.first_edge: expected .* of 63 frames, .* 64 edges"):
-        campaign.evaluate()
+    refused(r"points\.base\.first_edge: expected .* of 63 frames, .* 64 edges", campaign.evaluate, error=InputError)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import h5py
 import numpy as np
 import pytest
-from support import AT_ORIGIN, block, channel, evaluated, recording_head
+from support import AT_ORIGIN, block, channel, evaluated, recording_head, write_daq
 
 from fusion.base import InputError
 from fusion.cli import main
@@ -28,17 +28,7 @@ RATE_HZ, FRAME_RATE_HZ, FIRST_EDGE_S, DELAY_S = 20_000.0, 49.7, 0.02131, 3e-6
 WIDTH_S = 2.3137e-3
 """A quarter of a period of the motion: 9 % of the amplitude is lost, and the middles move by 0.77 rad."""
 
-RIG = """
-format = 1
-name = "points"
-[stereo.base]
-body = "base"
-rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-translation = [0.0, 0.0, 0.0]
-scale_uncertainty = 1e-6
-exposure = EXPOSURE
-delay = 3e-6
-"""
+STATED = {"rotation": np.eye(3).tolist(), "translation": [0.0] * 3, "scale_uncertainty": 1e-6, "delay": DELAY_S}
 RECORDING = (
     recording_head("pulses", harmonics=[])
     + channel("z", "acceleration", body="load", **AT_ORIGIN)
@@ -65,13 +55,17 @@ def _filter_step(place: np.ndarray) -> np.ndarray:
     return np.interp(place - 0.5 / 64.0, fine, np.cumsum(taps) / taps.sum(), left=0.0, right=1.0)
 
 
-def _write(folder: Path, shot: Shot, exposure: str, override: str = "") -> Path:
+def _rig(exposure: float | str) -> str:
+    return block(format=1, name="points") + block("stereo.base", body="base", exposure=exposure, **STATED)
+
+
+def _write(folder: Path, shot: Shot, of_pair: float | str, **override: Any) -> Path:
     """Write points of a body in motion, exposed while the trigger is high, and return the recording's folder."""
     rng = np.random.default_rng(31)
     run = folder / "campaign" / "run"
     run.mkdir(parents=True, exist_ok=True)
-    (run.parent / "rig.toml").write_text(RIG.replace("EXPOSURE", exposure), encoding="utf-8")
-    (run / "recording.toml").write_text(RECORDING + override, encoding="utf-8")
+    (run.parent / "rig.toml").write_text(_rig(of_pair), encoding="utf-8")
+    (run / "recording.toml").write_text(RECORDING + block(**override), encoding="utf-8")
     edge_s = FIRST_EDGE_S + np.arange(shot.frames) / FRAME_RATE_HZ
     phase = np.exp(1j * OMEGA * (edge_s + DELAY_S + shot.width_s / 2))[:, None]
     pose = np.sinc(FREQUENCY_HZ * shot.width_s) * (MOTION * phase).real
@@ -88,10 +82,8 @@ def _write(folder: Path, shot: Shot, exposure: str, override: str = "") -> Path:
         near = slice(max(int((edge - 2e-3) * RATE_HZ), 0), int((edge + shot.width_s + 2e-3) * RATE_HZ))
         place = time_s[near] * RATE_HZ
         trigger[near] += 5.0 * (step(place - edge * RATE_HZ) - step(place - (edge + shot.width_s) * RATE_HZ))
-    with h5py.File(run / "daq.h5", "w") as file:
-        file.attrs["sample_rate"] = RATE_HZ
-        file["z"] = np.cos(OMEGA * time_s) + 1e-4 * rng.normal(size=len(time_s))
-        file["camera_trigger"] = trigger
+    z = np.cos(OMEGA * time_s) + 1e-4 * rng.normal(size=len(time_s))
+    write_daq(run / "daq.h5", RATE_HZ, {"z": z, "camera_trigger": trigger})
     return run
 
 
@@ -109,7 +101,7 @@ def _seen(run: Path, frames: int = 40) -> tuple[Sight, TimeBase]:
 @pytest.mark.parametrize("filtered", [False, True])
 @pytest.mark.parametrize("width_s", [WIDTH_S, 413e-6])
 def test_the_exposure_is_the_width_recorded(tmp_path, filtered, width_s):
-    sight, base = _seen(_write(tmp_path, Shot(width_s=width_s, filtered=filtered), '"pulse"'))
+    sight, base = _seen(_write(tmp_path, Shot(width_s=width_s, filtered=filtered), "pulse"))
     exposure = sight.exposure
     assert abs(exposure.length_s - width_s) < 4.0 * exposure.u_length_s
     assert exposure.u_length_s < 0.05 / RATE_HZ
@@ -119,13 +111,12 @@ def test_the_exposure_is_the_width_recorded(tmp_path, filtered, width_s):
 
 
 def test_a_stated_exposure_is_exact(tmp_path):
-    sight, _ = _seen(_write(tmp_path, Shot(), '"pulse"', "exposure = 1e-3"))
+    sight, _ = _seen(_write(tmp_path, Shot(), "pulse", exposure=1e-3))
     assert sight.exposure == Exposure("camera_trigger", 1e-3, 0.0)
 
 
 def test_a_run_is_that_with_the_width_stated(tmp_path):
-    measured = evaluated(_write(tmp_path, Shot(), '"pulse"'))
-    stated = evaluated(_write(tmp_path, Shot(), repr(WIDTH_S)))
+    measured, stated = (evaluated(_write(tmp_path, Shot(), exposure)) for exposure in ("pulse", WIDTH_S))
     (pair,) = measured.stereo
     assert abs(pair.exposure_s - WIDTH_S) < 4.0 * pair.u_exposure_s
     assert (stated.stereo[0].exposure_s, stated.stereo[0].u_exposure_s) == (WIDTH_S, 0.0)
@@ -141,17 +132,16 @@ def test_a_run_is_that_with_the_width_stated(tmp_path):
 
 def test_the_effect_of_a_width_is_that_of_evaluating_with_another(tmp_path):
     u_s = 2e-6
-    run = _write(tmp_path, Shot(), repr(WIDTH_S - u_s / 2))
+    run = _write(tmp_path, Shot(), WIDTH_S - u_s / 2)
     before = _base(evaluated(run))
-    rig = run.parent / "rig.toml"
-    rig.write_text(RIG.replace("EXPOSURE", repr(WIDTH_S + u_s / 2)), encoding="utf-8")
+    (run.parent / "rig.toml").write_text(_rig(WIDTH_S + u_s / 2), encoding="utf-8")
     ratio = _base(evaluated(run)) / before - 1.0
     (expected,) = Exposure("camera_trigger", WIDTH_S, u_s).errors(np.array([FREQUENCY_HZ]))
     np.testing.assert_allclose(ratio, np.repeat(expected.effect, 6), rtol=2e-3)
 
 
 def test_every_run_tells_the_width(tmp_path):
-    evaluation = evaluated(_write(tmp_path, Shot(), "40e-6"))
+    evaluation = evaluated(_write(tmp_path, Shot(), 40e-6))
     (clock,) = evaluation.clocks
     assert clock.pulse_width_s == pytest.approx(WIDTH_S, abs=2e-6)
     table = clocks_table(evaluation)
@@ -163,9 +153,9 @@ def test_every_run_tells_the_width(tmp_path):
 
 
 def test_check_tells_what_the_exposure_will_be(tmp_path):
-    told = str(check(load_manifest(_write(tmp_path, Shot(), '"pulse"'))))
+    told = str(check(load_manifest(_write(tmp_path, Shot(), "pulse"))))
     assert "exposure of base: width of the pulses of camera_trigger in daq, (2313." in told
-    assert "exposure of" not in str(check(load_manifest(_write(tmp_path, Shot(), "1e-3"))))
+    assert "exposure of" not in str(check(load_manifest(_write(tmp_path, Shot(), 1e-3))))
 
 
 @pytest.mark.parametrize(
@@ -176,13 +166,13 @@ def test_check_tells_what_the_exposure_will_be(tmp_path):
     ],
 )
 def test_pulses_that_cannot_be_measured_are_refused(tmp_path, shot, reason, capsys):
-    run = _write(tmp_path, shot, '"pulse"')
+    run = _write(tmp_path, shot, "pulse")
     assert main(["run", str(run)]) == 2
     told = capsys.readouterr().err
     assert "rig.toml: stereo.base.exposure: expected the exposure in s" in told
     assert reason in told
     assert any("stereo.base.exposure" in problem for problem in check(load_manifest(run)).problems)
-    run = _write(tmp_path, shot, "1e-3", 'exposure = "pulse"')
+    run = _write(tmp_path, shot, 1e-3, exposure="pulse")
     with pytest.raises(InputError, match=r"recording\.toml: points\.base\.exposure: expected the exposure in s"):
         _seen(run, shot.frames)
     manifest = load_manifest(run)

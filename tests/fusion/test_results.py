@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 from collections.abc import Callable
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+from contracts import refused
 from evaluation_factory import ACCELERATION, LOAD_COMPONENTS, STATIC, Choice, make_evaluation
 from support import rows, state, without_pages
 
@@ -152,9 +153,8 @@ def test_results_are_replaced_by_those_of_the_same_input_or_by_force_and_nothing
     write_results(evaluation, out)
     assert {name: (out / name).read_bytes() for name in first} == first
     (out / "motion-mine.csv").write_text("not a result of the program", encoding="utf-8")
-    other = dataclasses.replace(evaluation, stereo=(), input_hashes={"rig.toml": "11" * 32})
-    with pytest.raises(InputError, match="other input"):
-        write_results(other, out)
+    other = replace(evaluation, stereo=(), input_hashes={"rig.toml": "11" * 32})
+    refused("other input", write_results, other, out, error=InputError)
     write_results(other, out, force=True)
     assert not (out / "motion-top.csv").exists()
     assert (out / "motion-mine.csv").exists()
@@ -163,8 +163,7 @@ def test_results_are_replaced_by_those_of_the_same_input_or_by_force_and_nothing
     assert not is_current(out, other.input_hashes, other.settings)
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "notes.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(InputError):
-        write_results(evaluation, tmp_path / "b")
+    refused("expected an empty folder", write_results, evaluation, tmp_path / "b", error=InputError)
     assert [path.name for path in (tmp_path / "b").iterdir()] == ["notes.txt"]
     assert all(path.is_file() for path in write_results(evaluation, tmp_path / "b", force=True))
     assert (tmp_path / "b" / "notes.txt").read_text(encoding="utf-8") == "mine"
@@ -182,8 +181,7 @@ def test_a_failure_leaves_everything_as_it_was(evaluation, tmp_path, monkeypatch
         raise RuntimeError("out of paper")
 
     monkeypatch.setattr(results, "render_report", fail)
-    with pytest.raises(RuntimeError, match="out of paper"):
-        write_results(evaluation, out)
+    refused("out of paper", write_results, evaluation, out, error=RuntimeError)
     assert state(tmp_path) == before
     assert out.exists() == existing
 
@@ -196,13 +194,11 @@ def test_recording_without_sensor_and_cameras(write, tmp_path):
     assert {path.name for path in folder.iterdir()} == names
     found = read_recorded(folder)
     assert (found.sensor, found.drives) == (None, ())
-    assert read_recorded(write(dataclasses.replace(bare, notices=()))).notices == ()
+    assert read_recorded(write(replace(bare, notices=()))).notices == ()
     with h5py.File(folder / "result.h5", "r+") as file:
         file.attrs["format"] = 1
-    with pytest.raises(InputError, match="--force evaluates the recording anew"):
-        read_recorded(folder)
-    with pytest.raises(InputError, match="no results"):
-        read_recorded(tmp_path)
+    refused("--force evaluates the recording anew", read_recorded, folder, error=InputError)
+    refused("no results", read_recorded, tmp_path, error=InputError)
 
 
 @pytest.mark.usefixtures("no_pages")
@@ -219,16 +215,15 @@ def test_campaign_tables_are_the_recordings_rows_in_order(tmp_path):
         assert rows(tmp_path / name) == separate
     assert rows(tmp_path / "load.csv")[-1]["recording"] == 'Fz "second"'
     (tmp_path / "load.csv").write_text("a,b\n1,2\n", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"load\.csv: expected the columns"):
-        merge_tables([tmp_path])
+    refused(r"load\.csv: expected the columns", merge_tables, [tmp_path])
 
 
 def identical(first: Any, second: Any) -> bool:
     """Whether two trees of data classes hold the same types, texts and bits."""
     if isinstance(first, np.ndarray):
         return first.dtype == second.dtype and first.shape == second.shape and first.tobytes() == second.tobytes()
-    if dataclasses.is_dataclass(first):
-        names = [field.name for field in dataclasses.fields(first)]
+    if is_dataclass(first):
+        names = [field.name for field in fields(first)]
         return type(first) is type(second) and all(identical(getattr(first, n), getattr(second, n)) for n in names)
     if isinstance(first, tuple):
         return len(first) == len(second) and all(map(identical, first, second))
@@ -241,23 +236,19 @@ def with_clock(item: Any, seed: int) -> Any:
     effect = np.random.default_rng(seed).standard_normal((2, lines, size))
     shared = Influence("clock bridge: time", "clock", 1e-7, "s", effect[0], "recording")
     own = Influence(f"scale {seed}", "scale", 2.5e-4, "1", effect[1], "rig")
-    return dataclasses.replace(item, uncertainty=Uncertainty(item.uncertainty.random, (shared, own)))
+    return replace(item, uncertainty=Uncertainty(item.uncertainty.random, (shared, own)))
 
 
-def test_drives_are_read_back_to_the_last_bit(write, tmp_path):
+def test_drives_are_read_back_to_the_last_bit_with_sensor_excitation_and_notices(write, tmp_path):
     plain = make_evaluation(tmp_path, Choice(frames=24, images=False, mounting="second"))
-    evaluation = dataclasses.replace(plain, load=with_clock(plain.load, 1), outputs=with_clock(plain.outputs, 2))
+    evaluation = replace(plain, load=with_clock(plain.load, 1), outputs=with_clock(plain.outputs, 2))
     drives = drives_of(evaluation)
     assert [drive.mounting for drive in drives] == ["second"]
     names = [influence.name for influence in drives[0].outputs_uncertainty.influences]
     assert names == ["clock bridge: time", "scale 2"]
-    assert identical(drives, read_recorded(write(evaluation)).drives)
-
-
-def test_sensor_excitation_and_notices_are_read_back(write, tmp_path):
-    evaluation = make_evaluation(tmp_path, Choice(frames=24, images=False))
     found = read_recorded(write(evaluation))
-    assert (found.folder, found.name, found.mounting, found.kind) == ("out", "Fz 106.25 Hz", "1", "sine")
+    assert identical(drives, found.drives)
+    assert (found.folder, found.name, found.mounting, found.kind) == ("out", "Fz 106.25 Hz", "second", "sine")
     assert (found.direction, found.frequencies) == ((0.0, 0.0, 1.0), (106.25,))
     assert np.array_equal(np.asarray(found.sensor.static), STATIC)
     assert (found.sensor.serial, found.sensor.unit, found.sensor.u_static) == ("0815", "V/V", 1e-3)
@@ -284,20 +275,17 @@ def test_hashes_are_of_whole_files_named_from_the_root_and_sorted(tmp_path):
 
 
 def test_versions_name_the_program_and_only_what_was_imported():
-    found = versions()
-    assert {"shakercal", "python", "platform", "numpy", "h5py"} <= set(found)
-    assert "pyarrow" not in found
+    assert {"shakercal", "python", "platform", "numpy", "h5py"} <= set(versions())
+    assert "pyarrow" not in versions()
 
 
 def test_folder_rules(tmp_path):
     check_folder(tmp_path / "absent", {}, force=False)
     check_folder(tmp_path, {}, force=False)
     (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match="--force"):
-        check_folder(tmp_path, {}, force=False)
+    refused("--force", check_folder, tmp_path, {}, force=False, error=InputError)
     check_folder(tmp_path, {}, force=True)
-    with pytest.raises(InputError, match="a folder"):
-        check_folder(tmp_path / "thesis.txt", {}, force=True)
+    refused("a folder", check_folder, tmp_path / "thesis.txt", {}, force=True, error=InputError)
     (tmp_path / "result.h5").write_bytes(b"not HDF5")
     assert read_provenance(tmp_path) is None
     with h5py.File(tmp_path / "result.h5", "w") as file:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import block, edit, evaluated
+from support import block, edit, evaluated, write_daq
 from take_factory import (
     FREQUENCY_HZ,
     LOAD,
@@ -23,7 +23,6 @@ from take_factory import (
     reference,
     signals,
     take,
-    write_shot,
     write_takes,
 )
 
@@ -39,21 +38,16 @@ SEEN = [2, 3, 4]  # z, rx, ry
 HARMONICS = {2: 0.01, 3: 0.004}
 
 
-def _shots(rng: np.random.Generator, count: int = 8, drift: float = 0.005) -> list[Shot]:
-    """One laser point per take; level drifts, phase is whatever it was when the recording was started."""
-    levels = (1.0 + drift * rng.normal(size=count)) * np.exp(2j * np.pi * rng.random(count))
-    levels[0] = 1.0
-    ppm = 1.0 + 2e-6 * rng.normal(size=count)
-    return [
-        Shot([point], complex(level), FREQUENCY_HZ * float(f), HARMONICS)
-        for point, level, f in zip(POINTS, levels, ppm, strict=False)
-    ]
-
-
 @pytest.fixture(scope="module")
 def eight(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    """One laser point per take; level drifts, phase is whatever it was when the recording was started."""
     rng = np.random.default_rng(5)
-    return evaluated(write_takes(tmp_path_factory.mktemp("eight"), _shots(rng), rng, top=True))
+    levels = (1.0 + 0.005 * rng.normal(size=8)) * np.exp(2j * np.pi * rng.random(8))
+    levels[0] = 1.0
+    frequencies = FREQUENCY_HZ * (1.0 + 2e-6 * rng.normal(size=8))
+    driven = zip(POINTS, levels.tolist(), frequencies.tolist(), strict=True)
+    shots = [Shot([point], level, frequency, HARMONICS) for point, level, frequency in driven]
+    return evaluated(write_takes(tmp_path_factory.mktemp("eight"), shots, rng, top=True))
 
 
 def test_eight_points_one_after_another_give_the_motion(eight):
@@ -125,7 +119,7 @@ def test_takes_cut_from_one_recording_give_what_the_recording_gives(tmp_path):
     folder = tmp_path / "takes"
     folder.mkdir()
     (tmp_path / "rig.toml").write_text(RIG)
-    write_shot(folder / "all.h5", values)
+    write_daq(folder / "all.h5", RATE_HZ, values)
     (folder / "recording.toml").write_text(head() + take("all.h5", POINTS, at=""))
     whole = evaluated(folder)
     common, *lasers = take("all.h5", POINTS).split('[[take.daq.channel]]\nname = "velocity_')
@@ -152,7 +146,7 @@ def test_a_channel_in_every_take_is_one_reading_and_its_scatter_counts(tmp_path)
     gains = 1.0 + 0.01 * np.array([1.0, -1.2, 0.4, 0.9, -0.7])
     for number, (shot, gain) in enumerate(zip(shots, gains, strict=True), 1):
         values = signals(shot, rng)
-        write_shot(folder / f"{number}.h5", values | {"Fz": gain * values["Fz"]})
+        write_daq(folder / f"{number}.h5", RATE_HZ, values | {"Fz": gain * values["Fz"]})
     found = evaluated(folder)
     u = np.sqrt(found.outputs.uncertainty.random[0].covariance[0, 0, 0]) / abs(found.outputs.phasors.value[0, 0])
     assert u * np.sqrt(2.0) == pytest.approx(np.std(gains, ddof=1) / np.sqrt(5.0), rel=0.05)
@@ -178,7 +172,7 @@ def _without_reference(folder: Path) -> None:
 def _second(change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]], **shot: Any) -> Callable[[Path], None]:
     """Change the samples of the second take."""
     values = signals(Shot(POINTS[1:2], **shot), np.random.default_rng(0))
-    return lambda folder: write_shot(folder / "2.h5", change(values))
+    return lambda folder: write_daq(folder / "2.h5", RATE_HZ, change(values))
 
 
 def _drive(factor: float) -> Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]:
@@ -324,11 +318,17 @@ def test_every_point_of_a_scan_is_a_take(tmp_path):
     assert [f"{take.drift[0]:.4f}" for take in found[0].set_ups] == ["0.0000", "0.0020", "0.0040", "0.0060"]
 
 
-def test_points_are_placed_where_the_file_says(tmp_path):
-    takes = read_set_ups(load_manifest(_short(_scan(tmp_path, np.random.default_rng(6)))))
+def test_points_are_placed_where_the_file_says_and_counted_by_check(tmp_path, capsys):
+    folder = _short(_scan(tmp_path, np.random.default_rng(6)))
+    takes = read_set_ups(load_manifest(folder))
     placed = [take.records[0].entry.channel[0].point for take in takes]
     np.testing.assert_allclose(np.array(placed, dtype=np.float64), SCANNED, atol=1e-9)
     assert {take.records[0].entry.channel[1].point for take in takes} == {(0.0, 0.0, -0.1)}  # the reference stays
+    assert main(["check", str(folder)]) == EXIT_DONE
+    told = capsys.readouterr().out
+    assert "3000 samples at 4000 Hz, a scan of 4 points, each a take" in told
+    assert "takes: 4, tied by 2" in told
+    assert "load: laser: z rx ry" in told
 
 
 def test_a_scan_of_one_point_needs_no_reference(tmp_path):
@@ -351,12 +351,3 @@ def test_a_scan_of_one_point_needs_no_reference(tmp_path):
 def test_wrong_scans_are_one_sentence(tmp_path, refused, channels, sentence):
     folder = _text(_scan(tmp_path, np.random.default_rng(6)), *channels)
     assert sentence in refused("run", folder)
-
-
-def test_check_counts_the_points_of_a_scan(tmp_path, capsys):
-    folder = _short(_scan(tmp_path, np.random.default_rng(6)))
-    assert main(["check", str(folder)]) == EXIT_DONE
-    told = capsys.readouterr().out
-    assert "3000 samples at 4000 Hz, a scan of 4 points, each a take" in told
-    assert "takes: 4, tied by 2" in told
-    assert "load: laser: z rx ry" in told

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from contracts import coverage_contract
-from support import block, channel, evaluated, far
+from support import block, channel, evaluated, far, write_daq
 from take_factory import (
     BASE_Z,
     BRIDGE_V,
@@ -27,7 +27,6 @@ from take_factory import (
     moving_plate,
     output,
     reference,
-    write_shot,
 )
 
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels, output_phasors
@@ -196,13 +195,12 @@ def _write(folder: Path) -> Path:
     for number, look in enumerate(LOOKS, 1):
         time_s = np.arange(SAMPLES) / RATE_HZ
         drive = _sine(look.level * BASE[2] / 98.1, time_s) + 1e-5 * rng.normal(size=SAMPLES)
-        write_shot(recording / f"{number}.h5", {"camera": camera_trigger(time_s, FRAMES), "drive": drive}, RATE_HZ)
+        write_daq(recording / f"{number}.h5", RATE_HZ, {"camera": camera_trigger(time_s, FRAMES), "drive": drive})
         bridge_s = np.arange(int(SAMPLES / RATE_HZ * BRIDGE_RATE_HZ) - 300) / BRIDGE_RATE_HZ + 0.0031 * number
         force = _sine(look.level * SENSITIVITY * MASS_KG * LOAD[2] / 1e-3, bridge_s)
         force += 1e-8 * rng.normal(size=len(bridge_s))
-        write_shot(
-            recording / f"{number}b.h5", {"camera": camera_trigger(bridge_s, FRAMES), "Fz": force}, BRIDGE_RATE_HZ
-        )
+        late = {"camera": camera_trigger(bridge_s, FRAMES), "Fz": force}
+        write_daq(recording / f"{number}b.h5", BRIDGE_RATE_HZ, late)
         _write_points(recording / f"{number}.csv", look, rng)
         blocks = {"daq": f"{number}.h5", "bridge": f"{number}b.h5"}
         daq, bridge = (block("[take.daq]", name=n, file=file) + TRIGGER for n, file in blocks.items())

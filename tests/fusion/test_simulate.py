@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 from contracts import refused
-from support import state
+from support import complex_of, state, truth_of
 
 from fusion.base import InputError
 from fusion.cli import main
@@ -37,9 +36,10 @@ FREQUENCY = np.array([40.0, 120.0])
 PART = TruePart(2.0, np.array([0.01, -0.02, 0.05]), np.array([[3e-3, 1e-4, 0], [1e-4, 4e-3, 2e-4], [0, 2e-4, 5e-3]]))
 
 
-def _motion(scale: float = 1.0) -> Motion:
+def _motion() -> Motion:
+    """A motion so small that terms of second order vanish."""
     rng = np.random.default_rng(3)
-    amplitude = np.array([3.0, 2.0, 40.0, 30.0, 20.0, 10.0]) * scale
+    amplitude = np.array([3.0, 2.0, 40.0, 30.0, 20.0, 10.0]) * 1e-3
     phasors = amplitude * np.exp(2j * np.pi * rng.uniform(size=(2, 6)))
     return Motion(FREQUENCY, phasors)
 
@@ -51,7 +51,7 @@ def _derivatives(values: np.ndarray, step: float) -> np.ndarray:
 
 
 def test_wrench_agrees_with_momentum_differentiated_numerically() -> None:
-    motion, step = _motion(1e-3), 2e-5  # small, so that terms of second order vanish
+    motion, step = _motion(), 2e-5
     for time in (0.0, 0.0031, 0.0127):
         stencil = time + step * np.arange(-3, 4)
         poses = motion.pose(stencil)
@@ -79,7 +79,7 @@ def test_wrench_of_a_mass_on_an_arm_by_hand() -> None:
 
 
 def test_laser_and_accelerometer_read_what_the_moving_point_does() -> None:
-    motion, step = _motion(1e-3), 2e-5
+    motion, step = _motion(), 2e-5
     point, direction = np.array([0.03, -0.04, 0.06]), np.array([0.36, 0.48, 0.8])
     velocity = velocity_at(motion, point, direction)
     reading = acceleration_at(motion, point, direction, GRAVITY)
@@ -162,7 +162,7 @@ def test_recording_is_complete_and_its_manifest_valid(small: Path) -> None:
     image = tifffile.imread(manifest.images[0].left[0])
     assert image.dtype == np.uint16
     assert image.max() < 1023
-    truth = json.loads((small / "truth.json").read_text())
+    truth = truth_of(small)
     assert np.shape(truth["motion"]["top"]) == (4, 6)
     assert np.shape(truth["sensitivity"]["re"]) == (3, 6, 6)
     assert "top.calibration" in truth["drawn"]
@@ -181,18 +181,23 @@ def test_the_same_seed_gives_the_same_bytes(preset: str, tmp_path: Path) -> None
     assert changed & {"0000.tif", "channels.h5", "accelerometers.h5", "readings.csv", "outputs.h5", "models.json"}
 
 
-@pytest.mark.parametrize("preset", ["loads", "elastomer"])
+@pytest.mark.parametrize("preset", ["rotation", "loads", "elastomer", "chirp"])
 def test_the_command_replaces_an_earlier_simulation_and_nothing_else(
     preset: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "it"
-    assert main(["simulate", str(out), "--preset", preset]) == 0
+    run = ["simulate", str(out), "--preset", preset]
+    assert main(run) == 0
     assert str(out) in capsys.readouterr().out
-    assert main(["simulate", str(out), "--preset", preset]) == 2
-    assert main(["simulate", str(out), "--preset", preset, "--force", "--seed", "2"]) == 0
+    first = state(out)
+    assert main(run) == 2
+    assert main([*run, "--force"]) == 0
+    assert state(out) == first
+    assert main([*run, "--force", "--seed", "2"]) == 0
+    assert state(out) != first
+    assert preset != "chirp" or main(["check", str(out)]) == 0
     (out / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"expected a new folder.*found thesis.txt in it"):
-        simulate(out, preset, 1)
+    refused(r"expected a new folder.*found thesis.txt in it", simulate, out, preset, 1, error=InputError)
     assert (out / "thesis.txt").read_text() == "mine"
 
 
@@ -210,13 +215,12 @@ def test_a_wrong_call_names_what_was_expected(tmp_path: Path) -> None:
 def test_noise_free_channels_are_the_truth(tmp_path: Path) -> None:
     plain = dict.fromkeys(("channel_noise", "systematic_errors", "trigger_jitter"), False)
     folder = simulate(tmp_path / "exact", "demo", 1, frames=3, image_scale=0.3, **plain)
-    truth = json.loads((folder / "truth.json").read_text())
+    truth = truth_of(folder)
     with h5py.File(folder / "vibrometer.h5") as file:
         samples, rate = file["velocity_1"][:], file["velocity_1"].attrs["sample_rate"]
         trigger = file["camera_trigger"][:]
     time = np.arange(len(samples)) / rate
-    load = truth["acceleration"]["load"]
-    a = np.array(load["re"]) + 1j * np.array(load["im"])
+    a = complex_of(truth["acceleration"]["load"])
     at_point = a[:, 2] - a[:, 4] * 0.033  # z of a + α × r at (0.033, 0, ·)
     omega = 2 * np.pi * np.array(truth["frequencies"])
     expected = np.sin(np.outer(time, omega) + np.angle(at_point)) @ (np.abs(at_point) / omega)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import lsim
-from support import state
+from support import complex_of, state, truth_of
 
 from fusion.recording.load import load_manifest
 from fusion.sensor.step.records import read_step
@@ -39,15 +36,6 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
     return tuple(sorted(folder.glob("Fz-*")))
 
 
-def _truth(folder: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    return found
-
-
-def _complex(entry: dict[str, Any]) -> NDArray[np.complex128]:
-    return np.asarray(entry["re"]) + 1j * np.asarray(entry["im"])
-
-
 def test_sweep_is_the_published_plan() -> None:
     plan = runs("sweep")
     frequencies = sorted({run.nominal_hz[0] for run in plan})
@@ -62,7 +50,7 @@ def test_sweep_is_the_published_plan() -> None:
 def test_manifests_are_valid_and_name_every_file(sweep: tuple[Path, ...]) -> None:
     for folder in sweep:
         manifest = load_manifest(folder)
-        assert manifest.mounting == _truth(folder)["mounting"]
+        assert manifest.mounting == truth_of(folder)["mounting"]
         written = {path.resolve() for path in folder.iterdir()} - {(folder / "truth.json").resolve()}
         assert written <= set(manifest.files)
         (entry,) = manifest.points[:1]
@@ -72,8 +60,8 @@ def test_manifests_are_valid_and_name_every_file(sweep: tuple[Path, ...]) -> Non
 
 
 def test_errors_last_as_long_as_what_they_belong_to(sweep: tuple[Path, ...]) -> None:
-    drawn = [_truth(folder)["drawn"] for folder in sweep]
-    assert [_truth(folder)["mounting"] for folder in sweep] == ["1", "1", "2", "2"]
+    drawn = [truth_of(folder)["drawn"] for folder in sweep]
+    assert [truth_of(folder)["mounting"] for folder in sweep] == ["1", "1", "2", "2"]
     for name in ("laser.scale", "load.mass", "top.pose", "vibrometer.clock", "internal.centre_of_mass"):
         assert drawn[0][name] == drawn[1][name] == drawn[2][name] != [0.0]
     for name in ("velocity_3.point", "velocity_3.direction", "load.centre_of_mass", "acceleration_x.transverse"):
@@ -82,10 +70,10 @@ def test_errors_last_as_long_as_what_they_belong_to(sweep: tuple[Path, ...]) -> 
 
 
 def test_recordings_of_one_frequency_are_repeats(sweep: tuple[Path, ...]) -> None:
-    driven = [_complex(_truth(folder)["load"])[0, 2] for folder in sweep]
+    driven = [complex_of(truth_of(folder)["load"])[0, 2] for folder in sweep]
     assert np.ptp(np.abs(driven)) < 0.025 * np.abs(driven[0])
     assert np.ptp(np.angle(driven)) > 0.1
-    first, *others = (_complex(_truth(folder)["sensitivity"]) for folder in sweep)
+    first, *others = (complex_of(truth_of(folder)["sensitivity"]) for folder in sweep)
     for other in others:
         np.testing.assert_array_equal(other, first)
 
@@ -141,7 +129,7 @@ def test_matrix_rigs_differ_in_gravity_only(tmp_path: Path) -> None:
     assert (downs[0], downs[4], downs[6]) == ((0.0, 0.0, -9.8125), (-9.8125, 0.0, 0.0), (0.0, -9.8125, 0.0))
     assert len({manifest.mounting for manifest in manifests}) == 8
     assert len({manifest.rig.model_dump_json(include={"sensor", "load"}) for manifest in manifests}) == 1
-    drawn = [_truth(folder)["drawn"] for folder in folders]
+    drawn = [truth_of(folder)["drawn"] for folder in folders]
     assert drawn[1]["moment mass.mass"] == drawn[7]["moment mass.mass"]
     assert drawn[1]["moment mass.centre_of_mass"] != drawn[7]["moment mass.centre_of_mass"]
 
@@ -201,30 +189,30 @@ def test_resonances_overlap_for_one_pitching_load_and_stand_apart_for_the_other(
     assert apart["4kg"] > 10.0
 
 
-def test_the_campaign_has_one_sensor_two_loads_and_its_truth(tmp_path: Path) -> None:
+def test_the_campaign_has_one_sensor_two_loads_and_itstruth_of(tmp_path: Path) -> None:
     write_masses(tmp_path, 3, stand=replace(AXIAL, chirp=QUICK), steps=(19,))
     rigs = {path.parent.name: load_manifest(path.parent).rig for path in tmp_path.glob("*/recording.toml")}
     assert sorted(rigs) == ["Fz-1020.3", "chirp-4kg", "chirp-9kg"]
     assert len({rig.sensor.model_dump_json() for rig in rigs.values()}) == 1
     assert sorted(rig.load.mass for rig in rigs.values()) == [4.236, 8.798, 8.798]
-    truth = _truth(tmp_path)
+    truth = truth_of(tmp_path)
     assert truth["load_mass_kg"]["4kg"] == 4.236 + truth["drawn"]["load 4 kg.mass"][0] != 4.236
     assert truth["internal_mass_kg"] == 0.769 + truth["drawn"]["internal.mass"][0] != 0.769
     assert truth["stiffness"] == {"z": 4.5e8}
     assert truth["chain_lag_s"] == 50e-6
     for own in ("base.scale", "top_1.delay", "daq.clock"):
-        assert _truth(tmp_path / "chirp-4kg")["drawn"][own] == _truth(tmp_path / "chirp-9kg")["drawn"][own]
+        assert truth_of(tmp_path / "chirp-4kg")["drawn"][own] == truth_of(tmp_path / "chirp-9kg")["drawn"][own]
 
 
 def test_the_recorded_chirp_holds_the_transfer_function(tmp_path: Path) -> None:
     quiet = replace(QUICK, noise=0.0, periods=6)
     write_chirps(tmp_path, replace(AXIAL, chirp=quiet), Draws(1, False))
-    truth = _truth(tmp_path / "chirp-9kg")
+    truth = truth_of(tmp_path / "chirp-9kg")
     with h5py.File(tmp_path / "chirp-9kg" / "accelerometers.h5") as file:
         last = {name: np.fft.rfft(file[name][-4096:].astype(np.float64)) for name in ("base", "top_1")}
     lines = np.rint(np.array(truth["frequency_hz"]) * quiet.period_s).astype(int)
     ratio = (last["top_1"] / last["base"])[lines]
-    expected = _complex(truth["transfer"]["top_1"])
+    expected = complex_of(truth["transfer"]["top_1"])
     # What is left is the amplifier above, a Butterworth filter of order 4 at 20 kHz: a delay of about 2.613/ω.
     turned = ratio / expected * np.exp(2.613j * np.array(truth["frequency_hz"]) / 20e3)
     np.testing.assert_allclose(turned, 1.0, atol=2e-3)
@@ -278,13 +266,13 @@ def test_every_component_is_released_and_one_by_three_ropes(steps: Path) -> None
 @pytest.mark.parametrize("name", ["Fz-cotton-rope-1", "My-fishing-line-2"])
 def test_outputs_are_what_the_poles_and_residues_answer(steps: Path, name: str) -> None:
     """Integrated by scipy: the transfer functions of truth.json under the load that it states, for 20 ms."""
-    whole, truth = _truth(steps), _truth(steps / name)
+    whole, truth = truth_of(steps), truth_of(steps / name)
     record = read_step(load_manifest(steps / name)).record
     fine, count = 5, 2000
     time = np.arange(count * fine) / (record.sample_rate_hz * fine)
     share = np.clip((time - truth["onset_s"]) / truth["release_s"], 0.0, 1.0)
     place = LOAD_COMPONENTS.index(truth["component"])
-    noise, residue = np.array(truth["noise"]), _complex(whole["residue"])
+    noise, residue = np.array(truth["noise"]), complex_of(whole["residue"])
     for channel in (place, (place + 1) % 6):
         answer = np.zeros(len(time))
         for m, (f, z) in enumerate(zip(whole["frequency_hz"], whole["damping_ratio"], strict=True)):
@@ -303,8 +291,8 @@ def test_outputs_are_what_the_poles_and_residues_answer(steps: Path, name: str) 
 
 def test_every_mode_has_the_relative_degree_of_an_oscillator_behind_a_lag(steps: Path) -> None:
     """Residues, and residues times poles, sum to 0: the response to a step begins like t³."""
-    whole = _truth(steps)
-    residue = _complex(whole["residue"])
+    whole = truth_of(steps)
+    residue = complex_of(whole["residue"])
     omega, zeta = 2 * np.pi * np.array(whole["frequency_hz"]), np.array(whole["damping_ratio"])
     pole = omega * (-zeta + 1j * np.sqrt(1 - zeta**2))
     lag, real = -2 * np.pi * whole["real_hz"][0], np.array(whole["real_residue"])[:, :, 0]
@@ -326,14 +314,14 @@ def test_the_converter_has_its_steps_and_noise_is_where_it_is_said(steps: Path) 
     assert np.abs(volts / step - np.round(volts / step)).max() < 1e-2
     assert volts[:900].std() == pytest.approx(RIG.noise * 3.0, rel=0.1)
     assert np.abs(volts).max() < RIG.range_v
-    steady = _truth(steps / "Fx-fishing-line-1")["steady"][0] * RIG.gain
+    steady = truth_of(steps / "Fx-fishing-line-1")["steady"][0] * RIG.gain
     assert volts[-1000:].mean() == pytest.approx(steady, abs=5.0 * RIG.noise * 3.0 / np.sqrt(1000))
 
 
 def test_readings_of_the_campaign_hold_the_truth_and_rank_the_ropes(steps: Path) -> None:
     readings, deviations = [], []
     for release in releases(RIG):
-        truth = _truth(steps / release.name)
+        truth = truth_of(steps / release.name)
         record, place = read_step(load_manifest(steps / release.name)).record, LOAD_COMPONENTS.index(release.component)
         reading = read_release(record, release.component)
         true = truth | {"static_gain": truth["static_gain"][place]}

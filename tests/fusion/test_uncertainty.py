@@ -7,6 +7,7 @@ from dataclasses import fields
 import h5py
 import numpy as np
 import pytest
+from contracts import refused
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -42,17 +43,14 @@ def test_uncertainties_of_magnitude_and_phase_agree_with_monte_carlo():
     assert result.r == pytest.approx(1.5 / np.sqrt(10.0))
 
 
-def test_phase_of_an_unknown_number_is_uniform_on_the_circle():
+def test_phase_of_an_unknown_number_is_uniform_on_the_half_open_circle():
     uniform = np.random.default_rng(1).uniform(-np.pi, np.pi, 400_000)
     result = polar(1e-9 + 0j, COVARIANCE)
     assert result.u_phase_rad == UNIFORM_PHASE_U == pytest.approx(uniform.std(), rel=0.005)
     assert polar(0j, COVARIANCE).u_phase_rad == UNIFORM_PHASE_U
     assert polar(0j, COVARIANCE).u_magnitude == pytest.approx(np.sqrt(3.25e-4))
-
-
-@pytest.mark.parametrize("value", [complex(-1.0, 0.0), complex(-1.0, -0.0)])
-def test_phase_lies_in_the_half_open_interval(value):
-    assert polar(value, COVARIANCE).phase_rad == np.pi
+    for zero in (0.0, -0.0):
+        assert polar(complex(-1.0, zero), COVARIANCE).phase_rad == np.pi
 
 
 @given(finite, finite, st.floats(-3.1, 3.1))
@@ -128,7 +126,7 @@ def test_region_factor_is_hotellings(dof):
     assert region_factor(dof) == pytest.approx(expected, rel=1e-6)
 
 
-def test_region_factor_at_the_ends():
+def test_factors_at_the_ends():
     assert region_factor(np.inf) == pytest.approx(np.sqrt(stats.chi2.ppf(0.95, 2)), rel=1e-12)
     assert region_factor(1e9) == pytest.approx(region_factor(np.inf), rel=1e-8)
     assert region_factor(1.0) == np.inf
@@ -313,5 +311,4 @@ def test_a_text_that_means_nothing_is_refused(field, found):
     with h5py.File("any.h5", "w", driver="core", backing_store=False) as file:
         write_uncertainty(file.create_group("u"), Uncertainty((Contribution("n", "A", np.eye(2)[None]),), (influence,)))
         file["u"][field][0] = found
-        with pytest.raises(ValueError, match=f"{field}: expected one of"):
-            read_uncertainty(file["u"])
+        refused(f"{field}: expected one of", read_uncertainty, file["u"])
