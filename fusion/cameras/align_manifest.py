@@ -265,11 +265,7 @@ def still_evidence(path: Path, file: AlignmentFile, pair: Pair) -> list[Evidence
     evidence: list[Evidence] = [_points(path, file.point, pair, datum)] if file.point else []
     evidence += [_face(path, face, pair, datum) for face in file.face]
     if file.target is not None:
-        stated = file.target
-        try:
-            target = Target(stated.kind, stated.spacing, stated.size, stated.dictionary)
-        except ValueError as error:
-            raise InputError.told_by(error, path, "target") from error
+        target = Target(file.target.kind, file.target.spacing, file.target.size, file.target.dictionary)
         evidence += [known for view in file.target_view for known in _views(path, view, target, pair, datum)]
         if file.other is not None and file.common_view:
             evidence += _common(path, file.common_view, file.other, target, pair)
