@@ -28,8 +28,11 @@ def check_shape(name: str, array: NDArray[Any], shape: tuple[int | None, ...]) -
 
 
 def derivatives(of: Callable[[FloatArray], FloatArray], step: FloatArray) -> FloatArray:
-    """Return the derivatives (..., N) of a function of N numbers, all zero, by central differences of steps (N,)."""
-    return np.stack([(of(delta) - of(-delta)) / (2.0 * delta.sum()) for delta in np.diag(step)], axis=-1)
+    """Return the derivatives (..., N) of a function of N numbers, all zero, by central differences of steps (N,).
+
+    Those by numbers whose step is zero, because they are known exactly, are zero.
+    """
+    return np.stack([(of(delta) - of(-delta)) / (2.0 * delta.sum() or 1.0) for delta in np.diag(step)], axis=-1)
 
 
 class Arrays:

@@ -91,13 +91,8 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
     if rig.covariance is not None:
         left_over = mean[good] - basis @ pattern
         matching = float(left_over @ left_over) / (len(basis) - 3) * (solver @ solver.T) + bias_px**2 * np.eye(3)
-        # by the parameters that have an uncertainty
-        u = np.sqrt(np.diagonal(rig.covariance))
-        free = np.diag(u > 0.0).astype(np.float64)[:, u > 0.0]
-        change_px = derivatives(
-            lambda delta: epipolar_residual(rig.perturbed(free @ delta), *matches)[0], _STEP * u[u > 0.0]
-        )
-        derivative = solver @ change_px @ free.T
+        step = _STEP * np.sqrt(np.diagonal(rig.covariance))
+        derivative = solver @ derivatives(lambda delta: epipolar_residual(rig.perturbed(delta), *matches)[0], step)
         covariance = derivative @ rig.covariance @ derivative.T + matching
     excess = _unexplained(pattern, covariance)
     # A residual that belongs to places in the picture changes as the body passes over it: by the share of how far the

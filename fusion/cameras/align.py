@@ -187,30 +187,29 @@ def _record(
     return _Recorded(manifest, base, replace(measured, sight=replace(measured.sight, pair=fixed)))
 
 
+def _turned(
+    to_camera: RigidTransform, value: FloatArray, covariance: FloatArray, changes: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return two vectors (1, 6), their covariance (1, 6, 6) and their changes (P, 1, 6) in the camera's axes."""
+    turn = np.kron(np.eye(2), to_camera.rotation)
+    return (turn @ value)[None], (turn @ covariance @ turn.T)[None], (changes @ turn.T)[:, None]
+
+
 def _direction(block: Motion, direction: FloatArray, item: _Recorded, steps: int) -> tuple[Evidence, list[AnyNotice]]:
     """Return the direction in which the body moved at its strongest line; its error is the block's."""
     name, notices = f"motion {block.name}", list[AnyNotice]()
     moved, covariance, changes, minor = _strongest(item)
     to_camera = item.sensor_from_camera.inverse()
-    turn = np.kron(np.eye(2), to_camera.rotation)
-    effects = np.zeros((steps, 1, 6))
-    effects[: len(changes), 0] = changes @ turn.T
+    changes = np.pad(changes, ((0, steps - len(changes)), (0, 0)))
+    motion, covariance, effects = _turned(to_camera, moved, covariance, changes)
     if minor > block.direction_uncertainty:
         text = (
             f"{item.manifest.name}: the body moves on an ellipse, {1e3 * minor:.2g} mrad wide, but direction_"
             f"uncertainty is {1e3 * block.direction_uncertainty:.2g} mrad; is the direction known that well?"
         )
         notices.append(Notice("warning", text, name))
-    evidence = KnownDirection(
-        name,
-        (turn @ moved)[None],
-        (turn @ covariance @ turn.T)[None],
-        to_camera.translation_m[None],
-        direction,
-        effects,
-        block.direction_uncertainty,
-    )
-    return evidence, notices
+    place, u = to_camera.translation_m[None], block.direction_uncertainty
+    return KnownDirection(name, motion, covariance, place, direction, effects, u), notices
 
 
 def _known_direction(path: Path, block: Motion, manifests: Sequence[Manifest]) -> FloatArray:
@@ -252,7 +251,6 @@ def _axis(block: AxisBlock, item: _Recorded, pair: Pair | None) -> tuple[Evidenc
     """Return the axis about which the body turned; its known place has the block's error."""
     name, notices = f"axis {block.name}", list[AnyNotice]()
     to_camera = item.sensor_from_camera.inverse()
-    turn = np.kron(np.eye(2), to_camera.rotation)
     try:
         axis = fit_axis(item.measured.motion)
         changes = _axis_effects(item, pair, axis.line)
@@ -262,17 +260,11 @@ def _axis(block: AxisBlock, item: _Recorded, pair: Pair | None) -> tuple[Evidenc
         factor = np.sqrt(axis.chi2 / axis.dof)
         text = f"{item.manifest.name}: the body turns about no fixed axis, its frames are off by {factor:.2g} times"
         notices.append(Notice("warning", f"{text} their noise; the axis counts as that much less certain", name))
-    evidence = KnownAxis(
-        name,
-        np.concatenate([to_camera.apply(axis.line[:3]), to_camera.rotation @ axis.line[3:]])[None],
-        (turn @ axis.covariance @ turn.T)[None],
-        np.array(block.point),
-        np.array(block.direction),
-        (changes @ turn.T)[:, None],
-        np.array(block.point_uncertainty),
-        block.direction_uncertainty,
-    )
-    return evidence, notices
+    line, covariance, effects = _turned(to_camera, axis.line, axis.covariance, changes)
+    line[:, :3] += to_camera.translation_m
+    point, direction, u_point = (np.array(known) for known in (block.point, block.direction, block.point_uncertainty))
+    u = block.direction_uncertainty
+    return KnownAxis(name, line, covariance, point, direction, effects, u_point, u), notices
 
 
 def _axis_effects(item: _Recorded, pair: Pair | None, line: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, model_validator
 
-from fusion.base import InputError
+from fusion.base import InputError, as_input_error
 from fusion.recording.values import (
     ZERO3,
     ZERO6,
@@ -249,10 +249,8 @@ class Pair:
 
 def read_pair(path: Path, calibration: Path, scale_u: float | None, key: str = "") -> Pair:
     """Read a calibration that `path` names; one without covariance needs a stated scale, under `key`."""
-    try:
+    with as_input_error(calibration):
         rig = read_calibration(calibration)
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, calibration) from error
     if rig.covariance is None and scale_u is None:
         expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
         raise InputError(path, f"{key}scale_uncertainty", "nothing", expected)
@@ -265,11 +263,7 @@ def still_evidence(path: Path, file: AlignmentFile, pair: Pair) -> list[Evidence
     evidence: list[Evidence] = [_points(path, file.point, pair, datum)] if file.point else []
     evidence += [_face(path, face, pair, datum) for face in file.face]
     if file.target is not None:
-        stated = file.target
-        try:
-            target = Target(stated.kind, stated.spacing, stated.size, stated.dictionary)
-        except ValueError as error:
-            raise InputError.told_by(error, path, "target") from error
+        target = Target(file.target.kind, file.target.spacing, file.target.size, file.target.dictionary)
         evidence += [known for view in file.target_view for known in _views(path, view, target, pair, datum)]
         if file.other is not None and file.common_view:
             evidence += _common(path, file.common_view, file.other, target, pair)
@@ -360,19 +354,15 @@ def _seen(
         if picture is None:
             views.append(None)
             continue
-        try:
+        with as_input_error(path, f"{key}.{side}"):
             image, full_scale = read_picture(picture)
             view = find_target(image, target, picture.name, full_scale)
-        except (OSError, ValueError) as error:
-            raise InputError.told_by(error, path, f"{key}.{side}") from error
         if list(view.size_px) != size:
             shown = f"{picture.name} of {view.size_px[0]} x {view.size_px[1]} pixels"
             raise InputError(path, f"{key}.{side}", shown, f"{size[0]} x {size[1]} as the calibration")
         views.append(view)
-    try:
+    with as_input_error(path, key):
         return seen_target(pair.rig, pair.steps, target, *views)
-    except (ValueError, np.linalg.LinAlgError) as error:
-        raise InputError.told_by(error, path, key) from error
 
 
 def _views(path: Path, block: TargetViewBlock, target: Target, pair: Pair, datum: StatedFrame) -> Iterator[KnownPoses]:

@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from fusion.base import InputError, ProgressCallback, check_new_file, no_progress, versions, write_whole
+from fusion.base import InputError, ProgressCallback, as_input_error, check_new_file, no_progress, versions, write_whole
 from fusion.cameras.quantities import axes_angle_rad, baseline_m
 from fusion.cameras.report import render_camera_report
 from fusion.recording.values import natural_key
@@ -70,10 +70,8 @@ def calibrate_cameras(
             found = f"{usable} usable of {len(paths)} {side} pictures ({reasons})"
             raise InputError(_folder(paths), "", found=found, expected=f"at least {FEWEST_VIEWS} of each camera")
     progress("adjust", 0, 1)
-    try:
+    with as_input_error(_folder(pictures)):
         calibration = calibrate_pair(pairs, settings.target, settings.shape, settings.scale_u)
-    except ValueError as error:
-        raise InputError.told_by(error, _folder(pictures)) from error
     progress("adjust", 1, 1)
     return replace(calibration, dropped=(*failed, *calibration.dropped))
 
@@ -142,13 +140,12 @@ def run_cameras(
 
 def _find(target: Target, path: Path) -> TargetView | TargetNotFound:
     """Return the target in one picture, or why there is none."""
-    try:
+    with as_input_error(path):
         image, full_scale = read_picture(path)
-        return find_target(image, target, str(path), full_scale)
-    except TargetNotFound as error:
-        return error
-    except (OSError, ValueError) as error:
-        raise InputError.told_by(error, path) from error
+        try:
+            return find_target(image, target, str(path), full_scale)
+        except TargetNotFound as error:
+            return error
 
 
 def _expanded(argument: str) -> list[Path]:
@@ -190,10 +187,8 @@ def convert_calibration(
     except ValueError as error:
         told = str(error).replace(": image_size: ", ": --image-size: ").replace(": length_unit: ", ": --length-unit: ")
         raise InputError.told_by(ValueError(told), path) from error
-    try:
+    with as_input_error(output):
         write_calibration(output, imported.rig)
-    except OSError as error:
-        raise InputError.told_by(error, output) from error
     for notice in imported.notices:
         level = logging.WARNING if notice.severity == "warning" else logging.INFO
         log.log(level, "%s: %s", notice.where, notice.text)

@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from photogram.arrays import derivatives
 from photogram.calibration.result import COVERAGE_CELLS, CalibratedPicture, CalibratedView, Calibration
 from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import fit_rigid, skew
@@ -183,7 +184,7 @@ def distortion(calibration: Calibration, side: Side, columns: int = 33) -> Disto
         k = moved.matrix
         return np.asarray(pixel - (moved.undistort(pixel) * [k[0, 0], k[1, 1]] + [k[0, 2], k[1, 2]]))
 
-    u = _propagated(lambda delta: displaced(delta).ravel(), covariance).reshape(pixel.shape)
+    u = _propagated(displaced, covariance)
     return Distortion(pixel, displaced(np.zeros(9)), np.sqrt((u**2).mean(axis=-1)))
 
 
@@ -276,16 +277,9 @@ def _one_way(vector: FloatArray, key: FloatArray | IntArray) -> tuple[FloatArray
 
 
 def _propagated(function: Callable[[FloatArray], FloatArray], covariance: FloatArray) -> FloatArray:
-    """Standard uncertainties (M,) of a function (P,) → (M,) of parameters about zero, by central differences."""
-    steps = STEP * np.sqrt(np.diagonal(covariance))
-    columns = [
-        (function(change) - function(-change)) / (2 * step)
-        for step, change in zip(steps, np.diag(steps), strict=True)
-        if step > 0
-    ]
-    jacobian = np.stack(columns, axis=-1)
-    moved = steps > 0
-    variance = np.einsum("mi,ij,mj->m", jacobian, covariance[np.ix_(moved, moved)], jacobian)
+    """Standard uncertainties (...) of a function (P,) → (...) of parameters about zero."""
+    jacobian = derivatives(function, STEP * np.sqrt(np.diagonal(covariance)))
+    variance = np.einsum("...i,ij,...j->...", jacobian, covariance, jacobian)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 

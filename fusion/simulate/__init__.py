@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from fusion.base import InputError, ProgressCallback, no_progress
+from fusion.base import InputError, ProgressCallback, as_input_error, no_progress
 
 RECORDINGS = ("demo", "nitsche2018", "sweep", "matrix")
 """Presets of sines, which take the switches of `SimulationOptions`."""
@@ -84,10 +84,8 @@ def _whole(out: Path) -> Iterator[Path]:
         found = "a file" if other == out else f"{other.relative_to(out).as_posix()} in it"
         raise InputError(out, "", found=found, expected=expected)
     partial = out.absolute().with_name(f".{out.absolute().name}-{os.getpid()}")
-    try:
+    with as_input_error(out):
         partial.mkdir(parents=True)
-    except OSError as error:
-        raise InputError.told_by(error, out) from error
     try:
         yield partial
         if out.exists():

@@ -371,10 +371,8 @@ def seen_points(
     noise = np.asarray(u_px)[..., None, None] ** 2 * np.eye(2)
     points = triangulate(rig, left_px[None], right_px[None], noise, noise)
     nominal = points.position_m[0]
-    effects = np.empty((len(steps), *nominal.shape))
-    for place, step in enumerate(steps):
-        effects[place] = triangulate(rig.perturbed(step), left_px[None], right_px[None]).position_m[0] - nominal
-    return nominal, points.covariance_m2[0], effects
+    moved = [triangulate(rig.perturbed(step), left_px[None], right_px[None]).position_m[0] for step in steps]
+    return nominal, points.covariance_m2[0], np.array(moved).reshape(len(steps), *nominal.shape) - nominal
 
 
 def seen_target(

@@ -12,7 +12,8 @@ from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector, skew
 
-_RIM_POINTS = 12  # points on the rim of a dot at which the lens's distortion is looked at
+_ANGLE = 2 * np.pi * np.arange(12) / 12
+_RIM = np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE)])  # where on a dot's rim the lens's distortion is looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +57,13 @@ def see(
     in_camera = in_camera_turned + camera_from_left.translation_m
     flat, flat_by_place, flat_by_normal = ellipse_centres(in_camera, normal, radius_m)
     placed, by_flat = distorted(camera, flat)
+    if radius_m > 0:
+        disc = radius_m * camera_from_left.rotation @ left_from_target.rotation[:, :2]
+        rim = in_camera[:, None] + _RIM @ disc.T
+        placed = placed + _bent(camera, rim[..., :2] / rim[..., 2:], flat, placed, by_flat)
     by_flat = np.diagonal(camera.matrix)[:2, None] * by_flat
     by_place, by_normal = by_flat @ flat_by_place, by_flat @ flat_by_normal
     by_left, by_left_normal = by_place @ camera_from_left.rotation, by_normal @ camera_from_left.rotation
-    if radius_m > 0:
-        placed = placed + _bent(camera, in_camera, camera_from_left.rotation @ left_from_target.rotation, radius_m)
     pixel = placed * np.diagonal(camera.matrix)[:2] + camera.matrix[:2, 2]
     return Seen(
         pixel,
@@ -95,20 +98,13 @@ def ellipse_centres(
     return centre, by_place, by_normal
 
 
-def _bent(camera: Camera, centre_m: FloatArray, rotation: FloatArray, radius_m: float) -> FloatArray:
-    """Return how far (N, 2), normalised, a lens moves the ellipse beyond its centre, by bending the dot's rim.
+def _bent(camera: Camera, rim: FloatArray, centre: FloatArray, placed: FloatArray, by_centre: FloatArray) -> FloatArray:
+    """Return how far (N, 2), normalised, a lens moves an ellipse beyond its centre, by bending the dot's rim.
 
-    It bends the rim e by q beyond a linear map; the ellipse that fits the bent rim best along its normals n lies
-    (Σ n·nᵀ)⁻¹·Σ n·nᵀ·q further.
+    It bends the rim (N, 12, 2) by q beyond a linear map, which takes the centre (N, 2) to `placed` with the derivative
+    `by_centre` (N, 2, 2); the ellipse that fits the bent rim best along its normals n lies (Σ n·nᵀ)⁻¹·Σ n·nᵀ·q further.
     """
-    centre = ellipse_centres(centre_m, rotation[:, 2], radius_m)[0]
-    angle = 2 * np.pi * np.arange(_RIM_POINTS) / _RIM_POINTS
-    rim_m = centre_m[:, None] + radius_m * (
-        np.cos(angle)[:, None] * rotation[:, 0] + np.sin(angle)[:, None] * rotation[:, 1]
-    )
-    rim = rim_m[..., :2] / rim_m[..., 2:]
-    placed, by_place = distorted(camera, centre)
-    offset = np.einsum("nij,nkj->nki", by_place, rim - centre[:, None])
+    offset = np.einsum("nij,nkj->nki", by_centre, rim - centre[:, None])
     bent = distorted(camera, rim)[0] - placed[:, None] - offset
     tangent = np.roll(offset, -1, axis=1) - np.roll(offset, 1, axis=1)
     normal = np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1)

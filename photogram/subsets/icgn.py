@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import prange
@@ -148,6 +149,20 @@ def noise_of_residual(reference: Reference, found: Registration, degree: int) ->
     return np.sqrt(np.maximum(variance, QUANTISATION))
 
 
+def after_inverse(warp: Any, step: Any) -> tuple[Any, ...]:
+    """The six parts of warp ∘ step⁻¹, both affine: each a number, or a tensor of those of many warps."""
+    a, b, c, d = 1.0 + step[1], step[2], step[4], 1.0 + step[5]
+    scale = 1.0 / (a * d - b * c)
+    ia, ib, ic, id_ = d * scale, -b * scale, -c * scale, a * scale
+    iu, iv = -(ia * step[0] + ib * step[3]), -(ic * step[0] + id_ * step[3])
+    p, q, r, s = 1.0 + warp[1], warp[2], warp[4], 1.0 + warp[5]
+    across = warp[0] + (p * iu + q * iv), p * ia + q * ic - 1.0, p * ib + q * id_
+    return *across, warp[3] + (r * iu + s * iv), r * ia + s * ic, r * ib + s * id_ - 1.0
+
+
+_after_inverse = njit()(after_inverse)
+
+
 @njit(parallel=True)
 def _register(subsets, solved, target, limits, warp, scores, outcome):  # type: ignore[no-untyped-def]
     """Every usable subset on its own; outcome (N,2) receives status and iterations."""
@@ -204,7 +219,7 @@ def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore
         if warp.size == 12:
             _compose_inverse_quadratic(warp, step)
         else:
-            _compose_inverse(warp, step)
+            warp[0], warp[1], warp[2], warp[3], warp[4], warp[5] = _after_inverse(warp, step)
         left = max(0.0, spread - sums[2] * gain - gain * improvement)
         zncc, residual = np.sqrt(max(0.0, 1.0 - left / spread)), left / (count - parameters - GAIN_AND_OFFSET)
         small = gain * improvement < SMALL_STEP**2 * parameters * residual
@@ -258,22 +273,6 @@ def _sample(subset, target, warp, grey, room):  # type: ignore[no-untyped-def]
             sample_points(coefficients, degree, room[0], room[1], row)
         else:
             sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], row)
-
-
-@njit()
-def _compose_inverse(warp, step):  # type: ignore[no-untyped-def]
-    """Warp ← warp ∘ step⁻¹, both affine."""
-    a, b, c, d = 1.0 + step[1], step[2], step[4], 1.0 + step[5]
-    scale = 1.0 / (a * d - b * c)
-    ia, ib, ic, id_ = d * scale, -b * scale, -c * scale, a * scale
-    iu, iv = -(ia * step[0] + ib * step[3]), -(ic * step[0] + id_ * step[3])
-    p, q, r, s = 1.0 + warp[1], warp[2], warp[4], 1.0 + warp[5]
-    warp[0] += p * iu + q * iv
-    warp[3] += r * iu + s * iv
-    warp[1] = p * ia + q * ic - 1.0
-    warp[2] = p * ib + q * id_
-    warp[4] = r * ia + s * ic
-    warp[5] = r * ib + s * id_ - 1.0
 
 
 @njit()

@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, check_shape
 from photogram.bspline import PADDING_PX, SMALLEST_TERM, poles_of
-from photogram.subsets.icgn import GAIN_AND_OFFSET, LINEAR_PX, REMAINING, SMALL_STEP, Registration, TrackSettings
+from photogram.subsets.icgn import (
+    GAIN_AND_OFFSET,
+    LINEAR_PX,
+    REMAINING,
+    SMALL_STEP,
+    Registration,
+    TrackSettings,
+    after_inverse,
+)
 from photogram.subsets.reference import Reference, TrackStatus, shape_values, subset_offsets
 
 if TYPE_CHECKING:
@@ -257,14 +265,13 @@ def _register_pairs(
     all_warp, all_scores, outcome = state
     first_shift = all_warp[pairs][:, :6:3]
     basis = torch.from_numpy(basis_polynomials(frames.degree)).to(reference.pixels)
-    compose_inverse = _compose_inverse_quadratic if reference.order == 2 else _compose_inverse
     for iteration in range(1, settings.max_iterations + 1):
         warp = all_warp[pairs]
         frame, subset = pairs // len(reference.centre_px), pairs % len(reference.centre_px)
         gone = _gone(reference, frames, subset, warp, first_shift)
         sums = _correlate(reference, frames, (frame, subset, warp, gone), basis)
         step, scores, fate = _solve(reference, settings, (subset, gone), sums)
-        all_warp[pairs], all_scores[pairs] = compose_inverse(warp, step), scores
+        all_warp[pairs], all_scores[pairs] = _compose_inverse(warp, step), scores
         outcome[pairs] = torch.stack([fate, torch.full_like(fate, iteration)], dim=1)
         going_on = torch.nonzero(fate == RUNNING)[:, 0]
         if len(going_on) == 0:
@@ -364,23 +371,11 @@ def _columns(values: Tensor) -> Tensor:
 
 
 def _compose_inverse(warp: Tensor, step: Tensor) -> Tensor:
-    """Warps (n,6) ∘ steps⁻¹, both affine."""
+    """Warps (n,6 or 12) ∘ steps⁻¹: affine, or polynomials of second order as matrices on their powers (Gao 2015)."""
     import torch
 
-    a, b, c, d = 1.0 + step[:, 1], step[:, 2], step[:, 4], 1.0 + step[:, 5]
-    scale = 1.0 / (a * d - b * c)
-    ia, ib, ic, id_ = d * scale, -b * scale, -c * scale, a * scale
-    iu, iv = -(ia * step[:, 0] + ib * step[:, 3]), -(ic * step[:, 0] + id_ * step[:, 3])
-    p, q, r, s = 1.0 + warp[:, 1], warp[:, 2], warp[:, 4], 1.0 + warp[:, 5]
-    across = [warp[:, 0] + p * iu + q * iv, p * ia + q * ic - 1.0, p * ib + q * id_]
-    down = [warp[:, 3] + r * iu + s * iv, r * ia + s * ic, r * ib + s * id_ - 1.0]
-    return torch.stack(across + down, dim=1)
-
-
-def _compose_inverse_quadratic(warp: Tensor, step: Tensor) -> Tensor:
-    """Warps (n,12) ∘ steps⁻¹, both polynomials of second order, as matrices on their powers (Gao 2015)."""
-    import torch
-
+    if warp.shape[1] == 6:
+        return torch.stack(after_inverse(warp.T, step.T), dim=1)
     product = torch.matmul(_matrices(warp), torch.linalg.inv_ex(_matrices(step)).inverse)
     places = product[:, 1:3].clone()
     places[:, :, 3::2] *= 2.0
