@@ -225,6 +225,7 @@ def test_a_body_that_has_moved_by_a_speckle_is_found_at_its_own_place(series):
 
 POSE = np.array([6e-5, -8e-5, 5e-5, 8e-4, -6e-4, 1.2e-3])
 TRIALS = 120
+MODEL = NoiseModel(SENSOR.read_noise_grey**2 + 1 / 12, 1 / SENSOR.electrons_per_grey)
 
 
 @dataclass(frozen=True)
@@ -272,17 +273,13 @@ def area(image: np.ndarray) -> np.ndarray:
     return textured_area(image * SENSOR.full_scale) & inside
 
 
-def model() -> NoiseModel:
-    return NoiseModel(SENSOR.read_noise_grey**2 + 1 / 12, 1 / SENSOR.electrons_per_grey)
-
-
 def sigma(covariance: np.ndarray) -> np.ndarray:
     return np.sqrt(np.diagonal(covariance))
 
 
 def test_a_motion_is_found_without_noise_from_a_pixel_away(plate):
     """What is left of the interpolation is a few ten-thousandths of a pixel."""
-    views = body_views(plate, None, model())
+    views = body_views(plate, None, MODEL)
     fit = fit_direct(views, splines(plate.moved, None), RigidTransform.identity())
     error = fit.moved.pose - POSE
     assert np.max(np.abs(POSE[:3])) > 0.4 * PIXEL_M * 0.9
@@ -294,7 +291,7 @@ def test_a_motion_is_found_without_noise_from_a_pixel_away(plate):
 @pytest.mark.slow
 def test_scatter_is_the_stated_one_and_close_to_the_bound(plate):
     rng = np.random.default_rng(11)
-    views = body_views(plate, rng, model())
+    views = body_views(plate, rng, MODEL)
     start, found, stated, noise = RigidTransform.from_pose(POSE), [], [], []
     for _ in range(TRIALS):
         fit = fit_direct(views, splines(plate.moved, rng), start)
@@ -328,7 +325,7 @@ def test_the_camera_noise_is_found_and_the_order_of_the_cameras_does_not_matter(
 def test_the_lamp_does_not_matter(plate):
     """Gain and offset of all cells are free: a lamp that dims and stray light change the pose by rounding only."""
     rng = np.random.default_rng(13)
-    views = body_views(plate, rng, model())
+    views = body_views(plate, rng, MODEL)
     plain = fit_direct(views, splines(plate.moved, None), RigidTransform.identity())
     dimmed = [spline_of_image(image * 0.8 * SENSOR.full_scale + 40) for image in plate.moved]
     lit = fit_direct(views, dimmed, RigidTransform.identity())
@@ -338,7 +335,7 @@ def test_the_lamp_does_not_matter(plate):
 def test_what_moves_in_front_of_the_body_is_left_out(plate):
     """A cable across the left image: its cells are dropped, and the motion stays within its noise."""
     rng = np.random.default_rng(14)
-    views = body_views(plate, rng, model())
+    views = body_views(plate, rng, MODEL)
     targets = splines(plate.moved, rng)
     clean = fit_direct(views, targets, RigidTransform.from_pose(POSE))
     covered = plate.moved[0].copy()
@@ -350,7 +347,7 @@ def test_what_moves_in_front_of_the_body_is_left_out(plate):
 
 
 def test_a_body_that_is_not_there_has_no_motion(plate):
-    views = body_views(plate, np.random.default_rng(15), model())
+    views = body_views(plate, np.random.default_rng(15), MODEL)
     blank = [spline_of_image(np.full((200, 220), 700.0))] * 2
     assert fit_direct(views, blank, RigidTransform.identity()) is None
     far = RigidTransform.from_pose(np.array([0.2, 0, 0, 0, 0, 0]))

@@ -375,21 +375,17 @@ def test_of_two_peaks_the_higher_is_read():
     assert [reading.method for reading in found.all] == list(METHODS)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"frequency": np.arange(3.0) + 1.0}, "at least 5 lines, found 3"),
-        ({"frequency": np.arange(10.0)}, "ascending positive"),
-        ({"covariance": np.ones((10, 2))}, "covariance: expected an array of shape"),
-        ({"value": np.full(10, np.nan)}, "value: expected finite"),
-        ({"covariance": np.zeros((10, 2, 2))}, "covariance: expected positive definite"),
-    ],
-)
-def test_wrong_calls_are_named(change, message):
-    frequency = change.get("frequency", np.arange(10.0) + 1.0)
-    value = np.asarray(change.get("value", np.arange(len(frequency)) + 1.0), dtype=np.complex128)
-    covariance = change.get("covariance", even(np.ones(len(frequency), dtype=np.complex128), 0.1))
-    refused(message, lambda: peak_readings(MeasuredCurve(frequency, value, covariance)))
+def test_wrong_curves_are_refused_by_name():
+    frequency, ones = np.arange(10.0) + 1.0, np.ones(10, dtype=np.complex128)
+    refused("at least 5 lines, found 3", read, frequency[:3], frequency[:3] + 0j, 0.1)
+    refused("ascending positive", read, np.arange(10.0), frequency + 0j, 0.1)
+
+    def reading(value: ComplexArray, covariance: FloatArray) -> PeakReadings:
+        return peak_readings(MeasuredCurve(frequency, value, covariance))
+
+    refused("value: expected finite", reading, np.nan * ones, even(ones, 0.1))
+    refused("covariance: expected an array of shape", reading, frequency + 0j, np.ones((10, 2)))
+    refused("covariance: expected positive definite", reading, frequency + 0j, np.zeros((10, 2, 2)))
 
 
 TIME, RULES = np.linspace(0.0, 4.0, 60), Rules(foretold_share=1e-14)

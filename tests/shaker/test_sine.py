@@ -444,7 +444,7 @@ def test_weights_count_relative_to_each_other_and_in_any_order(seed, scale):
     np.testing.assert_allclose(second.phasors.frequency_hz, first.phasors.frequency_hz, rtol=1e-6)
 
 
-def test_spikes_are_left_out_and_named():
+def test_spikes_are_left_out_and_named_in_long_records_too():
     rng = np.random.default_rng(6)
     time, frequency = np.arange(400) / 1000.0, np.array([80.0])
     data = np.cos(2 * np.pi * 80.0 * time)[:, None] + 0.01 * rng.normal(size=(400, 2))
@@ -458,9 +458,6 @@ def test_spikes_are_left_out_and_named():
     assert fit.notices[0].severity == "warning"
     assert fit.notices[0].text.startswith("4 of 400 samples stand out of the noise by more than 4.")
     assert fit.notices[0].text.endswith("left out, the first at 0.003 s")
-
-
-def test_spikes_of_a_long_record():
     time, data = _record(LONG + 999, 1, 7)
     rows = np.arange(5, len(time), 997)
     data[rows] += 50.0
