@@ -268,7 +268,7 @@ def state(request: pytest.FixtureRequest, data_dir: Path) -> tuple[np.ndarray, n
     return np.column_stack([table[n] for n in left]), np.column_stack([table[n] for n in right]), position
 
 
-def test_triangulation_reproduces_the_peers_points(rig, state):
+def test_triangulation_reproduces_the_peers_points_which_are_those_of_the_linear_method(rig, state):
     left, right, peer = state
     found = triangulate(rig, left[None], right[None])
     distance = np.linalg.norm(found.position_m[0] - peer, axis=1)
@@ -278,11 +278,7 @@ def test_triangulation_reproduces_the_peers_points(rig, state):
     assert np.count_nonzero(~consistent) <= 5
     assert distance[consistent].max() < 0.5 * UM
     assert np.count_nonzero(distance > 0.5 * UM) <= 3
-
-
-def test_peers_points_are_those_of_the_linear_method(rig, state):
-    """With our undistorted pixels OpenCV's linear triangulation gives the peer's points: the cameras agree."""
-    left, right, peer = state
+    # With our undistorted pixels OpenCV's linear triangulation gives the peer's points: the cameras agree.
     transform = rig.right_from_left
     sides = (
         (rig.left, np.eye(3, 4), left),

@@ -96,15 +96,12 @@ def test_both_motions_are_the_true_one_within_their_uncertainty(body):
     assert body.notices == ()
 
 
-def test_noise_and_quality_are_those_of_the_images(body):
+def test_noise_and_quality_are_those_of_the_images_and_nothing_remains_beside_the_motion(body):
     for model in body.noise:
         np.testing.assert_allclose(model.variance(1500.0), SENSOR.variance(np.array(1500.0)), rtol=0.05)
     for side, tracks in zip(body.quality, (body.tracks.left, body.tracks.right), strict=True):
         found = np.sqrt(np.nanmedian(np.diagonal(tracks.covariance_px2, axis1=2, axis2=3)))
         assert np.median(side.predicted_sigma_px) == pytest.approx(found, rel=0.1)
-
-
-def test_nothing_remains_beside_the_rigid_motion(body):
     beside = deformation(body.points, body.motion)
     squares = np.einsum("fni,fnij,fnj->fn", beside.residual_m, np.linalg.inv(beside.covariance_m2), beside.residual_m)
     assert np.nanmean(squares[1:]) / 3 == pytest.approx(1.0, abs=0.2)

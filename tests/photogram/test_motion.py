@@ -397,7 +397,7 @@ def test_scatter_of_a_rigid_fit_is_stated_with_the_correlation_and_not_without()
     assert np.all(scatter / stated[0] > 2.4)
 
 
-def test_correlation_is_one_of_noise():
+def test_correlation_is_one_of_noise_and_that_of_independent_points_the_identity():
     """Symmetric, unit diagonal, positive semidefinite, blind to missing subsets, and nothing side by side."""
     apart = np.array([(x, y) for y in range(10, 80, 21) for x in range(10, 90, 21)], dtype=float)
     np.testing.assert_array_equal(overlap_correlation(apart, 10).toarray(), np.eye(len(apart)))
@@ -408,9 +408,6 @@ def test_correlation_is_one_of_noise():
     np.testing.assert_array_equal(np.diag(matrix), 1.0)
     assert np.linalg.eigvalsh(matrix).min() > -1e-12
     assert np.count_nonzero(matrix[7]) == 1
-
-
-def test_independent_points_are_those_of_the_identity():
     reference, points = sample(3, 12, shaking(3), 4)
     points.position_m[1, 4] = np.nan
     plain = fit_motion(points, reference, ORIGIN)
