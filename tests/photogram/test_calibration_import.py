@@ -29,17 +29,12 @@ TEXT_NAMES = ("cx", "cy", "fx", "fy", "fs", "k1", "k2", "k3")
 POINTS_M = np.random.default_rng(5).uniform([-0.1, -0.1, 0.9], [0.1, 0.1, 1.2], (60, 3))
 
 
-def _seen(distortions: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of the points in both cameras, by OpenCV."""
-    left = cv2.projectPoints(POINTS_M, np.zeros(3), np.zeros(3), K_LEFT, distortions[0])[0]
-    right = cv2.projectPoints(POINTS_M, cv2.Rodrigues(ROTATION)[0], 1e-3 * T_MM, K_RIGHT, distortions[1])[0]
-    return left.reshape(-1, 2), right.reshape(-1, 2)
-
-
 def _assert_same(imported: ImportedCalibration, distortions: tuple[np.ndarray, np.ndarray] = (D_LEFT, D_RIGHT)) -> None:
     """The imported rig projects as OpenCV does with the numbers of the file."""
-    for found, expected in zip(imported.rig.project(POINTS_M), _seen(distortions), strict=True):
-        np.testing.assert_allclose(found, expected, atol=1e-6)
+    left = cv2.projectPoints(POINTS_M, np.zeros(3), np.zeros(3), K_LEFT, distortions[0])[0]
+    right = cv2.projectPoints(POINTS_M, cv2.Rodrigues(ROTATION)[0], 1e-3 * T_MM, K_RIGHT, distortions[1])[0]
+    for found, expected in zip(imported.rig.project(POINTS_M), (left, right), strict=True):
+        np.testing.assert_allclose(found, expected.reshape(-1, 2), atol=1e-6)
     assert imported.rig.left.size_px.tolist() == list(SIZE)
     assert imported.rig.covariance is None
     assert "scale_uncertainty" in imported.notices[-1].text

@@ -78,18 +78,13 @@ def body(scene: Stereo) -> BodyMotion:
     return measure_body(*scene, SEPTIC)
 
 
-def normalised(body: BodyMotion, which: str) -> np.ndarray:
-    """Errors (F−1,6) over √2 standard uncertainties: the reference has noise of its own."""
-    motion = getattr(body, which)
-    u = np.sqrt(np.diagonal(motion.covariance, axis1=1, axis2=2))
-    return ((motion.pose - POSES) / (np.sqrt(2.0) * u))[1:]
-
-
 def test_both_motions_are_the_true_one_within_their_uncertainty(body):
-    for which in ("motion", "motion_of_points"):
-        assert np.max(np.abs(normalised(body, which))) < 4.0
-        np.testing.assert_allclose(getattr(body, which).pose[0], 0.0, atol=1e-15)
-    direct, points = (np.diagonal(getattr(body, w).covariance[1]) for w in ("motion", "motion_of_points"))
+    for motion in (body.motion, body.motion_of_points):
+        u = np.sqrt(np.diagonal(motion.covariance, axis1=1, axis2=2))
+        off = (motion.pose - POSES) / (np.sqrt(2.0) * u)  # the reference has noise of its own
+        assert np.max(np.abs(off[1:])) < 4.0
+        np.testing.assert_allclose(motion.pose[0], 0.0, atol=1e-15)
+    direct, points = (np.diagonal(motion.covariance[1]) for motion in (body.motion, body.motion_of_points))
     assert np.all(direct < points)
     assert np.all(direct > 0.4 * points)
     np.testing.assert_allclose(np.diagonal(body.motion.covariance[0]), direct, rtol=0.1)

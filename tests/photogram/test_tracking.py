@@ -42,14 +42,6 @@ FOCAL, DISTANCE_M, PIXEL_M = 1500.0, 0.5, 0.5 / 1500.0
 DISC_M = 0.034
 
 
-def stereo_rig(angle_deg: float) -> StereoRig:
-    """Two cameras that look at the origin of the plane z = 0.5 m from both sides."""
-    camera = Camera(np.array([[FOCAL, 0, 160], [0, FOCAL, 128], [0, 0, 1.0]]), np.zeros(5), np.array(SIZE))
-    turn = RigidTransform.from_pose(np.array([0, 0, 0, 0, np.radians(angle_deg), 0]))
-    pivot = np.array([0, 0, DISTANCE_M])
-    return StereoRig(camera, camera, RigidTransform(turn.rotation, pivot - turn.rotation @ pivot))
-
-
 def on_plane(camera_from_left: RigidTransform, pixels: np.ndarray) -> np.ndarray:
     """Points (M,2) in metres of the plane z = 0.5 m in the left frame, seen at the pixels (M,2) of a camera."""
     rays = np.column_stack([(pixels - [160, 128]) / FOCAL, np.ones(len(pixels))]) @ camera_from_left.rotation
@@ -81,7 +73,11 @@ def texture(make_texture):
 
 @pytest.fixture(scope="module")
 def rig() -> StereoRig:
-    return stereo_rig(30.0)
+    """Two cameras, 30° apart, that look at the origin of the plane z = 0.5 m from both sides."""
+    camera = Camera(np.array([[FOCAL, 0, 160], [0, FOCAL, 128], [0, 0, 1.0]]), np.zeros(5), np.array(SIZE))
+    turn = RigidTransform.from_pose(np.array([0, 0, 0, 0, np.radians(30.0), 0]))
+    pivot = np.array([0, 0, DISTANCE_M])
+    return StereoRig(camera, camera, RigidTransform(turn.rotation, pivot - turn.rotation @ pivot))
 
 
 @pytest.fixture(scope="module")

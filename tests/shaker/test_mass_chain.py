@@ -56,20 +56,18 @@ def state_space(chain: MassChain) -> tuple[FloatArray, FloatArray, FloatArray]:
     return a, b, np.hstack([np.eye(count), np.zeros((count, count))])
 
 
-def chains() -> st.SearchStrategy[MassChain]:
-    """Chains of any length, masses and springs over two decades, lightly to heavily damped."""
-    decade = st.floats(-1.0, 1.0)
+DECADE = st.floats(-1.0, 1.0)
 
-    def built(parts: list[tuple[float, float, float]]) -> MassChain:
-        logs = np.array(parts)
-        names = tuple(f"stage {i}" for i in range(len(parts)))
-        return MassChain(names, 5.0 * 10 ** logs[:, 0], 3e8 * 10 ** logs[:, 1], 800.0 * 10 ** logs[:, 2])
 
-    return st.lists(st.tuples(decade, decade, decade), min_size=1, max_size=5).map(built)
+def chain_of(parts: list[tuple[float, float, float]]) -> MassChain:
+    """Masses, springs and dampers over two decades, lightly to heavily damped."""
+    logs = np.array(parts)
+    names = tuple(f"stage {i}" for i in range(len(parts)))
+    return MassChain(names, 5.0 * 10 ** logs[:, 0], 3e8 * 10 ** logs[:, 1], 800.0 * 10 ** logs[:, 2])
 
 
 @settings(max_examples=25, deadline=None)
-@given(chain=chains())
+@given(chain=st.lists(st.tuples(DECADE, DECADE, DECADE), min_size=1, max_size=5).map(chain_of))
 def test_a_chain_moves_and_rings_as_state_space_says_and_slowly_as_one(chain):
     a, b, c = state_space(chain)
     s = 2j * np.pi * FREQUENCY

@@ -40,14 +40,6 @@ def accelerance(s: ComplexArray) -> ComplexArray:
     return np.asarray(1e-8 * s**2 / (1.0 + 2.0 * ZETA * p + p * p))
 
 
-def chirp(period: float, rate_hz: float, band_hz: tuple[float, float]) -> tuple[FloatArray, ComplexArray]:
-    """Harmonics inside a band and their phasors, all of one size, quadratic phases (Schroeder 1970)."""
-    first, last = (int(edge * period / rate_hz) for edge in band_hz)
-    harmonic = np.arange(first + 1.0, last + 1.0)
-    count = len(harmonic)
-    return harmonic, np.sqrt(2.0 / count) * np.exp(-1j * np.pi * (harmonic - harmonic[0]) ** 2 / count)
-
-
 def periodic(harmonic: FloatArray, phasor: ComplexArray, period: float, samples: int) -> FloatArray:
     """Samples of Σ Re{X exp(2πjkn/P)}, X (K,) or (K, C), P any number of samples, by direct summation."""
     if period == round(period) < samples:
@@ -225,7 +217,10 @@ PERIOD_S = LENGTH / PERIODIC_HZ
 
 @cache
 def clean_pair(period: float, periods: float) -> tuple[FloatArray, FloatArray]:
-    harmonic, phasor = chirp(period, PERIODIC_HZ, (200.0, 3000.0))
+    """Harmonics of one size between 200 and 3000 Hz, quadratic phases (Schroeder 1970): of the base, of the top."""
+    first, last = (int(edge * period / PERIODIC_HZ) for edge in (200.0, 3000.0))
+    harmonic, count = np.arange(first + 1.0, last + 1.0), last - first
+    phasor = np.sqrt(2.0 / count) * np.exp(-1j * np.pi * (harmonic - harmonic[0]) ** 2 / count)
     samples = int(periods * LENGTH)
     both = np.column_stack([phasor, phasor * transmissibility(harmonic * PERIODIC_HZ / period)])
     base, top = periodic(harmonic, both, period, samples).T
