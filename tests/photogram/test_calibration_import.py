@@ -148,16 +148,13 @@ def test_matlab_and_the_way_through_the_calibration_file(tmp_path, old):
     refused(r"top\.json: .* one of this program", import_calibration, tmp_path / "top.json")
 
 
-def test_matlab_with_two_radial_coefficients_and_a_unit_nobody_knows(tmp_path):
+def test_matlab_with_two_coefficients_a_unit_nobody_knows_or_a_transposed_rotation(tmp_path):
     content = _matlab(old=False)
     for name in ("CameraParameters1", "CameraParameters2"):
         content[name] |= {"RadialDistortion": content[name]["RadialDistortion"][:2], "WorldUnits": "squares"}
     refused("length_unit", _imported, tmp_path, json.dumps(content))
     two = [1, 1, 1, 1, 0]
     _assert_same(_imported(tmp_path, json.dumps(content), None, "mm"), (D_LEFT * two, D_RIGHT * two))
-
-
-def test_matlab_essential_matrix_reveals_a_transposed_rotation(tmp_path):
     content = _matlab(old=False)
     cross = np.cross(np.eye(3), T_MM) * -1.0
     content["EssentialMatrix"] = (cross @ ROTATION).tolist()

@@ -149,15 +149,12 @@ def noisy(points: np.ndarray, trials: int, seed: int, factor: float = 1.0) -> tu
     return left, right
 
 
-def test_projection_and_triangulation_are_inverse():
+def test_triangulation_is_the_inverse_of_projection_and_opencvs_linear_method_to_the_order_of_the_noise():
     points = np.random.default_rng(5).uniform([-0.05, -0.05, 0.3], [0.05, 0.05, 0.5], (1000, 3))
     left, right = stereo_rig().project(points)
     found = triangulate(stereo_rig(), left[None], right[None])
     np.testing.assert_allclose(found.position_m[0], points, atol=1e-14)
     assert found.reprojection_px.max() < 1e-10
-
-
-def test_agrees_with_opencvs_linear_method_to_the_order_of_the_noise():
     rig = stereo_rig()
     left, right = noisy(in_view(200), 1, 1, factor=1e-4)
     found = triangulate(rig, left, right)
@@ -396,7 +393,7 @@ def test_wrong_values_are_named():
     refused("rotation", RigidTransform, np.full((3, 3), np.nan), np.zeros(3))
 
 
-def test_mirrored_points_give_a_rotation_and_planar_ones_far_away_are_fitted():
+def test_mirrored_and_planar_points_give_a_rotation_and_those_that_fix_none_are_refused():
     source = cloud(5)
     found = fit_rigid(source, source * [1.0, 1.0, -1.0])
     assert np.linalg.det(found.rotation) == pytest.approx(1.0)
@@ -404,9 +401,6 @@ def test_mirrored_points_give_a_rotation_and_planar_ones_far_away_are_fitted():
     source = cloud(4, depth=0.0) * 1e-2 + [3.0, 5.0, 7.0]
     truth = RigidTransform.from_pose(np.array([1e-6, -2e-6, 3e-6, 1e-5, 2e-5, -3e-5]))
     np.testing.assert_allclose(fit_rigid(source, truth.apply(source)).rotation, truth.rotation, atol=1e-12)
-
-
-def test_point_sets_that_fix_no_rotation_are_refused():
     refused("one line", fit_rigid, *[np.outer(np.arange(6.0), [1.0, 2.0, 3.0]) + 4.0] * 2)
     refused("one line", fit_rigid, *[np.ones((6, 3))] * 2)
     refused("at least 3", fit_rigid, *[cloud(1, 2)] * 2)

@@ -78,7 +78,7 @@ def body(scene: Stereo) -> BodyMotion:
     return measure_body(*scene, SEPTIC)
 
 
-def test_both_motions_are_the_true_one_within_their_uncertainty(body):
+def test_both_motions_are_true_the_noise_that_of_the_images_and_nothing_remains_beside(body):
     for motion in (body.motion, body.motion_of_points):
         u = np.sqrt(np.diagonal(motion.covariance, axis1=1, axis2=2))
         off = (motion.pose - POSES) / (np.sqrt(2.0) * u)  # the reference has noise of its own
@@ -89,9 +89,6 @@ def test_both_motions_are_the_true_one_within_their_uncertainty(body):
     assert np.all(direct > 0.4 * points)
     np.testing.assert_allclose(np.diagonal(body.motion.covariance[0]), direct, rtol=0.1)
     assert body.notices == ()
-
-
-def test_noise_and_quality_are_those_of_the_images_and_nothing_remains_beside_the_motion(body):
     for model in body.noise:
         np.testing.assert_allclose(model.variance(1500.0), SENSOR.variance(np.array(1500.0)), rtol=0.05)
     for side, tracks in zip(body.quality, (body.tracks.left, body.tracks.right), strict=True):

@@ -285,14 +285,11 @@ def squares(shape: Deformation) -> np.ndarray:
     return np.einsum("fni,fnij,fnj->fn", shape.residual_m, np.linalg.inv(shape.covariance_m2), shape.residual_m)
 
 
-def test_a_rigid_body_leaves_noise_of_the_stated_covariance():
+def test_a_rigid_body_leaves_noise_of_the_stated_covariance_which_counts_the_leverage_of_the_fit():
     """Chi-square of all points, and of each point, over 8 series."""
     found = np.array([squares(beside(moving(np.random.default_rng(seed)))) for seed in range(8)])
     assert found.mean() / 3 == pytest.approx(1.0, abs=0.02)
     np.testing.assert_allclose(found.mean(axis=(0, 1)) / 3, 1.0, atol=0.2)
-
-
-def test_without_the_leverage_of_the_fit_few_points_would_look_too_still():
     points = moving(np.random.default_rng(9))
     few = np.array([0, 8, 30, 54, 62])
     part = Points(points.position_m[:, few], points.covariance_m2[:, few], points.reprojection_px[:, few])

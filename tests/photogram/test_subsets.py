@@ -46,7 +46,7 @@ def speckle(make_texture) -> np.ndarray:
     return make_texture(seed=31, s=1.4, waves=80).image((260, 200))
 
 
-def test_the_body_is_found_and_its_rim_left_out(speckle):
+def test_the_body_is_found_its_rim_and_dust_left_out_and_an_image_full_of_texture_is_all_body(speckle):
     rng = np.random.default_rng(31)
     body = disc(speckle.shape, (130, 100), 80)
     shading = np.linspace(200, 900, 260)[None, :]
@@ -54,9 +54,6 @@ def test_the_body_is_found_and_its_rim_left_out(speckle):
     area = textured_area(image)
     assert not np.any(area & ~body)
     assert area.sum() > 0.8 * body.sum()
-
-
-def test_an_image_full_of_texture_is_textured_everywhere_and_dust_is_no_body(speckle):
     assert textured_area(2000 + 500 * speckle).all()
     assert textured_area(np.full((60, 60), 7.0)).all()
     body, dust = disc(speckle.shape, (90, 100), 70), disc(speckle.shape, (230, 30), 14)

@@ -206,7 +206,7 @@ def ratio_at(level: float, damping: float, upper: bool) -> float:
 
 
 @pytest.mark.parametrize("damping", DAMPINGS)
-def test_frequencies_of_an_oscillator(damping):
+def test_frequencies_and_step_of_an_oscillator(damping):
     found = indices(oscillator(500.0, damping, -3.0), nominal_gain=3.1)
     assert (found.natural_hz, found.damped_hz) == pytest.approx((500.0, 500.0 * np.sqrt(1 - damping**2)), rel=1e-12)
     assert (found.damping_ratio, found.static_gain) == (pytest.approx(damping, rel=1e-10), pytest.approx(-3.0))
@@ -224,10 +224,6 @@ def test_frequencies_of_an_oscillator(damping):
         assert getattr(found, name) == pytest.approx(band, rel=1e-10)
         nominal = indices(oscillator(500.0, damping, 2.0), nominal_gain=2.0)
         assert getattr(nominal, name.replace("_hz", "_nominal_hz")) == pytest.approx(band, rel=1e-10)
-
-
-@pytest.mark.parametrize("damping", DAMPINGS)
-def test_step_of_an_oscillator(damping):
     hertz, omega = 500.0, 1000 * np.pi
     found = indices(oscillator(hertz, damping))
     decay, swing = damping * omega, omega * np.sqrt(1 - damping**2)

@@ -194,7 +194,7 @@ def test_stages_without_a_mass_of_their_own_and_the_names_of_all():
     assert {p.unit for p in turning.parameters} == {"N·m/rad", "N·m·s/rad", "kg·m²"}
 
 
-def test_dampers_act_between_neighbours_and_a_hand_lowers_the_resonance():
+def test_dampers_act_between_neighbours_and_a_hand_lowers_the_resonance_of_an_oscillator():
     """Pedestal, sensor and hand: a common motion of all three is damped by the damper to the ground alone."""
     stages = ("pedestal", "sensor", "hand")
     damping = MassChain(stages, np.ones(3), np.ones(3), np.array([5.0, 3.0, 2.0])).matrices[1]
@@ -203,9 +203,6 @@ def test_dampers_act_between_neighbours_and_a_hand_lowers_the_resonance():
     for hand in (0.02, 0.1, 0.5):
         held = MassChain(stages, np.array([50.0, 0.05, hand]), np.array([1e12, 1.3e6, 1e10]), np.zeros(3))
         assert held.modes()[0][0] == pytest.approx(oscillator_hz(1.3e6, 0.05 + hand), rel=1e-3)
-
-
-def test_an_oscillator_has_the_frequency_of_its_spring_and_mass():
     assert oscillator_hz(1.824e5, 0.049) == pytest.approx(307.07, abs=0.01)
     assert required_stiffness(oscillator_hz(3.0, 0.7), 0.7) == pytest.approx(3.0)
     refused("stiffness, mass: expected both above 0", oscillator_hz, 1.0, 0.0)

@@ -185,7 +185,7 @@ def test_the_order_is_that_of_the_rise_and_its_certainty_that_of_welch(reading):
     assert (first.rise.u_mean, first.rise.dof) == (pytest.approx(scatter / 2), 3)
 
 
-def test_one_release_tells_nothing_of_repeatability_and_means_are_no_better_known_than_the_readings(reading):
+def test_one_release_tells_no_repeatability_means_no_more_than_readings_and_only_alike_ones_compare(reading):
     first, second = compare_releases(_kind(reading, "wire", [1e-4]) + _kind(reading, "line", [2e-4, 2.1e-4]))
     assert first.release == "wire"
     assert np.isnan([first.rise.repeatability, first.faster]).all()
@@ -194,9 +194,6 @@ def test_one_release_tells_nothing_of_repeatability_and_means_are_no_better_know
     alike = [replace(reading, release="line", rise_s=1e-4, u_rise_s=3e-6)] * 4
     (kind,) = compare_releases(alike)
     assert (kind.rise.u_mean, kind.rise.dof) == (pytest.approx(1.5e-6), np.inf)
-
-
-def test_only_alike_readings_are_compared(reading):
     two = [reading, replace(reading, component="Fx")]
     refused("one output under one component, found Fz under Fx, Fz under Fz", compare_releases, two)
     refused("found none", compare_releases, [])

@@ -160,7 +160,7 @@ def test_the_sense_of_turning_goes_the_shorter_way():
     assert turning_sense(np.zeros(3)).tolist() == [0, 0, 0]
 
 
-def test_coarse_readings_are_as_uncertain_as_their_last_digit():
+def test_coarse_readings_are_as_uncertain_as_their_last_digit_and_those_without_noise_exact():
     values = np.round(np.stack([10.0 * np.cos(STEPS), 0.4 + 0.0 * STEPS], axis=1), 0)
     values[0, 1] = 1.0
     assert np.all(np.diag(fit_angles(CHANNELS, STEPS, values).noise) >= 1.0 / 12.0 - 1e-12)
@@ -168,9 +168,6 @@ def test_coarse_readings_are_as_uncertain_as_their_last_digit():
         fit = fit_angles(CHANNELS, STEPS, digit * np.round(_readings(STEPS, np.random.default_rng(8), 0.0) / digit))
         assert fit.orders == (1,)
         assert np.all(np.diag(fit.noise) >= 0.99 * digit**2 / 12.0)
-
-
-def test_readings_without_noise_are_exact_and_those_next_to_nothing_have_no_last_digit():
     values = np.stack([np.cos(STEPS), np.sin(STEPS) + 0.1 * np.cos(2.0 * STEPS)], axis=1)
     fit = fit_angles(CHANNELS, STEPS, values)
     assert fit.orders == (1, 2)
