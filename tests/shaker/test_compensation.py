@@ -449,14 +449,11 @@ def test_knowing_the_load_lets_the_loop_be_stiffer_and_the_ball_follow_the_hand(
     assert soft.tracking_error / stiff.tracking_error == pytest.approx(21.0 / 2.0, rel=0.15)
 
 
-def test_a_hand_at_rest_in_the_ball_is_in_balance():
+def test_a_hand_at_rest_in_the_ball_is_in_balance_and_noise_of_the_sensor_reaches_it():
     still = np.full(30_000, 0.02)
     found = simulate_feedback(LOOP, TWO_MASSES.system(0.0), UNAWARE, still)
     balance = 0.02 * 500.0 * 1000.0 / 1500.0
     assert (found.applied[-1], found.told[-1]) == pytest.approx((balance, found.fed_back[-1]), rel=1e-6)
-
-
-def test_noise_of_the_sensor_reaches_the_hand():
     noise = np.random.default_rng(3).normal(scale=0.01, size=len(HAND))
     quiet, loud = (_fed_back(5.0, UNAWARE, 0.0, added) for added in (None, noise))
     assert 0.0 < np.std(loud.applied - quiet.applied) < 0.01

@@ -334,16 +334,12 @@ def test_a_lag_that_slower_releases_hide_is_in_the_uncertainty():
 
 
 @pytest.mark.slow
-def test_amplitudes_uncertainty_is_in_the_static_gains():
+def test_amplitudes_uncertainty_is_in_the_static_gains_and_other_sizes_than_stated_are_told():
     records = [replace(record, u_amplitude=0.01) for record in SENSOR.releases(5, each=1)]
     found = fit_steps(records)
     u = _own_u(found.model, 0, np.zeros(1))[0][0]
     assert u / found.model.static_gain[0, 0] == pytest.approx(0.01, rel=0.1)
     assert {notice.where for notice in found.notices} >= set(SENSOR.loads)
-
-
-@pytest.mark.slow
-def test_releases_of_other_size_than_stated_are_told():
     records = SENSOR.releases(4)
     found = fit_steps([*records[1:], replace(records[0], amplitude=1.03 * records[0].amplitude)])
     assert 0.01 < found.u_amplitude[0] < 0.02

@@ -277,15 +277,12 @@ def test_an_interpolated_table_errs_no_more_than_it_says(model, knots):
     assert error.max() < 0.5 * np.abs(linear / true - 1.0).max()
 
 
-def test_a_table_is_met_at_its_points_and_a_delay_is_exact_between_them():
+def test_a_table_is_met_at_its_points_a_delay_exact_between_them_and_scatter_an_error_of_interpolation():
     knots = np.array([0.0, 300.0, 700.0, 1500.0])
     late = np.exp(-2j * np.pi * knots * 2e-4)
     np.testing.assert_allclose(table_response(_table(knots, late), knots).value, late, rtol=1e-12)
     between = np.array([11.0, 444.4, 1100.0])
     np.testing.assert_allclose(table_response(_table(knots, late), between).value, np.exp(-2j * np.pi * between * 2e-4))
-
-
-def test_scattered_points_are_an_error_of_the_interpolation():
     rng, knots = np.random.default_rng(4), np.linspace(10.0, 5000.0, 40)
     scatter = 1e-3 * (rng.standard_normal(40) + 1j * rng.standard_normal(40))
     said = table_response(_table(knots, 1.0 + scatter, 0.0), DECADES_HZ)
