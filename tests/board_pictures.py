@@ -50,11 +50,8 @@ def _rendered(camera: Camera, pose: RigidTransform, board: Board, blur_px: float
     return render_board(camera, pose, board, blur_px, slant=0.3)
 
 
-def picture(
-    camera: Camera, pose: RigidTransform, board: Board, seed: int = 0, blur_px: float = 0.7, gain: float = 1.0
-) -> NDArray[Any]:
-    image = _rendered(camera, pose, board, blur_px)
-    return SENSOR.digitise(gain * image, np.random.default_rng(seed))
+def picture(camera: Camera, pose: RigidTransform, board: Board, blur_px: float = 0.7) -> NDArray[Any]:
+    return SENSOR.digitise(_rendered(camera, pose, board, blur_px), np.random.default_rng(0))
 
 
 def truth_px(camera: Camera, pose: RigidTransform, board: Board, index: NDArray[Any]) -> FloatArray:

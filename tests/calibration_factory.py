@@ -42,10 +42,9 @@ def true_rig() -> StereoRig:
     return StereoRig(left, right, RigidTransform(turn, -turn @ np.array([0.168, -0.003, 0.036])))
 
 
-def make_calibration(session: Session | None = None, seed: int = 0) -> Calibration:
+def make_calibration(session: Session = Session()) -> Calibration:
     """Return the calibration of a session, with dropped pictures, outliers and a view without a right picture."""
-    session = Session() if session is None else session
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     rig = true_rig()
     scale = session.scale_u * np.concatenate([np.zeros(21), rig.right_from_left.translation_m])
     covariance = session_covariance(rig, CENTRE_M, 0.16, session.noise_px, session.views, rng) + np.outer(scale, scale)

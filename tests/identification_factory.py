@@ -22,14 +22,8 @@ ALONG_X = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 def rigid_mass(mass_kg: float, height_m: float = 0.0, inertia_kgm2: float = 0.0) -> FloatArray:
     """Mass matrix (6, 6) about the origin of a body with its centre of mass on the z axis: ½ẋᵀMẋ is its energy."""
-    matrix = np.zeros((6, 6))
-    for axis in np.eye(6):
-        for other in np.eye(6):
-            velocity, turning = axis[:3] + np.cross(axis[3:], height_m * Z), axis[3:]
-            velocity2, turning2 = other[:3] + np.cross(other[3:], height_m * Z), other[3:]
-            energy = mass_kg * velocity @ velocity2 + inertia_kgm2 * turning @ turning2
-            matrix[int(axis @ np.arange(6)), int(other @ np.arange(6))] = energy
-    return matrix
+    velocity, turning = np.eye(6)[:, :3] + np.cross(np.eye(6)[:, 3:], height_m * Z), np.eye(6)[:, 3:]
+    return np.asarray(mass_kg * velocity @ velocity.T + inertia_kgm2 * turning @ turning.T)
 
 
 def oscillator(s: ComplexArray, mass: float, k: float, b: float) -> ComplexArray:

@@ -46,18 +46,14 @@ def texts(count: int, size: int) -> bytes:
 
 
 def card(
-    count: int,
-    scales: Sequence[tuple[str, int, int, int]],
-    widths: Sequence[int],
-    digital: bool = False,
-    order: str = "<",
+    count: int, scales: Sequence[tuple[str, int, int, int]], widths: Sequence[int], digital: bool = False
 ) -> bytes:
     """The raw data index of a channel of cards: (type, buffer, place, number) of every raw scale, widths of buffers."""
-    index = struct.pack(f"{order}LLLQL", 0x126A if digital else 0x1269, 0xFFFFFFFF, 1, count, len(scales))
+    index = struct.pack("<LLLQL", 0x126A if digital else 0x1269, 0xFFFFFFFF, 1, count, len(scales))
     for kind, buffer, place, number in scales:
         codes = "LLLBL" if digital else "LLLLL"
-        index += struct.pack(order + codes, CARD_KINDS[kind], buffer, place, 0, number)
-    return index + struct.pack(f"{order}L{len(widths)}L", len(widths), *widths)
+        index += struct.pack("<" + codes, CARD_KINDS[kind], buffer, place, 0, number)
+    return index + struct.pack(f"<L{len(widths)}L", len(widths), *widths)
 
 
 def entry(path: str, index: bytes, properties: Mapping[str, Property] | None = None, order: str = "<") -> bytes:

@@ -10,13 +10,13 @@ CASES = [(kind, even) for kind in (2, 4, 5, 6) for even in (True, False)]
 
 
 def header(
-    function: int, kind: int, count: int, even: bool, start: float, step: float, name: str = "NONE", node: int = 12
+    function: int, kind: int, count: int, even: bool, start: float, step: float, name: str = "NONE"
 ) -> list[str]:
     """The text records 1 to 11 of a function."""
     spacing = (start, step) if even else (0.0, 0.0)
     return [
         *["title", "NONE", "21-NOV-26 10:00:00", "NONE", "NONE"],
-        f"{function:5d}{0:10d}{0:5d}{0:10d} {name:10s}{node:10d}{3:4d} {'NONE':10s}{7:10d}{-1:4d}",
+        f"{function:5d}{0:10d}{0:5d}{0:10d} {name:10s}{12:10d}{3:4d} {'NONE':10s}{7:10d}{-1:4d}",
         f"{kind:10d}{count:10d}{int(even):10d}{spacing[0]:13.5E}{spacing[1]:13.5E}{0.0:13.5E}",
         f"{17 if function == 1 else 18:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'s' if function == 1 else 'Hz':20s}",
         f"{12:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'m/s^2':20s}",

@@ -255,7 +255,9 @@ MOTION_KINDS: dict[str, Callable[[World], list[Evidence]]] = {
 }
 
 
-def check_rigs(kind: str, cases: int) -> None:
+@pytest.mark.parametrize("cases", [2, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", [*KINDS, *MOTION_KINDS])
+def test_rigs_are_covered_by_their_uncertainty(kind, cases):
     """Errors of rigs with every stated error drawn, against their stated uncertainty."""
     errors, normalised, whitened = [], [], []
     for seed in range(cases):
@@ -273,17 +275,6 @@ def check_rigs(kind: str, cases: int) -> None:
     assert np.quantile(turns, 0.5 if kind in KINDS or few else 0.9) < 2e-4
     if kind in KINDS and kind != "common views" and not few:
         assert np.sqrt(np.mean(turns**2) / 3) < 1.3e-4
-
-
-@pytest.mark.parametrize("kind", [*KINDS, *MOTION_KINDS])
-def test_a_few_rigs_are_covered_by_their_uncertainty(kind):
-    check_rigs(kind, 2)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", [*KINDS, *MOTION_KINDS])
-def test_a_hundred_rigs_are_covered_by_their_uncertainty(kind):
-    check_rigs(kind, 100)
 
 
 def test_each_motion_leaves_open_what_it_cannot_say_and_needs_a_first_pose():

@@ -45,16 +45,12 @@ def test_coefficients_and_values_are_scipys(degree, shape):
 
 
 @pytest.mark.parametrize("degree", [3, 5, 7])
-def test_the_spline_passes_through_the_pixels(degree):
+def test_the_spline_passes_through_the_pixels_and_polynomials_are_exact_far_from_the_border(degree):
     image = np.random.default_rng(4).integers(0, 4096, (20, 24), dtype=np.uint16)
     rows, columns = np.indices(image.shape)
     points = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
     np.testing.assert_allclose(evaluate(spline_of_image(image, degree), points)[0], image.ravel(), atol=1e-9)
     np.testing.assert_allclose(grey_values(spline_of_image(image, degree)), image, atol=1e-9)
-
-
-@pytest.mark.parametrize("degree", [3, 5, 7])
-def test_polynomials_of_the_degree_are_exact_far_from_the_border(degree):
     x = np.arange(121.0) - 60.0
     image = np.add.outer((x / 10) ** degree, (x / 10) ** (degree - 1))
     points = np.random.default_rng(5).uniform(57, 63, (200, 2))

@@ -326,7 +326,7 @@ def test_what_is_written_comes_back(tmp_path, covariance):
     assert [entry.name for entry in tmp_path.iterdir()] == ["top.json"]
 
 
-def test_parameters_left_out_of_the_covariance_have_none(tmp_path):
+def test_parameters_left_out_of_the_covariance_have_none_and_a_rotation_of_few_digits_is_made_exact(tmp_path):
     names = ["translation.x", "left.fx"]
     block = {"parameters": names, "matrix": [[4e-10, 1e-6], [1e-6, 0.25]]}
     covariance = read_calibration(changed(tmp_path, covariance=block)).covariance
@@ -334,9 +334,6 @@ def test_parameters_left_out_of_the_covariance_have_none(tmp_path):
     expected = np.zeros((24, 24))
     expected[x, x], expected[fx, fx], expected[x, fx], expected[fx, x] = 4e-10, 0.25, 1e-6, 1e-6
     np.testing.assert_array_equal(covariance, expected)
-
-
-def test_a_rotation_of_few_digits_is_made_exact(tmp_path):
     angle = 0.3
     rotation = np.round([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]], 7)
     found = read_calibration(changed(tmp_path, rotation=rotation.tolist())).right_from_left.rotation

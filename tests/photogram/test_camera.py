@@ -51,15 +51,10 @@ def in_view(count: int, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("distortion", DISTORTIONS)
-def test_projection_is_opencvs(distortion):
+def test_projection_is_opencvs_and_undistortion_too_iterated_to_the_end(distortion):
     points, one = in_view(500), camera(distortion)
     theirs, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), one.matrix, one.distortion)
     np.testing.assert_allclose(one.project(points), theirs.reshape(-1, 2), atol=1e-9)
-
-
-@pytest.mark.parametrize("distortion", DISTORTIONS)
-def test_undistortion_agrees_with_opencv_iterated_to_the_end(distortion):
-    one = camera(distortion)
     pixels = np.random.default_rng(1).uniform(0, 1, (500, 2)) * SIZE
     criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 1000, 1e-15)
     theirs = cv2.undistortPoints(pixels[:, None], one.matrix, one.distortion, criteria=criteria).reshape(-1, 2)
@@ -77,16 +72,13 @@ def test_undistortion_is_the_exact_inverse(distortion, u, v, focal):
     np.testing.assert_allclose(back, normalised, rtol=0, atol=1e-14)
 
 
-def test_pixels_that_no_ray_reaches_are_nan():
+def test_pixels_without_a_ray_and_points_behind_are_nan_and_any_leading_shape_is_kept():
     barrel = camera((-1.0, 0.0, 0.0, 0.0, 0.0), focal=1000.0)
     largest = 2 / 3 / np.sqrt(3)  # of r − r³
     pixels = barrel.matrix[:2, 2] + 1000.0 * np.array([[largest - 1e-6, 0.0], [largest + 1e-6, 0.0], [np.nan, 0.0]])
     found = barrel.undistort(pixels)
     assert np.isfinite(found[0]).all()
     assert np.isnan(found[1:]).all()
-
-
-def test_points_behind_the_camera_have_no_image_and_any_leading_shape_is_kept():
     one = camera(DISTORTIONS[3])
     pixels = one.project(np.array([[[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]]))
     assert np.isfinite(pixels[0, 0]).all()
@@ -157,15 +149,12 @@ def noisy(points: np.ndarray, trials: int, seed: int, factor: float = 1.0) -> tu
     return left, right
 
 
-def test_projection_and_triangulation_are_inverse():
+def test_triangulation_is_the_inverse_of_projection_and_opencvs_linear_method_to_the_order_of_the_noise():
     points = np.random.default_rng(5).uniform([-0.05, -0.05, 0.3], [0.05, 0.05, 0.5], (1000, 3))
     left, right = stereo_rig().project(points)
     found = triangulate(stereo_rig(), left[None], right[None])
     np.testing.assert_allclose(found.position_m[0], points, atol=1e-14)
     assert found.reprojection_px.max() < 1e-10
-
-
-def test_agrees_with_opencvs_linear_method_to_the_order_of_the_noise():
     rig = stereo_rig()
     left, right = noisy(in_view(200), 1, 1, factor=1e-4)
     found = triangulate(rig, left, right)
@@ -276,7 +265,7 @@ def state(request: pytest.FixtureRequest, data_dir: Path) -> tuple[np.ndarray, n
     return np.column_stack([table[n] for n in left]), np.column_stack([table[n] for n in right]), position
 
 
-def test_triangulation_reproduces_the_peers_points(rig, state):
+def test_triangulation_reproduces_the_peers_points_which_are_those_of_the_linear_method(rig, state):
     left, right, peer = state
     found = triangulate(rig, left[None], right[None])
     distance = np.linalg.norm(found.position_m[0] - peer, axis=1)
@@ -286,11 +275,7 @@ def test_triangulation_reproduces_the_peers_points(rig, state):
     assert np.count_nonzero(~consistent) <= 5
     assert distance[consistent].max() < 0.5 * UM
     assert np.count_nonzero(distance > 0.5 * UM) <= 3
-
-
-def test_peers_points_are_those_of_the_linear_method(rig, state):
-    """With our undistorted pixels OpenCV's linear triangulation gives the peer's points: the cameras agree."""
-    left, right, peer = state
+    # With our undistorted pixels OpenCV's linear triangulation gives the peer's points: the cameras agree.
     transform = rig.right_from_left
     sides = (
         (rig.left, np.eye(3, 4), left),
@@ -408,7 +393,7 @@ def test_wrong_values_are_named():
     refused("rotation", RigidTransform, np.full((3, 3), np.nan), np.zeros(3))
 
 
-def test_mirrored_points_give_a_rotation_and_planar_ones_far_away_are_fitted():
+def test_mirrored_and_planar_points_give_a_rotation_and_those_that_fix_none_are_refused():
     source = cloud(5)
     found = fit_rigid(source, source * [1.0, 1.0, -1.0])
     assert np.linalg.det(found.rotation) == pytest.approx(1.0)
@@ -416,17 +401,8 @@ def test_mirrored_points_give_a_rotation_and_planar_ones_far_away_are_fitted():
     source = cloud(4, depth=0.0) * 1e-2 + [3.0, 5.0, 7.0]
     truth = RigidTransform.from_pose(np.array([1e-6, -2e-6, 3e-6, 1e-5, 2e-5, -3e-5]))
     np.testing.assert_allclose(fit_rigid(source, truth.apply(source)).rotation, truth.rotation, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("source", "message"),
-    [
-        (np.outer(np.arange(6.0), [1.0, 2.0, 3.0]) + 4.0, "one line"),
-        (np.ones((6, 3)), "one line"),
-        (cloud(1, 2), "at least 3"),
-        (np.full((6, 3), np.nan), "finite"),
-        (np.zeros((6, 2)), "source_m"),
-    ],
-)
-def test_point_sets_that_fix_no_rotation_are_refused(source, message):
-    refused(message, fit_rigid, source, source)
+    refused("one line", fit_rigid, *[np.outer(np.arange(6.0), [1.0, 2.0, 3.0]) + 4.0] * 2)
+    refused("one line", fit_rigid, *[np.ones((6, 3))] * 2)
+    refused("at least 3", fit_rigid, *[cloud(1, 2)] * 2)
+    refused("finite", fit_rigid, *[np.full((6, 3), np.nan)] * 2)
+    refused("source_m", fit_rigid, *[np.zeros((6, 2))] * 2)

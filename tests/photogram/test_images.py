@@ -86,7 +86,7 @@ def test_files_are_frames_in_the_order_given_and_their_type_is_their_depth(tmp_p
     np.testing.assert_array_equal(frames_of(sequence), [grey, grey + 1])
 
 
-def test_high_speed_video_in_8_12_and_16_bits(tmp_path, grey12):
+def test_high_speed_video_in_8_12_and_16_bits_and_its_xml_header(tmp_path, grey12):
     stack = np.stack([grey12, grey12[::-1]])
     low = (stack >> 4).astype(np.uint8)
     cases = [
@@ -99,9 +99,6 @@ def test_high_speed_video_in_8_12_and_16_bits(tmp_path, grey12):
         sequence = open_sequence([write_cih(tmp_path, data, bits, 2, **other)])
         assert (len(sequence), sequence.full_scale) == (2, full_scale)
         np.testing.assert_array_equal(frames_of(sequence), truth)
-
-
-def test_the_xml_header_says_the_same(tmp_path, grey12):
     write_cih(tmp_path, pack_12(grey12), 12, 1)
     (tmp_path / "video.cihx").write_text(
         "binary\n<cih><frameInfo><totalFrame>1</totalFrame></frameInfo><imageDataInfo><resolution><width>64</width>"
@@ -191,17 +188,14 @@ def residuals(seed: int, low: float = 0.03, high: float = 0.85, count: int = 200
     return truth * SENSOR.full_scale, (stored - truth * SENSOR.full_scale) ** 2
 
 
-def test_read_and_shot_noise_come_back():
+def test_read_and_shot_noise_come_back_without_bias():
     model = fit_noise_model(*residuals(1))
     assert model.read_variance_grey2 == pytest.approx(36.0 + 1 / 12, rel=0.05)
     assert model.variance_per_grey == pytest.approx(1 / 8, rel=0.02)
     grey = np.array([[100.0, 1000.0], [2000.0, 3500.0]])
     np.testing.assert_allclose(model.variance(grey), SENSOR.variance(grey), rtol=0.02)
-
-
-def test_the_fit_is_unbiased():
-    """Mean over 60 small samples; relative weights taken from the scattering bins would pull it down by 2·2/125."""
     grey = np.array([300.0, 3000.0])
+    # Small samples: relative weights taken from the scattering bins would pull the mean down by 2·2/125.
     ratio = [fit_noise_model(*residuals(seed, count=4000)).variance(grey) / SENSOR.variance(grey) for seed in range(60)]
     np.testing.assert_allclose(np.mean(ratio, axis=0), 1.0, atol=0.02)
 

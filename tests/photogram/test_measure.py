@@ -78,33 +78,22 @@ def body(scene: Stereo) -> BodyMotion:
     return measure_body(*scene, SEPTIC)
 
 
-def normalised(body: BodyMotion, which: str) -> np.ndarray:
-    """Errors (F−1,6) over √2 standard uncertainties: the reference has noise of its own."""
-    motion = getattr(body, which)
-    u = np.sqrt(np.diagonal(motion.covariance, axis1=1, axis2=2))
-    return ((motion.pose - POSES) / (np.sqrt(2.0) * u))[1:]
-
-
-def test_both_motions_are_the_true_one_within_their_uncertainty(body):
-    for which in ("motion", "motion_of_points"):
-        assert np.max(np.abs(normalised(body, which))) < 4.0
-        np.testing.assert_allclose(getattr(body, which).pose[0], 0.0, atol=1e-15)
-    direct, points = (np.diagonal(getattr(body, w).covariance[1]) for w in ("motion", "motion_of_points"))
+def test_both_motions_are_true_the_noise_that_of_the_images_and_nothing_remains_beside(body):
+    for motion in (body.motion, body.motion_of_points):
+        u = np.sqrt(np.diagonal(motion.covariance, axis1=1, axis2=2))
+        off = (motion.pose - POSES) / (np.sqrt(2.0) * u)  # the reference has noise of its own
+        assert np.max(np.abs(off[1:])) < 4.0
+        np.testing.assert_allclose(motion.pose[0], 0.0, atol=1e-15)
+    direct, points = (np.diagonal(motion.covariance[1]) for motion in (body.motion, body.motion_of_points))
     assert np.all(direct < points)
     assert np.all(direct > 0.4 * points)
     np.testing.assert_allclose(np.diagonal(body.motion.covariance[0]), direct, rtol=0.1)
     assert body.notices == ()
-
-
-def test_noise_and_quality_are_those_of_the_images(body):
     for model in body.noise:
         np.testing.assert_allclose(model.variance(1500.0), SENSOR.variance(np.array(1500.0)), rtol=0.05)
     for side, tracks in zip(body.quality, (body.tracks.left, body.tracks.right), strict=True):
         found = np.sqrt(np.nanmedian(np.diagonal(tracks.covariance_px2, axis1=2, axis2=3)))
         assert np.median(side.predicted_sigma_px) == pytest.approx(found, rel=0.1)
-
-
-def test_nothing_remains_beside_the_rigid_motion(body):
     beside = deformation(body.points, body.motion)
     squares = np.einsum("fni,fnij,fnj->fn", beside.residual_m, np.linalg.inv(beside.covariance_m2), beside.residual_m)
     assert np.nanmean(squares[1:]) / 3 == pytest.approx(1.0, abs=0.2)
@@ -225,6 +214,7 @@ def test_a_body_that_has_moved_by_a_speckle_is_found_at_its_own_place(series):
 
 POSE = np.array([6e-5, -8e-5, 5e-5, 8e-4, -6e-4, 1.2e-3])
 TRIALS = 120
+MODEL = NoiseModel(SENSOR.read_noise_grey**2 + 1 / 12, 1 / SENSOR.electrons_per_grey)
 
 
 @dataclass(frozen=True)
@@ -272,17 +262,13 @@ def area(image: np.ndarray) -> np.ndarray:
     return textured_area(image * SENSOR.full_scale) & inside
 
 
-def model() -> NoiseModel:
-    return NoiseModel(SENSOR.read_noise_grey**2 + 1 / 12, 1 / SENSOR.electrons_per_grey)
-
-
 def sigma(covariance: np.ndarray) -> np.ndarray:
     return np.sqrt(np.diagonal(covariance))
 
 
 def test_a_motion_is_found_without_noise_from_a_pixel_away(plate):
     """What is left of the interpolation is a few ten-thousandths of a pixel."""
-    views = body_views(plate, None, model())
+    views = body_views(plate, None, MODEL)
     fit = fit_direct(views, splines(plate.moved, None), RigidTransform.identity())
     error = fit.moved.pose - POSE
     assert np.max(np.abs(POSE[:3])) > 0.4 * PIXEL_M * 0.9
@@ -294,7 +280,7 @@ def test_a_motion_is_found_without_noise_from_a_pixel_away(plate):
 @pytest.mark.slow
 def test_scatter_is_the_stated_one_and_close_to_the_bound(plate):
     rng = np.random.default_rng(11)
-    views = body_views(plate, rng, model())
+    views = body_views(plate, rng, MODEL)
     start, found, stated, noise = RigidTransform.from_pose(POSE), [], [], []
     for _ in range(TRIALS):
         fit = fit_direct(views, splines(plate.moved, rng), start)
@@ -328,7 +314,7 @@ def test_the_camera_noise_is_found_and_the_order_of_the_cameras_does_not_matter(
 def test_the_lamp_does_not_matter(plate):
     """Gain and offset of all cells are free: a lamp that dims and stray light change the pose by rounding only."""
     rng = np.random.default_rng(13)
-    views = body_views(plate, rng, model())
+    views = body_views(plate, rng, MODEL)
     plain = fit_direct(views, splines(plate.moved, None), RigidTransform.identity())
     dimmed = [spline_of_image(image * 0.8 * SENSOR.full_scale + 40) for image in plate.moved]
     lit = fit_direct(views, dimmed, RigidTransform.identity())
@@ -338,7 +324,7 @@ def test_the_lamp_does_not_matter(plate):
 def test_what_moves_in_front_of_the_body_is_left_out(plate):
     """A cable across the left image: its cells are dropped, and the motion stays within its noise."""
     rng = np.random.default_rng(14)
-    views = body_views(plate, rng, model())
+    views = body_views(plate, rng, MODEL)
     targets = splines(plate.moved, rng)
     clean = fit_direct(views, targets, RigidTransform.from_pose(POSE))
     covered = plate.moved[0].copy()
@@ -350,7 +336,7 @@ def test_what_moves_in_front_of_the_body_is_left_out(plate):
 
 
 def test_a_body_that_is_not_there_has_no_motion(plate):
-    views = body_views(plate, np.random.default_rng(15), model())
+    views = body_views(plate, np.random.default_rng(15), MODEL)
     blank = [spline_of_image(np.full((200, 220), 700.0))] * 2
     assert fit_direct(views, blank, RigidTransform.identity()) is None
     far = RigidTransform.from_pose(np.array([0.2, 0, 0, 0, 0, 0]))

@@ -285,14 +285,11 @@ def squares(shape: Deformation) -> np.ndarray:
     return np.einsum("fni,fnij,fnj->fn", shape.residual_m, np.linalg.inv(shape.covariance_m2), shape.residual_m)
 
 
-def test_a_rigid_body_leaves_noise_of_the_stated_covariance():
+def test_a_rigid_body_leaves_noise_of_the_stated_covariance_which_counts_the_leverage_of_the_fit():
     """Chi-square of all points, and of each point, over 8 series."""
     found = np.array([squares(beside(moving(np.random.default_rng(seed)))) for seed in range(8)])
     assert found.mean() / 3 == pytest.approx(1.0, abs=0.02)
     np.testing.assert_allclose(found.mean(axis=(0, 1)) / 3, 1.0, atol=0.2)
-
-
-def test_without_the_leverage_of_the_fit_few_points_would_look_too_still():
     points = moving(np.random.default_rng(9))
     few = np.array([0, 8, 30, 54, 62])
     part = Points(points.position_m[:, few], points.covariance_m2[:, few], points.reprojection_px[:, few])
@@ -397,7 +394,7 @@ def test_scatter_of_a_rigid_fit_is_stated_with_the_correlation_and_not_without()
     assert np.all(scatter / stated[0] > 2.4)
 
 
-def test_correlation_is_one_of_noise():
+def test_correlation_is_one_of_noise_and_that_of_independent_points_the_identity():
     """Symmetric, unit diagonal, positive semidefinite, blind to missing subsets, and nothing side by side."""
     apart = np.array([(x, y) for y in range(10, 80, 21) for x in range(10, 90, 21)], dtype=float)
     np.testing.assert_array_equal(overlap_correlation(apart, 10).toarray(), np.eye(len(apart)))
@@ -408,9 +405,6 @@ def test_correlation_is_one_of_noise():
     np.testing.assert_array_equal(np.diag(matrix), 1.0)
     assert np.linalg.eigvalsh(matrix).min() > -1e-12
     assert np.count_nonzero(matrix[7]) == 1
-
-
-def test_independent_points_are_those_of_the_identity():
     reference, points = sample(3, 12, shaking(3), 4)
     points.position_m[1, 4] = np.nan
     plain = fit_motion(points, reference, ORIGIN)

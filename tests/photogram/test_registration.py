@@ -448,17 +448,14 @@ def in_batches(images: list[np.ndarray], batch_frames: int) -> tuple[Registratio
     return found
 
 
-def test_series_is_followed_like_by_the_compiled_engine(texture):
+def test_series_is_followed_like_by_the_compiled_engine_and_a_large_swing_found_as_there(texture):
     images, _ = swinging(texture, 12, 0.8)
     for found, expected in zip(in_batches(images, 4), one_by_one(images), strict=True):
         np.testing.assert_array_equal(found.status, expected.status)
         apart = (found.warp - expected.warp)[:, [0, 3]]
         assert np.nanmax(np.abs(apart)) < 2e-3  # the last step is a tenth of the standard uncertainty at most
         assert np.sqrt(np.nanmean(apart**2)) < 3e-4
-
-
-def test_large_swing_is_found_wherever_the_compiled_engine_finds_it(texture):
-    """Nine pixels are out of reach of the first starts: search, then the sine foretold over whole batches."""
+    # Nine pixels are out of reach of the first starts: search, then the sine foretold over whole batches.
     images, shifts = swinging(texture, 24, 9.0)
     for here, want, shift in zip(in_batches(images, 8), one_by_one(images), shifts[1:], strict=True):
         right = [np.abs(engine.warp[:, [0, 3]] - shift).max(axis=1) < 0.05 for engine in (here, want)]

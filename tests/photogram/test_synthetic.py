@@ -121,15 +121,12 @@ def _high_share(image: np.ndarray) -> float:
     return float(power[frequency > 0.4].sum() / power.sum())
 
 
-def test_speckle_is_properly_sampled_unless_it_is_asked_not_to_be():
+def test_speckle_is_properly_sampled_unless_asked_not_to_be_depends_on_its_seed_and_covers_half():
     view = view_of(CAMERA, POSE)
     proper = speckle_texture((0.04, 0.04), 4.5 * PIXEL_M, PIXEL_M / 4, 0.6 * PIXEL_M, np.random.default_rng(1))
     sharp = speckle_texture((0.04, 0.04), 2.0 * PIXEL_M, PIXEL_M / 5, 0.0, np.random.default_rng(1))
     assert _high_share(_still(view, _face(proper))) < 8e-3
     assert _high_share(render(view, _face(sharp), np.zeros((1, 6)), np.ones(1), nodes=4)) > 0.05
-
-
-def test_speckle_depends_on_its_seed_alone_and_covers_half():
     first, again, other = (
         speckle_texture((0.02, 0.01), 8e-4, 5e-5, 1e-4, np.random.default_rng(seed)) for seed in (1, 1, 2)
     )

@@ -408,13 +408,6 @@ OVERSAMPLING = 8
 BACKGROUND, CONTRAST = 180.0, -150.0
 
 
-def ellipse_shape(radius: float, rng: np.random.Generator) -> np.ndarray:
-    """S (2, 2) of an ellipse of this mean radius, turned and flattened at random as up to 45° of tilt do."""
-    angle, flat = rng.uniform(0, np.pi), rng.uniform(0.7, 1.0)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return turn @ np.diag([radius**2 / flat, radius**2 * flat]) @ turn.T
-
-
 def render_dot(centre: np.ndarray, shape: np.ndarray, sigma: float, size: int, slope: float = 0.0) -> np.ndarray:
     """Picture (size, size) of one dark ellipse, blurred and averaged over the pixels, by oversampling."""
     fine = (np.arange(size * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5
@@ -435,10 +428,13 @@ def fit(image: np.ndarray, start: np.ndarray, shape: np.ndarray, ring: bool = Fa
 
 
 def dot(radius: float, sigma: float, slope: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centre, shape S (2, 2) and picture of an ellipse, turned and flattened at random as up to 45° of tilt do."""
     rng = np.random.default_rng(seed)
     size = int(2.6 * radius + 8 * sigma + 12)
     centre = size / 2 + rng.uniform(-0.5, 0.5, 2)
-    shape = ellipse_shape(radius, rng)
+    angle, flat = rng.uniform(0, np.pi), rng.uniform(0.7, 1.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    shape = turn @ np.diag([radius**2 / flat, radius**2 * flat]) @ turn.T
     return centre, shape, render_dot(centre, shape, sigma, size, slope)
 
 

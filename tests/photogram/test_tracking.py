@@ -42,14 +42,6 @@ FOCAL, DISTANCE_M, PIXEL_M = 1500.0, 0.5, 0.5 / 1500.0
 DISC_M = 0.034
 
 
-def stereo_rig(angle_deg: float) -> StereoRig:
-    """Two cameras that look at the origin of the plane z = 0.5 m from both sides."""
-    camera = Camera(np.array([[FOCAL, 0, 160], [0, FOCAL, 128], [0, 0, 1.0]]), np.zeros(5), np.array(SIZE))
-    turn = RigidTransform.from_pose(np.array([0, 0, 0, 0, np.radians(angle_deg), 0]))
-    pivot = np.array([0, 0, DISTANCE_M])
-    return StereoRig(camera, camera, RigidTransform(turn.rotation, pivot - turn.rotation @ pivot))
-
-
 def on_plane(camera_from_left: RigidTransform, pixels: np.ndarray) -> np.ndarray:
     """Points (M,2) in metres of the plane z = 0.5 m in the left frame, seen at the pixels (M,2) of a camera."""
     rays = np.column_stack([(pixels - [160, 128]) / FOCAL, np.ones(len(pixels))]) @ camera_from_left.rotation
@@ -68,6 +60,12 @@ def scene(texture, camera_from_left: RigidTransform, shift_m=(0.0, 0.0), seed=0,
     return np.clip(np.round(noisy), 0, 4095).astype(np.uint16)
 
 
+def shifted(texture, size: tuple[int, int], shifts: Sequence[Sequence[float]]) -> list[np.ndarray]:
+    """The texture, moved by every shift."""
+    images = (texture.image(size, lambda p, by=shift: p - by) for shift in shifts)
+    return [np.round(2000 + 400 * image).astype(np.uint16) for image in images]
+
+
 @pytest.fixture(scope="module")
 def texture(make_texture):
     return make_texture(seed=21, s=1.3, waves=60)
@@ -75,7 +73,11 @@ def texture(make_texture):
 
 @pytest.fixture(scope="module")
 def rig() -> StereoRig:
-    return stereo_rig(30.0)
+    """Two cameras, 30° apart, that look at the origin of the plane z = 0.5 m from both sides."""
+    camera = Camera(np.array([[FOCAL, 0, 160], [0, FOCAL, 128], [0, 0, 1.0]]), np.zeros(5), np.array(SIZE))
+    turn = RigidTransform.from_pose(np.array([0, 0, 0, 0, np.radians(30.0), 0]))
+    pivot = np.array([0, 0, DISTANCE_M])
+    return StereoRig(camera, camera, RigidTransform(turn.rotation, pivot - turn.rotation @ pivot))
 
 
 @pytest.fixture(scope="module")
@@ -143,11 +145,8 @@ def test_speckle_finer_than_the_pixels_is_said(make_texture):
 
 
 def test_jumps_of_many_pixels_are_found_again(make_texture):
-    texture = make_texture(seed=22, s=1.3, waves=60)
     jumps = np.array([[0, 0], [9.3, -4.2], [-8.6, 9.7], [0.2, 0.1]])
-    frames = [
-        np.round(2000 + 400 * texture.image((140, 130), lambda p, s=jump: p - s)).astype(np.uint16) for jump in jumps
-    ]
+    frames = shifted(make_texture(seed=22, s=1.3, waves=60), (140, 130), jumps)
     points = np.array([[45.0, 45.0], [70.0, 60.0], [95.0, 80.0], [60.3, 85.7]])
     tracks = track_sequence(sequence(frames), points, TrackSettings())
     assert np.all(tracks.status == TrackStatus.OK)
@@ -155,11 +154,7 @@ def test_jumps_of_many_pixels_are_found_again(make_texture):
 
 
 def test_saturated_absent_and_leaving_subsets_are_told_apart(make_texture):
-    texture = make_texture(seed=23, s=1.3, waves=60)
-    frames = [
-        np.round(2000 + 400 * texture.image((120, 90), lambda p, s=shift: p - [s, 0])).astype(np.uint16)
-        for shift in (0, 2, 4)
-    ]
+    frames = shifted(make_texture(seed=23, s=1.3, waves=60), (120, 90), [(0, 0), (2, 0), (4, 0)])
     for frame in frames:
         frame[55:70, 60:80] = 4095
     points = np.array([[40.0, 30.0], [68.0, 62.0], [np.nan, np.nan], [106.0, 30.0]])
@@ -172,12 +167,9 @@ def test_saturated_absent_and_leaving_subsets_are_told_apart(make_texture):
 
 def test_frames_in_batches_lead_to_the_same_tracks(make_texture):
     """The engine for a GPU, here on torch's CPU device, in place of the compiled one; one frame is blank."""
-    texture, rng = make_texture(seed=25), np.random.default_rng(25)
-    images = [
-        np.round(2000 + 400 * texture.image((70, 60), lambda p, k=k: p - [0.3 * k, -0.2 * k])).astype(np.int64)
-        for k in range(5)
-    ]
-    images = [(image + np.round(rng.normal(0, 5, image.shape)).astype(np.int64)).astype(np.uint16) for image in images]
+    rng, shifts = np.random.default_rng(25), np.outer(np.arange(5), [0.3, -0.2])
+    images = shifted(make_texture(seed=25), (70, 60), shifts)
+    images = [(image + np.round(rng.normal(0, 5, image.shape))).astype(np.uint16) for image in images]
     images[3][:] = 4095
     frames, settings = sequence(images), TrackSettings(radius_px=8)
     reference = prepare_sequence(frames, np.array([[25.0, 30.0], [42.0, 30.0]]), settings)

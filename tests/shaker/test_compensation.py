@@ -107,14 +107,11 @@ def test_best_damping_is_where_a_search_finds_the_widest_band(error):
     assert best_damping(error) == pytest.approx(found, abs=1.1e-4)
 
 
-def test_bandwidth_target_is_that_of_the_closed_form_for_one_mode():
+def test_bandwidth_target_is_that_of_the_closed_form_for_one_mode_and_counts_the_poles_that_stay():
     found = target_for_bandwidth(SINGLE, 900.0, 0.1)
     kept = (1 - KEPT_SHARE) * 0.1
     assert found.damping_ratio == pytest.approx(best_damping(kept), abs=2e-5)
     assert found.frequency_hz == pytest.approx(900.0 / band_ratio(best_damping(kept) + 1e-9, kept), rel=1e-4)
-
-
-def test_bandwidth_target_counts_the_poles_that_stay():
     sensor = modal_dynamics(_chain(1700.0, 0.015, 6000.0))
     found = target_for_bandwidth(sensor, 2000.0, 0.1)
     assert _band_hz(sensor, found) > 2000.0
@@ -229,15 +226,12 @@ def test_sampled_step_has_the_published_overshoot():
     assert time[outside] == pytest.approx(1.29e-3, abs=2e-5)
 
 
-def test_modal_covariance_reaches_frequency_damping_and_gain():
+def test_covariance_of_modes_reaches_the_sensor_and_that_of_a_load_follows_the_rigid_formula():
     spread = np.diag([0.3, 2e-5, 0.5, 0.5, 10.0, 5.0]) ** 2
     sensor = modal_dynamics(_chain(1700.0, 0.015, 6000.0, spread), real_poles=True)
     assert sensor.covariance is not None
     np.testing.assert_allclose(np.sqrt(np.diag(sensor.covariance))[:3], [0.3, 2e-5, 10.0], rtol=1e-6)
     assert sensor.covariance[0, 3] != 0.0
-
-
-def test_load_covariance_follows_the_formula_of_a_rigid_load():
     uncertain = LoadModel("Fy", "Fy", "V", 0.24, 2.36e6, 6.0, u_moving_mass=1e-3, covariance=np.diag([1e3, 0.1]) ** 2)
     found = loaded_dynamics(uncertain, 0.1)
     relative = 0.5 * np.sqrt((1e3 / 2.36e6) ** 2 + (1e-3 / 0.34) ** 2)
@@ -455,14 +449,11 @@ def test_knowing_the_load_lets_the_loop_be_stiffer_and_the_ball_follow_the_hand(
     assert soft.tracking_error / stiff.tracking_error == pytest.approx(21.0 / 2.0, rel=0.15)
 
 
-def test_a_hand_at_rest_in_the_ball_is_in_balance():
+def test_a_hand_at_rest_in_the_ball_is_in_balance_and_noise_of_the_sensor_reaches_it():
     still = np.full(30_000, 0.02)
     found = simulate_feedback(LOOP, TWO_MASSES.system(0.0), UNAWARE, still)
     balance = 0.02 * 500.0 * 1000.0 / 1500.0
     assert (found.applied[-1], found.told[-1]) == pytest.approx((balance, found.fed_back[-1]), rel=1e-6)
-
-
-def test_noise_of_the_sensor_reaches_the_hand():
     noise = np.random.default_rng(3).normal(scale=0.01, size=len(HAND))
     quiet, loud = (_fed_back(5.0, UNAWARE, 0.0, added) for added in (None, noise))
     assert 0.0 < np.std(loud.applied - quiet.applied) < 0.01

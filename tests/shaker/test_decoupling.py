@@ -114,7 +114,7 @@ def test_blocks_give_the_bits_of_one_record(cuts):
     assert np.array_equal(np.concatenate(parts), filtered.apply(outputs))
 
 
-def test_response_is_the_transform_of_the_impulse_response(decoupler):
+def test_response_is_the_transform_of_the_impulse_response_and_constant_outputs_give_constant_loads(decoupler):
     count = 4000
     for c in range(2):
         outputs = np.zeros((count, 2))
@@ -127,9 +127,6 @@ def test_response_is_the_transform_of_the_impulse_response(decoupler):
         power, noise = np.sqrt(np.sum(answer**2, axis=0)) * 0.3, np.zeros(2)
         noise[c] = 0.3
         np.testing.assert_allclose(decoupler.noise(noise), power, rtol=1e-9)
-
-
-def test_constant_outputs_give_constant_loads(decoupler):
     load = np.array([2.0, -3.0])
     outputs = np.tile(MODEL.static_gain @ load, (50, 1))
     np.testing.assert_allclose(decoupler.apply(outputs), np.tile(load, (50, 1)), rtol=1e-10)
@@ -187,13 +184,10 @@ def _continuous(model: MultiModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return a, b, c
 
 
-def test_growing_models_and_impossible_targets_are_refused():
+def test_growing_models_impossible_targets_and_missing_or_inseparable_loads_are_refused_by_name():
     refused("decay", design_decoupling, replace(MODEL, damping_ratio=-MODEL.damping_ratio), TARGET, RECORDED)
     refused("between 0 and 1", Target, np.array([300.0]), np.array([1.2]))
     refused("above 0", Target, np.array([-300.0]), np.array([0.5]))
-
-
-def test_missing_and_inseparable_loads_are_named():
     assert missing_loads(("Fx", "Fy", "Fz"), ("Fx", "Fz")) == ("Fy",)
     static = np.zeros((2, 6))
     static[0, 0] = static[1, 5] = 1.0
@@ -340,16 +334,12 @@ def test_a_lag_that_slower_releases_hide_is_in_the_uncertainty():
 
 
 @pytest.mark.slow
-def test_amplitudes_uncertainty_is_in_the_static_gains():
+def test_amplitudes_uncertainty_is_in_the_static_gains_and_other_sizes_than_stated_are_told():
     records = [replace(record, u_amplitude=0.01) for record in SENSOR.releases(5, each=1)]
     found = fit_steps(records)
     u = _own_u(found.model, 0, np.zeros(1))[0][0]
     assert u / found.model.static_gain[0, 0] == pytest.approx(0.01, rel=0.1)
     assert {notice.where for notice in found.notices} >= set(SENSOR.loads)
-
-
-@pytest.mark.slow
-def test_releases_of_other_size_than_stated_are_told():
     records = SENSOR.releases(4)
     found = fit_steps([*records[1:], replace(records[0], amplitude=1.03 * records[0].amplitude)])
     assert 0.01 < found.u_amplitude[0] < 0.02

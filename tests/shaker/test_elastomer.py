@@ -111,15 +111,12 @@ def test_frequencies_of_a_bar_are_timoshenkos(length, both):
     assert (4.0 * fine - rough) / 3.0 == pytest.approx(exact, rel=2e-4)
 
 
-def test_torsion_and_axial_frequencies_of_a_bar():
+def test_torsion_and_axial_frequencies_of_a_bar_and_the_torsion_constant_of_saint_venant():
     found, _ = dense_modes(*_bar(0.2, 40, both=False).matrices, count=40)
     polar = THICK.bending_in_plane_m4 + THICK.bending_across_m4
     twist = np.sqrt(ALUMINIUM.shear_modulus_pa * THICK.torsion_m4 / (ALUMINIUM.density_kgm3 * polar))
     for speed in (twist, np.sqrt(72e9 / ALUMINIUM.density_kgm3)):
         assert np.min(np.abs(found - speed / 0.8)) < 1e-3 * speed / 0.8
-
-
-def test_torsion_constant_is_saint_venants():
     for a, b, exact in ((1.0, 1.0, 0.1406), (2.0, 1.0, 0.229), (1.0, 10.0, 0.312)):
         assert Section(a, b).torsion_m4 == pytest.approx(exact * max(a, b) * min(a, b) ** 3, rel=6e-3)
 

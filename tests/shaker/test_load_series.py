@@ -132,7 +132,7 @@ def known_exactly(loads: np.ndarray, u: float = 0.0, *, u_moving: float = 0.0, s
     return identify_loads(exact(MODEL, loads, u, second=second), stated_masses(MOVING, u_moving, loads), OUTPUT)
 
 
-def test_one_load_gives_both_solutions():
+def test_one_load_gives_both_solutions_and_a_second_separates_them():
     found = known_exactly(np.array([0.048]), 1e-5, u_moving=1e-4)
     assert [(model.solution, model.solutions) for model in found.models] == [(1, 2), (2, 2)]
     np.testing.assert_allclose(found.models[0].vector, MODEL.vector, rtol=1e-6)
@@ -140,9 +140,6 @@ def test_one_load_gives_both_solutions():
     poles = [np.sort_complex(model.poles(0.048)) for model in found.models]
     np.testing.assert_allclose(poles[0], poles[1], rtol=1e-6)
     assert any("cannot tell 2 solutions apart" in notice.text for notice in found.notices)
-
-
-def test_a_second_load_separates_them():
     (model,) = known_exactly(np.array([0.008, 0.048]), 1e-4, second=False).models
     np.testing.assert_allclose(model.vector, MODEL.vector, rtol=1e-5)
 
@@ -158,16 +155,13 @@ def test_modes_of_something_else_are_left_out():
     assert "700 Hz with no load, 640 Hz with a load of 0.048 kg" in found.notices[0].text
 
 
-def test_a_rigid_load_is_taken_as_one():
+def test_a_rigid_load_is_taken_as_one_and_so_is_what_tells_too_little_of_a_coupling():
     rng = np.random.default_rng(3)
     f = np.sqrt(2e6 / (MOVING + LOADS)) / (2 * np.pi)
     seen = f * (1.0 + 1e-3 * rng.standard_normal(5))
     found = identify_loads(stated_resonances(seen, 1e-3 * f), stated_masses(MOVING, 0.0, LOADS), OUTPUT)
     assert found.model.is_rigid
     assert (found.model.stiffness, formula_limit(found.model, 0.05)) == (pytest.approx(2e6, rel=3e-3), None)
-
-
-def test_too_little_for_a_coupling():
     seen = stated_resonances(np.array([450.0]), np.array([1.0]))
     found = identify_loads(seen, stated_masses(MOVING, 0.0, LOADS[2:3]), OUTPUT)
     assert (found.model.is_rigid, found.elastic) == (True, ())
@@ -230,26 +224,6 @@ def test_bands_by_the_closed_formula():
         assert 1.0 / np.hypot(1.0 - ratio, 2 * zeta * np.sqrt(ratio)) == pytest.approx(1.0 + share, rel=1e-9)
     assert bands[1] == pytest.approx(150.5, abs=0.3)
     np.testing.assert_allclose(working_bands(replace(RIGID, damping=0.0), 0.0), bands, rtol=1e-4)
-
-
-ONE_HZ, ONE_KG = stated_resonances(np.ones(1)), stated_masses(0.1, 0.0, np.ones(1))
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: stated_masses(0.0, 0.0, LOADS), "moving: expected a mass above 0"),
-        (lambda: stated_masses(0.1, 0.0, -LOADS), "load: expected masses of at least 0"),
-        (lambda: stated_resonances(np.array([-1.0])), "frequency_hz: expected a first resonance above 0"),
-        (lambda: fit_resonances(stated_resonances(PUBLISHED_HZ), ONE_KG, rigid=True), "masses"),
-        (lambda: fit_resonances(ONE_HZ, ONE_KG, rigid=False), "two reson"),
-        (lambda: change_limit(MODEL, 1.5), "permitted: expected a share"),
-        (lambda: frequency_limit(MODEL, 0.0), "wanted_hz: expected"),
-        (lambda: replace(MODEL, covariance=None).propagate(lambda m: m.vector), "covariance: expected"),
-    ],
-)
-def test_refusals(call, message):
-    refused(message, call)
 
 
 TRUE = MODEL.vector
@@ -350,7 +324,16 @@ def test_coloured_noise_is_weighed_by_its_spectrum():
     np.testing.assert_allclose(np.diag(coloured(slope, noise)), expected, rtol=0.35)
 
 
-def test_a_record_without_ringing_is_refused():
+def test_refusals():
+    hertz, kilograms = stated_resonances(np.ones(1)), stated_masses(0.1, 0.0, np.ones(1))
+    refused("moving: expected a mass above 0", stated_masses, 0.0, 0.0, LOADS)
+    refused("load: expected masses of at least 0", stated_masses, 0.1, 0.0, -LOADS)
+    refused("frequency_hz: expected a first resonance above 0", stated_resonances, np.array([-1.0]))
+    refused("masses", fit_resonances, stated_resonances(PUBLISHED_HZ), kilograms, rigid=True)
+    refused("two reson", fit_resonances, hertz, kilograms, rigid=False)
+    refused("permitted: expected a share", change_limit, MODEL, 1.5)
+    refused("wanted_hz: expected", frequency_limit, MODEL, 0.0)
+    refused("covariance: expected", replace(MODEL, covariance=None).propagate, lambda m: m.vector)
     t = np.arange(40) / RATE
     short = StepRecord("short", ("Fy",), "V", np.tile(t, (1, 1)), RATE, "Fy", 1.0)
     known = reading_of(short, ONSET, baseline=LEVEL, steady=0.0)

@@ -24,12 +24,16 @@ def lti(poles, gain=1.0, zeros=(), rate=None) -> LinearSystem:
     return LinearSystem(np.array(zeros, complex), np.array(poles, complex), gain, rate)
 
 
+def oscillator(hertz: float, damping: float, gain: float = 1.0) -> LinearSystem:
+    """One mode."""
+    omega = 2 * np.pi * hertz
+    pole = omega * (-damping + 1j * np.sqrt(1 - damping**2))
+    return lti([pole, np.conj(pole)], gain * omega**2)
+
+
 def third_order(hertz: float = 1700.0, damping: float = 0.015, real_hz: float = 6000.0) -> LinearSystem:
     """A mode and a real pole, static gain 1."""
-    omega = 2 * np.pi * hertz
-    upper = omega * (-damping + 1j * np.sqrt(1 - damping**2))
-    poles = np.array([upper, np.conj(upper), -2 * np.pi * real_hz + 0j])
-    return lti(poles, float(np.prod(-poles).real))
+    return oscillator(hertz, damping).times(lti([-2 * np.pi * real_hz + 0j], 2 * np.pi * real_hz))
 
 
 def with_zeros() -> LinearSystem:
@@ -190,13 +194,6 @@ def test_impulse_is_the_derivative_of_the_step():
 DAMPINGS = [1e-5, 0.004, 0.02, 0.2, 0.5, 0.65, 0.9]
 
 
-def oscillator(hertz: float, damping: float, gain: float = 1.0) -> LinearSystem:
-    """One mode."""
-    omega = 2 * np.pi * hertz
-    pole = omega * (-damping + 1j * np.sqrt(1 - damping**2))
-    return lti([pole, np.conj(pole)], gain * omega**2)
-
-
 def ratio_at(level: float, damping: float, upper: bool) -> float:
     """Frequency ratio at which 1/√((1 - r²)² + 4ζ²r²) is a level: r² = 1 - 2ζ² ± √((1 - 2ζ²)² - 1 + level⁻²)."""
     middle = 1 - 2 * damping**2
@@ -205,7 +202,7 @@ def ratio_at(level: float, damping: float, upper: bool) -> float:
 
 
 @pytest.mark.parametrize("damping", DAMPINGS)
-def test_frequencies_of_an_oscillator(damping):
+def test_frequencies_and_step_of_an_oscillator(damping):
     found = indices(oscillator(500.0, damping, -3.0), nominal_gain=3.1)
     assert (found.natural_hz, found.damped_hz) == pytest.approx((500.0, 500.0 * np.sqrt(1 - damping**2)), rel=1e-12)
     assert (found.damping_ratio, found.static_gain) == (pytest.approx(damping, rel=1e-10), pytest.approx(-3.0))
@@ -223,10 +220,6 @@ def test_frequencies_of_an_oscillator(damping):
         assert getattr(found, name) == pytest.approx(band, rel=1e-10)
         nominal = indices(oscillator(500.0, damping, 2.0), nominal_gain=2.0)
         assert getattr(nominal, name.replace("_hz", "_nominal_hz")) == pytest.approx(band, rel=1e-10)
-
-
-@pytest.mark.parametrize("damping", DAMPINGS)
-def test_step_of_an_oscillator(damping):
     hertz, omega = 500.0, 1000 * np.pi
     found = indices(oscillator(hertz, damping))
     decay, swing = damping * omega, omega * np.sqrt(1 - damping**2)
@@ -350,14 +343,11 @@ def test_bands_without_an_end_and_bands_that_do_not_begin():
     assert off_nominal.band_5_hz is not None
 
 
-def test_a_system_that_loses_its_level_has_no_figures_of_it():
+def test_a_system_that_loses_its_level_has_no_figures_of_it_nor_an_unstable_one_times():
     found = indices(lti([-10 + 100j, -10 - 100j], zeros=[0]))
     assert (found.static_gain, found.peak_hz) == (0.0, pytest.approx(np.sqrt(1e4 + 100) / (2 * np.pi)))
     for name in set(LABELS) - {"static_gain", "natural_hz", "damped_hz", "damping_ratio", "peak_hz"}:
         assert found.figures()[name] is None, name
-
-
-def test_an_unstable_system_is_told_and_has_no_times():
     found = indices(lti([1 + 50j, 1 - 50j, -9.0], 1.0))
     assert not found.stable
     assert (found.settling_2_s, found.overshoot) == (None, None)

@@ -26,7 +26,6 @@ from shaker.identification.fit import Identification, identify
 from shaker.identification.measured import InertiaError, MeasuredTransfer, Placement
 from shaker.identification.structures import ChainStructure, Stage
 from shaker.mechanics import MassChain, oscillator_hz, required_stiffness, shared_spring
-from shaker.sine.phasor import Phasors
 
 FREQUENCY = np.geomspace(5.0, 5000.0, 60)
 TRIPLE = MassChain(
@@ -57,21 +56,19 @@ def state_space(chain: MassChain) -> tuple[FloatArray, FloatArray, FloatArray]:
     return a, b, np.hstack([np.eye(count), np.zeros((count, count))])
 
 
-def chains(most: int = 5) -> st.SearchStrategy[MassChain]:
-    """Chains of any length, masses and springs over two decades, lightly to heavily damped."""
-    decade = st.floats(-1.0, 1.0)
+DECADE = st.floats(-1.0, 1.0)
 
-    def built(parts: list[tuple[float, float, float]]) -> MassChain:
-        logs = np.array(parts)
-        names = tuple(f"stage {i}" for i in range(len(parts)))
-        return MassChain(names, 5.0 * 10 ** logs[:, 0], 3e8 * 10 ** logs[:, 1], 800.0 * 10 ** logs[:, 2])
 
-    return st.lists(st.tuples(decade, decade, decade), min_size=1, max_size=most).map(built)
+def chain_of(parts: list[tuple[float, float, float]]) -> MassChain:
+    """Masses, springs and dampers over two decades, lightly to heavily damped."""
+    logs = np.array(parts)
+    names = tuple(f"stage {i}" for i in range(len(parts)))
+    return MassChain(names, 5.0 * 10 ** logs[:, 0], 3e8 * 10 ** logs[:, 1], 800.0 * 10 ** logs[:, 2])
 
 
 @settings(max_examples=25, deadline=None)
-@given(chain=chains())
-def test_every_stage_moves_as_state_space_says(chain):
+@given(chain=st.lists(st.tuples(DECADE, DECADE, DECADE), min_size=1, max_size=5).map(chain_of))
+def test_a_chain_moves_and_rings_as_state_space_says_and_slowly_as_one(chain):
     a, b, c = state_space(chain)
     s = 2j * np.pi * FREQUENCY
     driven = b @ np.stack([np.ones(len(s)), s])
@@ -81,11 +78,6 @@ def test_every_stage_moves_as_state_space_says(chain):
         np.testing.assert_allclose(found, expected[:, place], rtol=1e-8, atol=1e-13)
         over = chain.transfer(FREQUENCY, chain.stages[-1], stage).value[:, 0]
         np.testing.assert_allclose(over * expected[:, place], expected[:, -1], rtol=1e-6, atol=1e-13)
-
-
-@settings(max_examples=25, deadline=None)
-@given(chain=chains())
-def test_modes_are_the_eigenvalues_of_state_space(chain):
     roots = linalg.eigvals(state_space(chain)[0])
     frequency, damping = chain.modes()
     size = 2.0 * np.pi * frequency
@@ -94,11 +86,6 @@ def test_modes_are_the_eigenvalues_of_state_space(chain):
     for value, ratio in zip(size[rings], damping[rings], strict=True):
         root = value * (-ratio + 1j * np.sqrt(1.0 - ratio**2))
         assert np.abs(roots - root).min() < 1e-6 * value
-
-
-@settings(max_examples=25, deadline=None)
-@given(chain=chains())
-def test_slowly_moved_a_chain_moves_as_one_and_forces_act_alike_both_ways(chain):
     slow = np.array([1e-3])
     for stage in chain.stages:
         assert chain.transfer(slow, stage).value[0, 0] == pytest.approx(1.0, abs=1e-8)
@@ -207,7 +194,7 @@ def test_stages_without_a_mass_of_their_own_and_the_names_of_all():
     assert {p.unit for p in turning.parameters} == {"N·m/rad", "N·m·s/rad", "kg·m²"}
 
 
-def test_dampers_act_between_neighbours_and_a_hand_lowers_the_resonance():
+def test_dampers_act_between_neighbours_and_a_hand_lowers_the_resonance_of_an_oscillator():
     """Pedestal, sensor and hand: a common motion of all three is damped by the damper to the ground alone."""
     stages = ("pedestal", "sensor", "hand")
     damping = MassChain(stages, np.ones(3), np.ones(3), np.array([5.0, 3.0, 2.0])).matrices[1]
@@ -216,9 +203,6 @@ def test_dampers_act_between_neighbours_and_a_hand_lowers_the_resonance():
     for hand in (0.02, 0.1, 0.5):
         held = MassChain(stages, np.array([50.0, 0.05, hand]), np.array([1e12, 1.3e6, 1e10]), np.zeros(3))
         assert held.modes()[0][0] == pytest.approx(oscillator_hz(1.3e6, 0.05 + hand), rel=1e-3)
-
-
-def test_an_oscillator_has_the_frequency_of_its_spring_and_mass():
     assert oscillator_hz(1.824e5, 0.049) == pytest.approx(307.07, abs=0.01)
     assert required_stiffness(oscillator_hz(3.0, 0.7), 0.7) == pytest.approx(3.0)
     refused("stiffness, mass: expected both above 0", oscillator_hz, 1.0, 0.0)
@@ -243,13 +227,6 @@ def _table(frequency: np.ndarray, value: np.ndarray, u: float = 1e-4) -> Respons
     return ResponseTable(frequency, np.abs(value), np.angle(value), u * np.abs(value), np.full(len(frequency), u))
 
 
-def _phasors(value: np.ndarray, unit: tuple[str, ...] = ("m/s", "V")) -> Phasors:
-    lines, channels = value.shape
-    covariance = np.tile(np.eye(2 * channels) * 1e-4, (lines, 1, 1))
-    names = tuple("abcdef"[:channels])
-    return Phasors(np.linspace(10.0, 1000.0, lines), value, covariance, names, unit, np.full(lines, 9.0))
-
-
 @pytest.mark.parametrize("kind", ["butterworth", "bessel"])
 @pytest.mark.parametrize("band", ["lowpass", "highpass"])
 @pytest.mark.parametrize("order", [1, 4, 8])
@@ -263,13 +240,10 @@ def test_standard_filters_are_those_of_scipy(kind, band, order):
     assert np.abs(corner[0]) == pytest.approx(np.sqrt(0.5), rel=1e-9)
 
 
-def test_a_resonance_is_an_oscillator():
+def test_a_resonance_is_an_oscillator_and_gain_and_delay_stand_before_the_poles():
     ratio = DECADES_HZ / 3000.0
     found = pole_response(DECADES_HZ, filter_poles("resonance", 2, 3000.0, damping=0.02)).value
     np.testing.assert_allclose(found, 1.0 / (1.0 - ratio**2 + 0.04j * ratio), rtol=1e-12)
-
-
-def test_gain_and_delay_stand_before_the_poles():
     model = PoleModel(np.zeros(1, complex), np.array([-6.0, -6e5], complex), 3.0, 160.0, 2e-5)
     found = pole_response(np.array([160.0, 1000.0]), model).value
     assert np.abs(found[0]) == pytest.approx(3.0)
@@ -303,15 +277,12 @@ def test_an_interpolated_table_errs_no_more_than_it_says(model, knots):
     assert error.max() < 0.5 * np.abs(linear / true - 1.0).max()
 
 
-def test_a_table_is_met_at_its_points_and_a_delay_is_exact_between_them():
+def test_a_table_is_met_at_its_points_a_delay_exact_between_them_and_scatter_an_error_of_interpolation():
     knots = np.array([0.0, 300.0, 700.0, 1500.0])
     late = np.exp(-2j * np.pi * knots * 2e-4)
     np.testing.assert_allclose(table_response(_table(knots, late), knots).value, late, rtol=1e-12)
     between = np.array([11.0, 444.4, 1100.0])
     np.testing.assert_allclose(table_response(_table(knots, late), between).value, np.exp(-2j * np.pi * between * 2e-4))
-
-
-def test_scattered_points_are_an_error_of_the_interpolation():
     rng, knots = np.random.default_rng(4), np.linspace(10.0, 5000.0, 40)
     scatter = 1e-3 * (rng.standard_normal(40) + 1j * rng.standard_normal(40))
     said = table_response(_table(knots, 1.0 + scatter, 0.0), DECADES_HZ)
@@ -355,20 +326,14 @@ def test_units_of_ratios():
     assert split_ratio("m/s^2") == ("m/s^2", "")
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: PoleModel(poles=np.array([-1 + 2j])), "poles: expected conjugate pairs"),
-        (lambda: PoleModel(poles=np.array([1 + 0j])), "poles: expected real parts of at most 0, found 1"),
-        (lambda: PoleModel(gain=0.0), "gain: expected a number other than 0"),
-        (lambda: filter_poles("bessel", 0, 1.0), "order: expected 1 to 12, found 0"),
-        (lambda: filter_poles("resonance", 3, 1.0), "order: expected 2"),
-        (lambda: filter_poles("butterworth", 2, 0.0), "corner_hz: expected a frequency above 0"),
-        (lambda: pole_response(np.zeros(1), HIGHPASS), "frequency_hz: expected frequencies other than a zero"),
-        (lambda: table_response(_table(OCTAVES, OCTAVES + 0j), np.array([5e3, 6e3])), "found 6000"),
-        (lambda: _table(OCTAVES[::-1], OCTAVES + 0j), "ascending"),
-        (lambda: _table(OCTAVES, 0j * OCTAVES), "magnitude: expected positive values"),
-    ],
-)
-def test_wrong_calls_are_refused_by_name(call, message):
-    refused(message, call)
+def test_wrong_calls_are_refused_by_name():
+    refused("poles: expected conjugate pairs", PoleModel, poles=np.array([-1 + 2j]))
+    refused("poles: expected real parts of at most 0, found 1", PoleModel, poles=np.array([1 + 0j]))
+    refused("gain: expected a number other than 0", PoleModel, gain=0.0)
+    refused("order: expected 1 to 12, found 0", filter_poles, "bessel", 0, 1.0)
+    refused("order: expected 2", filter_poles, "resonance", 3, 1.0)
+    refused("corner_hz: expected a frequency above 0", filter_poles, "butterworth", 2, 0.0)
+    refused("frequency_hz: expected frequencies other than a zero", pole_response, np.zeros(1), HIGHPASS)
+    refused("found 6000", table_response, _table(OCTAVES, OCTAVES + 0j), np.array([5e3, 6e3]))
+    refused("ascending", _table, OCTAVES[::-1], OCTAVES + 0j)
+    refused("magnitude: expected positive values", _table, OCTAVES, 0j * OCTAVES)

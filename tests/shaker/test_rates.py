@@ -342,25 +342,27 @@ def test_one_rate_serves_all_twelve_frequencies_of_a_sweep():
         assert PREFERRED[0] <= plan.alias_hz[0] / rate <= PREFERRED[1]
 
 
+def test_wrong_calls_are_refused_by_name():
+    lines = [lines_of([106.25], 5)]
+    refused("limits_hz", candidate_rates, lines, PUBLISHED, (50.0, 40.0), 1e-3)
+    refused("step_hz", candidate_rates, lines, PUBLISHED, (40.0, 50.0), 0.0)
+    refused("limits_hz: .* multiple", candidate_rates, lines, PUBLISHED, (40.1, 40.4), 0.5)
+    refused("frames, harmonics: expected at least 4 frames", Sampling, 3)
+    refused("exposure_s: expected a number of at least 0, found -1", Sampling, 211, -1.0)
+    refused("fundamentals_hz: expected frequencies above 0", lines_of, [106.25, -1.0], 5)
+    refused("frames: expected more than 11", amplitude_covariance, 106.25 * np.arange(1, 6), CAMERA_HZ, 11)
+
+
 @pytest.mark.parametrize(
-    ("call", "message"),
+    ("rate", "trials", "close"),
     [
-        (lambda: candidate_rates([lines_of([106.25], 5)], PUBLISHED, (50.0, 40.0), 1e-3), "limits_hz"),
-        (lambda: candidate_rates([lines_of([106.25], 5)], PUBLISHED, (40.0, 50.0), 0.0), "step_hz"),
-        (lambda: candidate_rates([lines_of([106.25], 5)], PUBLISHED, (40.1, 40.4), 0.5), "limits_hz: .* multiple"),
-        (lambda: Sampling(3), "frames, harmonics: expected at least 4 frames"),
-        (lambda: Sampling(211, -1.0), "exposure_s: expected a number of at least 0, found -1"),
-        (lambda: lines_of([106.25, -1.0], 5), "fundamentals_hz: expected frequencies above 0"),
-        (lambda: amplitude_covariance(106.25 * np.arange(1, 6), CAMERA_HZ, 11), "frames: expected more than 11"),
+        (CAMERA_HZ, 800, 0.075),  # 800 trials leave 2.5 %
+        *(pytest.param(rate, 5_000, 0.03, marks=pytest.mark.slow) for rate in (CAMERA_HZ, 57.565, 43.901)),
     ],
 )
-def test_wrong_calls_are_refused_by_name(call, message):
-    refused(message, call)
-
-
-def _scatter(rate: float, trials: int, seed: int) -> float:
-    """Standard deviation of the fundamental's amplitude over fits of simulated frames, over what was planned."""
-    rng = np.random.default_rng(seed)
+def test_simulated_scatter_is_what_was_planned(rate, trials, close):
+    """Standard deviation of the fundamental's amplitude over fits of simulated frames."""
+    rng = np.random.default_rng(1 if trials == 800 else 2)
     plan = plan_at(lines_of([106.25], 5), rate, PUBLISHED)
     time, length = np.arange(211) / rate, 16 * 211
     density = np.concatenate([[0.0], 5.0 / np.fft.rfftfreq(length, 1.0 / rate)[1:]])
@@ -373,15 +375,4 @@ def _scatter(rate: float, trials: int, seed: int) -> float:
         values = clean + rng.normal(size=(211, 10)) + pink[:211]
         fit = fit_sines(time, values, plan.lines.frequency_hz, [str(i) for i in range(10)], ["m"] * 10)
         found.append(np.abs(fit.phasors.value[0]) / plan.gain[0])
-    return float(np.std(np.concatenate(found)) / plan.u_amplitude[0])
-
-
-@pytest.mark.parametrize(
-    ("rate", "trials", "close"),
-    [
-        (CAMERA_HZ, 800, 0.075),  # 800 trials leave 2.5 %
-        *(pytest.param(rate, 5_000, 0.03, marks=pytest.mark.slow) for rate in (CAMERA_HZ, 57.565, 43.901)),
-    ],
-)
-def test_simulated_scatter_is_what_was_planned(rate, trials, close):
-    assert _scatter(rate, trials, seed=1 if trials == 800 else 2) == pytest.approx(1.0, abs=close)
+    assert np.std(np.concatenate(found)) / plan.u_amplitude[0] == pytest.approx(1.0, abs=close)

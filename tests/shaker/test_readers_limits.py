@@ -88,18 +88,13 @@ def one_sentence(path: Path, error: Exception) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_sound_files_are_read(tmp_path, kind):
-    suffix, content = whole(kind)
-    (tmp_path / f"a{suffix}").write_bytes(content)
-    assert read_all(tmp_path / f"a{suffix}") > 0
-
-
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "csv"])
-def test_cut_off_files_are_refused(tmp_path, kind):
+def test_sound_files_are_read_and_cut_off_ones_refused(tmp_path, kind):
     """CSV does not say how long it is; all others do, and a file cut anywhere is refused."""
     suffix, content = whole(kind)
     path = tmp_path / f"a{suffix}"
-    for share in (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97):
+    path.write_bytes(content)
+    assert read_all(path) > 0
+    for share in (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97) if kind != "csv" else ():
         path.write_bytes(content[: int(share * len(content))])
         with pytest.raises((OSError, ValueError)) as caught:
             read_all(path)

@@ -279,16 +279,13 @@ def test_the_number_of_bytes_tells_the_precision_of_the_abscissa_and_counts_what
     np.testing.assert_array_equal(read_universal_functions(path)[0].value, Y.real)
 
 
-def test_end_mark_and_line_ends_among_the_numbers(path):
+def test_end_mark_and_line_ends_among_the_numbers_count_and_foreign_or_too_few_numbers_are_refused(path):
     """Bytes that look like an end mark or a line end belong to the numbers: their count decides."""
     looks_like = np.frombuffer(b"\n    -1\n    -1\r\n  \n\n" + b"    -1\n\n    -1\n 123 ", "<f4")
     path.write_bytes(uff.binary_function(2, X, looks_like, True, "<") + uff.text_function(1, 2, X, X, True, "after"))
     first, second = read_universal_functions(path)
     np.testing.assert_array_equal(first.value.astype("<f4"), looks_like)
     assert second.name == "after"
-
-
-def test_foreign_number_formats_and_too_few_numbers_are_refused(path):
     content = uff.binary_function(4, X, Y.real, True, "<")
     for number, name in ((b"3", "IBM 5/370"), (b"1", "DEC VMS")):
         path.write_bytes(content.replace(b"1     2", b"1     " + number, 1))

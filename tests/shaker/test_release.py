@@ -122,16 +122,13 @@ def test_a_measured_force_tells_onset_and_length():
     assert "the force changes by -22.0" in told[0].text
 
 
-def test_a_cut_record_is_told():
+def test_a_cut_record_is_told_and_the_flat_top_of_a_slow_wave_is_not_cut():
     samples = PLAIN.record(np.random.default_rng(9), 40.0, 3e-4).samples[0]
     assert samples.min() < -0.25
     reading = read_release(PLAIN.of(np.maximum(samples, -0.2)), "Fz")
     assert reading.clipped
     assert "stands at its limit" in reading.notices[0].text
     assert read_release(PLAIN.of(-np.maximum(samples, -0.2)), "Fz").clipped
-
-
-def test_the_flat_top_of_a_slow_wave_is_not_cut():
     truth = Truth(frequency_hz=(60.0,), lag_hz=None, release_s=1e-3, length_s=0.15)
     samples = np.round(truth.clean() / 2e-3) * 2e-3  # 16 equal samples at the top of every wave
     assert not read_release(truth.of(samples), "Fz").clipped
@@ -188,21 +185,15 @@ def test_the_order_is_that_of_the_rise_and_its_certainty_that_of_welch(reading):
     assert (first.rise.u_mean, first.rise.dof) == (pytest.approx(scatter / 2), 3)
 
 
-def test_one_release_tells_nothing_of_repeatability(reading):
+def test_one_release_tells_no_repeatability_means_no_more_than_readings_and_only_alike_ones_compare(reading):
     first, second = compare_releases(_kind(reading, "wire", [1e-4]) + _kind(reading, "line", [2e-4, 2.1e-4]))
     assert first.release == "wire"
     assert np.isnan([first.rise.repeatability, first.faster]).all()
     assert first.rise.u_mean == pytest.approx(1e-9)
     assert second.rise.dof == 1
-
-
-def test_means_are_no_better_known_than_the_readings(reading):
     alike = [replace(reading, release="line", rise_s=1e-4, u_rise_s=3e-6)] * 4
     (kind,) = compare_releases(alike)
     assert (kind.rise.u_mean, kind.rise.dof) == (pytest.approx(1.5e-6), np.inf)
-
-
-def test_only_alike_readings_are_compared(reading):
     two = [reading, replace(reading, component="Fx")]
     refused("one output under one component, found Fz under Fx, Fz under Fz", compare_releases, two)
     refused("found none", compare_releases, [])
@@ -229,7 +220,7 @@ def test_peaks_are_where_a_fine_transform_has_them():
     assert second.share == pytest.approx(sizes[1] / sizes[0], rel=1e-5)
 
 
-def test_noise_scatters_peaks_as_stated():
+def test_noise_scatters_peaks_as_stated_and_has_none_of_its_own():
     clean, rng = spectrum_peaks(RINGING, RATE, 1e-6), np.random.default_rng(1)
     found = [spectrum_peaks(RINGING + 0.02 * rng.standard_normal(len(TIME)), RATE, 0.02) for _ in range(80)]
     assert all(len(peaks) == 2 for peaks in found)
@@ -239,9 +230,6 @@ def test_noise_scatters_peaks_as_stated():
         assert 0.75 < np.sqrt(np.mean(moved**2)) / stated < 1.25  # 99.9 % of 80 degrees of freedom
     shares = np.array([peaks[1].share for peaks in found])
     assert 0.75 < shares.std() / np.mean([peaks[1].u_share for peaks in found]) < 1.25
-
-
-def test_noise_has_no_peaks():
     rng = np.random.default_rng(2)
     assert not [peak for _ in range(20) for peak in spectrum_peaks(rng.standard_normal(4000), 1e5, 1.0)]
 
@@ -263,7 +251,7 @@ def test_correlated_noise_counts_less():
     assert np.mean(red) == pytest.approx(9.0, rel=0.25)
 
 
-def test_a_level_is_found_under_what_rings_and_its_drift_is_told():
+def test_a_level_is_found_under_what_rings_its_drift_told_and_its_last_digit_counted():
     rng = np.random.default_rng(4)
     pole = np.array([(-30 + 2j * np.pi * 450.0) / RATE])
     samples = 0.3 + np.exp(-30 * TIME) * np.cos(2 * np.pi * 450.0 * TIME) + 0.01 * rng.standard_normal(len(TIME))
@@ -274,9 +262,6 @@ def test_a_level_is_found_under_what_rings_and_its_drift_is_told():
     drifting = ringing_level(samples + 0.02 * TIME / TIME[-1], pole, 0.0)
     assert drifting.drift == pytest.approx(0.02, rel=0.1)
     assert drifting.drift_over_u > 10
-
-
-def test_samples_without_noise_are_known_to_their_last_digit():
     level = ringing_level(np.full(100, 0.5), np.zeros(0, dtype=complex), 0.01)
     assert (level.u, level.noise) == pytest.approx((0.01 / np.sqrt(12), 0.01 / np.sqrt(12)))
 

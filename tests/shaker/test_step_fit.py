@@ -234,10 +234,13 @@ def test_an_unstable_mode_is_told():
     assert fit.model.damping_ratio[0] == pytest.approx(-20 / (2 * np.pi * 1500), rel=0.05)
 
 
-def test_no_ring_and_no_force_are_refused():
+def test_what_tells_no_model_is_refused():
     silent = record_of((np.arange(4000) / RATE_HZ > 0.01).astype(float), 1e-2, 1)
     refused("no oscillation above the noise", one_mode, silent, 0.01, modes=None, real_poles=None)
     refused("release: expected", one_mode, record_of(clean(), 1e-3, 1), release="measured")
+    refused('shape: expected "step", "ramp" or "smooth"', pole_responses, POLES, np.zeros(3), 0.0, 1.0, "measured")
+    refused("load: expected at least", every_order, np.zeros(20), np.zeros(20), 1e5)
+    refused("order: expected 1 to 2", every_order(np.arange(40.0), np.arange(40.0) ** 2, 1e5, most=2).parameters, 3)
 
 
 def test_a_record_without_noise_gives_the_sensor():
@@ -257,16 +260,18 @@ def test_a_shape_of_the_release_that_fits_as_well_is_told():
     assert any("does not tell whether the release is" in notice.text for notice in fit.notices)
 
 
-POLES = np.array([2 * np.pi * 1700 * (-0.015 + 1j), 2 * np.pi * 2900 * (-0.03 + 1j), -3e4])
+POLES = np.array([2 * np.pi * 1700 * (-0.015 + 1j), 2 * np.pi * 2900 * (-0.03 + 1j), -2 * np.pi * 6000.0])
 TIME = np.arange(1500) / 1e5
 FORCE = np.cumsum(np.random.default_rng(0).standard_normal(1500))
 LOADS = (Load("step", 5.0), Load("ramp", 5.0), Load("smooth", 5.0), Load("measured", 5.0, FORCE, 0.0))
+SINGLE = every_sample(0 * TIME, TIME, 1e-5)
+BLOCKS = (SINGLE, in_blocks(SINGLE, 0.0035, 0.006, 7), Samples(TIME[::4], np.full(375, 4), 0 * TIME[::4], 1e-5))
 
 
 @pytest.mark.parametrize("load", LOADS, ids=lambda load: load.shape)
 def test_derivatives_are_those_of_differences(load):
     structure = Structure(2, 1, 4, 2e4)
-    samples = in_blocks(every_sample(0 * TIME, TIME, 1e-5), 0.0035, 0.006, 7)
+    samples = BLOCKS[1]
     tail = [0.004123] * load.timed + [np.log(4.3e-4)] * load.lasting
     vector = np.concatenate([structure.vector(POLES), tail])
     problem = Problem(structure, load, samples, vector, vector)
@@ -384,11 +389,6 @@ def test_noise_biases_the_difference_equation_and_the_user_is_told():
     assert np.all(np.diff(fit.convergence) < 1e-3 * fit.convergence[0])
 
 
-def test_too_short_a_record_and_an_order_beyond_are_refused():
-    refused("load: expected at least", every_order, np.zeros(20), np.zeros(20), 1e5)
-    refused("order: expected 1 to 2", every_order(np.arange(40.0), np.arange(40.0) ** 2, 1e5, most=2).parameters, 3)
-
-
 def test_evolution_of_modes_reaches_the_default_s_optimum():
     record = record_of(held(1800), 2e-3, 1)
     choice = {"methods": ("pencil", "evolution"), "modes": 1, "real_poles": 1}
@@ -416,21 +416,14 @@ def test_published_evolution_is_far_from_the_truth():
     assert not len(poles) or np.min(np.abs(poles - truth)) > 0.01 * abs(truth)
 
 
-ANSWERING = np.array([2 * np.pi * 1700 * (-0.015 + 1j), 2 * np.pi * 2900 * (-0.03 + 1j), -2 * np.pi * 6000.0])
-STEP_S = 1e-5
 MIDDLE_S, LENGTH_S = 0.004123, 4.3e-4
-BLOCKS = (
-    every_sample(0 * TIME, TIME, STEP_S),
-    in_blocks(every_sample(0 * TIME, TIME, STEP_S), 0.0035, 0.006, 7),
-    Samples(TIME[::4], np.full(375, 4), 0 * TIME[::4], STEP_S),
-)
 
 
 @pytest.mark.parametrize("shape", ["ramp", "smooth"])
 def test_responses_solve_the_equation(shape):
     time = np.linspace(0.0, 1.5e-3, 16)
-    value = pole_responses(ANSWERING, time, 0.2e-3, 0.7e-3, shape)
-    for place, pole in enumerate(ANSWERING):
+    value = pole_responses(POLES, time, 0.2e-3, 0.7e-3, shape)
+    for place, pole in enumerate(POLES):
 
         def rate(t: float, x: ComplexArray, p: complex = pole) -> ComplexArray:
             return p * x + load_share(shape, np.array([t]), 0.2e-3, 0.7e-3)
@@ -444,13 +437,13 @@ def test_responses_solve_the_equation(shape):
 
 def test_a_release_in_no_time_is_a_step():
     time = np.linspace(-1e-3, 2e-3, 301)
-    step = pole_responses(ANSWERING, time, 0.1e-3, 0.4e-3, "step")
+    step = pole_responses(POLES, time, 0.1e-3, 0.4e-3, "step")
     for shape in ("ramp", "smooth"):
-        assert np.array_equal(pole_responses(ANSWERING, time, 0.1e-3, 0.0, shape), step)
-        at_once = pole_responses(ANSWERING, time, 0.1e-3, 1e-9, shape)
+        assert np.array_equal(pole_responses(POLES, time, 0.1e-3, 0.0, shape), step)
+        at_once = pole_responses(POLES, time, 0.1e-3, 1e-9, shape)
         assert at_once == pytest.approx(step, abs=1e-4 * np.abs(step).max())
     late = time > 0.1e-3
-    assert step[late, 2] == pytest.approx((np.exp(ANSWERING[2] * (time[late] - 0.1e-3)) - 1) / ANSWERING[2])
+    assert step[late, 2] == pytest.approx((np.exp(POLES[2] * (time[late] - 0.1e-3)) - 1) / POLES[2])
 
 
 @given(st.floats(1e3, 1e8), st.floats(1e-6, 1e-1))
@@ -463,14 +456,10 @@ def test_fast_poles_follow_a_ramp(rate, release_s):
     assert value[-1] <= 1.0 + 1e-9
 
 
-def test_measured_shapes_need_the_force():
-    refused('shape: expected "step", "ramp" or "smooth"', pole_responses, ANSWERING, np.zeros(3), 0.0, 1.0, "measured")
-
-
 def test_answers_to_a_measured_force_are_those_of_an_integration():
     """By scipy: real and imaginary part of an answer as the states of a real system."""
-    value = answers(LOADS[3], ANSWERING, BLOCKS[0], 0.0, 0.0).value
-    for place, pole in enumerate(ANSWERING):
+    value = answers(LOADS[3], POLES, BLOCKS[0], 0.0, 0.0).value
+    for place, pole in enumerate(POLES):
         a = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
         _, output, _ = lsim((a, [[1.0], [0.0]], np.eye(2), np.zeros((2, 1))), FORCE, TIME)
         true = output[:, 0] + 1j * output[:, 1]
@@ -480,22 +469,22 @@ def test_answers_to_a_measured_force_are_those_of_an_integration():
 @pytest.mark.parametrize("blocks", BLOCKS, ids=["samples", "mixed", "fours"])
 @pytest.mark.parametrize("load", LOADS, ids=lambda load: load.shape)
 def test_blocks_are_means_of_samples_and_derivatives_those_of_differences(load, blocks):
-    def value(poles: ComplexArray = ANSWERING, middle_s: float = MIDDLE_S, length_s: float = LENGTH_S) -> ComplexArray:
+    def value(poles: ComplexArray = POLES, middle_s: float = MIDDLE_S, length_s: float = LENGTH_S) -> ComplexArray:
         return answers(load, poles, blocks, middle_s, length_s).value
 
-    whole = answers(load, ANSWERING, blocks, MIDDLE_S, LENGTH_S)
+    whole = answers(load, POLES, blocks, MIDDLE_S, LENGTH_S)
     if load.timed:
         onset_s = MIDDLE_S - 0.5 * LENGTH_S * load.lasting
-        single = 5.0 * pole_responses(ANSWERING, TIME, onset_s, LENGTH_S, load.shape)
+        single = 5.0 * pole_responses(POLES, TIME, onset_s, LENGTH_S, load.shape)
     else:
-        single = answers(load, ANSWERING, BLOCKS[0], 0.0, 0.0).value
+        single = answers(load, POLES, BLOCKS[0], 0.0, 0.0).value
     starts = np.concatenate([[0], np.cumsum(blocks.length)[:-1]])
     means = np.add.reduceat(single, starts, axis=0) / blocks.length[:, None]
     np.testing.assert_allclose(whole.value, means, atol=1e-12 * np.abs(means).max())
-    np.testing.assert_allclose(responses(load, ANSWERING, blocks, MIDDLE_S, LENGTH_S), whole.value, atol=1e-14)
-    for place, pole in enumerate(ANSWERING):
+    np.testing.assert_allclose(responses(load, POLES, blocks, MIDDLE_S, LENGTH_S), whole.value, atol=1e-14)
+    for place, pole in enumerate(POLES):
         change = 1e-5 * abs(pole) * np.eye(3)[place]
-        slope = (value(ANSWERING + change) - value(ANSWERING - change))[:, place] / (2 * change[place])
+        slope = (value(POLES + change) - value(POLES - change))[:, place] / (2 * change[place])
         np.testing.assert_allclose(whole.by_pole[:, place], slope, atol=2e-6 * np.abs(slope).max())
     if load.timed:
         slope = (value(middle_s=MIDDLE_S + 1e-9) - value(middle_s=MIDDLE_S - 1e-9)) / 2e-9

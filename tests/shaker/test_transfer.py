@@ -40,14 +40,6 @@ def accelerance(s: ComplexArray) -> ComplexArray:
     return np.asarray(1e-8 * s**2 / (1.0 + 2.0 * ZETA * p + p * p))
 
 
-def chirp(period: float, rate_hz: float, band_hz: tuple[float, float]) -> tuple[FloatArray, ComplexArray]:
-    """Harmonics inside a band and their phasors, all of one size, quadratic phases (Schroeder 1970)."""
-    first, last = (int(edge * period / rate_hz) for edge in band_hz)
-    harmonic = np.arange(first + 1.0, last + 1.0)
-    count = len(harmonic)
-    return harmonic, np.sqrt(2.0 / count) * np.exp(-1j * np.pi * (harmonic - harmonic[0]) ** 2 / count)
-
-
 def periodic(harmonic: FloatArray, phasor: ComplexArray, period: float, samples: int) -> FloatArray:
     """Samples of Σ Re{X exp(2πjkn/P)}, X (K,) or (K, C), P any number of samples, by direct summation."""
     if period == round(period) < samples:
@@ -220,11 +212,15 @@ def test_the_modes_of_a_real_beam(data_dir):
 
 
 PERIODIC_HZ, LENGTH = 12800.0, 4096
+PERIOD_S = LENGTH / PERIODIC_HZ
 
 
 @cache
 def clean_pair(period: float, periods: float) -> tuple[FloatArray, FloatArray]:
-    harmonic, phasor = chirp(period, PERIODIC_HZ, (200.0, 3000.0))
+    """Harmonics of one size between 200 and 3000 Hz, quadratic phases (Schroeder 1970): of the base, of the top."""
+    first, last = (int(edge * period / PERIODIC_HZ) for edge in (200.0, 3000.0))
+    harmonic, count = np.arange(first + 1.0, last + 1.0), last - first
+    phasor = np.sqrt(2.0 / count) * np.exp(-1j * np.pi * (harmonic - harmonic[0]) ** 2 / count)
     samples = int(periods * LENGTH)
     both = np.column_stack([phasor, phasor * transmissibility(harmonic * PERIODIC_HZ / period)])
     base, top = periodic(harmonic, both, period, samples).T
@@ -237,7 +233,7 @@ def chirp_record(period: float, periods: float = 4.0, noise: float = 0.0, seed: 
 
 @pytest.mark.parametrize(("period", "exact"), [(4096.0, 1e-9), (4096.0 * (1 + 20e-6), 1e-5), (4093.2, 1e-5)])
 def test_a_chirp_without_noise_gives_the_transfer_function_whatever_its_period(period, exact):
-    found = transfer_periodic(chirp_record(period, 4.1), LENGTH / PERIODIC_HZ)
+    found = transfer_periodic(chirp_record(period, 4.1), PERIOD_S)
     truth = transmissibility(found.ratio.frequency_hz)
     assert (found.ratio.frequency_hz[0], found.ratio.frequency_hz[-1]) == pytest.approx((200.0, 3000.0), abs=4.0)
     assert found.line_spacing_hz == pytest.approx(PERIODIC_HZ / period, rel=1e-9)
@@ -247,7 +243,7 @@ def test_a_chirp_without_noise_gives_the_transfer_function_whatever_its_period(p
 @pytest.mark.parametrize("period", [4096.0, 4096.0 * (1 + 20e-6)])
 def test_regions_of_95_percent_cover_every_line_as_often(period):
     records = [chirp_record(period, 4.0, 1e-2, seed) for seed in range(6)]
-    found = [transfer_periodic(data, LENGTH / PERIODIC_HZ) for data in records]
+    found = [transfer_periodic(data, PERIOD_S) for data in records]
     # Some 900 lines a record, noise pooled over nine: the share's standard deviation is about 0.4 %.
     assert np.mean([inside(one) for one in found]) == pytest.approx(0.95, abs=0.015)
     assert np.mean([deviations(one) for one in found]) == pytest.approx(1.04, abs=0.06)
@@ -256,7 +252,7 @@ def test_regions_of_95_percent_cover_every_line_as_often(period):
 def test_noise_on_the_reference_does_not_bias_the_ratio():
     close = []
     for seed in range(10):
-        found = transfer_periodic(chirp_record(4096.0, 4.0, 0.1, seed), LENGTH / PERIODIC_HZ)
+        found = transfer_periodic(chirp_record(4096.0, 4.0, 0.1, seed), PERIOD_S)
         near = np.abs(found.ratio.frequency_hz - F0_HZ) < 12.0
         relative = error(found)[near] / transmissibility(found.ratio.frequency_hz[near])
         close.append(np.mean(relative) / np.sqrt(np.mean(found.ratio.u_re[near] ** 2) / np.count_nonzero(near)))
@@ -268,7 +264,7 @@ def test_a_line_with_mains_keeps_its_own_uncertainty():
     clean = chirp_record(4096.0, 6.0, 1e-3)
     time = np.arange(len(clean.reference)) / PERIODIC_HZ
     hum = clean.responses + 0.3 * np.cos(2 * np.pi * 650.7 * time)[:, None]
-    found = transfer_periodic(replace(clean, responses=hum), LENGTH / PERIODIC_HZ)
+    found = transfer_periodic(replace(clean, responses=hum), PERIOD_S)
     near = np.argmin(np.abs(found.ratio.frequency_hz - 650.7))
     far = np.abs(found.ratio.frequency_hz - 650.7) > 100.0
     assert found.ratio.u_re[near, 0] > 30.0 * np.median(found.ratio.u_re[far, 0])
@@ -280,10 +276,10 @@ def test_a_structure_not_settled_is_told_and_leaving_the_period_out_cures_it():
     time = np.arange(len(settled.reference)) / PERIODIC_HZ
     decaying = 5.0 * np.exp(-np.pi * F0_HZ / 66.0 * time) * np.cos(2 * np.pi * F0_HZ * time)
     unsettled = replace(settled, responses=settled.responses + decaying[:, None])
-    (notice,) = [n for n in transfer_periodic(unsettled, LENGTH / PERIODIC_HZ).notices if n.severity == "warning"]
+    (notice,) = [n for n in transfer_periodic(unsettled, PERIOD_S).notices if n.severity == "warning"]
     assert notice.where == "top"
     assert "had not settled" in notice.text
-    cured = transfer_periodic(unsettled, LENGTH / PERIODIC_HZ, settle_periods=1)
+    cured = transfer_periodic(unsettled, PERIOD_S, settle_periods=1)
     assert not told(cured)
     assert cured.averages[0] == 4.0
 
@@ -292,10 +288,10 @@ def test_a_response_that_drifts_over_the_periods_is_told():
     steady = chirp_record(4096.0, 6.0, 1e-3)
     grows = 1.0 + 1e-2 * np.arange(len(steady.reference)) / len(steady.reference)
     both = replace(steady, reference=steady.reference * grows, responses=steady.responses * grows[:, None])
-    texts = told(transfer_periodic(both, LENGTH / PERIODIC_HZ), "info")
+    texts = told(transfer_periodic(both, PERIOD_S), "info")
     assert any("amplitude changes by" in text for text in texts)
     one = replace(steady, responses=steady.responses * grows[:, None])
-    assert any("drifts over the periods" in text for text in told(transfer_periodic(one, LENGTH / PERIODIC_HZ)))
+    assert any("drifts over the periods" in text for text in told(transfer_periodic(one, PERIOD_S)))
 
 
 def test_distortions_of_a_multisine_are_told_at_the_lines_it_leaves_out():
@@ -305,10 +301,10 @@ def test_distortions_of_a_multisine_are_told_at_the_lines_it_leaves_out():
     base = periodic(harmonic, phasor, 4096.0, 4 * LENGTH)
     straight = record(base, 2.0 * base, PERIODIC_HZ, 1e-4)
     bent = record(base, 2.0 * base + 0.02 * base**2, PERIODIC_HZ, 1e-4)
-    found = transfer_periodic(straight, LENGTH / PERIODIC_HZ)
-    np.testing.assert_allclose(found.ratio.frequency_hz, harmonic * PERIODIC_HZ / LENGTH, rtol=1e-12)
+    found = transfer_periodic(straight, PERIOD_S)
+    np.testing.assert_allclose(found.ratio.frequency_hz, harmonic / PERIOD_S, rtol=1e-12)
     assert not told(found)
-    (text,) = told(transfer_periodic(bent, LENGTH / PERIODIC_HZ))
+    (text,) = told(transfer_periodic(bent, PERIOD_S))
     assert "even lines" in text
     assert "odd" not in text
 
@@ -320,7 +316,7 @@ def test_several_responses_share_what_the_reference_does_to_them():
     twice = TransferRecord(
         noisy, np.repeat(clean.responses, 2, axis=1), PERIODIC_HZ, "base", "N", ("a", "b"), ("m/s^2", "m/s^2")
     )
-    found = transfer_periodic(twice, LENGTH / PERIODIC_HZ).ratio
+    found = transfer_periodic(twice, PERIOD_S).ratio
     assert found.unit == ("(m/s^2)/N", "(m/s^2)/N")
     np.testing.assert_allclose(found.covariance[:, 0, 1], found.covariance[:, 0, 0], rtol=1e-9)
     np.testing.assert_allclose(found.covariance[:, 0, 3], 0.0, atol=1e-6 * found.covariance[:, 0, 0].max())
@@ -329,14 +325,15 @@ def test_several_responses_share_what_the_reference_does_to_them():
 @settings(max_examples=10, deadline=None)
 @given(gain=st.floats(0.01, 100.0), other=st.floats(-50.0, -0.1), shift=st.integers(1, 2000))
 def test_scales_move_the_ratio_and_a_common_shift_does_not(gain, other, shift):
-    data = CHIRP
-    found = transfer_periodic(data, LENGTH / PERIODIC_HZ)
-    scaled = replace(data, reference=data.reference * gain, responses=data.responses * other)
+    found = transfer_periodic(CHIRP, PERIOD_S)
+    scaled = replace(CHIRP, reference=CHIRP.reference * gain, responses=CHIRP.responses * other)
     np.testing.assert_allclose(
-        transfer_periodic(scaled, LENGTH / PERIODIC_HZ).ratio.value, found.ratio.value * (other / gain), rtol=1e-9
+        transfer_periodic(scaled, PERIOD_S).ratio.value, found.ratio.value * (other / gain), rtol=1e-9
     )
-    shifted = replace(data, reference=np.roll(data.reference, shift), responses=np.roll(data.responses, shift, axis=0))
-    moved = transfer_periodic(shifted, LENGTH / PERIODIC_HZ).ratio
+    shifted = replace(
+        CHIRP, reference=np.roll(CHIRP.reference, shift), responses=np.roll(CHIRP.responses, shift, axis=0)
+    )
+    moved = transfer_periodic(shifted, PERIOD_S).ratio
     np.testing.assert_allclose(moved.value, found.ratio.value, atol=5e-2 * np.abs(found.ratio.value).max())
     assert np.median(np.abs(moved.value - found.ratio.value) / found.ratio.u_re) < 2.0
 
@@ -352,7 +349,7 @@ def test_channels_may_stand_in_any_order():
         unit=("m/s^2",) * 3,
     )
     turned = replace(three, responses=three.responses[:, ::-1], channels=("c", "b", "a"))
-    one, other = (transfer_periodic(data, LENGTH / PERIODIC_HZ).ratio for data in (three, turned))
+    one, other = (transfer_periodic(data, PERIOD_S).ratio for data in (three, turned))
     np.testing.assert_allclose(other.select(["a", "b", "c"]).value, one.value, rtol=1e-12)
     np.testing.assert_allclose(other.select(["a", "b", "c"]).covariance, one.covariance, rtol=1e-9, atol=1e-20)
 
@@ -369,10 +366,10 @@ def test_a_loud_line_of_two_periods_and_two_channels_still_has_a_covariance_that
 
 
 def test_what_cannot_be_estimated_is_refused_with_a_reason():
-    refused("at least 2 whole periods after 3", transfer_periodic, CHIRP, LENGTH / PERIODIC_HZ, settle_periods=3)
+    refused("at least 2 whole periods after 3", transfer_periodic, CHIRP, PERIOD_S, settle_periods=3)
     refused("period_s", transfer_periodic, CHIRP, 1e-4)
     noise = replace(CHIRP, reference=np.random.default_rng(1).standard_normal(len(CHIRP.reference)))
-    refused(r"period of the reference within|excites lines", transfer_periodic, noise, LENGTH / PERIODIC_HZ)
+    refused(r"period of the reference within|excites lines", transfer_periodic, noise, PERIOD_S)
     with pytest.raises(ValueError, match="found NaN in top"):
         replace(CHIRP, responses=np.where(np.arange(len(CHIRP.reference))[:, None] == 7, np.nan, CHIRP.responses))
     refused("names that differ", replace, CHIRP, channels=("base",))
