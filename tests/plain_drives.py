@@ -39,7 +39,14 @@ def plain_drive(
     """Return a drive, its channels numbered unless they are named."""
     names = tuple(f"U{n}" for n in range(np.size(outputs))) if channels is None else tuple(channels)
     return Drive(
-        recording=recording, mounting=mounting, frequency_hz=frequency_hz, nominal_hz=frequency_hz,
-        direction=direction, load=np.asarray(load, dtype=np.complex128), load_uncertainty=of_load,
-        outputs=np.asarray(outputs, dtype=np.complex128), outputs_uncertainty=of_outputs, channels=names,
-    )  # fmt: skip
+        recording=recording,
+        mounting=mounting,
+        frequency_hz=frequency_hz,
+        nominal_hz=frequency_hz,
+        direction=direction,
+        load=np.asarray(load, dtype=np.complex128),
+        load_uncertainty=of_load,
+        outputs=np.asarray(outputs, dtype=np.complex128),
+        outputs_uncertainty=of_outputs,
+        channels=names,
+    )

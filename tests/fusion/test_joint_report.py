@@ -60,13 +60,18 @@ def truth(frequency_hz: float) -> np.ndarray:
 def recorded(name: str, drives: Sequence[Drive]) -> Recorded:
     """What the result file of a recording tells of its drives."""
     return Recorded(
-        folder=name.replace(" ", "-").replace(",", ""), name=name, mounting=drives[0].mounting, rig="10 kN shaker",
-        kind="sine" if len(drives) == 1 else "multisine", direction=drives[0].direction,
-        frequencies=tuple(drive.nominal_hz for drive in drives), sensor=SENSOR,
+        folder=name.replace(" ", "-").replace(",", ""),
+        name=name,
+        mounting=drives[0].mounting,
+        rig="10 kN shaker",
+        kind="sine" if len(drives) == 1 else "multisine",
+        direction=drives[0].direction,
+        frequencies=tuple(drive.nominal_hz for drive in drives),
+        sensor=SENSOR,
         drives=tuple(replace(drive, recording=name) for drive in drives),
         notices=(Notice("warning", "the phase drifts", "velocity"),),
         origin=Provenance({f"{name}/recording.toml": "ab" * 32}, {"spline_degree": 5}, {"shakercal": "0.1.0"}, ()),
-    )  # fmt: skip
+    )
 
 
 def sweep() -> tuple[Recorded, ...]:
