@@ -66,15 +66,21 @@ def make_evaluation(folder: Path, choice: Choice | None = None, seed: int = 0) -
     accelerations = make_accelerations(rng)
     stereo = tuple(_stereo(name, body, choice, rng) for name, body in (("top", "load"), ("base", "base")))
     return Evaluation(
-        manifest=_manifest(folder, choice), lines=LINES, clocks=_clocks(folder, rng), channels=_channels(rng),
-        stereo=stereo if choice.images else (), accelerations=accelerations,
+        manifest=_manifest(folder, choice),
+        lines=LINES,
+        clocks=_clocks(folder, rng),
+        channels=_channels(rng),
+        stereo=stereo if choice.images else (),
+        accelerations=accelerations,
         load=_load(accelerations[0].phasors) if choice.sensor else None,
-        outputs=_outputs() if choice.sensor else None, sensitivity=_sensitivity() if choice.sensor else None,
-        notices=NOTICES, settings={"subset_radius_px": 10, "spline_degree": 5},
+        outputs=_outputs() if choice.sensor else None,
+        sensitivity=_sensitivity() if choice.sensor else None,
+        notices=NOTICES,
+        settings={"subset_radius_px": 10, "spline_degree": 5},
         versions={"shakercal": version("shakercal"), "python": "3.11", "numpy": "2.0"},
         input_hashes={"rig.toml": "ab" * 32, "Fz/recording.toml": "cd" * 32, "Fz/top-left/0000.tif": "ef" * 32},
         duration_s=12.5,
-    )  # fmt: skip
+    )
 
 
 def make_accelerations(rng: np.random.Generator) -> tuple[Acceleration, ...]:
@@ -119,9 +125,18 @@ def _acceleration(
     fused = source == "fused" and body == "load"
     told = (CommonEstimate("laser: scale", "laser: scale", 2.5e-4, "1", 0.4, 0.9),) if fused else ()
     return Acceleration(
-        body, source, values, mask, ("stereo top", "laser") if fused else (source,), Uncertainty(parts),
-        consistency if fused else (), 14.2 if fused else 0.0, 12 if fused else 0, told, (),
-    )  # fmt: skip
+        body,
+        source,
+        values,
+        mask,
+        ("stereo top", "laser") if fused else (source,),
+        Uncertainty(parts),
+        consistency if fused else (),
+        14.2 if fused else 0.0,
+        12 if fused else 0,
+        told,
+        (),
+    )
 
 
 def _load(acceleration: Phasors) -> LoadResult:
@@ -148,10 +163,16 @@ def _sensitivity() -> Sensitivity:
     covariance[:, place, place + 6] = covariance[:, place + 6, place] = 0.2 * u**2
     noise = Contribution("scatter of the sine approximation", "A", covariance, np.array([204.0, 204.0, np.inf]))
     return Sensitivity(
-        frequency_hz=FREQUENCY_HZ, value=value, elements=tuple((channel, 2) for channel in range(6)),
-        uncertainty=Uncertainty((noise,), _influences(value[:, :, 2])), channels=LOAD_COMPONENTS,
-        components=LOAD_COMPONENTS, unit="V/V", kind=("ratio", "harmonic", "harmonic"), notices=(),
-    )  # fmt: skip
+        frequency_hz=FREQUENCY_HZ,
+        value=value,
+        elements=tuple((channel, 2) for channel in range(6)),
+        uncertainty=Uncertainty((noise,), _influences(value[:, :, 2])),
+        channels=LOAD_COMPONENTS,
+        components=LOAD_COMPONENTS,
+        unit="V/V",
+        kind=("ratio", "harmonic", "harmonic"),
+        notices=(),
+    )
 
 
 def _influences(value: NDArray[Any]) -> tuple[Influence, ...]:
@@ -187,13 +208,22 @@ def _stereo(name: str, body: str, choice: Choice, rng: np.random.Generator) -> S
     fit = fit_sines(time, pose, FREQUENCY_HZ, MOTION_COMPONENTS, component_units(0))
     grid = np.stack(np.meshgrid(np.arange(40, 600, 22), np.arange(40, 480, 22)), axis=-1).reshape(-1, 2)
     return StereoResult(
-        name=name, body=body, time_s=time, exposure_s=40e-6,
+        name=name,
+        body=body,
+        time_s=time,
+        exposure_s=40e-6,
         motion=RigidMotion(pose - pose[0], covariance, residual, points, np.zeros(3)),
-        motion_from_mean=RigidMotion(pose, covariance, residual, points, np.zeros(3)), fit=fit,
-        usable=np.ones(3, dtype=bool), reprojection_px=0.021, reference_image=_speckle(rng),
-        subsets_px=grid.astype(np.float64), speckle_px=4.4, noise_grey=9.3, median_zncc=0.9971,
+        motion_from_mean=RigidMotion(pose, covariance, residual, points, np.zeros(3)),
+        fit=fit,
+        usable=np.ones(3, dtype=bool),
+        reprojection_px=0.021,
+        reference_image=_speckle(rng),
+        subsets_px=grid.astype(np.float64),
+        speckle_px=4.4,
+        noise_grey=9.3,
+        median_zncc=0.9971,
         epipolar=_epipolar(grid.astype(np.float64), failed, rng),
-    )  # fmt: skip
+    )
 
 
 def _epipolar(grid: NDArray[np.float64], failed: NDArray[np.bool_], rng: np.random.Generator) -> EpipolarCheck:
@@ -230,11 +260,21 @@ def _channel(
     spectrum = np.abs(np.fft.rfft(samples * np.hanning(len(time)))) * 4.0 / len(time)
     short = slice(0, int(0.04 * rate), max(1, int(rate / 12800)))
     return ChannelResult(
-        name=name, daq=daq, quantity=quantity, body="load", unit=unit, sample_rate_hz=rate, samples=len(time),
-        phasors=phasors(value[:, None], np.full((3, 1), noise / 100.0), (name,), (unit,)), residual_rms=noise,
-        excerpt_s=0.96 + time[short], excerpt=samples[short], excerpt_fit=clean[short],
-        spectrum_hz=np.fft.rfftfreq(len(time), 1.0 / rate), spectrum=spectrum,
-    )  # fmt: skip
+        name=name,
+        daq=daq,
+        quantity=quantity,
+        body="load",
+        unit=unit,
+        sample_rate_hz=rate,
+        samples=len(time),
+        phasors=phasors(value[:, None], np.full((3, 1), noise / 100.0), (name,), (unit,)),
+        residual_rms=noise,
+        excerpt_s=0.96 + time[short],
+        excerpt=samples[short],
+        excerpt_fit=clean[short],
+        spectrum_hz=np.fft.rfftfreq(len(time), 1.0 / rate),
+        spectrum=spectrum,
+    )
 
 
 def _clocks(folder: Path, rng: np.random.Generator) -> tuple[ClockResult, ...]:
@@ -251,11 +291,25 @@ def _trigger(start_s: float, resolution_s: float, rng: np.random.Generator) -> T
     edges = start_s + period * number + resolution_s * (rng.random(210) - 0.5)
     covariance = np.diag([(resolution_s / 50) ** 2, (resolution_s / 6000) ** 2])
     return TriggerFit(
-        start_s=start_s, period_s=period, number=number, lower_s=edges - resolution_s / 2,
-        upper_s=edges + resolution_s / 2, edge_s=edges, correction_s=np.zeros(len(number)), kind="sampled",
-        covariance=covariance, jitter_s=2e-7, missing=(90,), doubled=0, spurious=0, idle_before=True,
-        idle_after=True, resolution_s=resolution_s, open_s=0.0, notices=(),
-    )  # fmt: skip
+        start_s=start_s,
+        period_s=period,
+        number=number,
+        lower_s=edges - resolution_s / 2,
+        upper_s=edges + resolution_s / 2,
+        edge_s=edges,
+        correction_s=np.zeros(len(number)),
+        kind="sampled",
+        covariance=covariance,
+        jitter_s=2e-7,
+        missing=(90,),
+        doubled=0,
+        spurious=0,
+        idle_before=True,
+        idle_after=True,
+        resolution_s=resolution_s,
+        open_s=0.0,
+        notices=(),
+    )
 
 
 LINES = Lines(
@@ -274,16 +328,28 @@ NOTICES = (
 
 def _manifest(folder: Path, choice: Choice) -> Any:
     sensor = SimpleNamespace(
-        name="six-component transducer", serial="0815", channels=LOAD_COMPONENTS, unit="V/V", sense="on_load",
-        capacity=(2000.0, 2000.0, 4000.0, 100.0, 100.0, 100.0), static_sensitivity=STATIC,
+        name="six-component transducer",
+        serial="0815",
+        channels=LOAD_COMPONENTS,
+        unit="V/V",
+        sense="on_load",
+        capacity=(2000.0, 2000.0, 4000.0, 100.0, 100.0, 100.0),
+        static_sensitivity=STATIC,
         static_sensitivity_uncertainty=1e-3,
-    )  # fmt: skip
+    )
     rig = SimpleNamespace(
-        name="10 kN shaker, load mass 7 kg", sensor=sensor if choice.sensor else None,
-        load=SimpleNamespace(mass=6.9605, mass_uncertainty=0.0010), environment=SimpleNamespace(temperature=23.0),
-    )  # fmt: skip
+        name="10 kN shaker, load mass 7 kg",
+        sensor=sensor if choice.sensor else None,
+        load=SimpleNamespace(mass=6.9605, mass_uncertainty=0.0010),
+        environment=SimpleNamespace(temperature=23.0),
+    )
     excitation = SimpleNamespace(kind="sine", direction=(0.0, 0.0, 1.0), frequencies=(106.25,))
     return SimpleNamespace(
-        name=choice.name, mounting=choice.mounting, path=folder / "recording.toml", folder=folder, root=folder,
-        rig=rig, excitation=excitation,
-    )  # fmt: skip
+        name=choice.name,
+        mounting=choice.mounting,
+        path=folder / "recording.toml",
+        folder=folder,
+        root=folder,
+        rig=rig,
+        excitation=excitation,
+    )
