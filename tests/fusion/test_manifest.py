@@ -15,7 +15,7 @@ from pydantic import BaseModel
 from support import DOCS, examples, key_tables, told_keys
 
 from fusion.base import InputError
-from fusion.recording.excitation import Excitation
+from fusion.recording.excitation import KINDS, Excitation
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.recording.manifest import (
     Administration,
@@ -190,3 +190,8 @@ def test_every_toml_example_is_toml_that_loads(make_campaign):
     assert pair.model_dump(mode="json", include=set(given)) == given
     assert [daq["name"] for daq in recording["daq"]] == [daq.name for daq in manifest.daq]
     np.testing.assert_array_equal(read_calibration(pair.calibration).right_from_left.translation_m, [-0.15, 0, 0])
+
+
+def test_the_document_names_every_kind_of_excitation():
+    (row,) = (line for line in DOC.splitlines() if line.startswith("| `kind` |"))
+    assert set(row.rsplit("|", 2)[1].split()) == {f"`{kind}`" for kind in KINDS}
