@@ -400,7 +400,7 @@ def versions() -> dict[str, str]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class CommandEvaluation:
     """What every evaluation of a command has: what was evaluated, what the user should know, and where it comes from.
 
     `settings`: what was chosen; `input_hashes`: of all input files by their name; `duration_s`: how long it took.

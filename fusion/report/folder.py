@@ -18,7 +18,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from fusion.base import PROGRAM, AnyNotice, InputError, Outcome, __version__, temporary_beside, warnings_first
+from fusion.base import PROGRAM, AnyNotice, CommandEvaluation, InputError, __version__, temporary_beside, warnings_first
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Rig
 from fusion.report.table import Table
@@ -188,7 +188,7 @@ FORMAT = 1
 log = logging.getLogger("shakercal")
 
 
-E = TypeVar("E", bound=Outcome)
+E = TypeVar("E", bound=CommandEvaluation)
 
 
 @dataclass(frozen=True)

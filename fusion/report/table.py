@@ -262,10 +262,10 @@ def microseconds(value_s: float | None, u_s: float | None) -> str:
 
 def plain(value: float, expanded: float, unit: str = "") -> str:
     """Value with U and unit for the terminal, without a power of ten: `(2.0012 ± 0.0013) V/N`."""
-    text, tail = rounded(value, expanded, 0), f" {typeset(unit)}" if unit else ""
-    if text.expanded == DASH:
-        return f"{text.value}{tail}"
-    return f"({text.value} ± {text.expanded}){tail}" if unit else f"{text.value} ± {text.expanded}"
+    both = rounded(value, expanded, 0)
+    if unit:
+        return f"{both.text} {typeset(unit)}"
+    return both.value if both.expanded == DASH else f"{both.value} ± {both.expanded}"
 
 
 def signed(value: float, form: str = ".2f") -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.base import InputError, Outcome
+from fusion.base import CommandEvaluation, InputError
 from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.sensor.compensate.source import (
@@ -278,7 +278,7 @@ def _of_effects(made: LoadFilter) -> Iterator[tuple[Severity, str]]:
 
 
 @dataclass(frozen=True)
-class CompensateEvaluation(Outcome):
+class CompensateEvaluation(CommandEvaluation):
     """All filters, the recording they were applied to, and the force-feedback check."""
 
     wish: Wish

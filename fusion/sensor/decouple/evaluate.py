@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import ComputeError, InputError, Outcome
+from fusion.base import CommandEvaluation, ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
 from fusion.sensor.models_file import FORMAT, read_stored
 from fusion.sensor.step.records import StepInput, read_step
@@ -54,7 +54,7 @@ class DecoupleSettings:
 
 
 @dataclass(frozen=True)
-class DecoupleEvaluation(Outcome):
+class DecoupleEvaluation(CommandEvaluation):
     """Records of all loads, the model of all outputs, the filter, and cross-talk at every stage.
 
     `capacity` (D,): rated loads of the model's components, None where rig.toml states none; `noise_gain` (D,): noise of

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import InputError, Outcome, ProgressCallback, as_input_error, no_progress
+from fusion.base import CommandEvaluation, InputError, ProgressCallback, as_input_error, no_progress
 from fusion.sensor.elastomer.definition import Definition
 from fusion.sensor.models_file import read_models
 from shaker.arrays import FloatArray, Notice
@@ -89,7 +89,7 @@ class Mounted:
 
 
 @dataclass(frozen=True)
-class ElementEvaluation(Outcome):
+class ElementEvaluation(CommandEvaluation):
     """An element with its models side by side; `sensitivity`: relative change of the six frequencies per change."""
 
     definition: Definition

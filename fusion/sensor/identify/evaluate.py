@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.base import ARGUMENT, Outcome
+from fusion.base import ARGUMENT, CommandEvaluation
 from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
 from fusion.campaign.repeats import Drive, drive_ratio, over_lines
 from fusion.recording.manifest import Sensor
@@ -220,7 +220,7 @@ class ComponentResult:
 
 
 @dataclass(frozen=True)
-class IdentifyEvaluation(Outcome):
+class IdentifyEvaluation(CommandEvaluation):
     """A campaign's identification: the sensor, and one result per driven component."""
 
     sensor: Sensor | None

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import ComputeError, InputError, Outcome
+from fusion.base import CommandEvaluation, ComputeError, InputError
 from fusion.estimation.uncertainty import NamedQuantity, coverage_factor
 from fusion.recording.load import Manifest
 from fusion.sensitivity.body import inertia_errors, rigid_load
@@ -301,7 +301,7 @@ class ComponentLoads:
 
 
 @dataclass(frozen=True)
-class LoadEvaluation(Outcome):
+class LoadEvaluation(CommandEvaluation):
     """Load characteristics of every component of a sensor."""
 
     rig: str

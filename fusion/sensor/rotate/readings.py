@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from fusion.base import InputError, Outcome, as_input_error
+from fusion.base import CommandEvaluation, InputError, as_input_error
 from fusion.campaign.repeats import BETWEEN, WITHIN, nested
 from fusion.estimation.uncertainty import NamedQuantity
 from fusion.recording.load import Manifest
@@ -227,7 +227,7 @@ class RotationQuantity(NamedQuantity):
 
 
 @dataclass(frozen=True)
-class RotationEvaluation(Outcome):
+class RotationEvaluation(CommandEvaluation):
     """All recordings of one sensor on the head, what they weigh, and their surroundings.
 
     `repeats`: of each state that was recorded more than once.

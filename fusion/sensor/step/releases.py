@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import InputError, Outcome
+from fusion.base import CommandEvaluation, InputError
 from fusion.estimation.uncertainty import NamedQuantity, Quantity
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Rig
@@ -153,7 +153,7 @@ class ComponentResult:
 
 
 @dataclass(frozen=True)
-class StepEvaluation(Outcome):
+class StepEvaluation(CommandEvaluation):
     """All releases of one sensor, one result per load component."""
 
     rig: Rig

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from fusion.base import InputError, Outcome
+from fusion.base import CommandEvaluation, InputError
 from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
 from fusion.recording.files import DaqRecord, read_daqs
 from fusion.recording.load import Manifest
@@ -91,7 +91,7 @@ class ReferenceResult:
 
 
 @dataclass(frozen=True)
-class TransferEvaluation(Outcome):
+class TransferEvaluation(CommandEvaluation):
     """One evaluated recording: transfer functions over every reference, clocks where blocks were tied."""
 
     manifest: Manifest
