@@ -11,7 +11,8 @@ from fusion.estimation.measurement_model import Observation
 from fusion.instruments import TRANSDUCERS
 from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels, output_phasors
 from fusion.instruments.stereo import StereoReading
-from fusion.recording.manifest import ChannelEntry, Sensor, Stereo
+from fusion.recording.manifest import ChannelEntry
+from fusion.recording.rig import Sensor, Stereo
 from fusion.sensitivity.analyse import Inputs
 from fusion.sensitivity.body import Body, Part, make_part
 from fusion.simulate.world import Draws, Motion, TruePart, acceleration_at, velocity_at, wrench

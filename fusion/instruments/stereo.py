@@ -16,7 +16,7 @@ from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.phasor import Phasors, derivative_factor
 
 if TYPE_CHECKING:
-    from fusion.recording.manifest import Stereo
+    from fusion.recording.rig import Stereo
     from shaker.lines.frequencies import Lines
 
 CALIBRATION = "calibration"

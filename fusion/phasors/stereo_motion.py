@@ -24,7 +24,8 @@ from fusion.base import (
 )
 from fusion.phasors.timing import Sight, TimeBase, see
 from fusion.recording.load import Manifest
-from fusion.recording.manifest import Images, PointFiles, Stereo
+from fusion.recording.manifest import Images, PointFiles
+from fusion.recording.rig import Stereo
 from photogram.calibration.file import read_calibration
 from photogram.camera import StereoRig
 from photogram.epipolar import EpipolarCheck, check_epipolar

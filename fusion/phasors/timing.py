@@ -13,7 +13,8 @@ import numpy as np
 
 from fusion.base import ARGUMENT, InputError, as_input_error
 from fusion.instruments.stereo import Exposure
-from fusion.recording.manifest import Frames, Images, PointFiles, Stereo
+from fusion.recording.manifest import Frames, Images, PointFiles
+from fusion.recording.rig import Stereo
 from fusion.recording.values import PULSE
 from shaker.arrays import FloatArray
 from shaker.timebase.edges import find_edges

@@ -16,8 +16,9 @@ from fusion.phasors.timing import no_pulse_width
 from fusion.recording.excitation import KINDS, Recorded
 from fusion.recording.files import read_set_ups, scanned_points, split_scan
 from fusion.recording.load import Manifest
-from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, Rig
+from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images
 from fusion.recording.response import check_response
+from fusion.recording.rig import Rig
 from fusion.recording.values import PULSE
 from shaker.arrays import BoolArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS

@@ -14,19 +14,8 @@ from typing import Any
 
 from fusion.base import InputError
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
-from fusion.recording.manifest import (
-    ChannelEntry,
-    Daq,
-    Frames,
-    Images,
-    Part,
-    PointFiles,
-    RecordingFile,
-    Rig,
-    SetUpFiles,
-    Stereo,
-    Take,
-)
+from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, PointFiles, RecordingFile, SetUpFiles, Take
+from fusion.recording.rig import Part, Rig, Stereo
 from fusion.recording.values import (
     Context,
     PathScope,

@@ -24,7 +24,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from fusion.base import InputError
 
 if TYPE_CHECKING:
-    from fusion.recording.manifest import Stereo
+    from fusion.recording.rig import Stereo
 
 
 # Paths that stand in a manifest: resolved against its folder, kept inside the campaign, globs ordered naturally.

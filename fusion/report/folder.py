@@ -20,7 +20,7 @@ from markupsafe import Markup
 
 from fusion.base import PROGRAM, AnyNotice, CommandEvaluation, InputError, __version__, temporary_beside, warnings_first
 from fusion.recording.load import Manifest
-from fusion.recording.manifest import Rig
+from fusion.recording.rig import Rig
 from fusion.report.table import Table
 
 # What was run on what: hashes of the input files, versions, and whether a folder still answers to them.

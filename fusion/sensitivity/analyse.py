@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from fusion.phasors.stereo_phasors import StereoResult
     from fusion.phasors.timing import ClockResult
     from fusion.recording.load import Manifest
-    from fusion.recording.manifest import Sensor
+    from fusion.recording.rig import Sensor
 
 # From the phasors of all instruments to acceleration, load and sensitivity: what follows tracks and channels.
 

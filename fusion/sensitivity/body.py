@@ -20,8 +20,8 @@ from shaker.labels import MOTION_COMPONENTS
 if TYPE_CHECKING:
     from fusion.estimation.measurement_model import Deviates
     from fusion.recording.load import Manifest
-    from fusion.recording.manifest import Load, Rig
-    from fusion.recording.manifest import Part as PartTable
+    from fusion.recording.rig import Load, Rig
+    from fusion.recording.rig import Part as PartTable
 
 # The elastic joint between a load and what is mounted below it: how the lower side follows the upper one.
 

@@ -35,7 +35,7 @@ from fusion.cameras.align_manifest import (
     read_alignment,
 )
 from fusion.cli import main
-from fusion.recording.manifest import Stereo
+from fusion.recording.rig import Stereo
 from fusion.simulate.write import to_toml
 from photogram.alignment.evidence import calibration_steps
 from photogram.alignment.solve import align

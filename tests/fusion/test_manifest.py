@@ -17,21 +17,8 @@ from support import DOCS, examples, key_tables, told_keys
 from fusion.base import InputError
 from fusion.recording.excitation import KINDS, Excitation
 from fusion.recording.load import find_recordings, load_manifest
-from fusion.recording.manifest import (
-    Administration,
-    ChannelEntry,
-    Daq,
-    Environment,
-    Images,
-    Load,
-    Part,
-    PointFiles,
-    RecordingFile,
-    Rig,
-    Sensor,
-    Stereo,
-    Take,
-)
+from fusion.recording.manifest import ChannelEntry, Daq, Images, PointFiles, RecordingFile, Take
+from fusion.recording.rig import Administration, Environment, Load, Part, Rig, Sensor, Stereo
 from photogram.calibration.file import read_calibration
 
 Campaign = Callable[..., Path]

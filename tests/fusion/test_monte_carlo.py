@@ -20,7 +20,8 @@ from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import region_factor
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.instruments.stereo import StereoReading
-from fusion.recording.manifest import ChannelEntry, Stereo
+from fusion.recording.manifest import ChannelEntry
+from fusion.recording.rig import Stereo
 from fusion.report.recording import write_h5
 from fusion.report.uncertainty_tables import monte_carlo_tables
 from fusion.sensitivity.analyse import Analysis, Inputs, analyse

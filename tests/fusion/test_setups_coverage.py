@@ -32,7 +32,8 @@ from take_factory import (
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels, output_phasors
 from fusion.phasors.setup import OpenSetUp
 from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
-from fusion.recording.manifest import ChannelEntry, Rig
+from fusion.recording.manifest import ChannelEntry
+from fusion.recording.rig import Rig
 from fusion.recording.values import validate
 from fusion.report.recording import result_tables
 from fusion.report.tables import acceleration

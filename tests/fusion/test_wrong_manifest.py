@@ -19,7 +19,8 @@ from support import AT_ORIGIN, block, channel, recording_head
 
 from fusion.base import InputError
 from fusion.recording.load import load_manifest
-from fusion.recording.manifest import RecordingFile, Rig
+from fusion.recording.manifest import RecordingFile
+from fusion.recording.rig import Rig
 from fusion.recording.values import Context, PathScope, validate
 
 Campaign = Callable[..., Path]

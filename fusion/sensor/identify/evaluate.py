@@ -12,7 +12,7 @@ import numpy as np
 from fusion.base import ARGUMENT, CommandEvaluation
 from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
 from fusion.campaign.repeats import Drive, drive_ratio, over_lines
-from fusion.recording.manifest import Sensor
+from fusion.recording.rig import Sensor
 from fusion.report.table import sensitivity_unit
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensor.identify.fit import (

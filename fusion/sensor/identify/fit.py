@@ -12,7 +12,7 @@ import numpy as np
 from fusion.base import ARGUMENT, ComputeError, InputError
 from fusion.campaign.repeats import between_recordings
 from fusion.estimation.uncertainty import Uncertainty
-from fusion.recording.manifest import Sensor
+from fusion.recording.rig import Sensor
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import read_uncertainty
 from fusion.report.table import sensitivity_unit

@@ -13,7 +13,7 @@ from fusion.base import CommandEvaluation, InputError, as_input_error
 from fusion.campaign.repeats import BETWEEN, WITHIN, nested
 from fusion.estimation.uncertainty import NamedQuantity
 from fusion.recording.load import Manifest
-from fusion.recording.manifest import Load, Part, Sensor
+from fusion.recording.rig import Load, Part, Sensor
 from shaker.arrays import FloatArray, Notice
 from shaker.io.text import read_table_columns, table_units
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS

@@ -14,7 +14,7 @@ import numpy as np
 from fusion.base import CommandEvaluation, InputError
 from fusion.estimation.uncertainty import NamedQuantity, Quantity
 from fusion.recording.load import Manifest
-from fusion.recording.manifest import Rig
+from fusion.recording.rig import Rig
 from fusion.sensor.models_file import ModelEntry
 from fusion.sensor.step.records import Pooled, StepSettings, effective_dof, output_entries, read_step
 from shaker.arrays import FloatArray, Notice
