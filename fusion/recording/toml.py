@@ -147,6 +147,13 @@ class UncertainInput:
         return ", ".join(filter(None, (own.certificate, own.laboratory, *dates)))
 
 
+def _has_numbers(item: Any) -> bool:
+    """Whether a list, or its first list, begins with a number."""
+    while isinstance(item, list) and item:
+        item = item[0]
+    return is_number(item)
+
+
 def uncertain_inputs(text: dict[str, Any], path: Path) -> tuple[UncertainInput, ...]:
     """Return every input of a file for which an uncertainty other than 0 is stated, in the order of the file."""
     values, statements = expand_statements(text, path)
@@ -155,9 +162,9 @@ def uncertain_inputs(text: dict[str, Any], path: Path) -> tuple[UncertainInput, 
     def walked(value: Any, place: list[int | str]) -> Iterator[UncertainInput]:
         for step, item in value.items() if isinstance(value, dict) else enumerate(value):
             name = str(step).removesuffix("_uncertainty")
-            if isinstance(item, dict | list) and not (item and is_number(np.ravel(item)[0])):
+            if isinstance(item, dict | list) and not _has_numbers(item):
                 yield from walked(item, [*place, step])
-            elif name != step and np.any(item):
+            elif isinstance(value, dict) and name != step and np.any(item):
                 key = key_path(values, [*place, name])
                 plain = UncertainInput(path, key, value.get(name), item, name in RELATIVE)
                 yield by_key.get(key, plain)

@@ -234,10 +234,9 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
     manifest, around = evaluation.manifest, rig.surroundings
     body = load_body(rig, manifest.part)
     if body is not None:
-        mass, u = sum(part.mass_kg for part in body.parts), float(np.hypot.reduce([p.u_mass_kg for p in body.parts]))
-        facts.append(
-            ("Moving mass", f"{measured(mass, 2.0 * u, 'kg').striptags()}, k = 2, with what moves in the sensor")
-        )
+        moving, u = sum(part.mass_kg for part in body.parts), np.linalg.norm([part.u_mass_kg for part in body.parts])
+        moved = measured(moving, 2.0 * float(u), "kg").striptags()
+        facts.append(("Moving mass", f"{moved}, k = 2, with what moves in the sensor"))
     temperatures = (("Temperature", around.temperature), ("Sensor temperature", around.sensor_temperature))
     facts += [(name, f"{value:g} °C") for name, value in temperatures if value is not None]
     day = (("Date", manifest.date), ("Operator", manifest.operator), ("Procedure", manifest.procedure))

@@ -439,7 +439,7 @@ def inputs_table(inputs: Sequence[UncertainInput]) -> Table | None:
         numbers = np.ravel(item.value) if item.value is not None else np.array([])
         return ", ".join(f"{number:.9g}" for number in numbers) if 0 < len(numbers) <= 3 else DASH
 
-    columns = (
+    columns: tuple[Column[UncertainInput], ...] = (
         on_page("file", lambda item: item.file.name, "l"),
         on_page("key", lambda item: item.key, "l"),
         on_page("value", value),
