@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.base import ARGUMENT, InputError
-from fusion.instruments import TRANSDUCERS
+from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
