@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from page_outline import self_contained
 from support import rows as read_rows
+from support import told_columns
 
 from fusion.base import InputError
 from fusion.cli import main
@@ -74,7 +75,9 @@ def test_all_files_are_written(results):
 
 
 def test_modes_are_the_simulated_ones(results):
-    rows = [row for row in read_rows(results / "model.csv") if row["quantity"] == "frequency_hz"]
+    quantities = read_rows(results / "model.csv")
+    assert list(quantities[0]) == told_columns("decoupling.md", "model.csv")
+    rows = [row for row in quantities if row["quantity"] == "frequency_hz"]
     found = sorted((float(row["value"]), float(row["u"])) for row in rows)
     for frequency in RIG.frequency_hz:
         value, u = min(found, key=lambda pair: abs(pair[0] - frequency))

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 from page_outline import self_contained
-from support import AT_ORIGIN, DOCS, block, channel, edit, rows
+from support import AT_ORIGIN, DOCS, block, channel, edit, rows, told_columns
 
 from fusion.base import InputError
 from fusion.cli import main
@@ -148,6 +148,7 @@ def test_files_of_a_run(recording, capsys):
     folder = recording / "transfer"
     assert sorted(path.name for path in folder.iterdir()) == ["transfer.csv", "transfer.h5", "transfer.html"]
     found = rows(folder / "transfer.csv")
+    assert list(found[0]) == told_columns("transfer.md", "transfer.csv")
     with h5py.File(folder / "transfer.h5") as file:
         group = file["references/base"]
         value = group["transfer/ratio/value"][:, 0]
