@@ -124,6 +124,7 @@ def test_loads_of_which_none_has_the_unit_of_another_have_no_figures(evaluation,
     monkeypatch.setattr(DecoupleEvaluation, "ratio", np.where(np.eye(6, dtype=np.bool_), 1.0, np.nan))
     page = DECOUPLE.page(replace(evaluation, capacity=None))
     assert "<figure" not in page
+    assert "rated load" not in page
 
 
 def test_filter_file_reads_back_to_the_last_bit(results, tmp_path):
