@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import InputError, rounded
-from fusion.instruments import TRANSDUCERS
 from fusion.instruments.stereo import GEOMETRY
-from fusion.instruments.transducer import placed_at, unit_direction
+from fusion.instruments.transducer import TRANSDUCERS, placed_at, unit_direction
 from fusion.phasors.timing import no_pulse_width
 from fusion.recording.excitation import KINDS, Recorded
 from fusion.recording.files import read_set_ups, scanned_points, split_scan

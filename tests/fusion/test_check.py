@@ -16,8 +16,7 @@ from scipy import signal
 from support import AT_ORIGIN, DOCS, block, channel, examples, recording_head, write_daq
 
 from fusion.base import InputError
-from fusion.instruments import TRANSDUCERS
-from fusion.instruments.transducer import placed_at, unit_direction
+from fusion.instruments.transducer import TRANSDUCERS, placed_at, unit_direction
 from fusion.planning.check import check, observable
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry

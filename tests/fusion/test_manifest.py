@@ -179,6 +179,9 @@ def test_every_toml_example_is_toml_that_loads(make_campaign):
     np.testing.assert_array_equal(read_calibration(pair.calibration).right_from_left.translation_m, [-0.15, 0, 0])
 
 
-def test_the_document_names_every_kind_of_excitation():
-    (row,) = (line for line in DOC.splitlines() if line.startswith("| `kind` |"))
-    assert set(row.rsplit("|", 2)[1].split()) == {f"`{kind}`" for kind in KINDS}
+@pytest.mark.parametrize(
+    ("key", "choices"), [("kind", KINDS), ("quantity", ChannelEntry.model_fields["quantity"].annotation.__args__)]
+)
+def test_the_document_names_every_kind_of_excitation_and_of_channel(key, choices):
+    (row,) = (line for line in DOC.splitlines() if line.startswith(f"| `{key}` |"))
+    assert set(row.rsplit("|", 2)[1].split()) == {f"`{choice}`" for choice in choices}
