@@ -39,7 +39,7 @@ RIG_NAME = "<script>alert(1)</script> & co"
 @pytest.fixture(scope="module")
 def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     made = make_evaluation(tmp_path_factory.mktemp("Fz"))
-    made.manifest.rig.name = RIG_NAME
+    made.manifest.rig = made.manifest.rig.model_copy(update={"name": RIG_NAME})
     return made
 
 
