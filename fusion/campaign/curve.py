@@ -451,7 +451,7 @@ def single_points(curve: Curve, element: int, drives: Iterable[Drive]) -> list[t
         line = int(np.argmin(np.abs(curve.frequency_hz - drive.frequency_hz)))
         if (drive.recording, line) in behind and channel in drive.channels:
             value, uncertainty = drive_ratio(drive, component, [channel])
-            ((point,),) = polar_elements(value[None], uncertainty.covariance, uncertainty.dof())
+            ((point,),) = polar_elements(value[None], uncertainty)
             if point is not None:
                 found.append((drive.frequency_hz, drive.mounting, point))
     return found
@@ -459,4 +459,4 @@ def single_points(curve: Curve, element: int, drives: Iterable[Drive]) -> list[t
 
 def curve_elements(curve: Curve) -> list[list[Polar | None]]:
     """Return every element (K lines of E) with magnitude and phase, None where there is no value."""
-    return polar_elements(curve.value, curve.uncertainty.covariance, curve.uncertainty.dof())
+    return polar_elements(curve.value, curve.uncertainty)

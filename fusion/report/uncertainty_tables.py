@@ -16,6 +16,7 @@ from fusion.instruments.vibrometer import FEWEST_POINTS, PointRatios, PointSprea
 from fusion.report.table import (
     Column,
     Table,
+    both,
     capital,
     common_exponent,
     degrees_of_freedom,
@@ -243,10 +244,12 @@ def other_loads_table(evaluation: Evaluation) -> Table | None:
             rows.append((name, DASH, DASH, DASH, DASH))
             continue
         share = shares.element(line, c)
+        k_re, k_im = shares.factors(line, c)
         parts = [
-            fixed(100.0 * part, 100.0 * share.k * u, 0) for part, u in ((share.re, share.u_re), (share.im, share.u_im))
+            fixed(100.0 * part, 100.0 * u, 0)
+            for part, u in ((share.re, k_re * share.u_re), (share.im, k_im * share.u_im))
         ]
-        rows.append((name, *parts, factor(share.k), degrees_of_freedom(share.dof)))
+        rows.append((name, *parts, both(factor(k_re), factor(k_im)), degrees_of_freedom(share.dof)))
     frequency = f"{sensitivity.frequency_hz[line]:.4f}"
     head = ("output", "in phase / %", "across / %", "k", "dof")
     caption = f"Share of each output that loads beside {LOAD_COMPONENTS[component]} explain at {frequency} Hz, with U"
@@ -268,7 +271,7 @@ def point_tables(evaluation: Evaluation) -> list[Table]:
 
 def known_elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar]]:
     """Return values (K, C), all of them known, as magnitude and phase with their uncertainty."""
-    lines = polar_elements(value, uncertainty.covariance, uncertainty.dof())
+    lines = polar_elements(value, uncertainty)
     return [[element for element in row if element is not None] for row in lines]
 
 
