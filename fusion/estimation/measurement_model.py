@@ -26,9 +26,9 @@ class CommonError:
 
     `name` identifies the unknown: equal names in several observations are the same unknown; it contains where a channel
     was placed, so that a channel placed elsewhere is another unknown. `label` groups it in a budget, `u` is in `unit`,
-    `scope` says how long the unknown keeps its value, `dof` how well `u` is known. Its effect on the phasors for one standard uncertainty is
-    slope · A + offset, with `slope` (K, M, 6) and `offset` (K, M), so that it follows the estimate A (K, 6) and never
-    the readings.
+    `scope` says how long the unknown keeps its value, `dof` how well `u` is known. Its effect on the phasors for one
+    standard uncertainty is slope · A + offset, with `slope` (K, M, 6) and `offset` (K, M), so that it follows the
+    estimate A (K, 6) and never the readings.
     """
 
     name: str

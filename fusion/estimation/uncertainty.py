@@ -25,7 +25,7 @@ LEAST_REGION_DOF = 2.0
 
 
 def coverage_factor(dof: float, coverage: float = COVERAGE) -> float:
-    """Return k = t_0.975(dof), so that ±k·u holds a real value 95 times in 100 (JCGM 100, G.3.2), or another `coverage`.
+    """Return k = t_0.975(dof): ±k·u holds a real value 95 times in 100 (JCGM 100, G.3.2), or as `coverage` says.
 
     `dof`: effective degrees of freedom, infinite where the uncertainty is known; 1.96 then, infinite below 1e-3.
     """
@@ -464,9 +464,15 @@ def polar(
     return Polar(magnitude, float(np.arctan2(im + 0.0, re)), u_magnitude, u_phase, re, im, u_re, u_im, r, dof, *freedom)
 
 
-def polar_elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar | None]]:
-    """Return complex values (K, C) with their uncertainty as magnitude and phase, None where a value is not known."""
-    covariance, dof, along = uncertainty.covariance, uncertainty.dof(), uncertainty.dof_polar(value)
+def polar_elements(
+    value: ComplexArray, uncertainty: Uncertainty, covariance: FloatArray | None = None
+) -> list[list[Polar | None]]:
+    """Return complex values (K, C) with their uncertainty as magnitude and phase, None where a value is not known.
+
+    `covariance` (K, 2C, 2C): that of `uncertainty`, where it has been added up already.
+    """
+    covariance = uncertainty.covariance if covariance is None else covariance
+    dof, along = uncertainty.dof(), uncertainty.dof_polar(value)
     lines: list[list[Polar | None]] = [[None] * len(row) for row in value]
     for k, c in np.argwhere(np.isfinite(value)).tolist():
         pair, both = element_covariance(covariance[k], c), (float(along[0, k, c]), float(along[1, k, c]))

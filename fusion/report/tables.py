@@ -130,7 +130,7 @@ def static_value(evaluation: Evaluation, channel: int, component: int) -> float 
 def result_elements(result: Acceleration | LoadResult) -> list[list[Polar | None]]:
     """Six components at every line as magnitude and phase, None where they are not observed."""
     phasors = result.phasors
-    return polar_elements(phasors.value, result.uncertainty)
+    return polar_elements(phasors.value, result.uncertainty, phasors.covariance)
 
 
 def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, component: int) -> Polar:

@@ -185,7 +185,10 @@ def budget_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: str, frequency_hz: float) -> Table:
-    """One budget: what acts, how much of it, how it acts, and what it contributes to magnitude and phase."""
+    """One budget: what acts, how much of it, how it acts, and what it contributes to magnitude and phase.
+
+    One recording tells neither what repeating it nor what mounting anew would change.
+    """
     u = np.array([[entry.u_relative[line, place], entry.u_phase_rad[line, place]] for entry in entries])
     total = np.sqrt(np.sum(u**2, axis=0))
     share = 100.0 * np.divide(u**2, total**2, out=np.zeros_like(u), where=total > 0.0)
@@ -201,6 +204,7 @@ def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: s
     if len(rest):
         left = _contribution(np.sqrt(np.sum(u[rest] ** 2, axis=0)), np.sum(share[rest], axis=0))
         rows.append((f"{len(rest)} smaller ones together", "", "", "", "", *left))
+    rows += [(cause, "", "not assessed", "", "", *[DASH] * 4) for cause in ("repeatability", "mounting anew")]
     rows.append((Markup("<b>combined, k = 1</b>"), "", "", "", "", *_contribution(total, np.sum(share, axis=0))))
     head = (
         *("contribution", "type, dof", "u of the input", "magnitude per unit", "rad per unit"),

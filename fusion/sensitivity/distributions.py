@@ -101,7 +101,7 @@ class FirstOrder:
             self.value[place],
             self.first_covariance[place],
             self.dof[place],
-            self.dof_polar[:, *place],
+            self.dof_polar[:, lines][:, :, elements],
         )
 
 

@@ -26,11 +26,11 @@ from fusion.sensitivity.analyse import Evaluation
 
 SENSITIVITY = (
     "frequency_hz,channel,component,magnitude,phase_rad,u_magnitude,u_phase_rad,re,im,u_re,u_im,r,dof,unit,kind,"
-    "recording"
+    "recording,dof_magnitude,dof_phase"
 )
 PHASOR = (
     "frequency_hz,body,component,amplitude,phase_rad,u_amplitude,u_phase_rad,re,im,u_re,u_im,r,dof,unit,source,"
-    "recording"
+    "recording,dof_amplitude,dof_phase"
 )
 MOTION = "time_s,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad,u_x_m,u_y_m,u_z_m,u_rx_rad,u_ry_rad,u_rz_rad,residual_m,points"
 
