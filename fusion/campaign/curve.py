@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from fusion.campaign.matrix import MatrixFit
 from fusion.campaign.repeats import (
+    BETWEEN,
     LEVERS,
     SAME_FREQUENCY,
     Drive,
@@ -407,8 +408,15 @@ def _interpolated(curve: Curve, weight: FloatArray, between: FloatArray, dof: fl
 
 
 def _averaged(part: Contribution, weight: FloatArray, size: FloatArray) -> Contribution:
-    """Noise of weighted sums of lines; its degrees of freedom by Welch and Satterthwaite over relative variances."""
+    """Noise of weighted sums of lines; its degrees of freedom by Welch and Satterthwaite over relative variances.
+
+    What mountings differ by may be the same at all frequencies of a mounting, a place for instance: it does not average
+    over them, (Σ w·e)² ≤ Σ|w|·Σ|w|·e².
+    """
     known = np.nan_to_num(part.covariance)
+    if part.label == BETWEEN:
+        size_of = np.abs(weight)
+        weight = np.sqrt(size_of * np.sum(size_of, axis=1, keepdims=True))
     covariance = np.einsum("qki,kij,qkj->qij", weight, known, weight, optimize=True)
     if part.dof is None:
         return replace(part, covariance=covariance)
