@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from fusion.campaign.matrix import MatrixFit
 from fusion.campaign.repeats import (
+    BETWEEN,
     LEVERS,
     SAME_FREQUENCY,
     Drive,
@@ -407,8 +408,15 @@ def _interpolated(curve: Curve, weight: FloatArray, between: FloatArray, dof: fl
 
 
 def _averaged(part: Contribution, weight: FloatArray, size: FloatArray) -> Contribution:
-    """Noise of weighted sums of lines; its degrees of freedom by Welch and Satterthwaite over relative variances."""
+    """Noise of weighted sums of lines; its degrees of freedom by Welch and Satterthwaite over relative variances.
+
+    What mountings differ by may be the same at all frequencies of a mounting, a place for instance: it does not average
+    over them, (Σ w·e)² ≤ Σ|w|·Σ|w|·e².
+    """
     known = np.nan_to_num(part.covariance)
+    if part.label == BETWEEN:
+        size_of = np.abs(weight)
+        weight = np.sqrt(size_of * np.sum(size_of, axis=1, keepdims=True))
     covariance = np.einsum("qki,kij,qkj->qij", weight, known, weight, optimize=True)
     if part.dof is None:
         return replace(part, covariance=covariance)
@@ -451,7 +459,7 @@ def single_points(curve: Curve, element: int, drives: Iterable[Drive]) -> list[t
         line = int(np.argmin(np.abs(curve.frequency_hz - drive.frequency_hz)))
         if (drive.recording, line) in behind and channel in drive.channels:
             value, uncertainty = drive_ratio(drive, component, [channel])
-            ((point,),) = polar_elements(value[None], uncertainty.covariance, uncertainty.dof())
+            ((point,),) = polar_elements(value[None], uncertainty)
             if point is not None:
                 found.append((drive.frequency_hz, drive.mounting, point))
     return found
@@ -459,4 +467,4 @@ def single_points(curve: Curve, element: int, drives: Iterable[Drive]) -> list[t
 
 def curve_elements(curve: Curve) -> list[list[Polar | None]]:
     """Return every element (K lines of E) with magnitude and phase, None where there is no value."""
-    return polar_elements(curve.value, curve.uncertainty.covariance, curve.uncertainty.dof())
+    return polar_elements(curve.value, curve.uncertainty)

@@ -113,6 +113,10 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
     repeats = tuple(mean for mean in alike if len(mean.recordings) > 1)
     notices += [notice for fit in matrices for notice in fit.notices]
     notices += [notice for mean in repeats for notice in mean.notices]
+    if len(alike) > len(repeats):
+        what = f"{len(alike) - len(repeats)} of {len(alike)} excitations were recorded once"
+        text = f"{what}: repeatability and what mounting anew changes are not assessed and not in their U"
+        notices.append(Notice("info", text, "repeats"))
     return CampaignEvaluation(
         name=name,
         recorded=tuple(known),

@@ -29,7 +29,7 @@ from fusion.campaign.matrix import CrossTalk
 from fusion.campaign.matrix_solve import LEAST_SINGULAR
 from fusion.campaign.recorded import Recorded, read_recorded
 from fusion.campaign.repeats import Repeats
-from fusion.estimation.uncertainty import Polar, element_covariance, polar, polar_elements
+from fusion.estimation.uncertainty import Polar, polar, polar_elements
 from fusion.report.folder import RESULT_FORMAT, Provenance, origin_frame, render_page, write_provenance
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.recording import (
@@ -86,6 +86,8 @@ CURVE: list[Column[CurvePoint]] = [
     Column("recordings", lambda point: point.recordings),
     Column("mountings", lambda point: point.mountings),
     word("kind", lambda point: point.kind),
+    *polar_columns("magnitude", lambda point: point.element, freedom=True),
+    Column("k_phase", lambda point: point.element.k_phase),
 ]
 CROSSTALK: list[Column[CrossTalkElement]] = [
     Column("frequency_hz", lambda element: element.frequency_hz),
@@ -94,6 +96,7 @@ CROSSTALK: list[Column[CrossTalkElement]] = [
     *polar_columns("magnitude", lambda element: element.value),
     Column("U_region", lambda element: element.half_axis),
     word("holds_zero", lambda element: "yes" if element.holds_zero else "no"),
+    *polar_columns("magnitude", lambda element: element.value, freedom=True),
 ]
 
 
@@ -115,7 +118,7 @@ def campaign_tables(evaluation: CampaignEvaluation, folders: Sequence[Path]) -> 
 
 def _beside_the_main(found: CrossTalk) -> Iterator[CrossTalkElement]:
     """Yield every element beside the main ones."""
-    (elements,) = polar_elements(found.value.reshape(1, -1), found.uncertainty.covariance, found.uncertainty.dof())
+    (elements,) = polar_elements(found.value.reshape(1, -1), found.uncertainty)
     for (c, j), value in zip(np.ndindex(found.value.shape), elements, strict=True):
         if found.main[c] != j and value is not None:
             size, zero = float(found.half_axis[c, j]), bool(found.holds_zero[c, j])
@@ -227,8 +230,9 @@ def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
     def expanded(found: Repeats) -> tuple[str, str]:
         """U of the mean in per cent, and its factor."""
         channel = main_channel(evaluation, found.channels, found.component)
-        covariance = element_covariance(found.uncertainty.covariance[0], channel)
-        element = polar(complex(found.value[channel]), covariance, float(found.uncertainty.dof()[0, channel]))
+        ((element,),) = polar_elements(found.value[None, [channel]], found.uncertainty.at([channel]))
+        if element is None:
+            return DASH, DASH
         return small(100.0 * element.expanded_magnitude / element.magnitude), f"{element.k:.2f}"
 
     def percent(found: Repeats, share: FloatArray) -> str:
@@ -244,7 +248,7 @@ def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
         on_page("mountings", lambda found: str(len(set(found.mountings)))),
         on_page("within / %", lambda found: percent(found, found.within)),
         on_page("between / %", lambda found: percent(found, found.between)),
-        on_page("U / %", lambda found: expanded(found)[0]),
+        on_page("U of magnitude / %", lambda found: expanded(found)[0]),
         on_page("k", lambda found: expanded(found)[1]),
     ]
     caption = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -10,7 +11,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fusion.estimation.least_squares import BODY_SIZE_M
-from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, real_design, real_stack, total_variance
+from fusion.estimation.uncertainty import (
+    Contribution,
+    Influence,
+    Uncertainty,
+    coverage_factor,
+    real_design,
+    real_stack,
+    total_variance,
+)
 from fusion.sensitivity.ratio import driven_component
 from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
 from shaker.sine.phasor import real_stacked_diagonal
@@ -258,11 +267,17 @@ def _same(first: Drive, other: Drive, component: int, *, amplitudes_apart: bool)
 def mean_ratio(drives: Sequence[Drive], component: int) -> Repeats:
     """Return the mean over recordings of one excitation of output over a load component.
 
-    One-way random effects, unbalanced: mean squares within and between M mountings, from which what is stated for
+    Everything that mountings do not share (noise, unknowns of a recording and of a mounting, stated or not) is in what
+    their M means differ by, and enters by that alone: Σw_m·(y_m - y)²/(M - 1) with M - 1 degrees of freedom and weights
+    of sum 1, that of Hartung & Knapp 2001 (Statistics in Medicine 20, 3875) and Sidik & Jonkman 2002. Recordings of one
+    mounting take the place of mountings where there is but one. No variance has to be found positive for that, and none
+    is taken for zero because few mountings happen to agree. Unknowns that all share do not average away.
+
+    Recordings and mountings weigh by the inverse of their own variances in the best known channel. For these, and to be
+    told: one-way random effects, unbalanced, mean squares within and between mountings from which what is stated for
     them is taken off with all its correlations; what is left are variances of a recording (N - M degrees of freedom)
     and of a mounting (M - 1) beyond what is stated, none where negative (Searle, Casella & McCulloch 1992, Variance
-    Components, 3.6). Recordings and mountings weigh by the inverse of their own variances in the best known
-    channel; shared unknowns do not average away. Only channels with a reading in all recordings have a value.
+    Components, 3.6). Only channels with a reading in all recordings have a value.
     """
     usable = common_outputs(drives)
     if not usable:
@@ -274,21 +289,13 @@ def mean_ratio(drives: Sequence[Drive], component: int) -> Repeats:
     scatter = _components(scaled, mountings)
     weight = _weights(scaled, mountings, scatter)
     value = np.einsum("n,nc->c", weight, np.array([value for value, _ in found]))
-    weighted = [u.scaled(np.full((1, len(usable)), w, np.complex128)) for w, (_, u) in zip(weight, found, strict=True)]
-    uncertainty = reduce(Uncertainty.plus, weighted)
-    extra = _contributions(scatter, weight, mountings, plain)
+    uncertainty = _of_mean(found, weight, mountings, plain)
     # Relative standard deviations of the whole complex value: root of the sum of both parts' variances.
     within, between = (
         np.sqrt(total_variance(matrix[None])[0]) if dof else np.full(len(usable), np.nan)
         for matrix, dof in ((scatter.within, scatter.within_dof), (scatter.between, scatter.between_dof))
     )
-    notices = []
-    if len(drives) > 1 and not scatter.between_dof:
-        text = (
-            f"{len(drives)} recordings at {drives[0].frequency_hz:.6g} Hz are of one mounting: what mounting anew "
-            f"changes is not in U beyond what is stated of positions and directions"
-        )
-        notices.append(Notice("info", text, "repeats"))
+    notices = _repeat_notices(len(drives), scatter.between_dof + 1, drives[0].frequency_hz)
     return Repeats(
         frequency_hz=float(np.mean([drive.frequency_hz for drive in drives])),
         direction=drives[0].direction,
@@ -296,7 +303,7 @@ def mean_ratio(drives: Sequence[Drive], component: int) -> Repeats:
         amplitude=float(np.mean([abs(drive.load[component]) for drive in drives])),
         channels=tuple(usable),
         value=value,
-        uncertainty=replace(uncertainty, random=(*uncertainty.random, *extra)),
+        uncertainty=uncertainty,
         recordings=tuple(drive.recording for drive in drives),
         mountings=tuple(mountings),
         weight=weight,
@@ -304,8 +311,23 @@ def mean_ratio(drives: Sequence[Drive], component: int) -> Repeats:
         between=between,
         within_dof=scatter.within_dof,
         between_dof=scatter.between_dof,
-        notices=tuple(notices),
+        notices=notices,
     )
+
+
+def _repeat_notices(recordings: int, mountings: int, frequency_hz: float) -> tuple[Notice, ...]:
+    """Say what the mean of some recordings leaves out of U, and how little two tell."""
+    where, stated = f"{frequency_hz:.6g} Hz", "is not in U beyond what is stated of positions and directions"
+    told = []
+    if recordings > 1 and mountings == 1:
+        told.append(f"{recordings} recordings at {where} are of one mounting: what mounting anew changes {stated}")
+    if recordings > 1 and max(mountings, recordings if mountings == 1 else 0) == 2:
+        what = "mountings" if mountings == 2 else "recordings"
+        told.append(
+            f"two {what} at {where} tell what they differ by with one degree of freedom, which U pays for with up to "
+            f"k = {coverage_factor(1.0):.1f}; a third makes it {coverage_factor(2.0):.1f}"
+        )
+    return tuple(Notice("info", text, "repeats") for text in told)
 
 
 class Nested(NamedTuple):
@@ -408,10 +430,8 @@ def _weights(
     by that of what their recordings and mounting anew leave, both in the best known channel.
     """
     # What no other recording shares: noise, and unknowns of the recording.
-    alone = [
-        Uncertainty(uncertainty.random, tuple(i for i in uncertainty.influences if i.scope == "recording"))
-        for _, uncertainty in values
-    ]
+    seen = Counter(influence.name for _, uncertainty in values for influence in uncertainty.influences)
+    alone = [replace(u, influences=tuple(i for i in u.influences if seen[i.name] == 1)) for _, u in values]
     own = np.array([total_variance(uncertainty.covariance)[0] for uncertainty in alone])
     best = int(np.argmin(np.sum(own, axis=0)))
     within, between = (total_variance(part[None])[0, best] for part in (scatter.within, scatter.between))
@@ -426,18 +446,34 @@ def _weights(
     return np.asarray(weight / np.sum(weight))
 
 
-def _contributions(
-    scatter: _Scatter, weight: FloatArray, mountings: Sequence[str], plain: ComplexArray
-) -> list[Contribution]:
-    """What recordings and mountings scatter by beyond what is stated, in the mean."""
-    shares = np.array([np.sum(weight[[m == kind for m in mountings]]) for kind in dict.fromkeys(mountings)])
+def _of_mean(
+    values: Sequence[tuple[ComplexArray, Uncertainty]],
+    weight: FloatArray,
+    mountings: Sequence[str],
+    plain: ComplexArray,
+) -> Uncertainty:
+    """Return the uncertainty of the weighted mean: unknowns that groups of recordings share, and what these scatter by.
+
+    Groups are mountings, or recordings where all are of one mounting; a single recording has what is stated for it.
+    """
+    weighted = [u.scaled(np.full((1, len(plain)), w, np.complex128)) for w, (_, u) in zip(weight, values, strict=True)]
+    total = reduce(Uncertainty.plus, weighted)
+    several = len(set(mountings)) > 1
+    groups = list(mountings) if several else [str(place) for place in range(len(values))]
+    kinds = list(dict.fromkeys(groups))
+    if len(kinds) == 1:
+        return total
+    acts_on: dict[str, set[str]] = {}
+    for group, (_, uncertainty) in zip(groups, values, strict=True):
+        for influence in uncertainty.influences:
+            acts_on.setdefault(influence.name, set()).add(group)
+    shared = tuple(influence for influence in total.influences if len(acts_on[influence.name]) > 1)
+    member = np.array([[group == kind for group in groups] for kind in kinds], dtype=np.float64) * weight
+    share = member.sum(axis=1)
+    means = (member / share[:, None]) @ np.array([real_stack(value / plain) for value, _ in values])
+    off = means - share @ means
+    matrix = np.einsum("m,mi,mj->ij", share, off, off) / (len(kinds) - 1)
     turn = real_stacked_diagonal(plain[None])[0]
-    parts = (
-        (WITHIN, scatter.within, float(np.sum(weight**2)), scatter.within_dof),
-        (BETWEEN, scatter.between, float(np.sum(shares**2)), scatter.between_dof),
-    )
-    return [
-        Contribution(label, "A", (turn @ (factor * matrix) @ turn.T)[None], np.array([float(dof)]))
-        for label, matrix, factor, dof in parts
-        if dof and np.any(matrix)
-    ]
+    scattered = (turn @ matrix @ turn.T)[None]
+    part = Contribution(BETWEEN if several else WITHIN, "A", scattered, np.array([len(kinds) - 1.0]))
+    return Uncertainty((part,), shared)

@@ -32,7 +32,7 @@ from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, load_manifest
 from fusion.report.folder import check_folder, hash_files, is_current
 from fusion.report.recording import REPORT_FILE, SENSITIVITY_FILE, check_campaign_folder, row_element, write_results
-from fusion.report.table import read_rows
+from fusion.report.table import both, factor, read_rows
 from fusion.sensitivity.evaluate import evaluate_recording
 
 if TYPE_CHECKING:
@@ -274,9 +274,9 @@ def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
         table.add_column(head, justify="left" if head in ("element", "unit", "kind") else "right")
     for row in rows:
         name = f"{row['channel']} / {row['component']}"
-        magnitude, phase, factor = _cells(row_element(row))
+        magnitude, phase, k_factor = _cells(row_element(row))
         frequency = f"{float(row['frequency_hz']):.4f}"
-        cells = (frequency, name, magnitude, row["unit"], phase, factor, row["kind"])
+        cells = (frequency, name, magnitude, row["unit"], phase, k_factor, row["kind"])
         table.add_row(*([row["recording"]] if several else []), *cells)
     return table
 
@@ -291,7 +291,8 @@ def _cells(element: Polar) -> tuple[str, str, str]:
 
     if not element.region.holds_zero:
         magnitude = with_u(element.magnitude, element.expanded_magnitude)
-        return magnitude, with_u(element.phase_rad, element.expanded_phase_rad), f"{element.k:.2f}"
+        k_factors = both(factor(element.k), factor(element.k_phase))
+        return magnitude, with_u(element.phase_rad, element.expanded_phase_rad), k_factors
     large, small = element.region.half_axes
     first = rounded(large, large)
     second = rounded(small, large, first.exponent)

@@ -220,7 +220,7 @@ def _uncertainty(system: System, solved: Solved) -> Uncertainty:
         parts.append(Contribution(INCONSISTENCY, "A", excess, np.full(lines, max(solution.dof / lines, 1.0))))
     effects = np.where(hidden[:, :, None], np.nan, gain @ solution.effects)
     influences = [
-        Influence(c.name, c.label, c.u, c.unit, effects[:, :, place], c.scope, c.type)
+        Influence(c.name, c.label, c.u, c.unit, effects[:, :, place], c.scope, c.type, c.dof)
         for place, c in enumerate(system.common)
     ]
     unknown = hidden[:, :, None] | hidden[:, None, :]

@@ -26,9 +26,9 @@ class CommonError:
 
     `name` identifies the unknown: equal names in several observations are the same unknown; it contains where a channel
     was placed, so that a channel placed elsewhere is another unknown. `label` groups it in a budget, `u` is in `unit`,
-    `scope` says how long the unknown keeps its value. Its effect on the phasors for one standard uncertainty is
-    slope · A + offset, with `slope` (K, M, 6) and `offset` (K, M), so that it follows the estimate A (K, 6) and never
-    the readings.
+    `scope` says how long the unknown keeps its value, `dof` how well `u` is known. Its effect on the phasors for one
+    standard uncertainty is slope · A + offset, with `slope` (K, M, 6) and `offset` (K, M), so that it follows the
+    estimate A (K, 6) and never the readings.
     """
 
     name: str
@@ -39,6 +39,7 @@ class CommonError:
     slope: ComplexArray
     offset: ComplexArray
     type: ErrorType = "B"
+    dof: float = np.inf
 
     def effect(self, acceleration: ComplexArray) -> ComplexArray:
         """Return the change (K, M) of the phasors for one standard uncertainty, at the acceleration (K, 6)."""
@@ -111,7 +112,7 @@ class Observation:
         factor = np.ones_like(readings)
         placed = self.geometry.unknowns
         for error in (error for error in self.common if error.name not in placed):
-            drawn = deviates.normal(error.name)[:, None, None]
+            drawn = deviates.unknown(error.name, error.dof)[:, None, None]
             relative = relative_change(error, self.design)
             if relative is None:
                 readings = readings - drawn * error.effect(acceleration)
@@ -157,6 +158,15 @@ class Deviates:
     def normal(self, name: str, *shape: int) -> FloatArray:
         """Return standard normal deviates (N, ...)."""
         return self.stream(name).standard_normal((self.count, *shape))
+
+    def unknown(self, name: str, dof: float = np.inf) -> FloatArray:
+        """Return deviates (N,) of an unknown in standard uncertainties: normal, or of Student's t (JCGM 101, 6.4.9)."""
+        drawn = self.normal(name)
+        return (
+            drawn
+            if np.isinf(dof)
+            else drawn / np.sqrt(self.stream(f"{name}, squares").chisquare(dof, len(drawn)) / dof)
+        )
 
     def angle(self, name: str) -> FloatArray:
         """Return angles (N,) of which nothing is known."""

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
 from fusion.estimation.uncertainty import (
     Contribution,
+    Kind,
     Scope,
     Uncertainty,
     Unknown,
@@ -44,13 +45,15 @@ CLOCK_RATE = "clock rate"
 @dataclass(frozen=True)
 class ChainUncertainty:
     """What the manifest does not say of a channel's chain: relative `u_magnitude` (K,) and `u_phase_rad` (K,) of its
-    response table, and `u_clock_s`, the standard uncertainty of the tie of its clock to the first block's.
+    response table, and `u_clock_s`, the standard uncertainty of the tie of its clock to the first block's, with the
+    degrees of freedom `clock_dof` of the edges that it rests on.
     """
 
     u_magnitude: FloatArray | None = None
     u_phase_rad: FloatArray | None = None
     clock: str = ""
     u_clock_s: float = 0.0
+    clock_dof: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ class RelativeError(Unknown[ComplexArray]):
         """Return the unknown of rows (K, M, 6) that it changes in proportion; the relative change may be (K, 1)."""
         none = np.zeros(design.shape[:2], np.complex128)
         slope = self.effect[:, :, None] * design
-        return CommonError(self.name, self.label, self.u, self.unit, self.scope, slope, none, self.type)
+        return CommonError(self.name, self.label, self.u, self.unit, self.scope, slope, none, self.type, self.dof)
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,8 @@ def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
     for clock in sorted({c.clock for c in chains if c.u_clock_s > 0.0}):
         times = np.array([c.u_clock_s if c.clock == clock else 0.0 for c in chains])
         unknown, late = f"clock {clock}: time", turn[:, None] * times
-        errors.append(RelativeError(unknown, unknown, float(np.max(times)), "s", late))
+        freedom = min(c.clock_dof for c in chains if c.clock == clock)
+        errors.append(RelativeError(unknown, unknown, float(np.max(times)), "s", late, "recording", "A", freedom))
     label = f"{name}: individual scale"
     only = np.eye(len(entries), dtype=np.complex128)
     for place, entry in enumerate(entries):
@@ -120,10 +124,16 @@ def acting(errors: Iterable[RelativeError]) -> tuple[RelativeError, ...]:
     return tuple(error for error in added_up(errors) if np.any(error.effect != 0.0))
 
 
-def late(name: str, frequency_hz: FloatArray, u_s: float, scope: Scope = "recording") -> tuple[RelativeError, ...]:
-    """Return a time error, if any: what is late by one standard uncertainty turns by exp(-jω u) ≈ 1 - jω u."""
+def late(
+    name: str, frequency_hz: FloatArray, u_s: float, scope: Scope = "recording", dof: float | None = None
+) -> tuple[RelativeError, ...]:
+    """Return a time error, if any: what is late by one standard uncertainty turns by exp(-jω u) ≈ 1 - jω u.
+
+    `dof`: degrees of freedom of a type A evaluation, None for what is stated.
+    """
     turn = np.asarray(-2j * np.pi * frequency_hz * u_s)[:, None]
-    return (RelativeError(name, name, u_s, "s", turn, scope),) if u_s > 0.0 else ()
+    known: tuple[Kind, float] = ("B", np.inf) if dof is None else ("A", dof)
+    return (RelativeError(name, name, u_s, "s", turn, scope, *known),) if u_s > 0.0 else ()
 
 
 def clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: float) -> list[CommonError]:
@@ -283,7 +293,7 @@ class Outputs:
         for influence in self.uncertainty.influences:
             effect = as_complex(influence.effect)
             relative = np.divide(effect, value, out=np.zeros_like(value), where=(value != 0.0) & np.isfinite(effect))
-            size = deviates.normal(influence.name)[:, None, None]
+            size = deviates.unknown(influence.name, influence.dof)[:, None, None]
             drawn = drawn / ((1.0 + size * relative.real) * np.exp(1j * size * relative.imag))
         return np.asarray(drawn)
 

@@ -27,11 +27,15 @@ GEOMETRY = np.eye(6)
 
 @dataclass(frozen=True)
 class Exposure:
-    """How long frames at the edges of a `trigger` are exposed; `u_length_s`: 0 where the manifest states the length."""
+    """How long frames at the edges of a `trigger` are exposed.
+
+    `u_length_s`: 0 where the manifest states the length, else with `dof` degrees of freedom of the pulses measured.
+    """
 
     trigger: str
     length_s: float
     u_length_s: float = 0.0
+    dof: float = np.inf
 
     def errors(self, frequency_hz: FloatArray) -> tuple[RelativeError, ...]:
         """Return the relative error (K, 1) of phasors where the length T is measured: that of the trigger's pulses.
@@ -44,7 +48,7 @@ class Exposure:
         x = np.pi * frequency_hz[:, None] * self.length_s
         change = self.u_length_s * ((1.0 - x / np.tan(x)) / self.length_s - 1j * np.pi * frequency_hz[:, None])
         name = f"{self.trigger}: pulse width"
-        return (RelativeError(name, name, self.u_length_s, "s", np.asarray(change)),)
+        return (RelativeError(name, name, self.u_length_s, "s", np.asarray(change), "recording", "A", self.dof),)
 
 
 def line_turns(lines: Lines, middle_s: float) -> Iterator[RelativeError]:

@@ -234,6 +234,6 @@ def _uncertainty(points: Sequence[_Point]) -> Uncertainty:
             if np.any(change):
                 effect = real_stack(change)
                 influences.append(
-                    Influence(error.name, error.label, error.u, error.unit, effect, error.scope, error.type)
+                    Influence(error.name, error.label, error.u, error.unit, effect, error.scope, error.type, error.dof)
                 )
     return Uncertainty((Contribution("noise", "A", covariance, dof),), added_up(influences))

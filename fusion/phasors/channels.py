@@ -233,7 +233,9 @@ def _result(
     """
     block, rate_hz, tie = record.entry.name, record.raw[channel.name].sample_rate_hz, base.ties[record.entry.name]
     middle_s = np.asarray(len(values) / rate_hz / 2)
-    chain = ChainUncertainty(clock=block, u_clock_s=0.0 if tie is None else float(tie.u_to_base_s(middle_s)))
+    chain = ChainUncertainty(clock=block)
+    if tie is not None:
+        chain = replace(chain, u_clock_s=float(tie.u_to_base_s(middle_s)), clock_dof=float(max(tie.pairs - 2, 1)))
     correction = np.exp(2j * np.pi * phasors.frequency_hz * channel.delay)
     if channel.response is not None:
         response = read_response(channel.response, phasors.frequency_hz)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.base import AnyNotice, Executor, InputError, ProgressCallback, Settings
+from fusion.estimation.uncertainty import coverage_factor
 from fusion.instruments.channel import Reading
 from fusion.phasors.channels import (
     APART_PERIODS,
@@ -39,7 +40,7 @@ from shaker.sine.fit import Stationarity
 
 Key = tuple[float, int]
 """What makes lines of two set-ups the same: their nominal fundamental and their multiple of it."""
-SURE = 4.0  # standard uncertainties; noise reaches it once in 16 000 cases
+SURE = 1.0 / 16000.0  # chance that noise and rates of clocks make a change that is told
 MATTERS = 1e-3  # of the amplitude, or rad, over the record: a mean over another stretch differs by up to half of it
 NAMED = 4
 
@@ -223,7 +224,8 @@ def _extended(lines: Lines, keys: Sequence[Key]) -> Lines:
 class LineStationarity:
     """Change of one line in one channel over its record: `amplitude`, relative to itself, and `phase_rad`.
 
-    `chance` is how often noise alone moves the blocks that far from their mean.
+    `chance` is how often noise, and rates of clocks as uncertain as they are, move the blocks that far from their mean;
+    `sure_amplitude` and `sure_phase_rad`: what they reach once in 16 000 cases.
     """
 
     name: str
@@ -236,6 +238,8 @@ class LineStationarity:
     phase_rad: float
     u_phase_rad: float
     chance: float
+    sure_amplitude: float
+    sure_phase_rad: float
 
 
 def line_stationarity(
@@ -243,12 +247,17 @@ def line_stationarity(
 ) -> tuple[LineStationarity, ...]:
     """Return the changes of the driven lines in every channel and in the strongest component of every stereo pair.
 
-    The rate of a clock that is tied to the first one is known no better than its edges tell, and so is a phase's drift.
+    A phase's drift is known no better than the rates behind it: of a clock that is tied to the first one, of the
+    trigger that exposes the frames, and the frequency of the line itself. The rate that is stated of a clock is none of
+    these, since the frequency is found on the same clock.
     """
     u_rate = {clock.daq: float(np.sqrt(clock.tie.covariance[1, 1])) for clock in clocks if clock.tie is not None}
+    triggers = [clock.trigger for clock in clocks if clock.trigger is not None]
+    u_frames = max((float(np.sqrt(fit.covariance[1, 1])) / fit.period_s for fit in triggers), default=0.0)
     shown = [(channel.name, channel.stationarity, u_rate.get(channel.daq, 0.0)) for channel in channels]
-    shown += [(f"stereo pair {pair.name}", pair.stationarity, 0.0) for pair in stereo]
-    driven = lines.frequency_hz[lines.multiple == 1]
+    shown += [(f"stereo pair {pair.name}", pair.stationarity, u_frames) for pair in stereo]
+    first = lines.multiple == 1
+    driven = list(zip(lines.frequency_hz[first].tolist(), lines.u_frequency_hz[first].tolist(), strict=True))
     return tuple(
         change for name, steady, u in shown if steady is not None for change in _of_lines(name, steady, driven, u)
     )
@@ -259,8 +268,8 @@ def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[AnyNotice
     notices: list[AnyNotice] = []
     for frequency in dict.fromkeys(line.frequency_hz for line in changes):
         here = [line for line in changes if line.frequency_hz == frequency]
-        grown = [d for d in here if abs(d.amplitude) > max(MATTERS, SURE * d.u_amplitude)]
-        turned = [d for d in here if abs(d.phase_rad) > max(MATTERS, SURE * d.u_phase_rad)]
+        grown = [d for d in here if abs(d.amplitude) > max(MATTERS, d.sure_amplitude)]
+        turned = [d for d in here if abs(d.phase_rad) > max(MATTERS, d.sure_phase_rad)]
         for what, by in (
             ("amplitude at {} changes", [f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown]),
             ("phase at {} drifts", [f"{1e3 * d.phase_rad:+.2g} mrad in {d.name}" for d in turned]),
@@ -273,17 +282,25 @@ def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[AnyNotice
     return tuple(notices)
 
 
-def _of_lines(name: str, steady: Stationarity, driven: Sequence[float], u_rate: float) -> list[LineStationarity]:
-    """Return the changes of the driven lines, each in the channel that shows it best."""
+def _of_lines(
+    name: str, steady: Stationarity, driven: Sequence[tuple[float, float]], u_rate: float
+) -> list[LineStationarity]:
+    """Return the changes of the driven lines (frequency, its u), each in the channel that shows it best."""
     length, changes = steady.length_s, []
-    for frequency in driven:
+    for frequency, u_frequency in driven:
+        turn = 2.0 * np.pi * float(np.hypot(frequency * u_rate, u_frequency))
+        chance = steady.p_value_beside(turn)
         for line in np.flatnonzero(steady.frequency_hz == frequency):
             mean = np.abs(steady.value[:, line].mean(axis=0))
             clear = mean / np.maximum(steady.u_amplitude_per_s[line], np.finfo(np.float64).tiny)
             c = int(np.argmax(clear))
             if mean[c] > 0.0:
                 part = length / mean[c]
-                u_phase = np.hypot(steady.u_phase_rad_per_s[line, c], 2.0 * np.pi * frequency * u_rate)
+                u_amplitude, own = steady.u_amplitude_per_s[line, c] * part, steady.u_phase_rad_per_s[line, c]
+                u_phase = float(np.hypot(own, turn))
+                dof = max(float(steady.dof[line]), 1.0)
+                # The rates are known, the noise is estimated (Welch and Satterthwaite).
+                dof_phase = dof * (u_phase / own) ** 4 if own > 0.0 else np.inf
                 changes.append(
                     LineStationarity(
                         name,
@@ -292,10 +309,12 @@ def _of_lines(name: str, steady: Stationarity, driven: Sequence[float], u_rate: 
                         steady.periods,
                         steady.whole,
                         float(steady.amplitude_per_s[line, c] * part),
-                        float(steady.u_amplitude_per_s[line, c] * part),
+                        float(u_amplitude),
                         float(steady.phase_rad_per_s[line, c] * length),
-                        float(u_phase * length),
-                        float(steady.p_value[line, c]),
+                        u_phase * length,
+                        float(chance[line, c]),
+                        coverage_factor(dof, 1.0 - SURE) * float(u_amplitude),
+                        coverage_factor(dof_phase, 1.0 - SURE) * u_phase * length,
                     )
                 )
     return changes

@@ -196,7 +196,8 @@ def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArr
 def _clock_error(name: str, reading: Reading) -> list[RelativeError]:
     """Relative error (K, 1) of a channel from the tie of its clock to the first one of its set-up."""
     chain, label = reading.chain, f"clock {reading.chain.clock}: time"
-    errors = late(f"clock {name}: {chain.clock}: time", reading.phasors.frequency_hz, chain.u_clock_s)
+    frequency_hz, dof = reading.phasors.frequency_hz, chain.clock_dof
+    errors = late(f"clock {name}: {chain.clock}: time", frequency_hz, chain.u_clock_s, dof=dof)
     return [replace(error, label=label) for error in errors]
 
 

@@ -145,6 +145,7 @@ def stereo_phasors(base: TimeBase, measured: StereoMotion, lines: Lines, *, from
     for what, change in changes.items():
         effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
         effects[what][:, usable] = change / gain[usable][:, None]
+    trigger_time, trigger_dof = f"{exposure.trigger}: time", base.trigger_dof(exposure.trigger)
     reading = StereoReading(
         name=name,
         pair=sight.pair,
@@ -152,7 +153,7 @@ def stereo_phasors(base: TimeBase, measured: StereoMotion, lines: Lines, *, from
         effects=effects,
         clock_uncertainty=base.records[0].entry.clock_uncertainty,
         errors=(
-            *late(f"{exposure.trigger}: time", lines.frequency_hz, base.u_trigger_s(exposure.trigger)),
+            *late(trigger_time, lines.frequency_hz, base.u_trigger_s(exposure.trigger), dof=trigger_dof),
             *exposure.errors(lines.frequency_hz),
             *(line_turns(lines, float(np.mean(time_s))) if from_motion else ()),
         ),

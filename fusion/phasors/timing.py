@@ -82,6 +82,10 @@ class TimeBase:
         _, fit = self.first_with(trigger)
         return float(fit.u_time_s(np.asarray(fit.edges // 2)))
 
+    def trigger_dof(self, trigger: str) -> float:
+        """Return the degrees of freedom of a trigger's fitted instants: its edges less two, one at least."""
+        return float(max(len(self.first_with(trigger)[1].number) - 2, 1))
+
     def u_trigger_rate(self, trigger: str) -> float:
         """Return the relative standard uncertainty of a trigger's fitted period."""
         _, fit = self.first_with(trigger)
@@ -171,7 +175,8 @@ def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: 
             pulse = base.pulses.get((daq, entry.trigger)) or base.record(daq).pulse_width(entry.trigger)
         except ValueError as error:
             raise no_pulse_width(manifest, daq, entry, error) from error
-        exposure = Exposure(entry.trigger, pulse.width_s, pulse.u_width_s)
+        dof = float(max(pulse.pulses - 2, 1))
+        exposure = Exposure(entry.trigger, pulse.width_s, pulse.u_width_s, dof)
     else:
         exposure = Exposure(entry.trigger, entry.exposure)
     middle_s = base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0

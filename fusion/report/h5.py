@@ -17,6 +17,7 @@ COMPRESS_ABOVE = 512
 LEFT_OUT = {"manifest", "reference_image", "settings", "versions", "input_hashes"}
 """Fields that are in the inputs, or stand in the group `provenance`."""
 INFLUENCE_TEXTS = ("name", "label", "unit", "scope", "type")
+INFLUENCE_NUMBERS = ("u", "dof")
 
 
 def write_fields(group: h5py.Group, item: Any) -> None:
@@ -86,7 +87,7 @@ def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
     """Write an uncertainty into a group, so that `fusion.report.h5.read_uncertainty` returns it to the last bit.
 
     `random/LABEL`: covariance (K, 2C, 2C) and dof (K,) of each random contribution; `name`, `label`, `u`, `unit`,
-    `scope`, `type` (E,) and `effect` (E, K, 2C) of the influences; `covariance` (K, 2C, 2C): of everything together.
+    `scope`, `type`, `dof` (E,) and `effect` (E, K, 2C) of the influences; `covariance` (K, 2C, 2C): of everything.
     """
     random = group.create_group("random", track_order=True)
     for part in uncertainty.random:
@@ -99,7 +100,9 @@ def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
     for field in INFLUENCE_TEXTS:
         texts = [getattr(influence, field) for influence in uncertainty.influences]
         group.create_dataset(field, data=np.array(texts, dtype=object), dtype=h5py.string_dtype())
-    group.create_dataset("u", data=np.array([influence.u for influence in uncertainty.influences], dtype=np.float64))
+    for field in INFLUENCE_NUMBERS:
+        numbers = [getattr(influence, field) for influence in uncertainty.influences]
+        group.create_dataset(field, data=np.array(numbers, dtype=np.float64))
     shape = (0, *uncertainty.random[0].covariance.shape[:2])
     effects = [influence.effect for influence in uncertainty.influences]
     _write_array(group, "effect", np.stack(effects) if effects else np.zeros(shape))
@@ -129,10 +132,11 @@ def read_uncertainty(group: h5py.Group) -> Uncertainty:
         kind = _known("type", part.attrs["type"], Kind)
         random.append(Contribution(str(part.attrs["label"]), kind, part["covariance"][()], dof))
     columns = [group[field].asstr()[()] for field in INFLUENCE_TEXTS]
+    numbers = group["u"][()], group["dof"][()] if "dof" in group else np.full(len(group["u"]), np.inf)
     influences = []
-    for name, label, unit, scope, kind, u, effect in zip(*columns, group["u"][()], group["effect"][()], strict=True):
+    for name, label, unit, scope, kind, u, dof, effect in zip(*columns, *numbers, group["effect"][()], strict=True):
         known = _known("scope", scope, Scope), _known("type", kind, Kind)
-        influences.append(Influence(name, label, float(u), unit, effect, *known))
+        influences.append(Influence(name, label, float(u), unit, effect, *known, float(dof)))
     return Uncertainty(tuple(random), tuple(influences))
 
 

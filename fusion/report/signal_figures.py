@@ -175,9 +175,10 @@ def _deviations(spread: PointSpread, line: int) -> tuple[FloatArray, FloatArray,
     every = np.broadcast_to(centre, (len(spread.mean), *centre.shape))
     turned = spread.uncertainty.transformed(every).scaled(np.repeat(1.0 / spread.mean[:, None], count, axis=1))
     u = np.sqrt(turned.covariance[line].diagonal())
-    k = np.array([coverage_factor(float(dof)) for dof in turned.dof()[line]])
+    parts = [turned.dof_along(np.full(count, direction))[line] for direction in (1.0 + 0.0j, 1.0j)]
+    expanded = np.array([coverage_factor(float(dof)) for dof in np.concatenate(parts)]) * u
     ratio = spread.value[line] / spread.mean[line]
-    return ratio.real - 1.0, ratio.imag, k * u[:count], k * u[count:]
+    return ratio.real - 1.0, ratio.imag, expanded[:count], expanded[count:]
 
 
 def _draw_bars(axes: Axes, value: FloatArray, expanded: FloatArray, planned: FloatArray) -> None:

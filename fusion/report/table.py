@@ -54,13 +54,16 @@ def on_page(head: str, shown: Callable[[R], str], align: str = "r") -> Column[R]
     return Column("", shown, head, shown, align)
 
 
-def polar_columns(size: str, value: Callable[[R], Polar]) -> list[Column[R]]:
-    """Return the ten columns of a complex value, of which `size` is the magnitude's name."""
+def polar_columns(size: str, value: Callable[[R], Polar], *, freedom: bool = False) -> list[Column[R]]:
+    """Return the ten columns of a complex value, of which `size` is the magnitude's name.
+
+    `freedom`: the two of the degrees of freedom of magnitude and phase instead, which stand at the end of a table.
+    """
 
     def column(field: str) -> Column[R]:
         return Column(field.replace("magnitude", size), lambda row: getattr(value(row), field))
 
-    return [column(field.name) for field in fields(Polar)]
+    return [column(field.name) for field in fields(Polar) if field.name.startswith("dof_") == freedom]
 
 
 def quantity_columns(quantity: Callable[[R], Quantity]) -> list[Column[R]]:
@@ -195,14 +198,27 @@ def phase(element: Polar) -> Markup:
 def polar_cells(element: Polar, exponent: int | None = None) -> tuple[str, str, str]:
     """Magnitude and phase with U, and k; of a value that may be zero the half-axes of its region, and their factor.
 
-    `exponent`: power of ten that stands elsewhere, by default with the magnitude.
+    `exponent`: power of ten that stands elsewhere, by default with the magnitude. k of magnitude and phase, one number
+    where they are the same as printed.
     """
     region = element.region
     if region.holds_zero:
         return half_axes(region, exponent), WEAK, factor(region_factor(element.dof))
     size, expanded = element.magnitude, element.expanded_magnitude
     cell = measured(size, expanded) if exponent is None else fixed(size, expanded, exponent)
-    return cell, phase(element), factor(element.k)
+    return cell, phase(element), both(factor(element.k), factor(element.k_phase))
+
+
+def both(of_magnitude: str, of_phase: str) -> str:
+    """What holds for magnitude and phase: one text where it is the same for both."""
+    return of_magnitude if of_magnitude == of_phase else f"{of_magnitude}; {of_phase}"
+
+
+def polar_freedom(element: Polar) -> str:
+    """Degrees of freedom of magnitude and phase, or of the region of a value that may be zero."""
+    if element.region.holds_zero:
+        return degrees_of_freedom(element.dof)
+    return both(degrees_of_freedom(element.dof_magnitude), degrees_of_freedom(element.dof_phase))
 
 
 def half_axes(region: Region, exponent: int | None = None) -> Markup:

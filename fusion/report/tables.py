@@ -22,7 +22,6 @@ from fusion.report.table import (
     R,
     Table,
     common_exponent,
-    degrees_of_freedom,
     fixed,
     half_axes,
     measured,
@@ -31,6 +30,7 @@ from fusion.report.table import (
     on_page,
     phase,
     polar_cells,
+    polar_freedom,
     sensitivity_unit,
     short,
     table,
@@ -131,13 +131,14 @@ def static_value(evaluation: Evaluation, channel: int, component: int) -> float 
 def result_elements(result: Acceleration | LoadResult) -> list[list[Polar | None]]:
     """Six components at every line as magnitude and phase, None where they are not observed."""
     phasors = result.phasors
-    return polar_elements(phasors.value, phasors.covariance, result.uncertainty.dof())
+    return polar_elements(phasors.value, result.uncertainty, phasors.covariance)
 
 
 def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, component: int) -> Polar:
     """One element of the sensitivity at one line, as magnitude and phase."""
     place = line, channel, component
-    return polar(complex(sensitivity.value[place]), sensitivity.covariance[place], float(sensitivity.dof[place]))
+    both = float(sensitivity.dof_polar[0][place]), float(sensitivity.dof_polar[1][place])
+    return polar(complex(sensitivity.value[place]), sensitivity.covariance[place], float(sensitivity.dof[place]), both)
 
 
 # Headlines and tables of the results.
@@ -181,7 +182,7 @@ def sensitivity_table(evaluation: Evaluation) -> Table | None:
                 continue
             element = sensitivity_element(found, k, c, j)
             name = f"{found.channels[c]} per {found.components[j]}"
-            dof = degrees_of_freedom(element.dof)
+            dof = polar_freedom(element)
             rows.append((f"{frequency:.4f}", name, *polar_cells(element, exponent), dof, found.kind[k]))
     unit = times_ten(exponent, sensitivity_unit(found.unit, LOAD_COMPONENTS[driven_component(evaluation)]))
     magnitude = Markup("magnitude / ({})").format(unit)
@@ -227,7 +228,7 @@ def load_table(evaluation: Evaluation) -> Table | None:
         for c, element in enumerate(row):
             if element is not None and (k == strongest or c == driven):
                 amplitude, turn, k_factor = polar_cells(element)
-                unit, freedom = typeset(LOAD_UNITS[c]), degrees_of_freedom(element.dof)
+                unit, freedom = typeset(LOAD_UNITS[c]), polar_freedom(element)
                 frequency = f"{load.frequency_hz[k]:.4f}"
                 rows.append((frequency, LOAD_COMPONENTS[c], amplitude, unit, turn, k_factor, freedom))
     head = ("frequency / Hz", "component", "amplitude", "unit", "phase / rad", "k", "dof")

@@ -17,6 +17,7 @@ from fusion.recording.toml import UncertainInput
 from fusion.report.table import (
     Column,
     Table,
+    both,
     capital,
     common_exponent,
     degrees_of_freedom,
@@ -185,7 +186,10 @@ def budget_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: str, frequency_hz: float) -> Table:
-    """One budget: what acts, how much of it, how it acts, and what it contributes to magnitude and phase."""
+    """One budget: what acts, how much of it, how it acts, and what it contributes to magnitude and phase.
+
+    One recording tells neither what repeating it nor what mounting anew would change.
+    """
     u = np.array([[entry.u_relative[line, place], entry.u_phase_rad[line, place]] for entry in entries])
     total = np.sqrt(np.sum(u**2, axis=0))
     share = 100.0 * np.divide(u**2, total**2, out=np.zeros_like(u), where=total > 0.0)
@@ -201,6 +205,7 @@ def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: s
     if len(rest):
         left = _contribution(np.sqrt(np.sum(u[rest] ** 2, axis=0)), np.sum(share[rest], axis=0))
         rows.append((f"{len(rest)} smaller ones together", "", "", "", "", *left))
+    rows += [(cause, "", "not assessed", "", "", *[DASH] * 4) for cause in ("repeatability", "mounting anew")]
     rows.append((Markup("<b>combined, k = 1</b>"), "", "", "", "", *_contribution(total, np.sum(share, axis=0))))
     head = (
         *("contribution", "type, dof", "u of the input", "magnitude per unit", "rad per unit"),
@@ -244,10 +249,12 @@ def other_loads_table(evaluation: Evaluation) -> Table | None:
             rows.append((name, DASH, DASH, DASH, DASH))
             continue
         share = shares.element(line, c)
+        k_re, k_im = shares.factors(line, c)
         parts = [
-            fixed(100.0 * part, 100.0 * share.k * u, 0) for part, u in ((share.re, share.u_re), (share.im, share.u_im))
+            fixed(100.0 * part, 100.0 * u, 0)
+            for part, u in ((share.re, k_re * share.u_re), (share.im, k_im * share.u_im))
         ]
-        rows.append((name, *parts, factor(share.k), degrees_of_freedom(share.dof)))
+        rows.append((name, *parts, both(factor(k_re), factor(k_im)), degrees_of_freedom(share.dof)))
     frequency = f"{sensitivity.frequency_hz[line]:.4f}"
     head = ("output", "in phase / %", "across / %", "k", "dof")
     caption = f"Share of each output that loads beside {LOAD_COMPONENTS[component]} explain at {frequency} Hz, with U"
@@ -269,7 +276,7 @@ def point_tables(evaluation: Evaluation) -> list[Table]:
 
 def known_elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar]]:
     """Return values (K, C), all of them known, as magnitude and phase with their uncertainty."""
-    lines = polar_elements(value, uncertainty.covariance, uncertainty.dof())
+    lines = polar_elements(value, uncertainty)
     return [[element for element in row if element is not None] for row in lines]
 
 

@@ -16,7 +16,7 @@ from fusion.sensitivity.body import Body
 from fusion.sensitivity.distributions import MonteCarlo
 from fusion.sensitivity.load import LoadResult, load_phasors
 from fusion.sensitivity.ratio import Sensitivity, driven_component, parasitic_loads, sensitivity_ratio
-from shaker.arrays import brief
+from shaker.arrays import Notice, brief
 from shaker.lines.frequencies import Lines
 
 if TYPE_CHECKING:
@@ -63,6 +63,12 @@ class Analysis:
         return tuple(notice for result in results if result is not None for notice in result.notices)
 
 
+SINGLE = (
+    "one recording: repeatability and what mounting anew changes are not assessed and not in U; a campaign that holds "
+    "it again, mounted anew, has them"
+)
+
+
 def analyse(inputs: Inputs) -> Analysis:
     """Fuse all instruments of every body, apply the mass matrix, and divide the outputs by the driven load.
 
@@ -81,6 +87,8 @@ def analyse(inputs: Inputs) -> Analysis:
         return Analysis(accelerations, load, None)
     component = driven_component(direction, sensor.capacity)
     ratio = sensitivity_ratio(outputs, load, component, inputs.lines.multiple, sensor.capacity)
+    if np.any(np.isfinite(ratio.value)):
+        ratio = replace(ratio, notices=(*ratio.notices, Notice("info", SINGLE, "sensitivity")))
     if sensor.static_sensitivity is not None:
         channels, frequency_hz = outputs.phasors.channels, outputs.phasors.frequency_hz
         static = np.array([sensor.static_sensitivity[sensor.channels.index(name)] for name in channels])

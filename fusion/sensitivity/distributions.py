@@ -78,7 +78,7 @@ class FirstOrder:
     """Q complex quantities at L lines as the evaluation has them, by first-order propagation of uncertainty.
 
     `elements`, `unit` (Q names). `value` (L, Q), NaN where a line does not determine a quantity; `first_covariance`
-    (L, Q, 2, 2) of its (Re, Im) with `dof` (L, Q).
+    (L, Q, 2, 2) of its (Re, Im) with `dof` (L, Q), and `dof_polar` (2, L, Q) of magnitude and phase.
     """
 
     name: str
@@ -88,6 +88,7 @@ class FirstOrder:
     value: ComplexArray
     first_covariance: FloatArray
     dof: FloatArray
+    dof_polar: FloatArray
 
     def at(self, lines: IntArray, elements: IntArray) -> FirstOrder:
         """Return some of the elements at some of the lines, by their places."""
@@ -100,6 +101,7 @@ class FirstOrder:
             self.value[place],
             self.first_covariance[place],
             self.dof[place],
+            self.dof_polar[:, lines][:, :, elements],
         )
 
 
@@ -125,6 +127,7 @@ class Propagated(FirstOrder):
         shape = (len(self.frequency_hz), len(self.elements))
         check_shapes(self, shape, "value", "first_factor", "dof", "mean", "factor", "first_holds")
         check_shapes(self, (*shape, 2, 2), "first_covariance", "covariance")
+        check_shapes(self, (2, *shape), "dof_polar")
         if len(self.unit) != shape[1]:
             raise ValueError(f"unit: expected {shape[1]} units, one per element, found {len(self.unit)}")
 
@@ -167,16 +170,16 @@ class MonteCarlo:
 def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
     """Return what N draws (N, L, Q) of quantities say beside their first-order propagation."""
 
-    def each(factor: Callable[[float], float]) -> FloatArray:
+    def each(factor: Callable[[float], float], dof: FloatArray) -> FloatArray:
         """Coverage factor for each number of degrees of freedom, NaN where there is none."""
-        factors = [np.nan if np.isnan(value) else factor(value) for value in first.dof.ravel().tolist()]
-        return np.array(factors, dtype=np.float64).reshape(first.dof.shape)
+        factors = [np.nan if np.isnan(value) else factor(value) for value in dof.ravel().tolist()]
+        return np.array(factors, dtype=np.float64).reshape(dof.shape)
 
     mean = draws.mean(axis=0)
     parts = np.stack([(draws - mean).real, (draws - mean).imag], axis=-1)
     covariance = np.asarray(np.einsum("nlqi,nlqj->lqij", parts, parts) / (len(draws) - 1))
     factor = np.sqrt(np.quantile(_distance(draws - mean, covariance), COVERAGE, axis=0))
-    first_factor = each(region_factor)
+    first_factor = each(region_factor, first.dof)
     inside = _distance(draws - first.value, first.first_covariance) <= first_factor**2
     known = np.isfinite(mean) & np.isfinite(first.value)
     size = np.abs(first.value)
@@ -187,7 +190,7 @@ def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
         np.sqrt(np.einsum("lqi,lqij,lqj->lq", e, first.first_covariance, e))
         for e in (np.stack([unit.real, unit.imag], axis=-1), np.stack([-unit.imag, unit.real], axis=-1))
     )
-    k = each(coverage_factor)
+    k_magnitude, k_phase = each(coverage_factor, first.dof_polar)
     return Propagated(
         **vars(first),
         first_factor=first_factor,
@@ -195,8 +198,8 @@ def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
         covariance=covariance,
         factor=factor,
         first_holds=np.where(known, inside.mean(axis=0), np.nan),
-        magnitude=_spread(np.abs(draws), size, along, k),
-        phase=_spread(np.where(np.isfinite(draws), turned, np.nan), np.angle(first.value), across / size, k),
+        magnitude=_spread(np.abs(draws), size, along, k_magnitude),
+        phase=_spread(np.where(np.isfinite(draws), turned, np.nan), np.angle(first.value), across / size, k_phase),
     )
 
 

@@ -129,7 +129,7 @@ class _Motion:
         for influence in fused.uncertainty.influences:
             if influence.name not in known:
                 effect = np.nan_to_num(influence.effect)
-                further += as_complex(deviates.normal(influence.name)[:, None, None] * effect)
+                further += as_complex(deviates.unknown(influence.name, influence.dof)[:, None, None] * effect)
         return np.where(fused.observed, value + further, hidden)
 
 
@@ -169,7 +169,8 @@ def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
     ) -> FirstOrder:
         pair = np.arange(len(elements))[:, None] + [0, len(elements)]
         covariance = uncertainty.covariance[:, pair[:, :, None], pair[:, None, :]]
-        return FirstOrder(name, frequency, tuple(elements), tuple(units), value, covariance, uncertainty.dof())
+        freedom = uncertainty.dof(), uncertainty.dof_polar(value)
+        return FirstOrder(name, frequency, tuple(elements), tuple(units), value, covariance, *freedom)
 
     for fused in analysis.accelerations:
         if fused.source == "fused":

@@ -15,6 +15,7 @@ from fusion.estimation.uncertainty import (
     Influence,
     Polar,
     Uncertainty,
+    coverage_factor,
     element_covariance,
     polar,
     real_design,
@@ -81,6 +82,13 @@ class Sensitivity:
         """Return the effective degrees of freedom (K, C, 6) of every element, NaN where there is none."""
         every = np.full(self.value.shape, np.nan)
         every[:, *self._places()] = self.uncertainty.dof()
+        return every
+
+    @cached_property
+    def dof_polar(self) -> FloatArray:
+        """Return those of magnitude and phase (2, K, C, 6), NaN where there is no element."""
+        every = np.full((2, *self.value.shape), np.nan)
+        every[:, :, *self._places()] = self.uncertainty.dof_polar(self.value[:, *self._places()])
         return every
 
     def _places(self) -> tuple[list[int], list[int]]:
@@ -177,13 +185,20 @@ class ParasiticLoads:
         pair = element_covariance(self.uncertainty.covariance[line], channel)
         return polar(complex(self.value[line, channel]), pair, float(self.uncertainty.dof()[line, channel]))
 
+    def factors(self, line: int, channel: int) -> tuple[float, float]:
+        """Return the coverage factors of real and imaginary part of one share."""
+        one = self.uncertainty.at([channel]).at_lines([line])
+        real, imaginary = (float(one.dof_along(np.array([d]))[0, 0]) for d in (1.0 + 0.0j, 1.0j))
+        return coverage_factor(real), coverage_factor(imaginary)
+
     def notices(self, line: int, channel: int, where: str) -> tuple[Notice, ...]:
         """Return what the output of one channel at one line owes to other loads; `where` names both."""
         if not abs(self.value[line, channel]) > 0.0:
             return ()
         share = self.element(line, channel)
-        more = rounded(100.0 * share.re, 100.0 * share.k * share.u_re, 0)
-        turn = rounded(1e3 * share.im, 1e3 * share.k * share.u_im, 0)
+        k_re, k_im = self.factors(line, channel)
+        more = rounded(100.0 * share.re, 100.0 * k_re * share.u_re, 0)
+        turn = rounded(1e3 * share.im, 1e3 * k_im * share.u_im, 0)
         text = (
             f"by the static sensitivity the other load components make ({more.value} ± {more.expanded}) % of {where} "
             f"and turn it by ({turn.value} ± {turn.expanded}) mrad"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape, check_shapes
 from shaker.sine.aliasing import MAX_CONDITION, alias_frequency, sampling_grid, separation_bins, sine_columns
@@ -208,7 +209,7 @@ class Stationarity:
     holds (below twice its frequency, those of its alias), `whole` whether that is a whole number. `value` (B, K, C),
     referred to time zero as those of the whole record, with `u` (B, K, C), standard uncertainty of either part.
     `amplitude_per_s` and `phase_rad_per_s` (K, C): slope of a straight line through the blocks, with their `u_`.
-    `p_value` (K, C): how often noise alone moves the blocks that far from their mean.
+    `p_value` (K, C): how often noise alone moves the blocks that far from their mean; `dof` (K,): of that noise.
     """
 
     frequency_hz: FloatArray
@@ -224,12 +225,32 @@ class Stationarity:
     phase_rad_per_s: FloatArray
     u_phase_rad_per_s: FloatArray
     p_value: FloatArray
+    dof: FloatArray
 
     def __post_init__(self) -> None:
         per_line = len(self.frequency_hz), len(self.channels)
         check_shape("time_s", self.time_s, (None,))
         check_shapes(self, (len(self.time_s), *per_line), "value", "u")
         check_shapes(self, per_line, *_SLOPES)
+        check_shape("dof", self.dof, per_line[:1])
+
+    def p_value_beside(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
+        """Return how often noise, and times or a frequency of a wrong rate, move the blocks that far, as `p_value`.
+
+        `u_phase_rad_per_s` (K,) or number: standard uncertainty of the phase's slope by what turns all blocks in
+        proportion to time, such as the rate of a clock. It widens the covariance of the blocks along one direction, so
+        that χ² falls by that of the slope times the share of this variance in that of the slope (Sherman & Morrison).
+        """
+        from scipy.stats import f
+
+        rate = np.broadcast_to(np.asarray(u_phase_rad_per_s, dtype=np.float64), self.frequency_hz.shape)[:, None] ** 2
+        weight = 1.0 / np.maximum(self.u**2, np.finfo(np.float64).tiny)
+        mean = np.sum(weight * self.value, axis=0) / np.sum(weight, axis=0)
+        own = np.maximum(self.u_phase_rad_per_s, np.finfo(np.float64).tiny) ** 2
+        freed = self.phase_rad_per_s**2 / own * rate / (own + rate)
+        chi2 = np.sum(weight * np.abs(self.value - mean) ** 2, axis=0) - freed
+        free = 2.0 * (len(self.time_s) - 1)
+        return np.asarray(f.sf(np.maximum(chi2, 0.0) / free, free, self.dof[:, None]))
 
     @property
     def length_s(self) -> float:
@@ -306,6 +327,7 @@ def stationarity(
         phase_rad_per_s=slope.imag / size,
         u_phase_rad_per_s=u_slope / size,
         p_value=np.asarray(f.sf(chi2 / free, free, dof[:, None])),
+        dof=dof,
     )
 
 

@@ -271,7 +271,7 @@ def test_printed_values_have_u_with_its_own_factor_and_no_phase_where_zero_may_b
     (tmp_path / SENSITIVITY_FILE).write_text(result_tables(evaluation)[SENSITIVITY_FILE], encoding="utf-8")
     found = rows(tmp_path / SENSITIVITY_FILE)
     assert row_element(found[2]) == sensitivity_element(evaluation.sensitivity, 0, 2, 2)
-    few = found[2] | {"dof": "4.0"}
+    few = found[2] | {"dof": "4.0", "dof_magnitude": "4.0", "dof_phase": "4.0"}
     weak = found[0] | {"re": "1e-11", "im": "0.0", "u_re": "2e-11", "u_im": "1e-11", "r": "0.0", "dof": "inf"}
     console = Console(width=160, file=io.StringIO(), record=True)
     console.print(sensitivity_table([found[2], few, weak]))

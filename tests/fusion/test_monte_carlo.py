@@ -86,7 +86,9 @@ def normal_draws(value: complex, spread: np.ndarray) -> Propagated:
     parts = np.random.default_rng(2).multivariate_normal(np.zeros(2), spread, 100_000)
     draws = (value + parts[:, 0] + 1j * parts[:, 1])[:, None, None]
     dof = np.array([[np.inf]])
-    first = FirstOrder("load", np.array([1.0]), ("Fz",), ("N",), np.array([[value]]), spread[None, None], dof)
+    first = FirstOrder(
+        "load", np.array([1.0]), ("Fz",), ("N",), np.array([[value]]), spread[None, None], dof, np.array([dof, dof])
+    )
     return summarise(first, draws)
 
 

@@ -208,6 +208,26 @@ def test_a_drift_is_told_from_noise():
     assert np.mean([result.p_value[0, 0] < 1e-3 for result in results]) > 0.95
 
 
+def test_a_rate_as_uncertain_as_stated_makes_no_more_alarms_than_noise():
+    # Times that run fast by 2e-6, drawn as stated: 5 mrad over four seconds, far above the noise.
+    rng, time, rate = np.random.default_rng(6), np.arange(FRAMES) / CAMERA_HZ, 2e-6
+    turn = 2 * np.pi * 115.748
+    plain, beside, drifting = [], [], []
+    for _ in range(300):
+        fast = turn * (1.0 + rate * rng.standard_normal())
+        noise = rng.normal(size=FRAMES)
+        result = found(time, (2000.0 * np.cos(fast * time) + noise)[:, None], [115.748])
+        plain.append(result.p_value[0, 0])
+        beside.append(result.p_value_beside(turn * rate)[0, 0])
+        bent = 2000.0 * np.cos(fast * time + 6e-3 * np.cos(2 * np.pi * time / time[-1])) + noise
+        drifting.append(found(time, bent[:, None], [115.748]).p_value_beside(turn * rate)[0, 0])
+    assert np.mean(np.array(plain) < 0.01) > 0.3
+    assert kstest(beside, "uniform").pvalue > 1e-3
+    assert np.mean(np.array(beside) < 0.01) < 0.04
+    assert np.mean(np.array(drifting) < 0.01) > 0.95
+    np.testing.assert_allclose(result.p_value_beside(0.0), result.p_value)
+
+
 def test_halves_where_there_are_no_two_beats_and_nothing_where_they_are_too_short():
     time = np.arange(150) / CAMERA_HZ  # 1.4 beats
     values = np.cos(2 * np.pi * 106.25 * time)[:, None]
