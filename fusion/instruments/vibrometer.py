@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, added_up, real_design, real_stack
-from shaker.arrays import ComplexArray, FloatArray, check_shape, check_shapes
+from fusion.instruments.transducer import Beams, chain_name
+from shaker.arrays import ComplexArray, FloatArray, Notice, check_shape, check_shapes
 
 if TYPE_CHECKING:
     from fusion.estimation.fuse import Acceleration
     from fusion.estimation.measurement_model import Observation
+    from fusion.recording.manifest import ChannelEntry
 
 PARALLEL = 1e-3
 """Largest angle in rad between directions that count as one."""
@@ -118,6 +120,30 @@ class PointSpread:
         """Return what `left_relative` (K,) is expected to be from the stated uncertainties."""
         trace = np.trace(self.residual_uncertainty.covariance, axis1=1, axis2=2)
         return np.asarray(np.sqrt(trace / len(self.channels)) / np.abs(self.mean))
+
+
+def beam_notices(entries: Sequence[ChannelEntry]) -> tuple[Notice, ...]:
+    """Say of which vibrometers several points state one direction and no head, and what is taken of that."""
+    beams = Beams.of(entries)
+    notices = []
+    unsure = {chain_name(entry) for entry in entries if entry.direction_uncertainty > 0.0 and beams.share_tilt(entry)}
+    for (name, direction), count in beams.alike.items():
+        text = f"{count} points state exactly the direction {axis_name(np.asarray(direction))} and no head: "
+        if name in unsure:
+            text += "their direction errors are taken as one tilt and as each point's own, whichever it is; "
+        text += (
+            "[head.NAME] says which; beams that leave one mirror are not parallel (50 mm off axis at 0.5 m reads 0.5 % "
+            "less): state the mirror, or the stand-off, of a scanning head"
+        )
+        notices.append(Notice("info", text, name))
+    bare = {e.head.name for e in entries if e.head and e.head.stated.mirror is None and e.head.stated.standoff is None}
+    for name in sorted(bare):
+        own = [entry for entry in entries if entry.head and entry.head.name == name]
+        lasers = Beams.of([entry.model_copy(update={"head": None, "common": name}) for entry in own])
+        if lasers.alike:
+            text = "its beams are taken as parallel, since it states neither mirror nor standoff"
+            notices.append(Notice("info", text, f"head {name}"))
+    return tuple(notices)
 
 
 def axis_name(direction: FloatArray) -> str:

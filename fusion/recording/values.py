@@ -10,7 +10,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date, time
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
@@ -24,7 +24,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from fusion.base import InputError
 
 if TYPE_CHECKING:
-    from fusion.recording.rig import Stereo
+    from fusion.recording.rig import Head, Stereo
 
 
 # Paths that stand in a manifest: resolved against its folder, kept inside the campaign, globs ordered naturally.
@@ -124,10 +124,11 @@ ROUNDING_TOLERANCE = 0.01  # of the largest principal moment: tables of two or t
 
 @dataclass(frozen=True)
 class Context:
-    """What validation needs beside the text: where paths lead, and the stereo pairs of the rig."""
+    """What validation needs beside the text: where paths lead, and the stereo pairs and heads of the rig."""
 
     scope: PathScope
     stereo: dict[str, Stereo]
+    head: dict[str, Head] = field(default_factory=dict)
 
 
 class Block(BaseModel):
