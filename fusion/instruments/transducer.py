@@ -125,8 +125,8 @@ def wrong_aim(entry: ChannelEntry) -> tuple[str, str] | None:
 class Beams:
     """What the channels of a recording have in common by where their beams come from.
 
-    `centres`: mean of the points of each head of which only the stand-off is known; `alike`: instruments with
-    directions of several vibrometer points that state exactly one direction and no head.
+    `centres`: mean of the points of each head of which only the stand-off is known; `alike`: how many vibrometer points
+    of an instrument, or of a head that states neither mirror nor stand-off, state exactly one direction, if several do.
     """
 
     centres: dict[str, FloatArray]
@@ -142,8 +142,9 @@ class Beams:
             at = tuple(placed_at(entry).tolist())
             if entry.head is not None and entry.head.stated.standoff is not None:
                 points.setdefault(entry.head.name, {})[at] = None
-            if entry.head is None:
-                parallel.setdefault((chain_name(entry), tuple(unit_direction(entry).tolist())), {})[at] = None
+            elif not aimed(entry):
+                title = chain_name(entry) if entry.head is None else f"head {entry.head.name}"
+                parallel.setdefault((title, tuple(unit_direction(entry).tolist())), {})[at] = None
         centres = {name: np.mean(list(own), axis=0) for name, own in points.items()}
         return cls(centres, {key: len(own) for key, own in parallel.items() if len(own) > 1})
 

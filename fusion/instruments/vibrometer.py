@@ -123,26 +123,21 @@ class PointSpread:
 
 
 def beam_notices(entries: Sequence[ChannelEntry]) -> tuple[Notice, ...]:
-    """Say of which vibrometers several points state one direction and no head, and what is taken of that."""
-    beams = Beams.of(entries)
-    notices = []
+    """Say of which vibrometers several points state one direction, and what is taken of that."""
+    beams, notices = Beams.of(entries), []
     unsure = {chain_name(entry) for entry in entries if entry.direction_uncertainty > 0.0 and beams.share_tilt(entry)}
     for (name, direction), count in beams.alike.items():
-        text = f"{count} points state exactly the direction {axis_name(np.asarray(direction))} and no head: "
+        text = f"{count} points state exactly the direction {axis_name(np.asarray(direction))}"
         if name in unsure:
-            text += "their direction errors are taken as one tilt and as each point's own, whichever it is; "
+            text += (
+                " and no head: their direction errors are taken as one tilt of all and as each point's own as well, "
+                "since it may be either; [head.NAME] says which"
+            )
         text += (
-            "[head.NAME] says which; beams that leave one mirror are not parallel (50 mm off axis at 0.5 m reads 0.5 % "
-            "less): state the mirror, or the stand-off, of a scanning head"
+            "; beams of a scanning head are not parallel (50 mm off axis at 0.5 m reads 0.5 % less): its mirror or its "
+            "standoff allows for that"
         )
         notices.append(Notice("info", text, name))
-    bare = {e.head.name for e in entries if e.head and e.head.stated.mirror is None and e.head.stated.standoff is None}
-    for name in sorted(bare):
-        own = [entry for entry in entries if entry.head and entry.head.name == name]
-        lasers = Beams.of([entry.model_copy(update={"head": None, "common": name}) for entry in own])
-        if lasers.alike:
-            text = "its beams are taken as parallel, since it states neither mirror nor standoff"
-            notices.append(Notice("info", text, f"head {name}"))
     return tuple(notices)
 
 
