@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -20,7 +20,7 @@ from fusion.estimation.consistency import (
     not_allowed_for,
     undetected_errors,
 )
-from fusion.estimation.least_squares import SCALE, Solution, System, build_system, solve
+from fusion.estimation.least_squares import SCALE, UNOBSERVED, Solution, System, UnseenMotion, build_system, solve
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import (
     Contribution,
@@ -45,7 +45,6 @@ from shaker.sine.phasor import Phasors
 Source = Literal["fused", "photogrammetry", "vibrometer", "accelerometer"]
 SINGLE_SOURCES: tuple[Source, ...] = ("photogrammetry", "vibrometer", "accelerometer")
 INCONSISTENCY = "inconsistency of instruments"
-UNOBSERVED = "unobserved motion"
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class Acceleration:
     `phasors` (K, 6) in m/s^2 and rad/s^2, NaN where not `observed` (K, 6). `uncertainty` of the six components, NaN
     where not observed: noise of every instrument and the common errors, which act on all lines at once. `unknowns`:
     what the data say of those. `consistency`, `chi2` and `dof` rest on what is stated; `scatter`: instruments whose
-    readings scatter beyond that.
+    readings scatter beyond that. `unseen`: what is assumed of components that are not observed.
     """
 
     body: str
@@ -70,6 +69,7 @@ class Acceleration:
     unknowns: tuple[CommonEstimate, ...]
     notices: tuple[AnyNotice, ...]
     scatter: tuple[Scatter, ...] = ()
+    unseen: UnseenMotion = field(default_factory=UnseenMotion)
 
     __repr__ = brief
 
@@ -84,6 +84,7 @@ def fuse(
     body: str = "load",
     source: Source = "fused",
     scatter: tuple[Scatter, ...] | None = None,
+    unseen: UnseenMotion | None = None,
 ) -> Acceleration:
     """Estimate the acceleration of `body` from all its instruments, jointly over all lines.
 
@@ -98,7 +99,7 @@ def fuse(
     if not own:
         raise ValueError(f"observations: expected at least one of body {body}, found none")
     stated = [observation for observation in own if observation.stated]
-    system = build_system(stated or own)
+    system = build_system(stated or own, unseen)
     solved = solve_consistently(system, scatter)
     first, final, parts = solved.stated, solved.final, solved.parts
     unknowns = estimates(system.common, first)
@@ -131,6 +132,7 @@ def fuse(
         unknowns=estimates(system.common, final) if parts else unknowns,
         notices=(),
         scatter=solved.scatter,
+        unseen=system.unseen,
     )
     return replace(result, notices=_notices(result, bool(stated), failed))
 
@@ -169,13 +171,15 @@ def solve_consistently(system: System, scatter: tuple[Scatter, ...] | None = Non
     return Solved(first, final, scatter, tuple(parts), birge, beside)
 
 
-def fuse_sources(observations: Sequence[Observation], body: str) -> tuple[Acceleration, ...]:
+def fuse_sources(
+    observations: Sequence[Observation], body: str, unseen: UnseenMotion | None = None
+) -> tuple[Acceleration, ...]:
     """Return the fused acceleration of `body`, then that of each kind of instrument alone where it determines any.
 
     The scatter of an instrument is estimated once, so that no source claims more of it than another.
     """
     own = [observation for observation in observations if observation.body == body]
-    fused = fuse(own, body)
+    fused = fuse(own, body, unseen=unseen)
     accelerations = [fused]
     for source in SINGLE_SOURCES:
         alone = [observation for observation in own if observation.kind == source]
@@ -183,7 +187,9 @@ def fuse_sources(observations: Sequence[Observation], body: str) -> tuple[Accele
             used = any(observation.title in fused.instruments for observation in alone)
             same = len(alone) == len(own)
             result = (
-                replace(fused, source=source) if same else fuse(alone, body, source, fused.scatter if used else None)
+                replace(fused, source=source)
+                if same
+                else fuse(alone, body, source, fused.scatter if used else None, unseen)
             )
             if np.any(result.observed):
                 accelerations.append(result)
@@ -199,7 +205,7 @@ def _uncertainty(system: System, solved: Solved) -> Uncertainty:
     def carried(covariance: FloatArray, rows: IntArray | slice = slice(None)) -> FloatArray:
         return np.asarray(gain[:, :, rows] @ covariance @ gain[:, :, rows].swapaxes(1, 2))
 
-    noise = solution.noise - np.diag(solution.hidden)
+    noise = solution.noise - solution.hidden
     parts = []
     for part in solved.parts:
         noise = noise - part.covariance
@@ -214,7 +220,7 @@ def _uncertainty(system: System, solved: Solved) -> Uncertainty:
         own = carried(noise[np.ix_(rows, rows)], rows)
         parts.append(Contribution(f"{observation.title}: noise", "A", own, dof))
     if np.any(solution.hidden > 0.0):
-        parts.append(Contribution(UNOBSERVED, "B", carried(np.diag(solution.hidden))))
+        parts.append(Contribution(UNOBSERVED, "B", carried(solution.hidden)))
     if solved.birge > 1.0:
         excess = (solved.birge - 1.0) * carried(solution.noise + solution.effects @ solution.effects.T)
         parts.append(Contribution(INCONSISTENCY, "A", excess, np.full(lines, max(solution.dof / lines, 1.0))))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
+from scipy.sparse import csr_array, diags_array
 
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
@@ -22,18 +23,45 @@ BODY_SIZE_M = 0.1
 """Length that compares rotations with translations where ranks are decided: a body of the size of a hand."""
 RANK_TOLERANCE = 1e-6
 RESOLUTION_TOLERANCE = 1e-6
-UNOBSERVED_MOTION = 0.02
-"""Standard uncertainty of a component nobody observes, relative to the observed motion (rotations: over 0.1 m)."""
+ROUNDING = 1e-9
+UNOBSERVED = "unobserved motion"
+"""Label of what components that nobody observes do to observed ones, through uncertain directions and places."""
 SCALE = np.array([1.0, 1.0, 1.0, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M])
+
+
+@dataclass(frozen=True)
+class UnseenMotion:
+    """Limits of what nobody observes: amplitude of a component over that of the observed motion.
+
+    `transverse`: of translations; `rocking`: of rotations times 0.1 m. 10 % is what ISO 16063-21 lets a shaker move
+    aside. An amplitude at its limit with a phase of which nothing is known has the standard uncertainty limit/√2 in
+    each part (arc-sine distribution), in each component that is not observed. Motion in phase with the drive needs all
+    of it; amplitudes spread evenly over the disc up to the limit would need limit/2, amplitudes spread evenly up to the
+    limit in an even direction, as ISO 16063-21 counts them (1/√18 with the transverse sensitivity), less still.
+    """
+
+    transverse: float = 0.1
+    rocking: float = 0.1
+
+    def amplitude(self, acceleration: ComplexArray, observed: BoolArray) -> FloatArray:
+        """Return the amplitudes (K, 6) assumed of what is not `observed` (K, 6) beside A (K, 6); zero for the rest."""
+        size = np.max(np.where(observed, np.abs(acceleration / SCALE), 0.0), axis=1, keepdims=True)
+        limit = np.repeat([self.transverse, self.rocking], 3) * SCALE
+        return np.asarray(np.where(observed, 0.0, limit * size))
+
+    def __str__(self) -> str:
+        """Return the limits in words."""
+        return f"{self.transverse:.3g} of the driven motion (rotations over {BODY_SIZE_M} m: {self.rocking:.3g})"
 
 
 def row_space(observations: Sequence[Observation], line: int) -> ComplexArray:
     """Return a basis (6, R) of the accelerations that the usable readings of one line determine.
 
     Rows are brought to equal length and rotations measured by `BODY_SIZE_M`, so that only the geometry decides;
-    directions whose singular value is below 1e-6 of the largest are left out.
+    directions whose singular value is below 1e-6 of the largest are left out. Of beams that nearly follow an axis the
+    rows along that axis decide.
     """
-    stacked = np.concatenate([o.design[line][np.isfinite(o.phasors.value[line])] * SCALE for o in observations])
+    stacked = np.concatenate([o.main_design[line][np.isfinite(o.phasors.value[line])] * SCALE for o in observations])
     length = np.linalg.norm(stacked, axis=1, keepdims=True)
     stacked = stacked / np.where(length > 0.0, length, 1.0)
     if not len(stacked) or not np.any(stacked):
@@ -52,15 +80,13 @@ class RowErrors:
     """What the common errors of one observation do to its real rows, a `block` of the system's.
 
     Effect (n, e) of one standard uncertainty on the rows: `slope` (n, e, 12) · [Re A, Im A] of the row's line +
-    `offset` (n, e), for the system's errors `columns` (e,). `square` (n, 6): half the sum of |slope|², through which
-    motion that nobody observes acts on either part of a reading.
+    `offset` (n, e), for the system's errors `columns` (e,).
     """
 
     block: slice
     columns: IntArray
     slope: FloatArray
     offset: FloatArray
-    square: FloatArray
 
 
 @dataclass(frozen=True)
@@ -71,7 +97,9 @@ class System:
     row's instrument at its line; `line`, `observation`, `channel` (of the observation), `member` (N,): where each row
     belongs; `pairs` (N/2, 2): the rows of the real and the imaginary part of every reading; `member_names`; `expand`
     (12K, P) from the unknowns to [Re A_k, Im A_k] of all lines; `observed` (K, 6); `common`: the E common errors, each
-    once; `errors`: their effects, observation by observation.
+    once; `errors`: their effects, observation by observation. `unseen`: what is assumed of components that nobody
+    observes; `ways`: for each line its rows and, sparse, how [Re A, Im A] that are not among the unknowns act on them,
+    12 columns for the rows themselves and 12 for each common error.
     """
 
     observations: tuple[Observation, ...]
@@ -89,6 +117,8 @@ class System:
     observed: BoolArray
     common: tuple[CommonError, ...]
     errors: tuple[RowErrors, ...]
+    unseen: UnseenMotion = field(default_factory=UnseenMotion)
+    ways: tuple[tuple[IntArray, csr_array], ...] = ()
 
     def effects(self, acceleration: ComplexArray) -> FloatArray:
         """Return (N, E): change of the readings for one standard uncertainty of each common error, at A (K, 6)."""
@@ -99,27 +129,25 @@ class System:
             effects[part.block, part.columns] = change
         return effects
 
-    def hidden_variances(self, acceleration: ComplexArray) -> FloatArray:
-        """Return (N,): variance of the readings from components nobody observes, through uncertain design rows.
+    def hidden_covariance(self, acceleration: ComplexArray) -> FloatArray:
+        """Return (N, N): covariance of the readings from components nobody observes, through uncertain design rows.
 
-        A laser that may point 5 mrad aside sees that share of a transverse motion. Such components, zero in the
-        estimate A (K, 6), are given the standard uncertainty `hidden_motion`.
+        A laser that may point 5 mrad aside sees that share of a transverse motion, and all lasers of a head that is
+        turned see the same. A product of two unknowns, error times motion, has the product of their variances; it is
+        shared by all readings that share the error. Zero in the estimate A (K, 6), such components are given the
+        amplitudes of `unseen`; motions of different lines have nothing in common.
         """
-        square = hidden_motion(acceleration, self.observed)[self.line] ** 2
-        variances = np.zeros(len(self.readings))
-        for part in self.errors:
-            variances[part.block] = np.sum(part.square * square[part.block], axis=1)
-        return variances
+        u = self.unseen.amplitude(acceleration, self.observed) / np.sqrt(2.0)
+        total = np.zeros((len(self.readings), len(self.readings)))
+        for (rows, ways), parts in zip(self.ways, np.tile(u, (1, 2)), strict=True):
+            if np.any(parts > 0.0):
+                seen = ways @ diags_array(np.tile(parts, ways.shape[1] // 12))
+                total[np.ix_(rows, rows)] = (seen @ seen.T).toarray()
+        return total
 
     def acceleration(self, unknowns: FloatArray) -> ComplexArray:
         """Return A (K, 6) from the reduced unknowns (P,); what no reading determines is zero."""
         return as_complex((self.expand @ unknowns).reshape(-1, 12))
-
-
-def hidden_motion(acceleration: ComplexArray, observed: BoolArray) -> FloatArray:
-    """Return (K, 6) standard uncertainties assumed of unobserved amplitudes: 2 % of the observed motion, else zero."""
-    size = np.max(np.where(observed, np.abs(acceleration / SCALE), 0.0), axis=1, keepdims=True)
-    return np.asarray(np.where(observed, 0.0, UNOBSERVED_MOTION * size * SCALE))
 
 
 @dataclass(frozen=True)
@@ -155,7 +183,7 @@ class Places:
         return np.where(same, covariance[self.line[:, None], both[:, None], both], 0.0)
 
 
-def build_system(observations: Sequence[Observation]) -> System:
+def build_system(observations: Sequence[Observation], unseen: UnseenMotion | None = None) -> System:
     """Collect the usable readings of observations that share their lines into one system."""
     lines = len(observations[0].phasors.frequency_hz)
     bases = [row_space(observations, line) for line in range(lines)]
@@ -181,14 +209,12 @@ def build_system(observations: Sequence[Observation]) -> System:
     for number, (o, place) in enumerate(both):
         if o.common:
             slopes, rows = np.stack([error.slope for error in o.common]), np.flatnonzero(where == number)
-            square = np.sum(np.abs(slopes) ** 2, axis=0) / 2.0
             errors.append(
                 RowErrors(
                     block=slice(rows[0], rows[-1] + 1) if len(rows) else slice(0, 0),
                     columns=np.array([columns[error.name] for error in o.common]),
                     slope=place.design(slopes).swapaxes(0, 1),
                     offset=place.rows(np.stack([error.offset for error in o.common])).T,
-                    square=square[place.line, place.channel],
                 )
             )
     return System(
@@ -208,7 +234,25 @@ def build_system(observations: Sequence[Observation]) -> System:
         observed=np.array([observed_components(basis) for basis in bases]),
         common=tuple(common.values()),
         errors=tuple(errors),
+        unseen=unseen or UnseenMotion(),
+        ways=tuple(_ways(motion, line == k, basis, errors, len(common)) for k, basis in enumerate(bases)),
     )
+
+
+def _ways(
+    motion: FloatArray, of_line: BoolArray, basis: ComplexArray, errors: Sequence[RowErrors], count: int
+) -> tuple[IntArray, csr_array]:
+    """Return the rows of one line and how motion beyond its `basis` acts on them: as it is, and by `count` errors."""
+    rows = np.flatnonzero(of_line)
+    ways = np.zeros((len(rows), 1 + count, 12))
+    beyond = np.eye(6) - SCALE[:, None] * (basis @ basis.conj().T) / SCALE
+    ways[:, 0] = motion[rows] @ real_design(beyond)
+    # What a basis that holds a row leaves of it is rounding.
+    ways[:, 0] *= np.abs(ways[:, 0]) > ROUNDING * np.abs(motion[rows]).max(axis=1, keepdims=True)
+    for part in errors:
+        inside = np.flatnonzero((rows >= part.block.start) & (rows < part.block.stop))
+        ways[np.ix_(inside, 1 + part.columns)] = part.slope[rows[inside] - part.block.start]
+    return rows, csr_array(ways.reshape(len(rows), 12 * (1 + count)))
 
 
 # Whitened least squares: accelerations and common errors estimated together, with all that follows from it.
@@ -225,7 +269,7 @@ class Solution:
     `remaining` (E,): standard uncertainty of the errors after the estimate over that before.
     `gain` (12K, N): estimate = gain · readings; `projector` (N, N) = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1 with V the
     covariance of noise and common errors, so that `chi2` = y^T P y; `dof`; `noise` (N, N) as it was used, with the
-    discrepancy and the `hidden` (N,) variances in it.
+    discrepancy and the `hidden` (N, N) covariance in it.
     """
 
     acceleration: ComplexArray
@@ -287,12 +331,13 @@ class _Step:
 
 def _augmented(system: System, noise: FloatArray, acceleration: ComplexArray) -> _Step:
     """Whitened system with the effects of the common errors and of unobserved motion at an acceleration (K, 6)."""
-    effects, hidden = system.effects(acceleration), system.hidden_variances(acceleration)
+    effects, hidden = system.effects(acceleration), system.hidden_covariance(acceleration)
     # Noise far below the common errors is raised to 1e-4 of them: invisible in U, and P keeps its digits.
     floor = (NOISE_FLOOR * np.linalg.norm(effects, axis=1)) ** 2 + (1e-12 * system.size) ** 2
-    variance = np.diag(noise) + hidden
+    noise = noise + hidden
+    variance = np.diag(noise)
     # A share of 1e-9 of the variances keeps covariances of channels that move alike positive definite.
-    noise = noise + np.diag(hidden + np.maximum(floor - variance, 0.0) + 1e-9 * variance)
+    noise = noise + np.diag(np.maximum(floor - variance, 0.0) + 1e-9 * variance)
     root = np.asarray(np.linalg.cholesky(noise))
     count, unknowns, errors = len(system.readings), system.design.shape[1], effects.shape[1]
     columns = np.column_stack([system.design, effects, system.readings])

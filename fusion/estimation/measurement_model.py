@@ -70,6 +70,8 @@ class Observation:
     `phasors` (K lines, M channels; NaN where a line is not usable), `design` (K, M, 6) complex:
     phasors = design · [x y z rx ry rz accelerations at the sensor origin]. `members` (M,): the name under which each
     row is tested for consistency. `stated`: some systematic uncertainty is stated, so it takes part in the fusion.
+    `main` (K, M, 6): rows along the axis that beams nearly follow, which decide what they observe; what else the beams
+    see of a motion that nobody observes is then uncertain. None where the rows themselves decide.
     """
 
     name: str
@@ -81,6 +83,7 @@ class Observation:
     members: tuple[str, ...]
     stated: bool
     geometry: Geometry = field(default_factory=Geometry)
+    main: ComplexArray | None = None
 
     def __post_init__(self) -> None:
         shape = (*self.phasors.value.shape, 6)
@@ -90,6 +93,11 @@ class Observation:
             check_shape(f"offset of {error.name}", error.offset, shape[:2])
         if len(self.members) != shape[1]:
             raise ValueError(f"members: expected {shape[1]} names, found {len(self.members)}")
+
+    @property
+    def main_design(self) -> ComplexArray:
+        """Return the rows (K, M, 6) that decide which components are observed."""
+        return self.design if self.main is None else self.main
 
     @property
     def title(self) -> str:
@@ -168,9 +176,9 @@ class Deviates:
             else drawn / np.sqrt(self.stream(f"{name}, squares").chisquare(dof, len(drawn)) / dof)
         )
 
-    def angle(self, name: str) -> FloatArray:
-        """Return angles (N,) of which nothing is known."""
-        return self.stream(name).uniform(0.0, 2.0 * np.pi, self.count)
+    def angle(self, name: str, *shape: int) -> FloatArray:
+        """Return angles (N, ...) of which nothing is known."""
+        return self.stream(name).uniform(0.0, 2.0 * np.pi, (self.count, *shape))
 
     def noise(self, name: str, covariance: FloatArray, dof: FloatArray) -> FloatArray:
         """Return deviates (N, K, M) of covariances (K, M, M) known with `dof` (K,) degrees of freedom.

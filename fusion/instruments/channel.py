@@ -23,9 +23,13 @@ from fusion.estimation.uncertainty import (
 from fusion.instruments.transducer import (
     TRANSDUCERS,
     TRANSVERSE,
+    Beams,
     Transducer,
     across,
+    aimed,
     chain_name,
+    main_direction,
+    mirror_of,
     placed_at,
     placement_name,
     unit_direction,
@@ -146,19 +150,28 @@ def clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: floa
 # Where and along what the channels measure, and what is uncertain of that.
 
 
-def geometry_errors(transducer: Transducer, entry: ChannelEntry) -> tuple[Unknown[FloatArray], ...]:
+FAN_U = 1.0 / np.sqrt(3.0)
+"""Of beams stated as parallel: anything between parallel and as far apart as one mirror makes them, in either sense."""
+
+
+def geometry_errors(
+    transducer: Transducer, entry: ChannelEntry, beams: Beams | None = None
+) -> tuple[Unknown[FloatArray], ...]:
     """Return what is uncertain of a channel's place and direction, by names that hold in every recording.
 
-    Effects (6,) on its geometry, as long as things are mounted as they are.
+    Effects (6,) on its geometry, as long as things are mounted as they are. `beams`: of all channels of the recording,
+    the channel alone where None.
 
     A point has three coordinates; a direction errs by two small rotations; a transverse sensitivity t of unknown
-    direction is two components of t/√2 across the axis.
+    direction is two components of t/√2 across the axis. What its head contributes comes last. Several points that state
+    one direction and no head err by one tilt and each by its own: whether they do one or the other is not stated.
     """
+    beams = beams or Beams.of([entry])
     point, direction, chain = placed_at(entry), unit_direction(entry), chain_name(entry)
     errors = []
     if not transducer.turning:
         for axis, unit, u in zip("xyz", np.eye(3), np.broadcast_to(entry.point_uncertainty, 3).tolist(), strict=True):
-            lever = np.concatenate([np.zeros(3), np.cross(unit, direction) * u])
+            lever = u * _moved_point(entry, unit)
             errors.append(Unknown(placement_name(entry, "point", axis), f"{chain}: point", u, "m", lever, "mounting"))
     leaks = (
         ("direction", "rad", entry.direction_uncertainty),
@@ -169,7 +182,64 @@ def geometry_errors(transducer: Transducer, entry: ChannelEntry) -> tuple[Unknow
             name = placement_name(entry, kind, str(number))
             turned = u * transducer.geometry(point, tangent)
             errors.append(Unknown(name, f"{chain}: {kind}", float(u), of_kind, turned, "mounting"))
+            if kind == "direction" and beams.share_tilt(entry):
+                shared = _tilt_name(entry, str(number))
+                errors.append(Unknown(shared, f"{chain}: tilt", float(u), of_kind, turned, "mounting"))
+    errors += _head_errors(transducer, entry, beams)
     return tuple(error for error in errors if np.any(error.effect != 0.0))
+
+
+def _moved_point(entry: ChannelEntry, shift: FloatArray) -> FloatArray:
+    """Return the change (6,) of [d, r × d] where the point moves; an aimed beam turns about its mirror."""
+    direction = unit_direction(entry)
+    if not aimed(entry):
+        return np.concatenate([np.zeros(3), np.cross(shift, direction)])
+    mirror = mirror_of(entry)
+    turned = -(shift - direction * (direction @ shift)) / np.linalg.norm(mirror - placed_at(entry))
+    return np.concatenate([turned, np.cross(mirror, turned)])
+
+
+def _tilt_name(entry: ChannelEntry, axis: str) -> str:
+    along = ", ".join(f"{x:.9g}" for x in entry.direction or ())
+    return f"{chain_name(entry)}: tilt along ({along}) {axis}"
+
+
+def _head_errors(transducer: Transducer, entry: ChannelEntry, beams: Beams) -> list[Unknown[FloatArray]]:
+    """Return what a channel has in common with all channels of its head, by the head's name.
+
+    The head turned by a small vector φ turns the direction d by φ × d; about a known mirror q it moves the point r by
+    φ × (r - q) as well, so that a beam goes on to pass through q, and points aimed at by the head's angles shift across
+    the body. Otherwise the points stay, as those of an accelerometer do and spots that were measured on the body. An
+    offset moves all points alike, a misplaced mirror turns aimed beams about their points. Beams stated as parallel
+    lean towards the centre of the points where they leave one mirror: their change is taken with its second order,
+    d·cos θ, which is all of it for a motion along d.
+    """
+    if entry.head is None:
+        return []
+    stated, title = entry.head.stated, f"head {entry.head.name}"
+    point, direction, mirror = placed_at(entry), unit_direction(entry), mirror_of(entry)
+    errors = []
+
+    def add(kind: str, axis: str, u: float, unit: str, effect: FloatArray) -> None:
+        name = f"{title}: {kind} {axis}".rstrip()
+        errors.append(Unknown(name, f"{title}: {kind}", u, unit, u * effect, "mounting"))
+
+    for place, axis in enumerate("xyz"):
+        unit = np.eye(3)[place]
+        turned, shift = np.cross(unit, direction), np.cross(unit, point - mirror)
+        row = transducer.geometry(point, turned)
+        if not transducer.turning:
+            row[3:] += np.cross(shift, direction)
+            add("offset", axis, stated.point_uncertainty[place], "m", _moved_point(entry, unit))
+        add("tilt", axis, stated.rotation_uncertainty[place], "rad", row)
+        if aimed(entry):
+            leaning = (unit - direction * (direction @ unit)) / np.linalg.norm(mirror - point)
+            add("mirror", axis, stated.mirror_uncertainty[place], "m", transducer.geometry(point, leaning))
+    fan = beams.fan(entry)
+    if fan is not None:
+        leaning = (direction + fan) / np.linalg.norm(direction + fan)
+        add("fan of beams", "", FAN_U, "1", transducer.geometry(point, leaning - direction))
+    return errors
 
 
 @dataclass(frozen=True)
@@ -180,33 +250,67 @@ class ChannelGeometry(Geometry):
     entries: tuple[ChannelEntry, ...]
     frequency_hz: FloatArray
     gravity_mps2: FloatArray | None
+    beams: Beams
 
     @property
     def unknowns(self) -> frozenset[str]:
         """Return the names of the unknowns that `rows` draws."""
-        return frozenset(error.name for entry in self.entries for error in geometry_errors(self.transducer, entry))
+        errors = (geometry_errors(self.transducer, entry, self.beams) for entry in self.entries)
+        return frozenset(error.name for own in errors for error in own)
 
     def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
         """Return the rows (N, K, M, 6) at points moved and along axes turned by finite angles, with a leak across them.
 
-        The size of a transverse sensitivity is known and its direction is not, so its angle is uniform.
+        The size of a transverse sensitivity is known and its direction is not, so its angle is uniform; so is the fan
+        of beams stated as parallel.
         """
         drawn = []
         for entry in self.entries:
-            u = np.broadcast_to(np.asarray(entry.point_uncertainty, dtype=np.float64), (3,))
-            shift = np.stack([deviates.normal(placement_name(entry, "point", axis)) for axis in "xyz"], axis=1)
-            stated = unit_direction(entry)
-            sides = across(stated)
-            tilt = np.stack([deviates.normal(placement_name(entry, "direction", axis)) for axis in "01"], axis=1)
-            spin = np.cross(stated, entry.direction_uncertainty * tilt @ sides)
-            turned = np.einsum("nij,j->ni", rotation_from_vector(spin), stated)
+            point, mirror, direction = self._drawn_beam(entry, deviates)
+            sides = across(unit_direction(entry))
             angle = deviates.angle(placement_name(entry, TRANSVERSE, "0"))
             leak = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ sides
-            geometry = self.transducer.geometry(
-                placed_at(entry) + u * shift, np.asarray(turned + entry.transverse_sensitivity * leak)
-            )
+            turned = direction + entry.transverse_sensitivity * leak
+            if entry.head is not None:
+                tilt = np.array(entry.head.stated.rotation_uncertainty) * _vector(
+                    deviates, f"head {entry.head.name}: tilt"
+                )
+                turn = rotation_from_vector(tilt)
+                turned = np.einsum("nij,nj->ni", turn, turned)
+                point = mirror + np.einsum("nij,nj->ni", turn, point - mirror)
+            geometry = self.transducer.geometry(point, np.asarray(turned))
             drawn.append(self.transducer.rows(geometry, self.frequency_hz, self.gravity_mps2))
         return np.stack(drawn, axis=2)
+
+    def _drawn_beam(self, entry: ChannelEntry, deviates: Deviates) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return N points, centres of the head's rotation and directions, each (N, 3), before the head is turned."""
+        u = np.broadcast_to(np.asarray(entry.point_uncertainty, dtype=np.float64), (3,))
+        own = [deviates.normal(placement_name(entry, "point", axis)) for axis in "xyz"]
+        point = placed_at(entry) + u * np.stack(own, axis=1)
+        direction = np.broadcast_to(unit_direction(entry), point.shape)
+        mirror = point
+        if entry.head is not None:
+            stated, title = entry.head.stated, f"head {entry.head.name}"
+            point = point + np.array(stated.point_uncertainty) * _vector(deviates, f"{title}: offset")
+            mirror = point
+            if stated.mirror is not None:
+                mirror = mirror_of(entry) + np.array(stated.mirror_uncertainty) * _vector(deviates, f"{title}: mirror")
+            if aimed(entry):
+                direction = (mirror - point) / np.linalg.norm(mirror - point, axis=1, keepdims=True)
+            fan = self.beams.fan(entry)
+            if fan is not None:
+                leaning = direction + (deviates.angle(f"{title}: fan of beams") / np.pi - 1.0)[:, None] * fan
+                direction = leaning / np.linalg.norm(leaning, axis=1, keepdims=True)
+        names = [[placement_name(entry, "direction", axis)] for axis in "01"]
+        if self.beams.share_tilt(entry):
+            names = [[name, _tilt_name(entry, axis)] for (name,), axis in zip(names, "01", strict=True)]
+        tilt = np.stack([sum(deviates.normal(name) for name in both) for both in names], axis=1)
+        spin = np.cross(direction, entry.direction_uncertainty * tilt @ across(unit_direction(entry)))
+        return point, mirror, np.einsum("nij,nj->ni", rotation_from_vector(spin), direction)
+
+
+def _vector(deviates: Deviates, name: str) -> FloatArray:
+    return np.stack([deviates.normal(f"{name} {axis}") for axis in "xyz"], axis=1)
 
 
 # The channels of one instrument as rows of the linear model.
@@ -227,23 +331,30 @@ def observe_channels(
         if entry.quantity in TRANSDUCERS:
             groups.setdefault((chain_name(entry), str(entry.body), entry.quantity), []).append(reading)
     gravity = None if gravity_mps2 is None else np.asarray(gravity_mps2, dtype=np.float64)
-    return tuple(_observe(group, gravity, clock_uncertainty) for group in groups.values())
+    beams = Beams.of([reading.entry for reading in readings])
+    return tuple(_observe(group, gravity, clock_uncertainty, beams) for group in groups.values())
 
 
-def _observe(readings: Sequence[Reading], gravity_mps2: FloatArray | None, clock_uncertainty: float) -> Observation:
+def _observe(
+    readings: Sequence[Reading], gravity_mps2: FloatArray | None, clock_uncertainty: float, beams: Beams
+) -> Observation:
     """Return rows and common errors of the channels of one instrument on one body."""
     transducer = TRANSDUCERS[readings[0].entry.quantity]
     phasors = stack_phasors([reading.phasors for reading in readings])
     entries, frequency = tuple(reading.entry for reading in readings), phasors.frequency_hz
     geometry = np.stack([transducer.geometry(placed_at(entry), unit_direction(entry)) for entry in entries])
     design = transducer.rows(geometry, frequency, gravity_mps2).swapaxes(0, 1)
+    main = np.stack([transducer.geometry(placed_at(entry), main_direction(entry)) for entry in entries])
     none = np.zeros_like(phasors.value)
     common = [error.of_rows(design) for error in chain_errors(readings)]
+    placed: dict[str, CommonError] = {}
     for place, entry in enumerate(entries):
-        for error in geometry_errors(transducer, entry):
-            slope = np.zeros_like(design)
+        for error in geometry_errors(transducer, entry, beams):
+            known = placed.get(error.name)
+            slope = np.zeros_like(design) if known is None else known.slope
             slope[:, place] = transducer.rows(error.effect, frequency, gravity_mps2)
-            common.append(CommonError(error.name, error.label, error.u, error.unit, error.scope, slope, none))
+            placed[error.name] = CommonError(error.name, error.label, error.u, error.unit, error.scope, slope, none)
+    common += placed.values()
     stated = any(error.scope != "recording" for error in common)
     common += clock_rate(design, np.full(len(entries), -float(transducer.order)), clock_uncertainty)
     return Observation(
@@ -255,7 +366,8 @@ def _observe(readings: Sequence[Reading], gravity_mps2: FloatArray | None, clock
         common=tuple(common),
         members=tuple(entry.name for entry in entries),
         stated=stated,
-        geometry=ChannelGeometry(transducer, entries, frequency, gravity_mps2),
+        geometry=ChannelGeometry(transducer, entries, frequency, gravity_mps2, beams),
+        main=transducer.rows(main, frequency, gravity_mps2).swapaxes(0, 1) if any(map(aimed, entries)) else None,
     )
 
 

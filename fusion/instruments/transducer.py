@@ -6,6 +6,7 @@ simulator does not: it is what all these are tested against.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
 
 TRANSVERSE = "transverse sensitivity"
+CLOSE_TO_AXIS_RAD = 0.5
+"""Beams of a head that differ less from a sensor axis observe what a beam along that axis does."""
+AIM_TOLERANCE_RAD = 1e-3
 
 
 @dataclass(frozen=True)
@@ -76,9 +80,91 @@ def chain_name(entry: ChannelEntry) -> str:
 
 
 def unit_direction(entry: ChannelEntry) -> FloatArray:
-    """Return the direction of a channel, normalised."""
-    direction = np.asarray(entry.direction, dtype=np.float64)
+    """Return the direction of a channel, normalised; one that states none looks from its point to its head's mirror."""
+    direction = mirror_of(entry) - placed_at(entry) if aimed(entry) else np.asarray(entry.direction, dtype=np.float64)
     return np.asarray(direction / np.linalg.norm(direction))
+
+
+def aimed(entry: ChannelEntry) -> bool:
+    """Whether the direction of a channel is that from its point to the mirror of its head."""
+    return entry.direction is None and entry.head is not None and entry.head.stated.mirror is not None
+
+
+def mirror_of(entry: ChannelEntry) -> FloatArray:
+    """Return about which point the head of a channel turns: its mirror, else the channel's own point."""
+    mirror = None if entry.head is None else entry.head.stated.mirror
+    return placed_at(entry) if mirror is None else np.asarray(mirror, dtype=np.float64)
+
+
+def main_direction(entry: ChannelEntry) -> FloatArray:
+    """Return the direction that decides what a channel observes: its own, or the axis that a beam nearly follows.
+
+    Beams that leave one mirror tell three motions only, those of the body at the mirror. What they are meant for, the
+    motion along the axis and rocking about the others, is told apart from motion across by what is assumed of that.
+    """
+    direction = unit_direction(entry)
+    axis = int(np.argmax(np.abs(direction)))
+    if not aimed(entry) or abs(direction[axis]) < np.cos(CLOSE_TO_AXIS_RAD):
+        return direction
+    return np.asarray(np.sign(direction[axis]) * np.eye(3)[axis])
+
+
+def wrong_aim(entry: ChannelEntry) -> tuple[str, str] | None:
+    """Return what was expected and found where a channel's direction contradicts the line to its head's mirror.
+
+    Beyond three combined standard uncertainties, and a milliradian; either sense of the direction counts.
+    """
+    if entry.head is None or entry.head.stated.mirror is None or entry.direction is None:
+        return None
+    stated, line = entry.head.stated, mirror_of(entry) - placed_at(entry)
+    distance = float(np.linalg.norm(line))
+    aside = float(np.linalg.norm(np.cross(unit_direction(entry), line / distance)))
+    moved = np.array([stated.mirror_uncertainty, stated.point_uncertainty, entry.point_uncertainty]).max(axis=1)
+    angles = [entry.direction_uncertainty, max(stated.rotation_uncertainty), *(moved / distance)]
+    u = float(np.linalg.norm(angles))
+    if aside <= 3.0 * u + AIM_TOLERANCE_RAD:
+        return None
+    expected = f"the direction from the point to the mirror of head {entry.head.name}, or no direction to mean that"
+    return expected, f"a direction {1e3 * np.arcsin(min(aside, 1.0)):.3g} mrad from it (u = {1e3 * u:.2g} mrad)"
+
+
+@dataclass(frozen=True)
+class Beams:
+    """What the channels of a recording have in common by where their beams come from.
+
+    `centres`: mean of the points of each head of which only the stand-off is known; `alike`: how many vibrometer points
+    of an instrument, or of a head that states neither mirror nor stand-off, state exactly one direction, if several do.
+    """
+
+    centres: dict[str, FloatArray]
+    alike: dict[tuple[str, tuple[float, ...]], int]
+
+    @classmethod
+    def of(cls, entries: Iterable[ChannelEntry]) -> Beams:
+        """Find the heads and the parallel beams among channels; others than vibrometers have none."""
+        lasers = [entry for entry in entries if entry.quantity in ("displacement", "velocity")]
+        points: dict[str, dict[tuple[float, ...], None]] = {}
+        parallel: dict[tuple[str, tuple[float, ...]], dict[tuple[float, ...], None]] = {}
+        for entry in lasers:
+            at = tuple(placed_at(entry).tolist())
+            if entry.head is not None and entry.head.stated.standoff is not None:
+                points.setdefault(entry.head.name, {})[at] = None
+            elif not aimed(entry):
+                title = chain_name(entry) if entry.head is None else f"head {entry.head.name}"
+                parallel.setdefault((title, tuple(unit_direction(entry).tolist())), {})[at] = None
+        centres = {name: np.mean(list(own), axis=0) for name, own in points.items()}
+        return cls(centres, {key: len(own) for key, own in parallel.items() if len(own) > 1})
+
+    def share_tilt(self, entry: ChannelEntry) -> bool:
+        """Whether a channel is one of several whose beams may err together."""
+        return entry.head is None and (chain_name(entry), tuple(unit_direction(entry).tolist())) in self.alike
+
+    def fan(self, entry: ChannelEntry) -> FloatArray | None:
+        """Return by how much (3,) the beam of a channel leans where it leaves one mirror with those of its head."""
+        if entry.head is None or entry.head.stated.standoff is None or entry.head.name not in self.centres:
+            return None
+        direction, offset = unit_direction(entry), self.centres[entry.head.name] - placed_at(entry)
+        return np.asarray((offset - direction * (direction @ offset)) / entry.head.stated.standoff)
 
 
 def placed_at(entry: ChannelEntry) -> FloatArray:

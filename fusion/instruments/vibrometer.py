@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, added_up, real_design, real_stack
-from shaker.arrays import ComplexArray, FloatArray, check_shape, check_shapes
+from fusion.instruments.transducer import Beams, chain_name
+from shaker.arrays import ComplexArray, FloatArray, Notice, check_shape, check_shapes
 
 if TYPE_CHECKING:
     from fusion.estimation.fuse import Acceleration
     from fusion.estimation.measurement_model import Observation
+    from fusion.recording.manifest import ChannelEntry
 
 PARALLEL = 1e-3
 """Largest angle in rad between directions that count as one."""
@@ -113,6 +115,25 @@ class PointSpread:
         """Return what `left_relative` (K,) is expected to be from the stated uncertainties."""
         trace = np.trace(self.residual_uncertainty.covariance, axis1=1, axis2=2)
         return np.asarray(np.sqrt(trace / len(self.channels)) / np.abs(self.mean))
+
+
+def beam_notices(entries: Sequence[ChannelEntry]) -> tuple[Notice, ...]:
+    """Say of which vibrometers several points state one direction, and what is taken of that."""
+    beams, notices = Beams.of(entries), []
+    unsure = {chain_name(entry) for entry in entries if entry.direction_uncertainty > 0.0 and beams.share_tilt(entry)}
+    for (name, direction), count in beams.alike.items():
+        text = f"{count} points state exactly the direction {axis_name(np.asarray(direction))}"
+        if name in unsure:
+            text += (
+                " and no head: their direction errors are taken as one tilt of all and as each point's own as well, "
+                "since it may be either; [head.NAME] says which"
+            )
+        text += (
+            "; beams of a scanning head are not parallel (50 mm off axis at 0.5 m reads 0.5 % less): its mirror or its "
+            "standoff allows for that"
+        )
+        notices.append(Notice("info", text, name))
+    return tuple(notices)
 
 
 def axis_name(direction: FloatArray) -> str:

@@ -10,7 +10,8 @@ import numpy as np
 
 from fusion.base import InputError, rounded
 from fusion.instruments.stereo import GEOMETRY
-from fusion.instruments.transducer import TRANSDUCERS, placed_at, unit_direction
+from fusion.instruments.transducer import TRANSDUCERS, main_direction, placed_at
+from fusion.instruments.vibrometer import beam_notices
 from fusion.phasors.timing import no_pulse_width
 from fusion.recording.excitation import KINDS, Recorded
 from fusion.recording.files import read_set_ups, scanned_points, split_scan
@@ -108,8 +109,11 @@ def check(manifest: Manifest) -> CheckReport:
     contents, problems = _contents(manifest, takes)
     observed = _observed(manifest.rig, takes)
     # Every channel once by its name.
-    entries = list({entry.name: entry for take in takes for daq in take.daq for entry in daq.channel}.values())
+    placed = [entry for take in takes for daq in take.daq for entry in daq.channel]
+    entries = list({entry.name: entry for entry in placed}.values())
+    contents += _heads(placed)
     if kind.remarks is None:
+        remarks += [f"{notice.where}: {notice.text}" for notice in beam_notices(placed)]
         remarks += _motion_remarks(manifest.rig, excitation.direction or (), entries, observed)
         remarks += [remark for take in takes for remark in _clock_remarks(take.daq)]
     else:
@@ -176,6 +180,21 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list[str],
     if manifest.rig.load is not None:
         contents.append(f"load mass: {manifest.rig.load.true_mass:g} kg" + "".join(f", {part}" for part in mounted))
     return contents, problems
+
+
+def _heads(entries: Sequence[ChannelEntry]) -> list[str]:
+    """One line for each head that channels name: where its beams leave, and how many points or axes it has."""
+    heads = {entry.head.name: entry.head.stated for entry in entries if entry.head is not None}
+    told = []
+    for name, stated in heads.items():
+        count = sum(entry.head is not None and entry.head.name == name for entry in entries)
+        place = "beams or axes stand as stated"
+        if stated.mirror is not None:
+            place = f"mirror at ({', '.join(f'{x:g}' for x in stated.mirror)}) m"
+        elif stated.standoff is not None:
+            place = f"mirror {stated.standoff:g} m away"
+        told.append(f"head {name}: {place}, {count} channels or points")
+    return told
 
 
 def _read_daq(block: Manifest, daq: Daq) -> tuple[str, list[str]]:
@@ -257,7 +276,7 @@ def _observed(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
         for entry in daq.channel:
             if entry.quantity in TRANSDUCERS and entry.body is not None:
                 rows = groups.setdefault((entry.body, entry.common or f"{daq.name}.{entry.name}"), [])
-                rows.append(TRANSDUCERS[entry.quantity].geometry(placed_at(entry), unit_direction(entry)))
+                rows.append(TRANSDUCERS[entry.quantity].geometry(placed_at(entry), main_direction(entry)))
     single += [Observability(body, name, np.stack(rows)) for (body, name), rows in groups.items()]
     observed = []
     for body in BODIES:

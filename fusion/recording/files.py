@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from fusion.base import ComputeError, InputError, as_input_error
-from fusion.instruments.transducer import TRANSDUCERS
+from fusion.instruments.transducer import TRANSDUCERS, wrong_aim
 from fusion.recording.manifest import ChannelEntry, Daq, Frames
 from shaker.arrays import FloatArray
 from shaker.io import read_channels
@@ -93,7 +93,13 @@ def scanned_points(manifest: Manifest, daq: Daq) -> tuple[ScannedPoint, ...] | N
             expected = f"block/point of {len(scan.samples)} blocks and {len(present)} points, or a block alone"
             raise InputError(daq.file, entry.name, found="no such data set", expected=expected)
     named = {point for _, point in sets}
-    return tuple(_point(daq, scan, place) for place, point in enumerate(present) if named & {"", point})
+    points = tuple(_point(daq, scan, place) for place, point in enumerate(present) if named & {"", point})
+    for entry, number in ((entry, point.number) for point in points for entry in point.entry.channel):
+        wrong = wrong_aim(entry)
+        if wrong is not None:
+            key = f"daq.{daq.name}.channel.{entry.name}.direction"
+            raise InputError(manifest.path, key, f"at point {number} {wrong[1]}", wrong[0])
+    return points
 
 
 def split_scan(manifest: Manifest) -> Iterator[tuple[Manifest, ScannedPoint | None]]:

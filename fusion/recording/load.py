@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from fusion.base import InputError
+from fusion.instruments.transducer import wrong_aim
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, PointFiles, RecordingFile, SetUpFiles, Take
-from fusion.recording.rig import Environment, Part, Rig, Stereo
+from fusion.recording.rig import Environment, Part, Rig, Shaker, Stereo
 from fusion.recording.toml import UncertainInput, quoted, read_toml, uncertain_inputs, validate
 from fusion.recording.values import Block, Context, PathScope, describe, natural_key, repeated_name
 from shaker.arrays import Notice
@@ -52,6 +53,7 @@ class Manifest:
     points: tuple[PointFiles, ...]
     take: tuple[Take, ...]
     part: tuple[Part, ...]
+    shaker: Shaker
     files: tuple[Path, ...]
     date: Date | None = None
     operator: str | None = None
@@ -184,7 +186,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         raise InputError(path, "rig", f'"{text["rig"]}"', expected)
     rig_text = read_toml(rig_path)
     rig = validate(Rig, rig_text, rig_path, Context(PathScope(root, root, allow_outside), {}))
-    record = validate(RecordingFile, text, path, Context(PathScope(folder, root, allow_outside), rig.stereo))
+    record = validate(RecordingFile, text, path, Context(PathScope(folder, root, allow_outside), rig.stereo, rig.head))
     _check_together(rig, rig_path, record, path)
     if record.environment is not None:
         # What the recording states takes the place of what the rig does: together they must be as valid as one.
@@ -205,6 +207,7 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         points=record.points,
         take=record.take,
         part=rig.part + record.part,
+        shaker=record.shaker or rig.shaker or Shaker(),
         files=_input_files(path, rig_path, rig, record),
         date=record.date,
         operator=record.operator,
@@ -267,6 +270,10 @@ def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
     for (prefix, block), located in zip(blocks, channels, strict=True):
         _check_triggers(block, {entry.name for _, _, entry in located if entry.quantity == "trigger"}, prefix, path)
         _check_outputs(located, path, rig, rig_path)
+    for key, daq, entry in (item for located in channels for item in located):
+        wrong = None if daq.data_set(entry)[1] == "" and daq.file.suffix.lower() == ".asc" else wrong_aim(entry)
+        if wrong is not None:
+            raise InputError(path, f"{key}.direction", wrong[1], wrong[0])
     first: dict[str, ChannelEntry] = {}  # channels of one instrument share a relative error, hence measure one quantity
     for key, _, entry in (item for located in channels for item in located if item[2].common is not None):
         model = first.setdefault(str(entry.common), entry)

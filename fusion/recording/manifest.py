@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, mod
 
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.excitation import Excitation
-from fusion.recording.rig import Environment, Part
+from fusion.recording.rig import Environment, NamedHead, Part, Shaker
 from fusion.recording.values import (
     ZERO3,
     Block,
@@ -68,6 +68,17 @@ def _daq_suffix(value: Path) -> Path:
     return value
 
 
+def _head(value: object, info: ValidationInfo) -> object:
+    """The head that a channel names, as rig.toml has it."""
+    if value is None or isinstance(value, NamedHead):
+        return value
+    known = info.context.head if isinstance(info.context, Context) else {}
+    if not isinstance(value, str) or value not in known:
+        found = f"{describe(value)}; rig.toml has {', '.join(known) or 'none'}"
+        raise refusal("the name of a head of rig.toml", found)
+    return NamedHead(value, known[value])
+
+
 class ChannelEntry(Block):
     """One channel of a DAQ file: true phasor = file value · scale · exp(+jω·delay) / response(f)."""
 
@@ -78,6 +89,7 @@ class ChannelEntry(Block):
     point_uncertainty: Spread3 = ZERO3
     direction: Direction | None = None
     direction_uncertainty: NotNegative = 0.0
+    head: Annotated[NamedHead | None, BeforeValidator(_head)] = None
     channel: Text | None = None
     scale: Number = 1.0
     scale_uncertainty: NotNegative = 0.0
@@ -94,7 +106,7 @@ class ChannelEntry(Block):
     ANY: ClassVar[tuple[str, ...]] = ("name", "quantity", "delay", "delay_uncertainty", "response")
     VALUE: ClassVar[tuple[str, ...]] = ("scale", "scale_uncertainty", "common", "individual_uncertainty", "reference")
     PLACE: ClassVar[tuple[str, ...]] = (
-        "body", "point", "point_uncertainty", "direction", "direction_uncertainty", "transverse_sensitivity",
+        "body", "point", "point_uncertainty", "direction", "direction_uncertainty", "head", "transverse_sensitivity",
     )  # fmt: skip
     TRIGGER: ClassVar[tuple[str, ...]] = ("threshold", "edge")
 
@@ -102,8 +114,13 @@ class ChannelEntry(Block):
     def _keys_of_the_quantity(self) -> Self:
         why = f'quantity = "{self.quantity}"'
         if self.quantity in TRANSDUCERS:
-            turning = TRANSDUCERS[self.quantity].turning
-            refuse_missing(self, ("body", "direction") if turning else ("body", "point", "direction"), why)
+            transducer = TRANSDUCERS[self.quantity]
+            aimed = self.head is not None and self.head.stated.mirror is not None
+            if self.head is not None and transducer.kind != "vibrometer" and (aimed or self.head.stated.standoff):
+                raise refusal(f"a head without mirror and standoff for {why}", f'"{self.head.name}"', key="head")
+            refuse_missing(self, ("body",) if transducer.turning else ("body", "point"), why)
+            if not aimed:
+                refuse_missing(self, ("direction",), why)
         if self.quantity == "output":
             refuse_missing(self, ("channel",), why)
         known = {*self.ANY, *self.TRIGGER}
@@ -252,4 +269,5 @@ class RecordingFile(SetUpFiles):
     environment: Environment | None = None
     excitation: Excitation
     part: Annotated[tuple[Part, ...], BeforeValidator(array_of_tables)] = ()
+    shaker: Shaker | None = None
     take: Annotated[tuple[Take, ...], BeforeValidator(array_of_tables)] = ()

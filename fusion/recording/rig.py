@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
+from fusion.estimation.least_squares import UnseenMotion
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.values import (
     ZERO3,
@@ -237,6 +239,51 @@ class Stereo(Block):
     delay_uncertainty: NotNegative = 0.0
 
 
+class Head(Block):
+    """A laser head whose beams leave it together, or the body of a triaxial accelerometer: what all its channels share.
+
+    `mirror`: from where the beams leave, sensor frame; `standoff`: its distance from the points where only that is
+    known. `rotation_uncertainty` rad about the sensor axes, `point_uncertainty` m: of all its channels at once.
+    """
+
+    mirror: FreeVector | None = None
+    mirror_uncertainty: Spread3 = ZERO3
+    standoff: Positive | None = None
+    rotation_uncertainty: Spread3 = ZERO3
+    point_uncertainty: Spread3 = ZERO3
+
+    @model_validator(mode="after")
+    def _one_place_of_the_mirror(self) -> Self:
+        if self.mirror is not None and self.standoff is not None:
+            raise refusal("no such key where the mirror is stated", f"{self.standoff:g}", key="standoff")
+        if self.mirror is None and any(self.mirror_uncertainty):
+            raise refusal("the mirror whose uncertainty is stated", "nothing", key="mirror")
+        return self
+
+
+@dataclass(frozen=True)
+class NamedHead:
+    """A head of the rig as a channel names it."""
+
+    name: str
+    stated: Head
+
+
+class Shaker(Block):
+    """How far the shaker moves in components that nobody measures, at most: amplitudes over that of the driven motion.
+
+    `rocking_motion`: rotations times 0.1 m.
+    """
+
+    transverse_motion: Positive = UnseenMotion.transverse
+    rocking_motion: Positive = UnseenMotion.rocking
+
+    @property
+    def unseen(self) -> UnseenMotion:
+        """Return the limits as the fusion takes them."""
+        return UnseenMotion(self.transverse_motion, self.rocking_motion)
+
+
 class Administration(Block):
     """What a calibration certificate needs beside the results."""
 
@@ -253,6 +300,8 @@ class Rig(Block):
     part: Annotated[tuple[Part, ...], BeforeValidator(array_of_tables)] = ()
     environment: Environment | None = None
     stereo: dict[str, Stereo] = Field(default_factory=dict)
+    head: dict[str, Head] = Field(default_factory=dict)
+    shaker: Shaker | None = None
     administration: Administration | None = None
 
     @model_validator(mode="after")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date, time
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -20,7 +20,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationIn
 from pydantic_core import PydanticCustomError
 
 if TYPE_CHECKING:
-    from fusion.recording.rig import Stereo
+    from fusion.recording.rig import Head, Stereo
 
 
 # Paths that stand in a manifest: resolved against its folder, kept inside the campaign, globs ordered naturally.
@@ -120,10 +120,11 @@ ROUNDING_TOLERANCE = 0.01  # of the largest principal moment: tables of two or t
 
 @dataclass(frozen=True)
 class Context:
-    """What validation needs beside the text: where paths lead, and the stereo pairs of the rig."""
+    """What validation needs beside the text: where paths lead, and the stereo pairs and heads of the rig."""
 
     scope: PathScope
     stereo: dict[str, Stereo]
+    head: dict[str, Head] = field(default_factory=dict)
 
 
 class Block(BaseModel):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.base import AnyNotice, ComputeError
 from fusion.estimation.fuse import Acceleration, fuse_sources
+from fusion.estimation.least_squares import UnseenMotion
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import Outputs
 from fusion.instruments.vibrometer import PointSpread
@@ -35,7 +36,8 @@ class Inputs:
     """What is known of one recording when all phasors have been found.
 
     `lines`: the K lines; `observations`: the instruments as rows of the linear model; `outputs`: of the `sensor`;
-    `body`: all that moves above the elastic element, None without a load; `direction`: 3 or 6 numbers.
+    `body`: all that moves above the elastic element, None without a load; `direction`: 3 or 6 numbers. `unseen`: what
+    is assumed of motion that nobody observes.
     """
 
     lines: Lines
@@ -44,6 +46,7 @@ class Inputs:
     body: Body | None = None
     sensor: Sensor | None = None
     direction: tuple[float, ...] | None = None
+    unseen: UnseenMotion = field(default_factory=UnseenMotion)
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ def analyse(inputs: Inputs) -> Analysis:
     bodies = [body for body in ("load", "base") if any(observation.body == body for observation in seen)]
     if not bodies:
         raise ComputeError("no channel or camera of this recording measures a motion; add one to recording.toml")
-    accelerations = tuple(acceleration for body in bodies for acceleration in fuse_sources(seen, body))
+    accelerations = tuple(acceleration for body in bodies for acceleration in fuse_sources(seen, body, inputs.unseen))
     fused = next((a for a in accelerations if a.body == "load" and a.source == "fused"), None)
     if inputs.body is None or fused is None:
         return Analysis(accelerations, None, None)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from fusion.base import Executor, ProgressCallback, Settings, no_progress, versions
 from fusion.instruments.channel import sensor_outputs
-from fusion.instruments.vibrometer import point_spreads
+from fusion.instruments.vibrometer import beam_notices, point_spreads
 from fusion.phasors.setup import measure_set_up, open_set_ups
 from fusion.phasors.setups import join_set_ups
 from fusion.phasors.stereo_phasors import unseen_fundamentals
@@ -49,17 +49,20 @@ def evaluate_recording(
     outputs = sensor_outputs(joined.readings, sensor.channels) if sensor is not None else None
     if sensor is not None and outputs is not None:
         outputs = at_reference_temperature(outputs, sensor, surroundings)
-    inputs = Inputs(joined.lines, observations, outputs, body, sensor, manifest.excitation.direction)
+    direction, unseen_motion = manifest.excitation.direction, manifest.shaker.unseen
+    inputs = Inputs(joined.lines, observations, outputs, body, sensor, direction, unseen_motion)
     analysis = analyse(inputs)
     drawn = propagate(inputs, analysis, settings.monte_carlo, settings.seed, progress) if settings.monte_carlo else None
     points = point_spreads(observations, analysis.accelerations)
     if body is not None and outputs is not None and analysis.sensitivity is not None:
         points = tuple(with_ratios(spread, outputs, analysis.sensitivity, body) for spread in points)
+    parallel = beam_notices([reading.entry for reading in joined.readings])
     kinds = [o.kind for o in observations if o.body == "load" and o.stated]
     missing = not_assessed(manifest.rig, joined.lines.frequency_hz.tolist(), kinds)
     notices = [
         *manifest.expired,
         *joined.notices,
+        *parallel,
         *unseen,
         *analysis.notices,
         *missing,

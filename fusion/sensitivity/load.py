@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.base import AnyNotice
-from fusion.estimation.least_squares import BODY_SIZE_M, UNOBSERVED_MOTION, hidden_motion
+from fusion.estimation.least_squares import BODY_SIZE_M, UNOBSERVED
 from fusion.estimation.uncertainty import (
     Contribution,
     Influence,
@@ -31,8 +31,13 @@ if TYPE_CHECKING:
 # The load at the sensor origin: mass matrix and gravity tilt applied to the acceleration, with its uncertainty.
 
 
-UNOBSERVED_LIMIT = 0.01
-"""Largest relative standard uncertainty that unobserved components may bring to a load component."""
+UNOBSERVED_LIMIT = 0.05
+"""Largest relative standard uncertainty that unobserved components may bring to a load component that is given.
+
+Half of the usual 10 %: given is what the geometry keeps half of that motion away from. What is given has it in U.
+"""
+MATTERS = 0.1
+"""Share of the variance from which on an assumption about motion that nobody observed deserves a warning."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +83,9 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     """Return the wrench L = ±(M A + gravity tilt) at the sensor origin, positive in the body's sense.
 
     Its uncertainty is that of the acceleration carried through, and one influence per uncertain number of body, joint
-    and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero with a standard
-    uncertainty of 2 % of the observed motion's amplitude (rotations: of amplitude over 0.1 m), a type B contribution
-    "unobserved NAME"; a load component to which they bring more than 1 % is not given.
+    and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero within the
+    amplitudes of `acceleration.unseen`, a type B contribution "unobserved NAME"; a load component to which they bring
+    more than 5 % is not given.
     """
     frequency = acceleration.phasors.frequency_hz
     # At a line without any reading nothing is known, neither what is zero nor how uncertain it is.
@@ -97,7 +102,7 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     own = tuple(c.acting(real_stack(np.einsum("kij,kj->ki", c.effect, known))) for c in changes)
     total = Uncertainty((*carried.random, *hidden.values()), (*carried.influences, *own))
     rigid = np.einsum("kij,kj->ki", seen * replace(body, joint=None).load_matrix(frequency), known)
-    notices = (*_notices(acceleration, observed, hidden), *_joint_notice(body, frequency, value, rigid))
+    notices = (*_notices(acceleration, total, value, observed, hidden), *_joint_notice(body, frequency, value, rigid))
     return LoadResult(frequency, value, total, observed, notices)
 
 
@@ -105,7 +110,8 @@ def _hidden_contributions(
     acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[Unknown[ComplexArray]]
 ) -> dict[str, Contribution]:
     """One type B contribution per component nobody observed; its real and imaginary parts are independent."""
-    variance = hidden_motion(np.nan_to_num(acceleration.phasors.value), acceleration.observed) ** 2 / 2.0
+    known = np.nan_to_num(acceleration.phasors.value)
+    variance = acceleration.unseen.amplitude(known, acceleration.observed) ** 2 / 2.0
     # Through the uncertain parameters an unobserved component acts even where its coefficient is zero.
     ways = np.stack([matrix, *(c.effect for c in changes)])
     hidden = {}
@@ -117,16 +123,31 @@ def _hidden_contributions(
     return hidden
 
 
-def _notices(acceleration: Acceleration, observed: BoolArray, hidden: Mapping[str, Contribution]) -> tuple[Notice, ...]:
-    """Say which load components rest on assumed zeros and which are not given."""
+def _notices(
+    acceleration: Acceleration,
+    total: Uncertainty,
+    value: ComplexArray,
+    observed: BoolArray,
+    hidden: Mapping[str, Contribution],
+) -> tuple[Notice, ...]:
+    """Say what was assumed of motion that nobody observed, what that does, and which load components are not given."""
     told = []
-    assumed = [name for name, part in hidden.items() if np.any((total_variance(part.covariance) > 0.0) & observed)]
-    if assumed:
-        text = (
-            f"{', '.join(assumed)} of the load were not observed at some lines: taken as zero with a standard "
-            f"uncertainty of {UNOBSERVED_MOTION:.0%} of the motion (rotations: over {BODY_SIZE_M} m)"
-        )
-        told.append(Notice("warning", text, acceleration.body))
+    given = np.where(observed, np.abs(value) / np.where(np.arange(6) < 3, 1.0, BODY_SIZE_M), 0.0)
+    line, largest = np.unravel_index(int(np.argmax(given)), given.shape)
+    if hidden and given[line, largest] > 0.0:
+        whole = float(total_variance(total.covariance)[line, largest])
+        # What reaches the load directly, and what uncertain directions let into the observed components.
+        ways = [*hidden.values(), *(part for part in total.random if part.label == UNOBSERVED)]
+        part = float(sum(total_variance(way.covariance)[line, largest] for way in ways))
+        if part > 0.0:
+            share, size = part / whole, np.sqrt(part / 2.0) / np.abs(value[line, largest])
+            text = (
+                f"nothing measures {', '.join(hidden)} of the load at some lines: amplitudes up to "
+                f"{acceleration.unseen} are assumed ([shaker] states others); they make u = {100.0 * size:.2g} % of "
+                f"{LOAD_COMPONENTS[largest]} at {acceleration.phasors.frequency_hz[line]:.6g} Hz, {share:.0%} of its "
+                "variance"
+            )
+            told.append(Notice("warning" if share > MATTERS else "info", text, acceleration.body))
     missing = [name for place, name in enumerate(LOAD_COMPONENTS) if not np.any(observed[:, place])]
     if missing:
         text = f"no value of {', '.join(missing)}: components of the motion that were not observed may dominate them"

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion.base import ComputeError, ProgressCallback, no_progress
-from fusion.estimation.fuse import UNOBSERVED, Acceleration, solve_consistently
-from fusion.estimation.least_squares import Places, Solution, build_system, hidden_motion
+from fusion.estimation.fuse import Acceleration, solve_consistently
+from fusion.estimation.least_squares import UNOBSERVED, Places, Solution, build_system
 from fusion.estimation.measurement_model import Deviates, Drawn, Observation
 from fusion.estimation.uncertainty import Uncertainty, as_complex, real_stack
 from fusion.estimation.variance_components import LEAST_DOF
@@ -32,8 +32,9 @@ def propagate(
 
     JCGM 101 and 102: noise from multivariate t-distributions with its degrees of freedom; masses, points, directions,
     poses, scales, delays, clocks from normal distributions of their stated standard uncertainties, each once by its
-    name; places, finite rotations, products and delays enter exactly. Motion that nobody observes and disagreement
-    between instruments are drawn as the evaluation states them. The weights of the instruments are the evaluation's.
+    name; places, finite rotations, products and delays enter exactly. Motion that nobody observes has its
+    amplitude at the limit and any phase; disagreement between instruments is drawn as the evaluation states it. The
+    weights of the instruments are the evaluation's.
     """
     motions = [_motion(inputs, fused) for fused in analysis.accelerations if fused.source == "fused"]
     driven = np.flatnonzero(inputs.lines.multiple == 1)
@@ -115,8 +116,8 @@ class _Motion:
         it is drawn with no fewer than `LEAST_DOF`.
         """
         fused, estimate = self.fused, np.asarray(np.nan_to_num(self.fused.phasors.value))
-        parts = deviates.normal(f"unobserved motion of the {fused.body}", *estimate.shape, 2)
-        hidden = hidden_motion(estimate, fused.observed) / np.sqrt(2.0) * (parts[..., 0] + 1j * parts[..., 1])
+        phase = deviates.angle(f"unobserved motion of the {fused.body}", *estimate.shape)
+        hidden = fused.unseen.amplitude(estimate, fused.observed) * np.exp(1j * phase)
         readings = [o.draw(estimate, deviates, noise) for o, noise in zip(self.observations, self.noise, strict=True)]
         value = self.estimator.acceleration(readings, estimate, hidden)
         own = {f"{name}: noise" for name in fused.instruments} | {UNOBSERVED}
@@ -138,7 +139,7 @@ def _motion(inputs: Inputs, fused: Acceleration) -> _Motion:
     own = [(place, seen) for place, seen in enumerate(inputs.observations) if seen.body == fused.body]
     used = [(place, seen) for place, seen in own if seen.stated] or own
     observations = tuple(seen for _, seen in used)
-    system = build_system(observations)
+    system = build_system(observations, fused.unseen)
     solution = solve_consistently(system, fused.scatter).final
     noise = tuple(f"noise of instrument {place}" for place, _ in used)
     return _Motion(fused, observations, noise, Estimator.of(observations, system.expand, solution))

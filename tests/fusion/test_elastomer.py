@@ -19,7 +19,7 @@ from support import DOCS, rows, told_columns
 
 from fusion.base import InputError
 from fusion.cli import main
-from fusion.recording.values import _models_in
+from fusion.recording.toml import _models_in
 from fusion.sensor.elastomer.definition import ElementFile, read_definition
 from fusion.sensor.elastomer.evaluate import (
     ComparedColumn,

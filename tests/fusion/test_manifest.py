@@ -19,7 +19,7 @@ from fusion.base import InputError
 from fusion.recording.excitation import KINDS, Excitation
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Images, PointFiles, RecordingFile, Take
-from fusion.recording.rig import Administration, Environment, Load, Part, Rig, Sensor, Stereo
+from fusion.recording.rig import Administration, Environment, Head, Load, Part, Rig, Sensor, Shaker, Stereo
 from fusion.recording.toml import expand_statements, uncertain_inputs
 from photogram.calibration.file import read_calibration
 
@@ -153,6 +153,8 @@ MODELS: dict[str, type[BaseModel]] = {
     "`[[part]]`, in rig.toml or recording.toml": Part,
     "`[environment]`": Environment,
     "`[stereo.NAME]`": Stereo,
+    "`[head.NAME]`": Head,
+    "`[shaker]`, in rig.toml or recording.toml": Shaker,
     "`[administration]`": Administration,
     "Top level of recording.toml": RecordingFile,
     "`[excitation]`": Excitation,

@@ -178,7 +178,8 @@ def test_first_order_propagation_holds_for_a_whole_recording(case):
     for result in drawn.results:
         total = [np.sqrt(np.trace(c, axis1=-2, axis2=-1)) for c in (result.covariance, result.first_covariance)]
         np.testing.assert_allclose(total[0], total[1], rtol=0.06)
-        assert np.all(np.abs(result.first_holds - 0.95) < 0.016)  # 4.6 standard deviations of 4000 draws
+        # 4.6 standard deviations of 4000 draws, and the second order of a tilt that points share beside their own.
+        assert np.all(np.abs(result.first_holds - 0.95) < 0.016 + 0.005)
         assert np.all(np.abs(result.mean - result.value) < 0.1 * total[1])
 
 

@@ -28,6 +28,8 @@ from take_factory import (
 
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
+from fusion.instruments.transducer import unit_direction
+from fusion.planning.check import check
 from fusion.recording.files import read_set_ups
 from fusion.recording.load import load_manifest
 from fusion.report.recording import result_tables
@@ -329,6 +331,23 @@ def test_points_are_placed_where_the_file_says_and_counted_by_check(tmp_path, ca
     assert "3000 samples at 4000 Hz, a scan of 4 points, each a take" in told
     assert "takes: 4, tied by 2" in told
     assert "load: laser: z rx ry" in told
+
+
+def test_every_point_of_a_scan_has_its_own_direction_to_the_mirror_of_its_head(tmp_path, refused):
+    folder = _scan(tmp_path, np.random.default_rng(6))
+    mirror = np.array([0.01, -0.02, 0.55])
+    rig = RIG + block("head.psv", mirror=mirror.tolist(), rotation_uncertainty=1e-3)
+    (folder.parent / "rig.toml").write_text(rig)
+    own = laser("1", ORIGIN) + 'head = "psv"\n'
+    aimed = own.replace("direction = [0.0, 0.0, 1.0]\n", "")
+    takes = read_set_ups(load_manifest(_text(folder, aimed, reference("2"), output("3"))))
+    lines = mirror - np.array(SCANNED)
+    found = [unit_direction(take.records[0].entry.channel[0]) for take in takes]
+    np.testing.assert_allclose(found, lines / np.linalg.norm(lines, axis=1, keepdims=True), atol=1e-9)
+    assert "head psv: mirror at (0.01, -0.02, 0.55) m, 4 channels or points" in check(load_manifest(folder)).contents
+    told = refused("run", _text(folder, own, reference("2"), output("3")))
+    assert "daq.scan.channel.1.direction: expected the direction from the point to the mirror of head psv" in told
+    assert "found at point 1 a direction" in told
 
 
 def test_a_scan_of_one_point_needs_no_reference(tmp_path):

@@ -12,7 +12,7 @@ import numpy as np
 
 from fusion.base import InputError
 from fusion.instruments.channel import geometry_errors
-from fusion.instruments.transducer import TRANSDUCERS, placed_at, unit_direction
+from fusion.instruments.transducer import TRANSDUCERS, Beams, placed_at, unit_direction
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.folder import RESULT_FILE, hash_files, read_provenance
@@ -89,11 +89,12 @@ def placement_errors(base: ChannelEntry, tops: Sequence[ChannelEntry], mounting:
     An unknown keeps its value as long as nothing is mounted anew: until then it is one in all recordings and, under its
     name, in the results of sines.
     """
+    beams = Beams.of([base, *tops])
     placed = [(base, AT_THE_BASE), *((entry, place) for place, entry in enumerate(tops))]
     return tuple(
         PlacementError(f"{error.name} [{mounting}]", place, error.effect)
         for entry, place in placed
-        for error in geometry_errors(TRANSDUCERS[entry.quantity], entry)
+        for error in geometry_errors(TRANSDUCERS[entry.quantity], entry, beams)
     )
 
 
