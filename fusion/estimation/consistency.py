@@ -245,7 +245,9 @@ class Suspicion:
     """Groups of readings, `names` and `rows`, that are taken as wrong together, and what follows for the estimate.
 
     `chi2`, `dof` of their difference to the prediction of the others; `change` (12K,) of the estimate by leaving them
-    out, `spread` (12K, r): a root of its covariance, `lost` (12K,): which values the others do not determine.
+    out, which is `pull` (12K, n) · (P y) of the rows, `spread` (12K, r): a root of its covariance, `lost` (12K,): which
+    values the others do not determine; `tenfold` (12K,): change of the estimate by stating ten times as much of the
+    rows; `gross`: that does not suffice.
     """
 
     names: tuple[str, ...]
@@ -253,8 +255,10 @@ class Suspicion:
     chi2: float
     dof: int
     change: FloatArray
+    pull: FloatArray
     spread: FloatArray
     lost: BoolArray
+    tenfold: FloatArray
     gross: bool
 
     @property
@@ -268,9 +272,10 @@ def suspicion(system: System, solution: Solution, names: tuple[str, ...], rows: 
 
     An arbitrary error δ of the readings I, estimated beside the motion, is δ = P_II⁺ q_I with q = P y and covariance
     P_II⁺; the estimate becomes gain · (y - δ), its covariance grows by gain_I P_II⁺ gain_Iᵀ, and what depends on a
-    direction in which P_II is singular is lost. The suspect's own statements ten times as large, W being the stated
-    covariance of its readings, are c·W with c = (10/2.58)² - 1: then ten standard uncertainties are where a test
-    at 1 % fails. If the readings fail even so, the error is gross.
+    direction in which P_II is singular is lost. If δ has the covariance c·W instead, W being what is stated of the
+    readings I, the best estimate of it is c·W·(1 + c·P_II·W)⁻¹ q_I: with c = 10² - 1 this is the estimate from all
+    readings, these with ten times their stated uncertainty, and nothing is lost. With c = (10/2.58)² - 1 ten standard
+    uncertainties are where a test at 1 % fails; if the readings fail even so, the error is gross.
     """
     sizes = np.sqrt(np.diag(solution.noise))
     scale = sizes[rows]
@@ -285,10 +290,14 @@ def suspicion(system: System, solution: Solution, names: tuple[str, ...], rows: 
     own = solution.effects[rows] / scale[:, None]
     stated = solution.noise[np.ix_(rows, rows)] / np.outer(scale, scale) + own @ own.T
     seen = vectors[:, kept] * root
-    tenfold = np.eye(len(white)) + ((GROSS / NORMAL_LIMIT) ** 2 - 1.0) * seen.T @ stated @ seen
+    inner, unit = seen.T @ stated @ seen, np.eye(len(white))
+    limit = (GROSS / NORMAL_LIMIT) ** 2 - 1.0
     chi2, dof = float(white @ white), len(white)
-    gross = chi2 - dof > CERTAIN and fails(float(white @ np.linalg.solve(tenfold, white)), dof)
-    return Suspicion(names, rows, chi2, dof, -spread @ white, spread, lost, gross)
+    gross = chi2 - dof > CERTAIN and fails(float(white @ np.linalg.solve(unit + limit * inner, white)), dof)
+    more = GROSS**2 - 1.0
+    tenfold = -gain @ (more * stated @ seen @ np.linalg.solve(unit + more * inner, white))
+    pull = -(spread / root) @ vectors[:, kept].T * scale
+    return Suspicion(names, rows, chi2, dof, -spread @ white, pull, spread, lost, tenfold, gross)
 
 
 def suspicions(system: System, solution: Solution) -> tuple[Suspicion, ...]:
@@ -333,14 +342,17 @@ def _where_untested(system: System, solution: Solution, whole: Suspicion) -> Sus
     An artefact at a harmonic says nothing against an instrument at the fundamental. The error's relative size is the
     largest that a line asks for, √(χ²/λ) with λ the noncentrality of readings that are wrong by all of their size.
     """
-    parts = [whole.rows[system.line[whole.rows] == k] for k in np.unique(system.line[whole.rows]).tolist()]
+    line = system.line[whole.rows]
+    parts = [whole.rows[line == k] for k in np.unique(line).tolist()]
     each = [suspicion(system, solution, whole.names, rows) for rows in parts]
+    # A line by itself is judged by what all others say without the suspect's other lines.
+    others = [suspicion(system, solution, whole.names, whole.rows[line != k]) for k in np.unique(line).tolist()]
     wrong = [float(system.readings[r] @ solution.projector[np.ix_(r, r)] @ system.readings[r]) for r in parts]
     size2 = max((one.chi2 / power for one, power in zip(each, wrong, strict=True) if power > 0.0), default=0.0)
     kept = [
         rows
-        for rows, one, power in zip(parts, each, wrong, strict=True)
-        if fails(one.chi2, one.dof) or size2 * power <= CERTAIN
+        for rows, rest, power in zip(parts, others, wrong, strict=True)
+        if fails(whole.chi2 - rest.chi2, whole.dof - rest.dof) or size2 * power <= CERTAIN
     ]
     if not kept or len(kept) == len(parts):
         return whole
@@ -372,45 +384,56 @@ def explanations(system: System, solution: Solution, found: Sequence[Suspicion])
     return tuple(told)
 
 
-def disputed(system: System, found: Sequence[Suspicion]) -> BoolArray:
+def disputed(system: System, solution: Solution, found: Sequence[Suspicion]) -> BoolArray:
     """Return (K, 6): which values gross suspicions of several instruments leave without any mean.
 
     At least two explanations are open, all of them gross errors, of more than one instrument: nothing decides. In
-    dispute is what either would change at 1 %, and what the others do not determine.
+    dispute is where any two of them differ at 1 %, and what one of them does not determine.
     """
-    lines = len(system.observed)
-    none = np.zeros((lines, 6), dtype=np.bool_)
     blamed = {place for one in found for place in np.unique(system.observation[one.rows]).tolist()}
     if len(found) < 2 or len(blamed) < 2 or not all(one.gross for one in found):
-        return none
-    for one in found:
-        change = one.change.reshape(lines, 2, 6)
-        spread = one.spread.reshape(lines, 2, 6, -1)
-        none |= one.lost.reshape(lines, 2, 6).any(axis=1)
-        for k, c in np.argwhere(~none).tolist():
-            moved = change[k, :, c]
-            covariance = spread[k, :, c] @ spread[k, :, c].T
-            square = float(moved @ np.linalg.pinv(covariance, rcond=VISIBLE, hermitian=True) @ moved)
-            none[k, c] = fails(square, 2)
-    return none & system.observed
+        return np.zeros_like(system.observed)
+    unclear = np.any([one.lost.reshape(-1, 2, 6).any(axis=1) for one in found], axis=0)
+    for one, other in combinations(found, 2):
+        pull = np.zeros((one.change.size, len(system.readings)))
+        pull[:, one.rows] += one.pull
+        pull[:, other.rows] -= other.pull
+        parts = pull.reshape(-1, 2, 6, len(system.readings)).swapaxes(1, 2)
+        covariance = parts @ solution.projector @ parts.swapaxes(2, 3)
+        change = parts @ (solution.projector @ system.readings)
+        inverse = np.linalg.pinv(covariance, rcond=VISIBLE, hermitian=True)
+        square = np.einsum("kca,kcab,kcb->kc", change, inverse, change)
+        unclear |= square > -2.0 * np.log(1.0 - TEST_LEVEL)  # the quantile for two degrees of freedom
+    return np.asarray(system.observed & unclear)
 
 
-def left_open(told: Sequence[Explanation], value: ComplexArray) -> FloatArray:
+def left_open(solution: Solution, found: Sequence[Suspicion], value: ComplexArray) -> FloatArray:
     """Return the covariance (K, 12, 12) of an estimate (K, 6) of which several explanations are open.
 
     Each is as likely as any other: a discrete distribution about the estimate with the variance Σ (x_h - x)²/n
     (GUM 4.3, JCGM 101 6.4). Where one of many lies far off, all of a value's variance is enlarged until it lies within
     √2 standard deviations: U = 1.96 u is then 1.4 times its distance, in whatever direction of the complex plane.
+    x_h is the estimate with ten times the suspect's stated uncertainties, which leaves it a say where no other
+    instrument has one; only a gross error leaves it none. Where all are gross the variance of each x_h beyond that of x
+    is added, so that the whole is that of the mixture, Σ (u_h² + (x_h - x)²)/n.
     """
-    away = np.stack([real_stack(np.nan_to_num(one.value - value)) for one in told])
-    mixture = np.einsum("hki,hkj->kij", away, away) / len(told)
-    factor = np.ones((len(value), 12))
+    lines = len(value)
+    away, within = np.zeros((len(found), lines, 12)), np.zeros((lines, 12, 12))
+    for h, one in enumerate(found):
+        lost = one.lost.reshape(lines, 2, 6).any(axis=1) & one.gross
+        other = solution.acceleration + as_complex((one.change if one.gross else one.tenfold).reshape(lines, 12))
+        away[h] = real_stack(np.where(lost, 0.0, other - value))
+        if all(each.gross for each in found):
+            spread = one.spread.reshape(lines, 12, -1) * np.tile(~lost, (1, 2))[:, :, None]
+            within += spread @ spread.swapaxes(1, 2) / len(found)
+    mixture = np.einsum("hki,hkj->kij", away, away) / len(found)
+    factor = np.ones((lines, 12))
     for c in range(6):
         both = [c, c + 6]
         inverse = np.linalg.pinv(mixture[:, both][:, :, both], rcond=VISIBLE, hermitian=True)
         square = np.einsum("hki,kij,hkj->hk", away[:, :, both], inverse, away[:, :, both])
         factor[:, both] = np.sqrt(np.maximum(1.0, np.max(square, axis=0) / 2.0))[:, None]
-    return np.asarray(factor[:, :, None] * mixture * factor[:, None, :])
+    return np.asarray(factor[:, :, None] * mixture * factor[:, None, :] + within)
 
 
 def without_readings(system: System, rows: IntArray) -> tuple[Observation, ...]:

@@ -124,7 +124,7 @@ def fuse(
     unknowns = estimates(system.common, first)
     suspects = [name for one in open_ for name in one.names]
     tests = leave_one_out(system, first, suspects) if parts or source == "fused" else ()
-    unclear = disputed(system, open_)
+    unclear = disputed(system, first, open_)
     given = replace(system, observed=system.observed & ~unclear)
     uncertainty = _uncertainty(given, solved)
     lines = np.arange(len(given.observed))
@@ -260,7 +260,7 @@ def _uncertainty(system: System, solved: Solved) -> Uncertainty:
         missing = not_allowed_for(carried(solved.beside.covariance), allowed)
         parts.append(Contribution(solved.beside.label, "A", missing, solved.beside.dof))
     if solved.open:
-        wanted = left_open(explanations(system, solved.stated, solved.open), solution.acceleration)
+        wanted = left_open(solved.stated, solved.open, solution.acceleration)
         allowed = np.sum([np.zeros_like(wanted), *(part.covariance for part in parts)], axis=0)
         parts.append(Contribution(OPEN, "B", not_allowed_for(wanted, allowed)))
     for place, observation in enumerate(system.observations):
