@@ -301,7 +301,7 @@ def suspicion(system: System, solution: Solution, names: tuple[str, ...], rows: 
 
 
 def suspicions(system: System, solution: Solution) -> tuple[Suspicion, ...]:
-    """Return the explanations that contradicting readings leave open, of as few wrong instruments or channels as may be.
+    """Return the explanations that contradicting readings leave open, of as few wrong groups of readings as may be.
 
     Those are suspect without which all others agree at 1 % and whose chi-square is beyond what is expected by at least
     half of what any other's is; an instrument is not suspect for one of its channels. Where no one is, pairs of those
@@ -486,10 +486,10 @@ def undetected_errors(
     """Return the covariance of the readings by the common errors of which one would explain a contradiction.
 
     Of those that are no gross errors these are the unknown that deviates most and all whose deviation is not smaller at
-    1 %: the data do not tell which of them it is. Each instrument's, an error of the size d that the readings ask for, has the variance θ·d²; θ is
-    common to all and of greatest restricted likelihood beside what is stated. A camera that may have been turned has
-    been so in every component, also in those that no other instrument sees: what instruments differ by in the
-    components that they share says nothing of these. None where no unknown deviates.
+    1 %: the data do not tell which of them it is. Each instrument's, an error of the size d that the readings ask for,
+    has the variance θ·d²; θ is common to all and of greatest restricted likelihood beside what is stated. A camera that
+    may have been turned has been so in every component, also in those that no other instrument sees: what instruments
+    differ by in the components that they share says nothing of these. None where no unknown deviates.
     """
     deviations = np.abs(np.nan_to_num([unknown.deviation for unknown in unknowns]))
     # The largest of several absurd unknowns is no better a cause than the others: it must not displace what may be one.

@@ -424,12 +424,12 @@ def _disagreement(
 
 
 def _causes(result: Acceleration, deviating: Sequence[CommonEstimate]) -> str:
-    """Which stated unknowns explain a contradiction; else those that would have to be wrong by more than they can be."""
+    """Which stated unknowns explain a contradiction; else those that would have to be wrong beyond reason."""
 
     def wants(unknown: CommonEstimate) -> str:
         unit = "" if unknown.unit == "1" else f" {unknown.unit}"
-        times = abs(unknown.wanted) / unknown.u
-        return f"{unknown.name} would have to be {unknown.wanted:.2g}{unit} ({times:.3g} times its standard uncertainty)"
+        times = f"{abs(unknown.wanted) / unknown.u:.3g} times its standard uncertainty"
+        return f"{unknown.name} would have to be {unknown.wanted:.2g}{unit} ({times})"
 
     # Those that deviate most, those that the readings cannot tell apart included.
     largest = max((abs(unknown.deviation) for unknown in deviating), default=0.0)
@@ -438,7 +438,7 @@ def _causes(result: Acceleration, deviating: Sequence[CommonEstimate]) -> str:
     close = [unknown for unknown in deviating if abs(unknown.deviation) >= EQUALLY_LIKELY * largest]
     explain = [u for u in close if not u.gross and not fails(result.chi2 - u.deviation**2, result.dof - 1, NEARLY)]
     if explain and result.disputed is None:
-        return "".join(f"; {wants(u)}" for u in sorted(explain, key=lambda u: -abs(u.deviation)) if u.deviation**2)
+        return "".join(f"; {wants(u)}" for u in sorted(explain, key=lambda u: -abs(u.deviation)))
     gross = sorted((u for u in deviating if u.gross), key=lambda u: -abs(u.deviation))[:MOST_NAMED]
     return f"; gross error or wrong statement: {', or '.join(map(wants, gross))}" if gross else ""
 

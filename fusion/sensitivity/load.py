@@ -80,8 +80,8 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     Its uncertainty is that of the acceleration carried through, and one influence per uncertain number of body, joint
     and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero with a standard
     uncertainty of 2 % of the observed motion's amplitude (rotations: of amplitude over 0.1 m), a type B contribution
-    "unobserved NAME"; a load component to which they bring more than 1 % is not given. No load is given at lines at which
-    a component of the acceleration is disputed.
+    "unobserved NAME"; a load component to which they bring more than 1 % is not given. No load is given at lines
+    at which a component of the acceleration is disputed.
     """
     frequency = acceleration.phasors.frequency_hz
     # At a line without any reading nothing is known, neither what is zero nor how uncertain it is; nor is it where
@@ -128,7 +128,7 @@ def _notices(acceleration: Acceleration, observed: BoolArray, hidden: Mapping[st
     disputed = acceleration.disputed
     if disputed is not None:
         lines = np.count_nonzero(np.any(disputed, axis=1))
-        text = f"no load, and no sensitivity, at {lines} of {len(disputed)} lines: the instruments contradict each other"
+        text = f"no load, and no sensitivity, at {lines} of {len(disputed)} lines: instruments contradict each other"
         told.append(Notice("warning", f"{text} about the acceleration and nothing decides between them", "load"))
     assumed = [name for name, part in hidden.items() if np.any((total_variance(part.covariance) > 0.0) & observed)]
     if assumed:
