@@ -432,15 +432,15 @@ def _causes(result: Acceleration, deviating: Sequence[CommonEstimate]) -> str:
         return f"{unknown.name} would have to be {unknown.wanted:.2g}{unit} ({times})"
 
     # Those that deviate most, those that the readings cannot tell apart included.
-    largest = max((abs(unknown.deviation) for unknown in deviating), default=0.0)
-    if not all(unknown.gross for unknown in deviating):
-        largest = max(abs(unknown.deviation) for unknown in deviating if not unknown.gross)
-    close = [unknown for unknown in deviating if abs(unknown.deviation) >= EQUALLY_LIKELY * largest]
-    explain = [u for u in close if not u.gross and not fails(result.chi2 - u.deviation**2, result.dof - 1, NEARLY)]
+    ranked = sorted(deviating, key=lambda unknown: -abs(unknown.deviation))
+    possible, gross = [u for u in ranked if not u.gross], [u for u in ranked if u.gross]
+    possible, gross = (
+        [u for u in some if abs(u.deviation) >= EQUALLY_LIKELY * abs(some[0].deviation)] for some in (possible, gross)
+    )
+    explain = [u for u in possible if not fails(result.chi2 - u.deviation**2, result.dof - 1, NEARLY)]
     if explain and result.disputed is None:
-        return "".join(f"; {wants(u)}" for u in sorted(explain, key=lambda u: -abs(u.deviation)))
-    gross = sorted((u for u in deviating if u.gross), key=lambda u: -abs(u.deviation))[:MOST_NAMED]
-    return f"; gross error or wrong statement: {', or '.join(map(wants, gross))}" if gross else ""
+        return "".join(f"; {wants(unknown)}" for unknown in explain)
+    return f"; gross error or wrong statement: {', or '.join(map(wants, gross[:MOST_NAMED]))}" if gross else ""
 
 
 def _values(result: Acceleration) -> str:
