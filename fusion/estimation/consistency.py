@@ -460,7 +460,7 @@ def likely_mistake(ratio: complex) -> str:
     return ""
 
 
-def exchanged(system: System, found: Sequence[Suspicion]) -> tuple[tuple[str, str], ...]:
+def exchanged(system: System, first: Solution, found: Sequence[Suspicion]) -> tuple[tuple[str, str], ...]:
     """Return the pairs of channels of one kind of instrument that, exchanged, leave all readings in agreement."""
     blamed = np.unique(np.concatenate([system.member[one.rows] for one in found]))
     rows = {place: np.flatnonzero(system.member == place) for place in blamed.tolist()}
@@ -471,6 +471,8 @@ def exchanged(system: System, found: Sequence[Suspicion]) -> tuple[tuple[str, st
         if kind[a] == kind[b] and np.array_equal(system.line[rows[a]], system.line[rows[b]]):
             readings = system.readings.copy()
             readings[rows[a]], readings[rows[b]] = system.readings[rows[b]], system.readings[rows[a]]
+            if readings @ first.projector @ readings > 0.5 * first.chi2:
+                continue  # too far off for another fit to be worth its time
             solution = solve(replace(system, readings=readings))
             if not fails(solution.chi2, solution.dof):
                 pairs.append((system.member_names[a], system.member_names[b]))

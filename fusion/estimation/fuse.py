@@ -156,7 +156,7 @@ def fuse(
         explanations=explanations(system, first, open_),
         disputed=unclear if np.any(unclear) else None,
     )
-    swapped = exchanged(system, open_) if any(one.gross for one in open_) else ()
+    swapped = exchanged(system, first, open_) if any(one.gross for one in open_) else ()
     return replace(result, notices=_notices(result, bool(stated), unknowns if solved.contradicted else None, swapped))
 
 
