@@ -16,6 +16,8 @@ FEWEST_FRAMES = 4
 UNCALIBRATED_PX = 0.1  # residual that is accepted where the calibration states no uncertainty
 REMARKABLE_PX = 0.02  # residual that is not worth a word, even if the calibration promised less
 MOVED_PX = 0.005  # change within a recording that is not worth a word
+UNUSABLE = 10.0  # standard uncertainties of the pattern beyond which no error of the calibration explains it
+UNUSABLE_PX = 1.0  # least residual, rms over the points, of a pair that is not what was calibrated in any sense
 RARE = 1e-4  # probability of a warning on a pair that is what was calibrated, for either test
 CLEAR = 3.0  # times the scatter of the frames that a change within the recording has to be
 OUTLIER = 5.0  # robust standard deviations beyond which a point says nothing about the cameras
@@ -49,6 +51,26 @@ class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3
     def mean_px(self) -> FloatArray:
         """Mean residual of every frame (F,)."""
         return self.course_px[:, 0]
+
+    @property
+    def refuted(self) -> str:
+        """Return why the pair cannot be what was calibrated, empty where it can.
+
+        A residual of more than ten times what calibration and matching leave open is no error of the calibration but
+        another arrangement: cameras moved, exchanged or given another's file. Against a calibration that states far too
+        little, it also has to be 1 px, ten times what one without uncertainties is trusted with: real pairs with
+        published calibrations of other programs leave 0.08 to 0.13 px, and below 1 px a triangulation, first-order in
+        the residual, is wrong by no more than some 1/f of its distance, which the other instruments can judge.
+        """
+        size = float(np.linalg.norm(self.pattern_px))
+        if not size > UNUSABLE_PX:
+            return ""
+        if self.pattern_covariance is None:
+            return f"its epipolar residual is {size:.2g} px and its calibration states no uncertainty"
+        inverse = np.linalg.pinv(self.pattern_covariance, hermitian=True)
+        times = float(np.sqrt(self.pattern_px @ inverse @ self.pattern_px))
+        told = f"its epipolar residual is {size:.2g} px, {times:.2g} times what calibration and matching explain"
+        return told if times > UNUSABLE else ""
 
 
 def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.estimation.least_squares import Solution, System
-from fusion.estimation.uncertainty import real_design, real_stack
+from fusion.estimation.least_squares import Solution, System, solve
+from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from fusion.estimation.variance_components import (
     LEAST_DOF,
     TEST_LEVEL,
@@ -35,6 +36,26 @@ NOT_EXCLUDED = 6.63
 """Difference of squared deviations, chi-square of one degree of freedom at 1 %: both unknowns may be the cause."""
 VISIBLE = 1e-9
 """Relative size from which on a direction of several values counts."""
+GROSS = 10.0
+"""Times its stated uncertainty beyond which a cause is a gross error or wrongly stated, and explains nothing."""
+MISTAKES = (
+    (-1.0, "its sign were reversed"),
+    (9.80665, "m/s² were taken for g"),
+    (1.0 / 9.80665, "g were taken for m/s²"),
+    (1e3, "a unit were taken for a thousand of it"),
+    (1e-3, "a unit were taken for a thousandth of it"),
+)
+"""Reading over prediction, and what would make it so."""
+ALIKE = 0.03
+"""Relative distance from such a factor within which a ratio looks like it."""
+LOST = 1e-6
+"""Share of an estimate in directions that only the readings left out tell, from which on it is lost without them."""
+PAIRED = 12
+"""Channels and instruments that deviate most, of which pairs are looked at."""
+NORMAL_LIMIT = 2.576
+"""Standard deviations that a normal value exceeds with 1 %."""
+CERTAIN = 25.0
+"""Noncentrality of chi-square from which on a deviation is as good as always noticed (5 standard deviations)."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +87,14 @@ class CommonEstimate:
         """Return the value, in `unit`, that the readings ask for if nothing were stated of this unknown."""
         return self.u * self.estimate / (1.0 - self.remaining**2) if self.remaining < UNTESTED else float("nan")
 
+    @property
+    def gross(self) -> bool:
+        """Return whether what the readings ask for is surely, by two standard deviations, beyond ten times `u`."""
+        if not self.remaining < UNTESTED:
+            return False
+        certain = 1.0 - self.remaining**2
+        return bool(abs(self.estimate) / certain - 2.0 * self.remaining / np.sqrt(certain) > GROSS)
+
 
 @dataclass(frozen=True)
 class Consistency:
@@ -74,7 +103,8 @@ class Consistency:
     `normalised_deviation`: root of chi-square per degree of freedom of the leave-one-out difference (1 is expected,
     NaN where the others cannot predict it); `channels` of it; `used` in the fused estimate or only compared;
     `ratio`: measured over predicted at its largest reading, complex, NaN where it has no prediction; `suspect`: it
-    deviates, and without it all others agree.
+    deviates, and without it all others agree (or without it and another); `left_out`: it is a gross error that all
+    others contradict, and was left out of the estimate.
     """
 
     instrument: str
@@ -83,6 +113,7 @@ class Consistency:
     used: bool = True
     ratio: complex = complex(np.nan, np.nan)
     suspect: bool = False
+    left_out: bool = False
 
 
 def estimates(common: Sequence[CommonError], solution: Solution) -> tuple[CommonEstimate, ...]:
@@ -106,34 +137,25 @@ def contradicts(solution: Solution, unknowns: Sequence[CommonEstimate]) -> bool:
     return bool(extreme) or fails(solution.chi2, solution.dof, half)
 
 
-def leave_one_out(system: System, solution: Solution, contradicted: bool) -> tuple[Consistency, ...]:
+def leave_one_out(system: System, solution: Solution, suspects: Sequence[str] = ()) -> tuple[Consistency, ...]:
     """Return for each channel or stereo pair, and each instrument of several channels, its readings against the others.
 
-    Where readings are `contradicted`, those are suspect without which all others agree and whose chi-square is beyond
-    what is expected by at least half of what any other's is.
-
     With q = P y the difference is d = P_II^-1 q_I with covariance P_II^-1, so that no fit is repeated; chi-square is
-    q_I^T P_II^+ q_I on the rank of P_II, and that of the others is smaller by as much.
+    q_I^T P_II^+ q_I on the rank of P_II, and that of the others is smaller by as much. `suspects`: names of those that
+    an explanation leaves out.
     """
-    groups = [(name, system.member == place) for place, name in enumerate(system.member_names)]
-    several = len(system.observations) > 1
+    tests = [_left_out(system, solution, name, rows) for name, rows in _groups(system)]
+    return tuple(replace(test, suspect=test.instrument in suspects) for test in tests)
+
+
+def _groups(system: System) -> list[tuple[str, IntArray]]:
+    """Each channel or stereo pair and, where there are several instruments, each of several channels: its rows."""
+    groups = [(name, np.flatnonzero(system.member == place)) for place, name in enumerate(system.member_names)]
     for place, observation in enumerate(system.observations):
-        if several and len(set(observation.members)) > 1:
-            groups.append((f"{observation.title} as a whole", system.observation == place))
-    tests = [_left_out(system, solution, name, np.flatnonzero(mask)) for name, mask in groups]
-    if not contradicted:
-        return tuple(test for test, _, _ in tests)
-    most = max(chi2 - dof for _, chi2, dof in tests)
-    judged: list[Consistency] = []
-    single: list[BoolArray] = []
-    for (test, chi2, dof), (_, mask) in zip(tests, groups, strict=True):
-        agrees = not fails(solution.chi2 - chi2, solution.dof - dof)
-        # An instrument is not suspect for one of its channels.
-        own = not any(np.all(mask[other]) for other in single)
-        suspect = agrees and own and dof > 0 and chi2 - dof >= 0.5 * most
-        single += [mask] if suspect else []
-        judged.append(replace(test, suspect=suspect))
-    return tuple(judged)
+        rows = np.flatnonzero(system.observation == place)
+        if len(rows) < len(system.readings) and len(np.unique(system.member[rows])) > 1:
+            groups.append((f"{observation.title} as a whole", rows))
+    return [(name, rows) for name, rows in groups if len(rows)]
 
 
 def deleted(
@@ -152,13 +174,13 @@ def deleted(
     return float(np.sum(turned**2 / values[kept])), int(np.count_nonzero(kept)), difference
 
 
-def _left_out(system: System, solution: Solution, name: str, rows: IntArray) -> tuple[Consistency, float, int]:
-    """One group of readings against all others, with chi-square and degrees of freedom of their difference."""
+def _left_out(system: System, solution: Solution, name: str, rows: IntArray) -> Consistency:
+    """One group of readings against all others."""
     left, sizes = solution.projector @ system.readings, np.sqrt(np.diag(solution.noise))
     chi2, dof, difference = deleted(solution.projector, left, sizes, rows)
     channels = len(set(zip(system.observation[rows].tolist(), system.channel[rows].tolist(), strict=True)))
     if not dof:
-        return Consistency(name, np.nan, channels), 0.0, 0
+        return Consistency(name, np.nan, channels)
     ratio = complex(np.nan, np.nan)
     if difference is not None:
         # Measured over predicted phasor of the reading with the largest prediction.
@@ -170,7 +192,7 @@ def _left_out(system: System, solution: Solution, name: str, rows: IntArray) -> 
         if phasors[largest] != 0.0:
             re, im = system.readings[pairs[largest]]
             ratio = complex((re + 1j * im) / phasors[largest])
-    return Consistency(name, float(np.sqrt(chi2 / dof)), channels, True, ratio), chi2, dof
+    return Consistency(name, float(np.sqrt(chi2 / dof)), channels, True, ratio)
 
 
 def compare(observation: Observation, acceleration: ComplexArray, covariance: FloatArray) -> tuple[Consistency, ...]:
@@ -201,6 +223,262 @@ def compare(observation: Observation, acceleration: ComplexArray, covariance: Fl
     return tuple(compared)
 
 
+# What the estimate is if some readings are wrong: explanations of a contradiction, and what they leave of a value.
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What the estimate is if the readings of a `suspect` are wrong: a channel, an instrument, or two of these.
+
+    `value` (K, 6) from all other readings and its `covariance` (K, 12, 12), NaN where these do not determine it;
+    `gross`: the readings lie further from the others than ten times the stated uncertainties of the suspect allow.
+    """
+
+    suspect: str
+    value: ComplexArray
+    covariance: FloatArray
+    gross: bool
+
+
+@dataclass(frozen=True)
+class Suspicion:
+    """Groups of readings, `names` and `rows`, that are taken as wrong together, and what follows for the estimate.
+
+    `chi2`, `dof` of their difference to the prediction of the others; `change` (12K,) of the estimate by leaving them
+    out, which is `pull` (12K, n) · (P y) of the rows, `spread` (12K, r): a root of its covariance, `lost` (12K,): which
+    values the others do not determine; `tenfold` (12K,): change of the estimate by stating ten times as much of the
+    rows; `gross`: that does not suffice.
+    """
+
+    names: tuple[str, ...]
+    rows: IntArray
+    chi2: float
+    dof: int
+    change: FloatArray
+    pull: FloatArray
+    spread: FloatArray
+    lost: BoolArray
+    tenfold: FloatArray
+    gross: bool
+
+    @property
+    def excess(self) -> float:
+        """Return by how much chi-square is beyond what is expected."""
+        return self.chi2 - self.dof
+
+
+def suspicion(system: System, solution: Solution, names: tuple[str, ...], rows: IntArray) -> Suspicion:
+    """Return what follows if some readings are wrong by anything, without another fit.
+
+    An arbitrary error δ of the readings I, estimated beside the motion, is δ = P_II⁺ q_I with q = P y and covariance
+    P_II⁺; the estimate becomes gain · (y - δ), its covariance grows by gain_I P_II⁺ gain_Iᵀ, and what depends on a
+    direction in which P_II is singular is lost. If δ has the covariance c·W instead, W being what is stated of the
+    readings I, the best estimate of it is c·W·(1 + c·P_II·W)⁻¹ q_I: with c = 10² - 1 this is the estimate from all
+    readings, these with ten times their stated uncertainty, and nothing is lost. With c = (10/2.58)² - 1 ten standard
+    uncertainties are where a test at 1 % fails; if the readings fail even so, the error is gross.
+    """
+    sizes = np.sqrt(np.diag(solution.noise))
+    scale = sizes[rows]
+    values, vectors = np.linalg.eigh(solution.projector[np.ix_(rows, rows)] * np.outer(scale, scale))
+    kept = values > RANK_TOLERANCE
+    root = np.sqrt(values[kept])
+    white = vectors[:, kept].T @ (scale * (solution.projector @ system.readings)[rows]) / root
+    gain = solution.gain[:, rows] * scale
+    spread = gain @ (vectors[:, kept] / root)
+    reach = np.linalg.norm(solution.gain * sizes, axis=1)
+    lost = np.linalg.norm(gain @ vectors[:, ~kept], axis=1) > LOST * reach
+    own = solution.effects[rows] / scale[:, None]
+    stated = solution.noise[np.ix_(rows, rows)] / np.outer(scale, scale) + own @ own.T
+    seen = vectors[:, kept] * root
+    inner, unit = seen.T @ stated @ seen, np.eye(len(white))
+    limit = (GROSS / NORMAL_LIMIT) ** 2 - 1.0
+    chi2, dof = float(white @ white), len(white)
+    gross = chi2 - dof > CERTAIN and fails(float(white @ np.linalg.solve(unit + limit * inner, white)), dof)
+    more = GROSS**2 - 1.0
+    tenfold = -gain @ (more * stated @ seen @ np.linalg.solve(unit + more * inner, white))
+    pull = -(spread / root) @ vectors[:, kept].T * scale
+    return Suspicion(names, rows, chi2, dof, -spread @ white, pull, spread, lost, tenfold, gross)
+
+
+def suspicions(system: System, solution: Solution) -> tuple[Suspicion, ...]:
+    """Return the explanations that contradicting readings leave open, of as few wrong groups of readings as may be.
+
+    Those are suspect without which all others agree at 1 % and whose chi-square is beyond what is expected by at least
+    half of what any other's is; an instrument is not suspect for one of its channels. Where no one is, pairs of those
+    that deviate most are; where no pair is, every instrument that deviates.
+    """
+    every = [suspicion(system, solution, (name,), rows) for name, rows in _groups(system)]
+    every = [one for one in every if one.dof]
+
+    def agreeing(some: Sequence[Suspicion]) -> list[Suspicion]:
+        most = max((one.excess for one in some), default=0.0)
+        chosen: list[Suspicion] = []
+        for one in some:
+            own = not any(np.all(np.isin(other.rows, one.rows)) for other in chosen)
+            agrees = not fails(solution.chi2 - one.chi2, solution.dof - one.dof)
+            chosen += [one] if own and agrees and one.excess >= 0.5 * most else []
+        return chosen
+
+    found = agreeing(every)
+    if not found:
+        first = sorted(every, key=lambda one: -one.excess)[:PAIRED]
+        pairs = [both for both in combinations(first, 2) if not np.intersect1d(both[0].rows, both[1].rows).size]
+        found = agreeing(
+            [
+                suspicion(system, solution, a.names + b.names, np.sort(np.concatenate([a.rows, b.rows])))
+                for a, b in pairs
+            ]
+        )
+    if not found:
+        places = range(len(system.observations))
+        whole = [one for one in every if any(len(one.rows) == np.sum(system.observation == place) for place in places)]
+        found = [one for one in whole if fails(one.chi2, one.dof)]
+    return tuple(_where_untested(system, solution, one) for one in found)
+
+
+def _where_untested(system: System, solution: Solution, whole: Suspicion) -> Suspicion:
+    """Return the suspicion without the lines at which the readings agree although such an error would show there.
+
+    An artefact at a harmonic says nothing against an instrument at the fundamental. The error's relative size is the
+    largest that a line asks for, √(χ²/λ) with λ the noncentrality of readings that are wrong by all of their size.
+    """
+    line = system.line[whole.rows]
+    parts = [whole.rows[line == k] for k in np.unique(line).tolist()]
+    each = [suspicion(system, solution, whole.names, rows) for rows in parts]
+    # A line by itself is judged by what all others say without the suspect's other lines.
+    others = [suspicion(system, solution, whole.names, whole.rows[line != k]) for k in np.unique(line).tolist()]
+    wrong = [float(system.readings[r] @ solution.projector[np.ix_(r, r)] @ system.readings[r]) for r in parts]
+    size2 = max((one.chi2 / power for one, power in zip(each, wrong, strict=True) if power > 0.0), default=0.0)
+    kept = [
+        rows
+        for rows, rest, power in zip(parts, others, wrong, strict=True)
+        if fails(whole.chi2 - rest.chi2, whole.dof - rest.dof) or size2 * power <= CERTAIN
+    ]
+    if not kept or len(kept) == len(parts):
+        return whole
+    less = suspicion(system, solution, whole.names, np.concatenate(kept))
+    return whole if fails(solution.chi2 - less.chi2, solution.dof - less.dof) else less
+
+
+def explanations(system: System, solution: Solution, found: Sequence[Suspicion]) -> tuple[Explanation, ...]:
+    """Return for each suspicion what all other readings say."""
+    lines, size = len(system.observed), 12 * len(system.observed)
+    stated = solution.noise + solution.effects @ solution.effects.T
+    gain = solution.gain.reshape(lines, 12, -1)
+    before = gain @ stated @ gain.swapaxes(1, 2)
+    told = []
+    for one in found:
+        lost = (one.lost.reshape(lines, 12)[:, :6] | one.lost.reshape(lines, 12)[:, 6:]) | ~system.observed
+        spread = one.spread.reshape(lines, 12, -1)
+        unknown = np.tile(lost, (1, 2))
+        covariance = before + spread @ spread.swapaxes(1, 2)
+        change = as_complex(one.change.reshape(size // 12, 12))
+        told.append(
+            Explanation(
+                " and ".join(one.names),
+                np.where(lost, complex(np.nan, np.nan), solution.acceleration + change),
+                np.where(unknown[:, :, None] | unknown[:, None, :], np.nan, covariance),
+                one.gross,
+            )
+        )
+    return tuple(told)
+
+
+def disputed(system: System, solution: Solution, found: Sequence[Suspicion]) -> BoolArray:
+    """Return (K, 6): which values gross suspicions of several instruments leave without any mean.
+
+    At least two explanations are open, all of them gross errors, of more than one instrument: nothing decides. In
+    dispute is where any two of them differ at 1 %, and what one of them does not determine.
+    """
+    blamed = {place for one in found for place in np.unique(system.observation[one.rows]).tolist()}
+    if len(found) < 2 or len(blamed) < 2 or not all(one.gross for one in found):
+        return np.zeros_like(system.observed)
+    unclear = np.any([one.lost.reshape(-1, 2, 6).any(axis=1) for one in found], axis=0)
+    for one, other in combinations(found, 2):
+        pull = np.zeros((one.change.size, len(system.readings)))
+        pull[:, one.rows] += one.pull
+        pull[:, other.rows] -= other.pull
+        parts = pull.reshape(-1, 2, 6, len(system.readings)).swapaxes(1, 2)
+        covariance = parts @ solution.projector @ parts.swapaxes(2, 3)
+        change = parts @ (solution.projector @ system.readings)
+        inverse = np.linalg.pinv(covariance, rcond=VISIBLE, hermitian=True)
+        square = np.einsum("kca,kcab,kcb->kc", change, inverse, change)
+        unclear |= square > -2.0 * np.log(1.0 - TEST_LEVEL)  # the quantile for two degrees of freedom
+    return np.asarray(system.observed & unclear)
+
+
+def left_open(solution: Solution, found: Sequence[Suspicion], value: ComplexArray) -> FloatArray:
+    """Return the covariance (K, 12, 12) of an estimate (K, 6) of which several explanations are open.
+
+    Each is as likely as any other: a discrete distribution about the estimate with the variance Σ (x_h - x)²/n
+    (GUM 4.3, JCGM 101 6.4). Where one of many lies far off, all of a value's variance is enlarged until it lies within
+    √2 standard deviations: U = 1.96 u is then 1.4 times its distance, in whatever direction of the complex plane.
+    x_h is the estimate with ten times the suspect's stated uncertainties, which leaves it a say where no other
+    instrument has one; only a gross error leaves it none. Where all are gross the variance of each x_h beyond that of x
+    is added, so that the whole is that of the mixture, Σ (u_h² + (x_h - x)²)/n.
+    """
+    lines = len(value)
+    away, within = np.zeros((len(found), lines, 12)), np.zeros((lines, 12, 12))
+    for h, one in enumerate(found):
+        lost = one.lost.reshape(lines, 2, 6).any(axis=1) & one.gross
+        other = solution.acceleration + as_complex((one.change if one.gross else one.tenfold).reshape(lines, 12))
+        away[h] = real_stack(np.where(lost, 0.0, other - value))
+        if all(each.gross for each in found):
+            spread = one.spread.reshape(lines, 12, -1) * np.tile(~lost, (1, 2))[:, :, None]
+            within += spread @ spread.swapaxes(1, 2) / len(found)
+    mixture = np.einsum("hki,hkj->kij", away, away) / len(found)
+    factor = np.ones((lines, 12))
+    for c in range(6):
+        both = [c, c + 6]
+        inverse = np.linalg.pinv(mixture[:, both][:, :, both], rcond=VISIBLE, hermitian=True)
+        square = np.einsum("hki,kij,hkj->hk", away[:, :, both], inverse, away[:, :, both])
+        factor[:, both] = np.sqrt(np.maximum(1.0, np.max(square, axis=0) / 2.0))[:, None]
+    return np.asarray(factor[:, :, None] * mixture * factor[:, None, :] + within)
+
+
+def without_readings(system: System, rows: IntArray) -> tuple[Observation, ...]:
+    """Return the observations of a system with some of its readings gone, NaN."""
+    kept = []
+    for place, observation in enumerate(system.observations):
+        own = rows[system.observation[rows] == place]
+        value, covariance = observation.phasors.value.copy(), observation.phasors.covariance.copy()
+        value[system.line[own], system.channel[own]] = complex(np.nan, np.nan)
+        gone = np.tile(~np.isfinite(value), (1, 2))
+        covariance[gone[:, :, None] | gone[:, None, :]] = np.nan
+        kept.append(replace(observation, phasors=replace(observation.phasors, value=value, covariance=covariance)))
+    return tuple(kept)
+
+
+# Mistakes that are common enough to be named where the readings look like one.
+
+
+def likely_mistake(ratio: complex) -> str:
+    """Return what reading/prediction looks like, in words; empty where it is no common mistake."""
+    for factor, text in MISTAKES:
+        if abs(ratio / factor - 1.0) <= ALIKE:
+            return text
+    return ""
+
+
+def exchanged(system: System, first: Solution, found: Sequence[Suspicion]) -> tuple[tuple[str, str], ...]:
+    """Return the pairs of channels of one kind of instrument that, exchanged, leave all readings in agreement."""
+    blamed = np.unique(np.concatenate([system.member[one.rows] for one in found]))
+    rows = {place: np.flatnonzero(system.member == place) for place in blamed.tolist()}
+    kind = {place: system.observations[system.observation[own[0]]].kind for place, own in rows.items()}
+    single = [place for place, own in rows.items() if kind[place] != "photogrammetry" and len(own)]
+    pairs = []
+    for a, b in combinations(single[:PAIRED], 2):
+        if kind[a] == kind[b] and np.array_equal(system.line[rows[a]], system.line[rows[b]]):
+            readings = system.readings.copy()
+            readings[rows[a]], readings[rows[b]] = system.readings[rows[b]], system.readings[rows[a]]
+            if readings @ first.projector @ readings > 0.5 * first.chi2:
+                continue  # too far off for another fit to be worth its time
+            solution = solve(replace(system, readings=readings))
+            if not fails(solution.chi2, solution.dof):
+                pairs.append((system.member_names[a], system.member_names[b]))
+    return tuple(pairs)
+
+
 # What undetected common errors, which would explain a contradiction, do where nothing can contradict.
 
 
@@ -209,13 +487,15 @@ def undetected_errors(
 ) -> Discrepancy | None:
     """Return the covariance of the readings by the common errors of which one would explain a contradiction.
 
-    These are the unknown that deviates most and all whose deviation is not smaller at 1 %: the data do not tell which
-    of them it is. Each instrument's, an error of the size d that the readings ask for, has the variance θ·d²; θ is
-    common to all and of greatest restricted likelihood beside what is stated. A camera that may have been turned has
-    been so in every component, also in those that no other instrument sees: what instruments differ by in the
-    components that they share says nothing of these. None where no unknown deviates.
+    Of those that are no gross errors these are the unknown that deviates most and all whose deviation is not smaller at
+    1 %: the data do not tell which of them it is. Each instrument's, an error of the size d that the readings ask for,
+    has the variance θ·d²; θ is common to all and of greatest restricted likelihood beside what is stated. A camera that
+    may have been turned has been so in every component, also in those that no other instrument sees: what instruments
+    differ by in the components that they share says nothing of these. None where no unknown deviates.
     """
     deviations = np.abs(np.nan_to_num([unknown.deviation for unknown in unknowns]))
+    # The largest of several absurd unknowns is no better a cause than the others: it must not displace what may be one.
+    deviations = np.where([unknown.gross for unknown in unknowns], 0.0, deviations)
     most = np.max(deviations, initial=0.0)
     if most < NOTABLE_DEVIATION:
         return None

@@ -8,17 +8,26 @@ from typing import Literal
 
 import numpy as np
 
-from fusion.base import AnyNotice
+from fusion.base import AnyNotice, rounded
 from fusion.estimation.consistency import (
     NOTABLE_DEVIATION,
     CommonEstimate,
     Consistency,
+    Explanation,
+    Suspicion,
     compare,
     contradicts,
+    disputed,
     estimates,
+    exchanged,
+    explanations,
     leave_one_out,
+    left_open,
+    likely_mistake,
     not_allowed_for,
+    suspicions,
     undetected_errors,
+    without_readings,
 )
 from fusion.estimation.least_squares import SCALE, UNOBSERVED, Solution, System, UnseenMotion, build_system, solve
 from fusion.estimation.measurement_model import Observation
@@ -26,7 +35,9 @@ from fusion.estimation.uncertainty import (
     Contribution,
     Influence,
     Uncertainty,
+    element_covariance,
     merge_contributions,
+    polar,
     total_variance,
 )
 from fusion.estimation.variance_components import (
@@ -45,6 +56,9 @@ from shaker.sine.phasor import Phasors
 Source = Literal["fused", "photogrammetry", "vibrometer", "accelerometer"]
 SINGLE_SOURCES: tuple[Source, ...] = ("photogrammetry", "vibrometer", "accelerometer")
 INCONSISTENCY = "inconsistency of instruments"
+OPEN = "explanations of a contradiction"
+MOST_LEFT_OUT = 4
+"""Gross errors that are looked for one after another."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +68,10 @@ class Acceleration:
     `phasors` (K, 6) in m/s^2 and rad/s^2, NaN where not `observed` (K, 6). `uncertainty` of the six components, NaN
     where not observed: noise of every instrument and the common errors, which act on all lines at once. `unknowns`:
     what the data say of those. `consistency`, `chi2` and `dof` rest on what is stated; `scatter`: instruments whose
-    readings scatter beyond that. `unseen`: what is assumed of components that are not observed.
+    readings scatter beyond that. `explanations`: where instruments contradict each other, what the estimate is without
+    each suspect; `disputed` (K, 6): values that are not given (not `observed`), since these differ by gross errors and
+    nothing decides between them; None where there are none. `unseen`: what is assumed
+    of components that are not observed.
     """
 
     body: str
@@ -70,6 +87,8 @@ class Acceleration:
     notices: tuple[AnyNotice, ...]
     scatter: tuple[Scatter, ...] = ()
     unseen: UnseenMotion = field(default_factory=UnseenMotion)
+    explanations: tuple[Explanation, ...] = ()
+    disputed: BoolArray | None = None
 
     __repr__ = brief
 
@@ -92,25 +111,29 @@ def fuse(
     others. A component is observed only if the readings of its line determine it by themselves: neither a prior nor an
     assumption about other components enters. Readings of one instrument that contradict a rigid motion get a `scatter`
     of their own, estimated before they are weighted where none is given. If the instruments then still contradict each
-    other at 1 %, what they differ by is a further unknown of each, and what remains even so enlarges U by the Birge
-    ratio.
+    other at 1 %, what they differ by is a further unknown of each, what remains even so enlarges U by the Birge ratio,
+    and U reaches what the estimate is without each suspect. A single suspect that is a gross error is left out; where
+    gross errors of several instruments would explain a contradiction, what they change is given no value.
     """
     own = [observation for observation in observations if observation.body == body]
     if not own:
         raise ValueError(f"observations: expected at least one of body {body}, found none")
     stated = [observation for observation in own if observation.stated]
-    system = build_system(stated or own, unseen)
+    kept, out = without_gross(stated or own, unseen)
+    system = build_system(kept, unseen)
     solved = solve_consistently(system, scatter)
-    first, final, parts = solved.stated, solved.final, solved.parts
+    first, final, parts, open_ = solved.stated, solved.final, solved.parts, solved.open
     unknowns = estimates(system.common, first)
-    failed = unknowns if contradicts(first, unknowns) else None
-    tests = leave_one_out(system, first, failed is not None) if parts or source == "fused" else ()
-    uncertainty = _uncertainty(system, solved)
-    lines = np.arange(len(system.observed))
-    largest = np.argmax(np.where(system.observed, np.abs(final.acceleration / SCALE), -1.0), axis=1)
+    suspects = [name for one in open_ for name in one.names]
+    tests = leave_one_out(system, first, suspects) if parts or source == "fused" else ()
+    unclear = disputed(system, first, open_)
+    given = replace(system, observed=system.observed & ~unclear)
+    uncertainty = _uncertainty(given, solved)
+    lines = np.arange(len(given.observed))
+    largest = np.argmax(np.where(given.observed, np.abs(final.acceleration / SCALE), -1.0), axis=1)
     phasors = Phasors(
         frequency_hz=system.observations[0].phasors.frequency_hz,
-        value=np.where(system.observed, final.acceleration, complex(np.nan, np.nan)),
+        value=np.where(given.observed, final.acceleration, complex(np.nan, np.nan)),
         covariance=uncertainty.covariance,
         channels=MOTION_COMPONENTS,
         unit=component_units(2),
@@ -123,18 +146,44 @@ def fuse(
         body=body,
         source=source,
         phasors=phasors,
-        observed=system.observed,
-        instruments=tuple(observation.title for observation in system.observations),
+        observed=given.observed,
+        instruments=tuple(o.title for o in system.observations if np.any(np.isfinite(o.phasors.value))),
         uncertainty=uncertainty,
-        consistency=tests,
+        consistency=(*tests, *out),
         chi2=first.chi2,
         dof=first.dof,
         unknowns=estimates(system.common, final) if parts else unknowns,
         notices=(),
         scatter=solved.scatter,
         unseen=system.unseen,
+        explanations=explanations(system, first, open_),
+        disputed=unclear if np.any(unclear) else None,
     )
-    return replace(result, notices=_notices(result, bool(stated), failed))
+    swapped = exchanged(system, first, open_) if any(one.gross for one in open_) else ()
+    return replace(result, notices=_notices(result, bool(stated), unknowns if solved.contradicted else None, swapped))
+
+
+def without_gross(
+    observations: Sequence[Observation], unseen: UnseenMotion | None = None
+) -> tuple[tuple[Observation, ...], tuple[Consistency, ...]]:
+    """Return observations without the readings that are gross errors by all others, NaN, and what was left out.
+
+    Left out is what alone would explain that readings contradict each other, one after another. Where several would,
+    none is.
+    """
+    kept, out = tuple(observations), []
+    for _ in range(MOST_LEFT_OUT):
+        system = build_system(kept, unseen)
+        first = solve(system)
+        if not contradicts(first, estimates(system.common, first)):
+            break
+        found = suspicions(system, first)
+        if len(found) != 1 or len(found[0].names) > 1 or not found[0].gross:
+            break
+        tests = leave_one_out(system, first, found[0].names)
+        out += [replace(test, used=False, left_out=True) for test in tests if test.suspect]
+        kept = without_readings(system, found[0].rows)
+    return kept, tuple(out)
 
 
 @dataclass(frozen=True)
@@ -143,7 +192,8 @@ class Solved:
 
     `scatter`: of the instruments whose own readings contradict a rigid motion; `birge`: by which factor variances grow
     where the lines agree by themselves and contradict each other only together; `beside`: the unknowns that may be the
-    cause of a contradiction, of which U has no less than they do, also in components that one instrument alone sees.
+    cause of a contradiction, of which U has no less than they do, also in components that one instrument alone sees;
+    `contradicted`: what is stated is, and `open` are the explanations of that.
     """
 
     stated: Solution
@@ -152,11 +202,15 @@ class Solved:
     parts: tuple[Discrepancy, ...]
     birge: float = 1.0
     beside: Discrepancy | None = None
+    contradicted: bool = False
+    open: tuple[Suspicion, ...] = ()
 
 
 def solve_consistently(system: System, scatter: tuple[Scatter, ...] | None = None) -> Solved:
     """Solve a system; readings that contradict what is stated get the discrepancies that `fuse` tells of."""
     first = solve(system)
+    contradicted = contradicts(first, estimates(system.common, first))
+    open_ = suspicions(system, first) if contradicted else ()
     scatter = estimate_scatter(system, first) if scatter is None else scatter
     parts = scatter_covariances(system, first.acceleration, scatter)
     final = solve(system, np.sum([p.covariance for p in parts], axis=0)) if parts else first
@@ -168,7 +222,7 @@ def solve_consistently(system: System, scatter: tuple[Scatter, ...] | None = Non
         parts.append(disagreement(system, final, failing or range(len(system.observed)), INCONSISTENCY))
         final = solve(system, np.sum([p.covariance for p in parts], axis=0))
         birge = final.chi2 / final.dof if not failing and fails(final.chi2, final.dof) else 1.0
-    return Solved(first, final, scatter, tuple(parts), birge, beside)
+    return Solved(first, final, scatter, tuple(parts), birge, beside, contradicted, open_)
 
 
 def fuse_sources(
@@ -214,6 +268,10 @@ def _uncertainty(system: System, solved: Solved) -> Uncertainty:
         allowed = np.sum([part.covariance for part in parts], axis=0)
         missing = not_allowed_for(carried(solved.beside.covariance), allowed)
         parts.append(Contribution(solved.beside.label, "A", missing, solved.beside.dof))
+    if solved.open:
+        wanted = left_open(solved.stated, solved.open, solution.acceleration)
+        allowed = np.sum([np.zeros_like(wanted), *(part.covariance for part in parts)], axis=0)
+        parts.append(Contribution(OPEN, "B", not_allowed_for(wanted, allowed)))
     for place, observation in enumerate(system.observations):
         rows = np.flatnonzero(system.observation == place)
         dof = np.nan_to_num(observation.phasors.dof, nan=np.inf, posinf=np.inf)
@@ -241,6 +299,9 @@ REMAINING = 0.9
 NOTABLE_SHARE = 0.1
 """Least share in the variance of a component for which an untested unknown is worth a word."""
 EQUALLY_LIKELY = 0.95
+NEARLY = 0.9999
+"""An unknown after whose estimate the readings still fail even at this level is not what they differ by."""
+MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -281,17 +342,23 @@ def untested(result: Acceleration) -> tuple[Untested, ...]:
     return tuple(sorted(rows, key=lambda row: -row.share))
 
 
-def _notices(result: Acceleration, stated: bool, contradicted: Sequence[CommonEstimate] | None) -> tuple[Notice, ...]:
+def _notices(
+    result: Acceleration,
+    stated: bool,
+    contradicted: Sequence[CommonEstimate] | None,
+    swapped: Sequence[tuple[str, str]],
+) -> tuple[Notice, ...]:
     """Return the notices of an estimate.
 
     `stated`: some instrument states a systematic uncertainty; `contradicted`: the unknowns as they come out of what is
-    stated, where the readings contradict that.
+    stated, where the readings contradict that; `swapped`: channels that, exchanged, leave no contradiction.
     """
     notices = []
     titles = ", ".join(result.instruments)
-    for pattern in [] if np.all(result.observed) else np.unique(~result.observed, axis=0):
+    seen = result.observed if result.disputed is None else result.observed | result.disputed
+    for pattern in [] if np.all(seen) else np.unique(~seen, axis=0):
         if np.any(pattern):
-            lines = int(np.sum(np.all(result.observed == ~pattern, axis=1)))
+            lines = int(np.sum(np.all(seen == ~pattern, axis=1)))
             missing = ", ".join(name for name, hidden in zip(MOTION_COMPONENTS, pattern, strict=True) if hidden)
             text = (
                 f"{missing} of the {result.body} cannot be told from the readings of {titles} at {lines} of "
@@ -301,7 +368,11 @@ def _notices(result: Acceleration, stated: bool, contradicted: Sequence[CommonEs
     if not stated:
         text = f"no instrument ({titles}) states a systematic uncertainty: U contains noise only"
         notices.append(Notice("warning", text, result.body))
-    for test in (test for test in result.consistency if not test.used):
+    for test in (test for test in result.consistency if test.left_out):
+        text = f"{test.instrument} is left out of the {result.body}, a gross error or a wrong statement: it lies "
+        text += f"{_deviation(test)}; without it all others agree"
+        notices.append(Notice("warning", text, test.instrument))
+    for test in (test for test in result.consistency if not test.used and not test.left_out):
         text = (
             "states no systematic uncertainty and was compared, not fused: "
             f"{test.normalised_deviation:.2g} times its standard uncertainty from the others, reading/prediction "
@@ -309,7 +380,7 @@ def _notices(result: Acceleration, stated: bool, contradicted: Sequence[CommonEs
         )
         notices.append(Notice("info", text, test.instrument))
     if contradicted is not None:
-        notices.append(_disagreement(result, contradicted))
+        notices.append(_disagreement(result, contradicted, swapped))
     for scatter in result.scatter:
         line = int(np.argmax(np.hypot(scatter.amplitude, scatter.phase)))
         text = (
@@ -326,7 +397,19 @@ def _notices(result: Acceleration, stated: bool, contradicted: Sequence[CommonEs
     return tuple(notices)
 
 
-def _disagreement(result: Acceleration, unknowns: Sequence[CommonEstimate]) -> Notice:
+def _deviation(test: Consistency) -> str:
+    """How far the readings of an instrument are from the others, and what that looks like."""
+    text = f"{test.normalised_deviation:.3g} standard uncertainties from the others"
+    if np.isfinite(test.ratio):
+        text += f", reading/prediction {abs(test.ratio):.5g} at {np.angle(test.ratio):.5f} rad"
+        mistake = likely_mistake(test.ratio)
+        text += f", as if {mistake}" if mistake else ""
+    return text
+
+
+def _disagreement(
+    result: Acceleration, unknowns: Sequence[CommonEstimate], swapped: Sequence[tuple[str, str]]
+) -> Notice:
     """Name who deviates from the others, and which stated unknown would explain it."""
     chi2 = f"chi-square {result.chi2:.3g} for {result.dof} degrees of freedom"
     text = f"the instruments of the {result.body} disagree ({chi2})"
@@ -334,19 +417,57 @@ def _disagreement(result: Acceleration, unknowns: Sequence[CommonEstimate]) -> N
     used = sorted(used, key=lambda test: -test.normalised_deviation)
     suspects = [test for test in used if test.suspect]
     for test in suspects or used[:1]:
-        text += f"; {test.instrument} lies {test.normalised_deviation:.3g} standard uncertainties from the others"
-        if np.isfinite(test.ratio):
-            text += f", reading/prediction {abs(test.ratio):.5g} at {np.angle(test.ratio):.5f} rad"
-    if suspects:
-        text += "; without it all others agree" if len(suspects) == 1 else "; without any one of these the others agree"
-    # Of the stated unknowns those that deviate most, those that the readings cannot tell apart included.
-    tested = [unknown for unknown in unknowns if abs(unknown.deviation) > NOTABLE_DEVIATION]
-    largest = max((abs(unknown.deviation) for unknown in tested), default=0.0)
-    close = [unknown for unknown in tested if abs(unknown.deviation) >= EQUALLY_LIKELY * largest]
-    for unknown in sorted(close, key=lambda unknown: -abs(unknown.deviation)):
+        text += f"; {test.instrument} lies {_deviation(test)}"
+    named = [one.suspect for one in result.explanations]
+    if len(named) == 1:
+        text += f"; without {named[0]} all others agree" if suspects[1:] else "; without it all others agree"
+    elif all(one in (test.instrument for test in suspects) for one in named):
+        text += "; without any one of these the others agree"
+    else:
+        text += f"; the others agree without {', or without '.join(named)}"
+    text += "".join(f"; all agree if {a} and {b} are exchanged" for a, b in swapped)
+    text += _causes(result, [unknown for unknown in unknowns if abs(unknown.deviation) > NOTABLE_DEVIATION])
+    if result.disputed is None:
+        return Notice("warning", text + "; U was enlarged to cover the disagreement", result.body)
+    return Notice("warning", f"{text}; nothing decides, so no mean is given: {_values(result)}", result.body)
+
+
+def _causes(result: Acceleration, deviating: Sequence[CommonEstimate]) -> str:
+    """Which stated unknowns explain a contradiction; else those that would have to be wrong beyond reason."""
+
+    def wants(unknown: CommonEstimate) -> str:
         unit = "" if unknown.unit == "1" else f" {unknown.unit}"
-        text += (
-            f"; {unknown.name} would have to be {unknown.wanted:.2g}{unit} "
-            f"({abs(unknown.wanted) / unknown.u:.3g} times its standard uncertainty)"
-        )
-    return Notice("warning", text + "; U was enlarged to cover the disagreement", result.body)
+        times = f"{abs(unknown.wanted) / unknown.u:.3g} times its standard uncertainty"
+        return f"{unknown.name} would have to be {unknown.wanted:.2g}{unit} ({times})"
+
+    # Those that deviate most, those that the readings cannot tell apart included.
+    ranked = sorted(deviating, key=lambda unknown: -abs(unknown.deviation))
+    possible, gross = [u for u in ranked if not u.gross], [u for u in ranked if u.gross]
+    possible, gross = (
+        [u for u in some if abs(u.deviation) >= EQUALLY_LIKELY * abs(some[0].deviation)] for some in (possible, gross)
+    )
+    explain = [u for u in possible if not fails(result.chi2 - u.deviation**2, result.dof - 1, NEARLY)]
+    if explain and result.disputed is None:
+        return "".join(f"; {wants(unknown)}" for unknown in explain)
+    return f"; gross error or wrong statement: {', or '.join(map(wants, gross[:MOST_NAMED]))}" if gross else ""
+
+
+def _values(result: Acceleration) -> str:
+    """What a disputed value is without each suspect: at the line and of the component where it is largest."""
+    assert result.disputed is not None
+    values = np.stack([one.value for one in result.explanations])
+    size = np.max(np.abs(np.nan_to_num(values / SCALE)), axis=0)
+    # Rather one that each of them determines.
+    size = np.where(np.all(np.isfinite(values), axis=0), 1e6 * size, size)
+    line, c = np.unravel_index(np.argmax(np.where(result.disputed, size, -1.0)), size.shape)
+    told = []
+    for one in result.explanations:
+        text = "not determined"
+        if np.isfinite(one.value[line, c]):
+            found = polar(complex(one.value[line, c]), element_covariance(one.covariance[line], int(c)))
+            number = rounded(found.magnitude, found.expanded_magnitude, 0)
+            text = f"({number.value} ± {number.expanded}) {result.phasors.unit[c]}"
+        told.append(f"{text} without {one.suspect}")
+    names = [MOTION_COMPONENTS[c] for c in np.flatnonzero(np.any(result.disputed, axis=0))]
+    at = f"{MOTION_COMPONENTS[c]} at {result.phasors.frequency_hz[line]:.6g} Hz"
+    return f"{', '.join(names)} have no value; {at} is {', '.join(told)} (U, k = 2)"

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.base import AnyNotice, Executor, InputError, ProgressCallback, Settings
+from fusion.base import AnyNotice, ComputeError, Executor, InputError, ProgressCallback, Settings
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.instruments.channel import Reading
+from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.channels import (
     APART_PERIODS,
     ChannelResult,
@@ -28,6 +29,7 @@ from fusion.phasors.stereo_motion import (
     measure_points,
     motion_lines,
     open_images,
+    still_calibrated,
 )
 from fusion.phasors.stereo_phasors import StereoPhasors, StereoResult, pairs_phasors
 from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
@@ -72,7 +74,7 @@ class OpenSetUp:
 class SetUp:
     """A set-up with the phasors of all its instruments at its `lines`, counted on its own first block's clock.
 
-    `aliased`: what was said of the lines that camera rates cannot tell apart.
+    `aliased`: what was said of the lines that camera rates cannot tell apart, and of pairs that were left out.
     """
 
     opened: OpenSetUp
@@ -124,10 +126,13 @@ def measure_set_up(
     """Follow the images of a set-up, here or by an executor, and fit the lines to the motion of every stereo pair."""
     manifest, base = opened.manifest, opened.base
     with told_in(manifest.path, opened.where, opened.name):
-        motions = (*measure_pairs(opened.images, settings, progress, executor), *opened.points)
+        found = (*measure_pairs(opened.images, settings, progress, executor), *opened.points)
+        motions, refuted = still_calibrated(found)
+        if refuted and not motions and all(r.entry.quantity not in TRANSDUCERS for r in opened.readings):
+            raise ComputeError(f"no instrument is left that measures a motion: {refuted[0].text}")
         lines = motion_lines(manifest, base, motions) if opened.lines is None else opened.lines
         stereo, aliased = pairs_phasors(base, motions, lines, from_motion=not opened.readings)
-    return SetUp(opened, lines, stereo, aliased)
+    return SetUp(opened, lines, stereo, (*refuted, *aliased))
 
 
 # The lines of all set-ups.

@@ -45,6 +45,7 @@ from photogram.point_tables import read_point_tables
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.texture import SubsetQuality, suggested_radius_px
 from photogram.subsets.track import StereoTracks, resolve_device
+from shaker.arrays import Notice
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.sine.aliasing import usable_lines
 
@@ -197,6 +198,14 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
         ImageView(body.tracks, images.rig, images.first, body.noise, body.quality, epipolar),
         (*body.notices, *epipolar.notices),
     )
+
+
+def still_calibrated(motions: Sequence[StereoMotion]) -> tuple[tuple[StereoMotion, ...], tuple[Notice, ...]]:
+    """Return the motions of the pairs that can be what was calibrated, and a warning for each that is left out."""
+    refuted = {m.sight.name: m.view.epipolar.refuted for m in motions if m.view is not None}
+    told = [(name, f"stereo pair {name} is left out: {why}; calibrate again") for name, why in refuted.items() if why]
+    kept = tuple(motion for motion in motions if not refuted.get(motion.sight.name))
+    return kept, tuple(Notice("warning", text, name) for name, text in told)
 
 
 def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> StereoMotion:

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from fusion.base import DASH, rounded, typeset
 from fusion.estimation.consistency import CommonEstimate, Consistency
 from fusion.estimation.fuse import REMAINING, Acceleration, Untested, untested
-from fusion.estimation.uncertainty import Polar, Uncertainty, polar_elements
+from fusion.estimation.uncertainty import Polar, Uncertainty, element_covariance, polar, polar_elements
 from fusion.instruments.vibrometer import FEWEST_POINTS, PointRatios, PointSpread, axis_name
 from fusion.recording.toml import UncertainInput
 from fusion.report.table import (
@@ -62,6 +62,7 @@ def consistency_tables(evaluation: Evaluation) -> list[Table]:
     found = (
         chi_square_table(evaluation),
         consistency_table(evaluation),
+        _explanations_table(fused),
         _scatter_table(fused),
         _estimates_table(fused),
         _untested_table(fused),
@@ -84,7 +85,9 @@ def consistency_table(evaluation: Evaluation) -> Table | None:
     """How each instrument agrees with the others."""
 
     def use(entry: Consistency) -> str:
-        return ("fused, suspect" if entry.suspect else "fused") if entry.used else "compared only"
+        if not entry.used:
+            return "left out, gross error" if entry.left_out else "compared only"
+        return "fused, suspect" if entry.suspect else "fused"
 
     columns: list[Column[tuple[Acceleration, Consistency]]] = [
         on_page("body", lambda row: row[0].body, "l"),
@@ -100,6 +103,28 @@ def consistency_table(evaluation: Evaluation) -> Table | None:
     found = [(result, entry) for result in evaluation.accelerations for entry in result.consistency]
     shown = table(caption, columns, found)
     return None if shown is None else replace(shown, rows=tuple(dict.fromkeys(shown.rows)))
+
+
+def _explanations_table(results: list[Acceleration]) -> Table | None:
+    """What the readings say without each suspect, where instruments contradict each other."""
+    rows = []
+    for result in results:
+        frequencies, units = result.phasors.frequency_hz, result.phasors.unit
+        for k, c in np.ndindex(result.observed.shape):
+            for one in result.explanations:
+                if np.isfinite(one.value[k, c]):
+                    value = polar(complex(one.value[k, c]), element_covariance(one.covariance[k], c))
+                    told = rounded(value.magnitude, value.expanded_magnitude, 0)
+                    turn = rounded(value.phase_rad, value.expanded_phase_rad, 0)
+                    numbers = (told.value, told.expanded, units[c], turn.value, turn.expanded)
+                else:
+                    numbers = (DASH,) * 5
+                use = "no mean" if result.disputed is not None and result.disputed[k, c] else "fused, U covers it"
+                where = (result.body, f"{frequencies[k]:.4f}", MOTION_COMPONENTS[c])
+                rows.append((*where, one.suspect, *numbers, use))
+    head = ("body", "frequency / Hz", "component", "without", "magnitude", "U", "unit", "phase / rad", "U", "use")
+    caption = "The fused acceleration without each suspect (which of them is right the readings do not tell)"
+    return Table(caption, head, "lrllrrlrrl", tuple(rows)) if rows else None
 
 
 def _scatter_table(results: list[Acceleration]) -> Table | None:

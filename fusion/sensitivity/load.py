@@ -85,11 +85,16 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     Its uncertainty is that of the acceleration carried through, and one influence per uncertain number of body, joint
     and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero within the
     amplitudes of `acceleration.unseen`, a type B contribution "unobserved NAME"; a load component to which they bring
-    more than 5 % is not given.
+    more than 5 % is not given. No load is given at lines at which
+    a component of the acceleration is disputed.
     """
     frequency = acceleration.phasors.frequency_hz
-    # At a line without any reading nothing is known, neither what is zero nor how uncertain it is.
-    seen = np.where(np.any(acceleration.observed, axis=1), 1.0, np.nan)[:, None, None]
+    # At a line without any reading nothing is known, neither what is zero nor how uncertain it is; nor is it where
+    # instruments dispute a component, which is neither zero nor small.
+    known_lines = np.any(acceleration.observed, axis=1)
+    if acceleration.disputed is not None:
+        known_lines = known_lines & ~np.any(acceleration.disputed, axis=1)
+    seen = np.where(known_lines, 1.0, np.nan)[:, None, None]
     matrix = seen * body.load_matrix(frequency)
     changes = [replace(change, effect=seen * change.effect) for change in body.matrix_changes(frequency)]
     known = np.nan_to_num(acceleration.phasors.value)
@@ -132,6 +137,11 @@ def _notices(
 ) -> tuple[Notice, ...]:
     """Say what was assumed of motion that nobody observed, what that does, and which load components are not given."""
     told = []
+    disputed = acceleration.disputed
+    if disputed is not None:
+        lines = np.count_nonzero(np.any(disputed, axis=1))
+        text = f"no load, and no sensitivity, at {lines} of {len(disputed)} lines: instruments contradict each other"
+        told.append(Notice("warning", f"{text} about the acceleration and nothing decides between them", "load"))
     given = np.where(observed, np.abs(value) / np.where(np.arange(6) < 3, 1.0, BODY_SIZE_M), 0.0)
     line, largest = np.unravel_index(int(np.argmax(given)), given.shape)
     if hidden and given[line, largest] > 0.0:

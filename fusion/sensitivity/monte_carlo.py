@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion.base import ComputeError, ProgressCallback, no_progress
-from fusion.estimation.fuse import Acceleration, solve_consistently
+from fusion.estimation.fuse import Acceleration, solve_consistently, without_gross
 from fusion.estimation.least_squares import UNOBSERVED, Places, Solution, build_system
 from fusion.estimation.measurement_model import Deviates, Drawn, Observation
 from fusion.estimation.uncertainty import Uncertainty, as_complex, real_stack
@@ -138,7 +138,7 @@ def _motion(inputs: Inputs, fused: Acceleration) -> _Motion:
     """Return a fused acceleration with the instruments that took part in it."""
     own = [(place, seen) for place, seen in enumerate(inputs.observations) if seen.body == fused.body]
     used = [(place, seen) for place, seen in own if seen.stated] or own
-    observations = tuple(seen for _, seen in used)
+    observations, _ = without_gross([seen for _, seen in used], fused.unseen)
     system = build_system(observations, fused.unseen)
     solution = solve_consistently(system, fused.scatter).final
     noise = tuple(f"noise of instrument {place}" for place, _ in used)

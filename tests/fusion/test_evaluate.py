@@ -316,3 +316,20 @@ def test_a_calibration_of_cameras_that_stood_otherwise_is_told(demo_recording, t
     )
     assert about_x == pytest.approx(-turn_mrad[0], abs=0.05)  # the file's camera is turned, the real one turns back
     assert about_z == pytest.approx(-turn_mrad[2], abs=0.05)
+
+
+@pytest.mark.slow
+def test_a_pair_sixteen_pixels_off_its_epipolar_lines_is_left_out_by_name(demo, demo_recording, tmp_path):
+    campaign = tmp_path / "demo"
+    shutil.copytree(demo_recording, campaign)
+    path = campaign / "calibration" / "base.json"
+    rig = read_calibration(path)
+    turn = RigidTransform(rotation_from_vector(np.array([16.0 / rig.right.matrix[1, 1], 0.0, 0.0])), np.zeros(3))
+    write_calibration(path, replace(rig, right_from_left=turn @ rig.right_from_left))
+    found = evaluated(find_recordings(campaign)[0])
+    (notice,) = (notice for notice in found.notices if "stereo pair base is left out" in notice.text)
+    assert notice.severity == "warning"
+    assert float(notice.text.split("epipolar residual is ")[1].split(" px")[0]) == pytest.approx(16.0, abs=2.0)
+    assert "base" not in {pair.name for pair in found.stereo}
+    assert not any("stereo base" in acceleration.instruments for acceleration in found.accelerations)
+    np.testing.assert_array_equal(found.load.value, demo[0].load.value)

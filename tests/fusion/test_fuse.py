@@ -227,22 +227,24 @@ def test_peelles_puzzle_is_no_trap():
 
 
 @pytest.mark.parametrize("laser", [0, 5])
-def test_one_laser_three_per_cent_off_is_named_and_covered(laser):
+def test_one_laser_three_per_cent_off_is_left_out_by_name(laser):
     rng = np.random.default_rng(4)
     array = measured([lasers(8, 1e-5)], rng)[0]
     gain = np.where(np.arange(8) == laser, 1.03, 1.0)
     result = fuse([with_values(array, array.phasors.value * gain)])
     worst = max(result.consistency, key=lambda test: test.normalised_deviation)
     assert worst.instrument == f"p{laser}"
+    assert worst.left_out
     assert abs(worst.ratio) == pytest.approx(1.03, abs=2e-3)
     warning = next(notice for notice in result.notices if notice.severity == "warning")
-    assert f"p{laser} lies" in warning.text
+    assert f"p{laser} is left out of the load, a gross error or a wrong statement" in warning.text
+    assert "without it all others agree" in warning.text
+    # Nothing of the 0.4 % that it would move the mean of eight, in value or U.
+    gone = without(array, np.tile(np.arange(8) == laser, (2, 1)))
+    np.testing.assert_allclose(result.phasors.value[:, 2:5], fuse([gone]).phasors.value[:, 2:5], rtol=1e-9)
     u = np.hypot(result.phasors.u_re[0, 2], result.phasors.u_im[0, 2])
     assert abs(result.phasors.value[0, 2] - TRUTH[0, 2]) < 2 * u
-    assert "without it all others agree" in warning.text
-    assert f"individual scale p{laser} would have to be 0.03 " in warning.text
-    assert [test.instrument for test in result.consistency if test.suspect] == [f"p{laser}"]
-    assert any(entry.label == "laser: unexplained scatter" for entry in result.contributions)
+    assert u < 1e-3 * 189.0
 
 
 def test_an_artefact_at_a_harmonic_leaves_the_fundamental_alone():
@@ -252,15 +254,15 @@ def test_an_artefact_at_a_harmonic_leaves_the_fundamental_alone():
     value[1, 2] *= 30.0
     seen = [with_values(false, value), measured([lasers(8, 1e-5)], rng)[0]]
     result = fuse(seen)
-    error = np.abs(result.phasors.value[:, 2] - TRUTH[:, 2])
-    u = np.hypot(result.phasors.u_re, result.phasors.u_im)[:, 2]
-    assert u[0] < 5e-4 * 189.0
-    assert error[0] < 3 * u[0]
-    assert u[1] > 0.5 * abs(TRUTH[1, 2])
-    assert error[1] < 3 * u[1]
+    error = np.abs(result.phasors.value[0, 2] - TRUTH[0, 2])
+    u = np.hypot(result.phasors.u_re, result.phasors.u_im)[0, 2]
+    assert error < 3 * u < 1.5e-3 * 189.0
+    # Nothing decides at the harmonic: there remains what both see alike; what the camera alone sees is in doubt too.
+    assert result.observed.tolist() == [[True] * 6, [False, False, False, True, True, False]]
     warning = next(notice for notice in result.notices if notice.severity == "warning")
     assert "stereo top lies" in warning.text
     assert "laser as a whole lies" in warning.text
+    assert "no mean is given" in warning.text
 
 
 def test_errors_of_one_instrument_are_known_from_all_lines():

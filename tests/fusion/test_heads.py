@@ -21,7 +21,7 @@ from fusion.estimation.least_squares import UnseenMotion
 from fusion.estimation.measurement_model import Deviates, Observation
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.instruments.channel import ChainUncertainty, Reading, geometry_errors, observe_channels
-from fusion.instruments.transducer import ACCELERATION, VELOCITY, Beams
+from fusion.instruments.transducer import TRANSDUCERS, Beams
 from fusion.instruments.vibrometer import beam_notices
 from fusion.planning.check import check
 from fusion.recording.load import load_manifest
@@ -246,7 +246,7 @@ def test_drawn_heads_are_their_first_order_effects_for_small_errors(stated):
     beams = Beams.of(entries)
     effects: dict[str, np.ndarray] = {}
     for place, entry in enumerate(entries):
-        for error in geometry_errors(VELOCITY, entry, beams):
+        for error in geometry_errors(TRANSDUCERS["velocity"], entry, beams):
             effects.setdefault(error.name, np.zeros((3, 6)))[place] += error.effect
     expected = sum(np.outer(effect, effect) for effect in effects.values())
     size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
@@ -278,7 +278,7 @@ def test_an_identification_knows_that_base_and_load_share_a_head():
 
 def test_an_accelerometer_has_the_effect_of_a_turned_axis_in_gravity():
     entry = channel_entry(quantity="acceleration", head=head("body", rotation_uncertainty=[TILT_RAD, 0.0, 0.0]))
-    (error,) = geometry_errors(ACCELERATION, entry)
+    (error,) = geometry_errors(TRANSDUCERS["acceleration"], entry)
     assert error.name == "head body: tilt x"
     turned = Rotation.from_rotvec([TILT_RAD, 0.0, 0.0]).apply(UP)
     np.testing.assert_allclose(error.effect[:3], turned - UP, atol=2e-5)

@@ -164,6 +164,19 @@ def test_without_a_covariance_a_tenth_of_a_pixel_is_trusted():
     assert "without uncertainties is trusted within 0.1 px" in _text(check_epipolar(large, rig))
 
 
+@pytest.mark.parametrize("u_px", [0.03, None])
+def test_a_pair_that_no_calibration_error_explains_is_refuted_and_one_that_is_off_is_only_told(u_px):
+    """16 px is another arrangement; 0.5 px, or 3 px of a calibration known to 1 px, is what a warning is for."""
+    rig = _rig(u_px)
+    apart = check_epipolar(_tracks([_turned(rig, 0, 16.0 / 3200)] * FRAMES), rig).refuted
+    size = float(apart.split("epipolar residual is ")[1].split(" px")[0])
+    assert size == pytest.approx(16.0, abs=0.7)
+    assert check_epipolar(_tracks([rig] * FRAMES), rig).refuted == ""
+    assert check_epipolar(_tracks([_turned(rig, 0, 0.5 / 3200)] * FRAMES), rig).refuted == ""
+    vague = _rig(1.0)
+    assert check_epipolar(_tracks([_turned(vague, 0, 3.0 / 3200)] * FRAMES), vague).refuted == ""
+
+
 @pytest.mark.parametrize("frame", [2, 17, 38])
 def test_a_jump_is_told_with_its_frame_and_size(frame):
     moved = _turned(RIG, 0, 0.02 / 3200)
