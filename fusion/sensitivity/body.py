@@ -1,4 +1,4 @@
-"""Mass matrix, lever arms and gravity tilt of the load, and what lies below an elastic joint."""
+"""Mass matrix, lever arms and gravity tilt of the load, and what is elastic of it."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from fusion.base import InputError
 from fusion.estimation.uncertainty import Scope, Unknown
+from fusion.sensitivity.elastic import ONLY_NAMED, ElasticPart, Joint, elastic_part, make_joint, response
 from photogram.geometry import skew
 from shaker.arrays import ComplexArray, FloatArray, check_shapes
 from shaker.identification.measured import InertiaError
@@ -22,55 +23,6 @@ if TYPE_CHECKING:
     from fusion.recording.load import Manifest
     from fusion.recording.rig import Load, Rig
     from fusion.recording.rig import Part as PartTable
-
-# The elastic joint between a load and what is mounted below it: how the lower side follows the upper one.
-
-
-@dataclass(frozen=True)
-class Joint:
-    """The joint on which a load sits, with the instruments on the load.
-
-    `frequency_hz` (6,): at which the load would resonate on the joint if the lower side stood still, component by
-    component; `u_frequency_hz` (6,): its standard uncertainty, 0 where the joint is only named: then nothing is
-    corrected, and what a correction would change is uncertain as a whole; `damping`: damping ratio of that resonance.
-    """
-
-    frequency_hz: FloatArray
-    u_frequency_hz: FloatArray
-    damping: float
-
-    def follow(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return (K, 6): motion of the lower side over that of the load, 1 - r²/(1 + 2jζr) with r = f/f_e.
-
-        The joint carries the load's inertia, -ω²·m·x_load = (k + jωb)·(x_below - x_load).
-        """
-        stated = self.u_frequency_hz > 0.0
-        return np.asarray(np.where(stated, 1.0 - self._stretch(frequency_hz), 1.0))
-
-    def change(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return (K, 6): change of `follow` for one standard uncertainty of the joint.
-
-        Where it is corrected the derivative by f_e times its uncertainty; where it is only named the root mean square,
-        1/√3 of the whole, of an error anywhere between nothing and a joint as elastic as that.
-        """
-        r = frequency_hz[:, None] / self.frequency_hz
-        damped = 1.0 + 2j * self.damping * r
-        slope = r * r * (1.0 + damped) / damped**2 / self.frequency_hz
-        stated = self.u_frequency_hz > 0.0
-        return np.asarray(np.where(stated, slope * self.u_frequency_hz, -self._stretch(frequency_hz) / np.sqrt(3.0)))
-
-    def _stretch(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Share (K, 6) of the load's motion that the joint takes up."""
-        r = frequency_hz[:, None] / self.frequency_hz
-        return np.asarray(r * r / (1.0 + 2j * self.damping * r))
-
-
-def make_joint(frequency_hz: ArrayLike, u_frequency_hz: ArrayLike = 0.0, damping: float = 0.0) -> Joint:
-    """Return a joint; one number stands for all six components."""
-    frequency = np.broadcast_to(np.asarray(frequency_hz, dtype=np.float64), (6,)).copy()
-    u_frequency = np.broadcast_to(np.asarray(u_frequency_hz, dtype=np.float64), (6,)).copy()
-    return Joint(frequency, u_frequency, float(damping))
-
 
 # Bodies about the sensor origin: mass matrix, tilt of the weight in air, and what their uncertain parameters do.
 
@@ -185,7 +137,9 @@ class Body:
     """Parts that move as one, or, where the load's `joint` is known, as one above and one below it.
 
     `gravity_mps2` (3,) in sensor axes, None where it is not known, with its standard uncertainty. `sense`: whether
-    wrenches are positive as they act on the load or on the sensor.
+    wrenches are positive as they act on the load or on the sensor. `elastic`: what bends of the load; accelerations are
+    then those of its foot. `first_frequency_hz` (6,): at which the load first resonates with its foot held, of which
+    nothing else is known, so that nothing is corrected for it.
     """
 
     parts: tuple[Part, ...]
@@ -193,6 +147,13 @@ class Body:
     gravity_mps2: ArrayLike | None = None
     u_gravity_mps2: ArrayLike = (0.0, 0.0, 0.0)
     sense: Literal["on_load", "on_sensor"] = "on_load"
+    elastic: tuple[ElasticPart, ...] = ()
+    first_frequency_hz: FloatArray | None = None
+
+    @property
+    def rigid(self) -> Body:
+        """The body without anything elastic."""
+        return replace(self, joint=None, elastic=(), first_frequency_hz=None)
 
     @property
     def weightless(self) -> Body:
@@ -206,7 +167,18 @@ class Body:
 
     def load_matrix(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return (K, 6, 6): wrench = matrix · acceleration of the load; parts below its joint follow it."""
-        return np.asarray(np.sum([self._carried(frequency_hz, part, part.terms) for part in self.parts], axis=0))
+        rigid = np.sum([self._carried(frequency_hz, part, part.terms) for part in self.parts], axis=0)
+        return np.asarray(rigid + self._bending(frequency_hz)[0])
+
+    def _bending(self, frequency_hz: FloatArray) -> tuple[ComplexArray, tuple[Unknown[ComplexArray], ...]]:
+        """Load matrix (K, 6, 6) of the modes of what bends, and what every uncertain number of them does to it."""
+        sign = 1.0 if self.sense == "on_load" else -1.0
+        total, unknowns = np.zeros((len(frequency_hz), 6, 6), np.complex128), []
+        for part in self.elastic:
+            value, changes = part.act(lambda modes: sign * modes.wrench(frequency_hz))
+            total += value
+            unknowns += changes
+        return total, tuple(unknowns)
 
     def _carried(self, frequency_hz: FloatArray, part: Part, terms: InertialTerms) -> ComplexArray:
         """Load matrices (..., K, 6, 6) by terms of a part, which may lie below the joint."""
@@ -217,7 +189,7 @@ class Body:
         return matrix * self.joint.follow(frequency_hz)[:, None, :]
 
     def matrix_changes(self, frequency_hz: FloatArray) -> tuple[Unknown[ComplexArray], ...]:
-        """Return what every uncertain number does to the load matrix (K, 6, 6): of parts, joint and gravity."""
+        """Return what every uncertain number does to the load matrix (K, 6, 6): of parts, joint, modes and gravity."""
         changes: list[Unknown[ComplexArray]] = []
         for part in self.parts:
             changes += _parameters(part, partial(self._carried, frequency_hz, part))
@@ -232,6 +204,15 @@ class Body:
                 own[:, :, place] = lower[:, :, place] * by_joint[:, None, place]
                 name, label = f"joint of the load {stated:.9g} Hz: {axis}", "joint of the load"
                 changes.append(Unknown(name, label, u or 1.0, "Hz" if u else "1", own, "mounting"))
+        changes += self._bending(frequency_hz)[1]
+        if self.first_frequency_hz is not None:
+            above = replace(self.rigid, parts=tuple(part for part in self.parts if not part.below_joint))
+            bound = response(frequency_hz, self.first_frequency_hz, 0.0) * ONLY_NAMED
+            for place, axis in enumerate(MOTION_COMPONENTS):
+                own = np.zeros((len(frequency_hz), 6, 6), np.complex128)
+                own[:, :, place] = above.load_matrix(frequency_hz)[:, :, place] * bound[:, None, place]
+                name, label = f"{self.first_frequency_hz[place]:.9g} Hz: {axis}", "first natural frequency of the load"
+                changes.append(Unknown(f"{label} {name}", label, 1.0, "1", own, "mounting"))
         # Of the vector of gravity only the tilt of the weight knows.
         still = self.weightless.load_matrix(frequency_hz)
         for axis, along, u in zip("xyz", np.eye(3), np.asarray(self.u_gravity_mps2).tolist(), strict=True):
@@ -243,7 +224,7 @@ class Body:
     def draw_load_matrices(self, frequency_hz: FloatArray, deviates: Deviates) -> ComplexArray:
         """Return N load matrices (N, K, 6, 6) of drawn masses, centres of mass and inertias, and of whatever else errs.
 
-        The parts' own numbers enter exactly; gravity, the joint and the air by their first-order changes.
+        The parts' own numbers enter exactly; gravity, joint, modes and the air by their first-order changes.
         """
         drawn = []
         for part in self.parts:
@@ -253,7 +234,7 @@ class Body:
             centre, inertia = part.centre_of_mass_m + moved, part.inertia_kgm2 + turned
             terms = InertialTerms.of(part.mass_kg + heavier, centre, inertia, part.air_share)
             drawn.append(self._carried(frequency_hz, part, terms))
-        total = np.asarray(np.sum(drawn, axis=0))
+        total = np.asarray(np.sum(drawn, axis=0)) + self._bending(frequency_hz)[0]
         own = {f"{part.name}: {what}" for part in self.parts for what in ("mass", "centre of mass", "inertia")}
         for change in self.matrix_changes(frequency_hz):
             if change.label not in own:
@@ -333,7 +314,9 @@ def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
     if load.elastic_frequency is not None:
         joint = make_joint(load.elastic_frequency, load.elastic_frequency_uncertainty, load.elastic_damping)
     sense = "on_load" if sensor is None else sensor.sense
-    return Body(tuple(rigid), joint, environment.gravity, environment.gravity_uncertainty, sense)
+    elastic = tuple(elastic_part(table) for table in load.elastic)
+    first = None if load.first_frequency is None else np.array(load.first_frequency)
+    return Body(tuple(rigid), joint, environment.gravity, environment.gravity_uncertainty, sense, elastic, first)
 
 
 def rigid_load(manifest: Manifest) -> Body:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 
 from fusion.base import Executor, ProgressCallback, Settings, no_progress, versions
 from fusion.instruments.channel import sensor_outputs
@@ -14,6 +15,7 @@ from fusion.phasors.stereo_phasors import unseen_fundamentals
 from fusion.recording.load import Manifest
 from fusion.sensitivity.analyse import Evaluation, Inputs, analyse
 from fusion.sensitivity.body import load_body
+from fusion.sensitivity.elastic import elastic_rows
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.ratio import with_ratios
 
@@ -43,13 +45,14 @@ def evaluate_recording(
     observations = joined.observed(manifest.rig.surroundings.gravity)
     unseen = unseen_fundamentals(observations, joined.lines, joined.aliased)
     sensor, body = manifest.rig.sensor, load_body(manifest.rig, manifest.part)
+    rows = observations if body is None else elastic_rows(observations, body.elastic)
     outputs = sensor_outputs(joined.readings, sensor.channels) if sensor is not None else None
-    inputs = Inputs(joined.lines, observations, outputs, body, sensor, manifest.excitation.direction)
+    inputs = Inputs(joined.lines, rows, outputs, body, sensor, manifest.excitation.direction)
     analysis = analyse(inputs)
     drawn = propagate(inputs, analysis, settings.monte_carlo, settings.seed, progress) if settings.monte_carlo else None
     points = point_spreads(observations, analysis.accelerations)
     if body is not None and outputs is not None and analysis.sensitivity is not None:
-        points = tuple(with_ratios(spread, outputs, analysis.sensitivity, body) for spread in points)
+        points = tuple(with_ratios(spread, outputs, analysis.sensitivity, replace(body, elastic=())) for spread in points)
     notices = [*joined.notices, *unseen, *analysis.notices, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,

@@ -16,11 +16,13 @@ from fusion.estimation.uncertainty import (
     Kind,
     Uncertainty,
     Unknown,
+    added_up,
     real_design,
     real_stack,
     total_variance,
 )
 from fusion.sensitivity.body import Body
+from fusion.sensitivity.elastic import FREE_END, likely_frequencies
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief, check_shape, check_shapes
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors, real_stacked_diagonal
@@ -33,6 +35,10 @@ if TYPE_CHECKING:
 
 UNOBSERVED_LIMIT = 0.01
 """Largest relative standard uncertainty that unobserved components may bring to a load component."""
+RIGID_ENOUGH = 1e-3
+"""Relative change of a load by what is elastic of it that needs no notice, unless U is as small."""
+HEAVIER = 1.02
+NEAR_RESONANCE = 0.2
 
 
 @dataclass(frozen=True)
@@ -77,8 +83,8 @@ class LoadResult:
 def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     """Return the wrench L = ±(M A + gravity tilt) at the sensor origin, positive in the body's sense.
 
-    Its uncertainty is that of the acceleration carried through, and one influence per uncertain number of body, joint
-    and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero with a standard
+    Its uncertainty is that of the acceleration carried through, and one influence per uncertain number of body, joint,
+    modes and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero with a standard
     uncertainty of 2 % of the observed motion's amplitude (rotations: of amplitude over 0.1 m), a type B contribution
     "unobserved NAME"; a load component to which they bring more than 1 % is not given.
     """
@@ -95,10 +101,12 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     # What is not observed has contributions of its own.
     carried = acceleration.uncertainty.where_known().transformed(real_design(matrix))
     own = tuple(c.acting(real_stack(np.einsum("kij,kj->ki", c.effect, known))) for c in changes)
-    total = Uncertainty((*carried.random, *hidden.values()), (*carried.influences, *own))
-    rigid = np.einsum("kij,kj->ki", seen * replace(body, joint=None).load_matrix(frequency), known)
-    notices = (*_notices(acceleration, observed, hidden), *_joint_notice(body, frequency, value, rigid))
-    return LoadResult(frequency, value, total, observed, notices)
+    # What is elastic acts on instruments and load by one name.
+    total = Uncertainty((*carried.random, *hidden.values()), added_up((*carried.influences, *own)))
+    rigid = np.einsum("kij,kj->ki", seen * body.rigid.load_matrix(frequency), known)
+    result = LoadResult(frequency, value, total, observed, ())
+    notices = (*_notices(acceleration, observed, hidden), *_elastic_notices(body, frequency, value, rigid))
+    return replace(result, notices=(*notices, *_rigidity_notices(body, result)))
 
 
 def _hidden_contributions(
@@ -134,24 +142,86 @@ def _notices(acceleration: Acceleration, observed: BoolArray, hidden: Mapping[st
     return tuple(told)
 
 
-def _joint_notice(body: Body, frequency_hz: FloatArray, value: ComplexArray, rigid: ComplexArray) -> tuple[Notice, ...]:
-    """Say what the elastic joint does to the largest force, at the line where that is most."""
-    if body.joint is None:
-        return ()
+def _elastic_notices(
+    body: Body, frequency_hz: FloatArray, value: ComplexArray, rigid: ComplexArray
+) -> tuple[Notice, ...]:
+    """Say what joint and modes do to the largest force, at the line where that is most, and what they cannot."""
     sizes = np.nan_to_num(np.abs(rigid))
     largest, lines = np.argmax(sizes[:, :3], axis=1), np.arange(len(value))
     before, after = sizes[lines, largest], np.abs(value)[lines, largest]
     change = np.divide(after, before, out=np.full(len(value), np.nan), where=before > 0.0) - 1.0
-    if not np.any(np.isfinite(change)):
+    if (body.joint is None and not body.elastic) or not np.any(np.isfinite(change)):
         return ()
     line = int(np.nanargmax(np.abs(change)))
-    name, resonance = LOAD_COMPONENTS[largest[line]], body.joint.frequency_hz[largest[line]]
-    where = f"{name} at {frequency_hz[line]:.6g} Hz"
-    if body.joint.u_frequency_hz[largest[line]] == 0.0:
-        text = f"the load's joint ({resonance:.6g} Hz) is only named: {where} is not corrected for it, U contains it"
-    else:
-        text = f"the load's joint ({resonance:.6g} Hz) changes {where} by {change[line]:+.2%} from that of a rigid body"
-    return (Notice("info", text, "load"),)
+    component = int(largest[line])
+    where = f"{LOAD_COMPONENTS[component]} at {frequency_hz[line]:.6g} Hz"
+    told = []
+    if body.joint is not None:
+        resonance, stated = body.joint.frequency_hz[component], body.joint.u_frequency_hz[component] > 0.0
+        joint = f"the load's joint ({resonance:.6g} Hz)"
+        if stated and not body.elastic:
+            told.append(f"{joint} changes {where} by {change[line]:+.2%} from that of a rigid body")
+        elif not stated:
+            told.append(f"{joint} is only named: {where} is not corrected for it, U contains it")
+    bending = [part for part in body.elastic if part.variants]
+    if bending:
+        names = ", ".join(f"{part.name} ({part.modes.frequency_hz.min():.6g} Hz)" for part in bending)
+        told.append(
+            f"the load is elastic: {names}; accelerations of the load are those of its foot, and {where} differs by "
+            f"{change[line]:+.2%} from that of a rigid body with that motion"
+        )
+    told += [
+        f"the elastic {part.name} of the load ({part.modes.frequency_hz.min():.6g} Hz) is stated without any "
+        "uncertainty, so it is only named: nothing is corrected for it, U contains it"
+        for part in body.elastic
+        if not part.variants
+    ]
+    notices = [Notice("info", text, "load") for text in told]
+    total = body.rigid.mass_matrix[0, 0]
+    for part in body.elastic:
+        if part.mass_kg is not None and part.mass_kg > HEAVIER * total:
+            text = f"the elastic {part.name} weighs {part.mass_kg:.4g} kg by its drawing, all that moves {total:.4g} kg"
+            notices.append(Notice("warning", text, "load"))
+        near = np.abs(frequency_hz[:, None] / part.modes.frequency_hz - 1.0) < NEAR_RESONANCE
+        for k, mode in np.argwhere(near)[:1].tolist():
+            text = (
+                f"{frequency_hz[k]:.6g} Hz is near the natural frequency {part.modes.frequency_hz[mode]:.6g} Hz of the "
+                f"elastic {part.name}: there its damping decides, and U by first order may be too small"
+            )
+            notices.append(Notice("warning", text, "load"))
+    return tuple(notices)
+
+
+def _rigidity_notices(body: Body, load: LoadResult) -> tuple[Notice, ...]:
+    """Say where a load of which nothing elastic is stated may not be rigid, by mass and size alone.
+
+    At the line where that matters most: where it changes the largest component by more than 0.1 %, or more than a third
+    of its U, unless U is ten times as large.
+    """
+    if body.elastic or body.first_frequency_hz is not None:
+        return ()
+    above = replace(body.rigid, parts=tuple(part for part in body.parts if not part.below_joint))
+    if not above.parts:
+        return ()
+    natural, lines = likely_frequencies(above.mass_matrix), np.arange(len(load.value))
+    size = np.nan_to_num(np.abs(load.value))
+    largest = np.argmax(size / np.where(np.arange(6) < 3, 1.0, BODY_SIZE_M), axis=1)
+    value, first = size[lines, largest], natural[largest]
+    change = FREE_END * (load.frequency_hz / first) ** 2
+    # U of the magnitude, whatever its phase.
+    expanded = 2.0 * np.sqrt(np.nan_to_num(total_variance(load.uncertainty.covariance))[lines, largest])
+    expanded = np.divide(expanded, value, out=np.full(len(value), np.inf), where=value > 0.0)
+    matters = change > np.minimum(expanded / 3.0, np.maximum(RIGID_ENOUGH, expanded / 10.0))
+    if not np.any(matters):
+        return ()
+    line = int(np.argmax(np.where(matters, change, -1.0)))
+    text = (
+        f"the load may not be rigid at {load.frequency_hz[line]:.6g} Hz: a solid of its mass, centre of mass and inertia "
+        f"first resonates near {first[line]:.2g} Hz, which changes {LOAD_COMPONENTS[largest[line]]} there by about "
+        f"{min(change[line], 1.0):.1%}; this is neither corrected nor in U. State [[load.elastic]], or "
+        "load.first_frequency to bound it"
+    )
+    return (Notice("warning", text, "load"),)
 
 
 # The uncertainty budget: what each cause does to magnitude and phase of complex values, line by line.
