@@ -145,7 +145,9 @@ def _displacements(value: object) -> dict[str, tuple[float, ...]]:
     """What a mode does at places by name: 3 numbers of displacement, or 6 with the rotation."""
     if not isinstance(value, dict) or not value:
         raise refusal("a table of 3 or 6 numbers by the names of channels and stereo pairs", describe(value))
-    return {name: vector(6 if isinstance(row, list | tuple) and len(row) == 6 else 3)(row) for name, row in value.items()}
+    return {
+        name: vector(6 if isinstance(row, list | tuple) and len(row) == 6 else 3)(row) for name, row in value.items()
+    }
 
 
 class ElasticMode(Block):
@@ -158,7 +160,7 @@ class ElasticMode(Block):
     frequency: Positive
     frequency_uncertainty: NotNegative = 0.0
     damping: NotNegative | None = None
-    participation: Vector6
+    participation: Annotated[Vector6, BeforeValidator(vector(6))]
     modal_mass: Positive = 1.0
     displacement: Annotated[dict[str, tuple[float, ...]], BeforeValidator(_displacements)]
 
@@ -212,7 +214,14 @@ class Elastic(Block):
 
     @model_validator(mode="after")
     def _has_what_its_shape_needs(self) -> Self:
-        of_modes = {"name", "shape", "damping", "damping_uncertainty", "frequencies_uncertainty", "participation_uncertainty"}
+        of_modes = {
+            "name",
+            "shape",
+            "damping",
+            "damping_uncertainty",
+            "frequencies_uncertainty",
+            "participation_uncertainty",
+        }
         own = OWN_OF_SHAPE[self.shape]
         known = {*of_modes, *(name for key in own for name in (key, f"{key}_uncertainty"))}
         refuse_foreign(self, known, f'shape = "{self.shape}"')

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from fusion.base import InputError
 from fusion.estimation.uncertainty import Scope, Unknown
-from fusion.sensitivity.elastic import ONLY_NAMED, ElasticPart, Joint, elastic_part, make_joint, response
+from fusion.sensitivity.elastic import ONLY_NAMED, ElasticPart, Joint, Modes, elastic_part, make_joint, response
 from photogram.geometry import skew
 from shaker.arrays import ComplexArray, FloatArray, check_shapes
 from shaker.identification.measured import InertiaError
@@ -168,17 +168,11 @@ class Body:
     def load_matrix(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return (K, 6, 6): wrench = matrix · acceleration of the load; parts below its joint follow it."""
         rigid = np.sum([self._carried(frequency_hz, part, part.terms) for part in self.parts], axis=0)
-        return np.asarray(rigid + self._bending(frequency_hz)[0])
+        return np.asarray(rigid + sum(part.act(partial(self._wrench, frequency_hz)) for part in self.elastic))
 
-    def _bending(self, frequency_hz: FloatArray) -> tuple[ComplexArray, tuple[Unknown[ComplexArray], ...]]:
-        """Load matrix (K, 6, 6) of the modes of what bends, and what every uncertain number of them does to it."""
-        sign = 1.0 if self.sense == "on_load" else -1.0
-        total, unknowns = np.zeros((len(frequency_hz), 6, 6), np.complex128), []
-        for part in self.elastic:
-            value, changes = part.act(lambda modes: sign * modes.wrench(frequency_hz))
-            total += value
-            unknowns += changes
-        return total, tuple(unknowns)
+    def _wrench(self, frequency_hz: FloatArray, modes: Modes) -> ComplexArray:
+        """Load matrix (K, 6, 6) of modes of what bends, whose weight turns as that of the rigid body."""
+        return modes.wrench(frequency_hz) if self.sense == "on_load" else -modes.wrench(frequency_hz)
 
     def _carried(self, frequency_hz: FloatArray, part: Part, terms: InertialTerms) -> ComplexArray:
         """Load matrices (..., K, 6, 6) by terms of a part, which may lie below the joint."""
@@ -204,7 +198,8 @@ class Body:
                 own[:, :, place] = lower[:, :, place] * by_joint[:, None, place]
                 name, label = f"joint of the load {stated:.9g} Hz: {axis}", "joint of the load"
                 changes.append(Unknown(name, label, u or 1.0, "Hz" if u else "1", own, "mounting"))
-        changes += self._bending(frequency_hz)[1]
+        for bending in self.elastic:
+            changes += bending.changes(partial(self._wrench, frequency_hz))
         if self.first_frequency_hz is not None:
             above = replace(self.rigid, parts=tuple(part for part in self.parts if not part.below_joint))
             bound = response(frequency_hz, self.first_frequency_hz, 0.0) * ONLY_NAMED
@@ -234,11 +229,13 @@ class Body:
             centre, inertia = part.centre_of_mass_m + moved, part.inertia_kgm2 + turned
             terms = InertialTerms.of(part.mass_kg + heavier, centre, inertia, part.air_share)
             drawn.append(self._carried(frequency_hz, part, terms))
-        total = np.asarray(np.sum(drawn, axis=0)) + self._bending(frequency_hz)[0]
+        drawn += [part.act(partial(self._wrench, frequency_hz)) for part in self.elastic]
+        total = np.asarray(sum(drawn))
         own = {f"{part.name}: {what}" for part in self.parts for what in ("mass", "centre of mass", "inertia")}
         for change in self.matrix_changes(frequency_hz):
             if change.label not in own:
-                total += deviates.normal(change.name)[:, None, None, None] * change.effect
+                # What instruments read errs by the same draws: the truth is the estimate less its error.
+                total = total - deviates.normal(change.name)[:, None, None, None] * change.effect
         return total
 
 

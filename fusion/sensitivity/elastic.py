@@ -1,13 +1,13 @@
-"""A load that is not rigid: natural modes of what stands on the sensor, by drawing, table or tap test; and its joint.
+"""A load that is not rigid: natural modes of what stands on the sensor, by drawing, table or tap test; its joint.
 
-Modes are those of the load with its foot held. Where the foot moves by A, a mode of natural frequency f_i, damping ratio
-ζ and participation L_i (6,) moves by φ_i·G·L_iᵀ·A with G = r²/(1 - r² + 2jζr), r = f/f_i, and the foot carries
+Modes are those of the load with its foot held. Where the foot moves by A, a mode of natural frequency f_i, damping
+ratio ζ and participation L_i (6,) moves by φ_i·G·L_iᵀ·A with G = r²/(1 - r² + 2jζr), r = f/f_i, and the foot carries
 L_i·G·L_iᵀ·A beside the load's rigid inertia (Craig and Bampton 1968, AIAA Journal 6, 1313; modal mass 1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,14 +17,15 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 
 from fusion.base import ComputeError
-from fusion.estimation.least_squares import observed_components, row_space
+from fusion.estimation.least_squares import SCALE, build_system, hidden_motion
 from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
-from fusion.estimation.uncertainty import Scope, Unknown, added_up
+from fusion.estimation.uncertainty import Scope, Unknown
 from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading
 from fusion.instruments.transducer import across, placed_at, placement_name
 from photogram.geometry import skew
 from shaker.arrays import BoolArray, ComplexArray, FloatArray
+from shaker.labels import MOTION_COMPONENTS
 
 if TYPE_CHECKING:
     from fusion.recording.rig import Elastic, ElasticMode
@@ -133,14 +134,19 @@ class Modes:
 def joined(families: Sequence[Modes]) -> Modes:
     """Return the modes of several families as one set."""
     return Modes(
-        *(np.concatenate([getattr(f, name) for f in families]) for name in ("frequency_hz", "damping", "participation")),
+        np.concatenate([family.frequency_hz for family in families]),
+        np.concatenate([family.damping for family in families]),
+        np.concatenate([family.participation for family in families]),
         motion=lambda place: np.concatenate([family.motion(place) for family in families]),
     )
 
 
+Quantity = Callable[[Modes], ComplexArray]
+
+
 @dataclass(frozen=True)
 class Variant:
-    """An uncertain number behind the modes, by its name and label, and the modes one standard uncertainty to each side."""
+    """An uncertain number behind the modes: its name and label, and the modes one standard uncertainty to each side."""
 
     name: str
     label: str
@@ -164,23 +170,24 @@ class ElasticPart:
     variants: tuple[Variant, ...]
     mass_kg: float | None = None
 
-    def act(
-        self, quantity: Callable[[Modes], ComplexArray]
-    ) -> tuple[ComplexArray, tuple[Unknown[ComplexArray], ...]]:
-        """Return what the modes do to some quantity, and what one standard uncertainty of each unknown changes of it.
+    def act(self, quantity: Quantity) -> ComplexArray:
+        """Return what the modes do to some quantity, in so far as it is corrected for them."""
+        whole = quantity(self.modes)
+        return whole if self.variants else np.zeros_like(whole)
+
+    def changes(self, quantity: Quantity) -> tuple[Unknown[ComplexArray], ...]:
+        """Return what one standard uncertainty of each unknown changes of some quantity.
 
         Rows of instruments and load are such quantities: the same names act on both.
         """
-        whole = quantity(self.modes)
         if not self.variants:
-            title = f"elastic {self.name}"
+            title, whole = f"elastic {self.name}", quantity(self.modes) * ONLY_NAMED
             named = f"{title} {self.modes.frequency_hz.min():.9g} Hz: only named"
-            return np.zeros_like(whole), (Unknown(named, title, 1.0, "1", whole * ONLY_NAMED, "mounting"),)
-        changes = tuple(
+            return (Unknown(named, title, 1.0, "1", whole, "mounting"),)
+        return tuple(
             Unknown(v.name, v.label, v.u, v.unit, (quantity(v.above) - quantity(v.below)) / 2.0, v.scope)
             for v in self.variants
         )
-        return whole, changes
 
 
 # Modes of a clamped rod and of a plate clamped at its middle, by Ritz: Legendre polynomials that vanish at the clamp.
@@ -195,12 +202,14 @@ PLATE_SHEAR = 5.0 / 6.0
 Rows = Sequence[tuple[float | FloatArray, FloatArray]]
 
 
-def basis(at: FloatArray, length_m: float = 1.0) -> tuple[FloatArray, FloatArray]:
-    """Return the polynomials s·P(2s - 1) and their slopes (Q, TERMS) at places s from 0, the clamp, to 1, the end."""
-    x = 2.0 * at - 1.0
-    value = legendre.legvander(x, TERMS - 1)
-    slope = np.stack([legendre.legval(x, legendre.legder(row)) for row in np.eye(TERMS)], axis=1)
-    return at[:, None] * value, (value + 2.0 * at[:, None] * slope) / length_m
+def polynomials(at: FloatArray) -> FloatArray:
+    """Return s·P(2s - 1) (Q, TERMS) at places s from 0, the clamp, to 1, the end."""
+    return np.asarray(at[:, None] * legendre.legvander(2.0 * at - 1.0, TERMS - 1))
+
+
+VALUE = polynomials(AT)
+SLOPE = VALUE / AT[:, None] + 2.0 * AT[:, None] * legendre.legval(NODES, legendre.legder(np.eye(TERMS))).T
+"""The polynomials and their slopes at the nodes."""
 
 
 def ritz(strains: Rows, masses: Rows) -> tuple[FloatArray, FloatArray]:
@@ -244,24 +253,27 @@ class Rod:
         return self.density_kgpm3 * self._section[0] * self.length_m + self.tip_mass_kg
 
     def families(self) -> dict[str, Modes]:
-        """Return modes along the axis (Love: with the inertia of lateral contraction), bending (Timoshenko), torsion."""
+        """Return modes along the axis (Love: lateral contraction has inertia), of bending (Timoshenko), of torsion."""
         (area, second), nu = self._section, self.poisson_ratio
         shear = self.young_modulus_pa / (2.0 * (1.0 + nu))
         hole = (self.inner_diameter_m / self.diameter_m) ** 2
         # Shear coefficient of tubes (Cowper 1966, J. Appl. Mech. 33, 335, table 1).
         tube = 6.0 * (1.0 + nu) * (1.0 + hole) ** 2
         shear_area = area * tube / ((7.0 + 6.0 * nu) * (1.0 + hole) ** 2 + (20.0 + 12.0 * nu) * hole)
-        value, slope = basis(AT, self.length_m)
+        value, slope = VALUE, SLOPE / self.length_m
         none, along = np.zeros_like(value), self.length_m * self.young_modulus_pa
         inertia, twist = self.length_m * self.density_kgpm3, 2.0 * second
         # The mass at the end, as if it were everywhere what it is there.
-        end = np.repeat(basis(np.ones(1))[0], len(AT), axis=0)
+        end = np.repeat(polynomials(np.ones(1)), len(AT), axis=0)
         axial = ritz(
             [(along * area, slope)],
             [(inertia * area, value), (inertia * nu**2 * twist, slope), (self.tip_mass_kg, end)],
         )
         bending = ritz(
-            [(along * second, np.hstack([none, slope])), (self.length_m * shear * shear_area, np.hstack([slope, -value]))],
+            [
+                (along * second, np.hstack([none, slope])),
+                (self.length_m * shear * shear_area, np.hstack([slope, -value])),
+            ],
             [
                 (inertia * area, np.hstack([value, none])),
                 (inertia * second, np.hstack([none, value])),
@@ -278,13 +290,13 @@ class Rod:
         }
 
     def _modes(self, frequency_hz: FloatArray, coefficients: FloatArray, shift: FloatArray, turn: FloatArray) -> Modes:
-        """Return modes of which one field moves the sections along `shift` (3,) and one turns them about `turn` (3,)."""
+        """Return modes of which one field moves sections along `shift` (3,) and one turns them about `turn` (3,)."""
         area, second = self._section
         # About a diameter the section has its second moment once, about the axis twice.
         second = second * (1.0 if np.any(shift) else 2.0)
 
         def fields(at: FloatArray) -> tuple[FloatArray, FloatArray]:
-            value = basis(at)[0].T
+            value = polynomials(at).T
             return coefficients[:, :TERMS] @ value, coefficients[:, TERMS:] @ value
 
         def motion(place: Place) -> FloatArray:
@@ -339,9 +351,8 @@ class Plate:
         (clamp, width), h, nu = self._rim, self.thickness_m, self.poisson_ratio
         stiffness = self.young_modulus_pa * h**3 / (12.0 * (1.0 - nu**2))
         shear = PLATE_SHEAR * self.young_modulus_pa * h / (2.0 * (1.0 + nu))
-        value, slope = basis(AT)
         radius = clamp * np.exp(AT * width)
-        slope = slope / (radius * width)[:, None]
+        value, slope = VALUE, SLOPE / (radius * width)[:, None]
         over = value / radius[:, None]
         none = np.zeros_like(value)
         found: dict[int, Modes] = {}
@@ -361,14 +372,16 @@ class Plate:
             masses = list(zip(sizes, rows, strict=True))
             # Without a nodal diameter Q, a turning about the axis, is no bending.
             kept = slice(0, (2 + n) * TERMS)
-            natural, coefficients = ritz(*([(size, row[:, kept]) for size, row in terms] for terms in (strains, masses)))
+            natural, coefficients = ritz(
+                *([(size, row[:, kept]) for size, row in terms] for terms in (strains, masses))
+            )
             fields = np.zeros((len(natural), 3, TERMS))
             fields.reshape(len(natural), -1)[:, kept] = coefficients
             found[n] = joined([self._modes(natural, fields, n, side) for side in across(self.axis)[: n + 1]])
         return {"axial": found[0], "bending": found[1]}
 
     def _modes(self, frequency_hz: FloatArray, fields: FloatArray, n: int, side: FloatArray) -> Modes:
-        """Return modes by their `fields` (N, 3, TERMS), of which those of one nodal diameter are largest at a `side`."""
+        """Return modes by their `fields` (N, 3, TERMS); those of one nodal diameter are largest at a `side`."""
         (clamp, width), h = self._rim, self.thickness_m
 
         def motion(place: Place) -> FloatArray:
@@ -380,12 +393,12 @@ class Plate:
             around = np.cross(self.axis, out)
             # cos nφ and sin nφ of the angle from `side`, which is 0 on the axis.
             cosine, sine = (float(out @ side), float(-around @ side)) if n else (1.0, 0.0)
-            deflection, along, across_it = (fields @ basis(np.log([radius / clamp]) / width)[0][0]).T[:, :, None]
+            deflection, along, across_it = (fields @ polynomials(np.log([radius / clamp]) / width)[0]).T[:, :, None]
             turned = np.cross(along * cosine * out + across_it * sine * around, self.axis)
             shift = deflection * cosine * self.axis + np.cross(turned, offset - radius * out)
             return np.hstack([shift, turned])
 
-        deflection, along, across_it = (fields @ basis(AT)[0].T).swapaxes(0, 1)
+        deflection, along, across_it = (fields @ VALUE.T).swapaxes(0, 1)
         radius = clamp * np.exp(AT * width)
         ring = self.density_kgpm3 * h * np.pi * (2 - n) * width * radius**2 * SHARE
         if n == 0:
@@ -413,7 +426,6 @@ UNCERTAIN: Mapping[str, tuple[str, Scope]] = {
     "axial_frequency": ("Hz", "mounting"),
     "bending_frequency": ("Hz", "mounting"),
     "damping": ("1", "mounting"),
-    "participation": ("1", "rig"),
     "frequencies": ("1", "rig"),
     "participation": ("1", "rig"),
 }
@@ -433,13 +445,17 @@ def elastic_part(table: Elastic) -> ElasticPart:
 
     for key, (unit, scope) in UNCERTAIN.items():
         stated, u = 1.0 if key in FACTORS else getattr(table, key), getattr(table, f"{key}_uncertainty")
+
+        def other(value: float, key: str = key) -> Modes:
+            return _modes(table, {key: value})
+
         if stated is not None:
-            add(key.replace("_", " "), stated, u, unit, scope, lambda value, key=key: _modes(table, {key: value}))
+            add(key.replace("_", " "), stated, u, unit, scope, other)
     for place, mode in enumerate(table.mode):
 
         def shifted(frequency: float, place: int = place, mode: ElasticMode = mode) -> Modes:
-            other = mode.model_copy(update={"frequency": frequency})
-            return _modes(table, {"mode": (*table.mode[:place], other, *table.mode[place + 1 :])})
+            moved = mode.model_copy(update={"frequency": frequency})
+            return _modes(table, {"mode": (*table.mode[:place], moved, *table.mode[place + 1 :])})
 
         add("frequency", mode.frequency, mode.frequency_uncertainty, "Hz", "rig", shifted)
     mass = None if table.shape == "modes" else _drawn(table).mass_kg
@@ -505,21 +521,23 @@ class ElasticGeometry(Geometry):
     """An instrument on an elastic load, for the Monte Carlo run: `inner`, as it is on a rigid one with rows `rigid`.
 
     `stretch` (K, M, 6, 6): what its places move beside the foot; `moved_places`: for uncertain places the names of the
-    unknowns of the M channels and the change of `stretch` for one standard uncertainty of each.
+    unknowns of the M channels and the change of `stretch` for one standard uncertainty of each; `bent`: names of the
+    errors that motion nobody observes makes, which the rows see themselves when such motion is drawn.
     """
 
     inner: Geometry
     rigid: ComplexArray
     stretch: ComplexArray
     moved_places: tuple[tuple[tuple[str, ...], ComplexArray], ...]
+    bent: frozenset[str]
 
     @property
     def unknowns(self) -> frozenset[str]:
         """Return the names of the unknowns that `rows` and `moved` draw."""
-        return self.inner.unknowns
+        return self.inner.unknowns | self.bent
 
     def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return the rows (N, K, M, 6) at places and along directions as drawn, on the load as it is stretched there."""
+        """Return the rows (N, K, M, 6) at places and along directions as drawn, on the load as it is stretched."""
         rigid = self.inner.rows(self.rigid, deviates)
         total = np.repeat(self.stretch[None], deviates.count, axis=0)
         for names, change in self.moved_places:
@@ -542,40 +560,54 @@ def elastic_rows(observations: Sequence[Observation], parts: Sequence[ElasticPar
     own = [observation for observation in observations if observation.body == "load"]
     if not parts or not own:
         return tuple(observations)
-    lines = range(len(own[0].phasors.frequency_hz))
-    seen = np.array([observed_components(row_space(own, line)) for line in lines])
-    return tuple(_stretched(o, parts, seen) if o.body == "load" else o for o in observations)
+    system = build_system(own)
+    start = system.acceleration(np.asarray(np.linalg.lstsq(system.design, system.readings, rcond=None)[0]))
+    # What is assumed of an unseen component (K, 6), as a multiple of the component that moves most (K, 6).
+    size = np.where(system.observed, np.abs(start / SCALE), -1.0)
+    most = np.arange(6) == np.argmax(size, axis=1)[:, None]
+    unseen = (
+        hidden_motion(start, system.observed)[:, :, None]
+        * np.divide(most, np.abs(start) * np.sqrt(2.0), out=np.zeros(start.shape), where=most & (start != 0.0))[
+            :, None, :
+        ]
+    )
+    return tuple(_stretched(o, parts, system.observed, unseen) if o.body == "load" else o for o in observations)
 
 
-def _stretched(observation: Observation, parts: Sequence[ElasticPart], seen: BoolArray) -> Observation:
-    """Return one instrument on the elastic load; `seen` (K, 6): components that any instrument observes."""
+def _stretched(
+    observation: Observation, parts: Sequence[ElasticPart], seen: BoolArray, unseen: FloatArray
+) -> Observation:
+    """Return one instrument on the elastic load.
+
+    `seen` (K, 6): components that any instrument observes; `unseen` (K, 6, 6): what is assumed of either part of the
+    others = matrix · acceleration.
+    """
     frequency, rigid, inner = observation.phasors.frequency_hz, observation.design, observation.geometry
     places = _places(observation)
-    stretch, changes = _stretch(parts, frequency, places, rigid.shape[1])
+    whole = _stretch(parts, frequency, places, rigid.shape[1])
+    stretch = np.where(seen[:, None, None, :], whole, 0.0)
     slopes = {error.name: error.slope + _rows(error.slope, stretch) for error in observation.common}
-    moved_places = []
-    entries = inner.entries if isinstance(inner, ChannelGeometry) and not inner.transducer.turning else ()
-    for unit, letter in zip(np.eye(3), "xyz", strict=True):
-        shifts = [float(unit @ np.broadcast_to(entry.point_uncertainty, 3)) for entry in entries]
-        if any(shifts):
-            sides = ([replace(p, point_m=p.point_m + sign * u * unit) for p, u in zip(places, shifts, strict=True)]
-                     for sign in (1.0, -1.0))  # fmt: skip
-            ahead, behind = (_stretch(parts, frequency, side, len(places))[0] for side in sides)
-            names, change = tuple(placement_name(entry, "point", letter) for entry in entries), (ahead - behind) / 2.0
-            moved_places.append((names, change))
-            for place, name in enumerate(names):
-                if name in slopes:
-                    slopes[name][:, place] += _rows(rigid, change)[:, place]
+    moved_places = tuple(_moved_places(parts, frequency, inner, places))
+    for names, change in moved_places:
+        for place, name in enumerate(names):
+            if name in slopes:
+                slopes[name][:, place] += np.where(seen, _rows(rigid, change)[:, place], 0.0)
     none = np.zeros(rigid.shape[:2], np.complex128)
     common = [replace(error, slope=slopes[error.name]) for error in observation.common]
-    common += [CommonError(c.name, c.label, c.u, c.unit, c.scope, _rows(rigid, c.effect), none) for c in changes]
-    whole = rigid + _rows(rigid, stretch)
-    visible = np.where(seen[:, None, :], whole, rigid)
-    if not np.all(seen):
-        name = f"{observation.title}: unobserved motion that bends the load"
-        common.append(CommonError(name, name, 1.0, "1", "recording", whole - visible, none))
-    geometry = ElasticGeometry(inner, rigid, stretch, tuple(moved_places))
-    return replace(observation, design=visible, common=tuple(common), geometry=geometry)
+    for part in parts:
+        for c in part.changes(lambda modes: _stretched_places(modes, frequency, places, rigid.shape[1])):
+            # Where a number is stated too high, the readings are those of rows with less of it.
+            slope = -np.where(seen[:, None, :], _rows(rigid, c.effect), 0.0)
+            common.append(CommonError(c.name, c.label, c.u, c.unit, c.scope, slope, none))
+    bent = set()
+    for place in np.flatnonzero(~np.all(seen, axis=0)).tolist():
+        slope = _rows(rigid, whole - stretch)[:, :, place, None] * unseen[:, None, place]
+        label = f"unobserved {MOTION_COMPONENTS[place]} that bends the load"
+        for turn, kind in ((1.0, "in phase"), (1j, "in quadrature")):
+            common.append(CommonError(f"{label}: {kind}", label, 1.0, "1", "recording", turn * slope, none))
+            bent.add(f"{label}: {kind}")
+    geometry = ElasticGeometry(inner, rigid, whole, moved_places, frozenset(bent))
+    return replace(observation, design=rigid + _rows(rigid, stretch), common=tuple(common), geometry=geometry)
 
 
 def _rows(design: ComplexArray, stretch: ComplexArray) -> ComplexArray:
@@ -583,17 +615,40 @@ def _rows(design: ComplexArray, stretch: ComplexArray) -> ComplexArray:
     return np.asarray(np.einsum("kmj,kmji->kmi", design, stretch))
 
 
+def _stretched_places(modes: Modes, frequency_hz: FloatArray, places: Sequence[Place], rows: int) -> ComplexArray:
+    """Return what M rows are stretched (K, M, 6, 6), all at one place or each at its own."""
+    each = np.stack([modes.stretch(frequency_hz, place) for place in places], axis=1)
+    return np.repeat(each, rows // len(places), axis=1)
+
+
 def _stretch(
     parts: Sequence[ElasticPart], frequency_hz: FloatArray, places: Sequence[Place], rows: int
-) -> tuple[ComplexArray, tuple[Unknown[ComplexArray], ...]]:
-    """Return what M rows are stretched (K, M, 6, 6), all at one place or each at its own, and what is uncertain of it."""
+) -> ComplexArray:
+    """Return what M rows are stretched (K, M, 6, 6) by all parts, as far as that is corrected."""
+    return np.asarray(
+        sum(part.act(lambda modes: _stretched_places(modes, frequency_hz, places, rows)) for part in parts)
+    )
 
-    def stretch(modes: Modes) -> ComplexArray:
-        each = np.stack([modes.stretch(frequency_hz, place) for place in places], axis=1)
-        return np.repeat(each, rows // len(places), axis=1)
 
-    found = [part.act(stretch) for part in parts]
-    return np.asarray(sum(value for value, _ in found)), added_up(unknown for _, unknowns in found for unknown in unknowns)
+def _moved_places(
+    parts: Sequence[ElasticPart], frequency_hz: FloatArray, inner: Geometry, places: Sequence[Place]
+) -> Iterator[tuple[tuple[str, ...], ComplexArray]]:
+    """Yield the names of the unknowns of M uncertain places, axis by axis, and what they change of the stretch."""
+    if not isinstance(inner, ChannelGeometry) or inner.transducer.turning:
+        return
+    for unit, letter in zip(np.eye(3), "xyz", strict=True):
+        shifts = [unit * np.broadcast_to(entry.point_uncertainty, 3) for entry in inner.entries]
+        if np.any(shifts):
+            ahead, behind = (
+                [
+                    replace(place, point_m=place.point_m + sign * shift)
+                    for place, shift in zip(places, shifts, strict=True)
+                ]
+                for sign in (1.0, -1.0)
+            )
+            both = (_stretch(parts, frequency_hz, side, len(places)) for side in (ahead, behind))
+            change = np.subtract(*both) / 2.0
+            yield tuple(placement_name(entry, "point", letter) for entry in inner.entries), np.asarray(change)
 
 
 def _places(observation: Observation) -> list[Place]:

@@ -52,7 +52,9 @@ def evaluate_recording(
     drawn = propagate(inputs, analysis, settings.monte_carlo, settings.seed, progress) if settings.monte_carlo else None
     points = point_spreads(observations, analysis.accelerations)
     if body is not None and outputs is not None and analysis.sensitivity is not None:
-        points = tuple(with_ratios(spread, outputs, analysis.sensitivity, replace(body, elastic=())) for spread in points)
+        points = tuple(
+            with_ratios(spread, outputs, analysis.sensitivity, replace(body, elastic=())) for spread in points
+        )
     notices = [*joined.notices, *unseen, *analysis.notices, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,

@@ -84,9 +84,9 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     """Return the wrench L = ±(M A + gravity tilt) at the sensor origin, positive in the body's sense.
 
     Its uncertainty is that of the acceleration carried through, and one influence per uncertain number of body, joint,
-    modes and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero with a standard
-    uncertainty of 2 % of the observed motion's amplitude (rotations: of amplitude over 0.1 m), a type B contribution
-    "unobserved NAME"; a load component to which they bring more than 1 % is not given.
+    modes and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero with a
+    standard uncertainty of 2 % of the observed motion's amplitude (rotations: of amplitude over 0.1 m), a type B
+    contribution "unobserved NAME"; a load component to which they bring more than 1 % is not given.
     """
     frequency = acceleration.phasors.frequency_hz
     # At a line without any reading nothing is known, neither what is zero nor how uncertain it is.
@@ -216,8 +216,8 @@ def _rigidity_notices(body: Body, load: LoadResult) -> tuple[Notice, ...]:
         return ()
     line = int(np.argmax(np.where(matters, change, -1.0)))
     text = (
-        f"the load may not be rigid at {load.frequency_hz[line]:.6g} Hz: a solid of its mass, centre of mass and inertia "
-        f"first resonates near {first[line]:.2g} Hz, which changes {LOAD_COMPONENTS[largest[line]]} there by about "
+        f"the load may not be rigid at {load.frequency_hz[line]:.6g} Hz: a solid of its mass, centre of mass and "
+        f"inertia first resonates near {first[line]:.2g} Hz, which changes {LOAD_COMPONENTS[largest[line]]} there by about "
         f"{min(change[line], 1.0):.1%}; this is neither corrected nor in U. State [[load.elastic]], or "
         "load.first_frequency to bound it"
     )
