@@ -261,6 +261,13 @@ class Load(Mounted):
     elastic_frequency_uncertainty: Annotated[Vector6, BeforeValidator(spread(6))] = ZERO6
     elastic_damping: NotNegative = 0.0
 
+    @property
+    def not_rigid(self) -> str:
+        """Say what is stated of the load that a rigid one does not have; nothing of a rigid one."""
+        if self.elastic_frequency is not None:
+            return "its joint is stated (load.elastic_frequency)"
+        return "its modes are stated (load.elastic)" if self.elastic else ""
+
     @model_validator(mode="after")
     def _elastic_parts_have_different_names(self) -> Self:
         refuse_repeated([part.name for part in self.elastic], "elastic parts", "elastic")

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion.base import InputError
+from fusion.base import ComputeError, InputError
 from fusion.estimation.uncertainty import Scope, Unknown
-from fusion.sensitivity.elastic import ONLY_NAMED, ElasticPart, Joint, Modes, elastic_part, make_joint, response
+from fusion.sensitivity.elastic import ONLY_NAMED, ElasticPart, Modes, Place, Plate, Rod, Variant, joined
 from photogram.geometry import skew
 from shaker.arrays import ComplexArray, FloatArray, check_shapes
 from shaker.identification.measured import InertiaError
@@ -21,8 +21,58 @@ from shaker.labels import MOTION_COMPONENTS
 if TYPE_CHECKING:
     from fusion.estimation.measurement_model import Deviates
     from fusion.recording.load import Manifest
-    from fusion.recording.rig import Load, Rig
+    from fusion.recording.rig import Elastic, ElasticMode, Load, Rig
     from fusion.recording.rig import Part as PartTable
+
+# The elastic joint: the load itself stays rigid, so all its places move alike, and the fused motion is the load's own.
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The joint on which a load sits, with the instruments on the load.
+
+    `frequency_hz` (6,): at which the load would resonate on the joint if the lower side stood still, component by
+    component; `u_frequency_hz` (6,): its standard uncertainty, 0 where the joint is only named: then nothing is
+    corrected, and what a correction would change is uncertain as a whole; `damping`: damping ratio of that resonance.
+    """
+
+    frequency_hz: FloatArray
+    u_frequency_hz: FloatArray
+    damping: float
+
+    def follow(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return (K, 6): motion of the lower side over that of the load, 1/(1 + G) = 1 - r²/(1 + 2jζr).
+
+        The joint carries the load's inertia, -ω²·m·x_load = (k + jωb)·(x_below - x_load).
+        """
+        stated = self.u_frequency_hz > 0.0
+        return np.asarray(np.where(stated, 1.0 - self._stretch(frequency_hz), 1.0))
+
+    def change(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return (K, 6): change of `follow` for one standard uncertainty of the joint.
+
+        Where it is corrected the derivative by f_e times its uncertainty; where it is only named the root mean square,
+        1/√3 of the whole, of an error anywhere between nothing and a joint as elastic as that.
+        """
+        r = frequency_hz[:, None] / self.frequency_hz
+        damped = 1.0 + 2j * self.damping * r
+        slope = r * r * (1.0 + damped) / damped**2 / self.frequency_hz
+        stated = self.u_frequency_hz > 0.0
+        named = -self._stretch(frequency_hz) * ONLY_NAMED
+        return np.asarray(np.where(stated, slope * self.u_frequency_hz, named))
+
+    def _stretch(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Share (K, 6) of the load's motion that the joint takes up: G/(1 + G), finite at the resonance too."""
+        r = frequency_hz[:, None] / self.frequency_hz
+        return np.asarray(r * r / (1.0 + 2j * self.damping * r))
+
+
+def make_joint(frequency_hz: ArrayLike, u_frequency_hz: ArrayLike = 0.0, damping: float = 0.0) -> Joint:
+    """Return a joint; one number stands for all six components."""
+    frequency = np.broadcast_to(np.asarray(frequency_hz, dtype=np.float64), (6,)).copy()
+    u_frequency = np.broadcast_to(np.asarray(u_frequency_hz, dtype=np.float64), (6,)).copy()
+    return Joint(frequency, u_frequency, float(damping))
+
 
 # Bodies about the sensor origin: mass matrix, tilt of the weight in air, and what their uncertain parameters do.
 
@@ -202,7 +252,9 @@ class Body:
             changes += bending.changes(partial(self._wrench, frequency_hz))
         if self.first_frequency_hz is not None:
             above = replace(self.rigid, parts=tuple(part for part in self.parts if not part.below_joint))
-            bound = response(frequency_hz, self.first_frequency_hz, 0.0) * ONLY_NAMED
+            # r²/(1 - r²) of a mass on a spring, which moves and pulls more than what is spread out; 2r² from r² = ½ on.
+            square = (frequency_hz[:, None] / self.first_frequency_hz) ** 2
+            bound = square / np.maximum(1.0 - square, 0.5) * ONLY_NAMED
             for place, axis in enumerate(MOTION_COMPONENTS):
                 own = np.zeros((len(frequency_hz), 6, 6), np.complex128)
                 own[:, :, place] = above.load_matrix(frequency_hz)[:, :, place] * bound[:, None, place]
@@ -278,6 +330,109 @@ def _parameters(part: Part, matrix: Callable[[InertialTerms], ComplexArray]) -> 
         u = U_AIR_MOVED_ALONG * part.air_share * part.mass_kg
         air = InertialTerms(InertialTerms.of(u, centre, rigid).mass_matrix, np.zeros(()), np.zeros(3))
         yield unknown("air moved along", "", u, "kg", air)
+
+
+# What rig.toml states of an elastic load as modes with their unknowns.
+
+
+UNCERTAIN: Mapping[str, tuple[str, Scope]] = {
+    "young_modulus": ("Pa", "rig"),
+    "density": ("kg/m^3", "rig"),
+    "poisson_ratio": ("1", "rig"),
+    "length": ("m", "rig"),
+    "diameter": ("m", "rig"),
+    "inner_diameter": ("m", "rig"),
+    "thickness": ("m", "rig"),
+    "clamped_diameter": ("m", "rig"),
+    "tip_mass": ("kg", "rig"),
+    "axial_frequency": ("Hz", "mounting"),
+    "bending_frequency": ("Hz", "mounting"),
+    "damping": ("1", "mounting"),
+    "frequencies": ("1", "rig"),
+    "participation": ("1", "rig"),
+}
+"""Keys of `[[load.elastic]]` that have an uncertainty, with the unit of that and how long they keep their value."""
+FACTORS = ("frequencies", "participation")
+"""Of all modes together: 1, with a relative uncertainty."""
+
+
+def elastic_part(table: Elastic) -> ElasticPart:
+    """Return the modes that a block `[[load.elastic]]` states, and what each of its uncertain numbers does to them."""
+    title, variants = f"elastic {table.name}", []
+
+    def add(what: str, stated: float, u: float, unit: str, scope: Scope, changed: Callable[[float], Modes]) -> None:
+        if u > 0.0:
+            name, label = f"{title}: {what} {stated:.9g}", f"{title}: {what}"
+            variants.append(Variant(name, label, u, unit, scope, changed(stated + u), changed(stated - u)))
+
+    for key, (unit, scope) in UNCERTAIN.items():
+        stated, u = 1.0 if key in FACTORS else getattr(table, key), getattr(table, f"{key}_uncertainty")
+
+        def other(value: float, key: str = key) -> Modes:
+            return _modes(table, {key: value})
+
+        if stated is not None:
+            add(key.replace("_", " "), stated, u, unit, scope, other)
+    for place, mode in enumerate(table.mode):
+
+        def shifted(frequency: float, place: int = place, mode: ElasticMode = mode) -> Modes:
+            moved = mode.model_copy(update={"frequency": frequency})
+            return _modes(table, {"mode": (*table.mode[:place], moved, *table.mode[place + 1 :])})
+
+        add("frequency", mode.frequency, mode.frequency_uncertainty, "Hz", "rig", shifted)
+    mass = None if table.shape == "modes" else _drawn(table).mass_kg
+    return ElasticPart(table.name, _modes(table, {}), tuple(variants), mass)
+
+
+def _drawn(table: Elastic) -> Rod | Plate:
+    """Return the rod or plate of a block."""
+    foot, axis = np.array(table.foot), np.array(table.axis or (0.0, 0.0, 1.0))
+    material = table.young_modulus or 0.0, table.density or 0.0, table.poisson_ratio
+    across_it = table.diameter or 0.0
+    if table.shape == "rod":
+        return Rod(foot, axis, table.length or 0.0, across_it, table.inner_diameter, *material, table.tip_mass)
+    return Plate(foot, axis, table.thickness or 0.0, across_it, table.clamped_diameter or 0.0, *material)
+
+
+def _modes(table: Elastic, change: Mapping[str, Any]) -> Modes:
+    """Return the modes of a block of which some values are others."""
+    table = table.model_copy(update={key: value for key, value in change.items() if key not in FACTORS})
+    if table.shape == "modes":
+        modes = _tabled(table)
+    else:
+        families = _drawn(table).families()
+        for kind, tapped in (("axial", table.axial_frequency), ("bending", table.bending_frequency)):
+            if tapped is not None:
+                natural = families[kind].frequency_hz
+                families[kind] = replace(families[kind], frequency_hz=natural * (tapped / natural.min()))
+        modes = joined(list(families.values()))
+        modes = replace(modes, damping=np.full(len(modes.damping), table.damping))
+    return replace(
+        modes,
+        frequency_hz=modes.frequency_hz * change.get("frequencies", 1.0),
+        participation=modes.participation * change.get("participation", 1.0),
+    )
+
+
+def _tabled(table: Elastic) -> Modes:
+    """Return the modes that a finite element program told, brought to a modal mass of 1."""
+    root = np.sqrt([mode.modal_mass for mode in table.mode])
+
+    def motion(place: Place) -> FloatArray:
+        # A channel of a later set-up is named by that, too.
+        names = [name for name in (place.name, place.name.rpartition(": ")[2]) if name in table.mode[0].displacement]
+        if not names:
+            told = f"the load is elastic ({table.name}), but load.elastic.mode.displacement does not tell how"
+            raise ComputeError(f"{told} {place.name} moves; add its place to every mode")
+        rows = [mode.displacement[names[0]] for mode in table.mode]
+        return np.array([[*row, *[0.0] * (6 - len(row))] for row in rows]) / root[:, None]
+
+    return Modes(
+        np.array([mode.frequency for mode in table.mode]),
+        np.array([table.damping if mode.damping is None else mode.damping for mode in table.mode]),
+        np.array([mode.participation for mode in table.mode]) / root[:, None],
+        motion,
+    )
 
 
 # The body from the tables of rig.toml and recording.toml.

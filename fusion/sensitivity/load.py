@@ -22,7 +22,7 @@ from fusion.estimation.uncertainty import (
     total_variance,
 )
 from fusion.sensitivity.body import Body
-from fusion.sensitivity.elastic import FREE_END, likely_frequencies
+from photogram.geometry import skew
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief, check_shape, check_shapes
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors, real_stacked_diagonal
@@ -217,11 +217,53 @@ def _rigidity_notices(body: Body, load: LoadResult) -> tuple[Notice, ...]:
     line = int(np.argmax(np.where(matters, change, -1.0)))
     text = (
         f"the load may not be rigid at {load.frequency_hz[line]:.6g} Hz: a solid of its mass, centre of mass and "
-        f"inertia first resonates near {first[line]:.2g} Hz, which changes {LOAD_COMPONENTS[largest[line]]} there by about "
-        f"{min(change[line], 1.0):.1%}; this is neither corrected nor in U. State [[load.elastic]], or "
+        f"inertia first resonates near {first[line]:.2g} Hz, which changes {LOAD_COMPONENTS[largest[line]]} there by "
+        f"about {min(change[line], 1.0):.1%}; this is neither corrected nor in U. State [[load.elastic]], or "
         "load.first_frequency to bound it"
     )
     return (Notice("warning", text, "load"),)
+
+
+# What mass and size alone say of a load of which nothing elastic is stated.
+
+
+SPEED_OF_SOUND_MPS = 5000.0
+"""Along rods of steel, aluminium and titanium, within 3 %."""
+SOLID_KGPM3 = 7800.0
+SHEAR_SPEED = 0.56
+"""Speed of shear waves, in effect of a section that warps, over that along rods."""
+BENDING_ROOT = 1.8751040687
+"""First root of cos x cosh x = -1, the cantilever's."""
+TRIPLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+FREE_END = np.pi**2 / 24.0
+"""Force over mass times acceleration of the free end of a uniform rod falls by this times (f/f_1)²: (kL)²/6."""
+
+
+def likely_frequencies(mass_matrix: FloatArray) -> FloatArray:
+    """Return (6,): first natural frequencies, Hz, that a metal body of some mass matrix (6, 6) likely has on its foot.
+
+    The foot is taken at the sensor origin; the body reaches along each axis as far as centre of mass and moments of
+    inertia tell: |c| + √3·k, k² = ∫x² dm/m, exact for rods. Along the axes: f = c/(4·reach); bending of the reach j by
+    motion along i: f = 1.875²/(2π)·c·k_i/reach_j², and its shear, by Dunkerley's sum of 1/f².
+    """
+    mass = mass_matrix[0, 0]
+    lever = mass_matrix[3:, :3] / mass
+    centre = np.array([lever[2, 1], lever[0, 2], lever[1, 0]])
+    inertia = mass_matrix[3:, 3:] + mass * skew(centre) @ skew(centre)
+    second = np.maximum(np.trace(inertia) / 2.0 - np.diag(inertia), 0.0) / mass
+    # No solid is smaller than a cube of steel: a point mass is one.
+    edge = (mass / SOLID_KGPM3) ** (1.0 / 3.0)
+    if second.sum() < edge**2 / 4.0:
+        second = np.full(3, edge**2 / 12.0)
+    gyration = np.sqrt(np.maximum(second, 1e-6 * second.max()))
+    reach = np.abs(centre) + np.sqrt(3.0) * gyration
+    along = SPEED_OF_SOUND_MPS / (4.0 * reach)
+    bending = BENDING_ROOT**2 / (2.0 * np.pi) * SPEED_OF_SOUND_MPS * gyration[:, None] / reach**2
+    softness = bending**-2.0 + (SHEAR_SPEED * along) ** -2.0
+    np.fill_diagonal(softness, 0.0)
+    shifts = along**-2.0 + softness.sum(axis=1)
+    turns = [(SHEAR_SPEED * along[i]) ** -2.0 + softness[j, k] + softness[k, j] for i, j, k in TRIPLES]
+    return np.asarray(np.concatenate([shifts, turns]) ** -0.5)
 
 
 # The uncertainty budget: what each cause does to magnitude and phase of complex values, line by line.

@@ -21,19 +21,16 @@ from fusion.instruments.stereo import StereoReading
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Load, Rig, Stereo
-from fusion.sensitivity.analyse import Inputs, analyse
-from fusion.sensitivity.body import Body, load_body
+from fusion.sensitivity.analyse import Inputs, analyse, elastic_rows
+from fusion.sensitivity.body import Body, elastic_part, load_body
 from fusion.sensitivity.elastic import (
     Modes,
     Place,
     Plate,
     Rod,
-    elastic_part,
-    elastic_rows,
     joined,
-    likely_frequencies,
 )
-from fusion.sensitivity.load import load_phasors
+from fusion.sensitivity.load import likely_frequencies, load_phasors
 from fusion.sensitivity.monte_carlo import propagate
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
