@@ -215,9 +215,10 @@ def _rigidity_notices(body: Body, load: LoadResult) -> tuple[Notice, ...]:
     if not np.any(matters):
         return ()
     line = int(np.argmax(np.where(matters, change, -1.0)))
+    natural_hz = float(f"{first[line]:.2g}")
     text = (
         f"the load may not be rigid at {load.frequency_hz[line]:.6g} Hz: a solid of its mass, centre of mass and "
-        f"inertia first resonates near {first[line]:.2g} Hz, which changes {LOAD_COMPONENTS[largest[line]]} there by "
+        f"inertia first resonates near {natural_hz:g} Hz, which changes {LOAD_COMPONENTS[largest[line]]} there by "
         f"about {min(change[line], 1.0):.1%}; this is neither corrected nor in U. State [[load.elastic]], or "
         "load.first_frequency to bound it"
     )
