@@ -70,7 +70,8 @@ class StereoReading(Geometry):
     `effects`: by name, changes (P, K, 6) of the phasors for one standard uncertainty of further unknowns, such as the
     principal components of the calibration's covariance (CALIBRATION, which counts as stated). `clock_uncertainty`:
     relative, of the time base. `errors`: relative ones (K, 1) of all six phasors that hold for one recording, such as
-    those of the instants of the trigger, one unknown for all pairs that follow it.
+    those of the instants of the trigger, one unknown for all pairs that follow it. `face_m` (3,): the middle of the
+    points that it follows, at rest, where that is known.
     """
 
     name: str
@@ -79,6 +80,7 @@ class StereoReading(Geometry):
     effects: Mapping[str, ComplexArray] = field(default_factory=dict)
     clock_uncertainty: float = 0.0
     errors: tuple[RelativeError, ...] = ()
+    face_m: FloatArray | None = None
 
     def observed(self) -> Observation:
         """Return the rows of the pair: displacement phasors = -A/ω², and their common errors by name.

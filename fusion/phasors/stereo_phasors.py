@@ -157,6 +157,7 @@ def stereo_phasors(base: TimeBase, measured: StereoMotion, lines: Lines, *, from
             *exposure.errors(lines.frequency_hz),
             *(line_turns(lines, float(np.mean(time_s))) if from_motion else ()),
         ),
+        face_m=np.asarray(np.nanmean(measured.deformation.reference_m, axis=0)),
     )
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     told += [(name, notice) for notice in fit.notices if notice.severity == "warning"]

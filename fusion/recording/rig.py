@@ -36,6 +36,8 @@ from fusion.recording.values import (
     describe,
     positive,
     refusal,
+    refuse_foreign,
+    refuse_missing,
     refuse_repeated,
     rows_of,
     spread,
@@ -146,19 +148,140 @@ class Mounted(Block):
         return self.mass * reference / (1 - CONVENTIONAL_AIR_DENSITY / self.density)
 
 
+def _displacements(value: object) -> dict[str, tuple[float, ...]]:
+    """What a mode does at places by name: 3 numbers of displacement, or 6 with the rotation."""
+    if not isinstance(value, dict) or not value:
+        raise refusal("a table of 3 or 6 numbers by the names of channels and stereo pairs", describe(value))
+    return {
+        name: vector(6 if isinstance(row, list | tuple) and len(row) == 6 else 3)(row) for name, row in value.items()
+    }
+
+
+class ElasticMode(Block):
+    """A natural mode of the load with its foot held, as a finite element program tells it.
+
+    `participation` (6,): force and moment at the sensor origin for a unit acceleration of the mode; `displacement` of
+    places by name; both for a mode of `modal_mass`.
+    """
+
+    frequency: Positive
+    frequency_uncertainty: NotNegative = 0.0
+    damping: NotNegative | None = None
+    participation: Annotated[Vector6, BeforeValidator(vector(6))]
+    modal_mass: Positive = 1.0
+    displacement: Annotated[dict[str, tuple[float, ...]], BeforeValidator(_displacements)]
+
+
+DRAWN = ("foot", "axis", "poisson_ratio", "axial_frequency", "bending_frequency")
+OWN_OF_SHAPE = {
+    "rod": ("young_modulus", "density", "diameter", "length", "name", *DRAWN, "inner_diameter", "tip_mass"),
+    "plate": ("young_modulus", "density", "diameter", "thickness", "clamped_diameter", *DRAWN),
+    "modes": ("mode",),
+}
+"""Keys of `[[load.elastic]]` by shape, the five that it needs first."""
+
+
+class Elastic(Block):
+    """What bends or stretches of the load: a rod or a plate by drawing, or a table of modes.
+
+    Without any uncertainty it is only named: nothing is corrected, and the whole effect is uncertain.
+    """
+
+    name: Text
+    shape: Literal["rod", "plate", "modes"]
+    foot: FreeVector = ZERO3
+    axis: Direction | None = None
+    length: Positive | None = None
+    length_uncertainty: NotNegative = 0.0
+    diameter: Positive | None = None
+    diameter_uncertainty: NotNegative = 0.0
+    inner_diameter: NotNegative = 0.0
+    inner_diameter_uncertainty: NotNegative = 0.0
+    thickness: Positive | None = None
+    thickness_uncertainty: NotNegative = 0.0
+    clamped_diameter: Positive | None = None
+    clamped_diameter_uncertainty: NotNegative = 0.0
+    young_modulus: Positive | None = None
+    young_modulus_uncertainty: NotNegative = 0.0
+    density: Positive | None = None
+    density_uncertainty: NotNegative = 0.0
+    poisson_ratio: Annotated[float, Field(ge=0, lt=0.5)] = 0.3
+    poisson_ratio_uncertainty: NotNegative = 0.0
+    tip_mass: NotNegative = 0.0
+    tip_mass_uncertainty: NotNegative = 0.0
+    axial_frequency: Positive | None = None
+    axial_frequency_uncertainty: NotNegative = 0.0
+    bending_frequency: Positive | None = None
+    bending_frequency_uncertainty: NotNegative = 0.0
+    damping: NotNegative = 0.0
+    damping_uncertainty: NotNegative = 0.0
+    frequencies_uncertainty: NotNegative = 0.0
+    participation_uncertainty: NotNegative = 0.0
+    mode: Annotated[tuple[ElasticMode, ...], BeforeValidator(array_of_tables)] = ()
+
+    @model_validator(mode="after")
+    def _has_what_its_shape_needs(self) -> Self:
+        of_modes = {
+            "name",
+            "shape",
+            "damping",
+            "damping_uncertainty",
+            "frequencies_uncertainty",
+            "participation_uncertainty",
+        }
+        own = OWN_OF_SHAPE[self.shape]
+        known = {*of_modes, *(name for key in own for name in (key, f"{key}_uncertainty"))}
+        refuse_foreign(self, known, f'shape = "{self.shape}"')
+        if self.shape == "modes":
+            if not self.mode:
+                raise refusal("at least one [[load.elastic.mode]]", "nothing", key="mode")
+            places = set(self.mode[0].displacement)
+            for number, mode in enumerate(self.mode, 1):
+                if set(mode.displacement) != places:
+                    told = f"{', '.join(sorted(mode.displacement))} in mode {number}"
+                    raise refusal(f"the places {', '.join(sorted(places))} of mode 1", told, key="mode")
+            return self
+        refuse_missing(self, own[:5], f'shape = "{self.shape}"')
+        key = "inner_diameter" if self.shape == "rod" else "clamped_diameter"
+        inner, outer = getattr(self, key) or 0.0, self.diameter or 0.0
+        if inner >= outer:
+            raise refusal(f"less than the diameter of {outer:g} m", f"{inner:g}", key=key)
+        return self
+
+
 class Load(Mounted):
     """Everything mounted above the sensor, without the sensor's own part.
 
     `elastic_frequency`: at which the load resonates on its joint with the lower side held, Hz, component by component;
-    without an uncertainty it is only named: nothing is corrected, and the whole effect is uncertain.
+    without an uncertainty it is only named: nothing is corrected, and the whole effect is uncertain. `elastic`: what
+    bends of the load itself; `first_frequency`: at which it first resonates with its foot held, where no more is known.
     """
 
     inertia: Inertia
+    elastic: Annotated[tuple[Elastic, ...], BeforeValidator(array_of_tables)] = ()
+    first_frequency: Annotated[
+        Vector6 | None, BeforeValidator(positive(spread(6), "a number or 6 numbers, all above 0"))
+    ] = None
     elastic_frequency: Annotated[
         Vector6 | None, BeforeValidator(positive(spread(6), "a number or 6 numbers, all above 0"))
     ] = None
     elastic_frequency_uncertainty: Annotated[Vector6, BeforeValidator(spread(6))] = ZERO6
     elastic_damping: NotNegative = 0.0
+
+    @property
+    def not_rigid(self) -> str:
+        """Say what is stated of the load that a rigid one does not have; nothing of a rigid one."""
+        if self.elastic_frequency is not None:
+            return "its joint is stated (load.elastic_frequency)"
+        return "its modes are stated (load.elastic)" if self.elastic else ""
+
+    @model_validator(mode="after")
+    def _elastic_parts_have_different_names(self) -> Self:
+        refuse_repeated([part.name for part in self.elastic], "elastic parts", "elastic")
+        if self.elastic and self.first_frequency is not None:
+            expected = "either the modes of [[load.elastic]] or a first frequency that bounds them"
+            raise refusal(expected, "both", key="first_frequency")
+        return self
 
 
 class Part(Mounted):

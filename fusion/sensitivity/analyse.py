@@ -1,7 +1,8 @@
-"""Everything after the phasors: fuse, load, sensitivity; and the result tree of one recording."""
+"""Everything after the phasors: rows on an elastic load, fuse, load, sensitivity; the result tree of one recording."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -9,15 +10,19 @@ import numpy as np
 
 from fusion.base import AnyNotice, ComputeError
 from fusion.estimation.fuse import Acceleration, fuse_sources
-from fusion.estimation.least_squares import UnseenMotion
-from fusion.estimation.measurement_model import Observation
-from fusion.instruments.channel import Outputs
+from fusion.estimation.least_squares import SCALE, UnseenMotion, build_system
+from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
+from fusion.instruments.channel import ChannelGeometry, Outputs
+from fusion.instruments.stereo import StereoReading
+from fusion.instruments.transducer import placed_at, placement_name
 from fusion.instruments.vibrometer import PointSpread
 from fusion.sensitivity.body import Body
 from fusion.sensitivity.distributions import MonteCarlo
+from fusion.sensitivity.elastic import ElasticPart, Modes, Place
 from fusion.sensitivity.load import LoadResult, load_phasors
 from fusion.sensitivity.ratio import Sensitivity, driven_component, parasitic_loads, sensitivity_ratio
-from shaker.arrays import Notice, brief
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
+from shaker.labels import MOTION_COMPONENTS
 from shaker.lines.frequencies import Lines
 
 if TYPE_CHECKING:
@@ -27,6 +32,155 @@ if TYPE_CHECKING:
     from fusion.phasors.timing import ClockResult
     from fusion.recording.load import Manifest
     from fusion.recording.rig import Sensor
+
+# Instruments on an elastic load: rows that tell the motion of its foot.
+
+
+@dataclass(frozen=True)
+class ElasticGeometry(Geometry):
+    """An instrument on an elastic load, for the Monte Carlo run: `inner`, as it is on a rigid one with rows `rigid`.
+
+    `stretch` (K, M, 6, 6): what its places move beside the foot; `moved_places`: for uncertain places the names of the
+    unknowns of the M channels and the change of `stretch` for one standard uncertainty of each; `bent`: names of the
+    errors that motion nobody observes makes, which the rows see themselves when such motion is drawn.
+    """
+
+    inner: Geometry
+    rigid: ComplexArray
+    stretch: ComplexArray
+    moved_places: tuple[tuple[tuple[str, ...], ComplexArray], ...]
+    bent: frozenset[str]
+
+    @property
+    def unknowns(self) -> frozenset[str]:
+        """Return the names of the unknowns that `rows` and `moved` draw."""
+        return self.inner.unknowns | self.bent
+
+    def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
+        """Return the rows (N, K, M, 6) at places and along directions as drawn, on the load as it is stretched."""
+        rigid = self.inner.rows(self.rigid, deviates)
+        total = np.repeat(self.stretch[None], deviates.count, axis=0)
+        for names, change in self.moved_places:
+            size = np.stack([deviates.normal(name) for name in names], axis=1)
+            total += size[:, None, :, None, None] * change
+        return np.asarray(rigid + np.einsum("nkmj,nkmji->nkmi", rigid, total))
+
+    def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
+        """Return readings as instruments in N other places give them."""
+        return self.inner.moved(readings, deviates)
+
+
+def elastic_rows(
+    observations: Sequence[Observation], parts: Sequence[ElasticPart], unseen: UnseenMotion | None = None
+) -> tuple[Observation, ...]:
+    """Return instruments on the load with rows that act on the motion of its foot: design · (I + stretch).
+
+    What is uncertain of the modes is a common error of theirs, by the name under which it acts on the load. What
+    components that nobody observes do through the modes is not in the rows, where it would take the observed ones with
+    it: it is an error of the readings of the size that is assumed of such components.
+    """
+    own = [observation for observation in observations if observation.body == "load"]
+    if not parts or not own:
+        return tuple(observations)
+    system = build_system(own, unseen)
+    start = system.acceleration(np.asarray(np.linalg.lstsq(system.design, system.readings, rcond=None)[0]))
+    # What is assumed of an unseen component (K, 6), as a multiple of the component that moves most (K, 6).
+    size = np.where(system.observed, np.abs(start / SCALE), -1.0)
+    most = np.arange(6) == np.argmax(size, axis=1)[:, None]
+    share = np.divide(most, np.abs(start) * np.sqrt(2.0), out=np.zeros(start.shape), where=most & (start != 0.0))
+    multiple = system.unseen.amplitude(start, system.observed)[:, :, None] * share[:, None, :]
+    return tuple(_stretched(o, parts, system.observed, multiple) if o.body == "load" else o for o in observations)
+
+
+def _stretched(
+    observation: Observation, parts: Sequence[ElasticPart], seen: BoolArray, unseen: FloatArray
+) -> Observation:
+    """Return one instrument on the elastic load.
+
+    `seen` (K, 6): components that any instrument observes; `unseen` (K, 6, 6): what is assumed of either part of the
+    others = matrix · acceleration.
+    """
+    frequency, rigid, inner = observation.phasors.frequency_hz, observation.design, observation.geometry
+    places = _places(observation)
+    whole = _stretch(parts, frequency, places, rigid.shape[1])
+    stretch = np.where(seen[:, None, None, :], whole, 0.0)
+    slopes = {error.name: error.slope + _rows(error.slope, stretch) for error in observation.common}
+    moved_places = tuple(_moved_places(parts, frequency, inner, places))
+    for names, change in moved_places:
+        for place, name in enumerate(names):
+            if name in slopes:
+                slopes[name][:, place] += np.where(seen, _rows(rigid, change)[:, place], 0.0)
+    none = np.zeros(rigid.shape[:2], np.complex128)
+    common = [replace(error, slope=slopes[error.name]) for error in observation.common]
+    for part in parts:
+        for c in part.changes(lambda modes: _stretched_places(modes, frequency, places, rigid.shape[1])):
+            # Where a number is stated too high, the readings are those of rows with less of it.
+            slope = -np.where(seen[:, None, :], _rows(rigid, c.effect), 0.0)
+            common.append(CommonError(c.name, c.label, c.u, c.unit, c.scope, slope, none))
+    bent = set()
+    for place in np.flatnonzero(~np.all(seen, axis=0)).tolist():
+        slope = _rows(rigid, whole - stretch)[:, :, place, None] * unseen[:, None, place]
+        label = f"unobserved {MOTION_COMPONENTS[place]} that bends the load"
+        for turn, kind in ((1.0, "in phase"), (1j, "in quadrature")):
+            common.append(CommonError(f"{label}: {kind}", label, 1.0, "1", "recording", turn * slope, none))
+            bent.add(f"{label}: {kind}")
+    geometry = ElasticGeometry(inner, rigid, whole, moved_places, frozenset(bent))
+    return replace(observation, design=rigid + _rows(rigid, stretch), common=tuple(common), geometry=geometry)
+
+
+def _rows(design: ComplexArray, stretch: ComplexArray) -> ComplexArray:
+    """Rows (K, M, 6) of what is stretched beside the foot."""
+    return np.asarray(np.einsum("kmj,kmji->kmi", design, stretch))
+
+
+def _stretched_places(modes: Modes, frequency_hz: FloatArray, places: Sequence[Place], rows: int) -> ComplexArray:
+    """Return what M rows are stretched (K, M, 6, 6), all at one place or each at its own."""
+    each = np.stack([modes.stretch(frequency_hz, place) for place in places], axis=1)
+    return np.repeat(each, rows // len(places), axis=1)
+
+
+def _stretch(
+    parts: Sequence[ElasticPart], frequency_hz: FloatArray, places: Sequence[Place], rows: int
+) -> ComplexArray:
+    """Return what M rows are stretched (K, M, 6, 6) by all parts, as far as that is corrected."""
+    return np.asarray(
+        sum(part.act(lambda modes: _stretched_places(modes, frequency_hz, places, rows)) for part in parts)
+    )
+
+
+def _moved_places(
+    parts: Sequence[ElasticPart], frequency_hz: FloatArray, inner: Geometry, places: Sequence[Place]
+) -> Iterator[tuple[tuple[str, ...], ComplexArray]]:
+    """Yield the names of the unknowns of M uncertain places, axis by axis, and what they change of the stretch."""
+    if not isinstance(inner, ChannelGeometry) or inner.transducer.turning:
+        return
+    for unit, letter in zip(np.eye(3), "xyz", strict=True):
+        shifts = [unit * np.broadcast_to(entry.point_uncertainty, 3) for entry in inner.entries]
+        if np.any(shifts):
+            ahead, behind = (
+                [
+                    replace(place, point_m=place.point_m + sign * shift)
+                    for place, shift in zip(places, shifts, strict=True)
+                ]
+                for sign in (1.0, -1.0)
+            )
+            both = (_stretch(parts, frequency_hz, side, len(places)) for side in (ahead, behind))
+            change = np.subtract(*both) / 2.0
+            yield tuple(placement_name(entry, "point", letter) for entry in inner.entries), np.asarray(change)
+
+
+def _places(observation: Observation) -> list[Place]:
+    """Return where an instrument sees the load: each of its channels, or a stereo pair the middle of its points."""
+    seen, elastic = observation.geometry, "the load is elastic"
+    if isinstance(seen, ChannelGeometry):
+        missing = [entry.name for entry in seen.entries if entry.point is None]
+        if missing:
+            raise ComputeError(f"{elastic}, but channel {missing[0]} has no point; state where it sits on the load")
+        return [Place(entry.name, placed_at(entry)) for entry in seen.entries]
+    if isinstance(seen, StereoReading) and seen.face_m is not None:
+        return [Place(seen.name, seen.face_m)]
+    raise ComputeError(f"{elastic}, but where {observation.title} sees it is not known")
+
 
 # From the phasors of all instruments to acceleration, load and sensitivity: what follows tracks and channels.
 

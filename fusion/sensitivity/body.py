@@ -1,17 +1,18 @@
-"""Mass matrix, lever arms and gravity tilt of the load, and what lies below an elastic joint."""
+"""Mass matrix, lever arms and gravity tilt of the load, and what is elastic of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion.base import InputError
+from fusion.base import ComputeError, InputError
 from fusion.estimation.uncertainty import Scope, Unknown
+from fusion.sensitivity.elastic import ONLY_NAMED, ElasticPart, Modes, Place, Plate, Rod, Variant, joined
 from photogram.geometry import skew
 from shaker.arrays import ComplexArray, FloatArray, check_shapes
 from shaker.identification.measured import InertiaError
@@ -20,10 +21,10 @@ from shaker.labels import MOTION_COMPONENTS
 if TYPE_CHECKING:
     from fusion.estimation.measurement_model import Deviates
     from fusion.recording.load import Manifest
-    from fusion.recording.rig import Load, Rig
+    from fusion.recording.rig import Elastic, ElasticMode, Load, Rig
     from fusion.recording.rig import Part as PartTable
 
-# The elastic joint between a load and what is mounted below it: how the lower side follows the upper one.
+# The elastic joint: the load itself stays rigid, so all its places move alike, and the fused motion is the load's own.
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Joint:
     damping: float
 
     def follow(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return (K, 6): motion of the lower side over that of the load, 1 - r²/(1 + 2jζr) with r = f/f_e.
+        """Return (K, 6): motion of the lower side over that of the load, 1/(1 + G) = 1 - r²/(1 + 2jζr).
 
         The joint carries the load's inertia, -ω²·m·x_load = (k + jωb)·(x_below - x_load).
         """
@@ -57,10 +58,11 @@ class Joint:
         damped = 1.0 + 2j * self.damping * r
         slope = r * r * (1.0 + damped) / damped**2 / self.frequency_hz
         stated = self.u_frequency_hz > 0.0
-        return np.asarray(np.where(stated, slope * self.u_frequency_hz, -self._stretch(frequency_hz) / np.sqrt(3.0)))
+        named = -self._stretch(frequency_hz) * ONLY_NAMED
+        return np.asarray(np.where(stated, slope * self.u_frequency_hz, named))
 
     def _stretch(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Share (K, 6) of the load's motion that the joint takes up."""
+        """Share (K, 6) of the load's motion that the joint takes up: G/(1 + G), finite at the resonance too."""
         r = frequency_hz[:, None] / self.frequency_hz
         return np.asarray(r * r / (1.0 + 2j * self.damping * r))
 
@@ -185,7 +187,9 @@ class Body:
     """Parts that move as one, or, where the load's `joint` is known, as one above and one below it.
 
     `gravity_mps2` (3,) in sensor axes, None where it is not known, with its standard uncertainty. `sense`: whether
-    wrenches are positive as they act on the load or on the sensor.
+    wrenches are positive as they act on the load or on the sensor. `elastic`: what bends of the load; accelerations are
+    then those of its foot. `first_frequency_hz` (6,): at which the load first resonates with its foot held, of which
+    nothing else is known, so that nothing is corrected for it.
     """
 
     parts: tuple[Part, ...]
@@ -193,6 +197,13 @@ class Body:
     gravity_mps2: ArrayLike | None = None
     u_gravity_mps2: ArrayLike = (0.0, 0.0, 0.0)
     sense: Literal["on_load", "on_sensor"] = "on_load"
+    elastic: tuple[ElasticPart, ...] = ()
+    first_frequency_hz: FloatArray | None = None
+
+    @property
+    def rigid(self) -> Body:
+        """The body without anything elastic."""
+        return replace(self, joint=None, elastic=(), first_frequency_hz=None)
 
     @property
     def weightless(self) -> Body:
@@ -206,7 +217,12 @@ class Body:
 
     def load_matrix(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return (K, 6, 6): wrench = matrix · acceleration of the load; parts below its joint follow it."""
-        return np.asarray(np.sum([self._carried(frequency_hz, part, part.terms) for part in self.parts], axis=0))
+        rigid = np.sum([self._carried(frequency_hz, part, part.terms) for part in self.parts], axis=0)
+        return np.asarray(rigid + sum(part.act(partial(self._wrench, frequency_hz)) for part in self.elastic))
+
+    def _wrench(self, frequency_hz: FloatArray, modes: Modes) -> ComplexArray:
+        """Load matrix (K, 6, 6) of modes of what bends, whose weight turns as that of the rigid body."""
+        return modes.wrench(frequency_hz) if self.sense == "on_load" else -modes.wrench(frequency_hz)
 
     def _carried(self, frequency_hz: FloatArray, part: Part, terms: InertialTerms) -> ComplexArray:
         """Load matrices (..., K, 6, 6) by terms of a part, which may lie below the joint."""
@@ -217,7 +233,7 @@ class Body:
         return matrix * self.joint.follow(frequency_hz)[:, None, :]
 
     def matrix_changes(self, frequency_hz: FloatArray) -> tuple[Unknown[ComplexArray], ...]:
-        """Return what every uncertain number does to the load matrix (K, 6, 6): of parts, joint and gravity."""
+        """Return what every uncertain number does to the load matrix (K, 6, 6): of parts, joint, modes and gravity."""
         changes: list[Unknown[ComplexArray]] = []
         for part in self.parts:
             changes += _parameters(part, partial(self._carried, frequency_hz, part))
@@ -232,6 +248,18 @@ class Body:
                 own[:, :, place] = lower[:, :, place] * by_joint[:, None, place]
                 name, label = f"joint of the load {stated:.9g} Hz: {axis}", "joint of the load"
                 changes.append(Unknown(name, label, u or 1.0, "Hz" if u else "1", own, "mounting"))
+        for bending in self.elastic:
+            changes += bending.changes(partial(self._wrench, frequency_hz))
+        if self.first_frequency_hz is not None:
+            above = replace(self.rigid, parts=tuple(part for part in self.parts if not part.below_joint))
+            # r²/(1 - r²) of a mass on a spring, which moves and pulls more than what is spread out; 2r² from r² = ½ on.
+            square = (frequency_hz[:, None] / self.first_frequency_hz) ** 2
+            bound = square / np.maximum(1.0 - square, 0.5) * ONLY_NAMED
+            for place, axis in enumerate(MOTION_COMPONENTS):
+                own = np.zeros((len(frequency_hz), 6, 6), np.complex128)
+                own[:, :, place] = above.load_matrix(frequency_hz)[:, :, place] * bound[:, None, place]
+                name, label = f"{self.first_frequency_hz[place]:.9g} Hz: {axis}", "first natural frequency of the load"
+                changes.append(Unknown(f"{label} {name}", label, 1.0, "1", own, "mounting"))
         # Of the vector of gravity only the tilt of the weight knows.
         still = self.weightless.load_matrix(frequency_hz)
         for axis, along, u in zip("xyz", np.eye(3), np.asarray(self.u_gravity_mps2).tolist(), strict=True):
@@ -243,7 +271,7 @@ class Body:
     def draw_load_matrices(self, frequency_hz: FloatArray, deviates: Deviates) -> ComplexArray:
         """Return N load matrices (N, K, 6, 6) of drawn masses, centres of mass and inertias, and of whatever else errs.
 
-        The parts' own numbers enter exactly; gravity, the joint and the air by their first-order changes.
+        The parts' own numbers enter exactly; gravity, joint, modes and the air by their first-order changes.
         """
         drawn = []
         for part in self.parts:
@@ -253,11 +281,13 @@ class Body:
             centre, inertia = part.centre_of_mass_m + moved, part.inertia_kgm2 + turned
             terms = InertialTerms.of(part.mass_kg + heavier, centre, inertia, part.air_share)
             drawn.append(self._carried(frequency_hz, part, terms))
-        total = np.asarray(np.sum(drawn, axis=0))
+        drawn += [part.act(partial(self._wrench, frequency_hz)) for part in self.elastic]
+        total = np.asarray(sum(drawn))
         own = {f"{part.name}: {what}" for part in self.parts for what in ("mass", "centre of mass", "inertia")}
         for change in self.matrix_changes(frequency_hz):
             if change.label not in own:
-                total += deviates.normal(change.name)[:, None, None, None] * change.effect
+                # What instruments read errs by the same draws: the truth is the estimate less its error.
+                total = total - deviates.normal(change.name)[:, None, None, None] * change.effect
         return total
 
 
@@ -302,6 +332,109 @@ def _parameters(part: Part, matrix: Callable[[InertialTerms], ComplexArray]) -> 
         yield unknown("air moved along", "", u, "kg", air)
 
 
+# What rig.toml states of an elastic load as modes with their unknowns.
+
+
+UNCERTAIN: Mapping[str, tuple[str, Scope]] = {
+    "young_modulus": ("Pa", "rig"),
+    "density": ("kg/m^3", "rig"),
+    "poisson_ratio": ("1", "rig"),
+    "length": ("m", "rig"),
+    "diameter": ("m", "rig"),
+    "inner_diameter": ("m", "rig"),
+    "thickness": ("m", "rig"),
+    "clamped_diameter": ("m", "rig"),
+    "tip_mass": ("kg", "rig"),
+    "axial_frequency": ("Hz", "mounting"),
+    "bending_frequency": ("Hz", "mounting"),
+    "damping": ("1", "mounting"),
+    "frequencies": ("1", "rig"),
+    "participation": ("1", "rig"),
+}
+"""Keys of `[[load.elastic]]` that have an uncertainty, with the unit of that and how long they keep their value."""
+FACTORS = ("frequencies", "participation")
+"""Of all modes together: 1, with a relative uncertainty."""
+
+
+def elastic_part(table: Elastic) -> ElasticPart:
+    """Return the modes that a block `[[load.elastic]]` states, and what each of its uncertain numbers does to them."""
+    title, variants = f"elastic {table.name}", []
+
+    def add(what: str, stated: float, u: float, unit: str, scope: Scope, changed: Callable[[float], Modes]) -> None:
+        if u > 0.0:
+            name, label = f"{title}: {what} {stated:.9g}", f"{title}: {what}"
+            variants.append(Variant(name, label, u, unit, scope, changed(stated + u), changed(stated - u)))
+
+    for key, (unit, scope) in UNCERTAIN.items():
+        stated, u = 1.0 if key in FACTORS else getattr(table, key), getattr(table, f"{key}_uncertainty")
+
+        def other(value: float, key: str = key) -> Modes:
+            return _modes(table, {key: value})
+
+        if stated is not None:
+            add(key.replace("_", " "), stated, u, unit, scope, other)
+    for place, mode in enumerate(table.mode):
+
+        def shifted(frequency: float, place: int = place, mode: ElasticMode = mode) -> Modes:
+            moved = mode.model_copy(update={"frequency": frequency})
+            return _modes(table, {"mode": (*table.mode[:place], moved, *table.mode[place + 1 :])})
+
+        add("frequency", mode.frequency, mode.frequency_uncertainty, "Hz", "rig", shifted)
+    mass = None if table.shape == "modes" else _drawn(table).mass_kg
+    return ElasticPart(table.name, _modes(table, {}), tuple(variants), mass)
+
+
+def _drawn(table: Elastic) -> Rod | Plate:
+    """Return the rod or plate of a block."""
+    foot, axis = np.array(table.foot), np.array(table.axis or (0.0, 0.0, 1.0))
+    material = table.young_modulus or 0.0, table.density or 0.0, table.poisson_ratio
+    across_it = table.diameter or 0.0
+    if table.shape == "rod":
+        return Rod(foot, axis, table.length or 0.0, across_it, table.inner_diameter, *material, table.tip_mass)
+    return Plate(foot, axis, table.thickness or 0.0, across_it, table.clamped_diameter or 0.0, *material)
+
+
+def _modes(table: Elastic, change: Mapping[str, Any]) -> Modes:
+    """Return the modes of a block of which some values are others."""
+    table = table.model_copy(update={key: value for key, value in change.items() if key not in FACTORS})
+    if table.shape == "modes":
+        modes = _tabled(table)
+    else:
+        families = _drawn(table).families()
+        for kind, tapped in (("axial", table.axial_frequency), ("bending", table.bending_frequency)):
+            if tapped is not None:
+                natural = families[kind].frequency_hz
+                families[kind] = replace(families[kind], frequency_hz=natural * (tapped / natural.min()))
+        modes = joined(list(families.values()))
+        modes = replace(modes, damping=np.full(len(modes.damping), table.damping))
+    return replace(
+        modes,
+        frequency_hz=modes.frequency_hz * change.get("frequencies", 1.0),
+        participation=modes.participation * change.get("participation", 1.0),
+    )
+
+
+def _tabled(table: Elastic) -> Modes:
+    """Return the modes that a finite element program told, brought to a modal mass of 1."""
+    root = np.sqrt([mode.modal_mass for mode in table.mode])
+
+    def motion(place: Place) -> FloatArray:
+        # A channel of a later set-up is named by that, too.
+        names = [name for name in (place.name, place.name.rpartition(": ")[2]) if name in table.mode[0].displacement]
+        if not names:
+            told = f"the load is elastic ({table.name}), but load.elastic.mode.displacement does not tell how"
+            raise ComputeError(f"{told} {place.name} moves; add its place to every mode")
+        rows = [mode.displacement[names[0]] for mode in table.mode]
+        return np.array([[*row, *[0.0] * (6 - len(row))] for row in rows]) / root[:, None]
+
+    return Modes(
+        np.array([mode.frequency for mode in table.mode]),
+        np.array([table.damping if mode.damping is None else mode.damping for mode in table.mode]),
+        np.array([mode.participation for mode in table.mode]) / root[:, None],
+        motion,
+    )
+
+
 # The body from the tables of rig.toml and recording.toml.
 
 
@@ -334,7 +467,9 @@ def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
     if load.elastic_frequency is not None:
         joint = make_joint(load.elastic_frequency, load.elastic_frequency_uncertainty, load.elastic_damping)
     sense = "on_load" if sensor is None else sensor.sense
-    return Body(tuple(rigid), joint, *environment.free_fall_mps2, sense)
+    elastic = tuple(elastic_part(table) for table in load.elastic)
+    first = None if load.first_frequency is None else np.array(load.first_frequency)
+    return Body(tuple(rigid), joint, *environment.free_fall_mps2, sense, elastic, first)
 
 
 def rigid_load(manifest: Manifest) -> Body:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 
 from fusion.base import Executor, ProgressCallback, Settings, no_progress, versions
 from fusion.instruments.channel import sensor_outputs
@@ -12,7 +13,7 @@ from fusion.phasors.setup import measure_set_up, open_set_ups
 from fusion.phasors.setups import join_set_ups
 from fusion.phasors.stereo_phasors import unseen_fundamentals
 from fusion.recording.load import Manifest
-from fusion.sensitivity.analyse import Evaluation, Inputs, analyse
+from fusion.sensitivity.analyse import Evaluation, Inputs, analyse, elastic_rows
 from fusion.sensitivity.body import load_body
 from fusion.sensitivity.disturbances import at_reference_temperature, not_assessed, with_support_motion
 from fusion.sensitivity.monte_carlo import propagate
@@ -46,16 +47,19 @@ def evaluate_recording(
     observations = with_support_motion(observations, surroundings.support_motion)
     unseen = unseen_fundamentals(observations, joined.lines, joined.aliased)
     sensor, body = manifest.rig.sensor, load_body(manifest.rig, manifest.part)
+    rows = observations if body is None else elastic_rows(observations, body.elastic, manifest.shaker.unseen)
     outputs = sensor_outputs(joined.readings, sensor.channels) if sensor is not None else None
     if sensor is not None and outputs is not None:
         outputs = at_reference_temperature(outputs, sensor, surroundings)
     direction, unseen_motion = manifest.excitation.direction, manifest.shaker.unseen
-    inputs = Inputs(joined.lines, observations, outputs, body, sensor, direction, unseen_motion)
+    inputs = Inputs(joined.lines, rows, outputs, body, sensor, direction, unseen_motion)
     analysis = analyse(inputs)
     drawn = propagate(inputs, analysis, settings.monte_carlo, settings.seed, progress) if settings.monte_carlo else None
     points = point_spreads(observations, analysis.accelerations)
     if body is not None and outputs is not None and analysis.sensitivity is not None:
-        points = tuple(with_ratios(spread, outputs, analysis.sensitivity, body) for spread in points)
+        points = tuple(
+            with_ratios(spread, outputs, analysis.sensitivity, replace(body, elastic=())) for spread in points
+        )
     parallel = beam_notices([reading.entry for reading in joined.readings])
     kinds = [o.kind for o in observations if o.body == "load" and o.stated]
     missing = not_assessed(manifest.rig, joined.lines.frequency_hz.tolist(), kinds)

@@ -16,11 +16,13 @@ from fusion.estimation.uncertainty import (
     Kind,
     Uncertainty,
     Unknown,
+    added_up,
     real_design,
     real_stack,
     total_variance,
 )
 from fusion.sensitivity.body import Body
+from photogram.geometry import skew
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief, check_shape, check_shapes
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors, real_stacked_diagonal
@@ -38,6 +40,10 @@ Half of the usual 10 %: given is what the geometry keeps half of that motion awa
 """
 MATTERS = 0.1
 """Share of the variance from which on an assumption about motion that nobody observed deserves a warning."""
+RIGID_ENOUGH = 1e-3
+"""Relative change of a load by what is elastic of it that needs no notice, unless U is as small."""
+HEAVIER = 1.02
+NEAR_RESONANCE = 0.2
 
 
 @dataclass(frozen=True)
@@ -82,11 +88,10 @@ class LoadResult:
 def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     """Return the wrench L = ±(M A + gravity tilt) at the sensor origin, positive in the body's sense.
 
-    Its uncertainty is that of the acceleration carried through, and one influence per uncertain number of body, joint
-    and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero within the
-    amplitudes of `acceleration.unseen`, a type B contribution "unobserved NAME"; a load component to which they bring
-    more than 5 % is not given. No load is given at lines at which
-    a component of the acceleration is disputed.
+    Its uncertainty is that of the acceleration carried through, and one influence per uncertain number of body, joint,
+    modes and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero within
+    the amplitudes of `acceleration.unseen`, a type B contribution "unobserved NAME"; a load component to which they
+    bring more than 5 % is not given. No load is given at lines at which a component of the acceleration is disputed.
     """
     frequency = acceleration.phasors.frequency_hz
     # At a line without any reading nothing is known, neither what is zero nor how uncertain it is; nor is it where
@@ -105,10 +110,15 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     # What is not observed has contributions of its own.
     carried = acceleration.uncertainty.where_known().transformed(real_design(matrix))
     own = tuple(c.acting(real_stack(np.einsum("kij,kj->ki", c.effect, known))) for c in changes)
-    total = Uncertainty((*carried.random, *hidden.values()), (*carried.influences, *own))
-    rigid = np.einsum("kij,kj->ki", seen * replace(body, joint=None).load_matrix(frequency), known)
-    notices = (*_notices(acceleration, total, value, observed, hidden), *_joint_notice(body, frequency, value, rigid))
-    return LoadResult(frequency, value, total, observed, notices)
+    # What is elastic acts on instruments and load by one name.
+    total = Uncertainty((*carried.random, *hidden.values()), added_up((*carried.influences, *own)))
+    rigid = np.einsum("kij,kj->ki", seen * body.rigid.load_matrix(frequency), known)
+    result = LoadResult(frequency, value, total, observed, ())
+    notices = (
+        *_notices(acceleration, total, value, observed, hidden),
+        *_elastic_notices(body, frequency, value, rigid),
+    )
+    return replace(result, notices=(*notices, *_rigidity_notices(body, result)))
 
 
 def _hidden_contributions(
@@ -165,24 +175,129 @@ def _notices(
     return tuple(told)
 
 
-def _joint_notice(body: Body, frequency_hz: FloatArray, value: ComplexArray, rigid: ComplexArray) -> tuple[Notice, ...]:
-    """Say what the elastic joint does to the largest force, at the line where that is most."""
-    if body.joint is None:
-        return ()
+def _elastic_notices(
+    body: Body, frequency_hz: FloatArray, value: ComplexArray, rigid: ComplexArray
+) -> tuple[Notice, ...]:
+    """Say what joint and modes do to the largest force, at the line where that is most, and what they cannot."""
     sizes = np.nan_to_num(np.abs(rigid))
     largest, lines = np.argmax(sizes[:, :3], axis=1), np.arange(len(value))
     before, after = sizes[lines, largest], np.abs(value)[lines, largest]
     change = np.divide(after, before, out=np.full(len(value), np.nan), where=before > 0.0) - 1.0
-    if not np.any(np.isfinite(change)):
+    if (body.joint is None and not body.elastic) or not np.any(np.isfinite(change)):
         return ()
     line = int(np.nanargmax(np.abs(change)))
-    name, resonance = LOAD_COMPONENTS[largest[line]], body.joint.frequency_hz[largest[line]]
-    where = f"{name} at {frequency_hz[line]:.6g} Hz"
-    if body.joint.u_frequency_hz[largest[line]] == 0.0:
-        text = f"the load's joint ({resonance:.6g} Hz) is only named: {where} is not corrected for it, U contains it"
-    else:
-        text = f"the load's joint ({resonance:.6g} Hz) changes {where} by {change[line]:+.2%} from that of a rigid body"
-    return (Notice("info", text, "load"),)
+    component = int(largest[line])
+    where = f"{LOAD_COMPONENTS[component]} at {frequency_hz[line]:.6g} Hz"
+    told = []
+    if body.joint is not None:
+        resonance, stated = body.joint.frequency_hz[component], body.joint.u_frequency_hz[component] > 0.0
+        joint = f"the load's joint ({resonance:.6g} Hz)"
+        if stated and not body.elastic:
+            told.append(f"{joint} changes {where} by {change[line]:+.2%} from that of a rigid body")
+        elif not stated:
+            told.append(f"{joint} is only named: {where} is not corrected for it, U contains it")
+    bending = [part for part in body.elastic if part.variants]
+    if bending:
+        names = ", ".join(f"{part.name} ({part.modes.frequency_hz.min():.6g} Hz)" for part in bending)
+        told.append(
+            f"the load is elastic: {names}; accelerations of the load are those of its foot, and {where} differs by "
+            f"{change[line]:+.2%} from that of a rigid body with that motion"
+        )
+    told += [
+        f"the elastic {part.name} of the load ({part.modes.frequency_hz.min():.6g} Hz) is stated without any "
+        "uncertainty, so it is only named: nothing is corrected for it, U contains it"
+        for part in body.elastic
+        if not part.variants
+    ]
+    notices = [Notice("info", text, "load") for text in told]
+    total = body.rigid.mass_matrix[0, 0]
+    for part in body.elastic:
+        if part.mass_kg is not None and part.mass_kg > HEAVIER * total:
+            text = f"the elastic {part.name} weighs {part.mass_kg:.4g} kg by its drawing, all that moves {total:.4g} kg"
+            notices.append(Notice("warning", text, "load"))
+        near = np.abs(frequency_hz[:, None] / part.modes.frequency_hz - 1.0) < NEAR_RESONANCE
+        for k, mode in np.argwhere(near)[:1].tolist():
+            text = (
+                f"{frequency_hz[k]:.6g} Hz is near the natural frequency {part.modes.frequency_hz[mode]:.6g} Hz of the "
+                f"elastic {part.name}: there its damping decides, and U by first order may be too small"
+            )
+            notices.append(Notice("warning", text, "load"))
+    return tuple(notices)
+
+
+def _rigidity_notices(body: Body, load: LoadResult) -> tuple[Notice, ...]:
+    """Say where a load of which nothing elastic is stated may not be rigid, by mass and size alone.
+
+    At the line where that matters most: where it changes the largest component by more than 0.1 %, or more than a third
+    of its U, unless U is ten times as large.
+    """
+    if body.elastic or body.first_frequency_hz is not None:
+        return ()
+    above = replace(body.rigid, parts=tuple(part for part in body.parts if not part.below_joint))
+    if not above.parts:
+        return ()
+    natural, lines = likely_frequencies(above.mass_matrix), np.arange(len(load.value))
+    size = np.nan_to_num(np.abs(load.value))
+    largest = np.argmax(size / np.where(np.arange(6) < 3, 1.0, BODY_SIZE_M), axis=1)
+    value, first = size[lines, largest], natural[largest]
+    change = FREE_END * (load.frequency_hz / first) ** 2
+    # U of the magnitude, whatever its phase.
+    expanded = 2.0 * np.sqrt(np.nan_to_num(total_variance(load.uncertainty.covariance))[lines, largest])
+    expanded = np.divide(expanded, value, out=np.full(len(value), np.inf), where=value > 0.0)
+    matters = change > np.minimum(expanded / 3.0, np.maximum(RIGID_ENOUGH, expanded / 10.0))
+    if not np.any(matters):
+        return ()
+    line = int(np.argmax(np.where(matters, change, -1.0)))
+    natural_hz = float(f"{first[line]:.2g}")
+    text = (
+        f"the load may not be rigid at {load.frequency_hz[line]:.6g} Hz: a solid of its mass, centre of mass and "
+        f"inertia first resonates near {natural_hz:g} Hz, which changes {LOAD_COMPONENTS[largest[line]]} there by "
+        f"about {min(change[line], 1.0):.1%}; this is neither corrected nor in U. State [[load.elastic]], or "
+        "load.first_frequency to bound it"
+    )
+    return (Notice("warning", text, "load"),)
+
+
+# What mass and size alone say of a load of which nothing elastic is stated.
+
+
+SPEED_OF_SOUND_MPS = 5000.0
+"""Along rods of steel, aluminium and titanium, within 3 %."""
+SOLID_KGPM3 = 7800.0
+SHEAR_SPEED = 0.56
+"""Speed of shear waves, in effect of a section that warps, over that along rods."""
+BENDING_ROOT = 1.8751040687
+"""First root of cos x cosh x = -1, the cantilever's."""
+TRIPLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+FREE_END = np.pi**2 / 24.0
+"""Force over mass times acceleration of the free end of a uniform rod falls by this times (f/f_1)²: (kL)²/6."""
+
+
+def likely_frequencies(mass_matrix: FloatArray) -> FloatArray:
+    """Return (6,): first natural frequencies, Hz, that a metal body of some mass matrix (6, 6) likely has on its foot.
+
+    The foot is taken at the sensor origin; the body reaches along each axis as far as centre of mass and moments of
+    inertia tell: |c| + √3·k, k² = ∫x² dm/m, exact for rods. Along the axes: f = c/(4·reach); bending of the reach j by
+    motion along i: f = 1.875²/(2π)·c·k_i/reach_j², and its shear, by Dunkerley's sum of 1/f².
+    """
+    mass = mass_matrix[0, 0]
+    lever = mass_matrix[3:, :3] / mass
+    centre = np.array([lever[2, 1], lever[0, 2], lever[1, 0]])
+    inertia = mass_matrix[3:, 3:] + mass * skew(centre) @ skew(centre)
+    second = np.maximum(np.trace(inertia) / 2.0 - np.diag(inertia), 0.0) / mass
+    # No solid is smaller than a cube of steel: a point mass is one.
+    edge = (mass / SOLID_KGPM3) ** (1.0 / 3.0)
+    if second.sum() < edge**2 / 4.0:
+        second = np.full(3, edge**2 / 12.0)
+    gyration = np.sqrt(np.maximum(second, 1e-6 * second.max()))
+    reach = np.abs(centre) + np.sqrt(3.0) * gyration
+    along = SPEED_OF_SOUND_MPS / (4.0 * reach)
+    bending = BENDING_ROOT**2 / (2.0 * np.pi) * SPEED_OF_SOUND_MPS * gyration[:, None] / reach**2
+    softness = bending**-2.0 + (SHEAR_SPEED * along) ** -2.0
+    np.fill_diagonal(softness, 0.0)
+    shifts = along**-2.0 + softness.sum(axis=1)
+    turns = [(SHEAR_SPEED * along[i]) ** -2.0 + softness[j, k] + softness[k, j] for i, j, k in TRIPLES]
+    return np.asarray(np.concatenate([shifts, turns]) ** -0.5)
 
 
 # The uncertainty budget: what each cause does to magnitude and phase of complex values, line by line.

@@ -19,7 +19,19 @@ from fusion.base import InputError
 from fusion.recording.excitation import KINDS, Excitation
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Images, PointFiles, RecordingFile, Take
-from fusion.recording.rig import Administration, Environment, Head, Load, Part, Rig, Sensor, Shaker, Stereo
+from fusion.recording.rig import (
+    Administration,
+    Elastic,
+    ElasticMode,
+    Environment,
+    Head,
+    Load,
+    Part,
+    Rig,
+    Sensor,
+    Shaker,
+    Stereo,
+)
 from fusion.recording.toml import expand_statements, uncertain_inputs
 from photogram.calibration.file import read_calibration
 
@@ -150,6 +162,8 @@ MODELS: dict[str, type[BaseModel]] = {
     "Top level of rig.toml": Rig,
     "`[sensor]`": Sensor,
     "`[load]`": Load,
+    "`[[load.elastic]]`": Elastic,
+    "`[[load.elastic.mode]]`": ElasticMode,
     "`[[part]]`, in rig.toml or recording.toml": Part,
     "`[environment]`": Environment,
     "`[stereo.NAME]`": Stereo,

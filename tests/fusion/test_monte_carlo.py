@@ -260,7 +260,7 @@ def test_load_matrices_are_those_of_bodies_with_the_drawn_numbers():
         expected = replace(body, parts=tuple(parts)).load_matrix(frequency)
         for change in body.matrix_changes(frequency):
             if change.label in ("upper: air moved along", "joint of the load"):
-                expected = expected + deviates.normal(change.name)[number] * change.effect
+                expected = expected - deviates.normal(change.name)[number] * change.effect
         np.testing.assert_allclose(drawn[number], expected, rtol=1e-10, atol=1e-10)
 
 

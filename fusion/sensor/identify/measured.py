@@ -261,9 +261,9 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
     if others:
         text = f"of several references {base.name} is used, {', '.join(others)} left out"
         notices.append(Notice("info", text, name))
-    if manifest.rig.load is not None and manifest.rig.load.elastic_frequency is not None:
-        text = "the load is taken as rigid although its joint is stated (load.elastic_frequency)"
-        notices.append(Notice("warning", text, name))
+    stated = "" if manifest.rig.load is None else manifest.rig.load.not_rigid
+    if stated:
+        notices.append(Notice("warning", f"the load is taken as rigid although {stated}", name))
     return Prepared(manifest, measured, found), tuple(notices)
 
 
