@@ -15,8 +15,18 @@ from fusion.instruments.vibrometer import PointSpread
 from fusion.sensitivity.body import Body
 from fusion.sensitivity.distributions import MonteCarlo
 from fusion.sensitivity.load import LoadResult, load_phasors
-from fusion.sensitivity.ratio import Sensitivity, driven_component, parasitic_loads, sensitivity_ratio
-from shaker.arrays import brief
+from fusion.sensitivity.ratio import (
+    KnownMatrix,
+    Sensitivity,
+    StatedMatrix,
+    driven_component,
+    known_matrix,
+    parasitic_loads,
+    sensitivity_ratio,
+    sensor_element,
+)
+from shaker.arrays import Notice, brief
+from shaker.labels import LOAD_COMPONENTS
 from shaker.lines.frequencies import Lines
 
 if TYPE_CHECKING:
@@ -48,11 +58,17 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Analysis:
-    """Acceleration of every body, fused first and then by source; load and sensitivity where there are any."""
+    """Acceleration of every body, fused first and then by source; load and sensitivity where there are any.
+
+    `sensitivity`: ratios of the outputs over the driven load; `element`: the sensor's own elements, with what is `known`
+    of its matrix, None where nothing is.
+    """
 
     accelerations: tuple[Acceleration, ...]
     load: LoadResult | None
     sensitivity: Sensitivity | None
+    element: Sensitivity | None = None
+    known: KnownMatrix | None = None
 
     __repr__ = brief
 
@@ -60,6 +76,7 @@ class Analysis:
     def notices(self) -> tuple[AnyNotice, ...]:
         """Return what fusion, load and sensitivity want the user to know."""
         results = [*(a for a in self.accelerations if a.source == "fused"), self.load, self.sensitivity]
+        results.append(self.element)
         return tuple(notice for result in results if result is not None for notice in result.notices)
 
 
@@ -81,16 +98,41 @@ def analyse(inputs: Inputs) -> Analysis:
         return Analysis(accelerations, load, None)
     component = driven_component(direction, sensor.capacity)
     ratio = sensitivity_ratio(outputs, load, component, inputs.lines.multiple, sensor.capacity)
-    if sensor.static_sensitivity is not None:
-        channels, frequency_hz = outputs.phasors.channels, outputs.phasors.frequency_hz
-        static = np.array([sensor.static_sensitivity[sensor.channels.index(name)] for name in channels])
-        parasitic = parasitic_loads(outputs, load, static, component, sensor.static_sensitivity_uncertainty)
-        # Of the output that the driven load moves most, at the strongest line.
-        line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
-        driven = int(np.argmax(np.abs(static[:, component])))
-        told = parasitic.notices(line, driven, f"output {channels[driven]} at {frequency_hz[line]:.6g} Hz")
-        ratio = replace(ratio, notices=(*ratio.notices, *told))
-    return Analysis(accelerations, load, ratio)
+    sizes = np.nanmax(np.nan_to_num(np.abs(ratio.value[:, :, component])), axis=0)
+    known = known_matrix(StatedMatrix.of(sensor), outputs.phasors.channels, component, sizes)
+    notices = _element_notices(known, outputs, load, sensor, component)
+    if known is None:
+        return Analysis(accelerations, load, replace(ratio, notices=(*ratio.notices, *notices)))
+    element = sensor_element(outputs, load, known, inputs.lines.multiple, notices)
+    if not np.isfinite(element.value[:, known.main, component]).any():
+        return Analysis(accelerations, load, ratio)
+    return Analysis(accelerations, load, ratio, element, known)
+
+
+def _element_notices(
+    known: KnownMatrix | None, outputs: Outputs, load: LoadResult, sensor: Sensor, component: int
+) -> tuple[Notice, ...]:
+    """Say what the sensor's element is corrected for, what its U holds instead, or why there is none."""
+    named = LOAD_COMPONENTS[component]
+    if known is None:
+        text = (
+            f"results are ratios of outputs and the load {named}, not the sensor's element: one recording does not span "
+            "the 6 x 6 matrix, and neither sensor.static_sensitivity (with cross-talk) nor sensor.cross_talk is stated; "
+            "what other loads put into the outputs is neither corrected nor in U"
+        )
+        return (Notice("info", text, "sensitivity"),)
+    element = f"element {known.channels[known.main]} per {named}"
+    if not known.static:
+        text = (
+            f"the {element} is not corrected for other loads: U holds a cross-talk within ± {sensor.cross_talk:.2%} of the "
+            "rated output at every rated load"
+        )
+        return (Notice("info", text, "sensitivity"),)
+    # Of the output that the driven load moves most, at the strongest line.
+    shares = parasitic_loads(outputs, load, known.value, component, sensor.static_sensitivity_uncertainty)
+    line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
+    where = f"output {known.channels[known.main]} at {outputs.phasors.frequency_hz[line]:.6g} Hz"
+    return shares.notices(line, known.main, where)
 
 
 # What one evaluated recording consists of: the tree handed to the result writers and the report.
@@ -101,7 +143,8 @@ class Evaluation:
     """Everything one recording yields.
 
     `accelerations`: one entry per body and source (`fused` first). `load`: wrench phasors at the sensor origin, N and
-    N.m, with the manifest's sense. `outputs`: of the sensor. `points`: vibrometer points that look along one
+    N.m, with the manifest's sense. `outputs`: of the sensor. `sensitivity`: ratios; `element`: the sensor's elements under
+    the driven load, where its matrix is known. `points`: vibrometer points that look along one
     direction. `monte_carlo`: where it was asked for. `set_ups`: what ties them, none for one alone.
     `settings`, `versions`, `input_hashes` (file -> SHA-256) say what was run on what.
     """
@@ -123,5 +166,11 @@ class Evaluation:
     set_ups: tuple[SetUpResult, ...] = ()
     points: tuple[PointSpread, ...] = ()
     monte_carlo: MonteCarlo | None = None
+    element: Sensitivity | None = None
 
     __repr__ = brief
+
+    @property
+    def best(self) -> Sensitivity | None:
+        """Return what comes nearest to the sensor's sensitivity: its element, else the ratio."""
+        return self.sensitivity if self.element is None else self.element

@@ -69,4 +69,5 @@ def evaluate_recording(
         set_ups=joined.set_ups,
         points=points,
         monte_carlo=drawn,
+        element=analysis.element,
     )
