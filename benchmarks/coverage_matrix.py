@@ -9,9 +9,9 @@ truth and in what is stated; one recording of the eight with 1 % that nobody sta
 four mountings of three recordings that scatter by 0.3 % and 0.1 %.
 
 And the sensor's element recording by recording: the uniaxial campaign of the preset `matrix` (lasers and accelerometer,
-transverse motion of 1 to 2 %, cross-talk of 2 %), driven along x, y, z, Mx, My, Mz, after the phasors; the static matrix
-differs from the true one by 0.1 % (cross-talk: of the rated output), and a spring-damper and a filter make the course
-over frequency. Beside it what the bare ratio covers of that element. Some ten minutes on one core.
+transverse motion of 1 to 2 %, cross-talk of 2 %), driven along x, y, z, Mx, My, Mz, after the phasors; the static
+matrix differs from the true one by 0.1 % (cross-talk: of the rated output), and a spring-damper and a filter make the
+course over frequency. Beside it what the bare ratio covers of that element. Some ten minutes on one core.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ DRIVEN = (
 )  # fmt: skip
 """Recordings of the preset `matrix`, and the element that each is evaluated for."""
 ELEMENT_HEAD = (
-    "| driven | f / Hz | ratio / element - 1 | bare ratio: U, covered | element: U, covered | acceptance | U / bare U |\n"
+    "| driven | f / Hz | ratio / element − 1 | ratio: U, covered | element: U, covered | acceptance | U, times |\n"
     "|---|---|---|---|---|---|---|"
 )
 
@@ -255,7 +255,9 @@ def element_rows(name: str, load: str, trials: int, seed: int, stated: dict[str,
         )
         cells = [driven, f"{hertz:g}", f"{100 * np.mean(count.bias).real:+.3f} %"]
         cells += [f"{100 * u:.3f} %, {100 * share:.1f} %" for u, share in ((u_ratio, ratio), (u_element, element))]
-        rows.append("| " + " | ".join([*cells, f"{100 * low:.1f}–{100 * high:.1f} %", f"{u_element / u_ratio:.2f}"]) + " |")
+        rows.append(
+            "| " + " | ".join([*cells, f"{100 * low:.1f}–{100 * high:.1f} %", f"{u_element / u_ratio:.2f}"]) + " |"
+        )
     return rows
 
 

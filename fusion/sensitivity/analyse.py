@@ -60,8 +60,8 @@ class Inputs:
 class Analysis:
     """Acceleration of every body, fused first and then by source; load and sensitivity where there are any.
 
-    `sensitivity`: ratios of the outputs over the driven load; `element`: the sensor's own elements, with what is `known`
-    of its matrix, None where nothing is.
+    `sensitivity`: ratios of the outputs over the driven load; `element`: the sensor's own elements, with what is
+    `known` of its matrix, None where nothing is.
     """
 
     accelerations: tuple[Acceleration, ...]
@@ -116,16 +116,16 @@ def _element_notices(
     named = LOAD_COMPONENTS[component]
     if known is None:
         text = (
-            f"results are ratios of outputs and the load {named}, not the sensor's element: one recording does not span "
-            "the 6 x 6 matrix, and neither sensor.static_sensitivity (with cross-talk) nor sensor.cross_talk is stated; "
-            "what other loads put into the outputs is neither corrected nor in U"
+            f"results are ratios of outputs and the load {named}, not the sensor's own sensitivity: one recording does "
+            "not span the 6 x 6 matrix, and neither sensor.static_sensitivity (with cross-talk) nor sensor.cross_talk "
+            "is stated; what other loads put into the outputs is neither corrected nor in U"
         )
         return (Notice("info", text, "sensitivity"),)
     element = f"element {known.channels[known.main]} per {named}"
     if not known.static:
         text = (
-            f"the {element} is not corrected for other loads: U holds a cross-talk within ± {sensor.cross_talk:.2%} of the "
-            "rated output at every rated load"
+            f"the {element} is not corrected for other loads: U holds a cross-talk within ± {sensor.cross_talk:.2%} of "
+            "the rated output at every rated load"
         )
         return (Notice("info", text, "sensitivity"),)
     # Of the output that the driven load moves most, at the strongest line.
@@ -143,10 +143,10 @@ class Evaluation:
     """Everything one recording yields.
 
     `accelerations`: one entry per body and source (`fused` first). `load`: wrench phasors at the sensor origin, N and
-    N.m, with the manifest's sense. `outputs`: of the sensor. `sensitivity`: ratios; `element`: the sensor's elements under
-    the driven load, where its matrix is known. `points`: vibrometer points that look along one
-    direction. `monte_carlo`: where it was asked for. `set_ups`: what ties them, none for one alone.
-    `settings`, `versions`, `input_hashes` (file -> SHA-256) say what was run on what.
+    N.m, with the manifest's sense. `outputs`: of the sensor. `sensitivity`: ratios; `element`: the sensor's elements
+    under the driven load, where its matrix is known. `points`: vibrometer points that look along one direction.
+    `monte_carlo`: where it was asked for. `set_ups`: what ties them, none for one alone. `settings`, `versions`,
+    `input_hashes` (file -> SHA-256) say what was run on what.
     """
 
     manifest: Manifest
@@ -169,8 +169,3 @@ class Evaluation:
     element: Sensitivity | None = None
 
     __repr__ = brief
-
-    @property
-    def best(self) -> Sensitivity | None:
-        """Return what comes nearest to the sensor's sensitivity: its element, else the ratio."""
-        return self.sensitivity if self.element is None else self.element

@@ -31,7 +31,7 @@ MOST_STEPS = 60
 def propagate(
     inputs: Inputs, analysis: Analysis, draws: int, seed: int, progress: ProgressCallback = no_progress
 ) -> MonteCarlo:
-    """Return what N draws of everything uncertain make of acceleration, load, sensitivity and element at the driven lines.
+    """Return what N draws of everything uncertain make of every result at the driven lines.
 
     JCGM 101 and 102: noise from multivariate t-distributions with its degrees of freedom; masses, points, directions,
     poses, scales, delays, clocks from normal distributions of their stated standard uncertainties, each once by its

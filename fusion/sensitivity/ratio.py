@@ -236,8 +236,8 @@ class StatedMatrix:
     """What is stated of the matrix of a sensor with outputs `channels` (C), None where something is not.
 
     `capacity` (6,) in N and N.m; `static` (C, 6) with the relative standard uncertainty `u_static` of every element (0:
-    not stated) and `u_cross_talk`, over the rated output, of those beside the main ones; `cross_talk`: the largest there
-    is, over the rated output at the rated load.
+    not stated) and `u_cross_talk`, over the rated output, of those beside the main ones; `cross_talk`: the largest
+    there is, over the rated output at the rated load.
     """
 
     channels: tuple[str, ...]
@@ -259,7 +259,7 @@ class StatedMatrix:
 
     @property
     def rated(self) -> FloatArray:
-        """Return the rated loads (6,), or where none are stated what makes forces and moments comparable: F over 0.1 m."""
+        """Return the rated loads (6,); where none are stated, moments count over 0.1 m."""
         return np.array([1.0] * 3 + [BODY_SIZE_M] * 3) if self.capacity is None else self.capacity
 
 
@@ -267,10 +267,10 @@ class StatedMatrix:
 class KnownMatrix:
     """What is known of the matrix of C outputs where the load `component` d is driven.
 
-    `main` m: the output that belongs to it; `rows`: the E outputs whose element a recording gives; `value` (C, 6): up to
-    one complex factor, the course of the driven element over frequency; `unknowns`: real, each with its change (C, 6) of
-    the value for one standard uncertainty. `static`: whether the values are a static calibration (normal unknowns), or
-    zero beside the driven element, with rated cross-talk as bounds (uniform ones).
+    `main` m: the output that belongs to it; `rows`: the E outputs whose element a recording gives; `value` (C, 6): up
+    to one complex factor, the course of the driven element over frequency; `unknowns`: real, each with its change (C,
+    6) of the value for one standard uncertainty. `static`: whether the values are a static calibration (normal
+    unknowns), or zero beside the driven element, with rated cross-talk as bounds (uniform ones).
     """
 
     channels: tuple[str, ...]
@@ -278,7 +278,7 @@ class KnownMatrix:
     main: int
     rows: tuple[int, ...]
     value: FloatArray
-    unknowns: tuple[Unknown[FloatArray], ...]
+    unknowns: tuple[Unknown[ComplexArray], ...]
     static: bool
 
     def elements(
@@ -296,7 +296,7 @@ class KnownMatrix:
         return quotient(outputs[..., rows] - course[..., None] * others, np.asarray(load[..., d, None] + 0.0j))
 
     def courses(self, outputs: ComplexArray, load: ComplexArray) -> tuple[Unknown[ComplexArray], ...]:
-        """Return how far other elements may follow another course over frequency than the driven one, effects (K, C, 6).
+        """Return how far other elements may follow another course over frequency than the driven one: (K, C, 6).
 
         The evidence is what the driven element itself has changed by since rest, |h - 1|: standard uncertainty of the
         real and of the imaginary part of every other element's relative deviation from h. Each is one unknown for all
@@ -307,7 +307,7 @@ class KnownMatrix:
         course = quotient(outputs[:, self.main], load @ self.value[self.main])
         away = np.nan_to_num(np.abs(course - 1.0))
         driven = f"{self.channels[self.main]}/{LOAD_COMPONENTS[self.component]}"
-        found = []
+        found = list[Unknown[ComplexArray]]()
         for c, j in np.argwhere(self.value != 0.0).tolist():
             if j == self.component or c not in (self.main, *self.rows):
                 continue
@@ -324,8 +324,8 @@ class KnownMatrix:
     ) -> Uncertainty:
         """Return the uncertainty of the E elements of K lines, first order, unknowns of one name as one.
 
-        dS_cd = [dU_c - h dP_c - P_c dh - S_cd dL_d] / L_d with P_c = Σ_{j≠d} S⁰_cj L_j, h = U_m/Q, Q = Σ_j S⁰_mj L_j, hence
-        dP_c = Σ_{j≠d} (S⁰_cj dL_j + L_j dS⁰_cj) and dh = (dU_m - h Σ_j (S⁰_mj dL_j + L_j dS⁰_mj)) / Q.
+        dS_cd = [dU_c - h dP_c - P_c dh - S_cd dL_d] / L_d with P_c = Σ_{j≠d} S⁰_cj L_j, h = U_m/Q, Q = Σ_j S⁰_mj L_j,
+        hence dP_c = Σ_{j≠d} (S⁰_cj dL_j + L_j dS⁰_cj) and dh = (dU_m - h Σ_j (S⁰_mj dL_j + L_j dS⁰_mj)) / Q.
         """
         rows, m, d = list(self.rows), self.main, self.component
         driven, whole = np.asarray(load[:, d, None] + 0.0j), load @ self.value[m]
@@ -360,38 +360,38 @@ class KnownMatrix:
 def known_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, sizes: ArrayLike) -> KnownMatrix | None:
     """Return what is known of the matrix of some outputs under a driven load, None where nothing is.
 
-    A static matrix: every other element S_cj is taken as S⁰_cj·h with the course h of the driven main element, which the
-    recording itself measures, not as S⁰_cj. What changes between rest and the frequency is first the measuring chain,
-    the same for all elements of an output, and what an elastic element does to the driven load it does in kind to the
-    others; of the two, only what differs among elements is then left over (`KnownMatrix.courses`). For the main output S
-    = S⁰_md·U_m / Σ_j S⁰_mj L_j, so that a scale error of the static calibration has no part in it. Uncertainty of S⁰:
-    relative, and, beside the main elements, over the rated output: nobody knows a cross-talk of 2 % to a thousandth of
-    itself. A row that states only its main element (zeros beside it) tells nothing of cross-talk unless
+    A static matrix: every other element S_cj is taken as S⁰_cj·h with the course h of the driven main element, which
+    the recording itself measures, not as S⁰_cj. What changes between rest and the frequency is first the measuring
+    chain, the same for all elements of an output, and what an elastic element does to the driven load it does in kind
+    to the others; of the two, only what differs among elements is then left over (`KnownMatrix.courses`). For the main
+    output S = S⁰_md·U_m / Σ_j S⁰_mj L_j, so that a scale error of the static calibration has no part in it. Uncertainty
+    of S⁰: relative, and, beside the main elements, over the rated output: nobody knows a cross-talk of 2 % to a
+    thousandth of itself. A row that states only its main element (zeros beside it) tells nothing of cross-talk unless
     `u_cross_talk` says how near to zero that is.
 
     Without it, rated cross-talk x: S_mj uniform within ± x·|S_md|·capacity_d/capacity_j, for the main output only, with
-    S_md as it is measured. `sizes` (C,): outputs over the driven load, which tell the main output where neither its name
-    nor a static matrix does.
+    S_md as it is measured. `sizes` (C,): outputs over the driven load, which tell the main output where neither its
+    name nor a static matrix does.
     """
     names, rated = tuple(channels), stated.rated
     places = [stated.channels.index(name) for name in names]
     if stated.static is not None:
-        static = stated.static[places]
-        main = int(np.argmax(np.abs(static[:, component])))
-        told = np.count_nonzero(static, axis=1) > 1
-        if stated.u_cross_talk is not None:
-            told = np.any(static != 0.0, axis=1)
-        if told[main] and static[main, component] != 0.0:
+        static, own = stated.static[places], stated.channels[int(np.argmax(np.abs(stated.static[:, component])))]
+        main = names.index(own) if own in names else None
+        told = np.count_nonzero(static, axis=1) > (stated.u_cross_talk is None)
+        if main is not None and told[main] and static[main, component] != 0.0:
             rows = tuple(np.flatnonzero(told).tolist())
-            return KnownMatrix(names, component, main, rows, static, _static_unknowns(stated, names, static), static=True)
+            return KnownMatrix(
+                names, component, main, rows, static, _static_unknowns(stated, names, static), static=True
+            )
     if stated.cross_talk is None or stated.capacity is None:
         return None
     named = LOAD_COMPONENTS[component]
     main = names.index(named) if named in names else int(np.argmax(np.nan_to_num(np.abs(np.asarray(sizes)))))
-    value, unknowns = np.zeros((len(names), 6)), []
+    value, unknowns = np.zeros((len(names), 6)), list[Unknown[ComplexArray]]()
     value[main, component] = 1.0
     for j in (j for j in range(6) if j != component):
-        effect = np.zeros(value.shape)
+        effect = np.zeros(value.shape, np.complex128)
         effect[main, j] = stated.cross_talk / np.sqrt(3.0) * rated[component] / rated[j]
         name = f"{RATED} {names[main]}/{LOAD_COMPONENTS[j]}"
         unknowns.append(Unknown(name, RATED, stated.cross_talk / float(np.sqrt(3.0)), "1", effect, "rig"))
@@ -400,7 +400,7 @@ def known_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, 
 
 def _static_unknowns(
     stated: StatedMatrix, channels: tuple[str, ...], static: FloatArray
-) -> tuple[Unknown[FloatArray], ...]:
+) -> tuple[Unknown[ComplexArray], ...]:
     """One unknown per element of a static matrix (C, 6), in the unit of the element."""
     relative = stated.u_static or U_STATIC
     share = U_STATIC if stated.u_cross_talk is None else stated.u_cross_talk
@@ -410,7 +410,7 @@ def _static_unknowns(
     u[own] = relative * np.abs(static[own])
     found = []
     for c, j in np.ndindex(static.shape):
-        effect = np.zeros(static.shape)
+        effect = np.zeros(static.shape, np.complex128)
         effect[c, j] = u[c, j]
         name = f"static sensitivity {channels[c]}/{LOAD_COMPONENTS[j]}"
         found.append(Unknown(name, "static sensitivity", float(u[c, j]), "", effect, "rig"))
@@ -434,7 +434,7 @@ def sensor_element(
         channels=outputs.phasors.channels,
         components=LOAD_COMPONENTS,
         unit=outputs.phasors.unit[0],
-        kind=("element",) * len(signal),
+        kind=tuple("element" for _ in signal),
         notices=tuple(notices),
     )
 
