@@ -336,8 +336,8 @@ def _manifest(folder: Path, choice: Choice) -> Any:
         capacity=(2000.0, 2000.0, 4000.0, 100.0, 100.0, 100.0),
         static_sensitivity=STATIC,
         static_sensitivity_uncertainty=1e-3,
-        cross_talk=None,
-        cross_talk_uncertainty=None,
+        cross_talk=0.02,
+        cross_talk_uncertainty=2e-4,
     )
     rig = SimpleNamespace(
         name="10 kN shaker, load mass 7 kg",

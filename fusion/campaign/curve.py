@@ -31,6 +31,7 @@ from fusion.estimation.uncertainty import (
     Influence,
     Polar,
     Uncertainty,
+    added_up,
     as_complex,
     polar_elements,
     real_design,
@@ -340,7 +341,8 @@ def relative_curve(curve: Curve, static: ArrayLike, u_static: float = 0.0) -> Cu
         change[:, e] = -u_static * np.nan_to_num(value[:, e])
         name = f"static sensitivity {chosen.name(e)}"
         references.append(Influence(name, "static sensitivity", u_static, "1", real_stack(change), "rig"))
-    return replace(chosen, value=value, uncertainty=Uncertainty(scaled.random, (*scaled.influences, *references)))
+    shared = added_up([*scaled.influences, *references])
+    return replace(chosen, value=value, uncertainty=Uncertainty(scaled.random, shared))
 
 
 def interpolate(curve: Curve, frequency_hz: FloatArray) -> Curve:

@@ -298,14 +298,15 @@ class KnownMatrix:
     def courses(self, outputs: ComplexArray, load: ComplexArray) -> tuple[Unknown[ComplexArray], ...]:
         """Return how far other elements may follow another course over frequency than the driven one: (K, C, 6).
 
-        The evidence is what the driven element itself has changed by since rest, |h - 1|: standard uncertainty of the
-        real and of the imaginary part of every other element's relative deviation from h. Each is one unknown for all
-        frequencies and recordings, since a course is smooth and belongs to the sensor. Rated bounds have none.
+        The evidence is what the driven element itself has changed by since rest, |h - 1|: every other element may deviate
+        from h by as much, relative, in a direction of the complex plane of which nothing is known, hence |h - 1|/√2 as
+        standard uncertainty of real and imaginary part. Each is one unknown for all frequencies and recordings, since a
+        course is smooth and belongs to the sensor. Rated bounds have none.
         """
         if not self.static:
             return ()
         course = quotient(outputs[:, self.main], load @ self.value[self.main])
-        away = np.nan_to_num(np.abs(course - 1.0))
+        away = np.nan_to_num(np.abs(course - 1.0)) / np.sqrt(2.0)
         driven = f"{self.channels[self.main]}/{LOAD_COMPONENTS[self.component]}"
         found = list[Unknown[ComplexArray]]()
         for c, j in np.argwhere(self.value != 0.0).tolist():
