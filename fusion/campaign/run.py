@@ -283,7 +283,9 @@ def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
     if several:
         table.add_column("recording")
     for head in ("frequency / Hz", "quantity", "magnitude ± U", "unit", "phase ± U / rad", "k", "kind"):
-        table.add_column(head, justify="left" if head in ("quantity", "unit", "kind") else "right")
+        table.add_column(
+            head, justify="left" if head in ("quantity", "unit", "kind") else "right", no_wrap=head == "quantity"
+        )
     for row in rows:
         name = result_name(row["kind"], row["channel"], row["component"], main=mains[of(row)] == row["channel"])
         magnitude, phase, factor = _cells(row_element(row))

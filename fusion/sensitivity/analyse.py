@@ -37,6 +37,9 @@ if TYPE_CHECKING:
     from fusion.recording.load import Manifest
     from fusion.recording.rig import Sensor
 
+CHANGED = 0.3
+"""Relative change of the driven element since rest from which its static value is doubted."""
+
 # From the phasors of all instruments to acceleration, load and sensitivity: what follows tracks and channels.
 
 
@@ -131,8 +134,17 @@ def _element_notices(
     # Of the output that the driven load moves most, at the strongest line.
     shares = parasitic_loads(outputs, load, known.value, component, sensor.static_sensitivity_uncertainty)
     line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
-    where = f"output {known.channels[known.main]} at {outputs.phasors.frequency_hz[line]:.6g} Hz"
-    return shares.notices(line, known.main, where)
+    hertz = f"{outputs.phasors.frequency_hz[line]:.6g} Hz"
+    course = outputs.phasors.value[line, known.main] / (load.value[line] @ known.value[known.main])
+    doubt = []
+    if abs(course - 1.0) > CHANGED:
+        text = (
+            f"the {element} is {abs(course):.3g} times its static value at {hertz}, turned by "
+            f"{np.angle(course):.3g} rad: other elements may have changed by as much, which U contains; check units "
+            "and signs of the static matrix"
+        )
+        doubt.append(Notice("warning", text, "sensitivity"))
+    return (*shares.notices(line, known.main, f"output {known.channels[known.main]} at {hertz}"), *doubt)
 
 
 # What one evaluated recording consists of: the tree handed to the result writers and the report.

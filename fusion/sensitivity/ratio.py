@@ -298,10 +298,10 @@ class KnownMatrix:
     def courses(self, outputs: ComplexArray, load: ComplexArray) -> tuple[Unknown[ComplexArray], ...]:
         """Return how far other elements may follow another course over frequency than the driven one: (K, C, 6).
 
-        The evidence is what the driven element itself has changed by since rest, |h - 1|: every other element may deviate
-        from h by as much, relative, in a direction of the complex plane of which nothing is known, hence |h - 1|/√2 as
-        standard uncertainty of real and imaginary part. Each is one unknown for all frequencies and recordings, since a
-        course is smooth and belongs to the sensor. Rated bounds have none.
+        The evidence is what the driven element itself has changed by since rest, |h - 1|: every other element may
+        deviate from h by as much, relative, in a direction of the complex plane of which nothing is known, hence
+        |h - 1|/√2 as standard uncertainty of real and imaginary part. Each is one unknown for all frequencies and
+        recordings, since a course is smooth and belongs to the sensor. Rated bounds have none.
         """
         if not self.static:
             return ()

@@ -379,11 +379,11 @@ def check_coverage(recording: str, driven: str, trials: int) -> None:
 
 
 def test_transverse_excitation_beside_a_moment_covers_the_element_but_not_by_the_ratio():
-    counts = coverage_matrix.count_elements("6-x-mass-+y", "Fx", range(1, 41), {"static_sensitivity_uncertainty": 1e-3})
+    counts = coverage_matrix.count_elements("6-x-mass-+y", "Fx", range(1, 25), {"static_sensitivity_uncertainty": 1e-3})
     for count in counts:
         assert np.mean(count.bias).real == pytest.approx(-0.004, abs=0.0006)
-        assert np.sum(count.ratio.covered) <= 3
-        assert binom.ppf(5e-4, 40, 0.95) <= np.sum(count.element.covered)
+        assert np.sum(count.ratio.covered) <= 2
+        assert binom.ppf(5e-4, 24, 0.95) <= np.sum(count.element.covered)
 
 
 @pytest.mark.slow
@@ -409,6 +409,9 @@ def test_what_one_recording_lacks_is_said_and_nothing_called_an_element():
     assert any("not the sensor's own sensitivity" in notice.text for notice in found.notices)
     found = analyse(known)
     assert any("the ratio contains that, the element does not" in notice.text for notice in found.notices)
+    upside = [[-value for value in row] for row in known.sensor.static_sensitivity]
+    wrong = analyse(replace(known, sensor=known.sensor.model_copy(update={"static_sensitivity": upside})))
+    assert any("check units and signs of the static matrix" in notice.text for notice in wrong.notices)
     drawn = propagate(known, found, 4000, 1)
     (element,) = [result for result in drawn.results if result.name == "element"]
     assert element.elements == tuple(f"{name} per Fx" for name in LOAD_COMPONENTS)
