@@ -284,7 +284,9 @@ def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
         table.add_column("recording")
     for head in ("frequency / Hz", "quantity", "magnitude ± U", "unit", "phase ± U / rad", "k", "kind"):
         table.add_column(
-            head, justify="left" if head in ("quantity", "unit", "kind") else "right", no_wrap=head == "quantity"
+            head,
+            justify="left" if head in ("quantity", "unit", "kind") else "right",
+            no_wrap=head == "quantity" and not several,
         )
     for row in rows:
         name = result_name(row["kind"], row["channel"], row["component"], main=mains[of(row)] == row["channel"])
