@@ -345,6 +345,8 @@ def _manifest(folder: Path, choice: Choice) -> Any:
         static_sensitivity_uncertainty=1e-3,
         internal_mass=0.769,
         internal_mass_uncertainty=0.002,
+        cross_talk=0.02,
+        cross_talk_uncertainty=2e-4,
     )
     point = {"centre_of_mass": (0.0, 0.0, 0.0), "inertia": np.zeros((3, 3)).tolist()}
     rig = Rig(

@@ -18,7 +18,9 @@ from fusion.campaign.repeats import (
     Repeats,
     alike,
     common_outputs,
+    drive_element,
     drive_ratio,
+    known_of,
     mean_ratio,
     over_lines,
     over_plain,
@@ -30,13 +32,14 @@ from fusion.estimation.uncertainty import (
     Influence,
     Polar,
     Uncertainty,
+    added_up,
     as_complex,
     polar_elements,
     real_design,
     real_stack,
     region,
 )
-from fusion.sensitivity.ratio import driven_component
+from fusion.sensitivity.ratio import StatedMatrix, driven_component
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.labels import LOAD_COMPONENTS
 
@@ -237,14 +240,14 @@ INTERPOLATION = "interpolation"
 
 @dataclass(frozen=True)
 class Curve:
-    """E elements of the sensitivity at K frequencies, ratios or elements of matrices.
+    """E elements of the sensitivity at K frequencies: ratios, elements of single recordings, or of matrices.
 
     `elements`: channel and component of each; `value` (K, E), NaN where there is none; `uncertainty` of K lines, with
     names that hold between recordings, so that what frequencies share is known; `recordings`: those behind each line,
     none where it was interpolated.
     """
 
-    kind: Literal["ratio", "matrix"]
+    kind: Literal["ratio", "element", "matrix"]
     frequency_hz: FloatArray
     channels: tuple[str, ...]
     elements: tuple[tuple[int, int], ...]
@@ -265,8 +268,12 @@ class Curve:
         return f"{self.channels[channel]}/{LOAD_COMPONENTS[component]}"
 
 
-def ratio_curves(drives: Iterable[Drive], capacity: Sequence[float] | None = None) -> tuple[Curve, ...]:
+def ratio_curves(
+    drives: Iterable[Drive], capacity: Sequence[float] | None = None, stated: StatedMatrix | None = None
+) -> tuple[Curve, ...]:
     """Return one curve per driven component: all outputs over it, every frequency the mean of its repeats.
+
+    With what is `stated` of the matrix, curves of the sensor's elements instead, where that allows them.
 
     Recordings of one excitation count as repeats whatever their amplitude. Of several excitations that drive the same
     component at one frequency (other lever arms) the one with the least of other components is on the curve.
@@ -282,7 +289,13 @@ def ratio_curves(drives: Iterable[Drive], capacity: Sequence[float] | None = Non
             chosen.append((impurity, group))
         elif impurity < chosen[-1][0]:
             chosen[-1] = impurity, group
-    return tuple(_ratio_curve(j, [group for _, group in groups[j]]) for j in sorted(groups))
+    curves = []
+    for j in sorted(groups):
+        known = [(group, known_of(group, j, stated)) for _, group in groups[j]]
+        means = [mean_ratio(group, j, own) for group, own in known if (own is None) == (stated is None)]
+        if means:
+            curves.append(_ratio_curve(j, means))
+    return tuple(curves)
 
 
 def matrix_curve(fits: Sequence[MatrixFit]) -> Curve:
@@ -329,7 +342,8 @@ def relative_curve(curve: Curve, static: ArrayLike, u_static: float = 0.0) -> Cu
         change[:, e] = -u_static * np.nan_to_num(value[:, e])
         name = f"static sensitivity {chosen.name(e)}"
         references.append(Influence(name, "static sensitivity", u_static, "1", real_stack(change), "rig"))
-    return replace(chosen, value=value, uncertainty=Uncertainty(scaled.random, (*scaled.influences, *references)))
+    shared = added_up([*scaled.influences, *references])
+    return replace(chosen, value=value, uncertainty=Uncertainty(scaled.random, shared))
 
 
 def interpolate(curve: Curve, frequency_hz: FloatArray) -> Curve:
@@ -363,13 +377,12 @@ def interpolate(curve: Curve, frequency_hz: FloatArray) -> Curve:
     )
 
 
-def _ratio_curve(component: int, groups: Sequence[tuple[Drive, ...]]) -> Curve:
+def _ratio_curve(component: int, means: Sequence[Repeats]) -> Curve:
     """Curve of all outputs over one component."""
-    means = [mean_ratio(group, component) for group in groups]
     channels = tuple(dict.fromkeys(name for mean in means for name in mean.channels))
     parts = [_all_channels(mean, channels) for mean in means]
     return Curve(
-        kind="ratio",
+        kind=means[0].kind,
         frequency_hz=np.array([mean.frequency_hz for mean in means]),
         channels=channels,
         elements=tuple((c, component) for c in range(len(channels))),
@@ -435,7 +448,7 @@ class CurvePoint:
     """One element of the sensitivity at one frequency.
 
     `channel` and `component` by name; `element`: the value; `relative`: over its static sensitivity, None where that
-    is not stated; `recordings` and `mountings` behind it; `kind`: ratio or matrix.
+    is not stated; `recordings` and `mountings` behind it; `kind`: ratio, element or matrix.
     """
 
     frequency_hz: float
@@ -449,8 +462,10 @@ class CurvePoint:
     kind: str
 
 
-def single_points(curve: Curve, element: int, drives: Iterable[Drive]) -> list[tuple[float, str, Polar]]:
-    """Return frequency, mounting and ratio of every recording behind one element of a curve of ratios."""
+def single_points(
+    curve: Curve, element: int, drives: Iterable[Drive], stated: StatedMatrix | None = None
+) -> list[tuple[float, str, Polar]]:
+    """Return frequency, mounting and value of every recording behind one element of a curve of ratios or elements."""
     c, component = curve.elements[element]
     channel = curve.channels[c]
     behind = {(name, k) for k, names in enumerate(curve.recordings) for name in names}
@@ -458,7 +473,13 @@ def single_points(curve: Curve, element: int, drives: Iterable[Drive]) -> list[t
     for drive in drives:
         line = int(np.argmin(np.abs(curve.frequency_hz - drive.frequency_hz)))
         if (drive.recording, line) in behind and channel in drive.channels:
-            value, uncertainty = drive_ratio(drive, component, [channel])
+            known = known_of([drive], component, stated) if curve.kind == "element" else None
+            if known is None:
+                value, uncertainty = drive_ratio(drive, component, [channel])
+            else:
+                place = [known.channels[row] for row in known.rows].index(channel)
+                value, uncertainty = drive_element(drive, known)
+                value, uncertainty = value[[place]], uncertainty.at([place])
             ((point,),) = polar_elements(value[None], uncertainty)
             if point is not None:
                 found.append((drive.frequency_hz, drive.mounting, point))

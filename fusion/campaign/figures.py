@@ -36,6 +36,7 @@ from fusion.report.style import (
     power_of_ten,
     sheet,
 )
+from fusion.sensitivity.ratio import StatedMatrix
 from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS
 
@@ -55,11 +56,14 @@ DARK_ABOVE = 0.55
 """Share of the colour scale above which text is white."""
 
 
-def draw_curve(points: Sequence[CurvePoint], curves: Iterable[Curve], drives: Iterable[Drive]) -> Picture:
+def draw_curve(
+    points: Sequence[CurvePoint], curves: Iterable[Curve], drives: Iterable[Drive], stated: StatedMatrix | None = None
+) -> Picture:
     """Draw magnitude (relative to static where that is stated) and phase of one element over frequency.
 
-    `points`: those of the element, of ratios and of matrices; `curves` and `drives`: all of the campaign, from which
-    the curve between the points is taken, and, below each, the single recordings if several are behind a point.
+    `points`: those of the element, of single recordings and of matrices; `curves` and `drives`: all of the campaign,
+    from which the curve between the points is taken, and, below each, the single recordings if several are behind a
+    point; `stated`: of the sensor's matrix, where elements of single recordings rest on it.
     """
     first, frequency = points[0], np.array([point.frequency_hz for point in points])
     name = f"output {first.channel} per load {first.component}"
@@ -71,12 +75,15 @@ def draw_curve(points: Sequence[CurvePoint], curves: Iterable[Curve], drives: It
         for curve in curves
         for e, (c, j) in enumerate(curve.elements)
         if (curve.channels[c], LOAD_COMPONENTS[j]) == (first.channel, first.component)
+        and curve.kind in {point.kind for point in points}
     ]
-    singles = [one for curve, e in behind if curve.kind == "ratio" for one in single_points(curve, e, drives)]
+    alone = [(curve, e) for curve, e in behind if curve.kind != "matrix"]
+    singles = [one for curve, e in alone for one in single_points(curve, e, drives, stated)]
     repeated = len(singles) > len(points)
     heights = [1.5, 0.9, 1.2, 0.9] if repeated else [1.5, 1.2]
     kinds = [point.kind for point in points]
-    text = f"Complex sensitivity, {name}: magnitude and phase over frequency; bars and band: U."
+    what = "Ratio" if set(kinds) == {"ratio"} else "Sensitivity"
+    text = f"{what}, {name}: magnitude and phase over frequency; bars and band: U."
     with sheet(
         f"curve-{first.channel}-{first.component}", 6.9 if repeated else 4.6, len(heights), heights=heights
     ) as drawn:
@@ -106,12 +113,14 @@ def draw_curve(points: Sequence[CurvePoint], curves: Iterable[Curve], drives: It
         upper.set_xlim(0.0, _right_end(frequency))
         drawn.panels[-1].set_xlabel("frequency / Hz")
         if len(set(kinds)) > 1:
-            text += " Ratios stand to the left of their frequency; they contain what the other loads do."
+            text += " Ratios and elements of single recordings stand to the left of their frequency."
+        if "ratio" in kinds:
+            text += " Ratios contain what the other loads do."
         if repeated:
             text += (
                 " Below each: single recordings (open, by mounting, beside their frequency) about the curve with its U."
             )
-        return _picture_with_legend(drawn, f"Sensitivity, {name}", text, right=0.85)
+        return _picture_with_legend(drawn, f"{what}, {name}", text, right=0.85)
 
 
 def draw_outputs(curve: Curve, main: int) -> Picture:
@@ -151,8 +160,8 @@ def draw_outputs(curve: Curve, main: int) -> Picture:
         axes.set_xlabel("frequency / Hz")
         axes.set_ylabel(f"{reference} / %")
         caption = (
-            f"Magnitude of all outputs under the {load} load, {reference}; bars: U. An arrow is an "
-            f"upper bound where the signal is below its U."
+            f"Magnitude of the responses of all outputs to the driven load {load}, {reference}; bars: U. An arrow is "
+            f"an upper bound where the signal is below its U."
         )
         return _picture_with_legend(drawn, f"All outputs under {load}", caption)
 
@@ -233,8 +242,12 @@ def _draw_between(panels: Sequence[Axes], behind: Iterable[tuple[Curve, int]], f
 def _draw_bars(
     axes: Axes, frequency: FloatArray, kinds: Sequence[str], value: FloatArray, expanded: FloatArray
 ) -> None:
-    """Points of the curve with error bars: dots for ratios, diamonds for elements of the matrix."""
-    looks = {"ratio": ("o", BLUE, "ratio, U"), "matrix": ("D", ORANGE, "matrix element, U")}
+    """Points of the curve with error bars: dots for single recordings, diamonds for elements of the matrix."""
+    looks = {
+        "ratio": ("o", BLUE, "ratio, U"),
+        "element": ("o", BLUE, "element, U"),
+        "matrix": ("D", ORANGE, "matrix element, U"),
+    }
     for kind, (marker, colour, label) in looks.items():
         own = np.array([other == kind for other in kinds])
         if own.any():

@@ -29,6 +29,7 @@ from fusion.report.table import (
     Column,
     Headline,
     Table,
+    capital,
     common_exponent,
     fixed,
     measured,
@@ -39,6 +40,7 @@ from fusion.report.table import (
     table,
     times_ten,
 )
+from fusion.report.tables import result_name
 from shaker.arrays import Notice, Severity
 from shaker.labels import LOAD_COMPONENTS
 
@@ -53,10 +55,10 @@ class CampaignEvaluation:
     """All that several recordings of one sensor yield together.
 
     `name` of the campaign; `recorded`: what could be evaluated, in order; `failed`: why others could not, by folder;
-    `curves`: ratios by driven component, then elements of matrices; `relative`: each over its static sensitivity, None
-    where none is stated; `repeats`: every excitation that was recorded more than once; `matrices` and `cross_talks`
-    (none where rated loads are not stated): one per frequency that determines a matrix; `refused`: why the other
-    frequencies do not.
+    `curves`: ratios by driven component, the sensor's elements likewise where its matrix is stated, elements of
+    matrices; `relative`: each over its static sensitivity, None where none is stated; `repeats`: every excitation that
+    was recorded more than once; `matrices` and `cross_talks` (none where rated loads are not stated): one per frequency
+    that determines a matrix; `refused`: why the other frequencies do not.
     """
 
     name: str
@@ -105,11 +107,16 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
     matrices, refused = _fit_matrices(driven, () if sensor is None else sensor.channels)
     notices += [notice for notice in refused if notice.severity == "warning"]
     ratios = _attempt("curves of ratios", lambda: ratio_curves(driven, capacity), notices)
-    alike = _attempt("means of repeats", lambda: find_repeats(driven, capacity), notices)
+    stated = None if sensor is None else sensor.stated
+    elements: tuple[Curve, ...] = ()
+    if stated is not None:
+        elements = _attempt("curves of elements", lambda: ratio_curves(driven, capacity, stated), notices)
+    alike = _attempt("means of repeats", lambda: find_repeats(driven, capacity, stated), notices)
     series = _attempt("linearity", lambda: find_linearity(driven, capacity), notices)
     # The matrices of all frequencies are one curve for each set of outputs that they have.
     sets = dict.fromkeys(fit.channels for fit in matrices)
-    curves = (*ratios, *(matrix_curve([fit for fit in matrices if fit.channels == own]) for own in sets))
+    joint = (matrix_curve([fit for fit in matrices if fit.channels == channels]) for channels in sets)
+    curves = (*ratios, *elements, *joint)
     repeats = tuple(mean for mean in alike if len(mean.recordings) > 1)
     notices += [notice for fit in matrices for notice in fit.notices]
     notices += [notice for mean in repeats for notice in mean.notices]
@@ -246,15 +253,15 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
     """The results to remember: every main sensitivity at its lowest frequency, its course, the largest cross-talk."""
     found = []
     for points in mains.values():
-        # Points of one kind, elements of matrices unless there are more ratios; ascending in frequency.
-        matrix, ratio = ([point for point in points if point.kind == kind] for kind in ("matrix", "ratio"))
-        best = sorted(ratio if len(ratio) > len(matrix) else matrix, key=lambda point: point.frequency_hz)
+        best = best_points(points)
         first, last = best[0], best[-1]
         expanded = [100.0 * point.element.expanded_magnitude / point.element.magnitude for point in best]
         remark = f"U = {small(expanded[0])} % (k = {first.element.k:.2f}), {first.kind}"
         if first.relative is not None:
             remark += f"; from static: {_deviation(first.relative)}"
-        label = f"Sensitivity {first.channel} per {first.component}, {first.frequency_hz:.4f} Hz"
+        name = result_name(first.kind, first.channel, first.component, main=True)
+        name = capital(name) if first.kind == "ratio" else f"Sensitivity {name}"
+        label = f"{name}, {first.frequency_hz:.4f} Hz"
         size = measured(first.element.magnitude, first.element.expanded_magnitude, first.unit)
         found.append(Headline(label, size, remark))
         if len(mains) > FULL_HEADLINES or len(best) < 2:
@@ -269,6 +276,17 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
     return [*found, *_scatter_headline(evaluation), *_crosstalk_headline(evaluation)]
 
 
+def best_points(points: Sequence[CurvePoint]) -> list[CurvePoint]:
+    """Return the points of one kind that come nearest to the sensor's sensitivity, ascending in frequency.
+
+    Elements of matrices, unless single recordings give elements, or else ratios, at more frequencies.
+    """
+    kinds = {kind: [point for point in points if point.kind == kind] for kind in ("matrix", "element", "ratio")}
+    single = kinds["element"] or kinds["ratio"]
+    best = single if len(single) > len(kinds["matrix"]) else kinds["matrix"]
+    return sorted(best, key=lambda point: point.frequency_hz)
+
+
 def curve_tables(mains: dict[str, list[CurvePoint]]) -> list[Table]:
     """One table per main element over frequency, ratios first, its unit in the head."""
     tables = []
@@ -276,7 +294,8 @@ def curve_tables(mains: dict[str, list[CurvePoint]]) -> list[Table]:
         first = points[0]
         exponent = common_exponent(np.array([complex(point.element.re, point.element.im) for point in points]))
         columns = _curve_columns(exponent, Markup("magnitude / {}").format(times_ten(exponent, first.unit)))
-        ordered = sorted(points, key=lambda point: (point.kind != "ratio", point.frequency_hz))
+        kinds = ("ratio", "element", "matrix")
+        ordered = sorted(points, key=lambda point: (kinds.index(point.kind), point.frequency_hz))
         caption = f"Output {first.channel} per load {first.component} with U = k·u (95 %)"
         tables.append(table(caption, columns, ordered))
     return [one for one in tables if one is not None]

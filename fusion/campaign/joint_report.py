@@ -313,11 +313,17 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
     """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
     mains = main_points(evaluation, curve_points(evaluation))
     ratios = [curve for curve in evaluation.curves if curve.kind == "ratio" and len(curve.channels) > 1]
+    stated = None if evaluation.sensor is None else evaluation.sensor.stated
+    # Where there are elements, ratios are in the tables only.
+    drawn = [
+        [p for p in points if p.kind != "ratio" or all(other.kind != "element" for other in points)]
+        for points in mains.values()
+    ]
     context = {
         "name": evaluation.name,
         "subject": _subject(evaluation),
         "headlines": headlines(evaluation, mains),
-        "curves": [draw_curve(points, evaluation.curves, evaluation.drives) for points in mains.values()],
+        "curves": [draw_curve(points, evaluation.curves, evaluation.drives, stated) for points in drawn],
         "curve_tables": curve_tables(mains),
         "outputs": [draw_outputs(c, main_channel(evaluation, c.channels, c.elements[0][1])) for c in ratios],
         "maps": [picture for picture in [draw_crosstalk(evaluation.cross_talks)] if picture],

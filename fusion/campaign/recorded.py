@@ -14,6 +14,7 @@ from fusion.instruments.channel import Outputs
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT, Provenance, read_provenance
 from fusion.report.h5 import read_uncertainty
 from fusion.sensitivity.load import LoadResult
+from fusion.sensitivity.ratio import StatedMatrix
 from shaker.arrays import FloatArray, Notice
 from shaker.sine.phasor import Phasors
 
@@ -23,7 +24,7 @@ class SensorFacts:
     """The sensor that was tested: `channels`, their `unit`, rated loads and static sensitivity where they are stated.
 
     `capacity` (6,) in N and N.m; `static` (all channels, 6) in unit/N and unit/(N.m) with the relative standard
-    uncertainty `u_static`.
+    uncertainty `u_static`; `cross_talk` and `u_cross_talk` over the rated output (`StatedMatrix`).
     """
 
     name: str
@@ -34,6 +35,15 @@ class SensorFacts:
     capacity: FloatArray | None
     static: FloatArray | None
     u_static: float
+    cross_talk: float | None = None
+    u_cross_talk: float | None = None
+
+    @property
+    def stated(self) -> StatedMatrix:
+        """Return what is stated of the matrix."""
+        return StatedMatrix(
+            self.channels, self.capacity, self.static, self.u_static, self.cross_talk, self.u_cross_talk
+        )
 
     def static_of(self, channels: Sequence[str]) -> FloatArray | None:
         """Return the static sensitivity of some outputs, None where it is not stated."""
@@ -125,7 +135,14 @@ def _sensor(group: h5py.Group) -> SensorFacts:
         capacity=group["capacity"][()] if "capacity" in group else None,
         static=group["static_sensitivity"][()] if "static_sensitivity" in group else None,
         u_static=float(group.attrs["static_sensitivity_uncertainty"]),
+        cross_talk=_number(group, "cross_talk"),
+        u_cross_talk=_number(group, "cross_talk_uncertainty"),
     )
+
+
+def _number(group: h5py.Group, name: str) -> float | None:
+    """A number, None where it is not stored."""
+    return float(group.attrs[name]) if name in group.attrs else None
 
 
 def _numbers(group: h5py.Group, name: str) -> tuple[float, ...]:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from fusion.estimation.uncertainty import (
     real_stack,
     total_variance,
 )
-from fusion.sensitivity.ratio import driven_component
+from fusion.sensitivity.ratio import KnownMatrix, StatedMatrix, driven_component, known_matrix
 from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
 from shaker.sine.phasor import real_stacked_diagonal
 
@@ -180,12 +180,12 @@ LEVERS = np.array([1.0, 1.0, 1.0, *np.full(3, 1.0 / BODY_SIZE_M)])
 
 @dataclass(frozen=True)
 class Repeats:
-    """Mean ratio of outputs over the driven load of N recordings of one excitation.
+    """Mean over N recordings of one excitation: the sensor's elements of the driven load, else ratios of the outputs.
 
     `component`: 0..5, of the load; `amplitude`: its mean. `value` (C,), `uncertainty` (K = 1) with names that hold
     between recordings; `recordings`, `mountings` (N,), `weight` (N,) in the mean. `within`, `between` (C,): relative
     standard deviation of a recording and of a mounting beyond what is stated for them, with `within_dof` (N - M) and
-    `between_dof` (M - 1); NaN where there are no degrees of freedom.
+    `between_dof` (M - 1); NaN where there are no degrees of freedom. `kind`: what was averaged.
     """
 
     frequency_hz: float
@@ -203,6 +203,23 @@ class Repeats:
     within_dof: int
     between_dof: int
     notices: tuple[Notice, ...]
+    kind: Literal["ratio", "element"] = "ratio"
+
+
+def drive_element(drive: Drive, known: KnownMatrix) -> tuple[ComplexArray, Uncertainty]:
+    """Return the sensor's elements (E,) of one drive by what is known of the matrix, otherwise as `drive_ratio`."""
+    of_load, of_outputs = drive.shared()
+    places = [drive.channels.index(channel) for channel in known.channels]
+    outputs, load = drive.outputs[None, places], drive.load[None]
+    return known.elements(outputs, load)[0], known.uncertainty(outputs, load, of_outputs.at(places), of_load)
+
+
+def known_of(drives: Sequence[Drive], component: int, stated: StatedMatrix | None) -> KnownMatrix | None:
+    """Return what is known of the matrix of the outputs that all drives have, None where nothing is."""
+    usable = common_outputs(drives)
+    if stated is None or not usable:
+        return None
+    return known_matrix(stated, usable, component, np.array([drives[0].output(channel) for channel in usable]))
 
 
 def drive_ratio(drive: Drive, component: int, channels: Sequence[str]) -> tuple[ComplexArray, Uncertainty]:
@@ -219,14 +236,17 @@ def drive_ratio(drive: Drive, component: int, channels: Sequence[str]) -> tuple[
     return np.asarray(ratio), upper.plus(of_load.at([component]).transformed(through))
 
 
-def find_repeats(drives: Iterable[Drive], capacity: Sequence[float] | None = None) -> tuple[Repeats, ...]:
+def find_repeats(
+    drives: Iterable[Drive], capacity: Sequence[float] | None = None, stated: StatedMatrix | None = None
+) -> tuple[Repeats, ...]:
     """Return the drives in groups of one excitation, each with its mean, ascending in frequency.
 
     One excitation: frequencies within 1e-4, directions within 1e-3, and every load component (moments over 0.1 m)
-    within 5 % of the driven one.
+    within 5 % of the driven one. `stated`: of the sensor's matrix, with which means are of elements where it allows
+    that.
     """
-    groups = alike(drives, capacity)
-    return tuple(mean_ratio(group, driven_component(group[0].direction, capacity)) for group in groups)
+    groups = [(group, driven_component(group[0].direction, capacity)) for group in alike(drives, capacity)]
+    return tuple(mean_ratio(group, component, known_of(group, component, stated)) for group, component in groups)
 
 
 def alike(
@@ -264,8 +284,8 @@ def _same(first: Drive, other: Drive, component: int, *, amplitudes_apart: bool)
     return bool(np.max(np.abs(loads[0] - loads[1])) <= SAME_LOAD * loads[0][component])
 
 
-def mean_ratio(drives: Sequence[Drive], component: int) -> Repeats:
-    """Return the mean over recordings of one excitation of output over a load component.
+def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | None = None) -> Repeats:
+    """Return the mean over recordings of one excitation of output over a load component, of elements if `known`.
 
     Everything that mountings do not share (noise, unknowns of a recording and of a mounting, stated or not) is in what
     their M means differ by, and enters by that alone: Σw_m·(y_m - y)²/(M - 1) with M - 1 degrees of freedom and weights
@@ -282,7 +302,11 @@ def mean_ratio(drives: Sequence[Drive], component: int) -> Repeats:
     usable = common_outputs(drives)
     if not usable:
         raise ValueError("drives: expected an output that all recordings of one excitation have, found none")
-    found = [drive_ratio(drive, component, usable) for drive in drives]
+    if known is None:
+        found = [drive_ratio(drive, component, usable) for drive in drives]
+    else:
+        usable = [known.channels[row] for row in known.rows]
+        found = [drive_element(drive, known) for drive in drives]
     plain = plain_mean([value for value, _ in found])
     scaled = over_plain(found, plain)
     mountings = [drive.mounting for drive in drives]
@@ -312,6 +336,7 @@ def mean_ratio(drives: Sequence[Drive], component: int) -> Repeats:
         within_dof=scatter.within_dof,
         between_dof=scatter.between_dof,
         notices=notices,
+        kind="ratio" if known is None else "element",
     )
 
 

@@ -33,6 +33,7 @@ from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, lo
 from fusion.report.folder import check_folder, hash_files, is_current
 from fusion.report.recording import REPORT_FILE, SENSITIVITY_FILE, check_campaign_folder, row_element, write_results
 from fusion.report.table import both, factor, read_rows
+from fusion.report.tables import result_name
 from fusion.sensitivity.evaluate import evaluate_recording
 
 if TYPE_CHECKING:
@@ -260,20 +261,35 @@ def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
     """Return the rows of a sensitivity.csv as a table with U = k·u for 95 %, two significant digits of it.
 
     Of a value that is not distinguishable from 0 the half-axes of its region stand in place of magnitude and phase.
-    Rows of several recordings name theirs.
+    Rows of several recordings name theirs. A ratio is left out where the recording gives the sensor's element.
     """
     from rich.table import Table
 
+    def of(row: dict[str, str], *keys: str) -> tuple[str, ...]:
+        return tuple(row[key] for key in ("recording", "frequency_hz", "component", *keys))
+
+    own = {of(row, "channel") for row in rows if row["kind"] == "element"}
+    rows = [row for row in rows if row["kind"] != "ratio" or of(row, "channel") not in own]
     names = list(dict.fromkeys(row["recording"] for row in rows))
+    rows.sort(key=lambda row: (names.index(row["recording"]), float(row["frequency_hz"])))
+    # The output of the load's name, else the largest one.
+    mains: dict[tuple[str, ...], str] = {}
+    for row in sorted(rows, key=lambda row: (row["channel"] != row["component"], -row_element(row).magnitude)):
+        mains.setdefault(of(row), row["channel"])
     several = len(names) > 1
     what = f"{len(names)} recordings" if several else names[0]
-    table = Table(title=f"Sensitivity, {what} (U = k·u, 95 %)", title_justify="left")
+    title = "Sensitivity" if any(row["kind"] in ("element", "matrix") for row in rows) else "Output over load"
+    table = Table(title=f"{title}, {what} (U = k·u, 95 %)", title_justify="left")
     if several:
         table.add_column("recording")
-    for head in ("frequency / Hz", "element", "magnitude ± U", "unit", "phase ± U / rad", "k", "kind"):
-        table.add_column(head, justify="left" if head in ("element", "unit", "kind") else "right")
+    for head in ("frequency / Hz", "quantity", "magnitude ± U", "unit", "phase ± U / rad", "k", "kind"):
+        table.add_column(
+            head,
+            justify="left" if head in ("quantity", "unit", "kind") else "right",
+            no_wrap=head == "quantity" and not several,
+        )
     for row in rows:
-        name = f"{row['channel']} / {row['component']}"
+        name = result_name(row["kind"], row["channel"], row["component"], main=mains[of(row)] == row["channel"])
         magnitude, phase, k_factor = _cells(row_element(row))
         frequency = f"{float(row['frequency_hz']):.4f}"
         cells = (frequency, name, magnitude, row["unit"], phase, k_factor, row["kind"])

@@ -92,6 +92,8 @@ class Sensor(Block):
     capacity: Annotated[Vector6 | None, BeforeValidator(positive(vector(6), "6 numbers above 0"))] = None
     static_sensitivity: Annotated[tuple[Vector6, ...] | None, BeforeValidator(_sensitivity_rows)] = None
     static_sensitivity_uncertainty: NotNegative = 0.0
+    cross_talk: Positive | None = None
+    cross_talk_uncertainty: NotNegative | None = None
     temperature_coefficient: Number | None = None
     temperature_coefficient_uncertainty: NotNegative = 0.0
     reference_temperature: Number = 23.0
@@ -107,6 +109,8 @@ class Sensor(Block):
         rows = self.static_sensitivity
         if rows is not None and len(rows) != len(self.channels):
             raise refusal(f"{len(self.channels)} rows, one per channel", f"{len(rows)} rows", key="static_sensitivity")
+        if self.cross_talk is not None and self.capacity is None:
+            raise refusal("the six rated loads that cross_talk is relative to", "nothing", key="capacity")
         return self
 
     def moving(self, component: int) -> tuple[float, float]:

@@ -35,9 +35,10 @@ from fusion.report.tables import (
     by_source,
     driven_channel,
     driven_component,
-    driven_element,
     main_line,
+    main_result,
     result_elements,
+    result_name,
     sensitivity_element,
     static_sensitivity,
     static_value,
@@ -185,12 +186,12 @@ def _frame(known: list[Polar], factor: float) -> tuple[complex, complex]:
 
 def sensitivity_pictures(evaluation: Evaluation) -> list[Picture]:
     """All figures of the sensitivity of one recording."""
-    sensitivity = evaluation.sensitivity
-    if sensitivity is None:
+    sensitivity, main = evaluation.sensitivity, main_result(evaluation)
+    if sensitivity is None or main is None:
         return []
     component = driven_component(evaluation)
-    known = np.isfinite(sensitivity.value[:, driven_channel(evaluation), component])
-    pictures = [draw_curve(evaluation, sensitivity)] if known.any() else []
+    known = np.isfinite(main[0].value[:, driven_channel(evaluation), component])
+    pictures = [draw_curve(evaluation, main[0])] if known.any() else []
     ratio = sensitivity.value[main_line(evaluation)]
     if len(ratio) > 1 and np.isfinite(ratio[:, component]).all():
         pictures.append(draw_outputs(evaluation, sensitivity))
@@ -200,7 +201,9 @@ def sensitivity_pictures(evaluation: Evaluation) -> list[Picture]:
 def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Picture:
     """Magnitude and phase of the driven element over frequency with U (95 %), and the static value."""
     component, channel = driven_component(evaluation), driven_channel(evaluation)
+    what = "Sensitivity" if "element" in sensitivity.kind else "Ratio"
     label = f"output {sensitivity.channels[channel]} per load {LOAD_COMPONENTS[component]}"
+    label = f"{what}, {label}" + (", with what other loads put into it" if what == "Ratio" else "")
     lines = np.flatnonzero(np.isfinite(sensitivity.value[:, channel, component])).tolist()
     points = [sensitivity_element(sensitivity, k, channel, component) for k in lines]
     shown = np.array([point.expanded_magnitude < SHOWN_BELOW * point.magnitude for point in points])
@@ -228,8 +231,8 @@ def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Picture:
         upper.legend(loc="best")
         hidden = len(points) - int(shown.sum())
         omitted = f" {hidden} line(s) with U above {SHOWN_BELOW:.0%} are in the table only." if hidden else ""
-        caption = f"Complex sensitivity, {label}: magnitude and phase; bars: U (95 %).{omitted}"
-        return drawn.picture("Sensitivity over frequency", caption, top=0.12, right=0.75, left=0.8, label=0.62)
+        caption = f"{label}: magnitude and phase; bars: U (95 %).{omitted}"
+        return drawn.picture(f"{what} over frequency", caption, top=0.12, right=0.75, left=0.8, label=0.62)
 
 
 def draw_outputs(evaluation: Evaluation, sensitivity: Sensitivity) -> Picture:
@@ -249,19 +252,20 @@ def draw_outputs(evaluation: Evaluation, sensitivity: Sensitivity) -> Picture:
         axes.set_xlabel(f"{what} / %")
         load = LOAD_COMPONENTS[component]
         caption = (
-            f"All outputs under the {load} load at {sensitivity.frequency_hz[line]:.4f} Hz, {what}; bars: U (95 %). An "
-            f"arrow is an upper bound where the output is not distinguishable from 0. A cross output of one recording "
-            f"holds both the sensor's cross-talk and its answer to loads that were not meant to act."
+            f"Responses of all outputs to the driven load {load} at {sensitivity.frequency_hz[line]:.4f} Hz, {what}; "
+            f"bars: U (95 %). An arrow is an upper bound where the output is not distinguishable from 0. A cross "
+            "output of one recording holds both the sensor's cross-talk and its answer to loads that were not meant to "
+            "act."
         )
         return drawn.picture(f"All outputs under {load}", caption, left=1.1, top=0.12, label=0.52)
 
 
 def draw_budget(evaluation: Evaluation) -> Picture | None:
-    """Budget of the driven sensitivity at the strongest line, largest first, with each one's share of the variance."""
-    sensitivity = evaluation.sensitivity
-    if sensitivity is None:
+    """Budget of sensitivity or ratio at the strongest line, largest first, with each one's share of the variance."""
+    main, line = main_result(evaluation), main_line(evaluation)
+    if main is None:
         return None
-    line, element = main_line(evaluation), driven_element(evaluation)
+    sensitivity, element = main
     u_relative = np.array([entry.u_relative[line, element] for entry in sensitivity.budget])
     if not np.isfinite(u_relative).all() or not u_relative.any():
         return None
@@ -282,9 +286,11 @@ def draw_budget(evaluation: Evaluation) -> Picture | None:
         axes.barh(-5.0, 0.0, color=BLUE, label="type A")
         axes.barh(-5.0, 0.0, color=ORANGE, label="type B")
         axes.legend(loc="lower right")
-        what = f"magnitude of output {sensitivity.channels[driven_channel(evaluation)]}"
-        load = f"load {LOAD_COMPONENTS[driven_component(evaluation)]}, {sensitivity.frequency_hz[line]:.4f} Hz"
-        caption = f"Uncertainty budget of the {what} per {load}; beside each bar its share of the variance."
+        channel, load = sensitivity.channels[driven_channel(evaluation)], LOAD_COMPONENTS[driven_component(evaluation)]
+        what = (
+            f"{result_name(sensitivity.kind[line], channel, load, main=True)}, {sensitivity.frequency_hz[line]:.4f} Hz"
+        )
+        caption = f"Uncertainty budget of the magnitude of {what}; beside each bar its share of the variance."
         return drawn.picture("Uncertainty budget", caption, left=3.0, top=0.12, label=0.52)
 
 

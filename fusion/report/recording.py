@@ -103,11 +103,11 @@ MOTION: list[Column[Pose]] = [
 
 def result_tables(evaluation: Evaluation) -> dict[str, str]:
     """Text of every CSV file of one recording, by file name."""
-    name, found = evaluation.manifest.name, evaluation.sensitivity
+    name, found = evaluation.manifest.name, [own for own in (evaluation.sensitivity, evaluation.element) if own]
     accelerations, load = evaluation.accelerations, evaluation.load
     moved = (entry for result in accelerations for entry in _phasors(result, result.body, result.source, name))
     texts = {
-        SENSITIVITY_FILE: csv_text(SENSITIVITY, [] if found is None else sensitivity_elements(found, name)),
+        SENSITIVITY_FILE: csv_text(SENSITIVITY, (row for own in found for row in sensitivity_elements(own, name))),
         ACCELERATION_FILE: csv_text(PHASORS, moved),
         LOAD_FILE: csv_text(PHASORS, [] if load is None else _phasors(load, "load", "fused", name)),
     }
@@ -290,6 +290,8 @@ SENSOR = [
     "capacity",
     "static_sensitivity",
     "static_sensitivity_uncertainty",
+    "cross_talk",
+    "cross_talk_uncertainty",
 ]
 """What a campaign has to know of the sensor that was tested."""
 

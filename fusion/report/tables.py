@@ -21,6 +21,7 @@ from fusion.report.table import (
     Headline,
     R,
     Table,
+    capital,
     common_exponent,
     fixed,
     half_axes,
@@ -64,11 +65,14 @@ def driven_component(evaluation: Evaluation) -> int:
 def driven_channel(evaluation: Evaluation) -> int:
     """Place of the sensor output that belongs to the driven component.
 
-    The largest static sensitivity decides where one is given, else the largest ratio at the main line.
+    The largest static sensitivity decides where one is given, else the only element, else the largest ratio at the main
+    line.
     """
-    found = evaluation.sensitivity
+    found, element = evaluation.sensitivity, evaluation.element
     if found is None:
         raise ValueError("evaluation: expected a sensitivity, found none")
+    if element is not None and len(element.elements) == 1:
+        return element.elements[0][0]
     component = driven_component(evaluation)
     static = static_sensitivity(evaluation)
     sizes = np.abs(found.value[main_line(evaluation), :, component] if static is None else static[:, component])
@@ -76,12 +80,32 @@ def driven_channel(evaluation: Evaluation) -> int:
     return int(np.argmax(usable))
 
 
-def driven_element(evaluation: Evaluation) -> int:
-    """Place of the driven channel and component among the elements of the sensitivity."""
-    found = evaluation.sensitivity
-    if found is None:
-        raise ValueError("evaluation: expected a sensitivity, found none")
-    return found.elements.index((driven_channel(evaluation), driven_component(evaluation)))
+def main_result(evaluation: Evaluation) -> tuple[Sensitivity, int] | None:
+    """What comes nearest to the sensor's sensitivity, and the place of the driven output in it; None without any.
+
+    The sensor's element where the main line has one, else the ratio.
+    """
+    if evaluation.sensitivity is None:
+        return None
+    place = driven_channel(evaluation), driven_component(evaluation)
+    element = evaluation.element
+    if element is not None and place in element.elements and np.isfinite(element.value[main_line(evaluation), *place]):
+        return element, element.elements.index(place)
+    return evaluation.sensitivity, evaluation.sensitivity.elements.index(place)
+
+
+def result_name(kind: str, channel: str, component: str, *, main: bool) -> str:
+    """What a row of sensitivities is called: only what is the sensor's own is called an element.
+
+    `kind` as in sensitivity.csv; `main`: whether the output belongs to the load.
+    """
+    if kind in ("element", "matrix"):
+        return f"{channel} per {component}"
+    return (
+        f"ratio {channel} output / {component} load"
+        if main
+        else f"response of output {channel} to the driven load {component}"
+    )
 
 
 def main_line(evaluation: Evaluation) -> int:
@@ -153,7 +177,8 @@ Facts: TypeAlias = dict[str, Callable[[R], str]]
 def headlines(evaluation: Evaluation) -> list[Headline]:
     """The results to remember: sensitivity and phase, deviation from static, acceleration, load."""
     component, line = driven_component(evaluation), main_line(evaluation)
-    found = [] if evaluation.sensitivity is None else _sensitivity_headlines(evaluation, evaluation.sensitivity, line)
+    main = main_result(evaluation)
+    found = [] if main is None else _sensitivity_headlines(evaluation, main[0], line)
     moved = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
     labels = f"Acceleration {MOTION_COMPONENTS[component]}", f"Load {LOAD_COMPONENTS[component]}"
     for result, label in zip((moved, evaluation.load), labels, strict=True):
@@ -169,25 +194,28 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
 
 
 def sensitivity_table(evaluation: Evaluation) -> Table | None:
-    """All outputs at the driven lines, the driven output at harmonics; a ratio has one load, hence one unit."""
-    found = evaluation.sensitivity
-    if found is None:
+    """Elements and ratios of all outputs at the driven lines, the driven output at harmonics; all of one load."""
+    ratios = evaluation.sensitivity
+    if ratios is None:
         return None
     rows = []
-    exponent, driven = common_exponent(found.value), driven_channel(evaluation)
-    for k, frequency in enumerate(found.frequency_hz):
-        for c, j in found.elements:
-            other = found.kind[k] == "harmonic" and c != driven
-            if other or not np.isfinite(found.value[k, c, j]):
-                continue
-            element = sensitivity_element(found, k, c, j)
-            name = f"{found.channels[c]} per {found.components[j]}"
-            dof = polar_freedom(element)
-            rows.append((f"{frequency:.4f}", name, *polar_cells(element, exponent), dof, found.kind[k]))
-    unit = times_ten(exponent, sensitivity_unit(found.unit, LOAD_COMPONENTS[driven_component(evaluation)]))
+    exponent, driven = common_exponent(ratios.value), driven_channel(evaluation)
+    results = [found for found in (evaluation.element, ratios) if found is not None]
+    for k, frequency in enumerate(ratios.frequency_hz):
+        for found in results:
+            for c, j in found.elements:
+                other = found.kind[k] == "harmonic" and c != driven
+                if other or not np.isfinite(found.value[k, c, j]):
+                    continue
+                element = sensitivity_element(found, k, c, j)
+                name = result_name(found.kind[k], found.channels[c], found.components[j], main=c == driven)
+                dof = polar_freedom(element)
+                rows.append((f"{frequency:.4f}", name, *polar_cells(element, exponent), dof, found.kind[k]))
+    unit = times_ten(exponent, sensitivity_unit(ratios.unit, LOAD_COMPONENTS[driven_component(evaluation)]))
     magnitude = Markup("magnitude / ({})").format(unit)
-    head = ("frequency / Hz", "output per load", magnitude, "phase / rad", "k", "dof", "kind")
-    return Table("Complex sensitivity with U = k·u (95 %)", head, "rlrrrrl", tuple(rows))
+    head = ("frequency / Hz", "quantity", magnitude, "phase / rad", "k", "dof", "kind")
+    title = "Output over load" if len(results) == 1 else "Sensitivity, and ratios of output and load,"
+    return Table(f"{title} with U = k·u (95 %)", head, "rlrrrrl", tuple(rows))
 
 
 def source_tables(evaluation: Evaluation) -> list[Table]:
@@ -296,11 +324,13 @@ def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int
         share = 100.0 * (relative - 1.0)
         u_share = 100.0 * element.k * float(np.hypot(element.u_magnitude / abs(static), relative * u_static))
         remark += f"; from static: {measured(share, u_share, '%').striptags()}"
-    where = f"{found.channels[channel]} per {LOAD_COMPONENTS[component]}, {found.frequency_hz[line]:.4f} Hz"
+    name = result_name(found.kind[line], found.channels[channel], LOAD_COMPONENTS[component], main=True)
+    label = f"Sensitivity {name}" if found.kind[line] == "element" else capital(name)
     size = measured(element.magnitude, element.expanded_magnitude, unit)
     turn = measured(element.phase_rad, element.expanded_phase_rad, "rad")
     degrees = measured(np.degrees(element.phase_rad), np.degrees(element.expanded_phase_rad), "°").striptags()
-    return [Headline(f"Sensitivity {where}", size, remark), Headline("Phase of the output to the load", turn, degrees)]
+    label = f"{label}, {found.frequency_hz[line]:.4f} Hz"
+    return [Headline(label, size, remark), Headline("Phase of the output to the load", turn, degrees)]
 
 
 def _relative(element: Polar) -> str:

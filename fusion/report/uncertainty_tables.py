@@ -38,8 +38,9 @@ from fusion.report.tables import (
     acceleration,
     driven_channel,
     driven_component,
-    driven_element,
     main_line,
+    main_result,
+    result_name,
     static_sensitivity,
 )
 from fusion.sensitivity.analyse import Evaluation
@@ -190,15 +191,16 @@ SMALLEST_SLOPE = 1e-6
 
 
 def budget_tables(evaluation: Evaluation) -> list[Table]:
-    """Budgets of the driven sensitivity, load and acceleration at the strongest line, largest contributions first."""
+    """Budgets of sensitivity (or ratio), load and acceleration at the strongest line, largest contributions first."""
     line, component = main_line(evaluation), driven_component(evaluation)
-    sensitivity, load = evaluation.sensitivity, evaluation.load
+    main, load = main_result(evaluation), evaluation.load
     motion = acceleration(evaluation, "load", "fused")
     tables = []
-    if sensitivity is not None and np.isfinite(sensitivity.value[line, driven_channel(evaluation), component]):
-        what = f"{sensitivity.channels[driven_channel(evaluation)]} per {LOAD_COMPONENTS[component]}"
-        place, frequency = driven_element(evaluation), sensitivity.frequency_hz[line]
-        tables.append(_budget_table(sensitivity.budget, line, place, what, frequency))
+    if main is not None and np.isfinite(main[0].value[line, driven_channel(evaluation), component]):
+        found, place = main
+        channel = found.channels[driven_channel(evaluation)]
+        what = result_name(found.kind[line], channel, LOAD_COMPONENTS[component], main=True)
+        tables.append(_budget_table(found.budget, line, place, what, found.frequency_hz[line]))
     if load is not None and load.observed[line, component]:
         entries = budget(load.uncertainty.at([component]), load.value[:, [component]])
         what = f"load {LOAD_COMPONENTS[component]}"

@@ -90,4 +90,5 @@ def evaluate_recording(
         set_ups=joined.set_ups,
         points=points,
         monte_carlo=drawn,
+        element=analysis.element,
     )

@@ -13,8 +13,11 @@ from fusion.estimation.least_squares import UNOBSERVED, Places, Solution, build_
 from fusion.estimation.measurement_model import Deviates, Drawn, Observation
 from fusion.estimation.uncertainty import Uncertainty, as_complex, real_stack
 from fusion.estimation.variance_components import LEAST_DOF
+from fusion.instruments.channel import Outputs
 from fusion.sensitivity.analyse import Analysis, Inputs
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, judged, summarise
+from fusion.sensitivity.load import LoadResult
+from fusion.sensitivity.ratio import KnownMatrix
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 
@@ -28,7 +31,7 @@ MOST_STEPS = 60
 def propagate(
     inputs: Inputs, analysis: Analysis, draws: int, seed: int, progress: ProgressCallback = no_progress
 ) -> MonteCarlo:
-    """Return what N draws of everything uncertain make of acceleration, load and sensitivity at the driven lines.
+    """Return what N draws of everything uncertain make of every result at the driven lines.
 
     JCGM 101 and 102: noise from multivariate t-distributions with its degrees of freedom; masses, points, directions,
     poses, scales, delays, clocks from normal distributions of their stated standard uncertainties, each once by its
@@ -158,7 +161,23 @@ def _draw(
     if inputs.outputs is not None and analysis.sensitivity is not None:
         channel, component = np.array(analysis.sensitivity.elements).T
         drawn["sensitivity"] = inputs.outputs.draw(deviates)[:, :, channel] / drawn["load"][:, :, component]
+        if analysis.known is not None and analysis.load is not None:
+            drawn["element"] = _draw_elements(analysis.known, inputs.outputs, analysis.load, drawn["load"], deviates)
     return drawn
+
+
+def _draw_elements(
+    known: KnownMatrix, outputs: Outputs, load: LoadResult, loads: ComplexArray, deviates: Deviates
+) -> ComplexArray:
+    """Return the sensor's elements (N, K, E) from drawn loads and outputs, and a matrix drawn unknown by unknown."""
+    matrix = np.zeros((deviates.count, loads.shape[1], *known.value.shape), np.complex128) + known.value
+    unknowns = (*known.unknowns, *known.courses(outputs.phasors.value, load.value))
+    for unknown in unknowns:
+        # Rated cross-talk is a bound: uniform between its limits.
+        bound = deviates.stream(unknown.name).uniform(-np.sqrt(3.0), np.sqrt(3.0), deviates.count)
+        off = deviates.normal(unknown.name) if known.static else bound
+        matrix += off[:, None, None, None] * unknown.effect
+    return known.elements(outputs.draw(deviates), loads, matrix)
 
 
 def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
@@ -180,12 +199,12 @@ def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
     if analysis.load is not None:
         value = np.where(analysis.load.observed, analysis.load.value, complex(np.nan, np.nan))
         yield of("load", LOAD_COMPONENTS, LOAD_UNITS, value, analysis.load.uncertainty)
-    ratio = analysis.sensitivity
-    if ratio is not None:
-        names = [f"{ratio.channels[c]} per {ratio.components[j]}" for c, j in ratio.elements]
-        units = [f"({ratio.unit})/{'N' if j < 3 else '(N.m)'}" for _, j in ratio.elements]
-        channel, component = np.array(ratio.elements).T
-        yield of("sensitivity", names, units, ratio.value[:, channel, component], ratio.uncertainty)
+    for title, found in (("sensitivity", analysis.sensitivity), ("element", analysis.element)):
+        if found is not None:
+            names = [f"{found.channels[c]} per {found.components[j]}" for c, j in found.elements]
+            units = [f"({found.unit})/{'N' if j < 3 else '(N.m)'}" for _, j in found.elements]
+            channel, component = np.array(found.elements).T
+            yield of(title, names, units, found.value[:, channel, component], found.uncertainty)
 
 
 def _notices(results: Sequence[Propagated], draws: int) -> tuple[Notice, ...]:

@@ -1,20 +1,22 @@
-"""The complex sensitivity, and what parasitic loads contribute to it."""
+"""The complex sensitivity: ratio of one recording, what parasitic loads contribute to it, the sensor's element."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion.base import AnyNotice, rounded
+from fusion.estimation.least_squares import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Influence,
     Polar,
     Uncertainty,
+    Unknown,
     coverage_factor,
     element_covariance,
     polar,
@@ -28,10 +30,13 @@ from fusion.sensitivity.load import BudgetEntry, LoadResult, budget
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief, check_shape
 from shaker.labels import LOAD_COMPONENTS
 
+if TYPE_CHECKING:
+    from fusion.recording.rig import Sensor
+
 # The complex sensitivity: elements by output channel and load component, and the ratio of one recording.
 
 
-Kind = Literal["ratio", "matrix", "harmonic"]
+Kind = Literal["ratio", "element", "matrix", "harmonic"]
 
 
 @dataclass(frozen=True)
@@ -201,7 +206,7 @@ class ParasiticLoads:
         turn = rounded(1e3 * share.im, 1e3 * k_im * share.u_im, 0)
         text = (
             f"by the static sensitivity the other load components make ({more.value} ± {more.expanded}) % of {where} "
-            f"and turn it by ({turn.value} ± {turn.expanded}) mrad"
+            f"and turn it by ({turn.value} ± {turn.expanded}) mrad: the ratio contains that, the element does not"
         )
         return (Notice("info", text, "sensitivity"),)
 
@@ -227,9 +232,227 @@ def parasitic_loads(
     for channel, j in np.argwhere(matrix != 0.0).tolist() if u_static > 0.0 else ():
         change = np.zeros(signal.shape, dtype=np.complex128)
         change[:, channel] = u_static * parts[:, channel, j]
-        name = f"static sensitivity {outputs.phasors.channels[channel]} per {LOAD_COMPONENTS[j]}"
+        name = f"static sensitivity {outputs.phasors.channels[channel]}/{LOAD_COMPONENTS[j]}"
         own.append(Influence(name, "static sensitivity", u_static, "1", real_stack(change), "rig"))
     return ParasiticLoads(value, Uncertainty(total.random, (*total.influences, *own)))
+
+
+# What is stated of the sensor's matrix, and the sensor's element that one recording gives with it.
+
+
+U_STATIC = 1e-3
+"""Standard uncertainty of a static matrix of which none is stated: relative, of main elements; over the rated output at
+the rated load, of the others. Most static calibrations of multi-component sensors are no better known a year later."""
+RATED = "rated cross-talk"
+
+
+@dataclass(frozen=True)
+class StatedMatrix:
+    """What is stated of the matrix of a sensor with outputs `channels` (C), None where something is not.
+
+    `capacity` (6,) in N and N.m; `static` (C, 6) with the relative standard uncertainty `u_static` of every element (0:
+    not stated) and `u_cross_talk`, over the rated output, of those beside the main ones; `cross_talk`: the largest
+    there is, over the rated output at the rated load.
+    """
+
+    channels: tuple[str, ...]
+    capacity: FloatArray | None
+    static: FloatArray | None
+    u_static: float = 0.0
+    cross_talk: float | None = None
+    u_cross_talk: float | None = None
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> StatedMatrix:
+        """Return what rig.toml states."""
+        capacity, static = (
+            None if stated is None else np.array(stated, dtype=np.float64)
+            for stated in (sensor.capacity, sensor.static_sensitivity)
+        )
+        u_static, cross_talk = sensor.static_sensitivity_uncertainty, sensor.cross_talk
+        return cls(tuple(sensor.channels), capacity, static, u_static, cross_talk, sensor.cross_talk_uncertainty)
+
+    @property
+    def rated(self) -> FloatArray:
+        """Return the rated loads (6,); where none are stated, moments count over 0.1 m."""
+        return np.array([1.0] * 3 + [BODY_SIZE_M] * 3) if self.capacity is None else self.capacity
+
+
+@dataclass(frozen=True)
+class KnownMatrix:
+    """What is known of the matrix of C outputs where the load `component` d is driven.
+
+    `main` m: the output that belongs to it; `rows`: the E outputs whose element a recording gives; `value` (C, 6): up
+    to one complex factor, the course of the driven element over frequency; `unknowns`: real, each with its change (C,
+    6) of the value for one standard uncertainty. `static`: whether the values are a static calibration (normal
+    unknowns), or zero beside the driven element, with rated cross-talk as bounds (uniform ones).
+    """
+
+    channels: tuple[str, ...]
+    component: int
+    main: int
+    rows: tuple[int, ...]
+    value: FloatArray
+    unknowns: tuple[Unknown[ComplexArray], ...]
+    static: bool
+
+    def elements(
+        self, outputs: ComplexArray, load: ComplexArray, matrix: ComplexArray | FloatArray | None = None
+    ) -> ComplexArray:
+        """Return the E elements (..., E) of outputs (..., C) under loads (..., 6); `matrix` (..., C, 6): another value.
+
+        S_cd = (U_c - h Σ_{j≠d} S⁰_cj L_j) / L_d with h = U_m / Σ_j S⁰_mj L_j.
+        """
+        value = self.value if matrix is None else matrix
+        rows, d = list(self.rows), self.component
+        parts = value * load[..., None, :]
+        course = quotient(outputs[..., self.main], np.sum(parts[..., self.main, :], axis=-1))
+        others = np.sum(np.delete(parts[..., rows, :], d, axis=-1), axis=-1)
+        return quotient(outputs[..., rows] - course[..., None] * others, np.asarray(load[..., d, None] + 0.0j))
+
+    def courses(self, outputs: ComplexArray, load: ComplexArray) -> tuple[Unknown[ComplexArray], ...]:
+        """Return how far other elements may follow another course over frequency than the driven one: (K, C, 6).
+
+        The evidence is what the driven element itself has changed by since rest, |h - 1|: every other element may
+        deviate from h by as much, relative, in a direction of the complex plane of which nothing is known, hence
+        |h - 1|/√2 as standard uncertainty of real and imaginary part. Each is one unknown for all frequencies and
+        recordings, since a course is smooth and belongs to the sensor. Rated bounds have none.
+        """
+        if not self.static:
+            return ()
+        course = quotient(outputs[:, self.main], load @ self.value[self.main])
+        away = np.nan_to_num(np.abs(course - 1.0)) / np.sqrt(2.0)
+        driven = f"{self.channels[self.main]}/{LOAD_COMPONENTS[self.component]}"
+        found = list[Unknown[ComplexArray]]()
+        for c, j in np.argwhere(self.value != 0.0).tolist():
+            if j == self.component or c not in (self.main, *self.rows):
+                continue
+            name = f"course of {self.channels[c]}/{LOAD_COMPONENTS[j]} over frequency beside {driven}"
+            for part, turn in (("real part", 1.0), ("imaginary part", 1j)):
+                effect = np.zeros((len(away), *self.value.shape), np.complex128)
+                effect[:, c, j] = turn * away * self.value[c, j]
+                label = "static matrix at this frequency"
+                found.append(Unknown(f"{name}, {part}", label, float(away.max(initial=0.0)), "1", effect, "rig"))
+        return tuple(found)
+
+    def uncertainty(
+        self, outputs: ComplexArray, load: ComplexArray, of_outputs: Uncertainty, of_load: Uncertainty
+    ) -> Uncertainty:
+        """Return the uncertainty of the E elements of K lines, first order, unknowns of one name as one.
+
+        dS_cd = [dU_c - h dP_c - P_c dh - S_cd dL_d] / L_d with P_c = Σ_{j≠d} S⁰_cj L_j, h = U_m/Q, Q = Σ_j S⁰_mj L_j,
+        hence dP_c = Σ_{j≠d} (S⁰_cj dL_j + L_j dS⁰_cj) and dh = (dU_m - h Σ_j (S⁰_mj dL_j + L_j dS⁰_mj)) / Q.
+        """
+        rows, m, d = list(self.rows), self.main, self.component
+        driven, whole = np.asarray(load[:, d, None] + 0.0j), load @ self.value[m]
+        others = self.value[rows]
+        others[:, d] = 0.0
+        course, parasitic = quotient(outputs[:, m], whole)[:, None], load @ others.T
+        back = quotient(course * parasitic, whole[:, None])
+        by_outputs = np.zeros((len(load), len(rows), len(self.channels)), np.complex128)
+        by_outputs[:, range(len(rows)), rows] = 1.0
+        by_outputs[:, :, m] -= quotient(parasitic, whole[:, None])
+        by_load = back[:, :, None] * self.value[m] - course[:, :, None] * others
+        by_load[:, :, d] -= self.elements(outputs, load)
+        total = of_outputs.where_known().transformed(
+            real_design(np.nan_to_num(quotient(by_outputs, driven[:, :, None])))
+        )
+        total = total.plus(
+            of_load.where_known().transformed(real_design(np.nan_to_num(quotient(by_load, driven[:, :, None]))))
+        )
+        own = []
+        for unknown in (*self.unknowns, *self.courses(outputs, load)):
+            moved = unknown.effect * load[:, None, :]
+            beside = np.delete(moved[:, rows], d, axis=2).sum(axis=2)
+            change = quotient(back * moved[:, m].sum(axis=1)[:, None] - course * beside, driven)
+            own.append(unknown.acting(real_stack(np.nan_to_num(change))))
+        lost = np.tile(~np.isfinite(self.elements(outputs, load)), (1, 2))
+        first = total.random[0]
+        hidden = np.where(lost[:, :, None] | lost[:, None, :], np.nan, first.covariance)
+        random = (replace(first, covariance=hidden), *total.random[1:])
+        return Uncertainty(random, (*total.influences, *own))
+
+
+def known_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, sizes: ArrayLike) -> KnownMatrix | None:
+    """Return what is known of the matrix of some outputs under a driven load, None where nothing is.
+
+    A static matrix: every other element S_cj is taken as S⁰_cj·h with the course h of the driven main element, which
+    the recording itself measures, not as S⁰_cj. What changes between rest and the frequency is first the measuring
+    chain, the same for all elements of an output, and what an elastic element does to the driven load it does in kind
+    to the others; of the two, only what differs among elements is then left over (`KnownMatrix.courses`). For the main
+    output S = S⁰_md·U_m / Σ_j S⁰_mj L_j, so that a scale error of the static calibration has no part in it. Uncertainty
+    of S⁰: relative, and, beside the main elements, over the rated output: nobody knows a cross-talk of 2 % to a
+    thousandth of itself. A row that states only its main element (zeros beside it) tells nothing of cross-talk unless
+    `u_cross_talk` says how near to zero that is.
+
+    Without it, rated cross-talk x: S_mj uniform within ± x·|S_md|·capacity_d/capacity_j, for the main output only, with
+    S_md as it is measured. `sizes` (C,): outputs over the driven load, which tell the main output where neither its
+    name nor a static matrix does.
+    """
+    names, rated = tuple(channels), stated.rated
+    places = [stated.channels.index(name) for name in names]
+    if stated.static is not None:
+        static, own = stated.static[places], stated.channels[int(np.argmax(np.abs(stated.static[:, component])))]
+        main = names.index(own) if own in names else None
+        told = np.count_nonzero(static, axis=1) > (stated.u_cross_talk is None)
+        if main is not None and told[main] and static[main, component] != 0.0:
+            rows = tuple(np.flatnonzero(told).tolist())
+            return KnownMatrix(
+                names, component, main, rows, static, _static_unknowns(stated, names, static), static=True
+            )
+    if stated.cross_talk is None or stated.capacity is None:
+        return None
+    named = LOAD_COMPONENTS[component]
+    main = names.index(named) if named in names else int(np.argmax(np.nan_to_num(np.abs(np.asarray(sizes)))))
+    value, unknowns = np.zeros((len(names), 6)), list[Unknown[ComplexArray]]()
+    value[main, component] = 1.0
+    for j in (j for j in range(6) if j != component):
+        effect = np.zeros(value.shape, np.complex128)
+        effect[main, j] = stated.cross_talk / np.sqrt(3.0) * rated[component] / rated[j]
+        name = f"{RATED} {names[main]}/{LOAD_COMPONENTS[j]}"
+        unknowns.append(Unknown(name, RATED, stated.cross_talk / float(np.sqrt(3.0)), "1", effect, "rig"))
+    return KnownMatrix(names, component, main, (main,), value, tuple(unknowns), static=False)
+
+
+def _static_unknowns(
+    stated: StatedMatrix, channels: tuple[str, ...], static: FloatArray
+) -> tuple[Unknown[ComplexArray], ...]:
+    """One unknown per element of a static matrix (C, 6), in the unit of the element."""
+    relative = stated.u_static or U_STATIC
+    share = U_STATIC if stated.u_cross_talk is None else stated.u_cross_talk
+    signal = np.abs(static) * stated.rated
+    u = np.hypot(relative * np.abs(static), share * signal.max(axis=1)[:, None] / stated.rated)
+    own = np.arange(len(static)), np.argmax(signal, axis=1)
+    u[own] = relative * np.abs(static[own])
+    found = []
+    for c, j in np.ndindex(static.shape):
+        effect = np.zeros(static.shape, np.complex128)
+        effect[c, j] = u[c, j]
+        name = f"static sensitivity {channels[c]}/{LOAD_COMPONENTS[j]}"
+        found.append(Unknown(name, "static sensitivity", float(u[c, j]), "", effect, "rig"))
+    return tuple(found)
+
+
+def sensor_element(
+    outputs: Outputs, load: LoadResult, known: KnownMatrix, multiple: ArrayLike, notices: Sequence[AnyNotice] = ()
+) -> Sensitivity:
+    """Return the sensor's elements of the driven load at the fundamentals of one recording (`KnownMatrix`)."""
+    usable = (np.asarray(multiple) == 1) & load.observed[:, known.component]
+    force = np.where(usable[:, None], load.value, complex(np.nan, np.nan))
+    signal = outputs.phasors.value
+    value = np.full((*signal.shape, 6), complex(np.nan, np.nan))
+    value[:, list(known.rows), known.component] = known.elements(signal, force)
+    return Sensitivity(
+        frequency_hz=outputs.phasors.frequency_hz,
+        value=value,
+        elements=tuple((channel, known.component) for channel in known.rows),
+        uncertainty=known.uncertainty(signal, force, outputs.uncertainty, load.uncertainty),
+        channels=outputs.phasors.channels,
+        components=LOAD_COMPONENTS,
+        unit=outputs.phasors.unit[0],
+        kind=tuple("element" for _ in signal),
+        notices=tuple(notices),
+    )
 
 
 # The ratio point by point, where several vibrometer points look along the force that was driven.

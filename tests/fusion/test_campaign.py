@@ -100,7 +100,7 @@ def test_a_campaign_of_one_recording_is_a_campaign_and_prints_its_sensitivity(ma
     assert names_in(top / "results") == {NAMES[0], *JOINT}
     assert len(evaluated) == 1
     told = capsys.readouterr().out.splitlines()
-    assert any(line.startswith("Sensitivity, Fz 106.25 Hz (U = k·u, 95 %)") for line in told)
+    assert any(line.startswith("Output over load, Fz 106.25 Hz (U = k·u, 95 %)") for line in told)
     assert told[-2].startswith("└")  # the table is the last but for the path of the report
     assert told[-1] == f"report of all: {top / 'results' / 'report.html'}"
 
@@ -258,8 +258,8 @@ def test_outcomes_are_in_the_order_of_the_recordings_whoever_was_first(campaign,
     lines = told.out.splitlines()
     assert [line.split(":")[0] for line in (*lines[:3], lines[-1])] == [*NAMES, "2 recordings", "report of all"]
     assert lines[2] == "2 recordings: 2 evaluated"
-    assert lines[3].startswith("Sensitivity, 2 recordings")
-    assert all(any(title in line and "Fz / Fz" in line for line in lines[4:]) for title in TITLES)
+    assert lines[3].startswith("Output over load, 2 recordings")
+    assert all(any(title in line and "ratio Fz" in line for line in lines[4:]) for title in TITLES)
     assert [f"shakercal: {name}: 318.75 Hz" in told.err for name in NAMES] == [True, True]
     assert main(["run", str(campaign), "--workers", "2"]) == EXIT_DONE
     assert "2 recordings: 2 unchanged since the last run" in capsys.readouterr().out

@@ -61,7 +61,7 @@ def test_run_prints_the_sensitivity_and_where_the_report_lies(make_campaign, eva
     folder = make_campaign()
     assert main(["run", str(folder)]) == EXIT_DONE
     told = capsys.readouterr()
-    assert re.search(r"106\.2503.*Fz / Fz.*±.*V/V.*ratio", told.out)
+    assert re.search(r"106\.2503.*ratio Fz output / Fz load.*±.*V/V.*ratio", told.out)
     assert told.out.endswith(f"report (written): {folder / 'results' / 'report.html'}\n")
     assert evaluated == [folder.name]
 

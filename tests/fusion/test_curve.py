@@ -22,6 +22,7 @@ from fusion.campaign.curve import (
 )
 from fusion.campaign.matrix import fit_matrix
 from fusion.campaign.repeats import Drive
+from fusion.sensitivity.ratio import StatedMatrix
 from shaker.labels import LOAD_COMPONENTS
 
 AnyArray = NDArray[Any]
@@ -42,6 +43,27 @@ def sweep(lines: int = 12) -> tuple[list[Drive], AnyArray]:
         setups = [replace(base, recording=f"{frequency:.0f}-{m}", mounting=f"{m}") for m in range(2)]
         found += simulate_drives(setups, truth * response(frequency), errors)
     return found, truth
+
+
+def test_elements_make_a_curve_that_lies_on_the_true_one_where_ratios_do_not():
+    drives, truth = sweep()
+    stated = StatedMatrix(LOAD_COMPONENTS, CAPACITY, truth.real, 1e-4, None, 1e-4)
+    (element,) = ratio_curves(drives, CAPACITY.tolist(), stated)
+    (ratio,) = ratio_curves(drives, CAPACITY.tolist())
+    assert (element.kind, ratio.kind) == ("element", "ratio")
+    true = truth[2, 2] * response(element.frequency_hz)
+    off = np.abs(element.value[:, 2] / true - 1.0)
+    assert np.all(off < 4.0 * np.sqrt(element.uncertainty.covariance[:, 2, 2]) / abs(truth[2, 2]))
+    # What the ratio contains beside: cross-talk times the other loads. Its phase differs from the driven element's.
+    load = np.array([drive.load for drive in drives[::2]])
+    beside = np.delete(load * truth[2], 2, axis=1).sum(axis=1) / load[:, 2] * response(element.frequency_hz)
+    taken_off = ratio.value[:, 2] - element.value[:, 2]
+    assert np.all(np.abs(taken_off - beside) < 0.1 * np.abs(beside) + 1e-4 * np.abs(true))
+    assert np.max(np.abs(beside / true)) > 5e-4
+    # One unknown of the matrix at all frequencies, also where the curve is taken relative to it.
+    relative = relative_curve(element, truth.real, 1e-4)
+    names = [i.name for i in relative.uncertainty.influences if i.name.startswith("static")]
+    assert len(set(names)) == len(names) == 36
 
 
 def test_ratios_make_one_curve_per_driven_component():

@@ -26,6 +26,7 @@ from fusion.campaign.repeats import (
     over_lines,
 )
 from fusion.estimation.uncertainty import polar_elements
+from fusion.sensitivity.ratio import StatedMatrix
 
 AnyArray = NDArray[Any]
 LOAD = np.array([3.0, 1.0, 1000.0, 0.5, 0.1, 0.2])
@@ -270,3 +271,21 @@ def test_names_between_recordings_and_what_lines_joined_share():
     assert effects == {"scale": [1.0, 1.0], "time [1]": [2.0, 0.0], "time [2]": [0.0, 2.0]}
     np.testing.assert_allclose(joined.covariance[:, 0, 0], [5.01, 5.04])
     np.testing.assert_allclose(joined.covariance, np.concatenate([part.covariance for part in lines]))
+
+
+def test_elements_are_averaged_as_ratios_and_what_is_not_known_of_the_matrix_stays():
+    static = np.array([[5e-2, 0.0, 1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.1, 0.0, 0.0, 0.0]])
+    stated = StatedMatrix(("Fz", "Fx"), np.full(6, 1000.0), static, 1e-3, None, 2e-3)
+    load = np.array([100.0, 0.0, 1000.0, 0.0, 0.0, 0.0])
+    names = [f"{n}" for n in range(8)]
+    drives = [recorded(1.005, name, name, load=load, channels=("Fz", "Fx")) for name in names]
+    (found,) = find_repeats(drives, stated=stated)
+    assert (found.kind, found.channels) == ("element", ("Fz", "Fx"))
+    # U = 1.005·1000 = h·(0.05·100 + 1·1000): h = 1, the element is 1.
+    assert found.value[0] == pytest.approx(1.0, rel=1e-12)
+    assert find_repeats(drives)[0].value[0] == pytest.approx(1.005)
+    effects = {i.name: i.effect[0, 0] for i in found.uncertainty.influences}
+    # dS = -S·L_x/L_z·dS_zx, u = 2e-3 of the rated output (and a thousandth of itself), however often it was recorded.
+    assert abs(effects["static sensitivity Fz/Fx"]) == pytest.approx(0.1 * np.hypot(2e-3, 5e-5) / 1.005, rel=1e-9)
+    (single,) = find_repeats(drives[:1], stated=stated)
+    assert {i.name: i.effect[0, 0] for i in single.uncertainty.influences} == pytest.approx(effects)

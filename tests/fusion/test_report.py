@@ -100,7 +100,7 @@ def test_sources_stand_side_by_side_and_headlines_name_the_deviation_from_static
     assert "189" in strong
     assert "k = 1.97" in strong
     first = headlines(evaluation)[0]
-    assert first.label == "Sensitivity Fz per Fz, 106.2503 Hz"
+    assert first.label == "Ratio Fz output / Fz load, 106.2503 Hz"
     assert "from static: (−1.40 ± 0.22) %" in first.remark  # 1.972/2 - 1, and 1.96 of 4.9e-4 and 1e-3
 
 

@@ -22,6 +22,7 @@ from fusion.estimation.uncertainty import Influence, Uncertainty
 from fusion.report import recording as results
 from fusion.report.folder import check_folder, hash_files, is_current, read_provenance, sha256
 from fusion.report.recording import merge_tables, write_results
+from fusion.report.tables import headlines, sensitivity_table
 from fusion.sensitivity.analyse import Evaluation
 
 FORMAT = "recording-format.md"
@@ -95,6 +96,24 @@ def test_only_what_a_source_determines_has_rows(folder):
     assert found[-1]["dof"] == "inf"
     assert {row["recording"] for row in found} == {"Fz 106.25 Hz"}
     assert all(-np.pi < float(row["phase_rad"]) <= np.pi for row in found)
+
+
+def test_elements_have_rows_after_the_ratios_and_stand_in_the_headline(write, tmp_path):
+    plain = make_evaluation(tmp_path, Choice(frames=24, images=False))
+    value = plain.sensitivity.value.copy()
+    value[1:] = np.nan
+    value[0] *= 1.01
+    evaluation = replace(plain, element=replace(plain.sensitivity, value=value, kind=("element",) * 3))
+    folder = write(evaluation)
+    found = rows(folder / "sensitivity.csv")
+    assert [row["kind"] for row in found] == ["ratio"] * 6 + ["harmonic"] * 12 + ["element"] * 6
+    with h5py.File(folder / "result.h5") as file:
+        assert np.array_equal(file["element/value"][()], value, equal_nan=True)
+    assert headlines(evaluation)[0].label == "Sensitivity Fz per Fz, 106.2503 Hz"
+    assert headlines(plain)[0].label == "Ratio Fz output / Fz load, 106.2503 Hz"
+    names = [row[1] for row in sensitivity_table(evaluation).rows]
+    assert names[2:9:6] == ["Fz per Fz", "ratio Fz output / Fz load"]
+    assert names[6] == "response of output Fx to the driven load Fz"
 
 
 def test_failed_frame_keeps_its_row(folder):
@@ -246,6 +265,7 @@ def test_drives_are_read_back_to_the_last_bit_with_sensor_excitation_and_notices
     assert (found.direction, found.frequencies) == ((0.0, 0.0, 1.0), (106.25,))
     assert np.array_equal(np.asarray(found.sensor.static), STATIC)
     assert (found.sensor.serial, found.sensor.unit, found.sensor.u_static) == ("0815", "V/V", 1e-3)
+    assert (found.sensor.stated.cross_talk, found.sensor.stated.u_cross_talk) == (0.02, 2e-4)
     assert [notice.severity for notice in found.notices] == [notice.severity for notice in evaluation.notices]
     assert found.origin.input_hashes == evaluation.input_hashes
 

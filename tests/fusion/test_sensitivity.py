@@ -5,18 +5,35 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import coverage_matrix
 import GTC
 import numpy as np
 import pytest
 from contracts import refused
 from instrument_factory import TRUTH, moving, output
+from scipy.stats import binom
+from simulated_phasors import simulate_phasors
 
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Influence
 from fusion.instruments.channel import ChainUncertainty, Outputs, Reading, output_phasors
+from fusion.sensitivity.analyse import analyse
 from fusion.sensitivity.body import Body, make_part
 from fusion.sensitivity.load import LoadResult, load_phasors
-from fusion.sensitivity.ratio import Sensitivity, driven_component, parasitic_loads, sensitivity_ratio
+from fusion.sensitivity.monte_carlo import propagate
+from fusion.sensitivity.ratio import (
+    KnownMatrix,
+    Sensitivity,
+    StatedMatrix,
+    driven_component,
+    known_matrix,
+    parasitic_loads,
+    sensitivity_ratio,
+    sensor_element,
+)
+from fusion.simulate.sines import runs
+from fusion.simulate.world import Draws
+from shaker.labels import LOAD_COMPONENTS
 
 GRAVITY = (0.0, 0.0, -9.8125)
 OUTPUT = 2e-7 * np.exp(-0.01j)
@@ -271,3 +288,141 @@ def test_budget_is_that_of_gtc(case):
     assert entries["clock bridge: time"].u_phase_rad[0, 0] == pytest.approx(0.0, abs=1e-15)
     assert entries["amplifier: scale"].u_relative[0, 0] == pytest.approx(0.0, abs=1e-15)
     assert entries["accelerometer: noise"].dof[0] == CORRELATED["motion"][1]
+
+
+def known_of(case: Case, **stated: Any) -> KnownMatrix | None:
+    """What is known of the matrix of both outputs under Fz, of rated loads 2 kN, 4 kN, 100 N.m."""
+    capacity = np.array([2e3, 2e3, 4e3, 100.0, 100.0, 100.0])
+    return known_matrix(
+        StatedMatrix(("Fz", "Fx"), capacity, **{"static": None} | stated), ("Fz", "Fx"), 2, GTC_OUTPUT[0]
+    )
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+def test_element_and_its_uncertainty_are_those_of_gtc(case, channel):
+    # Outputs of Fz and Fx in this order; no load but Fx and Fz, and every unknown by hand.
+    static = np.array([[5e-9, 0.0, 2.0e-7, 0.0, 0.0, 0.0], [5.1e-7, 0.0, 3e-9, 0.0, 0.0, 0.0]])
+    known = known_of(case, static=static, u_static=3e-3, u_cross_talk=2e-4)
+    assert (known.main, known.rows, known.static) == (0, (0, 1), True)
+    only = replace(case.load, value=np.where([True, False, True, False, False, False], case.load.value, 0.0))
+    found = sensor_element(case.outputs, only, known, [1])
+    capacity, main = np.array([2e3, 2e3, 4e3]), (2, 0)
+    elements = {}
+    for c, j in ((0, 0), (0, 2), (1, 0), (1, 2)):
+        rated = 0.0 if main[c] == j else 2e-4 * static[c, main[c]] * capacity[main[c]] / capacity[j]
+        elements[c, j] = GTC.ureal(static[c, j], float(np.hypot(3e-3 * static[c, j], rated)))
+    # The driven element's own course is the evidence for those of others, in any direction of the complex plane.
+    u = abs(GTC_OUTPUT[0, 0] / (static[0] @ only.value[0]) - 1.0) / np.sqrt(2.0)
+    for c, j in ((0, 0), (1, 0)):
+        elements[c, j] = elements[c, j] * GTC.ucomplex(1.0 + 0j, u)
+    one, three = case.gtc_load[0], case.gtc_load[2]
+    course = case.gtc_outputs[0] / (elements[0, 0] * one + elements[0, 2] * three)
+    expected = (case.gtc_outputs[channel] - course * elements[channel, 0] * one) / three
+    assert found.value[0, channel, 2] == pytest.approx(complex(GTC.value(expected)), rel=1e-12)
+    variance = found.covariance[0, channel, 2].ravel()
+    np.testing.assert_allclose(variance, GTC.variance(expected), rtol=1e-9, atol=1e-12 * variance[0])
+    assert found.kind == ("element",)
+
+
+def test_element_of_a_matrix_that_keeps_its_proportions_is_exact_where_the_ratio_is_not():
+    rng = np.random.default_rng(4)
+    static = np.diag([5e-7, 5e-7, 2e-7, 9e-6, 9e-6, 8e-6]) + 1e-8 * rng.standard_normal((6, 6))
+    load = load_phasors(acceleration(), BODY)
+    true = static * 0.97 * np.exp(-0.1j)
+    signals = load.value @ true.T
+    outputs = output_phasors([output(signals[:, c], name=f"S{c}") for c in range(6)])
+    names = outputs.phasors.channels
+    stated = StatedMatrix(tuple(reversed(names)), None, static[::-1].copy())
+    element = sensor_element(outputs, load, known_matrix(stated, names, 2, np.ones(6)), [1, 2])
+    np.testing.assert_allclose(element.value[0, :, 2], true[:, 2], rtol=1e-10)
+    # Harmonics are no part of the curve.
+    assert np.isnan(element.value[1]).all()
+    ratio = sensitivity_ratio(outputs, load, 2, [1, 2])
+    assert abs(ratio.value[0, 2, 2] / true[2, 2] - 1.0) > 2e-4
+
+
+def test_rated_cross_talk_bounds_what_other_loads_put_into_the_main_output(case):
+    known = known_of(case, cross_talk=0.02)
+    assert (known.rows, known.static) == ((0,), False)
+    element = sensor_element(case.outputs, case.load, known, [1])
+    assert element.elements == ((0, 2),)
+    assert element.value[0, 0, 2] == pytest.approx(case.ratio.value[0, 0, 2], rel=1e-12)
+    # |S_zj| ≤ 0.02·|S_zz|·4000 N/capacity_j, uniform: u = bound/√3.
+    extra = element.covariance[0, 0, 2] - case.ratio.covariance[0, 0, 2]
+    share = case.load.value[0, :2] / case.load.value[0, 2] * 0.02 / np.sqrt(3.0) * 4e3 / 2e3
+    change = case.ratio.value[0, 0, 2] * share
+    expected = np.array([[c.real, c.imag] for c in change])
+    np.testing.assert_allclose(extra, expected.T @ expected, rtol=1e-6)
+    assert [entry.count for entry in element.budget if entry.label == "rated cross-talk"] == [5]
+
+
+def test_without_knowledge_of_cross_talk_there_is_no_element(case):
+    diagonal = np.array([[0.0, 0.0, 2e-7, 0.0, 0.0, 0.0], [5.1e-7, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    assert known_of(case) is None
+    assert known_of(case, static=diagonal, u_static=1e-3) is None
+    assert known_of(case, static=diagonal, u_static=1e-3, cross_talk=0.01).static is False
+    assert known_of(case, static=diagonal, u_cross_talk=1e-3).rows == (0, 1)
+    # The output that belongs to the load was not recorded.
+    stated = StatedMatrix(("Fz", "Fx"), None, diagonal, u_cross_talk=1e-3)
+    assert known_matrix(stated, ("Fx",), 2, [1.0]) is None
+
+
+def check_coverage(recording: str, driven: str, trials: int) -> None:
+    counts = coverage_matrix.count_elements(
+        recording, driven, range(1, trials + 1), {"static_sensitivity_uncertainty": 1e-3}
+    )
+    for count in counts:
+        # The acceptance region of 95 %, so wide that a perfect program fails once in a thousand such comparisons.
+        low, high = binom.ppf([5e-4, 1.0 - 5e-4], trials, 0.95)
+        assert low <= np.sum(count.element.covered) <= high
+        u_element, u_ratio = (
+            np.median([np.sqrt(c[0, 0]) for c in t.covariances]) for t in (count.element, count.ratio)
+        )
+        assert u_element < 2.0 * u_ratio
+
+
+def test_transverse_excitation_beside_a_moment_covers_the_element_but_not_by_the_ratio():
+    counts = coverage_matrix.count_elements("6-x-mass-+y", "Fx", range(1, 25), {"static_sensitivity_uncertainty": 1e-3})
+    for count in counts:
+        assert np.mean(count.bias).real == pytest.approx(-0.004, abs=0.0006)
+        assert np.sum(count.ratio.covered) <= 2
+        assert binom.ppf(5e-4, 24, 0.95) <= np.sum(count.element.covered)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("recording", "driven"), coverage_matrix.DRIVEN)
+def test_element_of_every_recording_of_the_uniaxial_campaign_is_covered(recording, driven):
+    check_coverage(recording, driven, 150)
+
+
+def test_what_one_recording_lacks_is_said_and_nothing_called_an_element():
+    run = next(run for run in runs("matrix") if run.preset.recording == "5-x")
+    setup = coverage_matrix.uniaxial_setup(run, 0, {})
+    truth = coverage_matrix.uniaxial_truth(run, np.random.default_rng(1))
+    known, _ = simulate_phasors(replace(setup, sensitivity=truth), Draws(1, True))
+    blank = {"static_sensitivity": None}
+    rated, bare = (known.sensor.model_copy(update=blank | more) for more in ({"cross_talk": 0.02}, {}))
+    found = analyse(replace(known, sensor=rated))
+    told = [notice.text for notice in found.notices]
+    assert any("within ± 2.00% of the rated output" in text for text in told)
+    assert found.element.elements == ((0, 0),)
+    assert found.element.covariance[0, 0, 0, 0, 0] > found.sensitivity.covariance[0, 0, 0, 0, 0]
+    found = analyse(replace(known, sensor=bare))
+    assert found.element is None
+    assert any("not the sensor's own sensitivity" in notice.text for notice in found.notices)
+    found = analyse(known)
+    assert any("the ratio contains that, the element does not" in notice.text for notice in found.notices)
+    upside = [[-value for value in row] for row in known.sensor.static_sensitivity]
+    wrong = analyse(replace(known, sensor=known.sensor.model_copy(update={"static_sensitivity": upside})))
+    assert any("check units and signs of the static matrix" in notice.text for notice in wrong.notices)
+    drawn = propagate(known, found, 4000, 1)
+    (element,) = [result for result in drawn.results if result.name == "element"]
+    assert element.elements == tuple(f"{name} per Fx" for name in LOAD_COMPONENTS)
+    # Of the main element; the ellipses of cross elements are needles, across which second order shows (and is told).
+    np.testing.assert_allclose(element.first_holds[:, 0], 0.95, atol=0.015)
+    u, first = (np.sqrt(np.trace(c, axis1=2, axis2=3)) for c in (element.covariance, element.first_covariance))
+    np.testing.assert_allclose(u, first, rtol=0.05)
+    bounded = analyse(replace(known, sensor=rated))
+    (element,) = [r for r in propagate(replace(known, sensor=rated), bounded, 4000, 1).results if r.name == "element"]
+    spread = element.covariance
+    np.testing.assert_allclose(spread, element.first_covariance, rtol=0.1, atol=0.05 * spread.max())
