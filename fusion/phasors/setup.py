@@ -18,6 +18,7 @@ from fusion.phasors.channels import (
     ChannelResult,
     channel_phasors,
     find_channel_lines,
+    line_clock,
     line_record,
 )
 from fusion.phasors.stereo_motion import (
@@ -124,8 +125,12 @@ def measure_set_up(
     manifest, base = opened.manifest, opened.base
     with told_in(manifest.path, opened.where, opened.name):
         motions = (*measure_pairs(opened.images, settings, progress, executor), *opened.points)
-        lines = motion_lines(manifest, base, motions) if opened.lines is None else opened.lines
-        stereo, aliased = pairs_phasors(base, motions, lines, from_motion=not opened.readings)
+        if opened.lines is None:
+            lines, first = motion_lines(manifest, base, motions)
+            clock = base.sight_errors(first)
+        else:
+            lines, clock = opened.lines, line_clock(base)
+        stereo, aliased = pairs_phasors(base, motions, lines, base.line_errors(lines, clock))
     return SetUp(opened, lines, stereo, aliased)
 
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from fusion.base import AnyNotice, ComputeError
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments.channel import late
-from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading, line_turns
+from fusion.instruments.channel import FittedError
+from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading
 from fusion.phasors.channels import spread_lines
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
-from fusion.phasors.timing import TimeBase
+from fusion.phasors.timing import Lateness, TimeBase, together
 from photogram.camera import StereoRig, principal_components, triangulate
 from photogram.epipolar import EpipolarCheck
 from photogram.geometry import RigidTransform
@@ -25,7 +25,13 @@ from photogram.subsets.track import StereoTracks
 from shaker.arrays import ComplexArray, FloatArray, Notice, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import Lines
-from shaker.sine.aliasing import exposure_gain, sine_columns, usable_lines
+from shaker.sine.aliasing import (
+    alias_frequency,
+    exposure_gain,
+    nearest_clear_rate,
+    sine_columns,
+    usable_lines,
+)
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.normal_equations import sine_amplitudes, solve_sines
 from shaker.sine.solve import SineFit, SineModel
@@ -33,6 +39,7 @@ from shaker.sine.solve import SineFit, SineModel
 MIN_SUBSETS = 6
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
 BIAS_STEP_PX = 0.01
+ONE_BEAT = 1.1  # periods of a line's alias: in less, a slope looks like the line
 NO_LINE = "its camera rate tells no line of the recording apart"
 
 
@@ -95,12 +102,11 @@ class StereoPhasors:
 
 
 def pairs_phasors(
-    base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, *, from_motion: bool
+    base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, line_errors: Sequence[Lateness]
 ) -> tuple[tuple[StereoPhasors, ...], tuple[AnyNotice, ...]]:
     """Fit the lines to the motion of every stereo pair, and leave out the pairs whose rate tells no line apart.
 
-    The notices name what was left out, line by line and pair by pair. `from_motion`: the lines were found in the motion
-    itself, since no channel shows them.
+    The notices name what was left out, line by line and pair by pair. `line_errors`: what is open of the lines.
     """
     fitted: list[StereoPhasors] = []
     notices: list[AnyNotice] = []
@@ -109,7 +115,7 @@ def pairs_phasors(
         usable, aliased = _usable(measured, lines)
         notices += [Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in aliased]
         if usable.any():
-            fitted.append(stereo_phasors(base, measured, lines, from_motion=from_motion))
+            fitted.append(stereo_phasors(base, measured, lines, line_errors))
         else:
             notices.append(Notice("warning", f"stereo pair {name} is left out: {NO_LINE}", name))
     return tuple(fitted), tuple(notices)
@@ -123,11 +129,13 @@ def _usable(measured: StereoMotion, lines: Lines) -> tuple[NDArray[np.bool_], tu
     return usable, aliased
 
 
-def stereo_phasors(base: TimeBase, measured: StereoMotion, lines: Lines, *, from_motion: bool = False) -> StereoPhasors:
+def stereo_phasors(
+    base: TimeBase, measured: StereoMotion, lines: Lines, line_errors: Sequence[Lateness] = ()
+) -> StereoPhasors:
     """Fit those lines to a body's motion about its mean pose that its frames tell apart.
 
-    Where the lines were found in the motion itself, what it leaves open of their frequencies turns the phasors by as
-    much as its noise does; a channel knows them far better than that.
+    What trigger, clocks and `line_errors` leave open acts through that fit: over many beats it turns the phasors, over
+    less than one it changes every part of them.
     """
     sight, view = measured.sight, measured.view
     name, time_s, exposure = sight.name, sight.time_s, sight.exposure
@@ -145,20 +153,19 @@ def stereo_phasors(base: TimeBase, measured: StereoMotion, lines: Lines, *, from
     for what, change in changes.items():
         effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
         effects[what][:, usable] = change / gain[usable][:, None]
+    late = together([*base.sight_errors(sight), *line_errors])
+    errors = [error.through(fit, usable, 2).scaled((1.0 / gain)[:, None]) for error in late]
     reading = StereoReading(
         name=name,
         pair=sight.pair,
         phasors=spread_lines(fit.phasors, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None]),
         effects=effects,
         clock_uncertainty=base.records[0].entry.clock_uncertainty,
-        errors=(
-            *late(f"{exposure.trigger}: time", lines.frequency_hz, base.u_trigger_s(exposure.trigger)),
-            *exposure.errors(lines.frequency_hz),
-            *(line_turns(lines, float(np.mean(time_s))) if from_motion else ()),
-        ),
+        errors=(*errors, *exposure.errors(lines.frequency_hz)),
     )
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     told += [(name, notice) for notice in fit.notices if notice.severity == "warning"]
+    told += [(name, notice) for notice in _short_notices(lines, usable, sight.time_s, reading)]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
     pose = from_mean.pose.copy()
     pose[fit.spikes] = np.nan
@@ -177,6 +184,35 @@ def stereo_phasors(base: TimeBase, measured: StereoMotion, lines: Lines, *, from
         stationarity=stationarity(time_s, pose, frequency_hz, MOTION_COMPONENTS),
     )
     return StereoPhasors(result if view is None else _with_view(result, view), reading, notices)
+
+
+def _short_notices(lines: Lines, usable: NDArray[np.bool_], time_s: FloatArray, reading: StereoReading) -> list[Notice]:
+    """Say where a driven line's beat is longer than the record and its clocks, not its noise, decide the amplitude."""
+    interval_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    rate_hz, told = 1.0 / interval_s, []
+    for k in np.flatnonzero(usable & (lines.multiple == 1)):
+        frequency = float(lines.frequency_hz[k])
+        alias = float(alias_frequency(frequency, rate_hz))
+        beats = len(time_s) * interval_s * min(alias, rate_hz / 2.0 - alias)
+        size = np.abs(reading.phasors.value[k])
+        strongest = int(np.argmax(size[:3]))
+        noise = float(np.hypot(reading.phasors.u_re, reading.phasors.u_im)[k, strongest])
+        rests = [e.rest[k, strongest] for e in reading.errors if isinstance(e, FittedError)]
+        clocks = float(np.sqrt(np.sum(np.abs(rests) ** 2)))
+        if beats >= ONE_BEAT or clocks <= noise:
+            continue
+        clear = nearest_clear_rate(lines.frequency_hz[usable], rate_hz, len(time_s))
+        rate = "choose another rate" if clear is None else f"choose another rate, such as {clear:.3f} Hz"
+        told.append(
+            Notice(
+                "warning",
+                f"its record holds {beats:.2g} of a beat of {frequency:.6g} Hz ({len(time_s)} frames at {rate_hz:.6g} "
+                f"Hz), so that errors of its clock become {100.0 * clocks / size[strongest]:.2g} % of the amplitude "
+                f"and dominate U; record longer or {rate}",
+                f"{frequency:.6g} Hz",
+            )
+        )
+    return told
 
 
 def _with_view(result: StereoResult, view: ImageView) -> StereoResult:

@@ -108,7 +108,8 @@ def _fitted(
 ) -> SineFit:
     """Fit the samples kept, and turn parameters about the middle of the record into the result."""
     lines, unknown = len(frequency_hz), model.exponents(frequency_hz)
-    columns, system, coefficients = estimate(samples, frequency_hz, model)
+    columns, system, coefficients = estimate(samples, frequency_hz, model, slopes=True)
+    columns = columns if unknown.shape[1] else replace(columns, slopes=False)
     left = remainder(samples, columns, coefficients)
     channels = samples.values.shape[1]
     free = samples.count - system.linear - unknown.shape[1] / channels
@@ -142,6 +143,7 @@ def _fitted(
         u_frequency_hz=np.sqrt(np.einsum("kq,qr,kr->k", unknown.imag, covariance, unknown.imag)) / (2.0 * np.pi),
         decay_per_s=best.columns.decay_per_s,
         u_decay_per_s=np.sqrt(np.einsum("kq,qr,kr->k", unknown.real, covariance, unknown.real)),
+        slopes=-system.project[:, : 2 * lines],
         residual_rms=np.sqrt(power.diagonal() / samples.count),
         spikes=np.zeros(0, dtype=np.int64),
         condition=system.condition,
