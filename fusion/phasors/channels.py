@@ -280,6 +280,20 @@ def _result(
     return result, Reading(channel, phasors, chain)
 
 
+def line_strength(readings: Sequence[Reading], lines: Lines) -> FloatArray | None:
+    """Return the acceleration at each line (K,) relative to the strongest: the largest share that any channel shows.
+
+    Of motion channels, else of the sensor's outputs; 0 where none sees a line. None where there are no such channels.
+    """
+    moving = [(reading, TRANSDUCERS[q].order) for reading in readings if (q := reading.entry.quantity) in TRANSDUCERS]
+    chosen = moving or [(reading, 0) for reading in readings if reading.entry.quantity == "output"]
+    shares = []
+    for reading, order in chosen:
+        size = np.abs(np.nan_to_num(reading.phasors.value[:, 0])) * (2.0 * np.pi * lines.frequency_hz) ** -order
+        shares.append(size / max(size.max(), np.finfo(np.float64).tiny))
+    return np.asarray(np.max(shares, axis=0)) if shares else None
+
+
 def spread_lines(phasors: Phasors, mask: BoolArray, frequency_hz: FloatArray) -> Phasors:
     """Return phasors at all lines `frequency_hz` (K,) from those at the lines of `mask` (K,), NaN at the others."""
     lines, channels = len(mask), len(phasors.channels)

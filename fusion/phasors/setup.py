@@ -20,6 +20,7 @@ from fusion.phasors.channels import (
     find_channel_lines,
     line_clock,
     line_record,
+    line_strength,
 )
 from fusion.phasors.stereo_motion import (
     OpenImages,
@@ -130,7 +131,8 @@ def measure_set_up(
             clock = base.sight_errors(first)
         else:
             lines, clock = opened.lines, line_clock(base)
-        stereo, aliased = pairs_phasors(base, motions, lines, base.line_errors(lines, clock))
+        strength = line_strength(opened.readings, lines)
+        stereo, aliased = pairs_phasors(base, motions, lines, base.line_errors(lines, clock), strength)
     return SetUp(opened, lines, stereo, aliased)
 
 

@@ -102,11 +102,16 @@ class StereoPhasors:
 
 
 def pairs_phasors(
-    base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, line_errors: Sequence[Lateness]
+    base: TimeBase,
+    motions: Sequence[StereoMotion],
+    lines: Lines,
+    line_errors: Sequence[Lateness],
+    strength: FloatArray | None,
 ) -> tuple[tuple[StereoPhasors, ...], tuple[AnyNotice, ...]]:
     """Fit the lines to the motion of every stereo pair, and leave out the pairs whose rate tells no line apart.
 
-    The notices name what was left out, line by line and pair by pair. `line_errors`: what is open of the lines.
+    The notices name what was left out, line by line and pair by pair. `line_errors`: what is open of the lines;
+    `strength` (K,): the acceleration at each line relative to the strongest, as far as channels tell.
     """
     fitted: list[StereoPhasors] = []
     notices: list[AnyNotice] = []
@@ -115,7 +120,7 @@ def pairs_phasors(
         usable, aliased = _usable(measured, lines)
         notices += [Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in aliased]
         if usable.any():
-            fitted.append(stereo_phasors(base, measured, lines, line_errors))
+            fitted.append(stereo_phasors(base, measured, lines, line_errors, strength))
         else:
             notices.append(Notice("warning", f"stereo pair {name} is left out: {NO_LINE}", name))
     return tuple(fitted), tuple(notices)
@@ -126,16 +131,26 @@ def _usable(measured: StereoMotion, lines: Lines) -> tuple[NDArray[np.bool_], tu
     order = np.lexsort((lines.frequency_hz, lines.multiple))  # fundamentals have precedence over harmonics
     usable = np.zeros(len(order), dtype=np.bool_)
     usable[order], aliased = usable_lines(measured.sight.time_s, lines.frequency_hz[order])
+    for k in np.flatnonzero(usable & (lines.multiple > 1)):
+        driven = (lines.nominal_hz == lines.nominal_hz[k]) & (lines.multiple == 1)
+        if driven.any() and not usable[driven].all():  # a fit without the strong line is none of the weak one
+            usable[k], where = False, f"{lines.frequency_hz[k]:.6g} Hz"
+            aliased += (Notice("warning", f"{where} is dropped with its fundamental", where),)
     return usable, aliased
 
 
 def stereo_phasors(
-    base: TimeBase, measured: StereoMotion, lines: Lines, line_errors: Sequence[Lateness] = ()
+    base: TimeBase,
+    measured: StereoMotion,
+    lines: Lines,
+    line_errors: Sequence[Lateness] = (),
+    strength: FloatArray | None = None,
 ) -> StereoPhasors:
     """Fit those lines to a body's motion about its mean pose that its frames tell apart.
 
     What trigger, clocks and `line_errors` leave open acts through that fit: over many beats it turns the phasors, over
-    less than one it changes every part of them.
+    less than one it changes every part of them. So does motion at the lines left out, of which `strength` (K,) tells
+    the size: the acceleration relative to that at the strongest line.
     """
     sight, view = measured.sight, measured.view
     name, time_s, exposure = sight.name, sight.time_s, sight.exposure
@@ -154,7 +169,10 @@ def stereo_phasors(
         effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
         effects[what][:, usable] = change / gain[usable][:, None]
     late = together([*base.sight_errors(sight), *line_errors])
-    errors = [error.through(fit, usable, 2).scaled((1.0 / gain)[:, None]) for error in late]
+    errors = [error.through(fit, usable, 2) for error in late]
+    if strength is not None:
+        errors += _left_out(measured, fit, lines, usable, gain * strength)
+    errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]
     reading = StereoReading(
         name=name,
         pair=sight.pair,
@@ -186,6 +204,41 @@ def stereo_phasors(
     return StereoPhasors(result if view is None else _with_view(result, view), reading, notices)
 
 
+def _left_out(
+    measured: StereoMotion, fit: SineFit, lines: Lines, usable: NDArray[np.bool_], strength: FloatArray
+) -> list[FittedError]:
+    """Return what motion at lines that were left out does to the others: twelve unknowns at each, Re and Im.
+
+    `strength` (K,): acceleration at each line relative to the strongest one, after the exposure. By it and what was
+    seen of the strongest line that is `usable`, a translation or rotation in any direction may be as large as the
+    largest there.
+    """
+    seen = np.where(usable, np.nan_to_num(strength), 0.0)
+    best = int(np.argmax(seen))
+    if not seen[best] > 0.0:
+        return []
+    time_s, found = measured.sight.time_s, np.array(np.isfinite(measured.motion.pose).all(axis=1))
+    found[fit.spikes] = False
+    size = np.abs(fit.phasors.value[np.count_nonzero(usable[:best])]).reshape(2, 3).max(axis=1)
+    errors = []
+    for k in np.flatnonzero(~usable & (np.nan_to_num(strength) > 0.0)):
+        frequency = float(lines.frequency_hz[k])
+        amplitude = size * strength[k] / strength[best] * (lines.frequency_hz[best] / frequency) ** 2
+        u = amplitude / np.sqrt(2.0)  # of any phase
+        angle = 2.0 * np.pi * frequency * time_s[found]
+        parts = np.stack([np.cos(angle), -np.sin(angle)], axis=1)
+        _, leak = sine_amplitudes(time_s[found], parts, lines.frequency_hz[usable])
+        for c, component in enumerate(MOTION_COMPONENTS):
+            for part, response in zip(("Re", "Im"), leak.T, strict=True):
+                rest = np.zeros((len(usable), 6), dtype=np.complex128)
+                rest[usable, c] = u[c // 3] * response
+                label = f"motion at {frequency:.6g} Hz, left out of stereo {measured.sight.name}"
+                unit, none = component_units(0)[c], np.zeros((len(usable), 1), np.complex128)
+                name = f"{measured.sight.pair.body} at {frequency:.6g} Hz: {component}, {part}"
+                errors.append(FittedError(name, label, float(u[c // 3]), unit, none, rest=rest))
+    return errors
+
+
 def _short_notices(lines: Lines, usable: NDArray[np.bool_], time_s: FloatArray, reading: StereoReading) -> list[Notice]:
     """Say where a driven line's beat is longer than the record and its clocks, not its noise, decide the amplitude."""
     interval_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
@@ -197,7 +250,7 @@ def _short_notices(lines: Lines, usable: NDArray[np.bool_], time_s: FloatArray, 
         size = np.abs(reading.phasors.value[k])
         strongest = int(np.argmax(size[:3]))
         noise = float(np.hypot(reading.phasors.u_re, reading.phasors.u_im)[k, strongest])
-        rests = [e.rest[k, strongest] for e in reading.errors if isinstance(e, FittedError)]
+        rests = [e.rest[k, strongest] for e in reading.errors if isinstance(e, FittedError) and np.any(e.effect)]
         clocks = float(np.sqrt(np.sum(np.abs(rests) ** 2)))
         if beats >= ONE_BEAT or clocks <= noise:
             continue
