@@ -240,31 +240,36 @@ def _left_out(
 
 
 def _short_notices(lines: Lines, usable: NDArray[np.bool_], time_s: FloatArray, reading: StereoReading) -> list[Notice]:
-    """Say where a driven line's beat is longer than the record and its clocks, not its noise, decide the amplitude."""
+    """Say where a driven line's beat is longer than the record, and what that mixes into it exceeds the noise."""
+    fitted = [error for error in reading.errors if isinstance(error, FittedError)]
     interval_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     rate_hz, told = 1.0 / interval_s, []
     for k in np.flatnonzero(usable & (lines.multiple == 1)):
         frequency = float(lines.frequency_hz[k])
         alias = float(alias_frequency(frequency, rate_hz))
         beats = len(time_s) * interval_s * min(alias, rate_hz / 2.0 - alias)
-        size = np.abs(reading.phasors.value[k])
-        strongest = int(np.argmax(size[:3]))
-        noise = float(np.hypot(reading.phasors.u_re, reading.phasors.u_im)[k, strongest])
-        rests = [e.rest[k, strongest] for e in reading.errors if isinstance(e, FittedError) and np.any(e.effect)]
-        clocks = float(np.sqrt(np.sum(np.abs(rests) ** 2)))
-        if beats >= ONE_BEAT or clocks <= noise:
+        value = reading.phasors.value[k]
+        c = int(np.argmax(np.abs(value[:3])))
+        along = np.conj(value[c]) / max(
+            np.abs(value[c]) ** 2, np.finfo(np.float64).tiny
+        )  # a change times this: relative, its real part of amplitude
+        noise = float(reading.phasors.u_re[k, c] * np.abs(along))
+        shares = {}
+        for cause, clock in (("errors of its clock", True), ("motion at lines that it cannot tell apart", False)):
+            of_amplitude = [float((e.rest[k, c] * along).real) for e in fitted if np.any(e.effect) == clock]
+            shares[cause] = float(np.linalg.norm(of_amplitude))
+        if beats >= ONE_BEAT or float(np.linalg.norm(list(shares.values()))) <= noise:
             continue
-        clear = nearest_clear_rate(lines.frequency_hz[usable], rate_hz, len(time_s))
+        causes = [f"{cause} {100.0 * u:.2g} %" for cause, u in shares.items() if u > noise / 2.0]
+        clear = nearest_clear_rate(lines.frequency_hz, rate_hz, len(time_s))
         rate = "choose another rate" if clear is None else f"choose another rate, such as {clear:.3f} Hz"
-        told.append(
-            Notice(
-                "warning",
-                f"its record holds {beats:.2g} of a beat of {frequency:.6g} Hz ({len(time_s)} frames at {rate_hz:.6g} "
-                f"Hz), so that errors of its clock become {100.0 * clocks / size[strongest]:.2g} % of the amplitude "
-                f"and dominate U; record longer or {rate}",
-                f"{frequency:.6g} Hz",
-            )
+        where = f"{frequency:.6g} Hz"
+        text = (
+            f"its record holds {beats:.2g} of a beat of {where} ({len(time_s)} frames at {rate_hz:.6g} Hz), so that "
+            f"what it cannot tell from that line dominates U of the amplitude: {', '.join(causes)} (standard "
+            f"uncertainty); record longer or {rate}"
         )
+        told.append(Notice("warning", text, where))
     return told
 
 

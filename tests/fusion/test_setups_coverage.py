@@ -230,7 +230,7 @@ def test_what_takes_share_is_one_unknown_and_what_they_do_not_is_not(looked):
     assert names.count("stereo top: scale") == 1
     assert {"take 1: camera: time", "take 3: camera: time"} <= set(names)
     clocks = {i.name for i in looked.outputs.uncertainty.influences if "clock bridge" in i.name}
-    assert clocks == {f"take {number}: clock bridge: time" for number in (1, 2, 3)}
+    assert clocks == {f"take {n}: clock bridge: {kind}" for n in (1, 2, 3) for kind in ("time", "rate")}
 
 
 def test_sensitivity_from_cameras_in_takes(looked):
