@@ -34,7 +34,7 @@ from fusion.phasors.stereo_phasors import StereoPhasors, StereoResult, pairs_pha
 from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
 from fusion.recording.files import read_set_ups, told_in
 from fusion.recording.load import Manifest
-from shaker.arrays import Notice
+from shaker.arrays import FloatArray, Notice
 from shaker.lines.frequencies import Lines
 from shaker.sine.aliasing import alias_frequency
 from shaker.sine.fit import Stationarity
@@ -230,7 +230,7 @@ def _extended(lines: Lines, keys: Sequence[Key]) -> Lines:
 class LineStationarity:
     """Change of one line in one channel over its record: `amplitude`, relative to itself, and `phase_rad`.
 
-    `chance` is how often noise alone moves the blocks that far from their mean.
+    `chance` is how often noise, and what is open of the clock's rate, move the blocks that far from their mean.
     """
 
     name: str
@@ -250,14 +250,23 @@ def line_stationarity(
 ) -> tuple[LineStationarity, ...]:
     """Return the changes of the driven lines in every channel and in the strongest component of every stereo pair.
 
-    The rate of a clock that is tied to the first one is known no better than its edges tell, and so is a phase's drift.
+    The rate of a clock that is tied to the first one is known no better than its edges tell, that of a camera's trigger
+    and the line's frequency no better than their fits do, and so is a phase's drift.
     """
     u_rate = {clock.daq: float(np.sqrt(clock.tie.covariance[1, 1])) for clock in clocks if clock.tie is not None}
-    shown = [(channel.name, channel.stationarity, u_rate.get(channel.daq, 0.0)) for channel in channels]
-    shown += [(f"stereo pair {pair.name}", pair.stationarity, 0.0) for pair in stereo]
+    shown: list[tuple[str, Stationarity | None, FloatArray | float]] = [
+        (channel.name, channel.stationarity, u_rate.get(channel.daq, 0.0)) for channel in channels
+    ]
+    relative = lines.u_frequency_hz / lines.frequency_hz
+    for pair in stereo:
+        at = np.hypot(relative[pair.usable], pair.u_rate)
+        shown.append((f"stereo pair {pair.name}", pair.stationarity, at))
     driven = lines.frequency_hz[lines.multiple == 1]
     return tuple(
-        change for name, steady, u in shown if steady is not None for change in _of_lines(name, steady, driven, u)
+        change
+        for name, steady, u in shown
+        if steady is not None
+        for change in _of_lines(name, steady.on_clock(u * np.ones(len(steady.frequency_hz))), driven)
     )
 
 
@@ -280,7 +289,7 @@ def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[AnyNotice
     return tuple(notices)
 
 
-def _of_lines(name: str, steady: Stationarity, driven: Sequence[float], u_rate: float) -> list[LineStationarity]:
+def _of_lines(name: str, steady: Stationarity, driven: Sequence[float]) -> list[LineStationarity]:
     """Return the changes of the driven lines, each in the channel that shows it best."""
     length, changes = steady.length_s, []
     for frequency in driven:
@@ -290,7 +299,6 @@ def _of_lines(name: str, steady: Stationarity, driven: Sequence[float], u_rate: 
             c = int(np.argmax(clear))
             if mean[c] > 0.0:
                 part = length / mean[c]
-                u_phase = np.hypot(steady.u_phase_rad_per_s[line, c], 2.0 * np.pi * frequency * u_rate)
                 changes.append(
                     LineStationarity(
                         name,
@@ -301,7 +309,7 @@ def _of_lines(name: str, steady: Stationarity, driven: Sequence[float], u_rate: 
                         float(steady.amplitude_per_s[line, c] * part),
                         float(steady.u_amplitude_per_s[line, c] * part),
                         float(steady.phase_rad_per_s[line, c] * length),
-                        float(u_phase * length),
+                        float(steady.u_phase_rad_per_s[line, c] * length),
                         float(steady.p_value[line, c]),
                     )
                 )

@@ -56,7 +56,7 @@ class StereoResult:
     (2,): median standard deviation of a subset's coordinate, as predicted from the first images and as found.
     `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
     `stationarity`: the six components over blocks of whole beats, exposure loss not corrected. `u_exposure_s`: 0 where
-    the exposure is stated.
+    the exposure is stated. `u_rate`: relative, of the rate at which its frames were taken.
     """
 
     name: str
@@ -80,6 +80,7 @@ class StereoResult:
     epipolar: EpipolarCheck | None = None
     stationarity: Stationarity | None = None
     u_exposure_s: float = 0.0
+    u_rate: float = 0.0
 
     __repr__ = brief
 
@@ -193,6 +194,7 @@ def stereo_phasors(
         time_s=time_s,
         exposure_s=exposure.length_s,
         u_exposure_s=exposure.u_length_s,
+        u_rate=float(np.linalg.norm([error.rate for error in base.sight_errors(sight)])),
         motion=measured.motion,
         motion_from_mean=from_mean,
         fit=fit,

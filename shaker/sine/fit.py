@@ -210,7 +210,7 @@ class Stationarity:
     holds (below twice its frequency, those of its alias), `whole` whether that is a whole number. `value` (B, K, C),
     referred to time zero as those of the whole record, with `u` (B, K, C), standard uncertainty of either part.
     `amplitude_per_s` and `phase_rad_per_s` (K, C): slope of a straight line through the blocks, with their `u_`.
-    `p_value` (K, C): how often noise alone moves the blocks that far from their mean.
+    `p_value` (K, C): how often noise alone moves the blocks that far from their mean; `dof` (K,) behind that noise.
     """
 
     frequency_hz: FloatArray
@@ -226,17 +226,36 @@ class Stationarity:
     phase_rad_per_s: FloatArray
     u_phase_rad_per_s: FloatArray
     p_value: FloatArray
+    dof: FloatArray
 
     def __post_init__(self) -> None:
         per_line = len(self.frequency_hz), len(self.channels)
         check_shape("time_s", self.time_s, (None,))
         check_shapes(self, (len(self.time_s), *per_line), "value", "u")
         check_shapes(self, per_line, *_SLOPES)
+        check_shape("dof", self.dof, per_line[:1])
 
     @property
     def length_s(self) -> float:
         """Time from the beginning of the first block to the end of the last."""
         return float(self.time_s[-1] - self.time_s[0]) + self.block_s
+
+    def on_clock(self, u_rate: FloatArray) -> Stationarity:
+        """Return what is left of it where the time base runs fast by a relative `u_rate` (K,), against the lines.
+
+        That makes phases drift: `u_phase_rad_per_s` and `p_value` allow for it.
+        """
+        from scipy.stats import f
+
+        weight = 1.0 / np.maximum(self.u**2, np.finfo(np.float64).tiny)
+        mean = np.sum(weight * self.value, axis=0) / np.sum(weight, axis=0)
+        chi2 = np.sum(weight * np.abs(self.value - mean) ** 2, axis=0)
+        free, own = 2.0 * (len(self.time_s) - 1), np.maximum(self.u_phase_rad_per_s, np.finfo(np.float64).tiny)
+        u_phase = np.hypot(own, 2.0 * np.pi * (self.frequency_hz * u_rate)[:, None])
+        # The drift's own part of chi-square, as much smaller as its variance is larger.
+        chi2 = np.maximum(chi2 - (self.phase_rad_per_s / own) ** 2 * (1.0 - (own / u_phase) ** 2), 0.0)
+        p_value = np.asarray(f.sf(chi2 / free, free, self.dof[:, None]))
+        return replace(self, u_phase_rad_per_s=u_phase, p_value=p_value)
 
     def select(self, channel: str) -> Stationarity:
         """Return one channel."""
@@ -308,6 +327,7 @@ def stationarity(
         phase_rad_per_s=slope.imag / size,
         u_phase_rad_per_s=u_slope / size,
         p_value=np.asarray(f.sf(chi2 / free, free, dof[:, None])),
+        dof=dof,
     )
 
 

@@ -189,6 +189,19 @@ def test_noise_alone_has_even_chances():
     assert np.std(slopes) == pytest.approx(1.0, abs=0.15)
 
 
+def test_an_uncertain_rate_of_the_clock_is_no_drift():
+    rng, u_rate, time = np.random.default_rng(6), 1e-6, np.arange(600) / 150.0
+    chances = []
+    for _ in range(150):
+        seen = 80.0 * np.cos(2 * np.pi * 2012.0 * (1.0 + u_rate * rng.normal()) * time) + rng.normal(size=600)
+        result = found(time, seen[:, None], [2012.0])
+        chances.append([result.p_value[0, 0], result.on_clock(np.array([u_rate])).p_value[0, 0]])
+        np.testing.assert_allclose(result.on_clock(np.zeros(1)).p_value, result.p_value, rtol=1e-6)
+    noise_alone, allowed = np.array(chances).T
+    assert np.mean(noise_alone < 0.05) > 0.4
+    assert kstest(allowed, "uniform").pvalue > 1e-3
+
+
 def test_slow_noise_is_no_drift():
     rng, time = np.random.default_rng(4), np.arange(FRAMES) / CAMERA_HZ
     noise = (slow_noise(rng, FRAMES, 5.0 * FRAMES / CAMERA_HZ) for _ in range(200))
