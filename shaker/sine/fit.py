@@ -199,6 +199,7 @@ MAX_BLOCKS = 10
 _UNUSED = 0.02  # of the record may be left over for the sake of more blocks
 _APART = 8.0  # bins between lines from which on a drift can be taken off without touching their noise
 _SLOPES = ("amplitude_per_s", "u_amplitude_per_s", "phase_rad_per_s", "u_phase_rad_per_s", "p_value")
+_NO_NOISE = 1e-200  # variance that stands for none: sums of its inverse are numbers
 _NOISE_SAMPLES = 1 << 17  # of a longer record no more are needed for its noise density
 
 
@@ -247,10 +248,10 @@ class Stationarity:
         """
         from scipy.stats import f
 
-        weight = 1.0 / np.maximum(self.u**2, np.finfo(np.float64).tiny)
+        weight = 1.0 / np.maximum(self.u**2, _NO_NOISE)
         mean = np.sum(weight * self.value, axis=0) / np.sum(weight, axis=0)
         chi2 = np.sum(weight * np.abs(self.value - mean) ** 2, axis=0)
-        free, own = 2.0 * (len(self.time_s) - 1), np.maximum(self.u_phase_rad_per_s, np.finfo(np.float64).tiny)
+        free, own = 2.0 * (len(self.time_s) - 1), np.maximum(self.u_phase_rad_per_s, np.sqrt(_NO_NOISE))
         u_phase = np.hypot(own, 2.0 * np.pi * (self.frequency_hz * u_rate)[:, None])
         # The drift's own part of chi-square, as much smaller as its variance is larger.
         chi2 = np.maximum(chi2 - (self.phase_rad_per_s / own) ** 2 * (1.0 - (own / u_phase) ** 2), 0.0)
@@ -303,7 +304,7 @@ def stationarity(
     variance, dof = _noise(time, data, frequency_hz)
     u = np.sqrt(spread[:, :, None] * variance[None])
     middle = np.array([time[rows].mean() for rows in blocks])
-    weight = 1.0 / np.maximum(u**2, tiny)
+    weight = 1.0 / np.maximum(u**2, _NO_NOISE)
     mean = np.sum(weight * value, axis=0) / np.sum(weight, axis=0)
     # Along the mean phasor the change of amplitude, across it that of phase times amplitude.
     turned = (value - mean) * np.exp(-1j * np.angle(mean))
