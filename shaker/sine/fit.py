@@ -289,7 +289,7 @@ def stationarity(
     block_s, periods, whole = _block_length(time, frequency_hz)
     interval = float(time[-1] - time[0]) / (len(time) - 1)
     length = float(time[-1] - time[0]) + interval
-    count = int(np.floor(length / block_s * (1.0 + 1e-9)))
+    count = int(np.floor(length / block_s + 0.5 / len(time)))  # the last block may lack half a sample
     start = float(time[0]) - interval / 2.0 + (length - count * block_s) / 2.0  # the blocks lie in the record's middle
     blocks = [slice(low, high) for low, high in pairwise(np.searchsorted(time, start + block_s * np.arange(count + 1)))]
     try:
