@@ -229,7 +229,7 @@ def _known_direction(path: Path, block: Motion, manifests: Sequence[Manifest]) -
 
 def _strongest(item: _Recorded) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return motion (6,), covariance, effects of the calibration and ellipse at the strongest fundamental."""
-    lines = find_channel_lines(item.manifest, item.base) or motion_lines(item.manifest, item.base, [item.measured])
+    lines = find_channel_lines(item.manifest, item.base) or motion_lines(item.manifest, item.base, [item.measured])[0]
     seen = stereo_phasors(item.base, item.measured, lines).reading
     value = seen.phasors.value
     size = np.where(lines.multiple == 1, np.linalg.norm(value[:, :3], axis=1), np.nan)

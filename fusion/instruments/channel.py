@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
 
 CLOCK_RATE = "clock rate"
+NOISE_REACH = 3.0
+"""Standard uncertainties of its noise above which a line is one of its channel."""
 
 # A channel with its chain: phasors, what the manifest states of them, and the relative errors that follow.
 
@@ -66,11 +68,46 @@ class RelativeError(Unknown[ComplexArray]):
 
     effect: ComplexArray
 
+    def scaled(self, factor: ComplexArray | FloatArray) -> RelativeError:
+        """Return the error of the readings times complex factors (K, 1) or (K, M)."""
+        return self
+
     def of_rows(self, design: ComplexArray) -> CommonError:
         """Return the unknown of rows (K, M, 6) that it changes in proportion; the relative change may be (K, 1)."""
         none = np.zeros(design.shape[:2], np.complex128)
         slope = self.effect[:, :, None] * design
         return CommonError(self.name, self.label, self.u, self.unit, self.scope, slope, none, self.type, self.dof)
+
+
+@dataclass(frozen=True)
+class FittedError(RelativeError):
+    """An error of times as a sine approximation passes it on: beside its `effect` (K, 1) it changes readings by `rest`.
+
+    `rest` (K, M): what less than a beat cannot tell from the lines; it mixes lines, and X with its conjugate.
+    """
+
+    rest: ComplexArray = field(kw_only=True)
+
+    def scaled(self, factor: ComplexArray | FloatArray) -> FittedError:
+        """Return the error of the readings times complex factors (K, 1) or (K, M)."""
+        return replace(self, rest=self.rest * factor)
+
+    def of_rows(self, design: ComplexArray) -> CommonError:
+        """Return the unknown of rows (K, M, 6): a change in proportion, and one of its own."""
+        return replace(super().of_rows(design), offset=self.rest)
+
+    def of_channel(self, place: int) -> FittedError:
+        """Return the error of one of the channels of a fit."""
+        return replace(self, rest=self.rest[:, place : place + 1])
+
+    def relative_to(self, phasors: Phasors) -> RelativeError:
+        """Return the relative error (K, 1) of one channel; at lines within its noise, the proportional part alone."""
+        size = np.abs(phasors.value)
+        stands_out = size > NOISE_REACH * np.hypot(phasors.u_re, phasors.u_im)
+        rest = np.divide(self.rest, phasors.value, out=np.zeros_like(self.rest), where=stands_out)
+        return RelativeError(
+            self.name, self.label, self.u, self.unit, self.effect + rest, self.scope, self.type, self.dof
+        )
 
 
 @dataclass(frozen=True)

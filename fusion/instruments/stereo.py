@@ -17,7 +17,6 @@ from shaker.sine.phasor import Phasors, derivative_factor
 
 if TYPE_CHECKING:
     from fusion.recording.rig import Stereo
-    from shaker.lines.frequencies import Lines
 
 CALIBRATION = "calibration"
 PERIODIC = "error periodic in the pixel"
@@ -51,27 +50,15 @@ class Exposure:
         return (RelativeError(name, name, self.u_length_s, "s", np.asarray(change), "recording", "A", self.dof),)
 
 
-def line_turns(lines: Lines, middle_s: float) -> Iterator[RelativeError]:
-    """Yield how errors of estimated line frequencies turn the phasors of a record whose middle is at `middle_s`.
-
-    A fit at f + u leaves the phase in the middle of the record as it is, so the phasor, which counts from time zero,
-    turns by exp(-j2π u middle_s). The lines of one fundamental err together, and so do all stereo pairs.
-    """
-    turn = -2j * np.pi * lines.u_frequency_hz * middle_s
-    for f in np.unique(lines.nominal_hz).tolist():
-        name, effect = f"frequency of {f:.6g} Hz", np.where(lines.nominal_hz == f, turn, 0.0)
-        yield RelativeError(name, name, 1.0, "1", effect[:, None])
-
-
 @dataclass(frozen=True)
 class StereoReading(Geometry):
     """One stereo pair: `pair` as rig.toml has it, displacement phasors (K, 6) in m and rad about the sensor origin.
 
     `effects`: by name, changes (P, K, 6) of the phasors for one standard uncertainty of further unknowns, such as the
     principal components of the calibration's covariance (CALIBRATION, which counts as stated). `clock_uncertainty`:
-    relative, of the time base. `errors`: relative ones (K, 1) of all six phasors that hold for one recording, such as
-    those of the instants of the trigger, one unknown for all pairs that follow it. `face_m` (3,): the middle of the
-    points that it follows, at rest, where that is known.
+    relative, of the time base. `errors`: those that hold for one recording, such as those of the trigger's instants and
+    of the lines' frequencies, each one unknown for all pairs that follow it. `face_m` (3,): the middle of the points
+    that it follows, at rest, where that is known.
     """
 
     name: str

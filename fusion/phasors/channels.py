@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.base import AnyNotice, InputError, as_input_error
-from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.instruments.channel import ChainUncertainty, Reading, acting
 from fusion.instruments.transducer import TRANSDUCERS
-from fusion.phasors.timing import TimeBase
+from fusion.phasors.timing import Lateness, TimeBase, together
 from fusion.recording.response import read_response
 from shaker.arrays import BoolArray, FloatArray, Notice, brief
 from shaker.lines.detection import relative_strength, survey_lines
@@ -79,11 +79,14 @@ class LineRecord:
     values: FloatArray
 
 
-def line_record(base: TimeBase) -> LineRecord | None:
-    """Return the fastest channel and all that were sampled with it; None where there are only triggers.
+def line_clock(base: TimeBase) -> tuple[Lateness, ...]:
+    """Return what is open of the clock on which the lines are found in the fastest channels."""
+    fastest = _fastest(base)
+    return () if fastest is None else base.tie_errors(fastest[0].entry.name)
 
-    Of equally fast ones it is the first by quantity and place.
-    """
+
+def _fastest(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
+    """Return the fastest channel and its block, of equally fast ones the first by quantity and place."""
     candidates = [
         (-record.raw[channel.name].sample_rate_hz, LINE_QUANTITIES.index(channel.quantity), place, record, channel)
         for place, record in enumerate(base.records)
@@ -93,16 +96,25 @@ def line_record(base: TimeBase) -> LineRecord | None:
     if not candidates:
         return None
     *_, record, channel = min(candidates, key=lambda item: item[:3])
+    return record, channel
+
+
+def line_record(base: TimeBase) -> LineRecord | None:
+    """Return the fastest channel and all that were sampled with it; None where there are only triggers."""
+    fastest = _fastest(base)
+    if fastest is None:
+        return None
+    record, channel = fastest
     time_s = base.to_base_s(record.entry.name, record.time_s(channel.name))
-    together = next(group for group in _same_times(record) if channel in group)
-    values = np.stack([record.values(member) for member in together], axis=1)
-    return LineRecord(record, tuple(together), time_s, values)
+    group = next(group for group in _same_times(record) if channel in group)
+    values = np.stack([record.values(member) for member in group], axis=1)
+    return LineRecord(record, tuple(group), time_s, values)
 
 
 def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
     """Find the lines in the fastest channels; None where there are only triggers."""
     chosen = line_record(base)
-    return None if chosen is None else lines_in(manifest, chosen)
+    return None if chosen is None else base.on_clock(lines_in(manifest, chosen), line_clock(base))
 
 
 def lines_in(manifest: Manifest, chosen: LineRecord) -> Lines:
@@ -161,6 +173,7 @@ def channel_phasors(
     """
     groups = [(record, group) for record in base.records for group in _same_times(record)]
     rates_hz = [record.raw[group[0].name].sample_rate_hz for record, group in groups]
+    open_lines = base.line_errors(lines, line_clock(base))
     fitted: list[tuple[ChannelResult, Reading]] = []
     for (record, group), rate_hz in zip(groups, rates_hz, strict=True):
         seen = (lines.frequency_hz < rate_hz / 2.0) | (rate_hz >= max(rates_hz))
@@ -169,7 +182,8 @@ def channel_phasors(
             expected = f"{above}, or no such channel in recording.toml"
             raise InputError(record.entry.file, group[0].name, found=f"{rate_hz:g} Hz", expected=expected)
         units = [manifest.rig.unit_of(channel) for channel in group]
-        fitted += _fit_group(base, record, group, units, lines, seen)
+        errors = together([*base.tie_errors(record.entry.name), *open_lines])
+        fitted += _fit_group(base, record, group, units, (lines, seen, errors))
     return tuple(result for result, _ in fitted), tuple(reading for _, reading in fitted)
 
 
@@ -188,13 +202,14 @@ def _fit_group(
     record: DaqRecord,
     group: Sequence[ChannelEntry],
     units: Sequence[str],
-    lines: Lines,
-    seen: BoolArray,
+    wanted_lines: tuple[Lines, BoolArray, Sequence[Lateness]],
 ) -> list[tuple[ChannelResult, Reading]]:
     """Fit the lines seen (K,) to all channels of one group and split the result by channel.
 
-    Other lines are fitted beside the wanted ones where they are below Nyquist, and so far off that they can.
+    Other lines are fitted beside the wanted ones where they are below Nyquist, and so far off that they can. What is
+    open of times and lines acts through the fit.
     """
+    lines, seen, errors = wanted_lines
     time_s = base.to_base_s(record.entry.name, record.time_s(group[0].name))
     rate_hz = record.raw[group[0].name].sample_rate_hz
     values = np.stack([record.values(channel) for channel in group], axis=1)
@@ -213,13 +228,16 @@ def _fit_group(
     steady = stationarity(time_s, values, frequency_hz, names)
     fitted = []
     for c, channel in enumerate(group):
-        result, reading = _result(base, record, channel, time_s, whole[:, c], fit, wanted.select([channel.name]))
-        fitted.append((replace(result, stationarity=steady and steady.select(channel.name)), reading))
+        own = wanted.select([channel.name])
+        result, reading = _result(record, channel, time_s, whole[:, c], fit, own)
+        order = -TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
+        late = [error.through(fit, seen, order).of_channel(c).relative_to(own) for error in errors]
+        steady_here = steady and steady.select(channel.name)
+        fitted.append((replace(result, stationarity=steady_here), replace(reading, further=acting(late))))
     return fitted
 
 
 def _result(
-    base: TimeBase,
     record: DaqRecord,
     channel: ChannelEntry,
     time_s: FloatArray,
@@ -231,11 +249,8 @@ def _result(
 
     The factor from a channel's phasor to the true one is exp(+jω·delay) / response(f).
     """
-    block, rate_hz, tie = record.entry.name, record.raw[channel.name].sample_rate_hz, base.ties[record.entry.name]
-    middle_s = np.asarray(len(values) / rate_hz / 2)
+    block, rate_hz = record.entry.name, record.raw[channel.name].sample_rate_hz
     chain = ChainUncertainty(clock=block)
-    if tie is not None:
-        chain = replace(chain, u_clock_s=float(tie.u_to_base_s(middle_s)), clock_dof=float(max(tie.pairs - 2, 1)))
     correction = np.exp(2j * np.pi * phasors.frequency_hz * channel.delay)
     if channel.response is not None:
         response = read_response(channel.response, phasors.frequency_hz)
@@ -263,6 +278,20 @@ def _result(
         notices=tuple(Notice(n.severity, f"{block}, {n.where}: {n.text}", block) for n in fit.notices),
     )
     return result, Reading(channel, phasors, chain)
+
+
+def line_strength(readings: Sequence[Reading], lines: Lines) -> FloatArray | None:
+    """Return the acceleration at each line (K,) relative to the strongest: the largest share that any channel shows.
+
+    Of motion channels, else of the sensor's outputs; 0 where none sees a line. None where there are no such channels.
+    """
+    moving = [(reading, TRANSDUCERS[q].order) for reading in readings if (q := reading.entry.quantity) in TRANSDUCERS]
+    chosen = moving or [(reading, 0) for reading in readings if reading.entry.quantity == "output"]
+    shares = []
+    for reading, order in chosen:
+        size = np.abs(np.nan_to_num(reading.phasors.value[:, 0])) * (2.0 * np.pi * lines.frequency_hz) ** -order
+        shares.append(size / max(size.max(), np.finfo(np.float64).tiny))
+    return np.asarray(np.max(shares, axis=0)) if shares else None
 
 
 def spread_lines(phasors: Phasors, mask: BoolArray, frequency_hz: FloatArray) -> Phasors:

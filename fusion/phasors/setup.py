@@ -20,7 +20,9 @@ from fusion.phasors.channels import (
     ChannelResult,
     channel_phasors,
     find_channel_lines,
+    line_clock,
     line_record,
+    line_strength,
 )
 from fusion.phasors.stereo_motion import (
     OpenImages,
@@ -130,8 +132,13 @@ def measure_set_up(
         motions, refuted = still_calibrated(found)
         if refuted and not motions and all(r.entry.quantity not in TRANSDUCERS for r in opened.readings):
             raise ComputeError(f"no instrument is left that measures a motion: {refuted[0].text}")
-        lines = motion_lines(manifest, base, motions) if opened.lines is None else opened.lines
-        stereo, aliased = pairs_phasors(base, motions, lines, from_motion=not opened.readings)
+        if opened.lines is None:
+            lines, first = motion_lines(manifest, base, motions)
+            clock = base.sight_errors(first)
+        else:
+            lines, clock = opened.lines, line_clock(base)
+        strength = line_strength(opened.readings, lines)
+        stereo, aliased = pairs_phasors(base, motions, lines, base.line_errors(lines, clock), strength)
     return SetUp(opened, lines, stereo, (*refuted, *aliased))
 
 
@@ -257,10 +264,8 @@ def line_stationarity(
     these, since the frequency is found on the same clock.
     """
     u_rate = {clock.daq: float(np.sqrt(clock.tie.covariance[1, 1])) for clock in clocks if clock.tie is not None}
-    triggers = [clock.trigger for clock in clocks if clock.trigger is not None]
-    u_frames = max((float(np.sqrt(fit.covariance[1, 1])) / fit.period_s for fit in triggers), default=0.0)
     shown = [(channel.name, channel.stationarity, u_rate.get(channel.daq, 0.0)) for channel in channels]
-    shown += [(f"stereo pair {pair.name}", pair.stationarity, u_frames) for pair in stereo]
+    shown += [(f"stereo pair {pair.name}", pair.stationarity, pair.u_rate) for pair in stereo]
     first = lines.multiple == 1
     driven = list(zip(lines.frequency_hz[first].tolist(), lines.u_frequency_hz[first].tolist(), strict=True))
     return tuple(

@@ -101,7 +101,8 @@ class ReferenceTie:
             f"{what}, {self.name}" if what == PERIODIC else what: change * self.factor[:, None]
             for what, change in pair.effects.items()
         }
-        own = [replace(e, name=f"{self.name}: {e.name}", label=f"{self.name}: {e.label}") for e in pair.errors]
+        named = [replace(e, name=f"{self.name}: {e.name}", label=f"{self.name}: {e.label}") for e in pair.errors]
+        own = [error.scaled(self.factor[:, None]) for error in named]
         return replace(pair, phasors=self.phasors(pair.phasors), effects=effects, errors=(*own, *self.errors))
 
 
@@ -194,11 +195,11 @@ def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArr
 
 
 def _clock_error(name: str, reading: Reading) -> list[RelativeError]:
-    """Relative error (K, 1) of a channel from the tie of its clock to the first one of its set-up."""
-    chain, label = reading.chain, f"clock {reading.chain.clock}: time"
-    frequency_hz, dof = reading.phasors.frequency_hz, chain.clock_dof
-    errors = late(f"clock {name}: {chain.clock}: time", frequency_hz, chain.u_clock_s, dof=dof)
-    return [replace(error, label=label) for error in errors]
+    """Relative errors (K, 1) of a channel from the tie of its clock to the first one of its set-up, and from its lines'
+    frequencies; they hold for that set-up only."""
+    chain = reading.chain
+    tied = late(f"clock {chain.clock}: time", reading.phasors.frequency_hz, chain.u_clock_s, dof=chain.clock_dof)
+    return [replace(error, name=f"{name}: {error.name}") for error in (*tied, *reading.further)]
 
 
 def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[RelativeError]:

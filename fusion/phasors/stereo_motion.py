@@ -266,10 +266,10 @@ def _without_calibration_share(stereo: Stereo, rig: StereoRig) -> Stereo:
     return stereo.model_copy(update={"pose_uncertainty": tuple(left.tolist())})
 
 
-def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion]) -> Lines:
+def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion]) -> tuple[Lines, Sight]:
     """Find the lines in the motion itself, for recordings without any channel that shows the excitation.
 
-    The period of the camera trigger is their clock, and its uncertainty part of theirs.
+    The camera trigger of the pair whose sight is returned is their clock, and its uncertainty part of theirs.
     """
     if not motions:
         raise ComputeError("no channel or camera of this recording shows the excitation; add one to recording.toml")
@@ -291,5 +291,4 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
     except ValueError as error:
         told = ValueError(f"{error} (motion seen by stereo pair {first.sight.name})")
         raise InputError.told_by(told, manifest.path, "excitation.frequencies") from error
-    u_clock_hz = lines.frequency_hz * base.u_trigger_rate(first.sight.exposure.trigger)
-    return replace(lines, u_frequency_hz=np.hypot(lines.u_frequency_hz, u_clock_hz))
+    return base.on_clock(lines, base.sight_errors(first.sight)), first.sight

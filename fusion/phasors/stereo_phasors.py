@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from fusion.base import AnyNotice, ComputeError
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments.channel import late
-from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading, line_turns
+from fusion.instruments.channel import FittedError
+from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading
 from fusion.phasors.channels import spread_lines
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
-from fusion.phasors.timing import TimeBase
+from fusion.phasors.timing import Lateness, TimeBase, together
 from photogram.camera import StereoRig, principal_components, triangulate
 from photogram.epipolar import EpipolarCheck
 from photogram.geometry import RigidTransform
@@ -25,7 +25,13 @@ from photogram.subsets.track import StereoTracks
 from shaker.arrays import ComplexArray, FloatArray, Notice, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import Lines
-from shaker.sine.aliasing import exposure_gain, sine_columns, usable_lines
+from shaker.sine.aliasing import (
+    alias_frequency,
+    exposure_gain,
+    nearest_clear_rate,
+    sine_columns,
+    usable_lines,
+)
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.normal_equations import sine_amplitudes, solve_sines
 from shaker.sine.solve import SineFit, SineModel
@@ -33,6 +39,7 @@ from shaker.sine.solve import SineFit, SineModel
 MIN_SUBSETS = 6
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
 BIAS_STEP_PX = 0.01
+ONE_BEAT = 1.1  # periods of a line's alias: in less, a slope looks like the line
 NO_LINE = "its camera rate tells no line of the recording apart"
 
 
@@ -49,7 +56,7 @@ class StereoResult:
     (2,): median standard deviation of a subset's coordinate, as predicted from the first images and as found.
     `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
     `stationarity`: the six components over blocks of whole beats, exposure loss not corrected. `u_exposure_s`: 0 where
-    the exposure is stated.
+    the exposure is stated. `u_rate`: relative, of the rate at which its frames were taken.
     """
 
     name: str
@@ -73,6 +80,7 @@ class StereoResult:
     epipolar: EpipolarCheck | None = None
     stationarity: Stationarity | None = None
     u_exposure_s: float = 0.0
+    u_rate: float = 0.0
 
     __repr__ = brief
 
@@ -95,12 +103,16 @@ class StereoPhasors:
 
 
 def pairs_phasors(
-    base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, *, from_motion: bool
+    base: TimeBase,
+    motions: Sequence[StereoMotion],
+    lines: Lines,
+    line_errors: Sequence[Lateness],
+    strength: FloatArray | None,
 ) -> tuple[tuple[StereoPhasors, ...], tuple[AnyNotice, ...]]:
     """Fit the lines to the motion of every stereo pair, and leave out the pairs whose rate tells no line apart.
 
-    The notices name what was left out, line by line and pair by pair. `from_motion`: the lines were found in the motion
-    itself, since no channel shows them.
+    The notices name what was left out, line by line and pair by pair. `line_errors`: what is open of the lines;
+    `strength` (K,): the acceleration at each line relative to the strongest, as far as channels tell.
     """
     fitted: list[StereoPhasors] = []
     notices: list[AnyNotice] = []
@@ -109,7 +121,7 @@ def pairs_phasors(
         usable, aliased = _usable(measured, lines)
         notices += [Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in aliased]
         if usable.any():
-            fitted.append(stereo_phasors(base, measured, lines, from_motion=from_motion))
+            fitted.append(stereo_phasors(base, measured, lines, line_errors, strength))
         else:
             notices.append(Notice("warning", f"stereo pair {name} is left out: {NO_LINE}", name))
     return tuple(fitted), tuple(notices)
@@ -120,14 +132,26 @@ def _usable(measured: StereoMotion, lines: Lines) -> tuple[NDArray[np.bool_], tu
     order = np.lexsort((lines.frequency_hz, lines.multiple))  # fundamentals have precedence over harmonics
     usable = np.zeros(len(order), dtype=np.bool_)
     usable[order], aliased = usable_lines(measured.sight.time_s, lines.frequency_hz[order])
+    for k in np.flatnonzero(usable & (lines.multiple > 1)):
+        driven = (lines.nominal_hz == lines.nominal_hz[k]) & (lines.multiple == 1)
+        if driven.any() and not usable[driven].all():  # a fit without the strong line is none of the weak one
+            usable[k], where = False, f"{lines.frequency_hz[k]:.6g} Hz"
+            aliased += (Notice("warning", f"{where} is dropped with its fundamental", where),)
     return usable, aliased
 
 
-def stereo_phasors(base: TimeBase, measured: StereoMotion, lines: Lines, *, from_motion: bool = False) -> StereoPhasors:
+def stereo_phasors(
+    base: TimeBase,
+    measured: StereoMotion,
+    lines: Lines,
+    line_errors: Sequence[Lateness] = (),
+    strength: FloatArray | None = None,
+) -> StereoPhasors:
     """Fit those lines to a body's motion about its mean pose that its frames tell apart.
 
-    Where the lines were found in the motion itself, what it leaves open of their frequencies turns the phasors by as
-    much as its noise does; a channel knows them far better than that.
+    What trigger, clocks and `line_errors` leave open acts through that fit: over many beats it turns the phasors, over
+    less than one it changes every part of them. So does motion at the lines left out, of which `strength` (K,) tells
+    the size: the acceleration relative to that at the strongest line.
     """
     sight, view = measured.sight, measured.view
     name, time_s, exposure = sight.name, sight.time_s, sight.exposure
@@ -145,22 +169,23 @@ def stereo_phasors(base: TimeBase, measured: StereoMotion, lines: Lines, *, from
     for what, change in changes.items():
         effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
         effects[what][:, usable] = change / gain[usable][:, None]
-    trigger_time, trigger_dof = f"{exposure.trigger}: time", base.trigger_dof(exposure.trigger)
+    late = together([*base.sight_errors(sight), *line_errors])
+    errors = [error.through(fit, usable, 2) for error in late]
+    if strength is not None:
+        errors += _left_out(measured, fit, lines, usable, gain * strength)
+    errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]
     reading = StereoReading(
         name=name,
         pair=sight.pair,
         phasors=spread_lines(fit.phasors, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None]),
         effects=effects,
         clock_uncertainty=base.records[0].entry.clock_uncertainty,
-        errors=(
-            *late(trigger_time, lines.frequency_hz, base.u_trigger_s(exposure.trigger), dof=trigger_dof),
-            *exposure.errors(lines.frequency_hz),
-            *(line_turns(lines, float(np.mean(time_s))) if from_motion else ()),
-        ),
+        errors=(*errors, *exposure.errors(lines.frequency_hz)),
         face_m=np.asarray(np.nanmean(measured.deformation.reference_m, axis=0)),
     )
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     told += [(name, notice) for notice in fit.notices if notice.severity == "warning"]
+    told += [(name, notice) for notice in _short_notices(lines, usable, sight.time_s, reading)]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
     pose = from_mean.pose.copy()
     pose[fit.spikes] = np.nan
@@ -170,6 +195,7 @@ def stereo_phasors(base: TimeBase, measured: StereoMotion, lines: Lines, *, from
         time_s=time_s,
         exposure_s=exposure.length_s,
         u_exposure_s=exposure.u_length_s,
+        u_rate=float(np.linalg.norm([error.rate for error in base.sight_errors(sight)])),
         motion=measured.motion,
         motion_from_mean=from_mean,
         fit=fit,
@@ -179,6 +205,75 @@ def stereo_phasors(base: TimeBase, measured: StereoMotion, lines: Lines, *, from
         stationarity=stationarity(time_s, pose, frequency_hz, MOTION_COMPONENTS),
     )
     return StereoPhasors(result if view is None else _with_view(result, view), reading, notices)
+
+
+def _left_out(
+    measured: StereoMotion, fit: SineFit, lines: Lines, usable: NDArray[np.bool_], strength: FloatArray
+) -> list[FittedError]:
+    """Return what motion at lines that were left out does to the others: twelve unknowns at each, Re and Im.
+
+    `strength` (K,): acceleration at each line relative to the strongest one, after the exposure. By it and what was
+    seen of the strongest line that is `usable`, a translation or rotation in any direction may be as large as the
+    largest there.
+    """
+    seen = np.where(usable, np.nan_to_num(strength), 0.0)
+    best = int(np.argmax(seen))
+    if not seen[best] > 0.0:
+        return []
+    time_s, found = measured.sight.time_s, np.array(np.isfinite(measured.motion.pose).all(axis=1))
+    found[fit.spikes] = False
+    size = np.abs(fit.phasors.value[np.count_nonzero(usable[:best])]).reshape(2, 3).max(axis=1)
+    errors = []
+    for k in np.flatnonzero(~usable & (np.nan_to_num(strength) > 0.0)):
+        frequency = float(lines.frequency_hz[k])
+        amplitude = size * strength[k] / strength[best] * (lines.frequency_hz[best] / frequency) ** 2
+        u = amplitude / np.sqrt(2.0)  # of any phase
+        angle = 2.0 * np.pi * frequency * time_s[found]
+        parts = np.stack([np.cos(angle), -np.sin(angle)], axis=1)
+        _, leak = sine_amplitudes(time_s[found], parts, lines.frequency_hz[usable])
+        for c, component in enumerate(MOTION_COMPONENTS):
+            for part, response in zip(("Re", "Im"), leak.T, strict=True):
+                rest = np.zeros((len(usable), 6), dtype=np.complex128)
+                rest[usable, c] = u[c // 3] * response
+                label = f"motion at {frequency:.6g} Hz, left out of stereo {measured.sight.name}"
+                unit, none = component_units(0)[c], np.zeros((len(usable), 1), np.complex128)
+                name = f"{measured.sight.pair.body} at {frequency:.6g} Hz: {component}, {part}"
+                errors.append(FittedError(name, label, float(u[c // 3]), unit, none, rest=rest))
+    return errors
+
+
+def _short_notices(lines: Lines, usable: NDArray[np.bool_], time_s: FloatArray, reading: StereoReading) -> list[Notice]:
+    """Say where a driven line's beat is longer than the record, and what that mixes into it exceeds the noise."""
+    fitted = [error for error in reading.errors if isinstance(error, FittedError)]
+    interval_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    rate_hz, told = 1.0 / interval_s, []
+    for k in np.flatnonzero(usable & (lines.multiple == 1)):
+        frequency = float(lines.frequency_hz[k])
+        alias = float(alias_frequency(frequency, rate_hz))
+        beats = len(time_s) * interval_s * min(alias, rate_hz / 2.0 - alias)
+        value = reading.phasors.value[k]
+        c = int(np.argmax(np.abs(value[:3])))
+        along = np.conj(value[c]) / max(
+            np.abs(value[c]) ** 2, np.finfo(np.float64).tiny
+        )  # a change times this: relative, its real part of amplitude
+        noise = float(reading.phasors.u_re[k, c] * np.abs(along))
+        shares = {}
+        for cause, clock in (("errors of its clock", True), ("motion at lines that it cannot tell apart", False)):
+            of_amplitude = [float((e.rest[k, c] * along).real) for e in fitted if np.any(e.effect) == clock]
+            shares[cause] = float(np.linalg.norm(of_amplitude))
+        if beats >= ONE_BEAT or float(np.linalg.norm(list(shares.values()))) <= noise:
+            continue
+        causes = [f"{cause} {100.0 * u:.2g} %" for cause, u in shares.items() if u > noise / 2.0]
+        clear = nearest_clear_rate(lines.frequency_hz, rate_hz, len(time_s))
+        rate = "choose another rate" if clear is None else f"choose another rate, such as {clear:.3f} Hz"
+        where = f"{frequency:.6g} Hz"
+        text = (
+            f"its record holds {beats:.2g} of a beat of {where} ({len(time_s)} frames at {rate_hz:.6g} Hz), so that "
+            f"what it cannot tell from that line dominates U of the amplitude: {', '.join(causes)} (standard "
+            f"uncertainty); record longer or {rate}"
+        )
+        told.append(Notice("warning", text, where))
+    return told
 
 
 def _with_view(result: StereoResult, view: ImageView) -> StereoResult:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.base import ARGUMENT, InputError, as_input_error
+from fusion.estimation.uncertainty import Kind as ErrorType
+from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import Exposure
 from fusion.recording.manifest import Frames, Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import PULSE
-from shaker.arrays import FloatArray
+from shaker.arrays import BoolArray, FloatArray
 from shaker.timebase.edges import find_edges
 from shaker.timebase.tie import ClockTie, edge_instants, tie_clocks
 from shaker.timebase.trigger import PulseWidth, TriggerFit, fit_trigger
@@ -24,6 +26,8 @@ from shaker.timebase.trigger import PulseWidth, TriggerFit, fit_trigger
 if TYPE_CHECKING:
     from fusion.recording.files import DaqRecord
     from fusion.recording.load import Manifest
+    from shaker.lines.frequencies import Lines
+    from shaker.sine.solve import SineFit
 
 
 @dataclass(frozen=True)
@@ -31,14 +35,85 @@ class Sight:
     """One stereo pair over one recording: how it is placed, how long and when its frames were exposed.
 
     `pair`: as the rig has it, with what the recording overrides. `time_s` (F,): exposure middles on the first block's
-    clock. `where`: file and key at which mistakes of its frames are told.
+    clock; `model_share`: how far, on average, an error of the trigger's periodic model moves them. `where`: file and
+    key at which mistakes of its frames are told.
     """
 
     name: str
     pair: Stereo
     exposure: Exposure
     time_s: FloatArray
+    model_share: float
     where: tuple[Path, str]
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """One unknown of clocks, triggers or lines, by what one standard uncertainty `u` of it does.
+
+    Times seem later by `offset_s` + `rate`·t, t on the first block's clock, and the frequencies of the K lines greater
+    by `stretch` (K,), or () for all, of themselves. `dof`: of what was fitted to edges (type A).
+    """
+
+    name: str
+    u: float
+    unit: str
+    offset_s: float
+    rate: float
+    stretch: FloatArray
+    dof: float = np.inf
+
+    def through(self, fit: SineFit, seen: BoolArray, order: int) -> FittedError:
+        """Return how it changes C readings of the lines (K,), of which a sine approximation holds those `seen` first.
+
+        What is late by L(t), the phase of a frequency that is too great by φ among it, was y(t - L): the fit makes of
+        that X - jω·L(middle)·X, and of the rest, a slope, whatever the lines, their conjugates and the offset can
+        imitate of it over the record. Readings ∝ ω^-order of an acceleration seem larger by order·φ.
+        """
+        omega, value, lines = 2.0 * np.pi * fit.phasors.frequency_hz, fit.phasors.value, np.count_nonzero(seen)
+        stretch = np.zeros(len(omega))
+        stretch[:lines] = self.stretch[seen] if self.stretch.ndim else self.stretch
+        turn = -1j * omega * (self.offset_s + (self.rate + stretch) * fit.middle_s) + order * stretch
+        slopes = fit.of_slopes((-1j * omega * (self.rate + stretch))[:, None] * value)
+        effect = np.zeros((len(seen), 1), dtype=np.complex128)
+        rest = np.zeros((len(seen), value.shape[1]), dtype=np.complex128)
+        effect[seen, 0], rest[seen] = turn[:lines], slopes[:lines]
+        kind: ErrorType = "B" if np.isinf(self.dof) else "A"
+        return FittedError(self.name, self.name, self.u, self.unit, effect, "recording", kind, self.dof, rest=rest)
+
+
+def together(errors: Iterable[Lateness]) -> tuple[Lateness, ...]:
+    """Return every unknown once, what it does added up."""
+    merged: dict[str, Lateness] = {}
+    for error in errors:
+        known = merged.get(error.name)
+        merged[error.name] = (
+            error
+            if known is None
+            else replace(
+                known,
+                offset_s=known.offset_s + error.offset_s,
+                rate=known.rate + error.rate,
+                stretch=np.asarray(known.stretch + error.stretch),
+            )
+        )
+    return tuple(merged.values())
+
+
+@dataclass(frozen=True)
+class _Straight:
+    """What a straight line's covariance (2, 2), of its value at 0 and its slope, says of it: `at` which argument value
+    and slope are independent, and the standard uncertainty of either."""
+
+    at: float
+    u_value: float
+    u_slope: float
+
+    @classmethod
+    def of(cls, covariance: FloatArray) -> _Straight:
+        (first, mixed), (_, slope) = covariance.tolist()
+        at = -mixed / slope if slope > 0.0 else 0.0
+        return cls(at, float(np.sqrt(max(first + at * mixed, 0.0))), float(np.sqrt(slope)))
 
 
 @dataclass(frozen=True)
@@ -77,19 +152,55 @@ class TimeBase:
         """Return the first block that records a trigger, and its fit."""
         return next((daq, fit) for (daq, name), fit in self.triggers.items() if name == trigger)
 
-    def u_trigger_s(self, trigger: str) -> float:
-        """Return the standard uncertainty of a trigger's fitted instants in the middle of the burst."""
-        _, fit = self.first_with(trigger)
-        return float(fit.u_time_s(np.asarray(fit.edges // 2)))
+    def tie_errors(self, daq: str) -> tuple[Lateness, ...]:
+        """Return what the tie of a block's clock to the first one leaves open, none for the first."""
+        tie = self.ties[daq]
+        if tie is None:
+            return ()
+        line = _Straight.of(tie.covariance)
+        at_s, rate = float(tie.to_base_s(np.asarray(line.at))), line.u_slope / tie.rate
+        return _straight_errors(f"clock {daq}", at_s, line.u_value, rate, tie.pairs)
 
-    def trigger_dof(self, trigger: str) -> float:
-        """Return the degrees of freedom of a trigger's fitted instants: its edges less two, one at least."""
-        return float(max(len(self.first_with(trigger)[1].number) - 2, 1))
+    def sight_errors(self, sight: Sight) -> tuple[Lateness, ...]:
+        """Return what the trigger's periodic model, and the tie of its clock, leave open of the frames' instants.
 
-    def u_trigger_rate(self, trigger: str) -> float:
-        """Return the relative standard uncertainty of a trigger's fitted period."""
-        _, fit = self.first_with(trigger)
-        return float(np.sqrt(fit.covariance[1, 1])) / fit.period_s
+        Frames that follow what was seen of each edge follow the model by `model_share` only; what is open of all edges
+        alike stays.
+        """
+        name = sight.exposure.trigger
+        daq, fit = self.first_with(name)
+        line, tie = _Straight.of(fit.covariance), self.ties[daq]
+        at_s = self.to_base_s(daq, np.asarray(fit.start_s + line.at * fit.period_s))
+        alike = min(fit.open_s / np.sqrt(12.0), line.u_value)
+        own = np.hypot(sight.model_share * np.sqrt(line.u_value**2 - alike**2), alike)
+        rate = sight.model_share * line.u_slope / fit.period_s
+        scale = 1.0 if tie is None else tie.rate
+        return (
+            *_straight_errors(name, float(at_s), scale * float(own), rate, len(fit.number)),
+            *self.tie_errors(daq),
+        )
+
+    @staticmethod
+    def on_clock(lines: Lines, clock: Sequence[Lateness]) -> Lines:
+        """Return lines that were found on a clock with these errors, its rate's among those of their frequencies."""
+        rate = float(np.sqrt(sum(error.rate**2 for error in clock)))
+        return replace(lines, u_frequency_hz=np.hypot(lines.u_frequency_hz, rate * lines.frequency_hz))
+
+    @staticmethod
+    def line_errors(lines: Lines, clock: Sequence[Lateness]) -> tuple[Lateness, ...]:
+        """Return what is open of the frequencies of lines `on_clock`s with these errors.
+
+        A clock that runs fast makes them small. What is left of `u_frequency_hz` is each fundamental's own.
+        """
+        shared = [replace(e, offset_s=0.0, rate=0.0, stretch=np.asarray(-e.rate)) for e in clock if e.rate]
+        ours = sum(e.rate**2 for e in clock) * lines.frequency_hz**2
+        own = np.sqrt(np.maximum(lines.u_frequency_hz**2 - ours, 0.0))
+        for f in np.unique(lines.nominal_hz).tolist():
+            group = lines.nominal_hz == f
+            u_hz = float(own[group][np.argmin(lines.multiple[group])])
+            stretch = np.where(group, own / lines.frequency_hz, 0.0)
+            shared.append(Lateness(f"frequency of {f:.6g} Hz", u_hz, "Hz", 0.0, 0.0, stretch))
+        return tuple(shared)
 
     def shared_triggers(self, first: str, second: str) -> list[str]:
         """Return the triggers that two blocks record; the first of them ties their clocks."""
@@ -118,6 +229,19 @@ class TimeBase:
             width = (None, None) if pulse is None else (pulse.width_s, pulse.u_width_s)
             clocks.append(ClockResult(name, record.entry.file, self.triggers.get(key), self.ties[name], *width))
         return tuple(clocks)
+
+
+def _straight_errors(name: str, at_s: float, u_s: float, rate: float, edges: int) -> tuple[Lateness, ...]:
+    """Return the errors of a time base that is known to `u_s` at the time `at_s`, and independently to its `rate`.
+
+    Both from as many `edges`, of which the line takes two degrees of freedom.
+    """
+    steady, dof = np.zeros(()), float(max(edges - 2, 1))
+    both = (
+        Lateness(f"{name}: time", u_s, "s", u_s, 0.0, steady, dof),
+        Lateness(f"{name}: rate", rate, "1", -rate * at_s, rate, steady, dof),
+    )
+    return tuple(error for error in both if error.u > 0.0)
 
 
 def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
@@ -181,7 +305,8 @@ def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: 
         exposure = Exposure(entry.trigger, entry.exposure)
     middle_s = base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0
     pair = manifest.rig.stereo[entry.stereo].model_copy(update={"delay_uncertainty": entry.delay_uncertainty})
-    return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), (manifest.path, key))
+    share = float(np.mean(edges.model_share))
+    return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), share, (manifest.path, key))
 
 
 def no_pulse_width(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:

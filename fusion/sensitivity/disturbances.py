@@ -76,11 +76,9 @@ def with_support_motion(observations: Sequence[Observation], limit: float | None
     return tuple(shaken(o) if o.kind in OPTICAL else o for o in observations)
 
 
-def not_assessed(rig: Rig, frequencies_hz: Sequence[float], kinds: Sequence[str]) -> Iterator[Notice]:
-    """Yield what is said of influences that the rig does not state, so that U has no part of them.
-
-    `frequencies_hz`: the driven lines; `kinds` of the instruments that measure the load's motion.
-    """
+def not_assessed(rig: Rig, observations: Sequence[Observation]) -> Iterator[Notice]:
+    """Yield what is said of influences that the rig does not state, so that U has no part of them."""
+    kinds = {observation.kind for observation in observations if observation.body == "load" and observation.stated}
     sensor, environment = rig.sensor, rig.surroundings
     told = []
     if sensor is not None and (sensor.temperature_coefficient is None or environment.sensor_temperature is None):
@@ -93,10 +91,10 @@ def not_assessed(rig: Rig, frequencies_hz: Sequence[float], kinds: Sequence[str]
         share = USUAL_COEFFICIENT * abs(deviation)
         if share >= MATTERS:
             told.append(f"{what}: {deviation:g} K from the reference at {USUAL_COEFFICIENT:g}/K would be {share:.2%}")
-    if environment.support_motion is None and set(kinds) and set(kinds) <= set(OPTICAL):
+    if environment.support_motion is None and kinds and kinds <= set(OPTICAL):
         told.append(
             "motion that all lasers and cameras share with what carries them (environment.support_motion): its share "
             "of the motion measured would be that of the sensitivity, and no accelerometer on the load can show it"
         )
-    if told and len(frequencies_hz):
+    if told:
         yield Notice("info", "not assessed, not in U: " + "; ".join(told), "surroundings")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 
 from fusion.base import Executor, ProgressCallback, Settings, no_progress, versions
 from fusion.instruments.channel import sensor_outputs
@@ -42,36 +41,25 @@ def evaluate_recording(
     manifest.check_command("run")
     set_ups = [measure_set_up(opened, settings, progress, executor) for opened in open_set_ups(manifest)]
     joined = join_set_ups(set_ups)
-    surroundings = manifest.rig.surroundings
+    sensor, surroundings, body = manifest.rig.sensor, manifest.rig.surroundings, load_body(manifest.rig, manifest.part)
     observations = joined.observed(surroundings.free_fall_mps2[0])
     observations = with_support_motion(observations, surroundings.support_motion)
     unseen = unseen_fundamentals(observations, joined.lines, joined.aliased)
-    sensor, body = manifest.rig.sensor, load_body(manifest.rig, manifest.part)
     rows = observations if body is None else elastic_rows(observations, body.elastic, manifest.shaker.unseen)
-    outputs = sensor_outputs(joined.readings, sensor.channels) if sensor is not None else None
+    outputs = None if sensor is None else sensor_outputs(joined.readings, sensor.channels)
     if sensor is not None and outputs is not None:
         outputs = at_reference_temperature(outputs, sensor, surroundings)
-    direction, unseen_motion = manifest.excitation.direction, manifest.shaker.unseen
-    inputs = Inputs(joined.lines, rows, outputs, body, sensor, direction, unseen_motion)
+    direction, limits = manifest.excitation.direction, manifest.shaker.unseen
+    inputs = Inputs(joined.lines, rows, outputs, body, sensor, direction, limits)
     analysis = analyse(inputs)
     drawn = propagate(inputs, analysis, settings.monte_carlo, settings.seed, progress) if settings.monte_carlo else None
     points = point_spreads(observations, analysis.accelerations)
     if body is not None and outputs is not None and analysis.sensitivity is not None:
-        points = tuple(
-            with_ratios(spread, outputs, analysis.sensitivity, replace(body, elastic=())) for spread in points
-        )
+        points = tuple(with_ratios(spread, outputs, analysis.sensitivity, body) for spread in points)
     parallel = beam_notices([reading.entry for reading in joined.readings])
-    kinds = [o.kind for o in observations if o.body == "load" and o.stated]
-    missing = not_assessed(manifest.rig, joined.lines.frequency_hz.tolist(), kinds)
-    notices = [
-        *manifest.expired,
-        *joined.notices,
-        *parallel,
-        *unseen,
-        *analysis.notices,
-        *missing,
-        *(drawn.notices if drawn else ()),
-    ]
+    missing = not_assessed(manifest.rig, observations)
+    told = [*manifest.expired, *joined.notices, *parallel, *unseen, *analysis.notices, *missing]
+    notices = [*told, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,
         lines=joined.lines,

@@ -461,8 +461,9 @@ def sensor_element(
 def with_ratios(spread: PointSpread, outputs: Outputs, sensitivity: Sensitivity, body: Body) -> PointSpread:
     """Return the spread with S_i = U/(m a_i) of the output that answers most to the force along the points.
 
-    m is the mass that moves above the elastic element. dS = S (dU/U - da/a - dm/m), in which an unknown of both sides
-    (a clock) is one change. Where the excitation drives another component than that force there is nothing to add.
+    m is the mass that moves above the elastic element, as of a rigid load. dS = S (dU/U - da/a - dm/m), in which an
+    unknown of both sides (a clock) is one change. Where the excitation drives another component than that force
+    there is nothing to add.
     """
     axis = int(np.argmax(np.abs(spread.direction)))
     along = abs(spread.direction[axis]) > 1.0 - PARALLEL
@@ -470,7 +471,8 @@ def with_ratios(spread: PointSpread, outputs: Outputs, sensitivity: Sensitivity,
     if spread.body != "load" or not along or not np.isfinite(elements).any():
         return spread
     channel = int(np.argmax(np.nanmax(elements, axis=0)))
-    mass = body.weightless.load_matrix(spread.frequency_hz)[:, axis, axis]
+    rigid = replace(body.weightless, elastic=())
+    mass = rigid.load_matrix(spread.frequency_hz)[:, axis, axis]
     driven = mass[:, None] * spread.value
     value = outputs.phasors.value[:, channel, None] / driven
     from_output = outputs.uncertainty.at([channel]).transformed(real_design((1.0 / driven)[:, :, None]))
@@ -478,7 +480,7 @@ def with_ratios(spread: PointSpread, outputs: Outputs, sensitivity: Sensitivity,
     # What one kilogram more changes, times what the uncertain masses may be off by.
     masses = [
         change.acting(real_stack(-value / mass[:, None] * change.effect[:, axis, axis, None]))
-        for change in body.weightless.matrix_changes(spread.frequency_hz)
+        for change in rigid.matrix_changes(spread.frequency_hz)
         if np.any(change.effect[:, axis, axis])
     ]
     ratios = PointRatios(

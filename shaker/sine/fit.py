@@ -109,7 +109,8 @@ def _fitted(
 ) -> SineFit:
     """Fit the samples kept, and turn parameters about the middle of the record into the result."""
     lines, unknown = len(frequency_hz), model.exponents(frequency_hz)
-    columns, system, coefficients = estimate(samples, frequency_hz, model)
+    columns, system, coefficients = estimate(samples, frequency_hz, model, slopes=True)
+    columns = columns if unknown.shape[1] else replace(columns, slopes=False)
     left = remainder(samples, columns, coefficients)
     channels = samples.values.shape[1]
     free = samples.count - system.linear - unknown.shape[1] / channels
@@ -143,6 +144,7 @@ def _fitted(
         u_frequency_hz=np.sqrt(np.einsum("kq,qr,kr->k", unknown.imag, covariance, unknown.imag)) / (2.0 * np.pi),
         decay_per_s=best.columns.decay_per_s,
         u_decay_per_s=np.sqrt(np.einsum("kq,qr,kr->k", unknown.real, covariance, unknown.real)),
+        slopes=-system.project[:, : 2 * lines],
         residual_rms=np.sqrt(power.diagonal() / samples.count),
         spikes=np.zeros(0, dtype=np.int64),
         condition=system.condition,
@@ -198,6 +200,7 @@ MAX_BLOCKS = 10
 _UNUSED = 0.02  # of the record may be left over for the sake of more blocks
 _APART = 8.0  # bins between lines from which on a drift can be taken off without touching their noise
 _SLOPES = ("amplitude_per_s", "u_amplitude_per_s", "phase_rad_per_s", "u_phase_rad_per_s", "p_value")
+_NO_NOISE = 1e-200  # variance that stands for none: sums of its inverse are numbers
 _NOISE_SAMPLES = 1 << 17  # of a longer record no more are needed for its noise density
 
 
@@ -244,7 +247,7 @@ class Stationarity:
         from scipy.stats import f
 
         rate = np.broadcast_to(np.asarray(u_phase_rad_per_s, dtype=np.float64), self.frequency_hz.shape)[:, None] ** 2
-        weight = 1.0 / np.maximum(self.u**2, np.finfo(np.float64).tiny)
+        weight = 1.0 / np.maximum(self.u**2, _NO_NOISE)
         mean = np.sum(weight * self.value, axis=0) / np.sum(weight, axis=0)
         own = np.maximum(self.u_phase_rad_per_s, np.finfo(np.float64).tiny) ** 2
         freed = self.phase_rad_per_s**2 / own * rate / (own + rate)
@@ -288,7 +291,7 @@ def stationarity(
     block_s, periods, whole = _block_length(time, frequency_hz)
     interval = float(time[-1] - time[0]) / (len(time) - 1)
     length = float(time[-1] - time[0]) + interval
-    count = int(np.floor(length / block_s * (1.0 + 1e-9)))
+    count = int(np.floor(length / block_s + 0.5 / len(time)))  # the last block may lack half a sample
     start = float(time[0]) - interval / 2.0 + (length - count * block_s) / 2.0  # the blocks lie in the record's middle
     blocks = [slice(low, high) for low, high in pairwise(np.searchsorted(time, start + block_s * np.arange(count + 1)))]
     try:
@@ -303,7 +306,7 @@ def stationarity(
     variance, dof = _noise(time, data, frequency_hz)
     u = np.sqrt(spread[:, :, None] * variance[None])
     middle = np.array([time[rows].mean() for rows in blocks])
-    weight = 1.0 / np.maximum(u**2, tiny)
+    weight = 1.0 / np.maximum(u**2, _NO_NOISE)
     mean = np.sum(weight * value, axis=0) / np.sum(weight, axis=0)
     # Along the mean phasor the change of amplitude, across it that of phase times amplitude.
     turned = (value - mean) * np.exp(-1j * np.angle(mean))

@@ -163,14 +163,18 @@ def moved(columns: Columns, exponents: ComplexArray, change: FloatArray) -> Colu
     return replace(columns, frequency_hz=frequency_hz, decay_per_s=columns.decay_per_s - exponent.real)
 
 
-def estimate(samples: Samples, frequency_hz: FloatArray, model: SineModel) -> tuple[Columns, System, FloatArray]:
+def estimate(
+    samples: Samples, frequency_hz: FloatArray, model: SineModel, *, slopes: bool = False
+) -> tuple[Columns, System, FloatArray]:
     """Return columns, normal equations and linear parameters (P, C), frequencies and decays within 1/1000 of their u.
 
-    One pass over the data where frequencies are known and nothing decays, else one per step.
+    One pass over the data where frequencies are known and nothing decays, else one per step. `slopes`: the normal
+    equations hold the slopes of the lines even where nothing nonlinear is fitted.
     """
     exponents = model.exponents(frequency_hz)
     count = exponents.shape[1]
-    columns = Columns(np.array(frequency_hz, dtype=np.float64), np.zeros(len(frequency_hz)), model.drift, count > 0)
+    lines = np.array(frequency_hz, dtype=np.float64)
+    columns = Columns(lines, np.zeros(len(lines)), model.drift, count > 0 or slopes)
     half_s = float(np.max(np.abs(samples.timeline.centre_s))) + float(np.max(np.abs(samples.timeline.local_s)))
     # Not by `shaker.fitting`: the channels' weights follow the fit, so no sum of squares falls, and each trial is a
     # pass over the record. On the likelihood it comes to the same sines, in up to twice the passes, but from 0.9 bins
@@ -209,8 +213,9 @@ class SineFit:
     `phasors` (K lines, C channels), at time zero also where lines decay; `offset` (C,), the value at mean phase zero,
     with `offset_covariance` (C, C); `drift_per_s` (C,), zero where no drift was fitted, counted from `middle_s`;
     `u_frequency_hz` (K,), zero where the frequency was known; `decay_per_s`, `u_decay_per_s` (K,), δ of exp(-δt), zero
-    where none was fitted; `residual_rms` (C,) over the samples used; `spikes`, the rows left out for standing out;
-    `condition` of the design matrix with columns of unit length.
+    where none was fitted; `slopes` (1 or C, 2K, 2K): what the fit makes of Re and Im of each line times the time from
+    `middle_s`, about that middle; `residual_rms` (C,) over the samples used; `spikes`, the rows left out for standing
+    out; `condition` of the design matrix with columns of unit length.
     """
 
     phasors: Phasors
@@ -221,6 +226,7 @@ class SineFit:
     u_frequency_hz: FloatArray
     decay_per_s: FloatArray
     u_decay_per_s: FloatArray
+    slopes: FloatArray
     residual_rms: FloatArray
     spikes: IntArray
     condition: float
@@ -246,6 +252,17 @@ class SineFit:
             drift = np.multiply.outer(time - self.middle_s, self.drift_per_s)
             curve[first : first + _CHUNK] = self.offset + drift + (turns @ self.phasors.value).real
         return curve
+
+    def of_slopes(self, change: ComplexArray) -> ComplexArray:
+        """Return what the fit makes (K, C), first order, of Σ Re{change·(t - middle_s)·exp((jω - δ)t)} in the values.
+
+        `change` (K, C), at time zero. It is next to nothing over many periods, or beats of an alias; over less than
+        one, slopes look like the lines themselves, their conjugates, and the offset.
+        """
+        to_middle = np.exp((2j * np.pi * self.phasors.frequency_hz - self.decay_per_s) * self.middle_s)[:, None]
+        middle = change * to_middle
+        parts = np.stack([middle.real, middle.imag], axis=1).reshape(2 * len(middle), -1)
+        return np.asarray(as_complex(_products(self.slopes, parts), len(middle)) / to_middle)
 
     def residual_of(self, time_s: FloatArray, values: FloatArray) -> FloatArray:
         """Return values (T, C) at times (T,) less the fitted curve; rows with a NaN in any channel are NaN."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import FloatArray, IntArray, Notice, check_shape
+from shaker.arrays import FloatArray, IntArray, Notice, check_shape, check_shapes
 from shaker.timebase.trigger import (
     LEAST_JITTER,
     Posterior,
@@ -354,14 +354,18 @@ def tie_clocks(
 
 @dataclass(frozen=True)
 class EdgeInstants:
-    """Times (F,) of edges on the base clock and their standard uncertainty (F,), which holds that of model and ties."""
+    """Times (F,) of edges on the base clock and their standard uncertainty (F,), which holds that of model and ties.
+
+    `model_share` (F,): how far an error of the periodic model moves them; 1 where nothing else was seen of an edge.
+    """
 
     time_s: FloatArray
     u_time_s: FloatArray
+    model_share: FloatArray
 
     def __post_init__(self) -> None:
         check_shape("time_s", self.time_s, (None,))
-        check_shape("u_time_s", self.u_time_s, self.time_s.shape)
+        check_shapes(self, self.time_s.shape, "u_time_s", "model_share")
 
 
 def edge_instants(
@@ -374,7 +378,8 @@ def edge_instants(
     much follow what was seen, and one that no record has seen keeps the model's time and the jitter as uncertainty.
     """
     records = [(base, base.number, None), *((fit, fit.number + tie.shift, tie) for fit, tie in others)]
-    mean, variance = np.zeros(len(number)), base.jitter_s**2 + base.u_time_s(number) ** 2
+    first = base.jitter_s**2 + base.u_time_s(number) ** 2
+    mean, variance = np.zeros(len(number)), first.copy()
     below, above = np.full(len(number), -np.inf), np.full(len(number), np.inf)
     model = base.time_s(number)
     for fit, seen, tie in records:
@@ -392,7 +397,9 @@ def edge_instants(
         else:
             below[at], above[at] = np.maximum(below[at], lower), np.minimum(above[at], upper)
     mean, variance = _truncated(mean, variance, below, above)
-    return EdgeInstants(model + mean, np.sqrt(variance))
+    # A prior's mean moves that of the posterior by the ratio of their variances, for readings and for bounds alike.
+    share = np.divide(variance, first, out=np.ones_like(first), where=first > 0.0)
+    return EdgeInstants(model + mean, np.sqrt(variance), share)
 
 
 def _truncated(

@@ -25,6 +25,7 @@ from fusion.sensor.compensate.report import header_text, json_text, read_compens
 from fusion.sensor.compensate.source import Wish, read_sources
 from fusion.sensor.models_file import MODELS_FILE, ModelEntry, ModelsFile, model_text, models_text, read_models
 from shaker.compensation.filter import CompensationFilter
+from shaker.lti.indices import indices
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
 
@@ -356,3 +357,26 @@ def test_what_cannot_be_read_is_named(tmp_path, content, told):
     with pytest.raises(InputError, match=told) as caught:
         read_models(tmp_path)
     assert caught.value.file == path
+
+
+def test_figures_carry_what_is_open_of_all_poles_and_zeros(tmp_path):
+    # Truth: indices of models drawn from the covariance, through the filter that was made for the one found.
+    spread = np.array([1e-3, 2e-6, 0.05, 0.05, 6.0, 0.04])
+    mode = _mode(500.0, 0.02, GAIN)
+    model = ModalModel(
+        *mode.vector[:2].reshape(2, 1), mode.residue, np.array([3000.0]), np.array([4.0]), np.diag(spread**2)
+    )
+    file = tmp_path / "models.json"
+    file.write_text(models_text(ModelsFile("bench", "sensor", "7", (entry(model),))), encoding="utf-8")
+    found = evaluate_compensation(read_sources([file]), Wish(frequency_hz=1000.0, damping_ratio=0.5), None, {})
+    ((made,),) = (subject.filters for subject in found.subjects)
+    rng, drawn = np.random.default_rng(8), []
+    for vector in model.vector + spread * rng.normal(size=(400, len(spread))):
+        sensor = model.with_vector(vector).system
+        drawn.append([indices(one) for one in (sensor, sensor.times(made.compensation.system))])
+    for place, figures in enumerate((made.before, made.after)):
+        for name in ("band_10_hz", "overshoot", "natural_hz"):
+            u = figures.u[name]
+            assert u is not None
+            values = [one[place].figures()[name] for one in drawn]
+            assert u == pytest.approx(np.std(values), rel=0.15), (place, name)

@@ -83,11 +83,15 @@ def test_a_shaken_support_is_in_u_of_lasers_alone_and_accelerometers_find_it():
 
 
 def test_what_the_rig_does_not_state_is_said_to_be_missing():
+    z = {"body": "load", "point": (0.0, 0.0, 0.0), "direction": (0.0, 0.0, 1.0), "scale_uncertainty": 1e-3}
+    laser, other = (
+        observe_channels([reading(ChannelEntry(name=q, quantity=q, **z), 1.0)]) for q in ("velocity", "acceleration")
+    )
     rig = Rig(format=1, name="r", sensor=SENSOR, environment=Environment(sensor_temperature=23.0, support_motion=1e-4))
-    assert not list(not_assessed(rig, [80.0], ["vibrometer"]))
+    assert not list(not_assessed(rig, laser))
     silent = Rig(format=1, name="r", sensor=SENSOR)
-    (notice,) = not_assessed(silent, [80.0], ["vibrometer", "photogrammetry"])
+    (notice,) = not_assessed(silent, laser)
     assert "temperature of the sensor" in notice.text
     assert "lasers and cameras share" in notice.text
-    (notice,) = not_assessed(silent, [80.0], ["vibrometer", "accelerometer"])
+    (notice,) = not_assessed(silent, [*laser, *other])
     assert "share" not in notice.text

@@ -106,7 +106,8 @@ def test_the_exposure_is_the_width_recorded(tmp_path, filtered, width_s):
     assert abs(exposure.length_s - width_s) < 4.0 * exposure.u_length_s
     assert exposure.u_length_s < 0.05 / RATE_HZ
     true_s = FIRST_EDGE_S + np.arange(40) / FRAME_RATE_HZ + DELAY_S + width_s / 2
-    u = np.hypot(base.u_trigger_s("camera_trigger"), exposure.u_length_s / 2)
+    trigger = base.first_with("camera_trigger")[1]
+    u = np.hypot(trigger.u_time_s(np.asarray(20)), exposure.u_length_s / 2)
     assert np.max(np.abs(sight.time_s - true_s)) < 4.0 * u
 
 

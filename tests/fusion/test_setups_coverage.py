@@ -229,8 +229,8 @@ def test_what_takes_share_is_one_unknown_and_what_they_do_not_is_not(looked):
     names = [influence.name for influence in acceleration(looked, "load", "fused").uncertainty.influences]
     assert names.count("stereo top: scale") == 1
     assert {"take 1: camera: time", "take 3: camera: time"} <= set(names)
-    clocks = {i.name for i in looked.outputs.uncertainty.influences if i.name.startswith("clock ")}
-    assert clocks == {f"clock take {number}: bridge: time" for number in (1, 2, 3)}
+    clocks = {i.name for i in looked.outputs.uncertainty.influences if "clock bridge" in i.name}
+    assert clocks == {f"take {n}: clock bridge: {kind}" for n in (1, 2, 3) for kind in ("time", "rate")}
 
 
 def test_sensitivity_from_cameras_in_takes(looked):

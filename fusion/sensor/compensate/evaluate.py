@@ -30,7 +30,6 @@ from shaker.arrays import FloatArray, Notice, Severity
 from shaker.compensation.effects import (
     KEPT_SHARE,
     CompensationWithUncertainty,
-    moved,
     residual_ringing,
     white_noise_gain,
     with_frequency,
@@ -46,6 +45,7 @@ from shaker.compensation.filter import (
 )
 from shaker.compensation.force_feedback import FeedbackRun, HapticLoop, largest_stable_gain, push, simulate_feedback
 from shaker.lti.indices import LABELS, indices
+from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.load_model import LoadModel
 
 # The force-feedback check: a loop through the sensor without filter, with one for no load, and with its own.
@@ -363,7 +363,7 @@ def _filter(
     rate_hz, count = samples
     sections = filled(sampled(design, rate_hz, wish.discretisation), count)
     gain = white_noise_gain(sections)
-    before, after = _figures(design, alone=True), _figures(design, alone=False)
+    before, after = (_figures(design, subject, mass, alone=alone) for alone in (True, False))
     band = wish.bandwidth_hz or after.indices.band_10_hz or design.target.frequency_hz
     band = min(band, 0.5 * rate_hz, 2.0 * design.target.frequency_hz)
     error = np.abs(discretisation_error(design, sections, np.linspace(0.0, band, BAND_POINTS)))
@@ -393,25 +393,27 @@ def _filter(
     )
 
 
-def _figures(design: Compensation, *, alone: bool) -> Figures:
-    """Indices of the sensor alone or with its filter, with u by differences over one u of each parameter.
+def _figures(design: Compensation, subject: Subject, mass: float | None, *, alone: bool) -> Figures:
+    """Indices of the sensor alone or with its filter, with u from the whole covariance of the sensor's model.
 
-    The filter stays while the sensor moves within its uncertainty.
+    The filter stays while the model moves within its uncertainty, the poles and zeros that no filter cancels too.
     """
-    sensor = design.sensor
 
-    def values(vector: FloatArray) -> FloatArray:
-        system = moved(sensor, vector) if alone else moved(sensor, vector).times(design.system)
-        return np.array([np.nan if value is None else value for value in indices(system).figures().values()])
+    def values(system: LinearSystem) -> FloatArray:
+        seen = indices(system if alone else system.times(design.system)).figures().values()
+        return np.array([np.nan if value is None else value for value in seen])
 
+    model, sensor = subject.model, design.sensor
     found = indices(sensor.system if alone else design.compensated, 1.0 if alone else design.compensated.static_gain)
-    if sensor.covariance is None:
+    if isinstance(model, ModalModel) and model.covariance is not None:
+        # Steps of half an uncertainty: an index that jumps from one turning point to the next does so within it.
+        covariance = model.propagate(lambda one: values(one.system), 0.5)[1]
+    elif isinstance(model, LoadModel) and model.total_covariance is not None:
+        covariance = model.propagate(lambda one: values(one.system(mass or 0.0)))[1]
+        gain = list(LABELS).index("static_gain")
+        covariance[gain, gain] += (values(sensor.system)[gain] / model.sensitivity * model.u_sensitivity) ** 2
+    else:
         return Figures(found, dict.fromkeys(LABELS))
-    u = np.sqrt(np.diag(sensor.covariance))
-    jacobian = np.zeros((len(LABELS), len(u)))
-    for place in np.flatnonzero(u):
-        shift = np.eye(len(u))[place] * min(u[place], 0.5 * abs(sensor.vector[place]))
-        jacobian[:, place] = (values(sensor.vector + shift) - values(sensor.vector - shift)) / (2.0 * shift[place])
-    spread = np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", jacobian, sensor.covariance, jacobian), 0.0))
+    spread = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     known = {name: float(one) if np.isfinite(one) else None for name, one in zip(LABELS, spread, strict=True)}
     return Figures(found, known)
