@@ -188,7 +188,7 @@ def draw(rig: Rig, names: Sequence[str], seed: int) -> Draw:
 
 def driven_element(found: Evaluation) -> tuple[complex, tuple[FloatArray, float]]:
     """Return the program's best statement of the driven element, with covariance (2, 2) and degrees of freedom."""
-    sensitivity = found.sensitivity
+    sensitivity = getattr(found, "element", None) or found.sensitivity  # a ratio where nothing is known of the matrix
     if sensitivity is None:
         return complex(np.nan, np.nan), (np.full((2, 2), np.nan), np.nan)
     line = int(np.argmin(found.lines.multiple))
@@ -303,6 +303,12 @@ def rows(draws: int, cases: Sequence[tuple[str, tuple[str, ...]]]) -> list[Row]:
     return done
 
 
+def catalogue() -> str:
+    """Return what can be violated, as a table."""
+    lines = [f"| `{name}` | {v.size:g} {v.unit} | {v.about} | {v.needs} |" for name, v in CATALOGUE.items()]
+    return "\n".join(["| name | size where none is given | what happens | needs |", "|---|---|---|---|", *lines])
+
+
 def main(arguments: Sequence[str] = ()) -> None:
     """Print the table, and write it into a document where one is named."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -315,13 +321,11 @@ def main(arguments: Sequence[str] = ()) -> None:
     table = "\n".join([HEAD, *(row.cells() for row in rows(options.draws, chosen))])
     if options.write:
         text = options.write.read_text(encoding="utf-8")
-        filled = re.sub(
-            "(<!-- violations -->\n).*(\n<!-- end of violations -->)",
-            lambda m: m[1] + table + m[2],
-            text,
-            flags=re.DOTALL,
-        )
-        options.write.write_text(filled, encoding="utf-8", newline="\n")
+        for name, lines in (("violations", table), ("catalogue", catalogue())):
+            start, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
+            before, rest = text.split(start)
+            text = f"{before}{start}{lines}\n{end}{rest.partition(end)[2]}"
+        options.write.write_text(text, encoding="utf-8", newline="\n")
 
 
 if __name__ == "__main__":

@@ -97,11 +97,11 @@ def _scanner_fan(direction: FloatArray, size: float, spec: ChannelSpec, preset: 
     return np.asarray(fanned / np.linalg.norm(fanned))
 
 
-def _misstated(name: str, way: FloatArray | float) -> Callable[..., FloatArray]:
-    """Return the change of one drawn error, by so many of its standard uncertainties along `way`."""
+def _misstated(way: FloatArray | float, *names: str) -> Callable[..., FloatArray]:
+    """Return the change of the errors drawn by these names, by so many standard uncertainties along `way`."""
 
     def change(value: FloatArray, size: float, drawn: str, uncertainty: float | FloatArray) -> FloatArray:
-        return np.asarray(value + size * uncertainty * way) if drawn == name else value
+        return np.asarray(value + size * uncertainty * way) if drawn in names else value
 
     return change
 
@@ -316,7 +316,7 @@ def _first_pair(setup: StereoSetup) -> bool:
 def _frames_lost(kept: NDArray[np.int64], size: float, setup: StereoSetup) -> NDArray[np.int64]:
     """Lose frames in the middle of the load's pair; what follows is numbered as if nothing had happened."""
     lost = np.arange(round(size), dtype=np.int64) + len(kept) // 2
-    return np.asarray(np.delete(kept, lost)) if _first_pair(setup) else kept
+    return kept[~np.isin(kept, lost)] if _first_pair(setup) else kept
 
 
 def _drifting_points(position: FloatArray, size: float, setup: StereoSetup) -> FloatArray:
@@ -357,6 +357,7 @@ def _bit_depth(tables: dict[str, Any], size: float) -> dict[str, Any]:
 
 _LASERS = ("velocity", "laser", "vibrometer", "beam")
 _CAMERAS = ("stereo", "camera", "points")
+_FIRST_LASER = ("velocity_1", "velocity_1x")  # as the presets call it
 _ACROSS = np.array([0.8, -0.6, 0.0])
 
 CATALOGUE: dict[str, Violation] = {
@@ -381,6 +382,7 @@ CATALOGUE: dict[str, Violation] = {
         (*_CAMERAS, "shake", "floor"),
         {"seen": _shaken("camera")},
         "cameras",
+        assumption=("lasers and cameras share",),
     ),
     "laser-shake": Violation(
         "1",
@@ -388,6 +390,7 @@ CATALOGUE: dict[str, Violation] = {
         "the laser head moves coherently by this share of the driven motion, and every beam loses it",
         (*_LASERS, "head", "floor"),
         {"seen": _shaken("velocity")},
+        assumption=("lasers and cameras share",),
     ),
     "floor-shake": Violation(
         "1",
@@ -395,6 +398,7 @@ CATALOGUE: dict[str, Violation] = {
         "cameras and laser head stand on one floor that moves coherently by this share of the driven motion",
         ("floor", "share", "optical", *_LASERS, *_CAMERAS),
         {"seen": _shaken("velocity", "camera")},
+        assumption=("lasers and cameras share",),
     ),
     "elastic-axial": Violation(
         "Hz",
@@ -402,6 +406,7 @@ CATALOGUE: dict[str, Violation] = {
         "the load is a rod with this first axial natural frequency (steel, 15 cm): its top moves more than its foot",
         ("elastic", "rigid", "natural frequency", "joint"),
         {"seen": _axial_seen, "world": _axial_load},
+        assumption=("rigid",),
     ),
     "elastic-bending": Violation(
         "Hz",
@@ -409,6 +414,7 @@ CATALOGUE: dict[str, Violation] = {
         "the load bends with this first natural frequency: its top shifts and turns more than its foot",
         ("elastic", "rigid", "natural frequency", "joint", "bending"),
         {"seen": _bending_seen, "world": _bending_load},
+        assumption=("rigid",),
     ),
     "cable": Violation(
         "N/m",
@@ -416,6 +422,7 @@ CATALOGUE: dict[str, Violation] = {
         "cables and hoses tie the top of the load to the room with this stiffness, a force that no mass explains",
         ("cable", "parallel", "stiffness"),
         {"world": _cable},
+        assumption=("cable",),
     ),
     "transverse-motion": Violation(
         "1",
@@ -423,6 +430,7 @@ CATALOGUE: dict[str, Violation] = {
         "the shaker moves across its axis by this share of the driven motion",
         ("transverse", "unobserved", "not observed", "other load"),
         {"motion": _transverse},
+        assumption=("nothing measures",),
     ),
     "warm-sensor": Violation(
         "K",
@@ -430,6 +438,7 @@ CATALOGUE: dict[str, Violation] = {
         f"the sensor is warmer than its reference temperature, with an unstated coefficient of {COEFFICIENT_PER_K:g}/K",
         ("temperature",),
         {"world": _warm},
+        assumption=("temperature",),
     ),
     "converter-nonlinearity": Violation(
         "1",
@@ -498,28 +507,28 @@ CATALOGUE: dict[str, Violation] = {
         5.0,
         "the load's mass is off by so many of its stated standard uncertainties",
         ("mass",),
-        {"error": _misstated("load.mass", 1.0)},
+        {"error": _misstated(1.0, "load.mass")},
     ),
     "inertia": Violation(
         "u",
         5.0,
         "the load's moments of inertia are off by so many of their stated standard uncertainties",
         ("inertia",),
-        {"error": _misstated("load.inertia", np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))},
+        {"error": _misstated(np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), "load.inertia")},
     ),
     "point": Violation(
         "u",
         5.0,
         "one laser point lies elsewhere by so many of its stated standard uncertainties",
         ("velocity_1", *_LASERS),
-        {"error": _misstated("velocity_1.point", _ACROSS)},
+        {"error": _misstated(_ACROSS, *(f"{name}.point" for name in _FIRST_LASER))},
     ),
     "direction": Violation(
         "u",
         5.0,
         "one laser beam points elsewhere by so many of its stated standard uncertainties",
         ("velocity_1", *_LASERS),
-        {"error": _misstated("velocity_1.direction", _ACROSS)},
+        {"error": _misstated(_ACROSS, *(f"{name}.direction" for name in _FIRST_LASER))},
     ),
     "laser-reversed": Violation(
         "channels",
