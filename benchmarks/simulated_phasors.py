@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments import TRANSDUCERS
 from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels, output_phasors
 from fusion.instruments.stereo import StereoReading
+from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Sensor, Stereo
 from fusion.sensitivity.analyse import Inputs
@@ -121,12 +121,13 @@ def _motion_signal(entry: ChannelEntry, motion: Motion, gravity: FloatArray, dra
     moved = draws.normal(f"{entry.name}: point", u_point, 3)
     point = np.zeros(3) if entry.point is None else np.array(entry.point) + moved
     direction = _true_direction(entry, draws)
-    if entry.quantity == "acceleration":
-        return acceleration_at(motion, point, direction, gravity)
-    if entry.quantity == "angular_velocity":
-        return np.asarray(motion.acceleration[:, 3:] @ direction / (1j * motion.omega))
     velocity = velocity_at(motion, point, direction)
-    return velocity if entry.quantity == "velocity" else velocity / (1j * motion.omega)
+    return {
+        "displacement": velocity / (1j * motion.omega),
+        "velocity": velocity,
+        "acceleration": acceleration_at(motion, point, direction, gravity),
+        "angular_velocity": np.asarray(motion.acceleration[:, 3:] @ direction / (1j * motion.omega)),
+    }[entry.quantity]
 
 
 def _true_direction(entry: ChannelEntry, draws: Draws) -> FloatArray:

@@ -47,8 +47,8 @@ class Outcome:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=50, help="records per level for all but differential evolution")
-    parser.add_argument("--evolutions", type=int, default=3, help="records per level for differential evolution")
+    parser.add_argument("--seeds", type=int, default=50, help="records per level; 0: differential evolution alone")
+    parser.add_argument("--evolutions", type=int, default=3, help="the same for differential evolution; 0: without it")
     parser.add_argument("--coverage", type=int, default=0, help="trials of the intervals' coverage (default: none)")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     options = parser.parse_args()
@@ -137,9 +137,10 @@ def compare_all(seeds: int, evolutions: int, first: int) -> None:
     print("|---|---|---|---|---|---|---|")
     medians: dict[tuple[Method, int], Outcome] = {}
     compare(record_of(60, 0, white), "Fz", rng=np.random.default_rng(0), methods=("pencil", "sim"))
-    for method in METHODS:
+    counts: dict[Method, int] = {method: evolutions if method in SLOW else seeds for method in METHODS}
+    for method in (method for method in METHODS if counts[method]):
         for level in LEVELS_DB:
-            count = evolutions if method in SLOW else seeds
+            count = counts[method]
             found = outcomes(method, level, range(first, first + count))
             seconds = float(np.median([one.seconds for one in found]))
             size = np.abs(np.array([[one.frequency, one.damping] for one in found]))
@@ -149,6 +150,8 @@ def compare_all(seeds: int, evolutions: int, first: int) -> None:
             medians[method, level] = Outcome(seconds, float(middle[0]), float(middle[1]))
             parts = " | ".join(f"{100 * a:.2g} %, {100 * b:.2g} %" for a, b in zip(middle, tail, strict=True))
             print(f"| {method} | {level} dB | {count} | {seconds:.3g} | {parts} | {count - len(seen)} |", flush=True)
+    if not (seeds and evolutions):
+        return
     print("\n| level | default s | published s | faster | fn nearer | ζ nearer |\n|---|---|---|---|---|---|")
     for level in LEVELS_DB:
         own, other = medians["pencil", level], medians[PUBLISHED, level]

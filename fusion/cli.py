@@ -14,24 +14,7 @@ from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INT
 log = logging.getLogger("shakercal")
 
 
-COMMANDS = (
-    measure.run,
-    measure.check,
-    measure.cameras,
-    measure.import_calibration,
-    measure.align,
-    measure.simulate,
-    measure.plan,
-    measure.lines,
-    measure.transfer,
-    sensor.rotate,
-    sensor.identify,
-    sensor.step,
-    sensor.load,
-    sensor.compensate,
-    sensor.decouple,
-    sensor.elastomer,
-)
+COMMANDS = (*measure.COMMANDS, *sensor.COMMANDS)
 """In the order in which the help lists them."""
 
 

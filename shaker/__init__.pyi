@@ -1,6 +1,7 @@
 """The public names of shaker and where each lives, for type checkers and for `shaker/__init__.py`."""
 
 from .arrays import __version__ as __version__
+from .compensation.effects import filtered_noise as filtered_noise
 from .compensation.filter import Compensation as Compensation
 from .compensation.filter import CompensationFilter as CompensationFilter
 from .decoupling.filter import design_decoupling as design_decoupling
@@ -15,6 +16,7 @@ from .frf.result import TransferRecord as TransferRecord
 from .identification.measured import MeasuredCurve as MeasuredCurve
 from .identification.oscillator import fit_resonance as fit_resonance
 from .identification.sensor import Load as Load
+from .identification.sensor import correct_phasors as correct_phasors
 from .identification.sensor import correct_record as correct_record
 from .io import read_channels as read_channels
 from .io.channel import RawChannel as RawChannel

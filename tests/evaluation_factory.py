@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +19,8 @@ from fusion.instruments.channel import Outputs
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult
+from fusion.recording.rig import Environment, Load, Rig, Sensor
+from fusion.recording.toml import Stated, UncertainInput
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import Sensitivity
@@ -57,6 +60,10 @@ class Choice:
     images: bool = True
     name: str = "Fz 106.25 Hz"
     mounting: str = "1"
+
+
+CERTIFIED = Stated(value=6.9605, U=0.0020, k=2.0, certificate="M-2026-117", valid_until=date(2028, 3, 2))
+"""What a certificate says of the load mass."""
 
 
 def make_evaluation(folder: Path, choice: Choice | None = None, seed: int = 0) -> Evaluation:
@@ -327,21 +334,25 @@ NOTICES = (
 
 
 def _manifest(folder: Path, choice: Choice) -> Any:
-    sensor = SimpleNamespace(
+    sensor = Sensor(
         name="six-component transducer",
         serial="0815",
         channels=LOAD_COMPONENTS,
         unit="V/V",
         sense="on_load",
         capacity=(2000.0, 2000.0, 4000.0, 100.0, 100.0, 100.0),
-        static_sensitivity=STATIC,
+        static_sensitivity=STATIC.tolist(),
         static_sensitivity_uncertainty=1e-3,
+        internal_mass=0.769,
+        internal_mass_uncertainty=0.002,
     )
-    rig = SimpleNamespace(
+    point = {"centre_of_mass": (0.0, 0.0, 0.0), "inertia": np.zeros((3, 3)).tolist()}
+    rig = Rig(
+        format=1,
         name="10 kN shaker, load mass 7 kg",
         sensor=sensor if choice.sensor else None,
-        load=SimpleNamespace(mass=6.9605, mass_uncertainty=0.0010),
-        environment=SimpleNamespace(temperature=23.0),
+        load=Load(mass=6.9605, mass_uncertainty=0.0010, **point),
+        environment=Environment(temperature=23.0),
     )
     excitation = SimpleNamespace(kind="sine", direction=(0.0, 0.0, 1.0), frequencies=(106.25,))
     return SimpleNamespace(
@@ -351,5 +362,10 @@ def _manifest(folder: Path, choice: Choice) -> Any:
         folder=folder,
         root=folder,
         rig=rig,
+        part=(),
+        date=date(2026, 3, 2),
+        operator="A. Tester",
+        procedure=None,
+        inputs=(UncertainInput(folder / "rig.toml", "load.mass", 6.9605, 0.0010, False, CERTIFIED),),
         excitation=excitation,
     )

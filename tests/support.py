@@ -92,6 +92,13 @@ def key_tables(section: str, level: str = "###") -> dict[str, dict[str, str]]:
     return {title: dict(row.findall(table)) for title, table in zip(titles, tables, strict=True)}
 
 
+def told_columns(document: str, file: str) -> list[str]:
+    """The columns of a table of results, as the document that users read lists them."""
+    text = (DOCS / document).read_text(encoding="utf-8")
+    (columns,) = re.findall(rf"^\| `{re.escape(file)}` \| `([^`]*)`", text, re.MULTILINE)
+    return str(columns).split(", ")
+
+
 def told_keys(models: dict[str, type[BaseModel]]) -> dict[str, dict[str, str]]:
     """What these tables have to say: that a key is required, inherited or optional, or what it is by default."""
     return {title: {key: _told(model, key) for key in model.model_fields} for title, model in models.items()}

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from fusion.cli import COMMANDS
+
 ROOT = Path(__file__).resolve().parent.parent
 INSIDE = {"architecture.md", "papers.md"}
 """Documents of the inside: what each room is for, and which of them computes a published number."""
@@ -32,6 +34,11 @@ def test_documents_name_what_is_exported(document: Path) -> None:
 def test_links_of_documents_lead_somewhere(document: Path) -> None:
     for target in re.findall(r"\]\(([^)#\s]+)", document.read_text(encoding="utf-8")):
         assert "://" in target or (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+def test_the_readme_lists_every_command() -> None:
+    told = re.findall(r"^shakercal ([a-z][a-z-]*)", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert {command.name for command in COMMANDS} <= set(told)
 
 
 def test_the_published_comparison_has_its_tables_filled_and_its_pictures():

@@ -81,6 +81,11 @@ def test_readers_of_signals_and_campaigns_take_texts_as_paths(tmp_path):
         refused("nothing at this path", call, none, *others, error=fusion.InputError)
 
 
+def test_a_command_that_evaluates_no_recordings_is_refused():
+    words = "command: expected one that evaluates recordings, run, transfer"
+    refused(words, fusion.load_for_command, [str(ROOT / "sample_images" / "demo")], "plan", error=ValueError)
+
+
 def test_results_of_photogram_print_on_one_line_with_sizes():
     points = Points(np.zeros((3, 40, 3)), np.zeros((3, 40, 3, 3)), np.zeros((3, 40)))
     assert repr(points) == "Points(position_m (3, 40, 3), covariance_m2 (3, 40, 3, 3), reprojection_px (3, 40))"

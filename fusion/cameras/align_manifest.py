@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import BeforeValidator, model_validator
 
 from fusion.base import InputError, as_input_error
+from fusion.recording.toml import read_toml, validate
 from fusion.recording.values import (
     ZERO3,
     ZERO6,
@@ -30,10 +31,8 @@ from fusion.recording.values import (
     Spread3,
     Text,
     array_of_tables,
-    read_toml,
     refusal,
     repeated_name,
-    validate,
     vector,
 )
 from photogram.alignment.evidence import (

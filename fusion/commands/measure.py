@@ -390,3 +390,6 @@ def transfer(options: argparse.Namespace) -> None:
 
     settings = TransferSettings(options.estimator, options.resolution, options.quantity)
     run_transfer(options.recording, options.output, settings, force=options.force, allow_outside=options.allow_outside)
+
+
+COMMANDS = (run, check, cameras, import_calibration, align, simulate, plan, lines, transfer)

@@ -226,3 +226,6 @@ def elastomer(options: argparse.Namespace) -> None:
 
     with progress_bar(enabled=not options.quiet) as progress:
         run_elastomer(options.geometry, options.output, solid=options.solid, force=options.force, progress=progress)
+
+
+COMMANDS = (rotate, identify, step, load, compensate, decouple, elastomer)

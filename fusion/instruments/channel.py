@@ -19,8 +19,8 @@ from fusion.estimation.uncertainty import (
     as_complex,
     real_stack,
 )
-from fusion.instruments import TRANSDUCERS
 from fusion.instruments.transducer import (
+    TRANSDUCERS,
     TRANSVERSE,
     Transducer,
     across,

@@ -1,6 +1,7 @@
 """Transducers: what kind of motion they read, in which unit, where and along which direction.
 
-Model, Monte Carlo run, identification and `check` take rows [d, r × d] · (jω)^n from here.
+A new kind is an entry of `TRANSDUCERS`: manifest, model, Monte Carlo run, identification, `check` and units follow. The
+simulator does not: it is what all these are tested against.
 """
 
 from __future__ import annotations
@@ -55,12 +56,18 @@ class Transducer:
         return np.asarray(derivative_factor(frequency_hz, self.order)[:, None] * rows)
 
 
-DISPLACEMENT = Transducer("displacement", "m", "vibrometer", order=-2)
-VELOCITY = Transducer("velocity", "m/s", "vibrometer", order=-1)
-ACCELERATION = Transducer("acceleration", "m/s^2", "accelerometer", order=0, weighs=True)
-"""Uni- and triaxial: the axes of a triaxial one are channels with the same `common` name, which share a chain."""
-ANGULAR_VELOCITY = Transducer("angular_velocity", "rad/s", "accelerometer", order=-1, turning=True)
-"""Gyroscopes: what rides on the body and senses its motion against inertia, as accelerometers do."""
+TRANSDUCERS: dict[str, Transducer] = {
+    transducer.quantity: transducer
+    for transducer in (
+        Transducer("displacement", "m", "vibrometer", order=-2),
+        Transducer("velocity", "m/s", "vibrometer", order=-1),
+        # Uni- and triaxial: the axes of a triaxial one are channels with the same `common` name, which share a chain.
+        Transducer("acceleration", "m/s^2", "accelerometer", order=0, weighs=True),
+        # Gyroscopes: what rides on the body and senses its motion against inertia, as accelerometers do.
+        Transducer("angular_velocity", "rad/s", "accelerometer", order=-1, turning=True),
+    )
+}
+"""What reads one component of a body's motion, by the `quantity` of its channel in recording.toml."""
 
 
 def chain_name(entry: ChannelEntry) -> str:

@@ -104,11 +104,6 @@ class PointSpread:
         return phase_spread(self.value)
 
     @property
-    def rocking_rad(self) -> ComplexArray:
-        """Return the phasors (K, 2) of the rocking angles about the two axes: θ = −α/ω²."""
-        return np.asarray(-self.plane[:, 1:] / (2.0 * np.pi * self.frequency_hz[:, None]) ** 2)
-
-    @property
     def left_relative(self) -> FloatArray:
         """Return the root mean square (K,) of what the plane leaves, relative to the mean's amplitude."""
         return np.asarray(np.sqrt(np.mean(np.abs(self.residual) ** 2, axis=1)) / np.abs(self.mean))

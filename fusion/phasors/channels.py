@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.base import AnyNotice, InputError, as_input_error
-from fusion.instruments import TRANSDUCERS
 from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.timing import TimeBase
 from fusion.recording.response import read_response
 from shaker.arrays import BoolArray, FloatArray, Notice, brief

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import InputError, rounded
-from fusion.instruments import TRANSDUCERS
 from fusion.instruments.stereo import GEOMETRY
-from fusion.instruments.transducer import placed_at, unit_direction
+from fusion.instruments.transducer import TRANSDUCERS, placed_at, unit_direction
 from fusion.phasors.timing import no_pulse_width
 from fusion.recording.excitation import KINDS, Recorded
 from fusion.recording.files import read_set_ups, scanned_points, split_scan
@@ -101,7 +100,7 @@ def check(manifest: Manifest) -> CheckReport:
     ...
     """
     kind, excitation = KINDS[manifest.excitation.kind], manifest.excitation
-    remarks = kind.command_remark
+    remarks = [*kind.command_remark, *(notice.text for notice in manifest.expired)]
     if kind.tabled and excitation.file is not None:
         contents, problems = _table(manifest, excitation.file)
         return CheckReport(manifest.name, manifest.path, tuple(contents), (), tuple(remarks), tuple(problems))
@@ -289,8 +288,9 @@ def _motion_remarks(
         told.append("rig.toml has no [sensor]: no sensitivity")
     elif not any(entry.quantity == "output" for entry in entries):
         told.append("no channel is an output of the sensor: no sensitivity")
-    if rig.environment is None or rig.environment.gravity is None:
-        told.append("rig.toml states no gravity: tilt is not corrected")
+    if rig.surroundings.free_fall_mps2[0] is None:
+        size = "" if rig.surroundings.latitude is None else ", only where its size follows from (down is missing)"
+        told.append(f"rig.toml states no gravity{size}: tilt is not corrected")
     return told + [
         f"channel {entry.name} states no uncertainty of its scale: compared with the others, not fused"
         for entry in entries

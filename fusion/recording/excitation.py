@@ -210,8 +210,12 @@ ONE_SET_UP = {
 
 
 def kinds_of(command: str) -> tuple[str, ...]:
-    """Return the kinds of excitation that a command evaluates."""
-    return tuple(name for name, kind in KINDS.items() if command in kind.commands)
+    """Return the kinds of excitation that a command evaluates; refuse a command of which no kind says so."""
+    kinds = tuple(name for name, kind in KINDS.items() if command in kind.commands)
+    if not kinds:
+        known = listed(list(dict.fromkeys(name for kind in KINDS.values() for name in kind.commands)))
+        raise ValueError(f"command: expected one that evaluates recordings, {known}, found {command}")
+    return kinds
 
 
 def listed(names: Sequence[str]) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from fusion.base import ComputeError, InputError, as_input_error
-from fusion.instruments import TRANSDUCERS
+from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.manifest import ChannelEntry, Daq, Frames
 from shaker.arrays import FloatArray
 from shaker.io import read_channels

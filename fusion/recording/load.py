@@ -9,23 +9,17 @@ import json
 import logging
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from datetime import date as Date
 from pathlib import Path
 from typing import Any
 
 from fusion.base import InputError
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, PointFiles, RecordingFile, SetUpFiles, Take
-from fusion.recording.rig import Part, Rig, Stereo
-from fusion.recording.values import (
-    Context,
-    PathScope,
-    describe,
-    natural_key,
-    quoted,
-    read_toml,
-    repeated_name,
-    validate,
-)
+from fusion.recording.rig import Environment, Part, Rig, Stereo
+from fusion.recording.toml import UncertainInput, quoted, read_toml, uncertain_inputs, validate
+from fusion.recording.values import Block, Context, PathScope, describe, natural_key, repeated_name
+from shaker.arrays import Notice
 
 log = logging.getLogger("shakercal")
 RECORDING_NAME = "recording.toml"
@@ -37,7 +31,7 @@ class Manifest:
 
     `path`: recording.toml; `folder`: where it stands; `root`: the folder of rig.toml. `mounting`: recordings with
     another text were mounted anew. `part`: those of rig and recording together. `files`: every input file, both
-    manifests first.
+    manifests first. `inputs`: what has an uncertainty. The rig's environment is that of the recording.
 
     >>> from fusion import Manifest, load_manifest
     >>> manifest = load_manifest("sample_images/demo/Fz-0080")
@@ -59,6 +53,10 @@ class Manifest:
     take: tuple[Take, ...]
     part: tuple[Part, ...]
     files: tuple[Path, ...]
+    date: Date | None = None
+    operator: str | None = None
+    procedure: str | None = None
+    inputs: tuple[UncertainInput, ...] = ()
 
     def __repr__(self) -> str:
         return f"Manifest({self.name!r}, {self.excitation.kind}, {str(self.path)!r})"
@@ -71,6 +69,17 @@ class Manifest:
             part = replace(self, daq=take.daq, images=take.images, points=take.points, take=())
             blocks.append((f"take[{number}].", part))
         return blocks
+
+    @property
+    def expired(self) -> tuple[Notice, ...]:
+        """Return a warning for every certificate that was no longer valid on the day of the recording, else today."""
+        day = self.date or Date.today()
+        told = []
+        for item in self.inputs:
+            if item.stated is not None and (item.stated.valid_until or day) < day:
+                text = f"the certificate of {item.key} ({item.source}) was not valid on {day}"
+                told.append(Notice("warning", text, item.file.name))
+        return tuple(told)
 
     def check_command(self, command: str) -> None:
         """Raise `InputError` where `shakercal COMMAND` evaluates no such recording."""
@@ -173,9 +182,15 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
     if not allow_outside and not folder.is_relative_to(root):
         expected = "a rig.toml in a folder above the recording (--allow-outside permits others)"
         raise InputError(path, "rig", f'"{text["rig"]}"', expected)
-    rig = validate(Rig, read_toml(rig_path), rig_path, Context(PathScope(root, root, allow_outside), {}))
+    rig_text = read_toml(rig_path)
+    rig = validate(Rig, rig_text, rig_path, Context(PathScope(root, root, allow_outside), {}))
     record = validate(RecordingFile, text, path, Context(PathScope(folder, root, allow_outside), rig.stereo))
     _check_together(rig, rig_path, record, path)
+    if record.environment is not None:
+        # What the recording states takes the place of what the rig does: together they must be as valid as one.
+        own = text["environment"]
+        both = validate(_Surroundings, {"environment": rig_text.get("environment", {}) | own}, path)
+        rig = rig.model_copy(update={"environment": both.environment})
     return Manifest(
         path=path,
         folder=folder,
@@ -191,7 +206,17 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         take=record.take,
         part=rig.part + record.part,
         files=_input_files(path, rig_path, rig, record),
+        date=record.date,
+        operator=record.operator,
+        procedure=record.procedure,
+        inputs=uncertain_inputs(rig_text, rig_path) + uncertain_inputs(text, path),
     )
+
+
+class _Surroundings(Block):
+    """The environment of rig and recording together."""
+
+    environment: Environment
 
 
 def _rig_path(path: Path, text: dict[str, Any]) -> Path:

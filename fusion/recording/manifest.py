@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from datetime import date as Date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
 
-from fusion.instruments import TRANSDUCERS
+from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.excitation import Excitation
-from fusion.recording.rig import Part
+from fusion.recording.rig import Environment, Part
 from fusion.recording.values import (
     ZERO3,
     Block,
@@ -236,12 +237,19 @@ class Take(SetUpFiles):
 
 
 class RecordingFile(SetUpFiles):
-    """recording.toml as it stands: one excitation and the files recorded under it."""
+    """recording.toml as it stands: one excitation and the files recorded under it.
+
+    `environment`: what of the rig's surroundings was otherwise that day.
+    """
 
     format: Literal[1]
     name: Text
     rig: Text
     mounting: Text = "1"
+    date: Date | None = None
+    operator: Text | None = None
+    procedure: Text | None = None
+    environment: Environment | None = None
     excitation: Excitation
     part: Annotated[tuple[Part, ...], BeforeValidator(array_of_tables)] = ()
     take: Annotated[tuple[Take, ...], BeforeValidator(array_of_tables)] = ()

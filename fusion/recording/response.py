@@ -12,18 +12,8 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.base import InputError, as_input_error
-from fusion.recording.values import (
-    Block,
-    NotNegative,
-    Number,
-    Positive,
-    Text,
-    array_of_tables,
-    read_toml,
-    refusal,
-    rows_of,
-    validate,
-)
+from fusion.recording.toml import read_toml, validate
+from fusion.recording.values import Block, NotNegative, Number, Positive, Text, array_of_tables, refusal, rows_of
 from shaker.arrays import FloatArray
 from shaker.frf.chain import (
     ChainResponse,

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from fusion.instruments import TRANSDUCERS
+from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.values import (
     ZERO3,
     ZERO6,
     ZERO33,
     Block,
     BodyName,
+    Direction,
     ExistingFile,
     Exposure,
     FreeVector,
@@ -39,6 +40,7 @@ from fusion.recording.values import (
     texts,
     vector,
 )
+from shaker.static_rotation.harmonics import Known, air_density_at, gravity_at
 
 if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
@@ -47,6 +49,7 @@ OTHER_UNITS = {"force": "N", "voltage": "V"}
 CONVENTIONAL_AIR_DENSITY = 1.2  # kg/m^3, OIML D 28
 CONVENTIONAL_WEIGHT_DENSITY = 8000.0  # kg/m^3, OIML D 28
 GRAVITY_ON_EARTH = (9.7, 9.9)  # m/s^2
+U_STATED_AIR = 0.01  # relative, of an air density without any other statement
 
 
 def _gravity(value: object) -> tuple[float, ...]:
@@ -85,6 +88,9 @@ class Sensor(Block):
     capacity: Annotated[Vector6 | None, BeforeValidator(positive(vector(6), "6 numbers above 0"))] = None
     static_sensitivity: Annotated[tuple[Vector6, ...] | None, BeforeValidator(_sensitivity_rows)] = None
     static_sensitivity_uncertainty: NotNegative = 0.0
+    temperature_coefficient: Number | None = None
+    temperature_coefficient_uncertainty: NotNegative = 0.0
+    reference_temperature: Number = 23.0
     internal_mass: NotNegative
     internal_mass_uncertainty: NotNegative = 0.0
     internal_centre_of_mass: FreeVector = ZERO3
@@ -163,19 +169,56 @@ class Part(Mounted):
 
 
 class Environment(Block):
-    """The surroundings: gravity m/s^2 in sensor axes, the place, the air.
+    """The surroundings: gravity m/s^2 in sensor axes, the place, the air, temperatures, and what moves along.
 
-    `latitude` °, `height` m above the sea; `temperature` °C, `air_density` kg/m^3, `pressure` Pa, relative `humidity`.
+    `latitude` °, `height` m above the sea; `temperature` °C of the air, `air_density` kg/m^3, `pressure` Pa, relative
+    `humidity`; `sensor_temperature` °C. `support_motion`: how much what carries lasers and cameras may move, over the
+    motion that they measure.
     """
 
     gravity: Annotated[Vector3 | None, BeforeValidator(_gravity)] = None
     gravity_uncertainty: Spread3 = ZERO3
+    down: Direction | None = None
     temperature: Number | None = None
     air_density: Positive | None = None
     latitude: Annotated[float | None, Field(ge=-90, le=90, allow_inf_nan=False)] = None
     height: Annotated[float | None, Field(ge=-500, le=9000, allow_inf_nan=False)] = None
     pressure: Annotated[float | None, Field(ge=3e4, le=1.2e5, allow_inf_nan=False)] = None
     humidity: Annotated[float | None, Field(ge=0, le=1, allow_inf_nan=False)] = None
+    sensor_temperature: Number | None = None
+    sensor_temperature_uncertainty: NotNegative = 0.0
+    support_motion: NotNegative | None = None
+
+    @model_validator(mode="after")
+    def _latitude_has_height(self) -> Self:
+        if self.latitude is not None and self.height is None and self.gravity is None:
+            raise refusal("the height above the sea in m that belongs to latitude", "nothing", key="height")
+        if self.gravity is not None and self.down is not None:
+            raise refusal("no such key beside gravity, which points down", describe(self.down), key="down")
+        return self
+
+    @property
+    def free_fall_mps2(self) -> tuple[Vector3 | None, Vector3]:
+        """Return gravity (3,) in sensor axes with its u, as stated, or of latitude and height along `down`; else None.
+
+        The direction of `down` counts as exact; who knows how exact it is states `gravity` and its uncertainty.
+        """
+        if self.gravity is not None or self.down is None or self.latitude is None:
+            return self.gravity, self.gravity_uncertainty
+        size = gravity_at(float(np.radians(self.latitude)), self.height or 0.0)
+        x, y, z = self.down
+        spread = (size.u * abs(x), size.u * abs(y), size.u * abs(z))
+        return (size.value * x, size.value * y, size.value * z), spread
+
+    @property
+    def air(self) -> Known:
+        """Return the density of the air, kg/m^3: as stated, else what pressure, temperature, humidity and height say.
+
+        Of what is not stated the usual conditions of a laboratory are taken, with their uncertainty.
+        """
+        if self.air_density is not None:
+            return Known(self.air_density, U_STATED_AIR * self.air_density, "stated in rig.toml")
+        return air_density_at(self.height, self.pressure, self.temperature, self.humidity)
 
 
 class Stereo(Block):

@@ -1,4 +1,4 @@
-"""TOML text checked: what values may be, where the files that they name may lie, how mistakes are told.
+"""What the values of a TOML file may be, where the files that they name may lie.
 
 Each refusal says what was expected and what was found. TOML values are taken without any conversion but two: an integer
 is a number, and one number may stand for all elements of an uncertainty.
@@ -8,20 +8,16 @@ from __future__ import annotations
 
 import re
 import sys
-import tomllib
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from datetime import date, time
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
-from pydantic_core import ErrorDetails, PydanticCustomError
-
-from fusion.base import InputError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
+from pydantic_core import PydanticCustomError
 
 if TYPE_CHECKING:
     from fusion.recording.rig import Stereo
@@ -158,7 +154,7 @@ def describe(value: Any) -> str:
     return "nothing" if value is None else f"{value}"[:60]
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
     """Numbers are finite int and float; bool is none."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
@@ -168,7 +164,7 @@ def _numbers(value: Any, count: int, expected: str) -> tuple[float, ...]:
         raise refusal(expected, describe(value))
     if len(value) != count:
         raise refusal(expected, f"{len(value)} elements")
-    wrong = [(i, element) for i, element in enumerate(value, 1) if not _is_number(element)]
+    wrong = [(i, element) for i, element in enumerate(value, 1) if not is_number(element)]
     if wrong:
         raise refusal(expected, f"{describe(wrong[0][1])} as element {wrong[0][0]}")
     return tuple(float(element) for element in value)
@@ -209,7 +205,7 @@ def spread(count: int, each: str = "") -> Callable[[Any], tuple[float, ...]]:
     expected = f"{count} numbers ({each}), none negative" if each else f"a number or {count} numbers, none negative"
 
     def check(value: Any) -> tuple[float, ...]:
-        one_for_all = not each and _is_number(value)
+        one_for_all = not each and is_number(value)
         elements = (float(value),) * count if one_for_all else _numbers(value, count, expected)
         if min(elements) < 0:
             raise refusal(expected, f"{min(elements):g}")
@@ -234,7 +230,7 @@ def exposure(value: Any) -> float | str:
     """Check the length of an exposure in s, or the word that stands for the width of the trigger's pulses."""
     if value == PULSE:
         return PULSE
-    if not _is_number(value) or value < 0:
+    if not is_number(value) or value < 0:
         raise refusal(f'a number of at least 0, or "{PULSE}" for the width of the trigger\'s pulses', describe(value))
     return float(value)
 
@@ -274,7 +270,7 @@ def inertia(value: Any) -> tuple[tuple[float, ...], ...]:
 
 def inertia_spread(value: Any) -> tuple[tuple[float, ...], ...]:
     """Standard uncertainties of an inertia's elements: one number for all, or a symmetric matrix."""
-    rows = ((float(value),) * 3,) * 3 if _is_number(value) else _matrix3(value)
+    rows = ((float(value),) * 3,) * 3 if is_number(value) else _matrix3(value)
     array = np.array(rows)
     if array.min() < 0 or not np.allclose(array, array.T):
         raise refusal("one number or a symmetric matrix of 3 rows of 3 numbers, none negative", "another matrix")
@@ -360,118 +356,6 @@ ExistingFiles = Annotated[
     tuple[Path, ...], BeforeValidator(existing(PathScope.files, "a path or a pattern such as folder/*.tif"))
 ]
 
-LARGEST_TOML = 4_000_000  # bytes; no manifest is anywhere near
-AnyBlock = TypeVar("AnyBlock", bound="Block")
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 ZERO6: Vector6 = (0.0,) * 6
 ZERO33: Matrix3 = (ZERO3, ZERO3, ZERO3)
-
-
-# TOML text → checked models; every mistake becomes one InputError that names file and key.
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file; syntax errors tell the line."""
-    try:
-        if path.stat().st_size > LARGEST_TOML:
-            raise InputError(path, "", f"{path.stat().st_size} bytes", f"a manifest of at most {LARGEST_TOML} bytes")
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
-    except FileNotFoundError as error:
-        raise InputError(path, "", "no such file", "an existing file") from error
-    except OSError as error:
-        raise InputError(path, "", error.strerror or str(error), "a file that can be read") from error
-    except UnicodeDecodeError as error:
-        raise InputError(path, "", f"byte {error.start} is something else", "UTF-8 text") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, "", str(error), "TOML") from error
-
-
-def validate(model: type[AnyBlock], text: dict[str, Any], path: Path, context: Context | None = None) -> AnyBlock:
-    """Check TOML values against a model; the first problem becomes an `InputError`."""
-    try:
-        return model.model_validate(text, context=context)
-    except ValidationError as error:
-        problems = error.errors(include_url=False)
-        # An unknown key comes before the key that is missing in its stead.
-        first = min(problems, key=lambda problem: problem["type"] != "extra_forbidden")
-        place, own = list(first["loc"]), first.get("ctx", {}).get("key")
-        expected, found = _phrases(model, first)
-        key = key_path(text, [*place, own] if own else place)
-        raise InputError(path, key, found, expected, more=len(problems) - 1) from error
-
-
-def quoted(name: str) -> str:
-    """A name as part of a key path, in quotes unless TOML takes it bare."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
-
-
-def key_path(text: dict[str, Any], place: list[int | str]) -> str:
-    """Key path for people: blocks of an array by their name, else counted from 1: `daq.bridge.channel.Fz.scale`."""
-    told = ""
-    value: Any = text
-    for step in place:
-        inside = isinstance(value, list | tuple) if isinstance(step, int) else isinstance(value, dict)
-        known = inside and (step < len(value) if isinstance(step, int) else step in value)
-        child = value[step] if known else None
-        name = step if isinstance(step, str) else _block_name(value, child)
-        if isinstance(step, int) and not name:
-            told += f"[{step + 1}]"
-        else:
-            told += f".{quoted(name)}" if told else quoted(name)
-        value = child
-    return told
-
-
-def _block_name(siblings: Any, block: Any) -> str:
-    """What identifies a block among its siblings, empty if nothing does."""
-    for key in ("name", "stereo") if isinstance(block, dict) else ():
-        names = [item.get(key) for item in siblings if isinstance(item, dict)]
-        if isinstance(block.get(key), str) and names.count(block[key]) == 1:
-            return str(block[key])
-    return ""
-
-
-def _phrases(model: type[Block], problem: ErrorDetails) -> tuple[str, str]:
-    """What was expected and what was found, for any error of pydantic's."""
-    kind, context = problem["type"], problem.get("ctx", {})
-    if kind == "refused":
-        return str(context["expected"]), str(context["found"])
-    if kind == "missing":
-        return "this key, which is required", "nothing"
-    if kind == "extra_forbidden":
-        return _known_keys(model, problem["loc"]), "an unknown key"
-    expected = {
-        "float_type": "a number",
-        "finite_number": "a finite number",
-        "int_type": "a whole number",
-        "bool_type": "true or false",
-        "string_type": "a text",
-        "string_too_short": "a text that is not empty",
-        "too_short": "at least {min_length} element",
-        "greater_than": "a number above {gt:g}",
-        "greater_than_equal": "a number of at least {ge:g}",
-        "less_than_equal": "a number of at most {le:g}",
-        "literal_error": "{expected}",
-        "model_type": "a table",
-        "dict_type": "a table",
-    }.get(kind)
-    return expected.format(**context) if expected else problem["msg"], describe(problem["input"])
-
-
-def _known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> str:
-    """Which key of the table at a place below a model was probably meant, else all its keys."""
-    for step in place[:-1]:
-        field = model.model_fields.get(step) if isinstance(step, str) else None
-        below = next(_models_in(field.annotation), None) if field is not None else None
-        model = below or model
-    known = list(model.model_fields)
-    close = get_close_matches(str(place[-1]), known, n=1)
-    return f'a known key, probably "{close[0]}"' if close else "one of the keys " + ", ".join(known)
-
-
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The models that an annotation such as tuple[Daq, ...] names."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for argument in get_args(annotation):
-        yield from _models_in(argument)

@@ -33,6 +33,7 @@ from fusion.report.signal_figures import channel_pictures, point_pictures, trigg
 from fusion.report.style import Picture
 from fusion.report.table import Column, csv_text, measured, polar_columns, sensitivity_unit, word
 from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.body import load_body
 from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.arrays import FloatArray
@@ -209,6 +210,7 @@ def render_report(evaluation: Evaluation) -> str:
         "drift": tables.drift_table(evaluation),
         "takes": tables.takes_table(evaluation),
         "clocks": tables.clocks_table(evaluation),
+        "stated": uncertainty_tables.inputs_table(evaluation.manifest.inputs),
         **origin_frame(evaluation, evaluation.notices),
         "duration_s": evaluation.duration_s,
     }
@@ -229,9 +231,16 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
     direction = ", ".join(f"{element:g}" for element in excitation.direction or ())
     told = [excitation.kind, nominal, f"direction ({direction})" if direction else ""]
     facts.append(("Excitation", ", ".join(filter(None, told))))
-    if rig.environment is not None and rig.environment.temperature is not None:
-        facts.append(("Temperature", f"{rig.environment.temperature:g} °C"))
-    return facts
+    manifest, around = evaluation.manifest, rig.surroundings
+    body = load_body(rig, manifest.part)
+    if body is not None:
+        moving, u = sum(part.mass_kg for part in body.parts), np.linalg.norm([part.u_mass_kg for part in body.parts])
+        moved = measured(moving, 2.0 * float(u), "kg").striptags()
+        facts.append(("Moving mass", f"{moved}, k = 2, with what moves in the sensor"))
+    temperatures = (("Temperature", around.temperature), ("Sensor temperature", around.sensor_temperature))
+    facts += [(name, f"{value:g} °C") for name, value in temperatures if value is not None]
+    day = (("Date", manifest.date), ("Operator", manifest.operator), ("Procedure", manifest.procedure))
+    return [*facts, *((name, str(value)) for name, value in day if value is not None)]
 
 
 # The results folder: tables, HDF5 file and report, whole or not at all.

@@ -27,7 +27,7 @@ from fusion.report.style import (
     sheet,
     thin_out,
 )
-from fusion.report.tables import main_line
+from fusion.report.tables import PREFIXED, main_line
 from fusion.sensitivity.analyse import Evaluation
 from shaker.arrays import FloatArray
 
@@ -38,7 +38,6 @@ SPECTRUM_POINTS = 700
 EXCERPT_POINTS = 300
 MOST_CHANNELS = 24
 """Channels and triggers that a figure has room for."""
-PREFIXED = ("m", "m/s", "m/s^2", "rad/s", "N", "V")
 
 
 def channel_pictures(evaluation: Evaluation) -> list[Picture]:

@@ -11,6 +11,7 @@ from markupsafe import Markup
 from fusion.base import DASH, prefix, typeset
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Polar, polar, polar_elements
+from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.setup import LineStationarity, line_stationarity
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult
@@ -142,7 +143,7 @@ def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, compo
 # Headlines and tables of the results.
 
 
-PREFIXED = ("m", "m/s", "m/s^2", "rad/s", "N")
+PREFIXED = {*(transducer.unit for transducer in TRANSDUCERS.values()), "N", "V"}
 """Units that take an SI prefix."""
 Facts: TypeAlias = dict[str, Callable[[R], str]]
 """What is told of an item, by the name of its row."""

@@ -13,6 +13,7 @@ from fusion.estimation.consistency import CommonEstimate, Consistency
 from fusion.estimation.fuse import REMAINING, Acceleration, Untested, untested
 from fusion.estimation.uncertainty import Polar, Uncertainty, polar_elements
 from fusion.instruments.vibrometer import FEWEST_POINTS, PointRatios, PointSpread, axis_name
+from fusion.recording.toml import UncertainInput
 from fusion.report.table import (
     Column,
     Table,
@@ -410,3 +411,40 @@ def _interval(low: float, high: float, u: float, unit: str) -> str:
     if exponent:
         return Markup("({} … {}) × {}").format(*texts, times_ten(exponent, unit))
     return Markup("{} … {} {}").format(*texts, typeset(unit))
+
+
+# Inputs of the manifests with the uncertainties that are stated of them.
+
+
+def _as_stated(item: UncertainInput) -> str:
+    """How an uncertainty is stated, and where it comes from."""
+    own = item.stated
+    if own is None:
+        return "u"
+    how = f"U, k = {own.k:g}" if own.k is not None else f"half-width, {own.distribution}"
+    freedom = "" if own.dof is None else f"{own.dof:g} degrees of freedom"
+    return ", ".join(filter(None, (how, freedom, item.source)))
+
+
+def inputs_table(inputs: Sequence[UncertainInput]) -> Table | None:
+    """Every uncertain input as it is used, with U = 2·u beside u; what is relative in per cent."""
+
+    def told(item: UncertainInput, factor: float) -> str:
+        sizes = factor * np.unique(np.ravel(item.u))
+        sizes = 100.0 * sizes if item.relative else sizes
+        text = " to ".join(f"{size:.3g}" for size in dict.fromkeys((float(sizes[0]), float(sizes[-1]))))
+        return f"{text} %" if item.relative else text
+
+    def value(item: UncertainInput) -> str:
+        numbers = np.ravel(item.value) if item.value is not None else np.array([])
+        return ", ".join(f"{number:.9g}" for number in numbers) if 0 < len(numbers) <= 3 else DASH
+
+    columns: tuple[Column[UncertainInput], ...] = (
+        on_page("file", lambda item: item.file.name, "l"),
+        on_page("key", lambda item: item.key, "l"),
+        on_page("value", value),
+        on_page("u", lambda item: told(item, 1.0)),
+        on_page("2·u", lambda item: told(item, 2.0)),
+        on_page("stated as", _as_stated, "l"),
+    )
+    return table("Inputs with their standard uncertainties, in the units of the manifest", columns, inputs)

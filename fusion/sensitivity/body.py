@@ -308,13 +308,14 @@ def _parameters(part: Part, matrix: Callable[[InertialTerms], ComplexArray]) -> 
 def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
     """Return all that moves above the elastic element: load, parts and internal mass; None without a `[load]`.
 
-    Masses are true ones, in air of the density that the rig states. The sensor's own mass lies below the load's joint,
+    Masses are true ones, in air of the density that the rig states, or that follows from its pressure, temperature,
+    humidity and height. The sensor's own mass lies below the load's joint,
     where there is one.
     """
     load, sensor, environment = rig.load, rig.sensor, rig.surroundings
     if load is None:
         return None
-    rigid, air_density = [], environment.air_density or 0.0
+    rigid, air_density = [], environment.air.value
     tables: list[tuple[str, Load | PartTable, bool]] = [("load", load, False)]
     tables += [(part.name, part, part.below_joint) for part in parts if part.body == "load"]
     for name, table, below in tables:
@@ -333,7 +334,7 @@ def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
     if load.elastic_frequency is not None:
         joint = make_joint(load.elastic_frequency, load.elastic_frequency_uncertainty, load.elastic_damping)
     sense = "on_load" if sensor is None else sensor.sense
-    return Body(tuple(rigid), joint, environment.gravity, environment.gravity_uncertainty, sense)
+    return Body(tuple(rigid), joint, *environment.free_fall_mps2, sense)
 
 
 def rigid_load(manifest: Manifest) -> Body:

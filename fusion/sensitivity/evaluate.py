@@ -14,6 +14,7 @@ from fusion.phasors.stereo_phasors import unseen_fundamentals
 from fusion.recording.load import Manifest
 from fusion.sensitivity.analyse import Evaluation, Inputs, analyse
 from fusion.sensitivity.body import load_body
+from fusion.sensitivity.disturbances import at_reference_temperature, not_assessed, with_support_motion
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.ratio import with_ratios
 
@@ -40,17 +41,30 @@ def evaluate_recording(
     manifest.check_command("run")
     set_ups = [measure_set_up(opened, settings, progress, executor) for opened in open_set_ups(manifest)]
     joined = join_set_ups(set_ups)
-    observations = joined.observed(manifest.rig.surroundings.gravity)
+    surroundings = manifest.rig.surroundings
+    observations = joined.observed(surroundings.free_fall_mps2[0])
+    observations = with_support_motion(observations, surroundings.support_motion)
     unseen = unseen_fundamentals(observations, joined.lines, joined.aliased)
     sensor, body = manifest.rig.sensor, load_body(manifest.rig, manifest.part)
     outputs = sensor_outputs(joined.readings, sensor.channels) if sensor is not None else None
+    if sensor is not None and outputs is not None:
+        outputs = at_reference_temperature(outputs, sensor, surroundings)
     inputs = Inputs(joined.lines, observations, outputs, body, sensor, manifest.excitation.direction)
     analysis = analyse(inputs)
     drawn = propagate(inputs, analysis, settings.monte_carlo, settings.seed, progress) if settings.monte_carlo else None
     points = point_spreads(observations, analysis.accelerations)
     if body is not None and outputs is not None and analysis.sensitivity is not None:
         points = tuple(with_ratios(spread, outputs, analysis.sensitivity, body) for spread in points)
-    notices = [*joined.notices, *unseen, *analysis.notices, *(drawn.notices if drawn else ())]
+    kinds = [o.kind for o in observations if o.body == "load" and o.stated]
+    missing = not_assessed(manifest.rig, joined.lines.frequency_hz.tolist(), kinds)
+    notices = [
+        *manifest.expired,
+        *joined.notices,
+        *unseen,
+        *analysis.notices,
+        *missing,
+        *(drawn.notices if drawn else ()),
+    ]
     return Evaluation(
         manifest=manifest,
         lines=joined.lines,

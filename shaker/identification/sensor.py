@@ -331,7 +331,11 @@ class CorrectedRecord(Brief):
 
 
 def correct_phasors(phasors: Phasors, model: SensorModel, load: Load) -> CorrectedPhasors:
-    """Return the force on the load from phasors (K, C) of the output, all channels by the same model: X / factor."""
+    """Return the force on the load from phasors (K, C) of the output, all channels by the same model: X / factor.
+
+    >>> from shaker import Load, correct_phasors
+    >>> force = correct_phasors(lines, sensor, Load(mass=4.236, drive="force")).phasors  # doctest: +SKIP
+    """
     output, force = split_ratio(model.unit)
     other = [unit for unit in phasors.unit if unit != output]
     if other:

@@ -32,7 +32,7 @@ _NODES = 13  # lags at which everything else is fitted anew
 _FEWEST = 5
 _TIMES = 121
 _FAR, _NEAR = 10.0, 6.0  # standard deviations that the lags, and the lengths at each of them, reach
-_COVERAGE = 1.96
+_COVERAGE = 1.96  # half a 95 % interval over its standard uncertainty
 _LIKELY = (1.92, 3.0)  # logarithm of the likelihood below its largest: 95 % of one and of two parameters
 _DAMPER = 2.0 / np.sqrt(3.0)  # of ζ/ω: rectangular distribution of half width 2ζ/ω
 

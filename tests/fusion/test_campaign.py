@@ -206,16 +206,17 @@ def test_merged_tables_never_go_among_other_files(name, campaign, evaluated, tmp
         assert (top / name).read_text() == "mine"
 
 
-def test_a_recording_that_is_broken_or_gone_does_not_disturb_the_other(campaign, evaluated, capsys):
+@pytest.mark.parametrize(("options", "again"), [([], []), (["--force"], [NAMES[1]])])
+def test_a_recording_that_is_broken_or_gone_does_not_disturb_the_other(options, again, campaign, evaluated, capsys):
     assert main(["run", str(campaign)]) == EXIT_DONE
     edit(campaign / NAMES[0] / "recording.toml", "scale = 0.125", "scal = 0.125")
-    assert main(["run", str(campaign), "--force"]) == EXIT_INPUT
-    assert evaluated == [*NAMES, NAMES[1]]
+    assert main(["run", str(campaign), *options]) == EXIT_INPUT
+    assert evaluated == [*NAMES, *again]
     assert f"shakercal: {campaign / NAMES[0] / 'recording.toml'}: daq.vibrometer" in capsys.readouterr().err
     shutil.rmtree(campaign / NAMES[0])
     (campaign / "results" / ".DS_Store").write_text("of the system")
     assert main(["run", str(campaign)]) == EXIT_DONE
-    assert evaluated == [*NAMES, NAMES[1]]
+    assert evaluated == [*NAMES, *again]
     assert _recordings(campaign / "results" / "sensitivity.csv") == TITLES[1:]
 
 

@@ -16,8 +16,7 @@ from scipy import signal
 from support import AT_ORIGIN, DOCS, block, channel, examples, recording_head, write_daq
 
 from fusion.base import InputError
-from fusion.instruments import TRANSDUCERS
-from fusion.instruments.transducer import placed_at, unit_direction
+from fusion.instruments.transducer import TRANSDUCERS, placed_at, unit_direction
 from fusion.planning.check import check, observable
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
@@ -144,7 +143,7 @@ def test_the_example_of_the_format_is_a_chain_and_every_key_of_an_element_is_lis
     expected = amplifier * signal.freqs(b, a, 2.0 * np.pi * FREQUENCY)[1] * np.exp(-s * 8e-6)
     np.testing.assert_allclose(response.value, expected / (1.0 - ratio**2 + 0.04j * ratio), rtol=1e-9)
     assert {"gain of charge amplifier", "delay of anti-alias filter"} <= set(response.causes)
-    section = DOC[DOC.index("| key of `[[element]]`") : DOC.index("## Every key")]
+    section = DOC[DOC.index("| key of `[[element]]`") : DOC.index("## Inputs as certificates")]
     told = [line.split("`")[1] for line in section.splitlines()[2:] if line.startswith("| `")]
     assert told == list(Element.model_fields)
 

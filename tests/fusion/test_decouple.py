@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from page_outline import self_contained
 from support import rows as read_rows
+from support import told_columns
 
 from fusion.base import InputError
 from fusion.cli import main
@@ -74,7 +75,9 @@ def test_all_files_are_written(results):
 
 
 def test_modes_are_the_simulated_ones(results):
-    rows = [row for row in read_rows(results / "model.csv") if row["quantity"] == "frequency_hz"]
+    quantities = read_rows(results / "model.csv")
+    assert list(quantities[0]) == told_columns("decoupling.md", "model.csv")
+    rows = [row for row in quantities if row["quantity"] == "frequency_hz"]
     found = sorted((float(row["value"]), float(row["u"])) for row in rows)
     for frequency in RIG.frequency_hz:
         value, u = min(found, key=lambda pair: abs(pair[0] - frequency))
@@ -121,6 +124,7 @@ def test_loads_of_which_none_has_the_unit_of_another_have_no_figures(evaluation,
     monkeypatch.setattr(DecoupleEvaluation, "ratio", np.where(np.eye(6, dtype=np.bool_), 1.0, np.nan))
     page = DECOUPLE.page(replace(evaluation, capacity=None))
     assert "<figure" not in page
+    assert "rated load" not in page
 
 
 def test_filter_file_reads_back_to_the_last_bit(results, tmp_path):

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 import pytest
 from page_outline import self_contained
-from support import DOCS, rows
+from support import DOCS, rows, told_columns
 
 from fusion.base import InputError
 from fusion.cli import main
@@ -93,7 +93,9 @@ def test_command_writes_a_folder_that_holds_what_it_prints(simulated, evaluated)
     names = {"comparison.csv", "modes.csv", "stiffness.csv", "statics.csv", "platform.csv", "elastomer.h5"}
     assert {file.name for file in out.iterdir()} == names | {"elastomer.html", "shapes-frame.png"}
     assert (out / "shapes-frame.png").read_bytes().startswith(b"\x89PNG")
-    comparison = {(row["column"], row["mode"]): float(row["frequency_hz"]) for row in rows(out / "comparison.csv")}
+    compared = rows(out / "comparison.csv")
+    assert list(compared[0]) == told_columns("elastomer.md", "comparison.csv")
+    comparison = {(row["column"], row["mode"]): float(row["frequency_hz"]) for row in compared}
     truth = json.loads((simulated / "truth.json").read_text(encoding="utf-8"))["frequency_hz"]
     for name in NAMES:
         assert comparison["measured", name] == pytest.approx(truth[name], rel=4e-4)

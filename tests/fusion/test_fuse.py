@@ -27,8 +27,10 @@ from support import far
 
 from fusion.estimation.fuse import fuse, fuse_sources
 from fusion.estimation.least_squares import build_system, solve
+from fusion.estimation.measurement_model import Deviates
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.instruments.stereo import StereoReading
+from fusion.instruments.transducer import TRANSDUCERS
 
 
 def reading(chain: ChainUncertainty | None = None, **changes: Any) -> Reading:
@@ -39,7 +41,7 @@ def first_harmonic(series: np.ndarray, omega: float, times: np.ndarray) -> compl
     return complex(2 / len(times) * np.exp(-1j * omega * times) @ series)
 
 
-@pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration", "angular_velocity"])
+@pytest.mark.parametrize("quantity", TRANSDUCERS)
 def test_rows_read_a_really_tilting_body(quantity):
     point, direction = np.array([0.03, -0.02, 0.05]), np.array([1.0, 2.0, -2.0]) / 3
     shift, turn = np.array([1.0, 2.0, -1.0]) * 1e-6, np.array([3.0, -1.0, 2.0]) * 1e-5
@@ -63,6 +65,21 @@ def test_rows_read_a_really_tilting_body(quantity):
     motion = -(omega**2) * np.concatenate([shift, -1j * turn])
     expected = first_harmonic(series, omega, times)
     assert observation.design[0, 0] @ motion == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("quantity", TRANSDUCERS)
+def test_draws_of_a_misplaced_channel_scatter_as_its_errors_say(quantity):
+    item = reading(
+        quantity=quantity, point=(0.03, 0.0, 0.04), point_uncertainty=(1e-4, 2e-4, 3e-4),
+        direction=(0.0, 3.0, 4.0), direction_uncertainty=1e-3, transverse_sensitivity=2e-3,
+    )  # fmt: skip
+    (observation,) = observe_channels([item], GRAVITY)
+    drawn = np.einsum("nkmj,kj->nk", observation.geometry.rows(observation.design, Deviates(1, 0, 20_000)), TRUTH)
+    effects = np.stack([error.effect(TRUTH)[:, 0] for error in observation.common])
+    for line in range(len(TRUTH)):
+        parts = np.stack([effects[:, line].real, effects[:, line].imag])
+        expected, found = parts @ parts.T, np.cov(drawn[:, line].real, drawn[:, line].imag)
+        np.testing.assert_allclose(found, expected, atol=0.04 * np.trace(expected))
 
 
 def test_stereo_rows_are_displacements():

@@ -14,7 +14,7 @@ import pytest
 from contracts import refused
 from identify_factory import DAMPING, LAG_S, SENSITIVITY, SINES_HZ, SMALL, STIFFNESS, write_campaign, write_sines
 from page_outline import self_contained
-from support import DOCS, rows, without_pages
+from support import DOCS, rows, told_columns, without_pages
 
 from fusion.base import InputError, Settings
 from fusion.campaign.run import run_path
@@ -173,7 +173,9 @@ def test_usable_bands_are_those_of_the_masses_wanted(component):
 def test_the_files_hold_what_was_found(results, component):
     names = {"parameters.csv", "readings.csv", "model.json", "identify.h5", "identify.html"}
     assert {entry.name for entry in results.iterdir()} == names
-    named = {row["name"]: row for row in rows(results / "parameters.csv")}
+    parameters = rows(results / "parameters.csv")
+    assert list(parameters[0]) == told_columns("identify.md", "parameters.csv")
+    named = {row["name"]: row for row in parameters}
     estimate, row = component.fit.identification["stiffness_z"], named["stiffness_z"]
     assert (row["component"], row["unit"], row["method"]) == ("z", "N/m", "joint fit, translation")
     assert float(row["value"]) == pytest.approx(estimate.value, rel=1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,7 @@ from fusion.recording.excitation import KINDS, Excitation
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Images, PointFiles, RecordingFile, Take
 from fusion.recording.rig import Administration, Environment, Load, Part, Rig, Sensor, Stereo
+from fusion.recording.toml import expand_statements, uncertain_inputs
 from photogram.calibration.file import read_calibration
 
 Campaign = Callable[..., Path]
@@ -169,16 +171,101 @@ def test_every_block_has_a_table_that_is_its_model():
 
 
 def test_every_toml_example_is_toml_that_loads(make_campaign):
-    rig, recording, chain = (tomllib.loads(text) for text in examples(DOC))
+    rig, recording, chain, certified = (tomllib.loads(text) for text in examples(DOC))
     assert len(chain["element"]) == 3  # tests/fusion/test_check.py reads it
     manifest = load_manifest(make_campaign())
     pair = manifest.rig.stereo["top"]
     given = {key: value for key, value in rig["stereo"]["top"].items() if key != "calibration"}
     assert pair.model_dump(mode="json", include=set(given)) == given
     assert [daq["name"] for daq in recording["daq"]] == [daq.name for daq in manifest.daq]
+    assert uncertain_inputs(certified, Path("rig.toml"))[0].u == manifest.rig.load.mass_uncertainty
     np.testing.assert_array_equal(read_calibration(pair.calibration).right_from_left.translation_m, [-0.15, 0, 0])
 
 
-def test_the_document_names_every_kind_of_excitation():
-    (row,) = (line for line in DOC.splitlines() if line.startswith("| `kind` |"))
-    assert set(row.rsplit("|", 2)[1].split()) == {f"`{kind}`" for kind in KINDS}
+@pytest.mark.parametrize(
+    ("key", "choices"), [("kind", KINDS), ("quantity", ChannelEntry.model_fields["quantity"].annotation.__args__)]
+)
+def test_the_document_names_every_kind_of_excitation_and_of_channel(key, choices):
+    (row,) = (line for line in DOC.splitlines() if line.startswith(f"| `{key}` |"))
+    assert set(row.rsplit("|", 2)[1].split()) == {f"`{choice}`" for choice in choices}
+
+
+CASES = (
+    # U/k, absolute and relative; half-widths over their divisors; relative keys; ν = 4: t = 2.776445 (JCGM 100, G.2)
+    ({"mass": {"value": 5.0, "U": 0.002, "k": 2}}, {"mass": 5.0, "mass_uncertainty": 0.001}),
+    ({"mass": {"value": 5.0, "U_relative": 4e-4, "k": 2}}, {"mass": 5.0, "mass_uncertainty": 0.001}),
+    ({"scale": {"value": -0.5, "U": 0.001, "k": 2}}, {"scale": -0.5, "scale_uncertainty": 0.001}),
+    (
+        {"delay": {"value": 0.0, "U": 3e-6, "distribution": "uniform"}},
+        {"delay": 0.0, "delay_uncertainty": 1.7320508e-6},
+    ),
+    ({"point_uncertainty": {"U": [2e-3, 4e-3, 0.0], "k": 2}}, {"point_uncertainty": [1e-3, 2e-3, 0.0]}),
+    ({"mass": {"value": 5.0, "U": 2.776445, "k": 2.776445, "dof": 4}}, {"mass": 5.0, "mass_uncertainty": 1.416579}),
+    ({"step_amplitude": {"value": -50.0, "U": 0.5, "k": 2}}, {"step_amplitude": -50.0, "step_uncertainty": 0.005}),
+)
+
+
+@pytest.mark.parametrize(("table", "expected"), CASES)
+def test_a_certificate_gives_value_and_standard_uncertainty(table, expected):
+    values, (statement,) = expand_statements({"daq": [{"name": "a", **table}]}, Path("rig.toml"))
+    own = {key: value for key, value in values["daq"][0].items() if key != "name"}
+    assert own.keys() == expected.keys()
+    for key, value in own.items():
+        np.testing.assert_allclose(value, expected[key], rtol=1e-6)
+    assert statement.key == f"daq.a.{next(iter(table))}"
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("mass = { value = 6.9605, U = 0.002 }", "load.mass.k: expected the coverage factor k"),
+        ("mass = { value = 6.9605, U = 0.002, U_relative = 1e-3, k = 2 }", "load.mass.U: expected either U or U_rel"),
+        ("mass = { U = 0.002, k = 2 }", "load.mass.value: expected the value that this U belongs to, found nothing"),
+        ("mass = { value = 6.9605, U = -1, k = 2 }", "load.mass.U: expected a number or numbers, none negative"),
+        ("mass = { value = 6.9605, U = 0.002, k = 2, from = 1 }", "load.mass.from: expected one of the keys"),
+        ("mass = { value = 6.9605, U = 1, k = 2, distribution = 'uniform' }", "load.mass.k: expected no such key"),
+        (
+            "mass = { value = 6.9605, U = 1, k = 2 }\nmass_uncertainty = 1",
+            "load.mass_uncertainty: expected no such key",
+        ),
+    ],
+)
+def test_a_certificate_that_says_too_little_or_too_much_is_refused(make_campaign, line, told):
+    own = ("rig.toml", "mass = 6.9605", f"{line}\n#")
+    folder = make_campaign(replace=(("rig.toml", "mass_uncertainty = 0.0010\n", ""), own))
+    refused(re.escape(told), load_manifest, folder, error=InputError)
+
+
+def test_a_certificate_in_a_rig_is_used_listed_and_may_expire(make_campaign):
+    stated = 'mass = { value = 6.9605, U = 0.002, k = 2, certificate = "M-117", valid_until = 2027-01-31 }\n#'
+    day = ("recording.toml", 'rig = "../rig.toml"', 'rig = "../rig.toml"\ndate = 2027-02-01\noperator = "me"')
+    folder = make_campaign(
+        replace=(("rig.toml", "mass = 6.9605", stated), ("rig.toml", "mass_uncertainty = 0.0010\n", ""), day)
+    )
+    manifest = load_manifest(folder)
+    assert (manifest.rig.load.mass, manifest.rig.load.mass_uncertainty) == (6.9605, 0.001)
+    assert (manifest.operator, str(manifest.date)) == ("me", "2027-02-01")
+    keys = [item.key for item in manifest.inputs]
+    assert {"load.mass", "load.centre_of_mass", "stereo.top.pose", "daq.vibrometer.channel.velocity.scale"} <= set(keys)
+    (notice,) = manifest.expired
+    assert notice.text == "the certificate of load.mass (M-117, valid until 2027-01-31) was not valid on 2027-02-01"
+
+
+def test_a_recording_has_surroundings_of_its_own_and_gravity_follows_from_the_place(make_campaign):
+    """PTB's gravity in Brunswick: 9.812526 m/s² at 52.2966° and 80 m, to the 5·10⁻⁵ of normal gravity."""
+    of_the_place = "latitude = 52.2966\nheight = 80.0\ndown = [0.0, 0.0, -2.0]\n"
+    rig = ("rig.toml", "gravity = [0.0, 0.0, -9.8125]           # points down\n", of_the_place)
+    own = ("recording.toml", "[excitation]", "[environment]\npressure = 99000.0\ntemperature = 21.5\n\n[excitation]")
+    around = load_manifest(make_campaign(replace=(rig, own))).rig.surroundings
+    assert (around.temperature, around.pressure, around.air_density, around.latitude) == (21.5, 99000.0, 1.19, 52.2966)
+    gravity, u = around.free_fall_mps2
+    assert gravity[:2] == (0.0, 0.0)
+    assert abs(gravity[2] + 9.812526) < 2.0 * u[2]
+    refused(
+        "environment.down: expected no such key beside gravity",
+        load_manifest,
+        make_campaign(
+            replace=(("recording.toml", "[excitation]", "[environment]\ndown = [0.0, 0.0, -1.0]\n\n[excitation]"),)
+        ),
+        error=InputError,
+    )

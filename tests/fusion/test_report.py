@@ -33,10 +33,14 @@ from photogram.camera import Points
 from photogram.geometry import rotation_from_vector
 from photogram.motion import Deformation, deformation, fit_motion
 
+RIG_NAME = "<script>alert(1)</script> & co"
+
 
 @pytest.fixture(scope="module")
 def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
-    return make_evaluation(tmp_path_factory.mktemp("Fz"))
+    made = make_evaluation(tmp_path_factory.mktemp("Fz"))
+    made.manifest.rig = made.manifest.rig.model_copy(update={"name": RIG_NAME})
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -64,13 +68,14 @@ def test_page_is_self_contained_and_shows_results_warnings_and_origin(page):
     assert "subset_radius_px" in text
     assert "(6.9605 ± 0.0020) kg" in text
     assert "4.20 ± 0.20" in text  # clock rate in 1e-6
+    assert html.escape(RIG_NAME) in page
+    assert "<script" not in page
 
 
-def test_texts_are_escaped_and_a_recording_without_anything_to_determine_still_has_a_page(evaluation):
-    evaluation.manifest.rig.name = "<script>alert(1)</script> & co"
+def test_a_recording_without_anything_to_determine_still_has_a_page(evaluation):
     nothing = {"accelerations": (), "load": None, "sensitivity": None, "notices": ()}
     page = render_report(replace(evaluation, stereo=(), channels=(), clocks=(), **nothing))
-    assert html.escape("<script>alert(1)</script> & co") in page
+    assert html.escape(RIG_NAME) in page
     assert "neither an acceleration nor a sensitivity" in "".join(outline(page).text)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from contracts import refused
 from evaluation_factory import ACCELERATION, LOAD_COMPONENTS, STATIC, Choice, make_evaluation
-from support import rows, state, without_pages
+from support import rows, state, told_columns, without_pages
 
 from fusion.base import InputError, versions
 from fusion.campaign.recorded import read_recorded
@@ -24,14 +24,8 @@ from fusion.report.folder import check_folder, hash_files, is_current, read_prov
 from fusion.report.recording import merge_tables, write_results
 from fusion.sensitivity.analyse import Evaluation
 
-SENSITIVITY = (
-    "frequency_hz,channel,component,magnitude,phase_rad,u_magnitude,u_phase_rad,re,im,u_re,u_im,r,dof,unit,kind,"
-    "recording"
-)
-PHASOR = (
-    "frequency_hz,body,component,amplitude,phase_rad,u_amplitude,u_phase_rad,re,im,u_re,u_im,r,dof,unit,source,"
-    "recording"
-)
+FORMAT = "recording-format.md"
+SENSITIVITY, PHASOR = (",".join(told_columns(FORMAT, f"{name}.csv")) for name in ("sensitivity", "acceleration"))
 MOTION = "time_s,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad,u_x_m,u_y_m,u_z_m,u_rx_rad,u_ry_rad,u_rz_rad,residual_m,points"
 
 

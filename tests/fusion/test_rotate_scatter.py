@@ -21,7 +21,6 @@ from fusion.sensor.rotate.readings import (
     Carried,
     Component,
     RotationEvaluation,
-    air_density,
     components,
     local_gravity,
     read_rotation,
@@ -187,7 +186,7 @@ class _Trials:
         write_rotation(folder, 1, SCATTERING)
         manifests = {name: load_manifest(folder / name) for name in (BARE, LOADED)}
         read = {name: read_rotation(manifest)[:2] for name, manifest in manifests.items()}
-        self.surroundings = local_gravity(manifests[BARE]), air_density(manifests[BARE])
+        self.surroundings = local_gravity(manifests[BARE]), manifests[BARE].rig.surroundings.air
         recordings, records = [], []
         for state, (recording, _) in read.items():
             angle = recording.fit.angle_rad
@@ -267,7 +266,7 @@ def test_intervals_hold_the_truth(rig, tmp_path):
     write_rotation(tmp_path, 1, rig)
     manifests = [load_manifest(tmp_path / name) for name in (BARE, LOADED)]
     read = [read_rotation(manifest)[:2] for manifest in manifests]
-    gravity, air = local_gravity(manifests[0]), air_density(manifests[0])
+    gravity, air = local_gravity(manifests[0]), manifests[0].rig.surroundings.air
     angle = read[0][0].fit.angle_rad
     if rig is BY_NOISE:
         angle = angle[:16]

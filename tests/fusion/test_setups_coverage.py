@@ -34,7 +34,7 @@ from fusion.phasors.setup import OpenSetUp
 from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Rig
-from fusion.recording.values import validate
+from fusion.recording.toml import validate
 from fusion.report.recording import result_tables
 from fusion.report.tables import acceleration
 from fusion.sensitivity.analyse import Analysis, Evaluation, Inputs, analyse

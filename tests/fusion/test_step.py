@@ -14,7 +14,7 @@ import pytest
 from page_outline import self_contained
 from release_factory import Truth
 from scipy import optimize
-from support import block, channel, edit, rows
+from support import block, channel, edit, rows, told_columns
 
 from fusion.base import InputError
 from fusion.cli import main
@@ -89,6 +89,7 @@ def number(campaign: Path, file: str, name: str, channel: str = "Fz") -> tuple[f
 
 def test_all_files_are_there_and_the_page_stands_alone(campaign):
     assert {path.name for path in (campaign / "step").iterdir()} == FILES
+    assert list(rows(campaign / "step" / "models.csv")[0]) == told_columns("steps.md", "models.csv")
     page = (campaign / "step" / "step.html").read_text(encoding="utf-8")
     self_contained(page)
     assert "line-1: record, fit and residual" in page

@@ -12,10 +12,11 @@ import h5py
 import numpy as np
 import pytest
 from page_outline import self_contained
-from support import AT_ORIGIN, DOCS, block, channel, edit, rows
+from support import AT_ORIGIN, DOCS, block, channel, edit, rows, told_columns
 
 from fusion.base import InputError
 from fusion.cli import main
+from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.load import load_manifest
 from fusion.sensor.transfer.evaluate import evaluate_transfer, find_resonances
 from fusion.sensor.transfer.records import ReferenceResult, TransferSettings
@@ -147,6 +148,7 @@ def test_files_of_a_run(recording, capsys):
     folder = recording / "transfer"
     assert sorted(path.name for path in folder.iterdir()) == ["transfer.csv", "transfer.h5", "transfer.html"]
     found = rows(folder / "transfer.csv")
+    assert list(found[0]) == told_columns("transfer.md", "transfer.csv")
     with h5py.File(folder / "transfer.h5") as file:
         group = file["references/base"]
         value = group["transfer/ratio/value"][:, 0]
@@ -205,7 +207,15 @@ def test_what_channels_share_cancels(recording):
     assert names == {"amplifier: frequency of amplifier"}
 
 
-def test_blows_on_a_mass_give_its_receptance(tmp_path):
+@pytest.mark.parametrize(
+    ("read", "wanted", "kind", "unit"),
+    [
+        ("acceleration", "displacement", "receptance", "m/N"),
+        ("angular_velocity", None, "mobility", "(rad/s)/N"),
+        ("angular_velocity", "acceleration", "accelerance", "(rad/s^2)/N"),
+    ],
+)
+def test_blows_on_a_mass_give_its_receptance_and_what_follows_from_it(tmp_path, read, wanted, kind, unit):
     rate, mass, rng = 10240.0, 0.5, np.random.default_rng(2)
     force = np.zeros(round(8.0 * rate))
     pulse = np.sin(np.pi * np.arange(1, 10) / 10.0) ** 2
@@ -215,16 +225,18 @@ def test_blows_on_a_mass_give_its_receptance(tmp_path):
     rig = read_preset(Oscillator, "chirp", frequency_hz=640.0, damping_ratio=0.01)
     frequency = np.fft.rfftfreq(2 * len(force), 1.0 / rate)
     p = 1j * frequency / rig.frequency_hz
-    accelerance = -(frequency**2) / rig.frequency_hz**2 / (1.0 + 2.0 * rig.damping_ratio * p + p * p) / mass
-    top = np.fft.irfft(np.fft.rfft(force, 2 * len(force)) * accelerance)[: len(force)]
+    stiffness = mass * (2.0 * np.pi * rig.frequency_hz) ** 2
+    receptance = 1.0 / (1.0 + 2.0 * rig.damping_ratio * p + p * p) / stiffness
+    response = receptance * (2j * np.pi * frequency) ** (2 + TRANSDUCERS[read].order)
+    top = np.fft.irfft(np.fft.rfft(force, 2 * len(force)) * response)[: len(force)]
     folder = _blow_recording(tmp_path, rate, force, top, rng)
-    result = _evaluated(folder, quantity="displacement")
-    assert result.transfer.ratio.unit == ("m/N",)
+    edit(folder / "recording.toml", '"acceleration"', f'"{read}"')
+    result = _evaluated(folder, quantity=wanted)
+    assert result.transfer.ratio.unit == (unit,)
     (found,) = result.resonances
-    assert found.fit.kind == "receptance"
+    assert found.fit.kind == kind
     assert abs(found.fit.frequency_hz - rig.frequency_hz) < 4.0 * found.u_frequency_hz
     assert abs(found.fit.damping_ratio - rig.damping_ratio) < 4.0 * found.u_damping_ratio
-    stiffness = mass * (2.0 * np.pi * rig.frequency_hz) ** 2
     assert found.fit.gain.real * stiffness == pytest.approx(1.0, rel=0.01)
 
 
@@ -232,7 +244,7 @@ def _blow_recording(folder: Path, rate: float, force: np.ndarray, top: np.ndarra
     """Write a recording of blows with a little noise on both channels."""
     with h5py.File(folder / "daq.h5", "w") as file:
         for name, values in (("hammer", force), ("top", top)):
-            file[name] = values + 0.02 * rng.standard_normal(len(values))
+            file[name] = values + 2e-4 * np.abs(values).max() * rng.standard_normal(len(values))
             file[name].attrs["sample_rate"] = rate
     (folder / "rig.toml").write_text('format = 1\nname = "mass on a spring"\n')
     impact = {"kind": "impact", "direction": [0, 0, 1], "band": [100.0, 1500.0], "reference": ["hammer"]}

@@ -21,7 +21,8 @@ from fusion.base import InputError
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import RecordingFile
 from fusion.recording.rig import Rig
-from fusion.recording.values import Context, PathScope, validate
+from fusion.recording.toml import validate
+from fusion.recording.values import Context, PathScope
 
 Campaign = Callable[..., Path]
 RIG, RECORDING = "rig.toml", "recording.toml"

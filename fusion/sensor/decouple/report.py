@@ -365,6 +365,7 @@ def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
             ("Releases", ", ".join(counts)),
             ("Outputs", outputs),
         ],
+        "rated": evaluation.capacity is not None,
         "headlines": headlines(evaluation),
         "crosstalk": [draw_crosstalk(evaluation)] if comparable else [],
         "peaks": peak_tables(evaluation),

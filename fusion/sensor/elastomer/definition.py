@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
+from fusion.recording.toml import read_toml, validate
 from fusion.recording.values import (
     Block,
     Context,
@@ -21,10 +22,8 @@ from fusion.recording.values import (
     Text,
     array_of_tables,
     describe,
-    read_toml,
     refusal,
     repeated_name,
-    validate,
     vector,
 )
 from shaker.elastomer.frame import NAMES, RigidPart, block, joined

@@ -11,9 +11,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from fusion.base import InputError
-from fusion.instruments import TRANSDUCERS
 from fusion.instruments.channel import geometry_errors
-from fusion.instruments.transducer import placed_at, unit_direction
+from fusion.instruments.transducer import TRANSDUCERS, placed_at, unit_direction
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.folder import RESULT_FILE, hash_files, read_provenance

@@ -52,6 +52,7 @@ from shaker.labels import LOAD_COMPONENTS
 
 
 K = coverage_factor(np.inf)
+"""For 95 %; the degrees of freedom of a joint fit of many lines are many, and not counted."""
 Found = tuple[str, ParameterEstimate, str]
 """Component, number, and the method that found it."""
 NUMBERS: list[Column[Found]] = [

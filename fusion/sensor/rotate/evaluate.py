@@ -24,7 +24,6 @@ from fusion.sensor.rotate.readings import (
     RotationQuantity,
     RotationRecording,
     Weighed,
-    air_density,
     components,
     load_bodies,
     local_gravity,
@@ -70,7 +69,7 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     for manifest in manifests:
         manifest.check_command("rotate")
     check_one_rig(manifests)
-    gravity, air = local_gravity(manifests[0]), air_density(manifests[0])
+    gravity, air = local_gravity(manifests[0]), manifests[0].rig.surroundings.air
     recordings, outputs, notices = _read(manifests)
     records = tuple(turned(recording) for recording in recordings)
     u_angle = max(manifest.excitation.angle_uncertainty for manifest in manifests)

@@ -17,7 +17,7 @@ from fusion.recording.rig import Load, Part, Sensor
 from shaker.arrays import FloatArray, Notice
 from shaker.io.text import read_table_columns, table_units
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
-from shaker.static_rotation.harmonics import AngleFit, Known, air_density_at, fit_angles, gravity_at
+from shaker.static_rotation.harmonics import AngleFit, Known, fit_angles, gravity_at
 from shaker.static_rotation.masses import SensorOutputs, Turned, WeightFit, start_values
 
 # Gravity, air and what is mounted, as the rig states them or as they follow from its place.
@@ -25,7 +25,6 @@ from shaker.static_rotation.masses import SensorOutputs, Turned, WeightFit, star
 
 LIGHTEST_KGM3, HEAVIEST_KGM3 = 2700.0, 8000.0
 """Densities of aluminium and steel: anything between them may be what nobody has stated."""
-U_STATED_AIR = 0.01
 """Relative standard uncertainty of an air density that is stated."""
 
 
@@ -44,28 +43,15 @@ class Weighed:
 
 def local_gravity(manifest: Manifest) -> Known:
     """Return the rig's gravity, else that of its latitude and height; refuses a rig that states neither."""
-    environment = manifest.rig.environment
-    if environment is not None and environment.gravity is not None:
+    environment = manifest.rig.surroundings
+    if environment.gravity is not None:
         vector, u = np.array(environment.gravity), np.array(environment.gravity_uncertainty)
         size = float(np.linalg.norm(vector))
         return Known(size, float(np.linalg.norm(vector / size * u)), "stated in rig.toml")
-    if environment is None or environment.latitude is None:
+    if environment.latitude is None or environment.height is None:
         expected = "local gravity, or latitude and height from which it follows"
         raise InputError(manifest.rig_path, "environment.gravity", found="nothing", expected=expected)
-    if environment.height is None:
-        expected = "the height above the sea in m that belongs to latitude"
-        raise InputError(manifest.rig_path, "environment.height", found="nothing", expected=expected)
     return gravity_at(float(np.radians(environment.latitude)), environment.height)
-
-
-def air_density(manifest: Manifest) -> Known:
-    """Return the rig's air density, else that of its pressure, temperature and humidity as far as they are stated."""
-    environment = manifest.rig.environment
-    if environment is None:
-        return air_density_at(None, None, None, None)
-    if environment.air_density is not None:
-        return Known(environment.air_density, U_STATED_AIR * environment.air_density, "stated in rig.toml")
-    return air_density_at(environment.height, environment.pressure, environment.temperature, environment.humidity)
 
 
 def unknown_volume() -> tuple[float, float]:

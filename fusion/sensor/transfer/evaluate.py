@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.base import ARGUMENT, InputError
-from fusion.instruments import TRANSDUCERS
+from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
@@ -252,7 +252,7 @@ def _with_budget(curve: _Curve, lines: slice, mode: _Mode, u_clock: float) -> Fo
 # From a recording of a chirp, a multisine, noise or impacts to its transfer functions.
 
 KINDS = kinds_of("transfer")
-_FORCED_KINDS: tuple[Kind, ...] = ("receptance", "mobility", "accelerance")
+_FORCED_KINDS: dict[int, Kind] = {-2: "receptance", -1: "mobility", 0: "accelerance"}  # by the order of a transducer
 
 
 def evaluate_transfer(
@@ -292,12 +292,8 @@ def _evaluated(
     errors = ratio_errors(reference, responses)
     factor = np.stack([chain.correction / reference.correction for chain in responses], axis=1)
     corrected = _converted(raw, factor, together, settings.quantity)
-    kinds: list[Kind] = []  # the form one oscillator takes: a base that moves, or a force on the mass
-    for chain in responses:
-        forced = (
-            QUANTITIES.index(settings.quantity or chain.entry.quantity) if chain.entry.quantity in QUANTITIES else 0
-        )
-        kinds.append("transmissibility" if reference.entry.quantity in TRANSDUCERS else _FORCED_KINDS[forced])
+    moved = reference.entry.quantity in TRANSDUCERS
+    kinds = ["transmissibility" if moved else _forced_kind(chain.entry, settings.quantity) for chain in responses]
     resonances, told = find_resonances(corrected, errors, kinds, together.u_clock)
     ratio = corrected.ratio
     if errors:
@@ -311,6 +307,14 @@ def _evaluated(
         resonances=resonances,
     )
     return result, [*together.aligned.notices, *raw.notices, *told, *_silent([reference, *responses])]
+
+
+def _forced_kind(entry: ChannelEntry, quantity: Quantity | None) -> Kind:
+    """Return the form of one oscillator where a force acts on the mass; what is no motion follows the spring."""
+    if entry.quantity not in TRANSDUCERS:
+        return "receptance"
+    order = QUANTITIES.index(quantity) - 2 if quantity else TRANSDUCERS[entry.quantity].order
+    return _FORCED_KINDS[order]
 
 
 def _converted(

@@ -1,0 +1,289 @@
+"""TOML text to checked models: every mistake becomes one `InputError` that names file and key.
+
+Inputs may be stated as certificates do, a table with U and k in the place of a number.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import date as Date
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
+
+import numpy as np
+from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+
+from fusion.base import InputError
+from fusion.recording.values import Block, Context, NotNegative, describe, is_number, refusal
+
+LARGEST_TOML = 4_000_000  # bytes; no manifest is anywhere near
+AnyBlock = TypeVar("AnyBlock", bound=Block)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file; syntax errors tell the line."""
+    try:
+        if path.stat().st_size > LARGEST_TOML:
+            raise InputError(path, "", f"{path.stat().st_size} bytes", f"a manifest of at most {LARGEST_TOML} bytes")
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except FileNotFoundError as error:
+        raise InputError(path, "", "no such file", "an existing file") from error
+    except OSError as error:
+        raise InputError(path, "", error.strerror or str(error), "a file that can be read") from error
+    except UnicodeDecodeError as error:
+        raise InputError(path, "", f"byte {error.start} is something else", "UTF-8 text") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, "", str(error), "TOML") from error
+
+
+def validate(model: type[AnyBlock], text: dict[str, Any], path: Path, context: Context | None = None) -> AnyBlock:
+    """Check TOML values against a model; the first problem becomes an `InputError`."""
+    values, _ = expand_statements(text, path)
+    return _checked(model, values, path, context=context)
+
+
+def _checked(
+    model: type[AnyBlock],
+    values: dict[str, Any],
+    path: Path,
+    within: tuple[dict[str, Any], list[int | str]] | None = None,
+    context: Context | None = None,
+) -> AnyBlock:
+    """Check a table against a model; `within`: the whole file and the place of the table in it, where it is a part."""
+    try:
+        return model.model_validate(values, context=context)
+    except ValidationError as error:
+        problems = error.errors(include_url=False)
+        # An unknown key comes before the key that is missing in its stead.
+        first = min(problems, key=lambda problem: problem["type"] != "extra_forbidden")
+        whole, start = within or (values, [])
+        place, own = [*start, *first["loc"]], first.get("ctx", {}).get("key")
+        expected, found = _phrases(model, first)
+        key = key_path(whole, [*place, own] if own else place)
+        raise InputError(path, key, found, expected, more=len(problems) - 1) from error
+
+
+# Inputs as certificates state them: a table in the place of a value, or of its standard uncertainty.
+
+RELATIVE = ("scale", "individual", "static_sensitivity", "step_amplitude", "gain", "frequency", "clock")
+"""Values whose standard uncertainty is stated relative to them."""
+UNCERTAINTY_OF = {"step_amplitude": "step_uncertainty"}
+"""Keys of standard uncertainties that are not NAME_uncertainty."""
+DIVISORS = {"uniform": 3.0**0.5, "triangular": 6.0**0.5, "arcsine": 2.0**0.5}
+"""Half-width over standard uncertainty (JCGM 101, 6.4.2, 6.4.5 and 6.4.6)."""
+
+
+class Stated(Block):
+    """An input as a certificate states it: U, absolute or relative, with its k, or the half-width of a distribution."""
+
+    value: Any = None
+    U: Any = None
+    U_relative: NotNegative | None = None
+    k: Annotated[float, Field(ge=1, allow_inf_nan=False)] | None = None
+    dof: Annotated[float, Field(ge=1, allow_inf_nan=False)] | None = None
+    distribution: Literal["normal", "uniform", "triangular", "arcsine"] = "normal"
+    certificate: str = ""
+    laboratory: str = ""
+    date: Date | None = None
+    valid_until: Date | None = None
+
+    @model_validator(mode="after")
+    def _says_enough(self) -> Self:
+        if (self.U is None) == (self.U_relative is None):
+            raise refusal("either U or U_relative", "neither" if self.U is None else "both", key="U")
+        numbers = self.U if isinstance(self.U, list | tuple) else [0.0 if self.U is None else self.U]
+        if not all(is_number(number) and number >= 0 for number in numbers):
+            raise refusal("a number or numbers, none negative", describe(self.U), key="U")
+        if self.distribution == "normal" and self.k is None:
+            raise refusal("the coverage factor k that belongs to U (1 for a standard uncertainty)", "nothing", key="k")
+        if self.distribution != "normal" and (self.k or self.dof) is not None:
+            key = "dof" if self.k is None else "k"
+            raise refusal(f"no such key: U of a {self.distribution} distribution is its half-width", "one", key=key)
+        return self
+
+    def standard_uncertainty(self, *, relative: bool) -> Any:
+        """Return u in the unit of the value, or `relative` to it; None where the value does not allow that.
+
+        U/k, or the half-width over its divisor. Where U has `dof` degrees of freedom, u = U/k·t(dof)/1.96, so that an
+        interval of 1.96·u is the one of 95 % that these mean.
+        """
+        divisor = DIVISORS.get(self.distribution, self.k or 1.0)
+        if self.dof is not None:
+            from scipy.special import ndtri, stdtrit
+
+            divisor *= float(ndtri(0.975) / stdtrit(self.dof, 0.975))
+        u = np.asarray(self.U_relative if self.U is None else self.U, dtype=np.float64) / divisor
+        if self.value is not None and relative != (self.U is None):
+            if not is_number(self.value) or self.value == 0.0:
+                return None
+            u = u / abs(self.value) if relative else u * abs(self.value)
+        return u.tolist()
+
+
+@dataclass(frozen=True)
+class UncertainInput:
+    """An input of a `file` with its standard uncertainty `u` as it is used, `relative` or in the unit of the value.
+
+    `value`: None where the key has no value of its own; `stated`: as on a certificate, None where u stands as it is.
+    """
+
+    file: Path
+    key: str
+    value: Any
+    u: Any
+    relative: bool
+    stated: Stated | None = None
+
+    @property
+    def source(self) -> str:
+        """Return certificate, laboratory and dates in words."""
+        own = self.stated or Stated(U=0.0, k=1.0)
+        dates = (str(own.date or ""), "" if own.valid_until is None else f"valid until {own.valid_until}")
+        return ", ".join(filter(None, (own.certificate, own.laboratory, *dates)))
+
+
+def _has_numbers(item: Any) -> bool:
+    """Whether a list, or its first list, begins with a number."""
+    while isinstance(item, list) and item:
+        item = item[0]
+    return is_number(item)
+
+
+def uncertain_inputs(text: dict[str, Any], path: Path) -> tuple[UncertainInput, ...]:
+    """Return every input of a file for which an uncertainty other than 0 is stated, in the order of the file."""
+    values, statements = expand_statements(text, path)
+    by_key = {statement.key.removesuffix("_uncertainty"): statement for statement in statements}
+
+    def walked(value: Any, place: list[int | str]) -> Iterator[UncertainInput]:
+        for step, item in value.items() if isinstance(value, dict) else enumerate(value):
+            name = str(step).removesuffix("_uncertainty")
+            if isinstance(item, dict | list) and not _has_numbers(item):
+                yield from walked(item, [*place, step])
+            elif isinstance(value, dict) and name != step and np.any(item):
+                key = key_path(values, [*place, name])
+                plain = UncertainInput(path, key, value.get(name), item, name in RELATIVE)
+                yield by_key.get(key, plain)
+
+    return tuple(walked(values, []))
+
+
+def expand_statements(text: dict[str, Any], path: Path) -> tuple[dict[str, Any], tuple[UncertainInput, ...]]:
+    """Return TOML values with every stated input replaced by its value and standard uncertainty, and the statements.
+
+    A table with U in the place of a value gives the value and its `_uncertainty` key; in the place of an `_uncertainty`
+    key only that. Raises `InputError` for one that says too little or too much.
+    """
+    statements: list[UncertainInput] = []
+
+    def expanded(value: Any, place: list[int | str]) -> Any:
+        if isinstance(value, list):
+            return [expanded(item, [*place, number]) for number, item in enumerate(value)]
+        if not isinstance(value, dict):
+            return value
+        out: dict[str, Any] = {}
+        for key, item in value.items():
+            here = [*place, key]
+            if not isinstance(item, dict) or not {"U", "U_relative"} & item.keys():
+                out[key] = expanded(item, here)
+                continue
+            own, name = _checked(Stated, item, path, (text, here)), key.removesuffix("_uncertainty")
+            target, relative = UNCERTAINTY_OF.get(name, f"{name}_uncertainty"), name in RELATIVE
+            if (own.value is None) == (name == key):
+                wanted = "the value that this U belongs to" if name == key else "no value: it stands at its own key"
+                raise InputError(path, key_path(text, [*here, "value"]), describe(own.value), wanted)
+            if name == key and target in value:
+                raise InputError(
+                    path, key_path(text, [*place, target]), "one", f"no such key, since {key} states its U"
+                )
+            u = own.standard_uncertainty(relative=relative)
+            if u is None:
+                given, wanted = ("U", "U_relative") if relative else ("U_relative", "U")
+                found = describe(getattr(own, given))
+                raise InputError(path, key_path(text, [*here, given]), found, f"{wanted} for a value such as this")
+            statements.append(UncertainInput(path, key_path(text, here), own.value, u, relative, own))
+            out |= {target: u} if own.value is None else {key: own.value, target: u}
+        return out
+
+    return expanded(text, []), tuple(statements)
+
+
+def quoted(name: str) -> str:
+    """A name as part of a key path, in quotes unless TOML takes it bare."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
+
+
+def key_path(text: dict[str, Any], place: list[int | str]) -> str:
+    """Key path for people: blocks of an array by their name, else counted from 1: `daq.bridge.channel.Fz.scale`."""
+    told = ""
+    value: Any = text
+    for step in place:
+        inside = isinstance(value, list | tuple) if isinstance(step, int) else isinstance(value, dict)
+        known = inside and (step < len(value) if isinstance(step, int) else step in value)
+        child = value[step] if known else None
+        name = step if isinstance(step, str) else _block_name(value, child)
+        if isinstance(step, int) and not name:
+            told += f"[{step + 1}]"
+        else:
+            told += f".{quoted(name)}" if told else quoted(name)
+        value = child
+    return told
+
+
+def _block_name(siblings: Any, block: Any) -> str:
+    """What identifies a block among its siblings, empty if nothing does."""
+    for key in ("name", "stereo") if isinstance(block, dict) else ():
+        names = [item.get(key) for item in siblings if isinstance(item, dict)]
+        if isinstance(block.get(key), str) and names.count(block[key]) == 1:
+            return str(block[key])
+    return ""
+
+
+def _phrases(model: type[Block], problem: ErrorDetails) -> tuple[str, str]:
+    """What was expected and what was found, for any error of pydantic's."""
+    kind, context = problem["type"], problem.get("ctx", {})
+    if kind == "refused":
+        return str(context["expected"]), str(context["found"])
+    if kind == "missing":
+        return "this key, which is required", "nothing"
+    if kind == "extra_forbidden":
+        return _known_keys(model, problem["loc"]), "an unknown key"
+    expected = {
+        "float_type": "a number",
+        "finite_number": "a finite number",
+        "int_type": "a whole number",
+        "bool_type": "true or false",
+        "string_type": "a text",
+        "string_too_short": "a text that is not empty",
+        "too_short": "at least {min_length} element",
+        "greater_than": "a number above {gt:g}",
+        "greater_than_equal": "a number of at least {ge:g}",
+        "less_than_equal": "a number of at most {le:g}",
+        "literal_error": "{expected}",
+        "model_type": "a table",
+        "dict_type": "a table",
+    }.get(kind)
+    return expected.format(**context) if expected else problem["msg"], describe(problem["input"])
+
+
+def _known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> str:
+    """Which key of the table at a place below a model was probably meant, else all its keys."""
+    for step in place[:-1]:
+        field = model.model_fields.get(step) if isinstance(step, str) else None
+        below = next(_models_in(field.annotation), None) if field is not None else None
+        model = below or model
+    known = list(model.model_fields)
+    close = get_close_matches(str(place[-1]), known, n=1)
+    return f'a known key, probably "{close[0]}"' if close else "one of the keys " + ", ".join(known)
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """The models that an annotation such as tuple[Daq, ...] names."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _models_in(argument)

@@ -1,0 +1,102 @@
+"""What acts beside the excitation: temperature of the sensor, motion of what carries the optical instruments.
+
+Each is a named unknown where the rig states it; of what it does not state the user is told how much would matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fusion.estimation.measurement_model import CommonError, Observation
+from fusion.estimation.uncertainty import Uncertainty, Unknown, added_up, real_stack
+from fusion.instruments.channel import Outputs
+from shaker.arrays import ComplexArray, Notice
+
+if TYPE_CHECKING:
+    from fusion.recording.rig import Environment, Rig, Sensor
+
+OPTICAL = ("photogrammetry", "vibrometer")
+USUAL_COEFFICIENT = 1e-4
+"""Relative change per kelvin of the sensitivity of a strain gauge sensor that is compensated as usual."""
+USUAL_DEVIATION_K = 5.0
+MATTERS = 1e-4
+"""Relative change of the result from which on an influence that is not assessed is worth a word."""
+
+
+def at_reference_temperature(outputs: Outputs, sensor: Sensor, environment: Environment) -> Outputs:
+    """Return the outputs as the sensor would have given them at its reference temperature.
+
+    U/(1 + α·(T - T_ref)), with the unknowns α and T, where the temperature coefficient α (1/K) of the sensitivity and
+    the temperature T of the sensor are stated; otherwise the outputs as they are.
+    """
+    alpha, temperature = sensor.temperature_coefficient, environment.sensor_temperature
+    if alpha is None or temperature is None:
+        return outputs
+    warmer = temperature - sensor.reference_temperature
+    factor = 1.0 / (1.0 + alpha * warmer)
+    value = outputs.phasors.value * factor
+    known = outputs.uncertainty.scaled(np.full(value.shape, factor, dtype=np.complex128))
+    label = "temperature of the sensor"
+    u_alpha, u_temperature = sensor.temperature_coefficient_uncertainty, environment.sensor_temperature_uncertainty
+    unknowns = (
+        Unknown(f"{label}: coefficient", label, u_alpha, "1/K", -factor * warmer * u_alpha * value, "rig"),
+        Unknown(label, label, u_temperature, "K", -factor * alpha * u_temperature * value, "recording"),
+    )
+    own = [unknown.acting(real_stack(unknown.effect)) for unknown in unknowns if np.any(unknown.effect)]
+    uncertainty = Uncertainty(known.random, added_up([*known.influences, *own]))
+    return Outputs(replace(outputs.phasors, value=value, covariance=uncertainty.covariance), uncertainty)
+
+
+def with_support_motion(observations: Sequence[Observation], limit: float | None) -> tuple[Observation, ...]:
+    """Return the observations, those of lasers and cameras with the motion of what carries them as common errors.
+
+    `limit`: largest amplitude of that motion over the motion measured. Its phasor, anywhere in a disc of that radius,
+    has the standard uncertainty limit/2 in either part. One unknown for all optical instruments of a body: they stand
+    on one floor, so that they cannot tell it from motion of the body; accelerometers can.
+    """
+    if not limit:
+        return tuple(observations)
+    u, label = limit / 2.0, "motion of the supports of lasers and cameras"
+
+    def shaken(observation: Observation) -> Observation:
+        none: ComplexArray = np.zeros_like(observation.phasors.value)
+        parts = ("in phase", 1.0), ("in quadrature", 1.0j)
+        own = [
+            CommonError(
+                f"{label}, {observation.body}, {part}", label, u, "1", "mounting", turn * u * observation.design, none
+            )
+            for part, turn in parts
+        ]
+        return replace(observation, common=(*observation.common, *own))
+
+    return tuple(shaken(o) if o.kind in OPTICAL else o for o in observations)
+
+
+def not_assessed(rig: Rig, frequencies_hz: Sequence[float], kinds: Sequence[str]) -> Iterator[Notice]:
+    """Yield what is said of influences that the rig does not state, so that U has no part of them.
+
+    `frequencies_hz`: the driven lines; `kinds` of the instruments that measure the load's motion.
+    """
+    sensor, environment = rig.sensor, rig.surroundings
+    told = []
+    if sensor is not None and (sensor.temperature_coefficient is None or environment.sensor_temperature is None):
+        if environment.sensor_temperature is None:
+            what = "the temperature of the sensor (environment.sensor_temperature, sensor.temperature_coefficient)"
+            deviation = USUAL_DEVIATION_K
+        else:
+            deviation = environment.sensor_temperature - sensor.reference_temperature
+            what = f"the sensor's temperature of {environment.sensor_temperature:g} °C (sensor.temperature_coefficient)"
+        share = USUAL_COEFFICIENT * abs(deviation)
+        if share >= MATTERS:
+            told.append(f"{what}: {deviation:g} K from the reference at {USUAL_COEFFICIENT:g}/K would be {share:.2%}")
+    if environment.support_motion is None and set(kinds) and set(kinds) <= set(OPTICAL):
+        told.append(
+            "motion that all lasers and cameras share with what carries them (environment.support_motion): its share "
+            "of the motion measured would be that of the sensitivity, and no accelerometer on the load can show it"
+        )
+    if told and len(frequencies_hz):
+        yield Notice("info", "not assessed, not in U: " + "; ".join(told), "surroundings")

@@ -1,0 +1,93 @@
+"""What acts beside the excitation: against draws of the physics, written without the program's own propagation."""
+
+from __future__ import annotations
+
+import numpy as np
+from contracts import coverage_contract
+
+from fusion.estimation.fuse import fuse
+from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels, output_phasors
+from fusion.recording.manifest import ChannelEntry
+from fusion.recording.rig import Environment, Rig, Sensor
+from fusion.sensitivity.disturbances import at_reference_temperature, not_assessed, with_support_motion
+from shaker.sine.phasor import Phasors
+
+FREQUENCY_HZ = np.array([80.0, 160.0])
+SENSOR = Sensor(
+    name="s",
+    channels=("Fz",),
+    unit="V/V",
+    sense="on_load",
+    internal_mass=0.0,
+    temperature_coefficient=-4e-4,
+    temperature_coefficient_uncertainty=5e-5,
+    reference_temperature=20.0,
+)
+
+
+def reading(entry: ChannelEntry, value: complex) -> Reading:
+    values = np.full((2, 1), value, dtype=np.complex128)
+    covariance = np.repeat(1e-20 * abs(value) ** 2 * np.eye(2)[None], 2, axis=0)
+    channels, unit = (entry.name,), ("1",)
+    return Reading(
+        entry, Phasors(FREQUENCY_HZ, values, covariance, channels, unit, np.full(2, 1e3)), ChainUncertainty()
+    )
+
+
+def test_outputs_are_those_at_the_reference_temperature():
+    """A sensor of known sensitivity at 20 °C is read at 26 °C: coefficient and thermometer err as stated."""
+    at_reference, around = 3e-4 + 4e-4j, Environment(sensor_temperature=26.0, sensor_temperature_uncertainty=0.5)
+    entry = ChannelEntry(name="Fz", quantity="output", channel="Fz")
+
+    def estimate(trial):
+        rng = np.random.default_rng(trial)
+        alpha, warmer = -4e-4 + 5e-5 * rng.standard_normal(), 6.0 + 0.5 * rng.standard_normal()
+        outputs = output_phasors([reading(entry, at_reference * (1.0 + alpha * warmer))])
+        corrected = at_reference_temperature(outputs, SENSOR, around)
+        spread = np.sqrt(np.diagonal(corrected.uncertainty.covariance[0]))
+        return corrected.phasors.value[0], 1.96 * spread
+
+    coverage_contract(estimate, np.array([at_reference]), 400)
+    untouched = output_phasors([reading(entry, at_reference)])
+    assert at_reference_temperature(untouched, SENSOR, Environment()) is untouched
+
+
+def test_a_shaken_support_is_in_u_of_lasers_alone_and_accelerometers_find_it():
+    """Lasers read the body less their support, whose phasor lies anywhere in a disc of 2 % of the motion."""
+    points = ((0.05, 0.0, 0.0), (-0.03, 0.04, 0.0), (-0.03, -0.04, 0.0))
+    z = {"body": "load", "direction": (0.0, 0.0, 1.0), "scale_uncertainty": 1e-5}
+    lasers = [ChannelEntry(name=f"v{n}", quantity="displacement", point=p, **z) for n, p in enumerate(points)]
+    others = [ChannelEntry(name=f"a{n}", quantity="acceleration", point=p, **z) for n, p in enumerate(points)]
+    true = 10.0
+
+    def recorded(rng, entries):
+        support = 0.02 * np.sqrt(rng.uniform()) * np.exp(2j * np.pi * rng.uniform())
+        given = []
+        for entry in entries:
+            optical = entry.quantity == "displacement"
+            own = reading(entry, true * (1.0 - support) if optical else true)
+            factor = -1.0 / (2.0 * np.pi * FREQUENCY_HZ[:, None]) ** 2 if optical else 1.0
+            given.append(Reading(entry, own.phasors.scaled(np.broadcast_to(factor, (2, 1)).astype(complex)), own.chain))
+        return with_support_motion(observe_channels(given), 0.02)
+
+    def deviations(entries, trials):
+        fused = [fuse(recorded(np.random.default_rng(trial), entries)) for trial in range(trials)]
+        off = np.array([result.phasors.value[0, 2] - true for result in fused])
+        return off, np.sqrt(fused[0].uncertainty.covariance[0][2, 2])
+
+    off, u = deviations(lasers, 300)
+    assert 0.9 < u / np.std(off.real) < 1.1
+    off, u = deviations([*lasers, *others], 20)
+    assert u < 1e-4
+    assert np.max(np.abs(off)) < 4e-4
+
+
+def test_what_the_rig_does_not_state_is_said_to_be_missing():
+    rig = Rig(format=1, name="r", sensor=SENSOR, environment=Environment(sensor_temperature=23.0, support_motion=1e-4))
+    assert not list(not_assessed(rig, [80.0], ["vibrometer"]))
+    silent = Rig(format=1, name="r", sensor=SENSOR)
+    (notice,) = not_assessed(silent, [80.0], ["vibrometer", "photogrammetry"])
+    assert "temperature of the sensor" in notice.text
+    assert "lasers and cameras share" in notice.text
+    (notice,) = not_assessed(silent, [80.0], ["vibrometer", "accelerometer"])
+    assert "share" not in notice.text
