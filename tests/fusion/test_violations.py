@@ -213,7 +213,6 @@ def test_a_laser_of_the_wrong_sign_is_named(benchmark: ModuleType) -> None:
     ("rig", "name"),
     [
         ("full", "scanner-fan"),
-        ("full", "laser-shake"),
         ("full", "laser-reversed"),
         ("full", "lasers-exchanged"),
         ("full", "inertia"),
