@@ -247,7 +247,7 @@ class Row:
             f"{self.needed:.2f}",
             self.verdict,
         )
-        return "| " + " | ".join(cells) + " |"
+        return "| " + " | ".join("–" if "nan" in cell else cell for cell in cells) + " |"
 
 
 def judge(rig: str, names: tuple[str, ...], found: Sequence[Draw], plain: Mapping[int, Draw]) -> Row:

@@ -212,7 +212,6 @@ def test_a_laser_of_the_wrong_sign_is_named(benchmark: ModuleType) -> None:
 @pytest.mark.parametrize(
     ("rig", "name"),
     [
-        ("full", "scanner-fan"),
         ("full", "laser-reversed"),
         ("full", "lasers-exchanged"),
         ("full", "inertia"),
