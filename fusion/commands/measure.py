@@ -135,6 +135,11 @@ def _simulate_options(parser: Parser) -> None:
     )
     parser.choice("--preset", PRESETS, text)
     parser.add_argument("--seed", type=count_or_none, default=1, help="seed of every random draw (default: 1)")
+    text = (
+        "break one assumption of the program in demo, nitsche2018, sweep or matrix, may be repeated; "
+        "docs/assumptions.md lists the names, units and default sizes"
+    )
+    parser.add_argument("--violate", action="append", metavar="NAME[=SIZE]", default=[], help=text)
     parser.switch("--force", "overwrite a simulation that is there")
 
 
@@ -147,8 +152,14 @@ def simulate(options: argparse.Namespace) -> None:
     if options.out.exists() and not options.force:
         expected = "a new folder (--force replaces an earlier simulation)"
         raise InputError(options.out, "", found="a file or folder of this name", expected=expected)
-    with progress_bar(enabled=not options.quiet) as progress:
-        written = simulate(options.out, options.preset, options.seed, progress)
+    violated = {"violate": tuple(options.violate)} if options.violate else {}
+    try:
+        with progress_bar(enabled=not options.quiet) as progress:
+            written = simulate(options.out, options.preset, options.seed, progress, **violated)
+    except ValueError as error:
+        if not str(error).startswith("violate: "):
+            raise
+        raise InputError("shakercal simulate", "--violate", str(error).partition(": ")[2], "") from error
     number = len(list(options.out.glob("*/recording.toml")))
     kind = "recording" if number == 1 else "campaign" if number else "element" if written.is_file() else "pictures"
     print(f"simulated {kind}: {written}" + (f", {number} recordings" if kind == "campaign" else ""))

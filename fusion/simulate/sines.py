@@ -27,6 +27,7 @@ from fusion.simulate.preset import (
     face_of,
     read_preset,
 )
+from fusion.simulate.violations import violations
 from fusion.simulate.world import (
     Draws,
     Motion,
@@ -129,12 +130,13 @@ def _true_phasors(world: World, spec: ChannelSpec, draws: Draws) -> ComplexArray
     if spec.quantity == "output":
         return np.asarray(world.outputs[:, LOAD_COMPONENTS.index(spec.name)])
     # Written anew, not by `fusion.instruments`: what the program makes of these recordings is tested against them.
-    motion = world.motion[spec.body]
+    motion = world.seen(draws, spec.body, spec.quantity, np.array(spec.point))
     point = np.array(spec.point) + draws.normal(f"{spec.name}.point", spec.stated.get("point_uncertainty", 0.0), 3)
     nominal = np.array(spec.direction)
     tilt = draws.normal(f"{spec.name}.direction", spec.stated.get("direction_uncertainty", 0.0), 3)
     direction = nominal + np.cross(tilt, nominal)
     direction = direction / np.linalg.norm(direction)
+    direction = draws.broken("direction", direction, spec, world.preset)
     if spec.quantity == "velocity":
         return velocity_at(motion, point, direction)
     transverse = draws.normal(f"{spec.name}.transverse", spec.stated.get("transverse_sensitivity", 0.0) / np.sqrt(2), 3)
@@ -331,6 +333,7 @@ def truth_tables(run: Run, world: World, draws: Draws) -> dict[str, Any]:
         **images,
         "clock": tie,
         "drawn": draws.values,
+        **({"violated": dict(draws.broken.sizes)} if draws.broken.sizes else {}),
     }
 
 
@@ -364,7 +367,7 @@ class SimulationOptions:
     `image_noise`, `channel_noise`: shot and read noise; that of amplifiers and of points. `systematic_errors`: what the
     manifests state as uncertainties is drawn, else everything is exactly as stated. `trigger_jitter`: 30 ns rms.
     `aliased`: sharp 2 px speckle without lens blur. `frames`: fewer frames. `image_scale`: smaller images of a smaller
-    face, same optics. `recordings`: only the first so many.
+    face, same optics. `recordings`: only the first so many. `violate`: assumptions to break, NAME or NAME=SIZE.
     """
 
     image_noise: bool = True
@@ -375,6 +378,7 @@ class SimulationOptions:
     frames: int | None = None
     image_scale: float = 1.0
     recordings: int | None = None
+    violate: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what cannot be a recording."""
@@ -403,10 +407,11 @@ def rendered_run(preset: Preset) -> Run:
 def write_runs(folder: Path, preset: str, seed: int, progress: ProgressCallback, options: SimulationOptions) -> None:
     """Write the recordings of a preset and the rigs they stand on; `progress` hears of each."""
     chosen = runs(preset)[: options.recordings]
+    broken = violations(options.violate, chosen[0].preset)
     jitter_s = TRIGGER_JITTER_S if options.trigger_jitter else 0.0
     for number, run in enumerate(chosen, 1):
         smaller = replace(run, preset=run.preset.shrunk(options.frames, options.image_scale))
-        draws = Draws(seed, options.systematic_errors)
+        draws = Draws(seed, options.systematic_errors, broken=broken)
         if run.mounting:
             draws = replace(draws, mounting=run.mounting, recording=run.preset.recording)
         write_run(folder, smaller, make_world(smaller.preset, draws, jitter_s), draws, options, progress)
@@ -425,9 +430,11 @@ def write_run(
     options = options or SimulationOptions()
     preset = run.preset
     records = {daq.file: record(world, daq, draws, options.channel_noise) for daq in preset.daqs}
+    records = draws.broken("records", records, world)
     texts = {daq.response: response_table() for daq in preset.daqs if daq.response}
     for setup in preset.stereo if preset.as_points else ():
-        texts[points_file(setup)] = points_text(point_series(world, setup, draws, options.channel_noise))
+        position = point_series(world, setup, draws, options.channel_noise)
+        texts[points_file(setup)] = points_text(position[draws.broken("frames", np.arange(len(position)), setup)])
     recording = folder / preset.recording
     write_recording(recording, recording_tables(run), truth_tables(run, world, draws), records, texts)
     for stereo in world.stereo:
@@ -437,7 +444,7 @@ def write_run(
     if world.stereo:
         _write_images(recording, world, draws, options, progress)
     if not (folder / run.rig_file).exists():
-        write_texts(folder, {run.rig_file: to_toml(rig_tables(world, run.parts))})
+        write_texts(folder, {run.rig_file: to_toml(draws.broken("rig", rig_tables(world, run.parts)))})
     return recording
 
 
@@ -450,22 +457,25 @@ def _write_images(
     done, frames, exposure = 0, world.preset.frames, world.preset.exposure_s
     whole: dict[str, Any] = {"photometric": "minisblack", "compression": "zlib", "metadata": None, "software": False}
 
-    def shoot(stereo: TrueStereo, face: Face, view: View, series: Path, frame: int) -> None:
+    def shoot(stereo: TrueStereo, face: Face, view: View, series: Path, number: int, frame: int) -> None:
         middle = float(world.trigger_s[frame] + stereo.delay_s + exposure / 2)
-        pose_at = world.motion[stereo.setup.body].pose
+        pose_at = world.seen(draws, stereo.setup.body, "camera", np.array(stereo.setup.face_centre)).pose
         image = render_exposure(view, face, pose_at, middle, exposure, 4 if options.aliased else 2)
+        image = draws.broken("image", image, series.name, middle, frame / frames)
         rng = draws.stream(f"{series.name}.{frame}") if options.image_noise else None
-        tifffile.imwrite(series / f"{frame:04d}.tif", stereo.setup.sensor.digitise(image, rng), **whole)
+        tifffile.imwrite(series / f"{number:04d}.tif", stereo.setup.sensor.digitise(image, rng), **whole)
 
     pool = ThreadPoolExecutor(os.cpu_count() or 1)
     try:
         for stereo in world.stereo:
             name = stereo.setup.name
             face = face_of(stereo.setup, options.aliased, draws.stream(f"{name}.speckle"))
+            face = draws.broken("face", face)
+            stored = draws.broken("frames", np.arange(frames), stereo.setup).tolist()
             for side, view in zip(("left", "right"), stereo.views, strict=True):
                 series = folder / f"{name}-{side}"
                 series.mkdir()
-                tasks = [pool.submit(shoot, stereo, face, view, series, frame) for frame in range(frames)]
+                tasks = [pool.submit(shoot, stereo, face, view, series, *place) for place in enumerate(stored)]
                 for task in tasks:
                     task.result()
                     done += 1

@@ -6,8 +6,9 @@ Newton and Euler of each rigid part: F = m·(a + α × c) + m·θ × g, M = c ×
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,25 @@ STATIC_UNCERTAINTY = 1e-3  # relative change of a sensor since its static calibr
 GRID = (8, 5)  # points on a face, as another correlation program writes them
 _INSIDE = 0.68  # of the half size: the grid's corners stay on a round face
 _NOISE_M = (0.7e-6, 0.7e-6, 1.8e-6)  # of these points: x, y and along the view of the left camera
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Violations:
+    """What a simulation breaks of the program's assumptions: size and, by stage, what is changed; `sizes` by name.
+
+    The simulator hands what it has made at a stage through here; without violations it comes back as it is.
+    """
+
+    active: tuple[tuple[float, Mapping[str, Callable[..., Any]]], ...] = ()
+    sizes: Mapping[str, float] = field(default_factory=dict)
+
+    def __call__(self, stage: str, value: _T, *context: Any) -> _T:
+        """Return a value of this stage as all that is violated leaves it; each change gets value, size, context."""
+        for size, changes in self.active:
+            if stage in changes:
+                value = changes[stage](value, size, *context)
+        return value
 
 
 @dataclass(frozen=True)
@@ -34,7 +54,7 @@ class Draws:
     `systematic` False gives zeros. `values` remembers every error drawn, for the truth file. The errors of a rig are
     those of all recordings of a campaign; where `mounting` is given, what was mounted (`MOUNTED`) differs from mounting
     to mounting, but for the sensor's own parts, which are never taken off; where `recording` is given, noise
-    (`RECORDED`) differs from recording to recording.
+    (`RECORDED`) differs from recording to recording. `broken`: the assumptions that are violated.
     """
 
     seed: int
@@ -42,6 +62,7 @@ class Draws:
     values: dict[str, list[float]] = field(default_factory=dict)
     mounting: str | None = None
     recording: str | None = None
+    broken: Violations = field(default_factory=Violations)
 
     def stream(self, name: str) -> np.random.Generator:
         """Return the generator of a name, within its mounting or its recording."""
@@ -56,6 +77,7 @@ class Draws:
         """Return errors (count,) or scalar-shaped () of the given standard uncertainty, and remember them."""
         deviate = self.stream(name).standard_normal(count)
         value = np.asarray(deviate * uncertainty if self.systematic else 0.0 * deviate * uncertainty)
+        value = self.broken("error", value, name, uncertainty)
         if np.any(np.asarray(uncertainty) > 0):
             self.values[name] = [float(v) for v in np.atleast_1d(value)]
         return value
@@ -197,12 +219,16 @@ class World:
     trigger_s: FloatArray
     stereo: tuple[TrueStereo, ...]
 
+    def seen(self, draws: Draws, body: str, instrument: str, point: FloatArray) -> Motion:
+        """Return the motion of a body as a kind of instrument (`velocity`, `acceleration`, `camera`) sees it there."""
+        return draws.broken("seen", self.motion[body], self, body, instrument, point)
+
 
 def make_world(preset: Preset, draws: Draws, jitter_s: float) -> World:
     """Return the truth of a preset with errors drawn."""
     gravity = preset.gravity_mps2
     frequency = preset.frequencies_hz
-    load = Motion(frequency, np.array(preset.acceleration))
+    load = Motion(frequency, draws.broken("motion", np.array(preset.acceleration)))
     base = base_motion(load, np.array(preset.mount_hz), preset.mount_damping)
     parts = [true_part(spec, draws) for spec in (preset.load, preset.internal, *preset.parts)]
     sign = 1.0 if preset.sense == "on_load" else -1.0
@@ -214,7 +240,7 @@ def make_world(preset: Preset, draws: Draws, jitter_s: float) -> World:
     edges = edges + jitter_s * draws.stream("trigger jitter").standard_normal(preset.frames)
     stereo = () if preset.as_points else tuple(true_stereo(setup, draws) for setup in preset.stereo)
     motion = {"load": load, "base": base}
-    return World(preset, gravity, motion, force, matrix, stated, outputs, edges, stereo)
+    return draws.broken("world", World(preset, gravity, motion, force, matrix, stated, outputs, edges, stereo))
 
 
 def true_part(spec: PartSpec, draws: Draws) -> TruePart:
@@ -299,7 +325,7 @@ def point_series(world: World, setup: StereoSetup, draws: Draws, noise: bool) ->
     left_from_sensor = true_pose(setup, camera_pose(setup), scale, draws).inverse()
     delay = float(draws.normal(f"{setup.name}.delay", setup.delay_uncertainty))
     exposure = world.preset.exposure_s
-    motion = world.motion[setup.body]
+    motion = world.seen(draws, setup.body, "camera", np.array(setup.face_centre))
     seen = Motion(motion.frequency_hz, motion.acceleration * np.sinc(motion.frequency_hz * exposure)[:, None])
     rest = face_points(setup)
     poses = (RigidTransform.from_pose(pose) for pose in seen.pose(world.trigger_s + delay + exposure / 2))
@@ -307,4 +333,4 @@ def point_series(world: World, setup: StereoSetup, draws: Draws, noise: bool) ->
     if noise:
         deviate = draws.stream(f"{setup.name}.points").standard_normal(position.shape)
         position = position + deviate * np.array(_NOISE_M)
-    return position
+    return draws.broken("points", position, setup)

@@ -1,0 +1,569 @@
+"""What a simulated recording breaks of what the program assumes: `shakercal simulate --violate NAME[=SIZE]`.
+
+Written apart from the estimator's model: nothing here comes from the modules that evaluate a recording. The same seed
+with and without a violation draws the same errors and the same noise, so that two recordings differ by it alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from fusion.simulate.preset import ChannelSpec, Preset, StereoSetup
+from fusion.simulate.world import Motion, Violations, World
+from fusion.simulate.write import Record
+from photogram.synthetic.scene import Face
+from shaker.arrays import ComplexArray, FloatArray
+
+GRAVITY_UNIT = 9.80665  # m/s² in one g
+COEFFICIENT_PER_K = 5e-4  # an uncompensated strain gauge on aluminium: its stiffness and the gauge factor
+FLICKER_HZ = 100.0
+Records = Mapping[str, Record]
+
+
+@dataclass(frozen=True)
+class Violation:
+    """One assumption that a simulation breaks.
+
+    `size` in `unit` where none is given; `about`: the physics in one sentence. `expects`: words of which a notice that
+    names the right cause, or the group it belongs to, has one; `assumption`: words of a notice that names the
+    assumption whether it holds or not. `needs`: what a preset must have (`channels`: nothing
+    more, `cameras`, `images`). `changes`: by stage of the simulation a function of its value, the size, its context.
+    """
+
+    unit: str
+    size: float
+    about: str
+    expects: tuple[str, ...]
+    changes: Mapping[str, Callable[..., Any]]
+    needs: str = "channels"
+    assumption: tuple[str, ...] = ()
+
+
+def violations(texts: Sequence[str], preset: Preset) -> Violations:
+    """Return what `texts` (NAME or NAME=SIZE) break in a preset; `ValueError` for what it has not or cannot show."""
+    active, sizes = [], dict[str, float]()
+    for text in texts:
+        name, equals, number = text.partition("=")
+        violation = CATALOGUE.get(name)
+        if violation is None:
+            raise ValueError(f"violate: expected one of {', '.join(CATALOGUE)}, found {name or 'nothing'}")
+        try:
+            size = float(number) if equals else violation.size
+        except ValueError:
+            size = math.nan
+        if not (math.isfinite(size) and size > 0.0):
+            raise ValueError(f"violate: expected a number above 0 of unit {violation.unit} for {name}, found {number}")
+        has = {"channels": True, "cameras": bool(preset.stereo), "images": bool(preset.stereo) and not preset.as_points}
+        if not has[violation.needs]:
+            raise ValueError(f"violate: expected a preset with {violation.needs} for {name}, found {preset.name}")
+        if name in sizes:
+            raise ValueError(f"violate: expected every name once, found {name} twice")
+        sizes[name] = size
+        active.append((size, violation.changes))
+    return Violations(tuple(active), sizes)
+
+
+# Placement: where beams really point, and what a laboratory misstates.
+
+
+def _head_tilt(direction: FloatArray, size: float, spec: ChannelSpec, _: Preset) -> FloatArray:
+    """Turn all beams of the head as one, about an axis across the usual beams."""
+    if spec.quantity != "velocity":
+        return direction
+    turned = direction + np.cross(size * np.array([0.8, -0.6, 0.0]), direction)
+    return np.asarray(turned / np.linalg.norm(turned))
+
+
+def _scanner_fan(direction: FloatArray, size: float, spec: ChannelSpec, preset: Preset) -> FloatArray:
+    """Let beams stated as parallel leave one mirror at a distance, above the middle of their points."""
+    if spec.quantity != "velocity":
+        return direction
+    nominal, point = np.array(spec.direction), np.array(spec.point)
+    own = [
+        np.array(other.point)
+        for daq in preset.daqs
+        for other in daq.channels
+        if other.quantity == "velocity" and other.direction == spec.direction
+    ]
+    off = point - np.mean(own, axis=0)
+    fanned = direction + (off - nominal * (off @ nominal)) / size  # the reading is positive away from the mirror
+    return np.asarray(fanned / np.linalg.norm(fanned))
+
+
+def _misstated(way: FloatArray | float, *names: str) -> Callable[..., FloatArray]:
+    """Return the change of the errors drawn by these names, by so many standard uncertainties along `way`."""
+
+    def change(value: FloatArray, size: float, drawn: str, uncertainty: float | FloatArray) -> FloatArray:
+        return np.asarray(value + size * uncertainty * way) if drawn in names else value
+
+    return change
+
+
+# Motion: what moves besides what the program believes, and what only some instruments see.
+
+
+def _transverse(acceleration: ComplexArray, size: float) -> ComplexArray:
+    """Add motion across the axis that moves most, a share of its amplitude."""
+    main = int(np.argmax(np.abs(acceleration[0, :3])))
+    changed = acceleration.copy()
+    for across, share, phase in zip([(main + 1) % 3, (main + 2) % 3], (0.8, 0.6), (0.3, 0.5), strict=True):
+        changed[:, across] += size * share * acceleration[:, main] * np.exp(1j * phase)
+    return changed
+
+
+def _shaken(*instruments: str) -> Callable[..., Motion]:
+    """Return the change of the motion that instruments see which move themselves, along the driven axis and across."""
+
+    def change(motion: Motion, size: float, world: World, _: str, instrument: str, __: FloatArray) -> Motion:
+        if instrument not in instruments:
+            return motion
+        drive = world.motion["load"].acceleration
+        main = int(np.argmax(np.abs(drive[0, :3])))
+        own = np.zeros_like(drive)
+        own[:, main] = size * drive[:, main] * np.exp(0.7j)
+        own[:, (main + 1) % 3] = 0.5 * own[:, main]
+        return Motion(motion.frequency_hz, motion.acceleration - own)
+
+    return change
+
+
+def _height(preset: Preset) -> float:
+    """Return the height (m) of the load's highest face or point above the sensor origin."""
+    faces = [setup.face_centre[2] for setup in preset.stereo if setup.body == "load"]
+    points = [spec.point[2] for daq in preset.daqs for spec in daq.channels if spec.body == "load"]
+    return max([*faces, *points])
+
+
+def _loaded(world: World, more: ComplexArray) -> World:
+    """Return a world in which the sensor carries `more` (K, 6), a wrench that moves the load."""
+    total = world.load_wrench + (1.0 if world.preset.sense == "on_load" else -1.0) * more
+    return replace(world, load_wrench=total, outputs=np.einsum("kcj,kj->kc", world.sensitivity, total))
+
+
+def _load_mass(preset: Preset) -> float:
+    return preset.load.mass + sum(part.mass for part in preset.parts)
+
+
+def _axial_angle(frequency_hz: FloatArray, size: float) -> FloatArray:
+    """Return k·L = (π/2)·f/f₁ of a uniform rod that is driven at one end."""
+    return np.asarray(0.5 * np.pi * frequency_hz / size)
+
+
+def _axial_seen(motion: Motion, size: float, world: World, body: str, _: str, point: FloatArray) -> Motion:
+    """Show the rod's own motion at a height h: cos(k(L − h))/cos(kL) times that of its lower end."""
+    if body != "load":
+        return motion
+    angle, share = _axial_angle(motion.frequency_hz, size), float(np.clip(point[2] / _height(world.preset), 0.0, 1.0))
+    seen = motion.acceleration.copy()
+    seen[:, 2] *= np.cos(angle * (1.0 - share)) / np.cos(angle)
+    return Motion(motion.frequency_hz, seen)
+
+
+def _axial_load(world: World, size: float) -> World:
+    """Load the sensor with the force at a rod's lower end: m·a·tan(kL)/(kL)."""
+    motion, more = world.motion["load"], np.zeros_like(world.load_wrench)
+    angle = _axial_angle(motion.frequency_hz, size)
+    more[:, 2] = _load_mass(world.preset) * motion.acceleration[:, 2] * (np.tan(angle) / angle - 1.0)
+    return _loaded(world, more)
+
+
+def _bending(motion: Motion, size: float, world: World) -> ComplexArray:
+    """Return the motion (K, 2) of the tip along x and y in the first bending mode, undamped.
+
+    Shape of a cantilever, φ(s) = s²(3 − s)/2 over s = h/L, participation ∫φ/∫φ² = (3/8)/(33/140); it is driven by the
+    transverse motion at half the height.
+    """
+    frequency_hz, a = motion.frequency_hz, motion.acceleration
+    ratio = (frequency_hz / size) ** 2
+    half = 0.5 * _height(world.preset)
+    driving = np.stack([a[:, 0] + half * a[:, 4], a[:, 1] - half * a[:, 3]], axis=1)
+    return np.asarray((3 / 8) / (33 / 140) * (ratio / (1.0 - ratio))[:, None] * driving)
+
+
+def _bending_seen(motion: Motion, size: float, world: World, body: str, _: str, point: FloatArray) -> Motion:
+    """Show what the mode adds at a height: φ(s) of the tip's motion, and the turn φ'(s)/L."""
+    if body != "load":
+        return motion
+    tip, height = _bending(motion, size, world), _height(world.preset)
+    s = float(np.clip(point[2] / height, 0.0, 1.0))
+    shift, turn = s * s * (3.0 - s) / 2.0, (3.0 * s - 1.5 * s * s) / height
+    seen = motion.acceleration.copy()
+    seen[:, :2] += shift * tip - turn * point[2] * tip  # of the origin, which turns with the point
+    seen[:, 3] -= turn * tip[:, 1]
+    seen[:, 4] += turn * tip[:, 0]
+    return Motion(motion.frequency_hz, seen)
+
+
+def _bending_load(world: World, size: float) -> World:
+    """Load the sensor with the mode's force m·∫φ and moment m·L·∫sφ at the origin."""
+    tip = _load_mass(world.preset) * _bending(world.motion["load"], size, world)
+    force, moment, more = 3 / 8 * tip, 11 / 40 * _height(world.preset) * tip, np.zeros_like(world.load_wrench)
+    more[:, :2], more[:, 3], more[:, 4] = force, -moment[:, 1], moment[:, 0]
+    return _loaded(world, more)
+
+
+def _cable(world: World, size: float) -> World:
+    """Hold the load's top by a spring to the room: the sensor must pull it along, k·x with its moment."""
+    motion, clamp = world.motion["load"], np.array([0.03, 0.0, _height(world.preset)])
+    moved = motion.displacement[:, :3] + np.cross(motion.displacement[:, 3:], clamp)
+    pull = size * np.array([0.3, 0.3, 1.0]) * moved
+    return _loaded(world, np.concatenate([pull, np.cross(clamp, pull)], axis=1))
+
+
+def _warm(world: World, size: float) -> World:
+    """Let the outputs grow with the sensor's temperature; the sensitivity sought is that at the reference."""
+    return replace(world, outputs=world.outputs * (1.0 + COEFFICIENT_PER_K * size))
+
+
+def _trigger_jitter(world: World, size: float) -> World:
+    """Shift edges and exposures periodically, at twice the first line, which folds onto the line itself."""
+    frequency_hz, edges = 2.0 * float(world.preset.frequencies_hz[0]), world.trigger_s
+    return replace(world, trigger_s=edges + size * np.sin(2 * np.pi * frequency_hz * edges + 0.4))
+
+
+# Records: what recorders do to channels, and what people do.
+
+
+def _channels(preset: Preset, quantity: str) -> list[tuple[str, str]]:
+    """Return file and name of all channels of a quantity, in their order."""
+    return [(daq.file, spec.name) for daq in preset.daqs for spec in daq.channels if spec.quantity == quantity]
+
+
+def _put(records: Records, changed: Mapping[tuple[str, str], FloatArray]) -> Records:
+    """Return records with some channels' samples replaced."""
+    new = {file: dict(record.samples) for file, record in records.items()}
+    for (file, name), samples in changed.items():
+        new[file][name] = np.asarray(samples, dtype=np.float32)
+    return {file: replace(record, samples=new[file]) for file, record in records.items()}
+
+
+def _samples(records: Records, place: tuple[str, str]) -> FloatArray:
+    return np.asarray(records[place[0]].samples[place[1]], dtype=np.float64)
+
+
+def _nonlinear(records: Records, size: float, world: World) -> Records:
+    """Compress the sensor's outputs by v³: `size` is the deviation at the largest value of each record."""
+    changed = {}
+    for place in _channels(world.preset, "output"):
+        values = _samples(records, place)
+        changed[place] = values * (1.0 - size * (values / np.abs(values).max()) ** 2)
+    return _put(records, changed)
+
+
+def _folded(records: Records, size: float, world: World) -> Records:
+    """Add to the sensor's outputs what a harmonic beyond the Nyquist frequency leaves 0.3 bins from the first line."""
+    changed = {}
+    for place in _channels(world.preset, "output"):
+        values, record = _samples(records, place), records[place[0]]
+        time = np.arange(len(values)) / record.sample_rate_hz
+        line = float(world.preset.frequencies_hz[0]) + 0.3 / float(time[-1])
+        amplitude = size * np.sqrt(2.0) * values.std()
+        changed[place] = values + amplitude * np.cos(2 * np.pi * line * time + 1.1)
+    return _put(records, changed)
+
+
+def _reversed(quantity: str) -> Callable[..., Records]:
+    """Return the change that reverses the first `size` channels of a quantity, of outputs the driven one first."""
+
+    def change(records: Records, size: float, world: World) -> Records:
+        places = _ordered(world, quantity)[: round(size)]
+        return _put(records, {place: -_samples(records, place) for place in places})
+
+    return change
+
+
+def _exchanged(quantity: str) -> Callable[..., Records]:
+    """Return the change that exchanges `size` pairs of channels of a quantity, of outputs the driven one first."""
+
+    def change(records: Records, size: float, world: World) -> Records:
+        places = _ordered(world, quantity)
+        pairs = list(zip(places[::2], places[1::2], strict=False))[: round(size)]
+        both = [*pairs, *((second, first) for first, second in pairs)]
+        return _put(records, {place: _samples(records, other) for place, other in both})
+
+    return change
+
+
+def _ordered(world: World, quantity: str) -> list[tuple[str, str]]:
+    """Return the channels of a quantity; outputs by what share of their rating they hold, the largest first."""
+    places = _channels(world.preset, quantity)
+    if quantity != "output":
+        return places
+    rated = np.array(world.preset.sensitivity) * np.array(world.preset.capacity)
+    share = np.abs(world.outputs[0]) / rated
+    return [places[i] for i in np.argsort(-share)]
+
+
+def _unit(records: Records, size: float, world: World) -> Records:
+    """Record accelerations in a unit of `size` m/s² that the manifest takes for 1 m/s²."""
+    return _put(records, {place: _samples(records, place) / size for place in _channels(world.preset, "acceleration")})
+
+
+# Cameras: frames, pictures, and points that another program took from them.
+
+
+def _first_pair(setup: StereoSetup) -> bool:
+    return setup.body == "load"
+
+
+def _frames_lost(kept: NDArray[np.int64], size: float, setup: StereoSetup) -> NDArray[np.int64]:
+    """Lose frames in the middle of the load's pair; what follows is numbered as if nothing had happened."""
+    lost = np.arange(round(size), dtype=np.int64) + len(kept) // 2
+    return kept[~np.isin(kept, lost)] if _first_pair(setup) else kept
+
+
+def _drifting_points(position: FloatArray, size: float, setup: StereoSetup) -> FloatArray:
+    """Move points as the left camera's image drifts by `size` px over the record: a ray that turns meets the other.
+
+    With the angle θ between the cameras the meeting point moves by s across the ray and by s·cot θ along it.
+    """
+    if not _first_pair(setup):
+        return position
+    s = size * setup.pixel_m * np.linspace(0.0, 1.0, len(position))[:, None]
+    return np.asarray(position + (s * np.array([1.0, 0.0, 1.0 / np.tan(np.deg2rad(setup.stereo_deg))]))[:, None, :])
+
+
+def _drifting_image(image: FloatArray, size: float, series: str, _: float, share: float) -> FloatArray:
+    if not series.endswith("left") or not series.startswith("top"):
+        return image
+    return np.asarray(ndimage.shift(image, (0.0, size * share), order=5, mode="nearest"))
+
+
+def _flicker(image: FloatArray, size: float, _: str, middle_s: float, __: float) -> FloatArray:
+    """Let lamps on the mains brighten and darken the picture."""
+    return np.asarray(image * (1.0 + size * np.cos(2 * np.pi * FLICKER_HZ * middle_s)) / (1.0 + size))
+
+
+def _repeating(face: Face, size: float) -> Face:
+    """Print the foil from one tile of so many metres, side by side."""
+    texture, count = face.texture, max(4, round(size / face.texture.step_m))
+    rows, columns = (np.arange(n) % min(count, n) for n in texture.coefficients.shape)
+    tiled = np.ascontiguousarray(texture.coefficients[np.ix_(rows, columns)])
+    return replace(face, texture=replace(texture, coefficients=tiled))
+
+
+def _bit_depth(tables: dict[str, Any], size: float) -> dict[str, Any]:
+    """State so many more bits than the pictures have."""
+    pairs = {name: keys | {"bit_depth": keys["bit_depth"] + round(size)} for name, keys in tables["stereo"].items()}
+    return tables | {"stereo": pairs}
+
+
+_LASERS = ("velocity", "laser", "vibrometer", "beam")
+_CAMERAS = ("stereo", "camera", "points")
+_FIRST_LASER = ("velocity_1", "velocity_1x")  # as the presets call it
+_ACROSS = np.array([0.8, -0.6, 0.0])
+
+CATALOGUE: dict[str, Violation] = {
+    "head-tilt": Violation(
+        "rad",
+        5e-3,
+        "all beams of one laser head point elsewhere by the same angle and mix transverse motion into every reading",
+        (*_LASERS, "head"),
+        {"direction": _head_tilt},
+    ),
+    "scanner-fan": Violation(
+        "m",
+        0.5,
+        "beams that are stated parallel leave one mirror at this distance, so that each sees the cosine of its angle",
+        (*_LASERS, "head", "mirror"),
+        {"direction": _scanner_fan},
+    ),
+    "camera-shake": Violation(
+        "1",
+        5e-3,
+        "all cameras stand on what the shaker shakes and move coherently by this share of the driven motion",
+        (*_CAMERAS, "shake", "floor"),
+        {"seen": _shaken("camera")},
+        "cameras",
+        assumption=("lasers and cameras share",),
+    ),
+    "laser-shake": Violation(
+        "1",
+        5e-3,
+        "the laser head moves coherently by this share of the driven motion, and every beam loses it",
+        (*_LASERS, "head", "floor"),
+        {"seen": _shaken("velocity")},
+        assumption=("lasers and cameras share",),
+    ),
+    "floor-shake": Violation(
+        "1",
+        5e-3,
+        "cameras and laser head stand on one floor that moves coherently by this share of the driven motion",
+        ("floor", "share", "optical", *_LASERS, *_CAMERAS),
+        {"seen": _shaken("velocity", "camera")},
+        assumption=("lasers and cameras share",),
+    ),
+    "elastic-axial": Violation(
+        "Hz",
+        8400.0,
+        "the load is a rod with this first axial natural frequency (steel, 15 cm): its top moves more than its foot",
+        ("elastic", "rigid", "natural frequency", "joint"),
+        {"seen": _axial_seen, "world": _axial_load},
+        assumption=("rigid",),
+    ),
+    "elastic-bending": Violation(
+        "Hz",
+        3000.0,
+        "the load bends with this first natural frequency: its top shifts and turns more than its foot",
+        ("elastic", "rigid", "natural frequency", "joint", "bending"),
+        {"seen": _bending_seen, "world": _bending_load},
+        assumption=("rigid",),
+    ),
+    "cable": Violation(
+        "N/m",
+        5e3,
+        "cables and hoses tie the top of the load to the room with this stiffness, a force that no mass explains",
+        ("cable", "parallel", "stiffness"),
+        {"world": _cable},
+        assumption=("cable",),
+    ),
+    "transverse-motion": Violation(
+        "1",
+        0.1,
+        "the shaker moves across its axis by this share of the driven motion",
+        ("transverse", "unobserved", "not observed", "other load"),
+        {"motion": _transverse},
+        assumption=("nothing measures",),
+    ),
+    "warm-sensor": Violation(
+        "K",
+        5.0,
+        f"the sensor is warmer than its reference temperature, with an unstated coefficient of {COEFFICIENT_PER_K:g}/K",
+        ("temperature",),
+        {"world": _warm},
+        assumption=("temperature",),
+    ),
+    "converter-nonlinearity": Violation(
+        "1",
+        5e-3,
+        "the converter of the sensor's outputs compresses them by this share at their largest value",
+        ("linear", "harmonic of", "converter"),
+        {"records": _nonlinear},
+    ),
+    "folded-harmonic": Violation(
+        "1",
+        5e-3,
+        "without an anti-aliasing filter a harmonic of this share of each output folds to 0.3 bins from the line",
+        ("alias", "fold", "beside the line", "drift", "stationar"),
+        {"records": _folded},
+    ),
+    "trigger-jitter": Violation(
+        "s",
+        2e-5,
+        "trigger edges and exposures come early and late with this amplitude at twice the driven frequency",
+        ("trigger", "edge", "jitter", *_CAMERAS),
+        {"world": _trigger_jitter},
+        "cameras",
+    ),
+    "lens-drift": Violation(
+        "px",
+        0.3,
+        "the lens of one camera creeps while it warms up and shifts its image by so much over the record",
+        (*_CAMERAS, "epipolar", "drift", "top"),
+        {"points": _drifting_points, "image": _drifting_image},
+        "cameras",
+    ),
+    "frames-lost": Violation(
+        "frames",
+        3.0,
+        "frames in the middle of one pair are lost and those after them renumbered, so that they get too early a time",
+        ("frame", "edge", *_CAMERAS, "top"),
+        {"frames": _frames_lost},
+        "cameras",
+    ),
+    "lamp-flicker": Violation(
+        "1",
+        0.05,
+        f"lamps on the mains flicker at {FLICKER_HZ:g} Hz by this share of their light",
+        ("light", "bright", "lamp", "flicker", *_CAMERAS),
+        {"image": _flicker},
+        "images",
+    ),
+    "foil-repeats": Violation(
+        "m",
+        8e-3,
+        "the speckle foil is printed from one tile of this size, so that a subset finds its like elsewhere",
+        ("repeat", "period", "speckle", "match", *_CAMERAS),
+        {"face": _repeating},
+        "images",
+    ),
+    "bit-depth": Violation(
+        "bits",
+        2.0,
+        "so many more bits are stated than the pictures have",
+        ("bit", "bright", "dark", "grey"),
+        {"rig": _bit_depth},
+        "images",
+    ),
+    "mass": Violation(
+        "u",
+        5.0,
+        "the load's mass is off by so many of its stated standard uncertainties",
+        ("mass",),
+        {"error": _misstated(1.0, "load.mass")},
+    ),
+    "inertia": Violation(
+        "u",
+        5.0,
+        "the load's moments of inertia are off by so many of their stated standard uncertainties",
+        ("inertia",),
+        {"error": _misstated(np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), "load.inertia")},
+    ),
+    "point": Violation(
+        "u",
+        5.0,
+        "one laser point lies elsewhere by so many of its stated standard uncertainties",
+        ("velocity_1", *_LASERS),
+        {"error": _misstated(_ACROSS, *(f"{name}.point" for name in _FIRST_LASER))},
+    ),
+    "direction": Violation(
+        "u",
+        5.0,
+        "one laser beam points elsewhere by so many of its stated standard uncertainties",
+        ("velocity_1", *_LASERS),
+        {"error": _misstated(_ACROSS, *(f"{name}.direction" for name in _FIRST_LASER))},
+    ),
+    "laser-reversed": Violation(
+        "channels",
+        1.0,
+        "so many laser channels have the wrong sign",
+        ("velocity_1", "velocity_2", *_LASERS),
+        {"records": _reversed("velocity")},
+    ),
+    "output-reversed": Violation(
+        "channels",
+        1.0,
+        "so many outputs of the sensor have the wrong sign, the one that answers most first",
+        ("sign", "revers", "static sensitivity", "Fz"),
+        {"records": _reversed("output")},
+    ),
+    "lasers-exchanged": Violation(
+        "pairs",
+        1.0,
+        "two laser points are stored under each other's name",
+        ("velocity_1", "velocity_2", *_LASERS),
+        {"records": _exchanged("velocity")},
+    ),
+    "outputs-exchanged": Violation(
+        "pairs",
+        1.0,
+        "two outputs of the sensor are stored under each other's name, the one that answers most first",
+        ("exchang", "static sensitivity", "output", "swap"),
+        {"records": _exchanged("output")},
+    ),
+    "unit-mistaken": Violation(
+        "m/s2",
+        GRAVITY_UNIT,
+        "accelerometers are recorded in a unit of this size (g) and stated in m/s²",
+        ("acceleration", "accelerometer", "unit"),
+        {"records": _unit},
+    ),
+}
+"""What can be violated, by name."""

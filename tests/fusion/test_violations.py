@@ -1,0 +1,225 @@
+"""Simulations that break what the program assumes: the physics by hand, and what a violation leaves as it was."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import h5py
+import numpy as np
+import pytest
+import tifffile
+from contracts import refused as raises
+from support import DOCS, Refused, state, truth_of
+
+from fusion.simulate import simulate
+from fusion.simulate.preset import Preset, read_preset
+from fusion.simulate.sines import recorded_phasors, runs
+from fusion.simulate.violations import CATALOGUE, GRAVITY_UNIT, violations
+from fusion.simulate.world import Draws, World, make_world
+
+IMAGES = {name for name, violation in CATALOGUE.items() if violation.needs == "images"}
+
+
+def _world(*names: str, frequency_hz: float = 1000.0) -> tuple[World, Draws]:
+    """The rig of the sweep without errors, driven along z and a tenth along x."""
+    motion = ((6.0, 1e-6, 60.0, 0.0, 0.0, 0.0),)
+    preset = replace(read_preset(Preset, "sweep"), fundamental_hz=frequency_hz, multiples=(1,), acceleration=motion)
+    draws = Draws(1, False, broken=violations(names, preset))
+    return make_world(preset, draws, 0.0), draws
+
+
+def _readings(quantity: str, *names: str, frequency_hz: float = 1000.0) -> np.ndarray:
+    """Phasors of all channels of a quantity over those of the same rig without violations."""
+    both = []
+    for broken in (names, ()):
+        world, draws = _world(*broken, frequency_hz=frequency_hz)
+        specs = [(daq, spec) for daq in world.preset.daqs for spec in daq.channels if spec.quantity == quantity]
+        both.append(np.array([recorded_phasors(world, daq, spec, draws)[0] for daq, spec in specs]))
+    return np.asarray(both[0] / both[1])
+
+
+@pytest.mark.parametrize(("first_hz", "deviation"), [(25250.0, -0.0006), (12625.0, -0.0025), (8417.0, -0.0057)])
+def test_a_steel_rod_pulls_less_than_its_top_says(first_hz: float, deviation: float) -> None:
+    """Rods of 5, 10, 15 cm (c = 5050 m/s, f = c/4L) at 1 kHz: F/(m·a of the top) − 1 = −0.06, −0.25, −0.57 %."""
+    (plain, _), (rod, draws) = _world(), _world(f"elastic-axial={first_hz}")
+    top = rod.seen(draws, "load", "velocity", np.array([0.0, 0.0, 0.0973])).acceleration[0, 2]
+    foot = rod.seen(draws, "load", "velocity", np.zeros(3)).acceleration[0, 2]
+    stiff, more = plain.load_wrench[0, 2].real, (rod.load_wrench - plain.load_wrench)[0, 2].real
+    mass = rod.preset.load.mass  # what sits inside the sensor is no part of the rod
+    assert (mass * 60.0 + more) / (mass * top.real) - 1.0 == pytest.approx(deviation, abs=2e-4)
+    assert foot == pytest.approx(60.0)
+    assert stiff == pytest.approx((mass + rod.preset.internal.mass) * 60.0)
+
+
+def test_a_load_bends_far_below_its_resonance_as_a_cantilever_under_its_own_weight() -> None:
+    """m·a·L³/(8·E·I) with ω₁² = 12.362·E·I/(m·L³): the tip moves by 1.545·a/ω₁², its slope is 4/(3·L) of that."""
+    world, draws = _world("elastic-bending=3000", frequency_hz=30.0)
+    tip = world.seen(draws, "load", "camera", np.array([0.0, 0.0, 0.0973])).acceleration[0]
+    ratio = (30.0 / 3000.0) ** 2
+    assert tip[4] * 0.0973 / (6.0 * ratio) == pytest.approx(1.545 * 4.0 / 3.0, rel=0.2)
+    assert (tip[0] + tip[4] * 0.0973) / 6.0 - 1.0 == pytest.approx(1.545 * ratio, rel=0.05)
+    np.testing.assert_allclose(tip[[2, 5]], [60.0, 0.0])
+
+
+def test_a_cable_is_a_spring_to_the_room() -> None:
+    (plain, _), (held, _) = _world(frequency_hz=53.7), _world("cable=1000", frequency_hz=53.7)
+    more = (held.load_wrench - plain.load_wrench)[0]
+    displacement = -60.0 / (2.0 * np.pi * 53.7) ** 2
+    assert more[2] == pytest.approx(1000.0 * displacement)
+    assert more[4] == pytest.approx(0.0973 * 300.0 * displacement / 10.0 - 0.03 * more[2])  # r × F of the clamp
+    np.testing.assert_allclose(held.outputs[0], np.einsum("cj,j->c", held.sensitivity[0], held.load_wrench[0]))
+
+
+def test_beams_of_one_mirror_lose_the_cosine_of_their_angle() -> None:
+    """48 mm off the axis at 0.5 m: cos(atan(0.096)) of the axial motion, and its sine of the transverse one."""
+    found = _readings("velocity", "scanner-fan=0.5")
+    angle = np.arctan(0.048 / 0.5)
+    x = np.array([0.0, 0.0, 0.0, 0.0, 1.0, -1.0, -1.0, 1.0]) / np.sqrt(2.0)
+    expected = np.cos(angle) + 0.1 * np.sin(angle) * x
+    np.testing.assert_allclose(found[4:], expected[4:], atol=2e-5)
+
+
+def test_a_tilted_head_mixes_transverse_motion_into_every_beam_alike() -> None:
+    found = _readings("velocity", "head-tilt=0.005")
+    np.testing.assert_allclose(found, 1.0 - 0.6 * 0.005 * 0.1 - 0.005**2 / 2.0, atol=1e-7)
+    np.testing.assert_array_equal(_readings("acceleration", "head-tilt"), 1.0)
+
+
+@pytest.mark.parametrize(("name", "kinds"), [("camera", ["camera"]), ("laser", ["velocity"])])
+def test_what_shakes_loses_its_own_motion_and_nothing_else_does(name: str, kinds: list[str]) -> None:
+    world, draws = _world(f"{name}-shake=0.01")
+    for kind in ("camera", "velocity", "acceleration"):
+        seen = world.seen(draws, "base", kind, np.zeros(3)).acceleration - world.motion["base"].acceleration
+        expected = -0.6 * np.exp(0.7j) if kind in kinds else 0.0
+        assert seen[0, 2] == pytest.approx(expected)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Return a function that writes one short recording with some violations, once."""
+    made: dict[Sequence[str], Path] = {}
+
+    def write(preset: str, *names: str) -> Path:
+        key = (preset, *names)
+        if key not in made:
+            switches = {"demo": {"frames": 8, "image_scale": 0.3}}.get(preset, {"recordings": 1, "frames": 12})
+            folder = tmp_path_factory.mktemp("violated") / "campaign"
+            made[key] = simulate(folder, preset, 3, **switches, violate=names)
+        return made[key]
+
+    return write
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+def test_a_violation_changes_something_and_says_so(name: str, written: Callable[..., Path]) -> None:
+    preset = "demo" if name in IMAGES or CATALOGUE[name].needs == "cameras" else "matrix"
+    plain, broken = written(preset), written(preset, name)
+    assert truth_of(broken)["violated"] == {name: CATALOGUE[name].size}
+    assert "violated" not in truth_of(plain)
+    one, other = state(plain.parent), state(broken.parent)
+    changed = {file for file in one if one[file] != other.get(file)}
+    assert {file for file in changed if not file.endswith("truth.json")}
+
+
+def test_what_people_mistake_changes_those_channels_only(written: Callable[..., Path]) -> None:
+    """The same errors and the same noise: a channel reversed is the channel reversed."""
+    names = ("laser-reversed=2", "outputs-exchanged", "unit-mistaken")
+    with (
+        h5py.File(written("matrix") / "channels.h5") as plain,
+        h5py.File(written("matrix", *names) / "channels.h5") as b,
+    ):
+        for name in plain:
+            one, other = np.asarray(plain[name], dtype=np.float64), np.asarray(b[name], dtype=np.float64)
+            if name in ("velocity_1x", "velocity_1y"):
+                np.testing.assert_array_equal(other, -one)
+            elif name.startswith("acceleration"):
+                np.testing.assert_allclose(other * GRAVITY_UNIT, one, rtol=1e-6)
+            elif name.startswith("velocity"):
+                np.testing.assert_array_equal(other, one)
+        moved = [name for name in plain if name[0] in "FM" and not np.array_equal(plain[name], b[name])]
+        assert len(moved) == 2
+        np.testing.assert_array_equal(plain[moved[0]], b[moved[1]])
+
+
+def test_what_is_misstated_is_off_by_as_many_uncertainties_and_nothing_else_is(written: Callable[..., Path]) -> None:
+    plain, broken = (truth_of(written("matrix", *names))["drawn"] for names in ((), ("mass=5",)))
+    assert broken.pop("load.mass")[0] - plain.pop("load.mass")[0] == pytest.approx(5 * 0.0005)
+    assert broken == plain
+
+
+def test_lost_frames_are_renumbered(written: Callable[..., Path]) -> None:
+    plain, broken = written("demo"), written("demo", "frames-lost=1")
+    pictures = [sorted((folder / "top-left").iterdir()) for folder in (plain, broken)]
+    assert [file.name for file in pictures[1]] == [f"{number:04d}.tif" for number in range(7)]
+    same = [
+        np.array_equal(tifffile.imread(pictures[0][i]), tifffile.imread(pictures[1][j])) for i, j in ((3, 3), (5, 4))
+    ]
+    assert same == [True, True]
+    assert len(list((broken / "base-left").iterdir())) == 8
+
+
+def test_a_wrong_violation_is_refused_in_one_sentence(tmp_path: Path, refused: Refused) -> None:
+    for preset, text, said in (
+        ("sweep", "nonsense", "--violate: expected one of head-tilt, "),
+        ("sweep", "mass=-1", "--violate: expected a number above 0 of unit u for mass, found -1"),
+        ("sweep", "mass=five", "--violate: expected a number above 0 of unit u for mass, found five"),
+        ("sweep", "lamp-flicker", "--violate: expected a preset with images for lamp-flicker, found sweep"),
+        ("matrix", "camera-shake", "--violate: expected a preset with cameras for camera-shake, found matrix"),
+        ("steps", "mass", "--violate: expected nothing to switch in steps, found a value"),
+    ):
+        assert said in refused("simulate", str(tmp_path / "new"), "--preset", preset, "--violate", text)
+    assert not any(tmp_path.iterdir())
+
+
+def test_every_name_is_refused_twice_and_runs_of_all_presets_take_them() -> None:
+    preset = runs("sweep")[0].preset
+    raises("expected every name once, found mass twice", violations, ("mass", "mass=2"), preset)
+    assert violations(("mass", "cable=10"), preset).sizes == {"mass": 5.0, "cable": 10.0}
+
+
+def test_the_document_lists_every_violation_and_its_verdict() -> None:
+    text = (DOCS / "assumptions.md").read_text(encoding="utf-8")
+    for name, violation in CATALOGUE.items():
+        assert f"| `{name}` | {violation.size:g} {violation.unit} |" in text
+        assert any(f"`{name}={violation.size:g}`" in row for row in _verdicts())
+
+
+def _verdicts() -> dict[str, str]:
+    """Verdict of every row of the document's table, by what was violated and on which rig."""
+    text = (DOCS / "assumptions.md").read_text(encoding="utf-8")
+    table = text.partition("<!-- violations -->")[2].partition("<!-- end of violations -->")[0]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()[3:]]
+    return {f"{row[0]} on {row[1]}": row[-1] for row in rows}
+
+
+@pytest.fixture
+def benchmark(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(DOCS.parent / "benchmarks"))
+    return importlib.import_module("violations")
+
+
+def test_a_laser_of_the_wrong_sign_is_named(benchmark: ModuleType) -> None:
+    (row,) = benchmark.rows(1, [("full", ("laser-reversed",))])
+    assert (row.noticed, row.verdict) == (1.0, "noticed")
+    assert "velocity_1" in row.suspects
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("rig", "name"),
+    [
+        ("full", "laser-reversed"),
+        ("full", "lasers-exchanged"),
+        ("full", "inertia"),
+        ("full", "frames-lost"),
+    ],
+)
+def test_the_verdicts_of_the_document_stand(rig: str, name: str, benchmark: ModuleType) -> None:
+    """Ten draws of what is noticed always, or moves nothing."""
+    (row,) = benchmark.rows(10, [(rig, (name,))])
+    violated = f"`{name}={CATALOGUE[name].size:g}` {CATALOGUE[name].unit}"
+    assert row.verdict == _verdicts()[f"{violated} on {rig}"]
