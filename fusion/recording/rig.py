@@ -259,6 +259,7 @@ class Load(Mounted):
     `elastic_frequency`: at which the load resonates on its joint with the lower side held, Hz, component by component;
     without an uncertainty it is only named: nothing is corrected, and the whole effect is uncertain. `elastic`: what
     bends of the load itself; `first_frequency`: at which it first resonates with its foot held, where no more is known.
+    `cable_stiffness`: of what ties the load to the room, N/m along each axis.
     """
 
     inertia: Inertia
@@ -271,6 +272,8 @@ class Load(Mounted):
     ] = None
     elastic_frequency_uncertainty: Annotated[Vector6, BeforeValidator(spread(6))] = ZERO6
     elastic_damping: NotNegative = 0.0
+    cable_stiffness: Annotated[Vector3 | None, BeforeValidator(spread(3))] = None
+    cable_stiffness_uncertainty: Spread3 = ZERO3
 
     @property
     def not_rigid(self) -> str:
@@ -282,6 +285,10 @@ class Load(Mounted):
     @model_validator(mode="after")
     def _elastic_parts_have_different_names(self) -> Self:
         refuse_repeated([part.name for part in self.elastic], "elastic parts", "elastic")
+        if self.cable_stiffness is None and any(self.cable_stiffness_uncertainty):
+            raise refusal(
+                "the stiffness that this uncertainty belongs to (0 if need be)", "nothing", key="cable_stiffness"
+            )
         if self.elastic and self.first_frequency is not None:
             expected = "either the modes of [[load.elastic]] or a first frequency that bounds them"
             raise refusal(expected, "both", key="first_frequency")

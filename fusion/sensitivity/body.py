@@ -189,7 +189,8 @@ class Body:
     `gravity_mps2` (3,) in sensor axes, None where it is not known, with its standard uncertainty. `sense`: whether
     wrenches are positive as they act on the load or on the sensor. `elastic`: what bends of the load; accelerations are
     then those of its foot. `first_frequency_hz` (6,): at which the load first resonates with its foot held, of which
-    nothing else is known, so that nothing is corrected for it.
+    nothing else is known, so that nothing is corrected for it. `cable_npm` (3,) with `u_cable_npm`: stiffness of cables
+    between the load and the room, which carry k·x = -k·a/ω² of the force along each axis.
     """
 
     parts: tuple[Part, ...]
@@ -199,6 +200,8 @@ class Body:
     sense: Literal["on_load", "on_sensor"] = "on_load"
     elastic: tuple[ElasticPart, ...] = ()
     first_frequency_hz: FloatArray | None = None
+    cable_npm: ArrayLike = (0.0, 0.0, 0.0)
+    u_cable_npm: ArrayLike = (0.0, 0.0, 0.0)
 
     @property
     def rigid(self) -> Body:
@@ -218,7 +221,14 @@ class Body:
     def load_matrix(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return (K, 6, 6): wrench = matrix · acceleration of the load; parts below its joint follow it."""
         rigid = np.sum([self._carried(frequency_hz, part, part.terms) for part in self.parts], axis=0)
+        rigid = rigid + self._tied(frequency_hz, self.cable_npm)
         return np.asarray(rigid + sum(part.act(partial(self._wrench, frequency_hz)) for part in self.elastic))
+
+    def _tied(self, frequency_hz: FloatArray, stiffness_npm: ArrayLike) -> ComplexArray:
+        """Load matrix (K, 6, 6) of cables to the room, at the sensor origin."""
+        sign = -1.0 if self.sense == "on_load" else 1.0
+        stiffness = np.diag(np.concatenate([np.asarray(stiffness_npm, dtype=np.complex128), np.zeros(3)]))
+        return np.asarray(sign * stiffness / (2.0 * np.pi * frequency_hz[:, None, None]) ** 2)
 
     def _wrench(self, frequency_hz: FloatArray, modes: Modes) -> ComplexArray:
         """Load matrix (K, 6, 6) of modes of what bends, whose weight turns as that of the rigid body."""
@@ -233,14 +243,14 @@ class Body:
         return matrix * self.joint.follow(frequency_hz)[:, None, :]
 
     def matrix_changes(self, frequency_hz: FloatArray) -> tuple[Unknown[ComplexArray], ...]:
-        """Return what every uncertain number does to the load matrix (K, 6, 6): of parts, joint, modes and gravity."""
+        """Return what every uncertain number does to the load matrix (K, 6, 6): of parts, joint, modes, cables, gravity."""
         changes: list[Unknown[ComplexArray]] = []
         for part in self.parts:
             changes += _parameters(part, partial(self._carried, frequency_hz, part))
         below = tuple(part for part in self.parts if part.below_joint)
         if self.joint is not None and below:
             # The joint holds until it is screwed together anew: one unknown per component.
-            lower = replace(self, parts=below, joint=None).load_matrix(frequency_hz)
+            lower = replace(self, parts=below, joint=None, cable_npm=np.zeros(3)).load_matrix(frequency_hz)
             by_joint = self.joint.change(frequency_hz)
             for place, axis in enumerate(MOTION_COMPONENTS):
                 stated, u = float(self.joint.frequency_hz[place]), float(self.joint.u_frequency_hz[place])
@@ -260,6 +270,10 @@ class Body:
                 own[:, :, place] = above.load_matrix(frequency_hz)[:, :, place] * bound[:, None, place]
                 name, label = f"{self.first_frequency_hz[place]:.9g} Hz: {axis}", "first natural frequency of the load"
                 changes.append(Unknown(f"{label} {name}", label, 1.0, "1", own, "mounting"))
+        for axis, tied in zip("xyz", np.diag(np.asarray(self.u_cable_npm, dtype=np.float64)), strict=True):
+            if np.any(tied):
+                own, label = self._tied(frequency_hz, tied), "stiffness of cables"
+                changes.append(Unknown(f"{label} {axis}", label, float(tied.sum()), "N/m", own, "mounting"))
         # Of the vector of gravity only the tilt of the weight knows.
         still = self.weightless.load_matrix(frequency_hz)
         for axis, along, u in zip("xyz", np.eye(3), np.asarray(self.u_gravity_mps2).tolist(), strict=True):
@@ -469,7 +483,8 @@ def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
     sense = "on_load" if sensor is None else sensor.sense
     elastic = tuple(elastic_part(table) for table in load.elastic)
     first = None if load.first_frequency is None else np.array(load.first_frequency)
-    return Body(tuple(rigid), joint, *environment.free_fall_mps2, sense, elastic, first)
+    tied = (load.cable_stiffness or np.zeros(3), load.cable_stiffness_uncertainty)
+    return Body(tuple(rigid), joint, *environment.free_fall_mps2, sense, elastic, first, *tied)
 
 
 def rigid_load(manifest: Manifest) -> Body:

@@ -18,11 +18,14 @@ from shaker.arrays import ComplexArray, Notice
 
 if TYPE_CHECKING:
     from fusion.recording.rig import Environment, Rig, Sensor
+    from fusion.sensitivity.body import Body
 
 OPTICAL = ("photogrammetry", "vibrometer")
 USUAL_COEFFICIENT = 1e-4
 """Relative change per kelvin of the sensitivity of a strain gauge sensor that is compensated as usual."""
 USUAL_DEVIATION_K = 5.0
+CABLE_NPM = 1000.0
+"""Stiffness of a hose or of several cables, N/m, by which the user is told what such ones would do."""
 MATTERS = 1e-4
 """Relative change of the result from which on an influence that is not assessed is worth a word."""
 
@@ -76,8 +79,13 @@ def with_support_motion(observations: Sequence[Observation], limit: float | None
     return tuple(shaken(o) if o.kind in OPTICAL else o for o in observations)
 
 
-def not_assessed(rig: Rig, observations: Sequence[Observation]) -> Iterator[Notice]:
-    """Yield what is said of influences that the rig does not state, so that U has no part of them."""
+def not_assessed(
+    rig: Rig, observations: Sequence[Observation], body: Body | None, frequency_hz: float
+) -> Iterator[Notice]:
+    """Yield what is said of influences that the rig does not state, so that U has no part of them.
+
+    `frequency_hz`: the lowest line; `body`: what the sensor moves there.
+    """
     kinds = {observation.kind for observation in observations if observation.body == "load" and observation.stated}
     sensor, environment = rig.sensor, rig.surroundings
     told = []
@@ -91,10 +99,20 @@ def not_assessed(rig: Rig, observations: Sequence[Observation]) -> Iterator[Noti
         share = USUAL_COEFFICIENT * abs(deviation)
         if share >= MATTERS:
             told.append(f"{what}: {deviation:g} K from the reference at {USUAL_COEFFICIENT:g}/K would be {share:.2%}")
-    if environment.support_motion is None and kinds and kinds <= set(OPTICAL):
-        told.append(
+    if rig.load is not None and rig.load.cable_stiffness is None and body is not None:
+        mass = sum(part.mass_kg for part in body.parts)
+        share = CABLE_NPM / (mass * (2.0 * np.pi * frequency_hz) ** 2)
+        if share >= MATTERS:
+            told.append(
+                f"cables and hoses on the load (load.cable_stiffness): {CABLE_NPM:g} N/m would change the force by "
+                f"{share:.2%} at {frequency_hz:.6g} Hz"
+            )
+    if environment.support_motion is None and kinds & set(OPTICAL):
+        text = (
             "motion that all lasers and cameras share with what carries them (environment.support_motion): its share "
-            "of the motion measured would be that of the sensitivity, and no accelerometer on the load can show it"
+            "of the motion measured would be that of the sensitivity"
         )
+        others = "only accelerometers on the load can show it" if kinds - set(OPTICAL) else "nothing here can show it"
+        told.append(f"{text}, and {others}")
     if told:
         yield Notice("info", "not assessed, not in U: " + "; ".join(told), "surroundings")

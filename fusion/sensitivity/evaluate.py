@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
+import numpy as np
+
 from fusion.base import Executor, ProgressCallback, Settings, no_progress, versions
 from fusion.instruments.channel import sensor_outputs
 from fusion.instruments.vibrometer import beam_notices, point_spreads
@@ -57,7 +59,7 @@ def evaluate_recording(
     if body is not None and outputs is not None and analysis.sensitivity is not None:
         points = tuple(with_ratios(spread, outputs, analysis.sensitivity, body) for spread in points)
     parallel = beam_notices([reading.entry for reading in joined.readings])
-    missing = not_assessed(manifest.rig, observations)
+    missing = not_assessed(manifest.rig, observations, body, float(np.min(joined.lines.frequency_hz)))
     told = [*manifest.expired, *joined.notices, *parallel, *unseen, *analysis.notices, *missing]
     notices = [*told, *(drawn.notices if drawn else ())]
     return Evaluation(

@@ -374,6 +374,7 @@ CATALOGUE: dict[str, Violation] = {
         "beams that are stated parallel leave one mirror at this distance, so that each sees the cosine of its angle",
         (*_LASERS, "head", "mirror"),
         {"direction": _scanner_fan},
+        assumption=("scanning head are not parallel",),
     ),
     "camera-shake": Violation(
         "1",

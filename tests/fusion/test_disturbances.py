@@ -8,7 +8,8 @@ from contracts import coverage_contract
 from fusion.estimation.fuse import fuse
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels, output_phasors
 from fusion.recording.manifest import ChannelEntry
-from fusion.recording.rig import Environment, Rig, Sensor
+from fusion.recording.rig import Environment, Load, Rig, Sensor
+from fusion.sensitivity.body import load_body
 from fusion.sensitivity.disturbances import at_reference_temperature, not_assessed, with_support_motion
 from shaker.sine.phasor import Phasors
 
@@ -22,6 +23,13 @@ SENSOR = Sensor(
     temperature_coefficient=-4e-4,
     temperature_coefficient_uncertainty=5e-5,
     reference_temperature=20.0,
+)
+LOAD = Load(
+    mass=5.0,
+    centre_of_mass=(0.0, 0.0, 0.0),
+    inertia=np.diag([0.01, 0.01, 0.01]).tolist(),
+    cable_stiffness=(0.0, 0.0, 2e4),
+    cable_stiffness_uncertainty=(0.0, 0.0, 3e3),
 )
 
 
@@ -87,11 +95,31 @@ def test_what_the_rig_does_not_state_is_said_to_be_missing():
     laser, other = (
         observe_channels([reading(ChannelEntry(name=q, quantity=q, **z), 1.0)]) for q in ("velocity", "acceleration")
     )
-    rig = Rig(format=1, name="r", sensor=SENSOR, environment=Environment(sensor_temperature=23.0, support_motion=1e-4))
-    assert not list(not_assessed(rig, laser))
-    silent = Rig(format=1, name="r", sensor=SENSOR)
-    (notice,) = not_assessed(silent, laser)
+    known = Environment(sensor_temperature=23.0, support_motion=1e-4)
+    rig = Rig(format=1, name="r", sensor=SENSOR, load=LOAD, environment=known)
+    assert not list(not_assessed(rig, laser, load_body(rig, ()), 80.0))
+    silent = rig.model_copy(update={"environment": None, "load": LOAD.model_copy(update={"cable_stiffness": None})})
+    (notice,) = not_assessed(silent, laser, load_body(silent, ()), 80.0)
     assert "temperature of the sensor" in notice.text
-    assert "lasers and cameras share" in notice.text
-    (notice,) = not_assessed(silent, [*laser, *other])
-    assert "share" not in notice.text
+    assert "nothing here can show it" in notice.text
+    # 1 kN/m beside 5 kg: 1000/(5·(2π·80)²) = 0.0792 %; at 800 Hz a hundredth of that, not worth a word.
+    assert "1000 N/m would change the force by 0.08% at 80 Hz" in notice.text
+    (notice,) = not_assessed(silent, [*laser, *other], load_body(silent, ()), 800.0)
+    assert "only accelerometers on the load" in notice.text
+    assert "N/m" not in notice.text
+
+
+def test_cables_carry_part_of_the_force():
+    """A mass between the sensor and a spring to the room: F + (-k·x) = m·a, with x = -a/ω² and k as it is drawn."""
+    rig, acceleration = Rig(format=1, name="r", load=LOAD), 10.0 + 2.0j
+    body = load_body(rig, ())
+    assert body is not None
+    motion = np.array([0.0, 0.0, acceleration, 0.0, 0.0, 0.0])
+    estimate = (body.load_matrix(FREQUENCY_HZ) @ motion)[:, 2]
+    effects = [change.effect for change in body.matrix_changes(FREQUENCY_HZ) if change.label == "stiffness of cables"]
+    u = np.sqrt(sum(np.abs(effect @ motion)[:, 2] ** 2 for effect in effects))
+    drawn = 2e4 + 3e3 * np.random.default_rng(1).standard_normal(4000)
+    place = -acceleration / (2.0 * np.pi * FREQUENCY_HZ[:, None]) ** 2
+    force = 5.0 * acceleration + drawn * place
+    np.testing.assert_allclose(estimate, 5.0 * acceleration + 2e4 * place[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(u, np.std(force, axis=1), rtol=0.05)
