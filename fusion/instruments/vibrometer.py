@@ -121,8 +121,9 @@ def beam_notices(entries: Sequence[ChannelEntry]) -> tuple[Notice, ...]:
     """Say of which vibrometers several points state one direction, and what is taken of that."""
     beams, notices = Beams.of(entries), []
     unsure = {chain_name(entry) for entry in entries if entry.direction_uncertainty > 0.0 and beams.share_tilt(entry)}
-    for (name, direction), count in beams.alike.items():
-        text = f"{count} points state exactly the direction {axis_name(np.asarray(direction))}"
+    for name in dict.fromkeys(name for name, _ in beams.alike):
+        alike = [(axis_name(np.asarray(d)), count) for (own, d), count in beams.alike.items() if own == name]
+        text = ", ".join(f"{count} points state exactly the direction {axis}" for axis, count in alike)
         if name in unsure:
             text += (
                 " and no head: their direction errors are taken as one tilt of all and as each point's own as well, "

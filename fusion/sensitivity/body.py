@@ -243,7 +243,7 @@ class Body:
         return matrix * self.joint.follow(frequency_hz)[:, None, :]
 
     def matrix_changes(self, frequency_hz: FloatArray) -> tuple[Unknown[ComplexArray], ...]:
-        """Return what every uncertain number does to the load matrix (K, 6, 6): parts, joint, modes, cables, gravity."""
+        """Return what every uncertain number does to the load matrix (K, 6, 6): parts, joint, modes, cable, gravity."""
         changes: list[Unknown[ComplexArray]] = []
         for part in self.parts:
             changes += _parameters(part, partial(self._carried, frequency_hz, part))
