@@ -101,11 +101,7 @@ def result_name(kind: str, channel: str, component: str, *, main: bool) -> str:
     """
     if kind in ("element", "matrix"):
         return f"{channel} per {component}"
-    return (
-        f"ratio {channel} output / {component} load"
-        if main
-        else f"response of output {channel} to the driven load {component}"
-    )
+    return f"ratio {channel} output / {component} load" if main else f"response of {channel} to load {component}"
 
 
 def main_line(evaluation: Evaluation) -> int:

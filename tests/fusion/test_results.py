@@ -113,7 +113,7 @@ def test_elements_have_rows_after_the_ratios_and_stand_in_the_headline(write, tm
     assert headlines(plain)[0].label == "Ratio Fz output / Fz load, 106.2503 Hz"
     names = [row[1] for row in sensitivity_table(evaluation).rows]
     assert names[2:9:6] == ["Fz per Fz", "ratio Fz output / Fz load"]
-    assert names[6] == "response of output Fx to the driven load Fz"
+    assert names[6] == "response of Fx to load Fz"
 
 
 def test_failed_frame_keeps_its_row(folder):
