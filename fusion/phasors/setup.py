@@ -237,7 +237,9 @@ class LineStationarity:
     """Change of one line in one channel over its record: `amplitude`, relative to itself, and `phase_rad`.
 
     `chance` is how often noise, and rates of clocks as uncertain as they are, move the blocks that far from their mean;
-    `sure_amplitude` and `sure_phase_rad`: what they reach once in 16 000 cases.
+    `sure_amplitude` and `sure_phase_rad`: what they reach once in 16 000 cases. `wander`: of the blocks about what a
+    wrong rate makes of them, beyond noise, as the change of a straight line with the same scatter; `output` of the
+    sensor.
     """
 
     name: str
@@ -252,6 +254,8 @@ class LineStationarity:
     chance: float
     sure_amplitude: float
     sure_phase_rad: float
+    wander: float = 0.0
+    output: bool = False
 
 
 def line_stationarity(
@@ -264,31 +268,48 @@ def line_stationarity(
     these, since the frequency is found on the same clock.
     """
     u_rate = {clock.daq: float(np.sqrt(clock.tie.covariance[1, 1])) for clock in clocks if clock.tie is not None}
-    shown = [(channel.name, channel.stationarity, u_rate.get(channel.daq, 0.0)) for channel in channels]
-    shown += [(f"stereo pair {pair.name}", pair.stationarity, pair.u_rate) for pair in stereo]
+    shown = [(c.name, c.stationarity, u_rate.get(c.daq, 0.0), c.quantity == "output") for c in channels]
+    shown += [(f"stereo pair {pair.name}", pair.stationarity, pair.u_rate, False) for pair in stereo]
     first = lines.multiple == 1
     driven = list(zip(lines.frequency_hz[first].tolist(), lines.u_frequency_hz[first].tolist(), strict=True))
     return tuple(
-        change for name, steady, u in shown if steady is not None for change in _of_lines(name, steady, driven, u)
+        replace(change, output=output)
+        for name, steady, u, output in shown
+        if steady is not None
+        for change in _of_lines(name, steady, driven, u)
     )
 
 
 def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[AnyNotice, ...]:
-    """Return a notice for each line whose amplitude, and one for each whose phase, surely changed by what matters."""
+    """Return a notice for each line whose amplitude, and one for each whose phase, surely changed by what matters.
+
+    A third one where they surely change but along no straight line, such as over a part of a beat. All say so where
+    the outputs of the sensor change and the motion does not.
+    """
     notices: list[AnyNotice] = []
     for frequency in dict.fromkeys(line.frequency_hz for line in changes):
         here = [line for line in changes if line.frequency_hz == frequency]
         grown = [d for d in here if abs(d.amplitude) > max(MATTERS, d.sure_amplitude)]
         turned = [d for d in here if abs(d.phase_rad) > max(MATTERS, d.sure_phase_rad)]
+        told = {d.name for d in (*grown, *turned)}
+        bent = [d for d in here if d.chance < SURE and d.wander > MATTERS and d.name not in told]
+        changed = {d.output for d in (*grown, *turned, *bent)}
+        end = "results are means over each instrument's own record"
+        if changed == {True} and not all(d.output for d in here):
+            end += (
+                "; only outputs of the sensor do so, the motion does not: look for a line beside the driven one, such "
+                "as a harmonic beyond half the sampling rate that folds onto it for lack of an anti-aliasing filter, "
+                "or for a drift of the amplifier"
+            )
         for what, by in (
             ("amplitude at {} changes", [f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown]),
             ("phase at {} drifts", [f"{1e3 * d.phase_rad:+.2g} mrad in {d.name}" for d in turned]),
+            ("phasor at {} wanders", [f"by {100.0 * d.wander:.2g} % in {d.name}" for d in bent]),
         ):
             if by:
                 where, more = f"{frequency:.6g} Hz", f" and {len(by) - NAMED} more" if len(by) > NAMED else ""
-                told = f"the {what.format(where)} over the record: {', '.join(by[:NAMED])}{more}"
-                end = "results are means over each instrument's own record"
-                notices.append(Notice("warning", f"{told}; {end}", where))
+                text = f"the {what.format(where)} over the record: {', '.join(by[:NAMED])}{more}"
+                notices.append(Notice("warning", f"{text}; {end}", where))
     return tuple(notices)
 
 
@@ -311,6 +332,8 @@ def _of_lines(
                 dof = max(float(steady.dof[line]), 1.0)
                 # The rates are known, the noise is estimated (Welch and Satterthwaite).
                 dof_phase = dof * (u_phase / own) ** 4 if own > 0.0 else np.inf
+                # A straight line from -D/2 to D/2 has the variance D²/12.
+                wander = np.sqrt(12.0 * steady.scatter_beside(turn)[line, c]) / mean[c]
                 changes.append(
                     LineStationarity(
                         name,
@@ -325,6 +348,7 @@ def _of_lines(
                         float(chance[line, c]),
                         coverage_factor(dof, 1.0 - SURE) * float(u_amplitude),
                         coverage_factor(dof_phase, 1.0 - SURE) * u_phase * length,
+                        float(wander),
                     )
                 )
     return changes

@@ -246,14 +246,23 @@ class Stationarity:
         """
         from scipy.stats import f
 
+        free = 2.0 * (len(self.time_s) - 1)
+        return np.asarray(f.sf(self._chi_square(u_phase_rad_per_s) / free, free, self.dof[:, None]))
+
+    def scatter_beside(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
+        """Return the variance (K, C) of the blocks beyond noise and such a rate (`p_value_beside`), both parts."""
+        blocks = len(self.time_s)
+        more = np.maximum(self._chi_square(u_phase_rad_per_s) - 2.0 * (blocks - 1), 0.0)
+        return np.asarray(more / np.sum(1.0 / np.maximum(self.u**2, _NO_NOISE), axis=0))
+
+    def _chi_square(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
+        """Return the weighted sum of squares (K, C) of the blocks about their mean, less what a wrong rate makes."""
         rate = np.broadcast_to(np.asarray(u_phase_rad_per_s, dtype=np.float64), self.frequency_hz.shape)[:, None] ** 2
         weight = 1.0 / np.maximum(self.u**2, _NO_NOISE)
         mean = np.sum(weight * self.value, axis=0) / np.sum(weight, axis=0)
         own = np.maximum(self.u_phase_rad_per_s, np.finfo(np.float64).tiny) ** 2
         freed = self.phase_rad_per_s**2 / own * rate / (own + rate)
-        chi2 = np.sum(weight * np.abs(self.value - mean) ** 2, axis=0) - freed
-        free = 2.0 * (len(self.time_s) - 1)
-        return np.asarray(f.sf(np.maximum(chi2, 0.0) / free, free, self.dof[:, None]))
+        return np.asarray(np.maximum(np.sum(weight * np.abs(self.value - mean) ** 2, axis=0) - freed, 0.0))
 
     @property
     def length_s(self) -> float:
