@@ -6,20 +6,23 @@ steady the driven lines were while each instrument was recording is told here to
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import AnyNotice, ComputeError, Executor, InputError, ProgressCallback, Settings
+from fusion.base import AnyNotice, ComputeError, Executor, InputError, ProgressCallback, Settings, rounded
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.instruments.channel import Reading
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.channels import (
     APART_PERIODS,
+    HARMONICS,
     ChannelResult,
     channel_phasors,
     find_channel_lines,
+    folding_notices,
     line_clock,
     line_record,
     line_strength,
@@ -93,6 +96,8 @@ class SetUp:
         told: list[AnyNotice] = [Notice(n.severity, f"{daq}: {n.text}", daq) for daq, n in clocks]
         told += [*self.lines.notices, *self.aliased]
         told += [notice for channel in self.opened.channels for notice in channel.notices]
+        told += folding_notices(self.opened.channels, base, self.lines)
+        told += distortion_notices(self.opened.channels, self.lines)
         told += [notice for item in self.stereo for notice in item.notices]
         return tuple(told)
 
@@ -352,3 +357,100 @@ def _of_lines(
                     )
                 )
     return changes
+
+
+# Harmonics of the outputs that the load's motion does not have.
+
+STRONG = 0.5  # of the largest fundamental: outputs and motion channels whose harmonics are compared
+CHANGED = 0.3  # relative: what the sensor may answer otherwise at a harmonic than at its fundamental
+
+
+def distortion_notices(channels: Sequence[ChannelResult], lines: Lines) -> Iterator[Notice]:
+    """Yield a notice for each harmonic of an output that is surely there, matters, and that the load's motion has not.
+
+    Harmonics are compared relative to the fundamental: of the outputs that answer most, of the acceleration in the
+    channels that move most. Of x - ε·x³ the third harmonic is ε/4 of the amplitude and the fundamental lowered by
+    3ε/4, which is what the ratio is then off by. Nothing is said where no channel measures the load's motion.
+    """
+    outputs = [c for c in channels if c.quantity == "output" and c.harmonics is not None]
+    motion = [c for c in channels if c.quantity in TRANSDUCERS and c.body == "load" and c.harmonics is not None]
+    for f in lines.frequency_hz[lines.multiple == 1].tolist():
+        moving = _strongest(motion, f)
+        for output in _strongest(outputs, f) if moving else []:
+            for m in HARMONICS:
+                own = _share(output, f, m)
+                theirs = [share for channel in moving if (share := _share(channel, f, m)) is not None]
+                if own is not None and theirs:
+                    yield from _distortion(output, f, m, own, theirs)
+
+
+def _strongest(channels: Sequence[ChannelResult], frequency_hz: float) -> list[ChannelResult]:
+    """Return the channels in which a fundamental is strong, motion in terms of acceleration."""
+    size = {}
+    for channel in channels:
+        seen = channel.phasors.frequency_hz == frequency_hz
+        order = TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
+        value = channel.phasors.value[seen, 0] * (2.0 * np.pi * frequency_hz) ** -order
+        if np.isfinite(value).any():
+            size[channel.name] = float(np.abs(value[0]))
+    least = STRONG * max(size.values(), default=0.0)
+    return [channel for channel in channels if size.get(channel.name, 0.0) > least]
+
+
+class _Share(NamedTuple):
+    """A harmonic over its fundamental, of motion that of the acceleration: `u` of a part; the fundamental's phase."""
+
+    value: complex
+    u: float
+    dof: float
+    phase_rad: float
+
+
+def _share(channel: ChannelResult, frequency_hz: float, m: int) -> _Share | None:
+    """Return one harmonic of a channel, None where it has none."""
+    found = channel.harmonics
+    if found is None:
+        return None
+    near = [np.flatnonzero(np.abs(found.frequency_hz / (n * frequency_hz) - 1.0) < 1e-9) for n in (1, m)]
+    if not all(len(places) for places in near):
+        return None
+    first, place = (int(places[0]) for places in near)
+    order = TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
+    factor = float(m) ** -order / complex(found.value[first, 0])
+    u = np.sqrt((found.u_re[place, 0] ** 2 + found.u_im[place, 0] ** 2) / 2.0) * abs(factor)
+    value, phase = complex(found.value[place, 0]) * factor, float(np.angle(found.value[first, 0]))
+    return _Share(value, float(u), float(found.dof[place]), phase)
+
+
+def _distortion(
+    output: ChannelResult,
+    frequency_hz: float,
+    m: int,
+    own: _Share,
+    theirs: Sequence[_Share],
+) -> Iterator[Notice]:
+    """Yield what is left of one harmonic of an output beside that of the channels that see the motion."""
+    from scipy.stats import f
+
+    share = np.array([one.value for one in theirs])
+    weight = 1.0 / np.maximum([one.u for one in theirs], np.finfo(np.float64).tiny) ** 2
+    motion = complex(np.sum(weight * share) / np.sum(weight))
+    spread = float(np.sqrt(np.mean(np.abs(share - motion) ** 2) / 2.0))
+    u = float(np.sqrt(own.u**2 + 1.0 / np.sum(weight) + spread**2 / len(share)))
+    excess = own.value - motion
+    size, dof = abs(excess), max(own.dof, 1.0)
+    sure = float(np.sqrt(2.0 * f.isf(SURE / len(HARMONICS), 2.0, dof))) * u + CHANGED * abs(motion)
+    cubic = 3.0 if m == 3 else 1.0
+    # Less harmonic in the output than in the motion is a distortion of what measures the motion.
+    if size <= sure or cubic * size <= MATTERS or abs(own.value) < size / 2.0:
+        return
+    part = rounded(100.0 * size, 100.0 * coverage_factor(dof) * u, 0)
+    text = (
+        f"distortion of output {output.name}: harmonic {m} of {frequency_hz:.6g} Hz is "
+        f"({part.value} ± {part.expanded}) % of the fundamental beyond what the load's motion explains; "
+        "the sensor or its converter is not linear"
+    )
+    if m == 3:
+        sign = "small" if (excess * np.exp(-2j * own.phase_rad)).real < 0.0 else "large"
+        text += f"; if it is so by the cube, the ratio at the fundamental is too {sign} by about {300.0 * size:.2g} %"
+    yield Notice("warning", text, output.name)
