@@ -12,7 +12,7 @@ from fusion.base import AnyNotice, InputError, as_input_error
 from fusion.instruments.channel import ChainUncertainty, Reading, acting
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.timing import Lateness, TimeBase, together
-from fusion.recording.response import ChainResponse, read_response
+from fusion.recording.response import read_response
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import Lines, find_lines
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from fusion.recording.files import DaqRecord
     from fusion.recording.load import Manifest
     from fusion.recording.manifest import ChannelEntry
+    from shaker.frf.chain import ChainResponse
 
 EXCERPT_PERIODS = 4
 DRIVEN = 0.05

@@ -476,7 +476,11 @@ def contradicting_outputs(
     signal, force, names = outputs.phasors.value[line], np.nan_to_num(load.value[line]), known.channels
     predicted = force @ known.value.T
     full = np.max(np.abs(known.value) * rated, axis=1)
-    of_load = load.uncertainty.at_lines([line]).where_known().transformed(real_design(known.value[None] + 0.0j))
+    of_load = (
+        load.uncertainty.at_lines([line])
+        .where_known()
+        .transformed(real_design(known.value[None].astype(np.complex128)))
+    )
     pair = np.diagonal(of_load.covariance[0]).reshape(2, -1).sum(axis=0)
     cross = CROSS_TALK * np.max(np.abs(force) / rated) * full
     noise = 3.0 * np.hypot(np.sqrt(pair), np.hypot(outputs.phasors.u_re[line], outputs.phasors.u_im[line]))
