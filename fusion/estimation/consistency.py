@@ -46,6 +46,8 @@ MISTAKES = (
     (1e-3, "a unit were taken for a thousandth of it"),
 )
 """Reading over prediction, and what would make it so."""
+OUTPUT_MISTAKES = (MISTAKES[0], *MISTAKES[3:])
+"""Those of them that outputs of the sensor may owe."""
 ALIKE = 0.03
 """Relative distance from such a factor within which a ratio looks like it."""
 LOST = 1e-6
@@ -452,10 +454,10 @@ def without_readings(system: System, rows: IntArray) -> tuple[Observation, ...]:
 # Mistakes that are common enough to be named where the readings look like one.
 
 
-def likely_mistake(ratio: complex) -> str:
-    """Return what reading/prediction looks like, in words; empty where it is no common mistake."""
-    for factor, text in MISTAKES:
-        if abs(ratio / factor - 1.0) <= ALIKE:
+def likely_mistake(ratio: complex, alike: float = ALIKE, mistakes: Sequence[tuple[float, str]] = MISTAKES) -> str:
+    """Return what reading/prediction looks like within `alike`, in words; empty where it is no common mistake."""
+    for factor, text in mistakes:
+        if abs(ratio / factor - 1.0) <= alike:
             return text
     return ""
 

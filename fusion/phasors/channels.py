@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -13,11 +13,11 @@ from fusion.instruments.channel import ChainUncertainty, Reading, acting
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.timing import Lateness, TimeBase, together
 from fusion.recording.response import read_response
-from shaker.arrays import BoolArray, FloatArray, Notice, brief
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.lines.spectrum import amplitude_spectrum
-from shaker.sine.aliasing import alias_frequency
+from shaker.sine.aliasing import alias_frequency, folded_harmonics
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit, SineModel
@@ -26,12 +26,16 @@ if TYPE_CHECKING:
     from fusion.recording.files import DaqRecord
     from fusion.recording.load import Manifest
     from fusion.recording.manifest import ChannelEntry
+    from shaker.frf.chain import ChainResponse
 
 EXCERPT_PERIODS = 4
 DRIVEN = 0.05
 """Of the strongest line: what a line of a multisine without stated frequencies must reach."""
 APART_PERIODS = 2.0
 """Periods of the beat with every wanted line that a record must hold for another line to be fitted beside them."""
+HARMONICS = (2, 3, 4, 5)
+FEW = 3
+"""Fundamentals up to which their harmonics are looked at: a multisine has its own lines there, and intermodulation."""
 # The order in which quantities are preferred for finding the lines: those that show high frequencies best.
 LINE_QUANTITIES = (*sorted(TRANSDUCERS, key=lambda name: -TRANSDUCERS[name].order), "output", "force", "voltage")
 
@@ -43,7 +47,8 @@ class ChannelResult:
     `excerpt_s`, `excerpt`, `excerpt_fit` (S,): a short stretch with its fit. `spectrum_hz`, `spectrum` (B,):
     amplitude spectrum of the signal; `residual_rms`: of what the lines leave, in the channel's SI unit.
     `stationarity`: phasors over blocks of whole periods, delay and response not corrected. `notices`: what its fit
-    wants the user to know.
+    wants the user to know. `harmonics`: fundamentals and their harmonics up to the fifth, whether or not they are lines
+    of the recording, as far as this channel samples them; None where there are many fundamentals.
     """
 
     name: str
@@ -62,6 +67,7 @@ class ChannelResult:
     spectrum: FloatArray
     stationarity: Stationarity | None = None
     notices: tuple[AnyNotice, ...] = ()
+    harmonics: Phasors | None = None
 
     __repr__ = brief
 
@@ -218,8 +224,12 @@ def _fit_group(
     clear = np.all(apart * float(time_s[-1] - time_s[0]) >= APART_PERIODS, axis=1)
     beside = lines.nuisance_hz[clear & (lines.nuisance_hz < rate_hz / 2.0)]
     frequency_hz = np.concatenate([lines.frequency_hz[seen], beside])
+    first = lines.frequency_hz[(lines.multiple == 1) & seen]
+    multiples = _multiples(first, frequency_hz, rate_hz, float(time_s[-1] - time_s[0]))
+    added = multiples[~np.isin(multiples, frequency_hz)]
     with as_input_error(record.entry.file, names[0]):
-        fit = fit_sines(time_s, values, frequency_hz, names, units, model=SineModel(robust=True))
+        every = np.concatenate([frequency_hz, added])
+        fit = fit_sines(time_s, values, every, names, units, model=SineModel(robust=True))
     wanted = spread_lines(fit.phasors.at_lines(np.arange(np.count_nonzero(seen))), seen, lines.frequency_hz)
     whole = values
     if len(fit.spikes):
@@ -233,8 +243,44 @@ def _fit_group(
         order = -TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
         late = [error.through(fit, seen, order).of_channel(c).relative_to(own) for error in errors]
         steady_here = steady and steady.select(channel.name)
-        fitted.append((replace(result, stationarity=steady_here), replace(reading, further=acting(late))))
+        result = replace(result, stationarity=steady_here, harmonics=_harmonics(channel, fit, every, multiples))
+        fitted.append((result, replace(reading, further=acting(late))))
     return fitted
+
+
+def _multiples(first: FloatArray, fitted: FloatArray, rate_hz: float, length_s: float) -> FloatArray:
+    """Return fundamentals and those harmonics that are fitted anyhow, or that a fit can have beside what is fitted."""
+    if not 0 < len(first) <= FEW:
+        return np.empty(0)
+    alias, multiples = alias_frequency(fitted, rate_hz), list(first)
+    for frequency in (m * f for f in first for m in HARMONICS):
+        own = fitted[np.abs(fitted - frequency) < 1e-9 * frequency]
+        clear = np.min(np.abs(np.append(alias, [0.0, rate_hz / 2.0]) - frequency)) * length_s >= APART_PERIODS
+        if len(own) or (clear and frequency < rate_hz / 2.0):
+            multiples.append(own[0] if len(own) else frequency)
+            alias = np.append(alias, frequency)
+    return np.array(multiples)
+
+
+def _harmonics(channel: ChannelEntry, fit: SineFit, fitted: FloatArray, multiples: FloatArray) -> Phasors | None:
+    """Return fundamentals and harmonics of one channel, None where its response is not stated as far as these."""
+    if not len(multiples):
+        return None
+    places = [int(np.argmin(np.abs(fitted - frequency))) for frequency in multiples]
+    own = fit.phasors.at_lines(np.array(places)).select([channel.name])
+    try:
+        return own.scaled(_correction(channel, own.frequency_hz)[0][:, None])
+    except InputError:
+        return None
+
+
+def _correction(channel: ChannelEntry, frequency_hz: FloatArray) -> tuple[ComplexArray, ChainResponse | None]:
+    """Return the factor from a channel's phasor to the true one, exp(+jω·delay) / response(f), and the response."""
+    correction = np.exp(2j * np.pi * frequency_hz * channel.delay)
+    if channel.response is None:
+        return correction, None
+    response = read_response(channel.response, frequency_hz)
+    return correction / response.value, response
 
 
 def _result(
@@ -245,16 +291,11 @@ def _result(
     fit: SineFit,
     phasors: Phasors,
 ) -> tuple[ChannelResult, Reading]:
-    """Correct one channel's phasors for delay and response, and keep what its figures need.
-
-    The factor from a channel's phasor to the true one is exp(+jω·delay) / response(f).
-    """
+    """Correct one channel's phasors for delay and response, and keep what its figures need."""
     block, rate_hz = record.entry.name, record.raw[channel.name].sample_rate_hz
     chain = ChainUncertainty(clock=block)
-    correction = np.exp(2j * np.pi * phasors.frequency_hz * channel.delay)
-    if channel.response is not None:
-        response = read_response(channel.response, phasors.frequency_hz)
-        correction = correction / response.value
+    correction, response = _correction(channel, phasors.frequency_hz)
+    if response is not None:
         chain = replace(chain, u_magnitude=response.u_magnitude, u_phase_rad=response.u_phase_rad)
     phasors = phasors.scaled(correction[:, None])
     place = fit.phasors.channels.index(channel.name)
@@ -278,6 +319,33 @@ def _result(
         notices=tuple(Notice(n.severity, f"{block}, {n.where}: {n.text}", block) for n in fit.notices),
     )
     return result, Reading(channel, phasors, chain)
+
+
+def folding(frequency_hz: Sequence[float], rate_hz: float, samples: int) -> list[str]:
+    """Name the harmonics of driven lines below half the sampling rate that it folds within a bin of one of them."""
+    if len(frequency_hz) > FEW:
+        return []
+    folds = [
+        (f, fold)
+        for f in frequency_hz
+        if f < rate_hz / 2.0
+        for fold in folded_harmonics(f, frequency_hz, rate_hz, rate_hz / samples)
+    ]
+    return [f"harmonic {fold.multiple} of {fold.fundamental_hz:.6g} Hz folds onto {f:.6g} Hz" for f, fold in folds]
+
+
+def folding_notices(channels: Sequence[ChannelResult], base: TimeBase, lines: Lines) -> Iterator[Notice]:
+    """Yield for each block what folds onto its lines unless a filter keeps it off that no channel's response tells."""
+    answered = {entry.name for r in base.records for entry in r.entry.channel if entry.response is not None}
+    open_ = {(c.daq, c.sample_rate_hz): c.samples for c in channels if c.name not in answered}
+    for (daq, rate_hz), samples in open_.items():
+        folds = folding(lines.frequency_hz[lines.multiple == 1].tolist(), rate_hz, samples)
+        if folds:
+            text = (
+                f"{daq}, sampled at {rate_hz:g} Hz: {', '.join(folds)}, where nothing tells them apart; an "
+                "anti-aliasing filter must keep them off"
+            )
+            yield Notice("info", text, daq)
 
 
 def line_strength(readings: Sequence[Reading], lines: Lines) -> FloatArray | None:

@@ -6,20 +6,23 @@ steady the driven lines were while each instrument was recording is told here to
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import AnyNotice, ComputeError, Executor, InputError, ProgressCallback, Settings
+from fusion.base import AnyNotice, ComputeError, Executor, InputError, ProgressCallback, Settings, rounded
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.instruments.channel import Reading
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.channels import (
     APART_PERIODS,
+    HARMONICS,
     ChannelResult,
     channel_phasors,
     find_channel_lines,
+    folding_notices,
     line_clock,
     line_record,
     line_strength,
@@ -93,6 +96,8 @@ class SetUp:
         told: list[AnyNotice] = [Notice(n.severity, f"{daq}: {n.text}", daq) for daq, n in clocks]
         told += [*self.lines.notices, *self.aliased]
         told += [notice for channel in self.opened.channels for notice in channel.notices]
+        told += folding_notices(self.opened.channels, base, self.lines)
+        told += distortion_notices(self.opened.channels, self.lines)
         told += [notice for item in self.stereo for notice in item.notices]
         return tuple(told)
 
@@ -237,7 +242,9 @@ class LineStationarity:
     """Change of one line in one channel over its record: `amplitude`, relative to itself, and `phase_rad`.
 
     `chance` is how often noise, and rates of clocks as uncertain as they are, move the blocks that far from their mean;
-    `sure_amplitude` and `sure_phase_rad`: what they reach once in 16 000 cases.
+    `sure_amplitude` and `sure_phase_rad`: what they reach once in 16 000 cases. `wander`: of the blocks about what a
+    wrong rate makes of them, beyond noise, as the change of a straight line with the same scatter; `output` of the
+    sensor.
     """
 
     name: str
@@ -252,6 +259,8 @@ class LineStationarity:
     chance: float
     sure_amplitude: float
     sure_phase_rad: float
+    wander: float = 0.0
+    output: bool = False
 
 
 def line_stationarity(
@@ -264,31 +273,48 @@ def line_stationarity(
     these, since the frequency is found on the same clock.
     """
     u_rate = {clock.daq: float(np.sqrt(clock.tie.covariance[1, 1])) for clock in clocks if clock.tie is not None}
-    shown = [(channel.name, channel.stationarity, u_rate.get(channel.daq, 0.0)) for channel in channels]
-    shown += [(f"stereo pair {pair.name}", pair.stationarity, pair.u_rate) for pair in stereo]
+    shown = [(c.name, c.stationarity, u_rate.get(c.daq, 0.0), c.quantity == "output") for c in channels]
+    shown += [(f"stereo pair {pair.name}", pair.stationarity, pair.u_rate, False) for pair in stereo]
     first = lines.multiple == 1
     driven = list(zip(lines.frequency_hz[first].tolist(), lines.u_frequency_hz[first].tolist(), strict=True))
     return tuple(
-        change for name, steady, u in shown if steady is not None for change in _of_lines(name, steady, driven, u)
+        replace(change, output=output)
+        for name, steady, u, output in shown
+        if steady is not None
+        for change in _of_lines(name, steady, driven, u)
     )
 
 
 def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[AnyNotice, ...]:
-    """Return a notice for each line whose amplitude, and one for each whose phase, surely changed by what matters."""
+    """Return a notice for each line whose amplitude, and one for each whose phase, surely changed by what matters.
+
+    A third one where they surely change but along no straight line, such as over a part of a beat. All say so where
+    the outputs of the sensor change and the motion does not.
+    """
     notices: list[AnyNotice] = []
     for frequency in dict.fromkeys(line.frequency_hz for line in changes):
         here = [line for line in changes if line.frequency_hz == frequency]
         grown = [d for d in here if abs(d.amplitude) > max(MATTERS, d.sure_amplitude)]
         turned = [d for d in here if abs(d.phase_rad) > max(MATTERS, d.sure_phase_rad)]
+        told = {d.name for d in (*grown, *turned)}
+        bent = [d for d in here if d.chance < SURE and d.wander > MATTERS and d.name not in told]
+        changed = {d.output for d in (*grown, *turned, *bent)}
+        end = "results are means over each instrument's own record"
+        if changed == {True} and not all(d.output for d in here):
+            end += (
+                "; only outputs of the sensor do so, the motion does not: look for a line beside the driven one, such "
+                "as a harmonic beyond half the sampling rate that folds onto it for lack of an anti-aliasing filter, "
+                "or for a drift of the amplifier"
+            )
         for what, by in (
             ("amplitude at {} changes", [f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown]),
             ("phase at {} drifts", [f"{1e3 * d.phase_rad:+.2g} mrad in {d.name}" for d in turned]),
+            ("phasor at {} wanders", [f"by {100.0 * d.wander:.2g} % in {d.name}" for d in bent]),
         ):
             if by:
                 where, more = f"{frequency:.6g} Hz", f" and {len(by) - NAMED} more" if len(by) > NAMED else ""
-                told = f"the {what.format(where)} over the record: {', '.join(by[:NAMED])}{more}"
-                end = "results are means over each instrument's own record"
-                notices.append(Notice("warning", f"{told}; {end}", where))
+                text = f"the {what.format(where)} over the record: {', '.join(by[:NAMED])}{more}"
+                notices.append(Notice("warning", f"{text}; {end}", where))
     return tuple(notices)
 
 
@@ -311,6 +337,8 @@ def _of_lines(
                 dof = max(float(steady.dof[line]), 1.0)
                 # The rates are known, the noise is estimated (Welch and Satterthwaite).
                 dof_phase = dof * (u_phase / own) ** 4 if own > 0.0 else np.inf
+                # A straight line from -D/2 to D/2 has the variance D²/12.
+                wander = np.sqrt(12.0 * steady.scatter_beside(turn)[line, c]) / mean[c]
                 changes.append(
                     LineStationarity(
                         name,
@@ -325,6 +353,104 @@ def _of_lines(
                         float(chance[line, c]),
                         coverage_factor(dof, 1.0 - SURE) * float(u_amplitude),
                         coverage_factor(dof_phase, 1.0 - SURE) * u_phase * length,
+                        float(wander),
                     )
                 )
     return changes
+
+
+# Harmonics of the outputs that the load's motion does not have.
+
+STRONG = 0.5  # of the largest fundamental: outputs and motion channels whose harmonics are compared
+CHANGED = 0.3  # relative: what the sensor may answer otherwise at a harmonic than at its fundamental
+
+
+def distortion_notices(channels: Sequence[ChannelResult], lines: Lines) -> Iterator[Notice]:
+    """Yield a notice for each harmonic of an output that is surely there, matters, and that the load's motion has not.
+
+    Harmonics are compared relative to the fundamental: of the outputs that answer most, of the acceleration in the
+    channels that move most. Of x - ε·x³ the third harmonic is ε/4 of the amplitude and the fundamental lowered by
+    3ε/4, which is what the ratio is then off by. Nothing is said where no channel measures the load's motion.
+    """
+    outputs = [c for c in channels if c.quantity == "output" and c.harmonics is not None]
+    motion = [c for c in channels if c.quantity in TRANSDUCERS and c.body == "load" and c.harmonics is not None]
+    for f in lines.frequency_hz[lines.multiple == 1].tolist():
+        moving = _strongest(motion, f)
+        for output in _strongest(outputs, f) if moving else []:
+            for m in HARMONICS:
+                own = _share(output, f, m)
+                theirs = [share for channel in moving if (share := _share(channel, f, m)) is not None]
+                if own is not None and theirs:
+                    yield from _distortion(output, f, m, own, theirs)
+
+
+def _strongest(channels: Sequence[ChannelResult], frequency_hz: float) -> list[ChannelResult]:
+    """Return the channels in which a fundamental is strong, motion in terms of acceleration."""
+    size = {}
+    for channel in channels:
+        seen = channel.phasors.frequency_hz == frequency_hz
+        order = TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
+        value = channel.phasors.value[seen, 0] * (2.0 * np.pi * frequency_hz) ** -order
+        if np.isfinite(value).any():
+            size[channel.name] = float(np.abs(value[0]))
+    least = STRONG * max(size.values(), default=0.0)
+    return [channel for channel in channels if size.get(channel.name, 0.0) > least]
+
+
+class _Share(NamedTuple):
+    """A harmonic over its fundamental, of motion that of the acceleration: `u` of a part; the fundamental's phase."""
+
+    value: complex
+    u: float
+    dof: float
+    phase_rad: float
+
+
+def _share(channel: ChannelResult, frequency_hz: float, m: int) -> _Share | None:
+    """Return one harmonic of a channel, None where it has none."""
+    found = channel.harmonics
+    if found is None:
+        return None
+    near = [np.flatnonzero(np.abs(found.frequency_hz / (n * frequency_hz) - 1.0) < 1e-9) for n in (1, m)]
+    if not all(len(places) for places in near):
+        return None
+    first, place = (int(places[0]) for places in near)
+    order = TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
+    factor = float(m) ** -order / complex(found.value[first, 0])
+    u = np.sqrt((found.u_re[place, 0] ** 2 + found.u_im[place, 0] ** 2) / 2.0) * abs(factor)
+    value, phase = complex(found.value[place, 0]) * factor, float(np.angle(found.value[first, 0]))
+    return _Share(value, float(u), float(found.dof[place]), phase)
+
+
+def _distortion(
+    output: ChannelResult,
+    frequency_hz: float,
+    m: int,
+    own: _Share,
+    theirs: Sequence[_Share],
+) -> Iterator[Notice]:
+    """Yield what is left of one harmonic of an output beside that of the channels that see the motion."""
+    from scipy.stats import f
+
+    share = np.array([one.value for one in theirs])
+    weight = 1.0 / np.maximum([one.u for one in theirs], np.finfo(np.float64).tiny) ** 2
+    motion = complex(np.sum(weight * share) / np.sum(weight))
+    spread = float(np.sqrt(np.mean(np.abs(share - motion) ** 2) / 2.0))
+    u = float(np.sqrt(own.u**2 + 1.0 / np.sum(weight) + spread**2 / len(share)))
+    excess = own.value - motion
+    size, dof = abs(excess), max(own.dof, 1.0)
+    sure = float(np.sqrt(2.0 * f.isf(SURE / len(HARMONICS), 2.0, dof))) * u + CHANGED * abs(motion)
+    cubic = 3.0 if m == 3 else 1.0
+    # Less harmonic in the output than in the motion is a distortion of what measures the motion.
+    if size <= sure or cubic * size <= MATTERS or abs(own.value) < size / 2.0:
+        return
+    part = rounded(100.0 * size, 100.0 * coverage_factor(dof) * u, 0)
+    text = (
+        f"distortion of output {output.name}: harmonic {m} of {frequency_hz:.6g} Hz is "
+        f"({part.value} ± {part.expanded}) % of the fundamental beyond what the load's motion explains; "
+        "the sensor or its converter is not linear"
+    )
+    if m == 3:
+        sign = "small" if (excess * np.exp(-2j * own.phase_rad)).real < 0.0 else "large"
+        text += f"; if it is so by the cube, the ratio at the fundamental is too {sign} by about {300.0 * size:.2g} %"
+    yield Notice("warning", text, output.name)

@@ -21,12 +21,15 @@ from fusion.sensitivity.distributions import MonteCarlo
 from fusion.sensitivity.elastic import ElasticPart, Modes, Place
 from fusion.sensitivity.load import LoadResult, load_phasors
 from fusion.sensitivity.ratio import (
+    CHANGED,
     KnownMatrix,
     Sensitivity,
     StatedMatrix,
+    contradicting_outputs,
     driven_component,
     known_matrix,
     parasitic_loads,
+    quotient,
     sensitivity_ratio,
     sensor_element,
 )
@@ -41,9 +44,6 @@ if TYPE_CHECKING:
     from fusion.phasors.timing import ClockResult
     from fusion.recording.load import Manifest
     from fusion.recording.rig import Sensor
-
-CHANGED = 0.3
-"""Relative change of the driven element since rest from which its static value is doubted."""
 
 # Instruments on an elastic load: rows that tell the motion of its foot.
 
@@ -299,8 +299,9 @@ def _element_notices(
     shares = parasitic_loads(outputs, load, known.value, component, sensor.static_sensitivity_uncertainty)
     line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
     hertz = f"{outputs.phasors.frequency_hz[line]:.6g} Hz"
-    course = outputs.phasors.value[line, known.main] / (load.value[line] @ known.value[known.main])
-    doubt = []
+    predicted = load.value[line] @ known.value[known.main]
+    course = complex(quotient(outputs.phasors.value[line, known.main], np.asarray(predicted)))
+    doubt = list(contradicting_outputs(outputs, load, known, StatedMatrix.of(sensor).rated, line))
     if abs(course - 1.0) > CHANGED:
         text = (
             f"the {element} is {abs(course):.3g} times its static value at {hertz}, turned by "

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion.base import AnyNotice, rounded
+from fusion.estimation.consistency import OUTPUT_MISTAKES, likely_mistake
 from fusion.estimation.least_squares import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Influence,
@@ -453,6 +455,57 @@ def sensor_element(
         kind=tuple("element" for _ in signal),
         notices=tuple(notices),
     )
+
+
+# What the outputs and the static matrix say of each other.
+
+CHANGED = 0.3
+"""Relative change of an element since rest from which its static value is doubted."""
+CROSS_TALK = 0.05
+"""Of the rated output at the rated load: what a sensor may have that its static matrix does not state."""
+
+
+def contradicting_outputs(
+    outputs: Outputs, load: LoadResult, known: KnownMatrix, rated: FloatArray, line: int
+) -> Iterator[Notice]:
+    """Yield which outputs are at one line not what the static matrix makes of the load, and what that looks like.
+
+    An output may deviate by `CHANGED` of its prediction, by a cross-talk of `CROSS_TALK` of the load that is largest
+    over its rated one, and by three standard uncertainties.
+    """
+    signal, force, names = outputs.phasors.value[line], np.nan_to_num(load.value[line]), known.channels
+    predicted = force @ known.value.T
+    full = np.max(np.abs(known.value) * rated, axis=1)
+    of_load = (
+        load.uncertainty.at_lines([line])
+        .where_known()
+        .transformed(real_design(known.value[None].astype(np.complex128)))
+    )
+    pair = np.diagonal(of_load.covariance[0]).reshape(2, -1).sum(axis=0)
+    cross = CROSS_TALK * np.max(np.abs(force) / rated) * full
+    noise = 3.0 * np.hypot(np.sqrt(pair), np.hypot(outputs.phasors.u_re[line], outputs.phasors.u_im[line]))
+
+    def agrees(found: int, named: int) -> bool:
+        away = abs(signal[found] - predicted[named])
+        return bool(away <= CHANGED * abs(predicted[named]) + cross[named] + noise[named])
+
+    stated = [c for c in range(len(names)) if np.isfinite(signal[c]) and full[c] > 0.0]
+    doubted = [c for c in stated if not agrees(c, c)]
+    if not doubted:
+        return
+    listed = []
+    for c in doubted:
+        ratio = complex(quotient(signal[c], predicted[c, None])[0])
+        looks = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES) if abs(predicted[c]) > cross[c] else ""
+        factor = f"{abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad"
+        listed.append(f"{names[c]} is {factor}" + (f", as if {looks}" if looks else ""))
+    pairs = [(a, b) for a, b in combinations(doubted, 2) if agrees(a, b) and agrees(b, a)]
+    text = (
+        f"outputs contradict the static sensitivity at {outputs.phasors.frequency_hz[line]:.6g} Hz, by which the load "
+        f"would make them: {'; '.join(listed)}"
+    )
+    text += "".join(f"; outputs {names[a]} and {names[b]} look exchanged" for a, b in pairs)
+    yield Notice("warning", text, "sensitivity")
 
 
 # The ratio point by point, where several vibrometer points look along the force that was driven.

@@ -136,7 +136,7 @@ def test_the_rate_of_the_trigger_is_part_of_a_phase_that_frames_show(grown):
     expected = np.sqrt(pair.u_phase_rad**2 + (2e-6 * open_) ** 2 - (known * open_) ** 2)
     assert vague.u_phase_rad == pytest.approx(expected, rel=1e-3)
     # A drift of twice that is none.
-    drifted = replace(vague, amplitude=0.0, phase_rad=2.0 * vague.u_phase_rad)
+    drifted = replace(vague, amplitude=0.0, phase_rad=2.0 * vague.u_phase_rad, wander=0.0)
     assert stationarity_notices((drifted,)) == ()
     assert "drifts" in stationarity_notices((replace(drifted, phase_rad=50.0 * vague.u_phase_rad),))[0].text
 

@@ -15,11 +15,15 @@ import tifffile
 from contracts import refused as raises
 from support import DOCS, Refused, state, truth_of
 
+from fusion.phasors.channels import ChannelResult, folding
+from fusion.phasors.setup import distortion_notices
 from fusion.simulate import simulate
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.sines import recorded_phasors, runs
 from fusion.simulate.violations import CATALOGUE, GRAVITY_UNIT, violations
 from fusion.simulate.world import Draws, World, make_world
+from shaker.lines.frequencies import Lines
+from shaker.sine.phasor import Phasors
 
 IMAGES = {name for name, violation in CATALOGUE.items() if violation.needs == "images"}
 
@@ -223,3 +227,72 @@ def test_the_verdicts_of_the_document_stand(rig: str, name: str, benchmark: Modu
     (row,) = benchmark.rows(10, [(rig, (name,))])
     violated = f"`{name}={CATALOGUE[name].size:g}` {CATALOGUE[name].unit}"
     assert row.verdict == _verdicts()[f"{violated} on {rig}"]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("outputs-exchanged", "outputs Fz and My look exchanged"),
+        ("output-reversed", "Fz is 1 times as large, turned by 3.11 rad, as if its sign were reversed"),
+        # Of x - ε·x³ the third harmonic is ε/4, the fundamental lowered by 3ε/4.
+        ("converter-nonlinearity", "harmonic 3 of 106.25 Hz is (0.1249 ± 0.0025) % of the fundamental"),
+        ("converter-nonlinearity", "the ratio at the fundamental is too small by about 0.37 %"),
+        ("folded-harmonic", "only outputs of the sensor do so, the motion does not: look for a line beside"),
+    ],
+)
+def test_what_is_wrong_with_an_output_is_said(name: str, said: str, benchmark: ModuleType) -> None:
+    (found,) = [benchmark.draw(benchmark.RIGS["full"], (name,), 1)]
+    assert any(said in text for text in found.notices), found.notices
+
+
+@pytest.mark.parametrize(("rig", "seed"), [("full", 1), ("1020.3 Hz", 2)])  # at 1 kHz the clock alone turns 0.14 rad
+def test_nothing_is_said_of_outputs_that_are_right(rig: str, seed: int, benchmark: ModuleType) -> None:
+    notices = benchmark.draw(benchmark.RIGS[rig], (), seed).notices
+    assert not [text for text in notices if any(word in text for word in ("contradict", "distortion", "wanders"))]
+
+
+def test_a_beat_that_changes_no_slope_is_seen(benchmark: ModuleType) -> None:
+    """Where phase is as uncertain as the clock and amplitude turns back, the phasor wanders all the same."""
+    notices = benchmark.draw(benchmark.RIGS["full"], ("folded-harmonic",), 10).notices
+    assert any("the phasor at 106.25 Hz wanders over the record" in text and "Fz" in text for text in notices)
+
+
+def _waves(name: str, quantity: str, shares: Sequence[complex], turn: complex) -> ChannelResult:
+    """A channel of a wave of 50 Hz with harmonics 2 and 3 of the acceleration, read with a factor; u = 10⁻⁵ of it."""
+    frequency = 50.0 * np.arange(1, 4)
+    order = {"velocity": -1, "output": 0}[quantity]
+    value = turn * np.array([1.0, *shares]) * (2j * np.pi * frequency) ** order
+    spread = np.abs(value[0]) * 1e-5 * np.arange(1, 4.0) ** order
+    covariance = spread[:, None, None] ** 2 * np.eye(2)
+    found = Phasors(frequency, value[:, None], covariance, (name,), ("1",), np.full(3, 100.0))
+    empty = np.empty(0)
+    plain = (found, 0.0, *[empty] * 5)
+    return ChannelResult(name, "daq", quantity, "load", "1", 1e3, 1000, *plain, harmonics=found)
+
+
+def test_harmonics_of_the_motion_are_no_distortion_of_the_outputs() -> None:
+    """A linear sensor of either sign passes them; what comes on top, and that alone, is told."""
+    frequency = np.array([50.0])
+    none = np.zeros(1)
+    lines = Lines(frequency, none, frequency, np.ones(1, dtype=np.int64), ("",), ())
+    motion = (0.02 * np.exp(0.4j), 0.05 * np.exp(1.9j))
+    lasers = [_waves("laser_1", "velocity", motion, 3.0 + 1.0j), _waves("laser_2", "velocity", motion, 3.1 + 1.0j)]
+    for sign in (1.0, -1.0):
+        output = _waves("Fz", "output", motion, sign * 2e-6 * (3.0 + 1.0j))
+        assert list(distortion_notices([*lasers, output], lines)) == []
+        (notice,) = distortion_notices(
+            [*lasers, _waves("Fz", "output", (motion[0], motion[1] + 0.03j), sign * 2e-6 * (3.0 + 1.0j))], lines
+        )
+        assert "output Fz: harmonic 3 of 50 Hz is (3.0000 ±" in notice.text
+    assert list(distortion_notices([output], lines)) == []  # nothing tells what the motion has
+    # A laser that is not linear is no fault of the output.
+    assert list(distortion_notices([lasers[0], _waves("Fz", "output", (0.0, 0.0), 2e-6 + 0.0j)], lines)) == []
+
+
+def test_a_rate_folds_the_harmonics_next_to_its_own_multiple() -> None:
+    """At eight samples a period the seventh and the ninth harmonic look like the fundamental."""
+    named = [f"harmonic {m} of 1000 Hz folds onto 1000 Hz" for m in (7, 9, 15, 17)]
+    assert folding([1000.0], 8000.0, 8000) == named
+    assert folding([1000.3], 8000.0, 8000) == []
+    near = [text.replace("1000 Hz", "1000.3 Hz") for text in named[:2]]
+    assert folding([1000.3], 8000.0, 2400) == near  # 2.4 Hz apart, the next 4.8 Hz, bins of 3.3 Hz
