@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from fusion.base import ComputeError
 from fusion.instruments.channel import observe_channels, sensor_outputs
-from fusion.phasors.channels import channel_phasors, find_channel_lines
+from fusion.phasors.channels import channel_phasors, find_channel_lines, line_clock, line_strength
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from fusion.phasors.stereo_phasors import pairs_phasors
 from fusion.phasors.timing import TimeBase, see, tie_daqs
@@ -202,7 +202,8 @@ def evaluate_trial(manifest: Manifest, world: World, draws: Draws) -> Analysis:
     if lines is None:
         raise ComputeError("no channel shows the lines")
     _, readings = channel_phasors(manifest, base, lines)
-    stereo, _ = pairs_phasors(base, [stereo_motion(manifest, base, world, draws)], lines, from_motion=False)
+    errors, strength = base.line_errors(lines, line_clock(base)), line_strength(readings, lines)
+    stereo, _ = pairs_phasors(base, [stereo_motion(manifest, base, world, draws)], lines, errors, strength)
     channels = observe_channels(readings, manifest.rig.surroundings.gravity, manifest.daq[0].clock_uncertainty)
     sensor, body = manifest.rig.sensor, load_body(manifest.rig, manifest.part)
     outputs = None if sensor is None else sensor_outputs(readings, sensor.channels)

@@ -250,6 +250,12 @@ class Row:
         return "| " + " | ".join("–" if "nan" in cell else cell for cell in cells) + " |"
 
 
+def _largest_median(shifts: Sequence[FloatArray]) -> float:
+    """Return the largest of the medians (7,) over all draws, of those quantities that any draw gives; NaN if none."""
+    columns = np.array(shifts).reshape(-1, 7).T
+    return max((float(np.nanmedian(own)) for own in columns if np.isfinite(own).any()), default=np.nan)
+
+
 def judge(rig: str, names: tuple[str, ...], found: Sequence[Draw], plain: Mapping[int, Draw]) -> Row:
     """Return what all draws of a case say together; `plain`: the same seeds without violations."""
     expects = {word.lower() for name in names for word in CATALOGUE[name].expects}
@@ -285,7 +291,7 @@ def judge(rig: str, names: tuple[str, ...], found: Sequence[Draw], plain: Mappin
         shares[0],
         float(np.nanmean(inside[:, 1:])) if np.isfinite(inside[:, 1:]).any() else np.nan,
         float(np.nanmin(shares[1:])) if np.isfinite(shares[1:]).any() else np.nan,
-        float(np.nanmax(np.nanmedian(shift, axis=0))) if shift else np.nan,
+        _largest_median(shift),
         float(np.median(sizes) / np.quantile(errors, 0.95)) if errors else np.nan,
     )
 

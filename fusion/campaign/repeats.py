@@ -211,7 +211,9 @@ def drive_element(drive: Drive, known: KnownMatrix) -> tuple[ComplexArray, Uncer
     of_load, of_outputs = drive.shared()
     places = [drive.channels.index(channel) for channel in known.channels]
     outputs, load = drive.outputs[None, places], drive.load[None]
-    return known.elements(outputs, load)[0], known.uncertainty(outputs, load, of_outputs.at(places), of_load)
+    # Loads that nobody observed lie within their uncertainty.
+    given = np.abs(load) ** 2 > total_variance(np.nan_to_num(of_load.covariance))
+    return known.elements(outputs, load)[0], known.uncertainty(outputs, load, of_outputs.at(places), of_load, given)
 
 
 def known_of(drives: Sequence[Drive], component: int, stated: StatedMatrix | None) -> KnownMatrix | None:

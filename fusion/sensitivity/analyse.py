@@ -298,6 +298,8 @@ def _element_notices(
     # Of the output that the driven load moves most, at the strongest line.
     shares = parasitic_loads(outputs, load, known.value, component, sensor.static_sensitivity_uncertainty)
     line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
+    if not load.observed[line].any():
+        return ()  # instruments that contradict each other leave no load
     hertz = f"{outputs.phasors.frequency_hz[line]:.6g} Hz"
     predicted = load.value[line] @ known.value[known.main]
     course = complex(quotient(outputs.phasors.value[line, known.main], np.asarray(predicted)))

@@ -174,7 +174,7 @@ def _draw_elements(
     unknowns = (*known.unknowns, *known.courses(outputs.phasors.value, load.value))
     for unknown in unknowns:
         # Rated cross-talk is a bound: uniform between its limits.
-        bound = deviates.stream(unknown.name).uniform(-np.sqrt(3.0), np.sqrt(3.0), deviates.count)
+        bound = np.sqrt(3.0) * (deviates.angle(unknown.name) / np.pi - 1.0)
         off = deviates.normal(unknown.name) if known.static else bound
         matrix += off[:, None, None, None] * unknown.effect
     return known.elements(outputs.draw(deviates), loads, matrix)

@@ -15,12 +15,14 @@ from fusion.base import AnyNotice, rounded
 from fusion.estimation.consistency import OUTPUT_MISTAKES, likely_mistake
 from fusion.estimation.least_squares import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
+    Contribution,
     Influence,
     Polar,
     Uncertainty,
     Unknown,
     coverage_factor,
     element_covariance,
+    merge_contributions,
     polar,
     real_design,
     real_stack,
@@ -338,12 +340,14 @@ class KnownMatrix:
         return tuple(found)
 
     def uncertainty(
-        self, outputs: ComplexArray, load: ComplexArray, of_outputs: Uncertainty, of_load: Uncertainty
+        self, outputs: ComplexArray, load: ComplexArray, of_outputs: Uncertainty, of_load: Uncertainty, given: BoolArray
     ) -> Uncertainty:
         """Return the uncertainty of the E elements of K lines, first order, unknowns of one name as one.
 
         dS_cd = [dU_c - h dP_c - P_c dh - S_cd dL_d] / L_d with P_c = Σ_{j≠d} S⁰_cj L_j, h = U_m/Q, Q = Σ_j S⁰_mj L_j,
-        hence dP_c = Σ_{j≠d} (S⁰_cj dL_j + L_j dS⁰_cj) and dh = (dU_m - h Σ_j (S⁰_mj dL_j + L_j dS⁰_mj)) / Q.
+        hence dP_c = Σ_{j≠d} (S⁰_cj dL_j + L_j dS⁰_cj) and dh = (dU_m - h Σ_j (S⁰_mj dL_j + L_j dS⁰_mj)) / Q. Of a load
+        that is not `given` (K, 6) dL_j may be far larger than L_j: the variance of dL_j dS⁰_cj is added (JCGM 100,
+        5.1.2, note).
         """
         rows, m, d = list(self.rows), self.main, self.component
         driven, whole = np.asarray(load[:, d, None] + 0.0j), load @ self.value[m]
@@ -362,17 +366,22 @@ class KnownMatrix:
         total = total.plus(
             of_load.where_known().transformed(real_design(np.nan_to_num(quotient(by_load, driven[:, :, None]))))
         )
-        own = []
+        own, products, hidden = [], [], ~np.tile(given, (1, 2))
+        unsure = np.where(hidden[:, :, None] & hidden[:, None, :], np.nan_to_num(of_load.covariance), 0.0)
         for unknown in (*self.unknowns, *self.courses(outputs, load)):
-            moved = unknown.effect * load[:, None, :]
-            beside = np.delete(moved[:, rows], d, axis=2).sum(axis=2)
-            change = quotient(back * moved[:, m].sum(axis=1)[:, None] - course * beside, driven)
-            own.append(unknown.acting(real_stack(np.nan_to_num(change))))
+            effect = np.broadcast_to(unknown.effect, (len(load), *self.value.shape))
+            beside = effect[:, rows]
+            beside[:, :, d] = 0.0
+            by_each = back[:, :, None] * effect[:, None, m] - course[:, :, None] * beside
+            slope = np.nan_to_num(quotient(by_each, driven[:, :, None]))
+            own.append(unknown.acting(real_stack(np.einsum("kcj,kj->kc", slope, np.nan_to_num(load)))))
+            both = real_design(slope)
+            products.append(Contribution(unknown.label, "B", both @ unsure @ both.swapaxes(1, 2)))
         lost = np.tile(~np.isfinite(self.elements(outputs, load)), (1, 2))
         first = total.random[0]
-        hidden = np.where(lost[:, :, None] | lost[:, None, :], np.nan, first.covariance)
-        random = (replace(first, covariance=hidden), *total.random[1:])
-        return Uncertainty(random, (*total.influences, *own))
+        blank = np.where(lost[:, :, None] | lost[:, None, :], np.nan, first.covariance)
+        random = (replace(first, covariance=blank), *total.random[1:], *products)
+        return Uncertainty(merge_contributions(random), (*total.influences, *own))
 
 
 def known_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, sizes: ArrayLike) -> KnownMatrix | None:
@@ -448,7 +457,7 @@ def sensor_element(
         frequency_hz=outputs.phasors.frequency_hz,
         value=value,
         elements=tuple((channel, known.component) for channel in known.rows),
-        uncertainty=known.uncertainty(signal, force, outputs.uncertainty, load.uncertainty),
+        uncertainty=known.uncertainty(signal, force, outputs.uncertainty, load.uncertainty, load.observed),
         channels=outputs.phasors.channels,
         components=LOAD_COMPONENTS,
         unit=outputs.phasors.unit[0],

@@ -475,6 +475,7 @@ def test_where_all_is_as_stated_alarms_are_rare_and_u_is_not_enlarged(case):
         spread.append(expanded(result, 2))
         held.append(covered(result))
     assert alarms <= binom.isf(0.001, trials, 0.01)
-    assert np.mean(spread) <= 1.02 * np.median(spread)
+    # Where readings deviate by chance U is as large as they deviate: the share of such records counts, not their mean.
+    assert np.sum(np.array(spread) > 1.02 * np.median(spread)) <= binom.isf(0.001, trials, 0.01)
     low, high = acceptance(trials, 6)
     assert np.all((np.sum(held, axis=0) >= low) & (np.sum(held, axis=0) <= high))
