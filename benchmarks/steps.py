@@ -245,7 +245,8 @@ def errors_over_u(seed: int) -> dict[str, FloatArray]:
     """Return errors over their U (3, 2) of a campaign of preset steps, by component.
 
     Rows: of step, of compensate before and after the filter; columns: `OF_CAMPAIGNS`. The filter raises the sensor's
-    frequency `RAISED` times. The truth after it is that of the true sensor, all its modes and its amplifier, behind the filter that was made.
+    frequency `RAISED` times. The truth after it is that of the true sensor, all its modes and its amplifier, behind
+    the filter that was made.
     """
     found: dict[str, FloatArray] = {}
     with TemporaryDirectory() as place:
@@ -266,7 +267,7 @@ def errors_over_u(seed: int) -> dict[str, FloatArray]:
         rows = []
         for figures, held in zip((made.before, made.after), truths, strict=True):
             value = figures.indices.figures()
-            rows.append([(value[name] - held[name]) / (Z_95 * figures.u[name]) for name in OF_CAMPAIGNS])
+            rows.append([(value[name] - held[name]) / (2.0 * figures.u[name]) for name in OF_CAMPAIGNS])
         of_step = [component.find(name) for name in OF_CAMPAIGNS]
         errors = [(one.value - truths[0][one.name]) / one.expanded for one in of_step if one is not None]
         found[component.channel] = np.array([errors, *rows])

@@ -247,7 +247,7 @@ class Reach:
             text = f"within {REACH:g} standard uncertainties of the model there may be none of these, which have no U: "
             yield Notice("warning", text + ", ".join(gone), "indices")
         bent = [
-            f"{LABELS[name]} {low:.5g} … {high:.5g} {unit_of(name)}".rstrip()
+            f"{LABELS[name]}: {low:.5g} … {high:.5g} {unit_of(name)}".rstrip()
             for name, low, high, factor in zip(names, self.low, self.high, self.factor, strict=True)
             if factor > BENT
         ]
@@ -255,7 +255,7 @@ class Reach:
             text = (
                 f"within {REACH:g} standard uncertainties of the model these do not change in proportion to it, and U "
             )
-            yield Notice("info", f"{text}is widened to hold where they come to: {', '.join(bent)}", "indices")
+            yield Notice("info", f"{text}is widened to hold where they come to: {'; '.join(bent)}", "indices")
 
 
 def reach(covariance: FloatArray, slope: FloatArray, moved: Callable[[FloatArray], FloatArray]) -> Reach:

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -413,3 +414,13 @@ def test_a_band_that_a_peak_may_cut_short_is_covered(tmp_path):
     assert u_value is not None
     assert np.mean(np.abs(np.array(ends, float) - value) < 2.0 * u_value) >= 0.93
     assert any("do not change in proportion" in n.text and "±10 %" in n.text for n in found.notices)
+
+
+@pytest.mark.slow
+def test_bands_and_overshoot_of_simulated_campaigns_hold_the_truth(monkeypatch):
+    """Each of 24 figures per row is held 95 times in 100: fewer than 20 are seen by chance once in 200."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    found = import_module("steps").errors_over_u
+    ratio = np.abs(np.array([one for seed in (1, 3, 6, 20) for one in found(seed).values()]))
+    assert ratio.shape == (24, 3, 2)
+    assert np.min(np.sum(ratio <= 1.0, axis=0)) >= 20

@@ -93,7 +93,7 @@ def _remarks(
     anew = len({release.manifest.mounting for release in result.chosen}) == 1
     missing = ["what releases scatter by"] * (len(result.used) == 1) + ["mounting anew"] * anew
     text = ", ".join([*missing, "another load or temperature, and models of another structure"])
-    yield Notice("info", f"U of the model holds {result.scope}; not in it: {text}", where)
+    yield Notice("info", f"U of the model holds {result.scope}; not in it: {text}", "models")
     for notice in of_indices:
         yield Notice(notice.severity, notice.text, f"{where}, {notice.where}")
     if not len(model.real_hz):
