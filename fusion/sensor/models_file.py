@@ -21,13 +21,26 @@ MODELS_FILE = "models.json"
 LOAD_MODEL_FILE = "load.json"
 
 
+def scope_of(mountings: Sequence[str]) -> str:
+    """Return over what the U of a model holds: how many releases, of how many mountings, it rests on.
+
+    >>> scope_of(["1", "1", "1"])
+    'within these 3 releases of one mounting'
+    """
+    count, places = len(mountings), len(set(mountings))
+    if count == 1:
+        return "within this record of one release"
+    return f"within these {count} releases of {'one mounting' if places == 1 else f'{places} mountings'}"
+
+
 @dataclass(frozen=True)
 class ModelEntry:
     """The model of one output `channel` for one load `component` (Fx … Mz), in output `unit` per N or N·m.
 
     `method`: what identified it; `sample_rate_hz`: of the records; `noise`: standard deviation of the output's noise at
     that rate, in output units; `recording`: folders of the recordings it rests on, separated by ", ". `dof`: degrees of
-    freedom behind its covariance, infinite where that is of noise alone.
+    freedom behind its covariance, infinite where that is of noise alone. `scope`: over what U of the model holds, in
+    words, empty where nobody said it.
     """
 
     channel: str
@@ -39,6 +52,7 @@ class ModelEntry:
     noise: float
     recording: str
     dof: float = np.inf
+    scope: str = ""
 
 
 @dataclass(frozen=True)
@@ -115,6 +129,7 @@ def _entry(entry: ModelEntry) -> dict[str, Any]:
     return {
         **{name: getattr(entry, name) for name in named},
         "dof": entry.dof if np.isfinite(entry.dof) else None,
+        "scope": entry.scope,
         "static_gain": model.static_gain,
         "modes": [
             {"frequency_hz": f, "damping_ratio": z, "residue_re": r.real, "residue_im": r.imag} for f, z, r in modes
@@ -147,6 +162,7 @@ def _read_entry(item: dict[str, Any]) -> ModelEntry:
         raise ValueError(f"expected finite parameters, found {model.vector.tolist()}")
     told: dict[str, Any] = {key: str(item[key]) for key in ("channel", "component", "unit", "method", "recording")}
     told |= {key: float(item[key]) for key in ("sample_rate_hz", "noise")}
+    told["scope"] = str(item.get("scope", ""))
     return ModelEntry(**told, model=model, dof=np.inf if item["dof"] is None else float(item["dof"]))
 
 

@@ -7,7 +7,7 @@ just touches a band's limit the slope goes to nothing and the uncertainty, right
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -218,6 +218,70 @@ def pole_notices(system: LinearSystem, sample_rate_hz: float | None = None) -> t
             text = f"A zero lies {100 * distance.min() / abs(pole - system.rest):.2g} % from it: the two nearly cancel,"
             notices.append(Notice("info", f"{text} and the order may be too high.", where))
     return tuple(notices)
+
+
+# Whether figures change in proportion within U: a band that another turning point cuts short, a gain that bends.
+
+REACH = 2.0
+"""Standard uncertainties by which a model is moved to see that."""
+ALIKE = 0.98
+"""Correlation of two figures from which on both move the model the same way."""
+BENT = 1.2
+"""Factor between what a figure changes by and first order from which the user is told."""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """The lowest and highest values of figures (Q,) within `REACH` standard uncertainties of a model, NaN where a
+    figure ceases to be; `factor` (Q,): what u of first order has to be multiplied by to hold them, at least 1.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    factor: FloatArray
+
+    def notices(self, names: Sequence[str]) -> Iterator[Notice]:
+        """Say of which figures, names (Q,) as in `LABELS`, first order does not hold."""
+        gone = [LABELS[name] for name, factor in zip(names, self.factor, strict=True) if np.isnan(factor)]
+        if gone:
+            text = f"within {REACH:g} standard uncertainties of the model there may be none of these, which have no U: "
+            yield Notice("warning", text + ", ".join(gone), "indices")
+        bent = [
+            f"{LABELS[name]}: {low:.5g} … {high:.5g} {unit_of(name)}".rstrip()
+            for name, low, high, factor in zip(names, self.low, self.high, self.factor, strict=True)
+            if factor > BENT
+        ]
+        if bent:
+            text = (
+                f"within {REACH:g} standard uncertainties of the model these do not change in proportion to it, and U "
+            )
+            yield Notice("info", f"{text}is widened to hold where they come to: {'; '.join(bent)}", "indices")
+
+
+def reach(covariance: FloatArray, slope: FloatArray, moved: Callable[[FloatArray], FloatArray]) -> Reach:
+    """Return what figures come to within the covariance (P, P) of a model, whose derivatives are `slope` (Q, P).
+
+    `moved` gives the figures (Q,), NaN or infinite where there is none, for a move (P,) of the parameters. These are
+    moved to either side as far as each figure can go to first order, V·g/√(gᵀVg): nothing else moves that figure by
+    as much. Every figure is looked at in the direction of every other, since a band may end where the highest gain
+    comes to touch its limit, which the gain at its own end does not tell. One that is linear never changes more than
+    first order says, in whatever direction.
+    """
+    value, u = (
+        moved(np.zeros(len(covariance))),
+        np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", slope, covariance, slope), 0)),
+    )
+    ways: list[FloatArray] = []
+    for own, size in zip(slope, u, strict=True):
+        alike = [abs(own @ way) > ALIKE * size for way in ways]
+        if np.isfinite(size) and size > 0 and not any(alike):
+            ways.append(covariance @ own / size)
+    seen = np.array([value, *(moved(sign * REACH * way) for way in ways for sign in (-1.0, 1.0))])
+    known, finite = np.isfinite(value) & np.isfinite(u), np.all(np.isfinite(seen), axis=0)
+    low, high = (np.where(finite, of(seen, axis=0), np.nan) for of in (np.min, np.max))
+    far = np.maximum(high - value, value - low)
+    factor = np.maximum(np.divide(far, REACH * u, out=np.ones(len(u)), where=known & (u > 0)), 1.0)
+    return Reach(low, high, np.where(known & (u > 0), factor, 1.0))
 
 
 # Standard uncertainties of the indices of an identified model.

@@ -11,6 +11,7 @@ import numpy as np
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
 
 Method = Literal["tustin", "zoh", "matched"]
+LEAST_LAG = 0.02
 SOUND = 1e5
 """How much larger than their sum the parts of a response may be; beyond, poles count as coinciding."""
 
@@ -462,6 +463,21 @@ class ModalModel(Brief):
         value, slope = self.jacobian(function, step)
         return value, np.asarray(slope @ self._known_covariance() @ slope.T)
 
+    def moved(self, move: FloatArray) -> ModalModel:
+        """Return the model with its parameters moved by `move` (P,) to first order, straight in `to_coordinates`.
+
+        There what a record tells well stays as smooth and static as it is however far the move, and a lag that may be
+        about zero does not turn its sign: it stays above `LEAST_LAG` of its own size.
+        """
+        modes, reals, scale = len(self.frequency_hz), len(self.real_hz), scale_of(self)
+        coordinates, slope = self.jacobian(lambda at: to_coordinates(at, scale))
+        by = slope @ move
+        by[np.abs(by) < 1e-9 * sizes(coordinates, reals)] = 0.0  # rounding, which would make a far zero
+        far = coordinates + by
+        lags = slice(2 * modes, 2 * modes + reals)
+        far[lags] = coordinates[lags] * np.maximum(far[lags] / coordinates[lags], LEAST_LAG)
+        return self.with_vector(from_coordinates(far, modes, reals, scale))
+
     def _known_covariance(self) -> FloatArray:
         """The covariance, which must be there."""
         if self.covariance is None:
@@ -483,3 +499,49 @@ def differences(
         up, down = (np.asarray(function(parameters + sign * shift)) for sign in (1.0, -1.0))
         slopes[:, place] = (up - down) / (2.0 * moves[place])
     return value, slopes
+
+
+# Coordinates of models in which means and large moves are sound: what a record tells well is linear in them.
+
+
+def to_coordinates(model: ModalModel, scale: float) -> FloatArray:
+    """Return [f_n (M), ζ (M), 1/real_hz (Q), n_0 … n_{P-1}] (2P,), P = 2M + Q, of a model.
+
+    H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `scale` in rad/s: n_0 is the static gain, and a response that starts
+    smoothly has its highest n_k zero, in every mean too. A real pole enters by its lag: one far above the modes, which
+    hardly shows, has a lag about zero, while its frequency may be anything.
+    """
+    poles, residues = model.terms
+    parts = [r * np.poly(np.delete(poles, place) / scale)[::-1] / scale for place, r in enumerate(residues)]
+    numerator = np.sum(parts, axis=0) / np.prod(-poles / scale)
+    return np.concatenate([model.frequency_hz, model.damping_ratio, 1.0 / model.real_hz, numerator.real])
+
+
+def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: float) -> FloatArray:
+    """Return the vector (2P,) of a `ModalModel` of coordinates (2P,), the inverse of `to_coordinates`."""
+    order = 2 * modes + reals
+    frequency, damping, lag, numerator = np.split(coordinates, [modes, 2 * modes, order])
+    frame = ModalModel(frequency, damping, np.zeros(modes, dtype=np.complex128), 1.0 / lag, np.zeros(reals))
+    unscaled, _ = frame.terms
+    poles, real_hz = unscaled / scale, -unscaled[2 * modes :].real / (2 * np.pi)
+    # residues over the scale of Σ n_k x^k/Π(1 - x/p)
+    kept = [*range(modes), *range(2 * modes, order)]
+    top = -poles * np.polyval(numerator[::-1], poles)
+    residues = scale * np.array([top[place] / np.prod(1.0 - poles[place] / np.delete(poles, place)) for place in kept])
+    of_modes, of_reals = np.split(residues.astype(np.complex128), [modes])
+    return np.concatenate([frequency, damping, of_modes.real, of_modes.imag, real_hz, of_reals.real])
+
+
+def sizes(coordinates: FloatArray, reals: int) -> FloatArray:
+    """Return how large coordinates (2P,) are: themselves, those of the numerator the largest of these."""
+    half = len(coordinates) // 2
+    size: FloatArray = np.abs(coordinates)
+    size[half:] = size[half:].max()
+    lags = slice(half - reals, half)
+    size[lags] = size[lags].max(initial=0.0)
+    return size
+
+
+def scale_of(model: ModalModel) -> float:
+    """Return the geometric mean of a model's poles in rad/s."""
+    return float(np.exp(np.mean(np.log(np.abs(model.terms[0])))))

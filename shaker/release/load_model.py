@@ -86,16 +86,24 @@ class LoadModel(Brief):
         kl, cl = values[2:] if not self.is_rigid else (None, None)
         return replace(self, moving_mass=mass, stiffness=k, damping=c, coupling_stiffness=kl, coupling_damping=cl)
 
-    def propagate(self, function: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """Return a function's values (Q,) and their covariance (Q, Q), by central differences over every number."""
+    def jacobian(self, function: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Return a function's values (Q,) and derivatives (Q, P) by every number, as central differences."""
         total = self.total_covariance
         if total is None:
             raise ValueError("covariance: expected that of the parameters, found none")
-        numbers = np.append(self.vector, self.moving_mass)
-        most = np.where(numbers == 0.0, np.inf, 1e-3 * np.abs(numbers))
+        most = np.where(self.numbers == 0.0, np.inf, 1e-3 * np.abs(self.numbers))
         moves = np.minimum(1e-2 * np.sqrt(np.diag(total)), most)
-        value, jacobian = differences(lambda moved: function(self.with_numbers(moved)), numbers, moves)
-        return value, jacobian @ total @ jacobian.T
+        return differences(lambda moved: function(self.with_numbers(moved)), self.numbers, moves)
+
+    @property
+    def numbers(self) -> FloatArray:
+        """Return all numbers (P,) of `total_covariance`: `vector`, and the moving mass."""
+        return np.append(self.vector, self.moving_mass)
+
+    def propagate(self, function: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, FloatArray]:
+        """Return a function's values (Q,) and their covariance (Q, Q) by its `jacobian`."""
+        value, slope = self.jacobian(function)
+        return value, np.asarray(slope @ np.asarray(self.total_covariance) @ slope.T)
 
     def poles(self, load_mass: float) -> ComplexArray:
         """Return all poles in rad/s with a load mass in kg, 2 or 4; a load of no mass is rigid."""

@@ -193,12 +193,13 @@ def solve(problem: Problem, start: FloatArray) -> Solution:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
             matrix, answered = columns(problem, vector, problem.samples)
+            weighted = matrix * weight
 
         def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
             change = slopes(problem, vector, own[:, 0], answered) * weight
             return np.arange(change.shape[1]), change[:, :, None]
 
-        return Separable(vector, (Block(matrix * weight, data, changes),))
+        return Separable(vector, (Block(weighted, data, changes),))
 
     first = at(start)
     if first is None:

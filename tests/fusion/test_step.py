@@ -145,8 +145,16 @@ def test_records_fits_and_residuals_are_in_the_file(campaign):
 def test_one_recording_has_its_own_folder_and_the_summary_says_so(campaign, tmp_path, capsys):
     assert main(["step", str(campaign / "line-2"), "-o", str(tmp_path / "one")]) == 0
     told = capsys.readouterr()
-    assert "Fz: 1 of 1 releases in the model; f_n (1700." in told.out
-    assert "one release only: what releases scatter by is not in U" in told.err
+    assert "Fz: 1 of 1 releases in the model, U within this record of one release; f_n (1700." in told.out
+    assert "U of the model holds within this record of one release; not in it: what releases scatter by" in told.err
+    page = (tmp_path / "one" / "step.html").read_text(encoding="utf-8")
+    assert "Indices of the model, with U within this record of one release" in page
+    with h5py.File(tmp_path / "one" / "step.h5") as file:
+        assert file["Fz"].attrs["scope"] == "within this record of one release"
+
+
+def test_several_releases_say_of_how_many_mountings(campaign):
+    assert read_models(campaign / "step")["Fz", "Fz"].scope == "within these 3 releases of one mounting"
 
 
 def test_results_of_other_recordings_are_not_overwritten(campaign, refused):

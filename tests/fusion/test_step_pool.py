@@ -11,17 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from fusion.sensor.step.records import (
-    Pooled,
-    from_coordinates,
-    pool_models,
-    scale_of,
-    sorted_modes,
-    to_coordinates,
-    weighted_mean,
-)
+from fusion.sensor.step.records import Pooled, pool_models, sorted_modes, weighted_mean
 from fusion.sensor.step.releases import mean_with_scatter
-from shaker.lti.system import ModalModel
+from shaker.lti.system import ModalModel, from_coordinates, scale_of, to_coordinates
 
 FloatArray = NDArray[np.float64]
 VECTOR = np.array([1700.0, 3000.0, 0.015, 0.02, 1.0, 2.0, -8000.0, -300.0, 6000.0, 7.0])

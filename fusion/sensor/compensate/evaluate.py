@@ -44,7 +44,7 @@ from shaker.compensation.filter import (
     sampled,
 )
 from shaker.compensation.force_feedback import FeedbackRun, HapticLoop, largest_stable_gain, push, simulate_feedback
-from shaker.lti.indices import LABELS, indices
+from shaker.lti.indices import LABELS, indices, reach
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.load_model import LoadModel
 
@@ -225,11 +225,16 @@ BETTER = 1.05
 def remarks(result: SubjectResult, wish: Wish) -> Iterator[Notice]:
     """Say what limits the filters of a channel."""
     subject = result.subject
+    if subject.scope:
+        text = "not in it: what mounting anew, another load or temperature, and models of another structure change"
+        yield Notice("info", f"U of the model holds {subject.scope}; {text}", subject.name)
     for made in result.filters:
         several = made.load_mass is not None and len(result.filters) > 1
         where = f"{subject.name}, {subject.load_text(made.load_mass or 0.0)}" if several else subject.name
         for severity, text in (*_of_design(made, wish), *_of_effects(made)):
             yield Notice(severity, text, where)
+        for when, figures in (("before the filter", made.before), ("after the filter", made.after)):
+            yield from (Notice(one.severity, f"{when}, {one.text}", where) for one in figures.notices)
 
 
 def _of_design(made: LoadFilter, wish: Wish) -> Iterator[tuple[Severity, str]]:
@@ -300,6 +305,8 @@ AFTER_PERIODS = 2.0
 """Periods of the target after which what still rings is read: 2 ms for 1000 Hz."""
 OFF_FREQUENCY = np.array([-0.2, -0.1, -0.05, -0.02, -0.01, 0.0, 0.01, 0.02, 0.05, 0.1])
 BAND_POINTS = 200
+LEAST_SHARE = 0.02
+"""Share of itself to which a stiffness, damping or mass may fall when a model is moved within its uncertainty."""
 
 
 def evaluate_compensation(
@@ -407,13 +414,21 @@ def _figures(design: Compensation, subject: Subject, mass: float | None, *, alon
     found = indices(sensor.system if alone else design.compensated, 1.0 if alone else design.compensated.static_gain)
     if isinstance(model, ModalModel) and model.covariance is not None:
         # Steps of half an uncertainty: an index that jumps from one turning point to the next does so within it.
-        covariance = model.propagate(lambda one: values(one.system), 0.5)[1]
+        slope, covariance = model.jacobian(lambda one: values(one.system), 0.5)[1], model.covariance
+        seen = reach(covariance, slope, lambda move: values(model.moved(move).system))
     elif isinstance(model, LoadModel) and model.total_covariance is not None:
-        covariance = model.propagate(lambda one: values(one.system(mass or 0.0)))[1]
-        gain = list(LABELS).index("static_gain")
-        covariance[gain, gain] += (values(sensor.system)[gain] / model.sensitivity * model.u_sensitivity) ** 2
+        load, least = mass or 0.0, LEAST_SHARE * model.numbers
+        slope, covariance = model.jacobian(lambda one: values(one.system(load)))[1], model.total_covariance
+
+        def moved(move: FloatArray) -> FloatArray:
+            return values(model.with_numbers(np.maximum(model.numbers + move, least)).system(load))
+
+        seen = reach(covariance, slope, moved)
     else:
         return Figures(found, dict.fromkeys(LABELS))
-    spread = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    spread = seen.factor * np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", slope, covariance, slope), 0.0))
+    if isinstance(model, LoadModel):
+        gain = list(LABELS).index("static_gain")
+        spread[gain] = np.hypot(spread[gain], values(sensor.system)[gain] / model.sensitivity * model.u_sensitivity)
     known = {name: float(one) if np.isfinite(one) else None for name, one in zip(LABELS, spread, strict=True)}
-    return Figures(found, known)
+    return Figures(found, known, tuple(seen.notices(tuple(LABELS))))

@@ -297,7 +297,7 @@ def index_table(made: LoadFilter) -> Table | None:
         on_page("sensor", lambda name: cell(made.before, name)),
         on_page("compensated", lambda name: cell(made.after, name)),
     ]
-    told = "" if made.compensation.sensor.covariance is None else ", with U (k = 2)"
+    told = "" if made.compensation.sensor.covariance is None else f", with U (k = 2) {made.subject.scope}".rstrip()
     return table(f"{made.name}: before and after{told}", columns, SHOWN)
 
 
@@ -382,7 +382,7 @@ def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
     """Lines for the terminal, with U (k = 2) where it is known."""
     for made in evaluation.filters:
         target = made.compensation.target
-        yield made.name
+        yield f"{made.name}{f', U {made.subject.scope}' if made.subject.scope else ''}"
         yield f"  natural frequency: {cell(made.before, 'natural_hz', plain=True)} -> {target.frequency_hz:.6g} Hz"
         yield f"  damping ratio: {cell(made.before, 'damping_ratio', plain=True)} -> {target.damping_ratio:.4g}"
         for name, text in PRINTED.items():
@@ -445,6 +445,7 @@ def _stored(made: LoadFilter) -> dict[str, Any]:
     return {
         "channel": subject.channel,
         "component": subject.component,
+        "scope": subject.scope,
         "input_unit": subject.unit,
         **{name: getattr(made, name) for name in (*names, *curves)},
         **vars(sections),

@@ -112,7 +112,8 @@ class Subject:
     """An output channel for a load component (Fx … Mz), in output `unit`, with what is known of its dynamics.
 
     `component`: empty of a sensor that is stated. `model`: fitted to releases, over the load, or stated. `noise`:
-    standard deviation of the output at `sample_rate_hz`, None where they are not known. `source`: in words.
+    standard deviation of the output at `sample_rate_hz`, None where they are not known. `source`: in words; `scope`:
+    over what U of the model holds, in words.
     """
 
     channel: str
@@ -122,6 +123,7 @@ class Subject:
     source: str
     sample_rate_hz: float | None = None
     noise: float | None = None
+    scope: str = ""
 
     @property
     def name(self) -> str:
@@ -218,7 +220,8 @@ def _of_steps(file: Path) -> Sources:
         offered = [entry for entry in models if entry.channel == channel]
         one = max(offered, key=lambda entry: (entry.component == entry.channel, abs(entry.model.static_gain)))
         told = f"{one.method}, {one.recording}"
-        subjects.append(Subject(channel, one.component, one.unit, one.model, told, one.sample_rate_hz, one.noise))
+        known = one.sample_rate_hz, one.noise, one.scope or "within the records of the model"
+        subjects.append(Subject(channel, one.component, one.unit, one.model, told, *known))
     return Sources(models.name, tuple(subjects), (file,))
 
 
@@ -235,7 +238,9 @@ def _of_loads(file: Path) -> Sources:
             )
             notices.append(Notice("warning", text, model.channel))
         told = "two masses" if model.is_rigid else "three masses"
-        subject = Subject(model.channel, model.component, model.unit, model, told)
+        subject = Subject(
+            model.channel, model.component, model.unit, model, told, scope="within the records of the model"
+        )
         if model.load_masses:
             loads = ", ".join(subject.load_text(load) for load in model.load_masses)
             subject = replace(subject, source=f"{told}, fitted to loads of {loads}")
@@ -248,10 +253,14 @@ def _of_loads(file: Path) -> Sources:
 
 @dataclass(frozen=True)
 class Figures:
-    """Indices of a system with their standard uncertainties by name, None where they are not known."""
+    """Indices of a system with their standard uncertainties by name, None where they are not known.
+
+    `notices`: of which of them first order does not hold.
+    """
 
     indices: Indices
     u: dict[str, float | None]
+    notices: tuple[Notice, ...] = ()
 
 
 @dataclass(frozen=True)

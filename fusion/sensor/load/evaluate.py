@@ -16,7 +16,7 @@ from fusion.base import CommandEvaluation, ComputeError, InputError
 from fusion.estimation.uncertainty import NamedQuantity, coverage_factor
 from fusion.recording.load import Manifest
 from fusion.sensitivity.body import inertia_errors, rigid_load
-from fusion.sensor.models_file import parameter_units
+from fusion.sensor.models_file import parameter_units, scope_of
 from fusion.sensor.step.releases import Release, read_recording
 from shaker.arrays import FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS
@@ -82,7 +82,7 @@ MOVING = "moving mass of the sensor"
 class LoadSeries:
     """R records or table rows of one component: names, resonances, masses, the decays behind them (none of a table).
 
-    `noise` (R,): standard deviations of the records, in output units, None of a table.
+    `noise` (R,): standard deviations of the records, in output units, None of a table. `scope`: over what U holds.
     """
 
     output: Output
@@ -91,6 +91,7 @@ class LoadSeries:
     masses: SeriesMasses
     decays: tuple[FreeDecay, ...]
     noise: FloatArray | None
+    scope: str = "within this table"
 
 
 def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], tuple[Notice, ...]]:
@@ -165,6 +166,7 @@ def _series(releases: Sequence[Release], moving: Sequence[Moving], component: in
         masses=_masses(moving[0], masses),
         decays=tuple(decays),
         noise=np.array([item.noise for item in modes]),
+        scope=scope_of([release.manifest.mounting for release in releases]),
     )
 
 
@@ -343,6 +345,8 @@ def evaluate_loads(
     told = [*notices]
     for component in components:
         told += component.identification.notices
+        text = "not in it: what mounting anew, another temperature, and models of another structure change"
+        told.append(Notice("info", f"U holds {component.series.scope}; {text}", component.name))
         largest, unit = float(np.max(component.series.masses.load)), component.series.output.mass_unit
         if beyond := ", ".join(f"{mass:g}" for mass in settings.predicted if mass > largest):
             text = f"{beyond} {unit} lies beyond the largest load recorded, {largest:.4g} {unit}"

@@ -226,6 +226,7 @@ def fill(file: h5py.File, evaluation: LoadEvaluation) -> None:
         group.attrs["reason"] = identification.reason
         group.attrs["from_records"] = identification.from_records
         group.attrs["k"] = component.k
+        group.attrs["scope"] = component.series.scope
         write_value(group, "recordings", series.names)
         write_value(group, "formula_hz", component.formula_hz)
         write_fields(group.create_group("output"), series.output)
@@ -312,7 +313,7 @@ def parameters_table(component: ComponentLoads) -> Table | None:
     ]
     several, solutions = len(component.solutions) > 1, component.solutions
     rows = (row for solution in solutions for row in parameters(component, solution))
-    caption = f"Parameters with U = k·u, k = {factor(component.k)} (95 %)"
+    caption = f"Parameters with U = k·u, k = {factor(component.k)} (95 %), {component.series.scope}"
     return table(caption, columns if several else columns[1:], rows)
 
 
@@ -393,7 +394,7 @@ def printed(evaluation: LoadEvaluation) -> Iterator[str]:
                 f"{one.label.rpartition(' ')[2]} = {rounded(one.value, one.expanded).text} {unit_text(one.unit)}"
                 for _, one, _ in parameters(component, solution)
             )
-            yield f"{component.name} ({_structure(solution)}{_which(solution)}): {told}"
+            yield f"{component.name} ({_structure(solution)}{_which(solution)}): {told}; U {component.series.scope}"
             for row in load_rows(component, solution):
                 if row.kind != DRAWN:
                     model, mass = row.model_hz(0), f"{row.mass_text} {small}"

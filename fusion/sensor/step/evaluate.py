@@ -13,7 +13,7 @@ import numpy as np
 from fusion.base import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
 from fusion.report.table import sensitivity_unit
-from fusion.sensor.models_file import ModelEntry
+from fusion.sensor.models_file import ModelEntry, scope_of
 from fusion.sensor.step.records import StepSettings, index_quantities, parameter_quantities, pool_models
 from fusion.sensor.step.releases import (
     ComponentResult,
@@ -73,6 +73,7 @@ def evaluate_component(
         noise=float(np.median([release.reading.noise for release in used])),
         recording=", ".join(names),
         dof=float(pooled.scattered) if pooled.scattered else float(np.inf),
+        scope=scope_of(mountings),
     )
     parameters = parameter_quantities(pooled, unit)
     result = replace(result, pooled=pooled, parameters=parameters, figures=figures, entry=entry)
@@ -89,11 +90,10 @@ def _remarks(
     where, channel = result.component, result.channel
     if len(result.ropes) > 1:
         yield Notice("info", f"the model of {channel} rests on {result.reason}", where)
-    if len(result.used) == 1:
-        yield Notice("info", "one release only: what releases scatter by is not in U", where)
-    elif len({release.manifest.mounting for release in result.chosen}) == 1:
-        text = "all releases of a component are of one mounting: what mounting anew changes is not in U"
-        yield Notice("info", text, "releases")
+    anew = len({release.manifest.mounting for release in result.chosen}) == 1
+    missing = ["what releases scatter by"] * (len(result.used) == 1) + ["mounting anew"] * anew
+    text = ", ".join([*missing, "another load or temperature, and models of another structure"])
+    yield Notice("info", f"U of the model holds {result.scope}; not in it: {text}", "models")
     for notice in of_indices:
         yield Notice(notice.severity, notice.text, f"{where}, {notice.where}")
     if not len(model.real_hz):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -14,9 +14,9 @@ from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.sensor.transfer.records import Aligned, align
-from shaker.arrays import ComplexArray, FloatArray, Notice
-from shaker.lti.indices import LABELS, SETTLING, indices, moving_figures, settling_u, unit_of
-from shaker.lti.system import ModalModel
+from shaker.arrays import FloatArray, Notice
+from shaker.lti.indices import LABELS, SETTLING, indices, moving_figures, reach, settling_u, unit_of
+from shaker.lti.system import ModalModel, from_coordinates, scale_of, sizes, to_coordinates
 from shaker.release.record import StepRecord
 from shaker.timebase.edges import kernel_reach, resampled
 
@@ -141,59 +141,6 @@ def _without_delays(aligned: Aligned) -> Aligned:
         for value, by in zip(aligned.values, shift, strict=True)
     )
     return replace(aligned, values=values, start_s=start_s + low / aligned.rate_hz)
-
-
-# Coordinates in which models of several releases can be averaged: what a record tells well is linear in them.
-
-
-def to_coordinates(model: ModalModel, scale: float) -> FloatArray:
-    """Return [f_n (M), ζ (M), 1/real_hz (Q), n_0 … n_{P-1}] (2P,), P = 2M + Q, of a model.
-
-    H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `scale` in rad/s: n_0 is the static gain, and a response that starts
-    smoothly has its highest n_k zero, in every mean too. A real pole enters by its lag: one far above the modes, which
-    hardly shows, has a lag about zero, while its frequency may be anything.
-    """
-    poles, residues = _all(model)
-    parts = [r * np.poly(np.delete(poles, place) / scale)[::-1] / scale for place, r in enumerate(residues)]
-    numerator = np.sum(parts, axis=0) / np.prod(-poles / scale)
-    return np.concatenate([model.frequency_hz, model.damping_ratio, 1.0 / model.real_hz, numerator.real])
-
-
-def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: float) -> FloatArray:
-    """Return the vector (2P,) of a `ModalModel` of coordinates (2P,), the inverse of `to_coordinates`."""
-    order = 2 * modes + reals
-    frequency, damping, lag, numerator = np.split(coordinates, [modes, 2 * modes, order])
-    frame = ModalModel(frequency, damping, np.zeros(modes, dtype=np.complex128), 1.0 / lag, np.zeros(reals))
-    unscaled, _ = _all(frame)
-    poles, real_hz = unscaled / scale, -unscaled[2 * modes :].real / (2 * np.pi)
-    # residues over the scale of Σ n_k x^k/Π(1 - x/p)
-    kept = [*range(modes), *range(2 * modes, order)]
-    top = -poles * np.polyval(numerator[::-1], poles)
-    residues = scale * np.array([top[place] / np.prod(1.0 - poles[place] / np.delete(poles, place)) for place in kept])
-    of_modes, of_reals = np.split(residues.astype(np.complex128), [modes])
-    return np.concatenate([frequency, damping, of_modes.real, of_modes.imag, real_hz, of_reals.real])
-
-
-def sizes(coordinates: FloatArray, reals: int) -> FloatArray:
-    """Return how large coordinates (2P,) are: themselves, those of the numerator the largest of these."""
-    half = len(coordinates) // 2
-    size: FloatArray = np.abs(coordinates)
-    size[half:] = size[half:].max()
-    lags = slice(half - reals, half)
-    size[lags] = size[lags].max(initial=0.0)
-    return size
-
-
-def scale_of(model: ModalModel) -> float:
-    """Return the geometric mean of a model's poles in rad/s."""
-    return float(np.exp(np.mean(np.log(np.abs(_all(model)[0])))))
-
-
-def _all(model: ModalModel) -> tuple[ComplexArray, ComplexArray]:
-    """All poles (P,) in rad/s and their residues: upper ones, lower ones, real ones."""
-    upper, real = np.split(model.poles, [len(model.frequency_hz)])
-    residues = (model.residue, model.residue.conj(), model.real_residue + 0j)
-    return np.concatenate([upper, upper.conj(), real]), np.concatenate(residues)
 
 
 # Models of several releases become one: a weighted mean, with what releases or mountings scatter by.
@@ -386,7 +333,10 @@ def index_quantities(
     """
     found = indices(pooled.model.system, nominal or 1.0, sample_rate_hz)
     names, moving = moving_figures(pooled.model, found)
-    u, dof = (part.tolist() for part in pooled.spread(pooled.model.jacobian(moving)[1]))
+    slope = pooled.model.jacobian(moving)[1]
+    seen = reach(np.asarray(pooled.model.covariance), slope, _figures_of(pooled.model, names, nominal or 1.0))
+    u, dof = pooled.spread(slope)
+    u, dof = (seen.factor * u).tolist(), dof.tolist()
     known = dict(zip(names, zip(u, dof, strict=True), strict=True))
     of_damping = known.get("damping_ratio", (0.0, np.inf))[1]
     known |= {name: (settling_u(pooled.model, tolerance), of_damping) for name, tolerance in SETTLING.items()}
@@ -395,4 +345,14 @@ def index_quantities(
         if value is not None and np.isfinite(value) and (nominal is not None or "nominal" not in name):
             own = unit if name == "static_gain" else unit_of(name) or "1"
             quantities.append(NamedQuantity(value, *known.get(name, (np.nan, np.inf)), own, name, LABELS[name]))
-    return tuple(quantities), found.notices
+    return tuple(quantities), (*found.notices, *seen.notices(names))
+
+
+def _figures_of(model: ModalModel, names: Sequence[str], nominal: float) -> Callable[[FloatArray], FloatArray]:
+    """Return the function of a move of a model's parameters that gives some figures (Q,), NaN where there is none."""
+
+    def figures(move: FloatArray) -> FloatArray:
+        found = indices(model.moved(move).system, nominal).figures()
+        return np.array([found[name] for name in names], dtype=np.float64)
+
+    return figures

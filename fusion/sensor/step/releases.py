@@ -147,6 +147,11 @@ class ComponentResult:
         """The releases that the model rests on."""
         return tuple(release for release in self.releases if release.name in self.used)
 
+    @property
+    def scope(self) -> str:
+        """Return over what U of the model holds, in words; empty without a model."""
+        return "" if self.entry is None else self.entry.scope
+
     def find(self, name: str) -> NamedQuantity | None:
         """Return an index by its name, None where there is none."""
         return next((one for one in self.figures if one.name == name), None)

@@ -221,6 +221,7 @@ def fill(file: h5py.File, evaluation: StepEvaluation) -> None:
     write_value(file, "notices", evaluation.notices)
     for component in evaluation.components:
         group = file.create_group(component.component, track_order=True)
+        group.attrs["scope"] = component.scope
         for name in ("channel", "unit", "used", "reason", "pooled", "parameters", "figures", "gains", "ropes"):
             write_value(group, name, getattr(component, name))
         releases = group.create_group("releases", track_order=True)
@@ -281,8 +282,12 @@ def page_context(evaluation: StepEvaluation) -> dict[str, Any]:
                 "name": component.component,
                 "channel": component.channel,
                 "reason": component.reason,
-                "indices": quantities_table("Indices of the model, with U", "index", component.figures),
-                "parameters": quantities_table("Parameters of the model, with U", "parameter", component.parameters),
+                "indices": quantities_table(
+                    f"Indices of the model, with U {component.scope}", "index", component.figures
+                ),
+                "parameters": quantities_table(
+                    f"Parameters of the model, with U {component.scope}", "parameter", component.parameters
+                ),
                 "releases": releases_table(component),
                 "ropes": ropes_table(component),
                 "gains": gains_table(component),
@@ -300,8 +305,7 @@ def headlines(evaluation: StepEvaluation) -> list[Headline]:
     for component in evaluation.components:
         frequency, damping = component.find("natural_hz"), component.find("damping_ratio")
         if frequency is not None and damping is not None:
-            releases = "1 release" if len(component.used) == 1 else f"{len(component.used)} releases"
-            remark = f"ζ = {measured(*_shown(damping))}; {releases}"
+            remark = f"ζ = {measured(*_shown(damping))}; U {component.scope}"
             lines.append(Headline(f"{component.channel}: natural frequency", measured(*_shown(frequency)), remark))
     return lines[:MANY_HEADLINES]
 
@@ -320,6 +324,7 @@ def summary_table(evaluation: StepEvaluation) -> Table | None:
         return on_page(head, shown)
 
     columns = [on_page("load", load, "l"), *(index(name, head) for name, head in SUMMARY.items())]
+    columns.append(on_page("U holds", lambda component: component.scope or DASH, "l"))
     return table("Models of the driven outputs, with U", columns, evaluation.components)
 
 
@@ -445,6 +450,7 @@ def printed(evaluation: StepEvaluation) -> Iterator[str]:
     """Yield the lines that the command prints."""
     for component in evaluation.components:
         told = f"{component.component}: {len(component.used)} of {len(component.releases)} releases in the model"
+        told += f", U {component.scope}" if component.scope else ""
         indices = [(label, component.find(name)) for name, label in PRINTED.items()]
         parts = [f"{label} {plain(*_shown(index))}" for label, index in indices if index is not None]
         yield f"{told}; {', '.join(parts) or 'no model'}"
