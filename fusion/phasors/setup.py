@@ -278,10 +278,10 @@ def line_stationarity(
     first = lines.multiple == 1
     driven = list(zip(lines.frequency_hz[first].tolist(), lines.u_frequency_hz[first].tolist(), strict=True))
     return tuple(
-        replace(change, output=output)
+        change
         for name, steady, u, output in shown
         if steady is not None
-        for change in _of_lines(name, steady, driven, u)
+        for change in _of_lines(name, steady, driven, u, output=output)
     )
 
 
@@ -319,13 +319,13 @@ def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[AnyNotice
 
 
 def _of_lines(
-    name: str, steady: Stationarity, driven: Sequence[tuple[float, float]], u_rate: float
+    name: str, steady: Stationarity, driven: Sequence[tuple[float, float]], u_rate: float, *, output: bool
 ) -> list[LineStationarity]:
     """Return the changes of the driven lines (frequency, its u), each in the channel that shows it best."""
     length, changes = steady.length_s, []
     for frequency, u_frequency in driven:
         turn = 2.0 * np.pi * float(np.hypot(frequency * u_rate, u_frequency))
-        chance = steady.p_value_beside(turn)
+        chance, scatter = steady.p_value_beside(turn), steady.scatter_beside(turn)
         for line in np.flatnonzero(steady.frequency_hz == frequency):
             mean = np.abs(steady.value[:, line].mean(axis=0))
             clear = mean / np.maximum(steady.u_amplitude_per_s[line], np.finfo(np.float64).tiny)
@@ -338,7 +338,7 @@ def _of_lines(
                 # The rates are known, the noise is estimated (Welch and Satterthwaite).
                 dof_phase = dof * (u_phase / own) ** 4 if own > 0.0 else np.inf
                 # A straight line from -D/2 to D/2 has the variance D²/12.
-                wander = np.sqrt(12.0 * steady.scatter_beside(turn)[line, c]) / mean[c]
+                wander = np.sqrt(12.0 * scatter[line, c]) / mean[c]
                 changes.append(
                     LineStationarity(
                         name,
@@ -354,6 +354,7 @@ def _of_lines(
                         coverage_factor(dof, 1.0 - SURE) * float(u_amplitude),
                         coverage_factor(dof_phase, 1.0 - SURE) * u_phase * length,
                         float(wander),
+                        output,
                     )
                 )
     return changes

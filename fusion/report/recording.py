@@ -33,7 +33,7 @@ from fusion.report.signal_figures import channel_pictures, point_pictures, trigg
 from fusion.report.style import Picture
 from fusion.report.table import Column, csv_text, measured, polar_columns, sensitivity_unit, word
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensitivity.body import load_body
+from fusion.sensitivity.body import moving_parts
 from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.arrays import FloatArray
@@ -226,17 +226,17 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
         serial = f", serial number {rig.sensor.serial}" if rig.sensor.serial else ""
         facts.append(("Sensor", f"{rig.sensor.name}{serial}"))
     if rig.load is not None:
-        mass = measured(rig.load.mass, 2.0 * rig.load.mass_uncertainty, "kg").striptags()
-        facts.append(("Load mass", f"{mass}, k = 2"))
+        stated = measured(rig.load.mass, 2.0 * rig.load.mass_uncertainty, "kg").striptags()
+        facts.append(("Load mass", f"{stated}, k = 2"))
     nominal = ", ".join(f"{frequency:g} Hz" for frequency in excitation.frequencies or ())
     direction = ", ".join(f"{element:g}" for element in excitation.direction or ())
     told = [excitation.kind, nominal, f"direction ({direction})" if direction else ""]
     facts.append(("Excitation", ", ".join(filter(None, told))))
     manifest, around = evaluation.manifest, rig.surroundings
-    body = load_body(rig, manifest.part)
-    if body is not None:
-        moving, u = sum(part.mass_kg for part in body.parts), np.linalg.norm([part.u_mass_kg for part in body.parts])
-        moved = measured(moving, 2.0 * float(u), "kg").striptags()
+    parts = moving_parts(rig, manifest.part)
+    if parts:
+        mass, u = sum(part.mass_kg for part in parts), np.linalg.norm([part.u_mass_kg for part in parts])
+        moved = measured(mass, 2.0 * float(u), "kg").striptags()
         facts.append(("Moving mass", f"{moved}, k = 2, with what moves in the sensor"))
     temperatures = (("Temperature", around.temperature), ("Sensor temperature", around.sensor_temperature))
     facts += [(name, f"{value:g} °C") for name, value in temperatures if value is not None]

@@ -452,23 +452,22 @@ def _tabled(table: Elastic) -> Modes:
 # The body from the tables of rig.toml and recording.toml.
 
 
-def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
-    """Return all that moves above the elastic element: load, parts and internal mass; None without a `[load]`.
+def moving_parts(rig: Rig, parts: Sequence[PartTable]) -> tuple[Part, ...]:
+    """Return all that moves above the elastic element, none without a `[load]`: load, parts and internal mass.
 
     Masses are true ones, in air of the density that the rig states, or that follows from its pressure, temperature,
-    humidity and height. The sensor's own mass lies below the load's joint,
-    where there is one.
+    humidity and height. The sensor's own mass lies below the load's joint, where there is one.
     """
-    load, sensor, environment = rig.load, rig.sensor, rig.surroundings
+    load, sensor = rig.load, rig.sensor
     if load is None:
-        return None
-    rigid, air_density = [], environment.air.value
+        return ()
+    moving, air_density = [], rig.surroundings.air.value
     tables: list[tuple[str, Load | PartTable, bool]] = [("load", load, False)]
     tables += [(part.name, part, part.below_joint) for part in parts if part.body == "load"]
     for name, table, below in tables:
         u = (table.mass_uncertainty, table.centre_of_mass_uncertainty, table.inertia_uncertainty)
         share = 0.0 if table.density is None else air_density / table.density
-        rigid.append(make_part(name, table.true_mass, table.centre_of_mass, table.inertia, u, share, below))
+        moving.append(make_part(name, table.true_mass, table.centre_of_mass, table.inertia, u, share, below))
     if sensor is not None and sensor.internal_mass > 0.0:
         u = (
             sensor.internal_mass_uncertainty,
@@ -476,24 +475,33 @@ def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
             sensor.internal_inertia_uncertainty,
         )
         centre, inertia = sensor.internal_centre_of_mass, sensor.internal_inertia
-        rigid.append(make_part("internal mass", sensor.internal_mass, centre, inertia, u, below_joint=True))
+        moving.append(make_part("internal mass", sensor.internal_mass, centre, inertia, u, below_joint=True))
+    return tuple(moving)
+
+
+def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
+    """Return the `moving_parts`, with what is elastic and what else pulls; None without a `[load]`."""
+    load = rig.load
+    if load is None:
+        return None
     joint = None
     if load.elastic_frequency is not None:
         joint = make_joint(load.elastic_frequency, load.elastic_frequency_uncertainty, load.elastic_damping)
-    sense = "on_load" if sensor is None else sensor.sense
+    sense = "on_load" if rig.sensor is None else rig.sensor.sense
     elastic = tuple(elastic_part(table) for table in load.elastic)
     first = None if load.first_frequency is None else np.array(load.first_frequency)
     tied = (load.cable_stiffness or np.zeros(3), load.cable_stiffness_uncertainty)
-    return Body(tuple(rigid), joint, *environment.free_fall_mps2, sense, elastic, first, *tied)
+    gravity = rig.surroundings.free_fall_mps2
+    return Body(moving_parts(rig, parts), joint, *gravity, sense, elastic, first, *tied)
 
 
 def rigid_load(manifest: Manifest) -> Body:
     """Return load and parts without what moves inside the sensor; `InputError` without a load."""
-    body = load_body(manifest.rig.model_copy(update={"sensor": None}), manifest.part)
-    if body is None:
+    parts = moving_parts(manifest.rig.model_copy(update={"sensor": None}), manifest.part)
+    if not parts:
         expected = "[load] with the mass, centre of mass and inertia of what is mounted on the sensor"
         raise InputError(manifest.rig_path, "load", found="nothing", expected=expected)
-    return Body(body.parts)
+    return Body(parts)
 
 
 def inertia_errors(manifest: Manifest, body: Body) -> tuple[InertiaError, ...]:
