@@ -119,9 +119,8 @@ def fuse(
     if not own:
         raise ValueError(f"observations: expected at least one of body {body}, found none")
     stated = [observation for observation in own if observation.stated]
-    kept, out = without_gross(stated or own, unseen)
-    system = build_system(kept, unseen)
-    solved = solve_consistently(system, scatter)
+    system, alone, out = without_gross(stated or own, unseen)
+    solved = solve_consistently(system, alone, scatter)
     first, final, parts, open_ = solved.stated, solved.final, solved.parts, solved.open
     unknowns = estimates(system.common, first)
     suspects = [name for one in open_ for name in one.names]
@@ -165,16 +164,16 @@ def fuse(
 
 def without_gross(
     observations: Sequence[Observation], unseen: UnseenMotion | None = None
-) -> tuple[tuple[Observation, ...], tuple[Consistency, ...]]:
-    """Return observations without the readings that are gross errors by all others, NaN, and what was left out.
+) -> tuple[System, Solution, tuple[Consistency, ...]]:
+    """Return the system without the readings that are gross errors by all others (NaN), its solution, and those errors.
 
     Left out is what alone would explain that readings contradict each other, one after another. Where several would,
     none is.
     """
-    kept, out = tuple(observations), []
+    out: list[Consistency] = []
+    system = build_system(observations, unseen)
+    first = solve(system)
     for _ in range(MOST_LEFT_OUT):
-        system = build_system(kept, unseen)
-        first = solve(system)
         if not contradicts(first, estimates(system.common, first)):
             break
         found = suspicions(system, first)
@@ -182,8 +181,9 @@ def without_gross(
             break
         tests = leave_one_out(system, first, found[0].names)
         out += [replace(test, used=False, left_out=True) for test in tests if test.suspect]
-        kept = without_readings(system, found[0].rows)
-    return kept, tuple(out)
+        system = build_system(without_readings(system, found[0].rows), unseen)
+        first = solve(system)
+    return system, first, tuple(out)
 
 
 @dataclass(frozen=True)
@@ -206,9 +206,11 @@ class Solved:
     open: tuple[Suspicion, ...] = ()
 
 
-def solve_consistently(system: System, scatter: tuple[Scatter, ...] | None = None) -> Solved:
-    """Solve a system; readings that contradict what is stated get the discrepancies that `fuse` tells of."""
-    first = solve(system)
+def solve_consistently(system: System, first: Solution, scatter: tuple[Scatter, ...] | None = None) -> Solved:
+    """Solve a system anew from its `first` solution, by what is stated, where the readings contradict that.
+
+    They then get the discrepancies that `fuse` tells of.
+    """
     contradicted = contradicts(first, estimates(system.common, first))
     open_ = suspicions(system, first) if contradicted else ()
     scatter = estimate_scatter(system, first) if scatter is None else scatter

@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.base import ComputeError, ProgressCallback, no_progress
 from fusion.estimation.fuse import Acceleration, solve_consistently, without_gross
-from fusion.estimation.least_squares import UNOBSERVED, Places, Solution, build_system
+from fusion.estimation.least_squares import UNOBSERVED, Places, Solution
 from fusion.estimation.measurement_model import Deviates, Drawn, Observation
 from fusion.estimation.uncertainty import Uncertainty, as_complex, real_stack
 from fusion.estimation.variance_components import LEAST_DOF
@@ -141,9 +141,8 @@ def _motion(inputs: Inputs, fused: Acceleration) -> _Motion:
     """Return a fused acceleration with the instruments that took part in it."""
     own = [(place, seen) for place, seen in enumerate(inputs.observations) if seen.body == fused.body]
     used = [(place, seen) for place, seen in own if seen.stated] or own
-    observations, _ = without_gross([seen for _, seen in used], fused.unseen)
-    system = build_system(observations, fused.unseen)
-    solution = solve_consistently(system, fused.scatter).final
+    system, first, _ = without_gross([seen for _, seen in used], fused.unseen)
+    observations, solution = system.observations, solve_consistently(system, first, fused.scatter).final
     noise = tuple(f"noise of instrument {place}" for place, _ in used)
     return _Motion(fused, observations, noise, Estimator.of(observations, system.expand, solution))
 
