@@ -28,7 +28,7 @@ from photogram.calibration.result import Calibration
 from photogram.calibration.session import calibrate_pair
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform, vector_from_rotation
-from photogram.images import read_picture
+from photogram.images.files import read_picture
 from photogram.synthetic.board import Board, random_poses, random_rig, render_board
 from photogram.synthetic.scene import ImageSensor
 from photogram.targets.view import Target, TargetNotFound, TargetView, find_target

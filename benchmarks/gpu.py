@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from speckle_plane import Motion, render, speckled_plane
 
 from photogram.bspline import spline_of_image
-from photogram.images import ImageSequence, open_sequence
+from photogram.images.files import open_sequence
+from photogram.images.sequence import ImageSequence
 from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.icgn_stream import follow_frames
 from photogram.subsets.reference import Reference, TrackStatus, prepare_reference

@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from fusion.simulate.preset import Preset, StereoSetup, face_of, nominal_rig, read_preset
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform
-from photogram.images import ImageSequence, open_sequence
+from photogram.images.files import open_sequence
+from photogram.images.sequence import ImageSequence
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.track import StereoTracks, track_stereo

@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 from photogram.calibration.file import read_calibration
 from photogram.camera import triangulate
 from photogram.geometry import fit_rigid
-from photogram.images import open_sequence
+from photogram.images.files import open_sequence
 from photogram.motion import fit_motion
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus

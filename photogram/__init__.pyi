@@ -12,9 +12,9 @@ from .camera import StereoRig as StereoRig
 from .camera import triangulate as triangulate
 from .epipolar import check_epipolar as check_epipolar
 from .geometry import RigidTransform as RigidTransform
-from .images import ImageSequence as ImageSequence
-from .images import open_sequence as open_sequence
-from .images import read_picture as read_picture
+from .images.files import open_sequence as open_sequence
+from .images.files import read_picture as read_picture
+from .images.sequence import ImageSequence as ImageSequence
 from .measure import measure_body as measure_body
 from .motion import fit_motion as fit_motion
 from .point_tables import read_point_tables as read_point_tables

@@ -11,7 +11,7 @@ from numba import prange
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.bspline import Spline, evaluate, mean_noise_gain, sample_line, slope_noise_gain, warp_inside
 from photogram.geometry import RigidTransform, pose_rate
-from photogram.images import QUANTISATION, NoiseModel, fit_noise_model
+from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
 from photogram.kernels import njit
 from photogram.motion import Patches, PlacedCamera, body_patches, patch_rates, patch_warps
 from photogram.subsets.reference import RUN_SUMS, run_sums

@@ -13,7 +13,8 @@ from photogram.bspline import Spline, spline_of_image
 from photogram.camera import Points, StereoRig, triangulate
 from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_covariance, view_body
 from photogram.geometry import RigidTransform
-from photogram.images import ImageSequence, NoiseModel
+from photogram.images.noise import NoiseModel
+from photogram.images.sequence import ImageSequence
 from photogram.motion import PlacedCamera, RigidMotion, fit_motion, overlap_correlation
 from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.reference import Reference

@@ -6,7 +6,7 @@ import numpy as np
 
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
-from photogram.images import ImageSequence
+from photogram.images.sequence import ImageSequence
 from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, view_of
 
 PIXEL_M, FOCAL = 2e-4, 1500.0

@@ -48,7 +48,7 @@ from photogram.alignment.evidence import (
 from photogram.calibration.file import read_calibration
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform, displacement_jacobian
-from photogram.images import read_picture
+from photogram.images.files import read_picture
 from photogram.targets.view import Target, TargetView, find_target
 from shaker.arrays import FloatArray
 

@@ -30,7 +30,7 @@ from photogram.calibration.foreign_formats import import_calibration
 from photogram.calibration.result import Calibration, Dropped
 from photogram.calibration.session import calibrate_pair
 from photogram.calibration.start import FEWEST_VIEWS, Pair
-from photogram.images import read_picture
+from photogram.images.files import read_picture
 from photogram.targets.view import Target, TargetNotFound, TargetView, find_target
 
 log = logging.getLogger("shakercal")

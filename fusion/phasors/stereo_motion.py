@@ -26,11 +26,14 @@ from fusion.phasors.timing import Sight, TimeBase, see
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles
 from fusion.recording.rig import Stereo
+from fusion.recording.values import FILE
 from photogram.calibration.file import read_calibration
 from photogram.camera import StereoRig
 from photogram.epipolar import EpipolarCheck, check_epipolar
 from photogram.geometry import RigidTransform
-from photogram.images import GreyImage, ImageSequence, NoiseModel, open_sequence, saturated_fraction
+from photogram.images.files import open_sequence
+from photogram.images.noise import NoiseModel
+from photogram.images.sequence import GreyImage, ImageSequence, saturated_fraction
 from photogram.measure import (
     BodyMotion,
     BodyScene,
@@ -52,18 +55,24 @@ from shaker.sine.aliasing import usable_lines
 BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform, TrackSettings]
 
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
+SAME_EXPOSURE = 0.02  # relative difference of exposures that are told apart
+SAME_RATE = 0.01  # of frames on the camera's clock and of edges on that of a DAQ
 NO_MOTION = "no frame has enough points for a rigid motion"
 
 
 @dataclass(frozen=True)
 class OpenImages:
-    """The images of one stereo pair, opened and checked: its sight, both sequences, its rig, the first left image."""
+    """The images of one stereo pair, opened and checked: its sight, both sequences, its rig, the first left image.
+
+    `notices`: what the files do to the grey values, and what they say against the manifest.
+    """
 
     sight: Sight
     left: ImageSequence
     right: ImageSequence
     rig: StereoRig
     first: GreyImage
+    notices: tuple[AnyNotice, ...]
 
 
 @dataclass(frozen=True)
@@ -114,6 +123,8 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages
     if len(left) != len(right):
         found, expected = f"{len(right)} images", f"{len(left)} as on the left"
         raise InputError(manifest.path, f"{key}.right", found=found, expected=expected)
+    if entry.exposure == FILE:
+        entry = entry.model_copy(update={"exposure": _stated_exposure(manifest, entry, sequences)})
     sight = see(manifest, base, entry, len(left))
     rig = _read_rig(sight.pair, sequences)
     first = []
@@ -121,7 +132,39 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages
         with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequence.read(0))
     pair = _without_calibration_share(sight.pair, rig)
-    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0])
+    told = [notice for images in sequences for notice in (*images.notices, *_contradictions(sight, images))]
+    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0], tuple(told))
+
+
+def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> float:
+    """Return the exposure in s that both cameras' files state."""
+    stated = [images.exposure_s for images in sequences]
+    both = [exposure for exposure in stated if exposure is not None]
+    if len(both) < 2 or max(both) - min(both) > SAME_EXPOSURE * max(both):
+        told = " and ".join("no exposure" if exposure is None else f"{1e6 * exposure:g} µs" for exposure in stated)
+        found = f'"{FILE}", but the files state {told}'
+        raise InputError(manifest.path, f"images.{entry.stereo}.exposure", found=found, expected="the exposure in s")
+    return float(np.mean(both))
+
+
+def _contradictions(sight: Sight, images: ImageSequence) -> list[Notice]:
+    """Return what a camera's own statements of its exposure and of the times of its frames say against the sight's."""
+    told, stated, taken = [], images.exposure_s, sight.exposure.length_s
+    if stated is not None and abs(stated - taken) > SAME_EXPOSURE * max(stated, taken):
+        told.append(f"the file states an exposure of {1e6 * stated:.4g} µs, {1e6 * taken:.4g} µs are taken")
+    if images.time_s is not None and len(images) > 1:
+        own, edges = np.diff(images.time_s), np.diff(sight.time_s)
+        rate = float(np.median(own / edges))
+        if abs(rate - 1.0) > SAME_RATE:
+            told.append(
+                f"the file has a frame every {float(np.median(own)):.6g} s, the trigger an edge every "
+                f"{float(np.median(edges)):.6g} s: frames may belong to other edges"
+            )
+        gaps = np.flatnonzero(np.abs(own / rate - edges) > 0.5 * edges)
+        if len(gaps):
+            where = ", ".join(f"{gap} and {gap + 1}" for gap in gaps[:5]) + (" and others" if len(gaps) > 5 else "")
+            told.append(f"by the file's own times frames are lost, or times wrong, between frames {where}")
+    return [Notice("warning", text, images.names[0].rpartition("[")[0] or sight.name) for text in told]
 
 
 def measure_pairs(
@@ -196,7 +239,7 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
         deformation(body.points, body.motion),
         reprojection,
         ImageView(body.tracks, images.rig, images.first, body.noise, body.quality, epipolar),
-        (*body.notices, *epipolar.notices),
+        (*images.notices, *body.notices, *epipolar.notices),
     )
 
 

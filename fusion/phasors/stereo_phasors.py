@@ -18,7 +18,8 @@ from fusion.phasors.timing import Lateness, TimeBase, together
 from photogram.camera import StereoRig, principal_components, triangulate
 from photogram.epipolar import EpipolarCheck
 from photogram.geometry import RigidTransform
-from photogram.images import GreyImage, NoiseModel
+from photogram.images.noise import NoiseModel
+from photogram.images.sequence import GreyImage
 from photogram.motion import Deformation, RigidMotion, fit_motion, relative_to
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.track import StereoTracks

@@ -17,7 +17,7 @@ from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import Exposure
 from fusion.recording.manifest import Frames, Images, PointFiles
 from fusion.recording.rig import Stereo
-from fusion.recording.values import PULSE
+from fusion.recording.values import FILE, PULSE
 from shaker.arrays import BoolArray, FloatArray
 from shaker.timebase.edges import find_edges
 from shaker.timebase.tie import ClockTie, edge_instants, tie_clocks
@@ -301,6 +301,9 @@ def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: 
             raise no_pulse_width(manifest, daq, entry, error) from error
         dof = float(max(pulse.pulses - 2, 1))
         exposure = Exposure(entry.trigger, pulse.width_s, pulse.u_width_s, dof)
+    elif entry.exposure == FILE:
+        found, expected = f'"{FILE}", but points stand in no video file', "the exposure in s"
+        raise InputError(manifest.path, f"{key}.exposure", found=found, expected=expected)
     else:
         exposure = Exposure(entry.trigger, entry.exposure)
     middle_s = base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0

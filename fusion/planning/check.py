@@ -225,7 +225,7 @@ def _read_daq(block: Manifest, daq: Daq) -> tuple[str, list[str]]:
 
 def _read_images(images: Images) -> tuple[str, list[str]]:
     """Frames of both cameras, with their size as the files have it."""
-    from photogram.images import open_sequence
+    from photogram.images.files import open_sequence
 
     told = f"images {images.stereo}: {_size([*images.left, *images.right])}"
     try:
@@ -233,6 +233,7 @@ def _read_images(images: Images) -> tuple[str, list[str]]:
     except (OSError, ValueError) as error:
         return told, [f"images {images.stereo}: {' '.join(str(error).split())}"]
     told += f", {len(left)} frames of {left.size_px[0]} x {left.size_px[1]} px, grey values up to {left.full_scale:g}"
+    told += f", exposure {1e6 * left.exposure_s:.4g} µs by the file" if left.exposure_s is not None else ""
     wrong = []
     if len(left) != len(right):
         wrong.append(f"images {images.stereo}: {len(left)} frames left and {len(right)} right")

@@ -113,6 +113,7 @@ BodyName = Literal["load", "base"]
 Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
 
 PULSE: Literal["pulse"] = "pulse"
+FILE: Literal["file"] = "file"
 ORTHONORMAL_TOLERANCE = 1e-6
 SYMMETRY_TOLERANCE = 1e-6
 ROUNDING_TOLERANCE = 0.01  # of the largest principal moment: tables of two or three digits
@@ -228,11 +229,12 @@ def positive(check: Callable[[Any], tuple[float, ...]], expected: str) -> Callab
 
 
 def exposure(value: Any) -> float | str:
-    """Check the length of an exposure in s, or the word that stands for the width of the trigger's pulses."""
-    if value == PULSE:
-        return PULSE
+    """Check the length of an exposure in s, or a word: width of the trigger's pulses, or what the video file states."""
+    if value in (PULSE, FILE):
+        return str(value)
     if not is_number(value) or value < 0:
-        raise refusal(f'a number of at least 0, or "{PULSE}" for the width of the trigger\'s pulses', describe(value))
+        words = f'"{PULSE}" for the width of the trigger\'s pulses, or "{FILE}" for what a video file states'
+        raise refusal(f"a number of at least 0, or {words}", describe(value))
     return float(value)
 
 
@@ -344,7 +346,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Text = Annotated[str, Field(min_length=1)]
 Texts = Annotated[tuple[str, ...], BeforeValidator(texts)]
-Exposure = Annotated[float | Literal["pulse"], BeforeValidator(exposure)]
+Exposure = Annotated[float | Literal["pulse", "file"], BeforeValidator(exposure)]
 FreeVector = Annotated[Vector3, BeforeValidator(vector(3))]
 Direction = Annotated[Vector3, BeforeValidator(unit_vector)]
 Spread3 = Annotated[Vector3, BeforeValidator(spread(3))]

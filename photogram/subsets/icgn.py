@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
 from photogram.bspline import Spline, mean_noise_gain, sample_line, sample_points, warp_inside
-from photogram.images import QUANTISATION
+from photogram.images.noise import QUANTISATION
 from photogram.kernels import njit
 from photogram.subsets.reference import (
     AFFINE_SUMS,

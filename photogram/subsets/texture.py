@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, check_shape
-from photogram.images import NoiseModel
+from photogram.images.noise import NoiseModel
 from photogram.subsets.reference import Reference, TrackStatus
 
 Image = NDArray[Any]

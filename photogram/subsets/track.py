@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, check_shape
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
-from photogram.images import GreyImage, ImageSequence
+from photogram.images.sequence import GreyImage, ImageSequence
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
 from photogram.subsets.reference import PARAMETERS, Reference, TrackStatus, prepare_reference
 from photogram.subsets.search import (

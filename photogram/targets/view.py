@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
-from photogram.images import GreyImage, NoiseModel, fit_noise_model
+from photogram.images.noise import NoiseModel, fit_noise_model
+from photogram.images.sequence import GreyImage
 
 TargetKind = Literal["chessboard", "charuco", "dots", "asymmetric-dots"]
 

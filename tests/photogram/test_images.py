@@ -11,7 +11,9 @@ import pytest
 import tifffile
 from contracts import refused
 
-from photogram.images import ImageSequence, NoiseModel, fit_noise_model, open_sequence, saturated_fraction
+from photogram.images.files import open_sequence
+from photogram.images.noise import NoiseModel, fit_noise_model
+from photogram.images.sequence import ImageSequence, saturated_fraction
 from photogram.point_tables import read_point_tables
 from photogram.synthetic.scene import ImageSensor
 
@@ -140,7 +142,7 @@ def test_wrong_files_are_named(tmp_path, grey12):
     pictures = {"float": grey12.astype(np.float32), "first": grey12, "small": grey12[:-1], "shifted": grey12 << 4}
     for name, pixels in {**pictures, "shallow": grey12.astype(np.uint8), "stack": stack}.items():
         tifffile.imwrite(tmp_path / f"{name}.tif", pixels, photometric="minisblack")
-    for name in ("junk.tif", "junk.png", "film.avi"):
+    for name in ("junk.tif", "junk.png", "film.avi", "film.gif"):
         (tmp_path / name).write_bytes(b"junk" * 50)
     write_cih(tmp_path, pack_12(grey12), 12, 2)
     for names, depth, message in (
@@ -152,7 +154,8 @@ def test_wrong_files_are_named(tmp_path, grey12):
         (["first.tif", "stack.tif"], None, "stack.tif: expected one image per file, found 2 pages"),
         (["junk.tif"], None, "junk.tif: not a readable TIFF file"),
         (["junk.png"], None, "junk.png: not a readable PNG file"),
-        (["film.avi"], None, "film.avi: expected a .tif"),
+        (["film.avi"], None, "film.avi: not a readable film"),
+        (["film.gif"], None, "film.gif: expected a file of type .tif"),
         (["absent.tif"], None, "absent.tif: no such file"),
         (["shallow.tif"], 12, "shallow.tif: expected images of bit depth 12, found 8 bits"),
         (["shifted.tif"], 12, r"shifted.tif: expected grey values up to 4095 \(bit depth 12\)"),

@@ -29,7 +29,8 @@ from photogram.direct import (
     view_body,
 )
 from photogram.geometry import RigidTransform
-from photogram.images import ImageSequence, NoiseModel
+from photogram.images.noise import NoiseModel
+from photogram.images.sequence import ImageSequence
 from photogram.measure import BodyMotion, body_motion, follow_block, measure_body, prepare_body
 from photogram.motion import PlacedCamera, body_patches, deformation, patch_rates, patch_warps
 from photogram.subsets.icgn import TrackSettings

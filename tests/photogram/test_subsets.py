@@ -10,7 +10,7 @@ from speckle import sequence
 from photogram.bspline import spline_of_image
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
-from photogram.images import NoiseModel
+from photogram.images.noise import NoiseModel
 from photogram.subsets.icgn import TrackSettings, register
 from photogram.subsets.reference import TrackStatus, prepare_reference
 from photogram.subsets.search import (

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 from photogram.arrays import FloatArray
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
-from photogram.images import NoiseModel
+from photogram.images.noise import NoiseModel
 from photogram.synthetic.board import Board, render_board
 from photogram.targets.charuco import find_charuco
 from photogram.targets.chessboard import find_chessboard, lattice_bend

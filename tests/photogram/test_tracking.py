@@ -19,7 +19,8 @@ from speckle import rendered, sequence
 
 from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform
-from photogram.images import ImageSequence, open_sequence
+from photogram.images.files import open_sequence
+from photogram.images.sequence import ImageSequence
 from photogram.motion import RigidMotion, fit_motion
 from photogram.subsets import track as device_module
 from photogram.subsets.icgn import TrackSettings

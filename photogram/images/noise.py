@@ -1,0 +1,84 @@
+"""Image noise as a function of brightness: what the sensor reads with, and what the light itself brings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from photogram.arrays import FloatArray, check_shape
+
+QUANTISATION = 1.0 / 12.0  # variance of rounding to whole grey values
+CUT = 9.0  # squared residuals beyond three standard deviations count as outliers
+MEDIAN_CHI2 = 0.4549364231195724  # of χ² with one degree of freedom
+BINS = 32
+FEWEST_IN_BIN = 50
+NARROW = 0.1  # brightness range, relative to the brightest, below which shot noise cannot be told from read noise
+ROUNDS = 30
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Noise variance of a pixel of grey value g: read_variance_grey2 + variance_per_grey·g, at least 1/12 (rounding).
+
+    The photon transfer curve (Janesick 2007, Photon Transfer, SPIE, ch. 5; EMVA 1288 release 4.0, eq. 10): the first
+    term is the noise of the dark sensor, quantisation included, the second is shot noise, 1/(electrons per grey value).
+    """
+
+    read_variance_grey2: float
+    variance_per_grey: float
+
+    def __post_init__(self) -> None:
+        for name in ("read_variance_grey2", "variance_per_grey"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name}: expected a finite variance of 0 or more, found {getattr(self, name)}")
+
+    def variance(self, grey: FloatArray | float) -> FloatArray:
+        """Return the noise variance in grey² of pixels of any shape with grey values `grey`."""
+        shot = self.variance_per_grey * np.maximum(grey, 0.0)
+        return np.asarray(np.maximum(self.read_variance_grey2 + shot, QUANTISATION), dtype=np.float64)
+
+
+def fit_noise_model(grey: FloatArray, residual_grey2: FloatArray) -> NoiseModel:
+    """Noise model from pixels' brightness (M,) and squared residuals (M,), each χ² with one degree of freedom.
+
+    Up to 32 bins of equal count along brightness. In a bin the variance s² is the mean of the residuals below 9·s²,
+    enlarged by F₁(9)/F₃(9) = 1.027 (Fₙ: distribution of χ² with n degrees of freedom, since ∫₀ᵗ x·f₁ = F₃(t)). The line
+    through the bins has no negative coefficient and relative weights, taken from the line itself. A brightness range of
+    less than 10 % of the brightest bin gives a constant. NaN pixels are left out.
+    """
+    from scipy.optimize import nnls
+
+    check_shape("grey", grey, (None,))
+    check_shape("residual_grey2", residual_grey2, (len(grey),))
+    known = np.isfinite(grey) & np.isfinite(residual_grey2)
+    if known.sum() < FEWEST_IN_BIN:
+        raise ValueError(f"grey: expected at least {FEWEST_IN_BIN} finite pixels, found {known.sum()}")
+    order = np.argsort(grey[known], kind="stable")
+    parts = np.array_split(order, max(1, min(BINS, len(order) // FEWEST_IN_BIN)))
+    brightness = np.array([grey[known][part].mean() for part in parts])
+    variance = np.array([_robust_variance(residual_grey2[known][part]) for part in parts])
+    count = np.array([float(len(part)) for part in parts])
+    if np.ptp(brightness) < NARROW * np.abs(brightness).max():
+        return NoiseModel(max(float(np.average(variance, weights=count)), QUANTISATION), 0.0)
+    columns = np.column_stack([np.ones_like(brightness), np.maximum(brightness, 0.0)])
+    solution, expected = np.zeros(2), np.full_like(variance, variance.mean())
+    for _ in range(4):
+        weight = np.sqrt(count) / np.maximum(expected, QUANTISATION)
+        solution, _ = nnls(columns * weight[:, None], variance * weight)
+        expected = columns @ solution
+    return NoiseModel(float(solution[0]), float(solution[1]))
+
+
+def _robust_variance(squares: FloatArray) -> float:
+    """Mean of squares of normal deviates, those beyond three standard deviations left out and made up for."""
+    from scipy.special import gammainc
+
+    enlarged = float(gammainc(0.5, CUT / 2.0) / gammainc(1.5, CUT / 2.0))
+    variance = float(np.median(squares)) / MEDIAN_CHI2
+    for _ in range(ROUNDS):
+        kept = squares[squares <= CUT * variance]
+        before, variance = variance, enlarged * float(kept.mean())
+        if abs(variance - before) <= 1e-6 * before:
+            break
+    return variance
