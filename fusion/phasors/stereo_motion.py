@@ -132,7 +132,9 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages
         with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequence.read(0))
     pair = _without_calibration_share(sight.pair, rig)
-    told = [notice for images in sequences for notice in (*images.notices, *_contradictions(sight, images))]
+    told: list[AnyNotice] = []
+    for images in sequences:
+        told += [*images.notices, *_contradictions(sight, images)]
     return OpenImages(replace(sight, pair=pair), left, right, rig, first[0], tuple(told))
 
 

@@ -93,7 +93,7 @@ def open_photron(header: Path, bit_depth: int | None) -> ImageSequence:
         size_px,
         full_scale_of(header, bits, bit_depth),
         partial(_read_mraw, path, size_px, stored_bits, shift),
-        None if rate_hz is None else np.arange(frames) * step / rate_hz,
+        None if rate_hz is None else np.asarray(np.arange(frames) * step / rate_hz, dtype=np.float64),
         # the XML gives the shutter as 1/s alone, the older header as "1/5000"
         exposure_s if exposure_s is None or exposure_s < 1.0 else 1.0 / exposure_s,
         notices,
@@ -174,7 +174,7 @@ class _Cine:
         if len(raw) < self.bytes:
             raise ValueError(f"{self.path}: frame {index} is cut off, expected {self.bytes} bytes, found {len(raw)}")
         if self.packing == PACKED_10:
-            grey = linear_12_of_10()[_unpacked_10(raw)]
+            grey: GreyImage = linear_12_of_10()[_unpacked_10(raw)]
         elif self.packing == PACKED_12:
             grey = _unpacked_12(raw)
         else:
