@@ -34,12 +34,12 @@ from fusion.recording.values import (
     refuse_repeated,
     repeated_name,
 )
+from shaker.io import SUFFIXES as DAQ_SUFFIXES
 
 if TYPE_CHECKING:
     Quantity = str
 else:
     Quantity = Literal[(*TRANSDUCERS, "force", "output", "voltage", "trigger")]
-DAQ_SUFFIXES = (".h5", ".hdf5", ".tdms", ".uff", ".unv", ".mat", ".csv", ".wav", ".lvm", ".asc")
 MINIMUM_FRAMES = 3
 COORDINATES = ("x", "y", "z")
 REFERENCE_COORDINATES = ("x0", "y0", "z0")

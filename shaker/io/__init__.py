@@ -8,6 +8,7 @@ from pathlib import Path
 from shaker.io.binary import read_hdf5, read_matlab, read_wave
 from shaker.io.channel import RawChannel, reading
 from shaker.io.labview import read_labview
+from shaker.io.packages import read_dewesoft, read_mdf, read_parquet
 from shaker.io.tdms import read_tdms
 from shaker.io.text import read_scan_channels, read_table
 from shaker.io.universal import read_universal
@@ -25,6 +26,11 @@ _READERS: dict[str, _Reader] = {
     ".wav": read_wave,
     ".lvm": read_labview,
     ".asc": read_scan_channels,
+    ".mf4": read_mdf,
+    ".dxd": read_dewesoft,
+    ".dxz": read_dewesoft,
+    ".d7d": read_dewesoft,
+    ".parquet": read_parquet,
 }
 SUFFIXES = tuple(_READERS)
 

@@ -61,6 +61,20 @@ def _lvm(path: Path, signals: Signals) -> None:
 
 
 # Suffix → writer and what the format needs in the manifest's block: channel names, rate.
+def _mf4(path: Path, signals: Signals) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    time_s = np.arange(SAMPLES) / RATE_HZ
+    with asammdf.MDF(version="4.10") as file:
+        file.append([asammdf.Signal(samples, time_s, name=name, unit="V") for name, samples in signals.items()])
+        file.save(path, overwrite=True)
+
+
+def _parquet(path: Path, signals: Signals) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    columns = {"time": np.arange(SAMPLES) / RATE_HZ} | signals
+    pytest.importorskip("pyarrow.parquet").write_table(pyarrow.table(columns), path)
+
+
 FORMATS: dict[str, tuple[Callable[[Path, Signals], None], tuple[str, str], bool]] = {
     "h5": (lambda path, signals: write_daq(path, RATE_HZ, signals), ("a", "b"), False),
     "tdms": (_tdms, ("daq/a", "b"), False),
@@ -69,6 +83,8 @@ FORMATS: dict[str, tuple[Callable[[Path, Signals], None], tuple[str, str], bool]
     "wav": (_wav, ("1", "2"), False),
     "csv": (_csv, ("a", "b"), False),
     "lvm": (_lvm, ("a", "b"), False),
+    "mf4": (_mf4, ("0/a", "b"), False),
+    "parquet": (_parquet, ("a", "b"), False),
 }
 
 

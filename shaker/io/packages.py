@@ -1,0 +1,169 @@
+"""Files that optional packages read: ASAM MDF 4, Dewesoft, Parquet.
+
+`pip install shakercal[formats]` brings them: asammdf, dwdatareader (which wraps Dewesoft's own library), pyarrow. Only
+the channels asked for are read. Times count from the earliest of these, since a time of day in floating-point seconds
+has steps of a quarter of a microsecond.
+"""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import replace
+from importlib import import_module
+from io import StringIO
+from pathlib import Path
+from traceback import clear_frames
+from typing import Any
+
+import numpy as np
+
+from shaker.arrays import FloatArray
+from shaker.io.channel import (
+    RawChannel,
+    checked_rate,
+    chosen,
+    chosen_by_either,
+    is_time,
+    numbers,
+    rate_of_times,
+)
+
+_MDF_REAL = 5  # the last of the data types that are numbers (ASAM MDF 4.1, channel block, cn_data_type)
+_Samples = Callable[[], tuple[FloatArray, FloatArray, str]]
+
+
+def _package(path: Path, name: str) -> Any:
+    """Import an optional package, or say which one is missing and how it comes."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        kind = path.suffix.lower()
+        raise ValueError(
+            f"{path}: expected the package {name}, which reads {kind} files, found none; install shakercal[formats]"
+        ) from error
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep what a package prints of damaged files off the terminal, also when its half-made objects are deleted."""
+    told, hook = "", sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+            try:
+                yield
+            except Exception as error:
+                if isinstance(error, ValueError) and ": expected " in str(error):
+                    raise
+                told = " ".join(f"{type(error).__name__} {error}".split())[:200]
+                cause: BaseException | None = error
+                while cause is not None:
+                    clear_frames(cause.__traceback__)
+                    cause = cause.__cause__ or cause.__context__
+            if told:
+                gc.collect()
+    finally:
+        sys.unraisablehook = hook
+    if told:
+        raise ValueError(f"expected a readable file, found a damaged one ({told})")
+
+
+def read_mdf(
+    path: Path, names: Sequence[str] | None = None, sample_rate_hz: float | None = None
+) -> dict[str, RawChannel]:
+    """Read channels of an MDF 4 file as physical values, each on the master channel (time) of its group.
+
+    Channels are called `group/channel`, by the group's acquisition name or number, or `channel` where only one group
+    has it. Text, arrays and bus frames are passed over; `sample_rate_hz` serves groups without a time.
+    """
+    with path.open("rb") as stream:
+        if stream.read(10) not in (b"MDF     4.", b"UnFinMF 4."):
+            raise ValueError(f"{path}: not a readable MDF file of version 4")
+    asammdf = _package(path, "asammdf")
+    with _silent(), asammdf.MDF(path) as file:
+        present: dict[str, tuple[int, int]] = {}
+        for number, group in enumerate(file.groups):
+            own = group.channel_group.acq_name or f"{number}"
+            for index, channel in enumerate(group.channels):
+                if index != file.masters_db.get(number) and channel.data_type <= _MDF_REAL:
+                    key = f"{own}/{channel.name}"
+                    present[key if key not in present else f"{own} {number}.{index}/{channel.name}"] = number, index
+        short = [file.groups[number].channels[index].name for number, index in present.values()]
+
+        def samples(place: tuple[int, int]) -> _Samples:
+            def read() -> tuple[FloatArray, FloatArray, str]:
+                signal = file.get(group=place[0], index=place[1])
+                return signal.timestamps, signal.samples, signal.unit
+
+            return read
+
+        wanted = chosen_by_either(path, names, present, short)
+        return _uniform(path, {key: samples(place) for key, place in wanted.items()}, names, sample_rate_hz)
+
+
+def read_dewesoft(
+    path: Path, names: Sequence[str] | None = None, sample_rate_hz: float | None = None
+) -> dict[str, RawChannel]:
+    """Read channels of a Dewesoft file (.dxd, .dxz, .d7d) as physical values at the times that the file has.
+
+    Its header's sampling rate is not used: files exist that were stored at another one.
+    """
+    with _package(path, "dwdatareader").DWFile(str(path)) as file:
+        present = {channel.name: channel for channel in file.values() if channel.number_of_samples > 1}
+
+        def samples(channel: Any) -> _Samples:
+            return lambda: (*channel.scaled(), channel.unit or "")
+
+        wanted = {name: samples(present[name]) for name in chosen(path, names, present)}
+        return _uniform(path, wanted, names, sample_rate_hz)
+
+
+def read_parquet(
+    path: Path, names: Sequence[str] | None = None, sample_rate_hz: float | None = None
+) -> dict[str, RawChannel]:
+    """Read columns of a Parquet table; a column `time` (s) dates them, a column's metadata may have a `unit`."""
+    table = _package(path, "pyarrow.parquet").ParquetFile(path)
+    fields = {field.name: field for field in table.schema_arrow}
+    times = next((name for name in fields if is_time(name)), None)
+    wanted = chosen(path, names, [name for name in fields if name != times])
+
+    def column(name: str) -> FloatArray:
+        return np.asarray(table.read(columns=[name]).column(0).to_numpy())
+
+    time_s = None if times is None else np.asarray(column(times), dtype=np.float64)
+
+    def samples(name: str) -> _Samples:
+        unit = (fields[name].metadata or {}).get(b"unit", b"").decode("utf-8", "replace")
+        return lambda: (np.empty(0) if time_s is None else time_s, column(name), unit)
+
+    return _uniform(path, {name: samples(name) for name in wanted}, names, sample_rate_hz)
+
+
+def _uniform(
+    path: Path, wanted: dict[str, _Samples], names: Sequence[str] | None, sample_rate_hz: float | None
+) -> dict[str, RawChannel]:
+    """Return channels from times and samples; one that is no uniform series of numbers is refused if asked for."""
+    channels = {}
+    for name, read in wanted.items():
+        try:
+            time_s, samples, unit = read()
+            values = numbers(path, name, samples)
+            if len(time_s):
+                rate, start = rate_of_times(path, time_s, f'channel "{name}"')
+            else:
+                rate, start = checked_rate(path, sample_rate_hz, f'channel "{name}"'), 0.0
+        except Exception as error:  # the packages' own, of every kind, for channels that they do not read
+            if names is None:
+                continue
+            if isinstance(error, ValueError):
+                raise
+            told = " ".join(f"{type(error).__name__} {error}".split())
+            raise ValueError(f'{path}: channel "{name}": expected readable samples, found none ({told})') from error
+        channels[name] = RawChannel(values, rate, start, unit)
+    if not channels:
+        raise ValueError(f"{path}: expected channels of uniformly sampled numbers, found none")
+    first = min(channel.start_s for channel in channels.values())
+    return {name: replace(channel, start_s=channel.start_s - first) for name, channel in channels.items()}
