@@ -79,10 +79,10 @@ def read_mdf(
     Channels are called `group/channel`, by the group's acquisition name or number, or `channel` where only one group
     has it. Text, arrays and bus frames are passed over; `sample_rate_hz` serves groups without a time.
     """
+    asammdf = _package(path, "asammdf")
     with path.open("rb") as stream:
         if stream.read(10) not in (b"MDF     4.", b"UnFinMF 4."):
             raise ValueError(f"{path}: not a readable MDF file of version 4")
-    asammdf = _package(path, "asammdf")
     with _silent(), asammdf.MDF(path) as file:
         present: dict[str, tuple[int, int]] = {}
         for number, group in enumerate(file.groups):
