@@ -34,7 +34,7 @@ from fusion.recording.values import (
     refuse_repeated,
     repeated_name,
 )
-from shaker.io import SUFFIXES as DAQ_SUFFIXES
+from shaker.io import refused_suffix
 
 if TYPE_CHECKING:
     Quantity = str
@@ -63,8 +63,9 @@ def _columns(value: object) -> tuple[str, ...]:
 
 
 def _daq_suffix(value: Path) -> Path:
-    if value.suffix.lower() not in DAQ_SUFFIXES:
-        raise refusal("a file that ends in one of " + " ".join(DAQ_SUFFIXES), f"{value.name}")
+    wrong = refused_suffix(value)
+    if wrong is not None:
+        raise refusal(*wrong)
     return value
 
 

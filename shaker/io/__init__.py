@@ -33,6 +33,27 @@ _READERS: dict[str, _Reader] = {
     ".parquet": read_parquet,
 }
 SUFFIXES = tuple(_READERS)
+_UNIVERSAL = "export universal files (.uff, data set 58, binary)"
+_EXPORTS = {
+    ".svd": f"Polytec's PSV or VibSoft file: {_UNIVERSAL} or MATLAB from its presentation mode",
+    ".pvd": f"Polytec's VibSoft file: {_UNIVERSAL} or MATLAB",
+    ".hdf": f"HEAD acoustics' ArtemiS file (if it is HDF5, name it .h5): {_UNIVERSAL} or MATLAB",
+    ".bkc": f"Brüel & Kjær's BK Connect file: {_UNIVERSAL}, MATLAB or WAVE",
+    ".pls": f"Brüel & Kjær's PULSE project: {_UNIVERSAL}, MATLAB or WAVE",
+    ".lms": f"Siemens Testlab project: {_UNIVERSAL} or MATLAB",
+    ".tdm": "National Instruments' older TDM file: save as .tdms",
+    ".mdf": "ASAM MDF of version 2 or 3: convert to version 4 (.mf4)",
+}
+
+
+def refused_suffix(path: Path) -> tuple[str, str] | None:
+    """Return what is expected instead of a file that no reader takes, and what it is; None where one takes it."""
+    suffix = path.suffix.lower()
+    if suffix in _READERS:
+        return None
+    maker, _, export = _EXPORTS.get(suffix, "").partition(": ")
+    found = f"{path.name}, {maker}" if maker else path.name
+    return f"a file that ends in one of {' '.join(SUFFIXES)}" + (f" ({export})" if export else ""), found
 
 
 def read_channels(
@@ -53,8 +74,8 @@ def read_channels(
     {'Fz': RawChannel(3 samples at 10 Hz from 0 s, unit N)}
     """
     path = Path(path)
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
-        raise ValueError(f"{path}: expected a file of type {' '.join(SUFFIXES)}, found {path.suffix or 'no suffix'}")
+    wrong = refused_suffix(path)
+    if wrong is not None:
+        raise ValueError(f"{path}: expected {wrong[0]}, found {wrong[1]}")
     with reading(path):
-        return reader(path, names, sample_rate_hz)
+        return _READERS[path.suffix.lower()](path, names, sample_rate_hz)
