@@ -1,8 +1,10 @@
 """Cameras and stereo pairs: projection with distortion, its inverse, triangulation by maximum likelihood.
 
-To the compiled kernels a camera is the vector [fx fy cx cy k1 k2 p1 p2 k3]; the model is OpenCV's (Brown 1971,
-Photogrammetric Engineering 37, 855): with r² = x² + y² and g = 1 + k1·r² + k2·r⁴ + k3·r⁶,
-x_d = x·g + 2·p1·x·y + p2·(r² + 2·x²),  y_d = y·g + p1·(r² + 2·y²) + 2·p2·x·y,  u = fx·x_d + cx,  v = fy·y_d + cy.
+To the compiled kernels a camera is the vector [fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s]; the model is OpenCV's rational
+one (Brown 1971, Photogrammetric Engineering 37, 855; Claus and Fitzgibbon 2005, CVPR, 213) with skew: with r² = x² + y²
+and g = (1 + k1·r² + k2·r⁴ + k3·r⁶)/(1 + k4·r² + k5·r⁴ + k6·r⁶),
+x_d = x·g + 2·p1·x·y + p2·(r² + 2·x²),  y_d = y·g + p1·(r² + 2·y²) + 2·p2·x·y,
+u = fx·x_d + s·y_d + cx,  v = fy·y_d + cy.
 """
 
 from __future__ import annotations
@@ -23,11 +25,18 @@ _RESIDUAL = 1e-13  # largest residual, in normalised units, of a converged inver
 
 @njit()
 def distort(x: float, y: float, camera: FloatArray) -> tuple[float, float, float, float, float]:
-    """Return x_d, y_d and the derivatives ∂x_d/∂x, ∂x_d/∂y = ∂y_d/∂x, ∂y_d/∂y."""
+    """Return x_d, y_d and ∂x_d/∂x, ∂x_d/∂y = ∂y_d/∂x, ∂y_d/∂y; NaN from the pole of the radial factor outwards."""
     k1, k2, p1, p2, k3 = camera[4], camera[5], camera[6], camera[7], camera[8]
     r2 = x * x + y * y
     gain = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+    slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3)
+    k4, k5, k6 = camera[9], camera[10], camera[11]
+    if k4 != 0.0 or k5 != 0.0 or k6 != 0.0:
+        under = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        under = under if under > 0.0 else math.nan
+        gain /= under
+        slope = (slope - gain * (k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6))) / under
+    slope *= 2.0
     xd = x * gain + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
     yd = y * gain + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
     dxx = gain + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
@@ -42,9 +51,15 @@ def undistort(u: float, v: float, camera: FloatArray) -> tuple[float, float]:
 
     Newton's method from the distorted point, each step halved until the residual falls, to the last digit.
     """
-    target_x, target_y = (u - camera[2]) / camera[0], (v - camera[3]) / camera[1]
+    target_y = (v - camera[3]) / camera[1]
+    target_x = (u - camera[2] - camera[12] * target_y) / camera[0]
     x, y = target_x, target_y
     xd, yd, dxx, dxy, dyy = distort(x, y, camera)
+    for _halving in range(12):  # where the distorted point itself lies beyond a pole or a turning point
+        if dxx * dyy - dxy * dxy > 0.0 and dxx > 0.0:
+            break
+        x, y = 0.5 * x, 0.5 * y
+        xd, yd, dxx, dxy, dyy = distort(x, y, camera)
     residual = math.hypot(target_x - xd, target_y - yd)
     for _ in range(_NEWTON_STEPS):
         determinant = dxx * dyy - dxy * dxy
@@ -76,7 +91,7 @@ def project_all(points: FloatArray, camera: FloatArray) -> FloatArray:
         depth = points[i, 2]
         if depth > 0.0:
             xd, yd, _, _, _ = distort(points[i, 0] / depth, points[i, 1] / depth, camera)
-            pixels[i, 0] = camera[0] * xd + camera[2]
+            pixels[i, 0] = camera[0] * xd + camera[12] * yd + camera[2]
             pixels[i, 1] = camera[1] * yd + camera[3]
     return pixels
 
@@ -92,19 +107,34 @@ def undistort_all(pixels: FloatArray, camera: FloatArray) -> FloatArray:
 
 # The pinhole camera with lens distortion, and the stereo pair.
 
-CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "skew")
+_PLAIN = 9  # of these make a camera whose further ones are zero
 RIG_PARAMETERS = (
-    *(f"left.{name}" for name in CAMERA_PARAMETERS),
-    *(f"right.{name}" for name in CAMERA_PARAMETERS),
+    *(f"{side}.{name}" for side in ("left", "right") for name in CAMERA_PARAMETERS[:_PLAIN]),
     *(f"{part}.{axis}" for part in ("rotation", "translation") for axis in "xyz"),
+    *(f"{side}.{name}" for side in ("left", "right") for name in CAMERA_PARAMETERS[_PLAIN:]),
 )
+_PLAIN_RIG = 24
+ROTATION, TRANSLATION = slice(18, 21), slice(21, 24)
+LEFT, RIGHT = (np.array([RIG_PARAMETERS.index(f"{s}.{n}") for n in CAMERA_PARAMETERS]) for s in ("left", "right"))
+"""Places of the two cameras' parameters among those of the rig."""
+
+
+def _padded(name: str, array: FloatArray, plain: int, full: int) -> FloatArray:
+    """Return an array with `full` entries along each axis, those missing in one of the `plain` ones zero."""
+    array = np.asarray(array, dtype=np.float64)
+    if array.shape == (plain,) * array.ndim:
+        return np.pad(array, (0, full - plain))
+    check_shape(name, array, (full,) * array.ndim)
+    return array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Camera(Arrays, shapes="matrix 3 3; distortion 5; size_px 2"):
-    """A pinhole camera: matrix (3, 3) in px, distortion (5,) k1 k2 p1 p2 k3, size_px (2,) width and height.
+class Camera(Arrays, shapes="matrix 3 3; distortion 8; size_px 2"):
+    """A pinhole camera: matrix (3, 3) in px, distortion (8,) k1 k2 p1 p2 k3 k4 k5 k6, size_px (2,) width and height.
 
-    OpenCV's model and pixels: u = fx·x_d + cx with the distorted x_d of x = X/Z; an integer pixel is a pixel centre.
+    OpenCV's model and pixels, with a skew s = matrix[0, 1]: u = fx·x_d + s·y_d + cx with the distorted x_d of x = X/Z;
+    an integer pixel is a pixel centre. A distortion of five coefficients has zeros for k4 k5 k6.
 
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, -0.1, 0, 0, 0, 0]), np.array([640, 480]))
     >>> camera.project(np.array([0.05, 0.0, 0.5])).round(3)
@@ -118,25 +148,26 @@ class Camera(Arrays, shapes="matrix 3 3; distortion 5; size_px 2"):
     size_px: IntArray
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "distortion", _padded("distortion", self.distortion, 5, 8))
         super().__post_init__()
         if not (np.isfinite(self.matrix).all() and np.isfinite(self.distortion).all()):
             raise ValueError("matrix, distortion: expected finite numbers, found NaN or infinity")
         k = self.matrix
-        if k[0, 1] != 0 or k[1, 0] != 0 or not np.array_equal(k[2], [0, 0, 1]) or k[0, 0] <= 0 or k[1, 1] <= 0:
-            raise ValueError(f"matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], fx, fy > 0, found {k.tolist()}")
+        if k[1, 0] != 0 or not np.array_equal(k[2], [0, 0, 1]) or k[0, 0] <= 0 or k[1, 1] <= 0:
+            raise ValueError(f"matrix: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], fx, fy > 0, found {k.tolist()}")
 
     @staticmethod
     def from_parameters(parameters: FloatArray, size_px: IntArray) -> Camera:
-        """Return the camera of parameters (9,): fx fy cx cy k1 k2 p1 p2 k3."""
-        check_shape("parameters", parameters, (9,))
-        fx, fy, cx, cy = parameters[:4]
-        return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), np.array(parameters[4:], float), size_px)
+        """Return the camera of parameters (13,), `CAMERA_PARAMETERS`, or the first (9,) and zeros for the others."""
+        full = _padded("parameters", parameters, _PLAIN, len(CAMERA_PARAMETERS))
+        (fx, fy, cx, cy), skew_px = full[:4], full[12]
+        return Camera(np.array([[fx, skew_px, cx], [0, fy, cy], [0, 0, 1.0]]), full[4:12], size_px)
 
     @property
     def parameters(self) -> FloatArray:
-        """The vector (9,) fx fy cx cy k1 k2 p1 p2 k3."""
+        """The vector (13,) of `CAMERA_PARAMETERS`."""
         k = self.matrix
-        return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *self.distortion], dtype=np.float64)
+        return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *self.distortion, k[0, 1]], dtype=np.float64)
 
     def project(self, points_m: FloatArray) -> FloatArray:
         """Return the pixels (..., 2) of points (..., 3) in the camera frame, NaN for points not in front of it."""
@@ -155,10 +186,11 @@ class Camera(Arrays, shapes="matrix 3 3; distortion 5; size_px 2"):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StereoRig(Arrays, shapes="covariance 24 24"):
-    """Two cameras and x_right = R·x_left + t, with the covariance (24, 24) of `RIG_PARAMETERS` or None.
+class StereoRig(Arrays, shapes="covariance 32 32"):
+    """Two cameras and x_right = R·x_left + t, with the covariance (32, 32) of `RIG_PARAMETERS` or None.
 
-    The three rotation parameters are a small rotation vector δ (rad) multiplied from the left: exp(δ)·R.
+    One of the first (24, 24), without the cameras' k4 k5 k6 and skew, has zeros for these. The three
+    rotation parameters are a small rotation vector δ (rad) multiplied from the left: exp(δ)·R.
 
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
     >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.1, 0.0, 0.0])))
@@ -174,8 +206,9 @@ class StereoRig(Arrays, shapes="covariance 24 24"):
     parameters: ClassVar[tuple[str, ...]] = RIG_PARAMETERS
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.covariance is not None:
+            full = _padded("covariance", self.covariance, _PLAIN_RIG, len(RIG_PARAMETERS))
+            object.__setattr__(self, "covariance", full)
             sigma = np.sqrt(np.abs(np.diagonal(self.covariance)))
             scale = np.outer(sigma, sigma)
             if not (np.abs(self.covariance - self.covariance.T) <= 1e-9 * scale).all():
@@ -191,21 +224,22 @@ class StereoRig(Arrays, shapes="covariance 24 24"):
 
     @property
     def values(self) -> FloatArray:
-        """The values (24,) of `RIG_PARAMETERS`, zero for those of the rotation."""
-        return np.concatenate(
-            [self.left.parameters, self.right.parameters, np.zeros(3), self.right_from_left.translation_m]
-        )
+        """The values (32,) of `RIG_PARAMETERS`, zero for those of the rotation."""
+        values = np.zeros(len(RIG_PARAMETERS))
+        values[LEFT], values[RIGHT] = self.left.parameters, self.right.parameters
+        values[TRANSLATION] = self.right_from_left.translation_m
+        return values
 
     def perturbed(self, delta: FloatArray) -> StereoRig:
-        """Return the rig with its parameters changed by delta (24,), in the order of `RIG_PARAMETERS`."""
-        check_shape("delta", delta, (len(RIG_PARAMETERS),))
+        """Return the rig with its parameters changed by delta, (32,) or the first (24,), as in `RIG_PARAMETERS`."""
+        delta = _padded("delta", delta, _PLAIN_RIG, len(RIG_PARAMETERS))
         return replace(
             self,
-            left=Camera.from_parameters(self.left.parameters + delta[:9], self.left.size_px),
-            right=Camera.from_parameters(self.right.parameters + delta[9:18], self.right.size_px),
+            left=Camera.from_parameters(self.left.parameters + delta[LEFT], self.left.size_px),
+            right=Camera.from_parameters(self.right.parameters + delta[RIGHT], self.right.size_px),
             right_from_left=RigidTransform(
-                rotation_from_vector(delta[18:21]) @ self.right_from_left.rotation,
-                self.right_from_left.translation_m + delta[21:],
+                rotation_from_vector(delta[ROTATION]) @ self.right_from_left.rotation,
+                self.right_from_left.translation_m + delta[TRANSLATION],
             ),
         )
 
@@ -240,8 +274,8 @@ def epipolar_residual(
     rays = rig.left.undistort(left_px), rig.right.undistort(right_px)
     left, right = (np.concatenate([ray, np.ones((*ray.shape[:-1], 1))], axis=-1) for ray in rays)
     by_right, by_left = left @ rig.essential.T, right @ rig.essential
-    focal_left, focal_right = rig.left.matrix[[0, 1], [0, 1]], rig.right.matrix[[0, 1], [0, 1]]
-    slope_right, slope_left = by_right[..., :2] / focal_right, by_left[..., :2] / focal_left
+    slope_right = by_right[..., :2] @ np.linalg.inv(rig.right.matrix[:2, :2])
+    slope_left = by_left[..., :2] @ np.linalg.inv(rig.left.matrix[:2, :2])
     length = np.linalg.norm(slope_right, axis=-1)
     residual = (by_right * right).sum(axis=-1) / length
     return residual, slope_left / length[..., None], slope_right / length[..., None]
@@ -409,8 +443,10 @@ def _add_camera(point, pixel, weight, placed, normal, gradient):  # type: ignore
         return math.nan
     x, y = p[0] / p[2], p[1] / p[2]
     xd, yd, dxx, dxy, dyy = distort(x, y, camera)
-    ru, rv = pixel[0] - (camera[0] * xd + camera[2]), pixel[1] - (camera[1] * yd + camera[3])
-    ux, uy, vx, vy = camera[0] * dxx / p[2], camera[0] * dxy / p[2], camera[1] * dxy / p[2], camera[1] * dyy / p[2]
+    ru = pixel[0] - (camera[0] * xd + camera[12] * yd + camera[2])
+    rv = pixel[1] - (camera[1] * yd + camera[3])
+    fx, fy, shear = camera[0] / p[2], camera[1] / p[2], camera[12] / p[2]
+    ux, uy, vx, vy = fx * dxx + shear * dxy, fx * dxy + shear * dyy, fy * dxy, fy * dyy
     jacobian = np.empty((2, 3))
     for i in range(3):
         dx, dy = rotation[0, i] - x * rotation[2, i], rotation[1, i] - y * rotation[2, i]

@@ -10,7 +10,7 @@ import numpy as np
 from photogram.alignment.evidence import KnownAxis, KnownDirection, across, calibration_steps, fit_axis, linear_motion
 from photogram.alignment.solve import Alignment
 from photogram.arrays import ComplexArray, FloatArray
-from photogram.camera import Camera, StereoRig, triangulate
+from photogram.camera import ROTATION, Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector, vector_from_rotation
 from photogram.motion import RigidMotion
 from photogram.synthetic.scene import session_covariance
@@ -52,10 +52,10 @@ def between(start: RigidTransform, end: RigidTransform) -> FloatArray:
 
 
 def rig_error(rig: StereoRig, truth: StereoRig) -> FloatArray:
-    """Return the errors (24,) of a rig's parameters."""
-    lens = [rig.left.parameters - truth.left.parameters, rig.right.parameters - truth.right.parameters]
-    turn = vector_from_rotation(rig.right_from_left.rotation @ truth.right_from_left.rotation.T)
-    return np.concatenate([*lens, turn, rig.right_from_left.translation_m - truth.right_from_left.translation_m])
+    """Return the errors (32,) of a rig's parameters."""
+    error = rig.values - truth.values
+    error[ROTATION] = vector_from_rotation(rig.right_from_left.rotation @ truth.right_from_left.rotation.T)
+    return error
 
 
 def target_pose(rng: np.random.Generator, tilt: float) -> RigidTransform:
@@ -100,8 +100,9 @@ def make_world(seed: int) -> World:
     rng = np.random.default_rng([seed, 99])
     rig = calibrated_rig()
     assert rig.covariance is not None
-    scale = np.sqrt(np.diagonal(rig.covariance))
-    draw = scale * (np.linalg.cholesky(rig.covariance / np.outer(scale, scale)) @ rng.normal(size=24))
+    covariance = rig.covariance[:24, :24]  # of a pair without k4 k5 k6 and skew
+    scale = np.sqrt(np.diagonal(covariance))
+    draw = scale * (np.linalg.cholesky(covariance / np.outer(scale, scale)) @ rng.normal(size=24))
     view = rotation_from_vector(np.array([0.0, 0.0, rng.uniform(-3, 3)])) @ rotation_from_vector(
         np.array([np.pi + rng.uniform(-0.5, 0.5), 0.0, 0.0])
     )

@@ -125,9 +125,9 @@ def _covered(pictures: list[CalibratedPicture]) -> float:
 
 def _parameters(rig: StereoRig) -> tuple[Parameter, ...]:
     """All 24 with the state that their value and uncertainty give."""
-    value = np.concatenate([rig.left.parameters, rig.right.parameters, np.zeros(3), rig.right_from_left.translation_m])
+    value, variance = rig.values[:24], np.diagonal(rig.covariance)[:24]
     parameters = []
-    for name, size, u, unit in zip(RIG_PARAMETERS, value, np.sqrt(np.diagonal(rig.covariance)), UNITS, strict=True):
+    for name, size, u, unit in zip(RIG_PARAMETERS[:24], value, np.sqrt(variance), UNITS, strict=True):
         state: Determined = "indistinct" if unit == "1" and abs(size) < 2 * u else "determined"
         parameters.append(Parameter(name, float(size), float(u), unit, "open" if unit == "1" and u > 1 else state))
     return tuple(parameters)

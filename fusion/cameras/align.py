@@ -311,6 +311,7 @@ def pose_text(file: AlignmentFile, alignment: Alignment, pair: Pair | None) -> s
     if pair is not None and pair.rig.covariance is not None and not relative:
         covered = len(calibration_steps(pair.rig))
         answers = by_parameters(alignment.by_calibration[:, :covered], pair.steps[:covered])
+        answers = answers if answers[:, 24:].any() else answers[:, :24]
         u = np.sqrt(np.diagonal(alignment.held_covariance) + (alignment.by_calibration**2).sum(axis=1))
     held = K2 * np.sqrt(np.diagonal(alignment.held_covariance))
     blocks = [(len(getattr(file, key)), one, many) for key, one, many in EVIDENCE]

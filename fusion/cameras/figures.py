@@ -57,7 +57,7 @@ from fusion.report.style import (
 )
 from fusion.report.table import signed
 from photogram.calibration.result import Calibration
-from photogram.camera import RIG_PARAMETERS, Camera
+from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera
 from shaker.arrays import FloatArray, IntArray
 
 MARGIN_IN, BETWEEN_IN, TOP_IN, AXIS_IN = (0.62, 0.12), 0.55, 0.28, 0.42
@@ -70,7 +70,6 @@ KEPT = 0.98  # quantile of the arrows' lengths that sets their scale
 ELLIPSE_QUANTILE = 2.448
 """Half axes, in standard uncertainties, of the ellipse that holds two coordinates with 95 %: √χ²(0.95; 2)."""
 LEVELS = 8
-GROUPS = (9, 18, 21)
 """Numbers of parameters after which another group begins: left camera, right camera, rotation, translation."""
 STRONG = 0.9  # coefficient from which on it is written into the figure
 MEAN_QUANTILE = 1.731
@@ -329,12 +328,17 @@ def draw_distortion(calibration: Calibration, side: Side) -> Picture:
 
 def draw_correlation(calibration: Calibration) -> Picture:
     """Correlation coefficients of all parameters of the pair."""
-    coefficients = correlation(covariance_of(calibration.rig))
-    names = [name.replace(".", " ") for name in RIG_PARAMETERS]
+    covariance = covariance_of(calibration.rig)
+    further = np.diagonal(covariance)[TRANSLATION.stop :] > 0
+    kept = np.concatenate([np.ones(TRANSLATION.stop, np.bool_), further])
+    groups = [places[kept[places]] for places in (LEFT, RIGHT, np.r_[ROTATION], np.r_[TRANSLATION])]
+    order = np.concatenate(groups)
+    coefficients = correlation(covariance[np.ix_(order, order)])
+    names = [RIG_PARAMETERS[place].replace(".", " ") for place in order]
     with sheet("correlation", 6.9) as drawn:
         (axes,) = drawn.panels
         shown = axes.imshow(coefficients, cmap=colormaps["RdBu_r"].with_extremes(bad=LIGHT), vmin=-1.0, vmax=1.0)
-        for edge in GROUPS:
+        for edge in np.cumsum([len(group) for group in groups[:-1]]):
             axes.axhline(edge - 0.5, color=BLACK, linewidth=0.7)
             axes.axvline(edge - 0.5, color=BLACK, linewidth=0.7)
         axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7.0)

@@ -10,14 +10,13 @@ import numpy as np
 
 from photogram.arrays import derivatives
 from photogram.calibration.result import COVERAGE_CELLS, CalibratedPicture, CalibratedView, Calibration
-from photogram.camera import Camera, StereoRig, triangulate
+from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig, triangulate
 from photogram.geometry import fit_rigid, skew
 from shaker.arrays import FloatArray, IntArray
 
 Side = Literal["left", "right"]
 
 SIDES: tuple[Side, Side] = ("left", "right")
-ROTATION, TRANSLATION = slice(18, 21), slice(21, 24)
 """Places of the pair's rotation and translation among its parameters."""
 STEP = 1e-3  # of a parameter's uncertainty, by which it is moved for a derivative
 CELLS_ACROSS = 16  # of a picture, in which residuals are averaged
@@ -85,16 +84,16 @@ class ResidualParts:
 
 
 def covariance_of(rig: StereoRig) -> FloatArray:
-    """Covariance (24, 24) of a calibrated rig."""
+    """Covariance (32, 32) of a calibrated rig."""
     if rig.covariance is None:
         raise ValueError("rig: expected a calibrated pair with the covariance of its parameters, found none")
     return rig.covariance
 
 
 def camera_of(rig: StereoRig, side: Side) -> tuple[Camera, FloatArray]:
-    """One camera and the covariance (9, 9) of its parameters."""
-    own = slice(0, 9) if side == "left" else slice(9, 18)
-    return (rig.left if side == "left" else rig.right), covariance_of(rig)[own, own]
+    """One camera and the covariance (13, 13) of its parameters."""
+    own = LEFT if side == "left" else RIGHT
+    return (rig.left if side == "left" else rig.right), covariance_of(rig)[np.ix_(own, own)]
 
 
 def baseline_m(rig: StereoRig) -> Quantity:
@@ -172,7 +171,7 @@ def length_u(calibration: Calibration) -> FloatArray:
 
 
 def distortion(calibration: Calibration, side: Side, columns: int = 33) -> Distortion:
-    """Distortion of one camera on a grid over its whole picture, with the uncertainty of all nine parameters."""
+    """Distortion of one camera on a grid over its whole picture, with the uncertainty of all parameters."""
     camera, covariance = camera_of(calibration.rig, side)
     width, height = camera.size_px
     rows = max(3, round(columns * height / width))
@@ -182,10 +181,10 @@ def distortion(calibration: Calibration, side: Side, columns: int = 33) -> Disto
     def displaced(delta: FloatArray) -> FloatArray:
         moved = Camera.from_parameters(camera.parameters + delta, camera.size_px)
         k = moved.matrix
-        return np.asarray(pixel - (moved.undistort(pixel) * [k[0, 0], k[1, 1]] + [k[0, 2], k[1, 2]]))
+        return np.asarray(pixel - (moved.undistort(pixel) @ k[:2, :2].T + k[:2, 2]))
 
     u = _propagated(displaced, covariance)
-    return Distortion(pixel, displaced(np.zeros(9)), np.sqrt((u**2).mean(axis=-1)))
+    return Distortion(pixel, displaced(np.zeros(len(covariance))), np.sqrt((u**2).mean(axis=-1)))
 
 
 def pictures(calibration: Calibration, side: Side) -> list[CalibratedPicture | None]:

@@ -20,7 +20,6 @@ from fusion.cameras.figures import (
 )
 from fusion.cameras.quantities import (
     LENGTH_SHARE,
-    ROTATION,
     SIDES,
     ResidualParts,
     Side,
@@ -41,7 +40,7 @@ from fusion.cameras.quantities import (
 from fusion.report.folder import Provenance, origin_frame, render_page
 from fusion.report.table import Column, Headline, Table, measured, on_page, signed, small, table, times_ten
 from photogram.calibration.result import CalibratedPicture, Calibration, Dropped, Parameter
-from photogram.camera import RIG_PARAMETERS
+from photogram.camera import RIG_PARAMETERS, ROTATION
 from photogram.geometry import vector_from_rotation
 from shaker.arrays import IntArray
 
@@ -58,6 +57,10 @@ MEANINGS = {
     "k1": "radial distortion, r²",
     "k2": "radial distortion, r⁴",
     "k3": "radial distortion, r⁶",
+    "k4": "radial distortion, r² below the fraction bar",
+    "k5": "radial distortion, r⁴ below the fraction bar",
+    "k6": "radial distortion, r⁶ below the fraction bar",
+    "skew": "skew of the pixel axes",
     "p1": "tangential distortion, down",
     "p2": "tangential distortion, across",
     "rotation": "rotation vector, right from left",

@@ -365,7 +365,7 @@ class Stereo(Block):
     rotation: Rotation
     translation: FreeVector
     pose_uncertainty: PoseSpread = ZERO6
-    pose_by_calibration: Annotated[tuple[tuple[float, ...], ...] | None, BeforeValidator(rows_of(6, 24))] = None
+    pose_by_calibration: Annotated[tuple[tuple[float, ...], ...] | None, BeforeValidator(rows_of(6, 32, 24))] = None
     scale_uncertainty: NotNegative | None = None
     bit_depth: Annotated[int, Field(ge=1, le=16)] | None = None
     exposure: Exposure

@@ -177,14 +177,16 @@ def vector(count: int) -> Callable[[Any], tuple[float, ...]]:
     return lambda value: _numbers(value, count, f"{count} numbers")
 
 
-def rows_of(rows: int, columns: int) -> Callable[[Any], tuple[tuple[float, ...], ...]]:
-    """Validator of a list of `rows` lists of `columns` numbers."""
-    expected = f"{rows} rows of {columns} numbers"
+def rows_of(rows: int, columns: int, fewer: int | None = None) -> Callable[[Any], tuple[tuple[float, ...], ...]]:
+    """Validator of a list of `rows` lists of `columns` numbers, or of `fewer`, then with zeros for the others."""
+    expected = f"{rows} rows of {columns if fewer is None else f'{fewer} or {columns}'} numbers"
 
     def checked(value: Any) -> tuple[tuple[float, ...], ...]:
         if not isinstance(value, list | tuple) or len(value) != rows:
             found = f"{len(value)} rows" if isinstance(value, list | tuple) else describe(value)
             raise refusal(expected, found)
+        if fewer is not None and all(isinstance(row, list | tuple) and len(row) == fewer for row in value):
+            value = [[*row, *[0.0] * (columns - fewer)] for row in value]
         return tuple(_numbers(row, columns, expected) for row in value)
 
     return checked

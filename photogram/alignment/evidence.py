@@ -17,7 +17,7 @@ import numpy as np
 from photogram.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
 from photogram.calibration.bundle import see
 from photogram.calibration.start import target_pose
-from photogram.camera import StereoRig, principal_components, triangulate
+from photogram.camera import TRANSLATION, StereoRig, principal_components, triangulate
 from photogram.geometry import (
     RigidTransform,
     displacement_jacobian,
@@ -339,19 +339,21 @@ def _check_direction(name: str, direction: FloatArray) -> None:
 
 
 def calibration_steps(rig: StereoRig, scale_u: float = 0.0) -> FloatArray:
-    """Return the steps (P, 24) of the rig's parameters, one standard uncertainty each, that stand for its errors.
+    """Return the steps (P, 32) of the rig's parameters, one standard uncertainty each, that stand for its errors.
 
     The principal components of its covariance, and the baseline's length by `scale_u`, relative, where that is stated
     apart from it.
     """
     steps = [] if rig.covariance is None else [*principal_components(rig.covariance)]
     if scale_u > 0.0:
-        steps.append(np.concatenate([np.zeros(21), scale_u * rig.right_from_left.translation_m]))
-    return np.array(steps).reshape(-1, 24)
+        along = np.zeros(len(rig.parameters))
+        along[TRANSLATION] = scale_u * rig.right_from_left.translation_m
+        steps.append(along)
+    return np.array(steps).reshape(-1, len(rig.parameters))
 
 
 def by_parameters(change: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return the derivatives (6, 24) by the rig's parameters of what changes by `change` (6, P) with `steps` (P, 24).
+    """Return the derivatives (6, 32) by the rig's parameters of what changes by `change` (6, P) with `steps` (P, 24).
 
     The smallest ones, in units of the parameters' standard uncertainties, that give these changes.
     """
@@ -385,7 +387,7 @@ def seen_target(
     likely pose by −(Jᵀ·W·J)⁻¹·Jᵀ·W·G·s.
     """
     pose, covariance = target_pose(rig, target, left, right)
-    change = np.zeros((6, 24))
+    change = np.zeros((6, steps.shape[1]))
     for side, view in enumerate((left, right)):
         if view is not None:
             points = target.spacing_m * np.column_stack([view.index, np.zeros(len(view.index))])

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, IntArray
-from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
+from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector, skew
 
 _ANGLE = 2 * np.pi * np.arange(12) / 12
@@ -18,7 +18,7 @@ _RIM = np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE)])  # where on a dot's rim
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Modelled pixels (N, 2) of one picture with derivatives by the camera's parameters (N, 2, 9), by its pose after
+    """Modelled pixels (N, 2) of one picture with derivatives by the camera's parameters (N, 2, 13), by its pose after
     the left camera (N, 2, 6), by the target's pose (N, 2, 6) and by the point in the target's frame (N, 2, 3).
 
     Poses: translation, then left-multiplied rotation.
@@ -31,11 +31,11 @@ class Seen:
     by_point: FloatArray
 
     def by_rig(self, side: int) -> FloatArray:
-        """Return the derivatives (N, 2, 24) by the parameters of a pair, this being its left (0) or right (1) side."""
+        """Return the derivatives (N, 2, 32) by the parameters of a pair, this being its left (0) or right (1) side."""
         slope = np.zeros((len(self.pixel), 2, len(RIG_PARAMETERS)))
-        slope[..., 9 * side : 9 * side + 9] = self.by_camera
+        slope[..., RIGHT if side else LEFT] = self.by_camera
         if side:
-            slope[..., 18:21], slope[..., 21:24] = self.by_relative[..., 3:], self.by_relative[..., :3]
+            slope[..., ROTATION], slope[..., TRANSLATION] = self.by_relative[..., 3:], self.by_relative[..., :3]
         return slope
 
 
@@ -61,10 +61,10 @@ def see(
         disc = radius_m * camera_from_left.rotation @ left_from_target.rotation[:, :2]
         rim = in_camera[:, None] + _RIM @ disc.T
         placed = placed + _bent(camera, rim[..., :2] / rim[..., 2:], flat, placed, by_flat)
-    by_flat = np.diagonal(camera.matrix)[:2, None] * by_flat
+    by_flat = camera.matrix[:2, :2] @ by_flat
     by_place, by_normal = by_flat @ flat_by_place, by_flat @ flat_by_normal
     by_left, by_left_normal = by_place @ camera_from_left.rotation, by_normal @ camera_from_left.rotation
-    pixel = placed * np.diagonal(camera.matrix)[:2] + camera.matrix[:2, 2]
+    pixel = placed @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
     return Seen(
         pixel,
         _by_camera(camera, flat, placed),
@@ -116,11 +116,12 @@ def _bent(camera: Camera, rim: FloatArray, centre: FloatArray, placed: FloatArra
 
 def distorted(camera: Camera, undistorted: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return distorted normalised coordinates (..., 2) and their derivative (..., 2, 2) by the undistorted ones."""
-    k1, k2, p1, p2, k3 = camera.distortion
+    k1, k2, p1, p2, k3, k4, k5, k6 = camera.distortion
     x, y = undistorted[..., 0], undistorted[..., 1]
     r2 = x * x + y * y
-    gain = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))
+    under = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    gain = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / np.where(under > 0, under, np.nan)
+    slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2) - gain * (k4 + r2 * (2 * k5 + 3 * k6 * r2))) / under
     placed = [x * gain + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * gain + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y]
     mixed = slope * x * y + 2 * p1 * x + 2 * p2 * y
     by_x = gain + slope * x * x + 2 * p1 * y + 6 * p2 * x
@@ -131,24 +132,23 @@ def distorted(camera: Camera, undistorted: FloatArray) -> tuple[FloatArray, Floa
 
 
 def _by_camera(camera: Camera, flat: FloatArray, placed: FloatArray) -> FloatArray:
-    """Return ∂pixel/∂parameters (N, 2, 9) at undistorted and distorted coordinates (N, 2)."""
-    focal = np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
+    """Return ∂pixel/∂parameters (N, 2, 13) at undistorted and distorted coordinates (N, 2)."""
+    k1, k2, _, _, k3, k4, k5, k6 = camera.distortion
     x, y = flat.T
     r2 = x * x + y * y
-    by_distortion = np.stack(
-        [
-            flat * r2[:, None],
-            flat * r2[:, None] ** 2,
-            np.stack([2 * x * y, r2 + 2 * y * y], axis=-1),
-            np.stack([r2 + 2 * x * x, 2 * x * y], axis=-1),
-            flat * r2[:, None] ** 3,
-        ],
-        axis=-1,
-    )
-    by_camera = np.zeros((len(flat), 2, 9))
+    under = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    gain = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / under
+    radial = flat[:, :, None] * (r2[:, None] ** [1, 2, 3] / under[:, None])[:, None]  # by k1, k2, k3
+    by_distortion = np.empty((len(flat), 2, 8))
+    by_distortion[..., [0, 1, 4]] = radial
+    by_distortion[..., 2] = np.stack([2 * x * y, r2 + 2 * y * y], axis=-1)
+    by_distortion[..., 3] = np.stack([r2 + 2 * x * x, 2 * x * y], axis=-1)
+    by_distortion[..., 5:] = -gain[:, None, None] * radial
+    by_camera = np.zeros((len(flat), 2, 13))
     by_camera[:, 0, 0], by_camera[:, 1, 1] = placed.T
     by_camera[:, 0, 2] = by_camera[:, 1, 3] = 1.0
-    by_camera[:, :, 4:] = focal[:, None] * by_distortion
+    by_camera[:, :, 4:12] = camera.matrix[:2, :2] @ by_distortion
+    by_camera[:, 0, 12] = placed[:, 1]
     return by_camera
 
 
@@ -259,7 +259,7 @@ class Bundle:
     shape: Shape
 
     def moved(self, step: FloatArray, pose_steps: FloatArray) -> Bundle:
-        """Return the bundle after a step of rig and shape (24 + S,) and of the poses (V, 6).
+        """Return the bundle after a step of rig and shape (32 + S,) and of the poses (V, 6).
 
         To first order the step is added; beyond it the path follows what the pictures hold on to: the targets' middles
         move linearly in either picture and in the logarithm of their depth, focal lengths by factors. Long focal
@@ -267,15 +267,15 @@ class Bundle:
         straight steps would have to be tiny.
         """
         middle = self.shape.flat_m.mean(axis=0)
-        growth = step[:2] / self.rig.left.parameters[:2]
+        growth = step[LEFT[:2]] / self.rig.left.parameters[:2]
         moves = zip(self.poses, pose_steps, strict=True)
         poses = tuple(moved_pose(middle, pose, change, growth) for pose, change in moves)
         before, after = (np.mean([pose.apply(middle) for pose in every], axis=0) for every in (self.poses, poses))
         turns = np.cross(pose_steps[:, 3:], [pose.rotation @ middle for pose in self.poses])
         shift = np.mean(pose_steps[:, :3] + turns, axis=0)
         rig = StereoRig(
-            _camera_moved(self.rig.left, step[:9]),
-            _camera_moved(self.rig.right, step[9:18]),
+            _camera_moved(self.rig.left, step[LEFT]),
+            _camera_moved(self.rig.right, step[RIGHT]),
             self._relative_moved(step, before, after, shift),
         )
         return Bundle(rig, poses, self.shape.moved(step[_RIG:]))
@@ -287,11 +287,11 @@ class Bundle:
 
         `shift` (3,): its step there to first order.
         """
-        relative, growth = self.rig.right_from_left, step[9:11] / self.rig.right.parameters[:2]
+        relative, growth = self.rig.right_from_left, step[RIGHT[:2]] / self.rig.right.parameters[:2]
         turned = relative.rotation @ before
-        change = np.cross(step[18:21], turned) + step[21:24] + relative.rotation @ shift
+        change = np.cross(step[ROTATION], turned) + step[TRANSLATION] + relative.rotation @ shift
         place = _place_moved(turned + relative.translation_m, change, growth)
-        rotation = rotation_from_vector(step[18:21]) @ relative.rotation
+        rotation = rotation_from_vector(step[ROTATION]) @ relative.rotation
         return RigidTransform(rotation, place - rotation @ after)
 
     def see(self, picture: Picture) -> Seen:
@@ -304,10 +304,10 @@ class Bundle:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known of the rig before the pictures: expected parameters (24,) and standard deviations, inf for none.
+    """What is known of the rig before the pictures: expected parameters (32,) and standard deviations, inf for none.
 
-    The three of the rotation are no parameters with a value, so they have no prior. `aspect_px` (left, right): standard
-    deviation of fx − fy around the expected.
+    Those with the standard deviation zero are held where they are. The three of the rotation are no parameters with a
+    value, so they have no prior. `aspect_px` (left, right): standard deviation of fx − fy around the expected.
     """
 
     value: FloatArray
@@ -315,20 +315,26 @@ class Prior:
     aspect_px: tuple[float, float]
 
     def away(self, parameters: FloatArray) -> FloatArray:
-        """Return how far (26,) parameters are from what is expected, in standard deviations."""
-        return np.asarray(self.slope @ (parameters - self.value))
+        """Return how far (Q + 2,) parameters (32,) and fx − fy are from what is expected, in standard deviations."""
+        return np.asarray(self.slope @ (parameters - self.value)[self.free])
+
+    @property
+    def free(self) -> IntArray:
+        """Places (Q,) of the parameters that are estimated."""
+        return np.flatnonzero(self.sigma > 0)
 
     @property
     def slope(self) -> FloatArray:
-        """The derivative (26, 24) of `away`."""
+        """The derivative (Q + 2, Q) of `away` by the parameters that are estimated."""
         aspect = np.zeros((2, _RIG))
-        aspect[[0, 1], [0, 9]], aspect[[0, 1], [1, 10]] = 1 / np.array(self.aspect_px), -1 / np.array(self.aspect_px)
-        return np.concatenate([np.diag(1 / self.sigma), aspect])
+        for row, (camera, sigma) in enumerate(zip((LEFT, RIGHT), self.aspect_px, strict=True)):
+            aspect[row, camera[:2]] = 1 / sigma, -1 / sigma
+        return np.concatenate([np.diag(1 / self.sigma[self.free]), aspect[:, self.free]])
 
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """The most likely bundle, the covariance of rig and shape (24 + S, 24 + S) and of each pose (V, 6, 6)."""
+    """The most likely bundle, the covariance of rig and shape (32 + S, 32 + S) and of each pose (V, 6, 6)."""
 
     bundle: Bundle
     covariance: FloatArray
@@ -345,13 +351,18 @@ def adjust(start: Bundle, pictures: Sequence[Picture], prior: Prior) -> Adjusted
     for _ in range(_STEPS):
         normal = _normal(bundle, pictures, prior)
         step, pose_steps, decrease = normal.step(damping)
-        tried = bundle.moved(step, pose_steps)
+        change = np.zeros(_RIG + len(bundle.shape.value_m))
+        change[normal.places] = step
+        tried = bundle.moved(change, pose_steps)
         found = _cost(tried, pictures, prior)
         if found <= cost * (1 + 1e-12):
             bundle, cost, damping = tried, min(found, cost), max(damping / 10, 1e-12)
             if decrease < _CONVERGED:
                 normal = _normal(bundle, pictures, prior)
-                return Adjusted(bundle, *normal.covariance())
+                common, pose = normal.covariance()
+                covariance = np.zeros((_RIG + len(bundle.shape.value_m),) * 2)
+                covariance[np.ix_(normal.places, normal.places)] = common
+                return Adjusted(bundle, covariance, pose)
         else:
             damping = max(10 * damping, 1e-6)
     raise ValueError("the bundle adjustment did not converge; add views or leave out doubtful pictures")
@@ -402,8 +413,12 @@ def _cost(bundle: Bundle, pictures: Sequence[Picture], prior: Prior) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """Normal equations: rig and shape (G, G), each pose (V, 6, 6), what couples them (V, G, 6), right-hand sides."""
+    """Normal equations: rig and shape (G, G), each pose (V, 6, 6), what couples them (V, G, 6), right-hand sides.
 
+    `places` (G,): which of the rig's and the shape's parameters these are.
+    """
+
+    places: IntArray
     common: FloatArray
     pose: FloatArray
     coupling: FloatArray
@@ -442,15 +457,17 @@ class _Normal:
 
 def _normal(bundle: Bundle, pictures: Sequence[Picture], prior: Prior) -> _Normal:
     """Return the normal equations at the bundle."""
-    shape = bundle.shape
-    size, views = _RIG + len(shape.value_m), len(bundle.poses)
-    common = np.diag(np.concatenate([np.zeros(_RIG), shape.prior_m**-2.0]))
-    common[:_RIG, :_RIG] = prior.slope.T @ prior.slope
+    shape, free = bundle.shape, prior.free
+    size, views = len(free) + len(shape.value_m), len(bundle.poses)
+    common = np.diag(np.concatenate([np.zeros(len(free)), shape.prior_m**-2.0]))
+    common[: len(free), : len(free)] = prior.slope.T @ prior.slope
     common_side = np.concatenate([-prior.slope.T @ prior.away(bundle.rig.values), -shape.value_m / shape.prior_m**2])
     pose, coupling, pose_side = np.zeros((views, 6, 6)), np.zeros((views, size, 6)), np.zeros((views, 6))
     for picture in pictures:
         seen, view = bundle.see(picture), picture.view
-        slope = np.concatenate([seen.by_rig(picture.side), seen.by_point @ shape.basis[picture.point]], axis=-1)
+        slope = np.concatenate(
+            [seen.by_rig(picture.side)[..., free], seen.by_point @ shape.basis[picture.point]], axis=-1
+        )
         weighted_common = (picture.precision @ slope).reshape(-1, size)
         weighted = (picture.precision @ seen.by_pose).reshape(-1, 6)
         slope, pose_slope = slope.reshape(-1, size), seen.by_pose.reshape(-1, 6)
@@ -460,4 +477,5 @@ def _normal(bundle: Bundle, pictures: Sequence[Picture], prior: Prior) -> _Norma
         pose[view] += pose_slope.T @ weighted
         coupling[view] += slope.T @ weighted
         pose_side[view] += weighted.T @ residual
-    return _Normal(common, pose, coupling, common_side, pose_side)
+    places = np.concatenate([free, _RIG + np.arange(len(shape.value_m))])
+    return _Normal(places, common, pose, coupling, common_side, pose_side)

@@ -53,17 +53,22 @@ def write_calibration(path: str | Path, rig: StereoRig, reprojection_rms_px: flo
     if not np.array_equal(rig.left.size_px, rig.right.size_px):
         raise ValueError(f"rig: expected two images of one size, found {rig.left.size_px} and {rig.right.size_px}")
     covariance = rig.covariance
+    # The lens's further terms, after the 24 parameters of every file, stand in it only where they are uncertain
+    stated = [n for n in range(len(RIG_PARAMETERS)) if covariance is not None and (n < 24 or covariance[n, n] > 0)]
     content = {
         "format": 1,
         "image_size": [int(size) for size in rig.left.size_px],
-        "left": {"matrix": rig.left.matrix.tolist(), "distortion": rig.left.distortion.tolist()},
-        "right": {"matrix": rig.right.matrix.tolist(), "distortion": rig.right.distortion.tolist()},
+        "left": _lens(rig.left),
+        "right": _lens(rig.right),
         "rotation": rig.right_from_left.rotation.tolist(),
         "translation": rig.right_from_left.translation_m.tolist(),
         "reprojection_rms": None if reprojection_rms_px is None else float(reprojection_rms_px),
         "covariance": None
         if covariance is None
-        else {"parameters": list(RIG_PARAMETERS), "matrix": covariance.tolist()},
+        else {
+            "parameters": [RIG_PARAMETERS[place] for place in stated],
+            "matrix": covariance[np.ix_(stated, stated)].tolist(),
+        },
     }
     path = Path(path)
     temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
@@ -72,6 +77,12 @@ def write_calibration(path: str | Path, rig: StereoRig, reprojection_rms_px: flo
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _lens(camera: Camera) -> dict[str, Any]:
+    """Return a camera's part of the file: five coefficients of distortion, or eight where k4 k5 k6 are not zero."""
+    coefficients = camera.distortion if camera.distortion[5:].any() else camera.distortion[:5]
+    return {"matrix": camera.matrix.tolist(), "distortion": coefficients.tolist()}
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -141,7 +152,9 @@ def _camera(side: str, found: Any, size: FloatArray) -> Camera:
     """Return the camera of one side."""
     _check_keys(side, found, ("matrix", "distortion"))
     matrix = _numbers(f"{side}.matrix", found["matrix"], (3, 3))
-    distortion = _numbers(f"{side}.distortion", found["distortion"], (5,))
+    given = found["distortion"]
+    coefficients = 8 if isinstance(given, list) and len(given) == 8 else 5
+    distortion = _numbers(f"{side}.distortion", given, (coefficients,))
     try:
         return Camera(matrix, distortion, size.astype(np.int64))
     except ValueError as error:
@@ -149,7 +162,7 @@ def _camera(side: str, found: Any, size: FloatArray) -> Camera:
 
 
 def _covariance(found: Any) -> FloatArray | None:
-    """Return the covariance (24, 24) with zeros for parameters that the file leaves out."""
+    """Return the covariance (32, 32) with zeros for parameters that the file leaves out."""
     if found is None:
         return None
     _check_keys("covariance", found, ("parameters", "matrix"))

@@ -143,7 +143,7 @@ _ENOUGH_COVER = 0.6
 _FOCAL_U = 0.005  # relative standard uncertainty of a focal length above which the user is told
 _FOCAL_LIMIT = 0.05  # and above which the calibration is refused
 _ADDED_PX = 0.15  # noise beyond the pictures' own, per coordinate, above which the user is told
-_UNITS = {"f": "px", "c": "px", "k": "1", "p": "1"}
+_UNITS = {"f": "px", "c": "px", "s": "px", "k": "1", "p": "1"}
 _STATES = {
     "open": "not determined by these views (taken from an ordinary lens)",
     "indistinct": "not distinguishable from zero",
@@ -151,15 +151,20 @@ _STATES = {
 
 
 def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[Parameter, ...]:
-    """Return the 24 parameters of a rig with covariance, and what the views say about each beside the prior."""
-    covariance = np.zeros((24, 24)) if rig.covariance is None else rig.covariance
+    """Return the parameters of a rig with covariance, and what the views say about each beside the prior.
+
+    The 24 of every rig, and of the lenses' further terms those that are not known to be zero.
+    """
+    covariance = np.zeros((len(RIG_PARAMETERS),) * 2) if rig.covariance is None else rig.covariance
     parameters = []
     for number, (name, value) in enumerate(zip(RIG_PARAMETERS, rig.values, strict=True)):
         u, kind = float(np.sqrt(covariance[number, number])), name.split(".")[1][0]
+        if name.endswith((".k4", ".k5", ".k6", ".skew")) and u == 0 == value:
+            continue
         lens = not name.startswith(("rotation", "translation"))
         unit = _UNITS[kind] if lens else ("rad" if name.startswith("rotation") else "m")
         state: Determined = "determined"
-        if u > _OPEN * prior_sigma[number]:
+        if u > 0 and u > _OPEN * prior_sigma[number]:
             state = "open"
         elif lens and kind in "kp" and abs(value) < _DISTINCT * u:
             state = "indistinct"

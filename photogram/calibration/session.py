@@ -21,6 +21,7 @@ from photogram.calibration.result import (
     session_notices,
 )
 from photogram.calibration.start import Pair, lens_prior, picture_of, start_bundle
+from photogram.camera import TRANSLATION
 from photogram.targets.view import Target, TargetView
 
 _ROUNDS = 12
@@ -161,7 +162,9 @@ def _fit(bundle: Bundle, session: _Session) -> _Fit:
     residuals, squares = zip(*both, strict=True)
     # The number of coordinates minus that of parameters, a parameter counting as far as the data fix it
     prior = np.concatenate([lens_prior(adjusted.bundle.rig).sigma, adjusted.bundle.shape.prior_m])
-    parameters = float(np.sum(1 - np.diagonal(adjusted.covariance) / prior**2)) + 6 * len(adjusted.bundle.poses)
+    free = prior > 0
+    known = np.diagonal(adjusted.covariance)[free] / prior[free] ** 2
+    parameters = float(np.sum(1 - known)) + 6 * len(adjusted.bundle.poses)
     dof = 2 * sum(int(used.sum()) for used in session.used) - parameters
     if dof < 1:
         raise ValueError("the pictures have fewer points than a calibration has unknowns; add views")
@@ -209,8 +212,10 @@ def _result(fit: _Fit, dropped: tuple[Dropped, ...], target: Target, scale_u: fl
     bundle, session = fit.adjusted.bundle, fit.session
     taken = zip(fit.squares, session.used, strict=True)
     factor = sum(float(squares[used].sum()) for squares, used in taken) / fit.dof  # the reduced χ²
-    covariance = fit.adjusted.covariance[:24, :24] * factor
-    baseline = np.concatenate([np.zeros(21), bundle.rig.right_from_left.translation_m])
+    rigs = len(bundle.rig.parameters)
+    covariance = fit.adjusted.covariance[:rigs, :rigs] * factor
+    baseline = np.zeros(rigs)
+    baseline[TRANSLATION] = bundle.rig.right_from_left.translation_m
     rig = replace(bundle.rig, covariance=covariance + scale_u**2 * np.outer(baseline, baseline))
     pictures = [
         CalibratedPicture(view.name, view.index, view.position_px, residual, np.sqrt(squares / factor), used)

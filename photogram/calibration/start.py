@@ -11,7 +11,7 @@ import numpy as np
 from photogram.arrays import FloatArray, IntArray
 from photogram.calibration.bundle import Bundle, Picture, Prior, ShapeKind, make_shape, moved_pose
 from photogram.calibration.result import Dropped, refuse_similar_views
-from photogram.camera import Camera, StereoRig
+from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.targets.view import Target, TargetView
 
@@ -218,14 +218,15 @@ def lens_prior(rig: StereoRig) -> Prior:
     by 5 %, the decentring terms by 0.5 %; fx and fy differ by 0.1 % (standard deviations). Only what the views leave
     open keeps these values.
     """
-    value, sigma = np.zeros(24), np.full(24, np.inf)
-    for first, camera in ((0, rig.left), (9, rig.right)):
+    value, sigma = rig.values, np.zeros(len(rig.parameters))
+    sigma[ROTATION] = sigma[TRANSLATION] = np.inf
+    for places, camera in ((LEFT, rig.left), (RIGHT, rig.right)):
         corner = float(np.linalg.norm(camera.size_px / 2) / np.mean(camera.parameters[:2]))
-        value[first + 2 : first + 4] = (camera.size_px - 1) / 2
-        sigma[first + 2 : first + 4] = _CENTRE_SPREAD * camera.size_px[0]
+        value[places[2:4]], value[places[4:9]] = (camera.size_px - 1) / 2, 0.0
+        sigma[places[:2]], sigma[places[2:4]] = np.inf, _CENTRE_SPREAD * camera.size_px[0]
         k1, k2, k3 = (spread / corner**power for spread, power in zip(_RADIAL_SPREAD, (2, 4, 6), strict=True))
         tangential = _DECENTRING_SPREAD / corner
-        sigma[first + 4 : first + 9] = k1, k2, tangential, tangential, k3
+        sigma[places[4:9]] = k1, k2, tangential, tangential, k3
     left, right = (_ASPECT_SPREAD * float(camera.parameters[0]) for camera in (rig.left, rig.right))
     return Prior(value, sigma, (left, right))
 

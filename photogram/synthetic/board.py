@@ -31,7 +31,8 @@ def _rays(row: int, camera: FloatArray, rays: FloatArray) -> None:
     for column in range(rays.shape[0]):
         if math.isnan(x):
             x, y = undistort(float(column), float(row), camera)
-        target_x, target_y = (column - camera[2]) / camera[0], (row - camera[3]) / camera[1]
+        target_y = (row - camera[3]) / camera[1]
+        target_x = (column - camera[2] - camera[12] * target_y) / camera[0]
         for _ in range(2):
             xd, yd, dxx, dxy, dyy = distort(x, y, camera)
             determinant = dxx * dyy - dxy * dxy
@@ -40,8 +41,9 @@ def _rays(row: int, camera: FloatArray, rays: FloatArray) -> None:
         if not determinant > 0.0:
             x, y = math.nan, math.nan
         rays[column, 0], rays[column, 1] = x, y
-        rays[column, 2], rays[column, 3] = dyy / (determinant * camera[0]), -dxy / (determinant * camera[1])
-        rays[column, 4], rays[column, 5] = -dxy / (determinant * camera[0]), dxx / (determinant * camera[1])
+        rays[column, 2], rays[column, 4] = dyy / (determinant * camera[0]), -dxy / (determinant * camera[0])
+        rays[column, 3] = -dxy / (determinant * camera[1]) - rays[column, 2] * camera[12] / camera[1]
+        rays[column, 5] = dxx / (determinant * camera[1]) - rays[column, 4] * camera[12] / camera[1]
         x, y = x + rays[column, 2], y + rays[column, 4]
 
 

@@ -20,7 +20,7 @@ from photogram.calibration.file import read_calibration, write_calibration
 from photogram.calibration.result import Calibration
 from photogram.calibration.session import calibrate_pair
 from photogram.calibration.start import target_pose
-from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
+from photogram.camera import RIG_PARAMETERS, Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, skew, vector_from_rotation
 from photogram.targets.view import Target, TargetView
 
@@ -86,7 +86,9 @@ def _session(seed: int, count: int, **options: Any) -> list[tuple[TargetView, Ta
 
 def _largest(calibration: Calibration) -> float:
     """The largest error of a parameter, in standard uncertainties."""
-    return float(np.abs(rig_error(calibration.rig, RIG) / np.sqrt(np.diagonal(calibration.rig.covariance))).max())
+    error, variance = rig_error(calibration.rig, RIG), np.diagonal(calibration.rig.covariance)
+    assert not error[variance == 0].any()
+    return float(np.abs(error[variance > 0] / np.sqrt(variance[variance > 0])).max())
 
 
 def _in_order(calibration: Calibration) -> np.ndarray:
@@ -102,7 +104,7 @@ def test_parameters_come_back_within_their_covariance():
         calibration = calibrate_pair(_session(seed, 10), TARGET)
         error = rig_error(calibration.rig, RIG)
         assert _largest(calibration) < 4.5
-        lengths.append(error @ np.linalg.solve(calibration.rig.covariance, error))
+        lengths.append(error[:24] @ np.linalg.solve(calibration.rig.covariance[:24, :24], error[:24]))
         assert calibration.sigma_factor == pytest.approx(1.0, abs=0.05)
         assert calibration.rms_px == pytest.approx(NOISE_PX * np.sqrt(2), rel=0.06)
     # χ² of 12·24 degrees of freedom has a standard deviation of 8.3 % of its mean; the lens prior takes a little away
@@ -230,7 +232,7 @@ def test_scale_uncertainty_lies_along_the_baseline_and_single_pictures_count():
     plain, scaled = calibrate_pair(pairs, TARGET), calibrate_pair(pairs, TARGET, scale_u=1e-3)
     added = scaled.rig.covariance - plain.rig.covariance
     baseline = scaled.rig.right_from_left.translation_m
-    assert np.allclose(added[21:, 21:], 1e-6 * np.outer(baseline, baseline), rtol=1e-6, atol=1e-16)
+    assert np.allclose(added[21:24, 21:24], 1e-6 * np.outer(baseline, baseline), rtol=1e-6, atol=1e-16)
     assert np.abs(added[:21]).max() < 1e-6 * np.abs(plain.rig.covariance).max()
     assert any(item.where == "scale" for item in plain.notices)
     assert not any(item.where == "scale" for item in scaled.notices)
@@ -304,7 +306,7 @@ def changed(tmp_path: Path, **changes: Any) -> Path:
 def test_the_formats_example_is_read(tmp_path):
     found = read_calibration(changed(tmp_path))
     np.testing.assert_array_equal(found.left.size_px, [1280, 1024])
-    np.testing.assert_array_equal(found.right.distortion, [-0.08, 0.05, 0, 0, 0])
+    np.testing.assert_array_equal(found.right.distortion, [-0.08, 0.05, 0, 0, 0, 0, 0, 0])
     np.testing.assert_array_equal(found.right_from_left.translation_m, [-0.15, 0, 0])
     assert found.covariance is None
 
@@ -321,9 +323,26 @@ def test_what_is_written_comes_back(tmp_path, covariance):
     if covariance is None:
         assert found.covariance is None
     else:
-        np.testing.assert_array_equal(found.covariance, covariance)
+        np.testing.assert_array_equal(found.covariance, expected.covariance)
     assert json.loads(path.read_text())["reprojection_rms"] == 0.0421
     assert [entry.name for entry in tmp_path.iterdir()] == ["top.json"]
+
+
+def test_rational_lenses_with_skew_come_back_whole_and_others_as_files_always_had_them(tmp_path):
+    left = Camera.from_parameters(np.append(RIG.left.parameters[:9], [0.2, -0.1, 0.05, 6.0]), SIZE)
+    covariance = np.zeros((32, 32))
+    covariance[:24, :24], covariance[24, 24], covariance[27, 27] = full_covariance(), 1e-4, 0.25
+    rig, path = replace(RIG, left=left, covariance=covariance), tmp_path / "top.json"
+    write_calibration(path, rig)
+    found, text = read_calibration(path), json.loads(path.read_text())
+    np.testing.assert_array_equal(found.left.parameters, left.parameters)
+    np.testing.assert_array_equal(found.covariance, rig.covariance)
+    assert (len(text["left"]["distortion"]), len(text["right"]["distortion"])) == (8, 5)
+    assert text["covariance"]["parameters"][24:] == ["left.k4", "left.skew"]
+    points = np.random.default_rng(0).uniform([-0.02, -0.02, 0.48], [0.02, 0.02, 0.52], (1, 20, 3))
+    back = triangulate(found, *found.project(points))
+    np.testing.assert_allclose(back.position_m, points, atol=1e-12)
+    assert back.reprojection_px.max() < 1e-9
 
 
 def test_parameters_left_out_of_the_covariance_have_none_and_a_rotation_of_few_digits_is_made_exact(tmp_path):
@@ -331,7 +350,7 @@ def test_parameters_left_out_of_the_covariance_have_none_and_a_rotation_of_few_d
     block = {"parameters": names, "matrix": [[4e-10, 1e-6], [1e-6, 0.25]]}
     covariance = read_calibration(changed(tmp_path, covariance=block)).covariance
     x, fx = (RIG_PARAMETERS.index(name) for name in names)
-    expected = np.zeros((24, 24))
+    expected = np.zeros((32, 32))
     expected[x, x], expected[fx, fx], expected[x, fx], expected[fx, x] = 4e-10, 0.25, 1e-6, 1e-6
     np.testing.assert_array_equal(covariance, expected)
     angle = 0.3
@@ -362,7 +381,7 @@ CAMERA = json.loads(EXAMPLE)["left"]
         ({"left": CAMERA | {"skew": 0}}, "left.skew: unknown key"),
         ({"left": {"matrix": CAMERA["matrix"]}}, "left.distortion: missing key"),
         ({"right": CAMERA | {"distortion": [0, 0, 0, 0]}}, "right.distortion: expected an array"),
-        ({"right": CAMERA | {"matrix": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}}, "right.matrix: expected"),
+        ({"right": CAMERA | {"matrix": [[1, 0, 0], [0.5, 1, 0], [0, 0, 1]]}}, "right.matrix: expected"),
         ({"right": 3}, "right: expected an object"),
         ({"reprojection_rms": "good"}, "reprojection_rms: expected numbers"),
         ({"covariance": [1]}, "covariance: expected an object"),

@@ -32,11 +32,13 @@ DISTORTIONS = [
     (0.064598486, -4.531373978, 0.0, 0.0, 29.78838921),  # a published stereo DIC calibration
     (-0.2553784247069051, 2.4322276122705246, 0.0, 0.0, 0.0),  # another
     (-0.28, 0.09, 1.5e-3, -2e-3, -0.012),  # a wide lens with tangential parts
+    (0.9, -0.3, 1e-3, -5e-4, 0.02, 1.2, 0.1, 0.03),  # OpenCV's rational model, as of a wide lens
 ]
+SKEW_PX = 6.0  # of 10 646 px focal length in a published calibration
 
 
-def camera(distortion: tuple[float, ...], focal: float = 6607.6) -> Camera:
-    matrix = np.array([[focal, 0, 917.97], [0, 0.999 * focal, 531.64], [0, 0, 1]])
+def camera(distortion: tuple[float, ...], focal: float = 6607.6, skew_px: float = 0.0) -> Camera:
+    matrix = np.array([[focal, skew_px, 917.97], [0, 0.999 * focal, 531.64], [0, 0, 1]])
     return Camera(matrix, np.array(distortion), SIZE)
 
 
@@ -59,6 +61,24 @@ def test_projection_is_opencvs_and_undistortion_too_iterated_to_the_end(distorti
     criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 1000, 1e-15)
     theirs = cv2.undistortPoints(pixels[:, None], one.matrix, one.distortion, criteria=criteria).reshape(-1, 2)
     np.testing.assert_allclose(one.undistort(pixels), theirs, atol=1e-13)
+
+
+@pytest.mark.parametrize("distortion", [DISTORTIONS[0], DISTORTIONS[-1]])
+def test_skew_shears_the_picture_that_opencv_draws_without_it(distortion):
+    points, skewed = in_view(500), camera(distortion, 10646.0, SKEW_PX)
+    ideal, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), np.array(distortion))
+    theirs = np.column_stack([ideal.reshape(-1, 2), np.ones(500)]) @ skewed.matrix[:2].T
+    np.testing.assert_allclose(skewed.project(points), theirs, atol=1e-9)
+    np.testing.assert_allclose(skewed.undistort(theirs), points[:, :2] / points[:, 2:], atol=1e-14)
+    assert np.ptp(skewed.project(points) - camera(distortion, 10646.0).project(points)) > 1.0  # 6 px are no trifle
+
+
+def test_the_rational_factor_ends_at_its_pole():
+    one = camera((0.0, 0.0, 0.0, 0.0, 0.0, -4.0, 0.0, 0.0), 1000.0)  # 1/(1 − 4·r²)
+    assert np.isfinite(one.project(np.array([0.49, 0.0, 1.0]))).all()
+    assert np.isnan(one.project(np.array([[0.5, 0.0, 1.0], [0.6, 0.0, 1.0]]))).all()
+    far = one.project(np.array([0.499, 0.0, 1.0]))
+    np.testing.assert_allclose(one.undistort(far), [0.499, 0.0], atol=1e-13)
 
 
 @given(st.sampled_from(DISTORTIONS), st.floats(0, 1), st.floats(0, 1), st.sampled_from([1600.0, 6607.6]))
@@ -89,26 +109,30 @@ def test_pixels_without_a_ray_and_points_behind_are_nan_and_any_leading_shape_is
 
 
 def opencv_derivatives(one: Camera, points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Derivatives (N, 2, 15) by rotation vector, translation, fx fy cx cy, k1 k2 p1 p2 k3."""
+    """Derivatives (N, 2, 18) by rotation vector, translation, fx fy cx cy, k1 k2 p1 p2 k3 k4 k5 k6."""
     _, jacobian = cv2.projectPoints(points, pose[3:], pose[:3], one.matrix, one.distortion)
-    return jacobian.reshape(len(points), 2, -1)[..., :15]
+    return jacobian.reshape(len(points), 2, -1)[..., :18]
 
 
-@pytest.mark.parametrize("index", range(24), ids=RIG_PARAMETERS)
+@pytest.mark.parametrize("index", range(32), ids=RIG_PARAMETERS)
 def test_a_perturbed_parameter_moves_the_images_as_opencvs_derivatives_say(index):
     rig, points = stereo_rig(), in_view(50)
-    step = 1e-3 if index < 18 else 1e-6  # pixels are linear in a camera's own parameters
-    delta = step * np.eye(24)[index]
+    linear = RIG_PARAMETERS[index].startswith(("left", "right"))  # in most of a camera's own parameters
+    step = 1e-3 if linear and not RIG_PARAMETERS[index].endswith(("k4", "k5", "k6")) else 1e-6
+    delta = step * np.eye(32)[index]
     ahead, behind = rig.perturbed(delta).project(points), rig.perturbed(-delta).project(points)
     numeric = [(a - b) / (2 * step) for a, b in zip(ahead, behind, strict=True)]
     turned = points @ rig.right_from_left.rotation.T  # exp(δ)·R·x + t: the derivative at rotation zero of turned points
     left = opencv_derivatives(rig.left, points, np.zeros(6))[..., 6:]
     right = opencv_derivatives(rig.right, turned, np.append(rig.right_from_left.translation_m, np.zeros(3)))
-    expected = np.zeros((2, 24, 50, 2))
-    expected[0, :9] = np.moveaxis(left, 2, 0)
-    expected[1, 9:] = np.moveaxis(right[..., [*range(6, 15), *range(6)]], 2, 0)
+    expected = np.zeros((2, 32, 50, 2))
+    expected[0, [*range(9), *range(24, 27)]] = np.moveaxis(left, 2, 0)
+    expected[1, [*range(9, 18), *range(28, 31)]] = np.moveaxis(right[..., 6:], 2, 0)
+    expected[1, 18:24] = np.moveaxis(right[..., :6], 2, 0)
+    for side, (one, pixel) in enumerate(zip((rig.left, rig.right), rig.project(points), strict=True)):
+        expected[side, 27 + 4 * side, :, 0] = (pixel[:, 1] - one.matrix[1, 2]) / one.matrix[1, 1]  # y_d, by the skew
     scale = np.abs(expected[:, index]).max()
-    np.testing.assert_allclose(numeric, expected[:, index], atol=1e-6 * scale)
+    np.testing.assert_allclose(numeric, expected[:, index], atol=1e-6 * scale + 1e-13 / step * SIZE.max())
 
 
 def test_order_of_the_parameters_is_the_formats():
@@ -118,7 +142,8 @@ def test_order_of_the_parameters_is_the_formats():
     np.testing.assert_array_equal(again.distortion, one.distortion)
     assert RIG_PARAMETERS[:9] == tuple(f"left.{n}" for n in ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"))
     assert RIG_PARAMETERS[9] == "right.fx"
-    assert RIG_PARAMETERS[18:] == (*(f"rotation.{a}" for a in "xyz"), *(f"translation.{a}" for a in "xyz"))
+    assert RIG_PARAMETERS[18:24] == (*(f"rotation.{a}" for a in "xyz"), *(f"translation.{a}" for a in "xyz"))
+    assert RIG_PARAMETERS[24:] == tuple(f"{side}.{n}" for side in ("left", "right") for n in ("k4", "k5", "k6", "skew"))
     assert stereo_rig().parameters == RIG_PARAMETERS
 
 
@@ -375,9 +400,10 @@ def test_fit_is_scipys_optimum():
 
 
 def test_wrong_values_are_named():
-    skewed, asymmetric = camera(DISTORTIONS[0]).matrix, np.eye(24)
-    skewed[0, 1], asymmetric[0, 1] = 1.0, 0.5
-    refused("matrix: expected", Camera, skewed, np.zeros(5), SIZE)
+    turned, asymmetric = camera(DISTORTIONS[0]).matrix, np.eye(24)
+    turned[1, 0], asymmetric[0, 1] = 1.0, 0.5
+    refused("matrix: expected", Camera, turned, np.zeros(5), SIZE)
+    refused("distortion: expected an array of shape", Camera, camera(DISTORTIONS[0]).matrix, np.zeros(4), SIZE)
     refused("shape", stereo_rig, np.eye(6))
     refused("symmetric", stereo_rig, asymmetric)
     refused("no negative variance", stereo_rig, np.eye(24) - 0.1)

@@ -130,7 +130,7 @@ def test_no_alarm_without_cause():
     sigma = np.sqrt(np.diagonal(RIG.covariance))
     squares, sizes = [], []
     for seed in range(60):
-        true = RIG.perturbed(sigma * np.random.default_rng(1000 + seed).standard_normal(24))
+        true = RIG.perturbed(sigma * np.random.default_rng(1000 + seed).standard_normal(32))
         check = _checked([true] * 24, seed=seed)
         assert check.notices == (), _text(check)
         squares.append(check.pattern_px @ np.linalg.solve(check.pattern_covariance, check.pattern_px))
