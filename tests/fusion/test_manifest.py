@@ -217,18 +217,26 @@ CASES = (
     ),
     ({"point_uncertainty": {"U": [2e-3, 4e-3, 0.0], "k": 2}}, {"point_uncertainty": [1e-3, 2e-3, 0.0]}),
     ({"mass": {"value": 5.0, "U": 2.776445, "k": 2.776445, "dof": 4}}, {"mass": 5.0, "mass_uncertainty": 1.416579}),
+    # of an _uncertainty key U_relative is relative to the value that stands beside it, unless that key is relative itself
+    ({"mass": 5.0, "mass_uncertainty": {"U_relative": 4e-4, "k": 2}}, {"mass": 5.0, "mass_uncertainty": 0.001}),
+    ({"scale": 0.5, "scale_uncertainty": {"U_relative": 4e-4, "k": 2}}, {"scale": 0.5, "scale_uncertainty": 2e-4}),
+    # the frequency of a mode is in Hz, and so is its uncertainty; that of a chain's poles is relative
+    ({"frequency": {"value": 620.0, "U": 12.0, "k": 2}}, {"frequency": 620.0, "frequency_uncertainty": 6.0}),
+    ({"frequency": {"value": 620.0, "U_relative": 0.02, "k": 2}}, {"frequency": 620.0, "frequency_uncertainty": 6.2}),
+    ({"frequency_uncertainty": {"U_relative": 0.02, "k": 2}}, {"frequency_uncertainty": 0.01}),
     ({"step_amplitude": {"value": -50.0, "U": 0.5, "k": 2}}, {"step_amplitude": -50.0, "step_uncertainty": 0.005}),
 )
 
 
 @pytest.mark.parametrize(("table", "expected"), CASES)
 def test_a_certificate_gives_value_and_standard_uncertainty(table, expected):
-    values, (statement,) = expand_statements({"daq": [{"name": "a", **table}]}, Path("rig.toml"))
+    values, (statement,) = expand_statements({"daq": [{"name": "a", **table}], "stereo": {"U": {}}}, Path("rig.toml"))
     own = {key: value for key, value in values["daq"][0].items() if key != "name"}
     assert own.keys() == expected.keys()
     for key, value in own.items():
         np.testing.assert_allclose(value, expected[key], rtol=1e-6)
-    assert statement.key == f"daq.a.{next(iter(table))}"
+    (key,) = (key for key, item in table.items() if isinstance(item, dict))
+    assert statement.key == f"daq.a.{key}"
 
 
 @pytest.mark.parametrize(
@@ -238,6 +246,11 @@ def test_a_certificate_gives_value_and_standard_uncertainty(table, expected):
         ("mass = { value = 6.9605, U = 0.002, U_relative = 1e-3, k = 2 }", "load.mass.U: expected either U or U_rel"),
         ("mass = { U = 0.002, k = 2 }", "load.mass.value: expected the value that this U belongs to, found nothing"),
         ("mass = { value = 6.9605, U = -1, k = 2 }", "load.mass.U: expected a number or numbers, none negative"),
+        ("mass_uncertainty = { U_relative = 1e-3, k = 2 }", "load.mass_uncertainty.U_relative: expected U for a value"),
+        (
+            "mass = { value = 6.9605, U = 1, k = 2, date = 2026-03-02, valid_until = 2025-03-02 }",
+            "load.mass.valid_until: expected a day after 2026-03-02, the date of the certificate, found 2025-03-02",
+        ),
         ("mass = { value = 6.9605, U = 0.002, k = 2, from = 1 }", "load.mass.from: expected one of the keys"),
         ("mass = { value = 6.9605, U = 1, k = 2, distribution = 'uniform' }", "load.mass.k: expected no such key"),
         (
