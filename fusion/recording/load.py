@@ -17,9 +17,9 @@ from fusion.base import InputError
 from fusion.instruments.transducer import wrong_aim
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, PointFiles, RecordingFile, SetUpFiles, Take
-from fusion.recording.rig import Environment, Part, Rig, Shaker, Stereo
-from fusion.recording.toml import UncertainInput, quoted, read_toml, uncertain_inputs, validate
-from fusion.recording.values import Block, Context, PathScope, describe, natural_key, repeated_name
+from fusion.recording.rig import Part, Rig, Shaker, Stereo
+from fusion.recording.toml import UncertainInput, expand_statements, quoted, read_toml, uncertain_inputs, validate
+from fusion.recording.values import Context, PathScope, describe, natural_key, repeated_name
 from shaker.arrays import Notice
 
 log = logging.getLogger("shakercal")
@@ -186,13 +186,18 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         raise InputError(path, "rig", f'"{text["rig"]}"', expected)
     rig_text = read_toml(rig_path)
     rig = validate(Rig, rig_text, rig_path, Context(PathScope(root, root, allow_outside), {}))
-    record = validate(RecordingFile, text, path, Context(PathScope(folder, root, allow_outside), rig.stereo, rig.head))
-    _check_together(rig, rig_path, record, path)
-    if record.environment is not None:
+    values, of_rig = expand_statements(text, path)[0], uncertain_inputs(rig_text, rig_path)
+    around = values.get("environment")
+    if isinstance(around, dict):
         # What the recording states takes the place of what the rig does: together they must be as valid as one.
-        own = text["environment"]
-        both = validate(_Surroundings, {"environment": rig_text.get("environment", {}) | own}, path)
-        rig = rig.model_copy(update={"environment": both.environment})
+        of_rig = tuple(
+            item for item in of_rig if f"{item.key}_uncertainty" not in (f"environment.{key}" for key in around)
+        )
+        values["environment"] = expand_statements(rig_text, rig_path)[0].get("environment", {}) | around
+    within = Context(PathScope(folder, root, allow_outside), rig.stereo, rig.head)
+    record = validate(RecordingFile, values, path, within)
+    _check_together(rig, rig_path, record, path)
+    rig = rig.model_copy(update={"environment": record.environment or rig.environment})
     return Manifest(
         path=path,
         folder=folder,
@@ -212,14 +217,8 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         date=record.date,
         operator=record.operator,
         procedure=record.procedure,
-        inputs=uncertain_inputs(rig_text, rig_path) + uncertain_inputs(text, path),
+        inputs=of_rig + uncertain_inputs(text, path),
     )
-
-
-class _Surroundings(Block):
-    """The environment of rig and recording together."""
-
-    environment: Environment
 
 
 def _rig_path(path: Path, text: dict[str, Any]) -> Path:

@@ -70,7 +70,16 @@ def _checked(
 
 # Inputs as certificates state them: a table in the place of a value, or of its standard uncertainty.
 
-RELATIVE = ("scale", "individual", "static_sensitivity", "step_amplitude", "gain", "clock", "frequencies", "participation")
+RELATIVE = (
+    "scale",
+    "individual",
+    "static_sensitivity",
+    "step_amplitude",
+    "gain",
+    "clock",
+    "frequencies",
+    "participation",
+)
 """Values whose standard uncertainty is stated relative to them."""
 UNCERTAINTY_OF = {"step_amplitude": "step_uncertainty"}
 """Keys of standard uncertainties that are not NAME_uncertainty."""
@@ -113,14 +122,17 @@ class Stated(Block):
             key = "dof" if self.k is None else "k"
             raise refusal(f"no such key: U of a {self.distribution} distribution is its half-width", "one", key=key)
         if self.date is not None and self.valid_until is not None and self.valid_until < self.date:
-            raise refusal(f"a day after {self.date}, the date of the certificate", f"{self.valid_until}", key="valid_until")
+            raise refusal(
+                f"a day after {self.date}, the date of the certificate", f"{self.valid_until}", key="valid_until"
+            )
         return self
 
     def standard_uncertainty(self, value: Any, *, relative: bool) -> Any:
         """Return u in the unit of a value, or `relative` to it; None where the value does not allow that.
 
-        U/k, or the half-width over its divisor. U without a value of its own is in the unit of the key it stands at. Where U has `dof` degrees of freedom, u = U/k·t(dof)/1.96, so that an
-        interval of 1.96·u is the one of 95 % that these mean.
+        U/k, or the half-width over its divisor. U without a value of its own is in the unit of the key it stands at.
+        Where U has `dof` degrees of freedom, u = U/k·t(dof)/1.96, so that an interval of 1.96·u is the one of 95 % that
+        these mean.
         """
         divisor = DIVISORS.get(self.distribution, self.k or 1.0)
         if self.dof is not None:
@@ -274,6 +286,7 @@ def _phrases(model: type[Block], problem: ErrorDetails) -> tuple[str, str]:
         "greater_than": "a number above {gt:g}",
         "greater_than_equal": "a number of at least {ge:g}",
         "less_than_equal": "a number of at most {le:g}",
+        "less_than": "a number below {lt:g}",
         "literal_error": "{expected}",
         "model_type": "a table",
         "dict_type": "a table",

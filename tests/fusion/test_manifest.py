@@ -217,7 +217,7 @@ CASES = (
     ),
     ({"point_uncertainty": {"U": [2e-3, 4e-3, 0.0], "k": 2}}, {"point_uncertainty": [1e-3, 2e-3, 0.0]}),
     ({"mass": {"value": 5.0, "U": 2.776445, "k": 2.776445, "dof": 4}}, {"mass": 5.0, "mass_uncertainty": 1.416579}),
-    # of an _uncertainty key U_relative is relative to the value that stands beside it, unless that key is relative itself
+    # at an _uncertainty key: relative to the value beside it, or as it is where the key is relative itself
     ({"mass": 5.0, "mass_uncertainty": {"U_relative": 4e-4, "k": 2}}, {"mass": 5.0, "mass_uncertainty": 0.001}),
     ({"scale": 0.5, "scale_uncertainty": {"U_relative": 4e-4, "k": 2}}, {"scale": 0.5, "scale_uncertainty": 2e-4}),
     # the frequency of a mode is in Hz, and so is its uncertainty; that of a chain's poles is relative
@@ -290,6 +290,24 @@ def test_a_recording_has_surroundings_of_its_own_and_gravity_follows_from_the_pl
     gravity, u = around.free_fall_mps2
     assert gravity[:2] == (0.0, 0.0)
     assert abs(gravity[2] + 9.812526) < 2.0 * u[2]
+    # Keys that belong together may stand in either file; a table of one may replace a number of the other.
+    halves = (
+        (
+            "rig.toml",
+            "temperature = 23.0",
+            "height = 80.0\nsensor_temperature = 20.0\nsensor_temperature_uncertainty = 1.0\n#",
+        ),
+        (
+            "recording.toml",
+            "[excitation]",
+            "[environment]\nlatitude = 52.0\nsensor_temperature = { value = 24.0, U = 0.4, k = 2 }\n\n[excitation]",
+        ),
+    )
+    manifest = load_manifest(make_campaign(replace=halves))
+    around = manifest.rig.surroundings
+    assert (around.height, around.latitude) == (80.0, 52.0)
+    assert (around.sensor_temperature, around.sensor_temperature_uncertainty) == (24.0, 0.2)
+    assert [item.u for item in manifest.inputs if item.key == "environment.sensor_temperature"] == [0.2]
     refused(
         "environment.down: expected no such key beside gravity",
         load_manifest,
