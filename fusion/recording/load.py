@@ -13,8 +13,10 @@ from datetime import date as Date
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fusion.base import InputError
-from fusion.instruments.transducer import wrong_aim
+from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, unit_direction, wrong_aim
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, PointFiles, RecordingFile, SetUpFiles, Take
 from fusion.recording.rig import Part, Rig, Shaker, Stereo
@@ -273,6 +275,7 @@ def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
         wrong = None if daq.data_set(entry)[1] == "" and daq.file.suffix.lower() == ".asc" else wrong_aim(entry)
         if wrong is not None:
             raise InputError(path, f"{key}.direction", wrong[1], wrong[0])
+    _check_standoffs((item for located in channels for item in located), path)
     first: dict[str, ChannelEntry] = {}  # channels of one instrument share a relative error, hence measure one quantity
     for key, _, entry in (item for located in channels for item in located if item[2].common is not None):
         model = first.setdefault(str(entry.common), entry)
@@ -290,6 +293,17 @@ def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
     if twice is not None:
         expected = "parts of different names in rig and recording"
         raise InputError(path, f"part.{quoted(twice)}.name", f'"{twice}" twice', expected)
+
+
+def _check_standoffs(located: Iterable[tuple[str, Daq, ChannelEntry]], path: Path) -> None:
+    """Beams that leave one mirror look along nearly one direction: of a head whose stand-off alone is known, too."""
+    first: dict[str, ChannelEntry] = {}
+    for key, _, entry in located:
+        if entry.head is not None and entry.head.stated.standoff is not None:
+            model = first.setdefault(entry.head.name, entry)
+            if unit_direction(model) @ unit_direction(entry) < np.cos(CLOSE_TO_AXIS_RAD):
+                expected = f"nearly the direction of channel {model.name}, whose beam leaves head {entry.head.name} too"
+                raise InputError(path, f"{key}.direction", f"{list(entry.direction or ())}", expected)
 
 
 def _check_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFiles]]) -> None:

@@ -189,9 +189,9 @@ def times_ten(exponent: int, unit: str) -> Markup:
 
 
 def phase(element: Polar) -> Markup:
-    """Phase with U, or a dash where it is not determined."""
-    expanded = element.expanded_phase_rad
-    determined = expanded <= LARGEST_PHASE_U and not element.region.holds_zero
+    """Phase with U, or a dash where it is not determined: one beside a magnitude that may be 0 may be any."""
+    expanded, may_vanish = element.expanded_phase_rad, element.expanded_magnitude >= element.magnitude
+    determined = expanded <= LARGEST_PHASE_U and not may_vanish and not element.region.holds_zero
     return measured(element.phase_rad, expanded) if determined else Markup(DASH)
 
 
