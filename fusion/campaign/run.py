@@ -12,6 +12,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING
 
 from fusion.base import (
+    DASH,
     ComputeError,
     Executor,
     InputError,
@@ -32,7 +33,7 @@ from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, load_manifest
 from fusion.report.folder import check_folder, hash_files, is_current
 from fusion.report.recording import REPORT_FILE, SENSITIVITY_FILE, check_campaign_folder, row_element, write_results
-from fusion.report.table import both, factor, read_rows
+from fusion.report.table import both, factor, has_phase, read_rows
 from fusion.report.tables import result_name
 from fusion.sensitivity.evaluate import evaluate_recording
 
@@ -277,7 +278,9 @@ def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
     for row in sorted(rows, key=lambda row: (row["channel"] != row["component"], -row_element(row).magnitude)):
         mains.setdefault(of(row), row["channel"])
     several = len(names) > 1
-    what = f"{len(names)} recordings" if several else names[0]
+    # The matrix stands under the campaign's name.
+    recorded = {row["recording"] for row in rows if row["kind"] != "matrix"}
+    what = f"{len(recorded)} recordings" if several else names[0]
     title = "Sensitivity" if any(row["kind"] in ("element", "matrix") for row in rows) else "Output over load"
     table = Table(title=f"{title}, {what} (U = k·u, 95 %)", title_justify="left")
     if several:
@@ -308,7 +311,8 @@ def _cells(element: Polar) -> tuple[str, str, str]:
     if not element.region.holds_zero:
         magnitude = with_u(element.magnitude, element.expanded_magnitude)
         k_factors = both(factor(element.k), factor(element.k_phase))
-        return magnitude, with_u(element.phase_rad, element.expanded_phase_rad), k_factors
+        turned = with_u(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else DASH
+        return magnitude, turned, k_factors
     large, small = element.region.half_axes
     first = rounded(large, large)
     second = rounded(small, large, first.exponent)

@@ -25,7 +25,7 @@ RANK_TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class PointRatios:
-    """Sensor output over load mass times acceleration, point by point: S_i = U/(m a_i), published as equation (11).
+    """Sensor output over load mass times acceleration, point by point: S_i = U/(m a_i) (Nitsche et al. 2018, (11)).
 
     `value` (K, N) of `channel` per `component`; `unit` of the output; `uncertainty` of the N ratios; `fused` (K,):
     output over the load of the fused motion, NaN where there is none.

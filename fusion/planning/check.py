@@ -20,6 +20,7 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images
 from fusion.recording.response import check_response
 from fusion.recording.rig import Rig
+from fusion.recording.toml import quoted
 from fusion.recording.values import PULSE
 from shaker.arrays import BoolArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
@@ -102,7 +103,7 @@ def check(manifest: Manifest) -> CheckReport:
     ...
     """
     kind, excitation = KINDS[manifest.excitation.kind], manifest.excitation
-    remarks = [*kind.command_remark, *(notice.text for notice in manifest.expired)]
+    remarks = [*kind.command_remark, *(f"{notice.where}: {notice.text}" for notice in manifest.expired)]
     if kind.tabled and excitation.file is not None:
         contents, problems = _table(manifest, excitation.file)
         return CheckReport(manifest.name, manifest.path, tuple(contents), (), tuple(remarks), tuple(problems))
@@ -117,6 +118,7 @@ def check(manifest: Manifest) -> CheckReport:
         remarks += [f"{notice.where}: {notice.text}" for notice in beam_notices(placed)]
         remarks += _motion_remarks(manifest.rig, excitation.direction or (), entries, observed)
         remarks += [remark for take in takes for remark in _clock_remarks(take.daq)]
+        problems += _without_place(manifest, takes) if "run" in kind.commands else []
     else:
         outputs = tuple(entry.channel for entry in entries if entry.quantity == "output")
         forces = tuple(entry.name for entry in entries if entry.quantity == "force")
@@ -181,6 +183,23 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list[str],
     if manifest.rig.load is not None:
         contents.append(f"load mass: {manifest.rig.load.true_mass:g} kg" + "".join(f", {part}" for part in mounted))
     return contents, problems
+
+
+def _without_place(manifest: Manifest, takes: Sequence[Manifest]) -> list[str]:
+    """Which instruments on the load a table of elastic modes does not tell the motion of."""
+    channels = [entry for take in takes for daq in take.daq for entry in daq.channel if entry.quantity in TRANSDUCERS]
+    pairs = [frames.stereo for take in takes for frames in (*take.images, *take.points)]
+    names = [entry.name for entry in channels if entry.body == "load"]
+    names += [name for name in pairs if manifest.rig.stereo[name].body == "load"]
+    told = []
+    for part in manifest.rig.load.elastic if manifest.rig.load is not None else ():
+        missing = [name for name in dict.fromkeys(names) if part.mode and name not in part.mode[0].displacement]
+        if missing:
+            key = f"load.elastic.{quoted(part.name)}.mode.displacement"
+            told.append(
+                f"{manifest.rig_path.name}: {key}: expected every instrument on the load, found no {missing[0]}"
+            )
+    return told
 
 
 def _heads(entries: Sequence[ChannelEntry]) -> list[str]:
@@ -270,8 +289,7 @@ def _size(paths: Sequence[Path]) -> str:
 def _observed(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
     """Rows of every instrument, then of all instruments of a body together.
 
-    A stereo pair determines all six components of the body it sees. Single-axis channels of one `common` name, or else
-    of one DAQ file, are one instrument.
+    A stereo pair determines all six components of the body it sees. Channels of one `common` name are one instrument.
     """
     pairs = dict.fromkeys(entry.stereo for take in takes for entry in (*take.images, *take.points))
     single = [Observability(rig.stereo[name].body, f"stereo {name}", GEOMETRY) for name in pairs]

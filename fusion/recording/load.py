@@ -13,13 +13,15 @@ from datetime import date as Date
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fusion.base import InputError
-from fusion.instruments.transducer import wrong_aim
+from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, unit_direction, wrong_aim
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, PointFiles, RecordingFile, SetUpFiles, Take
-from fusion.recording.rig import Environment, Part, Rig, Shaker, Stereo
-from fusion.recording.toml import UncertainInput, quoted, read_toml, uncertain_inputs, validate
-from fusion.recording.values import Block, Context, PathScope, describe, natural_key, repeated_name
+from fusion.recording.rig import Part, Rig, Shaker, Stereo
+from fusion.recording.toml import UncertainInput, expand_statements, quoted, read_toml, uncertain_inputs, validate
+from fusion.recording.values import Context, PathScope, describe, natural_key, repeated_name
 from shaker.arrays import Notice
 
 log = logging.getLogger("shakercal")
@@ -186,13 +188,18 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         raise InputError(path, "rig", f'"{text["rig"]}"', expected)
     rig_text = read_toml(rig_path)
     rig = validate(Rig, rig_text, rig_path, Context(PathScope(root, root, allow_outside), {}))
-    record = validate(RecordingFile, text, path, Context(PathScope(folder, root, allow_outside), rig.stereo, rig.head))
-    _check_together(rig, rig_path, record, path)
-    if record.environment is not None:
+    values, of_rig = expand_statements(text, path)[0], uncertain_inputs(rig_text, rig_path)
+    around = values.get("environment")
+    if isinstance(around, dict):
         # What the recording states takes the place of what the rig does: together they must be as valid as one.
-        own = text["environment"]
-        both = validate(_Surroundings, {"environment": rig_text.get("environment", {}) | own}, path)
-        rig = rig.model_copy(update={"environment": both.environment})
+        of_rig = tuple(
+            item for item in of_rig if f"{item.key}_uncertainty" not in (f"environment.{key}" for key in around)
+        )
+        values["environment"] = expand_statements(rig_text, rig_path)[0].get("environment", {}) | around
+    within = Context(PathScope(folder, root, allow_outside), rig.stereo, rig.head)
+    record = validate(RecordingFile, values, path, within)
+    _check_together(rig, rig_path, record, path)
+    rig = rig.model_copy(update={"environment": record.environment or rig.environment})
     return Manifest(
         path=path,
         folder=folder,
@@ -212,14 +219,8 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         date=record.date,
         operator=record.operator,
         procedure=record.procedure,
-        inputs=uncertain_inputs(rig_text, rig_path) + uncertain_inputs(text, path),
+        inputs=of_rig + uncertain_inputs(text, path),
     )
-
-
-class _Surroundings(Block):
-    """The environment of rig and recording together."""
-
-    environment: Environment
 
 
 def _rig_path(path: Path, text: dict[str, Any]) -> Path:
@@ -274,6 +275,7 @@ def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
         wrong = None if daq.data_set(entry)[1] == "" and daq.file.suffix.lower() == ".asc" else wrong_aim(entry)
         if wrong is not None:
             raise InputError(path, f"{key}.direction", wrong[1], wrong[0])
+    _check_standoffs((item for located in channels for item in located), path)
     first: dict[str, ChannelEntry] = {}  # channels of one instrument share a relative error, hence measure one quantity
     for key, _, entry in (item for located in channels for item in located if item[2].common is not None):
         model = first.setdefault(str(entry.common), entry)
@@ -291,6 +293,17 @@ def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
     if twice is not None:
         expected = "parts of different names in rig and recording"
         raise InputError(path, f"part.{quoted(twice)}.name", f'"{twice}" twice', expected)
+
+
+def _check_standoffs(located: Iterable[tuple[str, Daq, ChannelEntry]], path: Path) -> None:
+    """Beams that leave one mirror look along nearly one direction: of a head whose stand-off alone is known, too."""
+    first: dict[str, ChannelEntry] = {}
+    for key, _, entry in located:
+        if entry.head is not None and entry.head.stated.standoff is not None:
+            model = first.setdefault(entry.head.name, entry)
+            if unit_direction(model) @ unit_direction(entry) < np.cos(CLOSE_TO_AXIS_RAD):
+                expected = f"nearly the direction of channel {model.name}, whose beam leaves head {entry.head.name} too"
+                raise InputError(path, f"{key}.direction", f"{list(entry.direction or ())}", expected)
 
 
 def _check_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFiles]]) -> None:

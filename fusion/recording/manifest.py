@@ -122,6 +122,8 @@ class ChannelEntry(Block):
             refuse_missing(self, ("body",) if transducer.turning else ("body", "point"), why)
             if not aimed:
                 refuse_missing(self, ("direction",), why)
+            if self.head is not None and self.point is not None and self.point == self.head.stated.mirror:
+                raise refusal(f"another point than the mirror of head {self.head.name}", "the same", key="point")
         if self.quantity == "output":
             refuse_missing(self, ("channel",), why)
         known = {*self.ANY, *self.TRIGGER}

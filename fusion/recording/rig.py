@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
@@ -54,6 +55,8 @@ CONVENTIONAL_AIR_DENSITY = 1.2  # kg/m^3, OIML D 28
 CONVENTIONAL_WEIGHT_DENSITY = 8000.0  # kg/m^3, OIML D 28
 GRAVITY_ON_EARTH = (9.7, 9.9)  # m/s^2
 U_STATED_AIR = 0.01  # relative, of an air density without any other statement
+Celsius = Annotated[float, Field(ge=-100, le=200, allow_inf_nan=False)]
+"""A temperature in °C; one in kelvin lies beyond."""
 
 
 def _gravity(value: object) -> tuple[float, ...]:
@@ -96,7 +99,7 @@ class Sensor(Block):
     cross_talk_uncertainty: NotNegative | None = None
     temperature_coefficient: Number | None = None
     temperature_coefficient_uncertainty: NotNegative = 0.0
-    reference_temperature: Number = 23.0
+    reference_temperature: Celsius = 23.0
     internal_mass: NotNegative
     internal_mass_uncertainty: NotNegative = 0.0
     internal_centre_of_mass: FreeVector = ZERO3
@@ -161,6 +164,14 @@ def _displacements(value: object) -> dict[str, tuple[float, ...]]:
     }
 
 
+def _refuse_as_large(block: Block, keys: Sequence[str]) -> None:
+    """Refuse a value whose standard uncertainty is as large as itself: a standard uncertainty less must be possible."""
+    for key in keys:
+        value, u = getattr(block, key), getattr(block, f"{key}_uncertainty")
+        if value is not None and u > 0.0 and u >= value:
+            raise refusal(f"less than the {key} of {value:g}", f"{u:g}", key=f"{key}_uncertainty")
+
+
 class ElasticMode(Block):
     """A natural mode of the load with its foot held, as a finite element program tells it.
 
@@ -175,6 +186,11 @@ class ElasticMode(Block):
     modal_mass: Positive = 1.0
     displacement: Annotated[dict[str, tuple[float, ...]], BeforeValidator(_displacements)]
 
+    @model_validator(mode="after")
+    def _frequency_is_known(self) -> Self:
+        _refuse_as_large(self, ("frequency",))
+        return self
+
 
 DRAWN = ("foot", "axis", "poisson_ratio", "axial_frequency", "bending_frequency")
 OWN_OF_SHAPE = {
@@ -183,6 +199,13 @@ OWN_OF_SHAPE = {
     "modes": ("mode",),
 }
 """Keys of `[[load.elastic]]` by shape, the five that it needs first."""
+
+
+POSITIVE = (
+    *("length", "diameter", "thickness", "clamped_diameter", "young_modulus", "density"),
+    *("tip_mass", "axial_frequency", "bending_frequency"),
+)
+"""Numbers of a drawing that mean nothing at or below 0."""
 
 
 class Elastic(Block):
@@ -210,7 +233,7 @@ class Elastic(Block):
     density: Positive | None = None
     density_uncertainty: NotNegative = 0.0
     poisson_ratio: Annotated[float, Field(ge=0, lt=0.5)] = 0.3
-    poisson_ratio_uncertainty: NotNegative = 0.0
+    poisson_ratio_uncertainty: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
     tip_mass: NotNegative = 0.0
     tip_mass_uncertainty: NotNegative = 0.0
     axial_frequency: Positive | None = None
@@ -219,8 +242,8 @@ class Elastic(Block):
     bending_frequency_uncertainty: NotNegative = 0.0
     damping: NotNegative = 0.0
     damping_uncertainty: NotNegative = 0.0
-    frequencies_uncertainty: NotNegative = 0.0
-    participation_uncertainty: NotNegative = 0.0
+    frequencies_uncertainty: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    participation_uncertainty: Annotated[float, Field(ge=0, lt=1)] = 0.0
     mode: Annotated[tuple[ElasticMode, ...], BeforeValidator(array_of_tables)] = ()
 
     @model_validator(mode="after")
@@ -246,10 +269,13 @@ class Elastic(Block):
                     raise refusal(f"the places {', '.join(sorted(places))} of mode 1", told, key="mode")
             return self
         refuse_missing(self, own[:5], f'shape = "{self.shape}"')
+        _refuse_as_large(self, POSITIVE)
         key = "inner_diameter" if self.shape == "rod" else "clamped_diameter"
-        inner, outer = getattr(self, key) or 0.0, self.diameter or 0.0
-        if inner >= outer:
-            raise refusal(f"less than the diameter of {outer:g} m", f"{inner:g}", key=key)
+        inner, outer, u = getattr(self, key) or 0.0, self.diameter or 0.0, getattr(self, f"{key}_uncertainty")
+        if max(inner + u, inner + self.diameter_uncertainty) >= outer:
+            raise refusal(
+                f"less than the diameter of {outer:g} m, by more than either uncertainty", f"{inner:g}", key=key
+            )
         return self
 
 
@@ -315,22 +341,26 @@ class Environment(Block):
     gravity: Annotated[Vector3 | None, BeforeValidator(_gravity)] = None
     gravity_uncertainty: Spread3 = ZERO3
     down: Direction | None = None
-    temperature: Number | None = None
+    temperature: Celsius | None = None
     air_density: Positive | None = None
     latitude: Annotated[float | None, Field(ge=-90, le=90, allow_inf_nan=False)] = None
     height: Annotated[float | None, Field(ge=-500, le=9000, allow_inf_nan=False)] = None
     pressure: Annotated[float | None, Field(ge=3e4, le=1.2e5, allow_inf_nan=False)] = None
     humidity: Annotated[float | None, Field(ge=0, le=1, allow_inf_nan=False)] = None
-    sensor_temperature: Number | None = None
+    sensor_temperature: Celsius | None = None
     sensor_temperature_uncertainty: NotNegative = 0.0
     support_motion: NotNegative | None = None
 
     @model_validator(mode="after")
-    def _latitude_has_height(self) -> Self:
+    def _gravity_is_told_whole(self) -> Self:
         if self.latitude is not None and self.height is None and self.gravity is None:
             raise refusal("the height above the sea in m that belongs to latitude", "nothing", key="height")
         if self.gravity is not None and self.down is not None:
             raise refusal("no such key beside gravity, which points down", describe(self.down), key="down")
+        if self.down is not None and self.latitude is None:
+            raise refusal(
+                "the latitude in degrees, of which and of height gravity along down follows", "nothing", key="latitude"
+            )
         return self
 
     @property

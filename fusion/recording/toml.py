@@ -70,12 +70,29 @@ def _checked(
 
 # Inputs as certificates state them: a table in the place of a value, or of its standard uncertainty.
 
-RELATIVE = ("scale", "individual", "static_sensitivity", "step_amplitude", "gain", "frequency", "clock")
+RELATIVE = (
+    "scale",
+    "individual",
+    "static_sensitivity",
+    "step_amplitude",
+    "gain",
+    "clock",
+    "frequencies",
+    "participation",
+)
 """Values whose standard uncertainty is stated relative to them."""
 UNCERTAINTY_OF = {"step_amplitude": "step_uncertainty"}
 """Keys of standard uncertainties that are not NAME_uncertainty."""
 DIVISORS = {"uniform": 3.0**0.5, "triangular": 6.0**0.5, "arcsine": 2.0**0.5}
 """Half-width over standard uncertainty (JCGM 101, 6.4.2, 6.4.5 and 6.4.6)."""
+
+
+def _is_relative(name: str, table: dict[str, Any]) -> bool:
+    """Whether the standard uncertainty of a value of a table is relative to it.
+
+    `frequency_uncertainty` of a chain's element is, of all its poles; that of a mode is in Hz, as its `frequency`.
+    """
+    return name in RELATIVE or (name == "frequency" and name not in table)
 
 
 class Stated(Block):
@@ -104,13 +121,18 @@ class Stated(Block):
         if self.distribution != "normal" and (self.k or self.dof) is not None:
             key = "dof" if self.k is None else "k"
             raise refusal(f"no such key: U of a {self.distribution} distribution is its half-width", "one", key=key)
+        if self.date is not None and self.valid_until is not None and self.valid_until < self.date:
+            raise refusal(
+                f"a day after {self.date}, the date of the certificate", f"{self.valid_until}", key="valid_until"
+            )
         return self
 
-    def standard_uncertainty(self, *, relative: bool) -> Any:
-        """Return u in the unit of the value, or `relative` to it; None where the value does not allow that.
+    def standard_uncertainty(self, value: Any, *, relative: bool) -> Any:
+        """Return u in the unit of a value, or `relative` to it; None where the value does not allow that.
 
-        U/k, or the half-width over its divisor. Where U has `dof` degrees of freedom, u = U/k·t(dof)/1.96, so that an
-        interval of 1.96·u is the one of 95 % that these mean.
+        U/k, or the half-width over its divisor. U without a value of its own is in the unit of the key it stands at.
+        Where U has `dof` degrees of freedom, u = U/k·t(dof)/1.96, so that an interval of 1.96·u is the one of 95 % that
+        these mean.
         """
         divisor = DIVISORS.get(self.distribution, self.k or 1.0)
         if self.dof is not None:
@@ -118,10 +140,10 @@ class Stated(Block):
 
             divisor *= float(ndtri(0.975) / stdtrit(self.dof, 0.975))
         u = np.asarray(self.U_relative if self.U is None else self.U, dtype=np.float64) / divisor
-        if self.value is not None and relative != (self.U is None):
-            if not is_number(self.value) or self.value == 0.0:
+        if relative != (self.U is None) and not (relative and self.value is None):
+            if not is_number(value) or value == 0.0:
                 return None
-            u = u / abs(self.value) if relative else u * abs(self.value)
+            u = u / abs(value) if relative else u * abs(value)
         return u.tolist()
 
 
@@ -166,7 +188,7 @@ def uncertain_inputs(text: dict[str, Any], path: Path) -> tuple[UncertainInput, 
                 yield from walked(item, [*place, step])
             elif isinstance(value, dict) and name != step and np.any(item):
                 key = key_path(values, [*place, name])
-                plain = UncertainInput(path, key, value.get(name), item, name in RELATIVE)
+                plain = UncertainInput(path, key, value.get(name), item, _is_relative(name, value))
                 yield by_key.get(key, plain)
 
     return tuple(walked(values, []))
@@ -188,11 +210,12 @@ def expand_statements(text: dict[str, Any], path: Path) -> tuple[dict[str, Any],
         out: dict[str, Any] = {}
         for key, item in value.items():
             here = [*place, key]
-            if not isinstance(item, dict) or not {"U", "U_relative"} & item.keys():
+            # A table of tables, such as stereo pairs, may have one that is named U.
+            if not isinstance(item, dict) or all(isinstance(item.get(u, {}), dict) for u in ("U", "U_relative")):
                 out[key] = expanded(item, here)
                 continue
             own, name = _checked(Stated, item, path, (text, here)), key.removesuffix("_uncertainty")
-            target, relative = UNCERTAINTY_OF.get(name, f"{name}_uncertainty"), name in RELATIVE
+            target, relative = UNCERTAINTY_OF.get(name, f"{name}_uncertainty"), _is_relative(name, value)
             if (own.value is None) == (name == key):
                 wanted = "the value that this U belongs to" if name == key else "no value: it stands at its own key"
                 raise InputError(path, key_path(text, [*here, "value"]), describe(own.value), wanted)
@@ -200,7 +223,7 @@ def expand_statements(text: dict[str, Any], path: Path) -> tuple[dict[str, Any],
                 raise InputError(
                     path, key_path(text, [*place, target]), "one", f"no such key, since {key} states its U"
                 )
-            u = own.standard_uncertainty(relative=relative)
+            u = own.standard_uncertainty(value.get(name) if own.value is None else own.value, relative=relative)
             if u is None:
                 given, wanted = ("U", "U_relative") if relative else ("U_relative", "U")
                 found = describe(getattr(own, given))
@@ -263,6 +286,7 @@ def _phrases(model: type[Block], problem: ErrorDetails) -> tuple[str, str]:
         "greater_than": "a number above {gt:g}",
         "greater_than_equal": "a number of at least {ge:g}",
         "less_than_equal": "a number of at most {le:g}",
+        "less_than": "a number below {lt:g}",
         "literal_error": "{expected}",
         "model_type": "a table",
         "dict_type": "a table",

@@ -238,8 +238,11 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
         mass, u = sum(part.mass_kg for part in parts), np.linalg.norm([part.u_mass_kg for part in parts])
         moved = measured(mass, 2.0 * float(u), "kg").striptags()
         facts.append(("Moving mass", f"{moved}, k = 2, with what moves in the sensor"))
-    temperatures = (("Temperature", around.temperature), ("Sensor temperature", around.sensor_temperature))
-    facts += [(name, f"{value:g} °C") for name, value in temperatures if value is not None]
+    if around.temperature is not None:
+        facts.append(("Temperature of the air", f"{around.temperature:g} °C"))
+    if around.sensor_temperature is not None:
+        felt = measured(around.sensor_temperature, 2.0 * around.sensor_temperature_uncertainty, "°C").striptags()
+        facts.append(("Sensor temperature", f"{felt}, k = 2" if around.sensor_temperature_uncertainty else felt))
     day = (("Date", manifest.date), ("Operator", manifest.operator), ("Procedure", manifest.procedure))
     return [*facts, *((name, str(value)) for name, value in day if value is not None)]
 

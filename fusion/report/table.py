@@ -188,11 +188,15 @@ def times_ten(exponent: int, unit: str) -> Markup:
     )
 
 
+def has_phase(element: Polar) -> bool:
+    """Whether a phase is determined: beside a magnitude that may be 0 it may be any."""
+    may_vanish = element.expanded_magnitude >= element.magnitude or element.region.holds_zero
+    return element.expanded_phase_rad <= LARGEST_PHASE_U and not may_vanish
+
+
 def phase(element: Polar) -> Markup:
     """Phase with U, or a dash where it is not determined."""
-    expanded = element.expanded_phase_rad
-    determined = expanded <= LARGEST_PHASE_U and not element.region.holds_zero
-    return measured(element.phase_rad, expanded) if determined else Markup(DASH)
+    return measured(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else Markup(DASH)
 
 
 def polar_cells(element: Polar, exponent: int | None = None) -> tuple[str, str, str]:

@@ -401,11 +401,11 @@ def _table(result: Propagated, draws: int) -> Table:
     for line, frequency in enumerate(result.frequency_hz):
         for element, name in enumerate(result.elements):
             if np.isfinite(result.value[line, element]):
-                size = _real_cells(result.magnitude, line, element, result.unit[element])
-                turn = _real_cells(result.phase, line, element, "")
+                size, turn = (_real_cells(part, line, element) for part in (result.magnitude, result.phase))
                 region = f"{100.0 * result.first_holds[line, element]:.1f} %"
-                rows.append((f"{frequency:.4f}", name, *size, *turn, region, _verdict(result, draws, line, element)))
-    head = ["frequency / Hz", "quantity"]
+                named = Markup("{} / {}").format(name, typeset(result.unit[element]))
+                rows.append((f"{frequency:.4f}", named, *size, *turn, region, _verdict(result, draws, line, element)))
+    head = ["frequency / Hz", "quantity / unit"]
     for what in ("magnitude", "phase / rad"):
         head += [f"{what}, Monte Carlo", "first order", "apart / u"]
     strong = [np.where(result.weak, 0.0, what.u_end / what.first_u) for what in (result.magnitude, result.phase)]
@@ -429,22 +429,22 @@ def _verdict(result: Propagated, draws: int, line: int, element: int) -> str:
     return f"agrees in {digits} digit{'s' * (digits != 1)} of u" if digits else "within what the number of draws tells"
 
 
-def _real_cells(spread: RealSpread, line: int, element: int, unit: str) -> list[str]:
+def _real_cells(spread: RealSpread, line: int, element: int) -> list[str]:
     """Interval of the draws, that of first-order propagation, and the larger distance of their ends over u."""
     ends = [float(end[line, element]) for end in (spread.low, spread.high, spread.first_low, spread.first_high)]
     u = float(spread.first_u[line, element])
     apart = float(max(spread.d_low[line, element], spread.d_high[line, element]))
     distance = f"{apart / u:.2f}" if u > 0.0 and np.isfinite(apart) else DASH
-    return [_interval(ends[0], ends[1], u, unit), _interval(ends[2], ends[3], u, unit), distance]
+    return [_interval(ends[0], ends[1], u), _interval(ends[2], ends[3], u), distance]
 
 
-def _interval(low: float, high: float, u: float, unit: str) -> str:
-    """Two ends with the digits that u deserves, and the unit with its power of ten."""
+def _interval(low: float, high: float, u: float) -> str:
+    """Two ends with the digits that u deserves, and their power of ten."""
     exponent = rounded(max(abs(low), abs(high)), u).exponent
     texts = [rounded(end, u, exponent).value for end in (low, high)]
     if exponent:
-        return Markup("({} … {}) × {}").format(*texts, times_ten(exponent, unit))
-    return Markup("{} … {} {}").format(*texts, typeset(unit))
+        return Markup("({} … {}) × {}").format(*texts, times_ten(exponent, ""))
+    return f"{texts[0]} … {texts[1]}"
 
 
 # Inputs of the manifests with the uncertainties that are stated of them.

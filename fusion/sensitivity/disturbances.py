@@ -109,8 +109,8 @@ def not_assessed(
             )
     if environment.support_motion is None and kinds & set(OPTICAL):
         text = (
-            "motion that all lasers and cameras share with what carries them (environment.support_motion): its share "
-            "of the motion measured would be that of the sensitivity"
+            "motion that all lasers and cameras share with what carries them (environment.support_motion): a "
+            "thousandth of the motion measured would change the sensitivity by as much"
         )
         others = "only accelerometers on the load can show it" if kinds - set(OPTICAL) else "nothing here can show it"
         told.append(f"{text}, and {others}")

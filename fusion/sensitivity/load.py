@@ -187,13 +187,13 @@ def _elastic_notices(
         return ()
     line = int(np.nanargmax(np.abs(change)))
     component = int(largest[line])
-    where = f"{LOAD_COMPONENTS[component]} at {frequency_hz[line]:.6g} Hz"
+    where, percent = f"{LOAD_COMPONENTS[component]} at {frequency_hz[line]:.6g} Hz", f"{100.0 * change[line]:+.2g} %"
     told = []
     if body.joint is not None:
         resonance, stated = body.joint.frequency_hz[component], body.joint.u_frequency_hz[component] > 0.0
         joint = f"the load's joint ({resonance:.6g} Hz)"
         if stated and not body.elastic:
-            told.append(f"{joint} changes {where} by {change[line]:+.2%} from that of a rigid body")
+            told.append(f"{joint} changes {where} by {percent} from that of a rigid body")
         elif not stated:
             told.append(f"{joint} is only named: {where} is not corrected for it, U contains it")
     bending = [part for part in body.elastic if part.variants]
@@ -201,7 +201,7 @@ def _elastic_notices(
         names = ", ".join(f"{part.name} ({part.modes.frequency_hz.min():.6g} Hz)" for part in bending)
         told.append(
             f"the load is elastic: {names}; accelerations of the load are those of its foot, and {where} differs by "
-            f"{change[line]:+.2%} from that of a rigid body with that motion"
+            f"{percent} from that of a rigid body with that motion"
         )
     told += [
         f"the elastic {part.name} of the load ({part.modes.frequency_hz.min():.6g} Hz) is stated without any "

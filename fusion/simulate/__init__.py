@@ -35,7 +35,7 @@ def simulate(
     if preset not in PRESETS:
         raise ValueError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
     if switches and preset not in RECORDINGS:
-        raise ValueError(f"{next(iter(switches))}: expected nothing to switch in {preset}, found a value")
+        raise ValueError(f"{next(iter(switches))}: expected one of the presets {', '.join(RECORDINGS)}, found {preset}")
     out = Path(out)
     with _whole(out) as folder:
         _write(folder, preset, seed, progress, switches)

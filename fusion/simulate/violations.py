@@ -59,7 +59,9 @@ def violations(texts: Sequence[str], preset: Preset) -> Violations:
         except ValueError:
             size = math.nan
         if not (math.isfinite(size) and size > 0.0):
-            raise ValueError(f"violate: expected a number above 0 of unit {violation.unit} for {name}, found {number}")
+            raise ValueError(
+                f"violate: expected a number above 0 of unit {violation.unit} for {name}, found {number or 'nothing'}"
+            )
         has = {"channels": True, "cameras": bool(preset.stereo), "images": bool(preset.stereo) and not preset.as_points}
         if not has[violation.needs]:
             raise ValueError(f"violate: expected a preset with {violation.needs} for {name}, found {preset.name}")

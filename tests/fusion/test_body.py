@@ -140,7 +140,7 @@ def test_force_below_an_elastic_joint_is_that_of_a_chain_of_two_masses():
     found = load_phasors(MOVING, Body(parts, make_joint(resonance, 10.0, damping)))
     np.testing.assert_allclose(found.value[:, 2], force, rtol=1e-12)
     assert abs(found.value[1, 2] / (7.73 * TRUTH[1, 2])) == pytest.approx(1.0 - 0.0081, abs=2e-4)
-    assert found.notices[0].text.endswith("(3500 Hz) changes Fz at 1000 Hz by -0.81% from that of a rigid body")
+    assert found.notices[0].text.endswith("(3500 Hz) changes Fz at 1000 Hz by -0.81 % from that of a rigid body")
 
 
 def test_a_joint_is_one_unknown_per_component_and_mounting():

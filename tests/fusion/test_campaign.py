@@ -274,9 +274,15 @@ def test_printed_values_have_u_with_its_own_factor_and_no_phase_where_zero_may_b
     few = found[2] | {"dof": "4.0", "dof_magnitude": "4.0", "dof_phase": "4.0"}
     weak = found[0] | {"re": "1e-11", "im": "0.0", "u_re": "2e-11", "u_im": "1e-11", "r": "0.0", "dof": "inf"}
     console = Console(width=160, file=io.StringIO(), record=True)
-    console.print(sensitivity_table([found[2], few, weak]))
+    # A region that is thin beside the origin: the magnitude may be next to nothing, and the phase anything.
+    thin = {"u_re": "1.5e-9", "u_im": "1e-12", "r": "0.0", "u_magnitude": "1.5e-9", "u_phase_rad": "0.03"}
+    thin = found[1] | thin | {"re": "2.9e-9", "im": "-1e-11", "magnitude": "2.9e-9", "dof": "inf"}
+    thin |= {"dof_magnitude": "inf", "dof_phase": "inf"}
+    console.print(sensitivity_table([found[2], few, weak, thin]))
     text = console.export_text()
     expanded = coverage_factor(4.0) * float(few["u_magnitude"]) * 1e7
     for words in ("(1.9720 ± 0.0019)e-7", f"(1.9720 ± {expanded:.4f})e-7", "2.78", "(region ± 4.9, ± 2.4)e-11",
                   "not distinguishable from 0", "2.45"):  # fmt: skip
         assert words in text
+    (row,) = (line for line in text.splitlines() if "(2.9 ± 2.9)e-9" in line)
+    assert "\N{EN DASH}" in row

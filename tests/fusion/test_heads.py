@@ -14,6 +14,7 @@ from contracts import coverage_contract, refused
 from instrument_factory import channel_entry, with_values
 from scipy.spatial.transform import Rotation
 from simulated_phasors import lines_at
+from support import channel
 
 from fusion.base import InputError
 from fusion.estimation.fuse import fuse
@@ -298,6 +299,8 @@ def test_points_of_one_direction_are_told():
 HEAD = "[head.top]\nmirror = [0.03, 0.0, 0.60]\nrotation_uncertainty = 1e-3\n\n[administration]"
 POINT = "direction_uncertainty = 5e-3          # rad"
 CRYSTAL = ("recording.toml", '"velocity"                 #', '"acceleration" #')
+TRIGGERED = '\n  [[daq.channel]]\n  name = "camera_trigger"\n  quantity = "trigger"\n  threshold'
+SIDEWAYS = "\n" + channel("across", "velocity", body="load", point=[0.0, 0, 0], direction=[1.0, 0, 0], head="top")
 NAMED = ("recording.toml", POINT, f'{POINT}\n  head = "top"')
 
 
@@ -329,6 +332,14 @@ def test_a_channel_of_a_head_with_a_mirror_needs_no_direction_and_check_names_th
         (
             (("rig.toml", "[administration]", HEAD.replace("mirror =", "standoff = 0.5\nmirror =")), NAMED),
             r"head\.top\.standoff: expected no such key where the mirror is stated, found 0\.5",
+        ),
+        (
+            (
+                ("rig.toml", "[administration]", "[head.top]\nstandoff = 0.5\n\n[administration]"),
+                NAMED,
+                ("recording.toml", TRIGGERED, SIDEWAYS + TRIGGERED),
+            ),
+            r"channel\.across\.direction: expected nearly the direction of channel velocity, .* head top too",
         ),
         (
             (("rig.toml", "transverse_motion = 0.1", "transverse_motion = 0"),),

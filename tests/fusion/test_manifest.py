@@ -217,18 +217,26 @@ CASES = (
     ),
     ({"point_uncertainty": {"U": [2e-3, 4e-3, 0.0], "k": 2}}, {"point_uncertainty": [1e-3, 2e-3, 0.0]}),
     ({"mass": {"value": 5.0, "U": 2.776445, "k": 2.776445, "dof": 4}}, {"mass": 5.0, "mass_uncertainty": 1.416579}),
+    # at an _uncertainty key: relative to the value beside it, or as it is where the key is relative itself
+    ({"mass": 5.0, "mass_uncertainty": {"U_relative": 4e-4, "k": 2}}, {"mass": 5.0, "mass_uncertainty": 0.001}),
+    ({"scale": 0.5, "scale_uncertainty": {"U_relative": 4e-4, "k": 2}}, {"scale": 0.5, "scale_uncertainty": 2e-4}),
+    # the frequency of a mode is in Hz, and so is its uncertainty; that of a chain's poles is relative
+    ({"frequency": {"value": 620.0, "U": 12.0, "k": 2}}, {"frequency": 620.0, "frequency_uncertainty": 6.0}),
+    ({"frequency": {"value": 620.0, "U_relative": 0.02, "k": 2}}, {"frequency": 620.0, "frequency_uncertainty": 6.2}),
+    ({"frequency_uncertainty": {"U_relative": 0.02, "k": 2}}, {"frequency_uncertainty": 0.01}),
     ({"step_amplitude": {"value": -50.0, "U": 0.5, "k": 2}}, {"step_amplitude": -50.0, "step_uncertainty": 0.005}),
 )
 
 
 @pytest.mark.parametrize(("table", "expected"), CASES)
 def test_a_certificate_gives_value_and_standard_uncertainty(table, expected):
-    values, (statement,) = expand_statements({"daq": [{"name": "a", **table}]}, Path("rig.toml"))
+    values, (statement,) = expand_statements({"daq": [{"name": "a", **table}], "stereo": {"U": {}}}, Path("rig.toml"))
     own = {key: value for key, value in values["daq"][0].items() if key != "name"}
     assert own.keys() == expected.keys()
     for key, value in own.items():
         np.testing.assert_allclose(value, expected[key], rtol=1e-6)
-    assert statement.key == f"daq.a.{next(iter(table))}"
+    (key,) = (key for key, item in table.items() if isinstance(item, dict))
+    assert statement.key == f"daq.a.{key}"
 
 
 @pytest.mark.parametrize(
@@ -238,6 +246,11 @@ def test_a_certificate_gives_value_and_standard_uncertainty(table, expected):
         ("mass = { value = 6.9605, U = 0.002, U_relative = 1e-3, k = 2 }", "load.mass.U: expected either U or U_rel"),
         ("mass = { U = 0.002, k = 2 }", "load.mass.value: expected the value that this U belongs to, found nothing"),
         ("mass = { value = 6.9605, U = -1, k = 2 }", "load.mass.U: expected a number or numbers, none negative"),
+        ("mass_uncertainty = { U_relative = 1e-3, k = 2 }", "load.mass_uncertainty.U_relative: expected U for a value"),
+        (
+            "mass = { value = 6.9605, U = 1, k = 2, date = 2026-03-02, valid_until = 2025-03-02 }",
+            "load.mass.valid_until: expected a day after 2026-03-02, the date of the certificate, found 2025-03-02",
+        ),
         ("mass = { value = 6.9605, U = 0.002, k = 2, from = 1 }", "load.mass.from: expected one of the keys"),
         ("mass = { value = 6.9605, U = 1, k = 2, distribution = 'uniform' }", "load.mass.k: expected no such key"),
         (
@@ -277,6 +290,24 @@ def test_a_recording_has_surroundings_of_its_own_and_gravity_follows_from_the_pl
     gravity, u = around.free_fall_mps2
     assert gravity[:2] == (0.0, 0.0)
     assert abs(gravity[2] + 9.812526) < 2.0 * u[2]
+    # Keys that belong together may stand in either file; a table of one may replace a number of the other.
+    halves = (
+        (
+            "rig.toml",
+            "temperature = 23.0",
+            "height = 80.0\nsensor_temperature = 20.0\nsensor_temperature_uncertainty = 1.0\n#",
+        ),
+        (
+            "recording.toml",
+            "[excitation]",
+            "[environment]\nlatitude = 52.0\nsensor_temperature = { value = 24.0, U = 0.4, k = 2 }\n\n[excitation]",
+        ),
+    )
+    manifest = load_manifest(make_campaign(replace=halves))
+    around = manifest.rig.surroundings
+    assert (around.height, around.latitude) == (80.0, 52.0)
+    assert (around.sensor_temperature, around.sensor_temperature_uncertainty) == (24.0, 0.2)
+    assert [item.u for item in manifest.inputs if item.key == "environment.sensor_temperature"] == [0.2]
     refused(
         "environment.down: expected no such key beside gravity",
         load_manifest,

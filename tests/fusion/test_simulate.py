@@ -206,7 +206,7 @@ def test_a_wrong_call_names_what_was_expected(tmp_path: Path) -> None:
         ("nitsche", {}, f"preset: expected one of {', '.join(PRESETS)}, found 'nitsche'"),
         ("demo", {"frames": 2}, "frames: expected at least 3"),
         ("demo", {"image_scale": 2}, "image_scale: expected"),
-        ("steps", {"frames": 4}, "frames: expected nothing to switch in steps"),
+        ("steps", {"frames": 4}, "frames: expected one of the presets demo, .*, found steps"),
     ):
         refused(said, simulate, tmp_path / "x", preset, 1, **switches)
     assert not any(tmp_path.iterdir())

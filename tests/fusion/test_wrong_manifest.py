@@ -29,6 +29,15 @@ RIG, RECORDING = "rig.toml", "recording.toml"
 EYE = "rotation = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]"
 INERTIA = "inertia = [[0.0360, 0.0, 0.0], [0.0, 0.0360, 0.0], [0.0, 0.0, 0.0310]]"
 POINT = "point = [0.030, 0.0, 0.040]"
+ROD = """[[load.elastic]]
+name = "rod"
+shape = "rod"
+length = 0.15
+diameter = 0.02
+diameter_uncertainty = 0.001
+young_modulus = 2e11
+young_modulus_uncertainty = 4e9
+density = 7850.0"""
 
 CASES = [
     # file, old text, new text, key, expected, found
@@ -62,6 +71,33 @@ CASES = [
     (RIG, "capacity = [2000.0, 2000.0,", "cross_talk = 0.02 # [", "sensor.capacity", "six rated loads", "nothing"),
     (RIG, "  [5.1e-7, 0.0, 0.0, 0.0, 0.0, 0.0],\n", "", "sensor.static_sensitivity", "6 rows", "5 rows"),
     (RIG, "-9.8125", "-98.1", "environment.gravity", "m/s^2", "98.1"),
+    (RIG, "temperature = 23.0", "temperature = 296.15", "environment.temperature", "at most 200", "296.15"),
+    (
+        RIG,
+        "gravity = [0.0, 0.0, -9.8125]",
+        "down = [0, 0, -1]",
+        "environment.latitude",
+        "gravity along down",
+        "nothing",
+    ),
+    (
+        RIG,
+        "[[part]]",
+        f"{ROD}".replace("4e9", "2e11") + "\n[[part]]",
+        "rod.young_modulus_uncertainty",
+        "less than",
+        "2e+11",
+    ),
+    (
+        RIG,
+        "[[part]]",
+        f"{ROD}".replace("4e9", "-4e9") + "\n[[part]]",
+        "rod.young_modulus_uncertainty",
+        "at least 0",
+        "-4000000000",
+    ),
+    (RIG, "[[part]]", f"{ROD}\nfrequencies_uncertainty = 2\n[[part]]", "rod.frequencies_uncertainty", "below 1", "2"),
+    (RIG, "[[part]]", f"{ROD}\ninner_diameter = 0.019\n[[part]]", "rod.inner_diameter", "by more than either", "0.019"),
     (RIG, EYE, EYE.replace("-1.0]]", "-1.001]]"), "stereo.top.rotation", "orthonormal", "0.002"),
     (RIG, EYE, EYE.replace("-1.0]]", "1.0]]"), "stereo.top.rotation", "determinant +1", "mirror"),
     (RIG, "[1e-4, 1e-4, 1e-4, 5e-4, 5e-4, 5e-4]", "1e-4", "stereo.top.pose_uncertainty", "6 numbers", "0.0001"),
@@ -98,6 +134,15 @@ CASES = [
     (RECORDING, '"vibrometer.h5"', '"recording.toml"', "daq.vibrometer.file", "ends in one of .h5", "recording.toml"),
     (RECORDING, 'name = "bridge"', 'name = "vibrometer"', "daq", "different names", '"vibrometer" twice'),
     (RECORDING, 'quantity = "velocity"', 'quantity = "speed"', "channel.velocity.quantity", "'velocity'", '"speed"'),
+    (
+        RECORDING,
+        POINT,
+        'point = [0.010, -0.005, 0.62]\nhead = "psv"',
+        "channel.velocity.point",
+        "than the mirror",
+        "same",
+    ),
+    (RECORDING, POINT, f'{POINT}\nhead = "pvs"', "channel.velocity.head", "name of a head of rig.toml", "psv"),
     (RECORDING, POINT, "", "daq.vibrometer.channel.velocity.point", "required for quantity", "nothing"),
     (RECORDING, "scale = 0.125", "scale = 0", "channel.velocity.scale", "other than 0", "0"),
     (RECORDING, "threshold = 2.5", "scale = 2.5", "channel.camera_trigger.scale", "no such key", "2.5"),
