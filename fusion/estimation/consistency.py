@@ -168,12 +168,24 @@ def deleted(
     Deletion formula of generalised least squares, `left` being projector · readings (N,); `sizes` (N,) make the
     readings comparable. The difference (n,) is None where the others do not predict all of them.
     """
+    scale, root, tested, blind, white = _whitened(projector, left, sizes, rows, tolerance)
+    difference = None if blind.shape[1] else scale * (tested @ (white / root))
+    return float(white @ white), len(white), difference
+
+
+def _whitened(
+    projector: FloatArray, left: FloatArray, sizes: FloatArray, rows: IntArray, tolerance: float = RANK_TOLERANCE
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Decompose P_II, scaled by the sizes (n,) of the readings, into the directions (n, r) that the others test.
+
+    Returns these sizes, the roots (r,) of the eigenvalues, their vectors, those (n, n - r) that nothing tests, and
+    P·y of the rows in them (r,), of variance one.
+    """
     scale = sizes[rows]
     values, vectors = np.linalg.eigh(projector[np.ix_(rows, rows)] * np.outer(scale, scale))
     kept = values > tolerance
-    turned = vectors[:, kept].T @ (scale * left[rows])
-    difference = scale * (vectors @ (turned / values)) if np.all(kept) else None
-    return float(np.sum(turned**2 / values[kept])), int(np.count_nonzero(kept)), difference
+    root, tested = np.sqrt(values[kept]), vectors[:, kept]
+    return scale, root, tested, vectors[:, ~kept], tested.T @ (scale * left[rows]) / root
 
 
 def _left_out(system: System, solution: Solution, name: str, rows: IntArray) -> Consistency:
@@ -280,25 +292,22 @@ def suspicion(system: System, solution: Solution, names: tuple[str, ...], rows: 
     uncertainties are where a test at 1 % fails; if the readings fail even so, the error is gross.
     """
     sizes = np.sqrt(np.diag(solution.noise))
-    scale = sizes[rows]
-    values, vectors = np.linalg.eigh(solution.projector[np.ix_(rows, rows)] * np.outer(scale, scale))
-    kept = values > RANK_TOLERANCE
-    root = np.sqrt(values[kept])
-    white = vectors[:, kept].T @ (scale * (solution.projector @ system.readings)[rows]) / root
+    left = solution.projector @ system.readings
+    scale, root, tested, blind, white = _whitened(solution.projector, left, sizes, rows)
     gain = solution.gain[:, rows] * scale
-    spread = gain @ (vectors[:, kept] / root)
+    spread = gain @ (tested / root)
     reach = np.linalg.norm(solution.gain * sizes, axis=1)
-    lost = np.linalg.norm(gain @ vectors[:, ~kept], axis=1) > LOST * reach
+    lost = np.linalg.norm(gain @ blind, axis=1) > LOST * reach
     own = solution.effects[rows] / scale[:, None]
     stated = solution.noise[np.ix_(rows, rows)] / np.outer(scale, scale) + own @ own.T
-    seen = vectors[:, kept] * root
+    seen = tested * root
     inner, unit = seen.T @ stated @ seen, np.eye(len(white))
     limit = (GROSS / NORMAL_LIMIT) ** 2 - 1.0
     chi2, dof = float(white @ white), len(white)
     gross = chi2 - dof > CERTAIN and fails(float(white @ np.linalg.solve(unit + limit * inner, white)), dof)
     more = GROSS**2 - 1.0
     tenfold = -gain @ (more * stated @ seen @ np.linalg.solve(unit + more * inner, white))
-    pull = -(spread / root) @ vectors[:, kept].T * scale
+    pull = -(spread / root) @ tested.T * scale
     return Suspicion(names, rows, chi2, dof, -spread @ white, pull, spread, lost, tenfold, gross)
 
 
@@ -364,17 +373,15 @@ def _where_untested(system: System, solution: Solution, whole: Suspicion) -> Sus
 
 def explanations(system: System, solution: Solution, found: Sequence[Suspicion]) -> tuple[Explanation, ...]:
     """Return for each suspicion what all other readings say."""
-    lines, size = len(system.observed), 12 * len(system.observed)
-    stated = solution.noise + solution.effects @ solution.effects.T
-    gain = solution.gain.reshape(lines, 12, -1)
-    before = gain @ stated @ gain.swapaxes(1, 2)
+    lines = len(system.observed)
+    before = as_stated(solution, solution.gain.reshape(lines, 12, -1))
     told = []
     for one in found:
         lost = (one.lost.reshape(lines, 12)[:, :6] | one.lost.reshape(lines, 12)[:, 6:]) | ~system.observed
         spread = one.spread.reshape(lines, 12, -1)
         unknown = np.tile(lost, (1, 2))
         covariance = before + spread @ spread.swapaxes(1, 2)
-        change = as_complex(one.change.reshape(size // 12, 12))
+        change = as_complex(one.change.reshape(lines, 12))
         told.append(
             Explanation(
                 " and ".join(one.names),
@@ -384,6 +391,12 @@ def explanations(system: System, solution: Solution, found: Sequence[Suspicion])
             )
         )
     return tuple(told)
+
+
+def as_stated(solution: Solution, gain: FloatArray) -> FloatArray:
+    """Return the covariance (..., 12, 12) of gain (..., 12, N) · readings by all that is stated."""
+    effects = gain @ solution.effects
+    return np.asarray(gain @ solution.noise @ gain.swapaxes(-1, -2) + effects @ effects.swapaxes(-1, -2))
 
 
 def disputed(system: System, solution: Solution, found: Sequence[Suspicion]) -> BoolArray:

@@ -15,6 +15,7 @@ from fusion.estimation.consistency import (
     Consistency,
     Explanation,
     Suspicion,
+    as_stated,
     compare,
     contradicts,
     disputed,
@@ -38,9 +39,11 @@ from fusion.estimation.uncertainty import (
     element_covariance,
     merge_contributions,
     polar,
+    region_factor,
     total_variance,
 )
 from fusion.estimation.variance_components import (
+    TEST_LEVEL,
     Discrepancy,
     Scatter,
     disagreement,
@@ -71,7 +74,8 @@ class Acceleration:
     readings scatter beyond that. `explanations`: where instruments contradict each other, what the estimate is without
     each suspect; `disputed` (K, 6): values that are not given (not `observed`), since these differ by gross errors and
     nothing decides between them; None where there are none. `unseen`: what is assumed
-    of components that are not observed.
+    of components that are not observed. `unnoticed`: of the fused estimate, which components an error of a single
+    channel may move by more than U although no test sees it.
     """
 
     body: str
@@ -89,6 +93,7 @@ class Acceleration:
     unseen: UnseenMotion = field(default_factory=UnseenMotion)
     explanations: tuple[Explanation, ...] = ()
     disputed: BoolArray | None = None
+    unnoticed: tuple[Unnoticed, ...] = ()
 
     __repr__ = brief
 
@@ -157,6 +162,7 @@ def fuse(
         unseen=system.unseen,
         explanations=explanations(system, first, open_),
         disputed=unclear if np.any(unclear) else None,
+        unnoticed=unnoticed(given, first) if source == "fused" and stated else (),
     )
     swapped = exchanged(system, first, open_) if any(one.gross for one in open_) else ()
     return replace(result, notices=_notices(result, bool(stated), unknowns if solved.contradicted else None, swapped))
@@ -304,6 +310,10 @@ EQUALLY_LIKELY = 0.95
 NEARLY = 0.9999
 """An unknown after whose estimate the readings still fail even at this level is not what they differ by."""
 MOST_NAMED = 3
+MISSED = 5.0
+"""Times its stated uncertainty: the largest error of a channel that is looked for among those that no test need see."""
+POWER = 0.8
+"""Chance with which the test sees an error that counts as noticed (Baarda's β)."""
 
 
 @dataclass(frozen=True)
@@ -342,6 +352,47 @@ def untested(result: Acceleration) -> tuple[Untested, ...]:
                 Untested(unknown.name, unknown.label, unknown.u, unknown.unit, component, float(share[c]), relative)
             )
     return tuple(sorted(rows, key=lambda row: -row.share))
+
+
+@dataclass(frozen=True)
+class Unnoticed:
+    """What an error of one `channel` (or stereo pair) alone may move a `component` by, `shift` of its U, unnoticed."""
+
+    channel: str
+    component: str
+    shift: float
+
+
+def unnoticed(system: System, solution: Solution) -> tuple[Unnoticed, ...]:
+    """Return what errors of single channels that a test may miss move by more than U as stated, at the strongest line.
+
+    Reliability of a network (Baarda 1968, A testing procedure for use in geodetic networks): chi-square at 1 % sees an
+    error δ of the readings I with 80 % where its noncentrality δᵀ·P_II·δ is λ (internal reliability); one below that
+    moves the estimate by gain_I·δ (external reliability). Looked for are errors δ = R·z, R being the effects of one
+    standard uncertainty of the unknowns that act on I alone, with |z| up to 5. With the eigenvalues p of RᵀP_II·R each
+    of its directions goes to z² = min(25, λ/p): an ellipsoid inside both limits. Of a value it covers √μ standard
+    deviations, μ the largest eigenvalue of the ellipsoid in that value over its covariance. U that held these errors,
+    which the readings hardly show, would be too large wherever all is as stated (docs/uncertainty.md).
+    """
+    from scipy.special import chdtri, chndtrinc
+
+    dof, line = solution.dof, int(np.argmax(np.linalg.norm(solution.acceleration / SCALE, axis=1)))
+    limit = chndtrinc(chdtri(dof, 1.0 - TEST_LEVEL), dof, 1.0 - POWER) if dof > 0 else np.inf
+    gain = solution.gain[12 * line : 12 * line + 12]
+    covariance, touched, found = as_stated(solution, gain), solution.effects != 0.0, list[Unnoticed]()
+    for place, name in enumerate(system.member_names):
+        rows = np.flatnonzero(system.member == place)
+        alone = touched[rows].any(axis=0) & (touched[rows].sum(axis=0) == touched.sum(axis=0))
+        own = solution.effects[np.ix_(rows, alone)]
+        power, vectors = np.linalg.eigh(own.T @ solution.projector[np.ix_(rows, rows)] @ own)
+        reach = gain[:, rows] @ own @ (vectors / np.sqrt(np.maximum(1.0 / MISSED**2, power / limit)))
+        moved = reach @ reach.T
+        for c in np.flatnonzero(system.observed[line]).tolist():
+            both = np.ix_([c, c + 6], [c, c + 6])
+            largest = np.max(np.linalg.eigvals(np.linalg.solve(covariance[both], moved[both])).real, initial=0.0)
+            shift = float(np.sqrt(largest)) / region_factor(np.inf)
+            found += [Unnoticed(name, MOTION_COMPONENTS[c], shift)] if shift > 1.0 else []
+    return tuple(found)
 
 
 def _notices(
@@ -396,7 +447,23 @@ def _notices(
         listed = ", ".join(f"{row.name} ({row.share:.0%} of the variance of {row.component})" for row in rows)
         text = f"not tested by these data, in U as stated: {listed}"
         notices.append(Notice("info", text, result.body))
+    if result.unnoticed:
+        text = (
+            f"an error of one channel alone, of up to {MISSED:g} of its stated standard uncertainties, that the other "
+            f"readings need not notice is not in U; beyond U it can move {_moved(result.unnoticed)}"
+        )
+        notices.append(Notice("info", text, result.body))
     return tuple(notices)
+
+
+def _moved(found: Sequence[Unnoticed]) -> str:
+    """Which components errors move, how far, and of which channels."""
+    told = []
+    for component in dict.fromkeys(one.component for one in sorted(found, key=lambda one: -one.shift)):
+        own = [one for one in found if one.component == component]
+        most = max(one.shift for one in own)
+        told.append(f"{component} (up to {most:.2g} U: {', '.join(one.channel for one in own)})")
+    return ", ".join(told)
 
 
 def _deviation(test: Consistency) -> str:

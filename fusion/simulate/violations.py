@@ -525,6 +525,7 @@ CATALOGUE: dict[str, Violation] = {
         "one laser point lies elsewhere by so many of its stated standard uncertainties",
         ("velocity_1", *_LASERS),
         {"error": _misstated(_ACROSS, *(f"{name}.point" for name in _FIRST_LASER))},
+        assumption=("error of one channel alone",),
     ),
     "direction": Violation(
         "u",
@@ -532,6 +533,7 @@ CATALOGUE: dict[str, Violation] = {
         "one laser beam points elsewhere by so many of its stated standard uncertainties",
         ("velocity_1", *_LASERS),
         {"error": _misstated(_ACROSS, *(f"{name}.direction" for name in _FIRST_LASER))},
+        assumption=("error of one channel alone",),
     ),
     "laser-reversed": Violation(
         "channels",

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from instrument_factory import (
     AXIAL,
     BARE,
+    CIRCLE,
     TRUTH,
     beam,
     camera,
@@ -24,7 +25,8 @@ from instrument_factory import (
     with_values,
     without,
 )
-from scipy.stats import binom, chi2, t
+from scipy.optimize import brentq
+from scipy.stats import binom, chi2, ncx2, t
 
 from fusion.estimation.consistency import explanations, not_allowed_for, suspicion
 from fusion.estimation.fuse import INCONSISTENCY, Acceleration, fuse, fuse_sources, untested
@@ -195,10 +197,10 @@ def disagreement(result: Acceleration) -> np.ndarray:
     return np.asarray(next(c.covariance[0] for c in result.uncertainty.random if c.label == INCONSISTENCY))
 
 
-def covered(result: Acceleration) -> np.ndarray:
+def covered(result: Acceleration, truth: np.ndarray = TRUTH) -> np.ndarray:
     """Which components' 95 % regions hold the truth at the first line."""
     covariance, dof = result.uncertainty.covariance[0], result.uncertainty.dof()[0]
-    error = result.phasors.value[0] - TRUTH[0]
+    error = result.phasors.value[0] - truth[0]
     parts = np.stack([error.real, error.imag], axis=1)
     squares = [p @ np.linalg.solve(covariance[both_parts(c)], p) for c, p in enumerate(parts)]
     return np.array([square <= region_factor(float(nu)) ** 2 for square, nu in zip(squares, dof, strict=True)])
@@ -479,3 +481,53 @@ def test_where_all_is_as_stated_alarms_are_rare_and_u_is_not_enlarged(case):
     assert np.sum(np.array(spread) > 1.02 * np.median(spread)) <= binom.isf(0.001, trials, 0.01)
     low, high = acceptance(trials, 6)
     assert np.all((np.sum(held, axis=0) >= low) & (np.sum(held, axis=0) <= high))
+
+
+REGION = float(np.sqrt(chi2.ppf(0.95, 2)))
+
+
+def circle(count: int) -> Observation:
+    """Equal laser points on a circle, each with an error of its own alone, u = 1e-4."""
+    return lasers(CIRCLE[:: 8 // count], 1e-6, AXIAL, common="laser", individual_uncertainty=1e-4)
+
+
+@pytest.mark.parametrize(("count", "components"), [(4, {"z", "rx", "ry"}), (8, {"rx", "ry"})])
+def test_what_five_u_of_one_point_of_a_circle_move_beyond_u_is_told(count, components):
+    """Of n points z has 1/n of a reading's variance, a rotation 2/n over r²: 5/√n, 5·√(2/n) of their u on its axis."""
+    result = fuse([circle(count)])
+    assert {one.component for one in result.unnoticed} == components
+    for one in result.unnoticed:
+        moved = 5.0 * np.sqrt((1.0 if one.component == "z" else 2.0) / count) / REGION
+        assert one.shift == pytest.approx(moved, rel=1e-3)
+    assert {one.channel for one in result.unnoticed if one.component == "ry"} == {"p0", f"p{count // 2}"}
+    (told,) = (notice for notice in result.notices if "one channel alone" in notice.text)
+    assert f"ry (up to {5.0 * np.sqrt(2.0 / count) / REGION:.2g} U: p0, p{count // 2})" in told.text
+
+
+def test_an_error_that_the_test_sees_is_not_unnoticed():
+    """Of two readings with weights w the test sees an error z of noncentrality z²·(1 - w) in 80 % at λ."""
+    weights = (0.32, 0.68)
+    two = [
+        lasers([(0.0, 0.0, 0.03)], 1e-6, AXIAL[:1], common=f"head {w}", individual_uncertainty=1e-4 / np.sqrt(w))
+        for w in weights
+    ]
+    result = fuse([replace(one, members=(name,)) for one, name in zip(two, "ab", strict=True)])
+    limit = brentq(lambda power: ncx2.sf(chi2.isf(0.01, 2), 2, power) - 0.8, 1.0, 50.0)
+    z = [min(5.0, np.sqrt(limit / (1.0 - w))) for w in weights]
+    assert z[0] < 4.6
+    expected = [a * np.sqrt(w) / REGION for a, w in zip(z, weights, strict=True)]
+    assert [one.shift for one in result.unnoticed] == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_what_is_told_to_be_unnoticed_is():
+    """One of four points 5 u high, 2.5 of their one contrast: ry lies 5/√2 of its u off wherever no test sees it."""
+    rng, silent = np.random.default_rng(18), []
+    for _ in range(200):
+        (drawn,) = measured([circle(4)], rng, AXIAL)
+        result = fuse([scaled(drawn, 1.0 + 5e-4, 0)])
+        if not any(notice.severity == "warning" for notice in result.notices):
+            silent.append(covered(result, AXIAL)[[3, 4]])
+    assert len(silent) > 0.2 * 200
+    for held, share in zip(np.sum(silent, axis=0), (0.95, ncx2.cdf(REGION**2, 2, 12.5)), strict=True):
+        assert binom.ppf(0.001, len(silent), share) <= held <= binom.isf(0.001, len(silent), share)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -231,6 +232,19 @@ def test_the_verdicts_of_the_document_stand(rig: str, name: str, benchmark: Modu
     (row,) = benchmark.rows(6, [(rig, (name,))])
     violated = f"`{name}={CATALOGUE[name].size:g}` {CATALOGUE[name].unit}"
     assert row.verdict == _verdicts()[f"{violated} on {rig}"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("names", [("point",), ("direction",), ("direction", "transverse-motion")])
+def test_one_wrong_point_of_four_does_not_end_silently(names: tuple[str, ...], benchmark: ModuleType) -> None:
+    """No U that is right otherwise covers it: the rotation that it moves is told in every recording, and by whom."""
+    for seed in range(1, 9):
+        notices = benchmark.draw(benchmark.RIGS["full"], names, seed).notices
+        (told,) = (text for text in notices if "error of one channel alone" in text and "[load]" in text)
+        assert re.search(r"ry \([^)]*velocity_1, velocity_3\)", told)
+    (row,) = benchmark.rows(8, [("full", names)])
+    assert row.told == 1.0
+    assert row.verdict in ("told", "covered")
 
 
 @pytest.mark.parametrize(
