@@ -134,7 +134,7 @@ class System:
         return effects
 
     def hidden(self, acceleration: ComplexArray) -> Hidden:
-        """Return what components that nobody observes do to the readings, beside the estimate A (K, 6) they have zero in.
+        """Return what components that nobody observes, zero in the estimate A (K, 6), do to the readings.
 
         They are given the amplitudes of `unseen`; motions of different lines have nothing in common. A laser that may
         point 5 mrad aside sees that share of a transverse motion, and all lasers of a head that is turned see the same.
@@ -171,7 +171,7 @@ class Hidden:
     def carried(self, system: System, gain: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what an estimate of `gain` (K, 12, N) makes of it: two arrays (K, 12, 12).
 
-        The change of [Re A, Im A] for one standard uncertainty of each such [Re, Im] of the same line, and the covariance
+        What one standard uncertainty of each such [Re, Im] adds to [Re A, Im A] of its line, and the covariance
         from common errors and from other lines.
         """
         rest = np.asarray(gain @ self.through @ gain.swapaxes(1, 2))
