@@ -16,7 +16,7 @@ from contracts import refused as raises
 from support import DOCS, Refused, state, truth_of
 
 from fusion.phasors.channels import ChannelResult, folding
-from fusion.phasors.setup import distortion_notices
+from fusion.phasors.setup import distortions
 from fusion.simulate import simulate
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.sines import recorded_phasors, runs
@@ -283,14 +283,15 @@ def test_harmonics_of_the_motion_are_no_distortion_of_the_outputs() -> None:
     lasers = [_waves("laser_1", "velocity", motion, 3.0 + 1.0j), _waves("laser_2", "velocity", motion, 3.1 + 1.0j)]
     for sign in (1.0, -1.0):
         output = _waves("Fz", "output", motion, sign * 2e-6 * (3.0 + 1.0j))
-        assert list(distortion_notices([*lasers, output], lines)) == []
-        (notice,) = distortion_notices(
+        assert list(distortions([*lasers, output], lines)) == []
+        (found,) = distortions(
             [*lasers, _waves("Fz", "output", (motion[0], motion[1] + 0.03j), sign * 2e-6 * (3.0 + 1.0j))], lines
         )
-        assert "output Fz: harmonic 3 of 50 Hz is (3.0000 ±" in notice.text
-    assert list(distortion_notices([output], lines)) == []  # nothing tells what the motion has
+        assert "output Fz: harmonic 3 of 50 Hz is (3.0000 ±" in found.notice.text
+        assert found.doubt.share == pytest.approx(0.09, rel=1e-3)  # three times the harmonic's
+    assert list(distortions([output], lines)) == []  # nothing tells what the motion has
     # A laser that is not linear is no fault of the output.
-    assert list(distortion_notices([lasers[0], _waves("Fz", "output", (0.0, 0.0), 2e-6 + 0.0j)], lines)) == []
+    assert list(distortions([lasers[0], _waves("Fz", "output", (0.0, 0.0), 2e-6 + 0.0j)], lines)) == []
 
 
 def test_a_rate_folds_the_harmonics_next_to_its_own_multiple() -> None:
