@@ -249,6 +249,14 @@ def test_what_is_wrong_with_an_output_is_said(name: str, said: str, benchmark: M
     assert any(said in text for text in found.notices), found.notices
 
 
+@pytest.mark.parametrize("name", ["converter-nonlinearity", "folded-harmonic"])
+def test_what_is_said_of_an_output_is_in_the_uncertainty_of_the_element(name: str, benchmark: ModuleType) -> None:
+    plain, found = (benchmark.draw(benchmark.RIGS["full"], names, 2) for names in ((), (name,)))
+    assert abs(found.error[0]) > plain.expanded[0]
+    assert found.distance[0] <= 1.0
+    assert found.expanded[0] < 4.0 * abs(found.error[0])
+
+
 @pytest.mark.parametrize(("rig", "seed"), [("full", 1), ("1020.3 Hz", 2)])  # at 1 kHz the clock alone turns 0.14 rad
 def test_nothing_is_said_of_outputs_that_are_right(rig: str, seed: int, benchmark: ModuleType) -> None:
     notices = benchmark.draw(benchmark.RIGS[rig], (), seed).notices
