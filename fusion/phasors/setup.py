@@ -178,7 +178,7 @@ def _doubted(reading: Reading, doubts: Mapping[str, Sequence[Doubt]]) -> Reading
             here = reading.phasors.frequency_hz == doubt.frequency_hz
             u[here] = np.maximum(u[here], doubt.share / np.sqrt(2.0))
         for part, turn in (("in phase", 1.0), ("in quadrature", 1.0j)):
-            unknown, effect = f"{what} of output {name}: {part}", (turn * u)[:, None]
+            unknown, effect = f"{what} of output {name}: {part}", np.asarray(turn * u[:, None], np.complex128)
             errors.append(RelativeError(unknown, f"output: {what}", float(u.max()), "1", effect, SCOPES[what]))
     return replace(reading, further=acting([*reading.further, *errors]))
 
