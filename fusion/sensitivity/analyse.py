@@ -100,18 +100,24 @@ def _stretched(observation: Observation, parts: Sequence[ElasticPart], seen: Boo
     frequency, rigid, inner = observation.phasors.frequency_hz, observation.design, observation.geometry
     places = _places(observation)
     stretch = _stretch(parts, frequency, places, rigid.shape[1])
-    slopes = {error.name: error.slope + _rows(error.slope, stretch) for error in observation.common}
+    # Errors of places act on what is observed of the stretched motion: what bends unseen is in it as it is read.
+    known = np.where(seen[:, None, None, :], stretch, 0.0)
+    slopes = {
+        error.name: error.slope + _rows(error.slope, known if error.name in inner.unknowns else stretch)
+        for error in observation.common
+    }
     moved_places = tuple(_moved_places(parts, frequency, inner, places))
     for names, change in moved_places:
         for place, name in enumerate(names):
             if name in slopes:
-                slopes[name][:, place] += _rows(rigid, change)[:, place]
+                slopes[name][:, place] += np.where(seen, _rows(rigid, change)[:, place], 0.0)
     none = np.zeros(rigid.shape[:2], np.complex128)
     common = [replace(error, slope=slopes[error.name]) for error in observation.common]
     for part in parts:
         for c in part.changes(lambda modes: _stretched_places(modes, frequency, places, rigid.shape[1])):
             # Where a number is stated too high, the readings are those of rows with less of it.
-            common.append(CommonError(c.name, c.label, c.u, c.unit, c.scope, -_rows(rigid, c.effect), none))
+            slope = -np.where(seen[:, None, :], _rows(rigid, c.effect), 0.0)
+            common.append(CommonError(c.name, c.label, c.u, c.unit, c.scope, slope, none))
     main = observation.main_design
     return replace(
         observation,
