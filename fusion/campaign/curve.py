@@ -18,8 +18,8 @@ from fusion.campaign.repeats import (
     Repeats,
     alike,
     common_outputs,
-    drive_element,
     drive_ratio,
+    drive_value,
     known_of,
     mean_ratio,
     over_lines,
@@ -474,12 +474,7 @@ def single_points(
         line = int(np.argmin(np.abs(curve.frequency_hz - drive.frequency_hz)))
         if (drive.recording, line) in behind and channel in drive.channels:
             known = known_of([drive], component, stated) if curve.kind == "element" else None
-            if known is None:
-                value, uncertainty = drive_ratio(drive, component, [channel])
-            else:
-                place = [known.channels[row] for row in known.rows].index(channel)
-                value, uncertainty = drive_element(drive, known)
-                value, uncertainty = value[[place]], uncertainty.at([place])
+            value, uncertainty = drive_value(drive, component, [channel], known)
             ((point,),) = polar_elements(value[None], uncertainty)
             if point is not None:
                 found.append((drive.frequency_hz, drive.mounting, point))

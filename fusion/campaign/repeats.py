@@ -238,6 +238,17 @@ def drive_ratio(drive: Drive, component: int, channels: Sequence[str]) -> tuple[
     return np.asarray(ratio), upper.plus(of_load.at([component]).transformed(through))
 
 
+def drive_value(
+    drive: Drive, component: int, channels: Sequence[str], known: KnownMatrix | None
+) -> tuple[ComplexArray, Uncertainty]:
+    """Return the sensor's elements of some outputs (C,) in one drive where its matrix is `known`, otherwise ratios."""
+    if known is None:
+        return drive_ratio(drive, component, channels)
+    value, uncertainty = drive_element(drive, known)
+    places = [known.rows.index(known.channels.index(channel)) for channel in channels]
+    return value[places], uncertainty.at(places)
+
+
 def find_repeats(
     drives: Iterable[Drive], capacity: Sequence[float] | None = None, stated: StatedMatrix | None = None
 ) -> tuple[Repeats, ...]:
@@ -304,11 +315,8 @@ def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | Non
     usable = common_outputs(drives)
     if not usable:
         raise ValueError("drives: expected an output that all recordings of one excitation have, found none")
-    if known is None:
-        found = [drive_ratio(drive, component, usable) for drive in drives]
-    else:
-        usable = [known.channels[row] for row in known.rows]
-        found = [drive_element(drive, known) for drive in drives]
+    usable = usable if known is None else [known.channels[row] for row in known.rows]
+    found = [drive_value(drive, component, usable, known) for drive in drives]
     plain = plain_mean([value for value, _ in found])
     scaled = over_plain(found, plain)
     mountings = [drive.mounting for drive in drives]

@@ -30,7 +30,16 @@ from fusion.estimation.consistency import (
     undetected_errors,
     without_readings,
 )
-from fusion.estimation.least_squares import SCALE, UNOBSERVED, Solution, System, UnseenMotion, build_system, solve
+from fusion.estimation.least_squares import (
+    SCALE,
+    UNOBSERVED,
+    UNOBSERVED_ITSELF,
+    Solution,
+    System,
+    UnseenMotion,
+    build_system,
+    solve,
+)
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import (
     Contribution,
@@ -73,9 +82,10 @@ class Acceleration:
     what the data say of those. `consistency`, `chi2` and `dof` rest on what is stated; `scatter`: instruments whose
     readings scatter beyond that. `explanations`: where instruments contradict each other, what the estimate is without
     each suspect; `disputed` (K, 6): values that are not given (not `observed`), since these differ by gross errors and
-    nothing decides between them; None where there are none. `unseen`: what is assumed
-    of components that are not observed. `unnoticed`: of the fused estimate, which components an error of a single
-    channel may move by more than U although no test sees it.
+    nothing decides between them; None where there are none. `unseen`: what is assumed of components that are not
+    observed, and `leaked` (K, 12, 12): what one standard uncertainty of their [Re, Im] adds to [Re, Im] of the values.
+    `unnoticed`: of the fused estimate, which components an error of a single channel may move by more than U although
+    no test sees it.
     """
 
     body: str
@@ -94,6 +104,7 @@ class Acceleration:
     explanations: tuple[Explanation, ...] = ()
     disputed: BoolArray | None = None
     unnoticed: tuple[Unnoticed, ...] = ()
+    leaked: FloatArray | None = None
 
     __repr__ = brief
 
@@ -132,7 +143,7 @@ def fuse(
     tests = leave_one_out(system, first, suspects) if parts or source == "fused" else ()
     unclear = disputed(system, first, open_)
     given = replace(system, observed=system.observed & ~unclear)
-    uncertainty = _uncertainty(given, solved)
+    uncertainty, leaked = _uncertainty(given, solved)
     lines = np.arange(len(given.observed))
     largest = np.argmax(np.where(given.observed, np.abs(final.acceleration / SCALE), -1.0), axis=1)
     phasors = Phasors(
@@ -163,6 +174,7 @@ def fuse(
         explanations=explanations(system, first, open_),
         disputed=unclear if np.any(unclear) else None,
         unnoticed=unnoticed(given, first) if source == "fused" and stated else (),
+        leaked=leaked,
     )
     swapped = exchanged(system, first, open_) if any(one.gross for one in open_) else ()
     return replace(result, notices=_notices(result, bool(stated), unknowns if solved.contradicted else None, swapped))
@@ -258,8 +270,11 @@ def fuse_sources(
     return tuple(accelerations)
 
 
-def _uncertainty(system: System, solved: Solved) -> Uncertainty:
-    """Split gain · V · gain^T of every line into noise per instrument, discrepancies and common errors."""
+def _uncertainty(system: System, solved: Solved) -> tuple[Uncertainty, FloatArray]:
+    """Split gain · V · gain^T of every line into noise per instrument, discrepancies and common errors.
+
+    With it, what motion that nobody observes does to the estimate by itself (`Acceleration.leaked`).
+    """
     solution, lines = solved.final, len(system.observed)
     hidden = ~np.tile(system.observed, (1, 2))
     gain = solution.gain.reshape(lines, 12, -1)
@@ -267,7 +282,7 @@ def _uncertainty(system: System, solved: Solved) -> Uncertainty:
     def carried(covariance: FloatArray, rows: IntArray | slice = slice(None)) -> FloatArray:
         return np.asarray(gain[:, :, rows] @ covariance @ gain[:, :, rows].swapaxes(1, 2))
 
-    noise = solution.noise - solution.hidden
+    noise = solution.noise - solution.hidden.covariance
     parts = []
     for part in solved.parts:
         noise = noise - part.covariance
@@ -285,8 +300,13 @@ def _uncertainty(system: System, solved: Solved) -> Uncertainty:
         dof = np.nan_to_num(observation.phasors.dof, nan=np.inf, posinf=np.inf)
         own = carried(noise[np.ix_(rows, rows)], rows)
         parts.append(Contribution(f"{observation.title}: noise", "A", own, dof))
-    if np.any(solution.hidden > 0.0):
-        parts.append(Contribution(UNOBSERVED, "B", carried(solution.hidden)))
+    leaked, rest = solution.hidden.carried(system, gain)
+    if np.any(rest):
+        parts.append(Contribution(UNOBSERVED, "B", rest))
+    for place, label in enumerate(UNOBSERVED_ITSELF):
+        own = leaked[:, :, [place, place + 6]]
+        if np.any(own):
+            parts.append(Contribution(label, "B", own @ own.swapaxes(1, 2)))
     if solved.birge > 1.0:
         excess = (solved.birge - 1.0) * carried(solution.noise + solution.effects @ solution.effects.T)
         parts.append(Contribution(INCONSISTENCY, "A", excess, np.full(lines, max(solution.dof / lines, 1.0))))
@@ -297,7 +317,7 @@ def _uncertainty(system: System, solved: Solved) -> Uncertainty:
     ]
     unknown = hidden[:, :, None] | hidden[:, None, :]
     random = [replace(part, covariance=np.where(unknown, np.nan, part.covariance)) for part in parts]
-    return Uncertainty(merge_contributions(random), tuple(influences))
+    return Uncertainty(merge_contributions(random), tuple(influences)), np.where(hidden[:, :, None], 0.0, leaked)
 
 
 # What an estimated acceleration wants the user to know: what is missing, who disagrees, what nothing tests.

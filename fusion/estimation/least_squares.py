@@ -12,6 +12,7 @@ from scipy.sparse import csr_array, diags_array
 
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shaker.labels import MOTION_COMPONENTS
 
 if TYPE_CHECKING:
     from fusion.estimation.measurement_model import CommonError, Observation
@@ -26,6 +27,8 @@ RESOLUTION_TOLERANCE = 1e-6
 ROUNDING = 1e-9
 UNOBSERVED = "unobserved motion"
 """Label of what components that nobody observes do to observed ones, through uncertain directions and places."""
+UNOBSERVED_ITSELF = tuple(f"unobserved {name}" for name in MOTION_COMPONENTS)
+"""Labels of what such a component does by itself: to readings whose rows have it, and to the load."""
 SCALE = np.array([1.0, 1.0, 1.0, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M])
 
 
@@ -98,8 +101,8 @@ class System:
     belongs; `pairs` (N/2, 2): the rows of the real and the imaginary part of every reading; `member_names`; `expand`
     (12K, P) from the unknowns to [Re A_k, Im A_k] of all lines; `observed` (K, 6); `common`: the E common errors, each
     once; `errors`: their effects, observation by observation. `unseen`: what is assumed of components that nobody
-    observes; `ways`: for each line its rows and, sparse, how [Re A, Im A] that are not among the unknowns act on them,
-    12 columns for the rows themselves and 12 for each common error.
+    observes; `beyond` (N, 12): how [Re A, Im A] that are not among the unknowns act on the rows; `ways`: for each line
+    its rows and, sparse, how they act through common errors, 12 columns for each.
     """
 
     observations: tuple[Observation, ...]
@@ -117,6 +120,7 @@ class System:
     observed: BoolArray
     common: tuple[CommonError, ...]
     errors: tuple[RowErrors, ...]
+    beyond: FloatArray
     unseen: UnseenMotion = field(default_factory=UnseenMotion)
     ways: tuple[tuple[IntArray, csr_array], ...] = ()
 
@@ -129,25 +133,54 @@ class System:
             effects[part.block, part.columns] = change
         return effects
 
-    def hidden_covariance(self, acceleration: ComplexArray) -> FloatArray:
-        """Return (N, N): covariance of the readings from components nobody observes, through uncertain design rows.
+    def hidden(self, acceleration: ComplexArray) -> Hidden:
+        """Return what components that nobody observes, zero in the estimate A (K, 6), do to the readings.
 
-        A laser that may point 5 mrad aside sees that share of a transverse motion, and all lasers of a head that is
-        turned see the same. A product of two unknowns, error times motion, has the product of their variances; it is
-        shared by all readings that share the error. Zero in the estimate A (K, 6), such components are given the
-        amplitudes of `unseen`; motions of different lines have nothing in common.
+        They are given the amplitudes of `unseen`; motions of different lines have nothing in common. A laser that may
+        point 5 mrad aside sees that share of a transverse motion, and all lasers of a head that is turned see the same.
+        A product of two unknowns, error times motion, has the product of their variances; it is shared by all readings
+        that share the error.
         """
-        u = self.unseen.amplitude(acceleration, self.observed) / np.sqrt(2.0)
-        total = np.zeros((len(self.readings), len(self.readings)))
-        for (rows, ways), parts in zip(self.ways, np.tile(u, (1, 2)), strict=True):
+        u = np.tile(self.unseen.amplitude(acceleration, self.observed) / np.sqrt(2.0), (1, 2))
+        own, count = self.beyond * u[self.line], len(self.readings)
+        through, total = np.zeros((count, count)), np.zeros((count, count))
+        for (rows, ways), parts in zip(self.ways, u, strict=True):
             if np.any(parts > 0.0):
-                seen = ways @ diags_array(np.tile(parts, ways.shape[1] // 12))
-                total[np.ix_(rows, rows)] = (seen @ seen.T).toarray()
-        return total
+                here, seen = np.ix_(rows, rows), ways @ diags_array(np.tile(parts, ways.shape[1] // 12))
+                through[here] = (seen @ seen.T).toarray()
+                total[here] = through[here] + own[rows] @ own[rows].T
+        return Hidden(own, through, total)
 
     def acceleration(self, unknowns: FloatArray) -> ComplexArray:
         """Return A (K, 6) from the reduced unknowns (P,); what no reading determines is zero."""
         return as_complex((self.expand @ unknowns).reshape(-1, 12))
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What components that nobody observes do to the N readings of a system.
+
+    `own` (N, 12): by themselves, for one standard uncertainty of [Re, Im] of each at the row's line; `through` (N, N):
+    covariance by their products with common errors; `covariance` (N, N): of both.
+    """
+
+    own: FloatArray
+    through: FloatArray
+    covariance: FloatArray
+
+    def carried(self, system: System, gain: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what an estimate of `gain` (K, 12, N) makes of it: two arrays (K, 12, 12).
+
+        What one standard uncertainty of each such [Re, Im] adds to [Re A, Im A] of its line, and the covariance
+        from common errors and from other lines.
+        """
+        rest = np.asarray(gain @ self.through @ gain.swapaxes(1, 2))
+        leaked = np.zeros_like(rest)
+        for line, (rows, _) in enumerate(system.ways):
+            heard = gain[:, :, rows] @ self.own[rows]
+            leaked[line], heard[line] = heard[line], 0.0
+            rest += heard @ heard.swapaxes(1, 2)
+        return leaked, rest
 
 
 @dataclass(frozen=True)
@@ -234,25 +267,27 @@ def build_system(observations: Sequence[Observation], unseen: UnseenMotion | Non
         observed=np.array([observed_components(basis) for basis in bases]),
         common=tuple(common.values()),
         errors=tuple(errors),
+        beyond=_beyond(motion, line, bases),
         unseen=unseen or UnseenMotion(),
-        ways=tuple(_ways(motion, line == k, basis, errors, len(common)) for k, basis in enumerate(bases)),
+        ways=tuple(_ways(np.flatnonzero(line == k), errors, len(common)) for k in range(lines)),
     )
 
 
-def _ways(
-    motion: FloatArray, of_line: BoolArray, basis: ComplexArray, errors: Sequence[RowErrors], count: int
-) -> tuple[IntArray, csr_array]:
-    """Return the rows of one line and how motion beyond its `basis` acts on them: as it is, and by `count` errors."""
-    rows = np.flatnonzero(of_line)
-    ways = np.zeros((len(rows), 1 + count, 12))
-    beyond = np.eye(6) - SCALE[:, None] * (basis @ basis.conj().T) / SCALE
-    ways[:, 0] = motion[rows] @ real_design(beyond)
+def _beyond(motion: FloatArray, line: IntArray, bases: Sequence[ComplexArray]) -> FloatArray:
+    """Return how motion beyond the basis of each line acts on real rows `motion` (N, 12) of the `line` (N,)."""
+    beyond = np.stack([real_design(np.eye(6) - SCALE[:, None] * (b @ b.conj().T) / SCALE) for b in bases])
+    own = np.einsum("nj,nji->ni", motion, beyond[line])
     # What a basis that holds a row leaves of it is rounding.
-    ways[:, 0] *= np.abs(ways[:, 0]) > ROUNDING * np.abs(motion[rows]).max(axis=1, keepdims=True)
+    return np.where(np.abs(own) > ROUNDING * np.abs(motion).max(axis=1, keepdims=True), own, 0.0)
+
+
+def _ways(rows: IntArray, errors: Sequence[RowErrors], count: int) -> tuple[IntArray, csr_array]:
+    """Return the rows of one line and how motion acts on them by `count` errors."""
+    ways = np.zeros((len(rows), count, 12))
     for part in errors:
         inside = np.flatnonzero((rows >= part.block.start) & (rows < part.block.stop))
-        ways[np.ix_(inside, 1 + part.columns)] = part.slope[rows[inside] - part.block.start]
-    return rows, csr_array(ways.reshape(len(rows), 12 * (1 + count)))
+        ways[np.ix_(inside, part.columns)] = part.slope[rows[inside] - part.block.start]
+    return rows, csr_array(ways.reshape(len(rows), 12 * count))
 
 
 # Whitened least squares: accelerations and common errors estimated together, with all that follows from it.
@@ -269,7 +304,7 @@ class Solution:
     `remaining` (E,): standard uncertainty of the errors after the estimate over that before.
     `gain` (12K, N): estimate = gain · readings; `projector` (N, N) = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1 with V the
     covariance of noise and common errors, so that `chi2` = y^T P y; `dof`; `noise` (N, N) as it was used, with the
-    discrepancy and the `hidden` (N, N) covariance in it.
+    discrepancy and the covariance of what is `hidden` in it.
     """
 
     acceleration: ComplexArray
@@ -281,7 +316,7 @@ class Solution:
     chi2: float
     dof: int
     noise: FloatArray
-    hidden: FloatArray
+    hidden: Hidden
 
 
 def solve(system: System, extra: FloatArray | None = None, iterations: int = 8) -> Solution:
@@ -316,7 +351,7 @@ class _Step:
     root: FloatArray
     noise: FloatArray
     effects: FloatArray
-    hidden: FloatArray
+    hidden: Hidden
 
     def acceleration(self, system: System) -> ComplexArray:
         """Return the estimate alone."""
@@ -331,10 +366,10 @@ class _Step:
 
 def _augmented(system: System, noise: FloatArray, acceleration: ComplexArray) -> _Step:
     """Whitened system with the effects of the common errors and of unobserved motion at an acceleration (K, 6)."""
-    effects, hidden = system.effects(acceleration), system.hidden_covariance(acceleration)
+    effects, hidden = system.effects(acceleration), system.hidden(acceleration)
     # Noise far below the common errors is raised to 1e-4 of them: invisible in U, and P keeps its digits.
     floor = (NOISE_FLOOR * np.linalg.norm(effects, axis=1)) ** 2 + (1e-12 * system.size) ** 2
-    noise = noise + hidden
+    noise = noise + hidden.covariance
     variance = np.diag(noise)
     # A share of 1e-9 of the variances keeps covariances of channels that move alike positive definite.
     noise = noise + np.diag(np.maximum(floor - variance, 0.0) + 1e-9 * variance)

@@ -6,15 +6,15 @@ steady the driven lines were while each instrument was recording is told here to
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from fusion.base import AnyNotice, ComputeError, Executor, InputError, ProgressCallback, Settings, rounded
-from fusion.estimation.uncertainty import coverage_factor
-from fusion.instruments.channel import Reading
+from fusion.estimation.uncertainty import Scope, coverage_factor
+from fusion.instruments.channel import Reading, RelativeError, acting
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.channels import (
     APART_PERIODS,
@@ -97,7 +97,7 @@ class SetUp:
         told += [*self.lines.notices, *self.aliased]
         told += [notice for channel in self.opened.channels for notice in channel.notices]
         told += folding_notices(self.opened.channels, base, self.lines)
-        told += distortion_notices(self.opened.channels, self.lines)
+        told += [found.notice for found in distortions(self.opened.channels, self.lines)]
         told += [notice for item in self.stereo for notice in item.notices]
         return tuple(told)
 
@@ -144,7 +144,43 @@ def measure_set_up(
             lines, clock = opened.lines, line_clock(base)
         strength = line_strength(opened.readings, lines)
         stereo, aliased = pairs_phasors(base, motions, lines, base.line_errors(lines, clock), strength)
-    return SetUp(opened, lines, stereo, (*refuted, *aliased))
+    changes = line_stationarity(opened.channels, [item.result for item in stereo], lines, base.results())
+    doubts = {DISTORTION: [found.doubt for found in distortions(opened.channels, lines)]}
+    doubts[DRIFT] = [doubt for frequency in _frequencies(changes) for doubt in _told(changes, frequency).doubts]
+    readings = tuple(_doubted(reading, doubts) for reading in opened.readings)
+    return SetUp(replace(opened, readings=readings), lines, stereo, (*refuted, *aliased))
+
+
+# What readings of outputs are found to hold beside the load.
+
+DISTORTION, DRIFT = "distortion", "drift over the record"
+SCOPES: dict[str, Scope] = {DISTORTION: "rig", DRIFT: "recording"}
+
+
+class Doubt(NamedTuple):
+    """How large a `share` of a `channel` at a line may be none of the load's, as a notice says."""
+
+    channel: str
+    frequency_hz: float
+    share: float
+
+
+def _doubted(reading: Reading, doubts: Mapping[str, Sequence[Doubt]]) -> Reading:
+    """Return a reading with the errors that are found in it.
+
+    The largest share a at a line, in a direction of the complex plane of which nothing is known: an arc-sine
+    distribution with a/√2 in either part.
+    """
+    name, errors = reading.entry.name, []
+    for what, found in doubts.items():
+        u = np.zeros(len(reading.phasors.frequency_hz))
+        for doubt in (doubt for doubt in found if doubt.channel == name):
+            here = reading.phasors.frequency_hz == doubt.frequency_hz
+            u[here] = np.maximum(u[here], doubt.share / np.sqrt(2.0))
+        for part, turn in (("in phase", 1.0), ("in quadrature", 1.0j)):
+            unknown, effect = f"{what} of output {name}: {part}", np.asarray(turn * u[:, None], np.complex128)
+            errors.append(RelativeError(unknown, f"output: {what}", float(u.max()), "1", effect, SCOPES[what]))
+    return replace(reading, further=acting([*reading.further, *errors]))
 
 
 # The lines of all set-ups.
@@ -292,19 +328,14 @@ def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[AnyNotice
     the outputs of the sensor change and the motion does not.
     """
     notices: list[AnyNotice] = []
-    for frequency in dict.fromkeys(line.frequency_hz for line in changes):
-        here = [line for line in changes if line.frequency_hz == frequency]
-        grown = [d for d in here if abs(d.amplitude) > max(MATTERS, d.sure_amplitude)]
-        turned = [d for d in here if abs(d.phase_rad) > max(MATTERS, d.sure_phase_rad)]
-        told = {d.name for d in (*grown, *turned)}
-        bent = [d for d in here if d.chance < SURE and d.wander > MATTERS and d.name not in told]
-        changed = {d.output for d in (*grown, *turned, *bent)}
+    for frequency in _frequencies(changes):
+        grown, turned, bent, doubts = _told(changes, frequency)
         end = "results are means over each instrument's own record"
-        if changed == {True} and not all(d.output for d in here):
+        if doubts:
             end += (
                 "; only outputs of the sensor do so, the motion does not: look for a line beside the driven one, such "
                 "as a harmonic beyond half the sampling rate that folds onto it for lack of an anti-aliasing filter, "
-                "or for a drift of the amplifier"
+                "or for a drift of the amplifier; U contains as much in any direction"
             )
         for what, by in (
             ("amplitude at {} changes", [f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown]),
@@ -316,6 +347,34 @@ def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[AnyNotice
                 text = f"the {what.format(where)} over the record: {', '.join(by[:NAMED])}{more}"
                 notices.append(Notice("warning", f"{text}; {end}", where))
     return tuple(notices)
+
+
+class _Told(NamedTuple):
+    """The changes of a line that are told; `doubts`: how far outputs changed where the motion did not."""
+
+    grown: list[LineStationarity]
+    turned: list[LineStationarity]
+    bent: list[LineStationarity]
+    doubts: list[Doubt]
+
+
+def _frequencies(changes: Sequence[LineStationarity]) -> list[float]:
+    return list(dict.fromkeys(line.frequency_hz for line in changes))
+
+
+def _told(changes: Sequence[LineStationarity], frequency_hz: float) -> _Told:
+    """Return which changes of a line are sure and matter."""
+    here = [line for line in changes if line.frequency_hz == frequency_hz]
+    grown = [d for d in here if abs(d.amplitude) > max(MATTERS, d.sure_amplitude)]
+    turned = [d for d in here if abs(d.phase_rad) > max(MATTERS, d.sure_phase_rad)]
+    named = {d.name for d in (*grown, *turned)}
+    bent = [d for d in here if d.chance < SURE and d.wander > MATTERS and d.name not in named]
+    doubts = []
+    if {d.output for d in (*grown, *turned, *bent)} == {True} and not all(d.output for d in here):
+        for d in dict.fromkeys((*grown, *turned, *bent)):
+            along = np.hypot(d.amplitude * (d in grown), d.phase_rad * (d in turned))
+            doubts.append(Doubt(d.name, frequency_hz, float(max(along, d.wander))))
+    return _Told(grown, turned, bent, doubts)
 
 
 def _of_lines(
@@ -366,12 +425,20 @@ STRONG = 0.5  # of the largest fundamental: outputs and motion channels whose ha
 CHANGED = 0.3  # relative: what the sensor may answer otherwise at a harmonic than at its fundamental
 
 
-def distortion_notices(channels: Sequence[ChannelResult], lines: Lines) -> Iterator[Notice]:
-    """Yield a notice for each harmonic of an output that is surely there, matters, and that the load's motion has not.
+class Distortion(NamedTuple):
+    """What a harmonic of an output tells of its fundamental."""
+
+    doubt: Doubt
+    notice: Notice
+
+
+def distortions(channels: Sequence[ChannelResult], lines: Lines) -> Iterator[Distortion]:
+    """Yield each harmonic of an output that is surely there, matters, and that the load's motion has not.
 
     Harmonics are compared relative to the fundamental: of the outputs that answer most, of the acceleration in the
     channels that move most. Of x - ε·x³ the third harmonic is ε/4 of the amplitude and the fundamental lowered by
-    3ε/4, which is what the ratio is then off by. Nothing is said where no channel measures the load's motion.
+    3ε/4, which is what the ratio is then off by; of other harmonics it is taken to be off by as much as they have.
+    Nothing is said where no channel measures the load's motion.
     """
     outputs = [c for c in channels if c.quantity == "output" and c.harmonics is not None]
     motion = [c for c in channels if c.quantity in TRANSDUCERS and c.body == "load" and c.harmonics is not None]
@@ -429,7 +496,7 @@ def _distortion(
     m: int,
     own: _Share,
     theirs: Sequence[_Share],
-) -> Iterator[Notice]:
+) -> Iterator[Distortion]:
     """Yield what is left of one harmonic of an output beside that of the channels that see the motion."""
     from scipy.stats import f
 
@@ -454,4 +521,5 @@ def _distortion(
     if m == 3:
         sign = "small" if (excess * np.exp(-2j * own.phase_rad)).real < 0.0 else "large"
         text += f"; if it is so by the cube, the ratio at the fundamental is too {sign} by about {300.0 * size:.2g} %"
-    yield Notice("warning", text, output.name)
+    text += f"; U contains {100.0 * cubic * size:.2g} % in any direction"
+    yield Distortion(Doubt(output.name, frequency_hz, cubic * size), Notice("warning", text, output.name))

@@ -196,10 +196,11 @@ def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArr
 
 def _clock_error(name: str, reading: Reading) -> list[RelativeError]:
     """Relative errors (K, 1) of a channel from the tie of its clock to the first one of its set-up, and from its lines'
-    frequencies; they hold for that set-up only."""
+    frequencies; they hold for that set-up only, unless they belong to the rig."""
     chain = reading.chain
     tied = late(f"clock {chain.clock}: time", reading.phasors.frequency_hz, chain.u_clock_s, dof=chain.clock_dof)
-    return [replace(error, name=f"{name}: {error.name}") for error in (*tied, *reading.further)]
+    both = (*tied, *reading.further)
+    return [error if error.scope == "rig" else replace(error, name=f"{name}: {error.name}") for error in both]
 
 
 def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[RelativeError]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fusion.base import AnyNotice, ComputeError
 from fusion.estimation.fuse import Acceleration, fuse_sources
-from fusion.estimation.least_squares import SCALE, UnseenMotion, build_system
+from fusion.estimation.least_squares import UnseenMotion, observed_components, row_space
 from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
 from fusion.instruments.channel import ChannelGeometry, Outputs
 from fusion.instruments.stereo import StereoReading
@@ -34,7 +34,7 @@ from fusion.sensitivity.ratio import (
     sensor_element,
 )
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
-from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
+from shaker.labels import LOAD_COMPONENTS
 from shaker.lines.frequencies import Lines
 
 if TYPE_CHECKING:
@@ -53,20 +53,18 @@ class ElasticGeometry(Geometry):
     """An instrument on an elastic load, for the Monte Carlo run: `inner`, as it is on a rigid one with rows `rigid`.
 
     `stretch` (K, M, 6, 6): what its places move beside the foot; `moved_places`: for uncertain places the names of the
-    unknowns of the M channels and the change of `stretch` for one standard uncertainty of each; `bent`: names of the
-    errors that motion nobody observes makes, which the rows see themselves when such motion is drawn.
+    unknowns of the M channels and the change of `stretch` for one standard uncertainty of each.
     """
 
     inner: Geometry
     rigid: ComplexArray
     stretch: ComplexArray
     moved_places: tuple[tuple[tuple[str, ...], ComplexArray], ...]
-    bent: frozenset[str]
 
     @property
     def unknowns(self) -> frozenset[str]:
         """Return the names of the unknowns that `rows` and `moved` draw."""
-        return self.inner.unknowns | self.bent
+        return self.inner.unknowns
 
     def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
         """Return the rows (N, K, M, 6) at places and along directions as drawn, on the load as it is stretched."""
@@ -82,41 +80,32 @@ class ElasticGeometry(Geometry):
         return self.inner.moved(readings, deviates)
 
 
-def elastic_rows(
-    observations: Sequence[Observation], parts: Sequence[ElasticPart], unseen: UnseenMotion | None = None
-) -> tuple[Observation, ...]:
+def elastic_rows(observations: Sequence[Observation], parts: Sequence[ElasticPart]) -> tuple[Observation, ...]:
     """Return instruments on the load with rows that act on the motion of its foot: design · (I + stretch).
 
     What is uncertain of the modes is a common error of theirs, by the name under which it acts on the load. What
-    components that nobody observes do through the modes is not in the rows, where it would take the observed ones with
-    it: it is an error of the readings of the size that is assumed of such components.
+    components that nobody observes on a rigid load do through the modes decides nothing about what is observed, where
+    it would take the observed ones with it.
     """
     own = [observation for observation in observations if observation.body == "load"]
     if not parts or not own:
         return tuple(observations)
-    system = build_system(own, unseen)
-    start = system.acceleration(np.asarray(np.linalg.lstsq(system.design, system.readings, rcond=None)[0]))
-    # What is assumed of an unseen component (K, 6), as a multiple of the component that moves most (K, 6).
-    size = np.where(system.observed, np.abs(start / SCALE), -1.0)
-    most = np.arange(6) == np.argmax(size, axis=1)[:, None]
-    share = np.divide(most, np.abs(start) * np.sqrt(2.0), out=np.zeros(start.shape), where=most & (start != 0.0))
-    multiple = system.unseen.amplitude(start, system.observed)[:, :, None] * share[:, None, :]
-    return tuple(_stretched(o, parts, system.observed, multiple) if o.body == "load" else o for o in observations)
+    lines = range(len(own[0].phasors.frequency_hz))
+    seen = np.array([observed_components(row_space(own, line)) for line in lines])
+    return tuple(_stretched(o, parts, seen) if o.body == "load" else o for o in observations)
 
 
-def _stretched(
-    observation: Observation, parts: Sequence[ElasticPart], seen: BoolArray, unseen: FloatArray
-) -> Observation:
-    """Return one instrument on the elastic load.
-
-    `seen` (K, 6): components that any instrument observes; `unseen` (K, 6, 6): what is assumed of either part of the
-    others = matrix · acceleration.
-    """
+def _stretched(observation: Observation, parts: Sequence[ElasticPart], seen: BoolArray) -> Observation:
+    """Return one instrument on the elastic load; `seen` (K, 6): components that any instrument observes."""
     frequency, rigid, inner = observation.phasors.frequency_hz, observation.design, observation.geometry
     places = _places(observation)
-    whole = _stretch(parts, frequency, places, rigid.shape[1])
-    stretch = np.where(seen[:, None, None, :], whole, 0.0)
-    slopes = {error.name: error.slope + _rows(error.slope, stretch) for error in observation.common}
+    stretch = _stretch(parts, frequency, places, rigid.shape[1])
+    # Errors of places act on what is observed of the stretched motion: what bends unseen is in it as it is read.
+    known = np.where(seen[:, None, None, :], stretch, 0.0)
+    slopes = {
+        error.name: error.slope + _rows(error.slope, known if error.name in inner.unknowns else stretch)
+        for error in observation.common
+    }
     moved_places = tuple(_moved_places(parts, frequency, inner, places))
     for names, change in moved_places:
         for place, name in enumerate(names):
@@ -129,15 +118,14 @@ def _stretched(
             # Where a number is stated too high, the readings are those of rows with less of it.
             slope = -np.where(seen[:, None, :], _rows(rigid, c.effect), 0.0)
             common.append(CommonError(c.name, c.label, c.u, c.unit, c.scope, slope, none))
-    bent = set()
-    for place in np.flatnonzero(~np.all(seen, axis=0)).tolist():
-        slope = _rows(rigid, whole - stretch)[:, :, place, None] * unseen[:, None, place]
-        label = f"unobserved {MOTION_COMPONENTS[place]} that bends the load"
-        for turn, kind in ((1.0, "in phase"), (1j, "in quadrature")):
-            common.append(CommonError(f"{label}: {kind}", label, 1.0, "1", "recording", turn * slope, none))
-            bent.add(f"{label}: {kind}")
-    geometry = ElasticGeometry(inner, rigid, whole, moved_places, frozenset(bent))
-    return replace(observation, design=rigid + _rows(rigid, stretch), common=tuple(common), geometry=geometry)
+    main = observation.main_design
+    return replace(
+        observation,
+        design=rigid + _rows(rigid, stretch),
+        common=tuple(common),
+        geometry=ElasticGeometry(inner, rigid, stretch, moved_places),
+        main=main + np.where(seen[:, None, :], _rows(main, stretch), 0.0),
+    )
 
 
 def _rows(design: ComplexArray, stretch: ComplexArray) -> ComplexArray:

@@ -47,7 +47,7 @@ def evaluate_recording(
     observations = joined.observed(surroundings.free_fall_mps2[0])
     observations = with_support_motion(observations, surroundings.support_motion)
     unseen = unseen_fundamentals(observations, joined.lines, joined.aliased)
-    rows = observations if body is None else elastic_rows(observations, body.elastic, manifest.shaker.unseen)
+    rows = observations if body is None else elastic_rows(observations, body.elastic)
     outputs = None if sensor is None else sensor_outputs(joined.readings, sensor.channels)
     if sensor is not None and outputs is not None:
         outputs = at_reference_temperature(outputs, sensor, surroundings)

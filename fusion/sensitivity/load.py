@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.base import AnyNotice
-from fusion.estimation.least_squares import BODY_SIZE_M, UNOBSERVED
+from fusion.estimation.least_squares import BODY_SIZE_M, UNOBSERVED, UNOBSERVED_ITSELF
 from fusion.estimation.uncertainty import (
     Contribution,
     Influence,
@@ -107,8 +107,9 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     hidden = _hidden_contributions(acceleration, matrix, changes)
     spread = np.sum([np.zeros(value.shape), *(total_variance(part.covariance) for part in hidden.values())], axis=0)
     observed = np.isfinite(value) & (np.sqrt(spread) <= UNOBSERVED_LIMIT * np.abs(value))
-    # What is not observed has contributions of its own.
-    carried = acceleration.uncertainty.where_known().transformed(real_design(matrix))
+    # What is not observed has contributions of its own, with what it does to the rest in them.
+    others = tuple(part for part in acceleration.uncertainty.random if part.label not in UNOBSERVED_ITSELF)
+    carried = replace(acceleration.uncertainty, random=others).where_known().transformed(real_design(matrix))
     own = tuple(c.acting(real_stack(np.einsum("kij,kj->ki", c.effect, known))) for c in changes)
     # What is elastic acts on instruments and load by one name.
     total = Uncertainty((*carried.random, *hidden.values()), added_up((*carried.influences, *own)))
@@ -124,17 +125,21 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
 def _hidden_contributions(
     acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[Unknown[ComplexArray]]
 ) -> dict[str, Contribution]:
-    """One type B contribution per component nobody observed; its real and imaginary parts are independent."""
+    """One type B contribution per component nobody observed; its real and imaginary parts are independent.
+
+    What it adds to the load it takes from, or adds to, what instruments tell of other components, with sign.
+    """
     known = np.nan_to_num(acceleration.phasors.value)
-    variance = acceleration.unseen.amplitude(known, acceleration.observed) ** 2 / 2.0
+    u = acceleration.unseen.amplitude(known, acceleration.observed) / np.sqrt(2.0)
     # Through the uncertain parameters an unobserved component acts even where its coefficient is zero.
     ways = np.stack([matrix, *(c.effect for c in changes)])
+    leaked = np.zeros((len(u), 12, 12)) if acceleration.leaked is None else real_design(matrix) @ acceleration.leaked
     hidden = {}
-    for place, name in enumerate(MOTION_COMPONENTS):
-        if np.any(variance[:, place] > 0.0):
-            columns = real_design(ways[..., place, None])
-            covariance = np.einsum("wkia,wkja,k->kij", columns, columns, variance[:, place])
-            hidden[name] = Contribution(f"unobserved {name}", "B", covariance)
+    for place, (name, label) in enumerate(zip(MOTION_COMPONENTS, UNOBSERVED_ITSELF, strict=True)):
+        if np.any(u[:, place] > 0.0):
+            columns = real_design(ways[..., place, None]) * u[:, place, None, None]
+            columns[0] -= leaked[:, :, [place, place + 6]]
+            hidden[name] = Contribution(label, "B", np.einsum("wkia,wkja->kij", columns, columns))
     return hidden
 
 

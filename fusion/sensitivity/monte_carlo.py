@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.base import ComputeError, ProgressCallback, no_progress
 from fusion.estimation.fuse import Acceleration, solve_consistently, without_gross
-from fusion.estimation.least_squares import UNOBSERVED, Places, Solution
+from fusion.estimation.least_squares import UNOBSERVED, UNOBSERVED_ITSELF, Places, Solution
 from fusion.estimation.measurement_model import Deviates, Drawn, Observation
 from fusion.estimation.uncertainty import Uncertainty, as_complex, real_stack
 from fusion.estimation.variance_components import LEAST_DOF
@@ -123,7 +123,7 @@ class _Motion:
         hidden = fused.unseen.amplitude(estimate, fused.observed) * np.exp(1j * phase)
         readings = [o.draw(estimate, deviates, noise) for o, noise in zip(self.observations, self.noise, strict=True)]
         value = self.estimator.acceleration(readings, estimate, hidden)
-        own = {f"{name}: noise" for name in fused.instruments} | {UNOBSERVED}
+        own = {f"{name}: noise" for name in fused.instruments} | {UNOBSERVED, *UNOBSERVED_ITSELF}
         known = {error.name for observation in self.observations for error in observation.common}
         further = np.zeros_like(value)
         for part in fused.uncertainty.random:

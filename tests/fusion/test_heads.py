@@ -177,6 +177,20 @@ def test_a_fan_of_beams_is_half_a_percent_off_gone_with_its_mirror_and_covered_b
     assert 0.004 < 1.0 - found[0] / DRIVE < spread[0] / DRIVE < 0.007
 
 
+@pytest.mark.parametrize("inertia", [0.01, 7.0 * 0.03 * (0.53 - 0.03)])
+def test_motion_aside_that_a_fan_takes_for_rocking_is_one_cause_of_what_is_read_and_what_acts(inertia):
+    """Rocking by x/q about the mirror's foot: My of it is (J + m h²)·x/q, that of the motion itself m h·x.
+
+    They are equal where the mirror is at the centre of percussion, q = h + J/(m h).
+    """
+    entries = lasers(head=head(mirror=MIRROR.tolist()), direction=None)
+    body = Body((make_part("load", 7.0, [0.0, 0.0, 0.03], np.diag([inertia] * 3)),))
+    load = load_phasors(fuse(observed(entries, fan(motion(), MIRROR))), body)
+    (aside,) = (part for part in load.contributions if part.label == "unobserved x")
+    expected = abs((inertia + 7.0 * 0.03**2) / 0.53 - 7.0 * 0.03) * 0.1 * DRIVE / np.sqrt(2.0)
+    assert np.sqrt(aside.covariance[0, 4, 4]) == pytest.approx(expected, rel=1e-3, abs=1e-6)
+
+
 @MANY
 def test_a_misplaced_mirror_aside_of_the_axis_is_covered_with_rocking_and_motion_aside(trials):
     """A fan tells three motions, those of the body at its mirror; what it cannot tell apart is in U."""

@@ -17,7 +17,7 @@ from contracts import refused as raises
 from support import DOCS, Refused, state, truth_of
 
 from fusion.phasors.channels import ChannelResult, folding
-from fusion.phasors.setup import distortion_notices
+from fusion.phasors.setup import distortions
 from fusion.simulate import simulate
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.sines import recorded_phasors, runs
@@ -263,6 +263,14 @@ def test_what_is_wrong_with_an_output_is_said(name: str, said: str, benchmark: M
     assert any(said in text for text in found.notices), found.notices
 
 
+@pytest.mark.parametrize("name", ["converter-nonlinearity", "folded-harmonic"])
+def test_what_is_said_of_an_output_is_in_the_uncertainty_of_the_element(name: str, benchmark: ModuleType) -> None:
+    plain, found = (benchmark.draw(benchmark.RIGS["full"], names, 2) for names in ((), (name,)))
+    assert abs(found.error[0]) > plain.expanded[0]
+    assert found.distance[0] <= 1.0
+    assert found.expanded[0] < 4.0 * abs(found.error[0])
+
+
 @pytest.mark.parametrize(("rig", "seed"), [("full", 1), ("1020.3 Hz", 2)])  # at 1 kHz the clock alone turns 0.14 rad
 def test_nothing_is_said_of_outputs_that_are_right(rig: str, seed: int, benchmark: ModuleType) -> None:
     notices = benchmark.draw(benchmark.RIGS[rig], (), seed).notices
@@ -297,14 +305,15 @@ def test_harmonics_of_the_motion_are_no_distortion_of_the_outputs() -> None:
     lasers = [_waves("laser_1", "velocity", motion, 3.0 + 1.0j), _waves("laser_2", "velocity", motion, 3.1 + 1.0j)]
     for sign in (1.0, -1.0):
         output = _waves("Fz", "output", motion, sign * 2e-6 * (3.0 + 1.0j))
-        assert list(distortion_notices([*lasers, output], lines)) == []
-        (notice,) = distortion_notices(
+        assert list(distortions([*lasers, output], lines)) == []
+        (found,) = distortions(
             [*lasers, _waves("Fz", "output", (motion[0], motion[1] + 0.03j), sign * 2e-6 * (3.0 + 1.0j))], lines
         )
-        assert "output Fz: harmonic 3 of 50 Hz is (3.0000 ±" in notice.text
-    assert list(distortion_notices([output], lines)) == []  # nothing tells what the motion has
+        assert "output Fz: harmonic 3 of 50 Hz is (3.0000 ±" in found.notice.text
+        assert found.doubt.share == pytest.approx(0.09, rel=1e-3)  # three times the harmonic's
+    assert list(distortions([output], lines)) == []  # nothing tells what the motion has
     # A laser that is not linear is no fault of the output.
-    assert list(distortion_notices([lasers[0], _waves("Fz", "output", (0.0, 0.0), 2e-6 + 0.0j)], lines)) == []
+    assert list(distortions([lasers[0], _waves("Fz", "output", (0.0, 0.0), 2e-6 + 0.0j)], lines)) == []
 
 
 def test_a_rate_folds_the_harmonics_next_to_its_own_multiple() -> None:
