@@ -278,6 +278,7 @@ def linearity_table(evaluation: CampaignEvaluation) -> Table | None:
         on_page("load", lambda found: LOAD_COMPONENTS[found.component], "l"),
         on_page("amplitudes", amplitudes),
         on_page("recordings", lambda found: str(len(found.recordings))),
+        on_page("kind", lambda found: found.kind, "l"),
         on_page("change of magnitude / %", lambda found: change(found)[0]),
         on_page("of phase / mrad", lambda found: change(found)[1]),
         on_page("verdict", lambda found: change(found)[2], "l"),

@@ -238,6 +238,19 @@ def drive_ratio(drive: Drive, component: int, channels: Sequence[str]) -> tuple[
     return np.asarray(ratio), upper.plus(of_load.at([component]).transformed(through))
 
 
+def drive_values(
+    drives: Sequence[Drive], component: int, stated: StatedMatrix | None, channels: Sequence[str]
+) -> tuple[Literal["ratio", "element"], list[tuple[ComplexArray, Uncertainty]]]:
+    """Return what is told of some outputs: the sensor's elements where the matrix as stated gives all, else ratios."""
+    known = known_of(drives, component, stated)
+    of_elements = () if known is None else [known.channels[row] for row in known.rows]
+    if known is None or not set(channels) <= set(of_elements):
+        return "ratio", [drive_ratio(drive, component, channels) for drive in drives]
+    places = [of_elements.index(channel) for channel in channels]
+    found = (drive_element(drive, known) for drive in drives)
+    return "element", [(value[places], uncertainty.at(places)) for value, uncertainty in found]
+
+
 def find_repeats(
     drives: Iterable[Drive], capacity: Sequence[float] | None = None, stated: StatedMatrix | None = None
 ) -> tuple[Repeats, ...]:
