@@ -107,10 +107,12 @@ def respond(mechanics: Mechanics, weights: FloatArray, s: ComplexArray, beside: 
     with the entries of the terms' matrices. What is `beside` them is taken as constant in the derivative by s.
     """
     (mass, damping, stiffness), forcing = mechanics.at(weights)
-    rows, offset = mechanics.rows[None], mechanics.offset
-    whole, push = mass[None], forcing[None]
+    rows: FloatArray | ComplexArray = mechanics.rows[None]
+    whole: FloatArray | ComplexArray = mass[None]
+    offset, push = mechanics.offset + 0.0j, forcing[None] + 0.0j
     if beside is not None:
-        rows, offset, whole, push = rows + beside.rows, offset + beside.offset, mass + beside.mass, push + beside.forcing
+        rows, offset = rows + beside.rows, offset + beside.offset
+        whole, push = whole + beside.mass, push + beside.forcing
     s1 = s[:, None]
     s2 = s1 * s1
     dynamic = s2[:, :, None] * whole + s1[:, :, None] * damping + stiffness

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, typeset, write_whole
+from fusion.base import DASH, write_whole
 from fusion.campaign.curve import CurvePoint, Linearity
 from fusion.campaign.figures import draw_crosstalk, draw_curve, draw_excitation, draw_outputs
 from fusion.campaign.joint import (
@@ -57,7 +57,7 @@ from fusion.report.table import (
     word,
 )
 from shaker.arrays import FloatArray
-from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, typeset
 
 
 class CrossTalkElement(NamedTuple):

@@ -84,7 +84,7 @@ class PlacementError(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Bending(Brief):
-    """What is not rigid of a load at K lines, in terms of the motion A (6,) of the place where the sensor's springs end.
+    """What is not rigid of a load at K lines, in terms of the motion A (6,) of what the sensor's springs move.
 
     `inertia` (1+V, K, 6, 6): what pulls there beside the mass matrix, per A; `stretch` (1+V, K, C, 6): what C responses
     read beside their rows, per A. First as stated, then the change for one standard deviation of each unknown of

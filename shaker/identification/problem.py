@@ -122,8 +122,8 @@ class Curve(Brief):
     """One recording ready to be compared: which unknowns act on it and how.
 
     `terms` (P+E,): places of the weights of `mechanics` among the unknowns; `factors` (F,) those of what multiplies the
-    ratios by exp(z · `relative` (K, C, F)); `displacements`: of transducers elsewhere than stated; `bends`: of a load that
-    is not rigid; `clock`: place of the clock's error, -1 without. `whitening` (K, 2C, 2C).
+    ratios by exp(z · `relative` (K, C, F)); `displacements`: of transducers elsewhere than stated; `bends`: of a load
+    that is not rigid; `clock`: place of the clock's error, -1 without. `whitening` (K, 2C, 2C).
     """
 
     record: MeasuredTransfer

@@ -146,7 +146,7 @@ def test_rotation_is_inertia_against_a_torsion_spring():
         recordings.append(recording(f"{inertia}", frequency, value, matrix, turning, noise=1e-2, rng=rng, **seen))
     found = identify(recordings, Suspension((5,)))
     assert found.names == ("stiffness_rz", "damping_rz", "internal_inertia_rz")
-    assert [estimate.unit for estimate in found.estimates] == ["N·m/rad", "N·m·s/rad", "kg·m²"]
+    assert [estimate.unit for estimate in found.estimates] == ["N.m/rad", "N.m.s/rad", "kg.m^2"]
     assert_holds(found, [k, b, internal])
 
 

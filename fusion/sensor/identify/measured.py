@@ -29,7 +29,7 @@ from shaker.identification.measured import (
     PlacementError,
     RelativeError,
 )
-from shaker.labels import LOAD_UNITS, MOTION_COMPONENTS
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, mechanical_units, typeset
 from shaker.sine.phasor import Phasors
 
 # What a user may choose of an identification.
@@ -318,9 +318,10 @@ class BentLoad:
     def stated(self) -> str:
         """Words for what is stated."""
         body = self.body
-        cables = np.any([body.cable_npm, body.u_cable_npm])
-        known = {"modes": body.elastic, "joint": body.joint, "first natural frequency": body.first_frequency_hz is not None}
-        return ", ".join(word for word, there in (known | {"cables": cables}).items() if there)
+        cables = np.any(body.cable_npm) or np.any(body.u_cable_npm)
+        first = body.first_frequency_hz is not None
+        known = {"modes": body.elastic, "joint": body.joint, "first natural frequency": first, "cables": cables}
+        return ", ".join(word for word, there in known.items() if there)
 
     def bending(self, tops: Sequence[Placement], mounting: str, places: Sequence[Place] = ()) -> Bending:
         """Return what responses read and what pulls, per motion of what lies below the joint.
@@ -346,7 +347,8 @@ class BentLoad:
                 terms[name] = -change.effect * over, -reads.get(change.name, nothing) * over
         if body.joint is not None:
             parts = tuple(part for part in body.parts if not part.below_joint)
-            above, later = replace(body, parts=parts).load_matrix(frequency), body.joint.change(frequency)[:, None] * over**2
+            above = replace(body, parts=parts).load_matrix(frequency)
+            later = body.joint.change(frequency)[:, None] * over**2
             for axis, natural, one in zip(MOTION_COMPONENTS, body.joint.frequency_hz, np.eye(6), strict=True):
                 terms[f"{joint_unknown(natural, axis)} [{mounting}]"] = above * later * one, seen * later * one
         pulls, stretches = zip(*terms.values(), strict=True)
@@ -370,8 +372,8 @@ def load_along(manifest: Manifest, component: int) -> float:
 
 
 def mass_unit(component: int) -> str:
-    """Return the unit of what resists an acceleration component."""
-    return "kg" if LOAD_UNITS[component] == "N" else "kg·m²"
+    """Return the printed unit of what resists an acceleration component."""
+    return typeset(mechanical_units(LOAD_COMPONENTS[component]).inertia)
 
 
 def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: FloatArray) -> ChannelEntry:
