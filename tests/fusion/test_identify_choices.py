@@ -11,10 +11,22 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from identify_factory import DAMPING, QUICK, SMALL, STIFFNESS, write_campaign, write_sines
+from identify_factory import (
+    DAMPING,
+    LAG_S,
+    QUICK,
+    SENSITIVITY,
+    SINES_HZ,
+    SMALL,
+    STIFFNESS,
+    write_campaign,
+    write_sines,
+)
 from numpy.typing import NDArray
-from support import edit, rows
+from support import edit, rows, without_pages
 
+from fusion.base import Settings
+from fusion.campaign.run import run_path
 from fusion.cli import main
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.recording.manifest import ChannelEntry
@@ -148,23 +160,32 @@ class BentStand(Suspension):
     joint_hz: float = np.inf
     cable_npm: float = 0.0
 
-    def transfer(self, load, internal, point, frequency_hz):
+    def moved(self, load, internal, frequency_hz):
+        """Motion of what the spring moves over that of the base, of the rod's foot over that, and k·L."""
         omega = 2.0 * np.pi * np.maximum(frequency_hz, 1.0)
         angle = 0.5 * np.pi * omega / (2.0 * np.pi * ROD_HZ)
         pulls = load.mass_kg * np.tan(angle) / angle - self.cable_npm / omega**2
         follow = 1.0 - (omega / (2.0 * np.pi * self.joint_hz)) ** 2  # of what is below over the rod's foot
         spring = self.stiffness[0] + 1j * omega * self.damping[0]
-        below = spring / (spring - omega**2 * (internal.mass_kg + pulls / follow))
-        return below / follow * np.cos(angle * (1.0 - point[2] / HEIGHT_M)) / np.cos(angle)
+        return spring / (spring - omega**2 * (internal.mass_kg + pulls / follow)), 1.0 / follow, angle
+
+    def transfer(self, load, internal, point, frequency_hz):
+        below, foot, angle = self.moved(load, internal, frequency_hz)
+        return below * foot * np.cos(angle * (1.0 - point[2] / HEIGHT_M)) / np.cos(angle)
 
 
-def _rod(mass_kg: float) -> str:
-    """Return the block of that rod, its modulus known to 0.02 %; without lateral contraction sound runs at 4·L·f."""
+def _state_bent(rig: Path, keys: str, mass_kg: float) -> None:
+    """State keys of the load and the block of that rod, its modulus known to 0.02 %.
+
+    Without lateral contraction sound runs at 4·L·f.
+    """
     density = mass_kg / (np.pi / 4.0 * 0.05**2 * HEIGHT_M)
     modulus = density * (4.0 * HEIGHT_M * ROD_HZ) ** 2
     size = {"length": HEIGHT_M, "diameter": 0.05, "density": density, "poisson_ratio": 0.0}
     stiff = {"young_modulus": modulus, "young_modulus_uncertainty": 2e-4 * modulus}
-    return to_toml({"load": {"elastic": [{"name": "rod", "shape": "rod", **size, **stiff}]}}).replace("[load]\n", "")
+    rod = to_toml({"load": {"elastic": [{"name": "rod", "shape": "rod", **size, **stiff}]}}).replace("[load]\n", "")
+    text = rig.read_text(encoding="utf-8").replace("[load]", f"[load]\n{keys}", 1)
+    rig.write_text(f"{text}\n{rod}", encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -182,9 +203,7 @@ def test_a_load_that_is_not_rigid_is_in_the_model(tmp_path, stated, true):
     fits = {}
     for kind in ("bent",) if stated else ("rigid", "bent"):
         for name, load in stand.loads.items() if kind == "bent" else ():
-            rig = folder / rig_file(name)
-            text = rig.read_text(encoding="utf-8").replace("[load]", f"[load]\n{stated}", 1)
-            rig.write_text(f"{text}\n{_rod(load.mass)}", encoding="utf-8")
+            _state_bent(folder / rig_file(name), stated, load.mass)
         items = [prepare(manifest, manifest.name, None) for manifest in read_campaign(folder).transfers]
         fits[kind] = _fit([item for item, _ in items]).identification
         told = [notice for _, notices in items for notice in notices if "take it as rigid" in notice.text]
@@ -195,6 +214,33 @@ def test_a_load_that_is_not_rigid_is_in_the_model(tmp_path, stated, true):
     assert fits["bent"].chi_squared / fits["bent"].dof == pytest.approx(1.0, abs=0.1)
     if "rigid" in fits:
         assert abs(fits["rigid"].value("stiffness_z") / STIFFNESS - 1.0) > 1e-3
+
+
+def test_sines_of_a_load_that_is_not_rigid_say_the_same(tmp_path, monkeypatch):
+    stand = BentStand(**(vars(SMALL) | {"tops": {"top": (0.0, 0.0, 0.1)}}), joint_hz=JOINT_HZ)
+    folder = write_campaign(tmp_path / "campaign", stand)
+    write_sines(folder, stand=stand, below=lambda load, internal, _, hertz: stand.moved(load, internal, hertz)[0])
+    keys = f"elastic_frequency = {JOINT_HZ}\nelastic_frequency_uncertainty = 20.0"
+    for name, load in stand.loads.items():
+        _state_bent(folder / rig_file(name), keys, load.mass)
+    without_pages(monkeypatch)
+    outcomes = run_path(folder, None, Settings())
+    assert {outcome.error for outcome in outcomes} == {None}
+    (found,) = evaluate_identification(read_campaign(folder), IdentifySettings()).components
+    steps = found.fit.prepared[-1].measured
+    assert (len(steps.ratio.frequency_hz), len(steps.bending.names)) == (len(SINES_HZ), len(steps.bending.inertia) - 1)
+    alone = _fit(found.fit.prepared[-1:], internal_mass="stated").identification
+    assert abs(alone.value("stiffness_z") - STIFFNESS) < 3.5 * alone.u("stiffness_z")
+    truth = {"stiffness_z": STIFFNESS, "internal_mass": true_part(SMALL.internal, Draws(1, True)).mass_kg}
+    for name, value in truth.items():
+        assert abs(found.fit.identification.value(name) - value) < 3.5 * found.fit.identification.u(name), name
+    best = found.sensitivity.comparison.best
+    assert best.chain.kind == "lag"
+    assert abs(best.chain.lag_s - LAG_S) < 3.5 * best.u("lag_s")
+    seen = found.sensitivity.measured
+    s = 2j * np.pi * seen.frequency_hz
+    true = SENSITIVITY / (1.0 + s * DAMPING / STIFFNESS) / (1.0 + s * LAG_S)
+    np.testing.assert_allclose(seen.value, true, rtol=5e-4)
 
 
 def test_two_axes_have_a_result_each(prepared):
