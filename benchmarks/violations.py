@@ -140,7 +140,8 @@ def preset_of(rig: Rig) -> Preset:
 
 def without_heads(preset: Preset) -> Preset:
     """Return a set-up with the beams of its heads as lasers each by itself, which nothing is stated to join."""
-    alone = read_preset(ChannelSpec, "instruments.laser", name="alone").stated
+    lasers = (s for daq in read_preset(Preset, "nitsche2018").daqs for s in daq.channels if s.quantity == "velocity")
+    alone = next(lasers).stated
     daqs = [
         replace(daq, channels=tuple(replace(s, head="", stated=alone) if s.head else s for s in daq.channels))
         for daq in preset.daqs
