@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 from simulated_drives import CAPACITY, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
 from simulated_phasors import Channel, PhasorSetup, lines_at, simulate_phasors
+from violations import without_heads
 
 from fusion.campaign.matrix import cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
@@ -232,6 +233,7 @@ class ElementCounts:
 
 def uniaxial_setup(run: Run, driven: int, stated: dict[str, float]) -> PhasorSetup:
     """Return what is stated of one recording that drives a load; `stated`: of the sensor beside its static matrix."""
+    run = replace(run, preset=without_heads(run.preset))
     preset = run.preset
     static, _ = static_sensitivity(preset, Draws(1, False))
     motion = np.array(preset.acceleration)

@@ -53,6 +53,7 @@ class Rig:
     rate_hz: float = 0.0
     across: bool = True
     images: bool = False
+    head: bool = False
 
 
 RIGS = {
@@ -61,10 +62,12 @@ RIGS = {
     "53.7 Hz": Rig(53.7),
     "1020.3 Hz": Rig(1020.3),
     "axial": Rig(across=False),
+    "head": Rig(across=False, head=True),
     "images": Rig(80.0, 24, images=True),
 }
 """`full`: four laser points and a triaxial accelerometer on the load, an accelerometer on the base, points of a stereo
-pair on either. `axial`: without what sees transverse motion of the load. `images`: two small rendered pairs."""
+pair on either. `axial`: without what sees transverse motion of the load. `head`: the same, its laser points stated as
+beams of one head, which shifts and turns. `images`: two small rendered pairs."""
 CASES: tuple[tuple[str, tuple[str, ...]], ...] = (
     *((rig, ()) for rig in RIGS),
     ("full", ("transverse-motion",)),
@@ -72,6 +75,8 @@ CASES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("full", ("head-tilt",)),
     ("full", ("head-tilt", "transverse-motion")),
     ("axial", ("head-tilt", "transverse-motion")),
+    ("head", ("transverse-motion",)),
+    ("head", ("head-tilt", "transverse-motion")),
     ("full", ("scanner-fan",)),
     ("axial", ("scanner-fan",)),
     ("full", ("camera-shake",)),
@@ -129,7 +134,19 @@ def preset_of(rig: Rig) -> Preset:
         stereo=whole.stereo if rig.across else whole.stereo[1:],
         daqs=tuple(replace(daq, sample_rate_hz=RATE_HZ * (1.0 - 0.05 * n)) for n, daq in enumerate(daqs)),
     )
+    preset = preset if rig.head else without_heads(preset)
     return replace(preset, camera_rate_hz=rig.rate_hz or camera_rate(preset, rig.frequency_hz))
+
+
+def without_heads(preset: Preset) -> Preset:
+    """Return a set-up with the beams of its heads as lasers each by itself, which nothing is stated to join."""
+    lasers = (s for daq in read_preset(Preset, "nitsche2018").daqs for s in daq.channels if s.quantity == "velocity")
+    alone = next(lasers).stated
+    daqs = [
+        replace(daq, channels=tuple(replace(s, head="", stated=alone) if s.head else s for s in daq.channels))
+        for daq in preset.daqs
+    ]
+    return replace(preset, heads=(), daqs=tuple(daqs))
 
 
 def _wider(spec: ChannelSpec) -> ChannelSpec:

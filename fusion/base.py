@@ -359,11 +359,6 @@ def prefix(values: ArrayLike, *, coarse: bool = False) -> tuple[float, str]:
     return next((pair for pair in PREFIXES if largest >= threshold * pair[0]), PREFIXES[-1])
 
 
-def typeset(unit: str) -> str:
-    """Return an ASCII unit of the result files as it is printed: `m/s^2` becomes `m/s²`."""
-    return unit.replace("^2", "²").replace("N.m", "N·m")
-
-
 # The program and the libraries that compute with it.
 
 

@@ -1,6 +1,12 @@
-"""Names and units of axes, loads and motions, in the order in which every array of six components has them."""
+"""Names and units of axes, loads and motions, in the order in which every array of six components has them.
+
+Units are written in ASCII, as in result files (`N.m/rad`, `m/s^2`), and `typeset` where a reader sees them.
+"""
 
 from __future__ import annotations
+
+import re
+from typing import NamedTuple
 
 AXES = ("x", "y", "z")
 MOTION_COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
@@ -19,3 +25,22 @@ def component_units(order: int) -> tuple[str, ...]:
 def load_unit(component: str) -> str:
     """Return the unit of a load component as it stands in files: `N.m` of moments, `N` of all else."""
     return "N.m" if component.startswith("M") else "N"
+
+
+class MechanicalUnits(NamedTuple):
+    """Units of what moves along or about one component."""
+
+    stiffness: str
+    damping: str
+    inertia: str
+
+
+def mechanical_units(component: str) -> MechanicalUnits:
+    """Return the units of spring, damper and mass along a force, or about the axis of a moment."""
+    turning = component.startswith("M")
+    return MechanicalUnits(*(("N.m/rad", "N.m.s/rad", "kg.m^2") if turning else ("N/m", "N.s/m", "kg")))
+
+
+def typeset(unit: str) -> str:
+    """Return a unit as it is printed: `kg.m^2` becomes `kg·m²`."""
+    return re.sub(r"(?<=[a-z)])\.(?=[a-z(])", "·", unit, flags=re.IGNORECASE).replace("^2", "²")

@@ -71,10 +71,24 @@ class Mechanics:
 
 
 @dataclass(frozen=True)
+class Beside:
+    """What depends on frequency beside a `Mechanics`: `mass` (K, n, n) of M, `forcing` (K, n), `rows`, `offset`.
+
+    `rows` (K, C, n) and `offset` (K, C) of the responses.
+    """
+
+    mass: ComplexArray
+    forcing: ComplexArray
+    rows: ComplexArray
+    offset: ComplexArray
+
+
+@dataclass(frozen=True)
 class Response:
     """Ratios `value` (K, C) with derivatives `by_term` (K, C, P+E) and `by_log_s` (K, C).
 
-    `motion` (K, n): p, `below` (K,): what the reference reads, both per unit of the base's motion.
+    `motion` (K, n): p, `below` (K,): what the reference reads, both per unit of the base's motion; `adjoint` (K, C, n):
+    change of the ratios for one of a force on p.
     """
 
     value: ComplexArray
@@ -82,24 +96,31 @@ class Response:
     by_log_s: ComplexArray
     motion: ComplexArray
     below: ComplexArray
+    adjoint: ComplexArray
 
 
-def respond(mechanics: Mechanics, weights: FloatArray, s: ComplexArray) -> Response:
+def respond(mechanics: Mechanics, weights: FloatArray, s: ComplexArray, beside: Beside | None = None) -> Response:
     """Return the ratios of responses to reference at s (K,) for weights (1+P+E,), with their derivatives.
 
     With D = M s² + B s + K and y = D⁻¹ (rows - H · reference) / reference reading: dH = -y · (s² df + dD p). D is
     symmetric; dD and df are linear in the terms, so that all derivatives are one product of [s² yp, s yp, yp, s² y]
-    with the entries of the terms' matrices.
+    with the entries of the terms' matrices. What is `beside` them is taken as constant in the derivative by s.
     """
     (mass, damping, stiffness), forcing = mechanics.at(weights)
+    rows: FloatArray | ComplexArray = mechanics.rows[None]
+    whole: FloatArray | ComplexArray = mass[None]
+    offset, push = mechanics.offset + 0.0j, forcing[None] + 0.0j
+    if beside is not None:
+        rows, offset = rows + beside.rows, offset + beside.offset
+        whole, push = whole + beside.mass, push + beside.forcing
     s1 = s[:, None]
     s2 = s1 * s1
-    dynamic = s2[:, :, None] * mass + s1[:, :, None] * damping + stiffness
+    dynamic = s2[:, :, None] * whole + s1[:, :, None] * damping + stiffness
     inverse: ComplexArray = np.asarray(1.0 / dynamic if len(mass) == 1 else np.linalg.inv(dynamic), np.complex128)
-    motion = -s2 * (inverse @ forcing)
+    motion = -s2 * (inverse @ push[:, :, None])[:, :, 0]
     below = mechanics.reference_offset + motion @ mechanics.reference
-    value = (mechanics.offset + motion @ mechanics.rows.T) / below[:, None]
-    readings = (mechanics.rows - value[:, :, None] * mechanics.reference) / below[:, None, None]
+    value = (offset + (rows @ motion[:, :, None])[:, :, 0]) / below[:, None]
+    readings = (rows - value[:, :, None] * mechanics.reference) / below[:, None, None]
     adjoint = readings @ inverse
     size = len(forcing)
     pairs = (adjoint[:, :, :, None] * motion[:, None, None, :]).reshape(*value.shape, size * size)
@@ -108,13 +129,14 @@ def respond(mechanics: Mechanics, weights: FloatArray, s: ComplexArray) -> Respo
     parts = np.concatenate([s3 * pairs1, pairs1, pairs, (s3 * s3) * adjoint], axis=2)
     terms = np.concatenate([mechanics.matrices[1:].reshape(-1, 3 * size * size), mechanics.forcing[1:]], axis=1)
     by_term = parts.reshape(-1, parts.shape[2]) @ -terms.T
-    faster = 2.0 * s2 * (forcing + motion @ mass) + s1 * (motion @ damping)
+    faster = 2.0 * s2 * (push + (whole @ motion[:, :, None])[:, :, 0]) + s1 * (motion @ damping)
     return Response(
         value=value,
         by_term=by_term.reshape(*value.shape, len(terms)),
         by_log_s=-np.sum(adjoint * faster[:, None], axis=2),
         motion=motion,
         below=below,
+        adjoint=adjoint,
     )
 
 

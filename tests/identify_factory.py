@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from support import write_daq
 
 from fusion.simulate.chirp import Chirp, Suspension, rig_file, write_chirps
@@ -17,6 +19,8 @@ SMALL = read_preset(Suspension, "masses", chirp=QUICK)
 STIFFNESS, DAMPING, LAG_S, SENSITIVITY = SMALL.stiffness[0], SMALL.damping[0], 50e-6, 2e-7
 SINES_HZ = (200.0, 400.0, 600.0, 800.0, 1000.0)
 SINE_LOAD = "9kg"
+TOP = (0.0, 0.0, 0.1)
+Below = Callable[..., NDArray[np.complex128]]
 _RATE_HZ, _LENGTH_S, _DRIVE_MPS2, _NOISE = 12800.0, 0.5, 20.0, 2e-3
 
 
@@ -27,20 +31,24 @@ def write_campaign(folder: Path, stand: Suspension = SMALL, seed: int = 1) -> Pa
     return folder
 
 
-def write_sines(folder: Path, seed: int = 1) -> list[Path]:
-    """Add a recording of each sine to a campaign and return their folders."""
-    return [_write_sine(folder, frequency, seed) for frequency in SINES_HZ]
+def write_sines(folder: Path, seed: int = 1, stand: Suspension = SMALL, below: Below = SMALL.transfer) -> list[Path]:
+    """Add a recording of each sine to a campaign and return their folders.
+
+    `below`: motion of what the sensor's spring moves over that of the base, of a rigid load that of the load.
+    """
+    return [_write_sine(folder, frequency, seed, stand, below) for frequency in SINES_HZ]
 
 
-def _write_sine(folder: Path, frequency: float, seed: int) -> Path:
+def _write_sine(folder: Path, frequency: float, seed: int, stand: Suspension, below: Below) -> Path:
     """One sine: acceleration of base and load, output Fz."""
     draws, rng = Draws(seed, True), np.random.default_rng([seed, round(frequency)])
     load, internal = true_part(SMALL.loads[SINE_LOAD], draws), true_part(SMALL.internal, draws)
     place = folder / f"sine-{frequency:04.0f}"
     place.mkdir()
     s = 2j * np.pi * frequency
-    top = _DRIVE_MPS2 * complex(SMALL.transfer(load, internal, (0.0, 0.0, 0.1), np.array([frequency]))[0])
-    force = (load.mass_kg + internal.mass_kg) * top
+    known = load, internal, TOP, np.array([frequency])
+    top, spring = _DRIVE_MPS2 * complex(stand.transfer(*known)[0]), _DRIVE_MPS2 * complex(below(*known)[0])
+    force = (STIFFNESS + s * DAMPING) * (_DRIVE_MPS2 - spring) / s**2
     output = SENSITIVITY * force / (1.0 + s * DAMPING / STIFFNESS) / (1.0 + s * LAG_S)
     time_s = np.arange(round(_LENGTH_S * _RATE_HZ)) / _RATE_HZ
     turning = np.exp(s * time_s)

@@ -18,8 +18,8 @@ from fusion.campaign.repeats import (
     Repeats,
     alike,
     common_outputs,
-    drive_ratio,
     drive_value,
+    drive_values,
     known_of,
     mean_ratio,
     over_lines,
@@ -52,11 +52,11 @@ SERIES = 1.2
 
 @dataclass(frozen=True)
 class Linearity:
-    """How the ratio changes with amplitude in N recordings of one frequency and direction.
+    """How the sensor's elements, or ratios, change with amplitude in N recordings of one frequency and direction.
 
-    `amplitude` (N,) of the driven load; `slope` (C,): relative change of the ratio per N or N·m, complex; `change`
-    (C,): from the smallest to the largest amplitude, with `covariance` (C, 2, 2) of (Re, Im) and `dof`; `linear` (C,):
-    whether its 95 % region holds zero.
+    `amplitude` (N,) of the driven load; `slope` (C,): relative change per N or N·m, complex; `change` (C,): from the
+    smallest to the largest amplitude, with `covariance` (C, 2, 2) of (Re, Im) and `dof`; `linear` (C,): whether its
+    95 % region holds zero. `kind`: of what.
     """
 
     frequency_hz: float
@@ -70,34 +70,43 @@ class Linearity:
     covariance: FloatArray
     dof: float
     linear: BoolArray
+    kind: Literal["ratio", "element"] = "ratio"
 
 
-def find_linearity(drives: Iterable[Drive], capacity: Sequence[float] | None = None) -> tuple[Linearity, ...]:
-    """Return how the ratio changes with amplitude wherever one excitation was recorded at amplitudes 1.2 apart."""
+def find_linearity(
+    drives: Iterable[Drive], capacity: Sequence[float] | None = None, stated: StatedMatrix | None = None
+) -> tuple[Linearity, ...]:
+    """Return what changes with amplitude wherever one excitation was recorded at amplitudes 1.2 apart.
+
+    Of the sensor's elements where what is `stated` of its matrix gives them, as means and curves do.
+    """
     found = []
     for group in alike(drives, capacity, amplitudes_apart=False):
         component = driven_component(group[0].direction, capacity)
         amplitude = [abs(drive.load[component]) for drive in group]
         if max(amplitude) >= SERIES * min(amplitude):
-            found.append(linearity(group, component))
+            found.append(linearity(group, component, stated))
     return tuple(found)
 
 
-def linearity(drives: Sequence[Drive], component: int) -> Linearity:
-    """Return the slope of the ratio over amplitude by generalised least squares.
+def linearity(drives: Sequence[Drive], component: int, stated: StatedMatrix | None = None) -> Linearity:
+    """Return the slope of elements or ratios over amplitude by generalised least squares.
 
     S_n/S̄ = a + b·(A_n - Ā), slope b/a; scales common to all recordings cancel, since their covariance is kept. Scatter
     beyond what is stated enlarges the covariance by chi-square per degree of freedom (Birge 1932, Phys. Rev. 40, 207).
     Only outputs with a reading other than zero in all recordings have a slope.
     """
     channels = [name for name in common_outputs(drives) if all(drive.output(name) != 0.0 for drive in drives)]
-    found = [drive_ratio(drive, component, channels) for drive in drives]
+    known = known_of(drives, component, stated)
+    if known is not None:  # outputs of which the matrix tells no element would be ratios among elements
+        channels = [known.channels[row] for row in known.rows if known.channels[row] in channels]
+    kind, found = drive_values(drives, component, stated, channels)
     plain = plain_mean([value for value, _ in found])
-    readings, stated = stack_values(over_plain(found, plain))
+    readings, spread = stack_values(over_plain(found, plain))
     amplitude = np.array([abs(drive.load[component]) for drive in drives])
     width = float(np.ptp(amplitude))
     dof = 2 * (len(drives) - 2)
-    fits = [_slope(readings, stated, (amplitude - amplitude.mean()) / width, c) for c in range(len(channels))]
+    fits = [_slope(readings, spread, (amplitude - amplitude.mean()) / width, c) for c in range(len(channels))]
     change = np.array([fit[0] for fit in fits])
     covariance = np.array([fit[1] * (max(1.0, fit[2] / dof) if dof else 1.0) for fit in fits])
     freedom = float(dof) if dof and any(fit[2] > dof for fit in fits) else np.inf
@@ -114,6 +123,7 @@ def linearity(drives: Sequence[Drive], component: int) -> Linearity:
         covariance=covariance,
         dof=freedom,
         linear=linear,
+        kind=kind,
     )
 
 

@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.ticker import MaxNLocator
 
-from fusion.base import typeset
 from fusion.campaign.curve import LEAST_POINTS, Curve, CurvePoint, curve_elements, interpolate, single_points
 from fusion.campaign.matrix import CrossTalk, MatrixFit
 from fusion.campaign.matrix_solve import LEAST_SINGULAR
@@ -38,7 +37,7 @@ from fusion.report.style import (
 )
 from fusion.sensitivity.ratio import StatedMatrix
 from shaker.arrays import FloatArray
-from shaker.labels import LOAD_COMPONENTS
+from shaker.labels import LOAD_COMPONENTS, typeset
 
 OUTPUT_MARKERS = ("o", "s", "D", "^", "v", "P")
 MOUNTING_MARKERS = ("o", "s", "^", "v", "D")

@@ -112,7 +112,7 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
     if stated is not None:
         elements = _attempt("curves of elements", lambda: ratio_curves(driven, capacity, stated), notices)
     alike = _attempt("means of repeats", lambda: find_repeats(driven, capacity, stated), notices)
-    series = _attempt("linearity", lambda: find_linearity(driven, capacity), notices)
+    series = _attempt("linearity", lambda: find_linearity(driven, capacity, stated), notices)
     # The matrices of all frequencies are one curve for each set of outputs that they have.
     sets = dict.fromkeys(fit.channels for fit in matrices)
     joint = (matrix_curve([fit for fit in matrices if fit.channels == channels]) for channels in sets)

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, typeset, write_whole
+from fusion.base import DASH, write_whole
 from fusion.campaign.curve import CurvePoint, Linearity
 from fusion.campaign.figures import draw_crosstalk, draw_curve, draw_excitation, draw_outputs
 from fusion.campaign.joint import (
@@ -57,7 +57,7 @@ from fusion.report.table import (
     word,
 )
 from shaker.arrays import FloatArray
-from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, typeset
 
 
 class CrossTalkElement(NamedTuple):
@@ -278,6 +278,7 @@ def linearity_table(evaluation: CampaignEvaluation) -> Table | None:
         on_page("load", lambda found: LOAD_COMPONENTS[found.component], "l"),
         on_page("amplitudes", amplitudes),
         on_page("recordings", lambda found: str(len(found.recordings))),
+        on_page("kind", lambda found: found.kind, "l"),
         on_page("change of magnitude / %", lambda found: change(found)[0]),
         on_page("of phase / mrad", lambda found: change(found)[1]),
         on_page("verdict", lambda found: change(found)[2], "l"),

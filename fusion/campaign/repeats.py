@@ -249,6 +249,17 @@ def drive_value(
     return value[places], uncertainty.at(places)
 
 
+def drive_values(
+    drives: Sequence[Drive], component: int, stated: StatedMatrix | None, channels: Sequence[str]
+) -> tuple[Literal["ratio", "element"], list[tuple[ComplexArray, Uncertainty]]]:
+    """Return what is told of some outputs: the sensor's elements where the matrix as stated gives all, else ratios."""
+    known = known_of(drives, component, stated)
+    if known is not None and not set(channels) <= {known.channels[row] for row in known.rows}:
+        known = None
+    kind: Literal["ratio", "element"] = "ratio" if known is None else "element"
+    return kind, [drive_value(drive, component, channels, known) for drive in drives]
+
+
 def find_repeats(
     drives: Iterable[Drive], capacity: Sequence[float] | None = None, stated: StatedMatrix | None = None
 ) -> tuple[Repeats, ...]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.base import AnyNotice, InputError, as_input_error
-from fusion.instruments.channel import ChainUncertainty, Reading, acting
+from fusion.instruments.channel import NOISE_REACH, ChainUncertainty, Reading, acting, chain_errors
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.timing import Lateness, TimeBase, together
 from fusion.recording.response import read_response
@@ -17,7 +17,7 @@ from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.lines.spectrum import amplitude_spectrum
-from shaker.sine.aliasing import alias_frequency, folded_harmonics
+from shaker.sine.aliasing import Fold, alias_frequency, folded_harmonics
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit, SineModel
@@ -34,6 +34,10 @@ DRIVEN = 0.05
 APART_PERIODS = 2.0
 """Periods of the beat with every wanted line that a record must hold for another line to be fitted beside them."""
 HARMONICS = (2, 3, 4, 5)
+FOLDED = 20
+"""Order up to which harmonics are looked for that sampling folds onto a driven line."""
+OF_U = 1.0 / 3.0
+"""Of a channel's u at a line: what a folded harmonic must be likely to reach to be worth a notice."""
 FEW = 3
 """Fundamentals up to which their harmonics are looked at: a multisine has its own lines there, and intermodulation."""
 # The order in which quantities are preferred for finding the lines: those that show high frequencies best.
@@ -321,31 +325,66 @@ def _result(
     return result, Reading(channel, phasors, chain)
 
 
-def folding(frequency_hz: Sequence[float], rate_hz: float, samples: int) -> list[str]:
-    """Name the harmonics of driven lines below half the sampling rate that it folds within a bin of one of them."""
-    if len(frequency_hz) > FEW:
-        return []
-    folds = [
-        (f, fold)
-        for f in frequency_hz
-        if f < rate_hz / 2.0
-        for fold in folded_harmonics(f, frequency_hz, rate_hz, rate_hz / samples)
-    ]
-    return [f"harmonic {fold.multiple} of {fold.fundamental_hz:.6g} Hz folds onto {f:.6g} Hz" for f, fold in folds]
+def folding(frequency_hz: Sequence[float], rate_hz: float, samples: int, most: int = HARMONICS[-1]) -> list[Fold]:
+    """Return the harmonics of driven lines, up to order `most`, that sampling folds within a bin of one of these.
+
+    Of lines below half the rate; none of many lines, which fold onto each other's harmonics anyhow.
+    """
+    few = frequency_hz if len(frequency_hz) <= FEW else ()
+    below = [f for f in few if f < rate_hz / 2.0]
+    return [fold for f in below for fold in folded_harmonics(f, frequency_hz, rate_hz, rate_hz / samples, most)]
 
 
-def folding_notices(channels: Sequence[ChannelResult], base: TimeBase, lines: Lines) -> Iterator[Notice]:
-    """Yield for each block what folds onto its lines unless a filter keeps it off that no channel's response tells."""
-    answered = {entry.name for r in base.records for entry in r.entry.channel if entry.response is not None}
-    open_ = {(c.daq, c.sample_rate_hz): c.samples for c in channels if c.name not in answered}
-    for (daq, rate_hz), samples in open_.items():
-        folds = folding(lines.frequency_hz[lines.multiple == 1].tolist(), rate_hz, samples)
-        if folds:
-            text = (
-                f"{daq}, sampled at {rate_hz:g} Hz: {', '.join(folds)}, where nothing tells them apart; an "
-                "anti-aliasing filter must keep them off"
-            )
-            yield Notice("info", text, daq)
+def folds_told(folds: Sequence[Fold]) -> str:
+    """Name folded harmonics."""
+    return ", ".join(
+        f"harmonic {fold.multiple} of {fold.fundamental_hz:.6g} Hz folds onto {fold.line_hz:.6g} Hz" for fold in folds
+    )
+
+
+def folding_told(
+    channels: Sequence[ChannelResult], readings: Sequence[Reading], lines: Lines
+) -> tuple[list[Notice], list[str]]:
+    """Return notices of what folds onto the lines of a block and may matter, and what else folds, as not assessed.
+
+    Harmonics up to the fifth may matter wherever no channel's response tells that a filter keeps them off, others where
+    those seen of a channel let expect more than a third of its u at the line.
+    """
+    driven = lines.frequency_hz[lines.multiple == 1].tolist()
+    blocks: dict[tuple[str, float], list[tuple[ChannelResult, Reading]]] = {}
+    for channel, reading in zip(channels, readings, strict=True):
+        if reading.entry.response is None:
+            blocks.setdefault((channel.daq, channel.sample_rate_hz), []).append((channel, reading))
+    notices, rest = [], []
+    for (daq, rate_hz), own in blocks.items():
+        where = f"{daq}, sampled at {rate_hz:g} Hz"
+        found: dict[bool, list[Fold]] = {True: [], False: []}
+        for fold in folding(driven, rate_hz, own[0][0].samples, FOLDED):
+            found[fold.multiple <= HARMONICS[-1] or any(_expected(*one, fold) for one in own)].append(fold)
+        if found[True]:
+            text = f"{where}: {folds_told(found[True])}, where nothing tells them apart; an anti-aliasing filter must"
+            notices.append(Notice("info", f"{text} keep them off", daq))
+        if found[False]:
+            rest.append(f"high harmonics without an anti-aliasing filter ({where}: {folds_told(found[False])})")
+    return notices, rest
+
+
+def _expected(channel: ChannelResult, reading: Reading, fold: Fold) -> bool:
+    """Whether the harmonics seen of a channel let expect one at a fold that matters beside its u at the line.
+
+    Coefficients of a waveform without jumps fall at least as 1/m² with their order m (Zygmund 1959, Trigonometric
+    Series I, II.4), which starts at the one seen that promises most.
+    """
+    if channel.harmonics is None:
+        return False
+    seen, order = channel.harmonics, channel.harmonics.frequency_hz / fold.fundamental_hz
+    size, noise = np.abs(seen.value[:, 0]), np.hypot(seen.u_re[:, 0], seen.u_im[:, 0])
+    counted = (np.abs(order - np.rint(order)) < 1e-9 * order) & (order > 1.5) & (size > NOISE_REACH * noise)
+    line = int(np.argmin(np.abs(channel.phasors.frequency_hz - fold.line_hz)))
+    relative = [np.abs(error.effect[line, 0]) for error in chain_errors([reading])]
+    own = channel.phasors.at_lines(np.array([line]))
+    u = np.linalg.norm([own.u_re[0, 0], own.u_im[0, 0], np.abs(own.value[0, 0]) * np.linalg.norm(relative)])
+    return bool(np.max((size * (order / fold.multiple) ** 2)[counted], initial=0.0) > OF_U * u)
 
 
 def line_strength(readings: Sequence[Reading], lines: Lines) -> FloatArray | None:

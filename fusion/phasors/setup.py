@@ -22,7 +22,7 @@ from fusion.phasors.channels import (
     ChannelResult,
     channel_phasors,
     find_channel_lines,
-    folding_notices,
+    folding_told,
     line_clock,
     line_record,
     line_strength,
@@ -88,6 +88,11 @@ class SetUp:
     aliased: tuple[AnyNotice, ...]
 
     @property
+    def not_assessed(self) -> list[str]:
+        """Return what is in no U and not worth a notice of its own."""
+        return folding_told(self.opened.channels, self.opened.readings, self.lines)[1]
+
+    @property
     def notices(self) -> tuple[AnyNotice, ...]:
         """Return what clocks, lines, channels and stereo pairs of the set-up want the user to know."""
         base = self.opened.base
@@ -96,7 +101,7 @@ class SetUp:
         told: list[AnyNotice] = [Notice(n.severity, f"{daq}: {n.text}", daq) for daq, n in clocks]
         told += [*self.lines.notices, *self.aliased]
         told += [notice for channel in self.opened.channels for notice in channel.notices]
-        told += folding_notices(self.opened.channels, base, self.lines)
+        told += folding_told(self.opened.channels, self.opened.readings, self.lines)[0]
         told += [found.notice for found in distortions(self.opened.channels, self.lines)]
         told += [notice for item in self.stereo for notice in item.notices]
         return tuple(told)

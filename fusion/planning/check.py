@@ -12,7 +12,7 @@ from fusion.base import InputError, rounded
 from fusion.instruments.stereo import GEOMETRY
 from fusion.instruments.transducer import TRANSDUCERS, main_direction, placed_at
 from fusion.instruments.vibrometer import beam_notices
-from fusion.phasors.channels import folding
+from fusion.phasors.channels import folding, folds_told
 from fusion.phasors.timing import no_pulse_width
 from fusion.recording.excitation import KINDS, Recorded
 from fusion.recording.files import read_set_ups, scanned_points, split_scan
@@ -237,7 +237,7 @@ def _read_daq(block: Manifest, daq: Daq) -> tuple[str, list[str]]:
     holes = [name for name, channel in channels.items() if not np.isfinite(channel.samples).all()]
     told += f"; {first.samples.size} samples at {first.sample_rate_hz:g} Hz"
     folds = folding(block.excitation.frequencies or (), first.sample_rate_hz, first.samples.size)
-    told += f" ({', '.join(folds)} unless an anti-aliasing filter keeps it off)" if folds else ""
+    told += f" ({folds_told(folds)} unless an anti-aliasing filter keeps it off)" if folds else ""
     told += "" if points is None else f", a scan of {len(points)} points, each a take"
     return told, [f"daq {daq.name}: channel {name} holds values that are no finite numbers" for name in holes]
 

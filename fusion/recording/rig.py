@@ -301,13 +301,6 @@ class Load(Mounted):
     cable_stiffness: Annotated[Vector3 | None, BeforeValidator(spread(3))] = None
     cable_stiffness_uncertainty: Spread3 = ZERO3
 
-    @property
-    def not_rigid(self) -> str:
-        """Say what is stated of the load that a rigid one does not have; nothing of a rigid one."""
-        if self.elastic_frequency is not None:
-            return "its joint is stated (load.elastic_frequency)"
-        return "its modes are stated (load.elastic)" if self.elastic else ""
-
     @model_validator(mode="after")
     def _elastic_parts_have_different_names(self) -> Self:
         refuse_repeated([part.name for part in self.elastic], "elastic parts", "elastic")

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
-from fusion.base import prefix, typeset
+from fusion.base import prefix
 from fusion.estimation.fuse import Acceleration, Source
 from fusion.estimation.uncertainty import Polar
 from fusion.report.style import (
@@ -46,7 +46,7 @@ from fusion.report.tables import (
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.arrays import BoolArray, FloatArray
-from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, typeset
 
 BUDGET_ENTRIES = 14
 SHOWN_BELOW = 0.2

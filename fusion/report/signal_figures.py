@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from fusion.base import prefix, typeset
+from fusion.base import prefix
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.instruments.vibrometer import PointSpread, axis_name
 from fusion.phasors.channels import ChannelResult
@@ -30,6 +30,7 @@ from fusion.report.style import (
 from fusion.report.tables import PREFIXED, main_line
 from fusion.sensitivity.analyse import Evaluation
 from shaker.arrays import FloatArray
+from shaker.labels import typeset
 
 # Figures of the DAQ side: channels with their fit and spectrum, camera trigger.
 

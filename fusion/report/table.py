@@ -17,9 +17,10 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, rounded, typeset
+from fusion.base import DASH, rounded
 from fusion.estimation.uncertainty import Polar, Quantity, Region, region_factor
 from shaker.arrays import ComplexArray
+from shaker.labels import typeset
 
 R = TypeVar("R")
 

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, prefix, typeset
+from fusion.base import DASH, prefix
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Polar, polar, polar_elements
 from fusion.instruments.transducer import TRANSDUCERS
@@ -41,7 +41,7 @@ from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import Sensitivity
 from fusion.sensitivity.ratio import driven_component as driven_load
-from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, typeset
 from shaker.timebase.tie import ClockTie
 from shaker.timebase.trigger import TriggerFit
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, rounded, typeset
+from fusion.base import DASH, rounded
 from fusion.estimation.consistency import CommonEstimate, Consistency
 from fusion.estimation.fuse import REMAINING, Acceleration, Untested, untested
 from fusion.estimation.uncertainty import Polar, Uncertainty, element_covariance, polar, polar_elements
@@ -48,7 +48,7 @@ from fusion.sensitivity.distributions import Propagated, RealSpread
 from fusion.sensitivity.load import BudgetEntry, budget
 from fusion.sensitivity.ratio import parasitic_loads
 from shaker.arrays import ComplexArray, FloatArray
-from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, typeset
 
 # Whether instruments agree: who deviates, what scatters, what these data do not test.
 

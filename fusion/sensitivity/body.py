@@ -67,6 +67,15 @@ class Joint:
         return np.asarray(r * r / (1.0 + 2j * self.damping * r))
 
 
+JOINT = "joint of the load"
+"""Label of its unknowns."""
+
+
+def joint_unknown(frequency_hz: float, axis: str) -> str:
+    """Return the name of the unknown of a joint along an axis (x … rz)."""
+    return f"{JOINT} {frequency_hz:.9g} Hz: {axis}"
+
+
 def make_joint(frequency_hz: ArrayLike, u_frequency_hz: ArrayLike = 0.0, damping: float = 0.0) -> Joint:
     """Return a joint; one number stands for all six components."""
     frequency = np.broadcast_to(np.asarray(frequency_hz, dtype=np.float64), (6,)).copy()
@@ -256,8 +265,8 @@ class Body:
                 stated, u = float(self.joint.frequency_hz[place]), float(self.joint.u_frequency_hz[place])
                 own = np.zeros_like(lower)
                 own[:, :, place] = lower[:, :, place] * by_joint[:, None, place]
-                name, label = f"joint of the load {stated:.9g} Hz: {axis}", "joint of the load"
-                changes.append(Unknown(name, label, u or 1.0, "Hz" if u else "1", own, "mounting"))
+                unknown = joint_unknown(stated, axis), JOINT, u or 1.0, "Hz" if u else "1"
+                changes.append(Unknown(*unknown, own, "mounting"))
         for bending in self.elastic:
             changes += bending.changes(partial(self._wrench, frequency_hz))
         if self.first_frequency_hz is not None:

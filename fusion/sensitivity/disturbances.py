@@ -5,7 +5,7 @@ Each is a named unknown where the rig states it; of what it does not state the u
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -80,11 +80,15 @@ def with_support_motion(observations: Sequence[Observation], limit: float | None
 
 
 def not_assessed(
-    rig: Rig, observations: Sequence[Observation], body: Body | None, frequency_hz: float
+    rig: Rig,
+    observations: Sequence[Observation],
+    body: Body | None,
+    frequency_hz: float,
+    further: Iterable[str] = (),
 ) -> Iterator[Notice]:
     """Yield what is said of influences that the rig does not state, so that U has no part of them.
 
-    `frequency_hz`: the lowest line; `body`: what the sensor moves there.
+    `frequency_hz`: the lowest line; `body`: what the sensor moves there; `further`: what else is not assessed.
     """
     kinds = {observation.kind for observation in observations if observation.body == "load" and observation.stated}
     sensor, environment = rig.sensor, rig.surroundings
@@ -114,5 +118,6 @@ def not_assessed(
         )
         others = "only accelerometers on the load can show it" if kinds - set(OPTICAL) else "nothing here can show it"
         told.append(f"{text}, and {others}")
+    told += dict.fromkeys(further)
     if told:
         yield Notice("info", "not assessed, not in U: " + "; ".join(told), "surroundings")

@@ -59,7 +59,8 @@ def evaluate_recording(
     if body is not None and outputs is not None and analysis.sensitivity is not None:
         points = tuple(with_ratios(spread, outputs, analysis.sensitivity, body) for spread in points)
     parallel = beam_notices([reading.entry for reading in joined.readings])
-    missing = not_assessed(manifest.rig, observations, body, float(np.min(joined.lines.frequency_hz)))
+    folded = [text for set_up in set_ups for text in set_up.not_assessed]
+    missing = not_assessed(manifest.rig, observations, body, float(np.min(joined.lines.frequency_hz)), folded)
     told = [*manifest.expired, *joined.notices, *parallel, *unseen, *analysis.notices, *missing]
     notices = [*told, *(drawn.notices if drawn else ())]
     return Evaluation(

@@ -12,6 +12,7 @@ import numpy as np
 
 from fusion.base import InputError
 from shaker.arrays import FloatArray
+from shaker.labels import mechanical_units
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import PARAMETERS, LoadModel
 
@@ -200,11 +201,8 @@ def read_load_models(path: str | Path) -> tuple[LoadModel, ...]:
 
 def parameter_units(component: str) -> dict[str, str]:
     """Return the units of a model's numbers, of a force or of a moment."""
-    if component.startswith("M"):
-        names = ("N.m/rad", "N.m.s/rad", "N.m/rad", "N.m.s/rad", "kg.m^2")
-    else:
-        names = ("N/m", "N.s/m", "N/m", "N.s/m", "kg")
-    return dict(zip((*PARAMETERS, "moving_mass"), names, strict=True))
+    stiffness, damping, inertia = mechanical_units(component)
+    return dict(zip((*PARAMETERS, "moving_mass"), (*(stiffness, damping) * 2, inertia), strict=True))
 
 
 def _load_entry(model: LoadModel) -> dict[str, Any]:

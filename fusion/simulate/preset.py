@@ -116,8 +116,20 @@ class PartSpec:
 
 
 @dataclass(frozen=True, config=CHECKED)
+class HeadSpec:
+    """A laser head as stated: standard uncertainties of its turn about each axis (rad) and of its place (m)."""
+
+    name: str
+    rotation_uncertainty: float
+    point_uncertainty: float
+
+
+@dataclass(frozen=True, config=CHECKED)
 class ChannelSpec:
-    """A DAQ channel: `scale` and `stated` are the manifest's; `noise` (rms) and `range` (on `bits`) in file units."""
+    """A DAQ channel: `scale` and `stated` are the manifest's; `noise` (rms) and `range` (on `bits`) in file units.
+
+    `head`: name of the laser head that it is a beam of, if any.
+    """
 
     name: str
     quantity: str
@@ -131,6 +143,7 @@ class ChannelSpec:
     stated: dict[str, float] = field(default_factory=dict)
     common: str = ""
     unit: str = "V"
+    head: str = ""
 
 
 @dataclass(frozen=True, config=CHECKED)
@@ -183,6 +196,7 @@ class Preset:
     stereo: tuple[StereoSetup, ...]
     daqs: tuple[DaqSpec, ...]
     parts: tuple[PartSpec, ...] = ()
+    heads: tuple[HeadSpec, ...] = ()
     as_points: bool = False
     down: Vector = (0.0, 0.0, -1.0)
 

@@ -134,6 +134,9 @@ def _true_phasors(world: World, spec: ChannelSpec, draws: Draws) -> ComplexArray
     point = np.array(spec.point) + draws.normal(f"{spec.name}.point", spec.stated.get("point_uncertainty", 0.0), 3)
     nominal = np.array(spec.direction)
     tilt = draws.normal(f"{spec.name}.direction", spec.stated.get("direction_uncertainty", 0.0), 3)
+    for head in (head for head in world.preset.heads if head.name == spec.head):  # all its beams shift and turn as one
+        point = point + draws.normal(f"head {head.name}.point", head.point_uncertainty, 3)
+        tilt = tilt + draws.normal(f"head {head.name}.direction", head.rotation_uncertainty, 3)
     direction = nominal + np.cross(tilt, nominal)
     direction = direction / np.linalg.norm(direction)
     direction = draws.broken("direction", direction, spec, world.preset)
@@ -181,6 +184,9 @@ def rig_tables(world: World, own: tuple[PartSpec, ...] = ()) -> dict[str, Any]:
     if parts:
         tables["part"] = parts
     tables["environment"] = environment_keys(preset)
+    if preset.heads:
+        keys = ("rotation_uncertainty", "point_uncertainty")
+        tables["head"] = {head.name: {key: getattr(head, key) for key in keys} for head in preset.heads}
     return tables | {"stereo": {setup.name: _stereo_keys(setup, preset) for setup in preset.stereo}}
 
 
@@ -296,6 +302,8 @@ def _channel(spec: ChannelSpec, response: str) -> dict[str, Any]:
     else:
         keys |= {"body": spec.body, "point": list(spec.point), "direction": list(spec.direction)}
     keys["scale"] = spec.scale
+    if spec.head:
+        keys["head"] = spec.head
     if spec.common:
         keys["common"] = spec.common
     return keys | spec.stated

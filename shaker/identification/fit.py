@@ -20,6 +20,7 @@ from shaker.identification.measured import (
 )
 from shaker.identification.problem import DELAY_UNIT_S, Problem, build, factor_name, starting_vectors, whole_inertia
 from shaker.identification.structures import Structure
+from shaker.labels import typeset
 
 # What an identification says: parameters, modes, named errors, how well the model explains the curves.
 
@@ -297,7 +298,8 @@ def _notices(
         if problem.precision[place] > 0.0:
             yield from _against_stated(estimate, problem.expected[place], problem.precision[place] ** -0.5)
         elif estimate.u > _UNKNOWN * max(abs(estimate.value), _NEGLIGIBLE * whole[place]):
-            size = "" if not np.isfinite(estimate.u) else f": its uncertainty is {estimate.u:.2g} {estimate.unit}"
+            told = f"{estimate.u:.2g} {typeset(estimate.unit)}"
+            size = f": its uncertainty is {told}" if np.isfinite(estimate.u) else ""
             helps = next((text for start, text in _HELPS.items() if estimate.name.startswith(start)), "state its value")
             yield Notice("warning", f"the data cannot tell the {estimate.label}{size}; {helps}", estimate.name)
             continue
@@ -314,7 +316,7 @@ def _negative(estimate: ParameterEstimate) -> Iterator[Notice]:
     """Say that a mass or a damping came out below zero."""
     if estimate.value >= 0.0 or not np.isfinite(estimate.u):
         return
-    number = f"{estimate.label} is {estimate.value:.4g} ± {estimate.u:.2g} {estimate.unit} (k = 1)"
+    number = f"{estimate.label} is {estimate.value:.4g} ± {estimate.u:.2g} {typeset(estimate.unit)} (k = 1)"
     if estimate.value > -2.0 * estimate.u:
         yield Notice("info", f"{number}: zero within its uncertainty", estimate.name)
         return
@@ -329,14 +331,14 @@ def _negative(estimate: ParameterEstimate) -> Iterator[Notice]:
 
 def _against_stated(estimate: ParameterEstimate, stated: float, u: float) -> Iterator[Notice]:
     """Say that a stated parameter is contradicted, or that the recordings add nothing to it."""
-    known = f"{stated:.6g} ± {u:.2g} {estimate.unit}"
+    known = f"{stated:.6g} ± {u:.2g} {typeset(estimate.unit)}"
     if estimate.u > _UNTOUCHED * u:
         text = f"the {estimate.label} is as stated, {known}: the data cannot tell it better"
         yield Notice("info", text, estimate.name)
     elif (pull := abs(estimate.value - stated) / float(np.sqrt(u**2 - estimate.u**2))) >= _PULL:
         text = (
             f"the {estimate.label} stated, {known}, is contradicted by the recordings: together they give "
-            f"{estimate.value:.6g} {estimate.unit}, {pull:.2g} standard deviations off"
+            f"{estimate.value:.6g} {typeset(estimate.unit)}, {pull:.2g} standard deviations off"
         )
         yield Notice("warning", text, estimate.name)
 

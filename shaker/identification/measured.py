@@ -83,6 +83,25 @@ class PlacementError(Brief):
 
 
 @dataclass(frozen=True, repr=False)
+class Bending(Brief):
+    """What is not rigid of a load at K lines, in terms of the motion A (6,) of what the sensor's springs move.
+
+    `inertia` (1+V, K, 6, 6): what pulls there beside the mass matrix, per A; `stretch` (1+V, K, C, 6): what C responses
+    read beside their rows, per A. First as stated, then the change for one standard deviation of each unknown of
+    `names` (V,).
+    """
+
+    names: tuple[str, ...]
+    inertia: ComplexArray
+    stretch: ComplexArray
+
+    def __post_init__(self) -> None:
+        terms, lines, responses = self.stretch.shape[:3]
+        check_shape("inertia", self.inertia, (terms, lines, 6, 6))
+        check_shape("stretch", self.stretch, (1 + len(self.names), lines, responses, 6))
+
+
+@dataclass(frozen=True, repr=False)
 class MeasuredTransfer(Brief):
     """Motion of the load over motion of the base in one recording, with what is known of the load.
 
@@ -91,7 +110,8 @@ class MeasuredTransfer(Brief):
     moves as a rigid body, [x y z rx ry rz] about the sensor origin. `mass_matrix` (6, 6): load and parts about the
     sensor origin, without what moves inside the sensor. `line_correlation` (D,) as in `TransferFunction`.
     `clock`, `u_clock`: name and relative standard uncertainty of the clock, and so of all frequencies.
-    `placement_errors`: what is uncertain of places and directions of the transducers.
+    `placement_errors`: what is uncertain of places and directions of the transducers. `bending`: None of a load that is
+    rigid.
     """
 
     name: str
@@ -107,9 +127,12 @@ class MeasuredTransfer(Brief):
     clock: str = "clock"
     u_clock: float = 0.0
     placement_errors: tuple[PlacementError, ...] = ()
+    bending: Bending | None = None
 
     def __post_init__(self) -> None:
         shape = self.ratio.value.shape
+        if self.bending is not None:
+            check_shape("bending: stretch", self.bending.stretch, (None, *shape, 6))
         if len(self.tops) != shape[1]:
             raise ValueError(f"tops: expected one for each of {shape[1]} ratios, found {len(self.tops)}")
         check_shape("drive", self.drive, (6,))

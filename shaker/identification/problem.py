@@ -11,7 +11,7 @@ from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray
 from shaker.fitting import Residuals, Rules, levenberg_marquardt
 from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, PlacementError, whitening_of
 from shaker.identification.structures import Parameter, Structure
-from shaker.mechanics import Mechanics, Response, poles, respond
+from shaker.mechanics import Beside, Mechanics, Response, poles, respond
 
 DELAY_UNIT_S = 1e-6
 """Unit in which free delays are unknown."""
@@ -74,12 +74,56 @@ def displacements(record: MeasuredTransfer, body: FloatArray, names: Mapping[str
 
 
 @dataclass(frozen=True, repr=False)
+class Bends(Brief):
+    """What a load that is not rigid adds to its mechanics, as stated and per standard deviation of V unknowns.
+
+    `places` (V,) among all unknowns; `mass` (1+V, K, n, n), `forcing` (1+V, K, n), `rows` (1+V, K, C, n), `offset`
+    (1+V, K, C) as in `Beside`.
+    """
+
+    places: IntArray
+    mass: ComplexArray
+    forcing: ComplexArray
+    rows: ComplexArray
+    offset: ComplexArray
+
+    def at(self, vector: FloatArray) -> Beside:
+        """Return what it adds for the unknowns in a vector."""
+        weights = np.concatenate([[1.0], vector[self.places]])
+        return Beside(*(np.tensordot(weights, part, 1) for part in (self.mass, self.forcing, self.rows, self.offset)))
+
+    def derivatives(self, response: Response, s: ComplexArray) -> ComplexArray:
+        """Return the derivatives (K, C, V) of ratios: a pull that grows by f changes them by -y·s²·f."""
+        pull = np.einsum("vkij,kj->vki", self.mass[1:], response.motion) + self.forcing[1:]
+        read = np.einsum("vkcj,kj->kcv", self.rows[1:], response.motion) + self.offset[1:].transpose(1, 2, 0)
+        moved = np.einsum("kci,vki->kcv", response.adjoint, pull) * s[:, None, None] ** 2
+        return np.asarray(read / response.below[:, None, None] - moved)
+
+
+def bends(record: MeasuredTransfer, body: FloatArray, names: Mapping[str, int]) -> tuple[Bends | None, FloatArray]:
+    """Return what is not rigid of a recording's load that moves along `body` (6, n) beside its base, and its mass.
+
+    The mass (6, 6) is what it has at the line of the largest ratio beside the rigid one, so that poles are those of
+    the load as it is near its resonance; it is not in what is returned first.
+    """
+    if record.bending is None:
+        return None, np.zeros((6, 6))
+    inertia, stretch = record.bending.inertia.copy(), record.bending.stretch
+    line = int(np.argmax(np.abs(record.ratio.value).max(axis=1)))
+    constant = inertia[0, line].real.copy()
+    inertia[0] -= constant
+    pull, read = np.einsum("im,vkij->vkmj", body, inertia), record.drive
+    places = np.array([names[f"error: {name}"] for name in record.bending.names], dtype=np.int64)
+    return Bends(places, pull @ body, pull @ read, stretch @ body, stretch @ read), constant
+
+
+@dataclass(frozen=True, repr=False)
 class Curve(Brief):
     """One recording ready to be compared: which unknowns act on it and how.
 
     `terms` (P+E,): places of the weights of `mechanics` among the unknowns; `factors` (F,) those of what multiplies the
-    ratios by exp(z · `relative` (K, C, F)); `displacements`: of transducers elsewhere than stated; `clock`: place of
-    the clock's error, -1 without. `whitening` (K, 2C, 2C).
+    ratios by exp(z · `relative` (K, C, F)); `displacements`: of transducers elsewhere than stated; `bends`: of a load
+    that is not rigid; `clock`: place of the clock's error, -1 without. `whitening` (K, 2C, 2C).
     """
 
     record: MeasuredTransfer
@@ -88,6 +132,7 @@ class Curve(Brief):
     factors: IntArray
     relative: ComplexArray
     displacements: Displacements
+    bends: Bends | None
     clock: int
     whitening: FloatArray
 
@@ -112,18 +157,22 @@ class Curve(Brief):
     @property
     def places(self) -> IntArray:
         """Places of the columns of `modelled` among the unknowns."""
-        clock = [self.clock] if self.clock >= 0 else []
-        return np.concatenate([self.terms, self.factors, self.displacements.places, np.array(clock, dtype=np.int64)])
+        last = [] if self.bends is None else [self.bends.places]
+        last += [np.array([self.clock])] if self.clock >= 0 else []
+        return np.concatenate([self.terms, self.factors, self.displacements.places, *last])
 
     def modelled(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the ratios (K, C) that unknowns lead to, and their derivatives (K, C, L) by those at `places`."""
         u_clock = self.record.u_clock if self.clock >= 0 else 0.0
         s = self.record.s * (1.0 + u_clock * vector[self.clock])
-        response = respond(self.displacements.moved(self.mechanics, vector), self.weights(vector), s)
+        beside = None if self.bends is None else self.bends.at(vector)
+        response = respond(self.displacements.moved(self.mechanics, vector), self.weights(vector), s, beside)
         factor = np.exp(self.relative @ vector[self.factors])
         value = response.value * factor
         moved = self.displacements.derivatives(response) * factor[:, :, None]
         columns = [response.by_term * factor[:, :, None], value[:, :, None] * self.relative, moved]
+        if self.bends is not None:
+            columns.append(self.bends.derivatives(response, s) * factor[:, :, None])
         if self.clock >= 0:
             columns.append((u_clock * response.by_log_s * factor)[:, :, None])
         return value, np.concatenate(columns, axis=2)
@@ -190,6 +239,7 @@ def build(
     for record in records:
         causes = [error.name for error in record.errors] + [error.name for error in record.inertia_errors]
         causes += [error.name for error in acting(record, structure.body)]
+        causes += () if record.bending is None else record.bending.names
         for name in [*causes, record.clock] if record.u_clock > 0.0 else causes:
             names.setdefault(f"error: {name}", len(names))
     curves = tuple(
@@ -282,13 +332,15 @@ def _curve(
     relative = [*free.values(), *(error.relative for error in record.errors)]
     inertia = [names[f"error: {error.name}"] for error in record.inertia_errors]
     factors = [*(names[name] for name in free), *(names[f"error: {error.name}"] for error in record.errors)]
+    bending, constant = bends(record, structure.body, names)
     return Curve(
         record=record,
-        mechanics=structure.mechanics(record),
+        mechanics=structure.mechanics(replace(record, mass_matrix=record.mass_matrix + constant)),
         terms=np.concatenate([parameters, np.array(inertia, dtype=np.int64)]),
         factors=np.array(factors, dtype=np.int64),
         relative=np.stack(relative, axis=2) if relative else np.zeros((*record.ratio.value.shape, 0), np.complex128),
         displacements=displacements(record, structure.body, names),
+        bends=bending,
         clock=names[f"error: {record.clock}"] if record.u_clock > 0.0 else -1,
         whitening=whitening_of(record.ratio.covariance, f"records: covariance of {record.name}"),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice, permutations
 from typing import Protocol
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from shaker.arrays import FloatArray
 from shaker.identification.measured import MeasuredTransfer
-from shaker.labels import MOTION_COMPONENTS
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, mechanical_units
 from shaker.mechanics import Mechanics, chain_terms, check_stages
 
 
@@ -44,17 +44,18 @@ class Structure(Protocol):
 
 def _spring_and_damper(component: int, ending: str, words: str) -> tuple[Parameter, Parameter]:
     """Return stiffness and damping along or about a component."""
-    force, per = ("N", "m") if component < 3 else ("N·m", "rad")
-    stiffness = Parameter(f"stiffness_{ending}", f"stiffness k, {words}", f"{force}/{per}")
-    return stiffness, Parameter(f"damping_{ending}", f"damping b, {words}", f"{force}·s/{per}")
+    units = mechanical_units(LOAD_COMPONENTS[component])
+    stiffness = Parameter(f"stiffness_{ending}", f"stiffness k, {words}", units.stiffness)
+    return stiffness, Parameter(f"damping_{ending}", f"damping b, {words}", units.damping)
 
 
 def _internal(component: int) -> Parameter:
     """Return what moves with the load inside the sensor: a mass, or a moment of inertia about an axis."""
+    unit = mechanical_units(LOAD_COMPONENTS[component]).inertia
     if component < 3:
-        return Parameter("internal_mass", "internal mass m_i", "kg")
+        return Parameter("internal_mass", "internal mass m_i", unit)
     axis = MOTION_COMPONENTS[component]
-    return Parameter(f"internal_inertia_{axis}", f"internal moment of inertia, {axis}", "kg·m²")
+    return Parameter(f"internal_inertia_{axis}", f"internal moment of inertia, {axis}", unit)
 
 
 def _seen(record: MeasuredTransfer, body: FloatArray, matrices: FloatArray, forcing: FloatArray) -> Mechanics:
@@ -175,9 +176,9 @@ class ChainStructure:
             pairs.append(_spring_and_damper(self.component, ending, words))
             own = _internal(self.component)
             if name != SENSOR and self.component < 3:
-                own = Parameter(f"mass_{name}", f"mass, {name}", "kg")
+                own = replace(own, name=f"mass_{name}", label=f"mass, {name}")
             elif name != SENSOR:
-                own = Parameter(f"inertia_{ending}", f"moment of inertia, {words}", "kg·m²")
+                own = replace(own, name=f"inertia_{ending}", label=f"moment of inertia, {words}")
             masses += [own] if stage.own_mass else []
         springs, dampers = zip(*pairs, strict=True)
         return (*springs, *dampers, *masses)

@@ -8,6 +8,7 @@ import numpy as np
 
 from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 from shaker.fitting import Block, Rules, Separable, levenberg_marquardt
+from shaker.labels import mechanical_units, typeset
 from shaker.release.record import Reading, StepRecord
 
 # The output that is read, and the masses of a series of loads as named unknowns.
@@ -25,8 +26,8 @@ class Output:
 
     @property
     def mass_unit(self) -> str:
-        """Unit of what stands for a mass."""
-        return "kg·m²" if self.component.startswith("M") else "kg"
+        """Printed unit of what stands for a mass."""
+        return typeset(mechanical_units(self.component).inertia)
 
 
 @dataclass(frozen=True, repr=False)

@@ -10,6 +10,7 @@ import numpy as np
 
 from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, Notice, Severity, check_shape
 from shaker.fitting import Residuals, levenberg_marquardt
+from shaker.labels import mechanical_units, typeset
 from shaker.release.load_model import LoadModel, upper_poles
 from shaker.release.load_modes import SEARCH, FreeDecay, Output, Resonances, SeriesMasses, coloured, projected
 
@@ -552,7 +553,7 @@ def _remarks(
 ) -> Iterator[tuple[Severity, str]]:
     """What the user should know: solutions that cannot be told apart, scatter about the model, masses contradicted."""
     if len(models) > 1:
-        unit = "N·m/rad" if output.component.startswith("M") else "N/m"
+        unit = typeset(mechanical_units(output.component).stiffness)
         pairs = " or ".join(f"k = {m.stiffness:.4g}, k_L = {m.coupling_stiffness:.4g} {unit}" for m in models)
         bare = " or ".join(f"{abs(m.poles(0.0)[0]) / (2.0 * np.pi):.5g} Hz" for m in models)
         yield (

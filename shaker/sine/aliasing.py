@@ -15,12 +15,16 @@ GRID_TOLERANCE = 1e-2  # of a sampling interval: times this close to a grid are 
 
 @dataclass(frozen=True)
 class Fold:
-    """A harmonic that a sampling rate folds onto another line: `frequency_hz` = `multiple`·`fundamental_hz`."""
+    """A harmonic that a sampling rate folds onto another line `line_hz`: `frequency_hz` = `multiple`·`fundamental_hz`.
+
+    `alias_hz`: where it appears.
+    """
 
     frequency_hz: float
     fundamental_hz: float
     multiple: int
     alias_hz: float
+    line_hz: float
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,7 @@ def folded_harmonics(
             same_line = abs(other - frequency_hz) <= resolution_hz
             known = any(abs(other - f) <= resolution_hz for f in found)
             if abs(other_alias - alias) <= resolution_hz and not same_line and not known:
-                found[other] = Fold(other, float(fundamental), multiple, other_alias)
+                found[other] = Fold(other, float(fundamental), multiple, other_alias, frequency_hz)
     return tuple(sorted(found.values(), key=lambda fold: fold.frequency_hz))
 
 

@@ -4,17 +4,29 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from identify_factory import DAMPING, QUICK, SMALL, STIFFNESS, write_campaign, write_sines
+from identify_factory import (
+    DAMPING,
+    LAG_S,
+    QUICK,
+    SENSITIVITY,
+    SINES_HZ,
+    SMALL,
+    STIFFNESS,
+    write_campaign,
+    write_sines,
+)
 from numpy.typing import NDArray
-from support import edit, rows
+from support import edit, rows, without_pages
 
+from fusion.base import Settings
+from fusion.campaign.run import run_path
 from fusion.cli import main
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.recording.manifest import ChannelEntry
@@ -41,7 +53,7 @@ from fusion.simulate.chirp import (
     write_chirp_files,
 )
 from fusion.simulate.preset import PartSpec, read_preset
-from fusion.simulate.world import Draws
+from fusion.simulate.world import Draws, true_part
 from fusion.simulate.write import to_toml
 from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, Placement, PlacementError, RelativeError
 from shaker.mechanics import MassChain
@@ -134,11 +146,101 @@ def test_an_internal_mass_below_zero_leaves_a_model_without_one(prepared):
     assert (found.model.sensitivity, found.model.unit) == (1.0, "1/N")
 
 
-def test_what_is_stated_and_not_used_is_said(spoiled):
-    edit(spoiled / RIG, "[load]", "[load]\nelastic_frequency = 3000.0")
-    (manifest,) = read_campaign(spoiled / "chirp-9kg").transfers
-    _, notices = prepare(manifest, "chirp", None)
-    assert [notice.where for notice in notices if "its joint is stated" in notice.text] == ["chirp"]
+ROD_HZ, HEIGHT_M, JOINT_HZ, CABLE_NPM = 8400.0, 0.1, 9000.0, 4e5
+
+
+@dataclass(frozen=True)
+class BentStand(Suspension):
+    """A load that is a uniform rod, on a joint above the sensor's own mass, tied to the room at its foot.
+
+    By the wave equation of the rod and Newton's law at the joint, not by modes: foot force m·a·tan(kL)/(kL), motion at
+    a height h cos(k(L - h))/cos(kL) times that of the foot.
+    """
+
+    joint_hz: float = np.inf
+    cable_npm: float = 0.0
+
+    def moved(self, load, internal, frequency_hz):
+        """Motion of what the spring moves over that of the base, of the rod's foot over that, and k·L."""
+        omega = 2.0 * np.pi * np.maximum(frequency_hz, 1.0)
+        angle = 0.5 * np.pi * omega / (2.0 * np.pi * ROD_HZ)
+        pulls = load.mass_kg * np.tan(angle) / angle - self.cable_npm / omega**2
+        follow = 1.0 - (omega / (2.0 * np.pi * self.joint_hz)) ** 2  # of what is below over the rod's foot
+        spring = self.stiffness[0] + 1j * omega * self.damping[0]
+        return spring / (spring - omega**2 * (internal.mass_kg + pulls / follow)), 1.0 / follow, angle
+
+    def transfer(self, load, internal, point, frequency_hz):
+        below, foot, angle = self.moved(load, internal, frequency_hz)
+        return below * foot * np.cos(angle * (1.0 - point[2] / HEIGHT_M)) / np.cos(angle)
+
+
+def _state_bent(rig: Path, keys: str, mass_kg: float) -> None:
+    """State keys of the load and the block of that rod, its modulus known to 0.02 %.
+
+    Without lateral contraction sound runs at 4·L·f.
+    """
+    density = mass_kg / (np.pi / 4.0 * 0.05**2 * HEIGHT_M)
+    modulus = density * (4.0 * HEIGHT_M * ROD_HZ) ** 2
+    size = {"length": HEIGHT_M, "diameter": 0.05, "density": density, "poisson_ratio": 0.0}
+    stiff = {"young_modulus": modulus, "young_modulus_uncertainty": 2e-4 * modulus}
+    rod = to_toml({"load": {"elastic": [{"name": "rod", "shape": "rod", **size, **stiff}]}}).replace("[load]\n", "")
+    text = rig.read_text(encoding="utf-8").replace("[load]", f"[load]\n{keys}", 1)
+    rig.write_text(f"{text}\n{rod}", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("stated", "true"),
+    [
+        ("", {}),
+        (f"elastic_frequency = {JOINT_HZ}\nelastic_frequency_uncertainty = 20.0", {"joint_hz": JOINT_HZ}),
+        (f"cable_stiffness = [0.0, 0.0, {CABLE_NPM}]\ncable_stiffness_uncertainty = 1e3", {"cable_npm": CABLE_NPM}),
+    ],
+)
+def test_a_load_that_is_not_rigid_is_in_the_model(tmp_path, stated, true):
+    tops = {"top_1": (0.03, 0.0, 0.1), "top_2": (-0.03, 0.0, 0.06)}
+    stand = BentStand(**(vars(SMALL) | {"tops": tops}), **true)
+    folder = write_campaign(tmp_path / "campaign", stand)
+    fits = {}
+    for kind in ("bent",) if stated else ("rigid", "bent"):
+        for name, load in stand.loads.items() if kind == "bent" else ():
+            _state_bent(folder / rig_file(name), stated, load.mass)
+        items = [prepare(manifest, manifest.name, None) for manifest in read_campaign(folder).transfers]
+        fits[kind] = _fit([item for item, _ in items]).identification
+        told = [notice for _, notices in items for notice in notices if "take it as rigid" in notice.text]
+        assert len(told) == (2 if kind == "bent" else 0)
+    internal = true_part(SMALL.internal, Draws(1, True)).mass_kg
+    for name, value in (("stiffness_z", STIFFNESS), ("damping_z", DAMPING), ("internal_mass", internal)):
+        assert abs(fits["bent"].value(name) - value) < 3.5 * fits["bent"].u(name), name
+    assert fits["bent"].chi_squared / fits["bent"].dof == pytest.approx(1.0, abs=0.1)
+    if "rigid" in fits:
+        assert abs(fits["rigid"].value("stiffness_z") / STIFFNESS - 1.0) > 1e-3
+
+
+def test_sines_of_a_load_that_is_not_rigid_say_the_same(tmp_path, monkeypatch):
+    stand = BentStand(**(vars(SMALL) | {"tops": {"top": (0.0, 0.0, 0.1)}}), joint_hz=JOINT_HZ)
+    folder = write_campaign(tmp_path / "campaign", stand)
+    write_sines(folder, stand=stand, below=lambda load, internal, _, hertz: stand.moved(load, internal, hertz)[0])
+    keys = f"elastic_frequency = {JOINT_HZ}\nelastic_frequency_uncertainty = 20.0"
+    for name, load in stand.loads.items():
+        _state_bent(folder / rig_file(name), keys, load.mass)
+    without_pages(monkeypatch)
+    outcomes = run_path(folder, None, Settings())
+    assert {outcome.error for outcome in outcomes} == {None}
+    (found,) = evaluate_identification(read_campaign(folder), IdentifySettings()).components
+    steps = found.fit.prepared[-1].measured
+    assert (len(steps.ratio.frequency_hz), len(steps.bending.names)) == (len(SINES_HZ), len(steps.bending.inertia) - 1)
+    alone = _fit(found.fit.prepared[-1:], internal_mass="stated").identification
+    assert abs(alone.value("stiffness_z") - STIFFNESS) < 3.5 * alone.u("stiffness_z")
+    truth = {"stiffness_z": STIFFNESS, "internal_mass": true_part(SMALL.internal, Draws(1, True)).mass_kg}
+    for name, value in truth.items():
+        assert abs(found.fit.identification.value(name) - value) < 3.5 * found.fit.identification.u(name), name
+    best = found.sensitivity.comparison.best
+    assert best.chain.kind == "lag"
+    assert abs(best.chain.lag_s - LAG_S) < 3.5 * best.u("lag_s")
+    seen = found.sensitivity.measured
+    s = 2j * np.pi * seen.frequency_hz
+    true = SENSITIVITY / (1.0 + s * DAMPING / STIFFNESS) / (1.0 + s * LAG_S)
+    np.testing.assert_allclose(seen.value, true, rtol=5e-4)
 
 
 def test_two_axes_have_a_result_each(prepared):

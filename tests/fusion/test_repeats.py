@@ -246,6 +246,25 @@ def test_linearity_finds_the_slope_and_forgets_the_scale():
     assert find_linearity(drives[:1]) == ()
 
 
+def test_cross_talk_of_loads_that_grow_with_the_drive_is_no_lack_of_linearity():
+    """Fx is a·2 % of Fz at the amplitude a; with a stated cross-talk of 0.1 the ratio changes, the element does not."""
+    matrix = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    matrix[0, [2, 0]], matrix[1, [0, 2]] = (2.0, 0.1), (3.0, 0.2)
+    stated = StatedMatrix(("Fz", "Fx"), np.full(6, 2000.0), matrix, 0.0, None, 1e-4)
+    drives = []
+    for a in (0.5, 1.0, 1.5, 2.0):
+        load = a * np.array([20.0 * a, 0.0, 1000.0, 0.0, 0.0, 0.0])
+        spread = uncertainty(np.full(6, 1e-3)), uncertainty(np.full(2, 1e-3))
+        drives.append(plain_drive(load, matrix @ load, *spread, recording=f"{a}", channels=("Fz", "Fx")))
+    (ratio,), (element,) = find_linearity(drives), find_linearity(drives, None, stated)
+    assert (ratio.kind, element.kind, element.channels) == ("ratio", "element", ("Fz", "Fx"))
+    # S = 2 + 0.1·0.02·a for Fz, 0.2 + 3·0.02·a for Fx: from 0.5 to 2 over the mean at 1.25.
+    np.testing.assert_allclose(ratio.change, [0.003 / 2.0025, 0.09 / 0.275], rtol=1e-6)
+    assert not ratio.linear.any()
+    np.testing.assert_allclose(element.change, 0.0, atol=1e-9)
+    assert element.linear.all()
+
+
 def test_scatter_of_a_series_enlarges_the_uncertainty_of_its_slope():
     rng, inside = np.random.default_rng(8), []
     for _ in range(80):

@@ -15,9 +15,9 @@ from fusion.recording.load import load_manifest
 from fusion.sensor.step.records import read_step
 from fusion.simulate import simulate
 from fusion.simulate.chirp import Chirp, Suspension, mass_matrix, sine_run, write_chirps, write_masses, write_pitching
-from fusion.simulate.preset import read_preset
+from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.releases import DAQ_FILE, StepRig, releases, write_steps
-from fusion.simulate.sines import ROCKING_HZ, runs, wrench_direction
+from fusion.simulate.sines import ROCKING_HZ, recorded_phasors, rig_tables, runs, wrench_direction
 from fusion.simulate.world import Draws, TruePart, face_points, make_world, point_series, true_part
 from photogram.geometry import rotation_from_vector
 from photogram.point_tables import read_point_tables
@@ -67,6 +67,35 @@ def test_errors_last_as_long_as_what_they_belong_to(sweep: tuple[Path, ...]) -> 
     for name in ("velocity_3.point", "velocity_3.direction", "load.centre_of_mass", "acceleration_x.transverse"):
         assert drawn[0][name] == drawn[1][name] != drawn[2][name] == drawn[3][name]
     assert len({(folder / "vibrometer.h5").read_bytes() for folder in sweep}) == 4
+
+
+def test_beams_of_a_head_shift_and_turn_as_one() -> None:
+    """A body that moves along x and turns about z, seen along z: d·(v + ω × r) of beams turned about y by φ is v·φ."""
+    (head,) = (preset := read_preset(Preset, "sweep")).heads
+    lasers = [spec for spec in preset.daqs[0].channels if spec.quantity == "velocity"]
+    assert {spec.head for spec in lasers} == {head.name}
+    sideways = ((60.0, 0.0, 0.0, 0.0, 0.0, 0.0),)
+    rocking = ((0.0, 0.0, 0.0, 60.0, 0.0, 0.0),)
+    for motion, effect in ((sideways, "direction"), (rocking, "point")):
+        own = replace(preset, fundamental_hz=100.0, multiples=(1,), acceleration=motion)
+        draws = Draws(4, True, mounting="1")
+        world = make_world(own, draws, 0.0)
+        read = np.array([recorded_phasors(world, own.daqs[0], spec, draws)[0] for spec in lasers])
+        # What is left of the true motion in m/s, per unit of it: d_x of every beam, and its y, which it sees as ω × r.
+        moved = (read * lasers[0].scale / (60.0 / (2j * np.pi * 100.0))).real
+        drawn = draws.values[f"head {head.name}.{effect}"]
+        expected = drawn[1] + np.array([draws.values[f"{spec.name}.{effect}"][1] for spec in lasers])
+        if effect == "point":
+            tilts = np.array([draws.values[f"{spec.name}.direction"][0] for spec in lasers])
+            tilts = tilts + draws.values[f"head {head.name}.direction"][0]
+            expected = expected + np.array(
+                [spec.point[1] + spec.point[2] * t for spec, t in zip(lasers, tilts, strict=True)]
+            )
+        np.testing.assert_allclose(moved, expected, rtol=2e-3, atol=2e-5)
+    tables = rig_tables(world)
+    assert tables["head"] == {"scanner": {"rotation_uncertainty": 3e-3, "point_uncertainty": 5e-4}}
+    turned = [Draws(4, True, mounting=m).normal("head scanner.direction", 3e-3, 3).tolist() for m in "12"]
+    assert turned[0] == draws.values["head scanner.direction"] != turned[1]
 
 
 def test_recordings_of_one_frequency_are_repeats(sweep: tuple[Path, ...]) -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from fusion.base import Rounded, prefix, rounded, typeset
+from fusion.base import Rounded, prefix, rounded
 from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import (
     UNIFORM_PHASE_U,
@@ -29,6 +29,7 @@ from fusion.estimation.uncertainty import (
 )
 from fusion.report.h5 import read_uncertainty, write_uncertainty
 from fusion.sensitivity.load import budget
+from shaker.labels import typeset
 
 COVARIANCE = np.array([[4e-4, 1.5e-4], [1.5e-4, 2.5e-4]])
 finite = st.floats(-1e3, 1e3)
@@ -111,6 +112,7 @@ def test_prefix_and_units():
     assert prefix(np.array([0.0])) == (1e-9, "n")
     assert typeset("rad/s^2") == "rad/s²"
     assert typeset("(V/V)/(N.m)") == "(V/V)/(N·m)"
+    assert [typeset(unit) for unit in ("N.m.s/rad", "kg.m^2", "0.1 V")] == ["N·m·s/rad", "kg·m²", "0.1 V"]
 
 
 @pytest.mark.parametrize(

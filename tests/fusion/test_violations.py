@@ -16,8 +16,10 @@ import tifffile
 from contracts import refused as raises
 from support import DOCS, Refused, state, truth_of
 
-from fusion.phasors.channels import ChannelResult, folding
+from fusion.instruments.channel import ChainUncertainty, Reading
+from fusion.phasors.channels import ChannelResult, folding, folding_told, folds_told
 from fusion.phasors.setup import distortions
+from fusion.recording.manifest import ChannelEntry
 from fusion.simulate import simulate
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.sines import recorded_phasors, runs
@@ -319,7 +321,30 @@ def test_harmonics_of_the_motion_are_no_distortion_of_the_outputs() -> None:
 def test_a_rate_folds_the_harmonics_next_to_its_own_multiple() -> None:
     """At eight samples a period the seventh and the ninth harmonic look like the fundamental."""
     named = [f"harmonic {m} of 1000 Hz folds onto 1000 Hz" for m in (7, 9, 15, 17)]
-    assert folding([1000.0], 8000.0, 8000) == named
-    assert folding([1000.3], 8000.0, 8000) == []
-    near = [text.replace("1000 Hz", "1000.3 Hz") for text in named[:2]]
-    assert folding([1000.3], 8000.0, 2400) == near  # 2.4 Hz apart, the next 4.8 Hz, bins of 3.3 Hz
+    assert folds_told(folding([1000.0], 8000.0, 8000, 20)) == ", ".join(named)
+    assert folding([1000.0], 8000.0, 8000) == []  # none of the first five
+    assert [fold.multiple for fold in folding([1600.0], 8000.0, 8000)] == [4]
+    assert folding([1000.3], 8000.0, 8000, 20) == []
+    near = ", ".join(text.replace("1000 Hz", "1000.3 Hz") for text in named[:2])
+    assert folds_told(folding([1000.3], 8000.0, 2400, 20)) == near  # 2.4 Hz apart, the next 4.8 Hz, bins of 3.3 Hz
+
+
+def test_high_harmonics_that_fold_are_told_where_those_seen_promise_them() -> None:
+    """Ten samples a period: a third harmonic of 5 % promises 5 %·(3/9)² = 0.56 % at the ninth, against u/3."""
+    lines = Lines(np.array([50.0]), np.zeros(1), np.array([50.0]), np.ones(1, dtype=np.int64), ("",), ())
+
+    def told(third: float, u_scale: float, response: Path | None = None) -> tuple[list[str], list[str]]:
+        channel = replace(_waves("Fz", "output", (0.0, third), 2e-6 + 0.0j), sample_rate_hz=500.0)
+        entry = ChannelEntry(name="Fz", quantity="output", channel="Fz", scale_uncertainty=u_scale)
+        entry = entry.model_copy(update={"response": response})
+        notices, rest = folding_told([channel], [Reading(entry, channel.phasors, ChainUncertainty())], lines)
+        return [notice.text for notice in notices], rest
+
+    (notice,), _ = told(0.05, 1e-3)
+    assert "harmonic 9 of 50 Hz folds onto 50 Hz" in notice  # 0.56 % against 0.033 %, at the 19th still 0.125 %
+    assert "harmonic 19 of 50 Hz" in notice
+    assert told(0.05, 1e-2)[0][0].count("harmonic ") == 2  # 9 and 11, against 0.33 %
+    assert told(0.05, 0.1)[0] == []
+    (rest,) = told(0.0, 1e-3)[1]
+    assert rest.count("folds onto") == 3
+    assert told(0.05, 1e-3, Path("response.csv")) == ([], [])

@@ -191,7 +191,7 @@ def test_stages_without_a_mass_of_their_own_and_the_names_of_all():
     assert names == ["stiffness_z", "stiffness_z_joint", "damping_z", "damping_z_joint", "internal_mass"]
     turning = ChainStructure(4)
     assert [p.name for p in turning.parameters][-2:] == ["inertia_ry_adapter", "internal_inertia_ry"]
-    assert {p.unit for p in turning.parameters} == {"N·m/rad", "N·m·s/rad", "kg·m²"}
+    assert {p.unit for p in turning.parameters} == {"N.m/rad", "N.m.s/rad", "kg.m^2"}
 
 
 def test_dampers_act_between_neighbours_and_a_hand_lowers_the_resonance_of_an_oscillator():

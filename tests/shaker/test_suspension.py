@@ -24,7 +24,8 @@ from identification_factory import pitching as shifted
 from scipy.spatial.transform import Rotation
 
 from shaker.identification.fit import Identification, identify
-from shaker.identification.measured import InertiaError, Placement
+from shaker.identification.measured import Bending, InertiaError, Placement
+from shaker.identification.problem import build
 from shaker.identification.structures import Suspension
 from shaker.mechanics import respond
 
@@ -145,7 +146,7 @@ def test_rotation_is_inertia_against_a_torsion_spring():
         recordings.append(recording(f"{inertia}", frequency, value, matrix, turning, noise=1e-2, rng=rng, **seen))
     found = identify(recordings, Suspension((5,)))
     assert found.names == ("stiffness_rz", "damping_rz", "internal_inertia_rz")
-    assert [estimate.unit for estimate in found.estimates] == ["N·m/rad", "N·m·s/rad", "kg·m²"]
+    assert [estimate.unit for estimate in found.estimates] == ["N.m/rad", "N.m.s/rad", "kg.m^2"]
     assert_holds(found, [k, b, internal])
 
 
@@ -204,3 +205,35 @@ def test_damping_may_differ_from_load_to_load():
 def test_components_that_do_not_exist_are_refused():
     for components in ((), (6,), (0, 0)):
         refused("components: expected", Suspension, components)
+
+
+def test_what_bends_and_its_unknowns_have_the_derivatives_they_say():
+    rng = np.random.default_rng(6)
+    record = pitching((4.236, 0.035, 0.012), frequency_hz=np.arange(900.0, 1500.0, 100.0))
+    lines, responses = record.ratio.value.shape
+
+    def some(*shape: int) -> ComplexArray:
+        return np.asarray(rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+
+    bending = Bending(("modulus", "length"), 1e-2 * some(3, lines, 6, 6), 1e-2 * some(3, lines, responses, 6))
+    problem = build([replace(record, bending=bending)], PITCHING, {}, (), (), ())
+    (curve,) = problem.curves
+    start = np.array([K_X, K_RY, B_X, B_RY, M_I, J_I, *rng.standard_normal(len(problem.names) - 6)])
+    value, slopes = curve.modelled(start)
+    assert problem.names[-2:] == ("error: modulus", "error: length")
+    for column, place in enumerate(curve.places.tolist()):
+        step = np.eye(len(start))[place] * 1e-5 * max(abs(start[place]), 1.0)
+        ahead, behind = (curve.modelled(start + sign * step)[0] for sign in (1.0, -1.0))
+        slope = (ahead - behind) / (2.0 * step[place])
+        np.testing.assert_allclose(slopes[:, :, column], slope, rtol=1e-4, atol=1e-6 * np.abs(slope).max())
+    # By its definition: the load's wrench and readings with what is not rigid, solved line by line.
+    weights, size = np.array([1.0, *start[-2:]]), np.eye(6)[:, [0, 4]]
+    inside = np.diag([M_I, M_I, M_I, 0.0, J_I, 0.0])
+    for k, s in enumerate(record.s):
+        more, read = (np.tensordot(weights, part[:, k], 1) for part in (bending.inertia, bending.stretch))
+        mass = record.mass_matrix + start[6] * record.inertia_errors[0].change + inside + more
+        stiff = np.diag([K_X + s * B_X, K_RY + s * B_RY])
+        moved = np.linalg.solve(s**2 * size.T @ mass @ size + stiff, -(s**2) * size.T @ mass @ record.drive)
+        whole = record.drive + size @ moved
+        rows = np.stack([top.row for top in record.tops]) + read
+        np.testing.assert_allclose(value[k], rows @ whole / (record.base.row @ record.drive), rtol=1e-9)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import MultipleLocator
 
-from fusion.base import MILLI, PERCENT, prefix, typeset
+from fusion.base import MILLI, PERCENT, prefix
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -25,6 +25,7 @@ from fusion.sensor.compensate.evaluate import CompensateEvaluation
 from fusion.sensor.compensate.source import CompensatedChannel, CompensatedRecording, LoadFilter, SubjectResult
 from shaker.arrays import FloatArray
 from shaker.compensation.effects import gain_band
+from shaker.labels import typeset
 
 DASHED = (0, (4, 2))
 POINTS = 900

@@ -30,7 +30,7 @@ from shaker.compensation.filter import (
     modal_dynamics,
     single_mode,
 )
-from shaker.labels import load_unit
+from shaker.labels import load_unit, mechanical_units, typeset
 from shaker.lti.indices import Indices
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
@@ -142,7 +142,9 @@ class Subject:
 
     def load_text(self, load: float) -> str:
         """Return a load in g, of a moment in kg·m²."""
-        return f"{1e3 * load:.4g} g" if self.load_unit == "N" else f"{load:.4g} kg·m²"
+        if self.load_unit == "N":
+            return f"{1e3 * load:.4g} g"
+        return f"{load:.4g} {typeset(mechanical_units(self.component).inertia)}"
 
     def dynamics(self, load_mass: float | None, modes: int, real_poles: bool) -> SensorDynamics:
         """Return what a filter takes out of the sensor with a load."""

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, K2, typeset
+from fusion.base import DASH, K2
 from fusion.campaign.executor import one_blas_thread
 from fusion.recording.load import load_for_command
 from fusion.report.folder import Command, subject_of
@@ -56,7 +56,7 @@ from shaker.arrays import FloatArray
 from shaker.decoupling.filter import stage_readers, step_readings, step_times
 from shaker.decoupling.fit import ReleaseFit
 from shaker.decoupling.problem import Trial
-from shaker.labels import load_unit
+from shaker.labels import load_unit, typeset
 
 STAGE_COLOURS = {"raw": GREY, "static": ORANGE, "filtered": BLUE}
 COLUMNS = 2

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from fusion.base import ARGUMENT, CommandEvaluation
 from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
-from fusion.campaign.repeats import Drive, drive_ratio, over_lines
+from fusion.campaign.repeats import Drive, drive_values, over_lines
+from fusion.recording.load import Manifest
 from fusion.recording.rig import Sensor
 from fusion.report.table import sensitivity_unit
 from fusion.sensitivity.ratio import driven_component
@@ -24,7 +26,15 @@ from fusion.sensor.identify.fit import (
     relative_errors,
     sine_transfers,
 )
-from fusion.sensor.identify.measured import Campaign, EvaluatedSines, IdentifySettings, Prepared, load_along, prepare
+from fusion.sensor.identify.measured import (
+    BentLoad,
+    Campaign,
+    EvaluatedSines,
+    IdentifySettings,
+    Prepared,
+    load_along,
+    prepare,
+)
 from shaker.arrays import Notice
 from shaker.identification.measured import MeasuredCurve, MeasuredSensitivity, ParameterEstimate, RelativeError
 from shaker.identification.oscillator import PeakReading, peak_readings
@@ -37,15 +47,18 @@ from shaker.mechanics import required_stiffness
 
 INTERNAL_MASS = "internal mass: mass"
 """Label under which a load names the uncertainty of the mass inside the sensor."""
+OtherMass = Callable[[float], tuple[complex, complex]]
+"""Factor of a sensitivity at a frequency in Hz where another mass moves inside the sensor than was stated, and its
+relative change for one standard uncertainty of that mass."""
 
 
 def sensitivities(
-    recordings: Sequence[Recorded], changes: Mapping[int, Mapping[str, tuple[float, float]]]
+    recordings: Sequence[Recorded], changes: Mapping[int, Mapping[str, OtherMass]]
 ) -> tuple[MeasuredSensitivity, ...]:
     """Return the sensitivity of the output of every driven component over frequency, all recordings together.
 
-    `changes`: of the load components whose internal mass was found, with which the loads are taken anew, by recording
-    the factor of a sensitivity and its relative change for one standard uncertainty of that mass.
+    Of the sensor's own element where its matrix is stated, as campaigns give it, else of the ratio. `changes`: of the
+    load components whose internal mass was found what it makes of a sensitivity, by recording.
     """
     sensor = next((recorded.sensor for recorded in recordings if recorded.sensor is not None), None)
     if sensor is None:
@@ -59,7 +72,7 @@ def sensitivities(
 
 
 def _sensitivity(
-    sensor: SensorFacts, component: int, drives: Sequence[Drive], changes: Mapping[str, tuple[float, float]] | None
+    sensor: SensorFacts, component: int, drives: Sequence[Drive], changes: Mapping[str, OtherMass] | None
 ) -> MeasuredSensitivity | None:
     """Return output over load of one component at every driven line, ascending in frequency."""
     channel = main_output(sensor, component, drives)
@@ -67,11 +80,11 @@ def _sensitivity(
     if not usable:
         return None
     usable = sorted(usable, key=lambda drive: drive.frequency_hz)
-    parts = [drive_ratio(drive, component, [channel]) for drive in usable]
+    parts = [part for drive in usable for part in drive_values([drive], component, sensor.stated, [channel])[1]]
     value, whole = np.array([ratio[0] for ratio, _ in parts]), over_lines([part for _, part in parts])
     errors: tuple[RelativeError, ...] = ()
     if changes is not None:
-        factor, own = np.array([changes[drive.recording] for drive in usable], dtype=np.complex128).T
+        factor, own = np.array([changes[drive.recording](drive.frequency_hz) for drive in usable]).T
         kept = tuple(influence for influence in whole.influences if influence.label != INTERNAL_MASS)
         value, whole = value * factor, replace(whole, influences=kept).scaled(factor[:, None])
         errors = (RelativeError(INTERNAL_MASS, own[:, None]),)
@@ -275,21 +288,27 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
     )
 
 
-def _by_found_mass(
-    fit: JointFit, sines: Sequence[EvaluatedSines], names: Mapping[Path, str]
-) -> dict[str, tuple[float, float]]:
+def _by_found_mass(fit: JointFit, sines: Sequence[EvaluatedSines], names: Mapping[Path, str]) -> dict[str, OtherMass]:
     """Return by recording what the internal mass found, in place of the one stated, makes of a sensitivity.
 
     Its factor, (m + m_i stated)/(m + m_i found) with the mass m of what is mounted on the sensor, and its relative
-    change for one standard uncertainty of the internal mass, -u(m_i)/(m + m_i found).
+    change for one standard uncertainty of the internal mass, -u(m_i)/(m + m_i found). On a joint m is over the motion
+    below it; of what bends it is the mass that its foot feels.
     """
-    found, changes = fit.identification[mass_name(fit.component)], {}
-    for manifest in (sine.manifest for sine in sines):
-        if manifest.rig.sensor is not None and manifest.rig.load is not None:
-            load, (stated, _) = load_along(manifest, fit.component), manifest.rig.sensor.moving(fit.component)
-            whole = load + found.value
-            changes[names[manifest.path]] = (load + stated) / whole, -found.u / whole
-    return changes
+    found, place = fit.identification[mass_name(fit.component)], fit.component
+
+    def other(manifest: Manifest, stated: float, frequency_hz: float) -> tuple[complex, complex]:
+        load: complex = load_along(manifest, place)
+        if (bent := BentLoad.of(manifest, np.array([frequency_hz]))) is not None:
+            load = complex(bent.inertia[0, place, place] / bent.follow[0, place])
+        return (load + stated) / (load + found.value), -found.u / (load + found.value)
+
+    moving = {sine.manifest.path: sine.manifest for sine in sines if sine.manifest.rig.load is not None}
+    return {
+        names[path]: partial(other, manifest, manifest.rig.sensor.moving(place)[0])
+        for path, manifest in moving.items()
+        if manifest.rig.sensor is not None
+    }
 
 
 def _component(

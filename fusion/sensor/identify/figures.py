@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from fusion.base import K2, typeset
+from fusion.base import K2
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -35,6 +35,7 @@ from fusion.sensor.transfer.records import uncertainty
 from shaker.arrays import BoolArray, ComplexArray, FloatArray
 from shaker.frf.chain import common_covariance
 from shaker.identification.sensor import NO_CHAIN, Load
+from shaker.labels import typeset
 
 STYLES = ((GREEN, (0, (2, 2))), (PURPLE, (0, (6, 2))), (BLACK, "solid"))
 DASHED = (0, (4, 2))

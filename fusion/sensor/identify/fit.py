@@ -12,12 +12,14 @@ import numpy as np
 from fusion.base import ARGUMENT, ComputeError, InputError
 from fusion.campaign.repeats import between_recordings
 from fusion.estimation.uncertainty import Uncertainty
+from fusion.recording.load import Manifest
 from fusion.recording.rig import Sensor
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import read_uncertainty
 from fusion.report.table import sensitivity_unit
 from fusion.sensitivity.body import inertia_errors, rigid_load
 from fusion.sensor.identify.measured import (
+    BentLoad,
     EvaluatedSines,
     IdentifySettings,
     Prepared,
@@ -184,15 +186,22 @@ def sine_transfers(
     for item in items:
         measured = _transfer(item, names[item.manifest.path], band_hz)
         if measured is not None:
-            key = (measured.mass_matrix.tobytes(), measured.drive.tobytes(), item.manifest.mounting, measured.clock)
+            load = measured.mass_matrix.tobytes(), str(item.manifest.rig.load)
+            key = (*load, measured.drive.tobytes(), item.manifest.mounting, measured.clock)
             groups.setdefault(key, []).append(Prepared(item.manifest, measured))
-    joined = [Prepared(group[0].manifest, _joined(group)) for group in groups.values()]
+    joined = [Prepared(group[0].manifest, _bent(group[0].manifest, _joined(group))) for group in groups.values()]
     if len({item.measured.name for item in joined}) < len(joined):
         named = [f"{item.measured.name}, mounting {item.manifest.mounting}" for item in joined]
         joined = [
             replace(item, measured=replace(item.measured, name=name)) for item, name in zip(joined, named, strict=True)
         ]
     return tuple(joined)
+
+
+def _bent(manifest: Manifest, measured: MeasuredTransfer) -> MeasuredTransfer:
+    """Return a curve of the motion of a load's foot with what is not rigid of that load."""
+    bent = BentLoad.of(manifest, measured.ratio.frequency_hz)
+    return measured if bent is None else replace(measured, bending=bent.bending(measured.tops, manifest.mounting))
 
 
 def _joined(group: Sequence[Prepared]) -> MeasuredTransfer:

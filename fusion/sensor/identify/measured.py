@@ -16,12 +16,20 @@ from fusion.instruments.transducer import TRANSDUCERS, Beams, placed_at, unit_di
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.folder import RESULT_FILE, hash_files, read_provenance
-from fusion.sensitivity.body import inertia_errors, rigid_load
+from fusion.sensitivity.body import JOINT, Body, inertia_errors, joint_unknown, load_body, rigid_load
+from fusion.sensitivity.elastic import Modes, Place
 from fusion.sensor.transfer.evaluate import KINDS, evaluate_transfer
 from fusion.sensor.transfer.records import FoundResonance, ReferenceResult, TransferSettings
-from shaker.arrays import FloatArray, Notice
-from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, Placement, PlacementError, RelativeError
-from shaker.labels import LOAD_UNITS
+from shaker.arrays import ComplexArray, FloatArray, Notice
+from shaker.identification.measured import (
+    AT_THE_BASE,
+    Bending,
+    MeasuredTransfer,
+    Placement,
+    PlacementError,
+    RelativeError,
+)
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, mechanical_units, typeset
 from shaker.sine.phasor import Phasors
 
 # What a user may choose of an identification.
@@ -235,10 +243,11 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
     blocks = [daq for daq in manifest.daq if any(entry in daq.channel for entry in (base, *tops))]
     clock = blocks[0] if len(blocks) == 1 else manifest.daq[0]
     ratio, errors = _load_over_base(manifest, result, [entry.name for entry in tops], name, band_hz)
+    placed, bent = tuple(transducer_placement(entry) for entry in tops), BentLoad.of(manifest, ratio.frequency_hz)
     measured = MeasuredTransfer(
         name=name,
         ratio=ratio,
-        tops=tuple(transducer_placement(entry) for entry in tops),
+        tops=placed,
         base=transducer_placement(base),
         drive=drive,
         mass_matrix=body.mass_matrix,
@@ -249,6 +258,7 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
         clock=f"clock of {clock.name}",
         u_clock=clock.clock_uncertainty,
         placement_errors=placement_errors(base, tops, manifest.mounting),
+        bending=None if bent is None else bent.bending(placed, manifest.mounting, _on_load(manifest, tops)),
     )
     found = tuple(item for item in result.resonances if item.response in ratio.channels)
     alone = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
@@ -261,10 +271,88 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
     if others:
         text = f"of several references {base.name} is used, {', '.join(others)} left out"
         notices.append(Notice("info", text, name))
-    stated = "" if manifest.rig.load is None else manifest.rig.load.not_rigid
+    stated = "" if bent is None else bent.stated
     if stated:
-        notices.append(Notice("warning", f"the load is taken as rigid although {stated}", name))
+        text = f"{stated} of the load stated: in the model of its curves; readings of single curves take it as rigid"
+        notices.append(Notice("info", text, name))
     return Prepared(manifest, measured, found), tuple(notices)
+
+
+def _on_load(manifest: Manifest, tops: Sequence[ChannelEntry]) -> list[Place]:
+    """Return where channels sit on a load that bends; of a rigid one where they sit does not matter."""
+    if manifest.rig.load is None or not manifest.rig.load.elastic:
+        return []
+    for entry in tops:
+        if entry.point is None:
+            expected = f"where {entry.name} sits on the load, which is elastic (load.elastic of rig.toml)"
+            raise InputError(manifest.path, "daq.channel.point", found="nothing", expected=expected)
+    return [Place(entry.name, placed_at(entry)) for entry in tops]
+
+
+@dataclass(frozen=True)
+class BentLoad:
+    """Load and parts of a recording, not all rigid and free, at K lines, without what moves inside the sensor.
+
+    `inertia` (K, 6, 6): wrench that moves them, per acceleration of the foot of what bends, above the joint; `follow`
+    (K, 6): motion of what lies below the joint over that.
+    """
+
+    body: Body
+    frequency_hz: FloatArray
+    inertia: ComplexArray
+    follow: ComplexArray
+
+    @classmethod
+    def of(cls, manifest: Manifest, frequency_hz: FloatArray) -> BentLoad | None:
+        """Return None of a load of which modes, joint, first natural frequency and cables are not stated."""
+        body = load_body(manifest.rig.model_copy(update={"sensor": None}), manifest.part)
+        if body is None:
+            return None
+        follow = np.ones((len(frequency_hz), 6), np.complex128)
+        if body.joint is not None:
+            follow = body.joint.follow(frequency_hz)
+        bent = cls(body.weightless, frequency_hz, body.weightless.load_matrix(frequency_hz), follow)
+        return bent if bent.stated else None
+
+    @property
+    def stated(self) -> str:
+        """Words for what is stated."""
+        body = self.body
+        cables = np.any(body.cable_npm) or np.any(body.u_cable_npm)
+        first = body.first_frequency_hz is not None
+        known = {"modes": body.elastic, "joint": body.joint, "first natural frequency": first, "cables": cables}
+        return ", ".join(word for word, there in known.items() if there)
+
+    def bending(self, tops: Sequence[Placement], mounting: str, places: Sequence[Place] = ()) -> Bending:
+        """Return what responses read and what pulls, per motion of what lies below the joint.
+
+        `places`: theirs on what bends, none where they tell the motion of its foot.
+        """
+        body, frequency, rows = self.body, self.frequency_hz, np.stack([top.row for top in tops])
+        nothing = np.zeros((len(frequency), *rows.shape), np.complex128)
+
+        def stretched(modes: Modes) -> ComplexArray:
+            own = [row @ modes.stretch(frequency, place) for row, place in zip(rows, places, strict=False)]
+            return np.stack(own, axis=1) if own else nothing
+
+        seen = rows + sum((part.act(stretched) for part in body.elastic), nothing)
+        over = 1.0 / self.follow[:, None]
+        terms = {"": (self.inertia * over - body.mass_matrix, seen * over - rows)}
+        reads = {change.name: change.effect for part in body.elastic for change in part.changes(stretched)}
+        rigid = {change.name for change in Body(body.parts).matrix_changes(np.ones(1))}
+        for change in body.matrix_changes(frequency):
+            if change.name not in rigid and change.label != JOINT:
+                name = change.name if change.scope == "rig" else f"{change.name} [{mounting}]"
+                # As in the results of sines, one standard deviation is that of a number stated too high.
+                terms[name] = -change.effect * over, -reads.get(change.name, nothing) * over
+        if body.joint is not None:
+            parts = tuple(part for part in body.parts if not part.below_joint)
+            above = replace(body, parts=parts).load_matrix(frequency)
+            later = body.joint.change(frequency)[:, None] * over**2
+            for axis, natural, one in zip(MOTION_COMPONENTS, body.joint.frequency_hz, np.eye(6), strict=True):
+                terms[f"{joint_unknown(natural, axis)} [{mounting}]"] = above * later * one, seen * later * one
+        pulls, stretches = zip(*terms.values(), strict=True)
+        return Bending(tuple(terms)[1:], np.stack(pulls), np.stack(stretches))
 
 
 def drive_of(manifest: Manifest) -> FloatArray:
@@ -284,8 +372,8 @@ def load_along(manifest: Manifest, component: int) -> float:
 
 
 def mass_unit(component: int) -> str:
-    """Return the unit of what resists an acceleration component."""
-    return "kg" if LOAD_UNITS[component] == "N" else "kg·m²"
+    """Return the printed unit of what resists an acceleration component."""
+    return typeset(mechanical_units(LOAD_COMPONENTS[component]).inertia)
 
 
 def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: FloatArray) -> ChannelEntry:

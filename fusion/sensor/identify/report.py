@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, rounded, typeset
+from fusion.base import DASH, rounded
 from fusion.campaign.executor import one_blas_thread
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.report.folder import Command
@@ -46,7 +46,7 @@ from fusion.sensor.models_file import FORMAT, read_stored
 from shaker.identification.measured import ParameterEstimate
 from shaker.identification.sensitivity import CHAIN_WORDS, SensitivityFit
 from shaker.identification.sensor import CHAIN_PARAMETERS, SENSOR_PARAMETERS, Chain, ChainKind, SensorModel, UsableBand
-from shaker.labels import LOAD_COMPONENTS
+from shaker.labels import LOAD_COMPONENTS, mechanical_units, typeset
 
 # Every number found, in files, on the page and in the lines of the terminal.
 
@@ -62,7 +62,7 @@ NUMBERS: list[Column[Found]] = [
     Column("u", lambda row: row[1].u),
     Column("k", lambda _: K),
     Column("U", lambda row: K * row[1].u),
-    word("unit", lambda row: ascii_unit(row[1].unit)),
+    word("unit", lambda row: row[1].unit),
     word("method", lambda row: row[2]),
 ]
 
@@ -90,11 +90,6 @@ def numbers(component: ComponentResult) -> Iterator[Found]:
     for load, band in zip(component.loads, component.bands, strict=True):
         name, label = f"usable_band: load {load:.6g}", f"usable band, load {load:.6g}"
         yield own, ParameterEstimate(name, label, band.upper_hz, band.u_upper_hz, "Hz"), "sensor model"
-
-
-def ascii_unit(unit: str) -> str:
-    """ASCII form of a unit for files: `N·m/rad` becomes `N.m/rad`."""
-    return unit.replace("·", ".").replace("²", "^2")
 
 
 LIMITS = {"rise": "resonance", "drop": "fall of the output", "phase": "phase", "nothing": "nothing"}
@@ -140,8 +135,7 @@ def budget_table(component: ComponentResult) -> Table:
 
 def readings_tables(component: ComponentResult) -> list[Table]:
     """What every method reads from every curve, stiffness in units of a power of ten."""
-    force = "N·m" if component.fit.component >= 3 else "N"
-    per = "rad" if component.fit.component >= 3 else "m"
+    units = mechanical_units(LOAD_COMPONENTS[component.fit.component])
     below, shown = Markup('{}<br><span class="below">{}</span>'), []
     for (recording, response), group in groupby(component.readings, attrgetter("recording", "response")):
         own = list(group)
@@ -157,8 +151,8 @@ def readings_tables(component: ComponentResult) -> list[Table]:
             )
             for reading in own
         )
-        stiffness = Markup("k / ({})").format(times_ten(exponent, f"{force}/{per}"))
-        head = ("method", "f / Hz", "width / Hz", "ζ / %", stiffness, f"b / ({force}·s/{per})")
+        stiffness = Markup("k / ({})").format(times_ten(exponent, typeset(units.stiffness)))
+        head = ("method", "f / Hz", "width / Hz", "ζ / %", stiffness, f"b / ({typeset(units.damping)})")
         shown.append(Table(f"{recording}: {response}", head, "lrrrrr", rows))
     return shown
 
@@ -387,7 +381,7 @@ def _model_of(component: ComponentResult) -> dict[str, Any]:
         "name": [*SENSOR_PARAMETERS, *model.chain.names],
         "value": values,
         "u": np.sqrt(model.covariance.diagonal()).tolist(),
-        "unit": [model.unit, *(ascii_unit(estimate.unit) for estimate in mechanical), *chain_units],
+        "unit": [model.unit, *(estimate.unit for estimate in mechanical), *chain_units],
     }
     load = LOAD_COMPONENTS[component.fit.component]
     bands = [

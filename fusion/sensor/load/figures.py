@@ -21,12 +21,13 @@ from fusion.report.style import (
 )
 from fusion.sensor.load.evaluate import ComponentLoads
 from shaker.arrays import FloatArray
+from shaker.labels import mechanical_units, typeset
 from shaker.release.load_modes import projected
 
 
 def small_unit(component: ComponentLoads) -> str:
     """Unit of loads as they are shown."""
-    return "g·m²" if component.name.startswith("M") else "g"
+    return typeset(mechanical_units(component.name).inertia.removeprefix("k"))
 
 
 def draw_characteristics(component: ComponentLoads, permitted: float) -> Picture:

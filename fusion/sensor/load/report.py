@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
-from fusion.base import DASH, GRAM, rounded, typeset
+from fusion.base import DASH, GRAM, rounded
 from fusion.estimation.uncertainty import NamedQuantity
 from fusion.recording.load import load_for_command
 from fusion.report.folder import Command, hash_files
@@ -41,6 +41,7 @@ from fusion.sensor.load.evaluate import (
 from fusion.sensor.load.figures import draw_characteristics, draw_spectra, small_unit
 from fusion.sensor.models_file import LOAD_MODEL_FILE, model_text, parameter_units
 from shaker.arrays import FloatArray
+from shaker.labels import typeset
 from shaker.release.load_model import PARAMETERS, LoadCurve
 
 RECORDED, PREDICTED, DRAWN = "recorded", "predicted", "curve"
@@ -280,7 +281,7 @@ def headlines(component: ComponentLoads) -> list[Headline]:
     solution = component.solutions[0]
     remark = (f"U: k = {factor(component.k)}" if component.covers else "without U") + _which(solution)
     told = [
-        Headline(capital(one.label), measured(one.value, one.expanded, unit_text(one.unit)), remark)
+        Headline(capital(one.label), measured(one.value, one.expanded, typeset(one.unit)), remark)
         for _, one, _ in parameters(component, solution)
         if one.name.endswith("stiffness")
     ]
@@ -307,7 +308,7 @@ def parameters_table(component: ComponentLoads) -> Table | None:
         on_page("solution", lambda row: f"{row.solution}", "l"),
         on_page("quantity", lambda row: capital(row.quantity.label), "l"),
         on_page("value", lambda row: measured(row.quantity.value, row.quantity.expanded)),
-        on_page("unit", lambda row: unit_text(row.quantity.unit), "l"),
+        on_page("unit", lambda row: typeset(row.quantity.unit), "l"),
         on_page("U relative / %", relative),
         on_page("for the stated masses", alone),
     ]
@@ -391,7 +392,7 @@ def printed(evaluation: LoadEvaluation) -> Iterator[str]:
         small = small_unit(component)
         for solution in component.solutions:
             told = ", ".join(
-                f"{one.label.rpartition(' ')[2]} = {rounded(one.value, one.expanded).text} {unit_text(one.unit)}"
+                f"{one.label.rpartition(' ')[2]} = {rounded(one.value, one.expanded).text} {typeset(one.unit)}"
                 for _, one, _ in parameters(component, solution)
             )
             yield f"{component.name} ({_structure(solution)}{_which(solution)}): {told}; U {component.series.scope}"
@@ -421,11 +422,6 @@ def _which(solution: Solution) -> str:
 def _limit(component: ComponentLoads, limit: NamedQuantity) -> str:
     """A permitted load in g or g·m² with U."""
     return measured(GRAM * limit.value, GRAM * limit.expanded, small_unit(component))
-
-
-def unit_text(unit: str) -> str:
-    """ASCII unit of the result files as it is printed."""
-    return typeset(unit).replace(".", "·")
 
 
 def _percent(share: float) -> str:

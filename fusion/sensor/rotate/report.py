@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 from matplotlib.axes import Axes
 
-from fusion.base import DASH, GRAM, MILLI, prefix, typeset
+from fusion.base import DASH, GRAM, MILLI, prefix
 from fusion.campaign.repeats import BETWEEN, WITHIN
 from fusion.recording.load import load_for_command
 from fusion.report.folder import Command, subject_of
@@ -37,7 +37,7 @@ from fusion.report.table import (
 from fusion.sensor.rotate.evaluate import UNTOLD, evaluate_rotation
 from fusion.sensor.rotate.readings import JOINT, Repeats, RotationEvaluation, RotationQuantity, RotationRecording
 from shaker.arrays import FloatArray
-from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS
+from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, typeset
 from shaker.static_rotation.harmonics import Known, turning_sense
 from shaker.static_rotation.masses import FORCES
 

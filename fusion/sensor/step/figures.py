@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from fusion.base import MILLI, PERCENT, typeset
+from fusion.base import MILLI, PERCENT
 from fusion.report.style import (
     BLACK,
     BLUE,
@@ -31,6 +31,7 @@ from fusion.sensor.step.evaluate import measured_response
 from fusion.sensor.step.records import Pooled
 from fusion.sensor.step.releases import LABELS, ComponentResult, Release
 from shaker.arrays import FloatArray
+from shaker.labels import typeset
 from shaker.lti.system import ModalModel
 
 DASHED = (0, (4, 2))

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, K2, MILLI, PERCENT, rounded, typeset
+from fusion.base import DASH, K2, MILLI, PERCENT, rounded
 from fusion.campaign.executor import one_blas_thread
 from fusion.estimation.uncertainty import NamedQuantity, Quantity, coverage_factor
 from fusion.recording.load import load_for_command
@@ -41,6 +41,7 @@ from fusion.sensor.step.evaluate import evaluate_steps
 from fusion.sensor.step.figures import component_pictures
 from fusion.sensor.step.records import StepSettings
 from fusion.sensor.step.releases import LABELS, ComponentResult, MethodRow, Release, Rope, StaticGain, StepEvaluation
+from shaker.labels import typeset
 from shaker.release.fit import StepFit
 from shaker.release.reading import Spread
 from shaker.release.record import Reading, SpectrumPeak

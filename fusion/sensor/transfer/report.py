@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from fusion.base import K2, typeset
+from fusion.base import K2
 from fusion.estimation.uncertainty import Polar, element_covariance, polar
 from fusion.recording.load import load_for_command
 from fusion.recording.manifest import ChannelEntry
@@ -56,6 +56,7 @@ from fusion.sensor.transfer.records import (
     uncertainty,
 )
 from shaker.frf.result import TransferFunction
+from shaker.labels import typeset
 
 RASTER_ABOVE = 6000  # lines from which curves are drawn as an image
 LARGEST_PERCENT = 100.0
