@@ -70,8 +70,10 @@ def _checked(
 
 # Inputs as certificates state them: a table in the place of a value, or of its standard uncertainty.
 
-RELATIVE = ("scale", "individual", "static_sensitivity", "step_amplitude", "gain", "frequency", "clock")
+RELATIVE = ("scale", "individual", "static_sensitivity", "step_amplitude", "gain", "clock")
 """Values whose standard uncertainty is stated relative to them."""
+RELATIVE_ALONE = ("frequency", "damping_ratio")
+"""The same where the value itself stands nowhere: of the poles of a chain's element, of a model's modes."""
 UNCERTAINTY_OF = {"step_amplitude": "step_uncertainty"}
 """Keys of standard uncertainties that are not NAME_uncertainty."""
 DIVISORS = {"uniform": 3.0**0.5, "triangular": 6.0**0.5, "arcsine": 2.0**0.5}
@@ -154,6 +156,11 @@ def _has_numbers(item: Any) -> bool:
     return is_number(item)
 
 
+def _is_relative(name: str, value: Any) -> bool:
+    """Whether the standard uncertainty of a key is relative to its value, which may stand nowhere."""
+    return name in RELATIVE or (value is None and name in RELATIVE_ALONE)
+
+
 def uncertain_inputs(text: dict[str, Any], path: Path) -> tuple[UncertainInput, ...]:
     """Return every input of a file for which an uncertainty other than 0 is stated, in the order of the file."""
     values, statements = expand_statements(text, path)
@@ -166,7 +173,7 @@ def uncertain_inputs(text: dict[str, Any], path: Path) -> tuple[UncertainInput, 
                 yield from walked(item, [*place, step])
             elif isinstance(value, dict) and name != step and np.any(item):
                 key = key_path(values, [*place, name])
-                plain = UncertainInput(path, key, value.get(name), item, name in RELATIVE)
+                plain = UncertainInput(path, key, value.get(name), item, _is_relative(name, value.get(name)))
                 yield by_key.get(key, plain)
 
     return tuple(walked(values, []))
@@ -192,7 +199,7 @@ def expand_statements(text: dict[str, Any], path: Path) -> tuple[dict[str, Any],
                 out[key] = expanded(item, here)
                 continue
             own, name = _checked(Stated, item, path, (text, here)), key.removesuffix("_uncertainty")
-            target, relative = UNCERTAINTY_OF.get(name, f"{name}_uncertainty"), name in RELATIVE
+            target, relative = UNCERTAINTY_OF.get(name, f"{name}_uncertainty"), _is_relative(name, own.value)
             if (own.value is None) == (name == key):
                 wanted = "the value that this U belongs to" if name == key else "no value: it stands at its own key"
                 raise InputError(path, key_path(text, [*here, "value"]), describe(own.value), wanted)

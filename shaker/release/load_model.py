@@ -105,6 +105,15 @@ class LoadModel(Brief):
         value, slope = self.jacobian(function)
         return value, np.asarray(slope @ np.asarray(self.total_covariance) @ slope.T)
 
+    def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> LoadModel:
+        """Return the model of which natural frequencies, damping ratios, sensitivity are changed by relative parts.
+
+        With every load: stiffnesses by (1 + `frequency`)², dampings by (1 + `frequency`)(1 + `damping_ratio`).
+        """
+        spring, damper = (1.0 + frequency) ** 2, (1.0 + frequency) * (1.0 + damping_ratio)
+        factors = np.append(np.tile([spring, damper], len(self.vector) // 2), 1.0)
+        return replace(self.with_numbers(factors * self.numbers), sensitivity=(1.0 + gain) * self.sensitivity)
+
     def poles(self, load_mass: float) -> ComplexArray:
         """Return all poles in rad/s with a load mass in kg, 2 or 4; a load of no mass is rigid."""
         return self.system(load_mass).poles
