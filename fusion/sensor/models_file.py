@@ -180,9 +180,7 @@ class Rests(NamedTuple):
     outside: str | None = None
 
 
-def model_text(
-    models: Sequence[tuple[LoadModel, Rests]], campaign: str, sensor: str, program: str
-) -> str:
+def model_text(models: Sequence[tuple[LoadModel, Rests]], campaign: str, sensor: str, program: str) -> str:
     """Return the content of load.json: one entry per component, or one per solution that the data cannot tell apart."""
     content = {
         "format": FORMAT,

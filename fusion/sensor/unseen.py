@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
+from fusion.base import PERCENT
 from fusion.recording.rig import Rig
+from fusion.report.table import Table, capital, small
 from shaker.arrays import FloatArray
 from shaker.decoupling.model import MultiModel
 from shaker.release.load_model import LoadModel
 
-T = TypeVar("T")
 CAUSES = {
     "mounting": "mounting anew",
     "load": "another load",
@@ -75,14 +76,29 @@ class Beside:
         none = np.zeros((0, len(numbers(0.0, 0.0, 0.0))))
         return np.stack([slope(one) for one in self.unknowns]) if self.unknowns else none
 
-    def by_cause(self, part: Callable[[Sequence[int]], T]) -> dict[str, T]:
+    def by_cause(self, part: Callable[[list[int]], FloatArray]) -> dict[str, FloatArray]:
         """Return what the unknowns of each stated cause contribute, by its words; `part`: of some by their numbers."""
         places = {cause: [n for n, one in enumerate(self.unknowns) if one.cause == cause] for cause in self.causes}
         return {CAUSES[cause]: part(own) for cause, own in places.items()}
 
+    @property
+    def relative(self) -> dict[str, tuple[float, float]]:
+        """Return relative standard uncertainties of a frequency and of a damping ratio by cause."""
+        parts = np.array([(one.frequency, one.damping_ratio) for one in self.unknowns]).reshape(-1, 2)
+        norms = self.by_cause(lambda places: np.linalg.norm(parts[places], axis=0))
+        return {cause: (float(both[0]), float(both[1])) for cause, both in norms.items()}
+
+    def budget(self, whole: FloatArray, effects: FloatArray, own: str) -> dict[str, FloatArray]:
+        """Return standard uncertainties (P,) by cause of numbers of variances `whole` (P,), of which `own` is the rest.
+
+        `effects` (E, P): how they move with each unknown.
+        """
+        rest = np.sqrt(np.maximum(whole - np.sum(effects**2, axis=0), 0.0))
+        return {own: rest, **self.by_cause(lambda places: np.linalg.norm(effects[places], axis=0))}
+
     def on_loads(self, model: LoadModel) -> LoadModel:
-        """Return a model over the load with these unknowns in its covariances, None where it has none."""
-        if model.total_covariance is None or model.covariance is None:
+        """Return a model over the load with these unknowns in its covariances, where it has any."""
+        if model.total_covariance is None or model.covariance is None or not self.unknowns:
             return model
         effects = self.effects(lambda *part: model.altered(*part).numbers)
         added, size = effects.T @ effects, len(model.vector)
@@ -96,7 +112,7 @@ class Beside:
 
     def on_outputs(self, model: MultiModel) -> MultiModel:
         """Return a model of several outputs with these unknowns in its covariance."""
-        if model.covariance is None:
+        if model.covariance is None or not self.unknowns:
             return model
         effects = self.effects(lambda *part: model.altered(*part).vector)
         return replace(model, covariance=model.covariance + effects.T @ effects)
@@ -105,13 +121,13 @@ class Beside:
 NOTHING = Beside()
 
 
-def beside(rig: Rig, mountings: Sequence[str], without: Sequence[str] = ()) -> Beside:
+def beside(rig: Rig, mountings: Sequence[str], without: Sequence[str] = (), *, scattering: bool = True) -> Beside:
     """Return what the rig states beside records of some `mountings`, one each, and what nobody states.
 
-    What several mountings differ by is in U by their scatter: a stated one is then left out. `without`: causes that do
-    not apply.
+    `scattering`: what several mountings differ by is in U as the scatter of their records, so that a stated one is left
+    out. `without`: causes that do not apply.
     """
-    told, several = rig.model, len(set(mountings)) > 1
+    told, several = rig.model, scattering and len(set(mountings)) > 1
     by_scatter = ("mounting",) if several else ()
     causes, unknowns = list[str](), list[Unseen]()
     for cause in CAUSES:
@@ -129,6 +145,20 @@ def beside(rig: Rig, mountings: Sequence[str], without: Sequence[str] = ()) -> B
             unknowns += [Unseen(cause, *row) for row in np.diag(alone).tolist() if any(row)]
     missing = tuple(cause for cause in CAUSES if cause not in (*causes, *by_scatter, *without))
     return Beside(tuple(causes), tuple(unknowns), missing, scope_of(mountings), len(mountings) == 1)
+
+
+def budget_table(caption: str, numbers: Mapping[str, float], u: Mapping[str, FloatArray], known: Beside) -> Table:
+    """Return a budget: relative standard uncertainties, %, of `numbers` by label; `u`: of each (Q,) by cause.
+
+    What nobody states has a line that says so.
+    """
+    size = np.abs(list(numbers.values()))
+    share = PERCENT * np.divide(1.0, size, out=np.zeros(len(size)), where=size > 0)
+    rows = [(capital(cause), *map(small, (share * part).tolist())) for cause, part in u.items()]
+    rows += [(capital(CAUSES[cause]), *[NOT_ASSESSED] * len(size)) for cause in known.missing]
+    return Table(
+        f"{caption}: relative standard uncertainties, %", ("cause", *numbers), "l" + "r" * len(size), tuple(rows)
+    )
 
 
 def scope_of(mountings: Sequence[str]) -> str:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
+from shaker.lti.indices import Reach, reach
 from shaker.lti.responses import band_end, gain_curve
 from shaker.lti.system import LinearSystem, differences
 from shaker.mechanics import Mechanics, chain_terms, poles
@@ -240,6 +241,25 @@ def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, .
     curve, level = gain_curve(system), system.static_gain
     ends = [band_end(curve, level, tolerance) for tolerance in tolerances]
     return np.array([np.nan if end is None or np.isinf(end) else end for end in ends])
+
+
+LEAST_SHARE = 0.02
+"""Share of itself to which a stiffness, damping or mass may fall when a model is moved within its uncertainty."""
+
+
+def figures_u(model: LoadModel, figures: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, Reach]:
+    """Return standard uncertainties (Q,) of figures of a model, wide enough for all they come to, and how far that is.
+
+    To first order by the model's covariance, times the factor of `shaker.lti.indices.reach`; `figures` gives NaN where
+    there is none.
+    """
+    total, slope = model.total_covariance, model.jacobian(figures)[1]
+
+    def moved(move: FloatArray) -> FloatArray:
+        return figures(model.with_numbers(np.maximum(model.numbers + move, LEAST_SHARE * model.numbers)))
+
+    seen = reach(np.asarray(total), slope, moved)
+    return np.asarray(seen.factor * np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", slope, total, slope), 0.0))), seen
 
 
 # How much load a sensor bears before its resonance, or a formula for it, is off by more than permitted.

@@ -21,7 +21,7 @@ from fusion.cli import main
 from fusion.recording.load import load_manifest
 from fusion.sensor.load.evaluate import MOVING, LoadSettings, evaluate_loads, read_series, read_table
 from fusion.sensor.load.report import parameter_rows
-from fusion.sensor.models_file import LOAD_MODEL_FILE, model_text, read_load_models
+from fusion.sensor.models_file import LOAD_MODEL_FILE, Rests, model_text, read_load_models, read_loads
 from fusion.simulate.preset import read_preset
 from fusion.simulate.releases import SeriesRig, true_modes, write_loads
 from shaker.release.load_model import LoadModel
@@ -74,7 +74,8 @@ def test_resonances_over_the_load(campaign):
 
 
 def test_models_come_back_to_the_last_bit(campaign):
-    (model,) = read_load_models(campaign / "load")
+    ((model, rests),) = read_loads(campaign / "load")
+    assert rests.scope == "within these 5 releases of one mounting"
     with h5py.File(campaign / "load" / "load.h5") as file:
         group = file["components/Fy/solution_1/model"]
         assert model.stiffness == group.attrs["stiffness"]
@@ -83,7 +84,7 @@ def test_models_come_back_to_the_last_bit(campaign):
         assert file["components/Fy"].attrs["from_records"]
     assert model.component == "Fy"
     assert model.load_masses == pytest.approx((0.0, 0.008, 0.048, 0.098, 0.198))
-    written = model_text([model], "c", "s", "p")
+    written = model_text([(model, rests)], "c", "s", "p")
     assert json.loads(written)["models"] == json.loads((campaign / "load" / LOAD_MODEL_FILE).read_text())["models"]
 
 
@@ -269,5 +270,5 @@ def test_wrong_model_files(tmp_path, content, sentence):
 
 def test_a_model_without_uncertainty_comes_back(tmp_path):
     model = LoadModel("F", "", "", 0.24, 2.36e6, 0.0)
-    (tmp_path / LOAD_MODEL_FILE).write_text(model_text([model], "table", "", ""), encoding="utf-8")
+    (tmp_path / LOAD_MODEL_FILE).write_text(model_text([(model, Rests())], "table", "", ""), encoding="utf-8")
     assert read_load_models(tmp_path) == (model,)

@@ -192,10 +192,11 @@ class Pooled:
     def spread(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return standard uncertainties (Q,) of numbers with gradients (Q, P), and their degrees of freedom (Q,).
 
-        u² = Σw²·(u_i² + τ²) + u_scale² + Σu_beside², τ² = s² - mean u_i² where the vectors scatter by more than is stated. Then
-        the degrees of freedom are those of s², with the scale by Welch and Satterthwaite (JCGM 100, G.4.1), s² enlarged
-        by its relative variance 2/ν as in `fusion.sensor.rotate.readings`; of two vectors, whose s² tells little, only
-        τ² counts as the part with ν = 1, so that k = 12.7 is left to scatter that is far beyond what is stated.
+        u² = Σw²·(u_i² + τ²) + u_scale² + Σu_beside², τ² = s² - mean u_i² where the vectors scatter by more than is
+        stated. Then the degrees of freedom are those of s², with the others by Welch and Satterthwaite (JCGM 100,
+        G.4.1), s² enlarged by its relative variance 2/ν as in `fusion.sensor.rotate.readings`; of two vectors, whose s²
+        tells little, only τ² counts as the part with ν = 1, so that k = 12.7 is left to scatter that is far beyond what
+        is stated.
         """
         stated = np.einsum("qp,npr,qr->nq", gradient, self.covariances, gradient)
         variance, dof = self.weights**2 @ stated, np.full(len(gradient), np.inf)
@@ -220,14 +221,14 @@ class Pooled:
         return {OF_RELEASES: own, OF_SCALES: shared, **of_causes}
 
 
-def effective_dof(variance: FloatArray, of_scatter: FloatArray, dof: int) -> FloatArray:
+def effective_dof(variance: FloatArray, of_scatter: FloatArray, dof: float) -> FloatArray:
     """Return degrees of freedom (Q,) of variances (Q,), of which parts have `dof` of them and the rest is known.
 
     Welch and Satterthwaite, the parts enlarged by their relative variance 2/ν; infinite without such a part.
     """
     wide = of_scatter * (1.0 + 2.0 / dof)
     rest = np.maximum(variance - of_scatter, 0.0)
-    return np.asarray(dof * (1.0 + np.divide(rest, wide, out=np.full(len(wide), np.inf), where=wide > 0.0)) ** 2)
+    return np.asarray(dof * (1.0 + np.divide(rest, wide, out=np.full_like(wide, np.inf), where=wide > 0.0)) ** 2)
 
 
 def pool_models(

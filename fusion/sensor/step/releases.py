@@ -126,8 +126,8 @@ class ComponentResult:
     `channel`: the output that is driven; `releases` of all ropes, `used` of them in the model `pooled`, for the
     `reason`; `parameters`, `figures`: its numbers, `figures` its indices; `gains`: static gain of every output, the
     driven one first; `ropes` from the fastest to the slowest; `methods`: what each method made of one release. `unit`:
-    of output over load. `entry`: what models.json holds. `budget`: standard uncertainty of each index by cause; `beside`:
-    what is known beside the records. What rests on a model is None or empty where none was found.
+    of output over load. `entry`: what models.json holds. `budget`: standard uncertainty of each index by cause;
+    `beside`: what is known beside the records. What rests on a model is None or empty where none was found.
     """
 
     component: str

@@ -34,7 +34,6 @@ from fusion.report.table import (
     quantity_columns,
     short,
     signed,
-    small,
     table,
     word,
 )
@@ -43,7 +42,7 @@ from fusion.sensor.step.evaluate import evaluate_steps
 from fusion.sensor.step.figures import component_pictures
 from fusion.sensor.step.records import StepSettings
 from fusion.sensor.step.releases import LABELS, ComponentResult, MethodRow, Release, Rope, StaticGain, StepEvaluation
-from fusion.sensor.unseen import CAUSES, NOT_ASSESSED
+from fusion.sensor.unseen import CAUSES, NOT_ASSESSED, budget_table
 from shaker.release.fit import StepFit
 from shaker.release.reading import Spread
 from shaker.release.record import Reading, SpectrumPeak
@@ -249,7 +248,8 @@ def fill(file: h5py.File, evaluation: StepEvaluation) -> None:
     for component in evaluation.components:
         group = file.create_group(component.component, track_order=True)
         group.attrs["scope"], group.attrs["outside"] = component.scope, component.beside.outside
-        for name in ("channel", "unit", "used", "reason", "pooled", "parameters", "figures", "budget", "gains", "ropes"):
+        written = ("channel", "unit", "used", "reason", "pooled", "parameters", "figures", "budget", "gains", "ropes")
+        for name in written:
             write_value(group, name, getattr(component, name))
         releases = group.create_group("releases", track_order=True)
         for release in component.releases:
@@ -316,7 +316,7 @@ def page_context(evaluation: StepEvaluation) -> dict[str, Any]:
                 "parameters": quantities_table(
                     f"Parameters of the model, with U {component.scope}", "parameter", component.parameters
                 ),
-                "budget": budget_table(component),
+                "budget": main_budget(component),
                 "releases": releases_table(component),
                 "ropes": ropes_table(component),
                 "gains": gains_table(component),
@@ -372,20 +372,12 @@ def quantities_table(caption: str, head: str, quantities: Sequence[NamedQuantity
     return table(caption, columns, quantities)
 
 
-def budget_table(component: ComponentResult) -> Table | None:
+def main_budget(component: ComponentResult) -> Table | None:
     """What makes the u of the main indices, and what nobody states."""
-
-    def column(one: NamedQuantity) -> Column[str]:
-        def part(cause: str) -> str:
-            parts = component.budget.get(cause)
-            return NOT_ASSESSED if parts is None else small(PERCENT * parts[one.name] / abs(one.value))
-
-        return on_page(one.label, part)
-
-    shown = [one for name in BUDGETED if (one := component.find(name)) is not None and one.value and np.isfinite(one.u)]
-    causes = [*component.budget, *(CAUSES[cause] for cause in component.beside.missing)]
-    columns = [on_page("cause", capital, "l"), *map(column, shown)]
-    return table("Budget: relative standard uncertainties of the main indices, %", columns, causes) if shown else None
+    shown = [one for name in BUDGETED if (one := component.find(name)) is not None and np.isfinite(one.u)]
+    parts = {cause: np.array([own[one.name] for one in shown]) for cause, own in component.budget.items()}
+    numbers = {one.label: one.value for one in shown}
+    return budget_table("Budget of the main indices", numbers, parts, component.beside) if shown else None
 
 
 def releases_table(component: ComponentResult) -> Table | None:
