@@ -253,12 +253,12 @@ def figures_u(model: LoadModel, figures: Callable[[LoadModel], FloatArray]) -> t
     To first order by the model's covariance, times the factor of `shaker.lti.indices.reach`; `figures` gives NaN where
     there is none.
     """
-    total, slope = model.total_covariance, model.jacobian(figures)[1]
+    total, slope = np.asarray(model.total_covariance, dtype=np.float64), model.jacobian(figures)[1]
 
     def moved(move: FloatArray) -> FloatArray:
         return figures(model.with_numbers(np.maximum(model.numbers + move, LEAST_SHARE * model.numbers)))
 
-    seen = reach(np.asarray(total), slope, moved)
+    seen = reach(total, slope, moved)
     return np.asarray(seen.factor * np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", slope, total, slope), 0.0))), seen
 
 

@@ -66,6 +66,8 @@ def test_resonances_over_the_load(campaign):
         first, *second = truth["frequency_hz"]
         assert abs(float(row["first_hz"]) - first) < 2.0 * float(row["U_first_hz"])
         assert float(row["measured_first_hz"]) == pytest.approx(first, rel=2e-5)
+        band, expanded = float(row["band_10_hz"]), float(row["U_band_10_hz"])
+        assert 1e-7 < expanded / band < 1e-3
         assert not second or float(row["second_hz"]) == pytest.approx(second[0], rel=1e-3)
         assert float(row["damping_first"]) == pytest.approx(truth["damping_ratio"][0], rel=5e-3)
     heaviest = recorded[-1]

@@ -12,7 +12,7 @@ from support import rows
 from fusion.cli import main
 from fusion.estimation.uncertainty import coverage_factor
 from fusion.recording.load import load_manifest
-from fusion.recording.rig import Change, ModelChanges, Rig, Warming
+from fusion.recording.rig import Change, ElasticMode, ModelChanges, Rig, Warming
 from fusion.recording.toml import validate
 from fusion.sensor.compensate.evaluate import evaluate_compensation
 from fusion.sensor.compensate.source import Wish, read_sources
@@ -97,7 +97,7 @@ def test_every_output_of_several_moves_alike():
 
 
 def test_what_is_stated_is_in_every_number_of_a_model():
-    """f = sqrt(k/m)/2π: u of f as stated, u of a band that scales with f likewise; of the gain by both causes."""
+    """With f = sqrt(k/m)/2π: u of f as stated, of a band as it moves with the springs, of the gain by both causes."""
     model = modal(mechanics(SPRING, DAMPER, 2.0))
     found = index_quantities(pool_models([model], ["1"], 0.0, ONE), None, "V/N", 50e3, ONE)
     number = {one.name: one for one in found.quantities}
@@ -190,11 +190,14 @@ def test_keys_are_taken_as_certificates_state_them(tmp_path):
     model = validate(Rig, text, tmp_path / "rig.toml").model
     assert model.mounting.frequency_uncertainty == 0.002
     assert model.temperature.difference_uncertainty == pytest.approx(np.sqrt(3.0))
+    own = {"participation": [0.0] * 6, "displacement": {"top": [0.0, 0.0, 1.0]}}
+    text = {"frequency": {"value": 600.0, "U": 4.0, "k": 2.0}, **own}
+    assert validate(ElasticMode, text, tmp_path / "rig.toml").frequency_uncertainty == 2.0  # Hz, as plain ones
 
 
 @pytest.mark.usefixtures("no_pages")
 def test_from_rig_toml_to_the_tables(tmp_path, capsys):
-    """A simulated campaign whose rig says what mounting changes: in the indices, the budget, models.json, the filter."""
+    """A simulated campaign whose rig says what mounting changes: in indices, budget, models.json and the filter."""
     assert main(["simulate", str(tmp_path / "steps"), "--preset", "steps"]) == 0
     campaign = tmp_path / "steps"
     with (campaign / "rig.toml").open("a", encoding="utf-8") as rig:

@@ -6,6 +6,7 @@ import csv
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
@@ -432,6 +433,6 @@ def _bands(model: LoadModel, loads: FloatArray, where: str) -> tuple[FloatArray,
     for place, load in enumerate(loads.tolist()):
         bands[place] = working_bands(model, load)
         if model.total_covariance is not None:
-            u[place], seen = figures_u(model, lambda one, load=load: working_bands(one, load))
+            u[place], seen = figures_u(model, partial(working_bands, load_mass=load))
             told += [replace(one, where=where.format(load)) for one in seen.notices(("band_5_hz", "band_10_hz"))]
     return bands, np.where(np.isnan(bands), np.nan, u), told
