@@ -424,7 +424,7 @@ class Outputs:
 
     phasors: Phasors
     uncertainty: Uncertainty
-    additive: frozenset[str] = frozenset()
+    additive: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         expected, found = self.phasors.covariance.shape, self.uncertainty.random[0].covariance.shape

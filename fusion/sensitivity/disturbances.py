@@ -75,8 +75,8 @@ def with_base_strain(outputs: Outputs, sensor: Sensor, environment: Environment)
             own.append(unknown.acting(real_stack(effect)))
     known = outputs.uncertainty
     uncertainty = Uncertainty(known.random, added_up([*known.influences, *own]))
-    phasors, names = replace(outputs.phasors, covariance=uncertainty.covariance), frozenset(one.name for one in own)
-    return Outputs(phasors, uncertainty, outputs.additive | names)
+    phasors = replace(outputs.phasors, covariance=uncertainty.covariance)
+    return Outputs(phasors, uncertainty, tuple(one.name for one in own))
 
 
 def with_support_motion(observations: Sequence[Observation], limit: float | None) -> tuple[Observation, ...]:

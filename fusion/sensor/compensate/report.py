@@ -256,9 +256,11 @@ def number_rows(made: LoadFilter) -> Iterator[NumberRow]:
         yield row(name, float(value), unit, known(u), dof)
     yield row("target_frequency_hz", target.frequency_hz, "Hz")
     yield row("target_damping_ratio", target.damping_ratio, "1")
-    for when, figures in (("before", made.before), ("after", made.after)):
+    after_unit = over(made.output_unit, made.subject.load_unit)
+    for when, figures, of_gain in (("before", made.before, gain_unit), ("after", made.after, after_unit)):
         for name, value in figures.indices.figures().items():
-            yield row(f"{when}_{name}", value, unit_of(name) or "1", figures.u[name], figures.dof[name])
+            unit = of_gain if name == "static_gain" else unit_of(name) or "1"
+            yield row(f"{when}_{name}", value, unit, figures.u[name], figures.dof[name])
     yield row("white_noise_gain", made.noise_gain, over(made.output_unit, made.subject.unit))
     yield row("noise", made.noise, made.output_unit)
     yield row("discretisation_error", made.discretisation_error, "1")

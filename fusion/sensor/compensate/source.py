@@ -42,6 +42,8 @@ from shaker.release.load_model import LoadModel
 
 COMMAND = "shakercal compensate"
 NOT_TOLD = Rests(scope="")
+MOST_DOF = 1e6
+"""Degrees of freedom from which on scatter counts for nothing but rounding."""
 STATED = "sensor"
 """Channel of a sensor that is stated by numbers."""
 
@@ -169,8 +171,8 @@ class Subject:
         if not np.isfinite(self.rests.dof):
             return np.full(u.shape, np.inf), np.full(u.shape, coverage_factor(np.inf))
         dof = effective_dof(u**2, np.minimum(u, u_scatter) ** 2, self.rests.dof)
-        k = stdtrit(np.minimum(dof, 1e9), 0.975)
-        return dof, np.asarray(np.where(np.isfinite(dof), k, coverage_factor(np.inf)))
+        dof = np.where(dof < MOST_DOF, dof, np.inf)
+        return dof, np.asarray(np.where(dof < MOST_DOF, stdtrit(dof, 0.975), coverage_factor(np.inf)))
 
     def dynamics(self, load_mass: float | None, modes: int, real_poles: bool) -> SensorDynamics:
         """Return what a filter takes out of the sensor with a load."""

@@ -242,7 +242,7 @@ def fill(file: h5py.File, evaluation: LoadEvaluation) -> None:
         group.attrs["reason"] = identification.reason
         group.attrs["from_records"] = identification.from_records
         group.attrs["k"] = component.k
-        group.attrs["scope"] = component.series.beside.scope
+        group.attrs["scope"], group.attrs["outside"] = component.series.beside.scope, component.series.beside.outside
         write_value(group, "recordings", series.names)
         write_value(group, "formula_hz", component.formula_hz)
         write_fields(group.create_group("output"), series.output)

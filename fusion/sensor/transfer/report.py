@@ -308,6 +308,8 @@ def _fill(file: h5py.File, evaluation: TransferEvaluation) -> None:
     file.attrs["recording"] = evaluation.name
     file.attrs["rig"] = evaluation.manifest.rig.name
     file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
+    known = beside(evaluation.manifest.rig, [evaluation.manifest.mounting])
+    file.attrs["not_assessed"] = ", ".join(CAUSES[cause] for cause in known.missing)
     for name in ("references", "clocks", "notices", "duration_s"):
         write_value(file, name, getattr(evaluation, name))
 
