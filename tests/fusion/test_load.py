@@ -213,6 +213,27 @@ def test_wrong_rigs(short, old, new, sentence):
     refused(sentence, read, short, *((0, 48) if "as in" in sentence else (0,)), error=InputError)
 
 
+def test_what_one_rig_states_beside_the_records_is_in_u_of_all_that_follows(short):
+    (plain,), _ = read(short, 0, 48)
+    rigs = [short / f"rig-{grams:03d}g.toml" for grams in (0, 48)]
+    stated = "\n[model.mounting]\nfrequency_uncertainty = {}\n\n[model.temperature]\ndifference_uncertainty = 5.0\n"
+    rigs[1].write_text(rigs[1].read_text(encoding="utf-8") + stated.format(1e-3), encoding="utf-8")
+    (series,), _ = read(short, 0, 48)
+    narrow, wide = (evaluate_loads("loads", (one,), (), LoadSettings(), {}) for one in (plain, series))
+    scope = "within these 2 releases of one mounting, with mounting anew and another temperature as stated"
+    assert series.beside.scope == scope
+    assert series.beside.outside == "a model of another structure"
+    for before, after in zip(narrow.components, wide.components, strict=True):
+        small, large = (one.solutions[0].recorded for one in (before, after))
+        expected = np.hypot(small.u_frequency_hz[:, 0], 1e-3 * small.frequency_hz[:, 0])
+        np.testing.assert_allclose(large.u_frequency_hz[:, 0], expected, rtol=1e-3)
+        bands = [one.solutions[0].u_bands for one in (before, after)]
+        expected = np.hypot(bands[0], 1e-3 * before.solutions[0].bands)
+        np.testing.assert_allclose(bands[1], expected, rtol=1e-2)
+    rigs[0].write_text(rigs[0].read_text(encoding="utf-8") + stated.format(2e-3), encoding="utf-8")
+    refused("model: expected the same as in rig-000g.toml", read, short, 0, 48, error=InputError)
+
+
 def test_components_without_moving_inertia_are_left_out(short):
     edit(short / "rig-000g.toml", 'channels = ["Fy"]', 'channels = ["bridge"]')
     edit(short / "step-000g" / "recording.toml", 'component = "Fy"', 'component = "Mz"')

@@ -16,6 +16,7 @@ import numpy as np
 from fusion.base import CommandEvaluation, ComputeError, InputError
 from fusion.estimation.uncertainty import NamedQuantity, coverage_factor
 from fusion.recording.load import Manifest
+from fusion.recording.rig import Rig
 from fusion.sensitivity.body import inertia_errors, rigid_load
 from fusion.sensor.models_file import parameter_units
 from fusion.sensor.step.records import effective_dof
@@ -173,8 +174,18 @@ def _series(releases: Sequence[Release], moving: Sequence[Moving], component: in
         masses=_masses(moving[0], masses),
         decays=tuple(decays),
         noise=np.array([item.noise for item in modes]),
-        beside=beside(first.manifest.rig, [release.manifest.mounting for release in releases], NO_CAUSE),
+        beside=beside(_telling(releases), [release.manifest.mounting for release in releases], NO_CAUSE),
     )
+
+
+def _telling(releases: Sequence[Release]) -> Rig:
+    """The rig that states what no record shows, of those of several loads; all that state something state the same."""
+    telling = [one.manifest for one in releases if one.manifest.rig.model is not None] or [releases[0].manifest]
+    for other in telling:
+        if other.rig.model != telling[0].rig.model:
+            expected = f"the same as in {telling[0].rig_path.name}, since all are of one sensor"
+            raise InputError(other.rig_path, "model", found="another statement", expected=expected)
+    return telling[0].rig
 
 
 def _load(manifest: Manifest, component: int) -> tuple[float, dict[str, float]]:
