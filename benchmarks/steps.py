@@ -267,7 +267,7 @@ def errors_over_u(seed: int) -> dict[str, FloatArray]:
         rows = []
         for figures, held in zip((made.before, made.after), truths, strict=True):
             value = figures.indices.figures()
-            rows.append([(value[name] - held[name]) / (2.0 * figures.u[name]) for name in OF_CAMPAIGNS])
+            rows.append([(value[name] - held[name]) / figures.expanded(name) for name in OF_CAMPAIGNS])
         of_step = [component.find(name) for name in OF_CAMPAIGNS]
         errors = [(one.value - truths[0][one.name]) / one.expanded for one in of_step if one is not None]
         found[component.channel] = np.array([errors, *rows])

@@ -418,11 +418,13 @@ class Outputs:
     """Phasors (K, C) of the sensor's outputs, in the unit of the sensor, with their whole covariance.
 
     `uncertainty`: noise of the sine approximation, and scale, delay, response and clock errors under the names that
-    the motion's instruments use, so that what both share (a clock, an amplifier) acts on both.
+    the motion's instruments use, so that what both share (a clock, an amplifier) acts on both. `additive`: names of
+    those influences that add to the outputs whatever these are, and do not belong to their chains.
     """
 
     phasors: Phasors
     uncertainty: Uncertainty
+    additive: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         expected, found = self.phasors.covariance.shape, self.uncertainty.random[0].covariance.shape
@@ -432,7 +434,7 @@ class Outputs:
     def draw(self, deviates: Deviates) -> ComplexArray:
         """Return N draws (N, K, C) with noise, from which relative errors c of the chains are taken off exactly.
 
-        They act as (1 + Re c)·exp(j·Im c).
+        They act as (1 + Re c)·exp(j·Im c). What is additive is added before.
         """
         value = self.phasors.value
         drawn = np.repeat(value[None], deviates.count, axis=0)
@@ -440,6 +442,12 @@ class Outputs:
             dof = np.full(len(part.covariance), np.inf) if part.dof is None else part.dof
             drawn = drawn + as_complex(deviates.noise(f"{part.label} of outputs", part.covariance, dof))
         for influence in self.uncertainty.influences:
+            if influence.name in self.additive:
+                added = deviates.unknown(influence.name, influence.dof)[:, None, None]
+                drawn = drawn + added * as_complex(influence.effect)
+        for influence in self.uncertainty.influences:
+            if influence.name in self.additive:
+                continue
             effect = as_complex(influence.effect)
             relative = np.divide(effect, value, out=np.zeros_like(value), where=(value != 0.0) & np.isfinite(effect))
             size = deviates.unknown(influence.name, influence.dof)[:, None, None]

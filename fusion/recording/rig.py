@@ -100,6 +100,7 @@ class Sensor(Block):
     temperature_coefficient: Number | None = None
     temperature_coefficient_uncertainty: NotNegative = 0.0
     reference_temperature: Celsius = 23.0
+    base_strain_sensitivity: NotNegative | None = None
     internal_mass: NotNegative
     internal_mass_uncertainty: NotNegative = 0.0
     internal_centre_of_mass: FreeVector = ZERO3
@@ -328,7 +329,7 @@ class Environment(Block):
 
     `latitude` °, `height` m above the sea; `temperature` °C of the air, `air_density` kg/m^3, `pressure` Pa, relative
     `humidity`; `sensor_temperature` °C. `support_motion`: how much what carries lasers and cameras may move, over the
-    motion that they measure.
+    motion that they measure. `base_strain`: largest amplitude of strain of what the sensor stands on, m/m.
     """
 
     gravity: Annotated[Vector3 | None, BeforeValidator(_gravity)] = None
@@ -343,6 +344,7 @@ class Environment(Block):
     sensor_temperature: Celsius | None = None
     sensor_temperature_uncertainty: NotNegative = 0.0
     support_motion: NotNegative | None = None
+    base_strain: NotNegative | None = None
 
     @model_validator(mode="after")
     def _gravity_is_told_whole(self) -> Self:
@@ -441,6 +443,36 @@ class Shaker(Block):
         return UnseenMotion(self.transverse_motion, self.rocking_motion)
 
 
+class Change(Block):
+    """By how much a model may be otherwise: relative standard uncertainties of three unknowns.
+
+    Of the frequencies of all modes together, of their damping ratios, of the static gain.
+    """
+
+    frequency_uncertainty: NotNegative = 0.0
+    damping_ratio_uncertainty: NotNegative = 0.0
+    gain_uncertainty: NotNegative = 0.0
+
+
+class Warming(Block):
+    """One unknown difference of temperature, K, and what 1 K of it changes, relative; `gain`: by default the sensor's
+    `temperature_coefficient`."""
+
+    difference_uncertainty: NotNegative
+    frequency_coefficient: Number = 0.0
+    damping_ratio_coefficient: Number = 0.0
+    gain_coefficient: Number | None = None
+
+
+class ModelChanges(Block):
+    """What the records behind a model of the sensor cannot show, as the user knows it from elsewhere."""
+
+    mounting: Change | None = None
+    load: Change | None = None
+    temperature: Warming | None = None
+    structure: Change | None = None
+
+
 class Administration(Block):
     """What a calibration certificate needs beside the results."""
 
@@ -459,6 +491,7 @@ class Rig(Block):
     stereo: dict[str, Stereo] = Field(default_factory=dict)
     head: dict[str, Head] = Field(default_factory=dict)
     shaker: Shaker | None = None
+    model: ModelChanges | None = None
     administration: Administration | None = None
 
     @model_validator(mode="after")

@@ -81,6 +81,8 @@ RELATIVE = (
     "participation",
 )
 """Values whose standard uncertainty is stated relative to them."""
+RELATIVE_ALONE = ("frequency", "damping_ratio")
+"""The same where the value itself stands nowhere: of the poles of a chain's element, of a model's modes."""
 UNCERTAINTY_OF = {"step_amplitude": "step_uncertainty"}
 """Keys of standard uncertainties that are not NAME_uncertainty."""
 DIVISORS = {"uniform": 3.0**0.5, "triangular": 6.0**0.5, "arcsine": 2.0**0.5}
@@ -92,7 +94,7 @@ def _is_relative(name: str, table: dict[str, Any]) -> bool:
 
     `frequency_uncertainty` of a chain's element is, of all its poles; that of a mode is in Hz, as its `frequency`.
     """
-    return name in RELATIVE or (name == "frequency" and name not in table)
+    return name in RELATIVE or (name in RELATIVE_ALONE and name not in table)
 
 
 class Stated(Block):

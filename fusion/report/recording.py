@@ -32,7 +32,7 @@ from fusion.report.motion_figures import motion_pictures, subset_pictures
 from fusion.report.signal_figures import channel_pictures, point_pictures, trigger_pictures
 from fusion.report.style import Picture
 from fusion.report.table import Column, csv_text, measured, polar_columns, sensitivity_unit, word
-from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
 from fusion.sensitivity.body import moving_parts
 from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import Sensitivity
@@ -317,3 +317,6 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
             for name in SENSOR:
                 write_value(sensor, name, getattr(manifest.rig.sensor, name))
         write_fields(file, evaluation)
+        for name in ("sensitivity/budget", "element/budget"):
+            if name in file:
+                file[name].attrs["not_assessed"] = ", ".join(NOT_SHOWN)

@@ -43,7 +43,7 @@ from fusion.report.tables import (
     result_name,
     static_sensitivity,
 )
-from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
 from fusion.sensitivity.distributions import Propagated, RealSpread
 from fusion.sensitivity.load import BudgetEntry, budget
 from fusion.sensitivity.ratio import parasitic_loads
@@ -232,7 +232,7 @@ def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: s
     if len(rest):
         left = _contribution(np.sqrt(np.sum(u[rest] ** 2, axis=0)), np.sum(share[rest], axis=0))
         rows.append((f"{len(rest)} smaller ones together", "", "", "", "", *left))
-    rows += [(cause, "", "not assessed", "", "", *[DASH] * 4) for cause in ("repeatability", "mounting anew")]
+    rows += [(cause, "", "not assessed", "", "", *[DASH] * 4) for cause in NOT_SHOWN]
     rows.append((Markup("<b>combined, k = 1</b>"), "", "", "", "", *_contribution(total, np.sum(share, axis=0))))
     head = (
         *("contribution", "type, dof", "u of the input", "magnitude per unit", "rad per unit"),

@@ -227,6 +227,8 @@ class Analysis:
         return tuple(notice for result in results if result is not None for notice in result.notices)
 
 
+NOT_SHOWN = ("repeatability", "mounting anew")
+"""What one recording does not show: lines of its budget without a number."""
 SINGLE = (
     "one recording: repeatability and what mounting anew changes are not assessed and not in U; a campaign that holds "
     "it again, mounted anew, has them"

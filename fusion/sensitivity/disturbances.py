@@ -1,4 +1,4 @@
-"""What acts beside the excitation: temperature of the sensor, motion of what carries the optical instruments.
+"""What acts beside the excitation: temperature of the sensor, strain of its foot, motion of what carries instruments.
 
 Each is a named unknown where the rig states it; of what it does not state the user is told how much would matter.
 """
@@ -51,7 +51,32 @@ def at_reference_temperature(outputs: Outputs, sensor: Sensor, environment: Envi
     )
     own = [unknown.acting(real_stack(unknown.effect)) for unknown in unknowns if np.any(unknown.effect)]
     uncertainty = Uncertainty(known.random, added_up([*known.influences, *own]))
-    return Outputs(replace(outputs.phasors, value=value, covariance=uncertainty.covariance), uncertainty)
+    phasors = replace(outputs.phasors, value=value, covariance=uncertainty.covariance)
+    return replace(outputs, phasors=phasors, uncertainty=uncertainty)
+
+
+def with_base_strain(outputs: Outputs, sensor: Sensor, environment: Environment) -> Outputs:
+    """Return the outputs with what strain of the sensor's foot adds to each of them.
+
+    S·ε with the strain sensitivity S (output unit per m/m, of unknown sign) and the largest amplitude ε of the strain
+    (ISO 5347-13: output of a transducer on a bent beam at 250 µm/m). Its phasor, anywhere in a disc of that radius, has
+    the standard uncertainty S·ε/2 in either part; one unknown for all lines, since shaker and table stay.
+    """
+    sensitivity, strain = sensor.base_strain_sensitivity, environment.base_strain
+    if not sensitivity or not strain:
+        return outputs
+    label, shape = "strain of the sensor's foot", outputs.phasors.value.shape
+    own = []
+    for place, channel in enumerate(outputs.phasors.channels):
+        for part, turn in (("in phase", 1.0), ("in quadrature", 1.0j)):
+            effect: ComplexArray = np.zeros(shape, dtype=np.complex128)
+            effect[:, place] = turn * sensitivity * strain / 2.0
+            unknown = Unknown(f"{label}: {channel}, {part}", label, strain / 2.0, "m/m", effect, "mounting")
+            own.append(unknown.acting(real_stack(effect)))
+    known = outputs.uncertainty
+    uncertainty = Uncertainty(known.random, added_up([*known.influences, *own]))
+    phasors = replace(outputs.phasors, covariance=uncertainty.covariance)
+    return Outputs(phasors, uncertainty, tuple(one.name for one in own))
 
 
 def with_support_motion(observations: Sequence[Observation], limit: float | None) -> tuple[Observation, ...]:
@@ -111,6 +136,10 @@ def not_assessed(
                 f"cables and hoses on the load (load.cable_stiffness): {CABLE_NPM:g} N/m would change the force by "
                 f"{share:.2%} at {frequency_hz:.6g} Hz"
             )
+    if sensor is not None and (sensor.base_strain_sensitivity is None or environment.base_strain is None):
+        keys = ["sensor.base_strain_sensitivity"] * (sensor.base_strain_sensitivity is None)
+        keys += ["environment.base_strain"] * (environment.base_strain is None)
+        told.append(f"strain of the sensor's foot by bending of what it stands on ({', '.join(keys)})")
     if environment.support_motion is None and kinds & set(OPTICAL):
         text = (
             "motion that all lasers and cameras share with what carries them (environment.support_motion): a "

@@ -16,7 +16,12 @@ from fusion.phasors.stereo_phasors import unseen_fundamentals
 from fusion.recording.load import Manifest
 from fusion.sensitivity.analyse import Evaluation, Inputs, analyse, elastic_rows
 from fusion.sensitivity.body import load_body
-from fusion.sensitivity.disturbances import at_reference_temperature, not_assessed, with_support_motion
+from fusion.sensitivity.disturbances import (
+    at_reference_temperature,
+    not_assessed,
+    with_base_strain,
+    with_support_motion,
+)
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.ratio import with_ratios
 
@@ -50,7 +55,7 @@ def evaluate_recording(
     rows = observations if body is None else elastic_rows(observations, body.elastic)
     outputs = None if sensor is None else sensor_outputs(joined.readings, sensor.channels)
     if sensor is not None and outputs is not None:
-        outputs = at_reference_temperature(outputs, sensor, surroundings)
+        outputs = at_reference_temperature(with_base_strain(outputs, sensor, surroundings), sensor, surroundings)
     direction, limits = manifest.excitation.direction, manifest.shaker.unseen
     inputs = Inputs(joined.lines, rows, outputs, body, sensor, direction, limits)
     analysis = analyse(inputs)

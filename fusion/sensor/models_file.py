@@ -6,12 +6,12 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from fusion.base import InputError
-from shaker.arrays import FloatArray
+from shaker.arrays import FloatArray, check_shape
 from shaker.labels import mechanical_units
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import PARAMETERS, LoadModel
@@ -22,26 +22,15 @@ MODELS_FILE = "models.json"
 LOAD_MODEL_FILE = "load.json"
 
 
-def scope_of(mountings: Sequence[str]) -> str:
-    """Return over what the U of a model holds: how many releases, of how many mountings, it rests on.
-
-    >>> scope_of(["1", "1", "1"])
-    'within these 3 releases of one mounting'
-    """
-    count, places = len(mountings), len(set(mountings))
-    if count == 1:
-        return "within this record of one release"
-    return f"within these {count} releases of {'one mounting' if places == 1 else f'{places} mountings'}"
-
-
 @dataclass(frozen=True)
 class ModelEntry:
     """The model of one output `channel` for one load `component` (Fx … Mz), in output `unit` per N or N·m.
 
     `method`: what identified it; `sample_rate_hz`: of the records; `noise`: standard deviation of the output's noise at
     that rate, in output units; `recording`: folders of the recordings it rests on, separated by ", ". `dof`: degrees of
-    freedom behind its covariance, infinite where that is of noise alone. `scope`: over what U of the model holds, in
-    words, empty where nobody said it.
+    freedom of `scatter`, the part of its covariance that rests on what records scatter by, all of it where None;
+    infinite where there is none. `scope`: over what U of the model holds, in words, empty where nobody said it;
+    `outside`: what it leaves out, None likewise.
     """
 
     channel: str
@@ -54,6 +43,8 @@ class ModelEntry:
     recording: str
     dof: float = np.inf
     scope: str = ""
+    scatter: FloatArray | None = None
+    outside: str | None = None
 
 
 @dataclass(frozen=True)
@@ -131,6 +122,7 @@ def _entry(entry: ModelEntry) -> dict[str, Any]:
         **{name: getattr(entry, name) for name in named},
         "dof": entry.dof if np.isfinite(entry.dof) else None,
         "scope": entry.scope,
+        "outside": entry.outside,
         "static_gain": model.static_gain,
         "modes": [
             {"frequency_hz": f, "damping_ratio": z, "residue_re": r.real, "residue_im": r.imag} for f, z, r in modes
@@ -138,6 +130,7 @@ def _entry(entry: ModelEntry) -> dict[str, Any]:
         "real_poles": [{"frequency_hz": f, "residue": r} for f, r in reals],
         "parameters": list(model.names),
         "covariance": None if model.covariance is None else model.covariance.tolist(),
+        "covariance_of_scatter": None if entry.scatter is None else entry.scatter.tolist(),
         "zeros": [[zero.real, zero.imag] for zero in system.zeros.tolist()],
         "poles": [[pole.real, pole.imag] for pole in system.poles.tolist()],
         "gain": system.gain,
@@ -163,8 +156,16 @@ def _read_entry(item: dict[str, Any]) -> ModelEntry:
         raise ValueError(f"expected finite parameters, found {model.vector.tolist()}")
     told: dict[str, Any] = {key: str(item[key]) for key in ("channel", "component", "unit", "method", "recording")}
     told |= {key: float(item[key]) for key in ("sample_rate_hz", "noise")}
-    told["scope"] = str(item.get("scope", ""))
-    return ModelEntry(**told, model=model, dof=np.inf if item["dof"] is None else float(item["dof"]))
+    told |= {"scope": str(item.get("scope", "")), "outside": item.get("outside")}
+    told["scatter"] = _matrix(item.get("covariance_of_scatter"))
+    if told["scatter"] is not None:
+        check_shape("covariance_of_scatter", told["scatter"], (len(model.vector),) * 2)
+    return ModelEntry(**told, model=model, dof=_freedom(item["dof"]))
+
+
+def _freedom(stored: float | None) -> float:
+    """Degrees of freedom, infinite where none are stored."""
+    return float("inf") if stored is None else float(stored)
 
 
 def _matrix(rows: list[list[float]] | None) -> FloatArray | None:
@@ -172,14 +173,22 @@ def _matrix(rows: list[list[float]] | None) -> FloatArray | None:
     return None if rows is None else np.array(rows, dtype=np.float64)
 
 
-def model_text(models: Sequence[LoadModel], campaign: str, sensor: str, program: str) -> str:
+class Rests(NamedTuple):
+    """On what U of a model over the load rests: degrees of freedom of its k, over what it holds, what it leaves out."""
+
+    dof: float = np.inf
+    scope: str = "within the records of the model"
+    outside: str | None = None
+
+
+def model_text(models: Sequence[tuple[LoadModel, Rests]], campaign: str, sensor: str, program: str) -> str:
     """Return the content of load.json: one entry per component, or one per solution that the data cannot tell apart."""
     content = {
         "format": FORMAT,
         "campaign": campaign,
         "sensor": sensor,
         "program": program,
-        "models": [_load_entry(model) for model in models],
+        "models": [_load_entry(*model) for model in models],
     }
     return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
@@ -193,10 +202,20 @@ def read_load_models(path: str | Path) -> tuple[LoadModel, ...]:
     >>> models = read_load_models("my-loads/load")  # doctest: +SKIP
     """
 
-    def parsed(content: dict[str, Any]) -> tuple[LoadModel, ...]:
-        return tuple(_load_model(item) for item in content["models"])
+    return tuple(model for model, _ in read_loads(Path(path)))
 
-    return read_stored(Path(path), LOAD_MODEL_FILE, "load", parsed)
+
+def read_loads(path: Path) -> tuple[tuple[LoadModel, Rests], ...]:
+    """Read the models of load.json with what their U rests on."""
+
+    def rests(item: dict[str, Any]) -> Rests:
+        known = {name: item[name] for name in ("scope", "outside") if name in item}
+        return Rests(_freedom(item.get("dof")), **known)
+
+    def parsed(content: dict[str, Any]) -> tuple[tuple[LoadModel, Rests], ...]:
+        return tuple((_load_model(item), rests(item)) for item in content["models"])
+
+    return read_stored(path, LOAD_MODEL_FILE, "load", parsed)
 
 
 def parameter_units(component: str) -> dict[str, str]:
@@ -205,7 +224,7 @@ def parameter_units(component: str) -> dict[str, str]:
     return dict(zip((*PARAMETERS, "moving_mass"), (*(stiffness, damping) * 2, inertia), strict=True))
 
 
-def _load_entry(model: LoadModel) -> dict[str, Any]:
+def _load_entry(model: LoadModel, rests: Rests) -> dict[str, Any]:
     """One model as nested dictionaries; numbers are SI, covariances in the order of the parameters, then the mass."""
     total, units = model.total_covariance, parameter_units(model.component)
     u = [None] * len(model.vector) if total is None else np.sqrt(np.diag(total)).tolist()
@@ -217,6 +236,8 @@ def _load_entry(model: LoadModel) -> dict[str, Any]:
         "solution": model.solution,
         "solutions": model.solutions,
         "load_masses": list(model.load_masses),
+        **rests._asdict(),
+        "dof": rests.dof if np.isfinite(rests.dof) else None,
         "moving_mass": {"value": model.moving_mass, "u": model.u_moving_mass, "unit": units["moving_mass"]},
         "sensitivity": {"value": model.sensitivity, "u": model.u_sensitivity},
         "parameters": [

@@ -239,12 +239,14 @@ class CompensatedSignal(Brief):
     """Compensated samples `value` (C, N) with standard uncertainty `u` (C, N).
 
     `u_model` (C, N): what the sensor's model contributes, 0 where its covariance is not known; `u_noise`: the noise
-    after the filter, the same for all samples.
+    after the filter, the same for all samples. `u_scatter` (C, N): the part of `u_model` that rests on what records
+    scatter by.
     """
 
     value: FloatArray
     u_model: FloatArray
     u_noise: float
+    u_scatter: FloatArray
 
     def __post_init__(self) -> None:
         check_shape("u_model", self.u_model, self.value.shape)
@@ -289,6 +291,8 @@ class CompensationWithUncertainty:
         sections = sampled(compensation, sample_rate_hz, method)
         covariance = compensation.sensor.covariance
         self._covariance = np.zeros((0, 0)) if covariance is None else covariance
+        scatter = compensation.sensor.scatter
+        self._scatter = np.zeros_like(self._covariance) if scatter is None else scatter
         self._filter = CompensationFilter(sections, channels, level)
         every = [] if covariance is None else parameter_sections(compensation, sample_rate_hz, method)
         self._slopes = [CompensationFilter(slope, channels, level) for slope in every]
@@ -298,5 +302,8 @@ class CompensationWithUncertainty:
         """Return the compensated block (C, N) with its uncertainty."""
         value = self._filter(block)
         slopes = np.array([run(block) for run in self._slopes]).reshape(len(self._slopes), *value.shape)
-        variance = np.einsum("pcn,pq,qcn->cn", slopes, self._covariance, slopes)
-        return CompensatedSignal(value, np.sqrt(np.maximum(variance, 0.0)), self._noise)
+        model, scatter = (
+            np.sqrt(np.maximum(np.einsum("pcn,pq,qcn->cn", slopes, part, slopes), 0.0))
+            for part in (self._covariance, self._scatter)
+        )
+        return CompensatedSignal(value, model, self._noise, scatter)

@@ -21,7 +21,7 @@ class SensorDynamics(Brief):
 
     Modes `frequency_hz` (M,), rising, with `damping_ratio` (M,) and real poles at -2π·`real_hz` (Q,); `static_gain` =
     H(0). `covariance` (P, P), P = 2M + Q + 1, of `vector` = [frequency_hz, damping_ratio, real_hz, static_gain]; None
-    where it is not known.
+    where it is not known. `scatter` (P, P): the part of it that rests on what records scatter by, None without.
     """
 
     frequency_hz: FloatArray
@@ -30,6 +30,7 @@ class SensorDynamics(Brief):
     static_gain: float
     system: LinearSystem
     covariance: FloatArray | None = None
+    scatter: FloatArray | None = None
 
     def __post_init__(self) -> None:
         modes, reals = len(self.frequency_hz), len(self.real_hz)
@@ -44,8 +45,9 @@ class SensorDynamics(Brief):
             raise ValueError(f"damping_ratio: expected 0 or more and below 1 of a stable sensor, found {told}")
         if not np.isfinite(self.static_gain) or self.static_gain == 0:
             raise ValueError(f"static_gain: expected a number other than 0, found {self.static_gain}")
-        if self.covariance is not None:
-            check_shape("covariance", self.covariance, (2 * modes + reals + 1,) * 2)
+        for name in ("covariance", "scatter"):
+            if getattr(self, name) is not None:
+                check_shape(name, getattr(self, name), (2 * modes + reals + 1,) * 2)
 
     @property
     def vector(self) -> FloatArray:

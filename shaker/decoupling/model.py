@@ -11,7 +11,7 @@ import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 from shaker.labels import LOAD_COMPONENTS
-from shaker.lti.system import modal_poles
+from shaker.lti.system import ModalModel, modal_poles
 
 # Poles that outputs and loads share.
 
@@ -250,6 +250,16 @@ class MultiModel(Brief):
         upper, real = np.split(self.poles, [len(self.frequency_hz)])
         swing = 2.0 * np.real(np.einsum("nm,mcd->ncd", np.expm1(upper * t) / upper, self.residue))
         return np.asarray(swing + np.einsum("nq,qcd->ncd", np.expm1(real.real * t) / real.real, self.real_residue))
+
+    def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> MultiModel:
+        """Return the model of which every element is changed as `shaker.lti.system.ModalModel.altered` does."""
+        residue, real_residue = self.residue.copy(), self.real_residue.copy()
+        f, z = (1.0 + frequency) * self.frequency_hz, (1.0 + damping_ratio) * self.damping_ratio
+        for c, d in np.ndindex(len(self.channels), len(self.components)):
+            own = self.residue[:, c, d], self.real_hz, self.real_residue[:, c, d]
+            element = ModalModel(self.frequency_hz, self.damping_ratio, *own).altered(frequency, damping_ratio, gain)
+            residue[:, c, d], real_residue[:, c, d] = element.residue, element.real_residue
+        return replace(self, frequency_hz=f, damping_ratio=z, residue=residue, real_residue=real_residue)
 
     @property
     def u(self) -> ModelParts:

@@ -478,6 +478,21 @@ class ModalModel(Brief):
         far[lags] = coordinates[lags] * np.maximum(far[lags] / coordinates[lags], LEAST_LAG)
         return self.with_vector(from_coordinates(far, modes, reals, scale))
 
+    def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> ModalModel:
+        """Return the model of which all modes' frequencies, damping ratios, and the gain are changed by relative parts.
+
+        The mechanics, modes and zeros, become H(s/(1 + `frequency`)), as with stiffer springs throughout; their damping
+        terms, odd powers of s above and below the line, grow by `damping_ratio`. Real poles, those of the amplifier,
+        and without `gain` the static gain stay.
+        """
+        modes, reals, scale = len(self.frequency_hz), len(self.real_hz), scale_of(self)
+        powers = np.arange(2 * modes + reals)
+        numerator = (1.0 + gain) * (1.0 + frequency) ** -powers.astype(np.float64)
+        numerator *= np.where(powers % 2 == 1, 1.0 + damping_ratio, 1.0)
+        poles = np.repeat([1.0 + frequency, 1.0 + damping_ratio, 1.0], [modes, modes, reals])
+        other = to_coordinates(self, scale) * np.concatenate([poles, numerator])
+        return self.with_vector(from_coordinates(other, modes, reals, scale))
+
     def _known_covariance(self) -> FloatArray:
         """The covariance, which must be there."""
         if self.covariance is None:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
+from shaker.lti.indices import Reach, reach
 from shaker.lti.responses import band_end, gain_curve
 from shaker.lti.system import LinearSystem, differences
 from shaker.mechanics import Mechanics, chain_terms, poles
@@ -104,6 +105,15 @@ class LoadModel(Brief):
         """Return a function's values (Q,) and their covariance (Q, Q) by its `jacobian`."""
         value, slope = self.jacobian(function)
         return value, np.asarray(slope @ np.asarray(self.total_covariance) @ slope.T)
+
+    def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> LoadModel:
+        """Return the model of which natural frequencies, damping ratios, sensitivity are changed by relative parts.
+
+        With every load: stiffnesses by (1 + `frequency`)², dampings by (1 + `frequency`)(1 + `damping_ratio`).
+        """
+        spring, damper = (1.0 + frequency) ** 2, (1.0 + frequency) * (1.0 + damping_ratio)
+        factors = np.append(np.tile([spring, damper], len(self.vector) // 2), 1.0)
+        return replace(self.with_numbers(factors * self.numbers), sensitivity=(1.0 + gain) * self.sensitivity)
 
     def poles(self, load_mass: float) -> ComplexArray:
         """Return all poles in rad/s with a load mass in kg, 2 or 4; a load of no mass is rigid."""
@@ -231,6 +241,25 @@ def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, .
     curve, level = gain_curve(system), system.static_gain
     ends = [band_end(curve, level, tolerance) for tolerance in tolerances]
     return np.array([np.nan if end is None or np.isinf(end) else end for end in ends])
+
+
+LEAST_SHARE = 0.02
+"""Share of itself to which a stiffness, damping or mass may fall when a model is moved within its uncertainty."""
+
+
+def figures_u(model: LoadModel, figures: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, Reach]:
+    """Return standard uncertainties (Q,) of figures of a model, wide enough for all they come to, and how far that is.
+
+    To first order by the model's covariance, times the factor of `shaker.lti.indices.reach`; `figures` gives NaN where
+    there is none.
+    """
+    total, slope = np.asarray(model.total_covariance, dtype=np.float64), model.jacobian(figures)[1]
+
+    def moved(move: FloatArray) -> FloatArray:
+        return figures(model.with_numbers(np.maximum(model.numbers + move, LEAST_SHARE * model.numbers)))
+
+    seen = reach(total, slope, moved)
+    return np.asarray(seen.factor * np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", slope, total, slope), 0.0))), seen
 
 
 # How much load a sensor bears before its resonance, or a formula for it, is off by more than permitted.

@@ -25,7 +25,15 @@ from fusion.cli import main
 from fusion.sensor.compensate.evaluate import evaluate_compensation, white_noise
 from fusion.sensor.compensate.report import header_text, json_text, read_compensation_filters
 from fusion.sensor.compensate.source import Wish, read_sources
-from fusion.sensor.models_file import MODELS_FILE, ModelEntry, ModelsFile, model_text, models_text, read_models
+from fusion.sensor.models_file import (
+    MODELS_FILE,
+    ModelEntry,
+    ModelsFile,
+    Rests,
+    model_text,
+    models_text,
+    read_models,
+)
 from shaker.compensation.filter import CompensationFilter
 from shaker.lti.indices import indices
 from shaker.lti.system import ModalModel
@@ -70,7 +78,7 @@ def _write_loads(folder: Path, *, known: bool = False) -> Path:
         covariance=covariance, load_masses=(0.0, 0.048, 0.198),
     )  # fmt: skip
     file = folder / "load.json"
-    file.write_text(model_text([model], "bench", "sensor", "shakercal"), encoding="utf-8")
+    file.write_text(model_text([(model, Rests())], "bench", "sensor", "shakercal"), encoding="utf-8")
     return file
 
 
@@ -168,7 +176,7 @@ def test_one_mode_of_two_is_told(tmp_path):
 def test_a_recording_is_filtered_for_the_load_of_its_rig(tmp_path):
     """The record of a sensor that rings comes out as the step of the target, within its uncertainty."""
     file, out = tmp_path / "load.json", tmp_path / "out"
-    file.write_text(model_text([TWO_MASSES], "bench", "sensor", "shakercal"), encoding="utf-8")
+    file.write_text(model_text([(TWO_MASSES, Rests())], "bench", "sensor", "shakercal"), encoding="utf-8")
     _write_recording(tmp_path / "release")
     wish = ["--frequency", "1000", "--damping", "0.6", "--calibrated", "--apply", str(tmp_path / "release")]
     assert main(["compensate", str(file), *wish, "-o", str(out)]) == 0

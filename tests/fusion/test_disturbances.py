@@ -6,11 +6,17 @@ import numpy as np
 from contracts import coverage_contract
 
 from fusion.estimation.fuse import fuse
+from fusion.estimation.measurement_model import Deviates
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels, output_phasors
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Environment, Load, Rig, Sensor
 from fusion.sensitivity.body import load_body
-from fusion.sensitivity.disturbances import at_reference_temperature, not_assessed, with_support_motion
+from fusion.sensitivity.disturbances import (
+    at_reference_temperature,
+    not_assessed,
+    with_base_strain,
+    with_support_motion,
+)
 from shaker.sine.phasor import Phasors
 
 FREQUENCY_HZ = np.array([80.0, 160.0])
@@ -23,6 +29,7 @@ SENSOR = Sensor(
     temperature_coefficient=-4e-4,
     temperature_coefficient_uncertainty=5e-5,
     reference_temperature=20.0,
+    base_strain_sensitivity=2e-3,
 )
 LOAD = Load(
     mass=5.0,
@@ -60,6 +67,22 @@ def test_outputs_are_those_at_the_reference_temperature():
     assert at_reference_temperature(untouched, SENSOR, Environment()) is untouched
 
 
+def test_strain_of_the_foot_is_in_u_of_the_outputs_whatever_these_are():
+    """The table bends by up to 50 µm/m: 2e-3 per m/m of it in any phase, in an output of 1 mV/V and in one of none."""
+    entries = [ChannelEntry(name=name, quantity="output", channel=name) for name in ("Fz", "Mx")]
+    outputs = output_phasors([reading(entries[0], 1e-3), reading(entries[1], 1e-9)])
+    strained = with_base_strain(outputs, SENSOR, Environment(base_strain=5e-5))
+    rng = np.random.default_rng(3)
+    drawn = 2e-3 * 5e-5 * np.sqrt(rng.uniform(size=20000)) * np.exp(2j * np.pi * rng.uniform(size=20000))
+    u = np.sqrt(np.diagonal(strained.uncertainty.covariance[1]))
+    np.testing.assert_allclose(u, np.repeat([drawn.real.std(), drawn.imag.std()], 2), rtol=0.02)
+    own = strained.draw(Deviates(1, 0, 4000))
+    np.testing.assert_allclose(own.real.std(axis=0), drawn.real.std(), rtol=0.05)
+    assert {one.label for one in strained.uncertainty.influences} == {"strain of the sensor's foot"}
+    for unstated in (Environment(), Environment(base_strain=0.0)):
+        assert with_base_strain(outputs, SENSOR, unstated) is outputs
+
+
 def test_a_shaken_support_is_in_u_of_lasers_alone_and_accelerometers_find_it():
     """Lasers read the body less their support, whose phasor lies anywhere in a disc of 2 % of the motion."""
     points = ((0.05, 0.0, 0.0), (-0.03, 0.04, 0.0), (-0.03, -0.04, 0.0))
@@ -95,12 +118,13 @@ def test_what_the_rig_does_not_state_is_said_to_be_missing():
     laser, other = (
         observe_channels([reading(ChannelEntry(name=q, quantity=q, **z), 1.0)]) for q in ("velocity", "acceleration")
     )
-    known = Environment(sensor_temperature=23.0, support_motion=1e-4)
+    known = Environment(sensor_temperature=23.0, support_motion=1e-4, base_strain=0.0)
     rig = Rig(format=1, name="r", sensor=SENSOR, load=LOAD, environment=known)
     assert not list(not_assessed(rig, laser, load_body(rig, ()), 80.0))
     silent = rig.model_copy(update={"environment": None, "load": LOAD.model_copy(update={"cable_stiffness": None})})
     (notice,) = not_assessed(silent, laser, load_body(silent, ()), 80.0)
     assert "temperature of the sensor" in notice.text
+    assert "strain of the sensor's foot by bending of what it stands on (environment.base_strain)" in notice.text
     assert "nothing here can show it" in notice.text
     # 1 kN/m beside 5 kg: 1000/(5·(2π·80)²) = 0.0792 %; at 800 Hz a hundredth of that, not worth a word.
     assert "1000 N/m would change the force by 0.08% at 80 Hz" in notice.text

@@ -21,7 +21,7 @@ from fusion.cli import main
 from fusion.recording.load import load_manifest
 from fusion.sensor.load.evaluate import MOVING, LoadSettings, evaluate_loads, read_series, read_table
 from fusion.sensor.load.report import parameter_rows
-from fusion.sensor.models_file import LOAD_MODEL_FILE, model_text, read_load_models
+from fusion.sensor.models_file import LOAD_MODEL_FILE, Rests, model_text, read_load_models, read_loads
 from fusion.simulate.preset import read_preset
 from fusion.simulate.releases import SeriesRig, true_modes, write_loads
 from shaker.release.load_model import LoadModel
@@ -66,6 +66,8 @@ def test_resonances_over_the_load(campaign):
         first, *second = truth["frequency_hz"]
         assert abs(float(row["first_hz"]) - first) < 2.0 * float(row["U_first_hz"])
         assert float(row["measured_first_hz"]) == pytest.approx(first, rel=2e-5)
+        band, expanded = float(row["band_10_hz"]), float(row["U_band_10_hz"])
+        assert 1e-7 < expanded / band < 1e-3
         assert not second or float(row["second_hz"]) == pytest.approx(second[0], rel=1e-3)
         assert float(row["damping_first"]) == pytest.approx(truth["damping_ratio"][0], rel=5e-3)
     heaviest = recorded[-1]
@@ -74,7 +76,8 @@ def test_resonances_over_the_load(campaign):
 
 
 def test_models_come_back_to_the_last_bit(campaign):
-    (model,) = read_load_models(campaign / "load")
+    ((model, rests),) = read_loads(campaign / "load")
+    assert rests.scope == "within these 5 releases of one mounting"
     with h5py.File(campaign / "load" / "load.h5") as file:
         group = file["components/Fy/solution_1/model"]
         assert model.stiffness == group.attrs["stiffness"]
@@ -83,7 +86,7 @@ def test_models_come_back_to_the_last_bit(campaign):
         assert file["components/Fy"].attrs["from_records"]
     assert model.component == "Fy"
     assert model.load_masses == pytest.approx((0.0, 0.008, 0.048, 0.098, 0.198))
-    written = model_text([model], "c", "s", "p")
+    written = model_text([(model, rests)], "c", "s", "p")
     assert json.loads(written)["models"] == json.loads((campaign / "load" / LOAD_MODEL_FILE).read_text())["models"]
 
 
@@ -210,6 +213,27 @@ def test_wrong_rigs(short, old, new, sentence):
     refused(sentence, read, short, *((0, 48) if "as in" in sentence else (0,)), error=InputError)
 
 
+def test_what_one_rig_states_beside_the_records_is_in_u_of_all_that_follows(short):
+    (plain,), _ = read(short, 0, 48)
+    rigs = [short / f"rig-{grams:03d}g.toml" for grams in (0, 48)]
+    stated = "\n[model.mounting]\nfrequency_uncertainty = {}\n\n[model.temperature]\ndifference_uncertainty = 5.0\n"
+    rigs[1].write_text(rigs[1].read_text(encoding="utf-8") + stated.format(1e-3), encoding="utf-8")
+    (series,), _ = read(short, 0, 48)
+    narrow, wide = (evaluate_loads("loads", (one,), (), LoadSettings(), {}) for one in (plain, series))
+    scope = "within these 2 releases of one mounting, with mounting anew and another temperature as stated"
+    assert series.beside.scope == scope
+    assert series.beside.outside == "a model of another structure"
+    for before, after in zip(narrow.components, wide.components, strict=True):
+        small, large = (one.solutions[0].recorded for one in (before, after))
+        expected = np.hypot(small.u_frequency_hz[:, 0], 1e-3 * small.frequency_hz[:, 0])
+        np.testing.assert_allclose(large.u_frequency_hz[:, 0], expected, rtol=1e-3)
+        bands = [one.solutions[0].u_bands for one in (before, after)]
+        expected = np.hypot(bands[0], 1e-3 * before.solutions[0].bands)
+        np.testing.assert_allclose(bands[1], expected, rtol=1e-2)
+    rigs[0].write_text(rigs[0].read_text(encoding="utf-8") + stated.format(2e-3), encoding="utf-8")
+    refused("model: expected the same as in rig-000g.toml", read, short, 0, 48, error=InputError)
+
+
 def test_components_without_moving_inertia_are_left_out(short):
     edit(short / "rig-000g.toml", 'channels = ["Fy"]', 'channels = ["bridge"]')
     edit(short / "step-000g" / "recording.toml", 'component = "Fy"', 'component = "Mz"')
@@ -269,5 +293,5 @@ def test_wrong_model_files(tmp_path, content, sentence):
 
 def test_a_model_without_uncertainty_comes_back(tmp_path):
     model = LoadModel("F", "", "", 0.24, 2.36e6, 0.0)
-    (tmp_path / LOAD_MODEL_FILE).write_text(model_text([model], "table", "", ""), encoding="utf-8")
+    (tmp_path / LOAD_MODEL_FILE).write_text(model_text([(model, Rests())], "table", "", ""), encoding="utf-8")
     assert read_load_models(tmp_path) == (model,)

@@ -21,16 +21,19 @@ from fusion.recording.load import find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Images, PointFiles, RecordingFile, Take
 from fusion.recording.rig import (
     Administration,
+    Change,
     Elastic,
     ElasticMode,
     Environment,
     Head,
     Load,
+    ModelChanges,
     Part,
     Rig,
     Sensor,
     Shaker,
     Stereo,
+    Warming,
 )
 from fusion.recording.toml import expand_statements, uncertain_inputs
 from photogram.calibration.file import read_calibration
@@ -169,6 +172,9 @@ MODELS: dict[str, type[BaseModel]] = {
     "`[stereo.NAME]`": Stereo,
     "`[head.NAME]`": Head,
     "`[shaker]`, in rig.toml or recording.toml": Shaker,
+    "`[model]`": ModelChanges,
+    "`[model.mounting]`, `[model.load]`, `[model.structure]`": Change,
+    "`[model.temperature]`": Warming,
     "`[administration]`": Administration,
     "Top level of recording.toml": RecordingFile,
     "`[excitation]`": Excitation,

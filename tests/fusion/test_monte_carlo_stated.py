@@ -25,6 +25,7 @@ DRAWS = 4000
 STAND_OFF_M = 0.7027
 SENSOR = """temperature_coefficient = { value = -4e-4, U = 1e-4, k = 2.2, dof = 12 }
 reference_temperature = 23.0
+base_strain_sensitivity = 4e-2
 """
 ROD = """[[load.elastic]]
 name = "rod"
@@ -45,6 +46,7 @@ height = 70.0
 down = [0.0, 0.0, -1.0]
 gravity_uncertainty = 2e-3
 support_motion = 2e-3
+base_strain = 5e-6
 sensor_temperature = { value = 26.0, U = 0.8, k = 2.0, dof = 8 }
 """
 HEADS = """

@@ -136,6 +136,7 @@ def test_result_file_holds_everything(folder, evaluation):
         assert file["sensitivity/uncertainty/covariance"].shape == (3, 12, 12)
         assert file["sensitivity/elements"][()].tolist() == [[channel, 2] for channel in range(6)]
         assert {entry.attrs["type"] for entry in file["sensitivity/budget"].values()} == {"A", "B"}
+        assert file["sensitivity/budget"].attrs["not_assessed"] == "repeatability, mounting anew"
         assert file["stereo/top/motion/covariance"].shape == (62, 6, 6)
         assert file["stereo/base/residual"].shape == (62, 6)
         assert file["stereo/top/epipolar/course_px"].shape == (62, 3)

@@ -41,7 +41,16 @@ NOISE, CROSS = 2e-7, 0.01
 TRUTH = Truth(gain=2e-6, amplitude=-100.0, baseline=2e-4, onset_s=5.13e-3, release_s=2e-4, rate_hz=50e3, length_s=0.03)
 COTTON = replace(TRUTH, release_s=2e-3, onset_s=4.7e-3)
 SHORT = replace(TRUTH, length_s=0.02)
-FILES = {"releases.csv", "models.csv", "indices.csv", "methods.csv", "models.json", "step.h5", "step.html"}
+FILES = {
+    "releases.csv",
+    "models.csv",
+    "indices.csv",
+    "budget.csv",
+    "methods.csv",
+    "models.json",
+    "step.h5",
+    "step.html",
+}
 
 
 def write(

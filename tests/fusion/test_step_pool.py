@@ -82,13 +82,13 @@ def test_modes_are_matched_in_rising_frequency():
 @pytest.mark.parametrize(("between", "least"), [(0.0, 0.94), (0.5, 0.92), (5.0, 0.92)])
 def test_intervals_of_three_releases_hold_the_truth(between, least):
     rng, size = np.random.default_rng(4), 10
-    stated = np.tile(np.eye(size), (3, 1, 1))
+    stated, blank = np.tile(np.eye(size), (3, 1, 1)), (np.zeros((0, size)), np.zeros((size, size)))
     held = []
     for _ in range(300):
         truth = rng.standard_normal(size)
         own = truth + np.sqrt(1.0 + between**2) * rng.standard_normal((3, size))
         mean = weighted_mean(own, stated)
-        u, dof = Pooled(BLANK, own, stated, mean.weight, np.zeros(size), mean.weight).spread(np.eye(size))
+        u, dof = Pooled(BLANK, own, stated, mean.weight, np.zeros(size), mean.weight, *blank).spread(np.eye(size))
         held.append(np.abs(mean.value - truth) <= stats.t.ppf(0.975, np.minimum(dof, 1e9)) * u)
     assert np.mean(held) > least
 

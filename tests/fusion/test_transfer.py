@@ -190,6 +190,17 @@ def test_every_recording_of_a_campaign_gets_a_folder(recording, tmp_path):
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["again", "chirp"]
 
 
+def test_what_mounting_anew_changes_is_in_u_of_a_resonance(recording):
+    plain = _evaluated(recording).resonances[0]
+    with (recording.parent / "rig.toml").open("a", encoding="utf-8") as rig:
+        rig.write("\n[model.mounting]\nfrequency_uncertainty = 2e-3\ndamping_ratio_uncertainty = 0.1\n")
+    known = _evaluated(recording).resonances[0]
+    hertz, damping = plain.fit.frequency_hz, plain.fit.damping_ratio
+    assert known.u_frequency_hz == pytest.approx(np.hypot(plain.u_frequency_hz, 2e-3 * hertz))
+    assert known.u_damping_ratio == pytest.approx(np.hypot(plain.u_damping_ratio, 0.1 * damping))
+    assert known.budget["mounting anew"] == pytest.approx((2e-3 * hertz, 0.1 * damping))
+
+
 def test_a_quantity_turns_response_and_reference(recording):
     top = 'name = "top"\nquantity = "{}"'
     edit(recording / "recording.toml", top.format("acceleration"), top.format("velocity"))

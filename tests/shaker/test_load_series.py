@@ -14,6 +14,7 @@ from scipy.signal import StateSpace, lsim
 from shaker.release.load_model import (
     LoadModel,
     change_limit,
+    figures_u,
     first_mode_hz,
     formula_limit,
     frequency_limit,
@@ -349,3 +350,29 @@ def test_intervals_hold_the_truth():
     alone = [estimate(trial) for trial in range(16)]
     coverage_contract(lambda trial: alone[trial], TRUE, 16)
     coverage_contract(lambda trial: (alone[trial][0], 1.96 * np.sqrt(np.diag(alone[trial][1]))), TRUE, 16)
+
+
+@pytest.mark.parametrize(("damping_ratio", "u_damping"), [(0.02, 0.1), (0.56, 0.03)])
+def test_u_of_a_band_holds_where_models_drawn_from_the_covariance_end_it(damping_ratio, u_damping):
+    """Light damping, where a band goes with the root of the stiffness; and a peak that may touch +10 %, where it jumps.
+
+    Of one mode |H|² = 1/[(1 - x)² + 4ζ²x], x = (f/fn)²: where it first leaves 0.9 to 1.1, solved for every draw.
+    """
+    mass, spring = 0.24, 2.4e6
+    damper = 2.0 * damping_ratio * np.sqrt(spring * mass)
+    covariance = np.diag([(0.01 * spring) ** 2, (u_damping * damper) ** 2])
+    model = LoadModel("Fz", "Fz", "V", mass, spring, damper, covariance=covariance)
+    u, seen = figures_u(model, lambda one: working_bands(one, 0.0, (0.1,)))
+    drawn = np.random.default_rng(6).multivariate_normal([spring, damper], covariance, size=4000)
+    zeta, hertz = drawn[:, 1] / 2.0 / np.sqrt(drawn[:, 0] * mass), np.sqrt(drawn[:, 0] / mass) / (2.0 * np.pi)
+    middle = 1.0 - 2.0 * zeta**2
+    up, down = (middle**2 - 1.0 + level**-2 for level in (1.1, 0.9))
+    high, low = middle - np.sqrt(np.maximum(up, 0.0)), middle + np.sqrt(down)
+    bands = hertz * np.sqrt(np.where((up > 0.0) & (middle > 0.0), high, low))
+    (value,) = working_bands(model, 0.0, (0.1,))
+    assert np.mean(np.abs(bands - value) < 1.96 * u[0]) > 0.94
+    if damping_ratio < 0.1:
+        assert u[0] == pytest.approx(0.5 * 0.01 * value, rel=1e-2)  # f goes with the root of k
+        assert u[0] == pytest.approx(np.std(bands), rel=0.05)
+    else:
+        assert seen.low[0] < 0.8 * value  # at the two ends of the model the band ends before and behind the peak

@@ -26,6 +26,7 @@ from fusion.sensor.compensate.source import (
     chosen,
 )
 from fusion.sensor.transfer.records import align
+from fusion.sensor.unseen import CAUSES, holds
 from shaker.arrays import FloatArray, Notice, Severity
 from shaker.compensation.effects import (
     KEPT_SHARE,
@@ -46,7 +47,7 @@ from shaker.compensation.filter import (
 from shaker.compensation.force_feedback import FeedbackRun, HapticLoop, largest_stable_gain, push, simulate_feedback
 from shaker.lti.indices import LABELS, indices, reach
 from shaker.lti.system import LinearSystem, ModalModel
-from shaker.release.load_model import LoadModel
+from shaker.release.load_model import LoadModel, figures_u
 
 # The force-feedback check: a loop through the sensor without filter, with one for no load, and with its own.
 
@@ -188,7 +189,9 @@ def _filtered(name: str, values: FloatArray, record: OutputRecord, made: LoadFil
     level, noise = float(np.mean(values[:first])), white_noise(values)
     run = CompensationWithUncertainty(made.compensation, rate_hz, wish.discretisation, level=level, noise=noise)
     signal, unit = run(values[None]), made.output_unit if wish.calibrated else record.unit
-    return CompensatedChannel(name, unit, made.sections.gain * values, signal.value[0], signal.u[0], signal.u_noise)
+    k = subject.factors(signal.u[0], signal.u_scatter[0])[1]
+    raw = made.sections.gain * values
+    return CompensatedChannel(name, unit, raw, signal.value[0], signal.u[0], signal.u_noise, k)
 
 
 def white_noise(values: FloatArray) -> float:
@@ -226,8 +229,10 @@ def remarks(result: SubjectResult, wish: Wish) -> Iterator[Notice]:
     """Say what limits the filters of a channel."""
     subject = result.subject
     if subject.scope:
-        text = "not in it: what mounting anew, another load or temperature, and models of another structure change"
-        yield Notice("info", f"U of the model holds {subject.scope}; {text}", subject.name)
+        load = [] if subject.is_scheduled else [CAUSES["load"]]
+        untold = ", ".join([CAUSES["mounting"], *load, CAUSES["temperature"], CAUSES["structure"]])
+        outside = subject.rests.outside
+        yield Notice("info", holds(subject.scope, untold if outside is None else outside), subject.name)
     for made in result.filters:
         several = made.load_mass is not None and len(result.filters) > 1
         where = f"{subject.name}, {subject.load_text(made.load_mass or 0.0)}" if several else subject.name
@@ -305,8 +310,6 @@ AFTER_PERIODS = 2.0
 """Periods of the target after which what still rings is read: 2 ms for 1000 Hz."""
 OFF_FREQUENCY = np.array([-0.2, -0.1, -0.05, -0.02, -0.01, 0.0, 0.01, 0.02, 0.05, 0.1])
 BAND_POINTS = 200
-LEAST_SHARE = 0.02
-"""Share of itself to which a stiffness, damping or mass may fall when a model is moved within its uncertainty."""
 
 
 def evaluate_compensation(
@@ -412,23 +415,22 @@ def _figures(design: Compensation, subject: Subject, mass: float | None, *, alon
 
     model, sensor = subject.model, design.sensor
     found = indices(sensor.system if alone else design.compensated, 1.0 if alone else design.compensated.static_gain)
+    names = tuple(LABELS)
     if isinstance(model, ModalModel) and model.covariance is not None:
         # Steps of half an uncertainty: an index that jumps from one turning point to the next does so within it.
         slope, covariance = model.jacobian(lambda one: values(one.system), 0.5)[1], model.covariance
         seen = reach(covariance, slope, lambda move: values(model.moved(move).system))
+        scatter = np.zeros_like(covariance) if subject.of_scatter is None else subject.of_scatter
+        spread, of_scatter = (
+            seen.factor * np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", slope, part, slope), 0.0))
+            for part in (covariance, scatter)
+        )
     elif isinstance(model, LoadModel) and model.total_covariance is not None:
-        load, least = mass or 0.0, LEAST_SHARE * model.numbers
-        slope, covariance = model.jacobian(lambda one: values(one.system(load)))[1], model.total_covariance
-
-        def moved(move: FloatArray) -> FloatArray:
-            return values(model.with_numbers(np.maximum(model.numbers + move, least)).system(load))
-
-        seen = reach(covariance, slope, moved)
-    else:
-        return Figures(found, dict.fromkeys(LABELS))
-    spread = seen.factor * np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", slope, covariance, slope), 0.0))
-    if isinstance(model, LoadModel):
-        gain = list(LABELS).index("static_gain")
+        spread, seen = figures_u(model, lambda one: values(one.system(mass or 0.0)))
+        gain, of_scatter = names.index("static_gain"), spread
         spread[gain] = np.hypot(spread[gain], values(sensor.system)[gain] / model.sensitivity * model.u_sensitivity)
-    known = {name: float(one) if np.isfinite(one) else None for name, one in zip(LABELS, spread, strict=True)}
-    return Figures(found, known, tuple(seen.notices(tuple(LABELS))))
+    else:
+        return Figures(found, dict.fromkeys(names), dict.fromkeys(names, np.inf))
+    dof = dict(zip(names, subject.factors(spread, of_scatter)[0].tolist(), strict=True))
+    known = {name: float(one) if np.isfinite(one) else None for name, one in zip(names, spread, strict=True)}
+    return Figures(found, known, dof, tuple(seen.notices(names)))

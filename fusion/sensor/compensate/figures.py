@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,16 @@ def frequencies(made: LoadFilter) -> FloatArray:
     return np.unique(np.concatenate([even, *(f * (1.0 + np.linspace(-0.05, 0.05, 101)) for f in known)]))
 
 
+def expanded_gain(made: LoadFilter, hertz: FloatArray) -> FloatArray:
+    """Relative U (K,) for 95 % of the compensated gain at frequencies (K,), by the covariance of the model."""
+    design, sensor = made.compensation, made.compensation.sensor
+    u = gain_band(design, hertz).u_gain
+    part = np.zeros_like(u)
+    if sensor.scatter is not None:
+        part = gain_band(replace(design, sensor=replace(sensor, covariance=sensor.scatter)), hertz).u_gain
+    return np.asarray(made.subject.factors(u, part)[1] * u)
+
+
 def draw_bode(name: str, made: LoadFilter, permitted_error: float) -> Picture:
     """Gain and phase over the static gain before and after, the band of the permitted error, and the sampled filter."""
     design, hertz, title = made.compensation, frequencies(made), made.name
@@ -55,9 +66,9 @@ def draw_bode(name: str, made: LoadFilter, permitted_error: float) -> Picture:
         draw_response(upper, lower, hertz, after, color=BLUE, label="compensated", **look)
         draw_response(upper, lower, hertz, sampled, color=RED, linestyle=DASHED, label="for samples", zorder=3, **look)
         if design.sensor.covariance is not None:
-            half = 2.0 * gain_band(design, hertz).u_gain
+            half = expanded_gain(made, hertz)
             low, high = np.abs(after) * np.exp(-half), np.abs(after) * np.exp(half)
-            upper.fill_between(hertz, low, high, color=BLUE, alpha=0.25, linewidth=0, label="U (k = 2)")
+            upper.fill_between(hertz, low, high, color=BLUE, alpha=0.25, linewidth=0, label="U (95 %)")
         upper.axhspan(1.0 - permitted_error, 1.0 + permitted_error, color=LIGHT, zorder=0)
         for indices, colour in ((made.before.indices, GREY), (made.after.indices, BLUE)):
             if indices.band_10_hz is not None and np.isfinite(indices.band_10_hz):
@@ -163,23 +174,23 @@ def draw_force_feedback(evaluation: CompensateEvaluation) -> Picture | None:
 def draw_channel(recording: CompensatedRecording, channel: CompensatedChannel) -> Picture:
     """A channel of the recording before and after, less its first value, and its uncertainty."""
     keep = slice(None, None, max(1, -(-len(channel.value) // DRAWN)))
-    time, u = recording.time_s[keep], channel.u[keep]
+    time, u = recording.time_s[keep], channel.expanded[keep]
     raw, value = (channel.raw - channel.raw[0])[keep], (channel.value - channel.value[0])[keep]
     with sheet(f"recording-{channel.channel}", 3.8, 2, heights=(2.0, 1.0)) as drawn:
         upper, lower = drawn.panels
         (scale, letter), (small, small_letter) = prefix(value), prefix(u)
         upper.plot(time, raw / scale, color=GREY, linewidth=0.7, label="output", zorder=2)
         upper.plot(time, value / scale, color=BLUE, linewidth=0.8, label="compensated", zorder=3)
-        lower.plot(time, 2.0 * u / small, color=BLACK, linewidth=0.7)
+        lower.plot(time, u / small, color=BLACK, linewidth=0.7)
         upper.set_ylabel(f"change / {_unit(letter, channel.unit)}")
-        highest = 2.2 * float(np.max(u)) / small or 1.0
+        highest = 1.1 * float(np.max(u)) / small or 1.0
         lower.set(xlabel="time / s", ylabel=f"U / {_unit(small_letter, channel.unit)}", ylim=(0.0, highest))
         upper.legend(loc="upper right")
         panel_label(upper, channel.channel)
         for axes in drawn.panels:
             axes.set_rasterization_zorder(4)
         caption = "Both less their first value, the output times the static gain of the filter. "
-        caption += "Below: U (k = 2) of every sample, from model and noise."
+        caption += "Below: U (95 %) of every sample, from model and noise."
         return drawn.picture(f"{channel.channel}: recording before and after", caption, gap=(0.5, 0.18))
 
 

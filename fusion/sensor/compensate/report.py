@@ -16,7 +16,8 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, GRAM, K2, MILLI, PERCENT, InputError, rounded
+from fusion.base import DASH, GRAM, MILLI, PERCENT, InputError, rounded
+from fusion.estimation.uncertainty import coverage_factor
 from fusion.report.folder import Command, hash_files
 from fusion.report.h5 import write_value
 from fusion.report.table import (
@@ -224,6 +225,9 @@ class NumberRow(NamedTuple):
     value: float | None
     u: float | None
     unit: str
+    U: float | None
+    k: float | None
+    dof: float | None
 
 
 def over(top: str, bottom: str) -> str:
@@ -238,21 +242,25 @@ def number_rows(made: LoadFilter) -> Iterator[NumberRow]:
     """One row per number of one filter."""
     sensor, target = made.compensation.sensor, made.compensation.target
 
-    def row(name: str, value: float | None, unit: str, u: float | None = None) -> NumberRow:
-        return NumberRow(made.subject.channel, made.subject.component, made.load_mass, name, value, u, unit)
+    def row(name: str, value: float | None, unit: str, u: float | None = None, dof: float = np.inf) -> NumberRow:
+        k = None if u is None else coverage_factor(dof)
+        of_u = (None, None, None) if u is None or k is None else (k * u, k, dof)
+        return NumberRow(made.subject.channel, made.subject.component, made.load_mass, name, value, u, unit, *of_u)
 
     modes = len(sensor.frequency_hz)
     names = [f"sensor_{name}_{m + 1}" for name in ("frequency_hz", "damping_ratio") for m in range(modes)]
     names += [f"sensor_real_hz_{q + 1}" for q in range(len(sensor.real_hz))] + ["sensor_static_gain"]
     gain_unit = over(made.subject.unit, made.subject.load_unit)
-    for name, value, u in zip(names, sensor.vector, sensor.u, strict=True):
+    for name, value, u, dof in zip(names, sensor.vector, sensor.u, made.sensor_dof.tolist(), strict=True):
         unit = "Hz" if "_hz" in name else gain_unit if name == "sensor_static_gain" else "1"
-        yield row(name, float(value), unit, known(u))
+        yield row(name, float(value), unit, known(u), dof)
     yield row("target_frequency_hz", target.frequency_hz, "Hz")
     yield row("target_damping_ratio", target.damping_ratio, "1")
-    for when, figures in (("before", made.before), ("after", made.after)):
+    after_unit = over(made.output_unit, made.subject.load_unit)
+    for when, figures, of_gain in (("before", made.before, gain_unit), ("after", made.after, after_unit)):
         for name, value in figures.indices.figures().items():
-            yield row(f"{when}_{name}", value, unit_of(name) or "1", figures.u[name])
+            unit = of_gain if name == "static_gain" else unit_of(name) or "1"
+            yield row(f"{when}_{name}", value, unit, figures.u[name], figures.dof[name])
     yield row("white_noise_gain", made.noise_gain, over(made.output_unit, made.subject.unit))
     yield row("noise", made.noise, made.output_unit)
     yield row("discretisation_error", made.discretisation_error, "1")
@@ -280,11 +288,11 @@ def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
 
 def cell(figures: Figures, name: str, *, plain: bool = False) -> str:
     """A figure with U and unit, as HTML or as `plain` text for the terminal."""
-    value, u = figures.indices.figures()[name], figures.u[name]
+    value, u = figures.indices.figures()[name], figures.expanded(name)
     if value is None or not np.isfinite(value):
         return "no end" if value is not None else "none" if plain else DASH
     scale, unit = (PERCENT, "%") if name == "overshoot" else SCALE[unit_of(name)]
-    expanded = 0.0 if u is None else K2 * scale * u
+    expanded = 0.0 if u is None else scale * u
     if plain:
         return f"{rounded(scale * value, expanded).text} {unit}".strip()
     return f"{scale * value:.5g} {unit}".strip() if u is None else measured(scale * value, expanded, unit)
@@ -297,16 +305,15 @@ def index_table(made: LoadFilter) -> Table | None:
         on_page("sensor", lambda name: cell(made.before, name)),
         on_page("compensated", lambda name: cell(made.after, name)),
     ]
-    told = "" if made.compensation.sensor.covariance is None else f", with U (k = 2) {made.subject.scope}".rstrip()
+    told = "" if made.compensation.sensor.covariance is None else f", with U (95 %) {made.subject.scope}".rstrip()
     return table(f"{made.name}: before and after{told}", columns, SHOWN)
 
 
 def _poles(made: LoadFilter) -> Markup:
     """Frequencies in Hz that a filter takes out of the sensor."""
     sensor = made.compensation.sensor
-    modes = [
-        measured(hertz, 0.0 if np.isnan(u) else K2 * u) for hertz, u in zip(sensor.frequency_hz, sensor.u, strict=False)
-    ]
+    told = zip(sensor.frequency_hz, sensor.u, made.sensor_dof, strict=False)
+    modes = [measured(hertz, 0.0 if np.isnan(u) else coverage_factor(float(dof)) * u) for hertz, u, dof in told]
     return Markup("; ").join([*modes, *(f"real {hertz:.5g}" for hertz in sensor.real_hz)])
 
 
@@ -379,7 +386,7 @@ def damping_table(evaluation: CompensateEvaluation) -> Table | None:
 
 
 def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
-    """Lines for the terminal, with U (k = 2) where it is known."""
+    """Lines for the terminal, with U (95 %) where it is known."""
     for made in evaluation.filters:
         target = made.compensation.target
         yield f"{made.name}{f', U {made.subject.scope}' if made.subject.scope else ''}"
@@ -403,7 +410,7 @@ def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
     return {
         "subject": [("Wanted", aim), ("For samples", kind), *models, *recording],
         "headlines": headlines(evaluation),
-        "filters": table("Filters, with U (k = 2) where it is known", FILTERS, evaluation.filters),
+        "filters": table("Filters, with U (95 %) where it is known", FILTERS, evaluation.filters),
         "damping": damping_table(evaluation),
         "parts": [
             (made.name, [draw_bode(f"bode-{n}", made, error), draw_step(f"step-{n}", made)], index_table(made))
@@ -429,7 +436,7 @@ def _fill(file: h5py.File, evaluation: CompensateEvaluation) -> None:
     applied = evaluation.applied
     if applied is not None:
         channels = {
-            one.channel: {name: getattr(one, name) for name in ("unit", "u_noise", "value", "u")}
+            one.channel: {name: getattr(one, name) for name in ("unit", "u_noise", "value", "u", "k")}
             for one in applied.channels
         }
         origin = {"sample_rate_hz": applied.sample_rate_hz, "start_s": applied.start_s}
@@ -451,6 +458,8 @@ def _stored(made: LoadFilter) -> dict[str, Any]:
         **vars(sections),
         "sensor": design.sensor.vector,
         "covariance": design.sensor.covariance,
+        "covariance_of_scatter": design.sensor.scatter,
+        "dof": subject.rests.dof,
         **({} if band is None else {"u_gain": band.u_gain, "u_phase_rad": band.u_phase_rad}),
         "frequency_hz": hertz,
         "before": design.sensor.system.response(hertz),
@@ -460,7 +469,7 @@ def _stored(made: LoadFilter) -> dict[str, Any]:
 
 
 def _texts(evaluation: CompensateEvaluation) -> dict[str, str | bytes]:
-    """Filters, numbers, and the filtered recording with U (k = 2) of every sample."""
+    """Filters, numbers, and the filtered recording with U (95 %) of every sample."""
     texts: dict[str, str | bytes] = {
         JSON_FILE: json_text(evaluation),
         HEADER_FILE: header_text(evaluation),
@@ -469,7 +478,7 @@ def _texts(evaluation: CompensateEvaluation) -> dict[str, str | bytes]:
     applied = evaluation.applied
     if applied is not None:
         names = ["time_s", *(name for one in applied.channels for name in (one.channel, f"U_{one.channel}"))]
-        samples = [applied.time_s, *(part for one in applied.channels for part in (one.value, K2 * one.u))]
+        samples = [applied.time_s, *(part for one in applied.channels for part in (one.value, one.expanded))]
         columns: list[Column[list[float]]] = [Column(name, itemgetter(place)) for place, name in enumerate(names)]
         texts["compensated.csv"] = csv_text(columns, np.stack(samples, axis=1).tolist())
     return texts

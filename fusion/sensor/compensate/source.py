@@ -10,14 +10,17 @@ from typing import Any
 import numpy as np
 
 from fusion.base import InputError
+from fusion.estimation.uncertainty import coverage_factor
 from fusion.recording.values import repeated_name
 from fusion.sensor.models_file import (
     LOAD_MODEL_FILE,
     MODELS_FILE,
-    read_load_models,
+    Rests,
+    read_loads,
     read_models,
     read_stored,
 )
+from fusion.sensor.step.records import effective_dof
 from shaker.arrays import FloatArray, Notice
 from shaker.compensation.effects import target_for_bandwidth, target_for_frequency
 from shaker.compensation.filter import (
@@ -38,6 +41,9 @@ from shaker.release.load_model import LoadModel
 # What the user wants of a compensation.
 
 COMMAND = "shakercal compensate"
+NOT_TOLD = Rests(scope="")
+MOST_DOF = 1e6
+"""Degrees of freedom from which on scatter counts for nothing but rounding."""
 STATED = "sensor"
 """Channel of a sensor that is stated by numbers."""
 
@@ -112,8 +118,8 @@ class Subject:
     """An output channel for a load component (Fx … Mz), in output `unit`, with what is known of its dynamics.
 
     `component`: empty of a sensor that is stated. `model`: fitted to releases, over the load, or stated. `noise`:
-    standard deviation of the output at `sample_rate_hz`, None where they are not known. `source`: in words; `scope`:
-    over what U of the model holds, in words.
+    standard deviation of the output at `sample_rate_hz`, None where they are not known. `source`: in words; `rests`:
+    what its U rests on, with `scatter` (P, P) the part of the covariance that has these degrees of freedom, None: all.
     """
 
     channel: str
@@ -123,7 +129,13 @@ class Subject:
     source: str
     sample_rate_hz: float | None = None
     noise: float | None = None
-    scope: str = ""
+    rests: Rests = NOT_TOLD
+    scatter: FloatArray | None = None
+
+    @property
+    def scope(self) -> str:
+        """Over what U of the model holds, in words."""
+        return self.rests.scope
 
     @property
     def name(self) -> str:
@@ -146,12 +158,35 @@ class Subject:
             return f"{1e3 * load:.4g} g"
         return f"{load:.4g} {typeset(mechanical_units(self.component).inertia)}"
 
+    @property
+    def of_scatter(self) -> FloatArray | None:
+        """The part of the model's covariance (P, P) that rests on what records scatter by, None without."""
+        if isinstance(self.model, SensorDynamics) or not np.isfinite(self.rests.dof):
+            return None
+        whole = self.model.total_covariance if isinstance(self.model, LoadModel) else self.model.covariance
+        return whole if self.scatter is None else self.scatter
+
+    def factors(self, u: FloatArray, u_scatter: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return degrees of freedom and k for 95 % (Q,) of numbers of u (Q,), of which `u_scatter` (Q,) is scatter."""
+        from scipy.special import stdtrit
+
+        if not np.isfinite(self.rests.dof):
+            return np.full(u.shape, np.inf), np.full(u.shape, coverage_factor(np.inf))
+        dof = effective_dof(u**2, np.minimum(u, u_scatter) ** 2, self.rests.dof)
+        dof = np.where(dof < MOST_DOF, dof, np.inf)
+        return dof, np.asarray(np.where(dof < MOST_DOF, stdtrit(dof, 0.975), coverage_factor(np.inf)))
+
     def dynamics(self, load_mass: float | None, modes: int, real_poles: bool) -> SensorDynamics:
         """Return what a filter takes out of the sensor with a load."""
         if isinstance(self.model, LoadModel):
-            return loaded_dynamics(self.model, load_mass or 0.0, modes=modes)
+            made = loaded_dynamics(self.model, load_mass or 0.0, modes=modes)
+            return replace(made, scatter=made.covariance if np.isfinite(self.rests.dof) else None)
         if isinstance(self.model, ModalModel):
-            return modal_dynamics(self.model, modes=modes, real_poles=real_poles)
+            made = modal_dynamics(self.model, modes=modes, real_poles=real_poles)
+            if self.of_scatter is None:
+                return made
+            part = modal_dynamics(replace(self.model, covariance=self.of_scatter), modes=modes, real_poles=real_poles)
+            return replace(made, scatter=part.covariance)
         if modes != 1:
             raise ValueError(f"modes: expected 1 of a sensor stated by frequency and damping, found {modes}")
         return self.model
@@ -222,7 +257,8 @@ def _of_steps(file: Path) -> Sources:
         offered = [entry for entry in models if entry.channel == channel]
         one = max(offered, key=lambda entry: (entry.component == entry.channel, abs(entry.model.static_gain)))
         told = f"{one.method}, {one.recording}"
-        known = one.sample_rate_hz, one.noise, one.scope or "within the records of the model"
+        rests = Rests(one.dof, one.scope or Rests().scope, one.outside)
+        known = one.sample_rate_hz, one.noise, rests, one.scatter
         subjects.append(Subject(channel, one.component, one.unit, one.model, told, *known))
     return Sources(models.name, tuple(subjects), (file,))
 
@@ -230,7 +266,7 @@ def _of_steps(file: Path) -> Sources:
 def _of_loads(file: Path) -> Sources:
     """One subject per component; of solutions that the data cannot tell apart the first, told in a notice."""
     subjects, notices = [], []
-    for model in read_load_models(file):
+    for model, rests in read_loads(file):
         if model.solution > 1:
             continue
         if model.solutions > 1:
@@ -240,9 +276,7 @@ def _of_loads(file: Path) -> Sources:
             )
             notices.append(Notice("warning", text, model.channel))
         told = "two masses" if model.is_rigid else "three masses"
-        subject = Subject(
-            model.channel, model.component, model.unit, model, told, scope="within the records of the model"
-        )
+        subject = Subject(model.channel, model.component, model.unit, model, told, rests=rests)
         if model.load_masses:
             loads = ", ".join(subject.load_text(load) for load in model.load_masses)
             subject = replace(subject, source=f"{told}, fitted to loads of {loads}")
@@ -255,14 +289,20 @@ def _of_loads(file: Path) -> Sources:
 
 @dataclass(frozen=True)
 class Figures:
-    """Indices of a system with their standard uncertainties by name, None where they are not known.
+    """Indices of a system with their standard uncertainties and degrees of freedom by name, None where not known.
 
     `notices`: of which of them first order does not hold.
     """
 
     indices: Indices
     u: dict[str, float | None]
+    dof: dict[str, float]
     notices: tuple[Notice, ...] = ()
+
+    def expanded(self, name: str) -> float | None:
+        """Return U for 95 % of an index, None where it is not known."""
+        u = self.u[name]
+        return None if u is None else coverage_factor(self.dof[name]) * u
 
 
 @dataclass(frozen=True)
@@ -299,6 +339,13 @@ class LoadFilter:
         return f"{self.subject.name}{load}"
 
     @property
+    def sensor_dof(self) -> FloatArray:
+        """Degrees of freedom (P,) of the standard uncertainties of what the filter cancels."""
+        sensor = self.compensation.sensor
+        part = np.zeros_like(sensor.u) if sensor.scatter is None else np.sqrt(np.diag(sensor.scatter))
+        return self.subject.factors(sensor.u, part)[0]
+
+    @property
     def output_unit(self) -> str:
         """Unit of what the filter puts out: that of the load where it is calibrated."""
         return self.subject.load_unit if self.compensation.calibrated else self.subject.unit
@@ -321,7 +368,7 @@ class SubjectResult:
 class CompensatedChannel:
     """A channel of a recording after its filter: `value`, standard uncertainty `u` (N,), and `u_noise` in it.
 
-    `raw` (N,): before it, times the static gain of the filter.
+    `raw` (N,): before it, times the static gain of the filter. `k` (N,): coverage factors for 95 %.
     """
 
     channel: str
@@ -330,6 +377,12 @@ class CompensatedChannel:
     value: FloatArray
     u: FloatArray
     u_noise: float
+    k: FloatArray
+
+    @property
+    def expanded(self) -> FloatArray:
+        """Expanded uncertainty U (N,) for 95 %."""
+        return np.asarray(self.k * self.u)
 
 
 @dataclass(frozen=True)

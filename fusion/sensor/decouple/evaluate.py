@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from fusion.base import CommandEvaluation, ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
 from fusion.sensor.models_file import FORMAT, read_stored
 from fusion.sensor.step.records import StepInput, read_step
+from fusion.sensor.unseen import Beside, beside, holds
 from shaker.arrays import FloatArray, Notice
 from shaker.decoupling.filter import (
     Crosstalk,
@@ -59,11 +60,13 @@ class DecoupleEvaluation(CommandEvaluation):
 
     `capacity` (D,): rated loads of the model's components, None where rig.toml states none; `noise_gain` (D,): noise of
     each load behind the filter over that with the static matrix alone, `noise` (D,) behind the filter in N or N·m;
+    `beside`: what is known of the model beside the records, in its covariance;
     `deviation` (K,): largest |D·H - T| over all elements, in rated loads, at the frequencies of the cross-talk.
     """
 
     manifests: tuple[Manifest, ...]
     fit: MultiFit
+    beside: Beside
     decoupler: DecouplingFilter
     stages: tuple[Crosstalk, ...]
     capacity: FloatArray | None
@@ -116,6 +119,8 @@ def evaluate_decoupling(
         fit = fit_steps([item.record for item in inputs])
     except ValueError as error:
         raise _unexplained(error, manifests[0]) from error
+    known = beside(manifests[0].rig, [manifest.mounting for manifest in manifests], scattering=False)
+    fit = replace(fit, model=known.on_outputs(fit.model))
     target = _target(fit, settings)
     try:
         decoupler = design_decoupling(fit.model, target, Recorded(fit.sample_rate_hz, fit.noise, fit.amplitude))
@@ -138,11 +143,13 @@ def evaluate_decoupling(
     static = np.sqrt(static_inverse(fit.model, fit.noise) ** 2 @ fit.noise**2)
     noise = decoupler.noise(fit.noise)
     notices = [notice for item in inputs for notice in item.notices]
+    notices.append(Notice("info", holds(known.scope, known.outside), "models"))
     notices += [*fit.notices, *_notices(fit, target, deviation, frequency_hz, capacity)]
     return DecoupleEvaluation(
         name=name,
         manifests=tuple(manifests),
         fit=fit,
+        beside=known,
         decoupler=decoupler,
         stages=stages,
         capacity=capacity,

@@ -52,6 +52,7 @@ from fusion.sensor.decouple.evaluate import (
     evaluate_decoupling,
     filter_text,
 )
+from fusion.sensor.unseen import budget_table
 from shaker.arrays import FloatArray
 from shaker.decoupling.filter import stage_readers, step_readings, step_times
 from shaker.decoupling.fit import ReleaseFit
@@ -190,7 +191,21 @@ def modes_table(evaluation: DecoupleEvaluation) -> Table:
         value = measured(float(model.real_hz[q]), K2 * float(u.real_hz[q]))
         rows.append((value, "real pole", str(rank.rank), DASH))
     head = ("frequency / Hz", "damping ratio / %", "shapes", "clearest in")
-    return Table("Poles that all outputs share, with U (k = 2)", head, "rrrl", tuple(rows))
+    return Table(f"Poles that all outputs share, with U (k = 2) {evaluation.beside.scope}", head, "rrrl", tuple(rows))
+
+
+def modes_budgets(evaluation: DecoupleEvaluation) -> list[Table]:
+    """What makes the u of the modes' frequencies and damping ratios, and what nobody states."""
+    model, known = evaluation.fit.model, evaluation.beside
+    effects, whole = known.effects(lambda *part: model.altered(*part).vector), np.diag(np.asarray(model.covariance))
+    tables, count = [], len(model.frequency_hz)
+    for what, first in (("frequencies", 0), ("damping ratios", count)):
+        own = slice(first, first + count)
+        names = [f"mode at {hertz:.5g} Hz" for hertz in model.frequency_hz]
+        numbers = dict(zip(names, model.vector[own].tolist(), strict=True))
+        parts = known.budget(whole[own], effects[:, own], "releases and loads")
+        tables.append(budget_table(f"Budget of the {what}", numbers, parts, known))
+    return tables
 
 
 def peak_tables(evaluation: DecoupleEvaluation) -> list[Table]:
@@ -371,6 +386,7 @@ def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
         "peaks": peak_tables(evaluation),
         "steps": [draw_step(evaluation)] if comparable else [],
         "modes": modes_table(evaluation),
+        "budgets": modes_budgets(evaluation),
         "static": static_table(evaluation),
         "noise": table("Noise of a sample (standard deviation) by the outputs' noise", NOISE, noise),
         "releases": table("Releases, with U (k = 2); misfit: largest residual over the noise", RELEASES, fit.releases),
@@ -386,6 +402,7 @@ def _fill(file: h5py.File, evaluation: DecoupleEvaluation) -> None:
     """Fill the HDF5 file."""
     file.attrs["name"] = evaluation.name
     file.attrs["model"] = "H(s) = sum R/(s-p) + conj + sum R_q/(s-p_q); poles in rad/s; k = 1"
+    file.attrs["scope"], file.attrs["outside"] = evaluation.beside.scope, evaluation.beside.outside
     fit = evaluation.fit
     model = file.create_group("model", track_order=True)
     for name in (*MODEL_FIELDS, "covariance"):

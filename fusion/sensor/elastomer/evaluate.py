@@ -12,6 +12,7 @@ import numpy as np
 from fusion.base import CommandEvaluation, InputError, ProgressCallback, as_input_error, no_progress
 from fusion.sensor.elastomer.definition import Definition
 from fusion.sensor.models_file import read_models
+from fusion.sensor.unseen import holds
 from shaker.arrays import FloatArray, Notice
 from shaker.elastomer.frame import (
     NAMES,
@@ -132,6 +133,8 @@ def measured_column(definition: Definition) -> tuple[ComparedColumn | None, list
             continue
         place = NAMES.index(name)
         value[place], u[place] = dominant(entry.model)
+        if entry.scope and np.isfinite(u[place]):
+            notices.append(Notice("info", holds(entry.scope, entry.outside or ""), f"measured, {entry.component}"))
     return ComparedColumn("measured", "measured", value, u), notices
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
@@ -15,9 +16,12 @@ import numpy as np
 from fusion.base import CommandEvaluation, ComputeError, InputError
 from fusion.estimation.uncertainty import NamedQuantity, coverage_factor
 from fusion.recording.load import Manifest
+from fusion.recording.rig import Rig
 from fusion.sensitivity.body import inertia_errors, rigid_load
-from fusion.sensor.models_file import parameter_units, scope_of
+from fusion.sensor.models_file import parameter_units
+from fusion.sensor.step.records import effective_dof
 from fusion.sensor.step.releases import Release, read_recording
+from fusion.sensor.unseen import CAUSES, Beside, beside, holds
 from shaker.arrays import FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS
 from shaker.release.load_model import (
@@ -25,6 +29,7 @@ from shaker.release.load_model import (
     LoadLimit,
     LoadModel,
     change_limit,
+    figures_u,
     formula_limit,
     frequency_limit,
     load_curve,
@@ -76,13 +81,16 @@ class LoadSettings:
 # What a series of loads consists of before any model: records with their masses, or a table of resonances.
 
 MOVING = "moving mass of the sensor"
+NO_CAUSE = ("load",)  # what a model over the load holds itself
+OF_TABLE = Beside(missing=tuple(cause for cause in CAUSES if cause not in NO_CAUSE), records="within this table")
 
 
 @dataclass(frozen=True)
 class LoadSeries:
     """R records or table rows of one component: names, resonances, masses, the decays behind them (none of a table).
 
-    `noise` (R,): standard deviations of the records, in output units, None of a table. `scope`: over what U holds.
+    `noise` (R,): standard deviations of the records, in output units, None of a table. `beside`: what is known of the
+    models beside them.
     """
 
     output: Output
@@ -91,7 +99,7 @@ class LoadSeries:
     masses: SeriesMasses
     decays: tuple[FreeDecay, ...]
     noise: FloatArray | None
-    scope: str = "within this table"
+    beside: Beside = OF_TABLE
 
 
 def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], tuple[Notice, ...]]:
@@ -166,8 +174,18 @@ def _series(releases: Sequence[Release], moving: Sequence[Moving], component: in
         masses=_masses(moving[0], masses),
         decays=tuple(decays),
         noise=np.array([item.noise for item in modes]),
-        scope=scope_of([release.manifest.mounting for release in releases]),
+        beside=beside(_telling(releases), [release.manifest.mounting for release in releases], NO_CAUSE),
     )
+
+
+def _telling(releases: Sequence[Release]) -> Rig:
+    """The rig that states what no record shows, of those of several loads; all that state something state the same."""
+    telling = [one.manifest for one in releases if one.manifest.rig.model is not None] or [releases[0].manifest]
+    for other in telling:
+        if other.rig.model != telling[0].rig.model:
+            expected = f"the same as in {telling[0].rig_path.name}, since all are of one sensor"
+            raise InputError(other.rig_path, "model", found="another statement", expected=expected)
+    return telling[0].rig
 
 
 def _load(manifest: Manifest, component: int) -> tuple[float, dict[str, float]]:
@@ -259,8 +277,9 @@ class Solution:
     """One model that the data support, and what follows from it.
 
     Curves of both modes: `recorded` at the loads (R,), `predicted` at those asked for (P,), `drawn` over a grid (G,);
-    `bands` (R, 2) and `predicted_bands` (P, 2): up to where the gain is within 5 and 10 % of that at rest, Hz.
-    `limits`: loads that are permitted, NaN where there is no limit.
+    `bands` (R, 2) and `predicted_bands` (P, 2): up to where the gain is within 5 and 10 % of that at rest, Hz, with the
+    standard uncertainties `u_bands`, `u_predicted_bands`, NaN where unknown. `limits`: loads that are permitted, NaN
+    where there is no limit. `notices`: which bands do not change in proportion to the model.
     """
 
     model: LoadModel
@@ -270,6 +289,9 @@ class Solution:
     bands: FloatArray
     predicted_bands: FloatArray
     limits: tuple[NamedQuantity, ...]
+    u_bands: FloatArray
+    u_predicted_bands: FloatArray
+    notices: tuple[Notice, ...]
 
 
 @dataclass(frozen=True)
@@ -345,8 +367,9 @@ def evaluate_loads(
     told = [*notices]
     for component in components:
         told += component.identification.notices
-        text = "not in it: what mounting anew, another temperature, and models of another structure change"
-        told.append(Notice("info", f"U holds {component.series.scope}; {text}", component.name))
+        known = component.series.beside
+        told.append(Notice("info", holds(known.scope, known.outside), component.name))
+        told += [notice for solution in component.solutions for notice in solution.notices]
         largest, unit = float(np.max(component.series.masses.load)), component.series.output.mass_unit
         if beyond := ", ".join(f"{mass:g}" for mass in settings.predicted if mass > largest):
             text = f"{beyond} {unit} lies beyond the largest load recorded, {largest:.4g} {unit}"
@@ -377,8 +400,13 @@ def _component(series: LoadSeries, settings: LoadSettings) -> ComponentLoads:
     scale = np.sqrt((moving + loads[lightest]) / (moving + loads))
     fit = identified.chosen[0]
     dof = float(fit.dof[0]) if fit.scatter[0] > 0.0 else float(np.inf)
-    solutions = tuple(_solution(model, dof, series, settings) for model in identified.models)
-    return ComponentLoads(series, identified, series.measured.frequency_hz[lightest, 0] * scale, solutions, dof)
+    models = [series.beside.on_loads(model) for model in identified.models]
+    if np.isfinite(dof) and series.beside.unknowns and models[0].total_covariance is not None:
+        whole, own = (np.diag(np.asarray(one.covariance)) for one in (models[0], identified.models[0]))
+        dof = float(np.min(effective_dof(whole, own, dof)[own > 0.0], initial=np.inf))
+    solutions = tuple(_solution(model, dof, series, settings) for model in models)
+    formula_hz = series.measured.frequency_hz[lightest, 0] * scale
+    return ComponentLoads(series, identified, formula_hz, solutions, dof)
 
 
 def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSettings) -> Solution:
@@ -394,13 +422,28 @@ def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSe
     ]
     for wanted in settings.wanted_hz:
         limits.append(("frequency_limit", f"resonance of at least {wanted:g} Hz", frequency_limit(model, wanted)))
-    unlimited = LoadLimit(float("nan"), float("nan"))
+    unlimited, where = LoadLimit(float("nan"), float("nan")), f"{series.output.component}, {{:.4g}} {unit}"
+    (bands, u_bands, told), (others, u_others, more) = (_bands(model, masses, where) for masses in (loads, asked))
     return Solution(
         model=model,
         recorded=load_curve(model, loads, series.masses.u_load),
         predicted=load_curve(model, asked),
         drawn=load_curve(model, np.linspace(0.0, BEYOND * largest, GRID)),
-        bands=np.array([working_bands(model, float(load)) for load in loads]).reshape(-1, 2),
-        predicted_bands=np.array([working_bands(model, float(load)) for load in asked]).reshape(-1, 2),
+        bands=bands,
+        predicted_bands=others,
+        u_bands=u_bands,
+        u_predicted_bands=u_others,
+        notices=tuple(dict.fromkeys((*told, *more))),
         limits=tuple(NamedQuantity(*(limit or unlimited), dof, unit, name, label) for name, label, limit in limits),
     )
+
+
+def _bands(model: LoadModel, loads: FloatArray, where: str) -> tuple[FloatArray, FloatArray, list[Notice]]:
+    """Bands (R, 2) of loads (R,), their standard uncertainties, and which do not change in proportion to the model."""
+    bands, u, told = np.full((len(loads), 2), np.nan), np.full((len(loads), 2), np.nan), list[Notice]()
+    for place, load in enumerate(loads.tolist()):
+        bands[place] = working_bands(model, load)
+        if model.total_covariance is not None:
+            u[place], seen = figures_u(model, partial(working_bands, load_mass=load))
+            told += [replace(one, where=where.format(load)) for one in seen.notices(("band_5_hz", "band_10_hz"))]
+    return bands, np.where(np.isnan(bands), np.nan, u), told

@@ -39,7 +39,8 @@ from fusion.sensor.load.evaluate import (
     read_table,
 )
 from fusion.sensor.load.figures import draw_characteristics, draw_spectra, small_unit
-from fusion.sensor.models_file import LOAD_MODEL_FILE, model_text, parameter_units
+from fusion.sensor.models_file import LOAD_MODEL_FILE, Rests, model_text, parameter_units
+from fusion.sensor.unseen import budget_table
 from shaker.arrays import FloatArray
 from shaker.labels import typeset
 from shaker.release.load_model import PARAMETERS, LoadCurve
@@ -68,6 +69,11 @@ class LoadRow(NamedTuple):
     place: int
     u_mass: float
     bands: FloatArray
+    u_bands: FloatArray
+
+    def band_hz(self, place: int) -> tuple[float, float]:
+        """Return where the gain leaves ±5 (`place` 0) or ±10 % (1) of that at rest, with U."""
+        return float(self.bands[place]), self.component.k * float(self.u_bands[place])
 
     @property
     def mass_text(self) -> str:
@@ -132,6 +138,10 @@ LOADS: list[Column[LoadRow]] = [
     Column("formula_hz", lambda row: known(row.component.formula_hz[row.place]) if row.kind == RECORDED else None),
     Column("band_5_hz", lambda row: known(row.bands[0])),
     Column("band_10_hz", lambda row: known(row.bands[1])),
+    Column("u_band_5_hz", lambda row: known(row.u_bands[0])),
+    Column("U_band_5_hz", lambda row: known(row.band_hz(0)[1])),
+    Column("u_band_10_hz", lambda row: known(row.u_bands[1])),
+    Column("U_band_10_hz", lambda row: known(row.band_hz(1)[1])),
 ]
 
 
@@ -139,12 +149,13 @@ def load_rows(component: ComponentLoads, solution: Solution) -> Iterator[LoadRow
     """One row per load: those recorded, those asked for, and a grid."""
     u_mass = component.series.masses.u_load
     for place, name in enumerate(component.series.names):
-        u, bands = float(u_mass[place]), solution.bands[place]
-        yield LoadRow(component, solution, RECORDED, name, solution.recorded, place, u, bands)
-    for place, bands in enumerate(solution.predicted_bands):
-        yield LoadRow(component, solution, PREDICTED, "", solution.predicted, place, 0.0, bands)
+        u, bands = float(u_mass[place]), (solution.bands[place], solution.u_bands[place])
+        yield LoadRow(component, solution, RECORDED, name, solution.recorded, place, u, *bands)
+    for place, pair in enumerate(zip(solution.predicted_bands, solution.u_predicted_bands, strict=True)):
+        yield LoadRow(component, solution, PREDICTED, "", solution.predicted, place, 0.0, *pair)
+    unknown = np.full(2, np.nan)
     for place in range(len(solution.drawn.load_mass)):
-        yield LoadRow(component, solution, DRAWN, "", solution.drawn, place, 0.0, np.full(2, np.nan))
+        yield LoadRow(component, solution, DRAWN, "", solution.drawn, place, 0.0, unknown, unknown)
 
 
 class Parameter(NamedTuple):
@@ -207,13 +218,18 @@ def parameter_rows(evaluation: LoadEvaluation) -> Iterator[ParameterRow]:
 def texts(evaluation: LoadEvaluation) -> dict[str, str | bytes]:
     """Return tables and models."""
     program, components = evaluation.versions.get("shakercal", ""), evaluation.components
+    models = [
+        (solution.model, Rests(component.dof, component.series.beside.scope, component.series.beside.outside))
+        for component in components
+        for solution in component.solutions
+    ]
     rows = (
         row for component in components for solution in component.solutions for row in load_rows(component, solution)
     )
     return {
         "load.csv": csv_text(LOADS, rows),
         "parameters.csv": csv_text(columns_of(ParameterRow), parameter_rows(evaluation)),
-        LOAD_MODEL_FILE: model_text(evaluation.models, evaluation.name, evaluation.sensor, program),
+        LOAD_MODEL_FILE: model_text(models, evaluation.name, evaluation.sensor, program),
     }
 
 
@@ -227,7 +243,7 @@ def fill(file: h5py.File, evaluation: LoadEvaluation) -> None:
         group.attrs["reason"] = identification.reason
         group.attrs["from_records"] = identification.from_records
         group.attrs["k"] = component.k
-        group.attrs["scope"] = component.series.scope
+        group.attrs["scope"], group.attrs["outside"] = component.series.beside.scope, component.series.beside.outside
         write_value(group, "recordings", series.names)
         write_value(group, "formula_hz", component.formula_hz)
         write_fields(group.create_group("output"), series.output)
@@ -241,6 +257,7 @@ def fill(file: h5py.File, evaluation: LoadEvaluation) -> None:
             for name in ("model", "recorded", "predicted", "drawn"):
                 write_fields(own.create_group(name), getattr(solution, name))
             write_value(own, "bands_hz", solution.bands)
+            write_value(own, "u_bands_hz", solution.u_bands)
         decays = group.create_group("decays", track_order=True)
         for decay in series.decays:
             write_fields(decays.create_group(decay.name), decay)
@@ -263,6 +280,7 @@ def page_context(evaluation: LoadEvaluation) -> dict[str, Any]:
                 "structure": capital(_structure(component.solutions[0])),
                 "headlines": headlines(component),
                 "parameters": parameters_table(component),
+                "budget": parameters_budget(component),
                 "loads": [loads_table(component, solution) for solution in component.solutions],
                 "bands": [bands_table(component, solution) for solution in component.solutions],
                 "limits": limits_table(component),
@@ -314,8 +332,20 @@ def parameters_table(component: ComponentLoads) -> Table | None:
     ]
     several, solutions = len(component.solutions) > 1, component.solutions
     rows = (row for solution in solutions for row in parameters(component, solution))
-    caption = f"Parameters with U = k·u, k = {factor(component.k)} (95 %), {component.series.scope}"
+    caption = f"Parameters with U = k·u, k = {factor(component.k)} (95 %), {component.series.beside.scope}"
     return table(caption, columns if several else columns[1:], rows)
+
+
+def parameters_budget(component: ComponentLoads) -> Table | None:
+    """What makes the u of the first model's numbers, and what nobody states."""
+    model, known = component.solutions[0].model, component.series.beside
+    if model.total_covariance is None:
+        return None
+    effects = known.effects(lambda *part: model.altered(*part).numbers)
+    parts = known.budget(np.diag(model.total_covariance), effects, "records and masses")
+    names = (*PARAMETERS[: len(model.vector)], "moving_mass")
+    numbers = {LABELS[name]: float(value) for name, value in zip(names, model.numbers, strict=True)}
+    return budget_table("Budget of the parameters", numbers, parts, known)
 
 
 def loads_table(component: ComponentLoads, solution: Solution) -> Table | None:
@@ -351,8 +381,8 @@ def bands_table(component: ComponentLoads, solution: Solution) -> Table | None:
         on_page("first / Hz", lambda row: measured(*row.model_hz(0))),
         on_page("second / Hz", lambda row: measured(*row.model_hz(1))),
         on_page("damping ratio / %", damping),
-        on_page("±5 % to / Hz", lambda row: signed(row.bands[0], ".4g")),
-        on_page("±10 % to / Hz", lambda row: signed(row.bands[1], ".4g")),
+        on_page("±5 % to / Hz", lambda row: measured(*row.band_hz(0))),
+        on_page("±10 % to / Hz", lambda row: measured(*row.band_hz(1))),
     ]
     caption = f"Mounted resonances, damping and bands in which the gain is that at rest{_which(solution)}"
     return table(caption, columns, (row for row in load_rows(component, solution) if row.kind != DRAWN))
@@ -395,7 +425,8 @@ def printed(evaluation: LoadEvaluation) -> Iterator[str]:
                 f"{one.label.rpartition(' ')[2]} = {rounded(one.value, one.expanded).text} {typeset(one.unit)}"
                 for _, one, _ in parameters(component, solution)
             )
-            yield f"{component.name} ({_structure(solution)}{_which(solution)}): {told}; U {component.series.scope}"
+            which, scope = f"{_structure(solution)}{_which(solution)}", component.series.beside.scope
+            yield f"{component.name} ({which}): {told}; U {scope}"
             for row in load_rows(component, solution):
                 if row.kind != DRAWN:
                     model, mass = row.model_hz(0), f"{row.mass_text} {small}"

@@ -13,7 +13,7 @@ import numpy as np
 from fusion.base import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
 from fusion.report.table import sensitivity_unit
-from fusion.sensor.models_file import ModelEntry, scope_of
+from fusion.sensor.models_file import ModelEntry
 from fusion.sensor.step.records import StepSettings, index_quantities, parameter_quantities, pool_models
 from fusion.sensor.step.releases import (
     ComponentResult,
@@ -28,6 +28,7 @@ from fusion.sensor.step.releases import (
     stated_gain,
     static_gains,
 )
+from fusion.sensor.unseen import beside, holds
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel
@@ -59,9 +60,10 @@ def evaluate_component(
     fits = [(release, release.fit) for release in used if release.fit is not None]
     models = [fit.model for _, fit in fits if fit.model is not None]
     mountings = [release.manifest.mounting for release in used]
-    pooled = pool_models(models, mountings, scale_uncertainty(manifest, channel))
+    known = beside(manifest.rig, mountings)
+    pooled = pool_models(models, mountings, scale_uncertainty(manifest, channel), known)
     stated, _ = stated_gain(manifest, channel, component)
-    figures, of_indices = index_quantities(pooled, stated, unit, first.record.sample_rate_hz)
+    found = index_quantities(pooled, stated, unit, first.record.sample_rate_hz, known)
     notices += [Notice(n.severity, f"{r.driven}: {n.text}", r.name) for r, fit in fits for n in fit.notices]
     entry = ModelEntry(
         channel=channel,
@@ -73,14 +75,17 @@ def evaluate_component(
         noise=float(np.median([release.reading.noise for release in used])),
         recording=", ".join(names),
         dof=float(pooled.scattered) if pooled.scattered else float(np.inf),
-        scope=scope_of(mountings),
+        scope=known.scope,
+        scatter=pooled.scatter if pooled.scattered else None,
+        outside=known.outside,
     )
     parameters = parameter_quantities(pooled, unit)
-    result = replace(result, pooled=pooled, parameters=parameters, figures=figures, entry=entry)
+    result = replace(result, pooled=pooled, parameters=parameters, figures=found.quantities, entry=entry)
+    result = replace(result, budget=found.budget, beside=known)
     if settings.method == "all":
         rows, of_methods = compare_methods(used[0], settings)
         result, notices = replace(result, methods=rows), [*notices, *of_methods]
-    return result, (*notices, *_remarks(result, pooled.model, of_indices, stated))
+    return result, (*notices, *_remarks(result, pooled.model, found.notices, stated))
 
 
 def _remarks(
@@ -90,10 +95,7 @@ def _remarks(
     where, channel = result.component, result.channel
     if len(result.ropes) > 1:
         yield Notice("info", f"the model of {channel} rests on {result.reason}", where)
-    anew = len({release.manifest.mounting for release in result.chosen}) == 1
-    missing = ["what releases scatter by"] * (len(result.used) == 1) + ["mounting anew"] * anew
-    text = ", ".join([*missing, "another load or temperature, and models of another structure"])
-    yield Notice("info", f"U of the model holds {result.scope}; not in it: {text}", "models")
+    yield Notice("info", holds(result.scope, result.beside.outside), "models")
     for notice in of_indices:
         yield Notice(notice.severity, notice.text, f"{where}, {notice.where}")
     if not len(model.real_hz):

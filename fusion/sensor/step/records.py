@@ -14,6 +14,7 @@ from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.sensor.transfer.records import Aligned, align
+from fusion.sensor.unseen import NOTHING, Beside
 from shaker.arrays import FloatArray, Notice
 from shaker.lti.indices import LABELS, SETTLING, indices, moving_figures, reach, settling_u, unit_of
 from shaker.lti.system import ModalModel, from_coordinates, scale_of, sizes, to_coordinates
@@ -145,16 +146,22 @@ def _without_delays(aligned: Aligned) -> Aligned:
 
 # Models of several releases become one: a weighted mean, with what releases or mountings scatter by.
 
+OF_RELEASES, OF_SCALES = "releases, noise and scatter", "scales of load and output"
+"""What a budget calls what the releases show themselves, and what all of them share."""
 STEP = 1e-2  # standard uncertainties over which coordinates are moved for derivatives
 ROUNDING = 1e-9  # part of a coordinate's size that is rounding
 
 
 class Mean(NamedTuple):
-    """Weighted mean (P,) of vectors with its covariance (P, P); `weight` (N,) of the vectors, their sum 1."""
+    """Weighted mean (P,) of vectors with its covariance (P, P); `weight` (N,) of the vectors, their sum 1.
+
+    `scatter` (P, P): the part of the covariance whose degrees of freedom are those of what the vectors scatter by.
+    """
 
     value: FloatArray
     covariance: FloatArray
     weight: FloatArray
+    scatter: FloatArray
 
 
 @dataclass(frozen=True)
@@ -164,7 +171,8 @@ class Pooled:
     `model` with its whole covariance; `vectors` (N, P), `covariances` (N, P, P), `weights` (N,): of what was averaged
     last, releases or, where there are several, mountings, as parameters, linear about those of the mean. `scale` (P,):
     how the parameters move with one standard uncertainty of the scale that all share. `shares` (R,): of each release in
-    the mean.
+    the mean. `beside` (E, P): how they move with each unknown that no record shows; `scatter` (P, P): what of the
+    covariance rests on `scattered` degrees of freedom.
     """
 
     model: ModalModel
@@ -173,6 +181,8 @@ class Pooled:
     weights: FloatArray
     scale: FloatArray
     shares: FloatArray
+    beside: FloatArray
+    scatter: FloatArray
 
     @property
     def scattered(self) -> int:
@@ -182,14 +192,15 @@ class Pooled:
     def spread(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return standard uncertainties (Q,) of numbers with gradients (Q, P), and their degrees of freedom (Q,).
 
-        u² = Σw²·(u_i² + τ²) + u_scale², τ² = s² - mean u_i² where the vectors scatter by more than is stated. Then
-        the degrees of freedom are those of s², with the scale by Welch and Satterthwaite (JCGM 100, G.4.1), s² enlarged
-        by its relative variance 2/ν as in `fusion.sensor.rotate.readings`; of two vectors, whose s² tells little, only
-        τ² counts as the part with ν = 1, so that k = 12.7 is left to scatter that is far beyond what is stated.
+        u² = Σw²·(u_i² + τ²) + u_scale² + Σu_beside², τ² = s² - mean u_i² where the vectors scatter by more than is
+        stated. Then the degrees of freedom are those of s², with the others by Welch and Satterthwaite (JCGM 100,
+        G.4.1), s² enlarged by its relative variance 2/ν as in `fusion.sensor.rotate.readings`; of two vectors, whose s²
+        tells little, only τ² counts as the part with ν = 1, so that k = 12.7 is left to scatter that is far beyond what
+        is stated.
         """
         stated = np.einsum("qp,npr,qr->nq", gradient, self.covariances, gradient)
         variance, dof = self.weights**2 @ stated, np.full(len(gradient), np.inf)
-        common = (gradient @ self.scale) ** 2
+        common = (gradient @ self.scale) ** 2 + np.sum((gradient @ self.beside.T) ** 2, axis=1)
         if self.scattered:
             off = (self.vectors - self.vectors.mean(axis=0)) @ gradient.T
             square = np.sum(off**2, axis=0) / self.scattered
@@ -201,24 +212,35 @@ class Pooled:
             dof = effective_dof(variance + common, of_scatter, self.scattered)
         return np.asarray(np.sqrt(variance + common)), np.asarray(dof)
 
+    def budget(self, gradient: FloatArray, known: Beside) -> dict[str, FloatArray]:
+        """Return what makes the u of numbers with gradients (Q, P), by its words, (Q,) each; squares add up to u²."""
+        shared, other = np.abs(gradient @ self.scale), gradient @ self.beside.T
+        whole = self.spread(gradient)[0] ** 2
+        own = np.sqrt(np.maximum(whole - shared**2 - np.sum(other**2, axis=1), 0.0))
+        of_causes = known.by_cause(lambda places: np.linalg.norm(other[:, places], axis=1))
+        return {OF_RELEASES: own, OF_SCALES: shared, **of_causes}
 
-def effective_dof(variance: FloatArray, of_scatter: FloatArray, dof: int) -> FloatArray:
+
+def effective_dof(variance: FloatArray, of_scatter: FloatArray, dof: float) -> FloatArray:
     """Return degrees of freedom (Q,) of variances (Q,), of which parts have `dof` of them and the rest is known.
 
     Welch and Satterthwaite, the parts enlarged by their relative variance 2/ν; infinite without such a part.
     """
     wide = of_scatter * (1.0 + 2.0 / dof)
     rest = np.maximum(variance - of_scatter, 0.0)
-    return np.asarray(dof * (1.0 + np.divide(rest, wide, out=np.full(len(wide), np.inf), where=wide > 0.0)) ** 2)
+    return np.asarray(dof * (1.0 + np.divide(rest, wide, out=np.full_like(wide, np.inf), where=wide > 0.0)) ** 2)
 
 
-def pool_models(models: Sequence[ModalModel], mountings: Sequence[str], u_scale: float = 0.0) -> Pooled:
+def pool_models(
+    models: Sequence[ModalModel], mountings: Sequence[str], u_scale: float = 0.0, known: Beside = NOTHING
+) -> Pooled:
     """Return the mean of models (N) of one structure, mode by mode in rising frequency.
 
     Averaged are the coordinates of `to_coordinates`, in which static gain and lag are linear; a mean of residues and
     frequencies of poles that hardly show would have another static gain. Releases of one mounting are averaged first;
     where there are several mountings, these are then what scatters. `u_scale`: relative standard uncertainty of all
-    residues together, of the load's and of the output's scale, which no average makes smaller.
+    residues together, of the load's and of the output's scale, which no average makes smaller; `known`: what is stated
+    beside the records, likewise.
     """
     ordered = [sorted_modes(model) for model in models]
     scale = scale_of(ordered[0])
@@ -234,10 +256,12 @@ def pool_models(models: Sequence[ModalModel], mountings: Sequence[str], u_scale:
     value, back = _back(ordered[0], mean, scale)
     modes, reals = len(ordered[0].frequency_hz), len(ordered[0].real_hz)
     common = u_scale * np.repeat([0.0, 1.0, 0.0, 1.0], [2 * modes, 2 * modes, reals, reals]) * value
-    covariance = back @ mean.covariance @ back.T + np.outer(common, common)
-    model = replace(ordered[0].with_vector(value), covariance=covariance)
+    model = ordered[0].with_vector(value)
+    other = known.effects(lambda *part: model.altered(*part).vector)
+    covariance = back @ mean.covariance @ back.T + np.outer(common, common) + other.T @ other
+    model, scatter = replace(model, covariance=covariance), back @ mean.scatter @ back.T
     spread = value + (vectors - mean.value) @ back.T
-    return Pooled(model, spread, back @ covariances @ back.T, mean.weight, common, shares)
+    return Pooled(model, spread, back @ covariances @ back.T, mean.weight, common, shares, other, scatter)
 
 
 def _in_coordinates(models: Sequence[ModalModel], scale: float) -> tuple[FloatArray, FloatArray]:
@@ -276,17 +300,20 @@ def weighted_mean(vectors: FloatArray, covariances: FloatArray) -> Mean:
     count, size = vectors.shape
     stated = np.einsum("npp->np", covariances)
     between: FloatArray = np.zeros((size, size))
+    counted = between
     if count > 1:
         sample = np.cov(vectors, rowvar=False, ddof=1).reshape(size, size)
         square = np.diag(sample)
         excess = np.sqrt(np.maximum(square - stated.mean(axis=0), 0.0))
         share = np.divide(excess, np.sqrt(square), out=np.zeros(size), where=square > 0.0)
         between = share[:, None] * sample * share
+        counted = between if count == 2 else np.outer(excess > 0.0, excess > 0.0) * sample
     variance = stated + np.diag(between)
     known = np.all(variance > 0.0, axis=0)
     inverse = np.exp(-np.log(variance[:, known]).mean(axis=1)) if known.any() else np.ones(count)
     weight = inverse / inverse.sum()
-    return Mean(weight @ vectors, np.einsum("n,npq->pq", weight**2, covariances + between), weight)
+    spread = np.einsum("n,npq->pq", weight**2, covariances + between)
+    return Mean(weight @ vectors, spread, weight, float(np.sum(weight**2)) * counted)
 
 
 def sorted_modes(model: ModalModel) -> ModalModel:
@@ -323,9 +350,17 @@ def parameter_quantities(pooled: Pooled, unit: str) -> tuple[NamedQuantity, ...]
     return tuple(quantities)
 
 
+class Figures(NamedTuple):
+    """The indices of a pooled model, what is remarked of them, and what makes the u of each, by its words."""
+
+    quantities: tuple[NamedQuantity, ...]
+    notices: tuple[Notice, ...]
+    budget: dict[str, dict[str, float]]
+
+
 def index_quantities(
-    pooled: Pooled, nominal: float | None, unit: str, sample_rate_hz: float
-) -> tuple[tuple[NamedQuantity, ...], tuple[Notice, ...]]:
+    pooled: Pooled, nominal: float | None, unit: str, sample_rate_hz: float, known: Beside = NOTHING
+) -> Figures:
     """Return the indices that a pooled model has with uncertainty, and what is remarked of them.
 
     `nominal`: the gain that the sensor should have, None where nobody states it: then no band against it. Settling
@@ -337,15 +372,17 @@ def index_quantities(
     seen = reach(np.asarray(pooled.model.covariance), slope, _figures_of(pooled.model, names, nominal or 1.0))
     u, dof = pooled.spread(slope)
     u, dof = (seen.factor * u).tolist(), dof.tolist()
-    known = dict(zip(names, zip(u, dof, strict=True), strict=True))
-    of_damping = known.get("damping_ratio", (0.0, np.inf))[1]
-    known |= {name: (settling_u(pooled.model, tolerance), of_damping) for name, tolerance in SETTLING.items()}
+    told = dict(zip(names, zip(u, dof, strict=True), strict=True))
+    of_damping = told.get("damping_ratio", (0.0, np.inf))[1]
+    told |= {name: (settling_u(pooled.model, tolerance), of_damping) for name, tolerance in SETTLING.items()}
     quantities = []
     for name, value in found.figures().items():
         if value is not None and np.isfinite(value) and (nominal is not None or "nominal" not in name):
             own = unit if name == "static_gain" else unit_of(name) or "1"
-            quantities.append(NamedQuantity(value, *known.get(name, (np.nan, np.inf)), own, name, LABELS[name]))
-    return tuple(quantities), (*found.notices, *seen.notices(names))
+            quantities.append(NamedQuantity(value, *told.get(name, (np.nan, np.inf)), own, name, LABELS[name]))
+    parts = pooled.budget(slope, known)
+    budget = {cause: dict(zip(names, (seen.factor * part).tolist(), strict=True)) for cause, part in parts.items()}
+    return Figures(tuple(quantities), (*found.notices, *seen.notices(names)), budget)
 
 
 def _figures_of(model: ModalModel, names: Sequence[str], nominal: float) -> Callable[[FloatArray], FloatArray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from typing import NamedTuple
@@ -17,6 +17,7 @@ from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
 from fusion.sensor.models_file import ModelEntry
 from fusion.sensor.step.records import Pooled, StepSettings, effective_dof, output_entries, read_step
+from fusion.sensor.unseen import NOTHING, Beside
 from shaker.arrays import FloatArray, Notice
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.indices import Indices, indices
@@ -125,7 +126,8 @@ class ComponentResult:
     `channel`: the output that is driven; `releases` of all ropes, `used` of them in the model `pooled`, for the
     `reason`; `parameters`, `figures`: its numbers, `figures` its indices; `gains`: static gain of every output, the
     driven one first; `ropes` from the fastest to the slowest; `methods`: what each method made of one release. `unit`:
-    of output over load. `entry`: what models.json holds. What rests on a model is None or empty where none was found.
+    of output over load. `entry`: what models.json holds. `budget`: standard uncertainty of each index by cause;
+    `beside`: what is known beside the records. What rests on a model is None or empty where none was found.
     """
 
     component: str
@@ -141,6 +143,8 @@ class ComponentResult:
     parameters: tuple[NamedQuantity, ...] = ()
     figures: tuple[NamedQuantity, ...] = ()
     entry: ModelEntry | None = None
+    budget: dict[str, dict[str, float]] = field(default_factory=dict)
+    beside: Beside = NOTHING
 
     @property
     def chosen(self) -> tuple[Release, ...]:

@@ -23,6 +23,7 @@ from fusion.report.table import (
     Headline,
     Table,
     capital,
+    columns_of,
     csv_text,
     degrees_of_freedom,
     factor,
@@ -41,6 +42,7 @@ from fusion.sensor.step.evaluate import evaluate_steps
 from fusion.sensor.step.figures import component_pictures
 from fusion.sensor.step.records import StepSettings
 from fusion.sensor.step.releases import LABELS, ComponentResult, MethodRow, Release, Rope, StaticGain, StepEvaluation
+from fusion.sensor.unseen import CAUSES, NOT_ASSESSED, budget_table
 from shaker.labels import typeset
 from shaker.release.fit import StepFit
 from shaker.release.reading import Spread
@@ -150,6 +152,29 @@ NUMBERS: list[Column[Number]] = [
 ]
 
 
+class Part(NamedTuple):
+    """What one cause contributes to the u of an index; `u` None where nobody states it, as `status` says."""
+
+    component: str
+    channel: str
+    name: str
+    cause: str
+    u: float | None
+    unit: str
+    status: str
+
+
+def budget_parts(component: ComponentResult) -> Iterator[Part]:
+    """Yield the budget of every index, cause by cause; squares of u add up to that in indices.csv."""
+    for one in component.figures:
+        head = component.component, component.channel, one.name
+        for cause, parts in component.budget.items():
+            if one.name in parts:
+                yield Part(*head, cause, parts[one.name], one.unit, "in U")
+        for cause in component.beside.missing:
+            yield Part(*head, CAUSES[cause], None, one.unit, NOT_ASSESSED)
+
+
 class ByMethod(NamedTuple):
     """What one method made of one release of a component."""
 
@@ -202,6 +227,7 @@ def texts(evaluation: StepEvaluation) -> dict[str, str | bytes]:
         "releases.csv": csv_text(RELEASES, outputs),
         "models.csv": csv_text(NUMBERS, parameters),
         "indices.csv": csv_text(NUMBERS, indices),
+        "budget.csv": csv_text(columns_of(Part), (part for c in components for part in budget_parts(c))),
         "methods.csv": csv_text(BY_METHOD, (ByMethod(c, row) for c in components for row in c.methods)),
         MODELS_FILE: models_text(ModelsFile(evaluation.name, *named, entries)),
     }
@@ -222,8 +248,9 @@ def fill(file: h5py.File, evaluation: StepEvaluation) -> None:
     write_value(file, "notices", evaluation.notices)
     for component in evaluation.components:
         group = file.create_group(component.component, track_order=True)
-        group.attrs["scope"] = component.scope
-        for name in ("channel", "unit", "used", "reason", "pooled", "parameters", "figures", "gains", "ropes"):
+        group.attrs["scope"], group.attrs["outside"] = component.scope, component.beside.outside
+        written = ("channel", "unit", "used", "reason", "pooled", "parameters", "figures", "budget", "gains", "ropes")
+        for name in written:
             write_value(group, name, getattr(component, name))
         releases = group.create_group("releases", track_order=True)
         for release in component.releases:
@@ -252,6 +279,7 @@ def _write_fit(group: h5py.Group, fit: StepFit) -> None:
 # Page and terminal
 
 SHARES = ("damping_ratio", "overshoot")  # quantities that are shares, told in %
+BUDGETED = ("natural_hz", "damping_ratio", "static_gain", "band_10_hz")
 MANY_HEADLINES = 6
 NATURAL = Markup("f<sub>n</sub> / Hz")
 SUMMARY = {
@@ -289,6 +317,7 @@ def page_context(evaluation: StepEvaluation) -> dict[str, Any]:
                 "parameters": quantities_table(
                     f"Parameters of the model, with U {component.scope}", "parameter", component.parameters
                 ),
+                "budget": main_budget(component),
                 "releases": releases_table(component),
                 "ropes": ropes_table(component),
                 "gains": gains_table(component),
@@ -342,6 +371,14 @@ def quantities_table(caption: str, head: str, quantities: Sequence[NamedQuantity
         on_page("dof", where_known(lambda one: degrees_of_freedom(one.dof))),
     ]
     return table(caption, columns, quantities)
+
+
+def main_budget(component: ComponentResult) -> Table | None:
+    """What makes the u of the main indices, and what nobody states."""
+    shown = [one for name in BUDGETED if (one := component.find(name)) is not None and np.isfinite(one.u)]
+    parts = {cause: np.array([own[one.name] for one in shown]) for cause, own in component.budget.items()}
+    numbers = {one.label: one.value for one in shown}
+    return budget_table("Budget of the main indices", numbers, parts, component.beside) if shown else None
 
 
 def releases_table(component: ComponentResult) -> Table | None:
@@ -503,7 +540,7 @@ def _gain_scale(component: ComponentResult) -> tuple[float, str]:
 
 # The command
 
-FILES = ("releases.csv", "models.csv", "indices.csv", "methods.csv", MODELS_FILE)
+FILES = ("releases.csv", "models.csv", "indices.csv", "budget.csv", "methods.csv", MODELS_FILE)
 STEP = Command("step", "step", FILES, texts, fill, page_context, printed)
 
 

@@ -25,6 +25,7 @@ from fusion.sensor.transfer.records import (
     ratio_errors,
     read_together,
 )
+from fusion.sensor.unseen import NOTHING, Beside, beside
 from shaker.arrays import ComplexArray, FloatArray, Notice
 from shaker.frf.chain import QUANTITIES, common_covariance, motion_order, ratio_unit
 from shaker.frf.impact import transfer_impact
@@ -145,12 +146,17 @@ class _Curve:
 
 
 def find_resonances(
-    transfer: TransferFunction, errors: Sequence[RelativeError], kinds: Sequence[Kind], u_clock: float
+    transfer: TransferFunction,
+    errors: Sequence[RelativeError],
+    kinds: Sequence[Kind],
+    u_clock: float,
+    known: Beside = NOTHING,
 ) -> tuple[tuple[FoundResonance, ...], tuple[Notice, ...]]:
     """Return the resonances of every response and what is to be said of peaks that no oscillator fits.
 
     `transfer` with the covariance of its noise alone; `kinds` (C) say which form an oscillator takes in each response;
-    `u_clock`: relative standard uncertainty of the clock, and so of every frequency.
+    `u_clock`: relative standard uncertainty of the clock, and so of every frequency; `known`: what is known of a
+    resonance beside the record.
     """
     found: list[FoundResonance] = []
     notices: list[Notice] = []
@@ -163,7 +169,7 @@ def find_resonances(
             if isinstance(mode, str):
                 notices.append(Notice("info", f"no oscillator was fitted to {at} ({mode})", where))
                 continue
-            found.append(_with_budget(curve, lines, mode, u_clock))
+            found.append(_with_budget(curve, lines, mode, u_clock, known))
             departs = np.sqrt(mode.fit.chi_squared / mode.fit.dof)
             if departs >= _DEPARTS:
                 text = f"{at} departs from one oscillator by {departs:.2g} times the noise; its frequency and damping"
@@ -234,8 +240,8 @@ def _best(curve: _Curve, lines: slice, value: ComplexArray) -> Resonance:
     return fit
 
 
-def _with_budget(curve: _Curve, lines: slice, mode: _Mode, u_clock: float) -> FoundResonance:
-    """Return a fit with its uncertainty: noise, and what one standard deviation of every common error changes."""
+def _with_budget(curve: _Curve, lines: slice, mode: _Mode, u_clock: float, known: Beside) -> FoundResonance:
+    """Return a fit with its uncertainty: noise, what one standard deviation of every common error changes, the rest."""
     frequency, fit = curve.transfer.ratio.frequency_hz[lines], mode.fit
     residual_terms = "constant_re" in fit.parameters
     budget = {"noise": (fit.u("frequency_hz"), fit.u("damping_ratio"))}
@@ -244,6 +250,8 @@ def _with_budget(curve: _Curve, lines: slice, mode: _Mode, u_clock: float) -> Fo
         budget[name] = (moved.frequency_hz - fit.frequency_hz, moved.damping_ratio - fit.damping_ratio)
     if u_clock > 0.0:
         budget["rate of the clock"] = (u_clock * fit.frequency_hz, 0.0)
+    for cause, (by_frequency, by_damping) in known.relative.items():
+        budget[cause] = (by_frequency * fit.frequency_hz, by_damping * fit.damping_ratio)
     u_frequency, u_damping = np.sqrt(np.sum(np.square(list(budget.values())), axis=0))
     where, band_hz = (curve.name, curve.transfer.reference), (float(frequency[0]), float(frequency[-1]))
     return FoundResonance(*where, fit, band_hz, float(u_frequency), float(u_damping), budget)
@@ -294,7 +302,8 @@ def _evaluated(
     corrected = _converted(raw, factor, together, settings.quantity)
     moved = reference.entry.quantity in TRANSDUCERS
     kinds = ["transmissibility" if moved else _forced_kind(chain.entry, settings.quantity) for chain in responses]
-    resonances, told = find_resonances(corrected, errors, kinds, together.u_clock)
+    known = beside(manifest.rig, [manifest.mounting])
+    resonances, told = find_resonances(corrected, errors, kinds, together.u_clock, known)
     ratio = corrected.ratio
     if errors:
         common = common_covariance(ratio.value, np.stack([error.relative for error in errors]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -55,6 +55,7 @@ from fusion.sensor.transfer.records import (
     TransferSettings,
     uncertainty,
 )
+from fusion.sensor.unseen import CAUSES, NOT_ASSESSED, beside
 from shaker.frf.result import TransferFunction
 from shaker.labels import typeset
 
@@ -188,14 +189,15 @@ def printed(evaluation: TransferEvaluation) -> Iterator[str]:
         yield f"  resonance of {_over(found)}: {frequency} Hz, damping ratio {damping} %, Q {fit.quality:.4g}"
 
 
-def _budget_table(found: FoundResonance) -> Table:
-    """Contributions to one resonance."""
+def _budget_table(found: FoundResonance, missing: Sequence[str]) -> Table:
+    """Contributions to one resonance; `missing` causes, which nobody states, are told."""
     fit = found.fit
     rows: list[tuple[str, ...]] = [
         (name, small(1e6 * abs(change[0]) / fit.frequency_hz), small(100.0 * abs(change[1]) / fit.damping_ratio))
         for name, change in sorted(found.budget.items(), key=lambda item: -abs(item[1][0]))
     ]
     total = (1e6 * found.u_frequency_hz / fit.frequency_hz, 100.0 * found.u_damping_ratio / fit.damping_ratio)
+    rows += [(CAUSES[cause], NOT_ASSESSED, NOT_ASSESSED) for cause in missing]
     rows.append(("combined, k = 1", *map(small, total)))
     caption = f"Budget of the resonance of {_over(found)} at {fit.frequency_hz:.6g} Hz"
     return Table(caption, ("contribution", "u(f₀) / 10⁻⁶ f₀", "u(ζ) / % of ζ"), "lrr", tuple(rows))
@@ -204,6 +206,7 @@ def _budget_table(found: FoundResonance) -> Table:
 def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
     excitation = evaluation.manifest.excitation
+    known = beside(evaluation.manifest.rig, [evaluation.manifest.mounting])
     excited: list[str] = [excitation.kind]
     if excitation.band is not None:
         excited.append(f"{excitation.band[0]:g} to {excitation.band[1]:g} Hz")
@@ -227,7 +230,7 @@ def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
         ],
         "curves": table("Transfer functions, U: k = 2", CURVES, curves(evaluation)),
         "resonances": table("Resonances with U (k = 2)", RESONANCES, resonances(evaluation)),
-        "budgets": [_budget_table(found) for found in resonances(evaluation)],
+        "budgets": [_budget_table(found, known.missing) for found in resonances(evaluation)],
         "channels": table("Channels and their chains as stated", CHANNELS, channels),
     }
 
@@ -306,6 +309,8 @@ def _fill(file: h5py.File, evaluation: TransferEvaluation) -> None:
     file.attrs["recording"] = evaluation.name
     file.attrs["rig"] = evaluation.manifest.rig.name
     file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
+    known = beside(evaluation.manifest.rig, [evaluation.manifest.mounting])
+    file.attrs["not_assessed"] = ", ".join(CAUSES[cause] for cause in known.missing)
     for name in ("references", "clocks", "notices", "duration_s"):
         write_value(file, name, getattr(evaluation, name))
 
