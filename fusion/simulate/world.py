@@ -83,10 +83,14 @@ class Draws:
         return value
 
     def covariant(self, name: str, covariance: FloatArray) -> FloatArray:
-        """Return errors (P,) with a covariance (P, P), and remember them."""
-        scale = np.sqrt(np.diagonal(covariance))
-        lower = np.linalg.cholesky(covariance / np.outer(scale, scale))
-        value = scale * (lower @ self.stream(name).standard_normal(len(scale))) * (1.0 if self.systematic else 0.0)
+        """Return errors (P,) with a covariance (P, P), 0 where it is 0, and remember them."""
+        open_ = np.diagonal(covariance) > 0.0
+        scale = np.sqrt(np.diagonal(covariance)[open_])
+        lower = np.linalg.cholesky(covariance[np.ix_(open_, open_)] / np.outer(scale, scale))
+        value = np.zeros(len(covariance))
+        value[open_] = (
+            scale * (lower @ self.stream(name).standard_normal(len(scale))) * (1.0 if self.systematic else 0.0)
+        )
         self.values[name] = [float(v) for v in value]
         return np.asarray(value)
 
