@@ -139,8 +139,8 @@ def _at_jitter(top: float, width: float, line: tuple[FloatArray, FloatArray], in
     normal = _normal_points(len(step.mean))[:_POINTS]
     for _ in range(_ROUNDS):
         old = step.covariance
-        log_likelihood, *line, power = _sampled(step.jitter_s, (step.mean, old), normal, intervals)
-        step = _Step(top, width, log_likelihood, *line)
+        log_likelihood, mean, covariance, power = _sampled(step.jitter_s, (step.mean, old), normal, intervals)
+        step = _Step(top, width, log_likelihood, mean, covariance)
         change = np.sqrt(np.diagonal(step.covariance) / np.diagonal(old)) - 1.0
         if power == 1.0 and np.max(np.abs(change)) < _SETTLED:
             break
