@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fusion.estimation.measurement_model import Observation
-from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels, output_phasors
+from fusion.instruments.channel import ChainUncertainty, Reading, RelativeError, late, observe_channels, output_phasors
 from fusion.instruments.stereo import StereoReading
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.manifest import ChannelEntry
@@ -27,7 +27,7 @@ from shaker.sine.phasor import Phasors
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """A channel as the manifest states it, its noise (K,) of real and imaginary part, and its clock.
+    """A channel as the manifest states it, its noise (K,) of real and imaginary part, and the errors of its clock.
 
     `scatter`: relative error of its own that nobody states. `dof`: degrees of freedom of the noise as it is estimated.
     """
@@ -37,6 +37,7 @@ class Channel:
     dof: float
     chain: ChainUncertainty
     scatter: float = 0.0
+    clock: tuple[RelativeError, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +152,7 @@ def _reading(channel: Channel, frequency_hz: FloatArray, signal: ComplexArray, d
     gain *= 1.0 + float(draws.normal(f"{entry.name}: individual scale", entry.individual_uncertainty))
     gain *= 1.0 + float(draws.normal(f"{entry.name}: scatter", channel.scatter))
     delay = entry.delay_uncertainty * float(draws.normal(f"{name}: delay", 1.0))
-    behind = delay + chain.u_clock_s * float(draws.normal(f"clock {chain.clock}: time", 1.0))
+    behind = delay + sum(float(draws.normal(error.name, error.u)) for error in channel.clock)
     value = signal * gain * np.exp(-2j * np.pi * frequency_hz * behind)
     if chain.u_magnitude is not None:
         value = value * (1.0 + chain.u_magnitude * float(draws.normal(f"{name}: response magnitude", 1.0)))
@@ -160,7 +161,7 @@ def _reading(channel: Channel, frequency_hz: FloatArray, signal: ComplexArray, d
     covariance = channel.noise[:, None, None] ** 2 * np.eye(2)
     unit = TRANSDUCERS[entry.quantity].unit if entry.quantity in TRANSDUCERS else "V/V"
     blank = Phasors(frequency_hz, value[:, None], covariance, (entry.name,), (unit,), np.full(len(value), channel.dof))
-    return Reading(entry, _with_noise(blank, entry.name, draws), chain)
+    return Reading(entry, _with_noise(blank, entry.name, draws), chain, channel.clock)
 
 
 def _pair(pair: Pair, motion: Motion, draws: Draws) -> StereoReading:
@@ -208,6 +209,7 @@ def lines_at(frequency_hz: Sequence[float], multiple: Sequence[int]) -> Lines:
 
 LINES = lines_at([106.25, 212.5], [1, 2])
 OMEGA = 2.0 * np.pi * LINES.frequency_hz
+BRIDGE = late("clock bridge: time", LINES.frequency_hz, 4e-7)
 CAPACITY = (2000.0, 2000.0, 4000.0, 100.0, 100.0, 100.0)
 GAINS = np.array([5.1e-7, 5.1e-7, 2.0e-7, 9.1e-6, 9.1e-6, 8.2e-6])
 SENSOR = Sensor(
@@ -304,8 +306,7 @@ def laser_channel(case: Case, place: int, motion: ComplexArray) -> Channel:
     entry = ChannelEntry.model_validate(text | {"direction": list(case.along)} | case.laser)
     size = np.linalg.norm(motion[0, :3] + np.cross(motion[0, 3:], point))
     noise = case.laser_noise * size / OMEGA
-    clock = ChainUncertainty(clock="bridge", u_clock_s=4e-7) if case.one_clock else ChainUncertainty()
-    return Channel(entry, noise, 400.0, clock, case.scatter)
+    return Channel(entry, noise, 400.0, ChainUncertainty(), case.scatter, BRIDGE if case.one_clock else ())
 
 
 def accelerometer(motion: ComplexArray) -> tuple[Channel, ...]:
@@ -343,14 +344,14 @@ def stereo_pair(motion: ComplexArray) -> Pair:
 
 def output_channels(motion: ComplexArray, case: Case) -> tuple[Channel, ...]:
     """Return the six outputs, recorded by one amplifier on a clock of its own."""
-    clock = ChainUncertainty(np.full(len(OMEGA), 1e-4), np.full(len(OMEGA), 2e-4), "bridge", 4e-7)
+    chain = ChainUncertainty(np.full(len(OMEGA), 1e-4), np.full(len(OMEGA), 2e-4))
     signal = 2e-7 * 7.7 * case.size if case.driven < 3 else 9.1e-6 * 0.09 * case.size
     noise = np.full(len(OMEGA), 1e-5 * signal)
     found = []
     for name in SENSOR.channels:
         text = {"name": name, "quantity": "output", "channel": name, "common": "amplifier"}
         stated = {"scale_uncertainty": 1e-4, "individual_uncertainty": 5e-5, "delay_uncertainty": 2e-7}
-        found.append(Channel(ChannelEntry.model_validate(text | stated), noise, 300.0, clock))
+        found.append(Channel(ChannelEntry.model_validate(text | stated), noise, 300.0, chain, clock=BRIDGE))
     return tuple(found)
 
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import Contribution, Uncertainty
-from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
+from fusion.instruments.channel import ChainUncertainty, Reading, RelativeError, observe_channels
 from fusion.instruments.stereo import StereoReading
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
@@ -72,7 +72,7 @@ def output(
     value: np.ndarray,
     covariance: np.ndarray = QUIET,
     dof: float = 100.0,
-    chain: ChainUncertainty | None = None,
+    further: tuple[RelativeError, ...] = (),
     frequency: np.ndarray = FREQUENCY,
     **stated: Any,
 ) -> Reading:
@@ -81,7 +81,7 @@ def output(
     entry.channel = entry.name
     spread, freedom = np.tile(covariance, (len(value), 1, 1)), np.full(len(value), dof)
     found = Phasors(frequency, value[:, None].astype(complex), spread, (entry.name,), ("V/V",), freedom)
-    return Reading(entry, found, chain or ChainUncertainty())
+    return Reading(entry, found, ChainUncertainty(), further)
 
 
 def channel_entry(**changes: Any) -> Any:

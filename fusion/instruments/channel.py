@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
 from fusion.estimation.uncertainty import (
     Contribution,
-    Kind,
     Scope,
     Uncertainty,
     Unknown,
@@ -51,15 +50,12 @@ NOISE_REACH = 3.0
 @dataclass(frozen=True)
 class ChainUncertainty:
     """What the manifest does not say of a channel's chain: relative `u_magnitude` (K,) and `u_phase_rad` (K,) of its
-    response table, and `u_clock_s`, the standard uncertainty of the tie of its clock to the first block's, with the
-    degrees of freedom `clock_dof` of the edges that it rests on.
+    response table, and the block on whose `clock` it was recorded.
     """
 
     u_magnitude: FloatArray | None = None
     u_phase_rad: FloatArray | None = None
     clock: str = ""
-    u_clock_s: float = 0.0
-    clock_dof: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -124,11 +120,11 @@ class Reading:
 
 
 def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
-    """Return scale, delay, response and clock errors of channels that share one chain.
+    """Return scale, delay and response errors of channels that share one chain.
 
     Scale multiplies by 1 + u; a delay not taken off by exp(-jω u) ≈ 1 - jω u; a response by 1 + u_m + j u_phi, its
-    error at all lines taken as one. `individual_uncertainty` is one unknown per channel. What a reading has beside that
-    comes last.
+    error at all lines taken as one. `individual_uncertainty` is one unknown per channel. What a reading has beside
+    that, errors of its clock among it, comes last.
     """
     entries, chains = [reading.entry for reading in readings], [reading.chain for reading in readings]
     name, frequency = chain_name(entries[0]), readings[0].phasors.frequency_hz
@@ -145,11 +141,6 @@ def chain_errors(readings: Sequence[Reading]) -> tuple[RelativeError, ...]:
     ):
         relative = np.stack(columns, axis=1).astype(np.complex128)
         errors.append(RelativeError(f"{name}: {kind}", f"{name}: {kind}", u, unit, relative, "rig"))
-    for clock in sorted({c.clock for c in chains if c.u_clock_s > 0.0}):
-        times = np.array([c.u_clock_s if c.clock == clock else 0.0 for c in chains])
-        unknown, late = f"clock {clock}: time", turn[:, None] * times
-        freedom = min(c.clock_dof for c in chains if c.clock == clock)
-        errors.append(RelativeError(unknown, unknown, float(np.max(times)), "s", late, "recording", "A", freedom))
     label = f"{name}: individual scale"
     only = np.eye(len(entries), dtype=np.complex128)
     for place, entry in enumerate(entries):
@@ -165,16 +156,10 @@ def acting(errors: Iterable[RelativeError]) -> tuple[RelativeError, ...]:
     return tuple(error for error in added_up(errors) if np.any(error.effect != 0.0))
 
 
-def late(
-    name: str, frequency_hz: FloatArray, u_s: float, scope: Scope = "recording", dof: float | None = None
-) -> tuple[RelativeError, ...]:
-    """Return a time error, if any: what is late by one standard uncertainty turns by exp(-jω u) ≈ 1 - jω u.
-
-    `dof`: degrees of freedom of a type A evaluation, None for what is stated.
-    """
+def late(name: str, frequency_hz: FloatArray, u_s: float, scope: Scope = "recording") -> tuple[RelativeError, ...]:
+    """Return a time error, if any: what is late by one standard uncertainty turns by exp(-jω u) ≈ 1 - jω u."""
     turn = np.asarray(-2j * np.pi * frequency_hz * u_s)[:, None]
-    known: tuple[Kind, float] = ("B", np.inf) if dof is None else ("A", dof)
-    return (RelativeError(name, name, u_s, "s", turn, scope, *known),) if u_s > 0.0 else ()
+    return (RelativeError(name, name, u_s, "s", turn, scope),) if u_s > 0.0 else ()
 
 
 def clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: float) -> list[CommonError]:

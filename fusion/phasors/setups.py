@@ -14,7 +14,7 @@ import numpy as np
 from fusion.base import AnyNotice
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.variance_components import fails
-from fusion.instruments.channel import Reading, RelativeError, acting, late, observe_channels
+from fusion.instruments.channel import Reading, RelativeError, acting, observe_channels
 from fusion.instruments.stereo import PERIODIC, StereoReading
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.setup import OpenSetUp, SetUp, line_stationarity, stationarity_notices
@@ -81,8 +81,8 @@ class ReferenceTie:
 
     def reading(self, reading: Reading) -> Reading:
         """Return a channel of the set-up as one of the first, its clock's errors among its own."""
-        chain = replace(reading.chain, clock=f"{self.name}: {reading.chain.clock}", u_clock_s=0.0)
-        further = acting([*_clock_error(self.name, reading), *self.errors])
+        chain = replace(reading.chain, clock=f"{self.name}: {reading.chain.clock}")
+        further = acting([*_clock_errors(self.name, reading), *self.errors])
         return Reading(reading.entry, self.phasors(reading.phasors), chain, further)
 
     def reference(self, reading: Reading) -> Reading:
@@ -142,8 +142,8 @@ def _tie(set_ups: Sequence[OpenSetUp], references: Sequence[Reading], place: int
         known = np.sqrt(np.maximum(drift**2 - u_drift**2, 0.0))
         half_width = known + 2.0 * np.abs(own.phasors.frequency_hz / base_hz - 1.0)
         first_name = set_ups[0].name
-        inherited = [*_noise(first_name, first, base_hz, stands_out), *_clock_error(first_name, first)]
-        lost = [*noise, *_clock_error(opened.name, own)]
+        inherited = [*_noise(first_name, first, base_hz, stands_out), *_clock_errors(first_name, first)]
+        lost = [*noise, *_clock_errors(opened.name, own)]
         taken_off = [replace(error, effect=-error.effect) for error in lost]
         drifted = _drift(opened.name, base_hz, np.where(stands_out, half_width, 0.0))
         errors = acting([*inherited, *taken_off, *drifted])
@@ -194,13 +194,11 @@ def _noise(name: str, reading: Reading, frequency_hz: FloatArray, lines: BoolArr
     return tuple(errors)
 
 
-def _clock_error(name: str, reading: Reading) -> list[RelativeError]:
+def _clock_errors(name: str, reading: Reading) -> list[RelativeError]:
     """Relative errors (K, 1) of a channel from the tie of its clock to the first one of its set-up, and from its lines'
     frequencies; they hold for that set-up only, unless they belong to the rig."""
-    chain = reading.chain
-    tied = late(f"clock {chain.clock}: time", reading.phasors.frequency_hz, chain.u_clock_s, dof=chain.clock_dof)
-    both = (*tied, *reading.further)
-    return [error if error.scope == "rig" else replace(error, name=f"{name}: {error.name}") for error in both]
+    errors = reading.further
+    return [error if error.scope == "rig" else replace(error, name=f"{name}: {error.name}") for error in errors]
 
 
 def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[RelativeError]:

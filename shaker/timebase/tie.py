@@ -200,7 +200,11 @@ def clock_line(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
         line = _from_one_resolved(base, other, here, there).inverse()
     else:
         line = _from_one_resolved(other, base, there, here)
-    return replace(line, covariance=line.covariance + np.diag([(base.open_s**2 + other.open_s**2) / 12.0, 0.0]))
+    # As in `fit_trigger`: what is open between samples is the least, what is open of a rise comes on top.
+    fits = base, other
+    gaps, rises = (sum(f.open_s**2 for f in fits if f.kind == kind) / 12.0 for kind in ("sampled", "resolved"))
+    known = float(line.u_to_base_s(np.asarray(np.mean(other.edge_s[there])))) ** 2
+    return replace(line, covariance=line.covariance + np.diag([rises + max(gaps - known, 0.0), 0.0]))
 
 
 def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:

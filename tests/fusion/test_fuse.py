@@ -28,13 +28,13 @@ from support import far
 from fusion.estimation.fuse import fuse, fuse_sources
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.measurement_model import Deviates
-from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
+from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels
 from fusion.instruments.stereo import StereoReading
 from fusion.instruments.transducer import TRANSDUCERS
 
 
-def reading(chain: ChainUncertainty | None = None, **changes: Any) -> Reading:
-    return Reading(channel_entry(**changes), phasors(np.ones((2, 1)), 1e-6), chain or ChainUncertainty())
+def reading(**changes: Any) -> Reading:
+    return Reading(channel_entry(**changes), phasors(np.ones((2, 1)), 1e-6), ChainUncertainty())
 
 
 def first_harmonic(series: np.ndarray, omega: float, times: np.ndarray) -> complex:
@@ -147,8 +147,9 @@ def test_placement_errors_are_those_of_a_channel_really_misplaced():
 
 
 def test_clock_tie_alone_does_not_count_as_a_stated_uncertainty():
-    chain = ChainUncertainty(clock="bridge", u_clock_s=1e-6)
-    (observation,) = observe_channels([reading(chain)], clock_uncertainty=1e-6)
+    item = reading()
+    tied = replace(item, further=late("clock bridge: time", item.phasors.frequency_hz, 1e-6))
+    (observation,) = observe_channels([tied], clock_uncertainty=1e-6)
     assert [error.name for error in observation.common] == ["clock bridge: time", "clock rate"]
     assert not observation.stated
 

@@ -17,7 +17,7 @@ from page_outline import outline
 from fusion.estimation.fuse import fuse
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
-from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels, output_phasors
+from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels, output_phasors
 from fusion.instruments.vibrometer import PointRatios, PointSpread, axis_name, point_spreads
 from fusion.report.recording import render_report, write_h5
 from fusion.report.signal_figures import draw_points, point_pictures
@@ -41,22 +41,22 @@ BODY = Body((make_part("load", 6.9605, [0, 0, 0], np.diag([0.01] * 3), (1e-3, 0.
 SENSITIVITY = 2e-7 * np.exp(-0.1j)
 
 
-def _reading(value: ComplexArray, sigma: float, unit: str, chain: ChainUncertainty, **entry: Any) -> Reading:
+def _reading(value: ComplexArray, sigma: float, unit: str, u_clock_s: float = 0.0, **entry: Any) -> Reading:
     covariance = np.repeat(sigma**2 * np.eye(2)[None], len(LINES_HZ), axis=0)
     name = str(entry["name"])
     found = Phasors(LINES_HZ, value[:, None], covariance, (name,), (unit,), np.full(len(LINES_HZ), 200.0))
-    return Reading(channel_entry(**{"common": "laser"} | entry), found, chain)
+    tied = late("clock daq: time", LINES_HZ, u_clock_s)
+    return Reading(channel_entry(**{"common": "laser"} | entry), found, ChainUncertainty(), tied)
 
 
 def lasers(
     points: Sequence[Sequence[float]] = POINTS, sigma: float = 1e-8, u_clock_s: float = 0.0, **stated: Any
 ) -> Observation:
     """Velocities along z without any error, as v = (a_z + α_x·y − α_y·x)/(jω)."""
-    chain = ChainUncertainty(clock="daq", u_clock_s=u_clock_s)
     readings = []
     for number, point in enumerate(points):
         value = (TRUTH[:, 2] + TRUTH[:, 3] * point[1] - TRUTH[:, 4] * point[0]) / (1j * OMEGA)
-        readings.append(_reading(value, sigma, "m/s", chain, name=f"p{number}", point=tuple(point), **stated))
+        readings.append(_reading(value, sigma, "m/s", u_clock_s, name=f"p{number}", point=tuple(point), **stated))
     (observation,) = observe_channels(readings)
     return observation
 
@@ -93,9 +93,8 @@ def test_one_point_apart_is_what_the_plane_leaves():
 def test_points_may_look_the_other_way_and_along_any_axis():
     points, sign = [(0.05, 0.03, 0.0), (0.05, -0.03, 0.02), (0.05, 0.0, -0.04)], (1.0, -1.0, 1.0)
     value = [TRUTH[:, 4] * z - TRUTH[:, 5] * y for _, y, z in points]
-    chain = ChainUncertainty(clock="daq")
     readings = [
-        _reading(s * v / (1j * OMEGA), 1e-8, "m/s", chain, name=f"p{n}", point=p, direction=(s, 0.0, 0.0))
+        _reading(s * v / (1j * OMEGA), 1e-8, "m/s", name=f"p{n}", point=p, direction=(s, 0.0, 0.0))
         for n, (s, v, p) in enumerate(zip(sign, value, points, strict=True))
     ]
     spread = spread_of(*observe_channels(readings))
@@ -138,9 +137,9 @@ def test_drawn_errors_are_covered():
 def _with_ratios(
     observation: Observation, u_clock_s: float = 0.0, driven: int = 2
 ) -> tuple[PointRatios | None, Sensitivity]:
-    value, chain = SENSITIVITY * 6.9605 * TRUTH[:, 2], ChainUncertainty(clock="daq", u_clock_s=u_clock_s)
+    value = SENSITIVITY * 6.9605 * TRUTH[:, 2]
     entry = {"name": "Fz", "channel": "Fz", "common": None, "quantity": "output"}
-    acceleration, outputs = fuse([observation]), output_phasors([_reading(value, 1e-13, "V/V", chain, **entry)])
+    acceleration, outputs = fuse([observation]), output_phasors([_reading(value, 1e-13, "V/V", u_clock_s, **entry)])
     ratio = sensitivity_ratio(outputs, load_phasors(acceleration, BODY), driven, (1, 2))
     (spread,) = point_spreads([observation], [acceleration])
     return with_ratios(spread, outputs, ratio, BODY).ratios, ratio

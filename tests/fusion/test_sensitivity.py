@@ -16,7 +16,7 @@ from simulated_phasors import simulate_phasors
 
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Influence
-from fusion.instruments.channel import ChainUncertainty, Outputs, Reading, output_phasors
+from fusion.instruments.channel import Outputs, Reading, late, output_phasors
 from fusion.sensitivity.analyse import analyse
 from fusion.sensitivity.body import Body, make_part
 from fusion.sensitivity.load import LoadResult, load_phasors
@@ -193,7 +193,7 @@ def case() -> Case:
     parts = [make_part(name, mass, np.zeros(3), np.zeros((3, 3)), (u, 0.0, 0.0)) for name, mass, u in MASSES]
     load = load_phasors(_acceleration(turn), Body(tuple(parts)))
     stated = {"common": "amplifier", "scale_uncertainty": SCALE}
-    noisy = *CORRELATED["output"], ChainUncertainty(clock="bridge", u_clock_s=CLOCK), GTC_HZ
+    noisy = *CORRELATED["output"], late("clock bridge: time", GTC_HZ, CLOCK), GTC_HZ
     readings = zip(GTC_OUTPUT.T, ("Fz", "Fx"), strict=True)
     outputs = output_phasors([output(value, *noisy, name=name, **stated) for value, name in readings])
     ratio = sensitivity_ratio(outputs, load, 2, [1])

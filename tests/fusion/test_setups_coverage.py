@@ -29,7 +29,7 @@ from take_factory import (
     reference,
 )
 
-from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels, output_phasors
+from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels, output_phasors
 from fusion.phasors.setup import OpenSetUp
 from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
 from fusion.recording.manifest import ChannelEntry
@@ -65,13 +65,14 @@ LASERS = [
 ]
 
 
-def _reading(entry: ChannelEntry, value: complex, rng: np.random.Generator, clock: str, u_clock_s: float) -> Reading:
+def _reading(entry: ChannelEntry, value: complex, rng: np.random.Generator, u_clock_s: float) -> Reading:
     """A channel's phasor with noise and what its noise is stated to be."""
     spread = NOISE * abs(value)
     noisy = value + spread * complex(*rng.normal(size=2))
     covariance, value = (spread**2 * np.eye(2))[None], np.array([[noisy]])
     phasors = Phasors(LINES.frequency_hz, value, covariance, (entry.name,), ("1",), np.array([1e4]))
-    return Reading(entry, phasors, ChainUncertainty(clock=clock, u_clock_s=u_clock_s))
+    tied = late("clock bridge: time", LINES.frequency_hz, u_clock_s)
+    return Reading(entry, phasors, ChainUncertainty(), tied)
 
 
 def _takes(rng: np.random.Generator, drift: float) -> list[OpenSetUp]:
@@ -83,13 +84,13 @@ def _takes(rng: np.random.Generator, drift: float) -> list[OpenSetUp]:
         grown = drift * rng.normal() if number > 1 else 0.0
         level = (1.0 + grown) * np.exp(2j * np.pi * rng.random()) if number > 1 else 1.0
         other = 1.0 + abs(grown) * complex(*rng.uniform(-1.0, 1.0, size=2))  # what else changed with the level
-        late = np.exp(-1j * OMEGA * TIE_U_S * rng.normal())
+        tied = np.exp(-1j * OMEGA * TIE_U_S * rng.normal())
         motion = at_point(entry.point or ()) / (1j * OMEGA)
         force = SENSITIVITY * MASS_KG * LOAD[2]
         readings = (
-            _reading(DRIVE, level * drive * BASE_Z, rng, "vibrometer", 0.0),
-            _reading(entry, level * other * laser * motion, rng, "vibrometer", 0.0),
-            _reading(BRIDGE, level * other * bridge * force * late, rng, "bridge", TIE_U_S),
+            _reading(DRIVE, level * drive * BASE_Z, rng, 0.0),
+            _reading(entry, level * other * laser * motion, rng, 0.0),
+            _reading(BRIDGE, level * other * bridge * force * tied, rng, TIE_U_S),
         )
         nowhere: object = SimpleNamespace(path=Path("recording.toml"))
         takes.append(OpenSetUp(f"take {number}", "", nowhere, nowhere, (), (), LINES, (), readings))

@@ -190,7 +190,7 @@ def test_whole_period_shift_is_decided(base, other, shift):
     assert tie.shift == shift
     middle = other.edges // 2
     deviation = tie.to_base_s(other.time_s(np.array(middle))) - base.time_s(np.array(middle + shift))
-    assert abs(deviation) < 0.1 * tie.u_to_base_s(other.time_s(np.array(middle)))
+    assert abs(deviation) < 0.2 * tie.u_to_base_s(other.time_s(np.array(middle)))
     assert tie_clocks(other, base).shift == -shift
 
 
@@ -284,11 +284,12 @@ def test_posterior_is_that_of_direct_integration():
     inside = np.all((line > lower) & (line <= upper), axis=-1)
     corner = np.stack([m[inside], h[inside]])
     start = Posterior(np.zeros(2), 0.3 * np.eye(2), 1e-4)
-    found = line_posterior(place, lower[None], upper[None], start, 1e-4)
     scale = np.sqrt(np.diag(np.cov(corner)))
-    # The jitter is unknown, so that the posterior may be a little wider.
-    np.testing.assert_allclose(found.mean, corner.mean(axis=1), atol=0.25 * scale.min())
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), scale, rtol=0.35)
+    # The jitter is unknown, so that the posterior is a little wider, the less the smaller it may be.
+    for least, wider in ((1e-4, 0.3), (1e-12, 0.12)):
+        found = line_posterior(place, lower[None], upper[None], start, least)
+        np.testing.assert_allclose(found.mean, corner.mean(axis=1), atol=0.25 * scale.min())
+        np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), scale, rtol=wider)
 
 
 @pytest.mark.parametrize("rise", [_ramp, _charging, _half_band])
@@ -326,6 +327,30 @@ def test_stated_uncertainty_is_calibrated_under_jitter(jitter_s):
     normalised = _deviations(23, 40, jitter_s)[1]
     # 40 draws: the standard deviation scatters by 11 %.
     assert 0.65 < np.sqrt(np.mean(np.square(normalised))) < 1.4
+
+
+@pytest.mark.slow
+def test_stated_uncertainty_is_as_large_as_the_errors():
+    """Few edges, slowly sampled: start, period, jitter (1e-4 to 0.03 of a sample) and second start drawn anew."""
+    rng, edges, rates = np.random.default_rng(31), 48, (8000.0, 7600.0)
+    models, ties = [], []
+    for _ in range(150):
+        period, jitter_s = PERIOD_S * (1.0 + rng.uniform(-0.03, 0.03)), 4e-6 * np.exp(-6.0 * rng.random())
+        middle = 0.2 + rng.uniform(0.0, period) + period * (edges - 1) / 2.0
+        instants = middle + period * (np.arange(edges) - (edges - 1) / 2.0) + jitter_s * rng.normal(size=edges)
+        later, rate = rng.uniform(0.0, 0.05), 1.0 + PPM * rng.normal()
+        own = (middle, (middle - later) / rate)
+        base, other = fits = [
+            fit_trigger(_latched(t, hz)) for t, hz in zip((instants, (instants - later) / rate), rates, strict=True)
+        ]
+        half = np.array((edges - 1) / 2.0)
+        models += [(float(fit.time_s(half)) - t) / float(fit.u_time_s(half)) for fit, t in zip(fits, own, strict=True)]
+        tie, there = tie_clocks(base, other, 0), np.array(own[1])
+        of_rate = (tie.rate - rate) / float(np.sqrt(tie.covariance[1, 1]))
+        ties.append([(float(tie.to_base_s(there)) - middle) / float(tie.u_to_base_s(there)), of_rate])
+    for normalised in (np.array(models), *np.array(ties).T):
+        assert 0.9 < np.sqrt(np.mean(np.square(normalised))) < 1.1
+        assert 0.92 < np.mean(np.abs(normalised) < 2.0) <= 0.99
 
 
 def test_resolved_edges_stand_for_the_period_of_the_others():
