@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, check_shape
 from photogram.bspline import Spline, spline_of_image
-from photogram.camera import StereoRig, epipolar_residual
+from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.images import GreyImage, ImageSequence
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
 from photogram.subsets.reference import PARAMETERS, Reference, TrackStatus, prepare_reference
@@ -24,8 +24,10 @@ from photogram.subsets.search import (
     match_features,
     neighbour_starts,
     predict_warp,
+    supported,
     template_shifts,
 )
+from photogram.subsets.sweep import TOLERANCE_PX, DepthRange, line_starts, line_uncertainty_px, surfaces
 from photogram.subsets.texture import (
     aliasing_bias,
     aliasing_notice,
@@ -76,7 +78,6 @@ def _torch_finds_cuda() -> bool:
 
 Image = NDArray[Any]
 Progress = Callable[[int], None]
-EPIPOLAR_TOLERANCE_PX = 2.0
 OVERLAP = 0.95
 BORDER_PX = 5
 HISTORY = 6
@@ -123,15 +124,27 @@ class StereoGrid(Arrays, shapes="left_px N 2; right_px N 2"):
     notices: tuple[Notice, ...]
 
 
-def match_stereo(left_image: Image, right_image: Image, points_px: FloatArray, settings: TrackSettings) -> Tracks:
+def match_stereo(
+    left_image: Image,
+    right_image: Image,
+    points_px: FloatArray,
+    settings: TrackSettings,
+    rig: StereoRig | None = None,
+    depth_m: DepthRange | None = None,
+) -> Tracks:
     """Positions in the right image (F = 1) of the subsets centred at points_px (N,2) in the left image.
 
-    Starts from local affine maps of matched features, then from neighbours that were found.
+    With `rig` from its epipolar lines (`find_on_lines`), within the depths `depth_m` in the left camera where they are
+    known; without it, or where no surface fits it, from local affine maps of matched features, then from neighbours
+    that were found. Raises `ValueError` where the pattern repeats so that two surfaces fit as well.
     """
     check_shape("points_px", points_px, (None, 2))
     spline = spline_of_image(left_image, settings.degree)
     reference = prepare_reference(spline, points_px, settings.radius_px, settings.shape_order)
     right = right_image, spline_of_image(right_image, settings.degree)
+    found = None if rig is None else find_on_lines(reference, left_image, right, settings, rig, depth_m)
+    if found is not None:
+        return tracks_of([found], reference, settings.degree)
     found = find_from_features(reference, left_image, right, settings)
     if not np.any(found.status == TrackStatus.OK):
         anywhere = replace(settings, reach_px=max(right_image.shape))
@@ -200,7 +213,11 @@ def track_sequence(
 
 
 def lay_stereo_grid(
-    left: ImageSequence, right: ImageSequence, rig: StereoRig | None, settings: TrackSettings
+    left: ImageSequence,
+    right: ImageSequence,
+    rig: StereoRig | None,
+    settings: TrackSettings,
+    depth_m: DepthRange | None = None,
 ) -> StereoGrid:
     """Lay a grid over the textured body in the first left image and match it to the first right image.
 
@@ -214,7 +231,7 @@ def lay_stereo_grid(
     points = lay_grid(areas[0], settings.radius_px, settings.grid_step_px)
     if len(points) < 3:
         raise ValueError(f"left: expected a speckled body, found room for {len(points)} subsets in {left.names[0]}")
-    matched = match_stereo(images[0], images[1], points, settings)
+    matched = match_stereo(images[0], images[1], points, settings, rig, depth_m)
     right_px = matched.position_px[0]
     kept = (matched.status[0] == TrackStatus.OK) & (subset_mean(areas[1], right_px, settings.radius_px) >= OVERLAP)
     for image, camera, centres in ((images[0], left, points), (images[1], right, right_px)):
@@ -223,7 +240,7 @@ def lay_stereo_grid(
     if rig is not None:
         distance, _, _ = epipolar_residual(rig, points, np.where(kept[:, None], right_px, np.nan))
         off = _middle(distance)
-        kept &= np.abs(distance - off) <= EPIPOLAR_TOLERANCE_PX
+        kept &= np.abs(distance - off) <= TOLERANCE_PX
         if abs(off) > 1.0:
             text = (
                 f"matched points lie {off:.1f} px off their epipolar lines on average: the calibration does not belong "
@@ -319,6 +336,12 @@ def _middle(values: FloatArray) -> float:
 # Subsets of one image found in another: by prediction, by search, from their neighbours; and the tracks they leave.
 
 NEIGHBOUR_ROUNDS = 8
+LINE_SEEDS = 40
+PART_SHARE = 0.3  # of a surface's seeds that may lie on another one as well if both are parts of one body
+RIVAL_SHARE = 0.25  # of the subsets that have to fit elsewhere as well for a solution to be in doubt
+FEWEST_SHARE = 0.1
+MORE_MISSED = 0.1  # share of missing subsets by which a surface is worse than another
+LINE_PX = 0.5  # rms off the epipolar lines that a surface is allowed beside what the calibration leaves open
 SEEDS = 12
 
 
@@ -379,6 +402,127 @@ def find_from_features(
     usable = reference.status == TrackStatus.OK
     starts[usable] = affine_starts(reference.centre_px[usable], source, moved)
     return register(reference, frame[1], starts, settings)
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """Subsets found on one surface: their registration, and which are expected within the right image."""
+
+    found: Registration
+    expected: BoolArray
+
+    @property
+    def ok(self) -> BoolArray:
+        return np.asarray(self.found.status == TrackStatus.OK)
+
+    @property
+    def missed(self) -> float:
+        """Share of the expected subsets that are not there."""
+        return float(np.mean(~self.ok[self.expected])) if self.expected.any() else 1.0
+
+
+def find_on_lines(
+    reference: Reference,
+    first: Image,
+    frame: tuple[Image, Spline],
+    settings: TrackSettings,
+    rig: StereoRig,
+    depth_m: DepthRange | None = None,
+) -> Registration | None:
+    """All subsets on the surface that correlates along the epipolar lines; None where there is none.
+
+    Some subsets are looked for along their lines (`sweep.line_starts`), each with all its likely places; smooth
+    surfaces through these (`sweep.surfaces`) are followed from neighbour to neighbour. The one with most subsets counts,
+    unless another fits the same subsets as well: at least a quarter as many, hardly less correlated, no further off the
+    epipolar lines, and with no more subsets missing that should be in the right image. Then a `ValueError` says so.
+    """
+    usable = reference.status == TrackStatus.OK
+    if usable.sum() < 3:
+        return None
+    clear = np.flatnonzero(usable & (reference.energy >= 0.25 * np.median(reference.energy[usable])))
+    seeds = clear[np.linspace(0, len(clear) - 1, min(len(clear), LINE_SEEDS)).astype(np.int64)]
+    starts, band = line_starts((first, frame[0]), rig, reference.centre_px[seeds], settings.radius_px, depth_m)
+    tried = []
+    for start in starts[np.isfinite(starts).any(axis=(1, 2))]:
+        spread = np.full((len(usable), 6), np.nan)
+        spread[seeds] = start
+        here = register(reference, frame[1], spread, settings)
+        off, _, _ = epipolar_residual(rig, reference.centre_px, reference.centre_px + here.warp[:, [0, 3]])
+        tried.append(dropped(here, ~(np.abs(off) <= 2.0 * band), TrackStatus.NO_START).warp)
+    if not tried:
+        return None
+    warps = np.stack(tried)[:, seeds]
+    centre = reference.centre_px[seeds]
+    chosen = surfaces(rig, centre, _once(centre + warps[..., [0, 3]]))
+    if not chosen:
+        return None
+    known = np.full((len(usable), warps.shape[2]), np.nan)
+    main, rivals = chosen[0] >= 0, []
+    known[seeds[main]] = warps[chosen[0][main], main.nonzero()[0]]
+    for other in chosen[1:]:
+        there = other >= 0
+        seeded = np.full_like(known, np.nan)
+        seeded[seeds[there]] = warps[other[there], there.nonzero()[0]]
+        if np.mean(main[there]) <= PART_SHARE:  # another part of the body, or more of a curved one
+            known[seeds[there & ~main]] = seeded[seeds[there & ~main]]
+            main |= there
+        elif there.sum() >= RIVAL_SHARE * main.sum():
+            rivals.append(seeded)
+    found = [_grown(reference, frame, settings, rig, each) for each in (known, *rivals)]
+    best, *others = sorted(found, key=lambda surface: -int(np.sum(surface.ok)))
+    if best.ok.sum() < max(3, FEWEST_SHARE * usable.sum()):
+        return None
+    for other in others:
+        _refuse_rival(reference, rig, best, other)
+    return best.found
+
+
+def _once(place: FloatArray) -> FloatArray:
+    """Places (C,S,2) of which those within a pixel of an earlier one are left out."""
+    kept = place.copy()
+    for c in range(1, len(place)):
+        same = (np.abs(place[:c] - place[c]).max(axis=-1) < 1.0).any(axis=0)
+        kept[c, same] = np.nan
+    return kept
+
+
+def _grown(
+    reference: Reference, frame: tuple[Image, Spline], settings: TrackSettings, rig: StereoRig, known: FloatArray
+) -> _Surface:
+    """The surface through the subsets whose warps (N,p) are known, without those that depart from their neighbours."""
+    usable = reference.status == TrackStatus.OK
+    start = neighbour_starts(reference.centre_px, known)
+    found = find_from_neighbours(reference, frame[1], register(reference, frame[1], start, settings), settings)
+    centre = reference.centre_px
+    found = dropped(found, ~supported(centre, found.warp) & (found.status == TrackStatus.OK), TrackStatus.NOT_CONVERGED)
+    start = neighbour_starts(centre, found.warp)
+    place, reach = centre + start[:, [0, 3]], 1.5 * settings.radius_px
+    size = np.array(frame[0].shape[::-1])
+    expected = usable & ((place >= reach) & (place <= size - 1.0 - reach)).all(axis=1)
+    return _Surface(found, expected | (found.status == TrackStatus.OK))
+
+
+def _refuse_rival(reference: Reference, rig: StereoRig, best: _Surface, other: _Surface) -> None:
+    """Raise `ValueError` where the second surface fits as well as the first."""
+    sides = [np.where(one.ok[:, None], reference.centre_px + one.found.warp[:, [0, 3]], np.nan) for one in (best, other)]
+    both = best.ok & other.ok & (np.abs(sides[0] - sides[1]).max(axis=1) > 1.0)
+    if both.sum() < RIVAL_SHARE * best.ok.sum() or other.missed > best.missed + MORE_MISSED:
+        return
+    lack, more = (float(np.median(1.0 - one.found.zncc[both])) for one in (best, other))
+    if more > 2.0 * lack + 0.05:
+        return
+    off = [np.sqrt(np.nanmean(epipolar_residual(rig, reference.centre_px, side)[0] ** 2)) for side in sides]
+    limit = LINE_PX + 3.0 * line_uncertainty_px(rig, reference.centre_px[both], sides[0][both])
+    if off[0] <= limit < off[1]:
+        return
+    depth = [
+        float(np.nanmedian(triangulate(rig, reference.centre_px[None], side[None]).position_m[..., 2])) for side in sides
+    ]
+    raise ValueError(
+        f"right: expected one place for the body, found two that fit as well, {depth[0]:.3f} m and {depth[1]:.3f} m "
+        f"from the left camera ({best.ok.sum()} and {other.ok.sum()} subsets): its pattern repeats; show where the "
+        "pattern ends in both pictures, turn the foil by some degrees, or use one that does not repeat"
+    )
 
 
 def find_by_search(
