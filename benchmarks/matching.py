@@ -21,7 +21,7 @@ from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence
 from photogram.subsets.icgn import TrackSettings
-from photogram.subsets.texture import lay_grid, textured_area
+from photogram.subsets.texture import lay_grid, saturated, textured_area
 from photogram.subsets.track import lay_stereo_grid
 from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, tiled, view_of
 
@@ -52,15 +52,17 @@ SCENES = {
     "45°": Scene(45.0),
     "60°": Scene(60.0),
     "45°, face tilted by 15° about both axes": Scene(45.0, tilt_deg=(15.0, 15.0)),
+    "60°, face tilted by 20° about both axes": Scene(60.0, tilt_deg=(20.0, 20.0)),
     "glare over 10 % of either picture": Scene(glare=0.1),
     "strong perspective (f = 500 px)": Scene(focal_px=500.0, tilt_deg=(10.0, 20.0)),
-    "contrast 2 % of full scale": Scene(grey=(0.10, 0.12)),
-    "contrast 1 % of full scale": Scene(grey=(0.10, 0.11)),
-    "foil repeats every 43 mm, its ends in view": Scene(half_m=(0.040, 0.031), period_m=0.043),
+    "contrast 5 % of full scale": Scene(grey=(0.10, 0.15)),
+    "contrast 3 % of full scale": Scene(grey=(0.10, 0.13)),
+    "foil of 64 mm repeats every 43 mm": Scene(half_m=(0.032, 0.027), period_m=0.043),
+    "foil of 80 mm repeats every 43 mm": Scene(half_m=(0.040, 0.031), period_m=0.043),
     "the same, turned by 3.5°": Scene(half_m=(0.040, 0.031), period_m=0.043, turn_deg=3.5),
     "foil repeats every 43 mm, beyond the view": Scene(half_m=(0.09, 0.07), period_m=0.043),
     "the same, turned by 3.5° ": Scene(half_m=(0.09, 0.07), period_m=0.043, turn_deg=3.5),
-    "foil repeats every 8 mm, its ends in view": Scene(period_m=0.008),
+    "foil of 68 mm repeats every 8 mm": Scene(period_m=0.008),
     "foil repeats every 8 mm, beyond the view": Scene(half_m=(0.09, 0.07), period_m=0.008, turn_deg=3.5),
 }
 
@@ -108,7 +110,7 @@ def _glare(share: float, side: int) -> FloatArray | float:
     x, y = np.meshgrid(*(np.arange(n) for n in SIZE_PX))
     radius = np.sqrt(share * SIZE_PX.prod() / np.pi)
     middle = (200 + 110 * side, 180 + 30 * side)
-    return np.asarray(1.5 / (1.0 + np.exp((np.hypot(x - middle[0], y - middle[1]) - radius) / 12.0)))
+    return np.asarray(1.0 / (1.0 + np.exp((np.hypot(x - middle[0], y - middle[1]) - radius) / 5.0)))
 
 
 def true_right(scene: Scene, face: Face, left_px: FloatArray) -> FloatArray:
@@ -130,6 +132,8 @@ def matched(scene: Scene, seed: int, noise_seed: int, calibrated: bool) -> tuple
     points = lay_grid(inside, settings.radius_px, settings.grid_step_px)
     expected = true_right(scene, face, points)
     seen = ((expected > 16) & (expected < SIZE_PX - 17)).all(axis=1)
+    for images, places in ((left, points), (right, expected)):
+        seen &= ~saturated(images.read(0), SENSOR.full_scale, places, settings.radius_px)
     started = time.perf_counter()
     try:
         grid = lay_stereo_grid(left, right, rig if calibrated else None, settings)

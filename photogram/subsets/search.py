@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import BoolArray, FloatArray, check_shape
+from photogram.arrays import FloatArray, check_shape
 
 Image = NDArray[Any]
 FEATURES = 6000
@@ -17,7 +17,7 @@ FEWEST_INLIERS = 5
 RANSAC_PX = 1.5
 RATIO = 0.8
 CHUNK = 1000
-SUPPORT = 2
+SUPPORT = 8
 
 
 def match_features(left_image: Image, right_image: Image) -> tuple[FloatArray, FloatArray]:
@@ -89,27 +89,26 @@ def neighbour_starts(points_px: FloatArray, warp: FloatArray) -> FloatArray:
     return starts
 
 
-def supported(points_px: FloatArray, warp: FloatArray) -> BoolArray:
-    """Which subsets at points_px (N,2) lie where at least two of their eight nearest neighbours' warps (N,6) say.
+def agreeing_neighbours(points_px: FloatArray, warp: FloatArray) -> FloatArray:
+    """Share (N,) of the eight nearest subsets whose warps (N,6) foretell that of the one at points_px (N,2); NaN: none.
 
-    Within 3 px and 5 % of the distance: a surface may bend, and have parts of its own, but not a subset alone.
+    Within 3 px and 5 % of the distance, by each neighbour's own affine map: a surface may bend and have several parts.
     """
     from scipy.spatial import cKDTree
 
     known = np.flatnonzero(np.isfinite(warp).all(axis=1))
-    agree = np.zeros(len(points_px), dtype=np.bool_)
-    if len(known) <= SUPPORT:
-        agree[known] = True
-        return agree
+    share = np.full(len(points_px), np.nan)
+    if len(known) < 2:
+        return share
     points, found = points_px[known], warp[known]
-    distance, near = cKDTree(points).query(points, k=min(1 + 8, len(known)))
+    distance, near = cKDTree(points).query(points, k=min(1 + SUPPORT, len(known)))
     x, y = np.moveaxis(points[:, None] - points[near[:, 1:]], -1, 0)
     off = [
         found[near[:, 1:], u] + found[near[:, 1:], u + 1] * x + found[near[:, 1:], u + 2] * y - found[:, None, u]
         for u in (0, 3)
     ]
-    agree[known] = np.sum(np.hypot(*off) <= 3.0 + 0.05 * distance[:, 1:], axis=1) >= SUPPORT
-    return agree
+    share[known] = np.mean(np.hypot(*off) <= 3.0 + 0.05 * distance[:, 1:], axis=1)
+    return share
 
 
 def template_shifts(

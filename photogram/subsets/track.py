@@ -21,10 +21,10 @@ from photogram.subsets.reference import PARAMETERS, Reference, TrackStatus, prep
 from photogram.subsets.search import (
     affine_field,
     affine_starts,
+    agreeing_neighbours,
     match_features,
     neighbour_starts,
     predict_warp,
-    supported,
     template_shifts,
 )
 from photogram.subsets.sweep import TOLERANCE_PX, DepthRange, line_starts, line_uncertainty_px, surfaces
@@ -340,6 +340,7 @@ LINE_SEEDS = 40
 PART_SHARE = 0.3  # of a surface's seeds that may lie on another one as well if both are parts of one body
 RIVAL_SHARE = 0.25  # of the subsets that have to fit elsewhere as well for a solution to be in doubt
 FEWEST_SHARE = 0.1
+LEAST_AGREEING = 0.2
 MORE_MISSED = 0.1  # share of missing subsets by which a surface is worse than another
 LINE_PX = 0.5  # rms off the epipolar lines that a surface is allowed beside what the calibration leaves open
 SEEDS = 12
@@ -406,10 +407,14 @@ def find_from_features(
 
 @dataclass(frozen=True)
 class _Surface:
-    """Subsets found on one surface: their registration, and which are expected within the right image."""
+    """Subsets found on one surface: their registration, which are expected within the right image, how smooth it is.
+
+    smooth: share of neighbours that foretell each other; where a pattern repeats, patches of several surfaces have less.
+    """
 
     found: Registration
     expected: BoolArray
+    smooth: float
 
     @property
     def ok(self) -> BoolArray:
@@ -417,8 +422,8 @@ class _Surface:
 
     @property
     def missed(self) -> float:
-        """Share of the expected subsets that are not there."""
-        return float(np.mean(~self.ok[self.expected])) if self.expected.any() else 1.0
+        """Share of the expected subsets that are not there, and of the neighbours that do not belong together."""
+        return float(np.mean(~self.ok[self.expected])) + 1.0 - self.smooth if self.expected.any() else 1.0
 
 
 def find_on_lines(
@@ -469,7 +474,7 @@ def find_on_lines(
         elif there.sum() >= RIVAL_SHARE * main.sum():
             rivals.append(seeded)
     found = [_grown(reference, frame, settings, rig, each) for each in (known, *rivals)]
-    best, *others = sorted(found, key=lambda surface: -int(np.sum(surface.ok)))
+    best, *others = sorted(found, key=lambda surface: -surface.smooth * float(np.sum(surface.ok)))
     if best.ok.sum() < max(3, FEWEST_SHARE * usable.sum()):
         return None
     for other in others:
@@ -494,12 +499,13 @@ def _grown(
     start = neighbour_starts(reference.centre_px, known)
     found = find_from_neighbours(reference, frame[1], register(reference, frame[1], start, settings), settings)
     centre = reference.centre_px
-    found = dropped(found, ~supported(centre, found.warp) & (found.status == TrackStatus.OK), TrackStatus.NOT_CONVERGED)
+    agree = agreeing_neighbours(centre, found.warp)
+    found = dropped(found, agree < LEAST_AGREEING, TrackStatus.NOT_CONVERGED)
     start = neighbour_starts(centre, found.warp)
     place, reach = centre + start[:, [0, 3]], 1.5 * settings.radius_px
     size = np.array(frame[0].shape[::-1])
     expected = usable & ((place >= reach) & (place <= size - 1.0 - reach)).all(axis=1)
-    return _Surface(found, expected | (found.status == TrackStatus.OK))
+    return _Surface(found, expected | (found.status == TrackStatus.OK), float(np.nan_to_num(np.nanmean(agree), nan=1.0)))
 
 
 def _refuse_rival(reference: Reference, rig: StereoRig, best: _Surface, other: _Surface) -> None:
