@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,7 +151,10 @@ def main() -> None:
     parser.add_argument("--only", default="", help="rows whose name has this in it")
     parser.add_argument("--same-print", action="store_true", help="seeds change the noise alone")
     options = parser.parse_args()
-    print("| scene | features: found | wrong | refused | calibration: found | wrong | refused | s, s |\n|---|" + "---|" * 7)
+    print(
+        "| scene | features: found | wrong | refused | calibration: found | wrong | refused | s, s |\n|---|"
+        + "---|" * 7
+    )
     for name, scene in SCENES.items():
         if options.only not in name:
             continue
@@ -160,7 +163,7 @@ def main() -> None:
             seeds = [(0, n) if options.same_print else (n, n) for n in range(options.seeds)]
             rows = np.array([matched(scene, *seed, calibrated) for seed in seeds])
             kept = rows[rows[:, 2] == 0]
-            found, wrong = (kept[:, :2].mean(axis=0) if len(kept) else (np.nan, np.nan))
+            found, wrong = kept[:, :2].mean(axis=0) if len(kept) else (np.nan, np.nan)
             cells += [f"{100 * found:.1f} %", f"{100 * wrong:.1f} %", f"{rows[:, 2].sum():.0f} of {len(rows)}"]
             times.append(f"{np.median(rows[:, 3]):.2f}")
         print(f"| {name} | {' | '.join(cells)} | {', '.join(times)} |", flush=True)

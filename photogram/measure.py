@@ -15,6 +15,7 @@ from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_
 from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence, NoiseModel
 from photogram.motion import PlacedCamera, RigidMotion, fit_motion, overlap_correlation
+from photogram.subsets.find import identity
 from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.reference import Reference
 from photogram.subsets.texture import SubsetQuality, assess
@@ -22,7 +23,6 @@ from photogram.subsets.track import (
     StereoGrid,
     StereoTracks,
     follow_sequence,
-    identity,
     lay_stereo_grid,
     prepare_sequence,
     stereo_tracks,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray, check_shape
+from photogram.arrays import FloatArray, IntArray, check_shape
 
 Image = NDArray[Any]
 FEATURES = 6000
@@ -18,6 +18,7 @@ RANSAC_PX = 1.5
 RATIO = 0.8
 CHUNK = 1000
 SUPPORT = 8
+LIKE_PEAK, LESS_PEAK, PEAK_PX = 0.8, 0.15, 3
 
 
 def match_features(left_image: Image, right_image: Image) -> tuple[FloatArray, FloatArray]:
@@ -117,6 +118,8 @@ def template_shifts(
     """Displacements (N,2), whole pixels, at which subsets of `reference` correlate best with `image`; NaN outside.
 
     Zero-normalised cross-correlation by FFT (OpenCV) within `reach_px` around the guessed displacements guess_px (N,2).
+    Of several peaks above 0.8 that are within 0.15 of the highest, as where the pattern repeats (a copy half a pixel
+    aside loses as much), the one next to the guess counts.
     """
     import cv2
 
@@ -130,9 +133,20 @@ def template_shifts(
         full = template.shape == (2 * radius_px + 1, 2 * radius_px + 1)
         if full and window.shape[0] >= template.shape[0] and window.shape[1] >= template.shape[1]:
             score = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)
-            row, column = np.unravel_index(int(np.argmax(score)), score.shape)
-            shifts[n] = left + column + radius_px - x, top + row + radius_px - y
+            corner = np.array([left + radius_px, top + radius_px])
+            places = corner + score_peaks(score, max(LIKE_PEAK, float(score.max()) - LESS_PEAK)) - (x, y)
+            shifts[n] = places[np.argmin(np.hypot(*(places - guess).T))]
     return shifts
+
+
+def score_peaks(score: NDArray[np.float32], least: float) -> IntArray:
+    """Column and row (K,2) of the peaks of a correlation map (H,W), the highest first and those of at least `least`."""
+    import cv2
+
+    size = np.ones((2 * PEAK_PX + 1, 2 * PEAK_PX + 1), np.uint8)
+    rows, columns = np.nonzero((score >= min(least, float(score.max()))) & (score == cv2.dilate(score, size)))
+    order = np.argsort(-score[rows, columns], kind="stable")
+    return np.stack([columns[order], rows[order]], axis=1)
 
 
 def affine_field(points_px: FloatArray, displacement_px: FloatArray, targets_px: FloatArray) -> FloatArray:

@@ -51,7 +51,11 @@ class _Lines(Arrays, shapes="right_px S K 2; across S K 2; affine S K 2 2; along
 
 
 def line_starts(
-    images: tuple[Image, Image], rig: StereoRig, points_px: FloatArray, radius_px: int, depth_m: DepthRange | None = None
+    images: tuple[Image, Image],
+    rig: StereoRig,
+    points_px: FloatArray,
+    radius_px: int,
+    depth_m: DepthRange | None = None,
 ) -> tuple[FloatArray, float]:
     """Warps (C,S,6) at which subsets around points_px (S,2) of the left image correlate best along epipolar lines.
 
@@ -88,7 +92,7 @@ def line_starts(
 
 
 def line_uncertainty_px(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> float:
-    """Largest standard uncertainty in px that the calibration's covariance gives the epipolar residual of matches (N,2).
+    """Largest standard uncertainty in px that the calibration's covariance leaves the residual of matches (N,2).
 
     0 for a calibration without a covariance.
     """

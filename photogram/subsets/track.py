@@ -14,24 +14,27 @@ from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, check_shape
 from photogram.bspline import Spline, spline_of_image
-from photogram.camera import StereoRig, epipolar_residual, triangulate
+from photogram.camera import StereoRig, epipolar_residual
 from photogram.images import GreyImage, ImageSequence
-from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
-from photogram.subsets.reference import PARAMETERS, Reference, TrackStatus, prepare_reference
-from photogram.subsets.search import (
-    affine_field,
-    affine_starts,
-    agreeing_neighbours,
-    match_features,
-    neighbour_starts,
-    predict_warp,
-    template_shifts,
+from photogram.subsets.find import (
+    dropped,
+    find_anew,
+    find_by_search,
+    find_from_features,
+    find_from_neighbours,
+    follow,
+    identity,
 )
-from photogram.subsets.sweep import TOLERANCE_PX, DepthRange, line_starts, line_uncertainty_px, surfaces
+from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance
+from photogram.subsets.match import find_on_lines
+from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
+from photogram.subsets.search import predict_warp
+from photogram.subsets.sweep import TOLERANCE_PX, DepthRange
 from photogram.subsets.texture import (
     aliasing_bias,
     aliasing_notice,
     lay_grid,
+    repeat_px,
     saturated,
     speckle_size,
     subset_mean,
@@ -82,6 +85,23 @@ OVERLAP = 0.95
 BORDER_PX = 5
 HISTORY = 6
 LARGEST_LOST_SHARE = 0.1
+NEARLY = 0.2  # of a period of the pattern
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracks(Arrays, shapes="position_px F N 2; covariance_px2 F N 2 2; zncc F N; status F N; noise_grey N"):
+    """Subset centres through time: position_px (F,N,2), covariance_px2 (F,N,2,2), zncc (F,N), status (F,N).
+
+    The covariance is that of the frame's own image noise; the reference frame's noise is one constant offset of the
+    whole series. Frame 0, whose positions are exact by definition, is given the covariance that it would have as any
+    other frame. noise_grey (N,): image noise at each subset. Where status is not `TrackStatus.OK`, numbers are NaN.
+    """
+
+    position_px: FloatArray
+    covariance_px2: FloatArray
+    zncc: FloatArray
+    status: NDArray[np.int8]
+    noise_grey: FloatArray
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -222,7 +242,8 @@ def lay_stereo_grid(
     """Lay a grid over the textured body in the first left image and match it to the first right image.
 
     Only subsets that were found there, that are not saturated and, with `rig`, that lie on their epipolar lines are
-    kept. Raises `ValueError` when the cameras have unlike numbers of frames or fewer than three subsets are left.
+    kept. Raises `ValueError` when the cameras have unlike numbers of frames, fewer than three subsets are left, or the
+    pattern repeats so that they may be elsewhere.
     """
     if len(left) != len(right):
         raise ValueError(f"right: expected {len(left)} frames as in left, found {len(right)}")
@@ -242,6 +263,13 @@ def lay_stereo_grid(
         off = _middle(distance)
         kept &= np.abs(distance - off) <= TOLERANCE_PX
         if abs(off) > 1.0:
+            period = repeat_px(images[0], points, settings.radius_px)
+            if np.isfinite(period):
+                raise ValueError(
+                    f"right: expected the body on its epipolar lines, found it {off:.1f} px beside them, and its "
+                    f"pattern repeats every {period:.1f} px: a copy was taken for the original, or the calibration "
+                    "does not belong to these images"
+                )
             text = (
                 f"matched points lie {off:.1f} px off their epipolar lines on average: the calibration does not belong "
                 "to these images, or a camera has moved since"
@@ -260,6 +288,8 @@ def stereo_tracks(
 ) -> StereoTracks:
     """The tracks of both cameras with what their first images are like, and remarks on both."""
     notices, speckle, levels, biases = list(grid.notices), [], [], []
+    for image, track, side in zip(images, tracks, ("left", "right"), strict=True):
+        _refuse_jumps(image, track, settings, side)
     for image, area, track, where in zip(images, grid.areas, tracks, ("left camera", "right camera"), strict=True):
         noise = _middle(track.noise_grey)
         bias = aliasing_bias(image, area, noise, settings.radius_px, settings.degree)
@@ -275,6 +305,29 @@ def stereo_tracks(
         levels.append(noise)
         biases.append(bias.mean_px)
     return StereoTracks(*tracks, tuple(notices), np.array(speckle), np.array(levels), np.array(biases))
+
+
+def _refuse_jumps(image: Image, track: Tracks, settings: TrackSettings, side: str) -> None:
+    """Raise `ValueError` where the body of a pattern that repeats jumps by a period, unforetold by the last frames.
+
+    Such a jump is no motion that the pictures could tell from a copy taken for the original.
+    """
+    warps = np.zeros((len(track.position_px), 1, 6))
+    moved = track.position_px - track.position_px[0]
+    for frame in np.flatnonzero(np.isfinite(moved).all(axis=2).any(axis=1)):
+        warps[frame:, 0, [0, 3]] = np.nanmedian(moved[frame], axis=0)
+    foretold = [predict_warp(warps[max(0, frame - HISTORY) : frame]) for frame in range(1, len(warps))]
+    jump = np.hypot(*(warps[1:] - np.array(foretold).reshape(-1, 1, 6))[:, 0, [0, 3]].T)
+    if not (jump > settings.radius_px).any():
+        return
+    period = repeat_px(image, track.position_px[0], settings.radius_px)
+    jumps = np.flatnonzero(np.abs(jump - period) <= NEARLY * period)
+    if len(jumps):
+        raise ValueError(
+            f"{side}: expected a motion that the last frames foretell, found a jump of {jump[jumps[0]]:.1f} px in "
+            f"frame {jumps[0] + 1} (counted from 0), and the pattern repeats every {period:.1f} px: a copy may have "
+            "been taken for the original; use a foil that does not repeat, or take more frames per period of the motion"
+        )
 
 
 def track_stereo(
@@ -331,264 +384,6 @@ def _middle(values: FloatArray) -> float:
     """Median of the finite values."""
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if len(finite) else float("nan")
-
-
-# Subsets of one image found in another: by prediction, by search, from their neighbours; and the tracks they leave.
-
-NEIGHBOUR_ROUNDS = 8
-LINE_SEEDS = 40
-PART_SHARE = 0.3  # of a surface's seeds that may lie on another one as well if both are parts of one body
-RIVAL_SHARE = 0.25  # of the subsets that have to fit elsewhere as well for a solution to be in doubt
-FEWEST_SHARE = 0.1
-LEAST_AGREEING = 0.2
-MORE_MISSED = 0.1  # share of missing subsets by which a surface is worse than another
-LINE_PX = 0.5  # rms off the epipolar lines that a surface is allowed beside what the calibration leaves open
-SEEDS = 12
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Tracks(Arrays, shapes="position_px F N 2; covariance_px2 F N 2 2; zncc F N; status F N; noise_grey N"):
-    """Subset centres through time: position_px (F,N,2), covariance_px2 (F,N,2,2), zncc (F,N), status (F,N).
-
-    The covariance is that of the frame's own image noise; the reference frame's noise is one constant offset of the
-    whole series. Frame 0, whose positions are exact by definition, is given the covariance that it would have as any
-    other frame. noise_grey (N,): image noise at each subset. Where status is not `TrackStatus.OK`, numbers are NaN.
-    """
-
-    position_px: FloatArray
-    covariance_px2: FloatArray
-    zncc: FloatArray
-    status: NDArray[np.int8]
-    noise_grey: FloatArray
-
-
-def find_anew(reference: Reference, first: Image, frame: tuple[Image, Spline], settings: TrackSettings) -> Registration:
-    """Subsets of the first image in a frame of which nothing is foretold: from rest and by search, the better one.
-
-    A start at rest finds some subsets of a body that moved by a speckle in a wrong place; a search slides along edges.
-    """
-    rest = identity(reference).warp
-    found = follow(reference, first, frame, rest, settings)
-    searched = find_by_search(reference, first, frame, rest, settings)
-    return find_from_neighbours(reference, frame[1], merged(found, searched), settings)
-
-
-def follow(
-    reference: Reference, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
-) -> Registration:
-    """Subsets of the first image in a later one: from the prediction; where that loses most, by search.
-
-    Searched seeds within `reach_px` of the prediction, then in the whole image, then matched features, which stand
-    rotation as well; at last the lost ones from their neighbours.
-    """
-    found = register(reference, frame[1], start, settings)
-    for attempt in range(3):
-        if np.sum(found.status == TrackStatus.OK) >= 0.5 * np.sum(reference.status == TrackStatus.OK):
-            break
-        if attempt < 2:
-            reach = settings.reach_px if attempt == 0 else max(frame[0].shape)
-            more = find_by_search(reference, first, frame, start, replace(settings, reach_px=reach))
-        else:
-            more = find_from_features(reference, first, frame, settings)
-        found = merged(found, more)
-    return find_from_neighbours(reference, frame[1], found, settings)
-
-
-def find_from_features(
-    reference: Reference, first: Image, frame: tuple[Image, Spline], settings: TrackSettings
-) -> Registration:
-    """All subsets from the affine maps of matched features around them."""
-    source, moved = match_features(first, frame[0])
-    starts = np.full((len(reference.centre_px), 6), np.nan)
-    usable = reference.status == TrackStatus.OK
-    starts[usable] = affine_starts(reference.centre_px[usable], source, moved)
-    return register(reference, frame[1], starts, settings)
-
-
-@dataclass(frozen=True)
-class _Surface:
-    """Subsets found on one surface: their registration, which are expected within the right image, how smooth it is.
-
-    smooth: share of neighbours that foretell each other; where a pattern repeats, patches of several surfaces have less.
-    """
-
-    found: Registration
-    expected: BoolArray
-    smooth: float
-
-    @property
-    def ok(self) -> BoolArray:
-        return np.asarray(self.found.status == TrackStatus.OK)
-
-    @property
-    def missed(self) -> float:
-        """Share of the expected subsets that are not there, and of the neighbours that do not belong together."""
-        return float(np.mean(~self.ok[self.expected])) + 1.0 - self.smooth if self.expected.any() else 1.0
-
-
-def find_on_lines(
-    reference: Reference,
-    first: Image,
-    frame: tuple[Image, Spline],
-    settings: TrackSettings,
-    rig: StereoRig,
-    depth_m: DepthRange | None = None,
-) -> Registration | None:
-    """All subsets on the surface that correlates along the epipolar lines; None where there is none.
-
-    Some subsets are looked for along their lines (`sweep.line_starts`), each with all its likely places; smooth
-    surfaces through these (`sweep.surfaces`) are followed from neighbour to neighbour. The one with most subsets counts,
-    unless another fits the same subsets as well: at least a quarter as many, hardly less correlated, no further off the
-    epipolar lines, and with no more subsets missing that should be in the right image. Then a `ValueError` says so.
-    """
-    usable = reference.status == TrackStatus.OK
-    if usable.sum() < 3:
-        return None
-    clear = np.flatnonzero(usable & (reference.energy >= 0.25 * np.median(reference.energy[usable])))
-    seeds = clear[np.linspace(0, len(clear) - 1, min(len(clear), LINE_SEEDS)).astype(np.int64)]
-    starts, band = line_starts((first, frame[0]), rig, reference.centre_px[seeds], settings.radius_px, depth_m)
-    tried = []
-    for start in starts[np.isfinite(starts).any(axis=(1, 2))]:
-        spread = np.full((len(usable), 6), np.nan)
-        spread[seeds] = start
-        here = register(reference, frame[1], spread, settings)
-        off, _, _ = epipolar_residual(rig, reference.centre_px, reference.centre_px + here.warp[:, [0, 3]])
-        tried.append(dropped(here, ~(np.abs(off) <= 2.0 * band), TrackStatus.NO_START).warp)
-    if not tried:
-        return None
-    warps = np.stack(tried)[:, seeds]
-    centre = reference.centre_px[seeds]
-    chosen = surfaces(rig, centre, _once(centre + warps[..., [0, 3]]))
-    if not chosen:
-        return None
-    known = np.full((len(usable), warps.shape[2]), np.nan)
-    main, rivals = chosen[0] >= 0, []
-    known[seeds[main]] = warps[chosen[0][main], main.nonzero()[0]]
-    for other in chosen[1:]:
-        there = other >= 0
-        seeded = np.full_like(known, np.nan)
-        seeded[seeds[there]] = warps[other[there], there.nonzero()[0]]
-        if np.mean(main[there]) <= PART_SHARE:  # another part of the body, or more of a curved one
-            known[seeds[there & ~main]] = seeded[seeds[there & ~main]]
-            main |= there
-        elif there.sum() >= RIVAL_SHARE * main.sum():
-            rivals.append(seeded)
-    found = [_grown(reference, frame, settings, rig, each) for each in (known, *rivals)]
-    best, *others = sorted(found, key=lambda surface: -surface.smooth * float(np.sum(surface.ok)))
-    if best.ok.sum() < max(3, FEWEST_SHARE * usable.sum()):
-        return None
-    for other in others:
-        _refuse_rival(reference, rig, best, other)
-    return best.found
-
-
-def _once(place: FloatArray) -> FloatArray:
-    """Places (C,S,2) of which those within a pixel of an earlier one are left out."""
-    kept = place.copy()
-    for c in range(1, len(place)):
-        same = (np.abs(place[:c] - place[c]).max(axis=-1) < 1.0).any(axis=0)
-        kept[c, same] = np.nan
-    return kept
-
-
-def _grown(
-    reference: Reference, frame: tuple[Image, Spline], settings: TrackSettings, rig: StereoRig, known: FloatArray
-) -> _Surface:
-    """The surface through the subsets whose warps (N,p) are known, without those that depart from their neighbours."""
-    usable = reference.status == TrackStatus.OK
-    start = neighbour_starts(reference.centre_px, known)
-    found = find_from_neighbours(reference, frame[1], register(reference, frame[1], start, settings), settings)
-    centre = reference.centre_px
-    agree = agreeing_neighbours(centre, found.warp)
-    found = dropped(found, agree < LEAST_AGREEING, TrackStatus.NOT_CONVERGED)
-    start = neighbour_starts(centre, found.warp)
-    place, reach = centre + start[:, [0, 3]], 1.5 * settings.radius_px
-    size = np.array(frame[0].shape[::-1])
-    expected = usable & ((place >= reach) & (place <= size - 1.0 - reach)).all(axis=1)
-    return _Surface(found, expected | (found.status == TrackStatus.OK), float(np.nan_to_num(np.nanmean(agree), nan=1.0)))
-
-
-def _refuse_rival(reference: Reference, rig: StereoRig, best: _Surface, other: _Surface) -> None:
-    """Raise `ValueError` where the second surface fits as well as the first."""
-    sides = [np.where(one.ok[:, None], reference.centre_px + one.found.warp[:, [0, 3]], np.nan) for one in (best, other)]
-    both = best.ok & other.ok & (np.abs(sides[0] - sides[1]).max(axis=1) > 1.0)
-    if both.sum() < RIVAL_SHARE * best.ok.sum() or other.missed > best.missed + MORE_MISSED:
-        return
-    lack, more = (float(np.median(1.0 - one.found.zncc[both])) for one in (best, other))
-    if more > 2.0 * lack + 0.05:
-        return
-    off = [np.sqrt(np.nanmean(epipolar_residual(rig, reference.centre_px, side)[0] ** 2)) for side in sides]
-    limit = LINE_PX + 3.0 * line_uncertainty_px(rig, reference.centre_px[both], sides[0][both])
-    if off[0] <= limit < off[1]:
-        return
-    depth = [
-        float(np.nanmedian(triangulate(rig, reference.centre_px[None], side[None]).position_m[..., 2])) for side in sides
-    ]
-    raise ValueError(
-        f"right: expected one place for the body, found two that fit as well, {depth[0]:.3f} m and {depth[1]:.3f} m "
-        f"from the left camera ({best.ok.sum()} and {other.ok.sum()} subsets): its pattern repeats; show where the "
-        "pattern ends in both pictures, turn the foil by some degrees, or use one that does not repeat"
-    )
-
-
-def find_by_search(
-    reference: Reference, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
-) -> Registration:
-    """All subsets from one affine motion through a few well-textured seeds, which are searched by correlation."""
-    usable = np.flatnonzero(reference.status == TrackStatus.OK)
-    spread = usable[np.linspace(0, len(usable) - 1, min(len(usable), 4 * SEEDS)).astype(np.int64)]
-    seeds = spread[np.argsort(-reference.energy[spread])[:SEEDS]]
-    points = reference.centre_px[seeds]
-    guess = np.nan_to_num(start[seeds][:, [0, 3]])
-    shifts = template_shifts(first, frame[0], points, settings.radius_px, settings.reach_px, guess)
-    field = affine_field(points, shifts, reference.centre_px)
-    return register(reference, frame[1], field, settings)
-
-
-def find_from_neighbours(
-    reference: Reference, target: Spline, found: Registration, settings: TrackSettings
-) -> Registration:
-    """Lost subsets once more from the affine maps of their nearest neighbours, as long as that finds some."""
-    for _ in range(NEIGHBOUR_ROUNDS):
-        lost = (found.status != TrackStatus.OK) & (reference.status == TrackStatus.OK)
-        if not lost.any() or lost.all():
-            break
-        start = neighbour_starts(reference.centre_px, found.warp)
-        start[~lost] = np.nan
-        more = register(reference, target, start, settings)
-        if not np.any(more.status[lost] == TrackStatus.OK):
-            break
-        found = merged(found, more)
-    return found
-
-
-def merged(first: Registration, second: Registration) -> Registration:
-    """`first`, with the subsets that only `second` found, or that it found where they correlate better."""
-    worse = (first.status != TrackStatus.OK) | (first.zncc < second.zncc)
-    better = worse & (second.status == TrackStatus.OK)
-    return Registration(
-        warp=np.where(better[:, None], second.warp, first.warp),
-        zncc=np.where(better, second.zncc, first.zncc),
-        gain=np.where(better, second.gain, first.gain),
-        residual_grey2=np.where(better, second.residual_grey2, first.residual_grey2),
-        status=np.where(better, second.status, first.status),
-        iterations=first.iterations + second.iterations,
-    )
-
-
-def dropped(found: Registration, which: BoolArray, status: TrackStatus) -> Registration:
-    """`found` without the subsets `which`, which receive the status."""
-    return replace(
-        found, warp=np.where(which[:, None], np.nan, found.warp), status=np.where(which, np.int8(status), found.status)
-    )
-
-
-def identity(reference: Reference) -> Registration:
-    """The reference found in itself; its noise is filled in from the other frames."""
-    ones = np.where(reference.status == TrackStatus.OK, 1.0, np.nan)
-    warp = np.outer(ones, np.zeros(max(6, PARAMETERS[reference.order])))
-    nothing, none = np.full(len(ones), np.nan), np.zeros(len(ones), np.int64)
-    return Registration(warp, ones, ones, nothing, reference.status, none)
 
 
 def tracks_of(found: Sequence[Registration], reference: Reference, degree: int) -> Tracks:
