@@ -52,18 +52,23 @@ from shaker.sine.aliasing import usable_lines
 BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform, TrackSettings]
 
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
+FEWEST_PLACES = 3  # on a body that tell where it is
 NO_MOTION = "no frame has enough points for a rigid motion"
 
 
 @dataclass(frozen=True)
 class OpenImages:
-    """The images of one stereo pair, opened and checked: its sight, both sequences, its rig, the first left image."""
+    """The images of one stereo pair, opened and checked: its sight, both sequences, its rig, the first left image.
+
+    `depth_m`: nearest and farthest depth in the left camera where its body can be (`known_depth`), None if not known.
+    """
 
     sight: Sight
     left: ImageSequence
     right: ImageSequence
     rig: StereoRig
     first: GreyImage
+    depth_m: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -121,7 +126,23 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages
         with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequence.read(0))
     pair = _without_calibration_share(sight.pair, rig)
-    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0])
+    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0], known_depth(manifest, pair))
+
+
+def known_depth(manifest: Manifest, pair: Stereo) -> tuple[float, float] | None:
+    """Return the nearest and the farthest depth in the left camera at which the face that a pair sees can be.
+
+    Known are the sensor's origin and the points of the channels on the pair's body; the face is taken to be no further
+    beyond them, nearer or farther, than they reach from the origin. None with fewer than three points.
+    """
+    channels = (channel for daq in manifest.daq for channel in daq.channel)
+    points = [channel.point for channel in channels if channel.body == pair.body and channel.point is not None]
+    if len(points) < FEWEST_PLACES:
+        return None
+    places = np.array([(0.0, 0.0, 0.0), *points])
+    depth = sensor_from_camera(pair).inverse().apply(places)[:, 2]
+    reach = float(np.linalg.norm(places, axis=1).max())
+    return float(depth.min()) - reach, float(depth.max()) + reach
 
 
 def measure_pairs(
@@ -134,7 +155,7 @@ def measure_pairs(
     if executor is None:
         return tuple(measure_images(item, settings, progress) for item in images)
     device, motions, begun = settings.device, [], []
-    prepared = [executor.submit(0, _prepared, body_inputs(item, settings), device) for item in images]
+    prepared = [executor.submit(0, _prepared, body_inputs(item, settings), device, item.depth_m) for item in images]
     for item, pending in zip(images, prepared, strict=True):
         scene: BodyScene = _answer(item, pending)
         blocks = [executor.submit(1, _followed, pending, frames, device) for frames in scene.blocks]
@@ -159,8 +180,10 @@ def _answer(images: OpenImages, pending: Pending) -> Any:
         return answer.opened()
 
 
-def _prepared(inputs: BodyInputs, device: str) -> BodyScene:  # a task, hence a function of this module
-    return prepare_body(*inputs, resolve_device(device))
+def _prepared(  # a task, hence a function of this module
+    inputs: BodyInputs, device: str, depth_m: tuple[float, float] | None
+) -> BodyScene:
+    return prepare_body(*inputs, resolve_device(device), depth_m=depth_m)
 
 
 def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, as above
@@ -172,7 +195,10 @@ def measure_images(images: OpenImages, settings: Settings, progress: ProgressCal
     stage, total = f"track {images.sight.name}", 2 * len(images.left)
     with as_input_error(*images.sight.where):
         body = measure_body(
-            *body_inputs(images, settings), lambda done: progress(stage, done, total), resolve_device(settings.device)
+            *body_inputs(images, settings),
+            lambda done: progress(stage, done, total),
+            resolve_device(settings.device),
+            images.depth_m,
         )
     return seen_motion(images, body)
 

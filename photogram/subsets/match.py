@@ -15,9 +15,10 @@ from photogram.subsets.find import dropped, find_from_neighbours, held_together
 from photogram.subsets.icgn import Registration, TrackSettings, register
 from photogram.subsets.reference import Reference, TrackStatus
 from photogram.subsets.search import agreeing_neighbours, neighbour_starts
-from photogram.subsets.sweep import DepthRange, line_starts, line_uncertainty_px, surfaces
+from photogram.subsets.sweep import line_starts, line_uncertainty_px, surfaces
 
 Image = NDArray[Any]
+DepthRange = tuple[float, float]
 LINE_SEEDS = 40
 PART_SHARE = 0.3  # of a surface's seeds that may lie on another one as well if both are parts of one body
 RIVAL_SHARE = 0.25  # of the subsets that have to fit elsewhere as well for a solution to be in doubt
@@ -60,14 +61,15 @@ def find_on_lines(
     Some subsets are looked for along their lines (`sweep.line_starts`), each with all its likely places; smooth
     surfaces through these (`sweep.surfaces`) are followed from neighbour to neighbour. The one with most subsets
     counts, unless another fits as well: a quarter as many of the same subsets, hardly less correlated, no further off
-    the epipolar lines, and with no more missing that should be in the right image. Then a `ValueError` says so.
+    the epipolar lines, no more missing that should be in the right image, and not beyond the depths `depth_m` (nearest,
+    farthest, in the left camera) where the body is known to be. Then a `ValueError` says so.
     """
     usable = reference.status == TrackStatus.OK
     if usable.sum() < 3:
         return None
     clear = np.flatnonzero(usable & (reference.energy >= 0.25 * np.median(reference.energy[usable])))
     seeds = clear[np.linspace(0, len(clear) - 1, min(len(clear), LINE_SEEDS)).astype(np.int64)]
-    starts, band = line_starts((first, frame[0]), rig, reference.centre_px[seeds], settings.radius_px, depth_m)
+    starts, band = line_starts((first, frame[0]), rig, reference.centre_px[seeds], settings.radius_px)
     tried = []
     for start in starts[np.isfinite(starts).any(axis=(1, 2))]:
         spread = np.full((len(usable), 6), np.nan)
@@ -98,8 +100,8 @@ def find_on_lines(
     best, *others = sorted(found, key=lambda surface: -surface.smooth * float(np.sum(surface.ok)))
     if best.ok.sum() < max(3, FEWEST_SHARE * usable.sum()):
         return None
-    for other in others:
-        _refuse_rival(reference, rig, best, other)
+    for rival in others:
+        _refuse_rival(reference, rig, best, rival, depth_m)
     return best.found
 
 
@@ -131,7 +133,9 @@ def _grown(
     )
 
 
-def _refuse_rival(reference: Reference, rig: StereoRig, best: _Surface, other: _Surface) -> None:
+def _refuse_rival(
+    reference: Reference, rig: StereoRig, best: _Surface, other: _Surface, depth_m: DepthRange | None
+) -> None:
     """Raise `ValueError` where the second surface fits as well as the first."""
     centre = reference.centre_px
     sides = [np.where(one.ok[:, None], centre + one.found.warp[:, [0, 3]], np.nan) for one in (best, other)]
@@ -146,6 +150,8 @@ def _refuse_rival(reference: Reference, rig: StereoRig, best: _Surface, other: _
     if off[0] <= limit < off[1]:
         return
     depth = [float(np.nanmedian(triangulate(rig, centre[None], side[None]).position_m[..., 2])) for side in sides]
+    if depth_m is not None and depth_m[0] <= depth[0] <= depth_m[1] and not depth_m[0] <= depth[1] <= depth_m[1]:
+        return
     raise ValueError(
         f"right: expected one place for the body, found two that fit as well, {depth[0]:.3f} m and {depth[1]:.3f} m "
         f"from the left camera ({best.ok.sum()} and {other.ok.sum()} subsets): its pattern repeats; show where the "

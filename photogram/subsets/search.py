@@ -139,7 +139,7 @@ def template_shifts(
     return shifts
 
 
-def score_peaks(score: NDArray[np.float32], least: float) -> IntArray:
+def score_peaks(score: NDArray[Any], least: float) -> IntArray:
     """Column and row (K,2) of the peaks of a correlation map (H,W), the highest first and those of at least `least`."""
     import cv2
 

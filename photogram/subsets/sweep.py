@@ -15,10 +15,9 @@ from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.kernels import njit
 
 Image = NDArray[Any]
-DepthRange = tuple[float, float]
 TOLERANCE_PX = 2.0  # of a match from its epipolar line, beside what the calibration leaves open
 COVERAGE = 3.0
-NEAREST, FARTHEST = 0.4, 1000.0  # depths in base lengths where nothing else is known: axes 100° apart, and parallel
+NEAREST, FARTHEST = 0.4, 1000.0  # depths in base lengths: axes 100° apart, and parallel
 SAMPLES = 1000  # of an epipolar line before it is divided evenly
 STEP_PX = 1.5
 BLUR_PX = 0.9  # so that a subset still correlates half a step aside
@@ -51,11 +50,7 @@ class _Lines(Arrays, shapes="right_px S K 2; across S K 2; affine S K 2 2; along
 
 
 def line_starts(
-    images: tuple[Image, Image],
-    rig: StereoRig,
-    points_px: FloatArray,
-    radius_px: int,
-    depth_m: DepthRange | None = None,
+    images: tuple[Image, Image], rig: StereoRig, points_px: FloatArray, radius_px: int
 ) -> tuple[FloatArray, float]:
     """Warps (C,S,6) at which subsets around points_px (S,2) of the left image correlate best along epipolar lines.
 
@@ -63,12 +58,12 @@ def line_starts(
     returned too: 2 px and three standard uncertainties of the calibration to either side, at most 8 px. There
     every second pixel of the subset warped as a plane moves it that is tilted by so much: strains of 0 to ±0.36 along
     and across the line, as far as that is a tilt below 55° against what faces both cameras (plane sweep: Collins 1996,
-    Proc. CVPR, 358; tilts: Gallup et al. 2007, Proc. CVPR). `depth_m`: nearest and farthest depth in the left camera.
+    Proc. CVPR, 358; tilts: Gallup et al. 2007, Proc. CVPR).
     Up to C = 8 peaks, from the highest; NaN where there are fewer.
     """
     import cv2
 
-    lines = _lines(rig, points_px, depth_m)
+    lines = _lines(rig, points_px)
     middle = np.isfinite(lines.right_px[..., 0]).sum(axis=1) // 2
     sigma = line_uncertainty_px(rig, points_px, lines.right_px[np.arange(len(points_px)), middle])
     band_px = min(TOLERANCE_PX + COVERAGE * sigma, LINE_PX * (MOST_LINES + 0.5))
@@ -112,8 +107,8 @@ def surfaces(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> list[
     another among the candidates left over.
     """
     point, place = _inverse_depth(rig, left_px, right_px)
-    pair, free = np.isfinite(place).all(axis=-1), []
-    left = pair.copy()
+    left = np.asarray(np.isfinite(place).all(axis=-1))
+    found = []
     rng = np.random.default_rng(0)
     while np.count_nonzero(left.any(axis=0)) >= FEWEST:
         fit = _plane(point, place, left, rng)
@@ -123,9 +118,9 @@ def surfaces(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> list[
         chosen = np.where(away.min(axis=0) <= SURFACE_PX, np.argmin(away, axis=0), -1)
         if np.count_nonzero(chosen >= 0) < FEWEST:
             break
-        free.append(chosen)
+        found.append(chosen)
         left &= away > SURFACE_PX
-    return sorted(free, key=lambda one: -int(np.count_nonzero(one >= 0)))
+    return sorted(found, key=lambda one: -int(np.count_nonzero(one >= 0)))
 
 
 def _inverse_depth(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -185,14 +180,13 @@ def _seen(rig: StereoRig, rays: FloatArray, inverse_depth: FloatArray) -> FloatA
     return np.where((away < 1e-6)[..., None], pixel, np.nan)
 
 
-def _lines(rig: StereoRig, points_px: FloatArray, depth_m: DepthRange | None) -> _Lines:
-    """The epipolar lines of points (S,2) within the right image and a range of depth."""
+def _lines(rig: StereoRig, points_px: FloatArray) -> _Lines:
+    """The epipolar lines of points (S,2) within the right image."""
     base = float(np.linalg.norm(rig.right_from_left.translation_m))
-    near, far = depth_m or (NEAREST * base, FARTHEST * base)
     rays = _rays(rig, points_px)
-    grid = np.linspace(1.0 / far, 1.0 / near, SAMPLES)
+    grid = np.linspace(1.0 / FARTHEST, 1.0 / NEAREST, SAMPLES) / base
     coarse = _seen(rig, np.repeat(rays[:, None], SAMPLES, axis=1), np.broadcast_to(grid, (len(rays), SAMPLES)))
-    inside = ((coarse >= 0.0) & (coarse <= rig.right.size_px - 1.0)).all(axis=-1)
+    inside = np.asarray(((coarse >= 0.0) & (coarse <= rig.right.size_px - 1.0)).all(axis=-1))
     divided = []
     for line, within in zip(coarse, inside, strict=True):
         run = np.flatnonzero(within)

@@ -26,10 +26,10 @@ from photogram.subsets.find import (
     identity,
 )
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance
-from photogram.subsets.match import find_on_lines
+from photogram.subsets.match import DepthRange, find_on_lines
 from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
 from photogram.subsets.search import predict_warp
-from photogram.subsets.sweep import TOLERANCE_PX, DepthRange
+from photogram.subsets.sweep import TOLERANCE_PX
 from photogram.subsets.texture import (
     aliasing_bias,
     aliasing_notice,
@@ -154,9 +154,9 @@ def match_stereo(
 ) -> Tracks:
     """Positions in the right image (F = 1) of the subsets centred at points_px (N,2) in the left image.
 
-    With `rig` from its epipolar lines (`find_on_lines`), within the depths `depth_m` in the left camera where they are
-    known; without it, or where no surface fits it, from local affine maps of matched features, then from neighbours
-    that were found. Raises `ValueError` where the pattern repeats so that two surfaces fit as well.
+    With `rig` from its epipolar lines (`find_on_lines`, with `depth_m`); without it, or where no surface fits it, from
+    local affine maps of matched features, then from neighbours that were found. Raises `ValueError` where the pattern
+    repeats so that two surfaces fit as well.
     """
     check_shape("points_px", points_px, (None, 2))
     spline = spline_of_image(left_image, settings.degree)
@@ -316,7 +316,7 @@ def _refuse_jumps(image: Image, track: Tracks, settings: TrackSettings, side: st
     moved = track.position_px - track.position_px[0]
     for frame in np.flatnonzero(np.isfinite(moved).all(axis=2).any(axis=1)):
         warps[frame:, 0, [0, 3]] = np.nanmedian(moved[frame], axis=0)
-    foretold = [predict_warp(warps[max(0, frame - HISTORY) : frame]) for frame in range(1, len(warps))]
+    foretold = [predict_warp(list(warps[max(0, frame - HISTORY) : frame])) for frame in range(1, len(warps))]
     jump = np.hypot(*(warps[1:] - np.array(foretold).reshape(-1, 1, 6))[:, 0, [0, 3]].T)
     if not (jump > settings.radius_px).any():
         return
