@@ -53,17 +53,20 @@ SCENES = {
     "60°": Scene(60.0),
     "45°, face tilted by 15° about both axes": Scene(45.0, tilt_deg=(15.0, 15.0)),
     "60°, face tilted by 20° about both axes": Scene(60.0, tilt_deg=(20.0, 20.0)),
+    "75°, face tilted by 15° about both axes": Scene(75.0, tilt_deg=(15.0, 15.0)),
     "glare over 10 % of either picture": Scene(glare=0.1),
     "strong perspective (f = 500 px)": Scene(focal_px=500.0, tilt_deg=(10.0, 20.0)),
     "contrast 5 % of full scale": Scene(grey=(0.10, 0.15)),
     "contrast 3 % of full scale": Scene(grey=(0.10, 0.13)),
-    "foil of 64 mm repeats every 43 mm": Scene(half_m=(0.032, 0.027), period_m=0.043),
-    "foil of 80 mm repeats every 43 mm": Scene(half_m=(0.040, 0.031), period_m=0.043),
-    "the same, turned by 3.5°": Scene(half_m=(0.040, 0.031), period_m=0.043, turn_deg=3.5),
-    "foil repeats every 43 mm, beyond the view": Scene(half_m=(0.09, 0.07), period_m=0.043),
-    "the same, turned by 3.5° ": Scene(half_m=(0.09, 0.07), period_m=0.043, turn_deg=3.5),
-    "foil of 68 mm repeats every 8 mm": Scene(period_m=0.008),
-    "foil repeats every 8 mm, beyond the view": Scene(half_m=(0.09, 0.07), period_m=0.008, turn_deg=3.5),
+    "foil of 64 mm, repeats every 43 mm": Scene(half_m=(0.032, 0.027), period_m=0.043),
+    "foil of 80 mm, repeats every 43 mm": Scene(half_m=(0.040, 0.031), period_m=0.043),
+    "the same 43 mm, turned by 3.5°": Scene(half_m=(0.040, 0.031), period_m=0.043, turn_deg=3.5),
+    "foil beyond the view, repeats every 43 mm": Scene(half_m=(0.09, 0.07), period_m=0.043),
+    "the same 43 mm beyond the view, turned by 3.5°": Scene(half_m=(0.09, 0.07), period_m=0.043, turn_deg=3.5),
+    "foil of 68 mm, repeats every 8 mm": Scene(period_m=0.008),
+    "foil beyond the view, repeats every 8 mm, turned by 3.5°": Scene(
+        half_m=(0.09, 0.07), period_m=0.008, turn_deg=3.5
+    ),
 }
 
 

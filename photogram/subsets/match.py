@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from photogram.arrays import BoolArray, FloatArray
 from photogram.bspline import Spline
 from photogram.camera import StereoRig, epipolar_residual, triangulate
-from photogram.subsets.find import dropped, find_from_neighbours, held_together
+from photogram.subsets.find import dropped, find_from_neighbours, held_together, merged
 from photogram.subsets.icgn import Registration, TrackSettings, register
 from photogram.subsets.reference import Reference, TrackStatus
-from photogram.subsets.search import agreeing_neighbours, neighbour_starts
+from photogram.subsets.search import affine_starts, agreeing_neighbours, neighbour_starts
 from photogram.subsets.sweep import line_starts, line_uncertainty_px, surfaces
 
 Image = NDArray[Any]
@@ -102,7 +102,11 @@ def find_on_lines(
         return None
     for rival in others:
         _refuse_rival(reference, rig, best, rival, depth_m)
-    return best.found
+    # Once more from the affine map of all around: a start carried over from afar may end in a false minimum
+    moved = (reference.centre_px + best.found.warp[:, [0, 3]])[best.ok]
+    starts = np.full((len(usable), 6), np.nan)
+    starts[usable] = affine_starts(reference.centre_px[usable], reference.centre_px[best.ok], moved)
+    return held_together(reference, merged(best.found, register(reference, frame[1], starts, settings)))
 
 
 def _once(place: FloatArray) -> FloatArray:
