@@ -30,7 +30,7 @@ PEAKS = 8
 APART_PX = 4.0
 SURFACE_PX = 6.0
 TRIPLES = 500
-FEWEST = 3
+FEWEST, BEYOND_CHANCE = 3, 6  # points of a surface; any three lie on one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,16 +107,17 @@ def surfaces(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> list[
     another among the candidates left over.
     """
     point, place = _inverse_depth(rig, left_px, right_px)
+    fewest = FEWEST if len(point) < 2 * BEYOND_CHANCE else BEYOND_CHANCE
     left = np.asarray(np.isfinite(place).all(axis=-1))
     found = []
     rng = np.random.default_rng(0)
-    while np.count_nonzero(left.any(axis=0)) >= FEWEST:
+    while np.count_nonzero(left.any(axis=0)) >= fewest:
         fit = _plane(point, place, left, rng)
         if fit is None:
             break
         away = np.where(left, np.abs(place[..., 0] - point @ fit) * place[..., 1], np.inf)
         chosen = np.where(away.min(axis=0) <= SURFACE_PX, np.argmin(away, axis=0), -1)
-        if np.count_nonzero(chosen >= 0) < FEWEST:
+        if np.count_nonzero(chosen >= 0) < fewest:
             break
         found.append(chosen)
         left &= away > SURFACE_PX

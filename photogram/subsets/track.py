@@ -85,7 +85,6 @@ OVERLAP = 0.95
 BORDER_PX = 5
 HISTORY = 6
 LARGEST_LOST_SHARE = 0.1
-NEARLY = 0.2  # of a period of the pattern
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -308,9 +307,9 @@ def stereo_tracks(
 
 
 def _refuse_jumps(image: Image, track: Tracks, settings: TrackSettings, side: str) -> None:
-    """Raise `ValueError` where the body of a pattern that repeats jumps by a period, unforetold by the last frames.
+    """Raise `ValueError` where a body whose pattern repeats is further than half a period from where it was foretold.
 
-    Such a jump is no motion that the pictures could tell from a copy taken for the original.
+    Then a copy of the pattern lies nearer, and the pictures cannot tell which of them is the body.
     """
     warps = np.zeros((len(track.position_px), 1, 6))
     moved = track.position_px - track.position_px[0]
@@ -321,12 +320,12 @@ def _refuse_jumps(image: Image, track: Tracks, settings: TrackSettings, side: st
     if not (jump > settings.radius_px).any():
         return
     period = repeat_px(image, track.position_px[0], settings.radius_px)
-    jumps = np.flatnonzero(np.abs(jump - period) <= NEARLY * period)
+    jumps = np.flatnonzero(jump > period / 2.0)
     if len(jumps):
         raise ValueError(
             f"{side}: expected a motion that the last frames foretell, found a jump of {jump[jumps[0]]:.1f} px in "
-            f"frame {jumps[0] + 1} (counted from 0), and the pattern repeats every {period:.1f} px: a copy may have "
-            "been taken for the original; use a foil that does not repeat, or take more frames per period of the motion"
+            f"frame {jumps[0] + 1} (counted from 0), more than half of the {period:.1f} px at which the pattern repeats: "
+            "a copy may have been taken for the original; use a foil that does not repeat, or more frames per second"
         )
 
 
