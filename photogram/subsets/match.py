@@ -23,6 +23,7 @@ LINE_SEEDS = 40
 PART_SHARE = 0.3  # of a surface's seeds that may lie on another one as well if both are parts of one body
 RIVAL_SHARE = 0.25  # of the subsets that have to fit elsewhere as well for a solution to be in doubt
 FEWEST_SHARE = 0.1
+LESS_ZNCC = 0.01
 MORE_MISSED = 0.1  # share of missing subsets by which a surface is worse than another
 LINE_PX = 0.5  # rms off the epipolar lines that a surface is allowed beside what the calibration leaves open
 
@@ -102,11 +103,14 @@ def find_on_lines(
         return None
     for rival in others:
         _refuse_rival(reference, rig, best, rival, depth_m)
-    # Once more from the affine map of all around: a start carried over from afar may end in a false minimum
+    # Once more from the affine map of all around: a start carried over from afar may end in a false minimum, and what
+    # the texture does not determine stays as it was at the start
     moved = (reference.centre_px + best.found.warp[:, [0, 3]])[best.ok]
     starts = np.full((len(usable), 6), np.nan)
     starts[usable] = affine_starts(reference.centre_px[usable], reference.centre_px[best.ok], moved)
-    return held_together(reference, merged(best.found, register(reference, frame[1], starts, settings)))
+    again = register(reference, frame[1], starts, settings)
+    as_good = (again.status == TrackStatus.OK) & (again.zncc >= best.found.zncc - LESS_ZNCC)
+    return held_together(reference, merged(again, dropped(best.found, as_good, TrackStatus.NO_START)))
 
 
 def _once(place: FloatArray) -> FloatArray:

@@ -324,8 +324,9 @@ def _refuse_jumps(image: Image, track: Tracks, settings: TrackSettings, side: st
     if len(jumps):
         raise ValueError(
             f"{side}: expected a motion that the last frames foretell, found a jump of {jump[jumps[0]]:.1f} px in "
-            f"frame {jumps[0] + 1} (counted from 0), more than half of the {period:.1f} px at which the pattern repeats: "
-            "a copy may have been taken for the original; use a foil that does not repeat, or more frames per second"
+            f"frame {jumps[0] + 1} (counted from 0), more than half of the {period:.1f} px at which the pattern "
+            "repeats: a copy may have been taken for the original; use a foil that does not repeat, or more frames per "
+            "second"
         )
 
 

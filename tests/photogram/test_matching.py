@@ -186,7 +186,7 @@ def test_lines_pass_through_the_truth_within_a_step():
 
 
 def test_an_uncertain_calibration_widens_the_band():
-    """u of a turn about the right camera's x axis, against the residual that such a turn makes."""
+    """Of a turn about the right camera's x axis, against the residual that such a turn makes."""
     spread = np.zeros(len(RIG_PARAMETERS))
     turn = RIG_PARAMETERS.index("rotation.x")
     spread[turn] = 1.5e-3
