@@ -16,14 +16,15 @@ from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
 from photogram.motion import PlacedCamera, RigidMotion, fit_motion, overlap_correlation
+from photogram.subsets.find import identity
 from photogram.subsets.icgn import Registration, TrackSettings
+from photogram.subsets.match import DepthRange
 from photogram.subsets.reference import Reference
 from photogram.subsets.texture import SubsetQuality, assess
 from photogram.subsets.track import (
     StereoGrid,
     StereoTracks,
     follow_sequence,
-    identity,
     lay_stereo_grid,
     prepare_sequence,
     stereo_tracks,
@@ -92,6 +93,7 @@ def measure_body(
     settings: TrackSettings,
     progress: Progress | None = None,
     device: str = "cpu",
+    depth_m: DepthRange | None = None,
 ) -> BodyMotion:
     """Follow a body through the left and right `images` and fit its six components, about the origin of its frame.
 
@@ -113,7 +115,7 @@ def measure_body(
     >>> f"{1e3 * body.motion.pose[1, 0]:.1f} mm"
     '1.0 mm'
     """
-    scene = prepare_body(images, rig, body_from_left, settings, device, progress)
+    scene = prepare_body(images, rig, body_from_left, settings, device, progress, depth_m)
     return body_motion(scene, [follow_block(scene, block, device, progress) for block in scene.blocks])
 
 
@@ -124,12 +126,14 @@ def prepare_body(
     settings: TrackSettings,
     device: str = "cpu",
     progress: Progress | None = None,
+    depth_m: DepthRange | None = None,
 ) -> BodyScene:
     """Return what following a body needs: its subsets, its surface, and the noise of the images.
 
+    `depth_m`: nearest and farthest depth in the left camera at which the body can be, where its pattern may repeat.
     Blocks have `BLOCK_FRAMES` frames; on a GPU, which follows frames in batches, the series is one block.
     """
-    grid = lay_stereo_grid(*images, rig, settings)
+    grid = lay_stereo_grid(*images, rig, settings, depth_m)
     left, right = (
         prepare_sequence(side, px, settings) for side, px in zip(images, (grid.left_px, grid.right_px), strict=True)
     )

@@ -181,7 +181,7 @@ def _record(
     if file.calibration is None or calibration is None or sha256(calibration) != sha256(file.calibration):
         found = "none" if file.calibration is None else "another calibration"
         raise InputError(path, "calibration", found, f"the one that {manifest.rig_path} names for {file.stereo}")
-    opened = open_images(manifest, base, images)
+    opened = replace(open_images(manifest, base, images), depth_m=None)  # by the pose that is sought
     measured = measure_images(opened, settings, progress)
     fixed = measured.sight.pair.model_copy(update={"pose_by_calibration": None})  # effects in the camera's own frame
     return _Recorded(manifest, base, replace(measured, sight=replace(measured.sight, pair=fixed)))

@@ -57,6 +57,7 @@ BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransfor
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
 SAME_EXPOSURE = 0.02  # relative difference of exposures that are told apart
 SAME_RATE = 0.01  # of frames on the camera's clock and of edges on that of a DAQ
+FEWEST_PLACES = 3  # on a body that tell where it is
 NO_MOTION = "no frame has enough points for a rigid motion"
 
 
@@ -65,6 +66,7 @@ class OpenImages:
     """The images of one stereo pair, opened and checked: its sight, both sequences, its rig, the first left image.
 
     `notices`: what the files do to the grey values, and what they say against the manifest.
+    `depth_m`: nearest and farthest depth in the left camera where its body can be (`known_depth`), None if not known.
     """
 
     sight: Sight
@@ -73,6 +75,7 @@ class OpenImages:
     rig: StereoRig
     first: GreyImage
     notices: tuple[AnyNotice, ...]
+    depth_m: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -135,7 +138,7 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages
     told: list[AnyNotice] = []
     for images in sequences:
         told += [*images.notices, *_contradictions(sight, images)]
-    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0], tuple(told))
+    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0], tuple(told), known_depth(manifest, pair))
 
 
 def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> float:
@@ -169,6 +172,22 @@ def _contradictions(sight: Sight, images: ImageSequence) -> list[Notice]:
     return [Notice("warning", text, images.names[0].rpartition("[")[0] or sight.name) for text in told]
 
 
+def known_depth(manifest: Manifest, pair: Stereo) -> tuple[float, float] | None:
+    """Return the nearest and the farthest depth in the left camera at which the face that a pair sees can be.
+
+    Known are the sensor's origin and the points of the channels on the pair's body; the face is taken to be no further
+    beyond them, nearer or farther, than they reach from the origin. None with fewer than three points.
+    """
+    channels = (channel for daq in manifest.daq for channel in daq.channel)
+    points = [channel.point for channel in channels if channel.body == pair.body and channel.point is not None]
+    if len(points) < FEWEST_PLACES:
+        return None
+    places = np.array([(0.0, 0.0, 0.0), *points])
+    depth = sensor_from_camera(pair).inverse().apply(places)[:, 2]
+    reach = float(np.linalg.norm(places, axis=1).max())
+    return float(depth.min()) - reach, float(depth.max()) + reach
+
+
 def measure_pairs(
     images: Sequence[OpenImages], settings: Settings, progress: ProgressCallback, executor: Executor | None = None
 ) -> tuple[StereoMotion, ...]:
@@ -179,7 +198,7 @@ def measure_pairs(
     if executor is None:
         return tuple(measure_images(item, settings, progress) for item in images)
     device, motions, begun = settings.device, [], []
-    prepared = [executor.submit(0, _prepared, body_inputs(item, settings), device) for item in images]
+    prepared = [executor.submit(0, _prepared, body_inputs(item, settings), device, item.depth_m) for item in images]
     for item, pending in zip(images, prepared, strict=True):
         scene: BodyScene = _answer(item, pending)
         blocks = [executor.submit(1, _followed, pending, frames, device) for frames in scene.blocks]
@@ -204,8 +223,10 @@ def _answer(images: OpenImages, pending: Pending) -> Any:
         return answer.opened()
 
 
-def _prepared(inputs: BodyInputs, device: str) -> BodyScene:  # a task, hence a function of this module
-    return prepare_body(*inputs, resolve_device(device))
+def _prepared(  # a task, hence a function of this module
+    inputs: BodyInputs, device: str, depth_m: tuple[float, float] | None
+) -> BodyScene:
+    return prepare_body(*inputs, resolve_device(device), depth_m=depth_m)
 
 
 def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, as above
@@ -217,7 +238,10 @@ def measure_images(images: OpenImages, settings: Settings, progress: ProgressCal
     stage, total = f"track {images.sight.name}", 2 * len(images.left)
     with as_input_error(*images.sight.where):
         body = measure_body(
-            *body_inputs(images, settings), lambda done: progress(stage, done, total), resolve_device(settings.device)
+            *body_inputs(images, settings),
+            lambda done: progress(stage, done, total),
+            resolve_device(settings.device),
+            images.depth_m,
         )
     return seen_motion(images, body)
 

@@ -18,7 +18,7 @@ from scipy import ndimage
 from fusion.simulate.preset import ChannelSpec, Preset, StereoSetup
 from fusion.simulate.world import Motion, Violations, World
 from fusion.simulate.write import Record
-from photogram.synthetic.scene import Face
+from photogram.synthetic.scene import Face, tiled
 from shaker.arrays import ComplexArray, FloatArray
 
 GRAVITY_UNIT = 9.80665  # m/s² in one g
@@ -345,10 +345,7 @@ def _flicker(image: FloatArray, size: float, _: str, middle_s: float, __: float)
 
 def _repeating(face: Face, size: float) -> Face:
     """Print the foil from one tile of so many metres, side by side."""
-    texture, count = face.texture, max(4, round(size / face.texture.step_m))
-    rows, columns = (np.arange(n) % min(count, n) for n in texture.coefficients.shape)
-    tiled = np.ascontiguousarray(texture.coefficients[np.ix_(rows, columns)])
-    return replace(face, texture=replace(texture, coefficients=tiled))
+    return replace(face, texture=tiled(face.texture, size))
 
 
 def _bit_depth(tables: dict[str, Any], size: float) -> dict[str, Any]:

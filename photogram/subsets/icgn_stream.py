@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray
 from photogram.bspline import spline_of_image
+from photogram.subsets.find import NEIGHBOUR_ROUNDS, follow, identity, merged
 from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.icgn_torch import TorchReference, TorchSplines, register_frames, spline_frames, torch_reference
 from photogram.subsets.reference import Reference, TrackStatus
 from photogram.subsets.search import neighbour_starts, predict_warp
-from photogram.subsets.track import NEIGHBOUR_ROUNDS, follow, identity, merged
 
 Image = NDArray[Any]
 HISTORY = 64

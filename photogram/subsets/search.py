@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray, check_shape
+from photogram.arrays import FloatArray, IntArray, check_shape
 
 Image = NDArray[Any]
 FEATURES = 6000
@@ -17,6 +17,8 @@ FEWEST_INLIERS = 5
 RANSAC_PX = 1.5
 RATIO = 0.8
 CHUNK = 1000
+SUPPORT = 8
+LIKE_PEAK, LESS_PEAK, PEAK_PX = 0.8, 0.15, 3
 
 
 def match_features(left_image: Image, right_image: Image) -> tuple[FloatArray, FloatArray]:
@@ -88,12 +90,36 @@ def neighbour_starts(points_px: FloatArray, warp: FloatArray) -> FloatArray:
     return starts
 
 
+def agreeing_neighbours(points_px: FloatArray, warp: FloatArray) -> FloatArray:
+    """Share (N,) of the eight nearest subsets whose warps (N,6) foretell that of the one at points_px (N,2); NaN: none.
+
+    Within 3 px and 5 % of the distance, by each neighbour's own affine map: a surface may bend and have several parts.
+    """
+    from scipy.spatial import cKDTree
+
+    known = np.flatnonzero(np.isfinite(warp).all(axis=1))
+    share = np.full(len(points_px), np.nan)
+    if len(known) < 2:
+        return share
+    points, found = points_px[known], warp[known]
+    distance, near = cKDTree(points).query(points, k=min(1 + SUPPORT, len(known)))
+    x, y = np.moveaxis(points[:, None] - points[near[:, 1:]], -1, 0)
+    off = [
+        found[near[:, 1:], u] + found[near[:, 1:], u + 1] * x + found[near[:, 1:], u + 2] * y - found[:, None, u]
+        for u in (0, 3)
+    ]
+    share[known] = np.mean(np.hypot(*off) <= 3.0 + 0.05 * distance[:, 1:], axis=1)
+    return share
+
+
 def template_shifts(
     reference: Image, image: Image, points_px: FloatArray, radius_px: int, reach_px: int, guess_px: FloatArray
 ) -> FloatArray:
     """Displacements (N,2), whole pixels, at which subsets of `reference` correlate best with `image`; NaN outside.
 
     Zero-normalised cross-correlation by FFT (OpenCV) within `reach_px` around the guessed displacements guess_px (N,2).
+    Of several peaks above 0.8 that are within 0.15 of the highest, as where the pattern repeats (a copy half a pixel
+    aside loses as much), the one next to the guess counts.
     """
     import cv2
 
@@ -107,9 +133,20 @@ def template_shifts(
         full = template.shape == (2 * radius_px + 1, 2 * radius_px + 1)
         if full and window.shape[0] >= template.shape[0] and window.shape[1] >= template.shape[1]:
             score = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)
-            row, column = np.unravel_index(int(np.argmax(score)), score.shape)
-            shifts[n] = left + column + radius_px - x, top + row + radius_px - y
+            corner = np.array([left + radius_px, top + radius_px])
+            places = corner + score_peaks(score, max(LIKE_PEAK, float(score.max()) - LESS_PEAK)) - (x, y)
+            shifts[n] = places[np.argmin(np.hypot(*(places - guess).T))]
     return shifts
+
+
+def score_peaks(score: NDArray[Any], least: float) -> IntArray:
+    """Column and row (K,2) of the peaks of a correlation map (H,W), the highest first and those of at least `least`."""
+    import cv2
+
+    size = np.ones((2 * PEAK_PX + 1, 2 * PEAK_PX + 1), np.uint8)
+    rows, columns = np.nonzero((score >= min(least, float(score.max()))) & (score == cv2.dilate(score, size)))
+    order = np.argsort(-score[rows, columns], kind="stable")
+    return np.stack([columns[order], rows[order]], axis=1)
 
 
 def affine_field(points_px: FloatArray, displacement_px: FloatArray, targets_px: FloatArray) -> FloatArray:

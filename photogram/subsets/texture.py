@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, check_shape
 from photogram.images.noise import NoiseModel
 from photogram.subsets.reference import Reference, TrackStatus
+from photogram.subsets.search import score_peaks
 
 Image = NDArray[Any]
 COARSE_WINDOW_PX = 9
@@ -22,6 +23,7 @@ SMALLEST_SHARE = 0.2
 TILE_PX = 32
 FINE_TEXTURE = 0.4
 SATURATED_SHARE = 0.01
+REPEAT_SEEDS, REPEAT_ZNCC = 12, 0.75
 
 
 def textured_area(image: Image) -> BoolArray:
@@ -134,6 +136,31 @@ def speckle_size(image: Image, area: BoolArray) -> float:
         return float(2.0 * (after - 1 + (before - 0.5 * peak) / (before - lags[after])))
     part = np.log(2.0 * before / peak) / np.log(before / lags[after])
     return float(2.0 * np.sqrt((after - 1) ** 2 + part * (2 * after - 1)))
+
+
+def repeat_px(image: Image, points_px: FloatArray, radius_px: int) -> float:
+    """Distance in px at which the pattern of image (H,W) repeats; NaN where it does not.
+
+    Some of the subsets at points_px (N,2) are correlated with the whole image: the median distance to the nearest other
+    place with a zero-normalised correlation above 0.75, if a third of them have one, and at the same distance.
+    """
+    import cv2
+
+    grey = image.astype(np.float32)
+    side, nearest = 2 * radius_px + 1, []
+    inside = points_px[((points_px >= radius_px) & (points_px < np.array(grey.shape[::-1]) - radius_px)).all(axis=1)]
+    for x, y in np.rint(inside[:: max(1, len(inside) // REPEAT_SEEDS)][:REPEAT_SEEDS]).astype(np.int64) - radius_px:
+        score = cv2.matchTemplate(grey, grey[y : y + side, x : x + side], cv2.TM_CCOEFF_NORMED)
+        peaks = score_peaks(score, REPEAT_ZNCC)
+        distance = np.hypot(*(peaks - (x, y)).T)
+        distance = distance[distance > radius_px]
+        nearest.append(distance.min() if len(distance) else np.inf)
+    known = np.array([distance for distance in nearest if np.isfinite(distance)])
+    if len(known) < max(2, len(nearest) / 3):
+        return float("nan")
+    middle = float(np.median(known))
+    alike = np.count_nonzero(np.abs(known - middle) <= 0.1 * middle)
+    return middle if alike >= len(nearest) / 3 else float("nan")
 
 
 def fine_texture_share(image: Image, area: BoolArray, noise_grey: float) -> float:

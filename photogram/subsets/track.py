@@ -16,20 +16,25 @@ from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, check_shape
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
 from photogram.images.sequence import GreyImage, ImageSequence
-from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
-from photogram.subsets.reference import PARAMETERS, Reference, TrackStatus, prepare_reference
-from photogram.subsets.search import (
-    affine_field,
-    affine_starts,
-    match_features,
-    neighbour_starts,
-    predict_warp,
-    template_shifts,
+from photogram.subsets.find import (
+    dropped,
+    find_anew,
+    find_by_search,
+    find_from_features,
+    find_from_neighbours,
+    follow,
+    identity,
 )
+from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance
+from photogram.subsets.match import DepthRange, find_on_lines
+from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
+from photogram.subsets.search import predict_warp
+from photogram.subsets.sweep import TOLERANCE_PX
 from photogram.subsets.texture import (
     aliasing_bias,
     aliasing_notice,
     lay_grid,
+    repeat_px,
     saturated,
     speckle_size,
     subset_mean,
@@ -76,11 +81,26 @@ def _torch_finds_cuda() -> bool:
 
 Image = NDArray[Any]
 Progress = Callable[[int], None]
-EPIPOLAR_TOLERANCE_PX = 2.0
 OVERLAP = 0.95
 BORDER_PX = 5
 HISTORY = 6
 LARGEST_LOST_SHARE = 0.1
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracks(Arrays, shapes="position_px F N 2; covariance_px2 F N 2 2; zncc F N; status F N; noise_grey N"):
+    """Subset centres through time: position_px (F,N,2), covariance_px2 (F,N,2,2), zncc (F,N), status (F,N).
+
+    The covariance is that of the frame's own image noise; the reference frame's noise is one constant offset of the
+    whole series. Frame 0, whose positions are exact by definition, is given the covariance that it would have as any
+    other frame. noise_grey (N,): image noise at each subset. Where status is not `TrackStatus.OK`, numbers are NaN.
+    """
+
+    position_px: FloatArray
+    covariance_px2: FloatArray
+    zncc: FloatArray
+    status: NDArray[np.int8]
+    noise_grey: FloatArray
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,15 +143,27 @@ class StereoGrid(Arrays, shapes="left_px N 2; right_px N 2"):
     notices: tuple[Notice, ...]
 
 
-def match_stereo(left_image: Image, right_image: Image, points_px: FloatArray, settings: TrackSettings) -> Tracks:
+def match_stereo(
+    left_image: Image,
+    right_image: Image,
+    points_px: FloatArray,
+    settings: TrackSettings,
+    rig: StereoRig | None = None,
+    depth_m: DepthRange | None = None,
+) -> Tracks:
     """Positions in the right image (F = 1) of the subsets centred at points_px (N,2) in the left image.
 
-    Starts from local affine maps of matched features, then from neighbours that were found.
+    With `rig` from its epipolar lines (`find_on_lines`, with `depth_m`); without it, or where no surface fits it, from
+    local affine maps of matched features, then from neighbours that were found. Raises `ValueError` where the pattern
+    repeats so that two surfaces fit as well.
     """
     check_shape("points_px", points_px, (None, 2))
     spline = spline_of_image(left_image, settings.degree)
     reference = prepare_reference(spline, points_px, settings.radius_px, settings.shape_order)
     right = right_image, spline_of_image(right_image, settings.degree)
+    found = None if rig is None else find_on_lines(reference, left_image, right, settings, rig, depth_m)
+    if found is not None:
+        return tracks_of([found], reference, settings.degree)
     found = find_from_features(reference, left_image, right, settings)
     if not np.any(found.status == TrackStatus.OK):
         anywhere = replace(settings, reach_px=max(right_image.shape))
@@ -200,12 +232,17 @@ def track_sequence(
 
 
 def lay_stereo_grid(
-    left: ImageSequence, right: ImageSequence, rig: StereoRig | None, settings: TrackSettings
+    left: ImageSequence,
+    right: ImageSequence,
+    rig: StereoRig | None,
+    settings: TrackSettings,
+    depth_m: DepthRange | None = None,
 ) -> StereoGrid:
     """Lay a grid over the textured body in the first left image and match it to the first right image.
 
     Only subsets that were found there, that are not saturated and, with `rig`, that lie on their epipolar lines are
-    kept. Raises `ValueError` when the cameras have unlike numbers of frames or fewer than three subsets are left.
+    kept. Raises `ValueError` when the cameras have unlike numbers of frames, fewer than three subsets are left, or the
+    pattern repeats so that they may be elsewhere.
     """
     if len(left) != len(right):
         raise ValueError(f"right: expected {len(left)} frames as in left, found {len(right)}")
@@ -214,7 +251,7 @@ def lay_stereo_grid(
     points = lay_grid(areas[0], settings.radius_px, settings.grid_step_px)
     if len(points) < 3:
         raise ValueError(f"left: expected a speckled body, found room for {len(points)} subsets in {left.names[0]}")
-    matched = match_stereo(images[0], images[1], points, settings)
+    matched = match_stereo(images[0], images[1], points, settings, rig, depth_m)
     right_px = matched.position_px[0]
     kept = (matched.status[0] == TrackStatus.OK) & (subset_mean(areas[1], right_px, settings.radius_px) >= OVERLAP)
     for image, camera, centres in ((images[0], left, points), (images[1], right, right_px)):
@@ -223,8 +260,15 @@ def lay_stereo_grid(
     if rig is not None:
         distance, _, _ = epipolar_residual(rig, points, np.where(kept[:, None], right_px, np.nan))
         off = _middle(distance)
-        kept &= np.abs(distance - off) <= EPIPOLAR_TOLERANCE_PX
+        kept &= np.abs(distance - off) <= TOLERANCE_PX
         if abs(off) > 1.0:
+            period = repeat_px(images[0], points, settings.radius_px)
+            if np.isfinite(period):
+                raise ValueError(
+                    f"right: expected the body on its epipolar lines, found it {off:.1f} px beside them, and its "
+                    f"pattern repeats every {period:.1f} px: a copy was taken for the original, or the calibration "
+                    "does not belong to these images"
+                )
             text = (
                 f"matched points lie {off:.1f} px off their epipolar lines on average: the calibration does not belong "
                 "to these images, or a camera has moved since"
@@ -243,6 +287,8 @@ def stereo_tracks(
 ) -> StereoTracks:
     """The tracks of both cameras with what their first images are like, and remarks on both."""
     notices, speckle, levels, biases = list(grid.notices), [], [], []
+    for image, track, side in zip(images, tracks, ("left", "right"), strict=True):
+        _refuse_jumps(image, track, settings, side)
     for image, area, track, where in zip(images, grid.areas, tracks, ("left camera", "right camera"), strict=True):
         noise = _middle(track.noise_grey)
         bias = aliasing_bias(image, area, noise, settings.radius_px, settings.degree)
@@ -258,6 +304,30 @@ def stereo_tracks(
         levels.append(noise)
         biases.append(bias.mean_px)
     return StereoTracks(*tracks, tuple(notices), np.array(speckle), np.array(levels), np.array(biases))
+
+
+def _refuse_jumps(image: Image, track: Tracks, settings: TrackSettings, side: str) -> None:
+    """Raise `ValueError` where a body whose pattern repeats is further than half a period from where it was foretold.
+
+    Then a copy of the pattern lies nearer, and the pictures cannot tell which of them is the body.
+    """
+    warps = np.zeros((len(track.position_px), 1, 6))
+    moved = track.position_px - track.position_px[0]
+    for frame in np.flatnonzero(np.isfinite(moved).all(axis=2).any(axis=1)):
+        warps[frame:, 0, [0, 3]] = np.nanmedian(moved[frame], axis=0)
+    foretold = [predict_warp(list(warps[max(0, frame - HISTORY) : frame])) for frame in range(1, len(warps))]
+    jump = np.hypot(*(warps[1:] - np.array(foretold).reshape(-1, 1, 6))[:, 0, [0, 3]].T)
+    if not (jump > settings.radius_px).any():
+        return
+    period = repeat_px(image, track.position_px[0], settings.radius_px)
+    jumps = np.flatnonzero(jump > period / 2.0)
+    if len(jumps):
+        raise ValueError(
+            f"{side}: expected a motion that the last frames foretell, found a jump of {jump[jumps[0]]:.1f} px in "
+            f"frame {jumps[0] + 1} (counted from 0), more than half of the {period:.1f} px at which the pattern "
+            "repeats: a copy may have been taken for the original; use a foil that does not repeat, or more frames per "
+            "second"
+        )
 
 
 def track_stereo(
@@ -314,131 +384,6 @@ def _middle(values: FloatArray) -> float:
     """Median of the finite values."""
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if len(finite) else float("nan")
-
-
-# Subsets of one image found in another: by prediction, by search, from their neighbours; and the tracks they leave.
-
-NEIGHBOUR_ROUNDS = 8
-SEEDS = 12
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Tracks(Arrays, shapes="position_px F N 2; covariance_px2 F N 2 2; zncc F N; status F N; noise_grey N"):
-    """Subset centres through time: position_px (F,N,2), covariance_px2 (F,N,2,2), zncc (F,N), status (F,N).
-
-    The covariance is that of the frame's own image noise; the reference frame's noise is one constant offset of the
-    whole series. Frame 0, whose positions are exact by definition, is given the covariance that it would have as any
-    other frame. noise_grey (N,): image noise at each subset. Where status is not `TrackStatus.OK`, numbers are NaN.
-    """
-
-    position_px: FloatArray
-    covariance_px2: FloatArray
-    zncc: FloatArray
-    status: NDArray[np.int8]
-    noise_grey: FloatArray
-
-
-def find_anew(reference: Reference, first: Image, frame: tuple[Image, Spline], settings: TrackSettings) -> Registration:
-    """Subsets of the first image in a frame of which nothing is foretold: from rest and by search, the better one.
-
-    A start at rest finds some subsets of a body that moved by a speckle in a wrong place; a search slides along edges.
-    """
-    rest = identity(reference).warp
-    found = follow(reference, first, frame, rest, settings)
-    searched = find_by_search(reference, first, frame, rest, settings)
-    return find_from_neighbours(reference, frame[1], merged(found, searched), settings)
-
-
-def follow(
-    reference: Reference, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
-) -> Registration:
-    """Subsets of the first image in a later one: from the prediction; where that loses most, by search.
-
-    Searched seeds within `reach_px` of the prediction, then in the whole image, then matched features, which stand
-    rotation as well; at last the lost ones from their neighbours.
-    """
-    found = register(reference, frame[1], start, settings)
-    for attempt in range(3):
-        if np.sum(found.status == TrackStatus.OK) >= 0.5 * np.sum(reference.status == TrackStatus.OK):
-            break
-        if attempt < 2:
-            reach = settings.reach_px if attempt == 0 else max(frame[0].shape)
-            more = find_by_search(reference, first, frame, start, replace(settings, reach_px=reach))
-        else:
-            more = find_from_features(reference, first, frame, settings)
-        found = merged(found, more)
-    return find_from_neighbours(reference, frame[1], found, settings)
-
-
-def find_from_features(
-    reference: Reference, first: Image, frame: tuple[Image, Spline], settings: TrackSettings
-) -> Registration:
-    """All subsets from the affine maps of matched features around them."""
-    source, moved = match_features(first, frame[0])
-    starts = np.full((len(reference.centre_px), 6), np.nan)
-    usable = reference.status == TrackStatus.OK
-    starts[usable] = affine_starts(reference.centre_px[usable], source, moved)
-    return register(reference, frame[1], starts, settings)
-
-
-def find_by_search(
-    reference: Reference, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
-) -> Registration:
-    """All subsets from one affine motion through a few well-textured seeds, which are searched by correlation."""
-    usable = np.flatnonzero(reference.status == TrackStatus.OK)
-    spread = usable[np.linspace(0, len(usable) - 1, min(len(usable), 4 * SEEDS)).astype(np.int64)]
-    seeds = spread[np.argsort(-reference.energy[spread])[:SEEDS]]
-    points = reference.centre_px[seeds]
-    guess = np.nan_to_num(start[seeds][:, [0, 3]])
-    shifts = template_shifts(first, frame[0], points, settings.radius_px, settings.reach_px, guess)
-    field = affine_field(points, shifts, reference.centre_px)
-    return register(reference, frame[1], field, settings)
-
-
-def find_from_neighbours(
-    reference: Reference, target: Spline, found: Registration, settings: TrackSettings
-) -> Registration:
-    """Lost subsets once more from the affine maps of their nearest neighbours, as long as that finds some."""
-    for _ in range(NEIGHBOUR_ROUNDS):
-        lost = (found.status != TrackStatus.OK) & (reference.status == TrackStatus.OK)
-        if not lost.any() or lost.all():
-            break
-        start = neighbour_starts(reference.centre_px, found.warp)
-        start[~lost] = np.nan
-        more = register(reference, target, start, settings)
-        if not np.any(more.status[lost] == TrackStatus.OK):
-            break
-        found = merged(found, more)
-    return found
-
-
-def merged(first: Registration, second: Registration) -> Registration:
-    """`first`, with the subsets that only `second` found, or that it found where they correlate better."""
-    worse = (first.status != TrackStatus.OK) | (first.zncc < second.zncc)
-    better = worse & (second.status == TrackStatus.OK)
-    return Registration(
-        warp=np.where(better[:, None], second.warp, first.warp),
-        zncc=np.where(better, second.zncc, first.zncc),
-        gain=np.where(better, second.gain, first.gain),
-        residual_grey2=np.where(better, second.residual_grey2, first.residual_grey2),
-        status=np.where(better, second.status, first.status),
-        iterations=first.iterations + second.iterations,
-    )
-
-
-def dropped(found: Registration, which: BoolArray, status: TrackStatus) -> Registration:
-    """`found` without the subsets `which`, which receive the status."""
-    return replace(
-        found, warp=np.where(which[:, None], np.nan, found.warp), status=np.where(which, np.int8(status), found.status)
-    )
-
-
-def identity(reference: Reference) -> Registration:
-    """The reference found in itself; its noise is filled in from the other frames."""
-    ones = np.where(reference.status == TrackStatus.OK, 1.0, np.nan)
-    warp = np.outer(ones, np.zeros(max(6, PARAMETERS[reference.order])))
-    nothing, none = np.full(len(ones), np.nan), np.zeros(len(ones), np.int64)
-    return Registration(warp, ones, ones, nothing, reference.status, none)
 
 
 def tracks_of(found: Sequence[Registration], reference: Reference, degree: int) -> Tracks:

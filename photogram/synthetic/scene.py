@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -72,6 +72,13 @@ def speckle_texture(
     samples = np.ones((rows, columns))
     _paint_dots(samples, x.ravel(), y.ravel(), radius.ravel())
     return texture_from_samples(samples, step_m, blur_m)
+
+
+def tiled(texture: Texture, period_m: float) -> Texture:
+    """Return the texture printed from one tile of `period_m`, side by side along u and v, as printed foils are."""
+    count = max(4, round(period_m / texture.step_m))
+    rows, columns = (np.arange(n) % min(count, n) for n in texture.coefficients.shape)
+    return replace(texture, coefficients=np.ascontiguousarray(texture.coefficients[np.ix_(rows, columns)]))
 
 
 @njit()

@@ -16,6 +16,7 @@ from scipy.ndimage import gaussian_filter
 
 from photogram.bspline import spline_of_image
 from photogram.subsets import icgn_torch as engine
+from photogram.subsets.find import follow, identity
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
 from photogram.subsets.icgn_stream import follow_frames, forecast_warps
 from photogram.subsets.icgn_torch import (
@@ -34,7 +35,6 @@ from photogram.subsets.reference import (
     subset_offsets,
 )
 from photogram.subsets.search import predict_warp
-from photogram.subsets.track import follow, identity
 
 SIZE = (150, 108)
 CENTRES = np.array([(x, y) for y in range(20, 90, 22) for x in range(20, 132, 22)], dtype=float)

@@ -1,0 +1,312 @@
+"""First matches of a calibrated pair: correlation along epipolar lines, and the smooth surfaces that fit them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, derivatives
+from photogram.camera import StereoRig, epipolar_residual, triangulate
+from photogram.kernels import njit
+
+Image = NDArray[Any]
+TOLERANCE_PX = 2.0  # of a match from its epipolar line, beside what the calibration leaves open
+COVERAGE = 3.0
+NEAREST, FARTHEST = 0.4, 1000.0  # depths in base lengths: axes 100° apart, and parallel
+SAMPLES = 1000  # of an epipolar line before it is divided evenly
+STEP_PX = 1.5
+BLUR_PX = 0.9  # so that a subset still correlates half a step aside
+LINE_PX = 1.8  # distance of the lines beside each other within the band
+MOST_LINES = 4  # to either side
+STRAINS = np.array([-0.36, -0.24, -0.12, 0.0, 0.12, 0.24, 0.36])
+STEEPEST = 1.43  # tan 55°: tilt of the surface against what faces both cameras
+LEAST_ZNCC = 0.4
+PEAKS = 8
+APART_PX = 4.0
+SURFACE_PX = 6.0
+TRIPLES = 500
+FEWEST, BEYOND_CHANCE = 3, 6  # points of a surface; any three lie on one
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Lines(Arrays, shapes="right_px S K 2; across S K 2; affine S K 2 2; along S K 2; slope S K T 2"):
+    """Places on the epipolar lines of S points, 1.5 px apart, NaN beyond the right image; T tilts of a surface.
+
+    right_px, and the unit vector across the line; affine: derivative of the right pixel by the left one at constant
+    depth, along: by the logarithm of inverse depth, slope: of that logarithm by the left pixel on a surface so tilted,
+    NaN where it is tilted too much.
+    """
+
+    right_px: FloatArray
+    across: FloatArray
+    affine: FloatArray
+    along: FloatArray
+    slope: FloatArray
+
+
+def line_starts(
+    images: tuple[Image, Image], rig: StereoRig, points_px: FloatArray, radius_px: int
+) -> tuple[FloatArray, float]:
+    """Warps (C,S,6) at which subsets around points_px (S,2) of the left image correlate best along epipolar lines.
+
+    Zero-normalised cross-correlation at places 1.5 px apart on each line and on lines beside it within the band that is
+    returned too: 2 px and three standard uncertainties of the calibration to either side, at most 8 px. There
+    every second pixel of the subset warped as a plane moves it that is tilted by so much: strains of 0 to ±0.36 along
+    and across the line, as far as that is a tilt below 55° against what faces both cameras (plane sweep: Collins 1996,
+    Proc. CVPR, 358; tilts: Gallup et al. 2007, Proc. CVPR).
+    Up to C = 8 peaks, from the highest; NaN where there are fewer.
+    """
+    import cv2
+
+    lines = _lines(rig, points_px)
+    middle = np.isfinite(lines.right_px[..., 0]).sum(axis=1) // 2
+    sigma = line_uncertainty_px(rig, points_px, lines.right_px[np.arange(len(points_px)), middle])
+    band_px = min(TOLERANCE_PX + COVERAGE * sigma, LINE_PX * (MOST_LINES + 0.5))
+    count = math.ceil(max(0.0, band_px - LINE_PX / 2.0) / LINE_PX)
+    beside = LINE_PX * np.arange(-count, count + 1)
+    soft = [cv2.GaussianBlur(image.astype(np.float32), (0, 0), BLUR_PX) for image in images]
+    steps = np.arange(-radius_px, radius_px + 1, 2, dtype=np.float64)
+    offsets = np.stack([grid.ravel() for grid in np.meshgrid(steps, steps)], axis=1)
+    shape = lines.right_px.shape[:2]
+    score, tilt, line = np.full(shape, -1.0), np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+    curves = lines.right_px, lines.across, lines.affine, lines.along, lines.slope
+    _correlate(soft[0], soft[1], points_px, offsets, curves, beside, (score, tilt, line))
+    starts = np.full((PEAKS, len(points_px), 6), np.nan)
+    for n in range(len(points_px)):
+        for c, k in enumerate(_peaks(score[n])):
+            slope = lines.slope[n, k, tilt[n, k]]
+            affine = lines.affine[n, k] + np.outer(lines.along[n, k], slope)
+            u, v = lines.right_px[n, k] + beside[line[n, k]] * lines.across[n, k] - points_px[n]
+            starts[c, n] = u, affine[0, 0] - 1.0, affine[0, 1], v, affine[1, 0], affine[1, 1] - 1.0
+    return starts, band_px
+
+
+def line_uncertainty_px(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> float:
+    """Largest standard uncertainty in px that the calibration's covariance leaves the residual of matches (N,2).
+
+    0 for a calibration without a covariance.
+    """
+    if rig.covariance is None:
+        return 0.0
+    step = 1e-3 * np.sqrt(np.diagonal(rig.covariance))
+    slope = derivatives(lambda delta: epipolar_residual(rig.perturbed(delta), left_px, right_px)[0], step)
+    return float(np.sqrt(np.nanmax(np.einsum("ni,ij,nj->n", slope, rig.covariance, slope), initial=0.0)))
+
+
+def surfaces(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> list[IntArray]:
+    """Smooth surfaces through the candidates right_px (C,S,2) of the points left_px (S,2), NaN = none.
+
+    Each as an array (S,) of the candidate that lies on it, −1 where none does; the one with the most points first.
+    On a plane, inverse depth is linear in the normalised pixels; candidates within 6 px of it along their line belong
+    to it, which a curved body does in parts. RANSAC (Fischler, Bolles 1981, Commun. ACM 24, 381), one plane after
+    another among the candidates left over.
+    """
+    point, place = _inverse_depth(rig, left_px, right_px)
+    fewest = FEWEST if len(point) < 2 * BEYOND_CHANCE else BEYOND_CHANCE
+    left = np.asarray(np.isfinite(place).all(axis=-1))
+    found = []
+    rng = np.random.default_rng(0)
+    while np.count_nonzero(left.any(axis=0)) >= fewest:
+        fit = _plane(point, place, left, rng)
+        if fit is None:
+            break
+        away = np.where(left, np.abs(place[..., 0] - point @ fit) * place[..., 1], np.inf)
+        chosen = np.where(away.min(axis=0) <= SURFACE_PX, np.argmin(away, axis=0), -1)
+        if np.count_nonzero(chosen >= 0) < fewest:
+            break
+        found.append(chosen)
+        left &= away > SURFACE_PX
+    return sorted(found, key=lambda one: -int(np.count_nonzero(one >= 0)))
+
+
+def _inverse_depth(rig: StereoRig, left_px: FloatArray, right_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Normalised pixels (S,3) with a 1; inverse depth and its change in right pixels (C,S,2) of the candidates."""
+    left = np.broadcast_to(left_px, right_px.shape)
+    depth = triangulate(rig, left, right_px).position_m[..., 2]
+    inverse = 1.0 / np.where(depth > 0.0, depth, np.nan)
+    rays = _rays(rig, left_px)
+    ends = [_seen(rig, rays[None], inverse * factor) for factor in (1.0 - 1e-4, 1.0 + 1e-4)]
+    change = np.linalg.norm(ends[1] - ends[0], axis=-1) / (2e-4 * inverse)
+    return rays, np.stack([inverse, change], axis=-1)
+
+
+def _plane(point: FloatArray, place: FloatArray, left: BoolArray, rng: np.random.Generator) -> FloatArray | None:
+    """The plane (3,) inverse depth = point·plane with most points among the candidates `left` (C,S)."""
+    which, points = np.nonzero(left)
+    value, scale = place[which, points].T
+    triples = rng.integers(0, len(points), (TRIPLES, 3))
+    system = point[points[triples]]
+    whole = np.abs(np.linalg.det(system)) > 1e-9
+    if not whole.any():
+        return None
+    planes = np.linalg.solve(system[whole], value[triples[whole]][..., None])[..., 0]
+    near = np.abs(planes @ point[points].T - value) * scale <= SURFACE_PX
+    seen = np.zeros((len(planes), left.shape[1]), dtype=np.bool_)
+    for k, n in enumerate(points):
+        seen[:, n] |= near[:, k]
+    best = near[np.argmax(seen.sum(axis=1))]
+    weight = scale[best]
+    plane, *_ = np.linalg.lstsq(point[points[best]] * weight[:, None], value[best] * weight, rcond=None)
+    return np.asarray(plane)
+
+
+def _peaks(score: FloatArray) -> IntArray:
+    """Places of the highest peaks, at least 4 px apart."""
+    from scipy import ndimage
+
+    size = 2 * round(APART_PX / STEP_PX) + 1
+    highest = (score >= LEAST_ZNCC) & (score == ndimage.maximum_filter1d(score, size, mode="constant", cval=-1.0))
+    places = np.flatnonzero(highest)
+    return np.asarray(places[np.argsort(-score[places], kind="stable")][:PEAKS])
+
+
+def _rays(rig: StereoRig, left_px: FloatArray) -> FloatArray:
+    """Directions (...,3) of left pixels, z = 1."""
+    normalised = rig.left.undistort(left_px)
+    return np.concatenate([normalised, np.ones((*normalised.shape[:-1], 1))], axis=-1)
+
+
+def _seen(rig: StereoRig, rays: FloatArray, inverse_depth: FloatArray) -> FloatArray:
+    """Right pixels (...,2) of points on left rays (...,3); NaN behind the camera and where its lens folds over."""
+    turned = rays @ rig.right_from_left.rotation.T + inverse_depth[..., None] * rig.right_from_left.translation_m
+    pixel = rig.right.project(turned)
+    back = rig.right.undistort(pixel)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        away = np.abs(back - turned[..., :2] / turned[..., 2:]).max(axis=-1)
+    return np.where((away < 1e-6)[..., None], pixel, np.nan)
+
+
+def _lines(rig: StereoRig, points_px: FloatArray) -> _Lines:
+    """The epipolar lines of points (S,2) within the right image."""
+    base = float(np.linalg.norm(rig.right_from_left.translation_m))
+    rays = _rays(rig, points_px)
+    grid = np.linspace(1.0 / FARTHEST, 1.0 / NEAREST, SAMPLES) / base
+    coarse = _seen(rig, np.repeat(rays[:, None], SAMPLES, axis=1), np.broadcast_to(grid, (len(rays), SAMPLES)))
+    inside = np.asarray(((coarse >= 0.0) & (coarse <= rig.right.size_px - 1.0)).all(axis=-1))
+    divided = []
+    for line, within in zip(coarse, inside, strict=True):
+        run = np.flatnonzero(within)
+        if len(run) < 2:
+            divided.append(np.empty(0))
+            continue
+        run = run[: 1 + int(np.argmax(np.append(np.diff(run) > 1, True)))]  # as far as it is in one piece
+        way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[run], axis=0).T))])
+        divided.append(np.interp(np.arange(0.0, way[-1], STEP_PX), way, grid[run]))
+    inverse = np.full((len(rays), max(1, *(len(one) for one in divided))), np.nan)
+    for row, one in zip(inverse, divided, strict=True):
+        row[: len(one)] = one
+    sides = [_rays(rig, points_px + shift)[:, None] for shift in 0.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])]
+    views = [_seen(rig, side, inverse) for side in sides]
+    affine = np.stack([views[0] - views[1], views[2] - views[3]], axis=-1)
+    ends = [_seen(rig, rays[:, None], inverse * factor) for factor in (1.0 - 1e-4, 1.0 + 1e-4)]
+    along = (ends[1] - ends[0]) / 2e-4
+    with np.errstate(invalid="ignore"):
+        unit = along / np.linalg.norm(along, axis=-1, keepdims=True)
+    across = np.stack([-unit[..., 1], unit[..., 0]], axis=-1)
+    change = np.stack([sides[0] - sides[1], sides[2] - sides[3]], axis=-1)[:, 0]
+    slope = _slopes(rig, rays, inverse, change)
+    return _Lines(_seen(rig, rays[:, None], inverse), across, affine, along, slope)
+
+
+def _slopes(rig: StereoRig, rays: FloatArray, inverse: FloatArray, change: FloatArray) -> FloatArray:
+    """Changes (S,K,T,2) of the logarithm of inverse depth (S,K) per left pixel on surfaces tilted by T steps.
+
+    change (S,3,2): of the rays per pixel. With n the normal, inverse depth is n·ray/const.
+    """
+    places = rays[:, None] / inverse[..., None]
+    away = rig.right_from_left.inverse().translation_m - places
+    to_left = -places / np.linalg.norm(places, axis=-1, keepdims=True)
+    to_right = away / np.linalg.norm(away, axis=-1, keepdims=True)
+    middle, apart = to_left + to_right, to_right - to_left
+    half = np.linalg.norm(apart, axis=-1) / np.linalg.norm(middle, axis=-1)  # tangent of half the angle of sight
+    middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
+    apart /= np.maximum(np.linalg.norm(apart, axis=-1, keepdims=True), 1e-12)
+    beside = np.cross(middle, apart)
+    u, v = (part.ravel() for part in np.meshgrid(STRAINS, STRAINS))
+    order = np.argsort(np.hypot(u, v), kind="stable")
+    u, v = u[order], v[order]
+    reach = np.hypot(u, v) / np.maximum(half, 1e-9)[..., None]
+    kept = (reach <= STEEPEST) | (np.hypot(u, v) == 0.0)
+    most = int(np.max(kept.sum(axis=-1), initial=1))  # the flattest ones come first
+    scale = 1.0 / np.maximum(half, 1e-9)[..., None, None]
+    normal = middle[..., None, :] + scale * (
+        u[:most, None] * apart[..., None, :] + v[:most, None] * beside[..., None, :]
+    )
+    slope = np.einsum("sktx,sxi->skti", normal, change) / np.einsum("sktx,sx->skt", normal, rays)[..., None]
+    return np.where(kept[..., :most, None], slope, np.nan)
+
+
+@njit(parallel=True, error_model="numpy")
+def _correlate(left, right, points, offsets, curves, beside, outcome):  # type: ignore[no-untyped-def]
+    """Fill outcome: the best correlation (S,K) at each place over tilts and lines, and which tilt and line it is."""
+    right_px, across, affine, along, slope = curves
+    score, tilt, line = outcome
+    count = offsets.shape[0]
+    reach = offsets[count - 1, 0]
+    for n in prange(points.shape[0]):
+        grey = np.empty(count)
+        x, y = points[n, 0], points[n, 1]
+        if not (reach <= x < left.shape[1] - 1 - reach and reach <= y < left.shape[0] - 1 - reach):
+            continue
+        mean = 0.0
+        for p in range(count):
+            grey[p] = _bilinear(left, x + offsets[p, 0], y + offsets[p, 1])
+            mean += grey[p] / count
+        energy = 0.0
+        for p in range(count):
+            grey[p] -= mean
+            energy += grey[p] * grey[p]
+        for k in range(right_px.shape[1]):
+            if not np.isfinite(right_px[n, k, 0]):
+                continue
+            for t in range(slope.shape[2]):
+                if not np.isfinite(slope[n, k, t, 0]):
+                    break
+                a = affine[n, k, 0, 0] + along[n, k, 0] * slope[n, k, t, 0]
+                b = affine[n, k, 0, 1] + along[n, k, 0] * slope[n, k, t, 1]
+                c = affine[n, k, 1, 0] + along[n, k, 1] * slope[n, k, t, 0]
+                d = affine[n, k, 1, 1] + along[n, k, 1] * slope[n, k, t, 1]
+                for j in range(beside.size):
+                    found = _zncc(
+                        right,
+                        right_px[n, k, 0] + beside[j] * across[n, k, 0],
+                        right_px[n, k, 1] + beside[j] * across[n, k, 1],
+                        (a, b, c, d),
+                        (grey, energy, offsets, reach),
+                    )
+                    if found > score[n, k]:
+                        score[n, k], tilt[n, k], line[n, k] = found, t, j
+
+
+@njit(error_model="numpy")
+def _zncc(image, x, y, affine, subset):  # type: ignore[no-untyped-def]
+    """Zero-normalised correlation of a subset with its affine image around (x, y); −1 beyond the image."""
+    a, b, c, d = affine
+    grey, energy, offsets, reach = subset
+    wide, high = reach * (abs(a) + abs(b)), reach * (abs(c) + abs(d))
+    if not (wide <= x < image.shape[1] - 1 - wide and high <= y < image.shape[0] - 1 - high):
+        return -1.0
+    total, square, product = 0.0, 0.0, 0.0
+    for p in range(offsets.shape[0]):
+        dx, dy = offsets[p, 0], offsets[p, 1]
+        value = _bilinear(image, x + a * dx + b * dy, y + c * dx + d * dy)
+        total += value
+        square += value * value
+        product += value * grey[p]
+    spread = (square - total * total / offsets.shape[0]) * energy
+    return product / math.sqrt(spread) if spread > 0.0 else -1.0
+
+
+@njit(error_model="numpy", inline="always")
+def _bilinear(image, x, y):  # type: ignore[no-untyped-def]
+    """Grey value between four pixels, inside the image."""
+    i, j = int(y), int(x)
+    s, t = y - i, x - j
+    top = image[i, j] + t * (image[i, j + 1] - image[i, j])
+    bottom = image[i + 1, j] + t * (image[i + 1, j + 1] - image[i + 1, j])
+    return top + s * (bottom - top)
