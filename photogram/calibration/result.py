@@ -75,6 +75,35 @@ class Dropped:
     reason: str
 
 
+@dataclass(frozen=True, eq=False)
+class OtherModel:
+    """What another shape of the target ("flat", "free") or lens ("polynomial", "rational") makes of the same pictures.
+
+    `predicted_px`: rms length of what the other views leave of a view's points, its pose fitted to them.
+    """
+
+    shape: str
+    lens: str
+    rig: StereoRig
+    predicted_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What the views of a session say of each other: shape and lens taken, `predicted_px` as in `OtherModel`.
+
+    `u_fit` (32,): standard uncertainties that the residuals alone would give. `halves`: the rigs of every second view
+    and of the others, None for few views. `others`: models that were tried, and not taken.
+    """
+
+    shape: str
+    lens: str
+    predicted_px: float
+    u_fit: FloatArray
+    halves: tuple[StereoRig, StereoRig] | None
+    others: tuple[OtherModel, ...]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
     """A calibrated stereo pair and how it came about.
@@ -84,7 +113,7 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
     √(reduced χ²) of `dof` degrees of freedom with both, a factor of the covariance.
     `shape_m` (P, 3): estimated positions of the target's points (`shape_index` (P, 2)), the flat lattice where it was
     held flat. `scale_u`: relative standard uncertainty of the target's spacing, contained in the rig's covariance.
-    `covered`: (left, right), share of each picture's area within the points' cells.
+    `covered`: (left, right), share of each picture's area within the points' cells. `judged`: what the views say.
     """
 
     rig: StereoRig
@@ -102,6 +131,7 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
     covered: tuple[float, float]
     dropped: tuple[Dropped, ...]
     notices: tuple[Notice, ...]
+    judged: Judgement | None = None
 
 
 COVERAGE_CELLS = (8, 6)  # columns and rows of the cells by which coverage is told

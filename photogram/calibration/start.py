@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from photogram.arrays import FloatArray, IntArray
-from photogram.calibration.bundle import Bundle, Picture, Prior, ShapeKind, make_shape, moved_pose
+from photogram.calibration.adjust import Prior
+from photogram.calibration.bundle import Bundle, Picture, ShapeKind, make_shape, moved_pose
 from photogram.calibration.result import Dropped, refuse_similar_views
 from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform, vector_from_rotation
@@ -17,6 +18,7 @@ from photogram.targets.view import Target, TargetView
 
 Pair = tuple[TargetView | None, TargetView | None]
 Poses = dict[int, RigidTransform]
+LensKind = Literal["polynomial", "rational"]
 
 _STRANGE = 5.0  # times the median disagreement, beyond which a pair is strange
 _TOLERATED = 0.05  # disagreement that is never strange: rad, share of the distance
@@ -120,7 +122,7 @@ def target_pose(
         raise ValueError("left, right: expected points of a target that are not all on one line")
     to_left = rig.right_from_left.inverse() if first.side else RigidTransform.identity()
     starts = [to_left @ pose for pose in _opencv_poses(turns, shifts)]
-    fits = [_refined(Bundle(rig, (start,), shape), pictures) for start in starts]
+    fits = [refined_pose(Bundle(rig, (start,), shape), pictures) for start in starts]
     pose, covariance, squares = min(fits, key=lambda fit: fit[2])
     if not np.isfinite(squares):
         raise ValueError(f"{seen[0][0].name}: no pose of the target explains its points")
@@ -141,7 +143,7 @@ def _opencv_poses(turns: Sequence[Any], shifts: Sequence[Any]) -> list[RigidTran
     return [RigidTransform.from_pose(pose.astype(np.float64)) for pose in poses]
 
 
-def _refined(bundle: Bundle, pictures: list[Picture]) -> tuple[RigidTransform, FloatArray, float]:
+def refined_pose(bundle: Bundle, pictures: list[Picture]) -> tuple[RigidTransform, FloatArray, float]:
     """Return the pose after Gauss–Newton, its covariance and the sum of squares (infinite where it diverges)."""
     for _ in range(_STEPS):
         normal, side, squares = np.zeros((6, 6)), np.zeros(6), 0.0
@@ -211,12 +213,13 @@ def start_bundle(
     return Bundle(rig, tuple(poses), make_shape(shape, index, target.spacing_m)), tuple(kept), tuple(dropped)
 
 
-def lens_prior(rig: StereoRig) -> Prior:
+def lens_prior(rig: StereoRig, lens: LensKind = "polynomial") -> Prior:
     """Return what is known of any two lenses: their middle and their distortion, nothing of focal lengths and places.
 
     Principal point within 5 % of the picture's width; at the picture's corner k1 changes the radius by 10 %, k2 and k3
     by 5 %, the decentring terms by 0.5 %; fx and fy differ by 0.1 % (standard deviations). Only what the views leave
-    open keeps these values.
+    open keeps these values. Of a `rational` lens k4, k5 and k6 are estimated as well, each as likely as k1, k2 and k3;
+    a skew is held as it is.
     """
     value, sigma = rig.values, np.zeros(len(rig.parameters))
     sigma[ROTATION] = sigma[TRANSLATION] = np.inf
@@ -227,6 +230,8 @@ def lens_prior(rig: StereoRig) -> Prior:
         k1, k2, k3 = (spread / corner**power for spread, power in zip(_RADIAL_SPREAD, (2, 4, 6), strict=True))
         tangential = _DECENTRING_SPREAD / corner
         sigma[places[4:9]] = k1, k2, tangential, tangential, k3
+        if lens == "rational":
+            value[places[9:12]], sigma[places[9:12]] = 0.0, (k1, k2, k3)
     left, right = (_ASPECT_SPREAD * float(camera.parameters[0]) for camera in (rig.left, rig.right))
     return Prior(value, sigma, (left, right))
 
