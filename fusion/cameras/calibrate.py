@@ -28,8 +28,9 @@ from photogram.calibration.file import write_calibration
 from photogram.calibration.foreign import LengthUnit
 from photogram.calibration.foreign_formats import import_calibration
 from photogram.calibration.result import Calibration, Dropped
+from photogram.calibration.scale import KnownLength, with_length
 from photogram.calibration.session import calibrate_pair
-from photogram.calibration.start import FEWEST_VIEWS, Pair
+from photogram.calibration.start import FEWEST_VIEWS, LensKind, Pair
 from photogram.images import read_picture
 from photogram.targets.view import Target, TargetNotFound, TargetView, find_target
 
@@ -39,11 +40,15 @@ PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm")
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """What a user may choose: the target, how its shape is taken, and the relative uncertainty of its spacing."""
+    """What a user may choose: the target, how shape and lens are taken, the relative uncertainty of the spacing, and a
+    length known from elsewhere.
+    """
 
     target: Target
     shape: ShapeKind | Literal["auto"] = "auto"
     scale_u: float = 0.0
+    lens: LensKind | Literal["auto"] = "auto"
+    known: KnownLength | None = None
 
 
 def calibrate_cameras(
@@ -51,8 +56,8 @@ def calibrate_cameras(
 ) -> Calibration:
     """Return the calibrated pair from the pictures of both cameras, in one order.
 
-    A picture without a usable target is left out and named among what was dropped, with the reason. Raises
-    `InputError` where what remains does not allow a calibration.
+    A picture that cannot be read, or has no usable target, is left out and named among what was dropped, with the
+    reason. Raises `InputError` where what remains does not allow a calibration.
     """
     pictures = [*left, *right]
     views: list[TargetView | None] = []
@@ -60,7 +65,7 @@ def calibrate_cameras(
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as workers:
         for path, view in zip(pictures, workers.map(partial(_find, settings.target), pictures), strict=True):
             views.append(view if isinstance(view, TargetView) else None)
-            failed += [Dropped(str(path), 0, str(view))] if isinstance(view, TargetNotFound) else []
+            failed += [] if isinstance(view, TargetView) else [Dropped(str(path), 0, view)]
             progress("find target", len(views), len(pictures))
     pairs: list[Pair] = list(zip(views[: len(left)], views[len(left) :], strict=True))
     for side, paths, seen in zip(("left", "right"), (left, right), zip(*pairs, strict=True), strict=True):
@@ -71,7 +76,10 @@ def calibrate_cameras(
             raise InputError(_folder(paths), "", found=found, expected=f"at least {FEWEST_VIEWS} of each camera")
     progress("adjust", 0, 1)
     with as_input_error(_folder(pictures)):
-        calibration = calibrate_pair(pairs, settings.target, settings.shape, settings.scale_u)
+        calibration = calibrate_pair(pairs, settings.target, settings.shape, settings.scale_u, settings.lens)
+    if settings.known is not None:
+        with as_input_error(_folder(pictures), "--known-length"):
+            calibration = with_length(calibration, settings.known)
     progress("adjust", 1, 1)
     return replace(calibration, dropped=(*failed, *calibration.dropped))
 
@@ -104,8 +112,11 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     for item in calibration.parameters:
         if item.name.endswith((".fx", ".fy")):
             print(f"{item.name} {plain(item.value, 2 * item.u)} px")
+    points = {
+        picture.name: len(picture.used) for view in calibration.views for picture in (view.left, view.right) if picture
+    }
     for dropped in calibration.dropped:
-        what = f"{dropped.points} points left out, " if dropped.points else "left out: "
+        what = f"{dropped.points} of {points[dropped.name]} points left out, " if dropped.points else "left out: "
         print(f"{dropped.name}: {what}{dropped.reason}")
     for notice in calibration.notices:
         print(f"{notice.severity}: {notice.text}")
@@ -127,8 +138,11 @@ def run_cameras(
     used: dict[str, str | float | int] = {
         **{name: str(value) for name, value in asdict(settings.target).items() if value is not None},
         "shape": str(settings.shape),
+        "lens": str(settings.lens),
         "scale_uncertainty": settings.scale_u,
     }
+    if settings.known is not None:
+        used["known_length"] = " ".join(str(value) for value in asdict(settings.known).values())
     pictures = [*left, *right]
     hashes = hash_files(pictures, _folder(pictures))
     provenance = Provenance(hashes, used, versions(), (output.name, page.name))
@@ -138,14 +152,19 @@ def run_cameras(
     print_calibration(calibration, output, page)
 
 
-def _find(target: Target, path: Path) -> TargetView | TargetNotFound:
+def _find(target: Target, path: Path) -> TargetView | str:
     """Return the target in one picture, or why there is none."""
-    with as_input_error(path):
+    if not path.exists():
+        raise InputError(path, "", found="no such file", expected="a picture")
+    try:
         image, full_scale = read_picture(path)
+    except (OSError, ValueError) as error:
+        return str(error).removeprefix(f"{path}: ")
+    with as_input_error(path):
         try:
             return find_target(image, target, str(path), full_scale)
         except TargetNotFound as error:
-            return error
+            return str(error)
 
 
 def _expanded(argument: str) -> list[Path]:

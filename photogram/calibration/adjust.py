@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -95,7 +96,7 @@ def residuals(bundle: Bundle, pictures: Sequence[Picture]) -> list[FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """All pictures of one camera in one row: which of the pictures, their rows, and for each point (N,) what they say."""
+    """All pictures of one camera in one row: which these are, their rows, and of each point (N,) what they say."""
 
     side: int
     number: tuple[int, ...]
@@ -125,7 +126,7 @@ def _sides(pictures: Sequence[Picture]) -> list[_Side]:
         position, precision = (
             np.concatenate([getattr(p, name) for p in mine]) for name in ("position_px", "precision")
         )
-        rows = tuple(slice(*pair) for pair in zip(ends[:-1], ends[1:], strict=True))
+        rows = tuple(slice(*pair) for pair in pairwise(ends))
         point = np.concatenate([picture.point for picture in mine])
         sides.append(_Side(side, number, rows, view, point, position, precision, mine[0].radius_m))
     return sides
@@ -254,15 +255,25 @@ def _normal(bundle: Bundle, sides: Sequence[_Side], seen: Sequence[Seen], prior:
     known[: len(free), : len(free)] = prior.slope.T @ prior.slope
     known[range(len(free), common), range(len(free), common)] = precision[ranged]
     known_side = np.concatenate([-prior.slope.T @ prior.away(bundle.rig.values), side[ranged]])
+
+    def zeros(*size: int) -> FloatArray:
+        return np.zeros((views, *size))
+
     normal = Normal(
-        free,
-        *(np.zeros((views, *size)) for size in ((common, common), (6, 6), (points, 3, 3))),
-        *(np.zeros((views, *size)) for size in ((common, 6), (points, common, 3), (points, 6, 3))),
-        *(np.zeros((views, *size)) for size in ((common,), (6,), (points, 3))),
-        known,
-        known_side,
-        precision[single].reshape(-1, 3),
-        side[single].reshape(-1, 3),
+        places=free,
+        common=zeros(common, common),
+        pose=zeros(6, 6),
+        point=zeros(points, 3, 3),
+        common_pose=zeros(common, 6),
+        point_common=zeros(points, common, 3),
+        point_pose=zeros(points, 6, 3),
+        common_side=zeros(common),
+        pose_side=zeros(6),
+        point_side=zeros(points, 3),
+        prior=known,
+        prior_side=known_side,
+        point_prior=precision[single].reshape(-1, 3),
+        point_prior_side=side[single].reshape(-1, 3),
     )
     for one, there in zip(sides, seen, strict=True):
         _add_side(normal, shape.modes, one, there)

@@ -12,6 +12,8 @@ from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 
+_OVER, _UNDER = [4, 5, 8], [9, 10, 11]  # places of k1 k2 k3 and of k4 k5 k6 among a camera's parameters
+_RADII2 = np.array([0.25, 0.6, 1.0])  # squared, in units of the picture's corner's
 _ANGLE = 2 * np.pi * np.arange(12) / 12
 _RIM = np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE)])  # where on a dot's rim the lens's distortion is looked at
 
@@ -346,7 +348,17 @@ def _place_moved(place: FloatArray, step: FloatArray, growth: FloatArray) -> Flo
 
 
 def _camera_moved(camera: Camera, step: FloatArray) -> Camera:
-    """Return the camera after a step (9,), focal lengths by factors."""
+    """Return the camera after a step (13,), focal lengths by factors.
+
+    Of a rational lens it is the radial factor at three radii, not k1, k2 and k3, that goes straight.
+    """
     parameters = camera.parameters + step
     parameters[:2] = camera.parameters[:2] * np.exp(step[:2] / camera.parameters[:2])
+    if parameters[9:12].any():
+        corner2 = float((camera.size_px**2).sum()) / 4 / float(camera.parameters[:2].mean()) ** 2
+        powers = (corner2 * _RADII2)[:, None] ** np.arange(1, 4)
+        over, under = (1 + powers @ camera.parameters[places] for places in (_OVER, _UNDER))
+        change = (powers @ step[_OVER] - over / under * (powers @ step[_UNDER])) / under
+        after = (over / under + change) * (1 + powers @ parameters[_UNDER])
+        parameters[_OVER] = np.linalg.solve(powers, after - 1)
     return Camera.from_parameters(parameters, camera.size_px)

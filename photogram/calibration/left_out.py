@@ -13,7 +13,6 @@ from photogram.calibration.bundle import Bundle, Picture
 from photogram.calibration.start import refined_pose
 from photogram.camera import StereoRig
 
-
 _LEAST = 1e-9  # of the largest variance: what counts as none
 
 
@@ -69,8 +68,8 @@ def stated_covariance(covariance: FloatArray, left_out: LeftOut, factor: float) 
     (Efron and Stein 1981, Annals of Statistics 9, 586; clusters: Cameron and Miller 2015, Journal of Human Resources
     50, 317) tells what the views do, whatever their errors have in common. In units of what it would be with nothing
     but the points' noise, its principal variances beyond those that V samples of N parameters give by chance,
-    (1 + √(N/V))² (Marčenko and Pastur 1967, Mathematics of the USSR-Sbornik 1, 457), take the place of that noise; times
-    (V − 1)/(V − 3), as so few views know them (JCGM 101:2008, 6.4.9), so that k = 2 holds 95 %.
+    (1 + √(N/V))² (Marčenko and Pastur 1967, Mathematics of the USSR-Sbornik 1, 457), take the place of that noise,
+    times (V − 1)/(V − 3), as so few views know them (JCGM 101:2008, 6.4.9), so that k = 2 holds 95 %.
     """
     free = np.flatnonzero(np.diagonal(covariance) > 0)
     views, places = len(left_out.steps), np.ix_(free, free)

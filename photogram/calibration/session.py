@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from photogram.arrays import BoolArray, FloatArray
 from photogram.calibration.adjust import Adjusted, Prior, adjust, residuals
 from photogram.calibration.bundle import Bundle, Picture, ShapeKind
+from photogram.calibration.left_out import LeftOut, leave_out, split_half, stated_covariance
 from photogram.calibration.result import (
     CalibratedPicture,
     CalibratedView,
@@ -23,7 +24,6 @@ from photogram.calibration.result import (
     rig_parameters,
     session_notices,
 )
-from photogram.calibration.left_out import LeftOut, leave_out, split_half, stated_covariance
 from photogram.calibration.start import LensKind, Pair, lens_prior, picture_of, start_bundle
 from photogram.camera import TRANSLATION
 from photogram.targets.view import Target, TargetView
@@ -67,16 +67,22 @@ def calibrate_pair(
     True
     """
     first = _Model("flat" if shape == "auto" else shape, "polynomial" if lens == "auto" else lens)
-    best, others = _calibrated(pairs, target, first), []
+    best = _calibrated(pairs, target, first)
+    others: list[_Fit] = []
     if best.unexplained > _WORTH and len(best.adjusted.bundle.poses) >= _VIEWS_FOR_MORE:
-        for change in ({"shape": "free"}, {"lens": "rational"}, {"shape": "free"}):
-            model = replace(
-                best.model, **{key: new for key, new in change.items() if (shape, lens)[key == "lens"] == "auto"}
-            )
+        for step in ("free", "rational", "free", "flat"):
+            model = best.model
+            if step in ("free", "flat") and shape == "auto":
+                model = replace(model, shape="free" if step == "free" else "flat")
+            elif step == "rational" and lens == "auto":
+                model = replace(model, lens="rational")
             if model in (best.model, *(other.model for other in others)):
                 continue
-            tried = _calibrated(pairs, target, model)
-            better = _predicts_better(tried, best)
+            try:
+                tried = _calibrated(pairs, target, model)
+            except ValueError:  # what the views do not determine is no better
+                continue
+            better = _predicts_better(tried, best) if step != "flat" else not _predicts_better(best, tried)
             others.append(best if better else tried)
             best = tried if better else best
     return _result(best, others, target, scale_u)
@@ -95,7 +101,10 @@ def _calibrated(pairs: Sequence[Pair], target: Target, model: _Model) -> _Fit:
     dropped: tuple[Dropped, ...] = ()
     while True:
         bundle, pairs, dropped_at_start = start_bundle(pairs, target, model.shape)
-        fit = _settle(bundle, _Session.of(bundle, pairs, target), model)
+        session = _Session.of(bundle, pairs, target)
+        if model.lens == "rational":  # from the best polynomial, near which its bent valley is short
+            bundle = adjust(bundle, session.weighted(), lens_prior(bundle.rig)).bundle
+        fit = _settle(bundle, session, model)
         bad = _bad_pictures(fit)
         dropped += (*dropped_at_start, *bad)
         if not bad:
@@ -307,6 +316,7 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
         dropped=(*fit.dropped, *left_out),
         notices=(),
         judged=_judgement(fit, others, prior),
+        shape_u_m=np.sqrt(factor * fit.adjusted.shape_variance[:-2]).reshape(-1, 3) if bundle.shape.free else None,
     )
     return replace(calibration, notices=session_notices(calibration))
 

@@ -175,6 +175,7 @@ _TOLERATED_PX = 1.0  # rms that is never strange
 _CENTRE_SPREAD = 0.05
 _RADIAL_SPREAD = (0.1, 0.05, 0.05)
 _DECENTRING_SPREAD = 0.005
+_WIDE = 10.0  # times the spread of the radial terms of a lens that needs the rational model
 _ASPECT_SPREAD = 1e-3
 
 
@@ -218,8 +219,8 @@ def lens_prior(rig: StereoRig, lens: LensKind = "polynomial") -> Prior:
 
     Principal point within 5 % of the picture's width; at the picture's corner k1 changes the radius by 10 %, k2 and k3
     by 5 %, the decentring terms by 0.5 %; fx and fy differ by 0.1 % (standard deviations). Only what the views leave
-    open keeps these values. Of a `rational` lens k4, k5 and k6 are estimated as well, each as likely as k1, k2 and k3;
-    a skew is held as it is.
+    open keeps these values. Of a `rational` lens, a wide one, all six radial coefficients are estimated, with ten
+    times the spread; a skew is held as it is.
     """
     value, sigma = rig.values, np.zeros(len(rig.parameters))
     sigma[ROTATION] = sigma[TRANSLATION] = np.inf
@@ -231,7 +232,8 @@ def lens_prior(rig: StereoRig, lens: LensKind = "polynomial") -> Prior:
         tangential = _DECENTRING_SPREAD / corner
         sigma[places[4:9]] = k1, k2, tangential, tangential, k3
         if lens == "rational":
-            value[places[9:12]], sigma[places[9:12]] = 0.0, (k1, k2, k3)
+            value[places[9:12]] = 0.0
+            sigma[places[[4, 5, 8]]] = sigma[places[9:12]] = _WIDE * np.array([k1, k2, k3])
     left, right = (_ASPECT_SPREAD * float(camera.parameters[0]) for camera in (rig.left, rig.right))
     return Prior(value, sigma, (left, right))
 

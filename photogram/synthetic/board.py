@@ -524,7 +524,7 @@ def seen_session(
     length = _SMOOTH * float(apart.max())
     root = np.linalg.cholesky(np.exp(-0.5 * (apart / length) ** 2) + 1e-6 * np.eye(len(points)))
     stated = np.broadcast_to(noise_px**2 * np.eye(2), (len(points), 2, 2))
-    pairs = []
+    pairs: list[tuple[TargetView, TargetView]] = []
     for pose, place in zip(poses, np.linspace(-0.5, 0.5, len(poses)), strict=True):
         growth = np.ones(13)
         growth[:2] += faults.focus * place
