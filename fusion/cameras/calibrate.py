@@ -24,7 +24,7 @@ from fusion.recording.values import natural_key
 from fusion.report.folder import Provenance, hash_files
 from fusion.report.table import plain
 from photogram.calibration.bundle import ShapeKind
-from photogram.calibration.file import write_calibration
+from photogram.calibration.file import write_calibration, write_camera
 from photogram.calibration.foreign import LengthUnit
 from photogram.calibration.foreign_formats import import_calibration
 from photogram.calibration.result import Calibration, Dropped
@@ -52,14 +52,17 @@ class CameraSettings:
 
 
 def calibrate_cameras(
-    left: Sequence[Path], right: Sequence[Path], settings: CameraSettings, progress: ProgressCallback = no_progress
+    left: Sequence[Path],
+    right: Sequence[Path] | None,
+    settings: CameraSettings,
+    progress: ProgressCallback = no_progress,
 ) -> Calibration:
-    """Return the calibrated pair from the pictures of both cameras, in one order.
+    """Return the calibrated pair from the pictures of both cameras, in one order, or with `right` None a single one.
 
     A picture that cannot be read, or has no usable target, is left out and named among what was dropped, with the
     reason. Raises `InputError` where what remains does not allow a calibration.
     """
-    pictures = [*left, *right]
+    pictures = [*left, *(right or [])]
     views: list[TargetView | None] = []
     failed: list[Dropped] = []
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as workers:
@@ -67,12 +70,15 @@ def calibrate_cameras(
             views.append(view if isinstance(view, TargetView) else None)
             failed += [] if isinstance(view, TargetView) else [Dropped(str(path), 0, view)]
             progress("find target", len(views), len(pictures))
-    pairs: list[Pair] = list(zip(views[: len(left)], views[len(left) :], strict=True))
-    for side, paths, seen in zip(("left", "right"), (left, right), zip(*pairs, strict=True), strict=True):
+    pairs: list[Pair] = [(view, None) for view in views]
+    if right is not None:
+        pairs = list(zip(views[: len(left)], views[len(left) :], strict=True))
+    sides = [("left ", left)] + ([("right ", right)] if right is not None else [])
+    for (side, paths), seen in zip(sides, zip(*pairs, strict=True), strict=False):
         usable = sum(view is not None for view in seen)
         if usable < FEWEST_VIEWS:
             reasons = "; ".join(f"{Path(item.name).name}: {item.reason}" for item in failed) or "no picture failed"
-            found = f"{usable} usable of {len(paths)} {side} pictures ({reasons})"
+            found = f"{usable} usable of {len(paths)} {side if right is not None else ''}pictures ({reasons})"
             raise InputError(_folder(paths), "", found=found, expected=f"at least {FEWEST_VIEWS} of each camera")
     progress("adjust", 0, 1)
     with as_input_error(_folder(pictures)):
@@ -112,14 +118,7 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     for item in calibration.parameters:
         if item.name.endswith((".fx", ".fy")):
             print(f"{item.name} {plain(item.value, 2 * item.u)} px")
-    points = {
-        picture.name: len(picture.used) for view in calibration.views for picture in (view.left, view.right) if picture
-    }
-    for dropped in calibration.dropped:
-        what = f"{dropped.points} of {points[dropped.name]} points left out, " if dropped.points else "left out: "
-        print(f"{dropped.name}: {what}{dropped.reason}")
-    for notice in calibration.notices:
-        print(f"{notice.severity}: {notice.text}")
+    _print_remarks(calibration)
     print(f"calibration: {output}")
     print(f"report: {page}")
 
@@ -150,6 +149,33 @@ def run_cameras(
     write_calibration(output, calibration.rig, calibration.rms_px)
     write_whole(page, text)
     print_calibration(calibration, output, page)
+
+
+def run_camera(
+    arguments: Sequence[str], settings: CameraSettings, output: Path, force: bool, progress: ProgressCallback
+) -> None:
+    """Calibrate a single camera from the pictures that the arguments name, write its file, print the summary."""
+    if output.suffix != ".json":
+        raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
+    check_new_file(output, force=force)
+    calibration = calibrate_cameras([path for part in arguments for path in _expanded(part)], None, settings, progress)
+    write_camera(output, calibration)
+    print(f"{len(calibration.views)} views, rms {calibration.rms_px:.3f} px (U: k = 2)")
+    for item in calibration.parameters:
+        print(f"{item.name.removeprefix('left.')} {plain(item.value, 2 * item.u)} {item.unit}")
+    _print_remarks(calibration)
+    print(f"calibration: {output}")
+
+
+def _print_remarks(calibration: Calibration) -> None:
+    """Print what was left out, and the notices."""
+    seen = [picture for view in calibration.views for picture in (view.left, view.right) if picture]
+    points = {picture.name: len(picture.used) for picture in seen}
+    for dropped in calibration.dropped:
+        what = f"{dropped.points} of {points[dropped.name]} points left out, " if dropped.points else "left out: "
+        print(f"{dropped.name}: {what}{dropped.reason}")
+    for notice in calibration.notices:
+        print(f"{notice.severity}: {notice.text}")
 
 
 def _find(target: Target, path: Path) -> TargetView | str:

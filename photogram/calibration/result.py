@@ -135,6 +135,11 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
     judged: Judgement | None = None
     shape_u_m: FloatArray | None = None
 
+    @property
+    def single(self) -> bool:
+        """Whether it is of one camera only, the left one."""
+        return all(view.right is None for view in self.views)
+
 
 COVERAGE_CELLS = (8, 6)  # columns and rows of the cells by which coverage is told
 _NO_TURN_RAD = np.radians(2.0)
@@ -186,13 +191,14 @@ _STATES = {
 def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[Parameter, ...]:
     """Return the parameters of a rig with covariance, and what the views say about each beside the prior.
 
-    The 24 of every rig, and of the lenses' further terms those that are not known to be zero.
+    The 24 of every rig, and of the lenses' further terms those that are not known to be zero. Those with the prior's
+    standard deviation zero, held in this session, are none.
     """
     covariance = np.zeros((len(RIG_PARAMETERS),) * 2) if rig.covariance is None else rig.covariance
     parameters = []
     for number, (name, value) in enumerate(zip(RIG_PARAMETERS, rig.values, strict=True)):
         u, kind = float(np.sqrt(covariance[number, number])), name.split(".")[1][0]
-        if name.endswith((".k4", ".k5", ".k6", ".skew")) and u == 0 == value:
+        if (name.endswith((".k4", ".k5", ".k6", ".skew")) and u == 0 == value) or prior_sigma[RIGHT[0]] == 0 == u:
             continue
         lens = not name.startswith(("rotation", "translation"))
         unit = _UNITS[kind] if lens else ("rad" if name.startswith("rotation") else "m")
@@ -222,9 +228,10 @@ def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
     def warn(text: str, where: str) -> None:
         notices.append(Notice("warning", text, where))
 
-    pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
+    pairs = sum(calibration.single or (view.left is not None and view.right is not None) for view in calibration.views)
     if pairs < _MANY_VIEWS:
-        warn(f"only {pairs} pairs; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
+        many = "views" if calibration.single else "pairs"
+        warn(f"only {pairs} {many}; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
     spread, axes = spread_of_turns([view.left_from_target for view in calibration.views])
     if spread[0] < _LITTLE_TURN_RAD:
         axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
@@ -254,7 +261,7 @@ def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
     if worst >= _ADDED_PX:
         text = f"the points are {worst:.2f} px (per coordinate) off beyond the pictures' noise: rough print, a bent"
         warn(f"{text} target or a lens that the model does not describe; see the residual maps", "residuals")
-    if calibration.scale_u == 0:
+    if calibration.scale_u == 0 and not calibration.single:
         warn("the uncertainty of the target's spacing is not stated, so that of all lengths lacks its share", "scale")
     return tuple(notices)
 
@@ -262,7 +269,7 @@ def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
 def _aspects(rig: StereoRig) -> Iterator[Notice]:
     """Yield what is to be said of focal lengths whose ratio is none of square pixels."""
     for side, camera, places in (("left", rig.left, LEFT), ("right", rig.right, RIGHT)):
-        if rig.covariance is None:
+        if rig.covariance is None or not rig.covariance[places[0], places[0]] > 0:
             continue
         fx, fy = camera.parameters[:2]
         slope = np.array([1 / fy, -fx / fy**2])
@@ -283,7 +290,7 @@ def _differences(calibration: Calibration) -> Iterator[Notice]:
         apart = {
             name: (mine, value[name], 2 * u)
             for (name, mine), u in zip(_told(calibration.rig).items(), _told_u(calibration.rig), strict=True)
-            if abs(value[name] - mine) > 2 * u
+            if abs(value[name] - mine) > 2 * u > 0
         }
         if apart:
             said = ", ".join(
@@ -308,5 +315,5 @@ def _told_u(rig: StereoRig) -> FloatArray:
     slope = np.zeros((3, len(rig.covariance)))
     slope[0, LEFT[0]] = slope[1, RIGHT[0]] = 1.0
     translation = rig.right_from_left.translation_m
-    slope[2, TRANSLATION] = 1e3 * translation / np.linalg.norm(translation)
+    slope[2, TRANSLATION] = 1e3 * translation / (np.linalg.norm(translation) or 1.0)
     return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", slope, rig.covariance, slope)))

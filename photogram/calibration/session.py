@@ -25,7 +25,7 @@ from photogram.calibration.result import (
     session_notices,
 )
 from photogram.calibration.start import LensKind, Pair, lens_prior, picture_of, start_bundle
-from photogram.camera import TRANSLATION
+from photogram.camera import TRANSLATION, StereoRig
 from photogram.targets.view import Target, TargetView
 
 _ROUNDS = 12
@@ -49,6 +49,8 @@ def calibrate_pair(
 ) -> Calibration:
     """Return the stereo pair that the target's views (left, right) tell, with the covariance of all its parameters.
 
+    Without any right view it is a single camera, the left one; what the rig says of the right one is without meaning.
+
     Maximum likelihood over all pictures at once. Beside the points' own covariance, a noise common to all points of a
     camera is estimated from the residuals (print and paper, blooming), then points beyond five standard deviations are
     left out, and pictures in which that are too many, until nothing changes. The covariance is that of the fit times
@@ -66,7 +68,8 @@ def calibrate_pair(
     >>> calibration.rms_px < 0.03
     True
     """
-    first = _Model("flat" if shape == "auto" else shape, "polynomial" if lens == "auto" else lens)
+    single = all(right is None for _, right in pairs)
+    first = _Model("flat" if shape == "auto" else shape, "polynomial" if lens == "auto" else lens, single)
     best = _calibrated(pairs, target, first)
     others: list[_Fit] = []
     if best.unexplained > _WORTH and len(best.adjusted.bundle.poses) >= _VIEWS_FOR_MORE:
@@ -90,10 +93,15 @@ def calibrate_pair(
 
 @dataclass(frozen=True)
 class _Model:
-    """How the target's shape is taken, and the lens."""
+    """How the target's shape is taken, the lens, and whether there is one camera only."""
 
     shape: ShapeKind
     lens: LensKind
+    single: bool = False
+
+    def prior(self, rig: StereoRig) -> Prior:
+        """Return what is known of the cameras beforehand."""
+        return lens_prior(rig, self.lens, self.single)
 
 
 def _calibrated(pairs: Sequence[Pair], target: Target, model: _Model) -> _Fit:
@@ -103,7 +111,7 @@ def _calibrated(pairs: Sequence[Pair], target: Target, model: _Model) -> _Fit:
         bundle, pairs, dropped_at_start = start_bundle(pairs, target, model.shape)
         session = _Session.of(bundle, pairs, target)
         if model.lens == "rational":  # from the best polynomial, near which its bent valley is short
-            bundle = adjust(bundle, session.weighted(), lens_prior(bundle.rig)).bundle
+            bundle = adjust(bundle, session.weighted(), replace(model, lens="polynomial").prior(bundle.rig)).bundle
         fit = _settle(bundle, session, model)
         bad = _bad_pictures(fit)
         dropped += (*dropped_at_start, *bad)
@@ -221,13 +229,13 @@ def _settle(bundle: Bundle, session: _Session, model: _Model) -> _Fit:
 
 def _fit(bundle: Bundle, session: _Session, model: _Model) -> _Fit:
     """Adjust once with the session's weights."""
-    adjusted = adjust(bundle, session.weighted(), lens_prior(bundle.rig, model.lens))
+    adjusted = adjust(bundle, session.weighted(), model.prior(bundle.rig))
     pictures = session.weighted(every=True)
     away = residuals(adjusted.bundle, pictures)
     both = zip(away, pictures, strict=True)
     squares = tuple(np.einsum("ni,nij,nj->n", residual, each.precision, residual) for residual, each in both)
     # The number of coordinates minus that of parameters, a parameter counting as far as the data fix it
-    prior = np.concatenate([lens_prior(adjusted.bundle.rig, model.lens).sigma, adjusted.bundle.shape.prior_m])
+    prior = np.concatenate([model.prior(adjusted.bundle.rig).sigma, adjusted.bundle.shape.prior_m])
     variance = np.concatenate([np.diagonal(adjusted.covariance), adjusted.shape_variance])
     known = variance[prior > 0] / prior[prior > 0] ** 2
     parameters = float(np.sum(1 - known)) + 6 * len(adjusted.bundle.poses)
@@ -249,6 +257,9 @@ def _judged(fit: _Fit) -> _Session:
     added = []
     for side in (0, 1):
         mine = [n for n, picture in enumerate(session.pictures) if picture.side == side]
+        if not mine:
+            added.append(0.0)
+            continue
         length2 = np.concatenate([(fit.residuals[n][session.used[n]] ** 2).sum(axis=1) for n in mine])
         own = np.concatenate([np.einsum("nii->n", session.views[n].covariance_px2)[session.used[n]] for n in mine])
         added.append(float(np.sqrt(max(np.median(length2) / _MEDIAN_CHI2 * share - np.median(own) / 2, 0.0))))
@@ -279,7 +290,7 @@ def _bad_pictures(fit: _Fit) -> list[Dropped]:
 def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -> Calibration:
     """Collect everything that the calibration tells."""
     bundle, session, factor = fit.adjusted.bundle, fit.session, fit.factor
-    prior = lens_prior(bundle.rig, fit.model.lens)
+    prior = fit.model.prior(bundle.rig)
     baseline = np.zeros(len(fit.covariance))
     baseline[TRANSLATION] = bundle.rig.right_from_left.translation_m
     rig = replace(bundle.rig, covariance=fit.covariance + scale_u**2 * np.outer(baseline, baseline))
@@ -312,7 +323,10 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
         shape_index=bundle.shape.index,
         shape_m=bundle.shape.points_m,
         scale_u=scale_u,
-        covered=(covered_share(by_side[0], rig.left.size_px), covered_share(by_side[1], rig.right.size_px)),
+        covered=(
+            covered_share(by_side[0], rig.left.size_px),
+            covered_share(by_side[1], rig.right.size_px) if by_side[1] else float("nan"),
+        ),
         dropped=(*fit.dropped, *left_out),
         notices=(),
         judged=_judgement(fit, others, prior),
@@ -346,5 +360,6 @@ def _predicted_rms(fit: _Fit) -> float:
 
 def _rms(pictures: Sequence[CalibratedPicture]) -> float:
     """Return the rms length of the residuals of all points in use."""
-    squares = np.concatenate([(picture.residual_px[picture.used] ** 2).sum(axis=1) for picture in pictures])
-    return float(np.sqrt(squares.mean()))
+    squares = [(picture.residual_px[picture.used] ** 2).sum(axis=1) for picture in pictures]
+    every = np.concatenate(squares) if squares else np.empty(0)
+    return float(np.sqrt(every.mean())) if every.size else float("nan")

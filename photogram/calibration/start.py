@@ -184,10 +184,12 @@ def start_bundle(
 ) -> tuple[Bundle, tuple[Pair, ...], tuple[Dropped, ...]]:
     """Return the first bundle, the pairs of target views that take part in it (one per pose), and what was dropped.
 
-    The pairs are views (left, right), None for a picture without target. A picture whose points fit its camera's others
-    badly is dropped, and a pair whose relative pose is not the others'. Raises `ValueError` when fewer than three views
-    remain for a camera, or no pair.
+    The pairs are views (left, right), None for a picture without target; without any right one a single camera's. A
+    picture whose points fit its camera's others badly is dropped, and a pair whose relative pose is not the others'.
+    Raises `ValueError` when fewer than three views remain for a camera, or no pair.
     """
+    if all(right is None for _, right in pairs):
+        return _start_single(pairs, target, shape)
     sides = [_single(pairs, side, target) for side in (0, 1)]
     dropped = [item for side in sides for item in side.dropped]
     for side in sides:
@@ -214,13 +216,25 @@ def start_bundle(
     return Bundle(rig, tuple(poses), make_shape(shape, index, target.spacing_m)), tuple(kept), tuple(dropped)
 
 
-def lens_prior(rig: StereoRig, lens: LensKind = "polynomial") -> Prior:
+def _start_single(
+    pairs: Sequence[Pair], target: Target, shape: ShapeKind
+) -> tuple[Bundle, tuple[Pair, ...], tuple[Dropped, ...]]:
+    """Return the same of one camera alone, the left one of a pair whose right one nothing sees."""
+    side = _single(pairs, 0, target)
+    refuse_similar_views(list(side.poses.values()))
+    kept = tuple(pairs[view] for view in side.poses)
+    index = np.unique(np.concatenate([seen.index for seen, _ in kept if seen is not None]), axis=0)
+    rig = StereoRig(side.camera, side.camera, RigidTransform.identity())
+    return Bundle(rig, tuple(side.poses.values()), make_shape(shape, index, target.spacing_m)), kept, side.dropped
+
+
+def lens_prior(rig: StereoRig, lens: LensKind = "polynomial", single: bool = False) -> Prior:
     """Return what is known of any two lenses: their middle and their distortion, nothing of focal lengths and places.
 
     Principal point within 5 % of the picture's width; at the picture's corner k1 changes the radius by 10 %, k2 and k3
     by 5 %, the decentring terms by 0.5 %; fx and fy differ by 0.1 % (standard deviations). Only what the views leave
     open keeps these values. Of a `rational` lens, a wide one, all six radial coefficients are estimated, with ten
-    times the spread; a skew is held as it is.
+    times the spread; a skew is held as it is. Of a `single` camera, the left one, all of the right one is held.
     """
     value, sigma = rig.values, np.zeros(len(rig.parameters))
     sigma[ROTATION] = sigma[TRANSLATION] = np.inf
@@ -234,6 +248,8 @@ def lens_prior(rig: StereoRig, lens: LensKind = "polynomial") -> Prior:
         if lens == "rational":
             value[places[9:12]] = 0.0
             sigma[places[[4, 5, 8]]] = sigma[places[9:12]] = _WIDE * np.array([k1, k2, k3])
+    if single:
+        sigma[RIGHT] = sigma[ROTATION] = sigma[TRANSLATION] = 0.0
     left, right = (_ASPECT_SPREAD * float(camera.parameters[0]) for camera in (rig.left, rig.right))
     return Prior(value, sigma, (left, right))
 

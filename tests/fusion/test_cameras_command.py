@@ -17,7 +17,7 @@ from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
 from fusion.simulate.preset import read_preset
 from fusion.simulate.statics import SessionPreset
-from photogram.calibration.file import read_calibration
+from photogram.calibration.file import read_calibration, read_camera
 from photogram.geometry import RigidTransform
 from photogram.synthetic.board import random_poses, random_rig, render_board
 
@@ -84,6 +84,19 @@ def test_a_picture_that_cannot_be_read_is_left_out_by_name_and_a_known_length_se
     assert np.allclose(found.right_from_left.translation_m, 1.002 * plain, rtol=1e-9)
     assert "column,row" in refused(*_command(pictures, "-q", "--force", "--known-length", "0,0", "99,0", "0.1", "0"))
     assert "could not convert" in refused(*_command(pictures, "-q", "--force", *known, "long", "0"))
+
+
+def test_a_single_camera_comes_back(
+    session: tuple[Path, object], pictures: Path, capsys: Capture, refused: Refused
+) -> None:
+    command = ["cameras", str(pictures / "left"), *TARGET, "--mono", "-o", str(pictures / "left.json"), "-q"]
+    assert main(command) == EXIT_DONE
+    told = capsys.readouterr().out
+    assert f"{VIEWS} views, rms 0.0" in told
+    camera, covariance = read_camera(pictures / "left.json")
+    error = camera.parameters - session[1].left.parameters
+    assert (np.abs(error) <= 4.5 * np.sqrt(np.diagonal(covariance))).all()
+    assert "--force" in refused(*command)
 
 
 @pytest.mark.slow

@@ -17,13 +17,13 @@ from hypothesis import strategies as st
 
 from photogram.calibration.adjust import adjust
 from photogram.calibration.bundle import ellipse_centres, make_shape, see
-from photogram.calibration.file import read_calibration, write_calibration
+from photogram.calibration.file import read_calibration, read_camera, write_calibration, write_camera
 from photogram.calibration.left_out import leave_out, predicted
 from photogram.calibration.result import Calibration
 from photogram.calibration.scale import KnownLength, with_length
 from photogram.calibration.session import calibrate_pair
 from photogram.calibration.start import lens_prior, picture_of, start_bundle, target_pose
-from photogram.camera import RIG_PARAMETERS, Camera, StereoRig, triangulate
+from photogram.camera import CAMERA_PARAMETERS, RIG_PARAMETERS, Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, skew, vector_from_rotation
 from photogram.synthetic.board import Board, Faults, random_poses, random_rig, seen_session
 from photogram.targets.view import Target, TargetView
@@ -355,6 +355,26 @@ def test_a_known_length_is_weighed_against_the_spacing_and_a_contradiction_is_to
     refused("column,row", with_length, found, KnownLength("L0", "nowhere", 0.1, 0.0))
     refused("two different places", with_length, found, KnownLength("0,0", "0,0", 0.1, 0.0))
     refused("above 0 m", KnownLength, "0,0", "1,0", 0.0, 0.0)
+
+
+def test_a_single_camera_is_calibrated_with_the_same_care(tmp_path):
+    ratios, alone = [], []
+    for seed in range(4):
+        rig, pairs = _faulty(seed, Faults(smooth_px=0.05))
+        found = calibrate_pair([(left, None) for left, _ in pairs], SESSION_BOARD.target, "flat")
+        assert found.single
+        assert [item.name for item in found.parameters] == [f"left.{name}" for name in CAMERA_PARAMETERS[:9]]
+        error = (found.rig.left.parameters - rig.left.parameters)[:9]
+        ratios.append(error / [item.u for item in found.parameters])
+        alone.append(error / found.judged.u_fit[:9])
+    assert np.abs(ratios).max() < 4.5
+    assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.4 < np.sqrt(np.mean(np.square(alone)))
+    write_camera(tmp_path / "camera.json", found)
+    camera, covariance = read_camera(tmp_path / "camera.json")
+    np.testing.assert_array_equal(camera.parameters, found.rig.left.parameters)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(covariance)[:9]), [item.u for item in found.parameters])
+    write_calibration(tmp_path / "rig.json", RIG)
+    refused("left: unknown key", read_camera, tmp_path / "rig.json")
 
 
 def test_a_bowed_target_is_found_where_it_is_asked_for():
