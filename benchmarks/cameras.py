@@ -1,12 +1,15 @@
 """Calibration of random stereo pairs from rendered pictures of targets, against their truth; and the real dot grid.
 
-Usage: python benchmarks/cameras.py [--target NAME] [--rigs 50] [--first 0]
+Usage: python benchmarks/cameras.py [--target NAME] [--rigs 50] [--first 0] [--write docs/cameras.md]
 
 For every target, `--rigs` random stereo pairs (field of view 16 to 50 deg, axes at 10 to 35 deg, distortion) look at
 12 random poses of it; the pictures, 640 x 512 px, 12 bit with shot and read noise, go through detection and bundle
 adjustment as those of a user. Printed: the errors of the points found, and the errors of the 24 parameters over their
-standard uncertainties. Some 20 s per pair on one core. Then the 14 real pairs of a dot grid, where SHAKERCAL_DATA (by
-default `../shared/data` beside the repository) has them, beside OpenCV's own calibration from the same points.
+standard uncertainties. Some 20 s per pair on one core. `--target faults`: sessions of 15 and 8 views of a chessboard
+10 x 7 as points, 0.03 px of noise, with what real sessions have and nobody states: the errors over the uncertainties
+of the page, and over those of the residuals alone; with `--write` into the table of a page. Some 25 s per pair. Then
+the 14 real pairs of a dot grid, where SHAKERCAL_DATA (by default `../shared/data` beside the repository) has them,
+beside OpenCV's own calibration from the same points.
 """
 
 from __future__ import annotations
@@ -26,10 +29,10 @@ from numpy.typing import NDArray
 from photogram.calibration.bundle import see
 from photogram.calibration.result import Calibration
 from photogram.calibration.session import calibrate_pair
-from photogram.camera import Camera
+from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.images.files import read_picture
-from photogram.synthetic.board import Board, random_poses, random_rig, render_board
+from photogram.synthetic.board import Board, Faults, random_poses, random_rig, render_board, seen_session
 from photogram.synthetic.scene import ImageSensor
 from photogram.targets.view import Target, TargetNotFound, TargetView, find_target
 
@@ -58,11 +61,21 @@ class Outcome:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--target", choices=(*BOARDS, "real"), help="one of the targets (default: all)")
+    parser.add_argument("--target", choices=(*BOARDS, "faults", "real"), help="one of the targets (default: all)")
+    parser.add_argument("--write", type=Path, metavar="PAGE", help="replace the table of faults in a page")
     parser.add_argument("--rigs", type=int, default=50)
     parser.add_argument("--first", type=int, default=0, help="seed of the first pair")
     options = parser.parse_args()
-    for name in [options.target] if options.target else [*BOARDS, "real"]:
+    for name in [options.target] if options.target else [*BOARDS, "faults", "real"]:
+        if name == "faults":
+            lines = faulty_rows(range(options.first, options.first + options.rigs))
+            if options.write is not None:
+                text = options.write.read_text(encoding="utf-8")
+                start, end = "<!-- faults -->\n", "<!-- end of faults -->"
+                before, after = text.split(start)[0], text.split(end)[1]
+                table = "\n".join(lines)
+                options.write.write_text(f"{before}{start}{table}\n{end}{after}", encoding="utf-8", newline="\n")
+            continue
         if name == "real":
             real_dot_grid()
             continue
@@ -97,11 +110,67 @@ def simulated(board: Board, seed: int) -> Outcome:
             errors.append(view.position_px - true_pixels(board, view, camera, relative, pose))
         pairs.append((sides[0], sides[1]))
     calibration = calibrate_pair(pairs, board.target)
+    normalised, _ = normalised_errors(calibration, rig)
+    return Outcome(normalised, np.concatenate(errors), tuple(failed), calibration)
+
+
+def normalised_errors(calibration: Calibration, rig: StereoRig) -> tuple[FloatArray, FloatArray]:
+    """Return the errors (24,) over the stated standard uncertainties, and over those that the residuals alone give."""
     found = calibration.rig
     error = found.values - rig.values
     error[18:21] = vector_from_rotation(found.right_from_left.rotation @ rig.right_from_left.rotation.T)
     assert found.covariance is not None
-    return Outcome(error / np.sqrt(np.diagonal(found.covariance)), np.concatenate(errors), tuple(failed), calibration)
+    assert calibration.judged is not None
+    return error[:24] / np.sqrt(np.diagonal(found.covariance))[:24], error[:24] / calibration.judged.u_fit[:24]
+
+
+FAULTY_BOARD = Board(Target("chessboard", 9e-3, (10, 7)))
+FAULTY_SIZE_PX = np.array([1280, 1024])
+FAULTS = {
+    "none": Faults(),
+    "board warped by 0.2 mm": Faults(warp_m=2e-4),
+    "focal lengths drift by 0.05 %": Faults(focus=5e-4),
+    "0.05 px shared by neighbours": Faults(smooth_px=0.05),
+    "0.03 px by place within the pixel": Faults(locking_px=0.03),
+    "all of these": Faults(2e-4, 5e-4, 0.05, 0.03),
+}
+
+
+def faulty_rows(seeds: range) -> list[str]:
+    """Print and return the table of sessions with faults."""
+    lines = [
+        "| fault | views | sessions | freed | errors/u, rms | largest | beyond 2 u | residuals alone, rms | largest |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    print(*lines, sep="\n")
+    pooled: list[FloatArray] = []
+    for views in (15, 8):
+        for name, faults in FAULTS.items():
+            stated, alone, freed = [], [], 0
+            for seed in seeds:
+                rng = np.random.default_rng(seed)
+                rig = random_rig(rng, FAULTY_SIZE_PX, FIELD_M)
+                poses = random_poses(rng, rig, FAULTY_BOARD, views)
+                pairs = seen_session(rng, rig, poses, FAULTY_BOARD, 0.03, faults)
+                calibration = calibrate_pair(pairs, FAULTY_BOARD.target)
+                ratios = normalised_errors(calibration, rig)
+                stated.append(ratios[0])
+                alone.append(ratios[1])
+                freed += calibration.judged is not None and calibration.judged.shape == "free"
+            pooled += stated if faults != Faults() else []
+            lines.append(faulty_row(f"{name} | {views} | {len(seeds)} | {freed}", stated, alone))
+            print(lines[-1], flush=True)
+    lines.append(faulty_row("all with faults | | | ", pooled, None))
+    print(lines[-1])
+    return lines
+
+
+def faulty_row(named: str, stated: list[FloatArray], alone: list[FloatArray] | None) -> str:
+    """Return one row of the table."""
+    size, other = np.abs(stated), np.abs(alone) if alone is not None else None
+    told = f"{np.sqrt((size**2).mean()):.2f} | {size.max():.1f} | {100 * (size > 2).mean():.1f} %"
+    rest = " | " if other is None else f"{np.sqrt((other**2).mean()):.2f} | {other.max():.1f}"
+    return f"| {named} | {told} | {rest} |"
 
 
 def true_pixels(

@@ -24,12 +24,13 @@ from fusion.recording.values import natural_key
 from fusion.report.folder import Provenance, hash_files
 from fusion.report.table import plain
 from photogram.calibration.bundle import ShapeKind
-from photogram.calibration.file import write_calibration
+from photogram.calibration.file import write_calibration, write_camera
 from photogram.calibration.foreign import LengthUnit
 from photogram.calibration.foreign_formats import import_calibration
 from photogram.calibration.result import Calibration, Dropped
+from photogram.calibration.scale import KnownLength, with_length
 from photogram.calibration.session import calibrate_pair
-from photogram.calibration.start import FEWEST_VIEWS, Pair
+from photogram.calibration.start import FEWEST_VIEWS, LensKind, Pair
 from photogram.images.files import read_picture
 from photogram.targets.view import Target, TargetNotFound, TargetView, find_target
 
@@ -39,39 +40,52 @@ PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm")
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """What a user may choose: the target, how its shape is taken, and the relative uncertainty of its spacing."""
+    """What a user may choose: the target, how shape and lens are taken, the relative uncertainty of the spacing, and a
+    length known from elsewhere.
+    """
 
     target: Target
     shape: ShapeKind | Literal["auto"] = "auto"
     scale_u: float = 0.0
+    lens: LensKind | Literal["auto"] = "auto"
+    known: KnownLength | None = None
 
 
 def calibrate_cameras(
-    left: Sequence[Path], right: Sequence[Path], settings: CameraSettings, progress: ProgressCallback = no_progress
+    left: Sequence[Path],
+    right: Sequence[Path] | None,
+    settings: CameraSettings,
+    progress: ProgressCallback = no_progress,
 ) -> Calibration:
-    """Return the calibrated pair from the pictures of both cameras, in one order.
+    """Return the calibrated pair from the pictures of both cameras, in one order, or with `right` None a single one.
 
-    A picture without a usable target is left out and named among what was dropped, with the reason. Raises
-    `InputError` where what remains does not allow a calibration.
+    A picture that cannot be read, or has no usable target, is left out and named among what was dropped, with the
+    reason. Raises `InputError` where what remains does not allow a calibration.
     """
-    pictures = [*left, *right]
+    pictures = [*left, *(right or [])]
     views: list[TargetView | None] = []
     failed: list[Dropped] = []
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as workers:
         for path, view in zip(pictures, workers.map(partial(_find, settings.target), pictures), strict=True):
             views.append(view if isinstance(view, TargetView) else None)
-            failed += [Dropped(str(path), 0, str(view))] if isinstance(view, TargetNotFound) else []
+            failed += [] if isinstance(view, TargetView) else [Dropped(str(path), 0, view)]
             progress("find target", len(views), len(pictures))
-    pairs: list[Pair] = list(zip(views[: len(left)], views[len(left) :], strict=True))
-    for side, paths, seen in zip(("left", "right"), (left, right), zip(*pairs, strict=True), strict=True):
+    pairs: list[Pair] = [(view, None) for view in views]
+    if right is not None:
+        pairs = list(zip(views[: len(left)], views[len(left) :], strict=True))
+    sides = [("left ", left)] + ([("right ", right)] if right is not None else [])
+    for (side, paths), seen in zip(sides, zip(*pairs, strict=True), strict=False):
         usable = sum(view is not None for view in seen)
         if usable < FEWEST_VIEWS:
             reasons = "; ".join(f"{Path(item.name).name}: {item.reason}" for item in failed) or "no picture failed"
-            found = f"{usable} usable of {len(paths)} {side} pictures ({reasons})"
+            found = f"{usable} usable of {len(paths)} {side if right is not None else ''}pictures ({reasons})"
             raise InputError(_folder(paths), "", found=found, expected=f"at least {FEWEST_VIEWS} of each camera")
     progress("adjust", 0, 1)
     with as_input_error(_folder(pictures)):
-        calibration = calibrate_pair(pairs, settings.target, settings.shape, settings.scale_u)
+        calibration = calibrate_pair(pairs, settings.target, settings.shape, settings.scale_u, settings.lens)
+    if settings.known is not None:
+        with as_input_error(_folder(pictures), "--known-length"):
+            calibration = with_length(calibration, settings.known)
     progress("adjust", 1, 1)
     return replace(calibration, dropped=(*failed, *calibration.dropped))
 
@@ -104,11 +118,7 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     for item in calibration.parameters:
         if item.name.endswith((".fx", ".fy")):
             print(f"{item.name} {plain(item.value, 2 * item.u)} px")
-    for dropped in calibration.dropped:
-        what = f"{dropped.points} points left out, " if dropped.points else "left out: "
-        print(f"{dropped.name}: {what}{dropped.reason}")
-    for notice in calibration.notices:
-        print(f"{notice.severity}: {notice.text}")
+    _print_remarks(calibration)
     print(f"calibration: {output}")
     print(f"report: {page}")
 
@@ -127,8 +137,11 @@ def run_cameras(
     used: dict[str, str | float | int] = {
         **{name: str(value) for name, value in asdict(settings.target).items() if value is not None},
         "shape": str(settings.shape),
+        "lens": str(settings.lens),
         "scale_uncertainty": settings.scale_u,
     }
+    if settings.known is not None:
+        used["known_length"] = " ".join(str(value) for value in asdict(settings.known).values())
     pictures = [*left, *right]
     hashes = hash_files(pictures, _folder(pictures))
     provenance = Provenance(hashes, used, versions(), (output.name, page.name))
@@ -138,14 +151,46 @@ def run_cameras(
     print_calibration(calibration, output, page)
 
 
-def _find(target: Target, path: Path) -> TargetView | TargetNotFound:
+def run_camera(
+    arguments: Sequence[str], settings: CameraSettings, output: Path, force: bool, progress: ProgressCallback
+) -> None:
+    """Calibrate a single camera from the pictures that the arguments name, write its file, print the summary."""
+    if output.suffix != ".json":
+        raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
+    check_new_file(output, force=force)
+    calibration = calibrate_cameras([path for part in arguments for path in _expanded(part)], None, settings, progress)
+    write_camera(output, calibration)
+    print(f"{len(calibration.views)} views, rms {calibration.rms_px:.3f} px (U: k = 2)")
+    for item in calibration.parameters:
+        print(f"{item.name.removeprefix('left.')} {plain(item.value, 2 * item.u)} {item.unit}")
+    _print_remarks(calibration)
+    print(f"calibration: {output}")
+
+
+def _print_remarks(calibration: Calibration) -> None:
+    """Print what was left out, and the notices."""
+    seen = [picture for view in calibration.views for picture in (view.left, view.right) if picture]
+    points = {picture.name: len(picture.used) for picture in seen}
+    for dropped in calibration.dropped:
+        what = f"{dropped.points} of {points[dropped.name]} points left out, " if dropped.points else "left out: "
+        print(f"{dropped.name}: {what}{dropped.reason}")
+    for notice in calibration.notices:
+        print(f"{notice.severity}: {notice.text}")
+
+
+def _find(target: Target, path: Path) -> TargetView | str:
     """Return the target in one picture, or why there is none."""
-    with as_input_error(path):
+    if not path.exists():
+        raise InputError(path, "", found="no such file", expected="a picture")
+    try:
         image, full_scale = read_picture(path)
+    except (OSError, ValueError) as error:
+        return str(error).removeprefix(f"{path}: ")
+    with as_input_error(path):
         try:
             return find_target(image, target, str(path), full_scale)
         except TargetNotFound as error:
-            return error
+            return str(error)
 
 
 def _expanded(argument: str) -> list[Path]:

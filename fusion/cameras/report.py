@@ -40,7 +40,7 @@ from fusion.cameras.quantities import (
 from fusion.report.folder import Provenance, origin_frame, render_page
 from fusion.report.table import Column, Headline, Table, measured, on_page, signed, small, table, times_ten
 from photogram.calibration.result import CalibratedPicture, Calibration, Dropped, Parameter
-from photogram.camera import RIG_PARAMETERS, ROTATION
+from photogram.camera import RIG_PARAMETERS, ROTATION, StereoRig
 from photogram.geometry import vector_from_rotation
 from shaker.arrays import IntArray
 
@@ -177,6 +177,54 @@ def parameters_table(calibration: Calibration) -> Table | None:
     return table("Parameters of the pair", columns, calibration.parameters)
 
 
+def judgement_table(calibration: Calibration) -> Table | None:
+    """What halves of the views, and other models, make of the same pictures."""
+    judged = calibration.judged
+    if judged is None:
+        return None
+    taken = f"{judged.shape}, {judged.lens}"
+    rows = [(f"all views ({taken})", calibration.rig, f"{judged.predicted_px:.4f}")]
+    rows += [
+        (f"{name} half of the views", rig, DASH)
+        for name, rig in zip(("odd", "even"), judged.halves or (), strict=False)
+    ]
+    rows += [(f"all views ({o.shape}, {o.lens})", o.rig, f"{o.predicted_px:.4f}") for o in judged.others]
+    whole = calibration.rig
+    focal_u = [np.sqrt(camera_of(whole, side)[1][0, 0]) for side in SIDES]
+    baseline, angle = baseline_m(whole), axes_angle_rad(whole)
+
+    def length(rig: StereoRig) -> str:
+        return rounded(1e3 * float(np.linalg.norm(rig.right_from_left.translation_m)), 2e3 * baseline.u).value
+
+    def turn(rig: StereoRig) -> str:
+        return rounded(np.degrees(np.arccos(rig.right_from_left.rotation[2, 2])), np.degrees(2 * angle.u)).value
+
+    columns: list[Column[tuple[str, StereoRig, str]]] = [
+        on_page("from", lambda row: row[0], "l"),
+        on_page("fx, left / px", lambda row: rounded(row[1].left.matrix[0, 0], 2 * focal_u[0]).value),
+        on_page("fx, right / px", lambda row: rounded(row[1].right.matrix[0, 0], 2 * focal_u[1]).value),
+        on_page("baseline / mm", lambda row: length(row[1])),
+        on_page("angle / °", lambda row: turn(row[1])),
+        on_page("views left out, rms length / px", lambda row: row[2]),
+    ]
+    return table("What halves of the views and other models make of the same pictures", columns, rows)
+
+
+def views_share(calibration: Calibration) -> str:
+    """How much more than the residuals alone the views make of the uncertainties."""
+    if calibration.judged is None or calibration.rig.covariance is None:
+        return ""
+    u, alone = np.sqrt(np.diagonal(calibration.rig.covariance)), calibration.judged.u_fit
+    more = (u / np.where(alone > 0, alone, np.inf))[[item.u > 0 and item.unit != "m" for item in _every(calibration)]]
+    return f"{float(np.median(more)):.2g} (median of the parameters), at most {float(more.max()):.2g}"
+
+
+def _every(calibration: Calibration) -> list[Parameter]:
+    """Return the rig's parameters, those that are held included."""
+    named = {item.name: item for item in calibration.parameters}
+    return [named.get(name, Parameter(name, 0.0, 0.0, "1", "determined")) for name in RIG_PARAMETERS]
+
+
 def correlations_table(calibration: Calibration) -> Table | None:
     """The strongest correlations of different parameters."""
     coefficients = np.nan_to_num(correlation(covariance_of(calibration.rig)))
@@ -303,6 +351,8 @@ def render_camera_report(calibration: Calibration, name: str, provenance: Proven
         "dropped": dropped_table(calibration),
         "residuals": residuals_table(calibration),
         "parameters": parameters_table(calibration),
+        "judged": judgement_table(calibration),
+        "views_share": views_share(calibration),
         "correlations": correlations_table(calibration),
         "lengths": lengths_table(calibration),
         "scale_u": calibration.scale_u,

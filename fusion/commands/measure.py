@@ -177,6 +177,11 @@ def _cameras_options(parser: Parser) -> None:
     parser.value("--scale-uncertainty", not_negative, "U", text, default=0.0)
     text = "target taken as flat, bowed, or with every point's offset estimated (default: auto, flat where it fits)"
     parser.choice("--shape", ("auto", "flat", "bowed", "free"), text)
+    text = "OpenCV's five coefficients, or the rational model with k4 k5 k6 (default: auto, five where they do)"
+    parser.choice("--lens", ("auto", "polynomial", "rational"), text)
+    parser.switch("--mono", "one camera: all pictures are its own; parameters and covariance, without a page")
+    text = "a length measured otherwise: two points column,row of the target or two pictures, m, standard uncertainty"
+    parser.add_argument("--known-length", nargs=4, metavar=("FROM", "TO", "M", "U"), help=text)
     parser.add_argument(
         "-o", "--output", required=True, type=Path, metavar="CALIBRATION", help="file NAME.json to write"
     )
@@ -187,16 +192,25 @@ def _cameras_options(parser: Parser) -> None:
 def cameras(options: argparse.Namespace) -> None:
     """Calibrate a stereo pair from target pictures."""
     from fusion.base import InputError, progress_bar
-    from fusion.cameras.calibrate import CameraSettings, run_cameras
+    from fusion.cameras.calibrate import CameraSettings, run_camera, run_cameras
+    from photogram.calibration.scale import KnownLength
     from photogram.targets.view import Target
 
     try:
         target = Target(options.target, options.spacing, options.size, options.dictionary)
     except ValueError as error:
         raise InputError("shakercal cameras", "--" + str(error).partition(":")[0], str(error), "") from error
-    settings = CameraSettings(target, options.shape, options.scale_uncertainty)
+    known = None
+    if options.known_length is not None:
+        first, second, *numbers = options.known_length
+        try:
+            known = KnownLength(first, second, *map(float, numbers))
+        except ValueError as error:
+            raise InputError("shakercal cameras", "--known-length", str(error), "") from error
+    settings = CameraSettings(target, options.shape, options.scale_uncertainty, options.lens, known)
     with progress_bar(enabled=not options.quiet) as progress:
-        run_cameras(options.pictures, settings, options.output, options.force, progress)
+        run = run_camera if options.mono else run_cameras
+        run(options.pictures, settings, options.output, options.force, progress)
 
 
 def _import_calibration_options(parser: Parser) -> None:

@@ -1,4 +1,4 @@
-"""Bundle adjustment of a stereo pair: cameras, relative pose, target poses and target shape in one least squares."""
+"""What cameras see of a target: pixels with derivatives by camera, relative pose, target pose and target shape."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
-from photogram.geometry import RigidTransform, rotation_from_vector, skew
+from photogram.geometry import RigidTransform, rotation_from_vector
 
+_OVER, _UNDER = [4, 5, 8], [9, 10, 11]  # places of k1 k2 k3 and of k4 k5 k6 among a camera's parameters
+_RADII2 = np.array([0.25, 0.6, 1.0])  # squared, in units of the picture's corner's
 _ANGLE = 2 * np.pi * np.arange(12) / 12
 _RIM = np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE)])  # where on a dot's rim the lens's distortion is looked at
 
@@ -50,51 +52,75 @@ def see(
 
     The derivatives leave out how the lens's bending of a dot's rim changes, some 10⁻⁵ of them.
     """
-    normal_left = left_from_target.rotation[:, 2]
-    normal = camera_from_left.rotation @ normal_left
-    turned = point_m @ left_from_target.rotation.T
-    in_camera_turned = (turned + left_from_target.translation_m) @ camera_from_left.rotation.T
+    one = np.zeros(len(point_m), np.int64)
+    return see_views(camera, camera_from_left, (left_from_target,), one, point_m, radius_m)
+
+
+def see_views(
+    camera: Camera,
+    camera_from_left: RigidTransform,
+    left_from_target: Sequence[RigidTransform],
+    view: IntArray,
+    point_m: FloatArray,
+    radius_m: float,
+) -> Seen:
+    """Return where a camera sees points (N, 3) of the target, each in the view (N,) of it; otherwise as `see`."""
+    rotations = np.stack([pose.rotation for pose in left_from_target])
+    rotation, translation = rotations[view], np.stack([pose.translation_m for pose in left_from_target])[view]
+    normal_left = rotation[:, :, 2]
+    normal = normal_left @ camera_from_left.rotation.T
+    turned = np.einsum("nij,nj->ni", rotation, point_m)
+    in_camera_turned = (turned + translation) @ camera_from_left.rotation.T
     in_camera = in_camera_turned + camera_from_left.translation_m
     flat, flat_by_place, flat_by_normal = ellipse_centres(in_camera, normal, radius_m)
     placed, by_flat = distorted(camera, flat)
     if radius_m > 0:
-        disc = radius_m * camera_from_left.rotation @ left_from_target.rotation[:, :2]
-        rim = in_camera[:, None] + _RIM @ disc.T
+        disc = radius_m * (camera_from_left.rotation @ rotations[:, :, :2])[view]
+        rim = in_camera[:, None] + _RIM @ disc.transpose(0, 2, 1)
         placed = placed + _bent(camera, rim[..., :2] / rim[..., 2:], flat, placed, by_flat)
     by_flat = camera.matrix[:2, :2] @ by_flat
-    by_place, by_normal = by_flat @ flat_by_place, by_flat @ flat_by_normal
-    by_left, by_left_normal = by_place @ camera_from_left.rotation, by_normal @ camera_from_left.rotation
-    pixel = placed @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
+    by_place = by_flat @ flat_by_place
+    by_left = by_place @ camera_from_left.rotation
+    by_turn, by_left_turn = -_crossed(by_place, in_camera_turned), -_crossed(by_left, turned)
+    if radius_m > 0:
+        by_normal = by_flat @ flat_by_normal
+        by_turn -= _crossed(by_normal, normal)
+        by_left_turn -= _crossed(by_normal @ camera_from_left.rotation, normal_left)
     return Seen(
-        pixel,
+        placed @ camera.matrix[:2, :2].T + camera.matrix[:2, 2],
         _by_camera(camera, flat, placed),
-        np.concatenate([by_place, -by_place @ skew(in_camera_turned) - by_normal @ skew(normal)], axis=-1),
-        np.concatenate([by_left, -by_left @ skew(turned) - by_left_normal @ skew(normal_left)], axis=-1),
-        by_left @ left_from_target.rotation,
+        np.concatenate([by_place, by_turn], axis=-1),
+        np.concatenate([by_left, by_left_turn], axis=-1),
+        by_left @ rotation,
     )
+
+
+def _crossed(rows: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return rows (N, 2, 3) times the matrices [v]× of vectors (N, 3): r·[v]× = r × v."""
+    return np.cross(rows, vector[:, None])
 
 
 def ellipse_centres(
     centre_m: FloatArray, normal: FloatArray, radius_m: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the centres (N, 2), x/z and y/z, of the ellipses that an ideal camera sees of dots around c (N, 3), and
-    their derivatives (N, 2, 3) by c and by the normal n (3,) of the dots' plane.
+    their derivatives (N, 2, 3) by c and by the normal n, (3,) or (N, 3), of the dots' plane.
 
     The cone through a dot of radius ρ has the dual conic ρ²·(I − n·nᵀ) − c·cᵀ, and the ellipse's centre is the pole
     of the line at infinity, its last column (Heikkilä 2000, IEEE PAMI 22, 1066, eq. 16, written for n):
     e = (c_xy·c_z + ρ²·n_xy·n_z)/(c_z² − ρ²·|n_xy|²).
     """
     across, depth = centre_m[:, :2], centre_m[:, 2:]
-    square = radius_m**2
-    over = depth**2 - square * float(normal[:2] @ normal[:2])
-    centre = (across * depth + square * normal[:2] * normal[2]) / over
+    normal, square = np.broadcast_to(normal, centre_m.shape), radius_m**2
+    over = depth**2 - square * (normal[:, :2] ** 2).sum(axis=1, keepdims=True)
+    centre = (across * depth + square * normal[:, :2] * normal[:, 2:]) / over
     by_place = np.zeros((len(centre_m), 2, 3))
     by_place[:, 0, 0] = by_place[:, 1, 1] = (depth / over)[:, 0]
     by_place[:, :, 2] = (across - 2 * centre * depth) / over
     by_normal = np.empty((len(centre_m), 2, 3))
-    by_normal[:, :, :2] = 2 * square * centre[:, :, None] * normal[:2] / over[:, :, None]
-    by_normal[:, :, :2] += square * normal[2] * np.eye(2) / over[:, :, None]
-    by_normal[:, :, 2] = square * normal[:2] / over
+    by_normal[:, :, :2] = 2 * square * centre[:, :, None] * normal[:, None, :2] / over[:, :, None]
+    by_normal[:, :, :2] += square * normal[:, 2, None, None] * np.eye(2) / over[:, :, None]
+    by_normal[:, :, 2] = square * normal[:, :2] / over
     return centre, by_place, by_normal
 
 
@@ -162,26 +188,29 @@ _STRETCH = 3.0  # rms displacement by stretch of one axis and by shear, over tha
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Shape(Arrays, shapes="index P 2; value_m S; flat_m P 3; basis P 3 S; prior_m S"):
-    """Points of a target, flat_m (P, 3) + basis (P, 3, S)·value_m (S,), with what is known of the values beforehand.
+class Shape(Arrays, shapes="index P 2; value_m S; flat_m P 3; modes P 3 M; prior_m S"):
+    """Points of a target, flat_m (P, 3) + modes (P, 3, M)·value_m, with what is known of the values beforehand.
 
-    `index` (P, 2): lattice indices. `prior_m` (S,): standard deviations of the values around zero. `group` (S,): values
-    of one group have one prior; `from_data`: whether it is estimated together with them; that of the last group is then
-    `_STRETCH` times that of the first.
+    `index` (P, 2): lattice indices. Where the points are `free`, an offset of each, x y z point by point, comes first
+    among the values (S,), then those of the modes. `prior_m` (S,): standard deviations of the values around zero;
+    of free points they are estimated together with them, by `group` (S,): within the plane, across it, and of the modes
+    `_STRETCH` times that within the plane.
     """
 
     index: IntArray
     flat_m: FloatArray
-    basis: FloatArray
+    modes: FloatArray
     value_m: FloatArray
     prior_m: FloatArray
     group: IntArray
-    from_data: bool
+    free: bool
 
     @property
     def points_m(self) -> FloatArray:
         """The points (P, 3) as they are estimated."""
-        return np.asarray(self.flat_m + self.basis @ self.value_m)
+        modes = self.modes.shape[2]
+        offset = self.modes @ self.value_m[len(self.value_m) - modes :]
+        return np.asarray(self.flat_m + offset + (self.value_m[:-modes].reshape(-1, 3) if self.free else 0.0))
 
     def moved(self, step_m: FloatArray) -> Shape:
         """Return the shape with its values changed by a step (S,)."""
@@ -192,7 +221,7 @@ class Shape(Arrays, shapes="index P 2; value_m S; flat_m P 3; basis P 3 S; prior
 
         One step of expectation and maximisation: σ² = mean of value² + variance (Dempster, Laird, Rubin 1977).
         """
-        if not self.from_data:
+        if not self.free:
             return self
         second = self.value_m**2 + variance_m2
         inside, across = (float(np.sqrt(second[self.group == group].mean())) for group in (0, 1))
@@ -215,23 +244,18 @@ def make_shape(kind: ShapeKind, index: IntArray, spacing_m: float) -> Shape:
         middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
         half = np.linalg.norm(flat - middle, axis=1).max()
         x, y = ((flat - middle)[:, :2] / half).T
-        basis = np.zeros((points, 3, 3))
-        basis[:, 2] = np.column_stack([x * x, x * y, y * y])
-        return Shape(index, flat, basis, np.zeros(3), np.full(3, _BOW * half), np.zeros(3, np.int64), False)
+        modes = np.zeros((points, 3, 3))
+        modes[:, 2] = np.column_stack([x * x, x * y, y * y])
+        return Shape(index, flat, modes, np.zeros(3), np.full(3, _BOW * half), np.zeros(3, np.int64), False)
     place = (flat - flat.mean(axis=0))[:, :2]
-    stretch, shear = np.zeros((points, 3, 1)), np.zeros((points, 3, 1))
-    stretch[:, :2, 0], shear[:, :2, 0] = place * [1, -1], place[:, ::-1]
-    size = np.sqrt((place**2).sum(axis=1).mean())
-    single = np.eye(3 * points).reshape(points, 3, 3 * points)
-    basis = np.concatenate([single, stretch / size, shear / size], axis=-1)
+    modes = np.zeros((points, 3, 2))
+    modes[:, :2, 0], modes[:, :2, 1] = place * [1, -1], place[:, ::-1]  # stretch, shear
     group = np.array([*np.tile([0, 0, 1], points), 2, 2])
     prior = np.array([1.0, 1.0, _STRETCH])[group] * _FREE * spacing_m
-    return Shape(index, flat, basis, np.zeros(len(group)), prior, group, True)
+    return Shape(index, flat, modes / np.sqrt((place**2).sum(axis=1).mean()), np.zeros(len(group)), prior, group, True)
 
 
 _RIG = len(RIG_PARAMETERS)
-_STEPS = 100  # steps allowed; five to ten are the rule, more with long focal lengths and large residuals
-_CONVERGED = 1e-3  # expected decrease of χ² that ends the iteration: parameters to 0.03 of their uncertainty
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,78 +326,6 @@ class Bundle:
         return see(camera, relative, self.poses[picture.view], points, picture.radius_m)
 
 
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """What is known of the rig before the pictures: expected parameters (32,) and standard deviations, inf for none.
-
-    Those with the standard deviation zero are held where they are. The three of the rotation are no parameters with a
-    value, so they have no prior. `aspect_px` (left, right): standard deviation of fx − fy around the expected.
-    """
-
-    value: FloatArray
-    sigma: FloatArray
-    aspect_px: tuple[float, float]
-
-    def away(self, parameters: FloatArray) -> FloatArray:
-        """Return how far (Q + 2,) parameters (32,) and fx − fy are from what is expected, in standard deviations."""
-        return np.asarray(self.slope @ (parameters - self.value)[self.free])
-
-    @property
-    def free(self) -> IntArray:
-        """Places (Q,) of the parameters that are estimated."""
-        return np.flatnonzero(self.sigma > 0)
-
-    @property
-    def slope(self) -> FloatArray:
-        """The derivative (Q + 2, Q) of `away` by the parameters that are estimated."""
-        aspect = np.zeros((2, _RIG))
-        for row, (camera, sigma) in enumerate(zip((LEFT, RIGHT), self.aspect_px, strict=True)):
-            aspect[row, camera[:2]] = 1 / sigma, -1 / sigma
-        return np.concatenate([np.diag(1 / self.sigma[self.free]), aspect[:, self.free]])
-
-
-@dataclass(frozen=True, eq=False)
-class Adjusted:
-    """The most likely bundle, the covariance of rig and shape (32 + S, 32 + S) and of each pose (V, 6, 6)."""
-
-    bundle: Bundle
-    covariance: FloatArray
-    pose_covariance: FloatArray
-
-
-def adjust(start: Bundle, pictures: Sequence[Picture], prior: Prior) -> Adjusted:
-    """Return the bundle that minimises Σ rᵀ·C⁻¹·r over all points plus the priors' squares.
-
-    Levenberg–Marquardt; the poses are eliminated view by view (Triggs et al. 2000, Bundle Adjustment, section 6.1).
-    Raises `ValueError` when the sum of squares cannot be brought to a minimum.
-    """
-    bundle, damping, cost = start, 1e-3, _cost(start, pictures, prior)
-    for _ in range(_STEPS):
-        normal = _normal(bundle, pictures, prior)
-        step, pose_steps, decrease = normal.step(damping)
-        change = np.zeros(_RIG + len(bundle.shape.value_m))
-        change[normal.places] = step
-        tried = bundle.moved(change, pose_steps)
-        found = _cost(tried, pictures, prior)
-        if found <= cost * (1 + 1e-12):
-            bundle, cost, damping = tried, min(found, cost), max(damping / 10, 1e-12)
-            if decrease < _CONVERGED:
-                normal = _normal(bundle, pictures, prior)
-                common, pose = normal.covariance()
-                covariance = np.zeros((_RIG + len(bundle.shape.value_m),) * 2)
-                covariance[np.ix_(normal.places, normal.places)] = common
-                return Adjusted(bundle, covariance, pose)
-        else:
-            damping = max(10 * damping, 1e-6)
-    raise ValueError("the bundle adjustment did not converge; add views or leave out doubtful pictures")
-
-
-def whitened_squares(bundle: Bundle, picture: Picture) -> tuple[FloatArray, FloatArray]:
-    """Return residuals found − modelled (N, 2) and rᵀ·C⁻¹·r (N,) of one picture."""
-    residual = picture.position_px - bundle.see(picture).pixel
-    return residual, np.einsum("ni,nij,nj->n", residual, picture.precision, residual)
-
-
 def moved_pose(middle_m: FloatArray, pose: RigidTransform, step: FloatArray, growth: FloatArray) -> RigidTransform:
     """Return a target's pose after a step (6,), its middle moving linearly in the picture and in logarithmic depth.
 
@@ -396,86 +348,17 @@ def _place_moved(place: FloatArray, step: FloatArray, growth: FloatArray) -> Flo
 
 
 def _camera_moved(camera: Camera, step: FloatArray) -> Camera:
-    """Return the camera after a step (9,), focal lengths by factors."""
+    """Return the camera after a step (13,), focal lengths by factors.
+
+    Of a rational lens it is the radial factor at three radii, not k1, k2 and k3, that goes straight.
+    """
     parameters = camera.parameters + step
     parameters[:2] = camera.parameters[:2] * np.exp(step[:2] / camera.parameters[:2])
+    if parameters[9:12].any():
+        corner2 = float((camera.size_px**2).sum()) / 4 / float(camera.parameters[:2].mean()) ** 2
+        powers = (corner2 * _RADII2)[:, None] ** np.arange(1, 4)
+        over, under = (1 + powers @ camera.parameters[places] for places in (_OVER, _UNDER))
+        change = (powers @ step[_OVER] - over / under * (powers @ step[_UNDER])) / under
+        after = (over / under + change) * (1 + powers @ parameters[_UNDER])
+        parameters[_OVER] = np.linalg.solve(powers, after - 1)
     return Camera.from_parameters(parameters, camera.size_px)
-
-
-def _cost(bundle: Bundle, pictures: Sequence[Picture], prior: Prior) -> float:
-    """Return the sum of squares; infinite when a point falls behind a camera."""
-    squares = sum(float(whitened_squares(bundle, picture)[1].sum()) for picture in pictures)
-    away = prior.away(bundle.rig.values)
-    shape = bundle.shape.value_m / bundle.shape.prior_m
-    total = squares + float(away @ away) + float(shape @ shape)
-    return total if np.isfinite(total) else np.inf
-
-
-@dataclass(frozen=True, eq=False)
-class _Normal:
-    """Normal equations: rig and shape (G, G), each pose (V, 6, 6), what couples them (V, G, 6), right-hand sides.
-
-    `places` (G,): which of the rig's and the shape's parameters these are.
-    """
-
-    places: IntArray
-    common: FloatArray
-    pose: FloatArray
-    coupling: FloatArray
-    common_side: FloatArray
-    pose_side: FloatArray
-
-    def step(self, damping: float) -> tuple[FloatArray, FloatArray, float]:
-        """Return the damped step of rig and shape, that of the poses, and the decrease that it promises."""
-        raised = np.einsum("vii->vi", self.pose)[:, :, None] * np.eye(6)
-        pose = self.pose + damping * raised
-        common = self.common + damping * np.diag(np.diagonal(self.common))
-        solved = np.linalg.solve(pose, self.pose_side[..., None])[..., 0]
-        reduced, scale = self._reduced(common, pose)
-        side = self.common_side - np.einsum("vgi,vi->g", self.coupling, solved)
-        step = np.linalg.solve(reduced, side * scale) * scale
-        back = np.linalg.solve(pose, np.einsum("vgi,g->vi", self.coupling, step)[..., None])[..., 0]
-        pose_steps = solved - back
-        return step, pose_steps, float(self.common_side @ step + (self.pose_side * pose_steps).sum())
-
-    def covariance(self) -> tuple[FloatArray, FloatArray]:
-        """Return the covariances of rig and shape (G, G) and of each pose (V, 6, 6)."""
-        reduced, scale = self._reduced(self.common, self.pose)
-        common = np.linalg.inv(reduced) * np.outer(scale, scale)
-        common = (common + common.T) / 2
-        answer = np.linalg.solve(self.pose, self.coupling.transpose(0, 2, 1))
-        pose = np.linalg.inv(self.pose) + answer @ common @ answer.transpose(0, 2, 1)
-        return common, (pose + pose.transpose(0, 2, 1)) / 2
-
-    def _reduced(self, common: FloatArray, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the Schur complement of the poses, scaled to a diagonal near one, and the scale (G,)."""
-        turned = np.linalg.solve(pose, self.coupling.transpose(0, 2, 1))
-        reduced = common - np.einsum("vgi,vih->gh", self.coupling, turned)
-        scale = 1 / np.sqrt(np.diagonal(common))
-        return reduced * np.outer(scale, scale), scale
-
-
-def _normal(bundle: Bundle, pictures: Sequence[Picture], prior: Prior) -> _Normal:
-    """Return the normal equations at the bundle."""
-    shape, free = bundle.shape, prior.free
-    size, views = len(free) + len(shape.value_m), len(bundle.poses)
-    common = np.diag(np.concatenate([np.zeros(len(free)), shape.prior_m**-2.0]))
-    common[: len(free), : len(free)] = prior.slope.T @ prior.slope
-    common_side = np.concatenate([-prior.slope.T @ prior.away(bundle.rig.values), -shape.value_m / shape.prior_m**2])
-    pose, coupling, pose_side = np.zeros((views, 6, 6)), np.zeros((views, size, 6)), np.zeros((views, 6))
-    for picture in pictures:
-        seen, view = bundle.see(picture), picture.view
-        slope = np.concatenate(
-            [seen.by_rig(picture.side)[..., free], seen.by_point @ shape.basis[picture.point]], axis=-1
-        )
-        weighted_common = (picture.precision @ slope).reshape(-1, size)
-        weighted = (picture.precision @ seen.by_pose).reshape(-1, 6)
-        slope, pose_slope = slope.reshape(-1, size), seen.by_pose.reshape(-1, 6)
-        residual = (picture.position_px - seen.pixel).ravel()
-        common += slope.T @ weighted_common
-        common_side += weighted_common.T @ residual
-        pose[view] += pose_slope.T @ weighted
-        coupling[view] += slope.T @ weighted
-        pose_side[view] += weighted.T @ residual
-    places = np.concatenate([free, _RIG + np.arange(len(shape.value_m))])
-    return _Normal(places, common, pose, coupling, common_side, pose_side)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from photogram.arrays import FloatArray, check_shape
-from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
+from photogram.calibration.result import Calibration
+from photogram.camera import CAMERA_PARAMETERS, LEFT, RIG_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, nearest_rotation
 
 _KEYS = ("format", "image_size", "left", "right", "rotation", "translation", "reprojection_rms", "covariance")
@@ -70,7 +71,50 @@ def write_calibration(path: str | Path, rig: StereoRig, reprojection_rms_px: flo
             "matrix": covariance[np.ix_(stated, stated)].tolist(),
         },
     }
+    _write(Path(path), content)
+
+
+_CAMERA_KEYS = ("format", "image_size", "camera", "reprojection_rms", "covariance")
+
+
+def write_camera(path: str | Path, calibration: Calibration) -> None:
+    """Write the left camera of a calibration as a file of its own, covariance (P, P) of what is uncertain included.
+
+    Its keys: format 1, image_size, camera (matrix, distortion), reprojection_rms, covariance (parameters, matrix).
+    """
+    camera, covariance = calibration.rig.left, calibration.rig.covariance
+    assert covariance is not None
+    stated = [n for n, place in enumerate(LEFT) if covariance[place, place] > 0]
+    content = {
+        "format": 1,
+        "image_size": [int(size) for size in camera.size_px],
+        "camera": _lens(camera),
+        "reprojection_rms": calibration.rms_px,
+        "covariance": {
+            "parameters": [CAMERA_PARAMETERS[n] for n in stated],
+            "matrix": covariance[np.ix_(LEFT[stated], LEFT[stated])].tolist(),
+        },
+    }
+    _write(Path(path), content)
+
+
+def read_camera(path: str | Path) -> tuple[Camera, FloatArray]:
+    """Return a single camera and the covariance (13, 13) of its parameters from a file of `write_camera`."""
     path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_without_repeats)
+        _check_keys("", content, _CAMERA_KEYS)
+        if isinstance(content["format"], bool) or content["format"] != 1:
+            raise ValueError(f"format: expected 1, found {content['format']!r}")
+        camera = _camera("camera", content["camera"], _size(content["image_size"]))
+        covariance = _covariance(content["covariance"], CAMERA_PARAMETERS)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: {error}") from error
+    return camera, np.zeros((len(CAMERA_PARAMETERS),) * 2) if covariance is None else covariance
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON text by a temporary name and one replacement."""
     temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
     try:
         temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
@@ -99,9 +143,7 @@ def _rig(content: Any) -> StereoRig:
     _check_keys("", content, _KEYS)
     if isinstance(content["format"], bool) or content["format"] != 1:
         raise ValueError(f"format: expected 1, found {content['format']!r}")
-    size = _numbers("image_size", content["image_size"], (2,))
-    if (size != np.round(size)).any() or (size < 1).any():
-        raise ValueError(f"image_size: expected two whole numbers of pixels, found {content['image_size']}")
+    size = _size(content["image_size"])
     if content["reprojection_rms"] is not None:
         _numbers("reprojection_rms", content["reprojection_rms"], ())
     translation = _numbers("translation", content["translation"], (3,))
@@ -110,8 +152,16 @@ def _rig(content: Any) -> StereoRig:
         left=_camera("left", content["left"], size),
         right=_camera("right", content["right"], size),
         right_from_left=RigidTransform(nearest_rotation(given.rotation), translation),
-        covariance=_covariance(content["covariance"]),
+        covariance=_covariance(content["covariance"], RIG_PARAMETERS),
     )
+
+
+def _size(found: Any) -> FloatArray:
+    """Return the width and height of the pictures."""
+    size = _numbers("image_size", found, (2,))
+    if (size != np.round(size)).any() or (size < 1).any():
+        raise ValueError(f"image_size: expected two whole numbers of pixels, found {found}")
+    return size
 
 
 def _check_keys(where: str, found: Any, expected: tuple[str, ...]) -> None:
@@ -161,21 +211,21 @@ def _camera(side: str, found: Any, size: FloatArray) -> Camera:
         raise ValueError(f"{side}.{error}") from error
 
 
-def _covariance(found: Any) -> FloatArray | None:
-    """Return the covariance (32, 32) with zeros for parameters that the file leaves out."""
+def _covariance(found: Any, known: tuple[str, ...]) -> FloatArray | None:
+    """Return the covariance (N, N) of `known` names, with zeros for parameters that the file leaves out."""
     if found is None:
         return None
     _check_keys("covariance", found, ("parameters", "matrix"))
     names = found["parameters"]
     if not isinstance(names, list) or not names:
         raise ValueError(f"covariance.parameters: expected a list of names, found {names!r}")
-    unknown = [name for name in names if name not in RIG_PARAMETERS]
+    unknown = [name for name in names if name not in known]
     if unknown:
-        raise ValueError(f"covariance.parameters: expected names like {RIG_PARAMETERS[0]!r}, found {unknown[0]!r}")
+        raise ValueError(f"covariance.parameters: expected names like {known[0]!r}, found {unknown[0]!r}")
     if len(set(names)) < len(names):
         raise ValueError("covariance.parameters: expected each name once, found one twice")
     matrix = _numbers("covariance.matrix", found["matrix"], (len(names), len(names)))
-    full = np.zeros((len(RIG_PARAMETERS), len(RIG_PARAMETERS)))
-    index = [RIG_PARAMETERS.index(name) for name in names]
+    full = np.zeros((len(known), len(known)))
+    index = [known.index(name) for name in names]
     full[np.ix_(index, index)] = matrix
     return full

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, Notice
-from photogram.camera import RIG_PARAMETERS, StereoRig
+from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, TRANSLATION, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.targets.view import Target
 
@@ -75,6 +75,35 @@ class Dropped:
     reason: str
 
 
+@dataclass(frozen=True, eq=False)
+class OtherModel:
+    """What another shape of the target ("flat", "free") or lens ("polynomial", "rational") makes of the same pictures.
+
+    `predicted_px`: rms length of what the other views leave of a view's points, its pose fitted to them.
+    """
+
+    shape: str
+    lens: str
+    rig: StereoRig
+    predicted_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What the views of a session say of each other: shape and lens taken, `predicted_px` as in `OtherModel`.
+
+    `u_fit` (32,): standard uncertainties that the residuals alone would give. `halves`: the rigs of every second view
+    and of the others, None for few views. `others`: models that were tried, and not taken.
+    """
+
+    shape: str
+    lens: str
+    predicted_px: float
+    u_fit: FloatArray
+    halves: tuple[StereoRig, StereoRig] | None
+    others: tuple[OtherModel, ...]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
     """A calibrated stereo pair and how it came about.
@@ -83,8 +112,9 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
     apart. `added_px` (left, right): noise per coordinate that comes on top of the points' own; `sigma_factor`:
     √(reduced χ²) of `dof` degrees of freedom with both, a factor of the covariance.
     `shape_m` (P, 3): estimated positions of the target's points (`shape_index` (P, 2)), the flat lattice where it was
-    held flat. `scale_u`: relative standard uncertainty of the target's spacing, contained in the rig's covariance.
-    `covered`: (left, right), share of each picture's area within the points' cells.
+    held flat; `shape_u_m` (P, 3): their standard uncertainties, None where they have no offsets of their own.
+    `scale_u`: relative standard uncertainty of the target's spacing, contained in the rig's covariance. `covered`:
+    (left, right), share of each picture's area within the points' cells. `judged`: what the views say of each other.
     """
 
     rig: StereoRig
@@ -102,6 +132,13 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
     covered: tuple[float, float]
     dropped: tuple[Dropped, ...]
     notices: tuple[Notice, ...]
+    judged: Judgement | None = None
+    shape_u_m: FloatArray | None = None
+
+    @property
+    def single(self) -> bool:
+        """Whether it is of one camera only, the left one."""
+        return all(view.right is None for view in self.views)
 
 
 COVERAGE_CELLS = (8, 6)  # columns and rows of the cells by which coverage is told
@@ -144,6 +181,7 @@ _FOCAL_U = 0.005  # relative standard uncertainty of a focal length above which 
 _FOCAL_LIMIT = 0.05  # and above which the calibration is refused
 _ADDED_PX = 0.15  # noise beyond the pictures' own, per coordinate, above which the user is told
 _UNITS = {"f": "px", "c": "px", "s": "px", "k": "1", "p": "1"}
+_SQUARE = 1e-3  # pixels of a sensor are square within this, relative
 _STATES = {
     "open": "not determined by these views (taken from an ordinary lens)",
     "indistinct": "not distinguishable from zero",
@@ -153,13 +191,14 @@ _STATES = {
 def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[Parameter, ...]:
     """Return the parameters of a rig with covariance, and what the views say about each beside the prior.
 
-    The 24 of every rig, and of the lenses' further terms those that are not known to be zero.
+    The 24 of every rig, and of the lenses' further terms those that are not known to be zero. Those with the prior's
+    standard deviation zero, held in this session, are none.
     """
     covariance = np.zeros((len(RIG_PARAMETERS),) * 2) if rig.covariance is None else rig.covariance
     parameters = []
     for number, (name, value) in enumerate(zip(RIG_PARAMETERS, rig.values, strict=True)):
         u, kind = float(np.sqrt(covariance[number, number])), name.split(".")[1][0]
-        if name.endswith((".k4", ".k5", ".k6", ".skew")) and u == 0 == value:
+        if (name.endswith((".k4", ".k5", ".k6", ".skew")) and u == 0 == value) or prior_sigma[RIGHT[0]] == 0 == u:
             continue
         lens = not name.startswith(("rotation", "translation"))
         unit = _UNITS[kind] if lens else ("rad" if name.startswith("rotation") else "m")
@@ -189,9 +228,10 @@ def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
     def warn(text: str, where: str) -> None:
         notices.append(Notice("warning", text, where))
 
-    pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
+    pairs = sum(calibration.single or (view.left is not None and view.right is not None) for view in calibration.views)
     if pairs < _MANY_VIEWS:
-        warn(f"only {pairs} pairs; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
+        many = "views" if calibration.single else "pairs"
+        warn(f"only {pairs} {many}; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
     spread, axes = spread_of_turns([view.left_from_target for view in calibration.views])
     if spread[0] < _LITTLE_TURN_RAD:
         axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
@@ -206,6 +246,7 @@ def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
         if item.name.endswith((".fx", ".fy")) and item.u > _FOCAL_U * item.value:
             text = f"{item.name} is known to {100 * item.u / item.value:.1f} % only (k = 1)"
             warn(f"{text}; more turned views at other distances improve it", item.name)
+    notices += [*_aspects(calibration.rig), *_differences(calibration)]
     for state, text in _STATES.items():
         names = [item.name for item in calibration.parameters if item.state == state]
         if names:
@@ -220,6 +261,59 @@ def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
     if worst >= _ADDED_PX:
         text = f"the points are {worst:.2f} px (per coordinate) off beyond the pictures' noise: rough print, a bent"
         warn(f"{text} target or a lens that the model does not describe; see the residual maps", "residuals")
-    if calibration.scale_u == 0:
+    if calibration.scale_u == 0 and not calibration.single:
         warn("the uncertainty of the target's spacing is not stated, so that of all lengths lacks its share", "scale")
     return tuple(notices)
+
+
+def _aspects(rig: StereoRig) -> Iterator[Notice]:
+    """Yield what is to be said of focal lengths whose ratio is none of square pixels."""
+    for side, camera, places in (("left", rig.left, LEFT), ("right", rig.right, RIGHT)):
+        if rig.covariance is None or not rig.covariance[places[0], places[0]] > 0:
+            continue
+        fx, fy = camera.parameters[:2]
+        slope = np.array([1 / fy, -fx / fy**2])
+        ratio, u = fx / fy, float(np.sqrt(slope @ rig.covariance[np.ix_(places[:2], places[:2])] @ slope))
+        if abs(ratio - 1) > 2 * np.hypot(u, _SQUARE):
+            text = f"{side}.fx/{side}.fy is {ratio:.4f} (U = {2 * u:.4f}, k = 2); a sensor with square pixels has 1"
+            more = "a print stretched along one axis, too few turned views, or pictures scaled in one direction"
+            yield Notice("warning", f"{text}: {more}", side)
+
+
+def _differences(calibration: Calibration) -> Iterator[Notice]:
+    """Yield by what models that were tried and not taken differ beyond the expanded uncertainty."""
+    judged, sigma = calibration.judged, calibration.rig.covariance
+    if judged is None or sigma is None:
+        return
+    for other in judged.others:
+        value = _told(other.rig)
+        apart = {
+            name: (mine, value[name], 2 * u)
+            for (name, mine), u in zip(_told(calibration.rig).items(), _told_u(calibration.rig), strict=True)
+            if abs(value[name] - mine) > 2 * u > 0
+        }
+        if apart:
+            said = ", ".join(
+                f"{name} {theirs:.6g}, not {mine:.6g} (U = {u:.2g})" for name, (mine, theirs, u) in apart.items()
+            )
+            text = (
+                f"a {other.shape} target with a {other.lens} lens would give {said}; the views left out are predicted "
+                f"to {judged.predicted_px:.3f} px ({judged.shape}, {judged.lens}) and {other.predicted_px:.3f} px there"
+            )
+            yield Notice("warning", text, "model")
+
+
+def _told(rig: StereoRig) -> dict[str, float]:
+    """Return focal lengths in px and the baseline in mm."""
+    focal = {f"{side}.fx / px": camera.matrix[0, 0] for side, camera in (("left", rig.left), ("right", rig.right))}
+    return {**focal, "baseline / mm": 1e3 * float(np.linalg.norm(rig.right_from_left.translation_m))}
+
+
+def _told_u(rig: StereoRig) -> FloatArray:
+    """Return the standard uncertainties (3,) of these."""
+    assert rig.covariance is not None
+    slope = np.zeros((3, len(rig.covariance)))
+    slope[0, LEFT[0]] = slope[1, RIGHT[0]] = 1.0
+    translation = rig.right_from_left.translation_m
+    slope[2, TRANSLATION] = 1e3 * translation / (np.linalg.norm(translation) or 1.0)
+    return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", slope, rig.covariance, slope)))

@@ -9,19 +9,23 @@ from typing import Literal
 import numpy as np
 
 from photogram.arrays import BoolArray, FloatArray
-from photogram.calibration.bundle import Adjusted, Bundle, Picture, ShapeKind, adjust, whitened_squares
+from photogram.calibration.adjust import Adjusted, Prior, adjust, residuals
+from photogram.calibration.bundle import Bundle, Picture, ShapeKind
+from photogram.calibration.left_out import LeftOut, leave_out, split_half, stated_covariance
 from photogram.calibration.result import (
     CalibratedPicture,
     CalibratedView,
     Calibration,
     Dropped,
+    Judgement,
+    OtherModel,
     covered_share,
     refuse_open_focal_lengths,
     rig_parameters,
     session_notices,
 )
-from photogram.calibration.start import Pair, lens_prior, picture_of, start_bundle
-from photogram.camera import TRANSLATION
+from photogram.calibration.start import LensKind, Pair, lens_prior, picture_of, start_bundle
+from photogram.camera import TRANSLATION, StereoRig
 from photogram.targets.view import Target, TargetView
 
 _ROUNDS = 12
@@ -29,70 +33,112 @@ _START_NOISE_PX = 0.2  # noise added to every point's own in the first round
 _REJECTED = 25.0  # squared distance, in standard deviations, beyond which a point is an outlier
 _MEDIAN_CHI2 = 2 * np.log(2.0)  # median of χ² with two degrees of freedom
 _REJECTED_SHARE = 0.3  # of a picture's points, beyond which the whole picture is dropped
-_SCATTER = 5.0  # times the median of all pictures, beyond which a picture is dropped
-_WORTH = 1.0  # unexplained over own variance above which offsets of the target's points are tried
-_VIEWS_FOR_SHAPE = 5
+_SCATTER = 5.0  # times what three quarters of the pictures stay below, beyond which a picture is dropped
+_WORTH = 1.0  # unexplained over own variance above which offsets of the target's points and other lenses are tried
+_VIEWS_FOR_MORE = 5
+_VIEWS_TO_HALVE = 8
 _SETTLED = 0.01  # relative change of the added noise that ends the rounds
 
 
 def calibrate_pair(
-    pairs: Sequence[Pair], target: Target, shape: ShapeKind | Literal["auto"] = "auto", scale_u: float = 0.0
+    pairs: Sequence[Pair],
+    target: Target,
+    shape: ShapeKind | Literal["auto"] = "auto",
+    scale_u: float = 0.0,
+    lens: LensKind | Literal["auto"] = "auto",
 ) -> Calibration:
     """Return the stereo pair that the target's views (left, right) tell, with the covariance of all its parameters.
+
+    Without any right view it is a single camera, the left one; what the rig says of the right one is without meaning.
 
     Maximum likelihood over all pictures at once. Beside the points' own covariance, a noise common to all points of a
     camera is estimated from the residuals (print and paper, blooming), then points beyond five standard deviations are
     left out, and pictures in which that are too many, until nothing changes. The covariance is that of the fit times
-    the reduced χ²; `scale_u`, the relative standard uncertainty of the target's spacing, is added along the baseline,
-    for with the spacing all lengths grow alike. `shape` "auto": flat, unless offsets of the single points, the same in
-    all views, explain most of what the pictures' noise does not. Raises `ValueError` when the views do not allow a
-    calibration.
+    the reduced χ², or what leaving out single views does to the parameters, where that is more; `scale_u`, the
+    relative standard uncertainty of the target's spacing, is added along the baseline, for with the spacing all lengths
+    grow alike. `shape` and `lens` "auto": flat, with OpenCV's five coefficients of distortion, unless offsets of the
+    single points, or the rational model's three further ones, make the other views predict a view's points better.
+    Raises `ValueError` when the views do not allow a calibration.
 
-    >>> from photogram.synthetic.board import random_poses, random_rig
-    >>> from photogram.targets.view import TargetView
+    >>> from photogram.synthetic.board import random_poses, random_rig, seen_session
     >>> rng, board, size = np.random.default_rng(1), Board(Target("chessboard", 9e-3, (8, 6))), np.array([1280, 1024])
     >>> rig = random_rig(rng, size, field_m=0.12)
-    >>> noise = np.broadcast_to(0.02**2 * np.eye(2), (48, 2, 2))
-    >>> pairs = [
-    ...     tuple(
-    ...         TargetView(f"{k}", board.index.astype(int), px + rng.normal(0, 0.02, px.shape), noise, 0.0, 0.7, size)
-    ...         for px in rig.project(pose.apply(board.points_m))
-    ...     )
-    ...     for k, pose in enumerate(random_poses(rng, rig, board, 8))
-    ... ]
+    >>> pairs = seen_session(rng, rig, random_poses(rng, rig, board, 8), board, noise_px=0.02)
     >>> calibration = calibrate_pair(pairs, board.target, shape="flat")
     >>> calibration.rms_px < 0.03
     True
     """
-    if shape != "auto":
-        return _result(*_calibrated(pairs, target, shape), target, scale_u)
-    fit, dropped = _calibrated(pairs, target, "flat")
-    if _unexplained(fit) > _WORTH and len(fit.adjusted.bundle.poses) >= _VIEWS_FOR_SHAPE:
-        freed, freed_dropped = _calibrated(pairs, target, "free")
-        if _unexplained(freed) < _unexplained(fit) / 2:
-            fit, dropped = freed, freed_dropped
-    return _result(fit, dropped, target, scale_u)
+    single = all(right is None for _, right in pairs)
+    first = _Model("flat" if shape == "auto" else shape, "polynomial" if lens == "auto" else lens, single)
+    best = _calibrated(pairs, target, first)
+    others: list[_Fit] = []
+    if best.unexplained > _WORTH and len(best.adjusted.bundle.poses) >= _VIEWS_FOR_MORE:
+        for step in ("free", "rational", "free", "flat"):
+            model = best.model
+            if step in ("free", "flat") and shape == "auto":
+                model = replace(model, shape="free" if step == "free" else "flat")
+            elif step == "rational" and lens == "auto":
+                model = replace(model, lens="rational")
+            if model in (best.model, *(other.model for other in others)):
+                continue
+            try:
+                tried = _calibrated(pairs, target, model)
+            except ValueError:  # what the views do not determine is no better
+                continue
+            better = _predicts_better(tried, best) if step != "flat" else not _predicts_better(best, tried)
+            others.append(best if better else tried)
+            best = tried if better else best
+    return _result(best, others, target, scale_u)
 
 
-def _calibrated(pairs: Sequence[Pair], target: Target, shape: ShapeKind) -> tuple[_Fit, tuple[Dropped, ...]]:
-    """Return the fit and what was dropped on the way, pictures that do not belong to the others included."""
+@dataclass(frozen=True)
+class _Model:
+    """How the target's shape is taken, the lens, and whether there is one camera only."""
+
+    shape: ShapeKind
+    lens: LensKind
+    single: bool = False
+
+    def prior(self, rig: StereoRig) -> Prior:
+        """Return what is known of the cameras beforehand."""
+        return lens_prior(rig, self.lens, self.single)
+
+
+def _calibrated(pairs: Sequence[Pair], target: Target, model: _Model) -> _Fit:
+    """Return the fit, with what was dropped on the way, pictures that do not belong to the others included."""
     dropped: tuple[Dropped, ...] = ()
     while True:
-        bundle, pairs, dropped_at_start = start_bundle(pairs, target, shape)
-        fit = _settle(bundle, _Session.of(bundle, pairs, target))
+        bundle, pairs, dropped_at_start = start_bundle(pairs, target, model.shape)
+        session = _Session.of(bundle, pairs, target)
+        if model.lens == "rational":  # from the best polynomial, near which its bent valley is short
+            bundle = adjust(bundle, session.weighted(), replace(model, lens="polynomial").prior(bundle.rig)).bundle
+        fit = _settle(bundle, session, model)
         bad = _bad_pictures(fit)
         dropped += (*dropped_at_start, *bad)
         if not bad:
-            return fit, dropped
+            left_out = leave_out(fit.adjusted, fit.session.weighted())
+            return replace(fit, dropped=dropped, left_out=left_out)
         names = [None, *(item.name for item in bad)]
         kept = [[view if view and view.name not in names else None for view in pair] for pair in pairs]
         pairs = [(left, right) for left, right in kept if left is not None or right is not None]
 
 
-def _unexplained(fit: _Fit) -> float:
-    """Return the variance that had to be added to the points' own, in units of that."""
-    own = np.median([np.median(np.einsum("nii->n", view.covariance_px2) / 2) for view in fit.session.views])
-    return float(np.mean(np.square(fit.session.added_px)) / own)
+def _predicts_better(fit: _Fit, other: _Fit) -> bool:
+    """Return whether the other views predict a view better by this fit than by the other one, beyond chance.
+
+    The mean over the views of the logarithm of the ratio of the residuals' mean squares, of the points used in both
+    fits, has to be negative by more than its standard uncertainty.
+    """
+    theirs = dict(zip((view.name for view in other.session.views), other.predictions, strict=True))
+    squares: dict[int, list[FloatArray]] = {}
+    for view, picture, (away, used) in zip(fit.session.views, fit.session.pictures, fit.predictions, strict=True):
+        if view.name in theirs:
+            both = used & theirs[view.name][1]
+            pair = [(residual[both] ** 2).sum(axis=1) for residual in (away, theirs[view.name][0])]
+            squares.setdefault(picture.view, []).append(np.array(pair))
+    sums = [np.concatenate(parts, axis=1).sum(axis=1) for parts in squares.values()]
+    ratio = np.log([own / their for own, their in sums if own > 0 and their > 0])
+    return len(ratio) > 1 and bool(ratio.mean() < -ratio.std(ddof=1) / np.sqrt(len(ratio)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,53 +180,86 @@ class _Fit:
 
     session: _Session
     adjusted: Adjusted
+    model: _Model
     residuals: tuple[FloatArray, ...]
     squares: tuple[FloatArray, ...]
     dof: float
+    dropped: tuple[Dropped, ...] = ()
+    left_out: LeftOut | None = None
+
+    @property
+    def unexplained(self) -> float:
+        """The variance that had to be added to the points' own, in units of that."""
+        own = np.median([np.median(np.einsum("nii->n", view.covariance_px2) / 2) for view in self.session.views])
+        return float(np.mean(np.square(self.session.added_px)) / own)
+
+    @property
+    def factor(self) -> float:
+        """The reduced χ²."""
+        taken = zip(self.squares, self.session.used, strict=True)
+        return sum(float(squares[used].sum()) for squares, used in taken) / self.dof
+
+    @property
+    def predictions(self) -> list[tuple[FloatArray, BoolArray]]:
+        """What the other views leave of each picture's points (N, 2), and which of these are used (N,)."""
+        assert self.left_out is not None
+        return list(zip(self.left_out.away, self.session.used, strict=True))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """The covariance (32, 32) of the rig that also holds what the views do."""
+        assert self.left_out is not None
+        return stated_covariance(self.adjusted.covariance, self.left_out, self.factor)
 
 
-def _settle(bundle: Bundle, session: _Session) -> _Fit:
+def _settle(bundle: Bundle, session: _Session, model: _Model) -> _Fit:
     """Adjust, estimate the noise and leave points out until nothing changes any more."""
     for _ in range(_ROUNDS):
-        fit = _fit(bundle, session)
+        fit = _fit(bundle, session, model)
         bundle = fit.adjusted.bundle
-        variance = np.diagonal(fit.adjusted.covariance)[len(bundle.rig.parameters) :]
-        bundle = replace(bundle, shape=bundle.shape.with_prior_from(variance))
+        bundle = replace(bundle, shape=bundle.shape.with_prior_from(fit.adjusted.shape_variance))
         after = _judged(fit)
         same = all(np.array_equal(a, b) for a, b in zip(after.used, session.used, strict=True))
         change = np.abs(np.subtract(after.added_px, session.added_px)) / np.maximum(session.added_px, 1e-3)
         if same and (change < _SETTLED).all():
             return fit
         session = after
-    return _fit(bundle, session)
+    return _fit(bundle, session, model)
 
 
-def _fit(bundle: Bundle, session: _Session) -> _Fit:
+def _fit(bundle: Bundle, session: _Session, model: _Model) -> _Fit:
     """Adjust once with the session's weights."""
-    adjusted = adjust(bundle, session.weighted(), lens_prior(bundle.rig))
-    both = (whitened_squares(adjusted.bundle, picture) for picture in session.weighted(every=True))
-    residuals, squares = zip(*both, strict=True)
+    adjusted = adjust(bundle, session.weighted(), model.prior(bundle.rig))
+    pictures = session.weighted(every=True)
+    away = residuals(adjusted.bundle, pictures)
+    both = zip(away, pictures, strict=True)
+    squares = tuple(np.einsum("ni,nij,nj->n", residual, each.precision, residual) for residual, each in both)
     # The number of coordinates minus that of parameters, a parameter counting as far as the data fix it
-    prior = np.concatenate([lens_prior(adjusted.bundle.rig).sigma, adjusted.bundle.shape.prior_m])
-    free = prior > 0
-    known = np.diagonal(adjusted.covariance)[free] / prior[free] ** 2
+    prior = np.concatenate([model.prior(adjusted.bundle.rig).sigma, adjusted.bundle.shape.prior_m])
+    variance = np.concatenate([np.diagonal(adjusted.covariance), adjusted.shape_variance])
+    known = variance[prior > 0] / prior[prior > 0] ** 2
     parameters = float(np.sum(1 - known)) + 6 * len(adjusted.bundle.poses)
     dof = 2 * sum(int(used.sum()) for used in session.used) - parameters
     if dof < 1:
         raise ValueError("the pictures have fewer points than a calibration has unknowns; add views")
-    return _Fit(session, adjusted, residuals, squares, dof)
+    return _Fit(session, adjusted, model, tuple(away), squares, dof)
 
 
 def _judged(fit: _Fit) -> _Session:
     """Return the session with the noise found in the residuals, and without the points that it cannot explain.
 
     The noise is the median's, which outliers do not move; all points are judged anew, so one left out may come back.
+    In a picture that the model fits worse as a whole they are judged by that picture's median: to leave out, or count
+    less, what disagrees with the most would make the others agree on something wrong.
     """
     session = fit.session
     share = 2 * sum(len(used) for used in session.used) / fit.dof
     added = []
     for side in (0, 1):
         mine = [n for n, picture in enumerate(session.pictures) if picture.side == side]
+        if not mine:
+            added.append(0.0)
+            continue
         length2 = np.concatenate([(fit.residuals[n][session.used[n]] ** 2).sum(axis=1) for n in mine])
         own = np.concatenate([np.einsum("nii->n", session.views[n].covariance_px2)[session.used[n]] for n in mine])
         added.append(float(np.sqrt(max(np.median(length2) / _MEDIAN_CHI2 * share - np.median(own) / 2, 0.0))))
@@ -188,14 +267,15 @@ def _judged(fit: _Fit) -> _Session:
     precision = [picture.precision for picture in anew.weighted(every=True)]
     squares = [np.einsum("ni,nij,nj->n", r, p, r) for r, p in zip(fit.residuals, precision, strict=True)]
     scale = max(1.0, float(np.median(np.concatenate(squares))) / _MEDIAN_CHI2)
-    return replace(anew, used=tuple(square <= _REJECTED * scale for square in squares))
+    limits = [_REJECTED * max(scale, float(np.median(square)) / _MEDIAN_CHI2) for square in squares]
+    return replace(anew, used=tuple(square <= limit for square, limit in zip(squares, limits, strict=True)))
 
 
 def _bad_pictures(fit: _Fit) -> list[Dropped]:
     """Return the pictures whose points scatter far more than those of the others, or miss in too large a share."""
     session, bad = fit.session, []
     spread = np.array([np.sqrt(np.median((residual**2).sum(axis=1))) for residual in fit.residuals])
-    typical = float(np.median(spread))
+    typical = float(np.quantile(spread, 0.75))
     for view, used, own in zip(session.views, session.used, spread, strict=True):
         share = 1 - used.mean()
         if share > _REJECTED_SHARE:
@@ -207,16 +287,13 @@ def _bad_pictures(fit: _Fit) -> list[Dropped]:
     return bad
 
 
-def _result(fit: _Fit, dropped: tuple[Dropped, ...], target: Target, scale_u: float) -> Calibration:
+def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -> Calibration:
     """Collect everything that the calibration tells."""
-    bundle, session = fit.adjusted.bundle, fit.session
-    taken = zip(fit.squares, session.used, strict=True)
-    factor = sum(float(squares[used].sum()) for squares, used in taken) / fit.dof  # the reduced χ²
-    rigs = len(bundle.rig.parameters)
-    covariance = fit.adjusted.covariance[:rigs, :rigs] * factor
-    baseline = np.zeros(rigs)
+    bundle, session, factor = fit.adjusted.bundle, fit.session, fit.factor
+    prior = fit.model.prior(bundle.rig)
+    baseline = np.zeros(len(fit.covariance))
     baseline[TRANSLATION] = bundle.rig.right_from_left.translation_m
-    rig = replace(bundle.rig, covariance=covariance + scale_u**2 * np.outer(baseline, baseline))
+    rig = replace(bundle.rig, covariance=fit.covariance + scale_u**2 * np.outer(baseline, baseline))
     pictures = [
         CalibratedPicture(view.name, view.index, view.position_px, residual, np.sqrt(squares / factor), used)
         for view, residual, squares, used in zip(session.views, fit.residuals, fit.squares, session.used, strict=True)
@@ -231,7 +308,7 @@ def _result(fit: _Fit, dropped: tuple[Dropped, ...], target: Target, scale_u: fl
         sides = {p.side: seen for p, seen in zip(session.pictures, pictures, strict=True) if p.view == number}
         views.append(CalibratedView(pose, fit.adjusted.pose_covariance[number] * factor, sides.get(0), sides.get(1)))
     by_side = [[seen for p, seen in zip(session.pictures, pictures, strict=True) if p.side == s] for s in (0, 1)]
-    parameters = rig_parameters(rig, lens_prior(bundle.rig).sigma)
+    parameters = rig_parameters(rig, prior.sigma)
     refuse_open_focal_lengths(parameters)
     calibration = Calibration(
         rig=rig,
@@ -246,14 +323,43 @@ def _result(fit: _Fit, dropped: tuple[Dropped, ...], target: Target, scale_u: fl
         shape_index=bundle.shape.index,
         shape_m=bundle.shape.points_m,
         scale_u=scale_u,
-        covered=(covered_share(by_side[0], rig.left.size_px), covered_share(by_side[1], rig.right.size_px)),
-        dropped=(*dropped, *left_out),
+        covered=(
+            covered_share(by_side[0], rig.left.size_px),
+            covered_share(by_side[1], rig.right.size_px) if by_side[1] else float("nan"),
+        ),
+        dropped=(*fit.dropped, *left_out),
         notices=(),
+        judged=_judgement(fit, others, prior),
+        shape_u_m=np.sqrt(factor * fit.adjusted.shape_variance[:-2]).reshape(-1, 3) if bundle.shape.free else None,
     )
     return replace(calibration, notices=session_notices(calibration))
 
 
+def _judgement(fit: _Fit, others: Sequence[_Fit], prior: Prior) -> Judgement:
+    """Return what the views say of each other and of other models."""
+    enough = len(fit.adjusted.bundle.poses) >= _VIEWS_TO_HALVE
+    u_fit = np.sqrt(np.diagonal(fit.adjusted.covariance) * fit.factor)
+    tried = [
+        OtherModel(other.model.shape, other.model.lens, other.adjusted.bundle.rig, _predicted_rms(other))
+        for other in others
+    ]
+    return Judgement(
+        fit.model.shape,
+        fit.model.lens,
+        _predicted_rms(fit),
+        u_fit,
+        split_half(fit.adjusted, fit.session.weighted(), prior) if enough else None,
+        tuple(tried),
+    )
+
+
+def _predicted_rms(fit: _Fit) -> float:
+    """Return the rms length of what the other views leave of a view's points."""
+    return float(np.sqrt(np.concatenate([(away[used] ** 2).sum(axis=1) for away, used in fit.predictions]).mean()))
+
+
 def _rms(pictures: Sequence[CalibratedPicture]) -> float:
     """Return the rms length of the residuals of all points in use."""
-    squares = np.concatenate([(picture.residual_px[picture.used] ** 2).sum(axis=1) for picture in pictures])
-    return float(np.sqrt(squares.mean()))
+    squares = [(picture.residual_px[picture.used] ** 2).sum(axis=1) for picture in pictures]
+    every = np.concatenate(squares) if squares else np.empty(0)
+    return float(np.sqrt(every.mean())) if every.size else float("nan")

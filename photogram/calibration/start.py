@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from photogram.arrays import FloatArray, IntArray
-from photogram.calibration.bundle import Bundle, Picture, Prior, ShapeKind, make_shape, moved_pose
+from photogram.calibration.adjust import Prior
+from photogram.calibration.bundle import Bundle, Picture, ShapeKind, make_shape, moved_pose
 from photogram.calibration.result import Dropped, refuse_similar_views
 from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform, vector_from_rotation
@@ -17,6 +18,7 @@ from photogram.targets.view import Target, TargetView
 
 Pair = tuple[TargetView | None, TargetView | None]
 Poses = dict[int, RigidTransform]
+LensKind = Literal["polynomial", "rational"]
 
 _STRANGE = 5.0  # times the median disagreement, beyond which a pair is strange
 _TOLERATED = 0.05  # disagreement that is never strange: rad, share of the distance
@@ -120,7 +122,7 @@ def target_pose(
         raise ValueError("left, right: expected points of a target that are not all on one line")
     to_left = rig.right_from_left.inverse() if first.side else RigidTransform.identity()
     starts = [to_left @ pose for pose in _opencv_poses(turns, shifts)]
-    fits = [_refined(Bundle(rig, (start,), shape), pictures) for start in starts]
+    fits = [refined_pose(Bundle(rig, (start,), shape), pictures) for start in starts]
     pose, covariance, squares = min(fits, key=lambda fit: fit[2])
     if not np.isfinite(squares):
         raise ValueError(f"{seen[0][0].name}: no pose of the target explains its points")
@@ -141,7 +143,7 @@ def _opencv_poses(turns: Sequence[Any], shifts: Sequence[Any]) -> list[RigidTran
     return [RigidTransform.from_pose(pose.astype(np.float64)) for pose in poses]
 
 
-def _refined(bundle: Bundle, pictures: list[Picture]) -> tuple[RigidTransform, FloatArray, float]:
+def refined_pose(bundle: Bundle, pictures: list[Picture]) -> tuple[RigidTransform, FloatArray, float]:
     """Return the pose after Gauss–Newton, its covariance and the sum of squares (infinite where it diverges)."""
     for _ in range(_STEPS):
         normal, side, squares = np.zeros((6, 6)), np.zeros(6), 0.0
@@ -173,6 +175,7 @@ _TOLERATED_PX = 1.0  # rms that is never strange
 _CENTRE_SPREAD = 0.05
 _RADIAL_SPREAD = (0.1, 0.05, 0.05)
 _DECENTRING_SPREAD = 0.005
+_WIDE = 10.0  # times the spread of the radial terms of a lens that needs the rational model
 _ASPECT_SPREAD = 1e-3
 
 
@@ -181,10 +184,12 @@ def start_bundle(
 ) -> tuple[Bundle, tuple[Pair, ...], tuple[Dropped, ...]]:
     """Return the first bundle, the pairs of target views that take part in it (one per pose), and what was dropped.
 
-    The pairs are views (left, right), None for a picture without target. A picture whose points fit its camera's others
-    badly is dropped, and a pair whose relative pose is not the others'. Raises `ValueError` when fewer than three views
-    remain for a camera, or no pair.
+    The pairs are views (left, right), None for a picture without target; without any right one a single camera's. A
+    picture whose points fit its camera's others badly is dropped, and a pair whose relative pose is not the others'.
+    Raises `ValueError` when fewer than three views remain for a camera, or no pair.
     """
+    if all(right is None for _, right in pairs):
+        return _start_single(pairs, target, shape)
     sides = [_single(pairs, side, target) for side in (0, 1)]
     dropped = [item for side in sides for item in side.dropped]
     for side in sides:
@@ -211,12 +216,25 @@ def start_bundle(
     return Bundle(rig, tuple(poses), make_shape(shape, index, target.spacing_m)), tuple(kept), tuple(dropped)
 
 
-def lens_prior(rig: StereoRig) -> Prior:
+def _start_single(
+    pairs: Sequence[Pair], target: Target, shape: ShapeKind
+) -> tuple[Bundle, tuple[Pair, ...], tuple[Dropped, ...]]:
+    """Return the same of one camera alone, the left one of a pair whose right one nothing sees."""
+    side = _single(pairs, 0, target)
+    refuse_similar_views(list(side.poses.values()))
+    kept = tuple(pairs[view] for view in side.poses)
+    index = np.unique(np.concatenate([seen.index for seen, _ in kept if seen is not None]), axis=0)
+    rig = StereoRig(side.camera, side.camera, RigidTransform.identity())
+    return Bundle(rig, tuple(side.poses.values()), make_shape(shape, index, target.spacing_m)), kept, side.dropped
+
+
+def lens_prior(rig: StereoRig, lens: LensKind = "polynomial", single: bool = False) -> Prior:
     """Return what is known of any two lenses: their middle and their distortion, nothing of focal lengths and places.
 
     Principal point within 5 % of the picture's width; at the picture's corner k1 changes the radius by 10 %, k2 and k3
     by 5 %, the decentring terms by 0.5 %; fx and fy differ by 0.1 % (standard deviations). Only what the views leave
-    open keeps these values.
+    open keeps these values. Of a `rational` lens, a wide one, all six radial coefficients are estimated, with ten
+    times the spread; a skew is held as it is. Of a `single` camera, the left one, all of the right one is held.
     """
     value, sigma = rig.values, np.zeros(len(rig.parameters))
     sigma[ROTATION] = sigma[TRANSLATION] = np.inf
@@ -227,6 +245,11 @@ def lens_prior(rig: StereoRig) -> Prior:
         k1, k2, k3 = (spread / corner**power for spread, power in zip(_RADIAL_SPREAD, (2, 4, 6), strict=True))
         tangential = _DECENTRING_SPREAD / corner
         sigma[places[4:9]] = k1, k2, tangential, tangential, k3
+        if lens == "rational":
+            value[places[9:12]] = 0.0
+            sigma[places[[4, 5, 8]]] = sigma[places[9:12]] = _WIDE * np.array([k1, k2, k3])
+    if single:
+        sigma[RIGHT] = sigma[ROTATION] = sigma[TRANSLATION] = 0.0
     left, right = (_ASPECT_SPREAD * float(camera.parameters[0]) for camera in (rig.left, rig.right))
     return Prior(value, sigma, (left, right))
 

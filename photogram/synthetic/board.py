@@ -7,7 +7,8 @@ each corner and dot as the perspective lets it be; the mean over the pixel's squ
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from photogram.arrays import FloatArray, IntArray
 from photogram.camera import Camera, StereoRig, distort, undistort
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.kernels import njit
-from photogram.targets.view import Target
+from photogram.targets.view import Target, TargetView
 
 _FAR = 4.5  # σ of the softening beyond which an edge has no effect
 _NODE = math.sqrt(0.6)  # Gauss-Legendre points of degree 5 on (−1, 1), weights 5/18, 8/18, 5/18 of the mean
@@ -483,3 +484,67 @@ def _seen(rig: StereoRig, pose: RigidTransform, required: FloatArray) -> bool:
         if not (np.abs(cosine) > np.cos(_STEEPEST_RAD)).all():
             return False
     return True
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What real sessions have and the noise of their points does not tell.
+
+    `warp_m`: largest height of a bent board over its plane, a random polynomial of third order. `focus`: relative
+    change of both focal lengths from the first view to the last, a lens that is refocused or warms up. `smooth_px`:
+    rms error per coordinate that neighbours in one picture share (light, print on a soft sheet, air), over
+    `_SMOOTH` of the board's diagonal, new in every picture. `locking_px`: amplitude of an error that follows the
+    point's place within its pixel, as sharpened pictures give it.
+    """
+
+    warp_m: float = 0.0
+    focus: float = 0.0
+    smooth_px: float = 0.0
+    locking_px: float = 0.0
+
+
+_SMOOTH = 0.3
+
+
+def seen_session(
+    rng: np.random.Generator,
+    rig: StereoRig,
+    poses: Sequence[RigidTransform],
+    board: Board,
+    noise_px: float,
+    faults: Faults = Faults(),
+) -> list[tuple[TargetView, TargetView]]:
+    """Return the views (left, right) of a board's corners as found with normal noise and faults, without pictures.
+
+    The noise is stated, the faults are not. The focal lengths of the rig are the means over the session.
+    """
+    index = board.index.astype(np.int64)
+    points = board.points_m + _warp(rng, board.points_m, faults.warp_m)
+    apart = np.linalg.norm(board.points_m[:, None] - board.points_m, axis=-1)
+    length = _SMOOTH * float(apart.max())
+    root = np.linalg.cholesky(np.exp(-0.5 * (apart / length) ** 2) + 1e-6 * np.eye(len(points)))
+    stated = np.broadcast_to(noise_px**2 * np.eye(2), (len(points), 2, 2))
+    pairs: list[tuple[TargetView, TargetView]] = []
+    for pose, place in zip(poses, np.linspace(-0.5, 0.5, len(poses)), strict=True):
+        growth = np.ones(13)
+        growth[:2] += faults.focus * place
+        sides = [Camera.from_parameters(camera.parameters * growth, camera.size_px) for camera in (rig.left, rig.right)]
+        found = []
+        for side, pixel in zip(
+            "LR", replace(rig, left=sides[0], right=sides[1]).project(pose.apply(points)), strict=True
+        ):
+            error = noise_px * rng.normal(size=pixel.shape) + faults.smooth_px * (root @ rng.normal(size=pixel.shape))
+            seen = pixel + error + faults.locking_px * np.sin(2 * np.pi * pixel)
+            found.append(TargetView(f"{side}{len(pairs)}", index, seen, stated, 0.0, 0.7, rig.left.size_px))
+        pairs.append((found[0], found[1]))
+    return pairs
+
+
+def _warp(rng: np.random.Generator, points_m: FloatArray, height_m: float) -> FloatArray:
+    """Return offsets (N, 3) of a flat board's points (N, 3) that is bent by up to `height_m`."""
+    x, y = ((points_m - points_m.mean(axis=0)) / np.ptp(points_m, axis=0).max() * 2)[:, :2].T
+    terms = np.column_stack([x * x, x * y, y * y, 0.5 * x**3, 0.5 * x * x * y, 0.5 * x * y * y, 0.5 * y**3])
+    height = terms @ rng.normal(size=7)
+    plane = np.column_stack([np.ones_like(x), x, y])
+    height -= plane @ np.linalg.lstsq(plane, height, rcond=None)[0]
+    return np.outer(height_m * height / np.abs(height).max(), [0.0, 0.0, 1.0])

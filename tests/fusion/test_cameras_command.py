@@ -17,7 +17,7 @@ from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
 from fusion.simulate.preset import read_preset
 from fusion.simulate.statics import SessionPreset
-from photogram.calibration.file import read_calibration
+from photogram.calibration.file import read_calibration, read_camera
 from photogram.geometry import RigidTransform
 from photogram.synthetic.board import random_poses, random_rig, render_board
 
@@ -58,12 +58,45 @@ def test_the_true_pair_comes_back(session: tuple[Path, object], pictures: Path, 
     assert main(_command(pictures, "--scale-uncertainty", "1e-4", "-q")) == EXIT_DONE
     told = capsys.readouterr().out
     found = read_calibration(pictures / "top.json")
-    assert (np.abs(rig_error(found, session[1])) < 4.5 * np.sqrt(np.diagonal(found.covariance))).all()
+    assert (np.abs(rig_error(found, session[1])) <= 4.5 * np.sqrt(np.diagonal(found.covariance))).all()
     assert f"{VIEWS} pairs, rms 0.0" in told
     assert "baseline " in told
     assert "spacing is not stated" not in told
     page = (pictures / "top.html").read_text(encoding="utf-8")
     assert page.startswith("<!doctype html>")
+    assert "all views (flat, polynomial)" in page
+    assert "median of the parameters" in page
+
+
+def test_a_picture_that_cannot_be_read_is_left_out_by_name_and_a_known_length_sets_the_scale(
+    pictures: Path, capsys: Capture, refused: Refused
+) -> None:
+    (pictures / "left" / "9.png").write_bytes(b"no picture")
+    known = ["--known-length", "0,0", "5,0"]
+    assert main(_command(pictures, "-q", *known, "0.04509", "5e-6")) == EXIT_DONE
+    told = capsys.readouterr().out
+    (line,) = (line for line in told.splitlines() if "9.png" in line)
+    assert line.endswith("9.png: left out: not a readable picture")
+    assert "the known length of 45.09 mm from 0,0 to 5,0 is 45 mm" in told
+    found = read_calibration(pictures / "top.json")
+    assert main(_command(pictures, "-q", "--force")) == EXIT_DONE
+    plain = read_calibration(pictures / "top.json").right_from_left.translation_m
+    assert np.allclose(found.right_from_left.translation_m, 1.002 * plain, rtol=1e-9)
+    assert "column,row" in refused(*_command(pictures, "-q", "--force", "--known-length", "0,0", "99,0", "0.1", "0"))
+    assert "could not convert" in refused(*_command(pictures, "-q", "--force", *known, "long", "0"))
+
+
+def test_a_single_camera_comes_back(
+    session: tuple[Path, object], pictures: Path, capsys: Capture, refused: Refused
+) -> None:
+    command = ["cameras", str(pictures / "left"), *TARGET, "--mono", "-o", str(pictures / "left.json"), "-q"]
+    assert main(command) == EXIT_DONE
+    told = capsys.readouterr().out
+    assert f"{VIEWS} views, rms 0.0" in told
+    camera, covariance = read_camera(pictures / "left.json")
+    error = camera.parameters - session[1].left.parameters
+    assert (np.abs(error) <= 4.5 * np.sqrt(np.diagonal(covariance))).all()
+    assert "--force" in refused(*command)
 
 
 @pytest.mark.slow

@@ -1,0 +1,307 @@
+"""Bundle adjustment: cameras, relative pose, target poses and target shape in one least squares, view by view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from photogram.arrays import FloatArray, IntArray
+from photogram.calibration.bundle import Bundle, Picture, Seen, see_views
+from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT
+from photogram.geometry import RigidTransform
+
+_RIG = len(RIG_PARAMETERS)
+_STEPS = 100  # steps allowed; five to ten are the rule, more with long focal lengths and large residuals
+_CONVERGED = 1e-3  # expected decrease of χ² that ends the iteration: parameters to 0.03 of their uncertainty
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of the rig before the pictures: expected parameters (32,) and standard deviations, inf for none.
+
+    Those with the standard deviation zero are held where they are. The three of the rotation are no parameters with a
+    value, so they have no prior. `aspect_px` (left, right): standard deviation of fx − fy around the expected.
+    """
+
+    value: FloatArray
+    sigma: FloatArray
+    aspect_px: tuple[float, float]
+
+    def away(self, parameters: FloatArray) -> FloatArray:
+        """Return how far (Q + 2,) parameters (32,) and fx − fy are from what is expected, in standard deviations."""
+        return np.asarray(self.slope @ (parameters - self.value)[self.free])
+
+    @property
+    def free(self) -> IntArray:
+        """Places (Q,) of the parameters that are estimated."""
+        return np.flatnonzero(self.sigma > 0)
+
+    @property
+    def slope(self) -> FloatArray:
+        """The derivative (Q + 2, Q) of `away` by the parameters that are estimated."""
+        aspect = np.zeros((2, _RIG))
+        for row, (camera, sigma) in enumerate(zip((LEFT, RIGHT), self.aspect_px, strict=True)):
+            aspect[row, camera[:2]] = 1 / sigma, -1 / sigma
+        return np.concatenate([np.diag(1 / self.sigma[self.free]), aspect[:, self.free]])
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """The most likely bundle, the covariance of its rig (32, 32) and of each pose (V, 6, 6), the variances (S,) of its
+    shape's values, and the normal equations there.
+    """
+
+    bundle: Bundle
+    covariance: FloatArray
+    shape_variance: FloatArray
+    pose_covariance: FloatArray
+    normal: Normal
+
+
+def adjust(start: Bundle, pictures: Sequence[Picture], prior: Prior) -> Adjusted:
+    """Return the bundle that minimises Σ rᵀ·C⁻¹·r over all points plus the priors' squares.
+
+    Levenberg–Marquardt. All pictures have one radius of dots. Raises `ValueError` when the sum of squares cannot be
+    brought to a minimum.
+    """
+    bundle, damping, sides = start, 1e-3, _sides(pictures)
+    cost, seen = _looked(start, sides, prior)
+    for _ in range(_STEPS):
+        normal = _normal(bundle, sides, seen, prior)
+        step, pose_steps, decrease = normal.step(damping)
+        tried = bundle.moved(step, pose_steps)
+        found, seen_there = _looked(tried, sides, prior)
+        if found <= cost * (1 + 1e-12):
+            bundle, seen, cost, damping = tried, seen_there, min(found, cost), max(damping / 10, 1e-12)
+            if decrease < _CONVERGED:
+                normal = _normal(bundle, sides, seen, prior)
+                return Adjusted(bundle, *normal.covariance(), normal)
+        else:
+            damping = max(10 * damping, 1e-6)
+    raise ValueError("the bundle adjustment did not converge; add views or leave out doubtful pictures")
+
+
+def residuals(bundle: Bundle, pictures: Sequence[Picture]) -> list[FloatArray]:
+    """Return the residuals found − modelled (N, 2) of each picture."""
+    found: list[FloatArray] = [np.empty((0, 2))] * len(pictures)
+    for side in _sides(pictures):
+        away = side.position_px - side.see(bundle).pixel
+        for number, rows in zip(side.number, side.rows, strict=True):
+            found[number] = away[rows]
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """All pictures of one camera in one row: which these are, their rows, and of each point (N,) what they say."""
+
+    side: int
+    number: tuple[int, ...]
+    rows: tuple[slice, ...]
+    view: IntArray
+    point: IntArray
+    position_px: FloatArray
+    precision: FloatArray
+    radius_m: float
+
+    def see(self, bundle: Bundle) -> Seen:
+        """Return where all points are expected."""
+        rig = bundle.rig
+        camera, relative = (rig.right, rig.right_from_left) if self.side else (rig.left, RigidTransform.identity())
+        points = bundle.shape.points_m[self.point]
+        return see_views(camera, relative, bundle.poses, self.view, points, self.radius_m)
+
+
+def _sides(pictures: Sequence[Picture]) -> list[_Side]:
+    """Return the pictures by camera."""
+    sides = []
+    for side in sorted({picture.side for picture in pictures}):
+        number = tuple(n for n, picture in enumerate(pictures) if picture.side == side)
+        mine = [pictures[n] for n in number]
+        ends = np.cumsum([0, *(len(picture.point) for picture in mine)]).tolist()
+        view = np.concatenate([np.full(len(picture.point), picture.view) for picture in mine])
+        position, precision = (
+            np.concatenate([getattr(p, name) for p in mine]) for name in ("position_px", "precision")
+        )
+        rows = tuple(slice(*pair) for pair in pairwise(ends))
+        point = np.concatenate([picture.point for picture in mine])
+        sides.append(_Side(side, number, rows, view, point, position, precision, mine[0].radius_m))
+    return sides
+
+
+def _looked(bundle: Bundle, sides: Sequence[_Side], prior: Prior) -> tuple[float, list[Seen]]:
+    """Return the sum of squares, infinite when a point falls behind a camera, and what the cameras see."""
+    seen = [side.see(bundle) for side in sides]
+    away, shape = prior.away(bundle.rig.values), bundle.shape.value_m / bundle.shape.prior_m
+    total = float(away @ away) + float(shape @ shape)
+    for side, there in zip(sides, seen, strict=True):
+        residual = side.position_px - there.pixel
+        total += float(np.einsum("ni,nij,nj->", residual, side.precision, residual))
+    return (total if np.isfinite(total) else np.inf), seen
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal equations, view by view: what each says of rig and modes of the shape (K,), of its pose, of free points.
+
+    `places` (Q,): the rig's parameters among those. `common` (V, K, K), `pose` (V, 6, 6), `point` (V, P, 3, 3) and
+    what couples them, `common_pose` (V, K, 6), `point_common` (V, P, K, 3), `point_pose` (V, P, 6, 3); right-hand sides
+    end in `_side`. `prior`, `prior_side` (K,), `point_prior`, `point_prior_side` (P, 3): what is known beforehand.
+    Points that are not free are none (P = 0).
+    """
+
+    places: IntArray
+    common: FloatArray
+    pose: FloatArray
+    point: FloatArray
+    common_pose: FloatArray
+    point_common: FloatArray
+    point_pose: FloatArray
+    common_side: FloatArray
+    pose_side: FloatArray
+    point_side: FloatArray
+    prior: FloatArray
+    prior_side: FloatArray
+    point_prior: FloatArray
+    point_prior_side: FloatArray
+
+    def step(self, damping: float) -> tuple[FloatArray, FloatArray, float]:
+        """Return the damped step of rig and shape (32 + S,), of the poses (V, 6), and the decrease that it promises."""
+        reduced = self.reduced(damping)
+        side = np.concatenate([self.common_side.sum(axis=0) + self.prior_side, self.pose_side.ravel()])
+        point_side = self.point_side.sum(axis=0) + self.point_prior_side
+        step, point_step = reduced.solved(side, point_side)
+        decrease = float(side @ step + (point_side * point_step).sum())
+        return *self.spread(step, point_step), decrease
+
+    def spread(self, step: FloatArray, point_step: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return a step of rig and shape (32 + S,), values in their places, and of the poses (V, 6)."""
+        rig, common = np.zeros(_RIG), len(self.prior)
+        rig[self.places] = step[: len(self.places)]
+        return np.concatenate([rig, point_step.ravel(), step[len(self.places) : common]]), step[common:].reshape(-1, 6)
+
+    def covariance(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the covariance of the rig (32, 32), the variances of the shape (S,), the poses' covariances."""
+        reduced, common, free = self.reduced(), len(self.prior), len(self.places)
+        every = reduced.covariance()
+        rig = np.zeros((_RIG, _RIG))
+        rig[np.ix_(self.places, self.places)] = every[:free, :free]
+        answer = reduced.answer  # (P, R, 3)
+        points = np.einsum("pii->pi", reduced.point) + np.einsum("pri,rs,psi->pi", answer, every, answer, optimize=True)
+        pose = [every[n : n + 6, n : n + 6] for n in range(common, len(every), 6)]
+        modes = np.diagonal(every)[free:common]
+        return rig, np.concatenate([points.ravel(), modes]), np.array(pose)
+
+    def reduced(self, damping: float = 0.0, without: int | None = None) -> Reduced:
+        """Return the equations of rig, modes and poses after elimination of the points, of all views but one."""
+        views, common, points = len(self.pose), len(self.prior), len(self.point_prior)
+        kept = [view for view in range(views) if view != without]
+        size = common + 6 * len(kept)
+        matrix, coupling = np.zeros((size, size)), np.zeros((points, size, 3))
+        matrix[:common, :common] = self.common[kept].sum(axis=0) + self.prior
+        coupling[:, :common] = self.point_common[kept].sum(axis=0)
+        for row, view in zip(range(common, size, 6), kept, strict=True):
+            matrix[row : row + 6, row : row + 6] = self.pose[view]
+            matrix[:common, row : row + 6] = self.common_pose[view]
+            matrix[row : row + 6, :common] = self.common_pose[view].T
+            coupling[:, row : row + 6] = self.point_pose[view]
+        point = self.point[kept].sum(axis=0) + self.point_prior[:, :, None] * np.eye(3)
+        raised = 1.0 + damping
+        matrix[np.diag_indices(size)] *= raised
+        point[:, range(3), range(3)] *= raised
+        inverse = np.linalg.inv(point)
+        answer = coupling @ inverse
+        flat = (array.transpose(1, 0, 2).reshape(size, -1) for array in (answer, coupling))
+        return Reduced(matrix - next(flat) @ next(flat).T, np.diagonal(matrix).copy(), answer, inverse)
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """Equations (R, R) of rig, modes and poses, their diagonal (R,) before the points went, and the way back to these:
+    `answer` (P, R, 3), minus the change of a point by them, and `point` (P, 3, 3), its covariance were they known.
+    """
+
+    matrix: FloatArray
+    diagonal: FloatArray
+    answer: FloatArray
+    point: FloatArray
+
+    def solved(self, side: FloatArray, point_side: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the solution (R,) and that of the points (P, 3) for right-hand sides."""
+        scale = 1 / np.sqrt(self.diagonal)
+        less = side - np.einsum("pri,pi->r", self.answer, point_side)
+        step = np.linalg.solve(self.matrix * np.outer(scale, scale), less * scale) * scale
+        own = np.einsum("pij,pj->pi", self.point, point_side)
+        return step, own - np.einsum("pri,r->pi", self.answer, step)
+
+    def covariance(self) -> FloatArray:
+        """Return the inverse (R, R)."""
+        scale = 1 / np.sqrt(self.diagonal)
+        inverse = np.linalg.inv(self.matrix * np.outer(scale, scale)) * np.outer(scale, scale)
+        return np.asarray((inverse + inverse.T) / 2)
+
+
+def _normal(bundle: Bundle, sides: Sequence[_Side], seen: Sequence[Seen], prior: Prior) -> Normal:
+    """Return the normal equations at the bundle."""
+    shape, free, views = bundle.shape, prior.free, len(bundle.poses)
+    modes, points = shape.modes.shape[2], len(shape.flat_m) if shape.free else 0
+    common = len(free) + modes
+    single, ranged = slice(0, 3 * points), slice(3 * points, None)
+    precision, side = shape.prior_m**-2.0, -shape.value_m / shape.prior_m**2
+    known = np.zeros((common, common))
+    known[: len(free), : len(free)] = prior.slope.T @ prior.slope
+    known[range(len(free), common), range(len(free), common)] = precision[ranged]
+    known_side = np.concatenate([-prior.slope.T @ prior.away(bundle.rig.values), side[ranged]])
+
+    def zeros(*size: int) -> FloatArray:
+        return np.zeros((views, *size))
+
+    normal = Normal(
+        places=free,
+        common=zeros(common, common),
+        pose=zeros(6, 6),
+        point=zeros(points, 3, 3),
+        common_pose=zeros(common, 6),
+        point_common=zeros(points, common, 3),
+        point_pose=zeros(points, 6, 3),
+        common_side=zeros(common),
+        pose_side=zeros(6),
+        point_side=zeros(points, 3),
+        prior=known,
+        prior_side=known_side,
+        point_prior=precision[single].reshape(-1, 3),
+        point_prior_side=side[single].reshape(-1, 3),
+    )
+    for one, there in zip(sides, seen, strict=True):
+        _add_side(normal, shape.modes, one, there)
+    return normal
+
+
+def _add_side(normal: Normal, modes: FloatArray, side: _Side, seen: Seen) -> None:
+    """Add what one camera's pictures say to the normal equations."""
+    slope = np.concatenate(
+        [seen.by_rig(side.side)[..., normal.places], np.einsum("nki,nim->nkm", seen.by_point, modes[side.point])],
+        axis=-1,
+    )
+    weighted, weighted_pose = side.precision @ slope, side.precision @ seen.by_pose
+    residual = side.position_px - seen.pixel
+    for rows in side.rows:
+        view, many = side.view[rows.start], 2 * (rows.stop - rows.start)
+        own, own_pose = slope[rows].reshape(many, -1), seen.by_pose[rows].reshape(many, 6)
+        own_weighted, pose_weighted = weighted[rows].reshape(many, -1), weighted_pose[rows].reshape(many, 6)
+        away = residual[rows].ravel()
+        normal.common[view] += own.T @ own_weighted
+        normal.pose[view] += own_pose.T @ pose_weighted
+        normal.common_pose[view] += own.T @ pose_weighted
+        normal.common_side[view] += away @ own_weighted
+        normal.pose_side[view] += away @ pose_weighted
+    if len(normal.point_prior):
+        at = (side.view, side.point)
+        weighted_point = side.precision @ seen.by_point
+        normal.point[at] += np.einsum("nki,nkj->nij", seen.by_point, weighted_point)
+        normal.point_common[at] += weighted.transpose(0, 2, 1) @ seen.by_point
+        normal.point_pose[at] += weighted_pose.transpose(0, 2, 1) @ seen.by_point
+        normal.point_side[at] += np.einsum("nki,nk->ni", weighted_point, residual)

@@ -1,0 +1,137 @@
+"""A true distance, between two points of the target or two of its positions, against a calibration's scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from photogram.arrays import FloatArray, Notice
+from photogram.calibration.result import CalibratedView, Calibration
+from photogram.camera import TRANSLATION
+from photogram.geometry import RigidTransform, skew
+
+_APART = 2.0  # standard uncertainties beyond which spacing and known length contradict each other
+
+
+@dataclass(frozen=True)
+class KnownLength:
+    """A distance `length_m` with standard uncertainty `u_m`, measured by other means.
+
+    Between two points of the target, `first` and `second` as "column,row" of its lattice, or between two positions of
+    its middle, as names of pictures (the last part of the path is enough).
+    """
+
+    first: str
+    second: str
+    length_m: float
+    u_m: float
+
+    def __post_init__(self) -> None:
+        if not (self.length_m > 0 and self.u_m >= 0):
+            raise ValueError(
+                f"known length: expected a length above 0 m and an uncertainty, found {self.length_m} and {self.u_m}"
+            )
+
+
+def with_length(calibration: Calibration, known: KnownLength) -> Calibration:
+    """Return the calibration scaled by a known length, as far as this is better known than the target's spacing.
+
+    With ratio r of the known length to that of the calibration, u(r) from both, and the spacing's relative u, all
+    lengths grow by the weighted mean of r and 1, whose u is their new relative uncertainty; a spacing of unknown
+    uncertainty has no weight. A contradiction of more than two standard uncertainties enlarges u by its size
+    (Birge 1932, Physical Review 40, 207) and is told.
+    """
+    length, u = _length(calibration, known)
+    ratio = known.length_m / length
+    u_ratio = ratio * float(np.hypot(known.u_m / known.length_m, u / length))
+    spacing = calibration.scale_u
+    apart = abs(ratio - 1) / float(np.hypot(u_ratio, spacing)) if spacing or u_ratio else float("inf")
+    weight = spacing**2 / (spacing**2 + u_ratio**2) if spacing > 0 else 1.0
+    scale, scale_u = 1 + weight * (ratio - 1), u_ratio * float(np.sqrt(weight))
+    contradicts = spacing > 0 and apart > _APART
+    told = (
+        f"the known length of {1e3 * known.length_m:.6g} mm from {known.first} to {known.second} is "
+        f"{1e3 * length:.6g} mm by the target's spacing ({100 * (ratio - 1):+.2g} %, U = {200 * u_ratio:.2g} %)"
+    )
+    if contradicts:
+        scale_u *= apart
+        told += f"; they contradict each other by {apart:.1f} standard uncertainties, measure both again"
+    told += f"; all lengths are changed by {100 * (scale - 1):+.2g} %, U = {200 * scale_u:.2g} % (k = 2)"
+    notice = Notice("warning" if contradicts else "info", told, "scale")
+    kept = [item for item in calibration.notices if item.where != "scale"]
+    return replace(_scaled(calibration, scale, scale_u), notices=(*kept, notice))
+
+
+def _length(calibration: Calibration, known: KnownLength) -> tuple[float, float]:
+    """Return the known length as the calibration has it and its u, both without the spacing's."""
+    rows = {f"{column},{row}": place for place, (column, row) in enumerate(calibration.shape_index.tolist())}
+    if known.first in rows and known.second in rows:
+        ends = [rows[known.first], rows[known.second]]
+        way = calibration.shape_m[ends[1]] - calibration.shape_m[ends[0]]
+        variance = np.zeros(3) if calibration.shape_u_m is None else (calibration.shape_u_m[ends] ** 2).sum(axis=0)
+        covariance: FloatArray = np.diag(variance)
+    else:
+        first, second = (_view(calibration, name) for name in (known.first, known.second))
+        middle = calibration.shape_m.mean(axis=0)
+        way = second.left_from_target.apply(middle) - first.left_from_target.apply(middle)
+        covariance = np.zeros((3, 3))
+        for view in (first, second):
+            slope = np.column_stack([np.eye(3), -skew(view.left_from_target.rotation @ middle)])
+            covariance = covariance + slope @ view.covariance @ slope.T
+    length = float(np.linalg.norm(way))
+    if length == 0:
+        raise ValueError(f"known length: expected two different places, found {known.first} twice")
+    direction = way / length
+    return length, float(np.sqrt(direction @ covariance @ direction))
+
+
+def _view(calibration: Calibration, name: str) -> CalibratedView:
+    """Return the view that a picture's name means."""
+    found = [
+        view
+        for view in calibration.views
+        if any(
+            side is not None and (side.name == name or side.name.endswith(f"/{name}"))
+            for side in (view.left, view.right)
+        )
+    ]
+    if len(found) != 1:
+        raise ValueError(
+            f"known length: expected column,row of a point of the target, or a picture in the calibration, found {name}"
+        )
+    return found[0]
+
+
+def _scaled(calibration: Calibration, scale: float, scale_u: float) -> Calibration:
+    """Return a calibration in which all lengths are `scale` times as long, with this relative uncertainty."""
+    rig = calibration.rig
+    factor = np.ones(len(rig.values))
+    factor[TRANSLATION] = scale
+    baseline = np.zeros(len(factor))
+    baseline[TRANSLATION] = rig.right_from_left.translation_m
+    assert rig.covariance is not None
+    covariance = rig.covariance + (scale_u**2 - calibration.scale_u**2) * np.outer(baseline, baseline)
+    covariance = covariance * np.outer(factor, factor)
+
+    def longer(pose: RigidTransform) -> RigidTransform:
+        return RigidTransform(pose.rotation, scale * pose.translation_m)
+
+    size = np.array([scale, scale, scale, 1.0, 1.0, 1.0])
+    views = tuple(
+        replace(view, left_from_target=longer(view.left_from_target), covariance=view.covariance * np.outer(size, size))
+        for view in calibration.views
+    )
+    rig = replace(rig, right_from_left=longer(rig.right_from_left), covariance=covariance)
+    values, u = dict(zip(rig.parameters, rig.values, strict=True)), np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    spread = dict(zip(rig.parameters, u.tolist(), strict=True))
+    return replace(
+        calibration,
+        rig=rig,
+        views=views,
+        parameters=tuple(
+            replace(item, value=float(values[item.name]), u=spread[item.name]) for item in calibration.parameters
+        ),
+        shape_m=calibration.shape_m * scale,
+        scale_u=scale_u,
+    )
