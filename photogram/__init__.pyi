@@ -3,6 +3,7 @@
 from .alignment.evidence import KnownPoints as KnownPoints
 from .alignment.solve import align as align
 from .arrays import __version__ as __version__
+from .calibration.export import export_calibration as export_calibration
 from .calibration.file import read_calibration as read_calibration
 from .calibration.file import write_calibration as write_calibration
 from .calibration.foreign_formats import import_calibration as import_calibration

@@ -1,6 +1,6 @@
 """Stereo pairs from pictures of a target (`shakercal cameras`) or from calibrations of other programs.
 
-`shakercal import-calibration` turns those into a calibration file of this one.
+`shakercal import-calibration` turns those into a calibration file of this one, `export-calibration` back.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -23,8 +23,10 @@ from fusion.cameras.report import render_camera_report
 from fusion.recording.values import natural_key
 from fusion.report.folder import Provenance, hash_files
 from fusion.report.table import plain
+from photogram.arrays import Notice
 from photogram.calibration.bundle import ShapeKind
-from photogram.calibration.file import write_calibration, write_camera
+from photogram.calibration.export import export_calibration
+from photogram.calibration.file import read_calibration, write_calibration, write_camera
 from photogram.calibration.foreign import LengthUnit
 from photogram.calibration.foreign_formats import import_calibration
 from photogram.calibration.result import Calibration, Dropped
@@ -212,21 +214,14 @@ def _folder(pictures: Sequence[Path]) -> Path:
     return Path(os.path.commonpath([path.absolute().parent for path in pictures]))
 
 
-def convert_calibration(
-    source: tuple[Path, Path | None],
-    output: Path,
-    image_size: tuple[int, int] | None,
-    length_unit: LengthUnit | None,
-    force: bool = False,
-) -> str:
-    """Write the calibration of `source` (file, extrinsics apart from it or None) to `output` and return the format.
+def convert_calibration(path: Path, output: Path, force: bool = False, **stated: Any) -> str:
+    """Write another program's calibration to `output` and return its format; `stated`: what `import_calibration` takes.
 
     What the user should know is logged, also the remarks that are no warnings: they say how the file was understood.
     """
     check_new_file(output, force=force)
-    path, extrinsics = source
     try:
-        imported = import_calibration(path, image_size, length_unit, extrinsics)
+        imported = import_calibration(path, **stated)
     except OSError as error:
         raise InputError.told_by(error, path) from error
     except ValueError as error:
@@ -234,7 +229,22 @@ def convert_calibration(
         raise InputError.told_by(ValueError(told), path) from error
     with as_input_error(output):
         write_calibration(output, imported.rig)
-    for notice in imported.notices:
+    _tell(imported.notices)
+    return imported.format
+
+
+def write_for_another_program(path: Path, output: Path, force: bool = False) -> str:
+    """Write this program's calibration for the program that the suffix of `output` names, and return its name."""
+    check_new_file(output, force=force)
+    with as_input_error(path):
+        rig = read_calibration(path)
+    with as_input_error(output):
+        program, notices = export_calibration(output, rig)
+    _tell(notices)
+    return program
+
+
+def _tell(notices: Sequence[Notice]) -> None:
+    for notice in notices:
         level = logging.WARNING if notice.severity == "warning" else logging.INFO
         log.log(level, "%s: %s", notice.where, notice.text)
-    return imported.format

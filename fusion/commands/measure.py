@@ -216,21 +216,39 @@ def cameras(options: argparse.Namespace) -> None:
 def _import_calibration_options(parser: Parser) -> None:
     parser.value("calibration", Path, "FILE", "the other program's file")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="JSON", help="calibration file to write")
-    parser.value("--extrinsics", Path, "FILE", "second file, where OpenCV's R and T are apart")
+    parser.value("--extrinsics", Path, "FILE", "second file: OpenCV's R and T where apart, ROS's right camera")
     parser.value("--image-size", size, "2448x2048", "width x height, if the file has none")
     text = "of the file's lengths, where it does not say it"
     parser.add_argument("--length-unit", choices=("m", "mm"), help=text)
+    text = "k1 k2 k3 of DICe's text belong to r^2, r^4, r^6, as OpenCV and VIC-3D write them"
+    parser.switch("--even-radial", text)
     parser.switch("--force", "overwrite a calibration file that is there")
 
 
 @command(_import_calibration_options)
 def import_calibration(options: argparse.Namespace) -> None:
-    """Take over a calibration of OpenCV, DICe, VIC-3D, MATLAB or Bouguet's toolbox."""
+    """Take over a calibration of OpenCV, DICe, VIC-3D, MatchID, MATLAB, ROS or Kalibr."""
     from fusion.cameras.calibrate import convert_calibration
 
-    source = options.calibration, options.extrinsics
-    kind = convert_calibration(source, options.output, options.image_size, options.length_unit, options.force)
+    stated = {name: getattr(options, name) for name in ("image_size", "length_unit", "extrinsics", "even_radial")}
+    kind = convert_calibration(options.calibration, options.output, options.force, **stated)
     print(f"calibration of {kind} written: {options.output}")
+
+
+def _export_calibration_options(parser: Parser) -> None:
+    parser.value("calibration", Path, "CALIBRATION", "file NAME.json of this program")
+    text = "file to write: .yml for OpenCV, .xml for VIC-3D, .json for MATLAB"
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help=text)
+    parser.switch("--force", "overwrite a file that is there")
+
+
+@command(_export_calibration_options)
+def export_calibration(options: argparse.Namespace) -> None:
+    """Write a calibration for OpenCV, VIC-3D or MATLAB."""
+    from fusion.cameras.calibrate import write_for_another_program
+
+    program = write_for_another_program(options.calibration, options.output, options.force)
+    print(f"calibration for {program} written: {options.output}")
 
 
 def _align_options(parser: Parser) -> None:
@@ -406,4 +424,4 @@ def transfer(options: argparse.Namespace) -> None:
     run_transfer(options.recording, options.output, settings, force=options.force, allow_outside=options.allow_outside)
 
 
-COMMANDS = (run, check, cameras, import_calibration, align, simulate, plan, lines, transfer)
+COMMANDS = (run, check, cameras, import_calibration, export_calibration, align, simulate, plan, lines, transfer)

@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, IntArray, Notice
-from photogram.camera import Camera, StereoRig
+from photogram.camera import CAMERA_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector
 
 EVEN = (2, 4, 6)
 """Exponents of the radial polynomial 1 + k1·r² + k2·r⁴ + k3·r⁶, which is this program's."""
-_LINEAR, _RADIAL = [0, 1, 2, 3, 9], [4, 5, 8]  # places of fx fy cx cy and the turn, of k1 k2 k3, among the parameters
 _GRID = 21  # points along each side of the picture at which two cameras are compared
 _STEPS = 200  # fixed-point steps of the inverse
 _INVERTED_PX = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2"):
+class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divisor 3"):
     """A pinhole with skew, radial and tangential distortion: focal_px, centre_px (2,), radial (3,), tangential (2,).
 
-    With x = X/Z, y = Y/Z, r² = x² + y² and the factor g = 1 + Σ radial·r^exponents:
+    With x = X/Z, y = Y/Z, r² = x² + y² and the factor g = (1 + Σ radial·r^exponents)/(1 + Σ divisor·r^(2, 4, 6)):
     x_d = g·x + 2·p1·x·y + p2·(r² + 2x²), y_d = g·y + p1·(r² + 2y²) + 2·p2·x·y,
     u = fx·x_d + skew·y_d + cx, v = fy·y_d + cy.
     """
@@ -35,17 +34,25 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2"):
     tangential: FloatArray
     skew_px: float = 0.0
     exponents: tuple[int, int, int] = EVEN
+    divisor: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     @property
     def is_exact(self) -> bool:
         """Whether a `Camera` describes it without any difference."""
-        return self.skew_px == 0.0 and (self.exponents == EVEN or not self.radial.any())
+        return self.exponents == EVEN or not self.radial.any()
+
+    @property
+    def parameters(self) -> FloatArray:
+        """The vector (13,) of `CAMERA_PARAMETERS`, whatever the exponents."""
+        k1, k2, k3 = self.radial
+        return np.array([*self.focal_px, *self.centre_px, k1, k2, *self.tangential, k3, *self.divisor, self.skew_px])
 
     def project(self, normalised: FloatArray) -> FloatArray:
         """Return the pixels (N, 2) of normalised coordinates (N, 2)."""
         x, y = normalised.T
         radius = np.hypot(x, y)
         factor = 1.0 + sum(k * radius**power for k, power in zip(self.radial, self.exponents, strict=True))
+        factor = factor / (1.0 + sum(k * radius**power for k, power in zip(self.divisor, EVEN, strict=True)))
         p1, p2 = self.tangential
         x_d = factor * x + 2 * p1 * x * y + p2 * (radius**2 + 2 * x**2)
         y_d = factor * y + p1 * (radius**2 + 2 * y**2) + 2 * p2 * x * y
@@ -55,13 +62,13 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2"):
 
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """The camera nearest to a lens: `camera` sees in a frame turned by `turn_rad` about its axis what the lens sees.
+    """The camera nearest to a lens: in a frame turned by `turn` (3,), a rotation vector in rad, it sees what that sees.
 
     `largest_px`: the largest difference left over the picture.
     """
 
     camera: Camera
-    turn_rad: float
+    turn: FloatArray
     largest_px: float
 
 
@@ -69,43 +76,68 @@ def nearest_camera(lens: Lens, size_px: IntArray) -> Nearest:
     """Return the camera that sees, with least squares over the picture, what a lens sees.
 
     A lens of this program's form is taken over as it is. Another radial polynomial is fitted by this one's, with the
-    matrix. Of a skew, u = … + s·y_d, about one half is a turn about the axis by −s/(fx + fy), which the camera's frame
-    takes up; the other half, a stretch along the diagonals, is no part of this program's camera and remains.
+    matrix.
+    """
+    if lens.is_exact:
+        return Nearest(Camera.from_parameters(lens.parameters, size_px), np.zeros(3), 0.0)
+    normalised = _seen(lens, size_px)
+    start = lens.parameters
+    start[[4, 5, 8]] = 0.0
+    start[:2] *= 1.0 + sum(k for k, power in zip(lens.radial, lens.exponents, strict=True) if power == 0)
+    return fitted_camera(lens.project(normalised), normalised, start, ("fx", "fy", "cx", "cy", *RADIAL), size_px)
+
+
+RADIAL = ("k1", "k2", "k3")
+TURN = ("x", "y", "z")
+
+
+def fitted_camera(
+    pixel: FloatArray, normalised: FloatArray, start: FloatArray, free: Sequence[str], size_px: IntArray
+) -> Nearest:
+    """Return the camera, by least squares, that sees points (N, 2) with X/Z, Y/Z (N, 2) at pixels (N, 2).
+
+    Parameters (13,) begin at `start`; `free` names those that are fitted and components of the turn about x, y, z.
     """
     from scipy.optimize import least_squares
 
-    start = np.concatenate([lens.focal_px, lens.centre_px, lens.radial[:2], lens.tangential, lens.radial[2:]])
-    if lens.is_exact:
-        return Nearest(Camera.from_parameters(start, size_px), 0.0, 0.0)
-    if lens.exponents != EVEN:
-        start[_RADIAL] = 0.0
-    free = _LINEAR if lens.exponents == EVEN else [*_LINEAR, *_RADIAL]
-    normalised = _seen(lens, size_px)
-    pixel, rays = lens.project(normalised), np.column_stack([normalised, np.ones(len(normalised))])
+    rays = np.column_stack([normalised, np.ones(len(normalised))])
+    names = (*CAMERA_PARAMETERS, *TURN)
+    places = [names.index(name) for name in free]
     # Each unknown in steps that move the corner by about 1 px.
     radius = float(np.linalg.norm(normalised, axis=1).max())
-    reach = radius * float(lens.focal_px.mean())
-    steps = np.array([1 / radius, 1 / radius, 1, 1, *(1 / (reach * radius**n) for n in (2, 4, 1, 1, 6, 0))])
+    reach = float(start[:2].mean())
+    powers = {"k1": 3, "k2": 5, "k3": 7, "x": 0, "y": 0, "z": 1}
+    steps = np.array(
+        [
+            {"c": 1.0, "f": 1 / radius, "s": 1 / radius}.get(name[0]) or 1 / (reach * radius ** powers[name])
+            for name in free
+        ]
+    )
 
-    def moved(scaled: FloatArray) -> tuple[Camera, float]:
-        values = np.append(start, 0.0)
-        values[free] += scaled * steps[free]
-        return Camera.from_parameters(values[:9], size_px), float(values[9])
+    def moved(scaled: FloatArray) -> tuple[Camera, FloatArray]:
+        values = np.concatenate([start, np.zeros(3)])
+        values[places] += scaled * steps
+        return Camera.from_parameters(values[:-3], size_px), values[-3:]
 
     def difference(scaled: FloatArray) -> FloatArray:
         camera, turn = moved(scaled)
-        return np.asarray(camera.project(rays @ rotation_from_vector(np.array([0.0, 0.0, turn])).T) - pixel)
+        return np.asarray(camera.project(rays @ rotation_from_vector(turn).T) - pixel)
 
     tight = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
     fit = least_squares(lambda x: difference(x).ravel(), np.zeros(len(free)), method="lm", **tight).x
     return Nearest(*moved(fit), float(np.linalg.norm(difference(fit), axis=1).max()))
 
 
-def _seen(lens: Lens, size_px: IntArray) -> FloatArray:
-    """Return the normalised coordinates (N, 2) of a grid of pixels over the picture, by fixed-point steps."""
+def picture_grid(size_px: IntArray) -> FloatArray:
+    """Return a grid (N, 2) of pixels over the picture, its corners included."""
     width, height = (float(length) - 1.0 for length in size_px)
     columns, rows = np.meshgrid(np.linspace(0.0, width, _GRID), np.linspace(0.0, height, _GRID))
-    pixel = np.stack([columns.ravel(), rows.ravel()], axis=1)
+    return np.stack([columns.ravel(), rows.ravel()], axis=1)
+
+
+def _seen(lens: Lens, size_px: IntArray) -> FloatArray:
+    """Return the normalised coordinates (N, 2) of a grid of pixels over the picture, by fixed-point steps."""
+    pixel = picture_grid(size_px)
     normalised = (pixel - lens.centre_px) / lens.focal_px
     for _ in range(_STEPS):
         difference = pixel - lens.project(normalised)
@@ -168,10 +200,8 @@ def build(stated: Stated, image_size: tuple[int, int] | None, length_unit: Lengt
     if departure > FEW_DIGITS:
         text = f"the rotation is written with so few digits that it is {1e3 * departure:.2f} mrad away from one"
         notices.append(Notice("warning", text, "rotation"))
-    left, right = (_nearest(side, lens, size, notices) for side, lens in zip(SIDES, stated.lenses, strict=True))
-    given = RigidTransform(nearest_rotation(stated.rotation), stated.translation * METRES[unit])
-    turns = [RigidTransform.from_pose(np.array([0, 0, 0, 0, 0, near.turn_rad])) for near in (left, right)]
-    between = turns[1] @ given @ turns[0].inverse()
+    left, right = (_camera(side, lens, size, notices) for side, lens in zip(SIDES, stated.lenses, strict=True))
+    between = RigidTransform(nearest_rotation(stated.rotation), stated.translation * METRES[unit])
     cosine = np.clip((np.trace(between.rotation) - 1.0) / 2.0, -1.0, 1.0)
     told = (
         f"the cameras are {1e3 * np.linalg.norm(between.translation_m):.2f} mm apart and turned by "
@@ -179,7 +209,7 @@ def build(stated: Stated, image_size: tuple[int, int] | None, length_unit: Lengt
     )
     missing = "no uncertainties came with it: state scale_uncertainty under [stereo.NAME] in rig.toml"
     notices += [Notice("info", told, "extrinsics"), Notice("info", missing, "covariance")]
-    return ImportedCalibration(StereoRig(left.camera, right.camera, between), stated.format, tuple(notices))
+    return ImportedCalibration(StereoRig(left, right, between), stated.format, tuple(notices))
 
 
 def numbers(where: str, values: Any, count: int | tuple[int, ...]) -> FloatArray:
@@ -233,8 +263,17 @@ def _times(size: tuple[int, int] | None) -> str:
     return "none" if size is None else f"{size[0]}x{size[1]}"
 
 
-def _nearest(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Nearest:
-    """Return the nearest camera of one side and note what it cannot describe; `ValueError` where none is near enough.
+def approximated(where: str, beyond: str, nearest: Nearest) -> Notice:
+    """Return what is said of a camera that lacks what is `beyond` it; `ValueError` where it is not near enough."""
+    remain = f"up to {nearest.largest_px:.3f} px remain over the picture"
+    if not nearest.largest_px <= UNUSABLE_PX:
+        raise ValueError(f"{where}: {beyond} has no camera near enough: {remain}, {UNUSABLE_PX} px are allowed")
+    text = f"{beyond} is described by the nearest camera without it; {remain}"
+    return Notice("warning" if nearest.largest_px > REMARKABLE_PX else "info", text, where)
+
+
+def _camera(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Camera:
+    """Return the camera of one side and note what it cannot describe; `ValueError` where none is near enough.
 
     Noted is also a principal point that cannot belong to a picture of that size.
     """
@@ -243,22 +282,10 @@ def _nearest(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Ne
         nearest = nearest_camera(lens, size)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
-    odd = lens.exponents != EVEN and lens.radial.any()
-    parts = [f"a skew of {lens.skew_px:.3g} px"] if lens.skew_px else []
-    parts += [f"a distortion in powers {lens.exponents} of r"] if odd else []
-    beyond = " and ".join(parts)
-    if nearest.largest_px > UNUSABLE_PX:
-        raise ValueError(
-            f"{where}: {beyond} cannot be taken over: up to {nearest.largest_px:.2f} px of it remain "
-            f"over the picture, {UNUSABLE_PX} px are allowed"
-        )
-    if beyond:
-        turned = f", its frame turned by {1e3 * nearest.turn_rad:.3f} mrad about its axis" if lens.skew_px else ""
-        text = f"{beyond} is described by the nearest camera without it{turned}; "
-        text += f"up to {nearest.largest_px:.3f} px remain over the picture"
-        notices.append(Notice("warning" if nearest.largest_px > REMARKABLE_PX else "info", text, where))
+    if not lens.is_exact:
+        notices.append(approximated(where, f"a distortion in powers {lens.exponents} of r", nearest))
     centre, (width, height) = nearest.camera.matrix[:2, 2], size
     if not ((centre >= 0).all() and (centre < size).all()):
         text = f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies outside a picture of {width}x{height}: "
         notices.append(Notice("warning", f"{text}width and height may be exchanged", where))
-    return nearest
+    return nearest.camera

@@ -231,3 +231,16 @@ def test_what_is_missing_is_said_in_one_sentence(
 ) -> None:
     assert told in refused("import-calibration", tmp_path / file, "-o", tmp_path / "top.json", *options)
     assert not (tmp_path / "top.json").exists()
+
+
+def test_a_calibration_goes_out_and_comes_back(opencv_file: Path, tmp_path: Path, capsys: Capture, refused: Refused):
+    ours, theirs, again = (tmp_path / name for name in ("top.json", "vic3d.xml", "again.json"))
+    command = ["import-calibration", str(opencv_file), "-o", str(ours), "--image-size", "1280x1024"]
+    assert main([*command, "--length-unit", "mm"]) == EXIT_DONE
+    assert main(["export-calibration", str(ours), "-o", str(theirs)]) == EXIT_DONE
+    assert capsys.readouterr().out.endswith(f"calibration for VIC-3D written: {theirs}\n")
+    assert main(["import-calibration", str(theirs), "-o", str(again)]) == EXIT_DONE
+    np.testing.assert_allclose(read_calibration(again).values, read_calibration(ours).values, rtol=1e-12)
+    assert "expected a new file" in refused("export-calibration", ours, "-o", theirs)
+    assert "ends in .yml" in refused("export-calibration", ours, "-o", tmp_path / "top.txt")
+    assert "stereo.yml" in refused("export-calibration", opencv_file, "-o", tmp_path / "new.xml")

@@ -1,0 +1,246 @@
+"""Calibrations of image correlation programs: DICe, VIC-3D, MatchID."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+
+from photogram.arrays import FloatArray, Notice
+from photogram.calibration.foreign import (
+    EVEN,
+    LengthUnit,
+    Lens,
+    Stated,
+    numbers,
+    right_from_left,
+    rotation_from_cardan,
+)
+
+# DICe: camera systems in XML, and the text of 16 intrinsic and 6 or 12 extrinsic numbers before it.
+
+_SYSTEM_FILE = "dice_xml_camera_system_file"
+_POWERS = {  # of r in the factor by which x and y are multiplied
+    "OPENCV_LENS_DISTORTION": EVEN,
+    "K1R1_K2R2_K3R3": (0, 1, 2),  # r + k1·r + k2·r² + k3·r³
+    "K1R2_K2R4_K3R6": (1, 3, 5),
+    "K1R3_K2R5_K3R7": EVEN,
+    "VIC3D_LENS_DISTORTION": EVEN,  # the numbers are VIC-3D's own
+}
+_LINEAR = "K1R1_K2R2_K3R3"
+_NONE = "NO_LENS_DISTORTION"
+_DICE_BEYOND = ("S1", "S2", "S3", "S4", "T1", "T2")
+_TEXT_ORDER = "cx cy fx fy fs k1 k2 k3 of either camera, alpha beta gamma or R11…R33, tx ty tz, [height width]"
+
+
+def read_dice_xml(root: ElementTree.Element, even_radial: bool = False) -> Stated:
+    """Return what a DICe camera system file holds (`DICe_Camera.cpp`, `DICe_CameraSystem.cpp` of dicengine).
+
+    Either camera has x_camera = R·x_world + t, or, with `extrinsics_relative_camera_to_camera`, the second one
+    x₁ = R·x₀ + t. Angles ALPHA BETA GAMMA in degrees, R = R_z·R_y·R_x. Lengths in the unit of the target's spacing, mm
+    by the program's habit. `even_radial`: coefficients said to belong to r, r², r³ belong to r², r⁴, r⁶.
+    """
+    system = _parameters(root)
+    kind = system.get("XML_FILE_FORMAT", "")
+    if kind.lower() != _SYSTEM_FILE:
+        raise ValueError(f"xml_file_format: expected DICe_xml_camera_system_file, found {kind or 'none'}")
+    lists = {part.get("name", "").upper(): part for part in root.findall("parameterlist")}
+    cameras = sorted(name for name in lists if name.startswith("CAMERA "))
+    if cameras != ["CAMERA 0", "CAMERA 1"]:
+        raise ValueError(f"CAMERA: expected CAMERA 0 and CAMERA 1, found {', '.join(cameras) or 'none'}")
+    first, second = (_camera(name, lists[name]) for name in cameras)
+    rotation, translation = second[2], second[3]
+    if system.get("EXTRINSICS_RELATIVE_CAMERA_TO_CAMERA", "false").lower() != "true":
+        rotation, translation = right_from_left(first[2:], second[2:])
+    lenses, notices = _by_order(first[0], second[0], even_radial)
+    return Stated("DICe", lenses, (first[1], second[1]), rotation, translation, "mm", notices)
+
+
+def _by_order(left: Lens, right: Lens, even_radial: bool) -> tuple[tuple[Lens, Lens], tuple[Notice, ...]]:
+    """Return both lenses in the order of radial powers that is asked for, and what is to be said of it."""
+    if not any(lens.exponents == _POWERS[_LINEAR] and lens.radial.any() for lens in (left, right)):
+        return (left, right), ()
+    if even_radial:
+        told = "k1 k2 k3 are taken as the factor 1 + k1 r^2 + k2 r^4 + k3 r^6, as asked for; DICe takes them otherwise"
+        return (replace(left, exponents=EVEN), replace(right, exponents=EVEN)), (Notice("info", told, "distortion"),)
+    text = (
+        f"k1 k2 k3 are taken as {_LINEAR}, x (1 + k1 + k2 r + k3 r^2), as DICe itself takes this file, by which its "
+        f"focal lengths are {100 * left.radial[0]:+.2g} % and {100 * right.radial[0]:+.2g} % off fx; numbers copied "
+        "from OpenCV or VIC-3D belong to r^2, r^4, r^6: for these ask for even_radial (--even-radial)"
+    )
+    return (left, right), (Notice("warning", text, "distortion"),)
+
+
+def read_dice_text(text: str, even_radial: bool = False) -> Stated:
+    """Return what DICe's former text holds: one number a line, comments after #.
+
+    Order: cx cy fx fy fs k1 k2 k3 of either camera, then α β γ (degrees) or R by rows, tx ty tz of x₁ = R·x₀ + t, then
+    height and width where they are given. k1 k2 k3 belong to r, r², r³, as DICe itself reads them
+    (`Camera_System::read_camera_system_file`, K1R1_K2R2_K3R3), with `even_radial` to r², r⁴, r⁶.
+    """
+    words = [word for line in text.splitlines() if (word := line.split("#", 1)[0].strip())]
+    extrinsic, has_size = {22: (6, False), 24: (6, True), 28: (12, False), 30: (12, True)}.get(len(words), (0, False))
+    if not extrinsic:
+        raise ValueError(f"expected 22, 24, 28 or 30 numbers, one a line ({_TEXT_ORDER}), found {len(words)}")
+    values = numbers("content", words, len(words))
+    outer = values[16 : 16 + extrinsic]
+    rotation = rotation_from_cardan(outer[:3]) if extrinsic == 6 else outer[:9].reshape(3, 3)
+    size = (int(values[-1]), int(values[-2])) if has_size else None
+    left, right = (
+        Lens(each[2:4], each[:2], each[5:8], np.zeros(2), skew_px=float(each[4]), exponents=_POWERS[_LINEAR])
+        for each in (values[:8], values[8:16])
+    )
+    lenses, notices = _by_order(left, right, even_radial)
+    return Stated("DICe", lenses, (size, size), rotation, outer[-3:], "mm", notices)
+
+
+def _parameters(element: ElementTree.Element) -> dict[str, str]:
+    """Return the values of a list's own parameters by upper-case name."""
+    return {part.get("name", "").upper(): part.get("value", "") for part in element.findall("parameter")}
+
+
+def _camera(name: str, element: ElementTree.Element) -> tuple[Lens, tuple[int, int], FloatArray, FloatArray]:
+    """Return lens, size, rotation and translation of one camera."""
+    values = _parameters(element)
+
+    def number(key: str) -> float:
+        return float(numbers(f"{name}.{key}", values.get(key, "0"), 1)[0])
+
+    for key in ("CX", "CY", "FX", "FY", "IMAGE_HEIGHT_WIDTH"):
+        if key not in values:
+            raise ValueError(f"{name}.{key}: missing")
+    for key in _DICE_BEYOND:
+        if number(key) != 0:
+            raise ValueError(f"{name}.{key}: expected k1 … k6, p1 and p2 alone, found {key} = {number(key):g}")
+    model = values.get("LENS_DISTORTION_MODEL", _NONE).upper()
+    if model != _NONE and model not in _POWERS:
+        raise ValueError(f"{name}.LENS_DISTORTION_MODEL: expected {', '.join((_NONE, *_POWERS))}, found {model}")
+    radial = np.array([number("K1"), number("K2"), number("K3")]) * (model != _NONE)
+    is_opencv = model == "OPENCV_LENS_DISTORTION"
+    tangential = np.array([number("P1"), number("P2")]) * is_opencv
+    lens = Lens(
+        np.array([number("FX"), number("FY")]),
+        np.array([number("CX"), number("CY")]),
+        radial,
+        tangential,
+        skew_px=number("FS"),
+        exponents=_POWERS.get(model, EVEN),
+        divisor=np.array([number("K4"), number("K5"), number("K6")]) * is_opencv,
+    )
+    height, width = _list(f"{name}.IMAGE_HEIGHT_WIDTH", values["IMAGE_HEIGHT_WIDTH"], 2)
+    rotation = rotation_from_cardan(np.array([number("ALPHA"), number("BETA"), number("GAMMA")]))
+    for part in element.findall("parameterlist"):
+        if part.get("name", "").lower() == "rotation_3x3_matrix":
+            rows = _parameters(part)
+            rotation = np.array([_list(f"{name}.ROW {i}", rows.get(f"ROW {i}", ""), 3) for i in range(3)])
+    return lens, (int(width), int(height)), rotation, np.array([number("TX"), number("TY"), number("TZ")])
+
+
+def _list(where: str, text: str, count: int) -> FloatArray:
+    """Return the numbers of a text like { 1, 2 }."""
+    return numbers(where, re.findall(r"[^\s,{}]+", text), count)
+
+
+# VIC-3D: the calibration in a project's XML, on its own or inside a .z3d file.
+
+
+def read_vic3d(root: ElementTree.Element) -> Stated:
+    """Return what a VIC-3D project or calibration holds.
+
+    `camera`: cx cy fx fy s k1 k2 k3, as text or split into `intrinsics` and `distortion`, with u = fx·x_d + s·y_d + cx;
+    `orientation`: α β γ (degrees) tx ty tz (mm) of x_camera = R_z(γ)·R_y(β)·R_x(α)·x_world + t (sdynpy,
+    `camera_matrix_from_vic_parameters`; dicengine, `DICe_CameraSystem.cpp`). The distortion is not published; of the
+    usual polynomials, 1 + k1·r² + k2·r⁴ + k3·r⁶ leaves the smallest epipolar residuals in a recording of the DIC
+    challenge with its VIC-3D calibration (`tests/photogram/test_calibration_import.py`).
+    """
+    cameras = {camera.get("id", ""): camera for camera in root.iter("camera")}
+    if set(cameras) != {"0", "1"}:
+        raise ValueError(f"camera: expected the ids 0 and 1, found {', '.join(sorted(cameras)) or 'none'}")
+    (left, *left_pose), (right, *right_pose) = (_vic3d_camera(f"camera {key}", cameras[key]) for key in "01")
+    rotation, translation = right_from_left(left_pose, right_pose)
+    size = None  # of the pictures: it stands at an area of interest where there is one
+    for mask in root.iter("polygonmask"):
+        if size is None and mask.get("width") and mask.get("height"):
+            width, height = numbers("polygonmask", [mask.get("width"), mask.get("height")], 2)
+            size = int(width), int(height)
+    return Stated("VIC-3D", (left, right), (size, size), rotation, translation, "mm")
+
+
+def _vic3d_camera(name: str, camera: ElementTree.Element) -> tuple[Lens, FloatArray, FloatArray]:
+    """Return lens, in either spelling, rotation and translation (mm) of one camera."""
+    intrinsics, distortion, orientation = (camera.find(tag) for tag in ("intrinsics", "distortion", "orientation"))
+    words = (camera.text or "").split()
+    inner, radial = words[:5], words[5:]
+    if intrinsics is not None:
+        inner = (intrinsics.text or "").split()
+        radial = [] if distortion is None else (distortion.text or "").split()
+    cx, cy, fx, fy, skew = numbers(f"{name}.intrinsics", inner, 5)
+    coefficients = numbers(f"{name}.distortion", radial, len(radial))
+    if coefficients[3:].any():
+        raise ValueError(
+            f"{name}.distortion: expected k1 k2 k3, found {coefficients[3:].tolist()} beside them, "
+            "whose meaning is not published; calibrate with radial distortion alone"
+        )
+    if orientation is None:
+        raise ValueError(f"{name}.orientation: missing")
+    pose = numbers(f"{name}.orientation", (orientation.text or "").split(), 6)
+    padded = np.concatenate([coefficients, np.zeros(3)])[:3]
+    lens = Lens(np.array([fx, fy]), np.array([cx, cy]), padded, np.zeros(2), skew_px=float(skew))
+    return lens, rotation_from_cardan(pose[:3]), pose[3:]
+
+
+# MatchID: a table of names and values.
+
+_MATCHID = re.compile(
+    r"^\s*(cam\d_[a-z]\w*(?: \d)?|t[xyz]|theta|phi|psi)\s*(?:\[(\w+)\]|_(px|mm|m|deg|rad))?\s*[;,:=\t]\s*(\S+)"
+)
+_MATCHID_UNITS: dict[str, LengthUnit] = {"mm": "mm", "m": "m"}
+
+
+def is_matchid(text: str) -> bool:
+    """Whether a text has the names of a MatchID calibration."""
+    return re.search(r"^\s*cam\d_fx\b|^\s*cam\d_fx_px\b", text, re.IGNORECASE | re.MULTILINE) is not None
+
+
+def read_matchid(text: str) -> Stated:
+    """Return what a `.caldat` holds, cameras numbered 0 and 1 or 1 and 2, or the same names with `_px`, `_mm`, `_deg`.
+
+    Fx Fy Fs Cx Cy in px, Kappa 1 2 3 of r², r⁴, r⁶, P1 P2; x_second = R·x_first + T with R = R_z(ψ)·R_y(φ)·R_x(θ),
+    as pyvale writes it for MatchID and as a second camera looking at what the first one sees requires.
+    """
+    values: dict[str, tuple[str, str]] = {}
+    for line in text.lower().splitlines():
+        found = _MATCHID.match(line)
+        if found:
+            name, bracket, suffix, value = found.groups()
+            suffixed = re.fullmatch(r"(\w+?)_(px|mm|m|deg|rad)", name)
+            unit = bracket or suffix or (suffixed[2] if suffixed else "")
+            values[re.sub(r"[ _]", "", (suffixed[1] if suffixed else name)).replace("kappa", "k")] = unit, value
+
+    def number(name: str, default: str | None = None) -> float:
+        if name not in values and default is None:
+            raise ValueError(f"{name}: missing")
+        value = values[name][1] if name in values else default
+        return float(numbers(name, [str(value).replace(",", ".")], 1)[0])
+
+    cameras = sorted({name[:4] for name in values if name.startswith("cam")})
+    if cameras not in (["cam0", "cam1"], ["cam1", "cam2"]):
+        raise ValueError(f"expected the cameras 0 and 1, or 1 and 2, found {', '.join(cameras) or 'none'}")
+    left, right = (
+        Lens(
+            np.array([number(f"{camera}fx"), number(f"{camera}fy")]),
+            np.array([number(f"{camera}cx"), number(f"{camera}cy")]),
+            np.array([number(f"{camera}k{n}", "0") for n in (1, 2, 3)]),
+            np.array([number(f"{camera}p{n}", "0") for n in (1, 2)]),
+            skew_px=number(f"{camera}fs", "0"),
+        )
+        for camera in cameras
+    )
+    angles = np.array([number(name) for name in ("theta", "phi", "psi")])
+    if values["theta"][0] == "rad":
+        angles = np.rad2deg(angles)
+    translation = np.array([number(name) for name in ("tx", "ty", "tz")])
+    unit = _MATCHID_UNITS.get(values["tx"][0], "mm")
+    return Stated("MatchID", (left, right), (None, None), rotation_from_cardan(angles), translation, unit)

@@ -1,0 +1,170 @@
+"""Calibrations of MATLAB, as JSON or `.mat`, and of Bouguet's toolbox for it."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from photogram.arrays import FloatArray
+from photogram.calibration.foreign import SIDES, LengthUnit, Lens, Stated, numbers
+from photogram.geometry import rotation_from_vector, skew
+
+# MATLAB: stereoParameters as JSON, and Bouguet's calibration toolbox as text.
+
+_UNITS: dict[str, LengthUnit] = {"mm": "mm", "millimeters": "mm", "millimetres": "mm", "m": "m", "meters": "m"}
+_ESSENTIAL = 1e-3  # relative departure of an essential matrix from that of R and T above which they contradict
+_ASSIGNMENT = re.compile(r"\b([A-Za-z]\w*)\s*=\s*(?:\[([^\]]*)\]|([-+]?[\d.][\w.+-]*))")
+
+
+def read_matlab(content: dict[str, Any]) -> Stated:
+    """Return what jsonencode(toStruct(stereoParams)), or jsonencode(stereoParams), wrote.
+
+    Pixels count from 1 there, so that 1 is taken off the principal point (MathWorks, `stereoParametersToOpenCV`).
+    `K` is the camera matrix and `PoseCamera2` has x₂ = R·x₁ + T; the older `IntrinsicMatrix` and `RotationOfCamera2`
+    are the transposed ones, x₂ᵀ = x₁ᵀ·R + T. An `EssentialMatrix` in the file must agree with R and T.
+    """
+    (left, left_size, unit), (right, right_size, _) = (
+        _matlab_camera(name, content.get(name)) for name in ("CameraParameters1", "CameraParameters2")
+    )
+    rotation, translation = _extrinsics(content)
+    if content.get("EssentialMatrix") is not None:
+        given = numbers("EssentialMatrix", content["EssentialMatrix"], 9)
+        expected = (skew(translation) @ rotation).ravel()
+        share = abs(given @ expected) / (np.linalg.norm(given) * np.linalg.norm(expected))
+        if not 1.0 - share < _ESSENTIAL**2:
+            raise ValueError("EssentialMatrix: expected the one of the file's rotation and translation, found another")
+    known = _UNITS.get(str(content.get("WorldUnits", unit)).lower())
+    return Stated("MATLAB", (left, right), (left_size, right_size), rotation, translation, known)
+
+
+def read_mat(path: Path) -> Stated:
+    """Return what a `.mat` file holds: stereoParameters as an object or its toStruct, or the toolbox's assignments."""
+    variables = _variables(path)
+    for value in variables.values():
+        if isinstance(value, dict) and "CameraParameters1" in value:
+            return read_matlab(value)
+    if "fc_left" in variables:
+        return _bouguet({name: np.asarray(value).ravel() for name, value in variables.items()})
+    names = ", ".join(sorted(variables)[:8]) or "none"
+    raise ValueError(f"expected a variable with stereoParameters, or fc_left and the like, found {names}")
+
+
+def _variables(path: Path) -> dict[str, Any]:
+    """Return the variables of a `.mat` file, structs and objects as dictionaries."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatlabOpaque
+
+    try:
+        with path.open("rb") as file:
+            is_hdf5 = file.read(10) == b"MATLAB 7.3"
+        if not is_hdf5:
+            found = loadmat(path, simplify_cells=True)
+            if not any(isinstance(value, MatlabOpaque) for value in found.values()):
+                return {name: value for name, value in found.items() if not name.startswith("__")}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            from matio import load_from_mat
+
+            return {name: _plain(value) for name, value in load_from_mat(str(path)).items()}
+    except ImportError as error:
+        raise ValueError(
+            "expected the package mat-io, which reads MATLAB's objects, found none; install shakercal[formats], or in "
+            "MATLAB write jsonencode(toStruct(stereoParams)) to a file and import that"
+        ) from error
+    except Exception as error:  # the readers raise whatever damaged bytes lead to
+        raise ValueError(f"expected a .mat file that can be read, found {type(error).__name__} in it") from error
+
+
+def _plain(value: Any, depth: int = 0) -> Any:
+    """Return MATLAB's objects and structs as dictionaries; what an object keeps within `any` counts as its own."""
+    if depth > 12:
+        return None
+    if hasattr(value, "properties"):
+        value = value.properties
+    if isinstance(value, np.ndarray) and value.size == 1 and (value.dtype == object or value.dtype.names):
+        return _plain(value.ravel()[0], depth + 1)
+    if isinstance(value, np.void) and value.dtype.names:
+        value = {name: value[name] for name in value.dtype.names}
+    if not isinstance(value, dict):
+        return value.tolist() if isinstance(value, np.ndarray) and value.dtype != object else value
+    fields = {str(name): _plain(part, depth + 1) for name, part in value.items()}
+    inner = fields.pop("any", None)
+    return {**fields, **inner} if isinstance(inner, dict) else fields
+
+
+def read_bouguet(text: str) -> Stated:
+    """Return what Bouguet's stereo calibration prints or saves as assignments: fc_left = [ … ], …, om, T.
+
+    x_right = R(om)·x_left + T in mm; kc: k1 k2 p1 p2 k3; skew alpha_c·fc(1); the toolbox counts pixels from 0, as it
+    takes 1 off every corner (`click_ima_calib.m`). `nx`, `ny`: image size, where they are given.
+    """
+    uncommented = re.sub(r"^\s*%.*$", "", text, flags=re.MULTILINE)
+    values: dict[str, Any] = {}
+    for name, inside, scalar in _ASSIGNMENT.findall(uncommented):
+        values.setdefault(name, re.findall(r"[^\s,;]+", inside or scalar))
+    return _bouguet(values)
+
+
+def _bouguet(values: dict[str, Any]) -> Stated:
+    """Return what the toolbox's variables state."""
+
+    def array(name: str, count: int) -> FloatArray:
+        if name not in values:
+            raise ValueError(f"{name}: missing")
+        return numbers(name, values[name], count)
+
+    lenses = []
+    for side in SIDES:
+        focal, centre, kc = array(f"fc_{side}", 2), array(f"cc_{side}", 2), array(f"kc_{side}", 5)
+        alpha = float(array(f"alpha_c_{side}", 1)[0]) if f"alpha_c_{side}" in values else 0.0
+        lenses.append(Lens(focal, centre, kc[[0, 1, 4]], kc[2:4], skew_px=alpha * float(focal[0])))
+    rotation = array("R", 9).reshape(3, 3) if "om" not in values else rotation_from_vector(array("om", 3))
+    size = (int(array("nx", 1)[0]), int(array("ny", 1)[0])) if {"nx", "ny"} <= set(values) else None
+    return Stated("Bouguet's toolbox", (lenses[0], lenses[1]), (size, size), rotation, array("T", 3), "mm")
+
+
+def _matlab_camera(name: str, camera: Any) -> tuple[Lens, tuple[int, int] | None, str]:
+    """Return one camera's lens, its principal point counted from 0, width and height, and the unit of lengths."""
+    if not isinstance(camera, dict):
+        raise ValueError(f"{name}: expected an object, found {str(camera)[:40]!r}")
+    inner = camera.get("Intrinsics")
+    parameters = {**camera, **inner} if isinstance(inner, dict) else camera
+    if parameters.get("K") is not None:
+        k = numbers(f"{name}.K", parameters["K"], (3, 3))
+    elif parameters.get("IntrinsicMatrix") is not None:
+        k = numbers(f"{name}.IntrinsicMatrix", parameters["IntrinsicMatrix"], (3, 3)).T
+    else:
+        raise ValueError(f"{name}: expected K or IntrinsicMatrix, found neither")
+    if k[1, 0] != 0 or not np.array_equal(k[2], [0, 0, 1]):
+        raise ValueError(f"{name}: expected a camera matrix, found {k.tolist()}")
+    radial = np.zeros(3)
+    coefficients = np.ravel(parameters.get("RadialDistortion", [0, 0]))
+    if coefficients.size not in (2, 3):
+        raise ValueError(f"{name}.RadialDistortion: expected 2 or 3 numbers, found {coefficients.size}")
+    radial[: coefficients.size] = numbers(f"{name}.RadialDistortion", coefficients, coefficients.size)
+    tangential = numbers(f"{name}.TangentialDistortion", parameters.get("TangentialDistortion", [0, 0]), 2)
+    lens = Lens(np.array([k[0, 0], k[1, 1]]), k[:2, 2] - 1.0, radial, tangential, skew_px=float(k[0, 1]))
+    stated = parameters.get("ImageSize")
+    size = np.ravel([] if stated is None else stated)
+    rows, columns = numbers(f"{name}.ImageSize", size, 2) if size.size else (0, 0)
+    unit = "".join(np.ravel(camera.get("WorldUnits", "")).astype(str))
+    return lens, (int(columns), int(rows)) if size.size else None, unit
+
+
+def _extrinsics(content: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
+    """Return R and T of x₂ = R·x₁ + T."""
+    pose = content.get("PoseCamera2")
+    if isinstance(pose, dict):
+        if pose.get("A") is not None:
+            matrix = numbers("PoseCamera2.A", pose["A"], (4, 4))
+            return matrix[:3, :3], matrix[:3, 3]
+        rotation = numbers("PoseCamera2.R", pose.get("R"), (3, 3))
+        return rotation, numbers("PoseCamera2.Translation", pose.get("Translation"), 3)
+    if content.get("RotationOfCamera2") is None:
+        raise ValueError("expected PoseCamera2, or RotationOfCamera2 and TranslationOfCamera2, found neither")
+    rotation = numbers("RotationOfCamera2", content["RotationOfCamera2"], (3, 3)).T
+    return rotation, numbers("TranslationOfCamera2", content.get("TranslationOfCamera2"), 3)

@@ -1,0 +1,268 @@
+"""Calibrations in YAML and JSON: OpenCV, ROS `camera_info`, Kalibr."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from photogram.arrays import FloatArray
+from photogram.calibration.foreign import LengthUnit, Lens, Stated, numbers
+from photogram.geometry import rotation_from_vector
+
+# OpenCV: FileStorage in YAML, XML or JSON, and plain JSON with the same content in lists.
+
+_MATRICES = ("cameramatrix", "cammatrix", "intrinsicmatrix", "intrinsics", "camera", "matrix", "mtx", "cm", "m", "k")
+_DISTORTIONS = ("distcoeffs", "distcoeff", "distortioncoefficients", "distortioncoeffs", "distortion", "dist", "d")
+_SIDES = (("1", "2"), ("left", "right"), ("l", "r"), ("0", "1"))
+_ROTATIONS = ("r", "rotation", "rotationmatrix", "rmat", "stereor", "rvec")
+_TRANSLATIONS = ("t", "translation", "translationvector", "tvec", "stereot")
+_SIZES = ("imagesize", "imgsize", "size", "resolution")
+_WIDTHS, _HEIGHTS = ("imagewidth", "imgwidth", "width", "w"), ("imageheight", "imgheight", "height", "h")
+_UNITS = ("lengthunit", "worldunits")
+_BEYOND = ("s1", "s2", "s3", "s4", "tauX", "tauY")
+_LENGTHS = (4, 5, 8, 12, 14)
+
+Values = dict[str, tuple[str, Any]]
+"""Values of a file by simplified name, each with the name as it stands there."""
+
+
+def read_opencv(text: str, extrinsics: str | None = None) -> Stated:
+    """Return what an OpenCV file holds: matrices and distortions of two cameras, R and T with x₂ = R·x₁ + T.
+
+    Names in any of the usual spellings (M1 D1 M2 D2 R T, cameraMatrix1 distCoeffs1, K_left, mtxL, left: {…}); a
+    rotation vector is accepted for R. Distortion in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6; later coefficients, of thin
+    prisms and tilted sensors, must be zero. A `length_unit` is this program's own addition.
+    """
+    values = _values(text)
+    if extrinsics is not None:
+        values |= _values(extrinsics)
+    matrices, distortions = _pair(values, _MATRICES, "M1 and M2"), _pair(values, _DISTORTIONS, "D1 and D2")
+    left, right = (_lens(matrix, distortion) for matrix, distortion in zip(matrices, distortions, strict=True))
+    size = _size(values)
+    name, value = _one(values, _ROTATIONS, "rotation R")
+    is_vector = np.size(np.asarray(value, dtype=object)) == 3
+    rotation = rotation_from_vector(numbers(name, value, 3)) if is_vector else numbers(name, value, (3, 3))
+    translation = numbers(*_one(values, _TRANSLATIONS, "translation T"), 3)
+    stated = next((str(values[name][1]) for name in _UNITS if name in values), None)
+    unit: LengthUnit | None = "mm" if stated == "mm" else "m" if stated == "m" else None
+    return Stated("OpenCV", (left, right), (size, size), rotation, translation, unit)
+
+
+def _values(text: str) -> Values:
+    """Return every value of a text."""
+    content = parse_json(text) if text.lstrip().startswith(("{", "[")) else _storage(text)
+    return {re.sub(r"[^a-z0-9]", "", name.lower()): (name, value) for name, value in _flat("", content)}
+
+
+def parse_json(text: str) -> Any:
+    """Return the content of a JSON text."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"expected a JSON text, found: {error}") from error
+
+
+def _flat(prefix: str, content: Any) -> Iterator[tuple[str, Any]]:
+    """Yield name and value of everything, the names of objects within objects joined by points."""
+    if not isinstance(content, dict):
+        yield prefix, content
+    elif "data" in content and ("rows" in content or "sizes" in content):  # a matrix; a vector of OpenCV 5
+        yield prefix, content["data"]
+    else:
+        for name, value in content.items():
+            yield from _flat(f"{prefix}.{name}" if prefix else name, value)
+
+
+def _storage(text: str) -> Any:
+    """Return the content of a FileStorage text as nested objects."""
+    import cv2
+
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)  # its nodes live as long
+        return _node(storage.root())
+    except (SystemError, cv2.error) as error:
+        raise ValueError("expected an OpenCV FileStorage text, found one that OpenCV cannot parse") from error
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
+def _node(node: Any) -> Any:
+    """Return a node of a FileStorage as number, text, list, or object of such."""
+    if node.isMap():
+        names = node.keys()
+        return {name: _node(node.getNode(name)) for name in names}
+    if node.isSeq():
+        return [_node(node.at(index)) for index in range(node.size())]
+    return node.string() if node.isString() else node.real()
+
+
+def _pair(values: Values, names: tuple[str, ...], what: str) -> tuple[tuple[str, Any], tuple[str, Any]]:
+    """Return the values of the left and the right camera; `ValueError` where there are none, or those of one only."""
+    for first, second in _SIDES:
+        for name in names:
+            for left, right in ((name + first, name + second), (first + name, second + name)):
+                if left in values and right in values:
+                    return values[left], values[right]
+    single = [values[name][0] for name in names if name in values]
+    if single:
+        raise ValueError(f"{single[0]}: expected two cameras ({what}), found the calibration of a single one")
+    raise ValueError(f"expected {what}, or the same under another usual name, found neither")
+
+
+def _one(values: Values, names: tuple[str, ...], what: str) -> tuple[str, Any]:
+    """Return the first value under any of the names."""
+    for name in names:
+        if name in values:
+            return values[name]
+    raise ValueError(f"expected the {what} from the first to the second camera, found none: is it in a second file?")
+
+
+def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any]) -> Lens:
+    """Return one camera's lens."""
+    name, value = matrix
+    k = numbers(name, value, (3, 3))
+    if k[1, 0] != 0 or not np.array_equal(k[2], [0, 0, 1]):
+        raise ValueError(f"{name}: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], found {k.tolist()}")
+    name, value = distortion
+    length = np.size(np.asarray(value, dtype=object))
+    if length not in _LENGTHS:
+        raise ValueError(f"{name}: expected {', '.join(map(str, _LENGTHS))} coefficients, found {length}")
+    coefficients = numbers(name, value, length)
+    for label, coefficient in zip(_BEYOND, coefficients[8:], strict=False):
+        if coefficient != 0:
+            raise ValueError(
+                f"{name}: expected the distortion k1 k2 p1 p2 k3 k4 k5 k6, found {label} = {coefficient:g} of a larger "
+                "model; calibrate without it"
+            )
+    k1, k2, p1, p2, k3, *divisor = np.concatenate([coefficients, np.zeros(4)])[:8]
+    focal, centre = np.array([k[0, 0], k[1, 1]]), k[:2, 2].copy()
+    radial, tangential = np.array([k1, k2, k3]), np.array([p1, p2])
+    return Lens(focal, centre, radial, tangential, skew_px=float(k[0, 1]), divisor=np.array(divisor))
+
+
+def _size(values: Values) -> tuple[int, int] | None:
+    """Return width and height where the file holds them."""
+    for name in _SIZES:
+        if name in values:
+            width, height = numbers(*values[name], 2)
+            return int(width), int(height)
+    sides = [next((values[name] for name in names if name in values), None) for names in (_WIDTHS, _HEIGHTS)]
+    whole = [int(numbers(*side, 1)[0]) for side in sides if side is not None]
+    return (whole[0], whole[1]) if len(whole) == 2 else None
+
+
+# ROS and Kalibr: YAML.
+
+_ROS_MODELS = {"plumb_bob": 5, "rational_polynomial": 8}  # and their numbers of coefficients, OpenCV's
+_PLACES = ("T_cn_cnm1", "T_cam_imu", "T_imu_cam")
+
+
+def parse_yaml(text: str) -> dict[str, Any]:
+    """Return the content of a YAML text of plain values; names that stand for other parts of the text are refused."""
+    try:
+        import yaml
+    except ImportError as error:
+        raise ValueError(
+            "expected the package PyYAML, which reads YAML, found none; install shakercal[formats]"
+        ) from error
+    body = re.sub(r"\A%YAML:1\.0[^\n]*\n", "", text)  # OpenCV's header is no YAML
+    try:
+        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(body)):
+            raise ValueError("expected a YAML text without references, found one")
+        content = yaml.safe_load(body)
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ValueError(f"expected a YAML text, found: {' '.join(str(error).split())[:200]}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"expected a YAML text of named values, found {str(content)[:40]!r}")
+    return content
+
+
+def read_ros(text: str, second: str | None) -> Stated:
+    """Return what the `camera_info` files of a left and a right camera hold (sensor_msgs/CameraInfo, REP 104). m.
+
+    The rectifying rotations turn both cameras into one frame, x_rect = R·x, in which P of the right one has the
+    baseline, P₁₄ = fx·B: x_right = R_rightᵀ·(R_left·x_left + (B, 0, 0)).
+    """
+    if second is None:
+        raise ValueError("camera_info: expected the right camera's file as the second file, found the left one alone")
+    rotations, shifts, lenses, sizes = [], [], [], []
+    for side, content in (("left", parse_yaml(text)), ("right", parse_yaml(second))):
+        kind = content.get("distortion_model")
+        if kind not in _ROS_MODELS:
+            raise ValueError(f"{side} distortion_model: expected {' or '.join(_ROS_MODELS)}, found {str(kind)[:40]}")
+        names = "camera_matrix", "distortion_coefficients", "rectification_matrix", "projection_matrix"
+        matrix, distortion, rectification, projection = (_ros_data(side, content, name) for name in names)
+        if np.size(np.asarray(distortion[1], dtype=object)) != _ROS_MODELS[kind]:
+            raise ValueError(f"{distortion[0]}: expected {_ROS_MODELS[kind]} coefficients for {kind}")
+        lenses.append(_lens(matrix, distortion))
+        rotations.append(numbers(*rectification, (3, 3)))
+        p = numbers(*projection, (3, 4))
+        if not p[0, 0] > 0:
+            raise ValueError(f"{projection[0]}: expected a focal length above 0, found {p[0, 0]:g}")
+        shifts.append(p[0, 3] / p[0, 0])
+        size = numbers(f"{side} image_width, image_height", [content.get(f"image_{n}") for n in ("width", "height")], 2)
+        sizes.append((int(size[0]), int(size[1])))
+    if shifts[0] == shifts[1]:
+        raise ValueError("projection_matrix: expected a baseline of a stereo pair, found two single cameras")
+    back = np.linalg.inv(rotations[1])
+    translation = back @ np.array([shifts[1] - shifts[0], 0.0, 0.0])
+    return Stated("ROS", (lenses[0], lenses[1]), (sizes[0], sizes[1]), back @ rotations[0], translation, "m")
+
+
+def _ros_data(side: str, content: dict[str, Any], name: str) -> tuple[str, Any]:
+    """Return name and numbers of one matrix of a camera."""
+    value = content.get(name)
+    if not isinstance(value, dict) or "data" not in value:
+        raise ValueError(f"{side} {name}: expected rows, cols and data, found {str(value)[:40]}")
+    return f"{side} {name}", value["data"]
+
+
+def read_kalibr(text: str) -> Stated:
+    """Return what a Kalibr camchain holds of two pinhole cameras with radial and tangential distortion. Lengths in m.
+
+    `T_cn_cnm1` (4, 4): x_cam1 = T·x_cam0; else both cameras have `T_cam_imu`, x_cam = T·x_imu, or `T_imu_cam`, its
+    inverse.
+    """
+    content = parse_yaml(text)
+    names = sorted(name for name in content if re.fullmatch(r"cam\d+", str(name)))
+    if names != ["cam0", "cam1"]:
+        raise ValueError(f"camchain: expected cam0 and cam1, found {', '.join(names) or 'none'}")
+    lenses, sizes, poses = [], [], []
+    for name in names:
+        camera = content[name]
+        if not isinstance(camera, dict):
+            raise ValueError(f"{name}: expected named values, found {str(camera)[:40]!r}")
+        models = camera.get("camera_model"), camera.get("distortion_model")
+        if models not in (("pinhole", "radtan"), ("pinhole", "none")):
+            raise ValueError(f"{name}: expected a camera pinhole-radtan, found {models[0]}-{models[1]}")
+        fx, fy, cx, cy = numbers(f"{name}.intrinsics", camera.get("intrinsics"), 4)
+        k = np.zeros(4)
+        if models[1] == "radtan":
+            k = numbers(f"{name}.distortion_coeffs", camera.get("distortion_coeffs"), 4)
+        lenses.append(Lens(np.array([fx, fy]), np.array([cx, cy]), np.array([*k[:2], 0.0]), k[2:]))
+        width, height = numbers(f"{name}.resolution", camera.get("resolution"), 2)
+        sizes.append((int(width), int(height)))
+        poses.append({key: _place(f"{name}.{key}", camera[key]) for key in _PLACES if camera.get(key) is not None})
+    if "T_cn_cnm1" in poses[1]:
+        between = poses[1]["T_cn_cnm1"]
+    elif "T_cam_imu" in poses[0] and "T_cam_imu" in poses[1]:
+        between = poses[1]["T_cam_imu"] @ np.linalg.inv(poses[0]["T_cam_imu"])
+    elif "T_imu_cam" in poses[0] and "T_imu_cam" in poses[1]:
+        between = np.linalg.inv(poses[1]["T_imu_cam"]) @ poses[0]["T_imu_cam"]
+    else:
+        raise ValueError(f"cam1: expected its place against cam0, one of {', '.join(_PLACES)}, found none")
+    return Stated("Kalibr", (lenses[0], lenses[1]), (sizes[0], sizes[1]), between[:3, :3], between[:3, 3], "m")
+
+
+def _place(where: str, value: Any) -> FloatArray:
+    """Return a transform (4, 4), its last row checked, so that it can be inverted."""
+    matrix = numbers(where, value, (4, 4))
+    if not np.array_equal(matrix[3], [0, 0, 0, 1]) or abs(np.linalg.det(matrix)) < 0.5:
+        raise ValueError(f"{where}: expected a rigid transform with a last row 0 0 0 1, found {matrix.tolist()}")
+    return matrix
