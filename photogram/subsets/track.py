@@ -16,7 +16,14 @@ from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, check_shape
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
 from photogram.images.sequence import GreyImage, ImageSequence
-from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
+from photogram.subsets.icgn import (
+    Registration,
+    TrackSettings,
+    noise_of_residual,
+    position_covariance,
+    register,
+    resolved,
+)
 from photogram.subsets.reference import PARAMETERS, Reference, TrackStatus, prepare_reference
 from photogram.subsets.search import (
     affine_field,
@@ -409,7 +416,7 @@ def find_from_neighbours(
         if not np.any(more.status[lost] == TrackStatus.OK):
             break
         found = merged(found, more)
-    return found
+    return resolved(reference, found)
 
 
 def merged(first: Registration, second: Registration) -> Registration:
