@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from photogram.arrays import BoolArray, FloatArray
 from photogram.bspline import Spline
-from photogram.subsets.icgn import Registration, TrackSettings, register
+from photogram.subsets.icgn import Registration, TrackSettings, register, resolved
 from photogram.subsets.reference import PARAMETERS, Reference, TrackStatus
 from photogram.subsets.search import (
     affine_field,
@@ -107,7 +107,7 @@ def find_from_neighbours(
         if not np.any(more.status[lost] == TrackStatus.OK):
             break
         found = merged(found, more)
-    return found
+    return resolved(reference, found)
 
 
 def merged(first: Registration, second: Registration) -> Registration:

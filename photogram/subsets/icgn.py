@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.bspline import Spline, mean_noise_gain, sample_line, sample_points, warp_inside
 from photogram.images.noise import QUANTISATION
 from photogram.kernels import njit
@@ -24,9 +24,13 @@ from photogram.subsets.reference import (
 )
 
 GAIN_AND_OFFSET = 2
-REMAINING = 0.02
-SMALL_STEP = 0.05 / REMAINING
+REMAINING = {2: 0.02, 6: 0.02, 12: 0.4}
+SMALL_STEP = 0.05
 LINEAR_PX = 0.3
+WORSE, SMALLEST_LOSS = 1e-3, 1e-6
+UNEXPLAINED_SIGMAS = 3.0
+OTHER_NOISE = 1.5
+LARGEST_UNRESOLVED_PX = 0.1
 
 
 @dataclass(frozen=True)
@@ -90,13 +94,15 @@ def register(reference: Reference, target: Spline, start: FloatArray, settings: 
     Minimises the zero-normalised sum of squared differences (its gain and offset eliminated) over the warp, by
     W(p) ← W(p) ∘ W(δ)⁻¹ with δ = H⁻¹ Σ SDᵀ g(W(p)) / gain. The gradients of order 0 stay those of the start. Order 2
     has warps (N,12), composed as polynomials up to second order (Gao et al. 2015, Opt. Lasers Eng. 65, 73), and takes
-    starts (N,6) as well.
+    starts (N,6) as well. Where a start has no curvature, order 1 is found first and order 2 starts from there; then
+    `judged` says which results the subsets carry.
 
     After a step below 0.3 px the error left is about a hundredth of it: 0.4 to 0.7 % (31 px), 0.7 to 1.1 % (21 px), 1.5
     to 2.5 % (13 px) were measured with noise of 1/255 of full scale and dots of 4.5 px, 0.05 to 3 % without noise. So a
     subset is found when a fiftieth of the step is below `convergence_px` of the `settings` at every point of the
     subset, or below a twentieth of the m parameters' standard uncertainties, 0.02² δᵀ(gain² H/s²)δ < 0.05² m with the
-    residual variance s². What the last step takes off the sum of squares, gain² δᵀHδ, is taken off in `zncc` and
+    residual variance s². Steps of order 2 leave up to a third of themselves where the texture hardly determines a
+    direction: there two fifths count instead of a fiftieth. What the last step takes off the sum of squares, gain² δᵀHδ, is taken off in `zncc` and
     `residual_grey2`.
     """
     count = len(reference.centre_px)
@@ -104,6 +110,17 @@ def register(reference: Reference, target: Spline, start: FloatArray, settings: 
     warp = np.zeros((count, columns))
     check_shape("start", start, (count, columns if start.shape[1:] == (columns,) else 6))
     warp[:, : start.shape[1]] = start
+    if reference.affine is not None:
+        plain = without_curvature(warp)
+        first = register(replace(reference.affine, status=reference.status), target, plain, settings)
+        found = _found(reference, target, after_affine(warp, first), settings)
+        return judged(reference, found, first)
+    return _found(reference, target, warp, settings)
+
+
+def _found(reference: Reference, target: Spline, warp: FloatArray, settings: TrackSettings) -> Registration:
+    """Gauss-Newton steps of all subsets from `warp` (N,6 or 12), which is overwritten."""
+    count = len(warp)
     scores = np.full((count, 3), np.nan)
     outcome = np.column_stack([reference.status, np.zeros(count)]).astype(np.int64)
     offsets = np.ascontiguousarray(subset_offsets(reference.radius_px).T)
@@ -111,7 +128,7 @@ def register(reference: Reference, target: Spline, start: FloatArray, settings: 
         (reference.centre_px, reference.radius_px, reference.pixels, reference.mean, reference.energy, offsets),
         (reference.removed, reference.inverse_hessian),
         (target.coefficients, target.degree),
-        (settings.max_iterations, settings.convergence_px, settings.min_zncc),
+        (settings.max_iterations, settings.convergence_px, settings.min_zncc, REMAINING[reference.removed.shape[2]]),
         warp,
         scores,
         outcome,
@@ -122,17 +139,75 @@ def register(reference: Reference, target: Spline, start: FloatArray, settings: 
     return Registration(warp, zncc, gain, residual, status, iterations)
 
 
+def without_curvature(start: FloatArray) -> FloatArray:
+    """The affine part (...,6) of starts (...,12) without curvature, NaN where there is some."""
+    return np.where(np.all(start[..., 6:] == 0.0, axis=-1, keepdims=True), start[..., :6], np.nan)
+
+
+def after_affine(start: FloatArray, first: Registration) -> FloatArray:
+    """Starts (N,12) of order 2: those of its own that have curvature, else what order 1 found, NaN where that failed."""
+    flat = np.pad(first.warp, ((0, 0), (0, 6)))
+    return np.where(np.isnan(without_curvature(start)).any(axis=1, keepdims=True), start, flat)
+
+
+def judged(reference: Reference, found: Registration, first: Registration) -> Registration:
+    """What order 2 found after what order 1 found (`first`) as far as the subsets carry it, `UNRESOLVED` elsewhere.
+
+    Refused is what fits worse than the affine warp, which order 2 contains (1 − zncc² is larger by more than 10⁻³ of
+    itself), and what is not `resolved`. Where order 1 failed, its status says why.
+    """
+    tried, loss = first.status != TrackStatus.NO_START, (1.0 + WORSE) * (1.0 - first.zncc**2) + SMALLEST_LOSS
+    status = np.where(tried & (first.status != TrackStatus.OK), first.status, found.status)
+    done = replace(found, status=status, iterations=found.iterations + first.iterations)
+    return _refused(resolved(reference, done), 1.0 - found.zncc**2 > loss)
+
+
+def resolved(reference: Reference, found: Registration) -> Registration:
+    """`found` without the subsets of order 2 for which `unresolved_px` is more than 0.1 px."""
+    if reference.order < 2:
+        return found
+    return _refused(found, (unresolved_px(reference, found) > LARGEST_UNRESOLVED_PX).any(axis=1))
+
+
+def _refused(found: Registration, which: BoolArray) -> Registration:
+    """`found` with the subsets `which` (N,) that were found as `UNRESOLVED`."""
+    gone = which & (found.status == TrackStatus.OK)
+    status = np.where(gone, np.int8(TrackStatus.UNRESOLVED), found.status)
+    return replace(found, warp=np.where(gone[:, None], np.nan, found.warp), status=status)
+
+
+def unresolved_px(reference: Reference, found: Registration) -> FloatArray:
+    """Displacement (N,2) in px, rms over the subset, that explains what is left over beyond noise.
+
+    A displacement e that the shape function does not follow leaves gain²·mean(f_x²)·e² over along x, likewise along y,
+    and the position may be off by as much. Noise is what half of the subsets have less of, at most one and a half times
+    what the reference's own noise in both images leaves; three standard deviations √(2/ν) of a variance of ν pixels go
+    to chance.
+    """
+    ok = found.status == TrackStatus.OK
+    if not ok.any():
+        return np.full((len(ok), 2), np.nan)
+    slopes = np.einsum("nkp,nkp->nk", reference.pixels[:, 1:], reference.pixels[:, 1:]) / reference.pixels.shape[2]
+    freedom = reference.pixels.shape[2] - reference.removed.shape[2] - GAIN_AND_OFFSET
+    own = OTHER_NOISE * (1.0 + found.gain**2) * np.maximum(np.median(reference.noise_grey2[ok]), QUANTISATION)
+    level = np.minimum(np.median(found.residual_grey2[ok]), own) * (1.0 + UNEXPLAINED_SIGMAS * np.sqrt(2.0 / freedom))
+    excess = np.maximum(found.residual_grey2 - level, 0.0) / found.gain**2
+    return np.sqrt(np.divide(excess[:, None], slopes, out=np.full_like(slopes, np.nan), where=slopes > 0.0))
+
+
 def position_covariance(reference: Reference, found: Registration, noise_grey: FloatArray) -> FloatArray:
     """Covariance (N,2,2) in px² of the found centres from white image noise of standard deviation noise_grey (N,).
 
     A V Aᵀ σ²/gain² with V the `position_variance` of the subset (affine parameters, gain and offset free) and A the
-    local deformation: the noise of the one image; that of the reference is constant over a series.
+    local deformation: the noise of the one image; that of the reference is constant over a series. With order 2, V
+    further has the square of what the displacement field may have that the subset does not resolve (`unresolved_px`).
     """
     deformation = np.eye(2) + found.warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
     scale = (noise_grey / found.gain) ** 2
-    covariance: FloatArray = (
-        deformation @ reference.position_variance @ np.swapaxes(deformation, 1, 2) * scale[:, None, None]
-    )
+    variance = reference.position_variance * scale[:, None, None]
+    if reference.order == 2:
+        variance = variance + np.eye(2) * unresolved_px(reference, found)[:, :, None] ** 2
+    covariance: FloatArray = deformation @ variance @ np.swapaxes(deformation, 1, 2)
     return covariance
 
 
@@ -186,7 +261,7 @@ def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore
     """Gauss-Newton steps of one subset until it stands still; returns status and iterations, fills warp and scores."""
     centre_x, centre_y, radius, _, _, energy, _ = subset
     removed, inverse = solved
-    max_iterations, convergence, min_zncc = limits
+    max_iterations, convergence, min_zncc, remaining = limits
     count, parameters = (2 * radius + 1) ** 2, inverse.shape[0]
     sums = np.empty(max(AFFINE_SUMS, 3 + parameters))
     solution, slope = np.empty(parameters), np.empty(parameters)
@@ -222,8 +297,8 @@ def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore
             warp[0], warp[1], warp[2], warp[3], warp[4], warp[5] = _after_inverse(warp, step)
         left = max(0.0, spread - sums[2] * gain - gain * improvement)
         zncc, residual = np.sqrt(max(0.0, 1.0 - left / spread)), left / (count - parameters - GAIN_AND_OFFSET)
-        small = gain * improvement < SMALL_STEP**2 * parameters * residual
-        if moved < LINEAR_PX**2 and (small or REMAINING**2 * moved < convergence**2):
+        small = gain * improvement < (SMALL_STEP / remaining) ** 2 * parameters * residual
+        if moved < LINEAR_PX**2 and (small or remaining**2 * moved < convergence**2):
             scores[0], scores[1], scores[2] = zncc, gain, residual
             return (0 if zncc >= min_zncc else 2), iteration
     return 1, max_iterations

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from photogram.arrays import FloatArray
 from photogram.bspline import spline_of_image
 from photogram.subsets.find import NEIGHBOUR_ROUNDS, follow, identity, merged
-from photogram.subsets.icgn import Registration, TrackSettings
+from photogram.subsets.icgn import Registration, TrackSettings, resolved
 from photogram.subsets.icgn_torch import TorchReference, TorchSplines, register_frames, spline_frames, torch_reference
 from photogram.subsets.reference import Reference, TrackStatus
 from photogram.subsets.search import neighbour_starts, predict_warp
@@ -129,7 +129,7 @@ def _from_neighbours(batch: _Batch, found: list[Registration]) -> list[Registrat
             break
         before, found = found, _again(batch, found, start)
         going_on = [bool(np.any(old.status != new.status)) for old, new in zip(before, found, strict=True)]
-    return found
+    return [resolved(batch.reference, here) for here in found]
 
 
 FEWEST = 8

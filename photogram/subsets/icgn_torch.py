@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import ceil, comb, factorial, log
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,10 @@ from photogram.subsets.icgn import (
     SMALL_STEP,
     Registration,
     TrackSettings,
+    after_affine,
     after_inverse,
+    judged,
+    without_curvature,
 )
 from photogram.subsets.reference import Reference, TrackStatus, shape_values, subset_offsets
 
@@ -176,7 +179,8 @@ class TorchReference:
 
     pixels (N,3,P) and shape (s,P) = [1, dx, dy, dx²/2, dx dy, dy²/2], s = 3 or for order 2 six, in the precision of the
     sampling; in float64 rim (s,): the largest values of these shape functions, centre_px (N,2), mean (N,), energy (N,),
-    removed (N,2,m), inverse_hessian (N,m,m); status (N,).
+    removed (N,2,m), inverse_hessian (N,m,m); status (N,). source: what it was made of; affine: of order 2 the same
+    subsets with order 1.
     """
 
     radius_px: int
@@ -190,6 +194,8 @@ class TorchReference:
     removed: Tensor
     inverse_hessian: Tensor
     status: Tensor
+    source: Reference
+    affine: TorchReference | None = None
 
     @property
     def columns(self) -> int:
@@ -203,15 +209,25 @@ def torch_reference(reference: Reference, device: str, precision: str = "float64
 
     pixel_type = torch_type(precision)
     shape = shape_values(subset_offsets(reference.radius_px), max(reference.order, 1))
-    fields = ("centre_px", "mean", "energy", "removed", "inverse_hessian", "status")
-    return TorchReference(
-        reference.radius_px,
-        reference.order,
-        torch.from_numpy(reference.pixels).to(device, pixel_type),
-        torch.from_numpy(shape).to(device, pixel_type),
-        torch.from_numpy(shape.max(axis=1)).to(device),
-        **{name: torch.from_numpy(getattr(reference, name)).to(device) for name in fields},
-    )
+    pixels = torch.from_numpy(reference.pixels).to(device, pixel_type)
+
+    def prepared(source: Reference, values: FloatArray, affine: TorchReference | None) -> TorchReference:
+        fields = ("centre_px", "mean", "energy", "removed", "inverse_hessian", "status")
+        return TorchReference(
+            source.radius_px,
+            source.order,
+            pixels,
+            torch.from_numpy(values).to(device, pixel_type),
+            torch.from_numpy(values.max(axis=1)).to(device),
+            **{name: torch.from_numpy(getattr(source, name)).to(device) for name in fields},
+            source=source,
+            affine=affine,
+        )
+
+    if reference.affine is None:
+        return prepared(reference, shape, None)
+    first = replace(reference.affine, status=reference.status)
+    return prepared(reference, shape, prepared(first, shape[:3], None))
 
 
 def register_frames(
@@ -219,10 +235,25 @@ def register_frames(
 ) -> tuple[Registration, ...]:
     """Find every subset in every frame, beginning at the warps `start` (B,N,6); NaN = no start. One result per frame.
 
-    Order 2 has warps (N,12) and takes starts (B,N,12) as well. Same steps, stopping rule and statuses as
-    `photogram.subsets.icgn.register`. Pairs of frame and subset are worked through in portions that need about
-    64 MiB on a CPU, 2 GiB on a GPU.
+    Order 2 has warps (N,12), takes starts (B,N,12) as well, and starts from order 1. Same steps, stopping rule and
+    statuses as `photogram.subsets.icgn.register`. Pairs of frame and subset are worked through in portions that need
+    about 64 MiB on a CPU, 2 GiB on a GPU.
     """
+    if reference.affine is None:
+        return _frames_found(reference, frames, start, settings)
+    given = 12 if start.shape[2:] == (12,) else 6
+    check_shape("start", start, (len(frames.coefficients), len(reference.centre_px), given))
+    whole = np.pad(start, ((0, 0), (0, 0), (0, 12 - given)))
+    first = _frames_found(reference.affine, frames, without_curvature(whole), settings)
+    curved = np.stack([after_affine(here, plain) for here, plain in zip(whole, first, strict=True)])
+    found = _frames_found(reference, frames, curved, settings)
+    return tuple(judged(reference.source, here, plain) for here, plain in zip(found, first, strict=True))
+
+
+def _frames_found(
+    reference: TorchReference, frames: TorchSplines, start: FloatArray, settings: TrackSettings
+) -> tuple[Registration, ...]:
+    """Gauss-Newton steps of all subsets in all frames from the starts (B,N,6 or 12)."""
     import torch
 
     count, columns, device = len(reference.centre_px), reference.columns, reference.centre_px.device
@@ -339,12 +370,13 @@ def _solve(
     left = (spread - (product + improvement) * gain).clamp(min=0.0)
     zncc, residual = (1.0 - left / spread).clamp(min=0.0).sqrt(), left / (size - slope.shape[1] - GAIN_AND_OFFSET)
     zncc = zncc.masked_fill((spread <= 0.0) | (gain <= 0.0), torch.nan)
-    small = gain * improvement < SMALL_STEP**2 * slope.shape[1] * residual
+    remaining = REMAINING[slope.shape[1]]
+    small = gain * improvement < (SMALL_STEP / remaining) ** 2 * slope.shape[1] * residual
     if reference.order == 0:
         step = torch.stack([step, torch.zeros_like(step), torch.zeros_like(step)], dim=2).flatten(1)
     moved = (step[:, :6].view(-1, 2, 3) * rim[:3]).square().sum(dim=(1, 2))
     moved = moved + rim[1] ** 4 / 4.0 * step[:, 6:].square().sum(dim=1)
-    still = (moved < LINEAR_PX**2) & (small | (REMAINING**2 * moved < settings.convergence_px**2))
+    still = (moved < LINEAR_PX**2) & (small | (remaining**2 * moved < settings.convergence_px**2))
     still &= zncc.isfinite() & (gone == RUNNING)
     alike = zncc >= settings.min_zncc
     fate = torch.full_like(gone, RUNNING).masked_fill_(still & alike, int(TrackStatus.OK))

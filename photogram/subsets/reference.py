@@ -134,13 +134,18 @@ def _within(builder: Any, lanes: Lanes, mask: Any) -> Lanes:
 SMALLEST_NOISE = 1e-9
 SMALLEST_CONTRAST = 1e-9
 LEAST_RATIO = 4.0
+CURVED_MARGIN = 1.5
 SMALLEST_EXCESS = 1e-2
 PARAMETERS = {0: 2, 1: 6, 2: 12}
 CHUNK = 256
 
 
 class TrackStatus(IntEnum):
-    """What became of one subset in one frame; every status but `OK` comes with NaN positions."""
+    """What became of one subset in one frame; every status but `OK` comes with NaN positions.
+
+    `UNRESOLVED`, of order 2 alone: texture, noise and size of the subset do not carry the shape function, or it leaves
+    a displacement that it cannot follow, or it fits worse than the affine one, which it contains (a false minimum).
+    """
 
     OK = 0
     NOT_CONVERGED = 1
@@ -149,13 +154,14 @@ class TrackStatus(IntEnum):
     FLAT = 4
     SATURATED = 5
     NO_START = 6
+    UNRESOLVED = 7
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reference(
     Arrays,
     shapes="centre_px N 2; pixels N 3 P; removed N 2 m; inverse_hessian N m m; position_variance N 2 2; mean N; "
-    "energy N; noise_gain N; status N",
+    "energy N; noise_gain N; noise_grey2 N; status N",
 ):
     """Square subsets of P = (2·radius+1)² pixels around centre_px (N,2), prepared once for a whole sequence.
 
@@ -165,7 +171,8 @@ class Reference(
     steepest-descent images without what is removed, so that gain and offset are free parameters, and without what noise
     of the reference adds; zero along what the texture does not determine. position_variance (N,2,2): covariance of the
     translation in px² for image noise of variance 1. noise_gain (N,): variance of the subset's grey values per variance
-    of the pixels. status (N,): `OK`, `FLAT` or `LEFT_IMAGE`.
+    of the pixels; noise_grey2 (N,): variance of the pixels' white noise. status (N,): `OK`, `FLAT`, `LEFT_IMAGE` or
+    `UNRESOLVED`. affine: of order 2 the same subsets with order 1, from whose result it starts.
     """
 
     centre_px: FloatArray
@@ -177,8 +184,10 @@ class Reference(
     inverse_hessian: FloatArray
     position_variance: FloatArray
     noise_gain: FloatArray
+    noise_grey2: FloatArray
     status: NDArray[np.int8]
     order: int = 1
+    affine: Reference | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -197,6 +206,10 @@ def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, ord
     the basis H v = μ N v, directions with μ < 4 are noise, not texture (along an edge): they are held at their start.
     Since N adds to H but not to what is found, the inverse along v is 1/(μ−1), which makes a step as long as it should
     be (with 1/μ every step falls short by 1/μ of itself), and the variance is μ/(μ−1)².
+
+    What order 2 would hold is curvature that the field may well have, and an error of the position then; so a subset
+    with such a direction is `UNRESOLVED`, and those with μ near 4 are solved for. Noise alone has μ up to (1 + √(m/P))²
+    (Marchenko, Pastur 1967, Math. USSR Sb. 1, 457), of which 1.5 times is the limit there.
     """
     check_shape("centre_px", centre_px, (None, 2))
     if order not in PARAMETERS:
@@ -208,19 +221,41 @@ def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, ord
     energy = np.sum(pixels[:, 0] ** 2, axis=1)
     status = np.where(np.isfinite(pixels).all(axis=(1, 2)), np.int8(TrackStatus.OK), np.int8(TrackStatus.LEFT_IMAGE))
     status[energy <= size * (SMALLEST_CONTRAST * np.abs(mean)) ** 2] = TrackStatus.FLAT
-    floor = slope_noise_gain(spline.degree) * _pixel_noise(spline, centre_px, radius_px) ** 2
-    floor = np.maximum(floor, SMALLEST_NOISE * energy / size)
+    noise2 = _pixel_noise(spline, centre_px, radius_px) ** 2
+    floor = np.maximum(slope_noise_gain(spline.degree) * noise2, SMALLEST_NOISE * energy / size)
     shape = shape_values(subset_offsets(radius_px), order)
     removed, inverse = np.zeros((count, 2, parameters)), np.full((count, parameters, parameters), np.nan)
-    variance = np.full((count, 2, 2), np.nan)
+    variance, plain = np.full((count, 2, 2), np.nan), np.full((count, 6, 6) if order == 2 else (0, 0, 0), np.nan)
+    extent, plain_variance = np.sum(shape**2, axis=1), variance.copy()
     usable = np.flatnonzero(status == TrackStatus.OK)
     for part in np.array_split(usable, range(CHUNK, len(usable), CHUNK)):
         hessian, removed[part] = _hessians(pixels[part], energy[part], shape)
-        known, inverse[part], variance[part] = _invert(hessian, floor[part], np.sum(shape**2, axis=1))
+        if order < 2:
+            known, inverse[part], variance[part] = _invert(hessian, floor[part], extent)
+        else:
+            known, plain[part], plain_variance[part] = _invert(hessian[:, :6, :6], floor[part], extent[:3])
+            least = CURVED_MARGIN * (1.0 + np.sqrt(parameters / size)) ** 2
+            carried, inverse[part], variance[part] = _invert(hessian, floor[part], extent, least)
+            status[part[~carried]] = TrackStatus.UNRESOLVED
         status[part[~known]] = TrackStatus.FLAT
     gain = noise_gain(centre_px[:, 0], spline.degree) * noise_gain(centre_px[:, 1], spline.degree)
+    status, affine = status.astype(np.int8), None
+    shared = {"noise_gain": gain, "noise_grey2": noise2, "status": status}
+    if order == 2:
+        first = np.ascontiguousarray(removed[:, :, :6])
+        affine = Reference(centre_px, radius_px, pixels, mean, energy, first, plain, plain_variance, **shared)
     return Reference(
-        centre_px, radius_px, pixels, mean, energy, removed, inverse, variance, gain, status.astype(np.int8), order
+        centre_px,
+        radius_px,
+        pixels,
+        mean,
+        energy,
+        removed,
+        inverse,
+        variance,
+        order=order,
+        affine=affine,
+        **shared,
     )
 
 
@@ -274,19 +309,23 @@ def _hessians(pixels: FloatArray, energy: FloatArray, shape: FloatArray) -> tupl
 
 
 def _invert(
-    hessian: FloatArray, slope_noise2: FloatArray, extent: FloatArray
+    hessian: FloatArray, slope_noise2: FloatArray, extent: FloatArray, least: float | None = None
 ) -> tuple[BoolArray, FloatArray, FloatArray]:
-    """Whether anything is determined (n,), inverse Hessians (n,m,m) of it, variances (n,2,2) of the translation."""
+    """Whether anything is determined (n,), inverse Hessians (n,m,m) of it, variances (n,2,2) of the translation.
+
+    With a `least` ratio of its own, whether everything is determined.
+    """
     extents = np.concatenate([extent[:3], extent[:3], extent[3:], extent[3:]])
     scale = 1.0 / np.sqrt(slope_noise2[:, None] * extents)
     ratio, vectors = np.linalg.eigh(hessian * scale[:, :, None] * scale[:, None, :])
     directions = vectors * scale[:, :, None]
-    clear = ratio > LEAST_RATIO
-    weights = np.where(clear, 1.0 / (np.maximum(ratio, LEAST_RATIO) - 1.0), 0.0)
+    limit = LEAST_RATIO if least is None else least
+    clear = ratio > limit
+    weights = np.where(clear, 1.0 / (np.maximum(ratio, limit) - 1.0), 0.0)
     inverse = (directions * weights[:, None, :]) @ np.swapaxes(directions, 1, 2)
     translation = directions[:, [0, min(3, len(extent))]]
     spread = ratio / np.maximum(ratio - 1.0, SMALLEST_EXCESS) ** 2
     variance = (translation * spread[:, None, :]) @ np.swapaxes(translation, 1, 2)
-    known = np.asarray(clear.any(axis=1), dtype=np.bool_)
+    known = np.asarray(clear.any(axis=1) if least is None else clear.all(axis=1), dtype=np.bool_)
     inverse[~known], variance[~known] = np.nan, np.nan
     return known, inverse, variance

@@ -264,6 +264,7 @@ REASONS = {
     TrackStatus.SATURATED: "saturated",
     TrackStatus.LEFT_IMAGE: "too close to the image's border",
     TrackStatus.NO_START: "without a position",
+    TrackStatus.UNRESOLVED: "with too little texture for the shape function",
 }
 
 
@@ -272,7 +273,8 @@ class SubsetQuality(Arrays, shapes="predicted_sigma_px N 2; noise_grey N; status
     """Expected standard deviation of x and y of N subsets in one frame, and which of them are of no use.
 
     predicted_sigma_px (N,2), NaN where the subset is unusable; noise_grey (N,): rms noise of the pixels that carry the
-    position; status (N,) of `TrackStatus`: `OK`, `FLAT`, `SATURATED`, `LEFT_IMAGE` or `NO_START`.
+    position; status (N,) of `TrackStatus`: `OK`, `FLAT`, `SATURATED`, `LEFT_IMAGE`, `NO_START`
+    or `UNRESOLVED`.
     """
 
     predicted_sigma_px: FloatArray
