@@ -26,7 +26,7 @@ from scipy.optimize import least_squares
 
 from fusion.base import Settings, rounded
 from fusion.campaign.curve import ratio_curves
-from fusion.campaign.repeats import Drive, drives_of
+from fusion.campaign.repeats import Drive, drives_of, with_starts
 from fusion.estimation.uncertainty import Polar, element_covariance, polar
 from fusion.instruments.vibrometer import PointRatios
 from fusion.phasors.stereo_phasors import StereoResult
@@ -200,7 +200,7 @@ def evaluated_sweep(folder: Path, seed: int) -> tuple[list[SweepPoint], float]:
         ratios.setdefault(round(truth["frequencies"][0], 1), (own, complex(complex_of(truth["sensitivity"])[0, Z, Z])))
         sensor = evaluation.manifest.rig.sensor
         static = 0.0 if sensor is None or sensor.static_sensitivity is None else sensor.static_sensitivity[Z][Z]
-    (curve,) = ratio_curves(drives)
+    (curve,) = ratio_curves(with_starts(drives))
     element = curve.elements.index((curve.channels.index("Fz"), Z))
     covariance, dof = curve.uncertainty.covariance, curve.uncertainty.dof()
     points = []

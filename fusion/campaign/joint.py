@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import TypeVar
 
 import numpy as np
@@ -23,7 +24,7 @@ from fusion.campaign.curve import (
 from fusion.campaign.matrix import CrossTalk, MatrixFit, cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
 from fusion.campaign.recorded import Recorded, SensorFacts
-from fusion.campaign.repeats import Drive, Repeats, find_repeats, group_by_frequency
+from fusion.campaign.repeats import Drive, Repeats, find_repeats, group_by_frequency, with_starts
 from fusion.estimation.uncertainty import Polar
 from fusion.report.table import (
     Column,
@@ -92,6 +93,8 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
         name_known = entry.name if names.count(entry.name) == 1 else f"{entry.name} [{entry.folder}]"
         drives = tuple(replace(drive, recording=name_known) for drive in entry.drives)
         known.append(replace(entry, name=name_known, drives=drives))
+    started = iter(with_starts(drive for entry in known for drive in entry.drives))
+    known = [replace(entry, drives=tuple(islice(started, len(entry.drives)))) for entry in known]
     sensors = {(entry.sensor.name, entry.sensor.serial): entry.sensor for entry in known if entry.sensor is not None}
     sensor = next(iter(sensors.values())) if len(sensors) == 1 else None
     notices = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import h5py
@@ -11,6 +11,7 @@ import h5py
 from fusion.base import InputError
 from fusion.campaign.repeats import Drive, line_drives
 from fusion.instruments.channel import Outputs
+from fusion.phasors.timing import Grid
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT, Provenance, read_provenance
 from fusion.report.h5 import read_uncertainty
 from fusion.sensitivity.load import LoadResult
@@ -121,7 +122,17 @@ def _drives(file: h5py.File) -> tuple[Drive, ...]:
     )
     outputs = Outputs(phasors, read_uncertainty(file["outputs/uncertainty"]))
     names = str(file.attrs["recording"]), str(file.attrs["mounting"])
-    return line_drives(*names, direction, lines["nominal_hz"][()], lines["multiple"][()], wrench, outputs)
+    driven = line_drives(*names, direction, lines["nominal_hz"][()], lines["multiple"][()], wrench, outputs)
+    return tuple(replace(drive, grids=_grids(file)) for drive in driven)
+
+
+def _grids(file: h5py.File) -> tuple[Grid, ...]:
+    """Where the edges of the trigger fall in every block that has one; none where a block does not tell."""
+    clocks = [clock for clock in file.get("clocks", {}).values() if "trigger" in clock]
+    found = [clock["grid"].attrs for clock in clocks if "grid" in clock]
+    if len(found) < len(clocks):
+        return ()
+    return tuple(Grid(**{field.name: float(attrs[field.name]) for field in fields(Grid)}) for attrs in found)
 
 
 def _sensor(group: h5py.Group) -> SensorFacts:

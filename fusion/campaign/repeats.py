@@ -20,6 +20,7 @@ from fusion.estimation.uncertainty import (
     real_stack,
     total_variance,
 )
+from fusion.phasors.timing import Grid
 from fusion.sensitivity.ratio import KnownMatrix, StatedMatrix, driven_component, known_matrix
 from shaker.arrays import ComplexArray, FloatArray, IntArray, Notice, check_shape
 from shaker.sine.phasor import real_stacked_diagonal
@@ -45,6 +46,8 @@ class Drive:
     `mounting`: recordings with another text were mounted anew. `direction`: 3 or 6 numbers of the excitation. `load`
     (6,) in N and N·m, whole, with the uncertainty of what nobody observed; `outputs` (C,) in the sensor's unit, NaN
     where a channel has no usable reading; their uncertainties have one line (K = 1) and the names of the recording.
+    `grids`: where trigger edges fall between the samples of every block, none where that is not known or does not
+    stay; `start`: the first recording of which they are the same (`with_starts`), this one where empty.
     """
 
     recording: str
@@ -57,6 +60,8 @@ class Drive:
     outputs: ComplexArray
     outputs_uncertainty: Uncertainty
     channels: tuple[str, ...]
+    grids: tuple[Grid, ...] = ()
+    start: str = ""
 
     def __post_init__(self) -> None:
         channels = len(self.channels)
@@ -74,10 +79,8 @@ class Drive:
 
     def shared(self) -> tuple[Uncertainty, Uncertainty]:
         """Return the uncertainties of load and outputs with the names that hold between recordings."""
-        return (
-            between_recordings(self.load_uncertainty, self.recording, self.mounting),
-            between_recordings(self.outputs_uncertainty, self.recording, self.mounting),
-        )
+        names = self.recording, self.mounting, self.start
+        return between_recordings(self.load_uncertainty, *names), between_recordings(self.outputs_uncertainty, *names)
 
 
 def drives_of(evaluation: Evaluation) -> tuple[Drive, ...]:
@@ -86,7 +89,10 @@ def drives_of(evaluation: Evaluation) -> tuple[Drive, ...]:
     if load is None or outputs is None or manifest.excitation.direction is None:
         return ()
     lines, direction = evaluation.lines, manifest.excitation.direction
-    return line_drives(manifest.name, manifest.mounting, direction, lines.nominal_hz, lines.multiple, load, outputs)
+    names, clocks = (manifest.name, manifest.mounting), [clock for clock in evaluation.clocks if clock.trigger]
+    grids = tuple(clock.grid for clock in clocks if clock.grid)
+    driven = line_drives(*names, direction, lines.nominal_hz, lines.multiple, load, outputs)
+    return tuple(replace(drive, grids=grids if len(grids) == len(clocks) else ()) for drive in driven)
 
 
 def line_drives(
@@ -120,13 +126,42 @@ def line_drives(
     )
 
 
-def between_recordings(uncertainty: Uncertainty, recording: str, mounting: str) -> Uncertainty:
+def with_starts(drives: Iterable[Drive]) -> tuple[Drive, ...]:
+    """Return all drives of a campaign with the names of their `start`: equal where all their grids are alike.
+
+    What sampled edges leave open of instants is then one error of all these recordings, which no mean takes off.
+    """
+    named: list[Drive] = []
+    firsts: list[Drive] = []
+    for drive in drives:
+        first = next((first for first in firsts if _start_alike(first, drive)), None)
+        if first is None:
+            firsts.append(first := drive)
+        named.append(replace(drive, start=first.recording))
+    return tuple(named)
+
+
+def _start_alike(first: Drive, other: Drive) -> bool:
+    """Whether two drives are of one recording, or of two with the same grids."""
+    if first.recording == other.recording:
+        return True
+    known = len(first.grids) == len(other.grids) > 0
+    return known and all(map(Grid.like, first.grids, other.grids))
+
+
+def between_recordings(uncertainty: Uncertainty, recording: str, mounting: str, start: str = "") -> Uncertainty:
     """Return the uncertainty with every unknown under the name that identifies it among all recordings of a campaign.
 
     An unknown of the rig keeps its name; one of the mounting is the same in recordings of equal `mounting` only, one of
-    the recording in this recording only. The names are final: all scopes become "rig".
+    the start in those of equal `start` only (empty: in this one), one of the recording in this recording only. The
+    names are final: all scopes become "rig".
     """
-    suffix = {"rig": "", "mounting": f" [{mounting}]", "recording": f" [{recording}]"}
+    suffix = {
+        "rig": "",
+        "mounting": f" [{mounting}]",
+        "recording": f" [{recording}]",
+        "start": f" [{start or recording}]",
+    }
     influences = [replace(i, name=f"{i.name}{suffix[i.scope]}", scope="rig") for i in uncertainty.influences]
     return replace(uncertainty, influences=tuple(influences))
 

@@ -110,8 +110,9 @@ def region(value: complex, covariance: FloatArray, dof: float = np.inf) -> Regio
 
 
 Kind = Literal["A", "B"]
-Scope = Literal["recording", "mounting", "rig"]
-"""How long an unknown keeps its value: during one recording, until something is mounted anew, or as long as the rig."""
+Scope = Literal["recording", "start", "mounting", "rig"]
+"""How long an unknown keeps its value: during one recording, in all whose recorders start alike beside the trigger (so
+that its edges fall on the same places between the samples), until something is mounted anew, or as long as the rig."""
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
 
 CLOCK_RATE = "clock rate"
+FOUND: tuple[Scope, ...] = ("recording", "start")
+"""Scopes of what no manifest states: every recording finds it anew."""
 NOISE_REACH = 3.0
 """Standard uncertainties of its noise above which a line is one of its channel."""
 
@@ -377,7 +379,7 @@ def _observe(
             slope[:, place] = transducer.rows(error.effect, frequency, gravity_mps2)
             placed[error.name] = CommonError(error.name, error.label, error.u, error.unit, error.scope, slope, none)
     common += placed.values()
-    stated = any(error.scope != "recording" for error in common)
+    stated = any(error.scope not in FOUND for error in common)
     common += clock_rate(design, np.full(len(entries), -float(transducer.order)), clock_uncertainty)
     return Observation(
         name=chain_name(entries[0]),
@@ -467,7 +469,7 @@ def output_phasors(readings: Sequence[Reading]) -> Outputs:
         for error in chain_errors([readings[place] for place in places]):
             change = np.zeros_like(signals.value)
             change[:, places] = error.effect * signals.value[:, places]
-            label = error.label if error.scope == "recording" else "output " + error.label.rpartition(": ")[2]
+            label = error.label if error.scope in FOUND else "output " + error.label.rpartition(": ")[2]
             influences.append(replace(error.acting(real_stack(change)), label=label))
     noise = Contribution(NOISE, "A", signals.covariance, signals.dof)
     uncertainty = Uncertainty((noise,), added_up(influences))

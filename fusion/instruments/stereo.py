@@ -47,7 +47,7 @@ class Exposure:
         x = np.pi * frequency_hz[:, None] * self.length_s
         change = self.u_length_s * ((1.0 - x / np.tan(x)) / self.length_s - 1j * np.pi * frequency_hz[:, None])
         name = f"{self.trigger}: pulse width"
-        return (RelativeError(name, name, self.u_length_s, "s", np.asarray(change), "recording", "A", self.dof),)
+        return (RelativeError(name, name, self.u_length_s, "s", np.asarray(change), "start", "A", self.dof),)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import numpy as np
 
 from fusion.base import ARGUMENT, InputError, as_input_error
 from fusion.estimation.uncertainty import Kind as ErrorType
+from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import Exposure
 from fusion.recording.manifest import Frames, Images, PointFiles
@@ -52,7 +53,8 @@ class Lateness:
     """One unknown of clocks, triggers or lines, by what one standard uncertainty `u` of it does.
 
     Times seem later by `offset_s` + `rate`·t, t on the first block's clock, and the frequencies of the K lines greater
-    by `stretch` (K,), or () for all, of themselves. `dof`: of what was fitted to edges (type A).
+    by `stretch` (K,), or () for all, of themselves. `dof`: of what was fitted to edges (type A), whose errors hold for
+    the `scope` "start".
     """
 
     name: str
@@ -62,6 +64,7 @@ class Lateness:
     rate: float
     stretch: FloatArray
     dof: float = np.inf
+    scope: Scope = "recording"
 
     def through(self, fit: SineFit, seen: BoolArray, order: int) -> FittedError:
         """Return how it changes C readings of the lines (K,), of which a sine approximation holds those `seen` first.
@@ -79,7 +82,7 @@ class Lateness:
         rest = np.zeros((len(seen), value.shape[1]), dtype=np.complex128)
         effect[seen, 0], rest[seen] = turn[:lines], slopes[:lines]
         kind: ErrorType = "B" if np.isinf(self.dof) else "A"
-        return FittedError(self.name, self.name, self.u, self.unit, effect, "recording", kind, self.dof, rest=rest)
+        return FittedError(self.name, self.name, self.u, self.unit, effect, self.scope, kind, self.dof, rest=rest)
 
 
 def together(errors: Iterable[Lateness]) -> tuple[Lateness, ...]:
@@ -116,11 +119,46 @@ class _Straight:
         return cls(at, float(np.sqrt(max(first + at * mixed, 0.0))), float(np.sqrt(slope)))
 
 
+_SAME_PERIOD = 1e-5
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where the edges of a trigger fall between the samples of one block: what sampling them leaves open follows that.
+
+    Seconds: first edge after the first sample, period, sampling interval, `offset_s` of the tie to the first block's
+    clock (0 for that), `width_s` of the pulses (NaN where it cannot be told).
+    """
+
+    start_s: float
+    period_s: float
+    sample_s: float
+    offset_s: float
+    width_s: float
+
+    @classmethod
+    def of(cls, trigger: TriggerFit, tie: ClockTie | None, width_s: float | None) -> Grid | None:
+        """Return the grid, None of a trigger whose jitter puts its edges elsewhere every time."""
+        sample_s = trigger.sample_s
+        if trigger.jitter_s > sample_s / 2.0:
+            return None
+        offset_s = 0.0 if tie is None else tie.offset_s
+        return cls(trigger.start_s, trigger.period_s, sample_s, offset_s, np.nan if width_s is None else width_s)
+
+    def like(self, other: Grid) -> bool:
+        """Whether edges fall on the same places: within half a sample, and in their period within 1e-5."""
+        ours, theirs = ((g.start_s, g.offset_s, g.width_s) for g in (self, other))
+        near = np.allclose(ours, theirs, rtol=0.0, atol=self.sample_s / 2.0, equal_nan=True)
+        pace = (other.period_s / self.period_s, other.sample_s / self.sample_s)
+        return bool(near and np.allclose(pace, 1.0, rtol=0.0, atol=_SAME_PERIOD))
+
+
 @dataclass(frozen=True)
 class ClockResult:
     """One DAQ block: its file, the trigger found in it and its tie to the first block's clock (None for the first).
 
-    `pulse_width_s`, `u_pulse_width_s`: of the trigger's pulses, None where their ends cannot be told.
+    `pulse_width_s`, `u_pulse_width_s`: of the trigger's pulses, None where their ends cannot be told. `grid`: where the
+    edges fall between the samples, None without a trigger or where they fall anywhere.
     """
 
     daq: str
@@ -129,6 +167,7 @@ class ClockResult:
     tie: ClockTie | None
     pulse_width_s: float | None = None
     u_pulse_width_s: float | None = None
+    grid: Grid | None = None
 
 
 @dataclass(frozen=True)
@@ -227,7 +266,9 @@ class TimeBase:
             key = next((key for key in self.triggers if key[0] == name), ("", ""))
             pulse = self.pulses.get(key)
             width = (None, None) if pulse is None else (pulse.width_s, pulse.u_width_s)
-            clocks.append(ClockResult(name, record.entry.file, self.triggers.get(key), self.ties[name], *width))
+            trigger, tie = self.triggers.get(key), self.ties[name]
+            grid = None if trigger is None else Grid.of(trigger, tie, width[0])
+            clocks.append(ClockResult(name, record.entry.file, trigger, tie, *width, grid))
         return tuple(clocks)
 
 
@@ -238,8 +279,8 @@ def _straight_errors(name: str, at_s: float, u_s: float, rate: float, edges: int
     """
     steady, dof = np.zeros(()), float(max(edges - 2, 1))
     both = (
-        Lateness(f"{name}: time", u_s, "s", u_s, 0.0, steady, dof),
-        Lateness(f"{name}: rate", rate, "1", -rate * at_s, rate, steady, dof),
+        Lateness(f"{name}: time", u_s, "s", u_s, 0.0, steady, dof, "start"),
+        Lateness(f"{name}: rate", rate, "1", -rate * at_s, rate, steady, dof, "start"),
     )
     return tuple(error for error in both if error.u > 0.0)
 
