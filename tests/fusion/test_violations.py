@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import tifffile
 from contracts import refused as raises
+from scipy.stats import binom
 from support import DOCS, Refused, state, truth_of
 
 from fusion.phasors.channels import ChannelResult, folding
@@ -314,3 +315,14 @@ def test_a_rate_folds_the_harmonics_next_to_its_own_multiple() -> None:
     assert folding([1000.3], 8000.0, 8000) == []
     near = [text.replace("1000 Hz", "1000.3 Hz") for text in named[:2]]
     assert folding([1000.3], 8000.0, 2400) == near  # 2.4 Hz apart, the next 4.8 Hz, bins of 3.3 Hz
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", ["full", "53.7 Hz", "1020.3 Hz"])
+def test_instruments_that_are_as_stated_contradict_each_other_as_often_as_the_test_says(
+    rig: str, benchmark: ModuleType
+) -> None:
+    """By chi-square with the stereo pair's noise (27 degrees of freedom) as exact 3 to 6 % fail at 1 %."""
+    found = np.array([benchmark.draw(benchmark.RIGS[rig], (), seed).probability for seed in range(1, 101)])
+    for share in (0.01, 0.05, 0.2, 0.5):
+        assert binom.ppf(1e-3, len(found), share) <= np.sum(found < share) <= binom.isf(1e-3, len(found), share)
