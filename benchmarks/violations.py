@@ -160,7 +160,8 @@ class Draw:
     """One recording: notices, or the refusal; error of the element and of six accelerations over what is stated.
 
     `distance`: Mahalanobis distance over the 95 % region's, element first, NaN where not given. `error`, `expanded`: of
-    the same seven, what they are off by and their U along the longer axis of the region.
+    the same seven, what they are off by and their U along the longer axis of the region. `probability`: of the fused
+    estimate's chi-square.
     """
 
     notices: tuple[str, ...]
@@ -168,6 +169,7 @@ class Draw:
     distance: FloatArray | None = None
     error: ComplexArray | None = None
     expanded: FloatArray | None = None
+    probability: float = np.nan
 
 
 def draw(rig: Rig, names: Sequence[str], seed: int) -> Draw:
@@ -204,7 +206,7 @@ def draw(rig: Rig, names: Sequence[str], seed: int) -> Draw:
             distance[place] = np.sqrt(both @ np.linalg.solve(pair, both) / limit)
             expanded[place] = np.sqrt(np.linalg.eigvalsh(pair)[-1] * limit)
     notices = tuple(f"{notice.text} [{notice.where}]" for notice in found.notices)
-    return Draw(notices, "", distance, value - truth, expanded)
+    return Draw(notices, "", distance, value - truth, expanded, fused.probability)
 
 
 def driven_element(found: Evaluation) -> tuple[complex, tuple[FloatArray, float]]:

@@ -27,7 +27,6 @@ from photogram.arrays import Notice
 from photogram.calibration.bundle import ShapeKind
 from photogram.calibration.export import export_calibration
 from photogram.calibration.file import read_calibration, write_calibration, write_camera
-from photogram.calibration.foreign import LengthUnit
 from photogram.calibration.foreign_formats import import_calibration
 from photogram.calibration.result import Calibration, Dropped
 from photogram.calibration.scale import KnownLength, with_length

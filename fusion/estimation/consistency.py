@@ -19,6 +19,7 @@ from fusion.estimation.variance_components import (
     TEST_LEVEL,
     Contrasts,
     Discrepancy,
+    EstimatedNoise,
     fails,
     variance_components,
 )
@@ -124,19 +125,25 @@ def estimates(common: Sequence[CommonError], solution: Solution) -> tuple[Common
     return tuple(CommonEstimate(c.name, c.label, c.u, c.unit, value, left) for c, value, left in values)
 
 
-def contradicts(solution: Solution, unknowns: Sequence[CommonEstimate]) -> bool:
+def contradicts(system: System, solution: Solution, unknowns: Sequence[CommonEstimate]) -> bool:
     """Tell at 1 % whether readings contradict what is stated: by chi-square, or by the deviation of a single unknown.
 
     A camera that was turned hardly shows in the chi-square of a hundred readings, but in the unknown that is its turn.
     """
-    from scipy.special import ndtr
-
     half = (1.0 + TEST_LEVEL) / 2.0
-    deviations = np.array([unknown.deviation for unknown in unknowns])
+    deviations = np.nan_to_num([unknown.deviation for unknown in unknowns])
     # Unknowns that the readings cannot tell apart deviate alike: together they are one test.
-    tested = np.unique(np.round(np.abs(deviations[np.isfinite(deviations)]), 2))
-    extreme = len(tested) > 0 and 2.0 * ndtr(-np.max(tested)) * len(tested) < 1.0 - half
-    return bool(extreme) or fails(solution.chi2, solution.dof, half)
+    tests = len(np.unique(np.round(np.abs(deviations[[np.isfinite(unknown.deviation) for unknown in unknowns]]), 2)))
+    noise = EstimatedNoise.of(system, solution.effects)
+    if noise.fails(solution.chi2, solution.dof, solution.projector, half):
+        return True
+    level = 1.0 - (1.0 - half) / max(tests, 1)
+    for place in np.flatnonzero([fails(deviation**2, 1, level) for deviation in deviations]).tolist():
+        weights = solution.projector @ solution.effects[:, place]
+        weights = np.outer(weights, weights) / (1.0 - unknowns[place].remaining ** 2)
+        if noise.fails(float(deviations[place] ** 2), 1, weights, level):
+            return True
+    return False
 
 
 def leave_one_out(system: System, solution: Solution, suspects: Sequence[str] = ()) -> tuple[Consistency, ...]:
@@ -258,7 +265,8 @@ class Explanation:
 class Suspicion:
     """Groups of readings, `names` and `rows`, that are taken as wrong together, and what follows for the estimate.
 
-    `chi2`, `dof` of their difference to the prediction of the others; `change` (12K,) of the estimate by leaving them
+    `chi2`, `dof` of their difference to the prediction of the others, `tested` (N, r) · its transpose the weights of
+    all readings in it; `change` (12K,) of the estimate by leaving them
     out, which is `pull` (12K, n) · (P y) of the rows, `spread` (12K, r): a root of its covariance, `lost` (12K,): which
     values the others do not determine; `tenfold` (12K,): change of the estimate by stating ten times as much of the
     rows; `gross`: that does not suffice.
@@ -274,6 +282,12 @@ class Suspicion:
     lost: BoolArray
     tenfold: FloatArray
     gross: bool
+    tested: FloatArray
+
+    @property
+    def weights(self) -> FloatArray:
+        """Return Θ (N, N), so that chi-square is yᵀ·Θ·y."""
+        return np.asarray(self.tested @ self.tested.T)
 
     @property
     def excess(self) -> float:
@@ -304,11 +318,14 @@ def suspicion(system: System, solution: Solution, names: tuple[str, ...], rows: 
     inner, unit = seen.T @ stated @ seen, np.eye(len(white))
     limit = (GROSS / NORMAL_LIMIT) ** 2 - 1.0
     chi2, dof = float(white @ white), len(white)
-    gross = chi2 - dof > CERTAIN and fails(float(white @ np.linalg.solve(unit + limit * inner, white)), dof)
+    all_rows = solution.projector[:, rows] @ (scale[:, None] * tested / root)
+    gross = chi2 - dof > CERTAIN and EstimatedNoise.of(system, solution.effects).fails(
+        float(white @ np.linalg.solve(unit + limit * inner, white)), dof, all_rows @ all_rows.T
+    )
     more = GROSS**2 - 1.0
     tenfold = -gain @ (more * stated @ seen @ np.linalg.solve(unit + more * inner, white))
     pull = -(spread / root) @ tested.T * scale
-    return Suspicion(names, rows, chi2, dof, -spread @ white, pull, spread, lost, tenfold, gross)
+    return Suspicion(names, rows, chi2, dof, -spread @ white, pull, spread, lost, tenfold, gross, all_rows)
 
 
 def suspicions(system: System, solution: Solution) -> tuple[Suspicion, ...]:
@@ -320,13 +337,14 @@ def suspicions(system: System, solution: Solution) -> tuple[Suspicion, ...]:
     """
     every = [suspicion(system, solution, (name,), rows) for name, rows in _groups(system)]
     every = [one for one in every if one.dof]
+    noise = EstimatedNoise.of(system, solution.effects)
 
     def agreeing(some: Sequence[Suspicion]) -> list[Suspicion]:
         most = max((one.excess for one in some), default=0.0)
         chosen: list[Suspicion] = []
         for one in some:
             own = not any(np.all(np.isin(other.rows, one.rows)) for other in chosen)
-            agrees = not fails(solution.chi2 - one.chi2, solution.dof - one.dof)
+            agrees = not noise.fails(solution.chi2 - one.chi2, solution.dof - one.dof, solution.projector - one.weights)
             chosen += [one] if own and agrees and one.excess >= 0.5 * most else []
         return chosen
 
@@ -343,7 +361,7 @@ def suspicions(system: System, solution: Solution) -> tuple[Suspicion, ...]:
     if not found:
         places = range(len(system.observations))
         whole = [one for one in every if any(len(one.rows) == np.sum(system.observation == place) for place in places)]
-        found = [one for one in whole if fails(one.chi2, one.dof)]
+        found = [one for one in whole if noise.fails(one.chi2, one.dof, one.weights)]
     return tuple(_where_untested(system, solution, one) for one in found)
 
 
@@ -353,7 +371,7 @@ def _where_untested(system: System, solution: Solution, whole: Suspicion) -> Sus
     An artefact at a harmonic says nothing against an instrument at the fundamental. The error's relative size is the
     largest that a line asks for, √(χ²/λ) with λ the noncentrality of readings that are wrong by all of their size.
     """
-    line = system.line[whole.rows]
+    line, noise = system.line[whole.rows], EstimatedNoise.of(system, solution.effects)
     parts = [whole.rows[line == k] for k in np.unique(line).tolist()]
     each = [suspicion(system, solution, whole.names, rows) for rows in parts]
     # A line by itself is judged by what all others say without the suspect's other lines.
@@ -363,12 +381,14 @@ def _where_untested(system: System, solution: Solution, whole: Suspicion) -> Sus
     kept = [
         rows
         for rows, rest, power in zip(parts, others, wrong, strict=True)
-        if fails(whole.chi2 - rest.chi2, whole.dof - rest.dof) or size2 * power <= CERTAIN
+        if noise.fails(whole.chi2 - rest.chi2, whole.dof - rest.dof, whole.weights - rest.weights)
+        or size2 * power <= CERTAIN
     ]
     if not kept or len(kept) == len(parts):
         return whole
     less = suspicion(system, solution, whole.names, np.concatenate(kept))
-    return whole if fails(solution.chi2 - less.chi2, solution.dof - less.dof) else less
+    weights = solution.projector - less.weights
+    return whole if noise.fails(solution.chi2 - less.chi2, solution.dof - less.dof, weights) else less
 
 
 def explanations(system: System, solution: Solution, found: Sequence[Suspicion]) -> tuple[Explanation, ...]:
@@ -489,7 +509,8 @@ def exchanged(system: System, first: Solution, found: Sequence[Suspicion]) -> tu
             if readings @ first.projector @ readings > 0.5 * first.chi2:
                 continue  # too far off for another fit to be worth its time
             solution = solve(replace(system, readings=readings))
-            if not fails(solution.chi2, solution.dof):
+            noise = EstimatedNoise.of(system, solution.effects)
+            if not noise.fails(solution.chi2, solution.dof, solution.projector):
                 pairs.append((system.member_names[a], system.member_names[b]))
     return tuple(pairs)
 

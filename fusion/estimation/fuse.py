@@ -52,8 +52,8 @@ from fusion.estimation.uncertainty import (
     total_variance,
 )
 from fusion.estimation.variance_components import (
-    TEST_LEVEL,
     Discrepancy,
+    EstimatedNoise,
     Scatter,
     disagreement,
     estimate_scatter,
@@ -79,13 +79,13 @@ class Acceleration:
 
     `phasors` (K, 6) in m/s^2 and rad/s^2, NaN where not `observed` (K, 6). `uncertainty` of the six components, NaN
     where not observed: noise of every instrument and the common errors, which act on all lines at once. `unknowns`:
-    what the data say of those. `consistency`, `chi2` and `dof` rest on what is stated; `scatter`: instruments whose
-    readings scatter beyond that. `explanations`: where instruments contradict each other, what the estimate is without
-    each suspect; `disputed` (K, 6): values that are not given (not `observed`), since these differ by gross errors and
-    nothing decides between them; None where there are none. `unseen`: what is assumed of components that are not
-    observed, and `leaked` (K, 12, 12): what one standard uncertainty of their [Re, Im] adds to [Re, Im] of the values.
-    `unnoticed`: of the fused estimate, which components an error of a single channel may move by more than U although
-    no test sees it.
+    what the data say of those. `consistency`, `chi2`, `dof` and its `probability` rest on what is stated; `scatter`:
+    instruments whose readings scatter beyond that. `explanations`: where instruments contradict each other, what the
+    estimate is without each suspect; `disputed` (K, 6): values that are not given (not `observed`), since these differ
+    by gross errors and nothing decides between them; None where there are none. `unseen`: what is assumed of components
+    that are not observed, and `leaked` (K, 12, 12): what one standard uncertainty of their [Re, Im] adds to [Re, Im] of
+    the values. `unnoticed`: of the fused estimate, which components an error of a single channel may move by more than
+    U although no test sees it.
     """
 
     body: str
@@ -105,6 +105,7 @@ class Acceleration:
     disputed: BoolArray | None = None
     unnoticed: tuple[Unnoticed, ...] = ()
     leaked: FloatArray | None = None
+    probability: float = float("nan")
 
     __repr__ = brief
 
@@ -175,6 +176,7 @@ def fuse(
         disputed=unclear if np.any(unclear) else None,
         unnoticed=unnoticed(given, first) if source == "fused" and stated else (),
         leaked=leaked,
+        probability=EstimatedNoise.of(system, first.effects).probability(first.chi2, first.dof, first.projector),
     )
     swapped = exchanged(system, first, open_) if any(one.gross for one in open_) else ()
     return replace(result, notices=_notices(result, bool(stated), unknowns if solved.contradicted else None, swapped))
@@ -192,7 +194,7 @@ def without_gross(
     system = build_system(observations, unseen)
     first = solve(system)
     for _ in range(MOST_LEFT_OUT):
-        if not contradicts(first, estimates(system.common, first)):
+        if not contradicts(system, first, estimates(system.common, first)):
             break
         found = suspicions(system, first)
         if len(found) != 1 or len(found[0].names) > 1 or not found[0].gross:
@@ -229,19 +231,21 @@ def solve_consistently(system: System, first: Solution, scatter: tuple[Scatter, 
 
     They then get the discrepancies that `fuse` tells of.
     """
-    contradicted = contradicts(first, estimates(system.common, first))
+    contradicted = contradicts(system, first, estimates(system.common, first))
     open_ = suspicions(system, first) if contradicted else ()
     scatter = estimate_scatter(system, first) if scatter is None else scatter
     parts = scatter_covariances(system, first.acceleration, scatter)
     final = solve(system, np.sum([p.covariance for p in parts], axis=0)) if parts else first
     birge, beside = 1.0, None
     unknowns = estimates(system.common, final)
-    if contradicts(final, unknowns):
+    if contradicts(system, final, unknowns):
         beside = undetected_errors(system, final, unknowns, INCONSISTENCY)
         failing = failing_lines(system, final)
         parts.append(disagreement(system, final, failing or range(len(system.observed)), INCONSISTENCY))
         final = solve(system, np.sum([p.covariance for p in parts], axis=0))
-        birge = final.chi2 / final.dof if not failing and fails(final.chi2, final.dof) else 1.0
+        noise = EstimatedNoise.of(system, final.effects)
+        beyond = not failing and noise.fails(final.chi2, final.dof, final.projector)
+        birge = final.chi2 / final.dof if beyond else 1.0
     return Solved(first, final, scatter, tuple(parts), birge, beside, contradicted, open_)
 
 
@@ -295,10 +299,11 @@ def _uncertainty(system: System, solved: Solved) -> tuple[Uncertainty, FloatArra
         wanted = left_open(solved.stated, solved.open, solution.acceleration)
         allowed = np.sum([np.zeros_like(wanted), *(part.covariance for part in parts)], axis=0)
         parts.append(Contribution(OPEN, "B", not_allowed_for(wanted, allowed)))
+    estimated = EstimatedNoise.of(system, solution.effects)
     for place, observation in enumerate(system.observations):
         rows = np.flatnonzero(system.observation == place)
         dof = np.nan_to_num(observation.phasors.dof, nan=np.inf, posinf=np.inf)
-        own = carried(noise[np.ix_(rows, rows)], rows)
+        own = carried(noise[np.ix_(rows, rows)], rows) + estimated.lost(solution.projector, gain, rows)
         parts.append(Contribution(f"{observation.title}: noise", "A", own, dof))
     leaked, rest = solution.hidden.carried(system, gain)
     if np.any(rest):
@@ -394,10 +399,8 @@ def unnoticed(system: System, solution: Solution) -> tuple[Unnoticed, ...]:
     deviations, μ the largest eigenvalue of the ellipsoid in that value over its covariance. U that held these errors,
     which the readings hardly show, would be too large wherever all is as stated (docs/uncertainty.md).
     """
-    from scipy.special import chdtri, chndtrinc
-
-    dof, line = solution.dof, int(np.argmax(np.linalg.norm(solution.acceleration / SCALE, axis=1)))
-    limit = chndtrinc(chdtri(dof, 1.0 - TEST_LEVEL), dof, 1.0 - POWER) if dof > 0 else np.inf
+    line = int(np.argmax(np.linalg.norm(solution.acceleration / SCALE, axis=1)))
+    limit = EstimatedNoise.of(system, solution.effects).noticed(solution.dof, solution.projector, POWER)
     gain = solution.gain[12 * line : 12 * line + 12]
     covariance, touched, found = as_stated(solution, gain), solution.effects != 0.0, list[Unnoticed]()
     for place, name in enumerate(system.member_names):

@@ -1,9 +1,9 @@
-"""Disagreement beyond what is stated, as variance components: scatter within instruments, differences between them."""
+"""What readings scatter by: as estimated of their noise, and beyond what is stated, as variance components."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from fusion.estimation.measurement_model import Observation
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 
 TEST_LEVEL = 0.99
+LEAST_ESTIMATED = 1e-6
+MOST_ESTIMATED = 0.8
+"""Largest share A₂/d that the test allows for: with noise known even less, chi-square has no expectation."""
 RANK_TOLERANCE = 1e-6
 VISIBLE = 1e-4
 ITERATIONS = 100
@@ -51,12 +54,14 @@ class Discrepancy:
 class Contrasts:
     """Combinations of readings of one line that no motion changes.
 
-    `values` (n,), their `spread` (n, n) as stated; `patterns` (C, n, n): covariance of each component of variance one.
+    `values` (n,), their `spread` (n, n) as stated; `patterns` (C, n, n): covariance of each component of variance one;
+    `combined` (N, n): values = combinedᵀ · readings, where they are those of a system.
     """
 
     values: FloatArray
     spread: FloatArray
     patterns: FloatArray
+    combined: FloatArray = field(default_factory=lambda: NOTHING)
 
     def chi2(self, components: FloatArray) -> float:
         """Return chi-square of n degrees of freedom, given the components (C,)."""
@@ -89,8 +94,113 @@ class Contrasts:
         return np.einsum("cij,dji->cd", turned, turned), right
 
 
+@dataclass(frozen=True)
+class EstimatedNoise:
+    """Covariances of a system's readings that were estimated, not stated: how well they are known.
+
+    `blocks`: of each instrument and line the rows (2m,), real before imaginary ones, the root (2m, 2m) of their
+    covariance and its degrees of freedom ν: S ⊗ G with S (m, m) of the readings a Wishart matrix of ν, G that of real
+    and imaginary part. `effects` (N, e): of unknowns of type A, of `dof` (e,).
+    """
+
+    blocks: tuple[tuple[IntArray, FloatArray, float], ...]
+    effects: FloatArray
+    dof: FloatArray
+
+    @classmethod
+    def of(cls, system: System, effects: FloatArray) -> EstimatedNoise:
+        """Return it for a system and the `effects` (N, E) of all its common errors."""
+        blocks = []
+        for place, observation in enumerate(system.observations):
+            for k in np.flatnonzero(np.isfinite(observation.phasors.dof)).tolist():
+                rows = np.flatnonzero((system.observation == place) & (system.line == k))
+                if len(rows):
+                    values, vectors = np.linalg.eigh(system.noise[np.ix_(rows, rows)])
+                    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+                    blocks.append((rows, np.asarray(root), max(float(observation.phasors.dof[k]), 1.0)))
+        dof = np.array([error.dof for error in system.common])
+        finite = np.isfinite(dof)
+        return cls(tuple(blocks), effects[:, finite], np.maximum(dof[finite], 1.0))
+
+    def moments(self, weights: FloatArray) -> tuple[float, float]:
+        """Return A₁ = E (tr Θ·δV)² and A₂ = E tr(Θ·δV·Θ·δV), δV the error of the covariance, of weights Θ (N, N)."""
+        first = second = 0.0
+        for rows, root, dof in self.blocks:
+            parts = self._parts(root @ weights[np.ix_(rows, rows)] @ root)
+            second += float(np.sum(parts * parts.swapaxes(2, 3)) + np.sum(np.trace(parts, axis1=2, axis2=3) ** 2)) / dof
+            both = parts[0, 0] + parts[1, 1]
+            first += 2.0 * float(np.sum(both * both.T)) / dof
+        known = float(np.sum(2.0 * np.einsum("ne,nm,me->e", self.effects, weights, self.effects) ** 2 / self.dof))
+        return first + known, second + known
+
+    def lost(self, projector: FloatArray, gain: FloatArray, rows: IntArray) -> FloatArray:
+        """Return what estimated weights add to the covariance (K, 12, 12) of gain (K, 12, N) · readings of some rows.
+
+        Λ = E gain·δV·P·δV·gainᵀ is by how much the estimate scatters more than by the best weights, and by how much
+        (Xᵀ·V⁻¹·X)⁻¹ with an estimated V is on average too small: 2Λ (Kackar & Harville 1984, J. Am. Stat. Assoc. 79,
+        853; Kenward & Roger 1997, Biometrics 53, 983, sec. 2).
+        """
+        total = np.zeros((*gain.shape[:2], gain.shape[1]))
+        for own, root, dof in (block for block in self.blocks if np.isin(block[0][0], rows)):
+            parts = self._parts(root @ projector[np.ix_(own, own)] @ root)
+            traces = np.trace(parts, axis1=2, axis2=3)[:, :, None, None] * np.eye(parts.shape[2])
+            square = (parts.swapaxes(2, 3) + traces).swapaxes(1, 2).reshape(len(own), len(own)) / dof
+            turned = gain[:, :, own] @ root
+            total += 2.0 * turned @ square @ turned.swapaxes(1, 2)
+        return total
+
+    @staticmethod
+    def _parts(square: FloatArray) -> FloatArray:
+        """Blocks (2, 2, m, m) between real and imaginary parts."""
+        half = len(square) // 2
+        return np.asarray(square.reshape(2, half, 2, half).swapaxes(1, 2))
+
+    def reference(self, dof: int, weights: FloatArray) -> tuple[float, float]:
+        """Return (λ, m) so that λ·χ²/d is distributed as F(d, m), with χ² = yᵀ·Θ·y and Θ the weights (N, N).
+
+        Scaled F approximation of Kenward & Roger (1997, sec. 3.2), exact for Hotelling's T², here of the hypothesis
+        that no contrast has an expectation; m is infinite where all covariances are stated.
+        """
+        first, second = self.moments(weights)
+        if second < LEAST_ESTIMATED * dof:
+            return 1.0, np.inf
+        first, second = (moment * min(1.0, MOST_ESTIMATED * dof / second) for moment in (first, second))
+        g = ((dof + 1.0) * first - (dof + 4.0) * second) / ((dof + 2.0) * second)
+        c1, c2, c3 = (c / (3.0 * dof + 2.0 * (1.0 - g)) for c in (g, dof - g, dof + 2.0 - g))
+        b = (first + 6.0 * second) / (2.0 * dof)
+        expectation = 1.0 / (1.0 - second / dof)
+        variance = 2.0 / dof * (1.0 + c1 * b) / ((1.0 - c2 * b) ** 2 * (1.0 - c3 * b))
+        m = 4.0 + (dof + 2.0) / (dof * variance / (2.0 * expectation**2) - 1.0)
+        return m / (expectation * (m - 2.0)), m
+
+    def probability(self, chi2: float, dof: int, weights: FloatArray) -> float:
+        """Return how often chi-square = yᵀ·Θ·y with weights Θ (N, N) is as large if all is as stated; NaN without d."""
+        from scipy.special import chdtrc, fdtrc
+
+        if dof <= 0:
+            return float("nan")
+        factor, m = self.reference(dof, weights)
+        return float(chdtrc(dof, chi2) if np.isinf(m) else fdtrc(dof, m, factor * chi2 / dof))
+
+    def fails(self, chi2: float, dof: int, weights: FloatArray, level: float = TEST_LEVEL) -> bool:
+        """Return whether chi-square = yᵀ·Θ·y with weights Θ (N, N) is beyond its quantile."""
+        # Noise that was estimated only ever excuses.
+        return fails(chi2, dof, level) and self.probability(chi2, dof, weights) < 1.0 - level
+
+    def noticed(self, dof: int, weights: FloatArray, power: float) -> float:
+        """Return the noncentrality that chi-square of weights Θ (N, N) notices at 1 % with the chance `power`."""
+        from scipy.special import chdtri, chndtrinc, fdtri, ncfdtrinc
+
+        if dof <= 0:
+            return float("inf")
+        _, m = self.reference(dof, weights)
+        if np.isinf(m):
+            return float(chndtrinc(chdtri(dof, 1.0 - TEST_LEVEL), dof, 1.0 - power))
+        return float(ncfdtrinc(dof, m, 1.0 - power, fdtri(dof, m, TEST_LEVEL)))
+
+
 def fails(chi2: float, dof: int, level: float = TEST_LEVEL) -> bool:
-    """Return whether chi-square is beyond its quantile."""
+    """Return whether chi-square by covariances that are known is beyond its quantile."""
     from scipy.special import chdtrc
 
     return dof > 0 and bool(chdtrc(dof, chi2) < 1.0 - level)
@@ -160,14 +270,14 @@ def estimate_scatter(system: System, solution: Solution) -> tuple[Scatter, ...]:
     than it sees components cannot be tested and gets none. Where one relative scatter explains all lines it is
     estimated from all; else every line has its own.
     """
-    sizes = row_sizes(system, solution.acceleration)
+    sizes, noise = row_sizes(system, solution.acceleration), EstimatedNoise.of(system, solution.effects)
     lines, places = range(len(system.observed)), range(len(system.observations))
     rows = [[np.flatnonzero((system.observation == place) & (system.line == k)) for k in lines] for place in places]
     tests = [[_contrasts(system, solution, own, sizes, None) for own in rows[place]] for place in places]
     count = sum(group is not None for groups in tests for group in groups)
     scatters = []
     for place, groups in zip(places, tests, strict=True):
-        if any(group is not None and _improbable(group, count) for group in groups):
+        if any(group is not None and _improbable(group, noise, count) for group in groups):
             patterns = _own_patterns(system, solution.acceleration, sizes)
             whole = {
                 k: _contrasts(system, solution, own, sizes, patterns[:, own[:, None], own])
@@ -200,9 +310,11 @@ def _joint_dof(components: FloatArray, dof: FloatArray) -> FloatArray:
     return np.where(total > 0.0, np.minimum(joint, np.max(dof, axis=1)), np.inf)
 
 
-def _improbable(group: Contrasts, tests: int) -> bool:
+def _improbable(group: Contrasts, noise: EstimatedNoise, tests: int) -> bool:
     """Tell whether chi-square of what is stated is too great for one of several tests together at 1 %."""
-    return fails(group.chi2(NOTHING), len(group.values), 1.0 - (1.0 - TEST_LEVEL) / tests)
+    level = 1.0 - (1.0 - TEST_LEVEL) / tests
+    weights = group.combined @ np.linalg.solve(group.spread, group.combined.T)
+    return noise.fails(group.chi2(NOTHING), len(group.values), weights, level)
 
 
 def scatter_covariances(system: System, acceleration: ComplexArray, scatters: Sequence[Scatter]) -> list[Discrepancy]:
@@ -223,11 +335,11 @@ def scatter_covariances(system: System, acceleration: ComplexArray, scatters: Se
 
 def failing_lines(system: System, solution: Solution) -> tuple[int, ...]:
     """Return the lines whose readings contradict each other by themselves, at 1 % for all lines together."""
-    sizes = row_sizes(system, solution.acceleration)
+    sizes, noise = row_sizes(system, solution.acceleration), EstimatedNoise.of(system, solution.effects)
     every = [np.flatnonzero(system.line == k) for k in range(len(system.observed))]
     groups = [_contrasts(system, solution, rows, sizes, None) for rows in every]
     count = sum(group is not None for group in groups)
-    return tuple(k for k, group in enumerate(groups) if group is not None and _improbable(group, count))
+    return tuple(k for k, group in enumerate(groups) if group is not None and _improbable(group, noise, count))
 
 
 def disagreement(system: System, solution: Solution, lines: Sequence[int], label: str) -> Discrepancy:
@@ -288,7 +400,9 @@ def _contrasts(
         turned = across.T @ patterns @ across
         left = np.trace(turned, axis1=1, axis2=2) > VISIBLE * np.trace(patterns, axis1=1, axis2=2)
         turned = np.where(left[:, None, None], turned, 0.0)
-    return Contrasts(across.T @ (system.readings[rows] / size), across.T @ spread @ across, turned)
+    combined = np.zeros((len(sizes), across.shape[1]))
+    combined[rows] = across / size[:, None]
+    return Contrasts(combined.T @ system.readings, across.T @ spread @ across, turned, combined)
 
 
 def _own_patterns(system: System, acceleration: ComplexArray, sizes: FloatArray) -> FloatArray:

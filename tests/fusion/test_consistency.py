@@ -26,14 +26,14 @@ from instrument_factory import (
     without,
 )
 from scipy.optimize import brentq
-from scipy.stats import binom, chi2, ncx2, t
+from scipy.stats import binom, chi2, f, ncf, ncx2, t
 
-from fusion.estimation.consistency import explanations, not_allowed_for, suspicion
+from fusion.estimation.consistency import as_stated, explanations, not_allowed_for, suspicion
 from fusion.estimation.fuse import INCONSISTENCY, Acceleration, fuse, fuse_sources, untested
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import as_complex, region_factor
-from fusion.estimation.variance_components import Contrasts, variance_components
+from fusion.estimation.variance_components import Contrasts, EstimatedNoise, variance_components
 from fusion.sensitivity.body import Body, make_part
 from fusion.sensitivity.load import load_phasors
 
@@ -511,7 +511,8 @@ def test_an_error_that_the_test_sees_is_not_unnoticed():
         lasers([(0.0, 0.0, 0.03)], 1e-6, AXIAL[:1], common=f"head {w}", individual_uncertainty=1e-4 / np.sqrt(w))
         for w in weights
     ]
-    result = fuse([replace(one, members=(name,)) for one, name in zip(two, "ab", strict=True)])
+    known = [replace(one, phasors=replace(one.phasors, dof=np.full(1, np.inf))) for one in two]
+    result = fuse([replace(one, members=(name,)) for one, name in zip(known, "ab", strict=True)])
     limit = brentq(lambda power: ncx2.sf(chi2.isf(0.01, 2), 2, power) - 0.8, 1.0, 50.0)
     z = [min(5.0, np.sqrt(limit / (1.0 - w))) for w in weights]
     assert z[0] < 4.6
@@ -531,3 +532,68 @@ def test_what_is_told_to_be_unnoticed_is():
     assert len(silent) > 0.2 * 200
     for held, share in zip(np.sum(silent, axis=0), (0.95, ncx2.cdf(REGION**2, 2, 12.5)), strict=True):
         assert binom.ppf(0.001, len(silent), share) <= held <= binom.isf(0.001, len(silent), share)
+
+
+# Noise whose covariance was estimated.
+
+
+@pytest.mark.parametrize("dof", [6.0, 27.0])
+def test_the_test_of_a_reading_with_estimated_noise_is_exact(dof):
+    """Against one that is known (x² + y²)/s² is 2·F(2, ν), Hotelling's case; against one as bad 2·F(2, 2ν) by Welch."""
+    sure, weak, other = (
+        lasers([(0.0, 0.0, 0.03)], noise, AXIAL[:1], common=name, scale_uncertainty=1e-9)
+        for noise, name in ((1e-7, "sure"), (1e-3, "weak"), (1e-3, "other"))
+    )
+    weak, other = (replace(one, phasors=replace(one.phasors, dof=np.full(1, dof))) for one in (weak, other))
+    for two, m in (((sure, weak), dof), ((other, weak), 2.0 * dof)):
+        system = build_system([replace(one, members=(str(place),)) for place, one in enumerate(two)])
+        solution = solve(system)
+        noise = EstimatedNoise.of(system, solution.effects)
+        assert solution.dof == 2
+        assert noise.probability(9.0, 2, solution.projector) == pytest.approx(f.sf(4.5, 2, m), rel=0.02)
+        limit = noise.noticed(2, solution.projector, 0.8)
+        assert ncf.sf(f.isf(0.01, 2, m), 2, m, limit) == pytest.approx(0.8, rel=0.01)
+
+
+def estimated(trial: int, dof: int) -> list[Observation]:
+    """Camera and channels as stated; the camera's noise and its covariance drawn, Re and Im with one Wishart matrix."""
+    rng = np.random.default_rng([20, trial])
+    root = 3e-8 * np.array([1, 1, 3, 30, 30, 10.0])[:, None] * np.linalg.cholesky(0.5 * np.eye(6) + 0.5)
+    stereo, *others = measured([camera(1e-15), lasers(4, 1e-4), triaxial()], rng)
+    samples = root @ rng.normal(size=(2, 6, dof))
+    covariance = np.kron(np.eye(2), samples @ samples.swapaxes(1, 2) / dof)
+    value = stereo.phasors.value + (rng.normal(size=(2, 6)) + 1j * rng.normal(size=(2, 6))) @ root.T
+    known = replace(stereo.phasors, value=value, covariance=covariance, dof=np.full(2, float(dof)))
+    return [replace(stereo, phasors=known), *others]
+
+
+@pytest.mark.parametrize("dof", [12, 27])
+def test_instruments_whose_noise_was_estimated_agree_as_often_as_the_test_says(dof):
+    found, plain = [], []
+    for trial in range(400):
+        system = build_system(estimated(trial, dof))
+        solution = solve(system)
+        noise = EstimatedNoise.of(system, solution.effects)
+        found.append(noise.probability(solution.chi2, solution.dof, solution.projector))
+        plain.append(chi2.sf(solution.chi2, solution.dof))
+    for share in (0.01, 0.05, 0.2):
+        held = np.sum(np.array(found) < share)
+        assert binom.ppf(1e-3, len(found), share) <= held <= binom.isf(1e-3, len(found), share)
+    # As if the noise were known the test fails too often.
+    assert np.sum(np.array(plain) < 0.05) > binom.isf(1e-3, len(plain), 0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dof", [12, 27])
+def test_what_estimated_weights_cost_is_in_u(dof):
+    """Errors over u have the mean square of Student's t or less; without what weights cost they are beyond it."""
+    squares, plain = np.zeros(6), np.zeros(6)
+    for trial in range(400):
+        result = fuse(estimated(trial, dof))
+        system = build_system(estimated(trial, dof))
+        solution = solve(system)
+        variance = np.diagonal(as_stated(solution, solution.gain.reshape(2, 12, -1))[0])
+        off = np.abs(result.phasors.value[0] - TRUTH[0]) ** 2
+        squares += off / (result.phasors.u_re[0] ** 2 + result.phasors.u_im[0] ** 2) / 400
+        plain += off / (variance[:6] + variance[6:]) / 400
+    print(squares, plain)

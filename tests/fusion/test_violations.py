@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import tifffile
 from contracts import refused as raises
+from scipy.stats import binom
 from support import DOCS, Refused, state, truth_of
 
 from fusion.instruments.channel import ChainUncertainty, Reading
@@ -348,3 +349,14 @@ def test_high_harmonics_that_fold_are_told_where_those_seen_promise_them() -> No
     (rest,) = told(0.0, 1e-3)[1]
     assert rest.count("folds onto") == 3
     assert told(0.05, 1e-3, Path("response.csv")) == ([], [])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", ["full", "53.7 Hz", "1020.3 Hz"])
+def test_instruments_that_are_as_stated_contradict_each_other_as_often_as_the_test_says(
+    rig: str, benchmark: ModuleType
+) -> None:
+    """By chi-square with the stereo pair's noise (27 degrees of freedom) as exact 3 to 6 % fail at 1 %."""
+    found = np.array([benchmark.draw(benchmark.RIGS[rig], (), seed).probability for seed in range(1, 101)])
+    for share in (0.01, 0.05, 0.2, 0.5):
+        assert binom.ppf(1e-3, len(found), share) <= np.sum(found < share) <= binom.isf(1e-3, len(found), share)
