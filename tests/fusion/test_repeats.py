@@ -306,7 +306,6 @@ def test_phases_of_means_are_covered_however_the_recorders_start(tmp_path, anew:
             row.append([abs(np.angle(complex(mean.value[place]) / truth)), element.expanded_phase_rad])
         over.append(row)
     error, expanded = np.moveaxis(np.array(over), 2, 0)
-    print(np.round(error / expanded, 2), np.round(expanded[:, 0] / expanded[:, 1], 3), expanded)
     held = np.sum(error <= expanded, axis=0)
     assert held[0] >= binom.ppf(5e-3, 20, 0.95)
     if anew:
