@@ -18,7 +18,7 @@ from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
 from fusion.instruments.channel import Outputs
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.stereo_phasors import StereoResult
-from fusion.phasors.timing import ClockResult
+from fusion.phasors.timing import ClockResult, Grid
 from fusion.recording.rig import Environment, Load, Rig, Sensor
 from fusion.recording.toml import Stated, UncertainInput
 from fusion.sensitivity.analyse import Evaluation
@@ -288,8 +288,10 @@ def _clocks(folder: Path, rng: np.random.Generator) -> tuple[ClockResult, ...]:
     tie = ClockTie(
         -0.4312077, 1.0 + 4.2e-6, np.diag([(2e-7) ** 2, (1e-7) ** 2]), 0, "burst start and end", 210, 3.39, ()
     )
-    first = ClockResult("vibrometer", folder / "vibrometer.h5", _trigger(0.97, 1 / 51200, rng), None)
-    return first, ClockResult("bridge", folder / "bridge.tdms", _trigger(1.4012, 1e-4, rng), tie)
+    base, other = _trigger(0.97, 1 / 51200, rng), _trigger(1.4012, 1e-4, rng)
+    width = 2e-3, 1e-7
+    first = ClockResult("vibrometer", folder / "vibrometer.h5", base, None, *width, Grid.of(base, None, 2e-3))
+    return first, ClockResult("bridge", folder / "bridge.tdms", other, tie, *width, Grid.of(other, tie, 2e-3))
 
 
 def _trigger(start_s: float, resolution_s: float, rng: np.random.Generator) -> TriggerFit:

@@ -89,8 +89,8 @@ def drives_of(evaluation: Evaluation) -> tuple[Drive, ...]:
     if load is None or outputs is None or manifest.excitation.direction is None:
         return ()
     lines, direction = evaluation.lines, manifest.excitation.direction
-    names, clocks = (manifest.name, manifest.mounting), [clock for clock in evaluation.clocks if clock.trigger]
-    grids = tuple(clock.grid for clock in clocks if clock.grid)
+    names, clocks = (manifest.name, manifest.mounting), [c for c in evaluation.clocks if c.trigger is not None]
+    grids = tuple(clock.grid for clock in clocks if clock.grid is not None)
     driven = line_drives(*names, direction, lines.nominal_hz, lines.multiple, load, outputs)
     return tuple(replace(drive, grids=grids if len(grids) == len(clocks) else ()) for drive in driven)
 

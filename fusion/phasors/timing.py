@@ -265,10 +265,10 @@ class TimeBase:
             name = record.entry.name
             key = next((key for key in self.triggers if key[0] == name), ("", ""))
             pulse = self.pulses.get(key)
-            width = (None, None) if pulse is None else (pulse.width_s, pulse.u_width_s)
+            width, u_width = (None, None) if pulse is None else (pulse.width_s, pulse.u_width_s)
             trigger, tie = self.triggers.get(key), self.ties[name]
-            grid = None if trigger is None else Grid.of(trigger, tie, width[0])
-            clocks.append(ClockResult(name, record.entry.file, trigger, tie, *width, grid))
+            grid = None if trigger is None else Grid.of(trigger, tie, width)
+            clocks.append(ClockResult(name, record.entry.file, trigger, tie, width, u_width, grid))
         return tuple(clocks)
 
 

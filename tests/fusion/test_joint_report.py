@@ -33,6 +33,7 @@ from fusion.campaign.joint_report import (
 from fusion.campaign.recorded import Recorded, SensorFacts
 from fusion.campaign.repeats import Drive
 from fusion.estimation.uncertainty import coverage_factor
+from fusion.phasors.timing import Grid
 from fusion.report import recording as results
 from fusion.report.folder import Provenance
 from fusion.report.h5 import read_uncertainty
@@ -270,6 +271,10 @@ def test_recordings_of_one_name_and_inputs_of_all_are_told_apart():
     found = evaluate_campaign("twice", (first, second), {})
     assert [entry.name for entry in found.recorded] == [f"the same [{entry.folder}]" for entry in (first, second)]
     assert [drive.recording for drive in found.drives] == [entry.name for entry in found.recorded]
+    assert [drive.start for drive in found.drives] == [drive.recording for drive in found.drives]
+    grids = (Grid(0.1, 0.02, 2e-5, 0.0, np.nan),)
+    alike = (replace(e, drives=tuple(replace(d, grids=grids) for d in e.drives)) for e in (first, second))
+    assert {drive.start for drive in evaluate_campaign("twice", tuple(alike), {}).drives} == {found.recorded[0].name}
     hashes = {"rig.toml": "cd" * 32, **first.origin.input_hashes}
     known = replace(first, origin=replace(first.origin, input_hashes=hashes))
     other = replace(second, origin=replace(second.origin, input_hashes={"rig.toml": "ef" * 32}))

@@ -248,7 +248,7 @@ def with_clock(item: Any, seed: int) -> Any:
     """Load or outputs with two unknowns, one of which both have."""
     lines, size = item.uncertainty.random[0].covariance.shape[:2]
     effect = np.random.default_rng(seed).standard_normal((2, lines, size))
-    shared = Influence("clock bridge: time", "clock", 1e-7, "s", effect[0], "recording")
+    shared = Influence("clock bridge: time", "clock", 1e-7, "s", effect[0], "start")
     own = Influence(f"scale {seed}", "scale", 2.5e-4, "1", effect[1], "rig")
     return replace(item, uncertainty=Uncertainty(item.uncertainty.random, (shared, own)))
 
@@ -262,6 +262,7 @@ def test_drives_are_read_back_to_the_last_bit_with_sensor_excitation_and_notices
     assert names == ["clock bridge: time", "scale 2"]
     found = read_recorded(write(evaluation))
     assert identical(drives, found.drives)
+    assert [grid.start_s for grid in found.drives[0].grids] == [0.97, 1.4012]
     assert (found.folder, found.name, found.mounting, found.kind) == ("out", "Fz 106.25 Hz", "second", "sine")
     assert (found.direction, found.frequencies) == ((0.0, 0.0, 1.0), (106.25,))
     assert np.array_equal(np.asarray(found.sensor.static), STATIC)
