@@ -268,7 +268,7 @@ def test_what_is_wrong_with_an_output_is_said(name: str, said: str, benchmark: M
 
 @pytest.mark.parametrize("name", ["converter-nonlinearity", "folded-harmonic"])
 def test_what_is_said_of_an_output_is_in_the_uncertainty_of_the_element(name: str, benchmark: ModuleType) -> None:
-    plain, found = (benchmark.draw(benchmark.RIGS["full"], names, 2) for names in ((), (name,)))
+    plain, found = (benchmark.draw(benchmark.RIGS["full"], names, 4) for names in ((), (name,)))
     assert abs(found.error[0]) > plain.expanded[0]
     assert found.distance[0] <= 1.0
     assert found.expanded[0] < 4.0 * abs(found.error[0])
