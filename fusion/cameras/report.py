@@ -290,7 +290,10 @@ def views_table(calibration: Calibration) -> Table | None:
         on_page("turn / °", lambda place: signed(float(turn[place]), ".1f")),
         on_page("distance / mm", lambda place: distances[place]),
     ]
-    caption = f"Views: points in the fit of {'those found' if every is None else 'the target'}; distance of the target's middle from the left camera with U (k = 2)"
+    caption = (
+        f"Views: points in the fit of {'those found' if every is None else 'the target'}; "
+        "distance of the target's middle from the left camera with U (k = 2)"
+    )
     return table(caption, columns, range(len(calibration.views)))
 
 
