@@ -160,7 +160,7 @@ def faulty_rows(seeds: range) -> list[str]:
             pooled += stated if faults != Faults() else []
             lines.append(faulty_row(f"{name} | {views} | {len(seeds)} | {freed}", stated, alone))
             print(lines[-1], flush=True)
-    lines.append(faulty_row("all with faults | | | ", pooled, None))
+    lines.append(faulty_row("all with faults | | |", pooled, None))
     print(lines[-1])
     return lines
 
@@ -169,7 +169,7 @@ def faulty_row(named: str, stated: list[FloatArray], alone: list[FloatArray] | N
     """Return one row of the table."""
     size, other = np.abs(stated), np.abs(alone) if alone is not None else None
     told = f"{np.sqrt((size**2).mean()):.2f} | {size.max():.1f} | {100 * (size > 2).mean():.1f} %"
-    rest = " | " if other is None else f"{np.sqrt((other**2).mean()):.2f} | {other.max():.1f}"
+    rest = "|" if other is None else f"{np.sqrt((other**2).mean()):.2f} | {other.max():.1f}"
     return f"| {named} | {told} | {rest} |"
 
 

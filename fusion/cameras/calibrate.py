@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fusion.base import InputError, ProgressCallback, as_input_error, check_new_file, no_progress, versions, write_whole
-from fusion.cameras.quantities import axes_angle_rad, baseline_m
+from fusion.cameras.quantities import axes_angle_rad, baseline_m, points_of_board
 from fusion.cameras.report import render_camera_report
 from fusion.recording.values import natural_key
 from fusion.report.folder import Provenance, hash_files
@@ -172,6 +172,9 @@ def _print_remarks(calibration: Calibration) -> None:
     """Print what was left out, and the notices."""
     seen = [picture for view in calibration.views for picture in (view.left, view.right) if picture]
     points = {picture.name: len(picture.used) for picture in seen}
+    every = points_of_board(calibration.target)
+    of = "" if every is None else f" of {every}"
+    print(f"points found: {min(points.values())} to {max(points.values())}{of} in a picture")
     for dropped in calibration.dropped:
         what = f"{dropped.points} of {points[dropped.name]} points left out, " if dropped.points else "left out: "
         print(f"{dropped.name}: {what}{dropped.reason}")

@@ -12,6 +12,7 @@ from photogram.arrays import derivatives
 from photogram.calibration.result import COVERAGE_CELLS, CalibratedPicture, CalibratedView, Calibration
 from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig, triangulate
 from photogram.geometry import fit_rigid, skew
+from photogram.targets.view import Target
 from shaker.arrays import FloatArray, IntArray
 
 Side = Literal["left", "right"]
@@ -94,6 +95,14 @@ def camera_of(rig: StereoRig, side: Side) -> tuple[Camera, FloatArray]:
     """One camera and the covariance (13, 13) of its parameters."""
     own = LEFT if side == "left" else RIGHT
     return (rig.left if side == "left" else rig.right), covariance_of(rig)[np.ix_(own, own)]
+
+
+def points_of_board(target: Target) -> int | None:
+    """How many points a target has; None for dots with ring markers, whose number nobody states."""
+    if target.size is None:
+        return None
+    columns, rows = target.size
+    return (columns - 1) * (rows - 1) if target.kind == "charuco" else columns * rows
 
 
 def baseline_m(rig: StereoRig) -> Quantity:

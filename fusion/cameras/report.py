@@ -31,6 +31,7 @@ from fusion.cameras.quantities import (
     distance_m,
     length_u,
     pictures,
+    points_of_board,
     residual_parts,
     target_middles_m,
     tilts_rad,
@@ -272,6 +273,8 @@ def views_table(calibration: Calibration) -> Table | None:
     lengths = (distance_m(calibration, view) for view in calibration.views)
     distances = [measured(1e3 * length.value, 2e3 * length.u) for length in lengths]
 
+    every = points_of_board(calibration.target)
+
     def both(place: int, shown: Callable[[CalibratedPicture], str]) -> Markup:
         """A cell with the entry of the left picture above that of the right."""
         view = calibration.views[place]
@@ -281,14 +284,15 @@ def views_table(calibration: Calibration) -> Table | None:
     columns: list[Column[int]] = [
         on_page("view", lambda place: str(place + 1)),
         on_page("picture, left and right", lambda place: both(place, lambda p: p.name), "l"),
-        on_page("points", lambda place: both(place, lambda p: f"{int(p.used.sum())} of {len(p.used)}")),
+        on_page("points", lambda place: both(place, lambda p: f"{int(p.used.sum())} of {every or len(p.used)}")),
         on_page("rms length / px", lambda place: both(place, lambda p: f"{p.rms_px:.3f}" if p.used.any() else DASH)),
         on_page("tilt / °", lambda place: f"{tilt[place]:.1f}"),
         on_page("turn / °", lambda place: signed(float(turn[place]), ".1f")),
         on_page("distance / mm", lambda place: distances[place]),
     ]
     caption = (
-        "Views: points in the fit of those found; distance of the target's middle from the left camera with U (k = 2)"
+        f"Views: points in the fit of {'those found' if every is None else 'the target'}; "
+        "distance of the target's middle from the left camera with U (k = 2)"
     )
     return table(caption, columns, range(len(calibration.views)))
 

@@ -61,6 +61,7 @@ def test_the_true_pair_comes_back(session: tuple[Path, object], pictures: Path, 
     assert (np.abs(rig_error(found, session[1])) <= 4.5 * np.sqrt(np.diagonal(found.covariance))).all()
     assert f"{VIEWS} pairs, rms 0.0" in told
     assert "baseline " in told
+    assert " of 70 in a picture" in told
     assert "spacing is not stated" not in told
     page = (pictures / "top.html").read_text(encoding="utf-8")
     assert page.startswith("<!doctype html>")
