@@ -16,6 +16,8 @@ LEAST_ESTIMATED = 1e-6
 MOST_ESTIMATED = 0.8
 """Largest share A₂/d that the test allows for: with noise known even less, chi-square has no expectation."""
 TINY = 1e-300
+LEAST_TAIL = 4.0
+"""Degrees of freedom of F below which the approximation is not followed."""
 RANK_TOLERANCE = 1e-6
 VISIBLE = 1e-4
 ITERATIONS = 100
@@ -182,6 +184,8 @@ class EstimatedNoise:
         expectation = 1.0 / (1.0 - second / dof)
         variance = 2.0 / dof * (1.0 + c1 * b) / ((1.0 - c2 * b) ** 2 * (1.0 - c3 * b))
         m = 4.0 + (dof + 2.0) / (dof * variance / (2.0 * expectation**2) - 1.0)
+        # Where the approximation has no variance, or no more than chi-square, the expectation alone is held.
+        m = max(m, LEAST_TAIL) if variance > 0.0 and m > 0.0 else LEAST_TAIL
         return m / (expectation * (m - 2.0)), m
 
     def probability(self, chi2: float, dof: int, weights: FloatArray) -> float:
