@@ -15,6 +15,9 @@ TEST_LEVEL = 0.99
 LEAST_ESTIMATED = 1e-6
 MOST_ESTIMATED = 0.8
 """Largest share A₂/d that the test allows for: with noise known even less, chi-square has no expectation."""
+TINY = 1e-300
+LEAST_TAIL = 4.0
+"""Degrees of freedom of F below which the approximation is not followed."""
 RANK_TOLERANCE = 1e-6
 VISIBLE = 1e-4
 ITERATIONS = 100
@@ -122,16 +125,24 @@ class EstimatedNoise:
         finite = np.isfinite(dof)
         return cls(tuple(blocks), effects[:, finite], np.maximum(dof[finite], 1.0))
 
-    def moments(self, weights: FloatArray) -> tuple[float, float]:
-        """Return A₁ = E (tr Θ·δV)² and A₂ = E tr(Θ·δV·Θ·δV), δV the error of the covariance, of weights Θ (N, N)."""
-        first = second = 0.0
+    def moments(self, weights: FloatArray) -> tuple[float, float, float]:
+        """Return A₁ = E (tr Θ·δV)², A₂ = E tr(Θ·δV·Θ·δV), δV the error of the covariance, and by what χ² grows.
+
+        Of weights Θ (N, N): χ² = yᵀ·Θ·y has, of second order, the expectation d + A₂. Of a block that contributes t of
+        d all orders together make A₂ into A₂/(1 - A₂/t) if it is alone (Hotelling), which is taken for each.
+        """
+        first = second = growth = 0.0
         for rows, root, dof in self.blocks:
             parts = self._parts(root @ weights[np.ix_(rows, rows)] @ root)
-            second += float(np.sum(parts * parts.swapaxes(2, 3)) + np.sum(np.trace(parts, axis1=2, axis2=3) ** 2)) / dof
-            both = parts[0, 0] + parts[1, 1]
+            traces, both = np.trace(parts, axis1=2, axis2=3), parts[0, 0] + parts[1, 1]
+            own = float(np.sum(parts * parts.swapaxes(2, 3)) + np.sum(traces**2)) / dof
             first += 2.0 * float(np.sum(both * both.T)) / dof
-        known = float(np.sum(2.0 * np.einsum("ne,nm,me->e", self.effects, weights, self.effects) ** 2 / self.dof))
-        return first + known, second + known
+            second += own
+            growth += own / (1.0 - min(own / max(float(np.trace(traces)), TINY), MOST_ESTIMATED))
+        shares = np.einsum("ne,nm,me->e", self.effects, weights, self.effects)
+        known = 2.0 * shares**2 / self.dof
+        more = known / (1.0 - np.minimum(2.0 * shares / self.dof, MOST_ESTIMATED))
+        return first + float(np.sum(known)), second + float(np.sum(known)), growth + float(np.sum(more))
 
     def lost(self, projector: FloatArray, gain: FloatArray, rows: IntArray) -> FloatArray:
         """Return what estimated weights add to the covariance (K, 12, 12) of gain (K, 12, N) · readings of some rows.
@@ -159,18 +170,22 @@ class EstimatedNoise:
         """Return (λ, m) so that λ·χ²/d is distributed as F(d, m), with χ² = yᵀ·Θ·y and Θ the weights (N, N).
 
         Scaled F approximation of Kenward & Roger (1997, sec. 3.2), exact for Hotelling's T², here of the hypothesis
-        that no contrast has an expectation; m is infinite where all covariances are stated.
+        that no contrast has an expectation; m is infinite where all covariances are stated. Beside readings whose noise
+        is known, the growth of the expectation is that of each block (`moments`), not that of its share in d.
         """
-        first, second = self.moments(weights)
+        first, second, growth = self.moments(weights)
         if second < LEAST_ESTIMATED * dof:
             return 1.0, np.inf
-        first, second = (moment * min(1.0, MOST_ESTIMATED * dof / second) for moment in (first, second))
+        # A₂ that with 1/(1 - A₂/d) makes this growth: the same where one instrument's noise is all there is.
+        first, second = (moment / second * dof * growth / (dof + growth) for moment in (first, second))
         g = ((dof + 1.0) * first - (dof + 4.0) * second) / ((dof + 2.0) * second)
         c1, c2, c3 = (c / (3.0 * dof + 2.0 * (1.0 - g)) for c in (g, dof - g, dof + 2.0 - g))
         b = (first + 6.0 * second) / (2.0 * dof)
         expectation = 1.0 / (1.0 - second / dof)
         variance = 2.0 / dof * (1.0 + c1 * b) / ((1.0 - c2 * b) ** 2 * (1.0 - c3 * b))
         m = 4.0 + (dof + 2.0) / (dof * variance / (2.0 * expectation**2) - 1.0)
+        # Where the approximation has no variance, or no more than chi-square, the expectation alone is held.
+        m = max(m, LEAST_TAIL) if variance > 0.0 and m > 0.0 else LEAST_TAIL
         return m / (expectation * (m - 2.0)), m
 
     def probability(self, chi2: float, dof: int, weights: FloatArray) -> float:

@@ -570,7 +570,7 @@ def estimated(trial: int, dof: int) -> list[Observation]:
 @pytest.mark.parametrize("dof", [12, 27])
 def test_instruments_whose_noise_was_estimated_agree_as_often_as_the_test_says(dof):
     found, plain = [], []
-    for trial in range(400):
+    for trial in range(300):
         system = build_system(estimated(trial, dof))
         solution = solve(system)
         noise = EstimatedNoise.of(system, solution.effects)
@@ -580,20 +580,20 @@ def test_instruments_whose_noise_was_estimated_agree_as_often_as_the_test_says(d
         held = np.sum(np.array(found) < share)
         assert binom.ppf(1e-3, len(found), share) <= held <= binom.isf(1e-3, len(found), share)
     # As if the noise were known the test fails too often.
-    assert np.sum(np.array(plain) < 0.05) > binom.isf(1e-3, len(plain), 0.05)
+    assert np.mean(np.array(plain) < 0.05) > {12: 0.15, 27: 0.07}[dof]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dof", [12, 27])
-def test_what_estimated_weights_cost_is_in_u(dof):
-    """Errors over u have the mean square of Student's t or less; without what weights cost they are beyond it."""
-    squares, plain = np.zeros(6), np.zeros(6)
+def test_what_estimated_weights_cost_is_in_u():
+    """Errors over u have the mean square of Student's t, 12/10, or less; without what weights cost they are beyond."""
+    found, plain = [], []
     for trial in range(400):
-        result = fuse(estimated(trial, dof))
-        system = build_system(estimated(trial, dof))
-        solution = solve(system)
+        seen = estimated(trial, 12)
+        solution, result = solve(build_system(seen)), fuse(seen)
         variance = np.diagonal(as_stated(solution, solution.gain.reshape(2, 12, -1))[0])
         off = np.abs(result.phasors.value[0] - TRUTH[0]) ** 2
-        squares += off / (result.phasors.u_re[0] ** 2 + result.phasors.u_im[0] ** 2) / 400
-        plain += off / (variance[:6] + variance[6:]) / 400
-    print(squares, plain)
+        found.append(off / (result.phasors.u_re[0] ** 2 + result.phasors.u_im[0] ** 2))
+        plain.append(off / (variance[:6] + variance[6:]))
+    allowed = 1.2 + 3.0 * np.std(found, axis=0) / np.sqrt(len(found))
+    assert np.all(np.mean(found, axis=0) < allowed)
+    assert np.max(np.mean(plain, axis=0) - allowed) > 0.0
