@@ -103,14 +103,23 @@ def find_on_lines(
         return None
     for rival in others:
         _refuse_rival(reference, rig, best, rival, depth_m)
-    # Once more from the affine map of all around: a start carried over from afar may end in a false minimum, and what
-    # the texture does not determine stays as it was at the start
-    moved = (reference.centre_px + best.found.warp[:, [0, 3]])[best.ok]
-    starts = np.full((len(usable), 6), np.nan)
-    starts[usable] = affine_starts(reference.centre_px[usable], reference.centre_px[best.ok], moved)
+    return _smoothed(reference, frame, settings, best.found)
+
+
+def _smoothed(
+    reference: Reference, frame: tuple[Image, Spline], settings: TrackSettings, found: Registration
+) -> Registration:
+    """All subsets once more from the affine map of those around, where they correlate as well.
+
+    A start carried over from afar may end in a false minimum, and what the texture does not determine stays as it was
+    at the start.
+    """
+    usable, ok = reference.status == TrackStatus.OK, found.status == TrackStatus.OK
+    centre, starts = reference.centre_px, np.full((len(usable), 6), np.nan)
+    starts[usable] = affine_starts(centre[usable], centre[ok], (centre + found.warp[:, [0, 3]])[ok])
     again = register(reference, frame[1], starts, settings)
-    as_good = (again.status == TrackStatus.OK) & (again.zncc >= best.found.zncc - LESS_ZNCC)
-    return held_together(reference, merged(again, dropped(best.found, as_good, TrackStatus.NO_START)))
+    as_good = (again.status == TrackStatus.OK) & ~(again.zncc < found.zncc - LESS_ZNCC)
+    return held_together(reference, merged(again, dropped(found, as_good, TrackStatus.NO_START)))
 
 
 def _once(place: FloatArray) -> FloatArray:
