@@ -97,7 +97,7 @@ def find_on_lines(
             main |= there
         elif there.sum() >= RIVAL_SHARE * main.sum():
             rivals.append(seeded)
-    found = [_grown(reference, frame, settings, rig, each) for each in (known, *rivals)]
+    found = [_grown(reference, frame, settings, each) for each in (known, *rivals)]
     best, *others = sorted(found, key=lambda surface: -surface.smooth * float(np.sum(surface.ok)))
     if best.ok.sum() < max(3, FEWEST_SHARE * usable.sum()):
         return None
@@ -131,9 +131,7 @@ def _once(place: FloatArray) -> FloatArray:
     return kept
 
 
-def _grown(
-    reference: Reference, frame: tuple[Image, Spline], settings: TrackSettings, rig: StereoRig, known: FloatArray
-) -> _Surface:
+def _grown(reference: Reference, frame: tuple[Image, Spline], settings: TrackSettings, known: FloatArray) -> _Surface:
     """The surface through the subsets whose warps (N,p) are known, without those that depart from their neighbours."""
     usable = reference.status == TrackStatus.OK
     start = neighbour_starts(reference.centre_px, known)
@@ -145,9 +143,8 @@ def _grown(
     place, reach = centre + start[:, [0, 3]], 1.5 * settings.radius_px
     size = np.array(frame[0].shape[::-1])
     expected = usable & ((place >= reach) & (place <= size - 1.0 - reach)).all(axis=1)
-    return _Surface(
-        found, expected | (found.status == TrackStatus.OK), float(np.nan_to_num(np.nanmean(agree), nan=1.0))
-    )
+    agree = agree[np.isfinite(agree)]
+    return _Surface(found, expected | (found.status == TrackStatus.OK), float(np.mean(agree)) if len(agree) else 1.0)
 
 
 def _refuse_rival(
