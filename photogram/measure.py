@@ -15,9 +15,8 @@ from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_
 from photogram.geometry import RigidTransform
 from photogram.images import ImageSequence, NoiseModel
 from photogram.motion import PlacedCamera, RigidMotion, fit_motion, overlap_correlation
-from photogram.subsets.find import identity
+from photogram.subsets.find import DepthRange, identity
 from photogram.subsets.icgn import Registration, TrackSettings
-from photogram.subsets.match import DepthRange
 from photogram.subsets.reference import Reference
 from photogram.subsets.texture import SubsetQuality, assess
 from photogram.subsets.track import (
