@@ -16,9 +16,8 @@ from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
 from photogram.motion import PlacedCamera, RigidMotion, fit_motion, overlap_correlation
-from photogram.subsets.find import identity
+from photogram.subsets.find import DepthRange, identity
 from photogram.subsets.icgn import Registration, TrackSettings
-from photogram.subsets.match import DepthRange
 from photogram.subsets.reference import Reference
 from photogram.subsets.texture import SubsetQuality, assess
 from photogram.subsets.track import (

@@ -1,8 +1,8 @@
-"""Subsets of one image found in another: by prediction, by search, by features, from their neighbours."""
+"""Subsets of one image found in another: by prediction, search, features, neighbours, and along epipolar lines."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from photogram.arrays import BoolArray, FloatArray
 from photogram.bspline import Spline
+from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.subsets.icgn import Registration, TrackSettings, register, resolved
 from photogram.subsets.reference import PARAMETERS, Reference, TrackStatus
 from photogram.subsets.search import (
@@ -20,6 +21,7 @@ from photogram.subsets.search import (
     neighbour_starts,
     template_shifts,
 )
+from photogram.subsets.sweep import line_starts, line_uncertainty_px, surfaces
 
 Image = NDArray[Any]
 NEIGHBOUR_ROUNDS = 8
@@ -137,3 +139,160 @@ def identity(reference: Reference) -> Registration:
     warp = np.outer(ones, np.zeros(max(6, PARAMETERS[reference.order])))
     nothing, none = np.full(len(ones), np.nan), np.zeros(len(ones), np.int64)
     return Registration(warp, ones, ones, nothing, reference.status, none)
+
+
+# Subsets of a calibrated pair's left picture found in the right one: on the surface that its epipolar lines allow.
+
+DepthRange = tuple[float, float]
+LINE_SEEDS = 40
+PART_SHARE = 0.3  # of a surface's seeds that may lie on another one as well if both are parts of one body
+RIVAL_SHARE = 0.25  # of the subsets that have to fit elsewhere as well for a solution to be in doubt
+FEWEST_SHARE = 0.1
+LESS_ZNCC = 0.01
+MORE_MISSED = 0.1  # share of missing subsets by which a surface is worse than another
+LINE_PX = 0.5  # rms off the epipolar lines that a surface is allowed beside what the calibration leaves open
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """Subsets found on one surface: their registration, which are expected in the right image, how smooth it is.
+
+    smooth: share of neighbours that foretell each other; patches of several copies of a pattern have less.
+    """
+
+    found: Registration
+    expected: BoolArray
+    smooth: float
+
+    @property
+    def ok(self) -> BoolArray:
+        return np.asarray(self.found.status == TrackStatus.OK)
+
+    @property
+    def missed(self) -> float:
+        """Share of the expected subsets that are not there, and of the neighbours that do not belong together."""
+        return float(np.mean(~self.ok[self.expected])) + 1.0 - self.smooth if self.expected.any() else 1.0
+
+
+def find_on_lines(
+    reference: Reference,
+    first: Image,
+    frame: tuple[Image, Spline],
+    settings: TrackSettings,
+    rig: StereoRig,
+    depth_m: DepthRange | None = None,
+) -> Registration | None:
+    """All subsets on the surface that correlates along the epipolar lines; None where there is none.
+
+    Some subsets are looked for along their lines (`sweep.line_starts`), each with all its likely places; smooth
+    surfaces through these (`sweep.surfaces`) are followed from neighbour to neighbour. The one with most subsets
+    counts, unless another fits as well: a quarter as many of the same subsets, hardly less correlated, no further off
+    the epipolar lines, no more missing that should be in the right image, and not beyond the depths `depth_m` (nearest,
+    farthest, in the left camera) where the body is known to be. Then a `ValueError` says so.
+    """
+    usable = reference.status == TrackStatus.OK
+    if usable.sum() < 3:
+        return None
+    clear = np.flatnonzero(usable & (reference.energy >= 0.25 * np.median(reference.energy[usable])))
+    seeds = clear[np.linspace(0, len(clear) - 1, min(len(clear), LINE_SEEDS)).astype(np.int64)]
+    starts, band = line_starts((first, frame[0]), rig, reference.centre_px[seeds], settings.radius_px)
+    tried = []
+    for start in starts[np.isfinite(starts).any(axis=(1, 2))]:
+        spread = np.full((len(usable), 6), np.nan)
+        spread[seeds] = start
+        here = register(reference, frame[1], spread, settings)
+        off, _, _ = epipolar_residual(rig, reference.centre_px, reference.centre_px + here.warp[:, [0, 3]])
+        tried.append(dropped(here, ~(np.abs(off) <= 2.0 * band), TrackStatus.NO_START).warp)
+    if not tried:
+        return None
+    warps = np.stack(tried)[:, seeds]
+    centre = reference.centre_px[seeds]
+    chosen = surfaces(rig, centre, _once(centre + warps[..., [0, 3]]))
+    if not chosen:
+        return None
+    known = np.full((len(usable), warps.shape[2]), np.nan)
+    main, rivals = chosen[0] >= 0, []
+    known[seeds[main]] = warps[chosen[0][main], main.nonzero()[0]]
+    for other in chosen[1:]:
+        there = other >= 0
+        seeded = np.full_like(known, np.nan)
+        seeded[seeds[there]] = warps[other[there], there.nonzero()[0]]
+        if np.mean(main[there]) <= PART_SHARE:  # another part of the body, or more of a curved one
+            known[seeds[there & ~main]] = seeded[seeds[there & ~main]]
+            main |= there
+        elif there.sum() >= RIVAL_SHARE * main.sum():
+            rivals.append(seeded)
+    found = [_grown(reference, frame, settings, each) for each in (known, *rivals)]
+    best, *others = sorted(found, key=lambda surface: -surface.smooth * float(np.sum(surface.ok)))
+    if best.ok.sum() < max(3, FEWEST_SHARE * usable.sum()):
+        return None
+    for rival in others:
+        _refuse_rival(reference, rig, best, rival, depth_m)
+    return _smoothed(reference, frame, settings, best.found)
+
+
+def _smoothed(
+    reference: Reference, frame: tuple[Image, Spline], settings: TrackSettings, found: Registration
+) -> Registration:
+    """All subsets once more from the affine map of those around, where they correlate as well.
+
+    A start carried over from afar may end in a false minimum, and what the texture does not determine stays as it was
+    at the start.
+    """
+    usable, ok = reference.status == TrackStatus.OK, found.status == TrackStatus.OK
+    centre, starts = reference.centre_px, np.full((len(usable), 6), np.nan)
+    starts[usable] = affine_starts(centre[usable], centre[ok], (centre + found.warp[:, [0, 3]])[ok])
+    again = register(reference, frame[1], starts, settings)
+    as_good = (again.status == TrackStatus.OK) & ~(again.zncc < found.zncc - LESS_ZNCC)
+    return held_together(reference, merged(again, dropped(found, as_good, TrackStatus.NO_START)))
+
+
+def _once(place: FloatArray) -> FloatArray:
+    """Places (C,S,2) of which those within a pixel of an earlier one are left out."""
+    kept = place.copy()
+    for c in range(1, len(place)):
+        same = (np.abs(place[:c] - place[c]).max(axis=-1) < 1.0).any(axis=0)
+        kept[c, same] = np.nan
+    return kept
+
+
+def _grown(reference: Reference, frame: tuple[Image, Spline], settings: TrackSettings, known: FloatArray) -> _Surface:
+    """The surface through the subsets whose warps (N,p) are known, without those that depart from their neighbours."""
+    usable = reference.status == TrackStatus.OK
+    start = neighbour_starts(reference.centre_px, known)
+    found = find_from_neighbours(reference, frame[1], register(reference, frame[1], start, settings), settings)
+    centre = reference.centre_px
+    agree = agreeing_neighbours(centre, found.warp)
+    found = held_together(reference, found)
+    start = neighbour_starts(centre, found.warp)
+    place, reach = centre + start[:, [0, 3]], 1.5 * settings.radius_px
+    size = np.array(frame[0].shape[::-1])
+    expected = usable & ((place >= reach) & (place <= size - 1.0 - reach)).all(axis=1)
+    agree = agree[np.isfinite(agree)]
+    return _Surface(found, expected | (found.status == TrackStatus.OK), float(np.mean(agree)) if len(agree) else 1.0)
+
+
+def _refuse_rival(
+    reference: Reference, rig: StereoRig, best: _Surface, other: _Surface, depth_m: DepthRange | None
+) -> None:
+    """Raise `ValueError` where the second surface fits as well as the first."""
+    centre = reference.centre_px
+    sides = [np.where(one.ok[:, None], centre + one.found.warp[:, [0, 3]], np.nan) for one in (best, other)]
+    both = best.ok & other.ok & (np.abs(sides[0] - sides[1]).max(axis=1) > 1.0)
+    if both.sum() < RIVAL_SHARE * best.ok.sum() or other.missed > best.missed + MORE_MISSED:
+        return
+    lack, more = (float(np.median(1.0 - one.found.zncc[both])) for one in (best, other))
+    if more > 2.0 * lack + 0.05:
+        return
+    off = [np.sqrt(np.nanmean(epipolar_residual(rig, centre, side)[0] ** 2)) for side in sides]
+    limit = LINE_PX + 3.0 * line_uncertainty_px(rig, centre[both], sides[0][both])
+    if off[0] <= limit < off[1]:
+        return
+    depth = [float(np.nanmedian(triangulate(rig, centre[None], side[None]).position_m[..., 2])) for side in sides]
+    if depth_m is not None and depth_m[0] <= depth[0] <= depth_m[1] and not depth_m[0] <= depth[1] <= depth_m[1]:
+        return
+    raise ValueError(
+        f"right: expected one place for the body, found two that fit as well, {depth[0]:.3f} m and {depth[1]:.3f} m "
+        f"from the left camera ({best.ok.sum()} and {other.ok.sum()} subsets): its pattern repeats; show where the "
+        "pattern ends in both pictures, turn the foil by some degrees, or use one that does not repeat"
+    )

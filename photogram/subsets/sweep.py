@@ -26,6 +26,7 @@ MOST_LINES = 4  # to either side
 STRAINS = np.array([-0.36, -0.24, -0.12, 0.0, 0.12, 0.24, 0.36])
 STEEPEST = 1.43  # tan 55°: tilt of the surface against what faces both cameras
 LEAST_ZNCC = 0.4
+CLIMBED_PX = 0.05
 PEAKS = 8
 APART_PX = 4.0
 SURFACE_PX = 6.0
@@ -59,7 +60,7 @@ def line_starts(
     every second pixel of the subset warped as a plane moves it that is tilted by so much: strains of 0 to ±0.36 along
     and across the line, as far as that is a tilt below 55° against what faces both cameras (plane sweep: Collins 1996,
     Proc. CVPR, 358; tilts: Gallup et al. 2007, Proc. CVPR).
-    Up to C = 8 peaks, from the highest; NaN where there are fewer.
+    Up to C = 8 peaks, from the highest, climbed to within 0.05 px; NaN where there are fewer.
     """
     import cv2
 
@@ -83,6 +84,7 @@ def line_starts(
             affine = lines.affine[n, k] + np.outer(lines.along[n, k], slope)
             u, v = lines.right_px[n, k] + beside[line[n, k]] * lines.across[n, k] - points_px[n]
             starts[c, n] = u, affine[0, 0] - 1.0, affine[0, 1], v, affine[1, 0], affine[1, 1] - 1.0
+    _climb(soft[0], soft[1], points_px, offsets, starts)
     return starts, band_px
 
 
@@ -281,6 +283,41 @@ def _correlate(left, right, points, offsets, curves, beside, outcome):  # type: 
                     )
                     if found > score[n, k]:
                         score[n, k], tilt[n, k], line[n, k] = found, t, j
+
+
+@njit(parallel=True, error_model="numpy")
+def _climb(left, right, points, offsets, starts):  # type: ignore[no-untyped-def]
+    """Move starts (C,S,6) uphill, one part of the warp after another, by ever shorter steps."""
+    count = offsets.shape[0]
+    reach = offsets[count - 1, 0]
+    for n in prange(points.shape[0]):
+        grey = np.empty(count)
+        x, y = points[n, 0], points[n, 1]
+        if not (reach <= x < left.shape[1] - 1 - reach and reach <= y < left.shape[0] - 1 - reach):
+            continue
+        for p in range(count):
+            grey[p] = _bilinear(left, x + offsets[p, 0], y + offsets[p, 1])
+        grey -= grey.mean()
+        subset = (grey, np.sum(grey * grey), offsets, reach)
+        for c in range(starts.shape[0]):
+            if not np.isfinite(starts[c, n, 0]):
+                continue
+            here = starts[c, n].copy()
+            best = _zncc(right, x + here[0], y + here[3], (1.0 + here[1], here[2], here[4], 1.0 + here[5]), subset)
+            step = LINE_PX / 2.0
+            while step > CLIMBED_PX:
+                higher = False
+                for part in range(6):
+                    for sign in (-1.0, 1.0):
+                        tried = here.copy()
+                        tried[part] += sign * (step if part % 3 == 0 else step / reach)
+                        affine = (1.0 + tried[1], tried[2], tried[4], 1.0 + tried[5])
+                        found = _zncc(right, x + tried[0], y + tried[3], affine, subset)
+                        if found > best:
+                            best, here, higher = found, tried, True
+                if not higher:
+                    step *= 0.5
+            starts[c, n] = here
 
 
 @njit(error_model="numpy")

@@ -17,16 +17,17 @@ from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
 from photogram.images.sequence import GreyImage, ImageSequence
 from photogram.subsets.find import (
+    DepthRange,
     dropped,
     find_anew,
     find_by_search,
     find_from_features,
     find_from_neighbours,
+    find_on_lines,
     follow,
     identity,
 )
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance
-from photogram.subsets.match import DepthRange, find_on_lines
 from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
 from photogram.subsets.search import predict_warp
 from photogram.subsets.sweep import TOLERANCE_PX

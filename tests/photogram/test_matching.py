@@ -14,9 +14,8 @@ from photogram.bspline import spline_of_image
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig, epipolar_residual
 from photogram.geometry import RigidTransform
 from photogram.images.sequence import ImageSequence
-from photogram.subsets.find import held_together, identity
+from photogram.subsets.find import DepthRange, held_together, identity
 from photogram.subsets.icgn import TrackSettings
-from photogram.subsets.match import DepthRange
 from photogram.subsets.reference import TrackStatus, prepare_reference
 from photogram.subsets.search import agreeing_neighbours, template_shifts
 from photogram.subsets.sweep import TOLERANCE_PX, line_starts, line_uncertainty_px, surfaces
