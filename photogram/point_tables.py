@@ -1,7 +1,8 @@
-"""3-D points computed by other image correlation programs, read from their text tables."""
+"""3-D points computed by other image correlation programs, read from their tables."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,25 +17,47 @@ IGNORED = "_"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PointTable(Arrays, shapes="frames F; position_m F N 3; reference_m N 3"):
+class PointTable(Arrays, shapes="frames F; position_m F N 3; reference_m N 3; u_m F N 3"):
     """Points of F frames: position_m (F,N,3), NaN where invalid; reference_m (N,3) where the files have it; frames (F).
 
-    Points are those with the same identity in all frames, or the same row where the tables have no identity.
+    Points are those with the same identity in all frames, or the same row where the tables have no identity. u_m
+    (F,N,3): standard uncertainties that a program states with its points, None where it states none. `program`: whose
+    layout the header has, empty where the caller named the columns.
     """
 
     position_m: FloatArray
     reference_m: FloatArray | None
     frames: tuple[str, ...]
+    u_m: FloatArray | None = None
+    program: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """Points of one frame: what tells them apart (R, k), here and in the first frame (R, 3), in m, NaN where lost."""
+
+    name: str
+    identity: FloatArray
+    position_m: FloatArray
+    reference_m: FloatArray | None = None
+    u_m: FloatArray | None = None
 
 
 def read_point_tables(
-    files: Sequence[str | Path], columns: Sequence[str], valid_status: float | None = None, scale: float = 1.0
+    files: Sequence[str | Path],
+    columns: Sequence[str] | None = None,
+    valid_status: float | None = None,
+    scale: float | None = None,
 ) -> PointTable:
     """Read one table per frame, or one table whose column `frame` numbers the frames; lengths times `scale` are metres.
 
     `columns` names the columns from left to right: x y z (needed), x0 y0 z0 (reference), status (any number; all must
     equal `valid_status`), frame, names that begin with id (identity of a point), "_" (ignored). Separated by blanks,
-    commas or semicolons (then with a decimal comma too); lines before the first numeric one are a header.
+    commas or semicolons (then with a decimal comma too); lines before the first numeric one are a header. `scale` is 1
+    unless it is given.
+
+    Without `columns` the header says what they hold, of VIC-3D, ARAMIS, DICe and pyvale, or the file names of MatchID's
+    matrices do; `scale` then stands against the unit in the header (DICe's has none: mm, the program's habit).
 
     >>> from pathlib import Path
     >>> from tempfile import TemporaryDirectory
@@ -46,26 +69,58 @@ def read_point_tables(
     """
     if not files:
         raise ValueError("files: expected at least one table, found none")
-    _check_columns(columns)
-    tables = [(str(path), _read_numbers(Path(path), len(columns))) for path in files]
+    paths, program = [Path(path) for path in files], ""
+    for path in paths:
+        if not path.is_file():
+            raise FileNotFoundError(f"{path}: no such file")
+    if columns is None:
+        program, frames = _known_frames(paths, scale)
+    else:
+        _check_columns(columns)
+        frames = _named_frames(paths, columns, valid_status, 1.0 if scale is None else scale)
+    places, count = _places(frames)
+    position = np.full((len(frames), count, 3), np.nan)
+    u = np.full_like(position, np.nan)
+    reference = np.full((count, 3), np.nan)
+    for number, (frame, place) in enumerate(zip(frames, places, strict=True)):
+        valid = np.isfinite(frame.position_m).all(axis=1)
+        position[number, place[valid]] = frame.position_m[valid]
+        if frame.u_m is not None:
+            u[number, place[valid]] = frame.u_m[valid]
+        if frame.reference_m is not None:
+            missing = valid & np.isnan(reference[place]).any(axis=1)
+            reference[place[missing]] = frame.reference_m[missing]
+    return PointTable(
+        position,
+        reference if frames[0].reference_m is not None else None,
+        tuple(frame.name for frame in frames),
+        u if all(frame.u_m is not None for frame in frames) else None,
+        program,
+    )
+
+
+def _named_frames(
+    paths: Sequence[Path], columns: Sequence[str], valid_status: float | None, scale: float
+) -> list[_Frame]:
+    """Return the frames of tables whose columns the caller names."""
+    tables = [(str(path), _read_numbers(path, len(columns))) for path in paths]
     if "frame" in columns:
-        if len(files) > 1:
-            raise ValueError(f"{files[1]}: expected one file when there is a column frame, found {len(files)}")
+        if len(paths) > 1:
+            raise ValueError(f"{paths[1]}: expected one file when there is a column frame, found {len(paths)}")
         rows = tables[0][1]
         number = rows[:, columns.index("frame")]
         tables = [(f"frame {k:g}", rows[number == k]) for k in np.unique(number)]
-    places, count = _places(tables, [place for place, column in enumerate(columns) if column.startswith("id")])
-    position = np.full((len(tables), count, 3), np.nan)
-    reference = np.full((count, 3), np.nan)
-    for frame, ((_, rows), place) in enumerate(zip(tables, places, strict=True)):
+    frames = []
+    for name, rows in tables:
         status = rows[:, [column == "status" for column in columns]]
-        here = rows[:, [columns.index(name) for name in POSITION]]
+        here = rows[:, [columns.index(name) for name in POSITION]] * scale
         valid = np.isfinite(here).all(axis=1) & (valid_status is None or (status == valid_status).all(axis=1))
-        position[frame, place[valid]] = here[valid] * scale
+        here[~valid] = np.nan
+        before = None
         if REFERENCE[0] in columns:
-            missing = valid & np.isnan(reference[place]).any(axis=1)
-            reference[place[missing]] = rows[missing][:, [columns.index(name) for name in REFERENCE]] * scale
-    return PointTable(position, reference if REFERENCE[0] in columns else None, tuple(name for name, _ in tables))
+            before = rows[:, [columns.index(name) for name in REFERENCE]] * scale
+        frames.append(_Frame(name, rows[:, [column.startswith("id") for column in columns]], here, before))
+    return frames
 
 
 def _check_columns(columns: Sequence[str]) -> None:
@@ -82,34 +137,34 @@ def _check_columns(columns: Sequence[str]) -> None:
             raise ValueError(f"columns: expected {' '.join(group)}, found {' '.join(present) or 'none of them'}")
 
 
-def _places(tables: Sequence[tuple[str, FloatArray]], columns: Sequence[int]) -> tuple[list[IntArray], int]:
-    """Which points the rows of each table are, by their identity in `columns` or else by their order; and how many."""
-    first, points = tables[0]
-    for name, rows in tables:
-        if not columns and len(rows) != len(points):
+def _places(frames: Sequence[_Frame]) -> tuple[list[IntArray], int]:
+    """Which points the rows of each table are, by their identity or else by their order; and how many."""
+    first = frames[0]
+    named, count = first.identity.shape[1] > 0, len(first.position_m)
+    for frame in frames:
+        if not named and len(frame.position_m) != count:
             raise ValueError(
-                f"{name}: expected {len(points)} rows as in {first}, found {len(rows)} "
+                f"{frame.name}: expected {count} rows as in {first.name}, found {len(frame.position_m)} "
                 "(columns named id… tell points apart)"
             )
-        if columns and len(np.unique(rows[:, columns], axis=0)) < len(rows):
-            raise ValueError(f"{name}: expected every point's identity once, found one twice")
-    if not columns:
-        return [np.arange(len(points))] * len(tables), len(points)
-    every = np.concatenate([rows[:, columns] for _, rows in tables])
+        if frame.identity.shape[1] != first.identity.shape[1]:
+            raise ValueError(f"{frame.name}: expected the columns of {first.name}, found others")
+        if named and len(np.unique(frame.identity, axis=0)) < len(frame.identity):
+            raise ValueError(f"{frame.name}: expected every point's identity once, found one twice")
+    if not named:
+        return [np.arange(count)] * len(frames), count
+    every = np.concatenate([frame.identity for frame in frames])
     identities, inverse = np.unique(every, axis=0, return_inverse=True)
-    ends = np.cumsum([len(rows) for _, rows in tables])
+    ends = np.cumsum([len(frame.identity) for frame in frames])
     return np.split(inverse.ravel(), ends[:-1]), len(identities)
 
 
 def _read_numbers(path: Path, width: int) -> FloatArray:
     """The numeric rows (R,width) of a text table; a semicolon lets the comma be a decimal comma."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     rows: dict[int, list[str]] = {}
     for number, line in enumerate(text.splitlines(), start=1):
-        fields = line.replace(",", ".").split(";") if ";" in line else line.split("," if "," in line else None)
-        fields = [field.strip() for field in fields]
+        fields = _fields(line)
         header = not rows and fields and not _is_number(fields[0])
         if not fields or fields[0].startswith("#") or header:
             continue
@@ -130,6 +185,12 @@ def _read_numbers(path: Path, width: int) -> FloatArray:
         raise
 
 
+def _fields(line: str) -> list[str]:
+    """The fields of a line, without blanks and quotes around them; a semicolon lets the comma be a decimal comma."""
+    fields = line.replace(",", ".").split(";") if ";" in line else line.split("," if "," in line else None)
+    return [field.strip(' "\t') for field in fields]
+
+
 def _is_number(field: str) -> bool:
     """Whether the text is a number (nan included)."""
     try:
@@ -137,3 +198,212 @@ def _is_number(field: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+# Tables whose header says what they hold.
+
+_LOST = (
+    "",
+    "nan",
+    "non un numero reale",
+    "non numérique",
+    "n. def.",
+    "neun",
+)  # a number that is none, as .NET writes it
+_UNITS = {"m": 1.0, "mm": 1e-3, "µm": 1e-6, "um": 1e-6, "in": 0.0254}
+_QUANTITY = re.compile(r"_([A-Za-z]+) *\[(\w+)\]\.csv$")
+_MATRIX = "MatchID"
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """What a program calls its columns.
+
+    `place`: coordinates, of the first frame or (`moved`) of this one; `moves`: displacements since the first frame;
+    `identities`: alternatives of what tells points apart; `u`: standard uncertainties; `flag` with its least value of a
+    valid point; `unit`: what is taken where the header states none, None: it must be stated.
+    """
+
+    program: str
+    place: tuple[str, str, str]
+    moves: tuple[str, str, str]
+    identities: tuple[tuple[str, ...], ...]
+    u: tuple[str, str, str] | None = None
+    flag: tuple[str, float] | None = None
+    unit: str | None = None
+    moved: bool = False
+
+
+def _axes(before: str, after: str = "", names: str = "XYZ") -> tuple[str, str, str]:
+    return tuple(f"{before}{axis}{after}" for axis in names)  # type: ignore[return-value]
+
+
+_LAYOUTS = (
+    _Layout("VIC-3D", _axes(""), _axes("", names="UVW"), (("x", "y"), ("Index",)), _axes("Sigma_"), ("sigma", 0.0)),
+    _Layout("ARAMIS", _axes("", "_undef", "xyz"), _axes("", names="uvw"), (("ID",),)),
+    _Layout(
+        "DICe", _axes("MODEL_COORDINATES_"), _axes("MODEL_DISPLACEMENT_"), (("COORDINATE_X", "COORDINATE_Y"),),
+        flag=("SIGMA", 0.0), unit="mm",
+    ),
+    _Layout(
+        "pyvale", _axes("stereo_", "_mm", "xyz"), _axes("stereo_disp_", "_mm", "uvw"), (("subset_x", "subset_y"),),
+        flag=("stereo_converged", 1.0), unit="mm", moved=True,
+    ),
+)  # fmt: skip
+
+_Columns = dict[str, tuple[str, FloatArray]]
+"""Unit, empty where none is stated, and values (R,) of every column by its name."""
+
+
+def _known_frames(paths: Sequence[Path], scale: float | None) -> tuple[str, list[_Frame]]:
+    """Return whose tables these are and what they hold."""
+    if any(_QUANTITY.search(path.name) for path in paths):
+        return _MATRIX, _matrix_frames(paths, scale)
+    found, frames = [], []
+    for path in paths:
+        columns = _mat_columns(path) if path.suffix.lower() == ".mat" else _text_columns(path)
+        layout = next((known for known in _LAYOUTS if {*known.place, *known.moves} <= set(columns)), None)
+        if layout is None:
+            names = ", ".join(list(columns)[:8]) or "none"
+            programs = ", ".join(known.program for known in _LAYOUTS)
+            raise ValueError(
+                f"{path}: expected points in space and their displacements under the names of {programs}, "
+                f"found {names}; name the columns of other programs"
+            )
+        frames.append(_frame(path, columns, layout, scale))
+        found.append(layout.program)
+        if layout.program != found[0]:
+            raise ValueError(f"{path}: expected a table of {found[0]} as {paths[0]}, found one of {layout.program}")
+    return found[0], frames
+
+
+def _frame(path: Path, columns: _Columns, layout: _Layout, scale: float | None) -> _Frame:
+    """Return the points of one table of a known program."""
+
+    def lengths(names: tuple[str, ...]) -> FloatArray:
+        return np.stack(
+            [columns[name][1] * _metres(path, name, columns[name][0] or layout.unit, scale) for name in names], 1
+        )
+
+    place, moves = lengths(layout.place), lengths(layout.moves)
+    here, before = (place, place - moves) if layout.moved else (place + moves, place)
+    if layout.flag is not None and layout.flag[0] in columns:
+        here[~(columns[layout.flag[0]][1] >= layout.flag[1])] = np.nan
+    names: tuple[str, ...] = next((names for names in layout.identities if set(names) <= set(columns)), ())
+    identity = np.stack([columns[name][1] for name in names], 1) if names else np.empty((len(here), 0))
+    u = lengths(layout.u) if layout.u and set(layout.u) <= set(columns) else None
+    return _Frame(str(path), identity, here, before, u)
+
+
+def _metres(path: Path, name: str, unit: str | None, scale: float | None) -> float:
+    """Return how many metres a file's unit of length is."""
+    if scale is not None:
+        return scale
+    if unit is None:
+        raise ValueError(f"{path}: {name}: expected a unit of length, found none; state scale")
+    if unit not in _UNITS:
+        raise ValueError(f"{path}: {name}: expected a length in {', '.join(_UNITS)}, found {unit}")
+    return _UNITS[unit]
+
+
+def _text_columns(path: Path) -> _Columns:
+    """Return the columns of a text table by the names in the last line before its first row of numbers."""
+    rows: list[list[float]] = []
+    names: list[str] = []
+    for number, line in enumerate(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1):
+        fields = _fields(line.lstrip("# ")) if not rows else _fields(line)
+        values = [_number(field) for field in fields]
+        if not rows and (None in values or not any(map(_is_number, fields))):
+            names = fields if len(fields) > 1 else names
+            continue
+        if not line.strip():
+            continue
+        if fields[-1] == "" and len(fields) == len(names) + 1:
+            values.pop()
+        if len(values) != len(names):
+            raise ValueError(
+                f"{path}: line {number}: expected {len(names)} columns as in the header, found {len(values)}"
+            )
+        if None in values:
+            found = fields[values.index(None)]
+            raise ValueError(f"{path}: line {number}: expected numbers, found {found[:40]!r}")
+        rows.append([value for value in values if value is not None])
+    if not rows:
+        raise ValueError(f"{path}: expected a header and rows of numbers, found none")
+    table, columns = np.array(rows), _Columns()
+    for name, values_of in zip(names, table.T, strict=True):
+        matched = re.fullmatch(r"(.*?)\s*(?:\[(.*)\])?", name)
+        title, unit = (name, None) if matched is None else matched.groups()
+        columns.setdefault(title, (unit or "", values_of))
+    return columns
+
+
+def _number(field: str) -> float | None:
+    """The number of a field, NaN of one that says there is none, None of any other text."""
+    if field.lower() in _LOST:
+        return float("nan")
+    try:
+        return float(field)
+    except ValueError:
+        return None
+
+
+def _mat_columns(path: Path) -> _Columns:
+    """Return the arrays of a `.mat` file that have the size of the first coordinate, flat."""
+    from scipy.io import loadmat
+
+    try:
+        found = loadmat(path)
+    except Exception as error:  # whatever damaged bytes lead to
+        raise ValueError(f"{path}: expected a .mat file up to version 7, found {type(error).__name__} in it") from error
+    arrays = {
+        name: value for name, value in found.items() if isinstance(value, np.ndarray) and value.dtype.kind in "fiu"
+    }
+    size = arrays["X"].size if "X" in arrays else 0
+    return {name: ("", value.ravel().astype(np.float64)) for name, value in arrays.items() if value.size == size > 0}
+
+
+def _matrix_frames(paths: Sequence[Path], scale: float | None) -> list[_Frame]:
+    """Return the points of MatchID's matrices: `FRAME_X[mm].csv` and so on, quantities X Y Z U V W of every frame."""
+    frames: dict[str, dict[str, tuple[Path, str]]] = {}
+    for path in paths:
+        named = _QUANTITY.search(path.name)
+        if named is None:
+            raise ValueError(f"{path}: expected a name that ends in a quantity and its unit as _X[mm].csv, found none")
+        quantities = frames.setdefault(str(path.with_name(path.name[: named.start()])), {})
+        quantities[named[1].upper()] = path, named[2]
+    points = []
+    for name, quantities in frames.items():
+        missing = [quantity for quantity in "XYZUVW" if quantity not in quantities]
+        if missing:
+            raise ValueError(
+                f"{name}: expected matrices of X Y Z (first frame) and U V W, found none of {', '.join(missing)}"
+            )
+        values = {}
+        for quantity, (path, unit) in quantities.items():
+            if quantity in "XYZUVW":
+                values[quantity] = read_matrix(path) * _metres(path, quantity, unit, scale)
+        if len({value.shape for value in values.values()}) > 1:
+            raise ValueError(f"{name}: expected matrices of one size, found several")
+        before, moves = (np.stack([values[axis].ravel() for axis in axes], 1) for axes in ("XYZ", "UVW"))
+        points.append(_Frame(name, np.empty((len(before), 0)), before + moves, before))
+    return points
+
+
+def read_matrix(path: Path) -> FloatArray:
+    """Return a matrix (rows, columns) of MatchID, NaN where it says that there is no number, in the file's unit.
+
+    No header; semicolons between and after the values; a decimal comma where the system has one.
+    """
+    rows: list[list[float | None]] = []
+    for number, line in enumerate(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1):
+        if not line.strip():
+            continue
+        fields = [field.strip() for field in line.replace(",", ".").split(";")]
+        values = [_number(field) for field in (fields[:-1] if fields[-1] == "" else fields)]
+        if None in values or (rows and len(values) != len(rows[0])):
+            raise ValueError(f"{path}: line {number}: expected numbers, as many as in the first line, found others")
+        rows.append(values)
+    if not rows:
+        raise ValueError(f"{path}: expected rows of numbers, found none")
+    return np.array(rows, dtype=np.float64)

@@ -206,18 +206,22 @@ class Images(Frames):
 
 
 class PointFiles(Frames):
-    """Tables of 3-D points from another DIC program: one file per frame, or one with a column `frame`."""
+    """Tables of 3-D points from another DIC program: one file per frame, or one with a column `frame`.
+
+    Without `columns` the files' headers name them.
+    """
 
     files: ExistingFiles
-    columns: Annotated[tuple[str, ...], BeforeValidator(_columns)]
+    columns: Annotated[tuple[str, ...] | None, BeforeValidator(_columns)] = None
     valid_status: int | None = None
-    scale: Positive = 1.0
+    scale: Positive | None = None
 
     @model_validator(mode="after")
     def _columns_hold_what_is_used(self) -> Self:
-        if self.valid_status is not None and "status" not in self.columns:
-            raise refusal('a column "status" for valid_status', ", ".join(self.columns), key="columns")
-        single = "frame" in self.columns
+        columns = self.columns or ()
+        if self.valid_status is not None and "status" not in columns:
+            raise refusal('a column "status" for valid_status', ", ".join(columns) or "none named", key="columns")
+        single = "frame" in columns
         if 1 < len(self.files) < MINIMUM_FRAMES and not single:
             raise refusal(f"at least {MINIMUM_FRAMES} frames", f"{len(self.files)}", key="files")
         if single and len(self.files) > 1:
