@@ -172,8 +172,7 @@ def stereo_phasors(
     for what, change in changes.items():
         effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
         effects[what][:, usable] = change / gain[usable][:, None]
-    late = together([*base.sight_errors(sight), *line_errors])
-    errors = [error.through(fit, usable, 2) for error in late]
+    errors = [error.through(fit, usable, 2) for error in together([*base.sight_errors(sight), *line_errors])]
     if strength is not None:
         errors += _left_out(measured, fit, lines, usable, gain * strength)
     errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]
