@@ -211,6 +211,7 @@ class Settings:
     the images, 3, 5 or 7 (7 keeps the interpolation bias below the noise of a whole recording). `device`: where subsets
     are tracked, "auto", "cpu" or "cuda"; the positions agree to 1e-6 px, so that it does not count in `as_dict`.
     `monte_carlo`: draws that check the first-order uncertainties, 0 for none, from the streams of `seed`.
+    `save_points`: every point of every frame is written too.
 
     >>> from fusion import Settings
     >>> Settings(monte_carlo=1000, seed=1).as_dict()
@@ -222,6 +223,7 @@ class Settings:
     device: str = "auto"
     monte_carlo: int = 0
     seed: int = DEFAULT_SEED
+    save_points: bool = False
 
     def __post_init__(self) -> None:
         if self.subset_radius_px is not None and not 4 <= self.subset_radius_px <= 100:
@@ -237,7 +239,8 @@ class Settings:
         """Return the settings as plain values for the result files."""
         radius = "from speckle" if self.subset_radius_px is None else self.subset_radius_px
         drawn = {"monte_carlo": self.monte_carlo, "seed": self.seed} if self.monte_carlo else {}
-        return {"subset_radius_px": radius, "spline_degree": self.spline_degree, **drawn}
+        saved = {"save_points": "yes"} if self.save_points else {}
+        return {"subset_radius_px": radius, "spline_degree": self.spline_degree, **drawn, **saved}
 
 
 # Those who compute tasks for a run: what a recording needs to know of them.

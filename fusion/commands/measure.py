@@ -360,6 +360,7 @@ def _run_options(parser: Parser) -> None:
     )
     parser.value("--monte-carlo", draws, "N", text, default=0)
     parser.value("--seed", count_or_none, "S", f"of these draws (default: {DEFAULT_SEED})", default=DEFAULT_SEED)
+    parser.switch("--save-points", "write every point of every frame too, as a table and for ParaView (.pvd)")
     where = parser.add_mutually_exclusive_group()
     text = "processes that share the work on this machine (default: 1); results are the same to the last digit"
     where.add_argument("--workers", type=count, default=1, metavar="N", help=text)
@@ -382,6 +383,7 @@ def run(options: argparse.Namespace) -> int:
         device=resolve_device(options.device),
         monte_carlo=options.monte_carlo,
         seed=options.seed,
+        save_points=options.save_points,
     )
     with progress_bar(enabled=not options.quiet) as progress:
         outcomes = run_path(

@@ -57,7 +57,8 @@ class StereoResult:
     (2,): median standard deviation of a subset's coordinate, as predicted from the first images and as found.
     `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
     `stationarity`: the six components over blocks of whole beats, exposure loss not corrected. `u_exposure_s`: 0 where
-    the exposure is stated. `u_rate`: relative, of the rate at which its frames were taken.
+    the exposure is stated. `u_rate`: relative, of the rate at which its frames were taken. `surface`: the points, and
+    what they do beside the rigid motion in every frame.
     """
 
     name: str
@@ -76,6 +77,7 @@ class StereoResult:
     noise_grey: float | None = None
     median_zncc: float | None = None
     deflection: DeflectionShape | None = None
+    surface: Deformation | None = None
     noise: tuple[NoiseModel, ...] = ()
     sigma_px: FloatArray | None = None
     epipolar: EpipolarCheck | None = None
@@ -170,8 +172,7 @@ def stereo_phasors(
     for what, change in changes.items():
         effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
         effects[what][:, usable] = change / gain[usable][:, None]
-    late = together([*base.sight_errors(sight), *line_errors])
-    errors = [error.through(fit, usable, 2) for error in late]
+    errors = [error.through(fit, usable, 2) for error in together([*base.sight_errors(sight), *line_errors])]
     if strength is not None:
         errors += _left_out(measured, fit, lines, usable, gain * strength)
     errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]
@@ -202,6 +203,7 @@ def stereo_phasors(
         fit=fit,
         usable=usable,
         reprojection_px=measured.reprojection_px,
+        surface=measured.deformation,
         deflection=deflection_shape(time_s, frequency_hz, measured.deformation, exposure.length_s),
         stationarity=stationarity(time_s, pose, frequency_hz, MOTION_COMPONENTS),
     )

@@ -14,7 +14,7 @@ import numpy as np
 from fusion.estimation.uncertainty import Contribution, Influence, Kind, Scope, Uncertainty
 
 COMPRESS_ABOVE = 512
-LEFT_OUT = {"manifest", "reference_image", "settings", "versions", "input_hashes"}
+LEFT_OUT = {"manifest", "reference_image", "surface", "settings", "versions", "input_hashes"}
 """Fields that are in the inputs, or stand in the group `provenance`."""
 INFLUENCE_TEXTS = ("name", "label", "unit", "scope", "type")
 INFLUENCE_NUMBERS = ("u", "dof")

@@ -29,6 +29,7 @@ from fusion.report.folder import (
 )
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.motion_figures import motion_pictures, subset_pictures
+from fusion.report.points import save_points
 from fusion.report.signal_figures import channel_pictures, point_pictures, trigger_pictures
 from fusion.report.style import Picture
 from fusion.report.table import Column, csv_text, measured, polar_columns, sensitivity_unit, word
@@ -253,7 +254,9 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
 CURVE_FILE, CROSSTALK_FILE, CAMPAIGN_FILE = "curve.csv", "crosstalk.csv", "campaign.h5"
 CAMPAIGN_FILES = (*MERGED_FILES, CURVE_FILE, CROSSTALK_FILE, REPORT_FILE, CAMPAIGN_FILE)
 """Files at the top of a campaign's results."""
-OWN_FILE = re.compile(r"(sensitivity|acceleration|load|motion-.+)\.csv|result\.h5|report\.html")
+OWN_FILE = re.compile(
+    r"(sensitivity|acceleration|load|motion-.+)\.csv|points-.+\.(csv|pvd|vtp)|result\.h5|report\.html"
+)
 
 
 def write_results(evaluation: Evaluation, folder: Path, *, force: bool = False) -> list[Path]:
@@ -263,8 +266,11 @@ def write_results(evaluation: Evaluation, folder: Path, *, force: bool = False) 
         texts = {**result_tables(evaluation), REPORT_FILE: render_report(evaluation)}
         for name, text in texts.items():
             (temporary / name).write_bytes(text.encode("utf-8"))
-        write_h5(temporary / RESULT_FILE, evaluation, [*texts, RESULT_FILE])
-        return [*texts, RESULT_FILE]
+        names = [*texts, RESULT_FILE]
+        if "save_points" in evaluation.settings:
+            names += [name for stereo in evaluation.stereo for name in save_points(temporary, stereo)]
+        write_h5(temporary / RESULT_FILE, evaluation, names)
+        return names
 
     return write_folder(folder, evaluation.input_hashes, make, force=force, marker=RESULT_FILE, own=OWN_FILE)
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import base64
+from dataclasses import dataclass, replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -11,8 +13,10 @@ from contracts import refused
 from support import block, channel, evaluated, recording_head, write_daq
 from take_factory import EXPOSURE_S, FREQUENCY_HZ, MASS_KG, RIG, SENSITIVITY, camera_trigger, moving_plate
 
-from fusion.base import InputError
+from fusion.base import InputError, Settings
 from fusion.estimation.fuse import Acceleration
+from fusion.report.points import HEAD
+from fusion.report.recording import write_results
 from fusion.report.tables import acceleration
 from fusion.sensitivity.analyse import Evaluation
 from photogram.geometry import rotation_from_vector
@@ -129,6 +133,87 @@ def test_points_and_a_trigger_only(campaign):
     assert np.abs(deviation(fused, BASE)).max() < 4
     # The phase at time zero rests on the frequency, which only 64 frames and their trigger tell.
     assert "frequency of 106.25 Hz" in {contribution.label for contribution in fused.contributions}
+
+
+def test_a_known_program_needs_no_columns(campaign):
+    """The same points as node maps of ARAMIS, with its header, its unit and lost facets as nan."""
+    campaign.add_points()
+    first = campaign.evaluate()
+    for path in (campaign.folder / "DIC_results").iterdir():
+        rows = np.loadtxt(path)
+        lost = (rows[:, 2:5] != 3).any(axis=1)
+        moved = np.where(lost[:, None], np.nan, rows[:, 8:] - rows[:, 5:8])
+        table = np.column_stack([8 * rows[:, 0] + rows[:, 1], rows[:, 5:8], moved])
+        names = "ID; x_undef [mm]; y_undef [mm]; z_undef [mm]; u [mm]; v [mm]; w [mm]"
+        np.savetxt(path, table, fmt="%.9f", delimiter="; ", header=f"stage : value : 1\n{names}")
+    keys = {"stereo": "base", "files": "DIC_results/result_B*.txt", "trigger": "camera_trigger"}
+    campaign.text[-1] = block("[points]", **keys)
+    second = campaign.evaluate()
+    for stereo in (first.stereo[0], second.stereo[0]):
+        assert stereo.motion.points.min() > 40
+    np.testing.assert_allclose(second.stereo[0].motion.pose, first.stereo[0].motion.pose, atol=1e-12)
+    campaign.text[-1] = block("[points]", **keys, valid_status=3)
+    refused(r"points\.base\.columns: expected a column \"status\"", campaign.evaluate, error=InputError)
+
+
+def test_saved_points_are_those_of_the_files(campaign, tmp_path):
+    """Displacements, but for each point's constant, and the scatter that their uncertainties state."""
+    campaign.add_points()
+    evaluation = campaign.evaluate()
+    write_results(evaluation, tmp_path / "none")
+    assert not list((tmp_path / "none").glob("points*"))
+    settings = {**evaluation.settings, **Settings(save_points=True).as_dict()}
+    written = write_results(replace(evaluation, settings=settings), tmp_path / "saved")
+    names = {path.name for path in written if path.name.startswith("points")}
+    assert names == {"points-base.csv", "points-base.pvd", *(f"points-base-{k:04d}.vtp" for k in range(FRAMES))}
+
+    table = np.genfromtxt(tmp_path / "saved" / "points-base.csv", delimiter=",", names=True)
+    assert table.dtype.names == HEAD
+    files = [np.loadtxt(campaign.folder / "DIC_results" / f"result_B{k}.txt") for k in range(FRAMES)]
+    stated = np.stack([1e-3 * (rows[:, 8:] - rows[:, 5:8]) @ ROTATION.T for rows in files])
+    for point in (0, 17, 47):
+        rows = table[table["point"] == point]
+        frames = rows["frame"].astype(int)
+        off = np.column_stack([rows[f"d{axis}_m"] for axis in "xyz"]) - stated[frames, point]
+        assert np.ptp(off, axis=0).max() < 1e-9
+        np.testing.assert_array_equal(rows["time_s"], evaluation.stereo[0].time_s[frames])
+    for axis, noise in zip("xyz", (1e-6, 1e-6, 3e-6), strict=True):
+        found = np.sqrt(np.mean((table[f"rest_{axis}_m"] / table[f"u_rest_{axis}_m"]) ** 2))
+        assert 0.93 < found < 1.07
+        assert table[f"u_d{axis}_m"].mean() == pytest.approx(noise, rel=0.15)
+
+    steps = ElementTree.parse(tmp_path / "saved" / "points-base.pvd").findall("Collection/DataSet")
+    assert [float(step.get("timestep")) for step in steps] == evaluation.stereo[0].time_s.tolist()
+    rows = table[table["frame"] == 5]
+    arrays = vtk_arrays(tmp_path / "saved" / steps[5].get("file"))
+    seen = arrays["seen"] == 1
+    np.testing.assert_array_equal(np.flatnonzero(seen), rows["point"])
+    for axis, place in enumerate("xyz"):
+        np.testing.assert_array_equal(arrays["place_m"].reshape(-1, 3)[seen, axis], rows[f"{place}_m"])
+        np.testing.assert_array_equal(arrays["displacement_m"].reshape(-1, 3)[seen, axis], rows[f"d{place}_m"])
+
+
+def vtk_arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of a file of PolyData, as VTK itself reads them where it is installed, else by its description."""
+    root = ElementTree.parse(path).getroot()
+    assert (root.get("type"), root.get("byte_order"), root.get("header_type")) == ("PolyData", "LittleEndian", "UInt64")
+    kinds, found = {"Float64": "<f8", "Int64": "<i8", "UInt8": "u1"}, {}
+    for array in root.iter("DataArray"):
+        raw = base64.b64decode(array.text)
+        assert int.from_bytes(raw[:8], "little") == len(raw) - 8
+        found[array.get("Name")] = np.frombuffer(raw[8:], kinds[array.get("type")])
+    try:
+        from vtkmodules.util.numpy_support import vtk_to_numpy
+        from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
+    except ImportError:
+        return found
+    reader = vtkXMLPolyDataReader()
+    reader.SetFileName(str(path))
+    reader.Update()
+    data = reader.GetOutput().GetPointData()
+    own = {data.GetArrayName(n): vtk_to_numpy(data.GetArray(n)).ravel() for n in range(data.GetNumberOfArrays())}
+    assert reader.GetOutput().GetNumberOfVerts() == len(own["seen"])
+    return own | {"place_m": vtk_to_numpy(reader.GetOutput().GetPoints().GetData()).ravel()}
 
 
 def test_lasers_and_outputs_only(campaign):

@@ -637,6 +637,42 @@ def test_dice_files_of_sandia(formats):
         np.testing.assert_allclose(text.right_from_left.rotation, vic3d.right_from_left.rotation, atol=2e-5)
 
 
+def test_dice_system_whose_pictures_differ_in_size_is_refused(formats):
+    words = "image size: expected one for both cameras, found 1200x800 and 1200x700"
+    refused(words, import_calibration, formats / "dice" / "DICe_cal_a.xml")
+
+
+SAMPLES = ("matchid/calib.caldat", "kalibr/open_vins_euroc_kalibr_imucam_chain.yaml", "ros_camera_info/left.yaml")
+SAMPLES += ("matlab_stereo/stereoParams.mat", "vic3d/cal_a.xml", "vic3d/cal_b.xml")
+SAMPLES += ("dice/cal_a.txt", "dice/sim_dot_cal_gold.xml")
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_cut_off_and_damaged_samples_are_read_or_refused_in_one_sentence(formats, tmp_path, name):
+    whole, rng = (formats / name).read_bytes(), np.random.default_rng(7)
+    right = formats / "ros_camera_info" / "right.yaml" if "ros" in name else None
+    path, told = tmp_path / Path(name).name, []
+    for trial in range(24):
+        content = bytearray(whole[: rng.integers(len(whole))] if trial % 2 else whole)
+        for place in rng.integers(len(content), size=trial // 4) if content else ():
+            content[place] = rng.integers(256)
+        path.write_bytes(content)
+        try:
+            import_calibration(path, SIZE, "mm", right)
+        except ValueError as error:
+            told.append(str(error))
+    assert told
+    assert all(text.startswith(str(path)) and "\n" not in text for text in told)
+
+
+def test_zipped_project_that_unpacks_to_too_much_and_a_missing_package(tmp_path, monkeypatch):
+    with zipfile.ZipFile(tmp_path / "a.z3d", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("project.xml", b" " * (65 * 2**20))
+    refused("expected project.xml of at most 64 MB", import_calibration, tmp_path / "a.z3d")
+    monkeypatch.setitem(sys.modules, "yaml", None)
+    refused("PyYAML.*shakercal.formats", _imported, tmp_path, "cam0:\n  x: 1\n")
+
+
 # And out again.
 
 

@@ -1,0 +1,130 @@
+"""Every point of a stereo pair in every frame: a table, and a file for ParaView and other readers of VTK."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.phasors.stereo_phasors import StereoResult
+from photogram.geometry import displacement_jacobian, pose_rate, rotation_from_vector
+from photogram.motion import Deformation
+from shaker.arrays import BoolArray, FloatArray
+
+_AXES = ("x", "y", "z")
+HEAD = ("frame", "time_s", "point", *(f"{name}_m" for name in _AXES))
+HEAD += tuple(f"{before}{name}_m" for before in ("d", "u_d", "rest_", "u_rest_") for name in _AXES)
+"""Columns of the table: place in the first frame, displacement since, what of it is not rigid, each with u."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """Points (N, 3) of one frame: `moved`, displacement, `rest`, deviation from the rigid body, both in sensor axes."""
+
+    number: int
+    time_s: float
+    moved_m: FloatArray
+    u_moved_m: FloatArray
+    rest_m: FloatArray
+    u_rest_m: FloatArray
+
+    @property
+    def seen(self) -> BoolArray:
+        """Which points (N,) were seen."""
+        return np.asarray(np.isfinite(self.rest_m).all(axis=1))
+
+
+def save_points(folder: Path, stereo: StereoResult) -> list[str]:
+    """Write the points of a pair into a folder and return the files' names.
+
+    points-NAME.csv, points-NAME-FRAME.vtp and points-NAME.pvd, which names these with their times: ParaView opens it.
+    """
+    if stereo.surface is None:
+        return []
+    name = f"points-{stereo.name}"
+    names = [f"{name}.csv", f"{name}.pvd"]
+    known = np.asarray(np.isfinite(stereo.surface.reference_m).all(axis=1))
+    places = stereo.surface.reference_m[known]
+    with (folder / names[0]).open("w", encoding="utf-8", newline="\n") as table:
+        table.write(",".join(HEAD) + "\n")
+        steps = []
+        for frame in _frames(stereo, stereo.surface, known):
+            numbers = np.hstack([places, frame.moved_m, frame.u_moved_m, frame.rest_m, frame.u_rest_m])
+            for point in np.flatnonzero(frame.seen).tolist():
+                values = ",".join(map(repr, numbers[point].tolist()))
+                table.write(f"{frame.number},{frame.time_s!r},{point},{values}\n")
+            names.append(f"{name}-{frame.number:04d}.vtp")
+            (folder / names[-1]).write_text(_vtp(places, frame), encoding="utf-8")
+            steps.append(f'<DataSet timestep="{frame.time_s!r}" file={quoteattr(names[-1])}/>')
+    collection = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="1.0">', "<Collection>", *steps]
+    text = "\n".join([*collection, "</Collection>", "</VTKFile>", ""])
+    (folder / names[1]).write_text(text, encoding="utf-8")
+    return names
+
+
+def _frames(stereo: StereoResult, surface: Deformation, known: BoolArray) -> Iterator[_Frame]:
+    """Yield the frames with a motion, points without a place in the first frame left out.
+
+    x' − x = R·(x − o) + o + t + R·e − x with the deviation e about each point's mean over time; the covariance is that
+    of e turned, R·V·Rᵀ, with J·P·Jᵀ of the pose, J = [I, −[R·(x − o)]×]. What all points share, as the calibration's
+    errors, is no part of it.
+    """
+    motion, arm = stereo.motion, surface.reference_m[known] - stereo.motion.origin_m
+    for number in np.flatnonzero(np.isfinite(motion.pose).all(axis=1)).tolist():
+        turn = rotation_from_vector(motion.pose[number, 3:])
+        rest = surface.residual_m[number, known] @ turn.T
+        own = turn @ surface.covariance_m2[number, known] @ turn.T
+        turned = arm @ turn.T
+        jacobian = displacement_jacobian(turned) @ np.linalg.inv(pose_rate(motion.pose[number]))
+        whole = own + jacobian @ motion.covariance[number] @ jacobian.swapaxes(1, 2)
+        yield _Frame(
+            number,
+            float(stereo.time_s[number]),
+            turned - arm + motion.pose[number, :3] + rest,
+            _sigma(whole),
+            rest,
+            _sigma(own),
+        )
+
+
+def _sigma(covariance: FloatArray) -> FloatArray:
+    """Standard uncertainties (N, 3) of covariances (N, 3, 3)."""
+    return np.asarray(np.sqrt(np.maximum(covariance.diagonal(axis1=1, axis2=2), 0.0)))
+
+
+def _vtp(places_m: FloatArray, frame: _Frame) -> str:
+    """Return PolyData of VTK's XML format: the places in the first frame, and vectors of this one.
+
+    Doubles in base64 behind their length in bytes as UInt64 (VTK file formats, "XML file formats"). Points not seen
+    have `seen` 0 and vectors 0.
+    """
+    count, seen = len(places_m), frame.seen
+    vectors = {
+        "displacement_m": frame.moved_m,
+        "u_displacement_m": frame.u_moved_m,
+        "deviation_m": frame.rest_m,
+        "u_deviation_m": frame.u_rest_m,
+    }
+    parts = ['<?xml version="1.0"?>']
+    parts += ['<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">', "<PolyData>"]
+    parts += [f'<Piece NumberOfPoints="{count}" NumberOfVerts="{count}">', "<Points>", _array("place_m", places_m)]
+    parts += ["</Points>", "<Verts>", _array("connectivity", np.arange(count))]
+    parts += [_array("offsets", np.arange(1, count + 1)), "</Verts>", '<PointData Vectors="displacement_m">']
+    parts += [_array(name, np.where(seen[:, None], values, 0.0)) for name, values in vectors.items()]
+    parts += [_array("seen", seen.astype(np.uint8)), "</PointData>", "</Piece>", "</PolyData>", "</VTKFile>", ""]
+    return "\n".join(parts)
+
+
+def _array(name: str, values: NDArray[Any]) -> str:
+    """Return a DataArray of doubles, whole numbers or bytes."""
+    kind, dtype = {"f": ("Float64", "<f8"), "i": ("Int64", "<i8"), "u": ("UInt8", "u1")}[values.dtype.kind]
+    raw = np.ascontiguousarray(values, dtype=dtype).tobytes()
+    text = base64.b64encode(len(raw).to_bytes(8, "little") + raw).decode("ascii")
+    components = f' NumberOfComponents="{values.shape[1]}"' if values.ndim == 2 else ""
+    return f'<DataArray type="{kind}" Name="{name}"{components} format="binary">{text}</DataArray>'
