@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import BoolArray, FloatArray, IntArray
-from photogram.targets.crossing import GOOD, REASONS, refine_corners
+from photogram.targets.crossing import GOOD, REASONS, Response, find_sharpening, refine_corners
 from photogram.targets.view import (
     Target,
     TargetNotFound,
@@ -48,8 +48,10 @@ def corner_view(
     check_exposure(image, area, full_scale)
     left, top = np.maximum(np.floor(area.min(axis=0)), 0).astype(int)
     right, bottom = np.ceil(area.max(axis=0)).astype(int) + 1
-    noise = picture_noise(image[top:bottom, left:right])
-    first = refine_corners(image, start_px, axes_px, noise, full_scale, strip=_STRIP if markers else np.inf)
+    strip = _STRIP if markers else np.inf
+    response = Response(picture_noise(image[top:bottom, left:right], full_scale), full_scale)
+    response = find_sharpening(image, start_px, axes_px, response, strip)
+    first = refine_corners(image, start_px, axes_px, response, strip=strip)
     good = first.status == GOOD
     if good.sum() < _FEWEST:
         raise TargetNotFound(_few(first.status, good))
@@ -57,8 +59,8 @@ def corner_view(
     bend = lattice_bend(index, first.position_px)
     side = float(np.median(np.sqrt(np.abs(np.linalg.det(axes_px)))))
     soft = float(np.nanmedian(first.blur_px)) / side
-    strip = float(np.clip(_CLEAR - 2 * soft, _NARROWEST, _WIDEST)) if markers else np.inf
-    corners = refine_corners(image, start, axes_px, noise, full_scale, bend, strip)
+    strip = float(np.clip(_CLEAR - 2 * soft, _NARROWEST, _WIDEST)) if markers else strip
+    corners = refine_corners(image, start, axes_px, response, bend, strip)
     check_blur(float(np.nanmedian(corners.blur_px)), side)
     contrast = np.where(index.sum(axis=1) % 2 == 0, 1.0, -1.0) * corners.half_contrast
     good = corners.status == GOOD
