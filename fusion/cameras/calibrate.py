@@ -60,6 +60,8 @@ def calibrate_cameras(
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as workers:
         for path, view in zip(pictures, workers.map(partial(_find, settings.target), pictures), strict=True):
             views.append(view if isinstance(view, TargetView) else None)
+            if isinstance(view, TargetView) and view.lost:
+                failed.append(Dropped(str(path), view.lost, view.lost_why))
             failed += [Dropped(str(path), 0, str(view))] if isinstance(view, TargetNotFound) else []
             progress("find target", len(views), len(pictures))
     pairs: list[Pair] = list(zip(views[: len(left)], views[len(left) :], strict=True))

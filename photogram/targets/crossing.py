@@ -14,7 +14,7 @@ from photogram.images.noise import QUANTISATION, NoiseModel
 from photogram.kernels import njit
 
 PARAMETERS = 10  # centre x, y, angles of both edges' normals, mean, half contrast, relative slope x, y, blur of both
-GOOD, OUTSIDE, SATURATED, NO_CROSSING = 0, 1, 2, 3
+GOOD, OUTSIDE, SATURATED, NO_CROSSING, FAINT = 0, 1, 2, 3, 4
 FULL, STATUS, CHI2 = PARAMETERS, PARAMETERS + 1, PARAMETERS + 2  # columns of what is fitted, after the parameters
 SATURATION, AMOUNT, RADIUS = 3, 4, 5  # of the camera's response
 REACH = 3  # px over which noise may be correlated
@@ -263,8 +263,9 @@ def _spread(image, pixels, taper, weight, p, bend, response, inverse, patch):  #
 
 @njit(error_model="numpy")
 def _correlate(patch, out):  # type: ignore[no-untyped-def]
-    """Fill out (4, L) for lags (0 … 3, −3 … 3): mean product of residuals so far apart, weighted by the tapers, sums of pulls xx, xy, yy.
+    """Fill out (4, L) for lags (0 … 3, −3 … 3): products of residuals so far apart, of pulls xx, xy, yy.
 
+       Of the residuals' products the mean, weighted by the tapers, of the pulls' the sum.
     Each pair of pixels counts in both orders.
     """
     for lag in range(out.shape[1]):
@@ -337,6 +338,7 @@ REASONS = {
     OUTSIDE: "too close to the picture's edge",
     SATURATED: "overexposed",
     NO_CROSSING: "no crossing of two edges",
+    FAINT: "with less than 0.4 of the others' contrast, or the colours exchanged",
 }
 _WINDOW = 0.55  # of a square's side, to either side of the corner
 _WIDEST_PX = 14.0  # the same, in px: beyond it edges hardly add what their curvature takes

@@ -52,7 +52,8 @@ class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 
     corners the crossing itself, for dots the centre of the ellipse that is seen (`radius` > 0), which perspective moves
     off the image of the dot's centre. `covariance_px2` (N, 2, 2): from the picture's noise. `radius`: of the dots in
     units of the lattice spacing, 0 for corners. `blur_px`: σ of the edges' blur, median over the points. `size_px`
-    (2,): width and height of the picture.
+    (2,): width and height of the picture. `lost`: how many points within the picture could not be measured, and
+    `lost_why` the reasons, "" for none.
     """
 
     name: str
@@ -62,6 +63,8 @@ class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 
     radius: float
     blur_px: float
     size_px: IntArray
+    lost: int = 0
+    lost_why: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
