@@ -265,8 +265,7 @@ def _spread(image, pixels, taper, weight, p, bend, response, inverse, patch):  #
 def _correlate(patch, out):  # type: ignore[no-untyped-def]
     """Fill out (4, L) for lags (0 … 3, −3 … 3): products of residuals so far apart, of pulls xx, xy, yy.
 
-       Of the residuals' products the mean, weighted by the tapers, of the pulls' the sum.
-    Each pair of pixels counts in both orders.
+    Of the residuals' products the mean, weighted by the tapers, of the pulls' the sum over pairs in both orders.
     """
     for lag in range(out.shape[1]):
         down, along = lag // (2 * REACH + 1), lag % (2 * REACH + 1) - REACH
@@ -351,6 +350,7 @@ _AMOUNTS = (0.5, 1.5, 3.0)  # tried first
 _PRECISION = 0.1  # of amount and radius
 _SHARPENINGS = ((0.0, 8.0), (0.4, 4.0))  # amount, radius in px
 _FEWEST = 6  # corners that tell the noise
+_COLOURED = 0.25  # autocovariance, of the noise assumed, from which it is taken from the residuals
 _LEAST_VARIANCE = 0.05  # of that for independent noise
 _BETTER = 0.98  # χ² with sharpening over that without, for there to be any
 
@@ -460,7 +460,8 @@ def _covariance(lags: FloatArray, good: BoolArray) -> FloatArray:
     """Return the covariance (N, 2, 2) of the centres for the noise's autocovariance that most corners show.
 
     Of the products of residuals (`fit_crossings`) the median over the corners, where it differs by more than three
-    standard errors from that of the noise assumed (independent from pixel to pixel): √½·π/√N times their robust spread.
+    standard errors (√(π/2)/√N times their robust spread) from that of the noise assumed, which is independent from
+    pixel to pixel; this is kept where none differs by a quarter: so much the profile's imperfection may leave.
     """
     white = np.zeros(lags.shape[2])
     white[REACH] = 1.0
@@ -471,6 +472,7 @@ def _covariance(lags: FloatArray, good: BoolArray) -> FloatArray:
     middle = np.median(products, axis=0)
     error = 1.25 * 1.4826 * np.median(np.abs(products - middle), axis=0) / math.sqrt(len(products))
     noise = np.where(np.abs(middle - white) > 3 * error, middle, white)
+    noise = noise if np.abs(middle - white).max() > _COLOURED else white
     spread = np.asarray((noise @ sums)[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
     floor = _LEAST_VARIANCE * (white @ sums)[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     valid = np.linalg.eigvalsh(np.nan_to_num(spread - floor))[:, 0] >= 0.0
