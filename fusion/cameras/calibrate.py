@@ -69,7 +69,9 @@ def calibrate_cameras(
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as workers:
         for path, view in zip(pictures, workers.map(partial(_find, settings.target), pictures), strict=True):
             views.append(view if isinstance(view, TargetView) else None)
-            failed += [] if isinstance(view, TargetView) else [Dropped(str(path), 0, view)]
+            if isinstance(view, TargetView) and view.lost:
+                failed.append(Dropped(str(path), view.lost, view.lost_why))
+            failed += [] if isinstance(view, TargetView) else [Dropped(str(path), 0, str(view))]
             progress("find target", len(views), len(pictures))
     pairs: list[Pair] = [(view, None) for view in views]
     if right is not None:

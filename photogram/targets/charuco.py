@@ -36,7 +36,7 @@ def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: flo
         fitting = f"{len(board.place)} of {board.seen} markers"
         raise TargetNotFound(f"another target: only {fitting} are where a ChArUco board of {wanted} has them")
     index, start, axes = _expected(board, target.size)
-    return corner_view(image, index, start, axes, name, full_scale, markers=True)
+    return corner_view(image, target, index, start, axes, name, full_scale)
 
 
 def _dictionary(grey: NDArray[np.uint8], size: tuple[int, int]) -> str | None:
@@ -123,6 +123,7 @@ _FAMILIES = (
     ("DICT_APRILTAG_16h5",),
 )
 _TOLERANCE = 0.3  # squares between a marker's centre and where the board's other markers put it
+_ON_LATTICE = 0.15  # the same, beyond the board
 _ALIGNED = 0.9  # least cosine between a marker's upper edge and the board's first direction
 _FEWEST = 4
 
@@ -143,7 +144,8 @@ class Markers:
 class Board:
     """Markers of a board: `place` (N, 2), the squares' centres in the lattice of inner corners, at centre_px (N, 2).
 
-    lattice_from_px (3, 3): the homography that most of the `seen` markers agree with.
+    lattice_from_px (3, 3): the homography that most markers agree with. `seen`: markers within the board's outline, or
+    beyond it on its lattice (of a larger board); not those of another board beside it.
     """
 
     place: FloatArray
@@ -169,7 +171,7 @@ def _places(size: tuple[int, int], legacy: bool) -> FloatArray:
 def find_markers(grey: NDArray[np.uint8], dictionary: str, first: int | None = None) -> Markers:
     """Return the markers of a predefined dictionary, or of its `first` ones, in a picture (H, W) of 8 bits.
 
-    Numbers that occur twice are left out.
+    Where several boards are seen, numbers occur more than once.
     """
     import cv2
 
@@ -181,9 +183,6 @@ def find_markers(grey: NDArray[np.uint8], dictionary: str, first: int | None = N
         return Markers(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2)))
     number = np.asarray(numbers, dtype=np.int64).ravel()
     square = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 2)
-    value, count = np.unique(number, return_counts=True)
-    once = np.isin(number, value[count == 1])
-    number, square = number[once], square[once]
     upper = square[:, 1] - square[:, 0] + square[:, 2] - square[:, 3]
     one, two = square[:, 2] - square[:, 0], square[:, 3] - square[:, 1]
     between = square[:, 1] - square[:, 0]
@@ -240,7 +239,11 @@ def _board(markers: Markers, size: tuple[int, int], legacy: bool) -> Board | Non
     good = np.asarray((np.linalg.norm(at - place, axis=1) < _TOLERANCE) & aligned)
     if good.sum() < _FEWEST:
         return None
-    return Board(place[good], centre[good], homography, legacy, len(markers.number))
+    _, first = np.unique(place[good], axis=0, return_index=True)
+    on_board = apply(homography, markers.centre_px) + 0.5
+    beyond = np.linalg.norm(on_board - np.rint(on_board), axis=1) < _ON_LATTICE
+    inside = ((on_board > -0.5) & (on_board < np.array(size) - 0.5)).all(axis=1)
+    return Board(place[good][first], centre[good][first], homography, legacy, int((inside | beyond).sum()))
 
 
 def apply(homography: FloatArray, points: FloatArray) -> FloatArray:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import BoolArray, FloatArray, IntArray
-from photogram.targets.crossing import GOOD, REASONS, refine_corners
+from photogram.arrays import FloatArray, IntArray
+from photogram.targets.crossing import FAINT, GOOD, OUTSIDE, REASONS, Response, find_sharpening, refine_corners
 from photogram.targets.view import (
     Target,
     TargetNotFound,
@@ -29,43 +29,53 @@ _CLEAR, _NARROWEST, _WIDEST = 0.15, 0.05, 0.12  # the same later: the first less
 
 def corner_view(
     image: NDArray[Any],
+    target: Target,
     index: IntArray,
     start_px: FloatArray,
     axes_px: FloatArray,
     name: str,
     full_scale: float,
-    markers: bool = False,
 ) -> TargetView:
-    """Return the view of the corners `index` (N, 2) that are expected at start_px (N, 2), squares' sides axes_px.
+    """Return the view of the corners `index` (N, 2) of `target` expected at start_px (N, 2), squares' sides axes_px.
 
     The corners are fitted twice: the second time with the curvature of the edges that the first found. A corner counts
     if it has the colours of its place in the lattice and at least 0.4 of the usual contrast.
-    `markers`: the bright squares hold some, and only a strip along the edges is used, the narrower the softer they are.
+    Where bright squares hold markers only a strip along the edges is used, the narrower the softer they are.
     Raises `TargetNotFound` for a bad exposure, a blur, or where fewer than 6 corners, or all on one line, remain.
     """
+    assert target.size is not None
+    markers = target.kind == "charuco"
+    less = 1 if markers else 0
+    total = (target.size[0] - less) * (target.size[1] - less)
     across = [a * axes_px[:, 0] + b * axes_px[:, 1] for a in (-1, 1) for b in (-1, 1)]
     area = outline(np.concatenate([start_px + _ROOM * diagonal for diagonal in across]))
     check_exposure(image, area, full_scale)
     left, top = np.maximum(np.floor(area.min(axis=0)), 0).astype(int)
     right, bottom = np.ceil(area.max(axis=0)).astype(int) + 1
-    noise = picture_noise(image[top:bottom, left:right])
-    first = refine_corners(image, start_px, axes_px, noise, full_scale, strip=_STRIP if markers else np.inf)
+    strip = _STRIP if markers else np.inf
+    response = Response(picture_noise(image[top:bottom, left:right], full_scale), full_scale)
+    response = find_sharpening(image, start_px, axes_px, response, strip)
+    first = refine_corners(image, start_px, axes_px, response, strip=strip)
     good = first.status == GOOD
     if good.sum() < _FEWEST:
-        raise TargetNotFound(_few(first.status, good))
+        raise TargetNotFound(_measured(first.status, total))
     start = np.where(good[:, None], first.position_px, start_px)
     bend = lattice_bend(index, first.position_px)
     side = float(np.median(np.sqrt(np.abs(np.linalg.det(axes_px)))))
     soft = float(np.nanmedian(first.blur_px)) / side
-    strip = float(np.clip(_CLEAR - 2 * soft, _NARROWEST, _WIDEST)) if markers else np.inf
-    corners = refine_corners(image, start, axes_px, noise, full_scale, bend, strip)
-    check_blur(float(np.nanmedian(corners.blur_px)), side)
-    contrast = np.where(index.sum(axis=1) % 2 == 0, 1.0, -1.0) * corners.half_contrast
-    good = corners.status == GOOD
-    good = good & (contrast / np.median(contrast[good]) > _LEAST_CONTRAST)
-    on_a_line = np.linalg.matrix_rank(index[good] - index[good].mean(axis=0)) < 2 if good.any() else True
-    if good.sum() < _FEWEST or on_a_line:
-        raise TargetNotFound(_few(corners.status, good))
+    strip = float(np.clip(_CLEAR - 2 * soft, _NARROWEST, _WIDEST)) if markers else strip
+    corners = refine_corners(image, start, axes_px, response, bend, strip)
+    status, good = corners.status.copy(), corners.status == GOOD
+    if good.any():
+        check_blur(float(np.median(corners.blur_px[good])), side)
+        contrast = np.where(index.sum(axis=1) % 2 == 0, 1.0, -1.0) * corners.half_contrast
+        status[good & ~(contrast / np.median(contrast[good]) > _LEAST_CONTRAST)] = FAINT
+        good = status == GOOD
+    if good.sum() < _FEWEST:
+        raise TargetNotFound(_measured(status, total))
+    if np.linalg.matrix_rank(index[good] - index[good].mean(axis=0)) < 2:
+        raise TargetNotFound(f"{_measured(status, total)}; those measured lie on one line")
+    lost = int((~good & (status != OUTSIDE)).sum())
     return TargetView(
         name,
         index[good],
@@ -74,6 +84,8 @@ def corner_view(
         0.0,
         float(np.median(corners.blur_px[good])),
         np.array(image.shape[::-1]),
+        lost,
+        _measured(status, total) if lost else "",
     )
 
 
@@ -94,7 +106,9 @@ def lattice_bend(index: IntArray, position_px: FloatArray) -> FloatArray:
         along = (after - before) / 2
         length = np.linalg.norm(along, axis=-1)
         normal = np.stack([along[..., 1], -along[..., 0]], axis=-1) / length[..., None]
-        across = np.nanmean(lattice[1:] - lattice[:-1], axis=(0, 1))
+        steps = (lattice[1:] - lattice[:-1]).reshape(-1, 2)
+        steps = steps[np.isfinite(steps).all(axis=1)]
+        across = steps.mean(axis=0) if len(steps) else np.zeros(2)
         normal *= np.sign((normal * across).sum(axis=-1, keepdims=True))
         turn = -((after + before - 2 * middle) * normal).sum(axis=-1) / length**2
         at = np.argwhere(np.isfinite(turn))
@@ -112,11 +126,11 @@ def lattice_powers(place: FloatArray | IntArray) -> FloatArray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
 
 
-def _few(status: IntArray, good: BoolArray) -> str:
-    """Return why too few corners are left."""
-    lost = status[status != GOOD]
-    reason = f", most others are lost: {REASONS[int(np.bincount(lost).argmax())]}" if len(lost) else ""
-    return f"only {int(good.sum())} of {len(status)} corners can be measured{reason}"
+def _measured(status: IntArray, total: int) -> str:
+    """Return how many of the board's corners are measured, and why others that ought to be seen are not."""
+    value, count = np.unique(status[status != GOOD], return_counts=True)
+    lost = ", ".join(f"{count[k]} {REASONS[int(value[k])]}" for k in np.argsort(-count))
+    return f"{int((status == GOOD).sum())} of {total} corners can be measured" + (f" (lost: {lost})" if lost else "")
 
 
 # A chessboard in a picture: coarse search by OpenCV, which corner is which, sub-pixel positions.
@@ -141,9 +155,8 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
     _refuse_larger(grey, corners)
     lattice = _oriented(grey, corners)
     index = np.stack(np.meshgrid(*[np.arange(n) for n in lattice.shape[:2]], indexing="ij"), axis=-1)
-    return corner_view(
-        image, index.reshape(-1, 2), lattice.reshape(-1, 2), _axes(lattice).reshape(-1, 2, 2), name, full_scale
-    )
+    places = index.reshape(-1, 2), lattice.reshape(-1, 2), _axes(lattice).reshape(-1, 2, 2)
+    return corner_view(image, target, *places, name, full_scale)
 
 
 def eight_bit(image: NDArray[Any]) -> NDArray[np.uint8]:
@@ -183,9 +196,12 @@ def _axes(lattice: FloatArray) -> FloatArray:
     return np.stack([np.gradient(lattice, axis=0), np.gradient(lattice, axis=1)], axis=2)
 
 
-def _quadrants(grey: NDArray[np.uint8], corners: FloatArray, axes: FloatArray) -> FloatArray:
-    """Return the grey values (..., 4) of squares −−, ++, +−, −+ around corners (..., 2), NaN outside the picture."""
-    place = np.array([[-1, -1], [1, 1], [1, -1], [-1, 1]]) * 0.3
+def _quadrants(grey: NDArray[np.uint8], corners: FloatArray, axes: FloatArray, share: float = 0.3) -> FloatArray:
+    """Return the grey values (..., 4) of squares −−, ++, +−, −+ around corners (..., 2), NaN outside the picture.
+
+    `share`: of a square's sides, between the corner and where its value is read.
+    """
+    place = np.array([[-1, -1], [1, 1], [1, -1], [-1, 1]]) * share
     points = corners[..., None, :] + place @ axes
     column, row = np.rint(points[..., 0]).astype(int), np.rint(points[..., 1]).astype(int)
     inside = (column >= 0) & (row >= 0) & (column < grey.shape[1]) & (row < grey.shape[0])
@@ -202,7 +218,8 @@ def _saddle(quadrants: FloatArray) -> FloatArray:
 def _refuse_larger(grey: NDArray[np.uint8], corners: FloatArray) -> None:
     """Raise `TargetNotFound` where the lattice of corners goes on beyond one of its sides."""
     axes = _axes(corners)
-    usual = float(np.nanmedian(_saddle(_quadrants(grey, corners, axes))))
+    saddles = _saddle(_quadrants(grey, corners, axes))
+    usual = float(np.median(saddles[np.isfinite(saddles)])) if np.isfinite(saddles).any() else 0.0
     for side in range(4):
         turned, turned_axes = np.rot90(corners, side), np.rot90(axes, side)
         beyond = 3 * turned[0] - 3 * turned[1] + turned[2] if len(turned) > 2 else 2 * turned[0] - turned[1]
@@ -250,6 +267,7 @@ def _reason(image: NDArray[Any], grey: NDArray[np.uint8], size: tuple[int, int],
         found, corners, meta = cv2.findChessboardCornersSBWithMeta(small, seed, flags=flags)
         if found:
             lattices.append(np.asarray(corners, dtype=np.float64).reshape(*np.asarray(meta).shape[:2], 2))
+    lattices = [lattice for lattice in lattices if _is_board(small, lattice)]
     if not lattices:
         return f"no chessboard of {wanted} inner corners"
     lattice = max(lattices, key=lambda lattice: lattice.size)
@@ -260,3 +278,14 @@ def _reason(image: NDArray[Any], grey: NDArray[np.uint8], size: tuple[int, int],
     if ((beyond < 0) | (beyond > [small.shape[1] - 1, small.shape[0] - 1])).any():
         return f"runs over the edge of the picture: {seen} of {wanted} inner corners are seen"
     return f"another target, or one partly covered: a chessboard of {seen} inner corners, expected {wanted}"
+
+
+def _is_board(grey: NDArray[np.uint8], lattice: FloatArray) -> bool:
+    """Whether the squares around a lattice of corners are evenly dark and bright, as speckles and dots are not."""
+    axes = _axes(lattice)
+    saddles = [_saddle(_quadrants(grey, lattice, axes, share)).ravel() for share in (0.15, 0.3, 0.45)]
+    seen = [saddle[np.isfinite(saddle)] for saddle in saddles]
+    if min(map(len, seen)) == 0:
+        return False
+    usual = max(float(np.median(saddle)) for saddle in seen)
+    return usual > 0 and all(float(np.quantile(saddle, 0.2)) > 0.3 * usual for saddle in seen)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.images.noise import QUANTISATION, NoiseModel
 from photogram.kernels import njit
 
 PARAMETERS = 10  # centre x, y, angles of both edges' normals, mean, half contrast, relative slope x, y, blur of both
-GOOD, OUTSIDE, SATURATED, NO_CROSSING = 0, 1, 2, 3
+GOOD, OUTSIDE, SATURATED, NO_CROSSING, FAINT = 0, 1, 2, 3, 4
+FULL, STATUS, CHI2 = PARAMETERS, PARAMETERS + 1, PARAMETERS + 2  # columns of what is fitted, after the parameters
+SATURATION, AMOUNT, RADIUS = 3, 4, 5  # of the camera's response
+REACH = 3  # px over which noise may be correlated
 _ROUNDS = 30
 _MOST_PIXELS = 20_000  # of a window
 _CONVERGED_PX = 1e-5
@@ -63,39 +66,71 @@ def _edge(distance: float, sigma: float) -> tuple[float, float]:
 
 
 @njit(error_model="numpy")
-def _model(p: FloatArray, bend: FloatArray, x: float, y: float, slope: FloatArray) -> float:
-    """Return the grey value at (x, y) and fill its derivatives (10,) by the parameters.
-
-    (1 + g·r)·(a + b·E(d₁/σ₁)·E(d₂/σ₂)), r from the centre, d_k = n_k·r + bend_k/2·(along the edge)².
-    """
-    rx, ry = x - p[0], y - p[1]
-    cos_1, sin_1, cos_2, sin_2 = math.cos(p[2]), math.sin(p[2]), math.cos(p[3]), math.sin(p[3])
-    along_1, along_2 = cos_1 * ry - sin_1 * rx, cos_2 * ry - sin_2 * rx
-    across_1, across_2 = cos_1 * rx + sin_1 * ry, cos_2 * rx + sin_2 * ry
-    d_1, d_2 = across_1 + 0.5 * bend[0] * along_1 * along_1, across_2 + 0.5 * bend[1] * along_2 * along_2
-    e_1, s_1 = _edge(d_1, p[8])
-    e_2, s_2 = _edge(d_2, p[9])
-    light, pattern = 1.0 + p[6] * rx + p[7] * ry, p[4] + p[5] * e_1 * e_2
-    by_1, by_2 = light * p[5] * s_1 * e_2, light * p[5] * e_1 * s_2
-    slope[0] = -by_1 * cos_1 - by_2 * cos_2 - p[6] * pattern
-    slope[1] = -by_1 * sin_1 - by_2 * sin_2 - p[7] * pattern
-    slope[2], slope[3] = by_1 * along_1, by_2 * along_2
-    slope[4], slope[5] = light, light * e_1 * e_2
-    slope[6], slope[7] = rx * pattern, ry * pattern
-    slope[8], slope[9] = -by_1 * d_1 / p[8], -by_2 * d_2 / p[9]
-    return float(light * pattern)
+def _crossing(p: FloatArray, d_1: float, d_2: float, wider: float) -> tuple[float, float, float, float, float]:
+    """Return E(d₁/s₁)·E(d₂/s₂) and its derivatives by d₁, d₂, σ₁, σ₂, with s² = σ² + wider²."""
+    s_1, s_2 = p[8], p[9]
+    if wider > 0.0:
+        s_1, s_2 = math.sqrt(s_1 * s_1 + wider * wider), math.sqrt(s_2 * s_2 + wider * wider)
+    e_1, by_1 = _edge(d_1, s_1)
+    e_2, by_2 = _edge(d_2, s_2)
+    by_1, by_2 = by_1 * e_2, e_1 * by_2
+    return e_1 * e_2, by_1, by_2, -by_1 * d_1 * p[8] / (s_1 * s_1), -by_2 * d_2 * p[9] / (s_2 * s_2)
 
 
 @njit(error_model="numpy")
-def _normal_equations(image, pixels, p, bend, weight, matrix, vector):  # type: ignore[no-untyped-def]
+def _turn(p: FloatArray) -> tuple[float, float, float, float]:
+    """Return cosine and sine of both edges' directions."""
+    return math.cos(p[2]), math.sin(p[2]), math.cos(p[3]), math.sin(p[3])
+
+
+@njit(error_model="numpy")
+def _model(p, turn, bend, response, x, y, slope):  # type: ignore[no-untyped-def]
+    """Return the grey value at (x, y) and fill its derivatives (10,) by the parameters; turn: see `_turn`.
+
+    (1 + g·r)·(a + b·Q), r from the centre, d_k = n_k·r + bend_k/2·(along the edge)². Q is E(d₁/σ₁)·E(d₂/σ₂), of a
+    picture sharpened by A at the radius τ (1 + A)·Q less A times the same with √(σ² + τ²) for σ.
+    """
+    rx, ry = x - p[0], y - p[1]
+    cos_1, sin_1, cos_2, sin_2 = turn
+    along_1, along_2 = cos_1 * ry - sin_1 * rx, cos_2 * ry - sin_2 * rx
+    across_1, across_2 = cos_1 * rx + sin_1 * ry, cos_2 * rx + sin_2 * ry
+    d_1, d_2 = across_1 + 0.5 * bend[0] * along_1 * along_1, across_2 + 0.5 * bend[1] * along_2 * along_2
+    q, q_1, q_2, q_3, q_4 = _crossing(p, d_1, d_2, 0.0)
+    amount = response[AMOUNT]
+    if amount > 0.0:
+        soft, soft_1, soft_2, soft_3, soft_4 = _crossing(p, d_1, d_2, response[RADIUS])
+        q, q_1, q_2 = q + amount * (q - soft), q_1 + amount * (q_1 - soft_1), q_2 + amount * (q_2 - soft_2)
+        q_3, q_4 = q_3 + amount * (q_3 - soft_3), q_4 + amount * (q_4 - soft_4)
+    light, pattern = 1.0 + p[6] * rx + p[7] * ry, p[4] + p[5] * q
+    by_1, by_2 = light * p[5] * q_1, light * p[5] * q_2
+    slope[0] = -by_1 * cos_1 - by_2 * cos_2 - p[6] * pattern
+    slope[1] = -by_1 * sin_1 - by_2 * sin_2 - p[7] * pattern
+    slope[2], slope[3] = by_1 * along_1, by_2 * along_2
+    slope[4], slope[5] = light, light * q
+    slope[6], slope[7] = rx * pattern, ry * pattern
+    slope[8], slope[9] = light * p[5] * q_3, light * p[5] * q_4
+    return light * pattern
+
+
+@njit(error_model="numpy")
+def _clipped(value: float, expected: float, response: FloatArray) -> bool:
+    """Whether a pixel at full scale says no more than that it is at least as bright, at 0 as dark, as expected."""
+    return (value >= response[SATURATION] and expected >= value) or (value <= 0.0 and expected <= value)
+
+
+@njit(error_model="numpy")
+def _normal_equations(image, pixels, p, bend, response, weight, matrix, vector):  # type: ignore[no-untyped-def]
     """Fill the weighted normal equations over the pixels (M, 2); return the weighted sum of squared residuals."""
-    slope = np.empty(PARAMETERS)
+    turn, slope = _turn(p), np.empty(PARAMETERS)
     matrix[:] = 0.0
     vector[:] = 0.0
     total = 0.0
     for k in range(pixels.shape[0]):
-        expected = _model(p, bend, float(pixels[k, 0]), float(pixels[k, 1]), slope)
-        residual = image[pixels[k, 1], pixels[k, 0]] - expected
+        value = image[pixels[k, 1], pixels[k, 0]]
+        expected = _model(p, turn, bend, response, float(pixels[k, 0]), float(pixels[k, 1]), slope)
+        if _clipped(value, expected, response):
+            continue
+        residual = value - expected
         total += weight[k] * residual * residual
         for i in range(PARAMETERS):
             vector[i] += weight[k] * slope[i] * residual
@@ -105,12 +140,12 @@ def _normal_equations(image, pixels, p, bend, weight, matrix, vector):  # type: 
 
 
 @njit(error_model="numpy")
-def _weigh(pixels, taper, p, bend, noise, weight):  # type: ignore[no-untyped-def]
+def _weigh(pixels, taper, p, bend, response, weight):  # type: ignore[no-untyped-def]
     """Fill weights (M,), taper/variance of the noise at the modelled grey values."""
-    slope = np.empty(PARAMETERS)
+    turn, slope = _turn(p), np.empty(PARAMETERS)
     for k in range(pixels.shape[0]):
-        expected = _model(p, bend, float(pixels[k, 0]), float(pixels[k, 1]), slope)
-        weight[k] = taper[k] / max(noise[0] + noise[1] * expected, noise[2])
+        expected = _model(p, turn, bend, response, float(pixels[k, 0]), float(pixels[k, 1]), slope)
+        weight[k] = taper[k] / max(response[0] + response[1] * expected, response[2])
 
 
 @njit(error_model="numpy")
@@ -163,7 +198,7 @@ def _start(image, pixels, centre, axes, p):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _fit(image, pixels, bend, weight, p, inverse):  # type: ignore[no-untyped-def]
+def _fit(image, pixels, bend, response, weight, p, inverse):  # type: ignore[no-untyped-def]
     """Improve the parameters by Levenberg's method; return the weighted sum of squares, NaN without convergence.
 
     Fills inverse (2, 10), the centre's rows of the inverse of the normal matrix.
@@ -171,7 +206,7 @@ def _fit(image, pixels, bend, weight, p, inverse):  # type: ignore[no-untyped-de
     matrix, factor = np.empty((PARAMETERS, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
     damped, vector = np.empty_like(matrix), np.empty(PARAMETERS)
     tried, step = np.empty(PARAMETERS), np.empty(PARAMETERS)
-    cost = _normal_equations(image, pixels, p, bend, weight, matrix, vector)
+    cost = _normal_equations(image, pixels, p, bend, response, weight, matrix, vector)
     damping, converged = 1e-2, False
     for _ in range(_ROUNDS):
         damped[:] = matrix
@@ -183,13 +218,13 @@ def _fit(image, pixels, bend, weight, p, inverse):  # type: ignore[no-untyped-de
         solve(factor, step)
         tried[:] = p + step
         tried[8], tried[9] = max(tried[8], _SHARPEST_PX), max(tried[9], _SHARPEST_PX)
-        new_cost = _normal_equations(image, pixels, tried, bend, weight, matrix, vector)
+        new_cost = _normal_equations(image, pixels, tried, bend, response, weight, matrix, vector)
         converged = damping < 1.0 and abs(step[0]) + abs(step[1]) < _CONVERGED_PX
         if new_cost <= cost or converged:
             p[:] = tried
             cost, damping = new_cost, damping * 0.1
         else:
-            _normal_equations(image, pixels, p, bend, weight, matrix, vector)
+            _normal_equations(image, pixels, p, bend, response, weight, matrix, vector)
             damping = max(damping * 10.0, 1e-6)
         if converged or damping > 1e6:
             break
@@ -203,37 +238,67 @@ def _fit(image, pixels, bend, weight, p, inverse):  # type: ignore[no-untyped-de
 
 
 @njit(error_model="numpy")
-def _spread(pixels, taper, weight, p, bend, inverse, out):  # type: ignore[no-untyped-def]
-    """Fill the covariance xx, xy, yy of the centre: N⁻¹·Jᵀ·W·V·W·J·N⁻¹ with N = Jᵀ·W·J, V = taper/weight."""
-    slope = np.empty(PARAMETERS)
-    out[:] = 0.0
+def _spread(image, pixels, taper, weight, p, bend, response, inverse, patch):  # type: ignore[no-untyped-def]
+    """Fill the patch (4, H, W) around the pixels: taper, residual in standard deviations times taper, pull in x and y.
+
+    The pull is what the centre moves by a residual of one standard deviation; all are 0 where no pixel counts.
+    """
+    turn, slope = _turn(p), np.empty(PARAMETERS)
+    patch[:] = 0.0
+    left, top = pixels[:, 0].min() - REACH, pixels[:, 1].min()
     for k in range(pixels.shape[0]):
-        _model(p, bend, float(pixels[k, 0]), float(pixels[k, 1]), slope)
+        column, row = pixels[k, 0], pixels[k, 1]
+        expected = _model(p, turn, bend, response, float(column), float(row), slope)
+        if taper[k] == 0.0 or _clipped(image[row, column], expected, response):
+            continue
         x, y = 0.0, 0.0
         for i in range(PARAMETERS):
             x += inverse[0, i] * slope[i]
             y += inverse[1, i] * slope[i]
-        share = taper[k] * weight[k]
-        out[0] += share * x * x
-        out[1] += share * x * y
-        out[2] += share * y * y
+        share = math.sqrt(taper[k] * weight[k])
+        i, j = row - top, column - left
+        patch[0, i, j], patch[1, i, j] = taper[k], (image[row, column] - expected) * share
+        patch[2, i, j], patch[3, i, j] = share * x, share * y
+
+
+@njit(error_model="numpy")
+def _correlate(patch, out):  # type: ignore[no-untyped-def]
+    """Fill out (4, L) for lags (0 … 3, −3 … 3): products of residuals so far apart, of pulls xx, xy, yy.
+
+    Of the residuals' products the mean, weighted by the tapers, of the pulls' the sum over pairs in both orders.
+    """
+    for lag in range(out.shape[1]):
+        down, along = lag // (2 * REACH + 1), lag % (2 * REACH + 1) - REACH
+        product, weight, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(patch.shape[1] - down):
+            for j in range(REACH, patch.shape[2] - REACH):
+                k, m = i + down, j + along
+                weight += patch[0, i, j] * patch[0, k, m]
+                product += patch[1, i, j] * patch[1, k, m]
+                xx += patch[2, i, j] * patch[2, k, m]
+                xy += patch[2, i, j] * patch[3, k, m] + patch[3, i, j] * patch[2, k, m]
+                yy += patch[3, i, j] * patch[3, k, m]
+        out[0, lag] = product / max(weight, 1.0)
+        both = 1.0 if down == 0 else 2.0  # lags (0, ±k) are both there
+        out[1, lag], out[2, lag], out[3, lag] = both * xx, both * 0.5 * xy, both * yy
 
 
 @njit(nogil=True, error_model="numpy")
-def fit_crossings(image, corners, noise, saturation, fitted):  # type: ignore[no-untyped-def]
-    """Fill fitted (N, 15) for corners expected at start (N, 2).
+def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-untyped-def]
+    """Fill fitted (N, 13) and lags (N, 4, 28) for corners expected at start (N, 2).
 
-    fitted: parameters (10), covariance xx xy yy, share of saturated pixels, status.
-    axes (N, 2, 2): a square's two sides in px. bend (N, 2): curvature of both edges, 1/px.
-    window (N, 3): see `_window`. noise (3,): variance of a black pixel, its rise per grey value, its least value.
+    fitted: parameters (10), share of saturated pixels, status, χ² per pixel. lags: see `_correlate`, NaN without a
+    corner. axes (N, 2, 2): a square's two sides in px. bend (N, 2): curvature of both edges, 1/px. window (N, 3): see
+    `_window`. response (6,): variance of a black pixel, its rise per grey value, its least value; the grey value that
+    counts as saturated; amount and radius of the sharpening.
     """
     start, axes, bend, window = corners
     buffer, weight, taper = np.empty((_MOST_PIXELS, 2), dtype=np.int32), np.empty(_MOST_PIXELS), np.empty(_MOST_PIXELS)
     inverse, p, size = np.empty((2, PARAMETERS)), np.empty(PARAMETERS), np.empty(3)
     for n in range(start.shape[0]):
         out = fitted[n]
-        out[:] = math.nan
-        out[14] = OUTSIDE
+        out[:], lags[n] = math.nan, math.nan
+        out[STATUS] = OUTSIDE
         shorter = math.sqrt(min(axes[n, 0, 0] ** 2 + axes[n, 0, 1] ** 2, axes[n, 1, 0] ** 2 + axes[n, 1, 1] ** 2))
         size[:] = window[n]
         count = _window(image, start[n], axes[n], size, buffer, taper)
@@ -244,21 +309,25 @@ def fit_crossings(image, corners, noise, saturation, fitted):  # type: ignore[no
             continue
         full = 0
         for k in range(count):
-            full += image[buffer[k, 1], buffer[k, 0]] >= saturation
-        out[13] = full / count
+            full += image[buffer[k, 1], buffer[k, 0]] >= response[SATURATION]
+        out[FULL], out[STATUS] = full / count, NO_CROSSING
         _start(image, buffer[:count], start[n], axes[n], p)
-        _weigh(buffer[:count], taper, p, bend[n], noise, weight)
-        cost = _fit(image, buffer[:count], bend[n], weight, p, inverse)
-        out[14] = NO_CROSSING
+        _weigh(buffer[:count], taper, p, bend[n], response, weight)
+        cost = _fit(image, buffer[:count], bend[n], response, weight, p, inverse)
         if not (cost >= 0.0 and math.hypot(p[0] - start[n, 0], p[1] - start[n, 1]) < _FARTHEST * shorter):
             continue
         recount = _window(image, p[:2].copy(), axes[n], size, buffer, taper)
         count = recount if recount > 0 else _window(image, start[n], axes[n], size, buffer, taper)
-        _weigh(buffer[:count], taper, p, bend[n], noise, weight)
-        if not _fit(image, buffer[:count], bend[n], weight, p, inverse) >= 0.0:
+        pixels = buffer[:count]
+        _weigh(pixels, taper, p, bend[n], response, weight)
+        cost = _fit(image, pixels, bend[n], response, weight, p, inverse)
+        if not cost >= 0.0:
             continue
-        _spread(buffer[:count], taper, weight, p, bend[n], inverse, out[10:13])
-        out[:10], out[14] = p, GOOD
+        wide = pixels[:, 0].max() - pixels[:, 0].min() + 1
+        patch = np.empty((4, pixels[:, 1].max() - pixels[:, 1].min() + 1, wide + 2 * REACH))
+        _spread(image, pixels, taper, weight, p, bend[n], response, inverse, patch)
+        _correlate(patch, lags[n])
+        out[:PARAMETERS], out[STATUS], out[CHI2] = p, GOOD, cost / count
 
 
 # Sub-pixel positions of chessboard corners, by least squares to the crossing of two blurred edges.
@@ -268,21 +337,48 @@ REASONS = {
     OUTSIDE: "too close to the picture's edge",
     SATURATED: "overexposed",
     NO_CROSSING: "no crossing of two edges",
+    FAINT: "with less than 0.4 of the others' contrast, or the colours exchanged",
 }
 _WINDOW = 0.55  # of a square's side, to either side of the corner
 _WIDEST_PX = 14.0  # the same, in px: beyond it edges hardly add what their curvature takes
 _APERTURE = 1.0 / 12.0  # variance of a pixel's width, part of the fitted blur
 _SATURATED = 0.995  # of full scale
-_MOST_SATURATED = 0.02  # share of a window
+_MOST_SATURATED = 0.3  # share of a window; a corner that fails with more of it fails for that
 _LEAST_SIGNAL = 4.0  # half contrast in standard deviations of the noise
+_PROBES = 8  # corners from which the sharpening is found
+_AMOUNTS = (0.5, 1.5, 3.0)  # tried first
+_PRECISION = 0.1  # of amount and radius
+_SHARPENINGS = ((0.0, 8.0), (0.4, 4.0))  # amount, radius in px
+_FEWEST = 6  # corners that tell the noise
+_COLOURED = 0.25  # autocovariance, of the noise assumed, from which it is taken from the residuals
+_LEAST_VARIANCE = 0.05  # of that for independent noise
+_BETTER = 0.98  # χ² with sharpening over that without, for there to be any
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the camera makes of the light: `noise` and `full_scale` in grey values, and its unsharp mask.
+
+    `amount` A and `radius_px` τ of the mask: the picture is (1 + A)·I − A·(I blurred by a Gaussian of σ = τ).
+    """
+
+    noise: NoiseModel
+    full_scale: float
+    amount: float = 0.0
+    radius_px: float = 1.0
+
+    def vector(self) -> FloatArray:
+        """Return the numbers (6,) that `fit_crossings` takes."""
+        noise = self.noise.read_variance_grey2, self.noise.variance_per_grey, QUANTISATION
+        return np.array([*noise, _SATURATED * self.full_scale, self.amount, self.radius_px])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Corners(Arrays, shapes="position_px N 2; covariance_px2 N 2 2; blur_px N; half_contrast N; status N"):
     """Corners found: position_px (N, 2), covariance_px2 (N, 2, 2), NaN where `status` (N,) is not 0 (see `REASONS`).
 
-    `blur_px` (N,): σ of the edges without the pixels' own width. `half_contrast` (N,): half the difference of the
-    quadrants in grey values, positive where those between axes of equal sign are bright.
+    `blur_px` (N,): σ of the edges without the pixels' own width and the sharpening. `half_contrast` (N,): half the
+    difference of the quadrants in grey values, positive where those between axes of equal sign are bright.
     """
 
     position_px: FloatArray
@@ -296,8 +392,7 @@ def refine_corners(
     image: NDArray[Any],
     start_px: FloatArray,
     axes_px: FloatArray,
-    noise: NoiseModel,
-    full_scale: float,
+    response: Response,
     bend_per_px: FloatArray | None = None,
     strip: float = np.inf,
 ) -> Corners:
@@ -305,18 +400,44 @@ def refine_corners(
 
     axes_px (N, 2, 2): a square's sides from the corner, in px, along the first and the second lattice direction. The
     grey values around a corner are fitted by (1 + g·r)·(a + b·erf(d₁/√2σ₁)·erf(d₂/√2σ₂)), d₁ and d₂ the distances from
-    two lines of free direction, weighted by the noise: whatever blurs the picture, the crossing of two straight edges
-    is point-symmetric about the corner but for the light's slope g, so that an imperfect edge profile moves nothing.
-    Edges that the lens bends are not: bend_per_px (N, 2), the curvature of the edges along the second and the first
-    direction, is taken as known (`lattice_bend`). The window ends 0.55 squares or 14 px from the corner; `strip`: in
-    bright squares only pixels within so many squares of an edge count, the less the farther (ChArUco: the markers lie
-    beyond).
+    two lines of free direction, and as the camera sharpens that, weighted by the noise. Whatever blurs the picture, the
+    crossing of two straight edges is point-symmetric about the corner but for the light's slope g, so that an imperfect
+    edge profile moves it by no more than the pixels' phase lets it. Pixels at full scale or 0 count only where the fit
+    would have them within the range. Edges that the lens bends are not symmetric: bend_per_px (N, 2), the curvature of
+    the edges along the second and the first direction, is taken as known (`lattice_bend`). The window ends 0.55 squares
+    or 14 px from the corner; `strip`: in bright squares only pixels within so many squares of an edge count, the less
+    the farther (ChArUco: the markers lie beyond).
 
-    The covariance is that of the weighted fit for the given noise, the other parameters unknown.
+    The covariance is that of the weighted fit for the noise that the residuals show, the other parameters unknown:
+    where these are correlated over up to 3 px (sharpening, demosaicing, compression), for correlated noise.
     """
+    check_shape("start_px", start_px, (None, 2))
+    fitted, lags = _fitted(image, (start_px, axes_px, bend_per_px), response, strip)
+    status = fitted[:, STATUS].astype(np.int64)
+    status[(status == NO_CROSSING) & (fitted[:, FULL] > _MOST_SATURATED)] = SATURATED
+    sigma = np.sqrt(response.noise.variance(fitted[:, 4]))
+    status[(status == GOOD) & ~(np.abs(fitted[:, 5]) > _LEAST_SIGNAL * sigma)] = NO_CROSSING
+    good = status == GOOD
+    blur = np.sqrt(np.maximum(0.5 * (fitted[:, 8] ** 2 + fitted[:, 9] ** 2) - _APERTURE, 0.0))
+    return Corners(
+        np.where(good[:, None], fitted[:, :2], np.nan),
+        np.where(good[:, None, None], _covariance(lags, good), np.nan),
+        np.where(good, blur, np.nan),
+        np.where(good, fitted[:, 5], np.nan),
+        status,
+    )
+
+
+def _fitted(
+    image: NDArray[Any],
+    corners: tuple[FloatArray, FloatArray, FloatArray | None],
+    response: Response,
+    strip: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return what `fit_crossings` fills, for start, axes and bend."""
     from scipy.ndimage import map_coordinates
 
-    check_shape("start_px", start_px, (None, 2))
+    start_px, axes_px, bend_per_px = corners
     count = len(start_px)
     check_shape("axes_px", axes_px, (count, 2, 2))
     bend = np.zeros((count, 2)) if bend_per_px is None else bend_per_px
@@ -330,20 +451,62 @@ def refine_corners(
         points = start_px[:, None, :] + 0.08 * np.array([[1, 1], [-1, -1], [1, -1], [-1, 1]]) @ axes_px
         values = map_coordinates(grey, points.reshape(-1, 2).T[::-1], order=1, mode="nearest").reshape(-1, 4)
         window[:, 2] = np.where(values[:, :2].sum(axis=1) > values[:, 2:].sum(axis=1), 1.0, -1.0)
-    variance = np.array([noise.read_variance_grey2, noise.variance_per_grey, QUANTISATION])
-    fitted = np.empty((count, 15))
-    fit_crossings(grey, (start_px, axes_px, bend, window), variance, _SATURATED * full_scale, fitted)
-    status = fitted[:, 14].astype(np.int64)
-    status[(status != OUTSIDE) & (fitted[:, 13] > _MOST_SATURATED)] = SATURATED
-    sigma = np.sqrt(noise.variance(fitted[:, 4]))
-    status[(status == GOOD) & ~(np.abs(fitted[:, 5]) > _LEAST_SIGNAL * sigma)] = NO_CROSSING
-    good = status == GOOD
-    blur = np.sqrt(np.maximum(0.5 * (fitted[:, 8] ** 2 + fitted[:, 9] ** 2) - _APERTURE, 0.0))
-    covariance = fitted[:, [10, 11, 11, 12]].reshape(-1, 2, 2)
-    return Corners(
-        np.where(good[:, None], fitted[:, :2], np.nan),
-        np.where(good[:, None, None], covariance, np.nan),
-        np.where(good, blur, np.nan),
-        np.where(good, fitted[:, 5], np.nan),
-        status,
-    )
+    fitted, lags = np.empty((count, PARAMETERS + 3)), np.empty((count, 4, (REACH + 1) * (2 * REACH + 1)))
+    fit_crossings(grey, (start_px, axes_px, bend, window), response.vector(), fitted, lags)
+    return fitted, lags
+
+
+def _covariance(lags: FloatArray, good: BoolArray) -> FloatArray:
+    """Return the covariance (N, 2, 2) of the centres for the noise's autocovariance that most corners show.
+
+    Of the products of residuals (`fit_crossings`) the median over the corners, where it differs by more than three
+    standard errors (√(π/2)/√N times their robust spread) from that of the noise assumed, which is independent from
+    pixel to pixel; this is kept where none differs by a quarter: so much the profile's imperfection may leave.
+    """
+    white = np.zeros(lags.shape[2])
+    white[REACH] = 1.0
+    sums = np.asarray(np.moveaxis(lags[:, 1:], 1, -1))
+    if good.sum() < _FEWEST:
+        return np.asarray((white @ sums)[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
+    products = lags[good, 0]
+    middle = np.median(products, axis=0)
+    error = 1.25 * 1.4826 * np.median(np.abs(products - middle), axis=0) / math.sqrt(len(products))
+    noise = np.where(np.abs(middle - white) > 3 * error, middle, white)
+    noise = noise if np.abs(middle - white).max() > _COLOURED else white
+    spread = np.asarray((noise @ sums)[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
+    floor = _LEAST_VARIANCE * (white @ sums)[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+    valid = np.linalg.eigvalsh(np.nan_to_num(spread - floor))[:, 0] >= 0.0
+    return np.where(valid[:, None, None], spread, floor)
+
+
+def find_sharpening(
+    image: NDArray[Any], start_px: FloatArray, axes_px: FloatArray, response: Response, strip: float = np.inf
+) -> Response:
+    """Return the camera's response with the unsharp mask under which some of the corners fit best, if any does."""
+    from scipy.optimize import minimize
+
+    probes = np.unique(np.linspace(0, len(start_px) - 1, _PROBES).astype(int))
+
+    def chi2(mask: FloatArray) -> float:
+        """Median over the corners of χ² per pixel, infinite where most of them fail."""
+        (low, high), (near, far) = _SHARPENINGS
+        if not (low <= mask[0] <= high and near <= mask[1] <= far):
+            return math.inf
+        tried = replace(response, amount=float(mask[0]), radius_px=float(mask[1]))
+        fitted, _ = _fitted(image, (start_px[probes], axes_px[probes], None), tried, strip)
+        return float(np.median(np.where(fitted[:, STATUS] == GOOD, fitted[:, CHI2], math.inf)))
+
+    least, start = chi2(np.array([0.0, 1.0])), None
+    for amount in _AMOUNTS:
+        first = np.array([amount, 1.0])
+        value = chi2(first)
+        if value < _BETTER * least:
+            least, start = value, first
+        elif least < math.inf:
+            break
+    if start is None:
+        return response
+    simplex = start + np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.4]])
+    options = {"initial_simplex": simplex, "xatol": _PRECISION, "fatol": 1e-3}
+    best = minimize(chi2, start, method="Nelder-Mead", options=options)
+    return replace(response, amount=float(best.x[0]), radius_px=float(best.x[1]))

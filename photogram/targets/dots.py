@@ -138,8 +138,7 @@ def _places(grid: _Grid, target: Target, shape: tuple[int, ...]) -> IntArray:
     if target.kind == "dots" and rings == 3:
         return _places_from_rings(grid)
     if target.kind == "dots" and rings:
-        edge = "runs over the edge of the picture, " if rings < 3 and _leaves(grid, shape) else ""
-        raise _NoGrid(dots, f"{edge}{rings} of {dots} dots are ring markers, expected three")
+        raise _NoGrid(dots, f"{rings} of {dots} dots are ring markers, expected three that are seen whole")
     if target.size is None:
         raise _NoGrid(dots, f"no ring markers among {dots} dots: give the number of dots, columns x rows")
     return _places_from_size(grid, target.kind == "asymmetric-dots", target.size, shape)
@@ -176,8 +175,8 @@ def _places_from_size(grid: _Grid, asymmetric: bool, size: tuple[int, int], shap
         return max(fitting, key=lambda fit: float(fit[0][0, 0] / np.linalg.norm(fit[0][:, 0])))[1]
     if any(_same(_from_corner(places * np.array([-1, 1])), wanted) for _, places in turned):
         raise _NoGrid(dots, "mirrored: the rows of the dots are shifted the wrong way")
-    edge = "runs over the edge of the picture: " if _leaves(grid, shape) else ""
-    if edge or dots < len(wanted):
+    edge = "runs over the edge of the picture: " if dots < len(wanted) and _leaves(grid, shape) else ""
+    if dots < len(wanted):
         raise _NoGrid(dots, f"{edge}{dots} dots on a lattice, expected all {columns} x {rows}")
     extent = np.ptp(grid.index, axis=0) + 1
     seen = f"{dots} dots within {extent[0]} x {extent[1]} places"

@@ -52,7 +52,8 @@ class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 
     corners the crossing itself, for dots the centre of the ellipse that is seen (`radius` > 0), which perspective moves
     off the image of the dot's centre. `covariance_px2` (N, 2, 2): from the picture's noise. `radius`: of the dots in
     units of the lattice spacing, 0 for corners. `blur_px`: σ of the edges' blur, median over the points. `size_px`
-    (2,): width and height of the picture.
+    (2,): width and height of the picture. `lost`: how many points within the picture could not be measured, and
+    `lost_why` the reasons, "" for none.
     """
 
     name: str
@@ -62,6 +63,8 @@ class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 
     radius: float
     blur_px: float
     size_px: IntArray
+    lost: int = 0
+    lost_why: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -75,10 +78,11 @@ class TargetNotFound(ValueError):
 
 # Whether a picture of a target is good enough to measure in: exposure, contrast, blur, and its noise.
 
-_SATURATED = 0.995  # of full scale: what counts as saturated
-_MOST_SATURATED = 0.1  # share of the target's pixels that may be saturated
+SATURATED = 0.995  # of full scale: what counts as saturated
+_MOST_SATURATED = 0.6  # share of the target's pixels that may be saturated
 _LEAST_CONTRAST = 0.02  # between bright and dark, of full scale
 _BLUR_PX, _BLUR_CELL = 2.6, 0.12  # blur σ that always passes, in px, and in units of the target's cells
+_FEWEST_PIXELS = 1000  # that tell the noise
 _FLAT = 0.02  # gradient per px, of the picture's contrast, below which a pixel counts as flat
 
 
@@ -105,7 +109,7 @@ def _exposure_fault(
     grey: NDArray[Any], full_scale: float, most: float, ends: tuple[int, int], whose: str
 ) -> str | None:
     """Return what is wrong with grey values: more than a share of them saturated, or percentiles without contrast."""
-    saturated = float((grey >= _SATURATED * full_scale).mean())
+    saturated = float((grey >= SATURATED * full_scale).mean())
     if saturated > most:
         return f"overexposed: {100 * saturated:.0f} % of the {whose} pixels reach full scale"
     low, high = np.percentile(grey, ends)
@@ -142,12 +146,12 @@ def picture_fault(image: NDArray[Any], full_scale: float) -> str | None:
     return None
 
 
-def picture_noise(image: NDArray[Any]) -> NoiseModel:
+def picture_noise(image: NDArray[Any], full_scale: float = np.inf) -> NoiseModel:
     """Return the noise against brightness (grey²) of a picture (H, W) with flat areas, such as a target's.
 
     Squares of the difference operator [1 −2 1]ᵀ·[1 −2 1]/6, which sees no linear change of brightness and has the
     noise's own variance (Immerkær 1996, Computer Vision and Image Understanding 64, 300), at pixels where the gradient
-    at a scale of 2 px is small.
+    at a scale of 2 px is small; not beside pixels at 0 or full scale, which show no noise.
     """
     import cv2
 
@@ -160,7 +164,11 @@ def picture_noise(image: NDArray[Any]) -> NoiseModel:
     low, high = np.percentile(smooth[::4, ::4], [2, 98])
     flat = slope < _FLAT * (high - low)
     flat[[0, -1]], flat[:, [0, -1]] = False, False
-    if flat.sum() < 1000:
+    clipped = ((grey <= 0) | (grey >= SATURATED * full_scale)).astype(np.uint8)
+    within = cv2.dilate(clipped, np.ones((5, 5), dtype=np.uint8)) == 0
+    if (flat & within).sum() >= _FEWEST_PIXELS:
+        flat &= within
+    elif flat.sum() < _FEWEST_PIXELS:
         flat = np.ones_like(flat)
     stride = max(1, int(flat.sum()) // 100_000)
     return fit_noise_model(smooth[flat][::stride].astype(np.float64), fine[flat][::stride].astype(np.float64) ** 2)

@@ -21,13 +21,14 @@ from photogram.images.noise import NoiseModel
 from photogram.synthetic.board import Board, render_board
 from photogram.targets.charuco import find_charuco
 from photogram.targets.chessboard import find_chessboard, lattice_bend
-from photogram.targets.crossing import NO_CROSSING, OUTSIDE, SATURATED, refine_corners
+from photogram.targets.crossing import NO_CROSSING, OUTSIDE, SATURATED, Response, refine_corners
 from photogram.targets.dots import find_dots
 from photogram.targets.ellipse import Ellipses, fit_ellipses
 from photogram.targets.view import Target, TargetNotFound, TargetView, find_target, picture_noise
 
 slow = partial(pytest.param, marks=pytest.mark.slow)
 NOISE = NoiseModel(36.0, 0.125)
+RESPONSE = Response(NOISE, SENSOR.full_scale)
 
 
 def _expected(pose: RigidTransform, board: Board, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -45,7 +46,7 @@ def test_bias_is_below_a_hundredth_of_a_pixel(blur_px, square_px):
     image = render_board(camera, pose, board, blur_px, slant=0.3) * SENSOR.full_scale
     truth, axes, bend = _expected(pose, board, camera)
     start = truth + np.random.default_rng(1).uniform(-1, 1, truth.shape)
-    corners = refine_corners(image, start, axes, NOISE, SENSOR.full_scale, bend)
+    corners = refine_corners(image, start, axes, RESPONSE, bend)
     assert (corners.status == 0).all()
     error = corners.position_px - truth
     assert np.abs(error.mean(axis=0)).max() < 0.002
@@ -64,7 +65,7 @@ def test_covariance_is_the_scatter_and_the_peer_scatters_more():
     clean = render_board(camera, pose, board, slant=0.3)
     for seed in range(12):
         image = SENSOR.digitise(clean, np.random.default_rng(seed))
-        corners = refine_corners(image, truth + 0.3, axes, picture_noise(image), SENSOR.full_scale, bend)
+        corners = refine_corners(image, truth + 0.3, axes, Response(picture_noise(image), SENSOR.full_scale), bend)
         error.append(corners.position_px - truth)
         whitened.append(np.linalg.solve(np.linalg.cholesky(corners.covariance_px2), error[-1][..., None]))
         refined = truth.astype(np.float32).reshape(-1, 1, 2)
@@ -87,12 +88,12 @@ def test_failed_corners_say_why():
     image = picture(camera, pose, board).astype(np.float64)
     truth = truth_px(camera, pose, board, np.array([[4, 2], [4, 3]]))
     axes = np.tile(40.0 * np.eye(2), (4, 1, 1))
-    bright = np.where(image > 1500, SENSOR.full_scale, image)
+    bright = np.minimum(16 * image, SENSOR.full_scale)
     start = np.concatenate([truth[:1], truth[:1] + 20.0, [[1.0, 1.0]], truth[1:]])
-    corners = refine_corners(image, start, axes, NOISE, SENSOR.full_scale)
+    corners = refine_corners(image, start, axes, RESPONSE)
     assert list(corners.status) == [0, NO_CROSSING, OUTSIDE, 0]
     assert np.isnan(corners.position_px[1:3]).all()
-    over = refine_corners(bright, truth, axes[:2], NOISE, SENSOR.full_scale)
+    over = refine_corners(bright, truth, axes[:2], RESPONSE)
     assert (over.status == SATURATED).all()
 
 
@@ -166,8 +167,8 @@ HALF_OUTSIDE = pose_of(BOARD, CAMERA, 36.0, (0.2, -0.2, 0.1), shift_px=260.0)
 @pytest.mark.parametrize(
     ("board", "reason", "change"),
     [
-        (BOARD, "overexposed", lambda image: np.minimum(image * 2.0, SENSOR.full_scale)),
-        (CHARUCO, "overexposed", lambda image: np.minimum(image * 2.0, SENSOR.full_scale)),
+        (BOARD, "overexposed", lambda image: np.minimum(image * 16.0, SENSOR.full_scale)),
+        (CHARUCO, "overexposed", lambda image: np.minimum(image * 16.0, SENSOR.full_scale)),
         (BOARD, "underexposed", lambda image: image * 0.02),
         (CHARUCO, "underexposed", lambda image: image * 0.02),
         (BOARD, "blurred", lambda image: gaussian_filter(image.astype(float), 6.0)),
