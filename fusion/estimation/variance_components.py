@@ -199,8 +199,8 @@ class EstimatedNoise:
 
     def fails(self, chi2: float, dof: int, weights: FloatArray, level: float = TEST_LEVEL) -> bool:
         """Return whether chi-square = yᵀ·Θ·y with weights Θ (N, N) is beyond its quantile."""
-        # Noise that was estimated only ever excuses.
-        return fails(chi2, dof, level) and self.probability(chi2, dof, weights) < 1.0 - level
+        # Noise that was estimated only ever excuses, and only by a probability that there is.
+        return fails(chi2, dof, level) and not self.probability(chi2, dof, weights) >= 1.0 - level
 
     def noticed(self, dof: int, weights: FloatArray, power: float) -> float:
         """Return the noncentrality that chi-square of weights Θ (N, N) notices at 1 % with the chance `power`."""
