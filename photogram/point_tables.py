@@ -287,6 +287,7 @@ def _frame(path: Path, columns: _Columns, layout: _Layout, scale: float | None) 
 
     place, moves = lengths(layout.place), lengths(layout.moves)
     here, before = (place, place - moves) if layout.moved else (place + moves, place)
+    here[(place == 0.0).all(axis=1)] = np.nan  # zeros stand where nothing was found
     if layout.flag is not None and layout.flag[0] in columns:
         here[~(columns[layout.flag[0]][1] >= layout.flag[1])] = np.nan
     names: tuple[str, ...] = next((names for names in layout.identities if set(names) <= set(columns)), ())
