@@ -30,7 +30,7 @@ LINEAR_PX = 0.3
 WORSE, SMALLEST_LOSS = 1e-3, 1e-6
 UNEXPLAINED_SIGMAS = 3.0
 OTHER_NOISE = 1.5
-LARGEST_UNRESOLVED_PX = 0.1
+LARGEST_UNRESOLVED_PX = 0.15
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def judged(reference: Reference, found: Registration, first: Registration) -> Re
 
 
 def resolved(reference: Reference, found: Registration) -> Registration:
-    """`found` without the subsets of order 2 for which `unresolved_px` is more than 0.1 px."""
+    """`found` without the subsets of order 2 for which `unresolved_px` is more than 0.15 px."""
     if reference.order < 2:
         return found
     return _refused(found, (unresolved_px(reference, found) > LARGEST_UNRESOLVED_PX).any(axis=1))
