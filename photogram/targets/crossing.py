@@ -461,7 +461,7 @@ def _covariance(lags: FloatArray, good: BoolArray, sharpened: bool) -> FloatArra
 
     Of the products of residuals (`fit_crossings`) the median over the corners, where it differs by more than three
     standard errors (√(π/2)/√N times their robust spread) from that of the noise assumed, which is independent from
-    pixel to pixel. Unless `sharpened` this is kept where none differs by a quarter: an imperfect profile leaves as much.
+    pixel to pixel. Unless `sharpened` this is kept where none differs by a quarter: an imperfect profile leaves that.
     """
     white = np.zeros(lags.shape[2])
     white[REACH] = 1.0
