@@ -89,8 +89,8 @@ _FLAT = 0.02  # gradient per px, of the picture's contrast, below which a pixel 
 def check_exposure(image: NDArray[Any], area: FloatArray, full_scale: float, most: float = MOST_SATURATED) -> None:
     """Raise `TargetNotFound` for a target too bright or without contrast within the polygon `area` (P, 2) px.
 
-    Overexposed: more than the share `most` of its pixels reach full scale. Underexposed: the range between the 5th and the
-    95th percentile is below 2 % of full scale.
+    Overexposed: more than the share `most` of its pixels reach full scale. Underexposed: the range between the 5th and
+    the 95th percentile is below 2 % of full scale.
     """
     import cv2
 
