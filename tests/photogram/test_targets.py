@@ -224,7 +224,10 @@ def test_sharpened_boards_lose_no_corner(kind, blur_px, amount, radius_px):
         assert np.abs(error.mean(axis=0)).max() < 0.005
         assert np.abs(error).max() < 0.03
         assert abs(view.blur_px - blur_px) < 0.1
-        assert seed == 0 or 0.8 < whitened.std() < 1.3  # edges along the rows show what of the profile is not modelled
+        least = 0.8 if kind == "chessboard" else 0.65  # the halo of markers counts as noise
+        assert (
+            seed == 0 or least < whitened.std() < 1.3
+        )  # edges along the rows show what of the profile is not modelled
 
 
 @pytest.mark.parametrize(
