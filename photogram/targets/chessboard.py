@@ -151,7 +151,14 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
     grey = eight_bit(image)
     corners = _search(grey, target.size)
     if corners is None:
-        raise TargetNotFound(_reason(image, grey, target.size, full_scale))
+        small, factor = reduced(grey, SEARCHED_PX)
+        boards = _boards(small, target.size)
+        for board in boards:  # the one wanted may be another
+            corners = _search(_covered(grey, (board + 0.5) * factor - 0.5), target.size)
+            if corners is not None:
+                break
+        else:
+            raise TargetNotFound(_reason(image, small, boards, target.size, full_scale))
     _refuse_larger(grey, corners)
     lattice = _oriented(grey, corners)
     index = np.stack(np.meshgrid(*[np.arange(n) for n in lattice.shape[:2]], indexing="ij"), axis=-1)
@@ -252,25 +259,46 @@ def _oriented(grey: NDArray[np.uint8], corners: FloatArray) -> FloatArray:
     return max(list(filter(begins_black, candidates)) or candidates, key=rightward)
 
 
-def _reason(image: NDArray[Any], grey: NDArray[np.uint8], size: tuple[int, int], full_scale: float) -> str:
-    """Return what is wrong with a picture in which the board was not found."""
-    fault = picture_fault(image, full_scale)
-    if fault is not None:
-        return fault
+def _boards(small: NDArray[np.uint8], size: tuple[int, int]) -> list[FloatArray]:
+    """Return the corners (rows, columns, 2) of chessboards of any size, the largest first."""
     import cv2
 
-    small, _ = reduced(grey, SEARCHED_PX)
-    wanted, lattices = f"{size[0]} x {size[1]}", []
+    lattices = []
     for less in (1, 2, 4, max(size)):  # smaller lattices, which OpenCV lets grow
         seed = (max(size[0] - less, 3), max(size[1] - less, 3))
         flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
         found, corners, meta = cv2.findChessboardCornersSBWithMeta(small, seed, flags=flags)
         if found:
             lattices.append(np.asarray(corners, dtype=np.float64).reshape(*np.asarray(meta).shape[:2], 2))
-    lattices = [lattice for lattice in lattices if _is_board(small, lattice)]
-    if not lattices:
+    return sorted((one for one in lattices if _is_board(small, one)), key=lambda lattice: -lattice.size)
+
+
+def _covered(grey: NDArray[np.uint8], board: FloatArray) -> NDArray[np.uint8]:
+    """Return the picture with the squares around the corners (I, J, 2) of a board painted over."""
+    import cv2
+
+    axes, covered = _axes(board), grey.copy()
+    around = [board + a * axes[..., 0, :] + b * axes[..., 1, :] for a in (-1, 1) for b in (-1, 1)]
+    hull = outline(np.concatenate(around).reshape(-1, 2))
+    cv2.fillPoly(covered, [np.rint(hull).astype(np.int32)], float(np.median(grey)))
+    return covered
+
+
+def _reason(
+    image: NDArray[Any],
+    small: NDArray[np.uint8],
+    boards: list[FloatArray],
+    size: tuple[int, int],
+    full_scale: float,
+) -> str:
+    """Return what is wrong with a picture in which only `boards` of other sizes were found."""
+    fault = picture_fault(image, full_scale)
+    if fault is not None:
+        return fault
+    wanted = f"{size[0]} x {size[1]}"
+    if not boards:
         return f"no chessboard of {wanted} inner corners"
-    lattice = max(lattices, key=lambda lattice: lattice.size)
+    lattice = boards[0]
     rows, columns = lattice.shape[:2]
     seen = f"{max(rows, columns)} x {min(rows, columns)}"
     sides = [np.rot90(lattice, turn) for turn in range(4)]

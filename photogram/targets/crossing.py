@@ -347,7 +347,7 @@ _MOST_SATURATED = 0.3  # share of a window; a corner that fails with more of it 
 _LEAST_SIGNAL = 4.0  # half contrast in standard deviations of the noise
 _PROBES = 8  # corners from which the sharpening is found
 _AMOUNTS = (0.5, 1.5, 3.0)  # tried first
-_PRECISION = 0.1  # of amount and radius
+_PRECISION = 0.03  # of amount and radius
 _SHARPENINGS = ((0.0, 8.0), (0.4, 4.0))  # amount, radius in px
 _FEWEST = 6  # corners that tell the noise
 _COLOURED = 0.25  # autocovariance, of the noise assumed, from which it is taken from the residuals
@@ -421,7 +421,7 @@ def refine_corners(
     blur = np.sqrt(np.maximum(0.5 * (fitted[:, 8] ** 2 + fitted[:, 9] ** 2) - _APERTURE, 0.0))
     return Corners(
         np.where(good[:, None], fitted[:, :2], np.nan),
-        np.where(good[:, None, None], _covariance(lags, good), np.nan),
+        np.where(good[:, None, None], _covariance(lags, good, response.amount > 0), np.nan),
         np.where(good, blur, np.nan),
         np.where(good, fitted[:, 5], np.nan),
         status,
@@ -456,12 +456,12 @@ def _fitted(
     return fitted, lags
 
 
-def _covariance(lags: FloatArray, good: BoolArray) -> FloatArray:
+def _covariance(lags: FloatArray, good: BoolArray, sharpened: bool) -> FloatArray:
     """Return the covariance (N, 2, 2) of the centres for the noise's autocovariance that most corners show.
 
     Of the products of residuals (`fit_crossings`) the median over the corners, where it differs by more than three
     standard errors (√(π/2)/√N times their robust spread) from that of the noise assumed, which is independent from
-    pixel to pixel; this is kept where none differs by a quarter: so much the profile's imperfection may leave.
+    pixel to pixel. Unless `sharpened` this is kept where none differs by a quarter: an imperfect profile leaves that.
     """
     white = np.zeros(lags.shape[2])
     white[REACH] = 1.0
@@ -472,7 +472,7 @@ def _covariance(lags: FloatArray, good: BoolArray) -> FloatArray:
     middle = np.median(products, axis=0)
     error = 1.25 * 1.4826 * np.median(np.abs(products - middle), axis=0) / math.sqrt(len(products))
     noise = np.where(np.abs(middle - white) > 3 * error, middle, white)
-    noise = noise if np.abs(middle - white).max() > _COLOURED else white
+    noise = noise if sharpened or np.abs(middle - white).max() > _COLOURED else white
     spread = np.asarray((noise @ sums)[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
     floor = _LEAST_VARIANCE * (white @ sums)[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     valid = np.linalg.eigvalsh(np.nan_to_num(spread - floor))[:, 0] >= 0.0

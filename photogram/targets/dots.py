@@ -21,6 +21,7 @@ from photogram.targets.view import (
 )
 
 LEAST_DOTS = 12
+MOST_SATURATED = 0.1  # share of the pixels: beyond it the clipped sheet changes what ellipses are seen
 WINDOWS = (1 / 6, 1 / 20, 2 / 5)
 ROUGHNESS = (0.5, 0.06)
 OFF_LATTICE = 0.1
@@ -89,7 +90,7 @@ def _view(image: NDArray[Any], blobs: Blobs, target: Target, name: str, full_sca
     if dots < LEAST_DOTS:
         raise _NoGrid(dots, f"no round dots: {seen} patches on a lattice, but only {dots} are elliptic")
     spacing_px = float(np.median(_spacing(grid.jacobian)))
-    check_exposure(image, outline(grid.ellipses.centre_px), full_scale)
+    check_exposure(image, outline(grid.ellipses.centre_px), full_scale, MOST_SATURATED)
     check_blur(float(np.median(grid.ellipses.blur_px)), spacing_px)
     places = _places(grid, target, image.shape)
     ellipses, order = grid.ellipses, np.lexsort(places.T)

@@ -79,18 +79,18 @@ class TargetNotFound(ValueError):
 # Whether a picture of a target is good enough to measure in: exposure, contrast, blur, and its noise.
 
 SATURATED = 0.995  # of full scale: what counts as saturated
-_MOST_SATURATED = 0.6  # share of the target's pixels that may be saturated
+MOST_SATURATED = 0.6  # share of the target's pixels that may be saturated, where the fit leaves these out
 _LEAST_CONTRAST = 0.02  # between bright and dark, of full scale
 _BLUR_PX, _BLUR_CELL = 2.6, 0.12  # blur σ that always passes, in px, and in units of the target's cells
 _FEWEST_PIXELS = 1000  # that tell the noise
 _FLAT = 0.02  # gradient per px, of the picture's contrast, below which a pixel counts as flat
 
 
-def check_exposure(image: NDArray[Any], area: FloatArray, full_scale: float) -> None:
+def check_exposure(image: NDArray[Any], area: FloatArray, full_scale: float, most: float = MOST_SATURATED) -> None:
     """Raise `TargetNotFound` for a target too bright or without contrast within the polygon `area` (P, 2) px.
 
-    Overexposed: more than a tenth of its pixels reach full scale. Underexposed: the range between the 5th and the
-    95th percentile is below 2 % of full scale.
+    Overexposed: more than the share `most` of its pixels reach full scale. Underexposed: the range between the 5th and
+    the 95th percentile is below 2 % of full scale.
     """
     import cv2
 
@@ -100,7 +100,7 @@ def check_exposure(image: NDArray[Any], area: FloatArray, full_scale: float) -> 
     grey = image[filled > 0]
     if grey.size == 0:
         raise ValueError("area: expected a part of the picture, found none of its pixels")
-    fault = _exposure_fault(grey, full_scale, _MOST_SATURATED, (5, 95), "target's")
+    fault = _exposure_fault(grey, full_scale, most, (5, 95), "target's")
     if fault is not None:
         raise TargetNotFound(fault)
 

@@ -113,7 +113,7 @@ def test_pictures_in_the_order_of_their_numbers_and_by_pattern(pictures: Path) -
 
 SPOILT: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "blurred": lambda image: cv2.GaussianBlur(image, (0, 0), 9.0),
-    "overexposed": lambda image: np.clip(3.0 * image, 0, 255).astype(np.uint8),
+    "overexposed": lambda image: np.clip(40.0 * image, 0, 255).astype(np.uint8),
     "mirrored": lambda image: image[:, ::-1].copy(),
     "underexposed": lambda image: np.full_like(image, 90),
 }

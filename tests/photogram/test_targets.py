@@ -20,7 +20,7 @@ from photogram.geometry import RigidTransform, rotation_from_vector, vector_from
 from photogram.images.noise import NoiseModel
 from photogram.synthetic.board import Board, render_board
 from photogram.targets.charuco import find_charuco
-from photogram.targets.chessboard import find_chessboard, lattice_bend
+from photogram.targets.chessboard import corner_view, find_chessboard, lattice_bend
 from photogram.targets.crossing import NO_CROSSING, OUTSIDE, SATURATED, Response, refine_corners
 from photogram.targets.dots import find_dots
 from photogram.targets.ellipse import Ellipses, fit_ellipses
@@ -197,6 +197,82 @@ def test_an_unknown_dictionary_is_a_wrong_call():
     refused("DICT_4X4_50", find_charuco, picture(CAMERA, CHARUCO_POSE, CHARUCO), target, "a", SENSOR.full_scale)
 
 
+# Pictures that a camera has sharpened, and overexposed ones: truth rendered, then noise, unsharp mask and clipping.
+
+
+def unsharp(grey: FloatArray, amount: float, radius_px: float, gain: float, seed: int) -> FloatArray:
+    """A picture (H, W) in whole grey values: photon and read noise, unsharp mask, limits of the range."""
+    grey = grey * gain * SENSOR.full_scale
+    noisy = grey + np.random.default_rng(seed).normal(size=grey.shape) * np.sqrt(SENSOR.variance(grey))
+    mask = amount * (noisy - gaussian_filter(noisy, radius_px)) if amount else 0.0
+    return np.clip(np.rint(noisy + mask), 0, SENSOR.full_scale).astype(np.uint16)
+
+
+SHARPENED = [(0.5, 2.0, 1.0), slow(0.5, 0.5, 1.0), slow(0.7, 1.0, 1.5), slow(1.0, 2.0, 0.7), slow(1.0, 2.0, 1.0)]
+
+
+@pytest.mark.parametrize("kind", ["chessboard", "charuco"])
+@pytest.mark.parametrize(("blur_px", "amount", "radius_px"), [*SHARPENED, slow(0.7, 0.0, 1.0), slow(0.7, 0.5, 1.0)])
+def test_sharpened_boards_lose_no_corner(kind, blur_px, amount, radius_px):
+    board = chessboard((11, 7)) if kind == "chessboard" else charuco((12, 8))
+    for seed, turn in enumerate([(0.0, 0.0, 0.0), (0.3, -0.2, 0.1)]):
+        pose = pose_of(board, CAMERA, 38.0, turn)
+        image = unsharp(render_board(CAMERA, pose, board, blur_px, slant=0.3), amount, radius_px, 0.65, seed)
+        view = find_target(image, board.target, "a", SENSOR.full_scale)
+        error, whitened = errors(CAMERA, pose, board, view)
+        assert len(view.index) >= 0.95 * 77
+        assert np.abs(error.mean(axis=0)).max() < 0.005
+        assert np.abs(error).max() < 0.03
+        assert abs(view.blur_px - blur_px) < 0.1
+        least = 0.8 if kind == "chessboard" else 0.65  # the halo of markers counts as noise
+        assert (
+            seed == 0 or least < whitened.std() < 1.3
+        )  # edges along the rows show what of the profile is not modelled
+
+
+@pytest.mark.parametrize(
+    ("gain", "amount"), [(1.35, 0.0), slow(1.35, 1.0), slow(1.5, 0.0), slow(3.0, 0.0), slow(3.0, 1.0)]
+)
+def test_saturated_pixels_cost_no_corner(gain, amount):
+    board = chessboard((11, 7))
+    pose = pose_of(board, CAMERA, 38.0, (0.2, -0.2, 0.1))
+    image = unsharp(render_board(CAMERA, pose, board, 0.7, slant=0.3), amount, 1.0, gain, 1)
+    assert (image == SENSOR.full_scale).mean() > 0.1
+    view = find_target(image, board.target, "a", SENSOR.full_scale)
+    error, whitened = errors(CAMERA, pose, board, view)
+    assert len(view.index) >= 0.98 * 77
+    assert np.abs(error.mean(axis=0)).max() < 0.002
+    assert 0.8 < whitened.std() < 1.3
+
+
+def test_what_is_lost_is_counted_and_said():
+    board, rng = chessboard((11, 7)), np.random.default_rng(3)
+    pose = pose_of(board, CAMERA, 38.0, (0.2, -0.2, 0.1))
+    image = unsharp(render_board(CAMERA, pose, board, 0.7), 0.0, 1.0, 0.65, 1)
+    index, start, axes = board.index.astype(int), truth_px(CAMERA, pose, board, board.index), np.eye(2) * 38.0
+    start[:9] += 19.0  # into the middle of squares
+    view = corner_view(image, board.target, index, start, np.tile(axes, (77, 1, 1)), "a", SENSOR.full_scale)
+    assert (len(view.index), view.lost) == (68, 9)
+    assert view.lost_why == "68 of 77 corners can be measured (lost: 9 no crossing of two edges)"
+    start += rng.choice([-19.0, 19.0], start.shape) * (np.arange(77) > 12)[:, None]
+    words = r"^\d of 77 corners can be measured \(lost: 7\d no crossing of two edges"
+    arguments = board.target, index, start, np.tile(axes, (77, 1, 1)), "a", SENSOR.full_scale
+    refused(words, corner_view, image, *arguments, error=TargetNotFound)
+
+
+@pytest.mark.parametrize("kind", ["chessboard", "charuco"])
+def test_of_two_boards_in_a_picture_the_one_asked_for_is_taken(kind):
+    make = chessboard if kind == "chessboard" else charuco
+    boards = make((9, 6)), make((7, 5))
+    poses = [pose_of(board, CAMERA, 23.0, (0.1, 0.1, 0.05), 300 * k - 150) for k, board in enumerate(boards)]
+    left, right = (picture(CAMERA, place, board) for place, board in zip(poses, boards, strict=True))
+    image = np.concatenate([left[:, :330], right[:, 330:]], axis=1)
+    for board, place in zip(boards, poses, strict=True):
+        view = find_target(image, board.target, "a", SENSOR.full_scale)
+        assert len(view.index) == len(board.index)
+        assert np.abs(errors(CAMERA, place, board, view)[0]).max() < 0.03
+
+
 # Dot grids in rendered pictures: every dot at its place, and a clear answer where there is no grid to use.
 
 SIZE = (800, 640)
@@ -239,6 +315,18 @@ def off_px(view: TargetView, where: RigidTransform) -> np.ndarray:
     """How far (N,) the seen centres lie off the images of the dots' centres, which perspective hardly moves here."""
     points = np.column_stack([view.index, np.zeros(len(view.index))]) * SPACING_M
     return np.linalg.norm(WIDE.project(where.apply(points)) - view.position_px, axis=1)
+
+
+@pytest.mark.parametrize("kind", ["speckle", "rings"])
+def test_speckle_and_dots_are_not_said_to_run_over_the_edge(kind):
+    if kind == "speckle":
+        image = 300 + 2000 * gaussian_filter(
+            (gaussian_filter(np.random.default_rng(3).normal(size=(480, 640)), 4.0) > 0).astype(float), 0.8
+        )
+    else:
+        image = 4095 * render_board(WIDE, pose(RINGS), RINGS)
+    image = image.astype(np.uint16)
+    refused("^no chessboard of 9 x 6", find_target, image, BOARD.target, "a", 4095, error=TargetNotFound)
 
 
 @pytest.mark.parametrize("board", [RINGS, PLAIN, ASYMMETRIC])
