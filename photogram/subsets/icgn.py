@@ -31,6 +31,7 @@ WORSE, SMALLEST_LOSS = 1e-3, 1e-6
 UNEXPLAINED_SIGMAS = 3.0
 OTHER_NOISE = 1.5
 LARGEST_UNRESOLVED_PX = 0.15
+TRUNCATED = 0.15
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,7 @@ def without_curvature(start: FloatArray) -> FloatArray:
 
 
 def after_affine(start: FloatArray, first: Registration) -> FloatArray:
-    """Starts (N,12) of order 2: those of its own that have curvature, else what order 1 found, NaN where that failed."""
+    """Starts (N,12) of order 2: those that have curvature as they are, else what order 1 found, NaN where it failed."""
     flat = np.pad(first.warp, ((0, 0), (0, 6)))
     return np.where(np.isnan(without_curvature(start)).any(axis=1, keepdims=True), start, flat)
 
@@ -200,13 +201,17 @@ def position_covariance(reference: Reference, found: Registration, noise_grey: F
 
     A V Aᵀ σ²/gain² with V the `position_variance` of the subset (affine parameters, gain and offset free) and A the
     local deformation: the noise of the one image; that of the reference is constant over a series. With order 2, V
-    further has the square of what the displacement field may have that the subset does not resolve (`unresolved_px`).
+    further has the squares of what the displacement field may have that the subset does not resolve: `unresolved_px`,
+    and for the terms after the second 0.15 of what the second ones change, (u_xx + u_yy)·r(r+1)/6. (In a wave
+    1.3 to 4 sides long, a parabola leaves 0.15 to 0.01 of it.)
     """
     deformation = np.eye(2) + found.warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
     scale = (noise_grey / found.gain) ** 2
     variance = reference.position_variance * scale[:, None, None]
     if reference.order == 2:
-        variance = variance + np.eye(2) * unresolved_px(reference, found)[:, :, None] ** 2
+        bent = (found.warp[:, [6, 9]] + found.warp[:, [8, 11]]) * reference.radius_px * (reference.radius_px + 1) / 6.0
+        left = unresolved_px(reference, found) ** 2 + (TRUNCATED * bent) ** 2
+        variance = variance + np.eye(2) * left[:, :, None]
     covariance: FloatArray = deformation @ variance @ np.swapaxes(deformation, 1, 2)
     return covariance
 
