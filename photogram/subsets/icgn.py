@@ -103,8 +103,8 @@ def register(reference: Reference, target: Spline, start: FloatArray, settings: 
     subset is found when a fiftieth of the step is below `convergence_px` of the `settings` at every point of the
     subset, or below a twentieth of the m parameters' standard uncertainties, 0.02² δᵀ(gain² H/s²)δ < 0.05² m with the
     residual variance s². Steps of order 2 leave up to a third of themselves where the texture hardly determines a
-    direction: there two fifths count instead of a fiftieth. What the last step takes off the sum of squares, gain² δᵀHδ, is taken off in `zncc` and
-    `residual_grey2`.
+    direction: there two fifths count instead of a fiftieth. What the last step takes off the sum of squares,
+    gain² δᵀHδ, is taken off in `zncc` and `residual_grey2`.
     """
     count = len(reference.centre_px)
     columns = 12 if reference.order == 2 else 6
