@@ -167,7 +167,7 @@ def resolved(reference: Reference, found: Registration) -> Registration:
     """`found` without the subsets of order 2 for which `unresolved_px` is more than 0.15 px."""
     if reference.order < 2:
         return found
-    return _refused(found, (unresolved_px(reference, found) > LARGEST_UNRESOLVED_PX).any(axis=1))
+    return _refused(found, np.any(unresolved_px(reference, found) > LARGEST_UNRESOLVED_PX, axis=1))
 
 
 def _refused(found: Registration, which: BoolArray) -> Registration:
@@ -193,7 +193,8 @@ def unresolved_px(reference: Reference, found: Registration) -> FloatArray:
     own = OTHER_NOISE * (1.0 + found.gain**2) * np.maximum(np.median(reference.noise_grey2[ok]), QUANTISATION)
     level = np.minimum(np.median(found.residual_grey2[ok]), own) * (1.0 + UNEXPLAINED_SIGMAS * np.sqrt(2.0 / freedom))
     excess = np.maximum(found.residual_grey2 - level, 0.0) / found.gain**2
-    return np.sqrt(np.divide(excess[:, None], slopes, out=np.full_like(slopes, np.nan), where=slopes > 0.0))
+    square: FloatArray = np.divide(excess[:, None], slopes, out=np.full_like(slopes, np.nan), where=slopes > 0.0)
+    return np.sqrt(square)
 
 
 def position_covariance(reference: Reference, found: Registration, noise_grey: FloatArray) -> FloatArray:

@@ -240,23 +240,10 @@ def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, ord
         status[part[~known]] = TrackStatus.FLAT
     gain = noise_gain(centre_px[:, 0], spline.degree) * noise_gain(centre_px[:, 1], spline.degree)
     status, affine = status.astype(np.int8), None
-    shared = {"noise_gain": gain, "noise_grey2": noise2, "status": status}
+    subsets, ends = (centre_px, radius_px, pixels, mean, energy), (gain, noise2, status)
     if order == 2:
-        first = np.ascontiguousarray(removed[:, :, :6])
-        affine = Reference(centre_px, radius_px, pixels, mean, energy, first, plain, plain_variance, **shared)
-    return Reference(
-        centre_px,
-        radius_px,
-        pixels,
-        mean,
-        energy,
-        removed,
-        inverse,
-        variance,
-        order=order,
-        affine=affine,
-        **shared,
-    )
+        affine = Reference(*subsets, np.ascontiguousarray(removed[:, :, :6]), plain, plain_variance, *ends)
+    return Reference(*subsets, removed, inverse, variance, *ends, order, affine)
 
 
 def shape_values(offsets: FloatArray, order: int) -> FloatArray:
