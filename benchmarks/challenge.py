@@ -36,7 +36,10 @@ AMPLITUDE_PX, MIDDLE_PX, WIDTH_PX = 0.5, 250.0, 4000
 PERIODS_PX = (10.0, 300.0)
 AVERAGED, RESOLVED, WRONG_PX, SIGMAS = 15, 0.9, 0.1, 5.0
 PLAIN_PX, ABOVE = 100.0, 1.2
-HEAD = "| program | order | subset in px | resolution in px | noise in mpx | refused | off | off, resolved | beyond 5 u | sd/u |"
+HEAD = (
+    "| program | order | subset in px | resolution in px | noise in mpx "
+    "| refused | off | off, resolved | beyond 5 u | sd/u |"
+)
 MARKS = ("<!-- challenge -->", "<!-- end of challenge -->")
 
 

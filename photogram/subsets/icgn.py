@@ -31,6 +31,7 @@ WORSE, SMALLEST_LOSS = 1e-3, 1e-6
 UNEXPLAINED_SIGMAS = 3.0
 OTHER_NOISE = 1.5
 LARGEST_UNRESOLVED_PX = 0.15
+TRUNCATED = 0.15
 
 
 @dataclass(frozen=True)
@@ -102,8 +103,8 @@ def register(reference: Reference, target: Spline, start: FloatArray, settings: 
     subset is found when a fiftieth of the step is below `convergence_px` of the `settings` at every point of the
     subset, or below a twentieth of the m parameters' standard uncertainties, 0.02² δᵀ(gain² H/s²)δ < 0.05² m with the
     residual variance s². Steps of order 2 leave up to a third of themselves where the texture hardly determines a
-    direction: there two fifths count instead of a fiftieth. What the last step takes off the sum of squares, gain² δᵀHδ, is taken off in `zncc` and
-    `residual_grey2`.
+    direction: there two fifths count instead of a fiftieth. What the last step takes off the sum of squares,
+    gain² δᵀHδ, is taken off in `zncc` and `residual_grey2`.
     """
     count = len(reference.centre_px)
     columns = 12 if reference.order == 2 else 6
@@ -145,7 +146,7 @@ def without_curvature(start: FloatArray) -> FloatArray:
 
 
 def after_affine(start: FloatArray, first: Registration) -> FloatArray:
-    """Starts (N,12) of order 2: those of its own that have curvature, else what order 1 found, NaN where that failed."""
+    """Starts (N,12) of order 2: those that have curvature as they are, else what order 1 found, NaN where it failed."""
     flat = np.pad(first.warp, ((0, 0), (0, 6)))
     return np.where(np.isnan(without_curvature(start)).any(axis=1, keepdims=True), start, flat)
 
@@ -166,7 +167,7 @@ def resolved(reference: Reference, found: Registration) -> Registration:
     """`found` without the subsets of order 2 for which `unresolved_px` is more than 0.15 px."""
     if reference.order < 2:
         return found
-    return _refused(found, (unresolved_px(reference, found) > LARGEST_UNRESOLVED_PX).any(axis=1))
+    return _refused(found, np.any(unresolved_px(reference, found) > LARGEST_UNRESOLVED_PX, axis=1))
 
 
 def _refused(found: Registration, which: BoolArray) -> Registration:
@@ -192,7 +193,8 @@ def unresolved_px(reference: Reference, found: Registration) -> FloatArray:
     own = OTHER_NOISE * (1.0 + found.gain**2) * np.maximum(np.median(reference.noise_grey2[ok]), QUANTISATION)
     level = np.minimum(np.median(found.residual_grey2[ok]), own) * (1.0 + UNEXPLAINED_SIGMAS * np.sqrt(2.0 / freedom))
     excess = np.maximum(found.residual_grey2 - level, 0.0) / found.gain**2
-    return np.sqrt(np.divide(excess[:, None], slopes, out=np.full_like(slopes, np.nan), where=slopes > 0.0))
+    square: FloatArray = np.divide(excess[:, None], slopes, out=np.full_like(slopes, np.nan), where=slopes > 0.0)
+    return np.sqrt(square)
 
 
 def position_covariance(reference: Reference, found: Registration, noise_grey: FloatArray) -> FloatArray:
@@ -200,13 +202,17 @@ def position_covariance(reference: Reference, found: Registration, noise_grey: F
 
     A V Aᵀ σ²/gain² with V the `position_variance` of the subset (affine parameters, gain and offset free) and A the
     local deformation: the noise of the one image; that of the reference is constant over a series. With order 2, V
-    further has the square of what the displacement field may have that the subset does not resolve (`unresolved_px`).
+    further has the squares of what the displacement field may have that the subset does not resolve: `unresolved_px`,
+    and for the terms after the second 0.15 of what the second ones change, (u_xx + u_yy)·r(r+1)/6. (In a wave
+    1.3 to 4 sides long, a parabola leaves 0.15 to 0.01 of it.)
     """
     deformation = np.eye(2) + found.warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
     scale = (noise_grey / found.gain) ** 2
     variance = reference.position_variance * scale[:, None, None]
     if reference.order == 2:
-        variance = variance + np.eye(2) * unresolved_px(reference, found)[:, :, None] ** 2
+        bent = (found.warp[:, [6, 9]] + found.warp[:, [8, 11]]) * reference.radius_px * (reference.radius_px + 1) / 6.0
+        left = unresolved_px(reference, found) ** 2 + (TRUNCATED * bent) ** 2
+        variance = variance + np.eye(2) * left[:, :, None]
     covariance: FloatArray = deformation @ variance @ np.swapaxes(deformation, 1, 2)
     return covariance
 

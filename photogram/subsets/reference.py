@@ -134,7 +134,7 @@ def _within(builder: Any, lanes: Lanes, mask: Any) -> Lanes:
 SMALLEST_NOISE = 1e-9
 SMALLEST_CONTRAST = 1e-9
 LEAST_RATIO = 4.0
-CURVED_MARGIN = 1.5
+CURVED_MARGIN = 1.2
 SMALLEST_EXCESS = 1e-2
 PARAMETERS = {0: 2, 1: 6, 2: 12}
 CHUNK = 256
@@ -209,7 +209,7 @@ def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, ord
 
     What order 2 would hold is curvature that the field may well have, and an error of the position then; so a subset
     with such a direction is `UNRESOLVED`, and those with μ near 4 are solved for. Noise alone has μ up to (1 + √(m/P))²
-    (Marchenko, Pastur 1967, Math. USSR Sb. 1, 457), of which 1.5 times is the limit there.
+    (Marchenko, Pastur 1967, Math. USSR Sb. 1, 457), of which 1.2 times is the limit there.
     """
     check_shape("centre_px", centre_px, (None, 2))
     if order not in PARAMETERS:
@@ -234,29 +234,16 @@ def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, ord
             known, inverse[part], variance[part] = _invert(hessian, floor[part], extent)
         else:
             known, plain[part], plain_variance[part] = _invert(hessian[:, :6, :6], floor[part], extent[:3])
-            least = CURVED_MARGIN * (1.0 + np.sqrt(parameters / size)) ** 2
-            carried, inverse[part], variance[part] = _invert(hessian, floor[part], extent, least)
+            chance = float(np.sqrt(parameters / size))
+            carried, inverse[part], variance[part] = _invert(hessian, floor[part], extent, chance)
             status[part[~carried]] = TrackStatus.UNRESOLVED
         status[part[~known]] = TrackStatus.FLAT
     gain = noise_gain(centre_px[:, 0], spline.degree) * noise_gain(centre_px[:, 1], spline.degree)
     status, affine = status.astype(np.int8), None
-    shared = {"noise_gain": gain, "noise_grey2": noise2, "status": status}
+    subsets, ends = (centre_px, radius_px, pixels, mean, energy), (gain, noise2, status)
     if order == 2:
-        first = np.ascontiguousarray(removed[:, :, :6])
-        affine = Reference(centre_px, radius_px, pixels, mean, energy, first, plain, plain_variance, **shared)
-    return Reference(
-        centre_px,
-        radius_px,
-        pixels,
-        mean,
-        energy,
-        removed,
-        inverse,
-        variance,
-        order=order,
-        affine=affine,
-        **shared,
-    )
+        affine = Reference(*subsets, np.ascontiguousarray(removed[:, :, :6]), plain, plain_variance, *ends)
+    return Reference(*subsets, removed, inverse, variance, *ends, order, affine)
 
 
 def shape_values(offsets: FloatArray, order: int) -> FloatArray:
@@ -309,23 +296,25 @@ def _hessians(pixels: FloatArray, energy: FloatArray, shape: FloatArray) -> tupl
 
 
 def _invert(
-    hessian: FloatArray, slope_noise2: FloatArray, extent: FloatArray, least: float | None = None
+    hessian: FloatArray, slope_noise2: FloatArray, extent: FloatArray, chance: float = 0.0
 ) -> tuple[BoolArray, FloatArray, FloatArray]:
     """Whether anything is determined (n,), inverse Hessians (n,m,m) of it, variances (n,2,2) of the translation.
 
-    With a `least` ratio of its own, whether everything is determined.
+    With `chance`, c = √(m/P): whether everything is determined. Directions are the least determined, too, because noise
+    happens to add little to them, 1 − 2c instead of 1, and to cancel texture, by c·√(μ−1): so much is not taken off.
     """
     extents = np.concatenate([extent[:3], extent[:3], extent[3:], extent[3:]])
     scale = 1.0 / np.sqrt(slope_noise2[:, None] * extents)
     ratio, vectors = np.linalg.eigh(hessian * scale[:, :, None] * scale[:, None, :])
     directions = vectors * scale[:, :, None]
-    limit = LEAST_RATIO if least is None else least
+    limit = CURVED_MARGIN * (1.0 + chance) ** 2 if chance else LEAST_RATIO
+    share = 1.0 - chance * (2.0 + np.sqrt(np.maximum(ratio - 1.0, 0.0)))
     clear = ratio > limit
-    weights = np.where(clear, 1.0 / (np.maximum(ratio, limit) - 1.0), 0.0)
+    weights = np.where(clear, 1.0 / (np.maximum(ratio, limit) - share), 0.0)
     inverse = (directions * weights[:, None, :]) @ np.swapaxes(directions, 1, 2)
     translation = directions[:, [0, min(3, len(extent))]]
-    spread = ratio / np.maximum(ratio - 1.0, SMALLEST_EXCESS) ** 2
+    spread = ratio / np.maximum(ratio - share, SMALLEST_EXCESS) ** 2
     variance = (translation * spread[:, None, :]) @ np.swapaxes(translation, 1, 2)
-    known = np.asarray(clear.any(axis=1) if least is None else clear.all(axis=1), dtype=np.bool_)
+    known = np.asarray(clear.all(axis=1) if chance else clear.any(axis=1), dtype=np.bool_)
     inverse[~known], variance[~known] = np.nan, np.nan
     return known, inverse, variance
