@@ -208,12 +208,12 @@ def position_covariance(reference: Reference, found: Registration, noise_grey: F
     """
     deformation = np.eye(2) + found.warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
     scale = (noise_grey / found.gain) ** 2
-    variance = reference.position_variance * scale[:, None, None]
+    turned = np.swapaxes(deformation, 1, 2)
+    covariance: FloatArray = deformation @ reference.position_variance @ turned * scale[:, None, None]
     if reference.order == 2:
         bent = (found.warp[:, [6, 9]] + found.warp[:, [8, 11]]) * reference.radius_px * (reference.radius_px + 1) / 6.0
         left = unresolved_px(reference, found) ** 2 + (TRUNCATED * bent) ** 2
-        variance = variance + np.eye(2) * left[:, :, None]
-    covariance: FloatArray = deformation @ variance @ np.swapaxes(deformation, 1, 2)
+        covariance += deformation @ (np.eye(2) * left[:, :, None]) @ turned
     return covariance
 
 
