@@ -57,11 +57,12 @@ class Campaign:
         shift, scale = self.rng.normal(size=3) * 1e-4, 1 + self.rng.normal() * 2e-4
         seen = (moved @ turn.T + shift - TRANSLATION) @ ROTATION * scale
         seen_mm = 1e3 * (seen + self.rng.normal(size=seen.shape) * [1e-6, 1e-6, 3e-6])
+        at_rest = seen_mm[0].copy()
         for frame, points in enumerate(seen_mm):
             status = np.full((len(points), 3), 3)
             status[self.rng.random(len(points)) < 0.02, 1] = 5  # a facet that was lost: its numbers mean nothing
             points[(status != 3).any(axis=1)] = 0.0
-            table = np.column_stack([np.indices((6, 8)).reshape(2, -1).T, status, seen_mm[0], points])
+            table = np.column_stack([np.indices((6, 8)).reshape(2, -1).T, status, at_rest, points])
             name = self.folder / "DIC_results" / f"result_B{frame}.txt"
             np.savetxt(name, table, fmt=["%d"] * 5 + ["%.6f"] * 6, delimiter="\t")
         self.channels["camera_trigger"] = camera_trigger(np.arange(SAMPLES) / RATE_HZ, FRAMES)
