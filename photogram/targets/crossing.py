@@ -461,7 +461,8 @@ def _covariance(lags: FloatArray, good: BoolArray, sharpened: bool) -> FloatArra
 
     Of the products of residuals (`fit_crossings`) the median over the corners, where it differs by more than three
     standard errors (√(π/2)/√N times their robust spread) from that of the noise assumed, which is independent from
-    pixel to pixel. Unless `sharpened` this is kept where none differs by a quarter: an imperfect profile leaves that.
+    pixel to pixel. Unless `sharpened` this is kept where none differs by a quarter, and where the variance is larger by
+    a quarter than that of the noise assumed: an imperfect profile leaves either.
     """
     white = np.zeros(lags.shape[2])
     white[REACH] = 1.0
@@ -472,7 +473,8 @@ def _covariance(lags: FloatArray, good: BoolArray, sharpened: bool) -> FloatArra
     middle = np.median(products, axis=0)
     error = 1.25 * 1.4826 * np.median(np.abs(products - middle), axis=0) / math.sqrt(len(products))
     noise = np.where(np.abs(middle - white) > 3 * error, middle, white)
-    noise = noise if sharpened or np.abs(middle - white).max() > _COLOURED else white
+    coloured = np.abs(middle - white).max() > _COLOURED and middle[REACH] < 1.0 + _COLOURED
+    noise = noise if sharpened or coloured else white
     spread = np.asarray((noise @ sums)[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
     floor = _LEAST_VARIANCE * (white @ sums)[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     valid = np.linalg.eigvalsh(np.nan_to_num(spread - floor))[:, 0] >= 0.0
