@@ -69,15 +69,15 @@ def adjust(start: Bundle, pictures: Sequence[Picture], prior: Prior) -> Adjusted
     """
     bundle, damping, sides = start, 1e-3, _sides(pictures)
     cost, seen = _looked(start, sides, prior)
+    normal = _normal(start, sides, seen, prior)
     for _ in range(_STEPS):
-        normal = _normal(bundle, sides, seen, prior)
         step, pose_steps, decrease = normal.step(damping)
         tried = bundle.moved(step, pose_steps)
-        found, seen_there = _looked(tried, sides, prior)
+        found, seen = _looked(tried, sides, prior)
         if found <= cost * (1 + 1e-12):
-            bundle, seen, cost, damping = tried, seen_there, min(found, cost), max(damping / 10, 1e-12)
+            bundle, cost, damping = tried, min(found, cost), max(damping / 10, 1e-12)
+            normal = _normal(bundle, sides, seen, prior)
             if decrease < _CONVERGED:
-                normal = _normal(bundle, sides, seen, prior)
                 return Adjusted(bundle, *normal.covariance(), normal)
         else:
             damping = max(10 * damping, 1e-6)

@@ -243,26 +243,27 @@ def _slopes(rig: StereoRig, rays: FloatArray, inverse: FloatArray, change: Float
     return np.where(kept[..., :most, None], slope, np.nan)
 
 
+@njit(error_model="numpy")
+def _subset(left, x, y, offsets):  # type: ignore[no-untyped-def]
+    """A subset's grey values without their mean, their sum of squares, its offsets and how far they reach."""
+    grey = np.empty(offsets.shape[0])
+    for p in range(offsets.shape[0]):
+        grey[p] = _bilinear(left, x + offsets[p, 0], y + offsets[p, 1])
+    grey -= grey.mean()
+    return grey, np.sum(grey * grey), offsets, offsets[-1, 0]
+
+
 @njit(parallel=True, error_model="numpy")
 def _correlate(left, right, points, offsets, curves, beside, outcome):  # type: ignore[no-untyped-def]
     """Fill outcome: the best correlation (S,K) at each place over tilts and lines, and which tilt and line it is."""
     right_px, across, affine, along, slope = curves
     score, tilt, line = outcome
-    count = offsets.shape[0]
-    reach = offsets[count - 1, 0]
+    reach = offsets[-1, 0]
     for n in prange(points.shape[0]):
-        grey = np.empty(count)
         x, y = points[n, 0], points[n, 1]
         if not (reach <= x < left.shape[1] - 1 - reach and reach <= y < left.shape[0] - 1 - reach):
             continue
-        mean = 0.0
-        for p in range(count):
-            grey[p] = _bilinear(left, x + offsets[p, 0], y + offsets[p, 1])
-            mean += grey[p] / count
-        energy = 0.0
-        for p in range(count):
-            grey[p] -= mean
-            energy += grey[p] * grey[p]
+        subset = _subset(left, x, y, offsets)
         for k in range(right_px.shape[1]):
             if not np.isfinite(right_px[n, k, 0]):
                 continue
@@ -279,7 +280,7 @@ def _correlate(left, right, points, offsets, curves, beside, outcome):  # type: 
                         right_px[n, k, 0] + beside[j] * across[n, k, 0],
                         right_px[n, k, 1] + beside[j] * across[n, k, 1],
                         (a, b, c, d),
-                        (grey, energy, offsets, reach),
+                        subset,
                     )
                     if found > score[n, k]:
                         score[n, k], tilt[n, k], line[n, k] = found, t, j
@@ -288,17 +289,12 @@ def _correlate(left, right, points, offsets, curves, beside, outcome):  # type: 
 @njit(parallel=True, error_model="numpy")
 def _climb(left, right, points, offsets, starts):  # type: ignore[no-untyped-def]
     """Move starts (C,S,6) uphill, one part of the warp after another, by ever shorter steps."""
-    count = offsets.shape[0]
-    reach = offsets[count - 1, 0]
+    reach = offsets[-1, 0]
     for n in prange(points.shape[0]):
-        grey = np.empty(count)
         x, y = points[n, 0], points[n, 1]
         if not (reach <= x < left.shape[1] - 1 - reach and reach <= y < left.shape[0] - 1 - reach):
             continue
-        for p in range(count):
-            grey[p] = _bilinear(left, x + offsets[p, 0], y + offsets[p, 1])
-        grey -= grey.mean()
-        subset = (grey, np.sum(grey * grey), offsets, reach)
+        subset = _subset(left, x, y, offsets)
         for c in range(starts.shape[0]):
             if not np.isfinite(starts[c, n, 0]):
                 continue
