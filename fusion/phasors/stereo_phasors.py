@@ -14,7 +14,7 @@ from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading
 from fusion.phasors.channels import spread_lines
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
-from fusion.phasors.timing import Lateness, TimeBase, together
+from fusion.phasors.timing import Lateness, Sight, TimeBase, together
 from photogram.camera import StereoRig, principal_components, triangulate
 from photogram.epipolar import EpipolarCheck
 from photogram.geometry import RigidTransform
@@ -188,6 +188,7 @@ def stereo_phasors(
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     told += [(name, notice) for notice in fit.notices if notice.severity == "warning"]
     told += [(name, notice) for notice in _short_notices(lines, usable, sight.time_s, reading)]
+    told += [(name, notice) for notice in _jitter_notices(base, sight, lines, usable, reading)]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
     pose = from_mean.pose.copy()
     pose[fit.spikes] = np.nan
@@ -276,6 +277,32 @@ def _short_notices(lines: Lines, usable: NDArray[np.bool_], time_s: FloatArray, 
             f"uncertainty); record longer or {rate}"
         )
         told.append(Notice("warning", text, where))
+    return told
+
+
+def _jitter_notices(
+    base: TimeBase, sight: Sight, lines: Lines, usable: NDArray[np.bool_], reading: StereoReading
+) -> list[Notice]:
+    """Say where the trigger's edges surely scatter, and what that may do to a driven line where it exceeds the noise.
+
+    Random scatter shows in the residuals of the lines. Instants late by a·cos(2ωt), or by anything that folds there,
+    make of the motion at ω a part ωa/2 at -ω, which is the line itself and shows nowhere; a is √2 times the scatter.
+    """
+    _, trigger = base.first_with(sight.exposure.trigger)
+    told = []
+    for k in np.flatnonzero(usable & (lines.multiple == 1)) if trigger.scatters else ():
+        value = reading.phasors.value[k]
+        c = int(np.argmax(np.abs(value[:3])))
+        noise = float(max(reading.phasors.u_re[k, c], reading.phasors.u_im[k, c]))
+        share = np.sqrt(2.0) * np.pi * float(lines.frequency_hz[k]) * trigger.jitter_s
+        if share * np.abs(value[c]) > noise:
+            where = f"{lines.frequency_hz[k]:.6g} Hz"
+            text = (
+                f"the edges of its trigger {sight.exposure.trigger} scatter by {1e6 * trigger.jitter_s:.2g} us about "
+                f"equal distances; were this no random jitter but periodic, with a frequency that folds onto twice "
+                f"{where}, it would change that line by {100.0 * share:.2g} %, which is not in U"
+            )
+            told.append(Notice("warning", text, where))
     return told
 
 

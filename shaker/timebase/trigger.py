@@ -305,6 +305,11 @@ class TriggerFit:
         return int(self.number[-1]) + 1
 
     @property
+    def scatters(self) -> bool:
+        """Whether edges surely scatter: intervals that one line meets leave less than one of them over their number."""
+        return self.jitter_s * (len(self.number) if self.kind == "sampled" else 1) > self.resolution_s
+
+    @property
     def crossing_s(self) -> FloatArray:
         """Edges as reconstructed, without the correction, (E,)."""
         return self.edge_s + self.correction_s

@@ -6,6 +6,7 @@ of its rate is that of the fit.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -232,3 +233,24 @@ def test_draws_of_a_short_record_spread_as_its_uncertainty_says():
         own = noise[place, place] * dof / (dof - 2.0)
         said = own + sum((e.real if place == 2 else e.imag) ** 2 for e in effects)
         assert np.var(part) == pytest.approx(said, rel=0.15)
+
+
+def test_periodic_jitter_is_told_with_what_it_does() -> None:
+    """x(t + a·cos 2ωt) of x = cos ωt is off by ωa/2 at the line; random jitter as large averages out."""
+    rng, frames, late_s = np.random.default_rng(8), 211, 2e-5
+    even = 0.2 + np.arange(frames) / CAMERA_HZ
+    truth = SIZE * np.array([[1.0], [0.0]])
+    told = {}
+    for name, jitter in (
+        ("periodic", late_s * np.cos(4.0 * np.pi * LINE_HZ * even)),
+        ("quartz", 3e-8 * rng.normal(size=frames)),
+    ):
+        base = time_base({("daq", "camera"): latched(even + jitter, DAQ_HZ)})
+        seen = stereo_phasors(base, seen_pair(base, recorded(truth, even + jitter, rng)), known_lines(LINE_HZ, 1e-6))
+        told[name] = [notice.text for notice in seen.notices if "equal distances" in notice.text]
+        off = abs(seen.reading.phasors.value[0, 2] / truth[0, 2] - 1.0)
+        if name == "periodic":
+            said = float(re.findall(r"change that line by ([\d.]+) %", told[name][0])[0]) / 100.0
+            assert off == pytest.approx(np.pi * LINE_HZ * late_s, rel=0.6)  # some of it is seen of the edges
+            assert said == pytest.approx(np.pi * LINE_HZ * late_s, rel=0.3)
+    assert not told["quartz"]

@@ -131,6 +131,16 @@ def test_jitter_is_measured():
         assert np.mean([fit.jitter_s for fit in fits]) == pytest.approx(jitter, rel=0.3)
 
 
+def test_scatter_is_told_from_what_sampling_makes():
+    """30 ns of a quartz against 0.1 of a sample, few edges and many, any place between the samples."""
+    rng = np.random.default_rng(26)
+    for rate_hz, count in ((8_000.0, 48), (51_200.0, 211)):
+        for jitter, scatters in ((0.0, False), (1e-2 / rate_hz / count, False), (0.1 / rate_hz, True)):
+            for _ in range(8):
+                instants = 0.1 + PERIOD_S * (rng.uniform() + np.arange(count)) + jitter * rng.normal(size=count)
+                assert fit_trigger(_latched(instants, rate_hz, 4.3)).scatters is scatters
+
+
 @pytest.mark.parametrize(
     ("seed", "cases", "bias", "scatter"),
     [(7, 5, 0.06e-6, 0.13e-6), pytest.param(17, 30, 0.038e-6, 0.125e-6, marks=pytest.mark.slow)],
