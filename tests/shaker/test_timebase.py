@@ -361,6 +361,8 @@ def test_stated_uncertainty_is_as_large_as_the_errors():
     for normalised in (np.array(models), *np.array(ties).T):
         assert 0.9 < np.sqrt(np.mean(np.square(normalised))) < 1.1
         assert 0.92 < np.mean(np.abs(normalised) < 2.0) <= 0.99
+    # Nearer to normal than to uniform errors, of which all would be within 1.73 u: k = 1.65 would hold too few.
+    assert np.mean(np.abs(np.array(ties)) < np.sqrt(3.0)) < 0.95
 
 
 def test_resolved_edges_stand_for_the_period_of_the_others():
