@@ -1,4 +1,4 @@
-"""The commands that model the sensor: rotate, identify, step, load, compensate, decouple, elastomer.
+"""The commands that model the sensor, and its certificate: from rotate to elastomer, certificate.
 
 Of each command: its options, then what it does, which alone imports heavy modules. Its docstring is its help.
 """
@@ -228,4 +228,30 @@ def elastomer(options: argparse.Namespace) -> None:
         run_elastomer(options.geometry, options.output, solid=options.solid, force=options.force, progress=progress)
 
 
-COMMANDS = (rotate, identify, step, load, compensate, decouple, elastomer)
+def _certificate_options(parser: Parser) -> None:
+    parser.recording()
+    parser.value("--form", Path, "FILE", "what the results do not tell (default: certificate.toml beside them)")
+    parser.value("--results", Path, "RESULTS", "where run left them (default: results in the folder)")
+    parser.switch("--draft", "write a certificate.toml to fill in, and nothing else")
+    parser.results("folder certificate in the recording or campaign")
+
+
+@command(_certificate_options)
+def certificate(options: argparse.Namespace) -> None:
+    """Calibration certificate of a recording or campaign, as XML (DCC) and as a page."""
+    from fusion.sensor.certificate.report import run_certificate, write_form
+
+    if options.draft:
+        write_form(options.form or options.recording)
+        return
+    run_certificate(
+        options.recording,
+        options.output,
+        options.results,
+        options.form,
+        force=options.force,
+        allow_outside=options.allow_outside,
+    )
+
+
+COMMANDS = (rotate, identify, step, load, compensate, decouple, elastomer, certificate)

@@ -1,0 +1,344 @@
+"""What a certificate states: results of a campaign or a recording beside the laboratory's own statements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import date as Date
+from pathlib import Path
+from typing import Literal
+
+from fusion.base import InputError
+from fusion.campaign.curve import CurvePoint
+from fusion.campaign.joint import best_points, curve_points, evaluate_campaign, main_channel
+from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
+from fusion.campaign.run import is_campaign
+from fusion.estimation.uncertainty import COVERAGE, Polar, region_factor
+from fusion.recording.excitation import kinds_of
+from fusion.recording.load import Manifest, find_recordings, for_kinds, load_manifest
+from fusion.recording.toml import UncertainInput
+from fusion.report.folder import hash_files
+from fusion.report.table import has_phase
+from fusion.sensor.certificate.form import FORM_FILE, Conformity, Form, read_form
+from shaker.arrays import Notice
+from shaker.labels import LOAD_COMPONENTS
+
+Verdict = Literal["pass", "fail"]
+SCOPE = (
+    "The results relate only to the item calibrated, in the condition and under the conditions stated. This "
+    "certificate may be reproduced in full only, unless the laboratory agrees in writing."
+)
+UNCERTAINTY = (
+    f"U is the standard uncertainty times a coverage factor k for a probability of {100 * COVERAGE:g} %, after the GUM "
+    "(JCGM 100, JCGM 102). It rests on the stated uncertainties of all inputs and holds under the assumptions of the "
+    "evaluation: rigid bodies, linear instruments, loads through the sensor alone. k is "
+)
+
+
+@dataclass(frozen=True)
+class Stated:
+    """One value of a certificate: frequency (Hz), the value as it came out, and U of magnitude and phase (rad).
+
+    U is k·u, `k` and `k_phase` as the form asks for them, and no less than the laboratory may state. `has_phase`:
+    whether magnitude and phase are determined; else the complex value and its region are all there is.
+    """
+
+    frequency_hz: float
+    element: Polar
+    expanded_magnitude: float
+    expanded_phase_rad: float
+    k: float
+    k_phase: float
+    has_phase: bool
+
+    @property
+    def region_factor(self) -> float:
+        """Return the factor of the 95 % region of the complex value."""
+        return region_factor(self.element.dof)
+
+
+@dataclass(frozen=True)
+class Element:
+    """An element of the sensor's sensitivity over frequency: output `channel` per load `component`.
+
+    `unit`: of the output; `kind`: element, matrix, or ratio (output over load, other loads not taken off); `main`: the
+    output that belongs to the load; `verdicts`: of every value, none without a limit or a static sensitivity.
+    """
+
+    channel: str
+    component: str
+    unit: str
+    kind: str
+    main: bool
+    values: tuple[Stated, ...]
+    deviation: tuple[tuple[float, float], ...] = ()
+    verdicts: tuple[Verdict, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Return what it is in words."""
+        if self.kind == "ratio":
+            return f"Ratio of output {self.channel} to driven load {self.component}"
+        return f"Sensitivity {self.channel} per {self.component}"
+
+
+@dataclass(frozen=True)
+class Source:
+    """Certificate that a result rests on: the inputs it was stated for, by file and key, its name, who issued it."""
+
+    inputs: tuple[str, ...]
+    certificate: str
+    laboratory: str
+    day: str
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Everything that a certificate states, for XML and page alike.
+
+    `begin`, `end`: days of the calibration; `conditions`: name, D-SI unit, least and largest value; `warnings`: of the
+    evaluation, which the authoriser has reviewed; `not_assessed`: what no U holds; `versions`, `hashes`: of what
+    computed the results, of what they were computed from.
+    """
+
+    form: Form
+    title: str
+    rig_path: Path
+    sensor: SensorFacts
+    recordings: tuple[str, ...]
+    begin: Date
+    end: Date
+    procedure: str
+    conditions: tuple[tuple[str, str, float, float], ...]
+    sources: tuple[Source, ...]
+    elements: tuple[Element, ...]
+    warnings: tuple[str, ...]
+    not_assessed: tuple[str, ...]
+    versions: dict[str, str]
+    hashes: dict[str, str]
+
+
+def evaluate_certificate(
+    path: Path, results: Path | None = None, form_path: Path | None = None, *, allow_outside: bool = False
+) -> Certificate:
+    """Gather what a certificate of a campaign, or of a recording, states.
+
+    `results`: where `run` left them, by default in the folder itself; `form_path`: certificate.toml, by default
+    beside them. Refused, each with all that is wrong of its kind at once: results that are not there or not of these
+    inputs, empty keys, recordings without a date, inputs whose certificates had expired, warnings nobody has reviewed.
+    """
+    recordings = find_recordings(path)
+    alone = not is_campaign(path)
+    recordings = recordings if alone else for_kinds(recordings, kinds_of("run"))
+    own = recordings[0].parent if alone else path
+    form_path = own / FORM_FILE if form_path is None else form_path
+    manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in recordings]
+    form = _named(read_form(form_path), manifests[0])
+    _refuse_gaps(form, form_path, manifests)
+    top = own / "results" if results is None else results
+    folders = [top] if alone else [top / manifest.folder.name for manifest in manifests]
+    recorded = [_results_of(manifest, folder) for manifest, folder in zip(manifests, folders, strict=True)]
+    evaluation = evaluate_campaign(own.resolve().name, recorded, {})
+    sensor = evaluation.sensor
+    if sensor is None:
+        found = "no sensor, or several" if manifests[0].rig.sensor else "no sensor"
+        raise InputError(manifests[0].rig_path, "sensor", found=found, expected="the one sensor that was calibrated")
+    points = curve_points(evaluation)
+    mains = {
+        component: sensor.channels[main_channel(evaluation, sensor.channels, place)]
+        for place, component in enumerate(LOAD_COMPONENTS)
+    }
+    elements = tuple(_elements(points, mains, sensor.unit, form))
+    if not elements:
+        raise InputError(top, "", found="no sensitivity", expected="results with outputs over a driven load")
+    warnings = list(dict.fromkeys(_warnings(recorded, evaluation.notices)))
+    if warnings and not form.administration.warnings_reviewed:
+        expected = "true, once the authoriser has reviewed them, or results without warnings"
+        found = f"{len(warnings)} warnings, the first: {warnings[0]}"
+        raise InputError(form_path, "administration.warnings_reviewed", found=found, expected=expected)
+    days = _days(form, manifests)
+    hashes: dict[str, str] = {}
+    for entry in recorded:
+        hashes |= entry.origin.input_hashes
+    ratios = all(element.kind == "ratio" for element in elements)
+    return Certificate(
+        form=form,
+        title="Output over driven load" if ratios else "Dynamic sensitivity",
+        rig_path=manifests[0].rig_path,
+        sensor=sensor,
+        recordings=tuple(entry.name for entry in recorded),
+        begin=min(days),
+        end=max(days),
+        procedure=form.administration.procedure or ", ".join(sorted({m.procedure or "" for m in manifests} - {""})),
+        conditions=tuple(_conditions(manifests)),
+        sources=_sources([item for manifest in manifests for item in manifest.inputs]),
+        elements=elements,
+        warnings=tuple(warnings),
+        not_assessed=tuple(_not_assessed(recorded, evaluation.notices)),
+        versions=recorded[0].origin.versions,
+        hashes=dict(sorted(hashes.items())),
+    )
+
+
+def _named(form: Form, manifest: Manifest) -> Form:
+    """Return the form with the laboratory that rig.toml names where it names none."""
+    known = manifest.rig.administration
+    if form.laboratory.name or known is None or not known.laboratory:
+        return form
+    return form.model_copy(update={"laboratory": form.laboratory.model_copy(update={"name": known.laboratory})})
+
+
+def _refuse_gaps(form: Form, path: Path, manifests: Sequence[Manifest]) -> None:
+    """Refuse what is missing, every gap in one list, and inputs whose certificates had expired."""
+    gaps = list(form.missing())
+    if not _days(form, manifests):
+        gaps.append("administration.begun, or the date of every recording")
+    if not form.administration.traceability and not any(_sources(m.inputs) for m in manifests):
+        gaps.append("administration.traceability, or the certificate of an input in rig.toml or recording.toml")
+    if gaps:
+        raise InputError(path, ", ".join(gaps), found="nothing", expected="what a certificate has to state")
+    expired = [(manifest.path, notice) for manifest in manifests for notice in manifest.expired]
+    if expired:
+        told = "; ".join(dict.fromkeys(notice.text for _, notice in expired))
+        raise InputError(
+            expired[0][0], "", found=told, expected="inputs whose certificates were valid when it was recorded"
+        )
+    issued, last = form.administration.issued, max(_days(form, manifests))
+    if issued is not None and issued < last:
+        expected = f"a day from {last} on, the last of the calibration"
+        raise InputError(path, "administration.issued", found=str(issued), expected=expected)
+
+
+def _days(form: Form, manifests: Sequence[Manifest]) -> list[Date]:
+    """Return days of the calibration, as the form states them or else as the recordings do; none where one lacks it."""
+    own = form.administration
+    if own.begun is not None:
+        return [own.begun, own.ended or own.begun]
+    days = [manifest.date for manifest in manifests if manifest.date is not None]
+    return days if len(days) == len(manifests) else []
+
+
+def _results_of(manifest: Manifest, folder: Path) -> Recorded:
+    """Read the results of a recording, which must be those of its files as they are now."""
+    recorded = read_recorded(folder)
+    now, then = hash_files(manifest.files, manifest.root), recorded.origin.input_hashes
+    if now != then:
+        changed = min(name for name in {*now, *then} if now.get(name) != then.get(name))
+        found = f"results of other input files ({changed} is not what it was)"
+        raise InputError(folder, "", found=found, expected=f"the results of {manifest.path} (shakercal run)")
+    return recorded
+
+
+def _elements(points: Sequence[CurvePoint], mains: dict[str, str], unit: str, form: Form) -> Iterator[Element]:
+    """Yield every element of which something is stated, the main ones first.
+
+    Of the outputs beside the main one only elements are sensitivities; their ratios are responses of one recording.
+    """
+    names = list(dict.fromkeys((point.channel, point.component) for point in points))
+    for channel, component in sorted(names, key=lambda name: name[0] != mains[name[1]]):
+        own = best_points([point for point in points if (point.channel, point.component) == (channel, component)])
+        main = mains[component] == channel
+        if not main and own[0].kind == "ratio":
+            continue
+        values = tuple(_stated(point, form) for point in own)
+        deviation, verdicts = _judged(own, form.conformity) if main else ((), ())
+        yield Element(channel, component, unit, own[0].kind, main, values, deviation, verdicts)
+
+
+def _stated(point: CurvePoint, form: Form) -> Stated:
+    """Return a value with its U: k·u, and no less than the laboratory may state."""
+    element, least = point.element, form.laboratory.cmc
+    k, k_phase = (element.k, element.k_phase) if form.k == "effective" else (2.0, 2.0)
+    return Stated(
+        frequency_hz=point.frequency_hz,
+        element=element,
+        expanded_magnitude=max(k * element.u_magnitude, least.magnitude * element.magnitude),
+        expanded_phase_rad=max(k_phase * element.u_phase_rad, least.phase),
+        k=k,
+        k_phase=k_phase,
+        has_phase=has_phase(element),
+    )
+
+
+def _judged(
+    points: Sequence[CurvePoint], limit: Conformity | None
+) -> tuple[tuple[tuple[float, float], ...], tuple[Verdict, ...]]:
+    """Return the deviations from the static sensitivity with U, relative, and whether they are within the limit.
+
+    ISO/IEC 17025:2017, 7.8.6; ILAC-G8:09/2019: "simple" accepts up to the limit, "guarded" up to the limit less U.
+    """
+    if limit is None or any(point.relative is None for point in points):
+        return (), ()
+    found = [(p.relative.magnitude - 1.0, p.relative.expanded_magnitude) for p in points if p.relative is not None]
+    guard = 1.0 if limit.rule == "guarded" else 0.0
+    inside = [abs(value) + guard * expanded <= limit.tolerance for value, expanded in found]
+    return tuple(found), tuple("pass" if good else "fail" for good in inside)
+
+
+def _warnings(recorded: Iterable[Recorded], joint: Iterable[Notice]) -> Iterator[str]:
+    """Yield what evaluations of recordings and campaign warn of."""
+    for entry in recorded:
+        yield from (f"{entry.name}: {notice.text}" for notice in entry.notices if notice.severity == "warning")
+    yield from (notice.text for notice in joint if notice.severity == "warning")
+
+
+def _not_assessed(recorded: Iterable[Recorded], joint: Iterable[Notice]) -> list[str]:
+    """Return what evaluations say is in no U, each once."""
+    told = [notice.text for entry in recorded for notice in entry.notices]
+    told += [notice.text for notice in joint]
+    return list(dict.fromkeys(text for text in told if "not assessed" in text))
+
+
+def _conditions(manifests: Sequence[Manifest]) -> Iterator[tuple[str, str, float, float]]:
+    """Yield name, D-SI unit, least and largest value of what is stated of the surroundings."""
+    around = [manifest.rig.surroundings for manifest in manifests]
+    for name, unit, values, factor in (
+        ("Temperature of the air", r"\degreecelsius", [e.temperature for e in around], 1.0),
+        ("Temperature of the sensor", r"\degreecelsius", [e.sensor_temperature for e in around], 1.0),
+        ("Relative humidity of the air", r"\percent", [e.humidity for e in around], 100.0),
+        ("Pressure of the air", r"\hecto\pascal", [e.pressure for e in around], 0.01),
+    ):
+        known = [factor * value for value in values if value is not None]
+        if known:
+            yield name, unit, min(known), max(known)
+
+
+def _sources(inputs: Sequence[UncertainInput]) -> tuple[Source, ...]:
+    """Return the certificates behind the inputs, each once with the inputs that it was named for."""
+    named: dict[tuple[str, str, str], dict[str, None]] = {}
+    for item in inputs:
+        own = item.stated
+        if own is not None and (own.certificate or own.laboratory):
+            key = own.certificate, own.laboratory, str(own.date or "")
+            named.setdefault(key, {})[f"{item.file.name}: {item.key.removesuffix('_uncertainty')}"] = None
+    return tuple(Source(tuple(keys), *about) for about, keys in named.items())
+
+
+def statements(found: Certificate) -> Iterator[tuple[str, str]]:
+    """Yield name and text of everything that a certificate has to say in words."""
+    own, least, limit = found.form.administration, found.form.laboratory.cmc, found.form.conformity
+    yield "Scope", SCOPE
+    yield (
+        "Uncertainty",
+        UNCERTAINTY + ("that of the effective degrees of freedom." if found.form.k == "effective" else "2."),
+    )
+    if least.magnitude or least.phase:
+        sizes = f"{100 * least.magnitude:g} % of the magnitude and {least.phase:g} rad of the phase"
+        yield "Capability", f"No U is stated below {sizes}."
+    if found.sources:
+        yield "Traceability", "To the SI through the certificates listed with the inputs that they were stated for."
+    if own.traceability:
+        yield "Traceability", own.traceability
+    if limit is not None:
+        rule = "|deviation| + U" if limit.rule == "guarded" else "|deviation|"
+        yield (
+            "Decision rule",
+            f"A main element conforms where {rule} of its magnitude from the static sensitivity is within "
+            f"{100 * limit.tolerance:g} % (ILAC-G8:09/2019, {limit.rule} acceptance).",
+        )
+    if found.not_assessed:
+        yield "Not in U", "; ".join(found.not_assessed)
+    if found.warnings:
+        yield "Warnings", f"The evaluation gave {len(found.warnings)} warnings, which {own.authoriser} has reviewed."
+    if own.remarks:
+        yield "Remarks", own.remarks

@@ -1,0 +1,160 @@
+"""The certificate's page for people, and the command that writes page and XML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from markupsafe import Markup
+
+from fusion.base import DASH, InputError, check_new_file, write_whole
+from fusion.report.folder import render_page
+from fusion.report.table import (
+    WEAK,
+    Column,
+    Table,
+    both,
+    common_exponent,
+    factor,
+    fixed,
+    half_axes,
+    measured,
+    on_page,
+    sensitivity_unit,
+    signed,
+    small,
+    table,
+    times_ten,
+)
+from fusion.sensor.certificate.dcc import certificate_xml
+from fusion.sensor.certificate.evaluate import Certificate, Element, Stated, evaluate_certificate, statements
+from fusion.sensor.certificate.form import FORM_FILE, NEW_FORM, Party
+
+XML_FILE, PAGE_FILE = "certificate.xml", "certificate.html"
+
+
+def run_certificate(
+    path: Path,
+    output: Path | None,
+    results: Path | None = None,
+    form_path: Path | None = None,
+    *,
+    force: bool = False,
+    allow_outside: bool = False,
+) -> Certificate:
+    """Write certificate.xml and certificate.html of a campaign or a recording into a folder; print what they state."""
+    folder = (path if path.is_dir() else path.parent) / "certificate" if output is None else output
+    for name in (XML_FILE, PAGE_FILE):
+        if (folder / name).exists() and not force:
+            check_new_file(folder / name, force=False)
+    found = evaluate_certificate(path, results, form_path, allow_outside=allow_outside)
+    files: dict[str, str | bytes] = {XML_FILE: certificate_xml(found), PAGE_FILE: certificate_page(found)}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise InputError(folder, "", found="a file", expected="a folder for the certificate") from error
+    for name, content in files.items():
+        write_whole(folder / name, content)
+    print(f"{found.title} of {found.sensor.name} {found.sensor.serial}, certificate {found.form.administration.number}")
+    for element in found.elements:
+        first, last = element.values[0].frequency_hz, element.values[-1].frequency_hz
+        count = len(element.values)
+        where = f"{count} frequencies, {first:.6g} to {last:.6g} Hz" if count > 1 else f"{first:.6g} Hz"
+        failed = element.verdicts.count("fail")
+        judged = "" if not element.verdicts else ", conforms" if not failed else f", does not conform at {failed}"
+        if element.main:
+            print(f"{element.name}: {where}{judged}")
+    beside = sum(not element.main for element in found.elements)
+    if beside:
+        print(f"and {beside} elements beside the main ones")
+    print(f"certificate: {folder / XML_FILE}, for people {folder / PAGE_FILE} (any browser prints it on A4)")
+    return found
+
+
+def write_form(path: Path) -> None:
+    """Write a new certificate.toml beside the recordings, its values still to be filled in."""
+    file = path / FORM_FILE if path.is_dir() else path
+    check_new_file(file, force=False)
+    write_whole(file, NEW_FORM)
+    print(f"{file}: fill in what is empty, then run shakercal certificate again")
+
+
+def certificate_page(found: Certificate) -> str:
+    """Return the HTML text of the certificate; style is inside, nothing is fetched from elsewhere."""
+    own = found.form
+    context = {
+        "name": f"Calibration certificate {own.administration.number}",
+        "found": found,
+        "form": own,
+        "laboratory": _address(own.laboratory),
+        "customer": _address(own.customer),
+        "period": f"{found.begin}" if found.begin == found.end else f"{found.begin} to {found.end}",
+        "conditions": [_condition(*row) for row in found.conditions],
+        "sources": _sources_table(found),
+        "results": [_element_table(element) for element in found.elements],
+        "statements": list(statements(found)),
+        "software": ", ".join(f"{name} {version}" for name, version in found.versions.items()),
+    }
+    return render_page("certificate.html", context)
+
+
+def _address(party: Party) -> list[str]:
+    """Lines of name and address."""
+    place = " ".join(filter(None, (party.post_code, party.city)))
+    return [line for line in (party.name, party.street, f"{place}, {party.country}", party.email) if line]
+
+
+def _condition(name: str, unit: str, low: float, high: float) -> str:
+    """A condition in words."""
+    text = {r"\degreecelsius": "°C", r"\percent": "%", r"\hecto\pascal": "hPa"}[unit]
+    return f"{name}: {low:g} {text}" if low == high else f"{name}: {low:g} {text} to {high:g} {text}"
+
+
+def _sources_table(found: Certificate) -> Table | None:
+    """Certificates behind the inputs."""
+    head = ("stated for", "certificate", "laboratory", "date")
+    rows = tuple(
+        ("; ".join(s.inputs), s.certificate or DASH, s.laboratory or DASH, s.day or DASH) for s in found.sources
+    )
+    return Table("Certificates that the results rest on", head, "llll", rows) if rows else None
+
+
+def _element_table(element: Element) -> Table | None:
+    """One element over frequency, magnitudes in units of a power of ten."""
+    unit = sensitivity_unit(element.unit, element.component)
+    exponent = common_exponent(np.array([complex(value.element.re, value.element.im) for value in element.values]))
+
+    def magnitude(value: Stated) -> Markup:
+        own = value.element
+        if own.region.holds_zero:
+            return half_axes(own.region, exponent)
+        return fixed(own.magnitude, value.expanded_magnitude, exponent)
+
+    def phase(value: Stated) -> Markup:
+        if value.has_phase:
+            return measured(value.element.phase_rad, value.expanded_phase_rad)
+        return Markup(WEAK if value.element.region.holds_zero else DASH)
+
+    def factors(value: Stated) -> str:
+        if value.element.region.holds_zero:
+            return factor(value.region_factor)
+        return both(factor(value.k), factor(value.k_phase))
+
+    columns: list[Column[Stated]] = [
+        on_page("frequency / Hz", lambda value: f"{value.frequency_hz:.4f}"),
+        on_page(Markup("magnitude ± U / {}").format(times_ten(exponent, unit)), magnitude),
+        on_page("phase ± U / rad", phase),
+        on_page("k", factors),
+    ]
+    if element.verdicts:
+        places = {id(value): place for place, value in enumerate(element.values)}
+
+        def deviation(value: Stated) -> str:
+            size, expanded = element.deviation[places[id(value)]]
+            return f"{signed(100.0 * size, '.3g')} ± {small(100.0 * expanded)}"
+
+        columns += [
+            on_page("from static / %", deviation),
+            on_page("conforms", lambda value: "yes" if element.verdicts[places[id(value)]] == "pass" else "no", "l"),
+        ]
+    return table(element.name, columns, element.values)

@@ -1,0 +1,232 @@
+"""The calibration certificate: what it states against the tables, its XML against the schema, what is refused."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from lxml import etree
+from support import DOCS, Refused, edit, examples, rows, without_pages
+
+from fusion.cli import main
+from fusion.recording.load import load_manifest
+from fusion.report.folder import hash_files
+from fusion.report.recording import write_results
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensor.certificate.dcc import certificate_xml, dsi_unit
+from fusion.sensor.certificate.evaluate import Certificate, evaluate_certificate
+from fusion.sensor.certificate.form import NEW_FORM
+from fusion.sensor.certificate.report import certificate_page
+
+SCHEMA = Path(os.environ.get("SHAKERCAL_DATA", DOCS.parent.parent / "shared" / "data")) / "dcc" / "dcc-3.3.0.xsd"
+NAMES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
+FORM = """
+format = 1
+[administration]
+number = "2026-0815"
+issued = 2026-11-23
+received = 2026-11-15
+begun = 2026-11-19
+ended = 2026-11-20
+operator = "Æsa 王"
+authoriser = "B. Leader"
+method = "Sinusoidal calibration on a shaker"
+traceability = "Mass by certificate M-1"
+warnings_reviewed = true
+[laboratory]
+name = "Söhne <&\\"'> </script>"
+city = "Braunschweig"
+country = "DE"
+[customer]
+name = "Example & Co"
+city = "Oslo"
+country = "NO"
+[item]
+manufacturer = "Maker"
+model = "W6"
+condition = "without visible damage"
+[conformity]
+tolerance = 0.02
+"""
+
+
+@pytest.fixture
+def campaign(
+    demo_recording: Path, demo_evaluation: Evaluation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """The demo with its results and a filled certificate.toml."""
+    without_pages(monkeypatch)
+    folder = tmp_path / "demo"
+    shutil.copytree(demo_recording, folder)
+    manifest = load_manifest(folder / "Fz-0080")
+    hashes = hash_files(manifest.files, manifest.root)
+    write_results(replace(demo_evaluation, input_hashes=hashes), folder / "results" / "Fz-0080")
+    (folder / "certificate.toml").write_text(FORM, encoding="utf-8")
+    return folder
+
+
+def texts(root: etree._Element, path: str) -> list[str]:
+    return [element.text for element in root.findall(path, NAMES)]
+
+
+def test_the_numbers_are_those_of_the_table_and_the_xml_is_valid(
+    campaign: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["certificate", str(campaign)]) == 0
+    said = capsys.readouterr().out
+    assert "Sensitivity Fz per Fz: 80.0002 Hz, conforms" in said
+    root = etree.parse(campaign / "certificate" / "certificate.xml").getroot()
+    found = {r.find("dcc:name/dcc:content", NAMES).text: r for r in root.findall(".//dcc:result", NAMES)}
+    table = rows(campaign / "results" / "Fz-0080" / "sensitivity.csv")
+    elements = [row for row in table if row["kind"] == "element" and row["frequency_hz"].startswith("80.")]
+    assert len(found) == len(elements) == 6
+    for row in elements:
+        result = found[f"Sensitivity {row['channel']} per {row['component']}"]
+        assert texts(result, ".//si:valueRealXMLList") == [row["re"]]
+        assert texts(result, ".//si:valueImagXMLList") == [row["im"]]
+        values = texts(result, ".//si:realListXMLList/si:valueXMLList")
+        assert values[0] == row["frequency_hz"]
+        if len(values) == 3:
+            assert values[1:] == [row["magnitude"], row["phase_rad"]]
+            factors = texts(result, ".//si:expandedMUXMLList/si:coverageFactorXMLList")
+            for u, k, stated in zip(
+                ("u_magnitude", "u_phase_rad"), factors, texts(result, ".//si:valueExpandedMUXMLList"), strict=True
+            ):
+                assert float(stated) == pytest.approx(float(k) * float(row[u]), rel=1e-12)
+        variances = texts(result, ".//si:covarianceXMLList/si:valueXMLList")
+        assert float(variances[0]) == pytest.approx(float(row["u_re"]) ** 2, rel=1e-12)
+        assert float(variances[3]) == pytest.approx(float(row["u_im"]) ** 2, rel=1e-12)
+    units = set(texts(root, ".//si:complexListXMLList/si:unitXMLList"))
+    assert units == {r"\volt\volt\tothe{-1}\newton\tothe{-1}"}
+    assert texts(root, ".//dcc:calibrationLaboratory//dcc:name/dcc:content") == ["Söhne <&\"'> </script>"]
+    assert texts(root, ".//dcc:conformityXMLList") == ["pass"]
+    page = (campaign / "certificate" / "certificate.html").read_text(encoding="utf-8")
+    assert "&lt;/script&gt;" in page
+    assert "</script>" not in page
+    if not SCHEMA.is_file():
+        pytest.skip(f"the schema is not at {SCHEMA}")
+    xmlschema = pytest.importorskip("xmlschema")
+    schema = etree.XMLSchema(etree.parse(SCHEMA))
+    assert schema.validate(root), schema.error_log
+    assert xmlschema.XMLSchema(str(SCHEMA)).is_valid(str(campaign / "certificate" / "certificate.xml"))
+
+
+def test_what_is_missing_is_told_in_one_list(campaign: Path, refused: Refused) -> None:
+    (campaign / "certificate.toml").unlink()
+    assert "certificate.toml: expected what a certificate needs (--draft writes a new one)" in refused(
+        "certificate", campaign
+    )
+    assert main(["certificate", str(campaign), "--draft"]) == 0
+    assert (campaign / "certificate.toml").read_text(encoding="utf-8") == NEW_FORM
+    said = refused("certificate", campaign)
+    for key in ("administration.number", "administration.operator", "laboratory.name", "customer.city", "item.model"):
+        assert key in said
+    assert "administration.begun, or the date of every recording" in said
+    assert "administration.traceability, or the certificate of an input" in said
+    assert "new file" in refused("certificate", campaign, "--draft")
+    assert not (campaign / "certificate").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('country = "DE"', 'country = "Germany"', "laboratory.country: expected a country by its two capital letters"),
+        ("issued = 2026-11-23", "issued = 2026-11-18", "administration.issued: expected a day from 2026-11-20 on"),
+        ('number = "2026-0815"', 'number = "a\\u0001b"', "administration.number: expected a text of printable letters"),
+        ("tolerance = 0.02", "tolerance = -1", "conformity.tolerance"),
+        ("format = 1", "format = 2", "format"),
+        ('model = "W6"', 'model = "W6"\ncolour = "red"', "item.colour"),
+        ("begun = 2026-11-19", "begun = 2026-11-21", "administration.ended: expected a day from 2026-11-21 on"),
+    ],
+)
+def test_a_wrong_form_is_refused_in_one_sentence(
+    old: str, new: str, said: str, campaign: Path, refused: Refused
+) -> None:
+    edit(campaign / "certificate.toml", old, new)
+    assert said in refused("certificate", campaign)
+    assert not (campaign / "certificate").exists()
+
+
+def test_results_of_other_inputs_and_none_are_refused(campaign: Path, refused: Refused) -> None:
+    edit(campaign / "rig.toml", "mass = 2.4063", "mass = 2.5")
+    said = refused("certificate", campaign)
+    assert "results of other input files (rig.toml is not what it was)" in said
+    shutil.rmtree(campaign / "results")
+    assert "expected the results of a recording" in refused("certificate", campaign)
+
+
+def test_an_expired_certificate_of_an_input_refuses_it(campaign: Path, refused: Refused) -> None:
+    stated = 'mass = { value = 2.4063, U = 0.0004, k = 2, certificate = "M-1", valid_until = 2020-01-01 }'
+    edit(campaign / "rig.toml", "mass = 2.4063\nmass_uncertainty = 0.0002", stated)
+    assert "the certificate of load.mass (M-1, valid until 2020-01-01) was not valid" in refused(
+        "certificate", campaign
+    )
+
+
+def test_a_certificate_that_is_there_stays(campaign: Path, refused: Refused) -> None:
+    assert main(["certificate", str(campaign)]) == 0
+    before = (campaign / "certificate" / "certificate.xml").read_bytes()
+    edit(campaign / "certificate.toml", "2026-0815", "2026-0816")
+    assert "expected a new file (--force replaces it)" in refused("certificate", campaign)
+    assert (campaign / "certificate" / "certificate.xml").read_bytes() == before
+    assert main(["certificate", str(campaign), "--force"]) == 0
+    assert b"2026-0816" in (campaign / "certificate" / "certificate.xml").read_bytes()
+
+
+def test_warnings_have_to_be_reviewed_and_a_floor_and_k_2_are_kept(campaign: Path) -> None:
+    found = evaluate_certificate(campaign)
+    (main_one,) = (element for element in found.elements if element.main)
+    (value,) = main_one.values
+    assert value.k == pytest.approx(value.element.k)
+    edit(campaign / "certificate.toml", "format = 1", "format = 1\nk = 2")
+    edit(campaign / "certificate.toml", "[customer]", "[laboratory.cmc]\nmagnitude = 0.01\nphase = 0.5\n[customer]")
+    (floored,) = next(element for element in evaluate_certificate(campaign).elements if element.main).values
+    assert floored.expanded_magnitude == pytest.approx(0.01 * value.element.magnitude)
+    assert (floored.k, floored.expanded_phase_rad) == (2.0, 0.5)
+
+
+def many(found: Certificate, count: int) -> Certificate:
+    """The same certificate with its first result at many frequencies."""
+    first = found.elements[0]
+    values = tuple(replace(first.values[0], frequency_hz=10.0 + place / 7) for place in range(count))
+    deviation, verdicts = first.deviation * count, first.verdicts * count
+    return replace(found, elements=(replace(first, values=values, deviation=deviation, verdicts=verdicts),))
+
+
+def test_ten_thousand_frequencies_make_lists_of_equal_length(campaign: Path) -> None:
+    found = many(evaluate_certificate(campaign), 10_000)
+    root = etree.fromstring(certificate_xml(found))
+    lists = root.findall(".//dcc:result//*", NAMES)
+    lengths = {
+        len(element.text.split()) for element in lists if element.tag.endswith(("valueXMLList", "FactorXMLList"))
+    }
+    assert lengths == {10_000}
+    assert certificate_page(found).count("<tr>") > 10_000
+
+
+@pytest.mark.parametrize(
+    ("unit", "text"),
+    [
+        ("mV/V", r"\milli\volt\volt\tothe{-1}"),
+        ("V", r"\volt"),
+        ("pC", r"\pico\coulomb"),
+        ("1", r"\one"),
+        ("V/(N·m)", r"\volt\newton\tothe{-1}\metre\tothe{-1}"),
+    ],
+)
+def test_units_are_those_of_the_digital_si(unit: str, text: str) -> None:
+    assert dsi_unit(unit) == text
+
+
+def test_a_unit_that_nobody_knows_is_refused(campaign: Path) -> None:
+    with pytest.raises(ValueError, match="expected a unit made of V"):
+        dsi_unit("counts")
+    with pytest.raises(ValueError, match="expected a unit made of V"):
+        dsi_unit("V/")
+
+
+def test_the_document_shows_the_draft() -> None:
+    assert NEW_FORM in examples((DOCS / "certificate.md").read_text(encoding="utf-8"))
