@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -38,6 +39,10 @@ FOLDED = 20
 """Order up to which harmonics are looked for that sampling folds onto a driven line."""
 OF_U = 1.0 / 3.0
 """Of a channel's u at a line: what a folded harmonic must be likely to reach to be worth a notice."""
+TURN = 0.01
+"""Radians at the end of a record by which an unknown rate may turn a line before the lines refine it: 2e-5 of it."""
+STEADY = 1e-8
+"""Relative standard uncertainty with which two blocks record the same frequency: a generator's drift in a minute."""
 FEW = 3
 """Fundamentals up to which their harmonics are looked at: a multisine has its own lines there, and intermodulation."""
 # The order in which quantities are preferred for finding the lines: those that show high frequencies best.
@@ -125,6 +130,68 @@ def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
     """Find the lines in the fastest channels; None where there are only triggers."""
     chosen = line_record(base)
     return None if chosen is None else base.on_clock(lines_in(manifest, chosen), line_clock(base))
+
+
+def refine_ties(base: TimeBase, lines: Lines) -> tuple[TimeBase, Lines]:
+    """Return ties whose rates the lines refine, and the lines on the base clock as it is known then.
+
+    One generator makes the lines that all blocks record, so that the ratio of two clocks' rates is that of the
+    frequencies that they find, known orders of magnitude better than from edges between samples. A wrong rate r costs
+    a sine over T seconds (πfTr)²/6 of its amplitude, of which no first-order uncertainty knows; ties whose u of the
+    rate turns every line by less than `TURN` over half the record stay as they are. Frequencies that contradict the
+    edges are told and change nothing.
+    """
+    fastest, first = _fastest(base), base.records[0].entry.name
+    length_s = max(float(np.ptp(fit.edge_s)) for fit in base.triggers.values()) if base.triggers else 0.0
+    turn = np.pi * float(lines.frequency_hz.max()) * length_s
+    open_ties = [
+        name for name, tie in base.ties.items() if tie is not None and turn * tie.covariance[1, 1] ** 0.5 > TURN
+    ]
+    if fastest is None or not open_ties:
+        return base, lines
+    found_in, clock = fastest[0].entry.name, float(np.linalg.norm([error.rate for error in line_clock(base)]))
+    relative = lines.u_frequency_hz / lines.frequency_hz
+    own = float(np.sqrt(np.maximum(relative**2 - clock**2, 0.0)).min())
+    stretches = {found_in: (0.0, own)}
+    for name in {first, *open_ties} - {found_in}:
+        stretches |= _stretch(base, name, lines)
+    if first not in stretches:
+        return base, lines
+    reference, u_reference = stretches[first]
+    ties = dict(base.ties)
+    for name in (name for name in open_ties if name in stretches):
+        tie, (stretch, u) = base.ties[name], stretches[name]
+        assert tie is not None
+        seen = tie.rate * (1.0 + stretch) / (1.0 + reference)
+        ties[name] = tie.with_rate(seen, tie.rate * float(np.linalg.norm([u, u_reference, STEADY])))
+    refined = replace(base, ties=ties)
+    if ties[found_in] is base.ties[found_in]:
+        return refined, lines
+    scale = base.ties[found_in].rate / ties[found_in].rate  # type: ignore[union-attr]
+    plain = replace(
+        lines,
+        frequency_hz=lines.frequency_hz * scale,
+        u_frequency_hz=np.sqrt(np.maximum(relative**2 - clock**2, 0.0)) * lines.frequency_hz,
+        nuisance_hz=lines.nuisance_hz * scale,
+    )
+    return refined, refined.on_clock(plain, line_clock(refined))
+
+
+def _stretch(base: TimeBase, name: str, lines: Lines) -> dict[str, tuple[float, float]]:
+    """Return by how much all lines seem higher in a block, relative, with its u; nothing where it shows none."""
+    record = base.record(name)
+    groups = sorted(_same_times(record), key=lambda group: -record.raw[group[0].name].sample_rate_hz)
+    for group in groups:
+        rate_hz = record.raw[group[0].name].sample_rate_hz
+        frequency_hz = lines.frequency_hz[lines.frequency_hz < rate_hz / 2.0]
+        time_s = base.to_base_s(name, record.time_s(group[0].name))
+        values, names = np.stack([record.values(member) for member in group], axis=1), [member.name for member in group]
+        with suppress(ValueError):
+            free = SineModel(free=(0,) * len(frequency_hz))
+            fit = fit_sines(time_s, values, frequency_hz, names, names, model=free)
+            ratio = float(fit.phasors.frequency_hz[0] / frequency_hz[0])
+            return {name: (ratio - 1.0, float(fit.u_frequency_hz[0] / frequency_hz[0]))}
+    return {}
 
 
 def lines_in(manifest: Manifest, chosen: LineRecord) -> Lines:

@@ -26,6 +26,7 @@ from fusion.phasors.channels import (
     line_clock,
     line_record,
     line_strength,
+    refine_ties,
 )
 from fusion.phasors.stereo_motion import (
     OpenImages,
@@ -113,22 +114,22 @@ def open_set_ups(manifest: Manifest) -> tuple[OpenSetUp, ...]:
     Clocks are tied, images opened, points read.
     """
     parts = read_set_ups(manifest)
-    opened = []
+    tied = []
     for number, recorded in enumerate(parts, 1):
         name, part = f"take {number}" if len(parts) > 1 else "", recorded.manifest
         with told_in(part.path, recorded.where, name):
-            base = tie_daqs(part, recorded.records)
-            images = tuple(open_images(part, base, entry) for entry in part.images)
-            points = tuple(measure_points(part, base, entry) for entry in part.points)
-        opened.append(OpenSetUp(name, recorded.where, part, base, images, points))
+            tied.append(OpenSetUp(name, recorded.where, part, tie_daqs(part, recorded.records), (), ()))
     fitted = []
-    for one, lines in zip(opened, _lines(opened), strict=True):
-        if lines is None:
-            fitted.append(one)
-            continue
+    for one, found in zip(tied, _lines(tied), strict=True):
         with told_in(one.manifest.path, one.where, one.name):
-            channels, readings = channel_phasors(one.manifest, one.base, lines)
-        fitted.append(replace(one, lines=lines, channels=channels, readings=readings))
+            base, lines = (one.base, None) if found is None else refine_ties(one.base, found)
+            images = tuple(open_images(one.manifest, base, entry) for entry in one.manifest.images)
+            points = tuple(measure_points(one.manifest, base, entry) for entry in one.manifest.points)
+            opened = replace(one, base=base, images=images, points=points, lines=lines)
+            if lines is not None:
+                channels, readings = channel_phasors(one.manifest, base, lines)
+                opened = replace(opened, channels=channels, readings=readings)
+        fitted.append(opened)
     return tuple(fitted)
 
 

@@ -286,6 +286,7 @@ def _scaled(time: FloatArray) -> tuple[FloatArray, Callable[[Posterior], ClockLi
 
 # One clock against another by the edges of the trigger that both have recorded.
 
+_CONTRADICTS = 5.0  # standard uncertainties
 _SAME_PERIOD = 0.01  # relative: clocks differ by less, two triggers by more
 
 
@@ -302,6 +303,24 @@ class ClockTie(ClockLine):
     pairs: int
     middle_s: float
     notices: tuple[Notice, ...]
+
+    def with_rate(self, rate: float, u_rate: float) -> ClockTie:
+        """Return the tie with a rate that was also found otherwise: both by their variances, the line about its middle.
+
+        One that contradicts the edges is told and changes nothing.
+        """
+        both, apart = float(self.covariance[1, 1]) + u_rate**2, rate - self.rate
+        if abs(apart) > _CONTRADICTS * np.sqrt(both):
+            way = "higher" if apart > 0.0 else "lower"
+            text = (
+                f"its lines are {abs(apart):.2g} of themselves {way} than the edges of the trigger let expect "
+                f"(standard uncertainty {np.sqrt(both):.2g}): edges are wrong, or what drove was not the same"
+            )
+            return replace(self, notices=(*self.notices, Notice("warning", text, "clock")))
+        gain = self.covariance[:, 1] / both
+        offset_s, rate = np.array([self.offset_s, self.rate]) + gain * apart
+        covariance = self.covariance - np.outer(gain, self.covariance[1])
+        return replace(self, offset_s=float(offset_s), rate=float(rate), covariance=covariance)
 
     def __repr__(self) -> str:
         line = f"t = {self.offset_s:.9g} s + {self.rate:.12g}·t_other"

@@ -9,13 +9,13 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from support import AT_ORIGIN, Refused, block, channel, rows
+from support import AT_ORIGIN, Refused, block, channel, recording_head, rows, write_daq
 
 from fusion.cli import main
-from fusion.phasors.channels import channel_phasors, find_channel_lines
-from fusion.phasors.timing import tie_daqs
+from fusion.phasors.channels import channel_phasors, find_channel_lines, refine_ties
+from fusion.phasors.timing import TimeBase, tie_daqs
 from fusion.recording.files import read_daqs
-from fusion.recording.load import load_manifest
+from fusion.recording.load import Manifest, load_manifest
 from fusion.report.recording import write_h5
 from fusion.report.tables import lines_table
 from fusion.sensitivity.analyse import Evaluation
@@ -173,3 +173,66 @@ def test_report_and_result_file_hold_the_other_lines(tmp_path: Path, ready_evalu
         others = file["lines/others"]
         np.testing.assert_allclose(others["frequency_hz"], lines.others.frequency_hz)
         assert others["origin/kind"].asstr()[0] == "mains"
+
+
+def _two_clocks(folder: Path, rate: float) -> tuple[Manifest, TimeBase]:
+    """A line of 1020.3 Hz and amplitude 1 on two clocks, the second `rate` times as slow, tied by their trigger."""
+    run = folder / "run"
+    run.mkdir()
+    (folder / "rig.toml").write_text(block(format=1, name="two clocks"), encoding="utf-8")
+    text = recording_head("two clocks", 1020.3).partition("[[daq]]")[0]
+    for name, pace in (("first", 1.0), ("second", rate)):
+        time_s = pace * np.arange(16_000) / 8e3
+        trigger = ((time_s > 0.1) & (time_s < 1.9) & (time_s % (1.0 / 52.11) < 4e-3)).astype(float)
+        noise = 1e-4 * np.random.default_rng(len(name)).normal(size=len(time_s))
+        sine = np.cos(2.0 * np.pi * 1020.3 * time_s + 0.3) + noise
+        write_daq(run / f"{name}.h5", 8e3, {f"trigger_{name}": trigger, "camera": trigger, name: sine})
+        text += block("[daq]", name=name, file=f"{name}.h5")
+        text += channel("camera", "trigger") + channel(name, "voltage")
+    (run / "recording.toml").write_text(text, encoding="utf-8")
+    manifest = load_manifest(run)
+    return manifest, tie_daqs(manifest, read_daqs(manifest))
+
+
+def _spoiled(base: TimeBase, true_rate: float, rate_off: float, u_rate: float) -> TimeBase:
+    """The same clocks with a tie that is right in the middle of the record and has a wrong rate."""
+    tie = base.ties["second"]
+    assert tie is not None
+    middle_s = 1.0
+    spread = np.array([[1e-12 + (middle_s * u_rate) ** 2, -middle_s * u_rate**2], [-middle_s * u_rate**2, u_rate**2]])
+    line = {"offset_s": -middle_s * rate_off, "rate": true_rate + rate_off, "covariance": spread}
+    return replace(base, ties={"first": None, "second": replace(tie, **line)})
+
+
+def test_lines_refine_the_rates_of_clocks(tmp_path: Path) -> None:
+    """A rate wrong by r costs a sine over T seconds (πfTr)²/6, which no first-order uncertainty holds."""
+    manifest, base = _two_clocks(tmp_path, 1.0 + 3e-5)
+    wrong = _spoiled(base, 1.0 + 3e-5, 6e-5, 5e-5)
+    lines = find_channel_lines(manifest, wrong)
+    assert lines is not None
+    lost = (np.pi * 1020.3 * 2.0 * 6e-5) ** 2 / 6.0
+    (_, spoiled), _ = channel_phasors(manifest, wrong, lines)
+    assert 1.0 - np.abs(spoiled.phasors.value[0, 0]) == pytest.approx(lost, rel=0.02)
+    refined, lines = refine_ties(wrong, lines)
+    tie = refined.ties["second"]
+    assert tie is not None
+    assert tie.rate == pytest.approx(1.0 + 3e-5, abs=4.0 * np.sqrt(tie.covariance[1, 1]))
+    assert np.sqrt(tie.covariance[1, 1]) < 1e-7
+    # What the edges know of the middle of the record stays: nothing else tells it.
+    assert float(tie.to_base_s(np.array(1.0))) == pytest.approx(1.0 + 3e-5, abs=1e-8)
+    assert float(tie.u_to_base_s(np.array(1.0))) == pytest.approx(1e-6, rel=1e-3)
+    (_, channel_of_second), _ = channel_phasors(manifest, refined, lines)
+    assert np.abs(channel_of_second.phasors.value[0, 0]) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_lines_that_contradict_the_edges_are_told_and_known_rates_stay(tmp_path: Path) -> None:
+    manifest, base = _two_clocks(tmp_path, 1.0)
+    wrong = _spoiled(base, 1.0, 2e-4, 1e-5)
+    lines = find_channel_lines(manifest, wrong)
+    assert lines is not None
+    tie = refine_ties(wrong, lines)[0].ties["second"]
+    assert tie is not None
+    assert tie.rate == pytest.approx(1.0 + 2e-4, abs=1e-6)
+    assert "its lines are 0.0002 of themselves lower than the edges of the trigger let expect" in tie.notices[-1].text
+    well_known = _spoiled(base, 1.0, 0.0, 1e-7)
+    assert refine_ties(well_known, lines) == (well_known, lines)
