@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date as Date
@@ -283,10 +284,12 @@ def _warnings(recorded: Iterable[Recorded], joint: Iterable[Notice]) -> Iterator
 
 
 def _not_assessed(recorded: Iterable[Recorded], joint: Iterable[Notice]) -> list[str]:
-    """Return what evaluations say is in no U, each once."""
-    told = [notice.text for entry in recorded for notice in entry.notices]
-    told += [notice.text for notice in joint]
-    return list(dict.fromkeys(text for text in told if "not assessed" in text))
+    """Return what evaluations say is in no U: of several that differ in numbers alone the first."""
+    told = [notice.text for entry in recorded for notice in entry.notices] + [notice.text for notice in joint]
+    found: dict[str, str] = {}
+    for text in (text for text in told if "not assessed" in text):
+        found.setdefault(re.sub(r"[\d.]+", "#", text), text)
+    return list(found.values())
 
 
 def _conditions(manifests: Sequence[Manifest]) -> Iterator[tuple[str, str, float, float]]:
