@@ -186,9 +186,8 @@ def stereo_phasors(
         face_m=np.asarray(np.nanmean(measured.deformation.reference_m, axis=0)),
     )
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
-    told += [(name, notice) for notice in fit.notices if notice.severity == "warning"]
-    told += [(name, notice) for notice in _short_notices(lines, usable, sight.time_s, reading)]
-    told += [(name, notice) for notice in _jitter_notices(base, sight, lines, usable, reading)]
+    own = [n for n in fit.notices if n.severity == "warning"] + _short_notices(lines, usable, sight.time_s, reading)
+    told += [(name, notice) for notice in own + _jitter_notices(base, sight, lines, usable, reading)]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
     pose = from_mean.pose.copy()
     pose[fit.spikes] = np.nan

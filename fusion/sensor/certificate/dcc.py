@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from lxml import etree
 from lxml.builder import ElementMaker
 
 from fusion.base import PROGRAM, InputError, __version__
 from fusion.estimation.uncertainty import COVERAGE
-from fusion.sensor.certificate.evaluate import Certificate, Element, Source, statements
 from fusion.sensor.certificate.form import Party
+
+if TYPE_CHECKING:
+    from fusion.sensor.certificate.evaluate import Certificate, Element, Source
 
 DCC, SI, XSI = "https://ptb.de/dcc", "https://ptb.de/si", "http://www.w3.org/2001/XMLSchema-instance"
 SCHEMA = "3.3.0"
@@ -103,7 +106,7 @@ def _administrative(found: Certificate) -> etree._Element:
         D.identifications(*known),
     )
     code = form.laboratory.accreditation
-    told = [D.statement(_text("name", name), _text("declaration", text)) for name, text in statements(found)]
+    told = [D.statement(_text("name", name), _text("declaration", text)) for name, text in found.statements()]
     laboratory = [D.calibrationLaboratoryCode(code)] if code else []
     persons = [("Operator", own.operator, "false"), ("Responsible for the certificate", own.authoriser, "true")]
     return D.administrativeData(

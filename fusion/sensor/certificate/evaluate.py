@@ -13,10 +13,9 @@ from fusion.base import InputError
 from fusion.campaign.curve import CurvePoint
 from fusion.campaign.joint import best_points, curve_points, evaluate_campaign, main_channel
 from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
-from fusion.campaign.run import is_campaign
 from fusion.estimation.uncertainty import COVERAGE, Polar, region_factor
 from fusion.recording.excitation import kinds_of
-from fusion.recording.load import Manifest, find_recordings, for_kinds, load_manifest
+from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, for_kinds, load_manifest
 from fusion.recording.toml import UncertainInput
 from fusion.report.folder import hash_files
 from fusion.report.table import has_phase
@@ -118,6 +117,35 @@ class Certificate:
     versions: dict[str, str]
     hashes: dict[str, str]
 
+    def statements(self) -> Iterator[tuple[str, str]]:
+        """Yield name and text of everything that a certificate has to say in words."""
+        own, least, limit = self.form.administration, self.form.laboratory.cmc, self.form.conformity
+        yield "Scope", SCOPE
+        yield (
+            "Uncertainty",
+            UNCERTAINTY + ("that of the effective degrees of freedom." if self.form.k == "effective" else "2."),
+        )
+        if least.magnitude or least.phase:
+            sizes = f"{100 * least.magnitude:g} % of the magnitude and {least.phase:g} rad of the phase"
+            yield "Capability", f"No U is stated below {sizes}."
+        if self.sources:
+            yield "Traceability", "To the SI through the certificates listed with the inputs that they were stated for."
+        if own.traceability:
+            yield "Traceability", own.traceability
+        if limit is not None:
+            rule = "|deviation| + U" if limit.rule == "guarded" else "|deviation|"
+            yield (
+                "Decision rule",
+                f"A main element conforms where {rule} of its magnitude from the static sensitivity is within "
+                f"{100 * limit.tolerance:g} % (ILAC-G8:09/2019, {limit.rule} acceptance).",
+            )
+        if self.not_assessed:
+            yield "Not in U", "; ".join(self.not_assessed)
+        if self.warnings:
+            yield "Warnings", f"The evaluation gave {len(self.warnings)} warnings, which {own.authoriser} has reviewed."
+        if own.remarks:
+            yield "Remarks", own.remarks
+
 
 def evaluate_certificate(
     path: Path, results: Path | None = None, form_path: Path | None = None, *, allow_outside: bool = False
@@ -129,7 +157,7 @@ def evaluate_certificate(
     inputs, empty keys, recordings without a date, inputs whose certificates had expired, warnings nobody has reviewed.
     """
     recordings = find_recordings(path)
-    alone = not is_campaign(path)
+    alone = not path.is_dir() or (path / RECORDING_NAME).is_file()
     recordings = recordings if alone else for_kinds(recordings, kinds_of("run"))
     own = recordings[0].parent if alone else path
     form_path = own / FORM_FILE if form_path is None else form_path
@@ -315,33 +343,3 @@ def _sources(inputs: Sequence[UncertainInput]) -> tuple[Source, ...]:
             key = own.certificate, own.laboratory, str(own.date or "")
             named.setdefault(key, {})[f"{item.file.name}: {item.key.removesuffix('_uncertainty')}"] = None
     return tuple(Source(tuple(keys), *about) for about, keys in named.items())
-
-
-def statements(found: Certificate) -> Iterator[tuple[str, str]]:
-    """Yield name and text of everything that a certificate has to say in words."""
-    own, least, limit = found.form.administration, found.form.laboratory.cmc, found.form.conformity
-    yield "Scope", SCOPE
-    yield (
-        "Uncertainty",
-        UNCERTAINTY + ("that of the effective degrees of freedom." if found.form.k == "effective" else "2."),
-    )
-    if least.magnitude or least.phase:
-        sizes = f"{100 * least.magnitude:g} % of the magnitude and {least.phase:g} rad of the phase"
-        yield "Capability", f"No U is stated below {sizes}."
-    if found.sources:
-        yield "Traceability", "To the SI through the certificates listed with the inputs that they were stated for."
-    if own.traceability:
-        yield "Traceability", own.traceability
-    if limit is not None:
-        rule = "|deviation| + U" if limit.rule == "guarded" else "|deviation|"
-        yield (
-            "Decision rule",
-            f"A main element conforms where {rule} of its magnitude from the static sensitivity is within "
-            f"{100 * limit.tolerance:g} % (ILAC-G8:09/2019, {limit.rule} acceptance).",
-        )
-    if found.not_assessed:
-        yield "Not in U", "; ".join(found.not_assessed)
-    if found.warnings:
-        yield "Warnings", f"The evaluation gave {len(found.warnings)} warnings, which {own.authoriser} has reviewed."
-    if own.remarks:
-        yield "Remarks", own.remarks

@@ -27,7 +27,7 @@ from fusion.report.table import (
     times_ten,
 )
 from fusion.sensor.certificate.dcc import certificate_xml
-from fusion.sensor.certificate.evaluate import Certificate, Element, Stated, evaluate_certificate, statements
+from fusion.sensor.certificate.evaluate import Certificate, Element, Stated, evaluate_certificate
 from fusion.sensor.certificate.form import FORM_FILE, NEW_FORM, Party
 
 XML_FILE, PAGE_FILE = "certificate.xml", "certificate.html"
@@ -92,7 +92,7 @@ def certificate_page(found: Certificate) -> str:
         "conditions": [_condition(*row) for row in found.conditions],
         "sources": _sources_table(found),
         "results": [_element_table(element) for element in found.elements],
-        "statements": list(statements(found)),
+        "statements": list(found.statements()),
         "software": ", ".join(f"{name} {version}" for name, version in found.versions.items()),
     }
     return render_page("certificate.html", context)
