@@ -17,10 +17,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fusion.base import InputError, ProgressCallback, as_input_error, check_new_file, no_progress, versions, write_whole
+from fusion.base import InputError, ProgressCallback, as_input_error, check_new_file, no_progress, versions
 from fusion.cameras.quantities import axes_angle_rad, baseline_m, points_of_board
 from fusion.cameras.report import render_camera_report
 from fusion.recording.values import natural_key
+from fusion.report.files import write_whole
 from fusion.report.folder import Provenance, hash_files
 from fusion.report.table import plain
 from photogram.arrays import Notice
@@ -136,6 +137,7 @@ def run_cameras(
     for path in (output, page):
         check_new_file(path, force=force)
     left, right = split_pictures(arguments)
+    inputs = hash_files([*left, *right], _folder([*left, *right]))
     calibration = calibrate_cameras(left, right, settings, progress)
     used: dict[str, str | float | int] = {
         **{name: str(value) for name, value in asdict(settings.target).items() if value is not None},
@@ -145,10 +147,9 @@ def run_cameras(
     }
     if settings.known is not None:
         used["known_length"] = " ".join(str(value) for value in asdict(settings.known).values())
-    pictures = [*left, *right]
-    hashes = hash_files(pictures, _folder(pictures))
-    provenance = Provenance(hashes, used, versions(), (output.name, page.name))
+    provenance = Provenance(inputs.hashes, used, versions(), (output.name, page.name))
     text = render_camera_report(calibration, output.stem, provenance, time.monotonic() - started)
+    inputs.check()
     write_calibration(output, calibration.rig, calibration.rms_px)
     write_whole(page, text)
     print_calibration(calibration, output, page)
@@ -161,7 +162,10 @@ def run_camera(
     if output.suffix != ".json":
         raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
     check_new_file(output, force=force)
-    calibration = calibrate_cameras([path for part in arguments for path in _expanded(part)], None, settings, progress)
+    pictures = [path for part in arguments for path in _expanded(part)]
+    inputs = hash_files(pictures, _folder(pictures))
+    calibration = calibrate_cameras(pictures, None, settings, progress)
+    inputs.check()
     write_camera(output, calibration)
     print(f"{len(calibration.views)} views, rms {calibration.rms_px:.3f} px (U: k = 2)")
     for item in calibration.parameters:
