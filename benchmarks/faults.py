@@ -19,8 +19,9 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from fusion.report.folder import read_provenance
@@ -66,6 +67,10 @@ class Found:
     tried: int = 0
     good: int = 0
     fault: Counter[str] = field(default_factory=Counter)
+
+
+def _tell(what: str, found: Found) -> None:
+    print(f"{what}: {found.tried}, {dict(found.fault)}", end="\r", file=sys.stderr)
 
 
 # Processes that are started, disturbed and looked at.
@@ -133,8 +138,8 @@ def _results(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() if path.suffix == ".csv" else b"" for path in files}
 
 
-def _hidden(folder: Path) -> list[str]:
-    return [path.name for path in folder.rglob(".*")]
+def _hidden(folder: Path) -> set[str]:
+    return {path.name for path in folder.rglob(".*")}
 
 
 def _broken(out: Path) -> bool:
@@ -167,14 +172,15 @@ SIGNALS = (
 """Each to the first process, or to all of them as a terminal or a queue does."""
 
 
-def kills(campaign: Path, folder: Path, count: int, workers: int, rng: random.Random) -> Found:
+def kills(campaign: Path, folder: Path, count: int, rng: random.Random, workers: int) -> Found:
     """End runs at random moments, start them again until one finishes, and compare its files."""
     out, found = folder / f"results-{workers}", Found()
     command = ["run", str(campaign), "-o", str(out), "-q", "--workers", str(workers)]
     reference, whole_s = undisturbed(command, folder, out)
     shutil.rmtree(out)
     while found.tried < count or out.exists():
-        process = begin(command, folder)
+        _tell(f"kills, {workers}", found)
+        before, process = _hidden(folder), begin(command, folder)
         number = _disturb(process, rng, whole_s, folder) if found.tried < count else 0
         end = ended(process)
         if end.status == 0:
@@ -185,7 +191,7 @@ def kills(campaign: Path, folder: Path, count: int, workers: int, rng: random.Ra
             found.fault[f"{end.status}: {end.told[-1:]}"] += 1
         else:
             found.tried += 1
-            fault = _fault(end, number, folder)
+            fault = _fault(end, number, folder, before)
             found.fault.update([fault] if fault else [])
     found.good = found.tried - found.fault.total()
     return found
@@ -206,16 +212,16 @@ def _disturb(process: subprocess.Popen[bytes], rng: random.Random, whole_s: floa
     return int(number)
 
 
-def _fault(end: End, number: int, folder: Path) -> str:
-    """Return what is wrong with what a run left that was ended by a signal."""
+def _fault(end: End, number: int, folder: Path, before: set[str]) -> str:
+    """Return what is wrong with what a run left that was ended by a signal; `before`: what an earlier one had left."""
     if end.orphans:
         return "orphan"
     if _broken(folder):
         return "results in pieces"
     if number == signal.SIGKILL:
         return ""
-    if _hidden(folder):
-        return f"left behind: {_hidden(folder)}"
+    if not _hidden(folder) <= before:
+        return f"left behind: {_hidden(folder) - before}"
     silent = end.status == -number  # before the interpreter had come to the program
     as_told = end.status == 128 + number and len(end.told) == 1
     return "" if silent or as_told else f"{signal.Signals(number).name}: {end.status} {end.told[-3:]}"
@@ -238,6 +244,7 @@ def disks(campaign: Path, folder: Path, count: int, rng: random.Random) -> Found
     command = ["run", str(campaign), "-o", str(out), "-q"]
     try:
         while found.tried < count:
+            _tell("disks", found)
             _resize(disk, rng.randrange(4096, int(0.9 * needed)))
             end = ended(begin([*command, "--workers", rng.choice(["1", "2"])], folder))
             found.tried += 1
@@ -273,6 +280,7 @@ def changes(campaign: Path, folder: Path, count: int, rng: random.Random) -> Fou
     files = [campaign / name for name in named.input_hashes]
     lock = folder / f".{out.name}.shakercal-lock"
     while found.tried < count:
+        _tell("changes", found)
         shutil.rmtree(out, ignore_errors=True)
         process, file = begin(command, folder), rng.choice(files)
         content = file.read_bytes()
@@ -320,12 +328,13 @@ def main() -> None:
         folder = Path(name)
         campaign = make_campaign(folder)
         several = options.kills // 2
-        rows = {
-            "runs ended, one process": kills(campaign, folder, options.kills - several, 1, rng),
-            f"runs ended, {options.workers} workers": kills(campaign, folder, several, options.workers, rng),
-            "full disks": disks(campaign, folder, options.disks, rng),
-            "inputs changed": changes(campaign, folder, options.changes, rng),
+        trials: dict[str, tuple[int, Callable[..., Found | None]]] = {
+            "runs ended, one process": (options.kills - several, partial(kills, workers=1)),
+            f"runs ended, {options.workers} workers": (several, partial(kills, workers=options.workers)),
+            "full disks": (options.disks, disks),
+            "inputs changed": (options.changes, changes),
         }
+        rows = {what: tried(campaign, folder, count, rng=rng) for what, (count, tried) in trials.items() if count}
     print("| fault | tried | as promised | else |\n|---|---|---|---|")
     for what, found in rows.items():
         if found is not None:

@@ -21,7 +21,7 @@ from fusion.base import InputError, ProgressCallback, as_input_error, check_new_
 from fusion.cameras.quantities import axes_angle_rad, baseline_m, points_of_board
 from fusion.cameras.report import render_camera_report
 from fusion.recording.values import natural_key
-from fusion.report.files import write_whole
+from fusion.report.files import write_whole, writing
 from fusion.report.folder import Provenance, hash_files
 from fusion.report.table import plain
 from photogram.arrays import Notice
@@ -150,7 +150,8 @@ def run_cameras(
     provenance = Provenance(inputs.hashes, used, versions(), (output.name, page.name))
     text = render_camera_report(calibration, output.stem, provenance, time.monotonic() - started)
     inputs.check()
-    write_calibration(output, calibration.rig, calibration.rms_px)
+    with writing(output):
+        write_calibration(output, calibration.rig, calibration.rms_px)
     write_whole(page, text)
     print_calibration(calibration, output, page)
 
@@ -166,7 +167,8 @@ def run_camera(
     inputs = hash_files(pictures, _folder(pictures))
     calibration = calibrate_cameras(pictures, None, settings, progress)
     inputs.check()
-    write_camera(output, calibration)
+    with writing(output):
+        write_camera(output, calibration)
     print(f"{len(calibration.views)} views, rms {calibration.rms_px:.3f} px (U: k = 2)")
     for item in calibration.parameters:
         print(f"{item.name.removeprefix('left.')} {plain(item.value, 2 * item.u)} {item.unit}")
@@ -235,7 +237,7 @@ def convert_calibration(path: Path, output: Path, force: bool = False, **stated:
     except ValueError as error:
         told = str(error).replace(": image_size: ", ": --image-size: ").replace(": length_unit: ", ": --length-unit: ")
         raise InputError.told_by(ValueError(told), path) from error
-    with as_input_error(output):
+    with as_input_error(output), writing(output):
         write_calibration(output, imported.rig)
     _tell(imported.notices)
     return imported.format
@@ -246,7 +248,7 @@ def write_for_another_program(path: Path, output: Path, force: bool = False) -> 
     check_new_file(output, force=force)
     with as_input_error(path):
         rig = read_calibration(path)
-    with as_input_error(output):
+    with as_input_error(output), writing(output):
         program, notices = export_calibration(output, rig)
     _tell(notices)
     return program

@@ -269,12 +269,10 @@ class _Worker:
         # The environment it is given is that of this process meanwhile.
         before = {name: os.environ.get(name) for name in ONE_THREAD}
         os.environ.update(ONE_THREAD)
-        masked = _without_interruptions()
         try:
-            self._process.start()
+            with _without_interruptions():
+                self._process.start()
         finally:
-            if masked is not None:
-                signal.pthread_sigmask(signal.SIG_SETMASK, masked)
             for name, value in before.items():
                 if value is None:
                     os.environ.pop(name, None)
@@ -282,7 +280,7 @@ class _Worker:
                     os.environ[name] = value
         other.close()
 
-    def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]], stop: Connection) -> Answer | None:
+    def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]], stop: Any) -> Answer | None:
         """Have the process compute a task; None when it died meanwhile or `stop` was closed."""
         try:
             self._connection.send(task)
@@ -311,15 +309,21 @@ class _Worker:
         return status
 
 
-def _without_interruptions() -> set[signal.Signals] | None:
-    """Block interruptions in this thread, as in a process that it starts, and return what was blocked before.
+@contextmanager
+def _without_interruptions() -> Iterator[None]:
+    """Block interruptions in this thread, and in a process that it starts meanwhile.
 
     A terminal interrupts all processes; the first one ends the others, also while they start.
     """
     if sys.platform == "win32":
-        return None
+        yield
+        return
     resource_tracker.ensure_running()  # which else unblocks them as it starts
-    return {signal.Signals(number) for number in signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _serve(connection: Connection) -> None:

@@ -33,8 +33,8 @@ from fusion.report.files import write_files, write_together
 from fusion.report.folder import (
     RESULT_FILE,
     RESULT_FORMAT,
+    InputFiles,
     Provenance,
-    hash_files,
     origin_frame,
     render_page,
     write_provenance,
@@ -376,8 +376,7 @@ def write_campaign(top: Path, name: str, folders: Sequence[Path], failed: Mappin
     read from them, so that equal results give equal files. `failed`: folders of the others, by name, and why there is
     no result. The files appear together, or not at all where results are replaced while they are read.
     """
-    read = [path for folder in folders for file in (*MERGED_FILES, RESULT_FILE) if (path := folder / file).is_file()]
-    inputs = hash_files(read, top)
+    inputs = InputFiles.watched(folder / file for folder in folders for file in (*MERGED_FILES, RESULT_FILE))
     evaluation = evaluate_campaign(name, [read_recorded(folder) for folder in folders], failed)
 
     def make(temporary: Path) -> list[str]:

@@ -62,7 +62,8 @@ class Provenance:
 class InputFiles:
     """What is read: SHA-256 of every file by its name, and what each file was when it was hashed.
 
-    `again`: files that were changed so shortly before that a further change may not show; they are hashed again.
+    `again`: files that were changed so shortly before that a further change may not show; they are hashed again. A file
+    without a hash is taken for another one wherever anything about it is.
     """
 
     hashes: dict[str, str] = field(default_factory=dict)
@@ -75,8 +76,13 @@ class InputFiles:
             now = Identity.of(path)
             if now is None or now[:2] != before[:2]:
                 raise _changed(path, now)
-            if (path in self.again or now != before) and sha256(path) != digest:
+            if (path in self.again or now != before) and (not digest or sha256(path) != digest):
                 raise _changed(path, now)
+
+    @classmethod
+    def watched(cls, files: Iterable[Path]) -> InputFiles:
+        """Return files that are only to stay what they are, such as results of this program, which it never changes."""
+        return cls(seen={path: (now, "") for path in files if (now := Identity.of(path)) is not None})
 
 
 def _changed(path: Path, now: Identity | None) -> InputError:
