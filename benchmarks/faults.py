@@ -87,7 +87,13 @@ def begin(arguments: Sequence[str], folder: Path, before: Sequence[str] = ()) ->
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         start_new_session=True,
+        preexec_fn=_listen,
     )
+
+
+def _listen() -> None:
+    """Have a process hear interruptions, which what runs in the background starts without."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def ended(process: subprocess.Popen[bytes]) -> End:
@@ -119,7 +125,9 @@ def signalled(arguments: Sequence[str], number: int, after_s: float) -> End:
     script = "import sys; from fusion.cli import main; print(flush=True); sys.exit(main(sys.argv[1:]))"
     command, environment = [sys.executable, "-c", script, *arguments], {**os.environ, "PYTHONPATH": str(ROOT)}
     pipe = subprocess.PIPE
-    process = subprocess.Popen(command, env=environment, stdout=pipe, stderr=pipe, start_new_session=True)
+    process = subprocess.Popen(
+        command, env=environment, stdout=pipe, stderr=pipe, start_new_session=True, preexec_fn=_listen
+    )
     assert process.stdout is not None
     process.stdout.read(1)
     time.sleep(after_s)

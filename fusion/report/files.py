@@ -27,7 +27,8 @@ HIDDEN = re.compile(rf"\.(?P<name>.+?)(-[0-9a-f]{{12}}\.(?P<kind>part|old|aside)
 """Names of what is being made (`part`), of what it replaces (`old`; single files: `aside`), and of locks."""
 FORGOTTEN_S = 86_400.0
 """Age after which something half-made is taken for abandoned where the file system has no locks."""
-NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
+TAKEN = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
+"""What a system says of a lock that somebody else holds; anything else says that there are none."""
 
 # One place that writes.
 
@@ -90,10 +91,9 @@ def claimed(place: Path) -> Iterator[None]:
         yield
         return
     new = [folder for folder in lock.parents if not folder.exists()]
-    with writing(place):
-        handle = _locked(lock, place)
-    _held[lock] = handle
     with undone(partial(_free, lock, new)):
+        with uninterrupted(), writing(place):
+            _held[lock] = _locked(lock, place)
         yield
 
 
@@ -119,7 +119,7 @@ def _locked(lock: Path, place: Path) -> int | None:
             _lock(handle)
         except OSError as error:
             os.close(handle)
-            if error.errno in NO_LOCKS:
+            if error.errno not in TAKEN:
                 return None
             text = f"{place}: another run is writing there; start this one again when that has ended"
             raise ComputeError(text) from error
@@ -142,22 +142,21 @@ def _lock(handle: int) -> None:
 
 
 def _free(lock: Path, folders: Sequence[Path]) -> None:
-    """Give a lock free, and remove folders that stayed empty; nothing happens where that has been done."""
-    if lock not in _held:
-        return
-    handle = _held[lock]
-    with contextlib.suppress(OSError):
-        if sys.platform != "win32":  # which removes no open file
-            lock.unlink()
-    if handle is not None:
+    """Give a lock free where it is held, and remove folders that stayed empty."""
+    if lock in _held:
+        handle, windows = _held[lock], sys.platform == "win32"
         with contextlib.suppress(OSError):
-            os.close(handle)
-    with contextlib.suppress(OSError):
-        lock.unlink(missing_ok=sys.platform != "win32")
+            if not windows:  # as long as nobody else can hold it
+                lock.unlink()
+        with contextlib.suppress(OSError):
+            if handle is not None:
+                os.close(handle)
+            if windows:  # which removes no open file
+                lock.unlink()
+        _held.pop(lock, None)
     for folder in folders:
         with contextlib.suppress(OSError):
             folder.rmdir()
-    _held.pop(lock, None)
 
 
 # What is being made, and what was left by runs that are gone.
