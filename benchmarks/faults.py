@@ -28,7 +28,7 @@ from fusion.report.folder import read_provenance
 from fusion.simulate import simulate
 
 LIGHT = """
-import sys
+import signal, sys
 from fusion import cli
 
 def lighten():
@@ -42,6 +42,7 @@ def act(options, act=cli._act):
 
 cli._act = act
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, cli._end)  # a background job starts with the signal ignored
     sys.exit(cli.main())
 if __name__ == "__mp_main__":
     lighten()
@@ -76,24 +77,18 @@ def _tell(what: str, found: Found) -> None:
 # Processes that are started, disturbed and looked at.
 
 
-def begin(arguments: Sequence[str], folder: Path, before: Sequence[str] = ()) -> subprocess.Popen[bytes]:
+def begin(arguments: Sequence[str], folder: Path) -> subprocess.Popen[bytes]:
     """Start the command in a session of its own."""
     script = folder / "light.py"
     if not script.exists():
         script.write_text(LIGHT)
     return subprocess.Popen(
-        [*before, sys.executable, str(script), *arguments],
+        [sys.executable, str(script), *arguments],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         start_new_session=True,
-        preexec_fn=_listen,
     )
-
-
-def _listen() -> None:
-    """Have a process hear interruptions, which what runs in the background starts without."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def ended(process: subprocess.Popen[bytes]) -> End:
@@ -122,12 +117,13 @@ def _of_session(session: int) -> list[int]:
 
 def signalled(arguments: Sequence[str], number: int, after_s: float) -> End:
     """Send a signal to the command as it is, all of it, some time after the interpreter has come to it."""
-    script = "import sys; from fusion.cli import main; print(flush=True); sys.exit(main(sys.argv[1:]))"
+    script = (
+        "import signal, sys\nfrom fusion import cli\nsignal.signal(signal.SIGINT, cli._end)\n"
+        "print(flush=True)\nsys.exit(cli.main(sys.argv[1:]))"
+    )
     command, environment = [sys.executable, "-c", script, *arguments], {**os.environ, "PYTHONPATH": str(ROOT)}
     pipe = subprocess.PIPE
-    process = subprocess.Popen(
-        command, env=environment, stdout=pipe, stderr=pipe, start_new_session=True, preexec_fn=_listen
-    )
+    process = subprocess.Popen(command, env=environment, stdout=pipe, stderr=pipe, start_new_session=True)
     assert process.stdout is not None
     process.stdout.read(1)
     time.sleep(after_s)

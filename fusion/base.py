@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from photogram.arrays import Notice as ImageNotice
     from shaker.arrays import Notice
 
+PROGRAM = "shakercal"
 AnyNotice: TypeAlias = "Notice | ImageNotice"
 
 
@@ -445,7 +446,6 @@ def prefix(values: ArrayLike, *, coarse: bool = False) -> tuple[float, str]:
 # The program and the libraries that compute with it.
 
 
-PROGRAM = "shakercal"
 __version__ = importlib.metadata.version(PROGRAM)
 LIBRARIES = {
     "numpy": "numpy",
