@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
+import errno
 import importlib.metadata
+import logging
 import math
 import os
 import platform
 import re
-import shutil
-import socket
+import signal
 import sys
-import time
+import unicodedata
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -20,11 +22,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
-    from rich.console import Console
+    from rich.console import Console, ConsoleOptions
+    from rich.segment import Segment
 
     from photogram.arrays import Notice as ImageNotice
     from shaker.arrays import Notice
 
+PROGRAM = "shakercal"
 AnyNotice: TypeAlias = "Notice | ImageNotice"
 
 
@@ -113,12 +117,25 @@ def told(error: Exception) -> InputError | ComputeError:
     return ComputeError(f"internal error ({type(error).__name__}: {error}); please report it, -v shows where")
 
 
-# What a command writes: where it may go, and how it appears whole or not at all.
+# What a command reads and writes: files that stay what they were, places for new ones.
 
 
-TEMPORARY = re.compile(r"\..+-(?P<process>\d+)@(?P<host>[^/]+)")
-FORGOTTEN_S = 86_400.0
-"""Age after which what a process of another machine left unfinished is taken for abandoned."""
+class Identity(NamedTuple):
+    """What tells that a file is no longer what it was: its size and time of change, and where it lies."""
+
+    size: int
+    mtime_ns: int
+    inode: int
+    device: int
+
+    @classmethod
+    def of(cls, path: Path) -> Identity | None:
+        """Return the identity of a file at this moment; None where there is none."""
+        try:
+            found = path.stat()
+        except OSError:
+            return None
+        return cls(found.st_size, found.st_mtime_ns, found.st_ino, found.st_dev)
 
 
 def check_new_file(path: Path, *, force: bool) -> None:
@@ -130,62 +147,125 @@ def check_new_file(path: Path, *, force: bool) -> None:
         raise InputError(path, "", found=f"no folder {path.parent}", expected="a file in an existing folder")
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file by a temporary name and one rename; text as UTF-8 with its line ends as they are."""
-    temporary = temporary_beside(path)
+# What is undone when a signal ends the process: whoever begins something that must not be left registers its undoing.
+
+
+_undo: list[Callable[[], object]] = []
+_uninterrupted: list[None] = []
+_waiting: list[int] = []
+
+
+@contextmanager
+def undone(undo: Callable[[], object]) -> Iterator[None]:
+    """Call a function at the end, or when a signal ends the process meanwhile; to call it twice does no harm."""
+    _undo.append(undo)
     try:
-        temporary.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
-        os.replace(temporary, path)
+        yield
     finally:
-        temporary.unlink(missing_ok=True)
+        undo()
+        _undo.remove(undo)
 
 
-def temporary_beside(path: Path) -> Path:
-    """Return the hidden name beside `path` under which this process prepares it: it tells process and machine."""
-    return path.with_name(f".{path.name}-{os.getpid()}@{socket.gethostname()}")
-
-
-def remove_abandoned(folder: Path) -> list[Path]:
-    """Remove from a folder what processes that are gone were preparing there, and return its paths.
-
-    A process of another machine cannot be asked: what it left counts as abandoned after a day without any change.
-    """
-    removed = [entry for entry in folder.iterdir() if _abandoned(entry)] if folder.is_dir() else []
-    for entry in removed:
-        if entry.is_dir() and not entry.is_symlink():
-            shutil.rmtree(entry, ignore_errors=True)
-        else:
-            entry.unlink(missing_ok=True)
-    return removed
-
-
-def _abandoned(entry: Path) -> bool:
-    """Whether an entry of a folder is a temporary one of a process that is gone."""
-    named = TEMPORARY.fullmatch(entry.name)
-    if named is None:
-        return False
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let no signal end the process within a few steps that belong together; it ends after them."""
+    _uninterrupted.append(None)
     try:
-        if named["host"] != socket.gethostname() or sys.platform == "win32":
-            return time.time() - entry.stat().st_mtime > FORGOTTEN_S
-        os.kill(int(named["process"]), 0)  # asks whether it exists
-    except ProcessLookupError:
-        return True
-    except (PermissionError, FileNotFoundError):  # of another user; finished in between
-        return False
-    return False
+        yield
+    finally:
+        _uninterrupted.pop()
+        if _waiting and not _uninterrupted:
+            end_process(_waiting[0])
+
+
+def end_process(number: int) -> None:
+    """End the process as the signal of this number asks: all is undone, one line told, the status 128 + number.
+
+    It ends at once and not by an exception, which compiled code, callbacks and libraries may swallow or wrap.
+    """
+    if _uninterrupted:
+        _waiting.append(number)
+        return
+    logging.disable(logging.CRITICAL)  # threads that lose what they work with have nothing to tell any more
+    for undo in reversed(_undo.copy()):
+        with contextlib.suppress(Exception):
+            undo()
+    what = "interrupted" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
+    with contextlib.suppress(OSError):
+        os.write(2, f"{PROGRAM}: {what}; nothing half-written was left behind\n".encode())
+    os._exit(128 + number)
 
 
 # Where tables and sentences for the user go: a terminal of its own width, a pipe of 120 columns.
 
 
 PIPE_WIDTH = 120
+SPELLED = str.maketrans(
+    {"\N{MINUS SIGN}": "-", "±": "+-", "·": "*", "×": "x", "²": "^2", "³": "^3", "°": " deg", "µ": "u", "μ": "u"}
+    | {"–": "-", "—": "-", "…": "...", "“": '"', "”": '"', "‘": "'", "’": "'", "→": "->", "≤": "<=", "≥": ">="}
+    | {"≈": "~", "√": "sqrt", "∞": "inf", "Ω": "Ohm", "✓": "yes"}
+)
+"""How signs are spelled where the encoding of the output lacks them."""
+UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+"""Characters that steer a terminal instead of being shown: escape sequences, and changes of the writing direction."""
+
+
+def printable(text: str) -> str:
+    """Return a text with what would steer a terminal spelled as escapes; names come from files of others."""
+    return UNPRINTABLE.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
+def _spelled(error: UnicodeError) -> tuple[str, int]:
+    """Return what stands for characters that an encoding lacks, and where to go on."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    parts = []
+    for sign in error.object[error.start : error.end]:
+        text = sign.translate(SPELLED)
+        if text == sign and unicodedata.name(sign, "").startswith("GREEK "):
+            text = unicodedata.name(sign).rpartition("LETTER ")[2].lower()
+        elif text == sign:
+            text = unicodedata.normalize("NFKD", sign)
+        parts.append("".join(part if part.isascii() else "?" for part in text if not unicodedata.combining(part)))
+    return "".join(parts), error.end
+
+
+class Terminal:
+    """A stream of the process that takes every text: signs that its encoding lacks are spelled, none steers it."""
+
+    def __init__(self, stream: Any) -> None:
+        self.stream = stream
+        codecs.register_error("spelled", _spelled)
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="spelled")
+
+    def write(self, text: str) -> int:
+        """Write a text; its own line feeds and tabs stay."""
+        return int(self.stream.write(printable(text)))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+
+def _behind(stream: Any) -> Any:
+    """Return what a terminal writes to: consoles put their own colours there."""
+    return stream.stream if isinstance(stream, Terminal) else stream
 
 
 def stdout_console() -> Console:
-    """Return a console on stdout that prints text as it is."""
+    """Return a console on stdout that prints text as it is, but for what would steer the terminal."""
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else PIPE_WIDTH, highlight=False, markup=False)
+    class Stdout(Console):
+        def render(self, renderable: Any, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+            for segment in super().render(renderable, options):
+                yield segment if segment.control else segment._replace(text=printable(segment.text))
+
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+    width = None if sys.stdout.isatty() else PIPE_WIDTH
+    return Stdout(file=_behind(sys.stdout), width=width, highlight=False, markup=False)
 
 
 # What a user may choose about a run, beside the manifest.
@@ -294,11 +374,12 @@ def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
 
     tasks: dict[str, TaskID] = {}
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+    console = Console(file=_behind(sys.stderr))
+    with Progress(*columns, console=console, transient=True) as bars, undone(bars.stop):
 
         def update(stage: str, done: int, total: int) -> None:
             if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
+                tasks[stage] = bars.add_task(printable(stage), total=total)
             bars.update(tasks[stage], completed=done, total=total)
 
         yield update
@@ -365,7 +446,6 @@ def prefix(values: ArrayLike, *, coarse: bool = False) -> tuple[float, str]:
 # The program and the libraries that compute with it.
 
 
-PROGRAM = "shakercal"
 __version__ = importlib.metadata.version(PROGRAM)
 LIBRARIES = {
     "numpy": "numpy",

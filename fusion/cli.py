@@ -1,38 +1,63 @@
-"""The command `shakercal`. Heavy modules are imported by the sub-command that needs them."""
+"""The command `shakercal`. What ends the process is settled first; heavy modules are imported by their sub-command."""
 
 from __future__ import annotations
 
-import argparse
-import logging
+import os
+import signal
 import sys
-from collections.abc import Sequence
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
 
-from fusion.base import PROGRAM, __version__
-from fusion.commands import measure, sensor
-from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, Parser
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator, Sequence
 
-log = logging.getLogger("shakercal")
+    from fusion.commands.options import Command, Parser
 
-
-COMMANDS = (*measure.COMMANDS, *sensor.COMMANDS)
-"""In the order in which the help lists them."""
+ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit status (0 done, 1 not computable, 2 bad input, 130 interrupted).
+    """Run the command line and return its exit status.
 
+    0 done, 1 not computable, 2 bad input, 130 interrupted (128 + number of the signal), 141 nobody reads the output.
     Every failure becomes one sentence on stderr.
     """
-    options = _parser().parse_args(arguments)
-    _set_up_log(options)
-    try:
-        return options.act(options) or EXIT_DONE
-    except (Exception, KeyboardInterrupt) as error:
-        from fusion.base import ComputeError, InputError, is_interruption, told
+    with _ended_by_signals(), _terminals():
+        options = _parser().parse_args(arguments)
+        _set_up_log(options)
+        return _act(options)
 
+
+def commands() -> tuple[Command, ...]:
+    """Return the sub-commands in the order in which the help lists them."""
+    from fusion.commands import measure, sensor
+
+    return (*measure.COMMANDS, *sensor.COMMANDS)
+
+
+def _act(options: argparse.Namespace) -> int:
+    """Do what a sub-command does and tell what goes wrong."""
+    import logging
+
+    from fusion.base import ComputeError, InputError, is_interruption, told
+    from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
+
+    log = logging.getLogger("shakercal")
+    try:
+        status: int = options.act(options) or EXIT_DONE
+        sys.stdout.flush()
+        return status
+    except (Exception, KeyboardInterrupt) as error:
         if is_interruption(error) or not isinstance(error, Exception):
             log.error("interrupted; nothing half-written was left behind")
             return EXIT_INTERRUPTED
+        unwritten = _unwritten()
+        if isinstance(error, BrokenPipeError) or isinstance(unwritten, BrokenPipeError):
+            return EXIT_CLOSED
+        if unwritten is not None:
+            log.error("the output could not be written: %s", unwritten.strerror)
+            return EXIT_FAILED
         failure = told(error)
         log.error("%s", " ".join(str(failure).split()))
         if not isinstance(error, InputError | ComputeError):
@@ -40,16 +65,73 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_INPUT if isinstance(failure, InputError) else EXIT_FAILED
 
 
-class _ToStderr(logging.Handler):
-    """Writes to what stderr is at the moment: a progress bar redirects it while it is drawn."""
+def _unwritten() -> OSError | None:
+    """Return why stdout takes no more, None where it does; what it still holds is dropped."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return error
+    return None
 
-    def emit(self, record: logging.LogRecord) -> None:
-        print(self.format(record), file=sys.stderr)
+
+# What ends the process from outside, and what it prints to.
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """Have the signals that end a process end it cleanly; one that is ignored, as for a background job, stays so."""
+    before = {}
+    with suppress(ValueError):  # outside the first thread, which alone may say so
+        for number in (getattr(signal, name) for name in ENDING if hasattr(signal, name)):
+            if signal.getsignal(number) != signal.SIG_IGN:
+                before[number] = signal.signal(number, _end) or signal.SIG_DFL
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _end(number: int, _: object) -> None:
+    """End the process; before there is anything that could be undone, at once."""
+    end = getattr(sys.modules.get("fusion.base"), "end_process", None)
+    if end is not None:
+        end(number)
+        return
+    os.write(2, f"shakercal: ended by {signal.Signals(number).name}\n".encode())
+    os._exit(128 + number)
+
+
+@contextmanager
+def _terminals() -> Iterator[None]:
+    """Have stdout and stderr take every text, and be there where the process was started without."""
+    from fusion.base import Terminal
+
+    before = sys.stdout, sys.stderr
+    nowhere = open(os.devnull, "w")  # noqa: SIM115  (for as long as the process may print)
+    sys.stdout, sys.stderr = (Terminal(stream or nowhere) for stream in before)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
+        nowhere.close()
 
 
 def _set_up_log(options: argparse.Namespace) -> None:
     """Send the program's own messages to stderr; those of libraries, warnings included, only with -v."""
-    handler = _ToStderr()
+    import logging
+
+    from fusion.base import printable
+
+    class ToStderr(logging.Handler):
+        """Writes to what stderr is at the moment: a progress bar redirects it while it is drawn."""
+
+        def emit(self, record: logging.LogRecord) -> None:
+            print(printable(self.format(record)), file=sys.stderr)
+
+    handler, log = ToStderr(), logging.getLogger("shakercal")
     handler.setFormatter(logging.Formatter("shakercal: %(message)s"))
     log.handlers, log.propagate = [handler], False
     log.setLevel(logging.WARNING if options.quiet else logging.DEBUG if options.verbose else logging.INFO)
@@ -58,6 +140,9 @@ def _set_up_log(options: argparse.Namespace) -> None:
 
 
 def _parser() -> Parser:
+    from fusion.base import PROGRAM, __version__
+    from fusion.commands.options import Parser
+
     parser = Parser(
         prog="shakercal",
         description="From a shaker recording to the dynamic sensitivity of a multi-component force and moment sensor.",
@@ -67,9 +152,9 @@ def _parser() -> Parser:
     loudness = common.add_mutually_exclusive_group()
     loudness.add_argument("-v", "--verbose", action="store_true", help="tell more on stderr")
     loudness.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only, no progress bar")
-    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for command in COMMANDS:
-        own = commands.add_parser(command.name, parents=[common], help=command.help)
+    parsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for command in commands():
+        own = parsers.add_parser(command.name, parents=[common], help=command.help)
         command.options(own)
         own.set_defaults(act=command.act)
     return parser

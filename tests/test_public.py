@@ -16,7 +16,7 @@ from contracts import refused
 import fusion
 import photogram
 import shaker
-from fusion.cli import COMMANDS
+from fusion.cli import commands
 from fusion.recording.excitation import KINDS, Excitation, Kind
 from photogram.camera import Points
 
@@ -108,8 +108,8 @@ def test_the_example_of_the_readme():
 
 def test_every_kind_of_excitation_is_evaluated_by_commands_that_exist():
     assert set(KINDS) == set(get_args(Kind))
-    commands = {command.name for command in COMMANDS}
+    names = {command.name for command in commands()}
     for kind in KINDS.values():
         assert kind.commands
-        assert set(kind.commands) <= commands
+        assert set(kind.commands) <= names
         assert {*kind.required, *kind.allowed} <= set(Excitation.model_fields) - {"kind"}

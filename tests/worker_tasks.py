@@ -80,11 +80,10 @@ def threads() -> dict[str, int]:
 
 
 def wait_for_ever(begun: Path) -> None:
-    """Say who waits, and do so."""
-    partial = begun.with_name(f".partial-{os.getpid()}")
-    try:
+    """Say who waits, and do so with something half-made."""
+    from fusion.report.files import claimed, temporary
+
+    with claimed(begun), temporary(begun) as partial:
         partial.write_text("")
         begun.write_text(str(os.getpid()))
         time.sleep(600.0)
-    finally:
-        partial.unlink()

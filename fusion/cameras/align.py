@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,12 +19,12 @@ from fusion.base import (
     K2,
     AnyNotice,
     ComputeError,
+    Identity,
     InputError,
     ProgressCallback,
     Settings,
     check_new_file,
     no_progress,
-    write_whole,
 )
 from fusion.cameras.align_manifest import (
     AlignmentFile,
@@ -50,7 +50,8 @@ from fusion.phasors.stereo_phasors import stereo_phasors
 from fusion.phasors.timing import TimeBase, tie_daqs
 from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest, load_manifest
-from fusion.report.folder import sha256
+from fusion.report.files import write_whole
+from fusion.report.folder import hash_files, sha256
 from photogram.alignment.evidence import (
     Evidence,
     KnownAxis,
@@ -99,7 +100,12 @@ def align_file(
     """
     if output is not None:
         check_new_file(output, force=force)
+    read = {path.resolve(): seen} if (seen := Identity.of(path)) else {}
     file = read_alignment(path, allow_outside)
+    blocks: list[Motion | AxisBlock] = [*file.motion, *file.axis]
+    recorded = [load_manifest(name, allow_outside).files for block in blocks for name in block.recordings]
+    named = [path, *_paths(file.model_dump()), *(name for files in recorded for name in files)]
+    inputs = hash_files(named, path.parent, read)
     pair = None if file.calibration is None else read_pair(path, file.calibration, file.scale_uncertainty)
     evidence = [] if pair is None else still_evidence(path, file, pair)
     moving, stated, notices = _moving_evidence(path, file, pair, settings, progress, allow_outside)
@@ -114,9 +120,19 @@ def align_file(
     for notice in (*notices, *alignment.notices):
         log.log(logging.WARNING if notice.severity == "warning" else logging.INFO, "%s", notice.text)
     text = pose_text(file, alignment, pair)
+    inputs.check()
     if output is not None:
         write_whole(output, text)
     return text
+
+
+def _paths(value: object) -> Iterator[Path]:
+    """Yield every path in the values of a manifest."""
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, dict | list | tuple):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _paths(item)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,10 +17,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fusion.base import InputError, ProgressCallback, as_input_error, check_new_file, no_progress, versions, write_whole
+from fusion.base import InputError, ProgressCallback, as_input_error, check_new_file, no_progress, versions
 from fusion.cameras.quantities import axes_angle_rad, baseline_m, points_of_board
 from fusion.cameras.report import render_camera_report
 from fusion.recording.values import natural_key
+from fusion.report.files import write_whole, writing
 from fusion.report.folder import Provenance, hash_files
 from fusion.report.table import plain
 from photogram.arrays import Notice
@@ -136,6 +137,7 @@ def run_cameras(
     for path in (output, page):
         check_new_file(path, force=force)
     left, right = split_pictures(arguments)
+    inputs = hash_files([*left, *right], _folder([*left, *right]))
     calibration = calibrate_cameras(left, right, settings, progress)
     used: dict[str, str | float | int] = {
         **{name: str(value) for name, value in asdict(settings.target).items() if value is not None},
@@ -145,11 +147,11 @@ def run_cameras(
     }
     if settings.known is not None:
         used["known_length"] = " ".join(str(value) for value in asdict(settings.known).values())
-    pictures = [*left, *right]
-    hashes = hash_files(pictures, _folder(pictures))
-    provenance = Provenance(hashes, used, versions(), (output.name, page.name))
+    provenance = Provenance(inputs.hashes, used, versions(), (output.name, page.name))
     text = render_camera_report(calibration, output.stem, provenance, time.monotonic() - started)
-    write_calibration(output, calibration.rig, calibration.rms_px)
+    inputs.check()
+    with writing(output):
+        write_calibration(output, calibration.rig, calibration.rms_px)
     write_whole(page, text)
     print_calibration(calibration, output, page)
 
@@ -161,8 +163,12 @@ def run_camera(
     if output.suffix != ".json":
         raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
     check_new_file(output, force=force)
-    calibration = calibrate_cameras([path for part in arguments for path in _expanded(part)], None, settings, progress)
-    write_camera(output, calibration)
+    pictures = [path for part in arguments for path in _expanded(part)]
+    inputs = hash_files(pictures, _folder(pictures))
+    calibration = calibrate_cameras(pictures, None, settings, progress)
+    inputs.check()
+    with writing(output):
+        write_camera(output, calibration)
     print(f"{len(calibration.views)} views, rms {calibration.rms_px:.3f} px (U: k = 2)")
     for item in calibration.parameters:
         print(f"{item.name.removeprefix('left.')} {plain(item.value, 2 * item.u)} {item.unit}")
@@ -231,7 +237,7 @@ def convert_calibration(path: Path, output: Path, force: bool = False, **stated:
     except ValueError as error:
         told = str(error).replace(": image_size: ", ": --image-size: ").replace(": length_unit: ", ": --length-unit: ")
         raise InputError.told_by(ValueError(told), path) from error
-    with as_input_error(output):
+    with as_input_error(output), writing(output):
         write_calibration(output, imported.rig)
     _tell(imported.notices)
     return imported.format
@@ -242,7 +248,7 @@ def write_for_another_program(path: Path, output: Path, force: bool = False) -> 
     check_new_file(output, force=force)
     with as_input_error(path):
         rig = read_calibration(path)
-    with as_input_error(output):
+    with as_input_error(output), writing(output):
         program, notices = export_calibration(output, rig)
     _tell(notices)
     return program

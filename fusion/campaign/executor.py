@@ -17,14 +17,15 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from queue import PriorityQueue
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
-from fusion.base import PROGRAM, ComputeError, InputError, __version__
+from fusion.base import PROGRAM, ComputeError, InputError, __version__, undone
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -148,7 +149,9 @@ class _Keeper(logging.Handler):
 ATTEMPTS = 3
 """How often a task is begun before the death of its workers counts as the task's own failure."""
 FAREWELL_S = 5.0
-"""How long a worker may take to clean up when it is told to end."""
+"""How long a worker may take to end when it is told to, or to start."""
+NOTICED_S = 0.5
+"""How long the end of this process may take to be known after that of a worker."""
 NOTHING_MORE = 1 << 60
 
 
@@ -172,9 +175,12 @@ class Workers:
         self._number = 0
         self._starting = threading.Lock()
         self._stop, self._stopper = multiprocessing.Pipe(duplex=False)
+        self._living: set[_Worker] = set()
+        self._ended_by_signals = undone(self._kill)
         self._leaders = [threading.Thread(target=self._lead, daemon=True) for _ in range(size)]
 
     def __enter__(self) -> Workers:
+        self._ended_by_signals.__enter__()
         for leader in self._leaders:
             leader.start()
         return self
@@ -188,7 +194,16 @@ class Workers:
             leader.join()
         while not self._queue.empty():
             self._queue.get().future.cancel()
+        self._ended_by_signals.__exit__(None, None, None)
         self._stop.close()
+
+    def _kill(self) -> None:
+        """End all workers at once; waits for none of the locks that the process's first thread may hold."""
+        with suppress(OSError):
+            self._stopper.close()
+        self._starting.acquire(timeout=FAREWELL_S)  # one that is being started would tell that its parent is gone
+        for worker in self._living.copy():
+            worker.kill()
 
     def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[Answer]:
         """Have a module's function called by a worker; of the tasks that wait, the lowest rank comes first.
@@ -211,7 +226,13 @@ class Workers:
                 worker = None
                 task.future.set_exception(error)
         if worker is not None:
-            worker.end()
+            self._end(worker)
+
+    def _end(self, worker: _Worker) -> int | None:
+        """End a worker and return its exit status."""
+        status = worker.end()
+        self._living.discard(worker)
+        return status
 
     def _complete(self, task: _Task, worker: _Worker | None) -> _Worker | None:
         """Have a task computed and return the worker that is still there; a task that ends its workers fails."""
@@ -221,13 +242,14 @@ class Workers:
             if worker is None:
                 with self._starting:
                     worker = _Worker()
+                    self._living.add(worker)
             answer = worker.ask((task.function, task.arguments), self._stop)
             if answer is not None:
                 task.future.set_result(answer)
                 return worker
-            if self._stop.poll():
+            if self._stop.poll(NOTICED_S):  # what ends all processes may reach a worker first
                 break
-            status, worker = worker.end(), None
+            status, worker = self._end(worker), None
             log.warning("a worker process ended with status %s; another one begins its work again", status)
         if self._stop.poll():
             task.future.cancel()
@@ -248,7 +270,8 @@ class _Worker:
         before = {name: os.environ.get(name) for name in ONE_THREAD}
         os.environ.update(ONE_THREAD)
         try:
-            self._process.start()
+            with _without_interruptions():
+                self._process.start()
         finally:
             for name, value in before.items():
                 if value is None:
@@ -257,7 +280,7 @@ class _Worker:
                     os.environ[name] = value
         other.close()
 
-    def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]], stop: Connection) -> Answer | None:
+    def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]], stop: Any) -> Answer | None:
         """Have the process compute a task; None when it died meanwhile or `stop` was closed."""
         try:
             self._connection.send(task)
@@ -267,8 +290,14 @@ class _Worker:
             log.debug("the connection to a worker broke")
         return None
 
+    def kill(self) -> None:
+        """End the process at once and wait until it is gone."""
+        with suppress(ValueError, OSError):  # that has been closed
+            self._process.kill()
+            self._process.join(FAREWELL_S)
+
     def end(self) -> int | None:
-        """End the process, kindly at first, and return its exit status."""
+        """End the process and return its exit status; what it was making is removed by whoever runs it."""
         self._connection.close()
         self._process.terminate()
         self._process.join(FAREWELL_S)
@@ -280,18 +309,33 @@ class _Worker:
         return status
 
 
+@contextmanager
+def _without_interruptions() -> Iterator[None]:
+    """Block interruptions in this thread, and in a process that it starts meanwhile.
+
+    A terminal interrupts all processes; the first one ends the others, also while they start.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    resource_tracker.ensure_running()  # which else unblocks them as it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _serve(connection: Connection) -> None:
     """Answer one task after another until the other side is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal interrupts all processes; the first one tells the others
-    signal.signal(signal.SIGTERM, _leave)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     logging.getLogger().addHandler(logging.NullHandler())
     logging.captureWarnings(True)
     while True:
         try:
             function, arguments = connection.recv()
-        except EOFError:
-            signal.signal(signal.SIGTERM, signal.SIG_IGN)  # what is left is clean-up
+        except (EOFError, OSError):
             return
         answer = call(function, *arguments)
         try:
@@ -299,13 +343,8 @@ def _serve(connection: Connection) -> None:
         except Exception as error:  # one that cannot travel is told in its own words
             what = error if answer.error is None else answer.error
             packed = pickle.dumps(Answer(None, RuntimeError(f"{type(what).__name__}: {what}"), answer.told))
-        connection.send_bytes(packed)
-
-
-def _leave(*_: object) -> None:
-    """End through all clean-up, which nobody interrupts."""
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    sys.exit(1)
+        with suppress(OSError):
+            connection.send_bytes(packed)
 
 
 def _end_with_parent() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, write_whole
+from fusion.base import DASH
 from fusion.campaign.curve import CurvePoint, Linearity
 from fusion.campaign.figures import draw_crosstalk, draw_curve, draw_excitation, draw_outputs
 from fusion.campaign.joint import (
@@ -30,12 +29,23 @@ from fusion.campaign.matrix_solve import LEAST_SINGULAR
 from fusion.campaign.recorded import Recorded, read_recorded
 from fusion.campaign.repeats import Repeats
 from fusion.estimation.uncertainty import Polar, polar, polar_elements
-from fusion.report.folder import RESULT_FORMAT, Provenance, origin_frame, render_page, write_provenance
-from fusion.report.h5 import write_fields, write_value
+from fusion.report.files import write_files, write_together
+from fusion.report.folder import (
+    RESULT_FILE,
+    RESULT_FORMAT,
+    InputFiles,
+    Provenance,
+    origin_frame,
+    render_page,
+    write_provenance,
+)
+from fusion.report.h5 import h5_content, write_fields, write_value
 from fusion.report.recording import (
     CAMPAIGN_FILE,
+    CAMPAIGN_FILES,
     CROSSTALK_FILE,
     CURVE_FILE,
+    MERGED_FILES,
     REPORT_FILE,
     SENSITIVITY,
     SENSITIVITY_FILE,
@@ -133,8 +143,8 @@ JOINT_FIELDS = ("curves", "repeats", "linearity", "matrices", "cross_talks", "no
 
 def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
     """Return the content of campaign.h5; `files` are the names of all joint files. Equal input gives equal bytes."""
-    stream = io.BytesIO()
-    with h5py.File(stream, "w", track_order=True) as file:
+
+    def fill(file: h5py.File) -> None:
         file.attrs["format"] = RESULT_FORMAT
         file.attrs["campaign"] = evaluation.name
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
@@ -148,7 +158,8 @@ def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
             write_fields(file.create_group("sensor", track_order=True), evaluation.sensor)
         for name in JOINT_FIELDS:
             write_value(file, name, getattr(evaluation, name))
-    return stream.getvalue()
+
+    return h5_content(fill)
 
 
 def campaign_origin(recorded: Sequence[Recorded]) -> Provenance:
@@ -363,13 +374,15 @@ def write_campaign(top: Path, name: str, folders: Sequence[Path], failed: Mappin
 
     `folders`: results folders of the recordings that could be evaluated, in the order of the tables; everything is
     read from them, so that equal results give equal files. `failed`: folders of the others, by name, and why there is
-    no result. Every file is written whole; the HDF5 file, which says that all are there, comes last.
+    no result. The files appear together, or not at all where results are replaced while they are read.
     """
+    inputs = InputFiles.watched(folder / file for folder in folders for file in (*MERGED_FILES, RESULT_FILE))
     evaluation = evaluate_campaign(name, [read_recorded(folder) for folder in folders], failed)
-    files: dict[str, str | bytes] = {**campaign_tables(evaluation, folders)}
-    files[REPORT_FILE] = render_campaign(evaluation)
-    files[CAMPAIGN_FILE] = campaign_h5(evaluation, [*files, CAMPAIGN_FILE])
-    top.mkdir(parents=True, exist_ok=True)
-    for file, content in files.items():
-        write_whole(top / file, content)
-    return [top / file for file in files]
+
+    def make(temporary: Path) -> list[str]:
+        files: dict[str, str | bytes] = {**campaign_tables(evaluation, folders)}
+        files[REPORT_FILE] = render_campaign(evaluation)
+        files[CAMPAIGN_FILE] = campaign_h5(evaluation, [*files, CAMPAIGN_FILE])
+        return write_files(temporary, files)
+
+    return write_together(top, make, lambda: CAMPAIGN_FILES, inputs.check)

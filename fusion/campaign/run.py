@@ -21,16 +21,17 @@ from fusion.base import (
     Settings,
     is_interruption,
     no_progress,
-    remove_abandoned,
     rounded,
     stdout_console,
     told,
+    undone,
 )
 from fusion.campaign.executor import Workers, connected, one_blas_thread
 from fusion.campaign.joint_report import write_campaign
 from fusion.estimation.uncertainty import Polar, region_factor
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, load_manifest
+from fusion.report.files import claimed, remove_abandoned, workshop
 from fusion.report.folder import check_folder, hash_files, is_current
 from fusion.report.recording import REPORT_FILE, SENSITIVITY_FILE, check_campaign_folder, row_element, write_results
 from fusion.report.table import both, factor, has_phase, read_rows
@@ -91,17 +92,16 @@ class Outcome:
 def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Executor | None = None) -> Outcome:
     """Evaluate one recording unless its results are there, and write them; an executor follows its images."""
     manifest = load_manifest(job.recording, allow_outside=job.allow_outside)
-    hashes = hash_files(manifest.files, manifest.root)
-    if not job.force and is_current(job.folder, hashes, job.settings.as_dict()):
+    inputs = hash_files(manifest.files, manifest.root, manifest.read)
+    if not job.force and is_current(job.folder, inputs.hashes, job.settings.as_dict()):
         log.info("%s: results of the same input are there, nothing to compute", job.folder)
         return Outcome(job.recording, job.folder, resumed=True)
-    check_folder(job.folder, hashes, force=job.force)
-    remove_abandoned(job.folder.resolve().parent)
-    with one_blas_thread():
-        evaluation = evaluate_recording(manifest, job.settings, hashes, progress, executor)
+    check_folder(job.folder, inputs.hashes, force=job.force)
+    with claimed(job.folder), one_blas_thread():
+        evaluation = evaluate_recording(manifest, job.settings, inputs.hashes, progress, executor)
         for notice in evaluation.notices:
             log.log(logging.WARNING if notice.severity == "warning" else logging.DEBUG, "%s", notice.text)
-        write_results(evaluation, job.folder, force=job.force)
+        write_results(evaluation, job.folder, inputs, force=job.force)
     return Outcome(job.recording, job.folder)
 
 
@@ -143,10 +143,10 @@ def run_path(
     ]
     if not alone:
         check_campaign_folder(top, [folder.name for folder in folders], force=force)
-    # What processes left unfinished that have ended is removed from the folder above the results, before and after.
-    above = top.parent if alone else top
+    above = workshop(top) if alone else top
+    # What processes left that have ended is removed from the folder above the results, before and after.
     remove_abandoned(above)
-    try:
+    with nullcontext() if alone else claimed(top), undone(partial(remove_abandoned, above)):
         with _executor(workers) as executor:
             if alone:
                 return (_run_one(jobs[0], executor, progress),)
@@ -154,13 +154,11 @@ def run_path(
                 outcomes = _run_here(jobs, executor, progress)
             else:
                 outcomes = _run_elsewhere(jobs, executor, progress)
-    finally:
-        remove_abandoned(above)
-    finished = [outcome.folder for outcome in outcomes if outcome.error is None]
-    failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
-    if finished:
-        with one_blas_thread():
-            write_campaign(top, path.resolve().name, finished, failed)
+        finished = [outcome.folder for outcome in outcomes if outcome.error is None]
+        failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
+        if finished:
+            with one_blas_thread():
+                write_campaign(top, path.resolve().name, finished, failed)
     return outcomes
 
 

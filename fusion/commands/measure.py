@@ -93,8 +93,9 @@ def _range(text: str) -> list[float]:
 @command(_plan_options)
 def plan(options: argparse.Namespace) -> None:
     """Find camera rates at which excitation and harmonics fold to separate places."""
-    from fusion.base import InputError, check_new_file, write_whole
+    from fusion.base import InputError, check_new_file
     from fusion.planning.plan import Request, Size, make_plan, plan_csv, print_plan
+    from fusion.report.files import write_whole
     from shaker.lines.rate_planner import Sampling
 
     for path in filter(None, (options.figure, options.csv)):
@@ -312,8 +313,9 @@ def _lines_options(parser: Parser) -> None:
 @command(_lines_options)
 def lines(options: argparse.Namespace) -> None:
     """List every line of a file or recording, and why."""
-    from fusion.base import check_new_file, write_whole
+    from fusion.base import check_new_file
     from fusion.planning.lines import lines_csv, lines_of_file, lines_of_recording, print_lines
+    from fusion.report.files import write_whole
 
     for path in filter(None, (options.figure, options.csv)):
         check_new_file(path, force=options.force)

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from fusion.base import FEWEST_DRAWS, MOST_DRAWS
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
-EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130
+EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_CLOSED = 0, 1, 2, 130, 141
 Value = TypeVar("Value", int, float)
 
 

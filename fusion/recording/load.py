@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import date as Date
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fusion.base import InputError
+from fusion.base import Identity, InputError
 from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, unit_direction, wrong_aim
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, PointFiles, RecordingFile, SetUpFiles, Take
@@ -34,7 +34,8 @@ class Manifest:
 
     `path`: recording.toml; `folder`: where it stands; `root`: the folder of rig.toml. `mounting`: recordings with
     another text were mounted anew. `part`: those of rig and recording together. `files`: every input file, both
-    manifests first. `inputs`: what has an uncertainty. The rig's environment is that of the recording.
+    manifests first; `read`: what they were when the manifests were read. `inputs`: what has an uncertainty. The rig's
+    environment is that of the recording.
 
     >>> from fusion import Manifest, load_manifest
     >>> manifest = load_manifest("sample_images/demo/Fz-0080")
@@ -61,6 +62,7 @@ class Manifest:
     operator: str | None = None
     procedure: str | None = None
     inputs: tuple[UncertainInput, ...] = ()
+    read: Mapping[Path, Identity] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Manifest({self.name!r}, {self.excitation.kind}, {str(self.path)!r})"
@@ -180,8 +182,10 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
     """
     path = Path(recording)
     path = path if path.is_file() else path / RECORDING_NAME
+    at_first = {path.resolve(): Identity.of(path)}
     text = read_toml(path)
     rig_path = _rig_path(path, text)
+    at_first[rig_path.resolve()] = Identity.of(rig_path)
     root, folder = rig_path.parent.resolve(), path.parent.resolve()
     if not allow_outside and not folder.is_relative_to(root):
         expected = "a rig.toml in a folder above the recording (--allow-outside permits others)"
@@ -200,6 +204,8 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
     record = validate(RecordingFile, values, path, within)
     _check_together(rig, rig_path, record, path)
     rig = rig.model_copy(update={"environment": record.environment or rig.environment})
+    files = _input_files(path, rig_path, rig, record)
+    seen = {file: Identity.of(file) for file in files} | at_first
     return Manifest(
         path=path,
         folder=folder,
@@ -215,11 +221,12 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         take=record.take,
         part=rig.part + record.part,
         shaker=record.shaker or rig.shaker or Shaker(),
-        files=_input_files(path, rig_path, rig, record),
+        files=files,
         date=record.date,
         operator=record.operator,
         procedure=record.procedure,
         inputs=of_rig + uncertain_inputs(text, path),
+        read={file: identity for file, identity in seen.items() if identity is not None},
     )
 
 

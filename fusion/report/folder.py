@@ -6,9 +6,9 @@ import hashlib
 import logging
 import os
 import re
-import shutil
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 from urllib.parse import quote
@@ -18,9 +18,11 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from fusion.base import PROGRAM, AnyNotice, CommandEvaluation, InputError, __version__, temporary_beside, warnings_first
+from fusion.base import PROGRAM, AnyNotice, CommandEvaluation, Identity, InputError, __version__, warnings_first
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
+from fusion.report.files import HIDDEN, claimed, write_files, write_together
+from fusion.report.h5 import h5_content
 from fusion.report.table import Table
 
 # What was run on what: hashes of the input files, versions, and whether a folder still answers to them.
@@ -56,6 +58,38 @@ class Provenance:
     files: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class InputFiles:
+    """What is read: SHA-256 of every file by its name, and what each file was when it was hashed.
+
+    `again`: files that were changed so shortly before that a further change may not show; they are hashed again. A file
+    without a hash is taken for another one wherever anything about it is.
+    """
+
+    hashes: dict[str, str] = field(default_factory=dict)
+    seen: dict[Path, tuple[Identity, str]] = field(default_factory=dict)
+    again: frozenset[Path] = frozenset()
+
+    def check(self) -> None:
+        """Raise `InputError` for a file that has changed since it was hashed, or that is gone."""
+        for path, (before, digest) in self.seen.items():
+            now = Identity.of(path)
+            if now is None or now[:2] != before[:2]:
+                raise _changed(path, now)
+            if (path in self.again or now != before) and (not digest or sha256(path) != digest):
+                raise _changed(path, now)
+
+    @classmethod
+    def watched(cls, files: Iterable[Path]) -> InputFiles:
+        """Return files that are only to stay what they are, such as results of this program, which it never changes."""
+        return cls(seen={path: (now, "") for path in files if (now := Identity.of(path)) is not None})
+
+
+def _changed(path: Path, now: Identity | None) -> InputError:
+    what = "vanished" if now is None else "changed"
+    return InputError(path, "", found=f"{what} while it was read; start again when nothing writes it", expected="")
+
+
 def sha256(path: Path) -> str:
     """SHA-256 of a file as hexadecimal digits."""
     try:
@@ -65,14 +99,28 @@ def sha256(path: Path) -> str:
         raise InputError(path, "", found=error.strerror or str(error), expected="a file that can be read") from error
 
 
-def hash_files(files: Iterable[Path], root: Path) -> dict[str, str]:
-    """SHA-256 of every file, keyed by its path relative to `root` (absolute where it lies elsewhere), sorted."""
-    hashes, base = {}, root.resolve()
+JUST_NOW_S = 2.0
+"""Resolution of the times of files, the coarsest there is."""
+
+
+def hash_files(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] | None = None) -> InputFiles:
+    """SHA-256 of every file, keyed by its path relative to `root` (absolute where it lies elsewhere), sorted.
+
+    `read`: what files were that have been read before. A file that is no longer what it was then, or that changes
+    while it is hashed, is refused.
+    """
+    hashes, seen, again, base = {}, {}, set(), root.resolve()
     for path in set(files):
         resolved = path.resolve()
         key = resolved.relative_to(base) if resolved.is_relative_to(base) else resolved
-        hashes[key.as_posix()] = sha256(path)
-    return dict(sorted(hashes.items()))
+        before = (read or {}).get(resolved) or Identity.of(path)
+        digest, now = sha256(path), Identity.of(path)
+        if before is None or now is None or now[:2] != before[:2]:
+            raise _changed(path, now)
+        hashes[key.as_posix()], seen[path] = digest, (now, digest)
+        if now != before or now.mtime_ns * 1e-9 > time.time() - JUST_NOW_S:
+            again.add(path)
+    return InputFiles(dict(sorted(hashes.items())), seen, frozenset(again))
 
 
 def is_current(folder: Path, hashes: Mapping[str, str], settings: Mapping[str, Setting]) -> bool:
@@ -95,7 +143,7 @@ def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker
     if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
         what = "a folder that may not be written to" if above.is_dir() else "a file"
         raise InputError(folder, "", found=f"{what} at {above}", expected="a place for a folder with the results")
-    if force or not folder.exists() or not any(folder.iterdir()):
+    if force or not folder.exists() or all(HIDDEN.fullmatch(entry.name) for entry in folder.iterdir()):
         return
     found = read_provenance(folder, marker)
     if found is None or found.input_hashes != dict(hashes):
@@ -221,22 +269,24 @@ class Command(Generic[E]):
 
     def run(
         self,
-        hashes: dict[str, str],
+        inputs: InputFiles,
         folder: Path,
         evaluate: Callable[[dict[str, str]], E],
         *,
         force: bool,
     ) -> E:
-        """Evaluate inputs of some hashes, write results to `folder`, tell notices and results, return the evaluation.
+        """Evaluate some inputs, write results to `folder`, tell notices and results, return the evaluation.
 
-        A place that cannot take the results is refused before anything is computed.
+        A place that cannot take the results is refused before anything is computed, and inputs that change meanwhile
+        before anything is written.
         """
-        check_folder(folder, hashes, force=force, marker=self.h5_file)
-        evaluation = evaluate(hashes)
-        for notice in evaluation.notices:
-            level = logging.WARNING if notice.severity == "warning" else logging.INFO
-            log.log(level, "%s: %s", notice.where, notice.text)
-        self.write(evaluation, folder, force=force)
+        check_folder(folder, inputs.hashes, force=force, marker=self.h5_file)
+        with claimed(folder):
+            evaluation = evaluate(inputs.hashes)
+            for notice in evaluation.notices:
+                level = logging.WARNING if notice.severity == "warning" else logging.INFO
+                log.log(level, "%s: %s", notice.where, notice.text)
+            self.write(evaluation, folder, inputs, force=force)
         for line in (evaluation.name, *self.lines(evaluation), f"report: {folder / self.page_file}"):
             print(line)
         return evaluation
@@ -257,25 +307,29 @@ class Command(Generic[E]):
         """
         first = manifests[0]
         own = first.root if len(paths) > 1 else first.folder if paths[0].is_file() else paths[0]
-        hashes = hash_files([file for manifest in manifests for file in manifest.files], first.root)
-        return self.run(hashes, own / self.name if output is None else output, evaluate, force=force)
+        read = {path: seen for manifest in manifests for path, seen in manifest.read.items()}
+        inputs = hash_files([file for manifest in manifests for file in manifest.files], first.root, read)
+        return self.run(inputs, own / self.name if output is None else output, evaluate, force=force)
 
-    def write(self, evaluation: E, folder: Path, *, force: bool = False) -> list[Path]:
-        """Write every file and return their paths; other folders are refused unless `force`."""
+    def write(
+        self, evaluation: E, folder: Path, inputs: InputFiles | None = None, *, force: bool = False
+    ) -> list[Path]:
+        """Write every file and return their paths; other folders are refused unless `force`, as are changed inputs."""
         own = re.compile("|".join(re.escape(name) for name in (*self.files, self.page_file, self.h5_file)))
 
         def make(temporary: Path) -> list[str]:
             texts = {**self.texts(evaluation), self.page_file: self.page(evaluation)}
-            for name, text in texts.items():
-                (temporary / name).write_bytes(text if isinstance(text, bytes) else text.encode("utf-8"))
             names = [*texts, self.h5_file]
-            with h5py.File(temporary / self.h5_file, "w", track_order=True) as file:
+
+            def fill(file: h5py.File) -> None:
                 write_provenance(file, evaluation, names)
                 file.attrs["format"] = FORMAT
                 self.fill(file, evaluation)
-            return names
 
-        return write_folder(folder, evaluation.input_hashes, make, force=force, marker=self.h5_file, own=own)
+            return write_files(temporary, {**texts, self.h5_file: h5_content(fill)})
+
+        inputs = InputFiles(evaluation.input_hashes) if inputs is None else inputs
+        return write_folder(folder, inputs, make, force=force, marker=self.h5_file, own=own)
 
     def page(self, evaluation: E) -> str:
         """Return the HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
@@ -288,64 +342,28 @@ class Command(Generic[E]):
 
 def write_folder(
     folder: Path,
-    hashes: Mapping[str, str],
+    inputs: InputFiles,
     fill: Callable[[Path], Sequence[str]],
     *,
     force: bool,
     marker: str,
     own: re.Pattern[str],
 ) -> list[Path]:
-    """Write a folder of results of the inputs `hashes` and return the paths of its files.
+    """Write a folder of results of some inputs and return the paths of its files.
 
-    `fill` makes all files in a temporary folder beside `folder` and names them; then they are moved, so a failure
-    leaves `folder` as it was. A folder that holds anything but results of the same inputs (its file `marker` says so)
-    is refused unless `force`; even then only files of the program's `own` names are replaced, and nothing else is
-    touched.
+    `fill` makes all files in a temporary folder and names them; then they are moved, so a failure leaves `folder` as
+    it was; inputs that have changed since they were hashed are such a failure. A folder that holds anything but
+    results of the same inputs (its file `marker` says so) is refused unless `force`; even then only files of the
+    program's `own` names are replaced, and nothing else is touched.
     """
-    folder = folder.resolve()
-    check_folder(folder, hashes, force=force, marker=marker)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = temporary_beside(folder)
-    temporary.mkdir()
-    try:
-        names = fill(temporary)
-        _move(temporary, folder, names, marker, own)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-    return [folder / name for name in names]
 
+    def make(temporary: Path) -> list[str]:
+        return sorted(fill(temporary), key=lambda name: name == marker)
 
-def _move(temporary: Path, folder: Path, names: Sequence[str], marker: str, own: re.Pattern[str]) -> None:
-    """Put the finished files in place: the folder as a whole, else, where it holds files of others, file by file."""
-    if not folder.exists():
-        os.replace(temporary, folder)
-        return
-    before = read_provenance(folder, marker)
-    written = before.files if before is not None else ()
-    if {entry.name for entry in folder.iterdir()} <= {marker, *written} and _swapped(temporary, folder):
-        return
-    (folder / marker).unlink(missing_ok=True)
-    for name in written:
-        if name not in names and own.fullmatch(name):
-            (folder / name).unlink(missing_ok=True)
-    for name in names:
-        os.replace(temporary / name, folder / name)
+    def earlier() -> list[str]:
+        before = read_provenance(folder, marker)
+        named = before.files if before is not None else ()
+        return [name for name in named if own.fullmatch(name) and ".." not in Path(name).parts]
 
-
-def _swapped(temporary: Path, folder: Path) -> bool:
-    """Put one folder in the place of another, so that whoever is killed meanwhile leaves no half of either.
-
-    False where the system does not give the place free, such as a mounted folder.
-    """
-    old = temporary_beside(folder.with_name(f"{folder.name}.old"))
-    try:
-        os.replace(folder, old)
-    except OSError:
-        return False
-    try:
-        os.replace(temporary, folder)
-    except OSError:
-        os.replace(old, folder)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
-    return True
+    check_folder(folder, inputs.hashes, force=force, marker=marker)
+    return write_together(folder, make, earlier, inputs.check)

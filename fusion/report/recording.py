@@ -17,9 +17,11 @@ from fusion.estimation.uncertainty import Polar
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report import tables, uncertainty_tables
 from fusion.report.figures import acceleration_pictures, draw_budget, sensitivity_pictures
+from fusion.report.files import write_file, write_files
 from fusion.report.folder import (
     RESULT_FILE,
     RESULT_FORMAT,
+    InputFiles,
     check_folder,
     origin_frame,
     read_provenance,
@@ -27,7 +29,7 @@ from fusion.report.folder import (
     write_folder,
     write_provenance,
 )
-from fusion.report.h5 import write_fields, write_value
+from fusion.report.h5 import h5_content, write_fields, write_value
 from fusion.report.motion_figures import motion_pictures, subset_pictures
 from fusion.report.points import save_points
 from fusion.report.signal_figures import channel_pictures, point_pictures, trigger_pictures
@@ -259,20 +261,21 @@ OWN_FILE = re.compile(
 )
 
 
-def write_results(evaluation: Evaluation, folder: Path, *, force: bool = False) -> list[Path]:
+def write_results(
+    evaluation: Evaluation, folder: Path, inputs: InputFiles | None = None, *, force: bool = False
+) -> list[Path]:
     """Write every result file of one recording and return their paths, as `write_folder` does."""
 
     def make(temporary: Path) -> list[str]:
-        texts = {**result_tables(evaluation), REPORT_FILE: render_report(evaluation)}
-        for name, text in texts.items():
-            (temporary / name).write_bytes(text.encode("utf-8"))
-        names = [*texts, RESULT_FILE]
+        names = write_files(temporary, {**result_tables(evaluation), REPORT_FILE: render_report(evaluation)})
         if "save_points" in evaluation.settings:
             names += [name for stereo in evaluation.stereo for name in save_points(temporary, stereo)]
+        names.append(RESULT_FILE)
         write_h5(temporary / RESULT_FILE, evaluation, names)
         return names
 
-    return write_folder(folder, evaluation.input_hashes, make, force=force, marker=RESULT_FILE, own=OWN_FILE)
+    inputs = InputFiles(evaluation.input_hashes) if inputs is None else inputs
+    return write_folder(folder, inputs, make, force=force, marker=RESULT_FILE, own=OWN_FILE)
 
 
 def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) -> None:
@@ -308,7 +311,8 @@ SENSOR = [
 def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
     """Write the evaluation and its provenance to a new HDF5 file; `files` are the names of all result files."""
     manifest = evaluation.manifest
-    with h5py.File(path, "w", track_order=True) as file:
+
+    def fill(file: h5py.File) -> None:
         file.attrs["format"] = RESULT_FORMAT
         file.attrs["recording"] = manifest.name
         file.attrs["rig"] = manifest.rig.name
@@ -326,3 +330,5 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
         for name in ("sensitivity/budget", "element/budget"):
             if name in file:
                 file[name].attrs["not_assessed"] = ", ".join(NOT_SHOWN)
+
+    write_file(path, h5_content(fill))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from operator import attrgetter
@@ -127,11 +128,20 @@ def csv_text(columns: Sequence[Column[R]], rows: Iterable[R]) -> str:
     return stream.getvalue()
 
 
+FORMULA, QUOTED = re.compile(r"'*[=+\-@\t\r]"), re.compile(r"'+[=+\-@\t\r]")
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|nan)")
+
+
 def _text(value: Any) -> str:
-    """Text of one cell of a file."""
+    """Text of one cell of a file.
+
+    A text that a spreadsheet would take for a formula has an apostrophe in front, as has one that begins so already:
+    names come from files of others. `read_rows` takes it away.
+    """
     if value is None:
         return ""
-    return repr(float(value)) if isinstance(value, float | np.floating) else str(value)
+    text = repr(float(value)) if isinstance(value, float | np.floating) else str(value)
+    return f"'{text}" if isinstance(value, str) and FORMULA.match(text) and not NUMBER.fullmatch(text) else text
 
 
 def known(value: float | None) -> float | None:
@@ -151,7 +161,8 @@ def text_lines(shown: Table) -> Iterator[str]:
 def read_rows(path: Path) -> list[dict[str, str]]:
     """Return the rows of a result table as dictionaries of texts."""
     with path.open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
+        rows = csv.DictReader(stream)
+        return [{name: text[1:] if text and QUOTED.match(text) else text for name, text in row.items()} for row in rows]
 
 
 # Numbers as pages print them: rounded to their expanded uncertainty, with powers of ten and units, as HTML.

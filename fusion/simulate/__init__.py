@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from fusion.base import InputError, ProgressCallback, as_input_error, no_progress
+from fusion.base import InputError, ProgressCallback, no_progress
+from fusion.report.files import write_together
 
 RECORDINGS = ("demo", "nitsche2018", "sweep", "matrix")
 """Presets of sines, which take the switches of `SimulationOptions`."""
@@ -37,8 +35,13 @@ def simulate(
     if switches and preset not in RECORDINGS:
         raise ValueError(f"{next(iter(switches))}: expected one of the presets {', '.join(RECORDINGS)}, found {preset}")
     out = Path(out)
-    with _whole(out) as folder:
+    _check_out(out)
+
+    def make(folder: Path) -> list[str]:
         _write(folder, preset, seed, progress, switches)
+        return _files(folder)
+
+    write_together(out, make, lambda: _files(out))
     if preset == "elastomer":
         return out / "elastomer.toml"
     recordings = list(out.glob("*/recording.toml"))
@@ -75,24 +78,20 @@ def _write(folder: Path, preset: str, seed: int, progress: ProgressCallback, swi
             (write_rotation if preset == "rotation" else write_element)(folder, seed)
 
 
-@contextmanager
-def _whole(out: Path) -> Iterator[Path]:
-    """Yield a folder that takes the place of `out` when it is complete; refuse anything but an earlier simulation."""
+def _check_out(out: Path) -> None:
+    """Refuse a place that cannot take a simulation, or that holds anything but an earlier one."""
+    from fusion.report.folder import check_folder
+
     other = _not_simulated(out) if out.is_dir() else out if out.exists() else None
     if other is not None:
         expected = "a new folder, or an earlier simulation as it was written"
         found = "a file" if other == out else f"{other.relative_to(out).as_posix()} in it"
         raise InputError(out, "", found=found, expected=expected)
-    partial = out.absolute().with_name(f".{out.absolute().name}-{os.getpid()}")
-    with as_input_error(out):
-        partial.mkdir(parents=True)
-    try:
-        yield partial
-        if out.exists():
-            shutil.rmtree(out)
-        os.replace(partial, out)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    check_folder(out, {}, force=True)
+
+
+def _files(folder: Path) -> list[str]:
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
 
 
 def _not_simulated(out: Path) -> Path | None:

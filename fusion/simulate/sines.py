@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.base import ProgressCallback, no_progress
+from fusion.report.files import write_file
 from fusion.simulate.preset import (
     ChannelSpec,
     DaqSpec,
@@ -471,7 +473,9 @@ def _write_images(
         image = render_exposure(view, face, pose_at, middle, exposure, 4 if options.aliased else 2)
         image = draws.broken("image", image, series.name, middle, frame / frames)
         rng = draws.stream(f"{series.name}.{frame}") if options.image_noise else None
-        tifffile.imwrite(series / f"{number:04d}.tif", stereo.setup.sensor.digitise(image, rng), **whole)
+        stream = io.BytesIO()
+        tifffile.imwrite(stream, stereo.setup.sensor.digitise(image, rng), **whole)
+        write_file(series / f"{number:04d}.tif", stream.getvalue())
 
     pool = ThreadPoolExecutor(os.cpu_count() or 1)
     try:

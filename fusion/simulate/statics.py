@@ -15,6 +15,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from fusion.base import ProgressCallback
+from fusion.report.files import write_file
 from fusion.sensor.models_file import MODELS_FILE, ModelEntry, ModelsFile, models_text
 from fusion.simulate.preset import CHECKED, Vector, read_preset
 from fusion.simulate.world import Draws
@@ -207,7 +208,7 @@ def write_session(folder: Path, seed: int, progress: ProgressCallback) -> None:
             seen = render_board(camera, relative @ pose, preset.board, preset.blur_px, slant=0.1)
             picture = sensor.digitise(seen, rng)
             _, text = cv2.imencode(".png", picture.astype(np.uint8))
-            (folder / side / f"{number:02d}.png").write_bytes(text.tobytes())
+            write_file(folder / side / f"{number:02d}.png", text.tobytes())
             progress("render", SIDES.index(side) * preset.views + number + 1, 2 * preset.views)
     write_calibration(folder / TRUTH_FILE, rig)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.report.files import write_file, write_files
 from shaker.arrays import FloatArray
 
 MANIFEST_FILE, RIG_FILE, TRUTH_FILE = "recording.toml", "rig.toml", "truth.json"
@@ -47,8 +49,7 @@ def write_recording(
 
 def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
     """Write text files into a folder, the same bytes on every system."""
-    for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8", newline="\n")
+    write_files(folder, texts)
 
 
 def write_record(path: Path, recorded: Record) -> None:
@@ -61,18 +62,24 @@ def write_record(path: Path, recorded: Record) -> None:
         for name, samples in recorded.samples.items():
             properties = {**wave, "wf_samples": len(samples), "unit_string": recorded.units[name]}
             channels.append(ChannelObject(path.stem, name, samples, properties=properties))
-        with TdmsWriter(path) as writer:
+        stream = io.BytesIO()
+        with TdmsWriter(stream) as writer:
             writer.write_segment(channels)
+        write_file(path, stream.getvalue())
         return
     import h5py
 
-    with h5py.File(path, "w") as file:
+    from fusion.report.h5 import h5_content
+
+    def fill(file: h5py.File) -> None:
         for name, samples in recorded.samples.items():
             data = file.create_dataset(
                 name, data=samples, compression="gzip", compression_opts=recorded.gzip, shuffle=True
             )
             data.attrs["sample_rate"] = recorded.sample_rate_hz
             data.attrs["unit"] = recorded.units[name]
+
+    write_file(path, h5_content(fill, in_order=False))
 
 
 def points_text(position_m: FloatArray) -> str:

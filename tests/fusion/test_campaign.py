@@ -228,11 +228,11 @@ def test_new_results_take_the_place_of_old_ones_as_a_whole(kept, campaign, evalu
 
     def killed_after_the_first_step(source: Path, target: Path) -> None:
         replaced(source, target)
-        if ".old-" in str(target):
+        if str(target).endswith(".old"):
             raise SystemExit
 
     def refused(source: Path, target: Path) -> None:
-        if ".old-" in str(target):
+        if str(target).endswith(".old"):
             raise PermissionError(13, "a mounted folder")
         replaced(source, target)
 

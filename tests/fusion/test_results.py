@@ -286,7 +286,7 @@ def test_hashes_are_of_whole_files_named_from_the_root_and_sorted(tmp_path):
     paths = [root / "rig.toml", root / "b" / "x.tif", tmp_path / "elsewhere.h5"]
     for path in paths:
         path.write_bytes(path.name.encode())
-    hashes = hash_files([*paths, paths[0]], root)
+    hashes = hash_files([*paths, paths[0]], root).hashes
     assert list(hashes) == sorted(["rig.toml", "b/x.tif", paths[2].resolve().as_posix()])
 
 

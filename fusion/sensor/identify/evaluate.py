@@ -283,7 +283,7 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
         components=tuple(components),
         notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
-        input_hashes=campaign.input_hashes,
+        input_hashes=campaign.inputs.hashes,
         duration_s=time.monotonic() - started,
     )
 

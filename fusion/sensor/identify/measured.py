@@ -15,7 +15,7 @@ from fusion.instruments.channel import geometry_errors
 from fusion.instruments.transducer import TRANSDUCERS, Beams, placed_at, unit_direction
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.report.folder import RESULT_FILE, hash_files, read_provenance
+from fusion.report.folder import RESULT_FILE, InputFiles, hash_files, read_provenance
 from fusion.sensitivity.body import JOINT, Body, inertia_errors, joint_unknown, load_body, rigid_load
 from fusion.sensitivity.elastic import Modes, Place
 from fusion.sensor.transfer.evaluate import KINDS, evaluate_transfer
@@ -124,14 +124,14 @@ class EvaluatedSines:
 class Campaign:
     """What is there to be read: recordings with transfer functions, evaluated sines, and what is said of the others.
 
-    `input_hashes`: SHA-256 of every file that is used, by its path seen from `folder`.
+    `inputs`: every file that is used, by its path seen from `folder`.
     """
 
     name: str
     folder: Path
     transfers: tuple[Manifest, ...]
     sines: tuple[EvaluatedSines, ...]
-    input_hashes: dict[str, str]
+    inputs: InputFiles
     notices: tuple[Notice, ...]
 
 
@@ -167,8 +167,9 @@ def read_campaign(path: Path, *, allow_outside: bool = False) -> Campaign:
             expected = f'the sensor of {first.rig_path}, "{one}"'
             raise InputError(manifest.rig_path, f"sensor.{key}", found=f'"{other}"', expected=expected)
     files = [file for manifest in used for file in manifest.files]
-    hashes = hash_files([*files, *(item.results / RESULT_FILE for item in sines)], folder)
-    return Campaign(folder.name, folder, transfers, sines, hashes, tuple(notices))
+    read = {path: seen for manifest in used for path, seen in manifest.read.items()}
+    inputs = hash_files([*files, *(item.results / RESULT_FILE for item in sines)], folder, read)
+    return Campaign(folder.name, folder, transfers, sines, inputs, tuple(notices))
 
 
 def _results(manifest: Manifest) -> Path | None:
@@ -178,7 +179,7 @@ def _results(manifest: Manifest) -> Path | None:
     there = [(place, origin) for place, origin in found if origin is not None]
     if not there:
         return None
-    hashes = hash_files(manifest.files, manifest.root)
+    hashes = hash_files(manifest.files, manifest.root, manifest.read).hashes
     for place, origin in there:
         if origin.input_hashes == hashes:
             return place

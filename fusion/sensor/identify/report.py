@@ -479,4 +479,4 @@ def run_identify(
             return evaluate_identification(campaign, settings)
 
     folder = campaign.folder / IDENTIFY.name if output is None else output
-    IDENTIFY.run(campaign.input_hashes, folder, evaluate, force=force)
+    IDENTIFY.run(campaign.inputs, folder, evaluate, force=force)

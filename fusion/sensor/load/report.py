@@ -497,10 +497,11 @@ def run_table(path: Path, output: Path | None, settings: LoadSettings, *, force:
     """
     if settings.moving_mass is None:
         raise ValueError("settings: expected the moving mass that the table's resonances belong to, found none")
+    inputs = hash_files([path], path.absolute().parent)
     series = read_table(path, *settings.moving_mass)
     folder = path.parent / LOAD.name if output is None else output
 
     def evaluate(hashes: dict[str, str]) -> LoadEvaluation:
         return evaluate_loads(path.stem, (series,), (), settings, hashes)
 
-    LOAD.run(hash_files([path], path.absolute().parent), folder, evaluate, force=force)
+    LOAD.run(inputs, folder, evaluate, force=force)

@@ -1,0 +1,319 @@
+"""How results are written: whole or not at all, by one run at a time, and nothing left of a run that was ended.
+
+Everything that a command leaves goes through `write_file`. What is being made stands under a hidden name beside its
+place (`.NAME-RANDOM.part`); who makes it holds the lock of that place (`.NAME.shakercal-lock`), which the system gives
+free when the process ends, however it ends. Whoever gets a lock thus knows that what was being made is nobody's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import secrets
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+from fusion.base import ComputeError, undone, uninterrupted
+
+LOCK = "shakercal-lock"
+HIDDEN = re.compile(rf"\.(?P<name>.+?)(-[0-9a-f]{{12}}\.(?P<kind>part|old|aside)|\.{LOCK})", re.DOTALL)
+"""Names of what is being made (`part`), of what it replaces (`old`; single files: `aside`), and of locks."""
+FORGOTTEN_S = 86_400.0
+"""Age after which something half-made is taken for abandoned where the file system has no locks."""
+TAKEN = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
+"""What a system says of a lock that somebody else holds; anything else says that there are none."""
+
+# One place that writes.
+
+
+def write_file(path: Path, content: str | bytes) -> None:
+    """Write a new file, text as UTF-8 with its line ends as they are; every byte of a result passes here."""
+    with path.open("wb") as stream:
+        stream.write(content if isinstance(content, bytes) else content.encode("utf-8"))
+
+
+def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> list[str]:
+    """Write new files into a folder, those of names such as `below/name` below it, and return the names."""
+    for name, content in contents.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        write_file(folder / name, content)
+    return list(contents)
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file that appears whole or not at all."""
+    place = path.parent.resolve() / path.name
+    with writing(path), claimed(place):
+        remove_abandoned(place.parent, place.name)
+        with temporary(place) as part:
+            write_file(part, content)
+            os.replace(part, place)
+
+
+@contextmanager
+def writing(place: Path) -> Iterator[None]:
+    """Tell what the system refuses meanwhile, such as a full disk, in one sentence about the place of the results."""
+    try:
+        yield
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        file = f" ({Path(str(error.filename2 or error.filename)).name})" if error.filename is not None else ""
+        advice = ", or is it open in another program?" if isinstance(error, PermissionError) else ""
+        text = f"{place}: could not be written: {reason}{file}{advice}; what was there before is as it was"
+        raise ComputeError(text) from error
+
+
+# One run at a time: who writes a place holds its lock.
+
+
+_held: dict[Path, int | None] = {}
+_made: set[Path] = set()
+"""Locks of this process, and what it is making."""
+
+
+@contextmanager
+def claimed(place: Path) -> Iterator[None]:
+    """Hold the lock of a file or folder that is to be written, and make the folder it is to stand in.
+
+    Where another process holds it, this is a `ComputeError`. The lock is gone afterwards, and so are folders that were
+    made for nothing.
+    """
+    place = place.resolve()
+    lock = _lock_of(place)
+    if lock in _held:
+        yield
+        return
+    new = [folder for folder in lock.parents if not folder.exists()]
+    with undone(partial(_free, lock, new)):
+        with uninterrupted(), writing(place):
+            _held[lock] = _locked(lock, place)
+        yield
+
+
+def workshop(place: Path) -> Path:
+    """Return the folder in which `place` is made: the one it stands in, or itself where that is another disk's."""
+    within = place.is_dir() and (os.path.ismount(place) or not os.access(place.parent, os.W_OK | os.X_OK))
+    return place if within else place.parent
+
+
+def _lock_of(place: Path) -> Path:
+    return workshop(place) / f".{place.name}.{LOCK}"
+
+
+def _locked(lock: Path, place: Path) -> int | None:
+    """Create and lock a file and return its handle, None where the file system has no locks."""
+    while True:
+        try:
+            lock.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+        except FileNotFoundError:  # another run has just removed the folder that it made for nothing
+            continue
+        try:
+            _lock(handle)
+        except OSError as error:
+            os.close(handle)
+            if error.errno not in TAKEN:
+                return None
+            text = f"{place}: another run is writing there; start this one again when that has ended"
+            raise ComputeError(text) from error
+        with contextlib.suppress(OSError):
+            if os.path.samestat(os.fstat(handle), os.stat(lock)):
+                return handle
+        os.close(handle)  # who held it before has removed it in between
+
+
+def _lock(handle: int) -> None:
+    """Lock an open file until it is closed or the process ends; an `OSError` where somebody else has locked it."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _free(lock: Path, folders: Sequence[Path]) -> None:
+    """Give a lock free where it is held, and remove folders that stayed empty."""
+    if lock in _held:
+        handle, windows = _held[lock], sys.platform == "win32"
+        with contextlib.suppress(OSError):
+            if not windows:  # as long as nobody else can hold it
+                lock.unlink()
+        with contextlib.suppress(OSError):
+            if handle is not None:
+                os.close(handle)
+            if windows:  # which removes no open file
+                lock.unlink()
+        _held.pop(lock, None)
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+
+
+# What is being made, and what was left by runs that are gone.
+
+
+def _hidden(place: Path, kind: str) -> Path:
+    """Return a name beside a place that nobody else has."""
+    return workshop(place) / f".{place.name}-{secrets.token_hex(6)}.{kind}"
+
+
+@contextmanager
+def temporary(place: Path) -> Iterator[Path]:
+    """Yield a name that is free, under which a place is made; what stands there in the end is removed."""
+    path = _hidden(place, "part")
+    _made.add(path)
+    with undone(partial(_remove, path)):
+        yield path
+
+
+def _remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there; threads that still write into it find it no more."""
+    if path.is_dir() and not path.is_symlink():
+        gone = path.with_name(re.sub(r"[0-9a-f]{12}\.[a-z]+$", f"{secrets.token_hex(6)}.part", path.name))
+        with contextlib.suppress(OSError):
+            os.replace(path, gone)
+        for place in (path, gone):
+            shutil.rmtree(place, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+    _made.discard(path)
+
+
+def remove_abandoned(folder: Path, name: str | None = None) -> list[Path]:
+    """Remove from a folder what runs that are gone were making there, of one `name` or of all; return its paths.
+
+    What they had put aside and not replaced goes back to its place. Where the file system has no locks, something that
+    has not changed for a day counts as abandoned.
+    """
+    folder, removed = folder.resolve(), []
+    for entry in sorted(folder.iterdir()) if folder.is_dir() else []:
+        found = HIDDEN.fullmatch(entry.name)
+        if found is None or entry in _made or name not in (None, found["name"]):
+            continue
+        place = folder / found["name"]
+        if folder.name == place.name and _lock_of(folder).parent == folder:
+            place = folder  # it is made in itself
+        own = _lock_of(place) in _held
+        if own and found["kind"] is None:
+            continue
+        with contextlib.suppress(ComputeError, OSError), claimed(place):
+            locked = _held.get(_lock_of(place)) is not None
+            if not locked and time.time() - entry.stat().st_mtime < FORGOTTEN_S:
+                continue
+            if found["kind"] in ("old", "aside"):
+                _restore(entry, place)
+            if found["kind"] is not None:
+                _remove(entry)
+            removed.append(entry)
+    return removed
+
+
+def _restore(aside: Path, place: Path) -> None:
+    """Put back what was moved out of a place and never replaced."""
+    if aside.suffix == ".old":
+        if not place.exists():
+            os.replace(aside, place)
+        return
+    for file in [path for path in aside.rglob("*") if path.is_file()]:
+        _move(file, place / file.relative_to(aside))
+
+
+# A folder whose files appear together.
+
+
+def write_together(
+    folder: Path,
+    make: Callable[[Path], Sequence[str]],
+    earlier: Callable[[], Sequence[str]],
+    ready: Callable[[], None] = lambda: None,
+) -> list[Path]:
+    """Have `make` write files into a new folder and name them, last the one that says that all are there; move them.
+
+    A failure leaves `folder` as it was. What an `earlier` run has written there makes way; all other files stay.
+    `ready` is asked before anything is moved and raises what speaks against it. Names may be such as `below/name`.
+    """
+    folder = folder.resolve()
+    with writing(folder), claimed(folder):
+        remove_abandoned(workshop(folder), folder.name)
+        with temporary(folder) as part:
+            part.mkdir()
+            names = make(part)
+            ready()
+            with uninterrupted():
+                _put_in_place(part, folder, names, earlier())
+    return [folder / name for name in names]
+
+
+def _put_in_place(part: Path, folder: Path, names: Sequence[str], earlier: Sequence[str]) -> None:
+    """Put finished files in place: the folder as a whole, else, where it holds files of others, file by file."""
+    if not folder.exists():
+        os.replace(part, folder)
+        return
+    gone = [name for name in dict.fromkeys((names[-1], *earlier, *names)) if (folder / name).is_file()]
+    if part.parent == folder.parent and _holds_only(folder, gone) and _swapped(part, folder):
+        return
+    aside, placed = _hidden(folder, "aside"), list[str]()
+    try:
+        for name in gone:  # without the one that comes first here and last there the folder is no result
+            _move(folder / name, aside / name)
+        for name in names:
+            _move(part / name, folder / name)
+            placed.append(name)
+    except OSError:
+        for name in placed:
+            _move(folder / name, part / name)
+        _restore(aside, folder)
+        shutil.rmtree(aside, ignore_errors=True)
+        raise
+    if aside.exists():
+        old = aside.with_suffix(".old")  # which nobody puts back
+        with contextlib.suppress(OSError):
+            os.replace(aside, old)
+        for place in (aside, old):
+            shutil.rmtree(place, ignore_errors=True)
+    for below in sorted({(folder / name).parent for name in gone} - {folder}, reverse=True):
+        with contextlib.suppress(OSError):
+            below.rmdir()  # where nothing is left in it
+
+
+def _holds_only(folder: Path, names: Sequence[str]) -> bool:
+    """Whether a folder holds nothing but files of some names."""
+    tops = {Path(name).parts[0] for name in names}
+    if any(entry.name not in tops for entry in folder.iterdir()):
+        return False
+    return sum(not path.is_dir() or path.is_symlink() for path in folder.rglob("*")) == len(names)
+
+
+def _move(file: Path, place: Path) -> None:
+    place.parent.mkdir(parents=True, exist_ok=True)
+    os.replace(file, place)
+
+
+def _swapped(part: Path, folder: Path) -> bool:
+    """Put one folder in the place of another; false where the system does not give the place free.
+
+    Whoever is killed in between leaves the old one under a hidden name, from which the next run puts it back.
+    """
+    old = _hidden(folder, "old")
+    try:
+        os.replace(folder, old)
+    except OSError:
+        return False
+    try:
+        os.replace(part, folder)
+    except OSError:
+        os.replace(old, folder)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+    return True

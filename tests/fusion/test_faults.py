@@ -1,0 +1,548 @@
+"""Faults from outside: disks that are full, inputs that change, runs that are killed, terminals that lack signs."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import io
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import faults
+import pytest
+from crews import environment, wait_until
+from support import without_pages
+
+from fusion.base import ComputeError, InputError, Terminal, printable
+from fusion.cli import main
+from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
+from fusion.report import files
+from fusion.report.files import claimed, remove_abandoned, write_files, write_together, write_whole
+from fusion.report.folder import hash_files, read_provenance
+from fusion.report.table import Column, csv_text, read_rows
+from fusion.simulate import simulate
+
+REFUSALS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.ESTALE)
+
+
+class Disk:
+    """The one place that writes, on a disk that refuses the write of some number after half of its bytes."""
+
+    def __init__(self, refused: int, code: int) -> None:
+        self.refused, self.code, self.count = refused, code, 0
+
+    def __call__(self, path: Path, content: str | bytes) -> None:
+        self.count += 1
+        data = content.encode() if isinstance(content, str) else content
+        if self.count == self.refused:
+            path.write_bytes(data[: len(data) // 2])
+            raise OSError(self.code, os.strerror(self.code), str(path))
+        path.write_bytes(data)
+
+    @classmethod
+    def put(cls, patch: pytest.MonkeyPatch, refused: int, code: int) -> Disk:
+        """Put it in place of the function, wherever that has been imported."""
+        disk = cls(refused, code)
+        for module in list(sys.modules.values()):
+            if getattr(module, "__name__", "").startswith("fusion.") and hasattr(module, "write_file"):
+                patch.setattr(module, "write_file", disk)
+        return disk
+
+
+def _tree(folder: Path) -> dict[str, bytes | None]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes() if path.is_file() else None for path in folder.rglob("*")
+    }
+
+
+# Disks that refuse.
+
+
+@pytest.mark.usefixtures("evaluated")
+@pytest.mark.parametrize("there", [False, True])
+def test_a_disk_that_refuses_any_write_leaves_everything_as_it_was(there, make_campaign, monkeypatch, capsys):
+    without_pages(monkeypatch)
+    folder = make_campaign()
+    command = ["run", str(folder), "-q", "--force"]
+    if there:
+        assert main(command) == EXIT_DONE
+    before, number = _tree(folder.parent), 0
+    while True:
+        number += 1
+        code = REFUSALS[number % len(REFUSALS)]
+        with monkeypatch.context() as patch:
+            disk = Disk.put(patch, number, code)
+            capsys.readouterr()
+            status = main(command)
+        if disk.count < number:
+            break
+        assert status == EXIT_FAILED
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert f"{folder / 'results'}: could not be written: {os.strerror(code).lower()}" in told.err.splitlines()[-1]
+        assert _tree(folder.parent) == before
+    assert number > 5
+    assert status == EXIT_DONE
+
+
+@pytest.mark.parametrize("preset", ["rotation", "loads", "elastomer"])
+def test_a_simulation_on_a_full_disk_leaves_nothing(preset, tmp_path, monkeypatch, capsys):
+    number, refused = 1, 1
+    while refused:
+        with monkeypatch.context() as patch:
+            disk = Disk.put(patch, number, errno.ENOSPC)
+            status = main(["simulate", str(tmp_path / "new" / "out"), "--preset", preset, "-q"])
+        refused = status != EXIT_DONE
+        if refused:
+            assert status == EXIT_FAILED
+            assert "could not be written: no space left on device" in capsys.readouterr().err
+            assert list(tmp_path.iterdir()) == []
+        number += max(1, disk.count // 3)
+    assert len(list((tmp_path / "new" / "out").iterdir())) >= 3
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A small file system."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = shutil.which("mount")
+    made = mount and subprocess.run(
+        [mount, "-t", "tmpfs", "-o", "size=40m", "tmpfs", place], capture_output=True, check=False
+    )
+    if not made or made.returncode:
+        pytest.skip("this user may not mount a small file system")
+    yield place
+    subprocess.run(["umount", place], check=True)
+
+
+@pytest.mark.usefixtures("evaluated")
+def test_a_disk_that_is_full_is_told_in_one_sentence(small_disk, make_campaign, capsys):
+    folder = make_campaign()
+    subprocess.run(["mount", "-o", "remount,size=100k", small_disk], check=True)
+    assert main(["run", str(folder), "-o", str(small_disk / "results"), "-q"]) == EXIT_FAILED
+    assert "results: could not be written: no space left on device" in capsys.readouterr().err.splitlines()[-1]
+    assert list(small_disk.iterdir()) == []
+    # The mounted folder itself as the place of the results.
+    assert main(["run", str(folder), "-o", str(small_disk), "-q"]) == EXIT_FAILED
+    assert list(small_disk.iterdir()) == []
+
+
+@pytest.mark.usefixtures("evaluated")
+def test_results_in_a_mounted_folder_are_replaced_file_by_file(small_disk, make_campaign, monkeypatch):
+    without_pages(monkeypatch)
+    folder = make_campaign()
+    command = ["run", str(folder), "-o", str(small_disk), "-q", "--force"]
+    assert main(command) == EXIT_DONE
+    first = _tree(small_disk)
+    assert {"result.h5", "report.html", "sensitivity.csv"} <= set(first)
+    assert main(command) == EXIT_DONE
+    assert set(_tree(small_disk)) == set(first)
+
+
+# A table that another program holds open, as Windows refuses to replace it.
+
+
+@pytest.mark.usefixtures("evaluated")
+@pytest.mark.parametrize("notes", [False, True])
+@pytest.mark.parametrize("table", ["sensitivity.csv", "load.csv", "result.h5"])
+def test_a_table_that_is_open_elsewhere_keeps_the_old_results_whole(notes, table, make_campaign, monkeypatch, capsys):
+    without_pages(monkeypatch)
+    folder = make_campaign()
+    assert main(["run", str(folder), "-q"]) == EXIT_DONE
+    results = folder / "results"
+    if notes:
+        (results / "notes.txt").write_text("mine")
+    before, replace = _tree(folder.parent), os.replace
+
+    def refuse(source: Any, target: Any) -> None:
+        inside = Path(source) == results or results in (Path(source), *Path(source).parents)
+        if inside and Path(source).name in ("results", table) and ".part" not in str(source):
+            raise PermissionError(errno.EACCES, "Permission denied", str(source))
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", refuse)
+    capsys.readouterr()
+    assert main(["run", str(folder), "-q", "--force"]) == EXIT_FAILED
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told == (
+        f"shakercal: {results}: could not be written: permission denied ({table}), or is it open in another program?; "
+        "what was there before is as it was"
+    )
+    assert _tree(folder.parent) == before
+
+
+def _fill(contents: dict[str, str | bytes]) -> Callable[[Path], list[str]]:
+    return lambda folder: write_files(folder, contents)
+
+
+def test_every_failing_move_is_taken_back(tmp_path, monkeypatch):
+    """Whatever move fails, at first or again while it is taken back, no old file is lost."""
+    old = {"a.csv": "old a", "points/0.vtp": "old 0", "points/1.vtp": "old 1", "all.h5": "old"}
+    new = {"a.csv": "new a", "b.csv": "new b", "points/0.vtp": "new 0", "all.h5": "new"}
+    folder, replace = tmp_path / "results", os.replace
+    write_together(folder, _fill(old), list)
+    (folder / "points" / "mine.txt").write_text("mine")
+    before, moves = _tree(folder), 0
+    for refused in range(100):
+        moves = 0
+
+        def moved(source: Any, target: Any, refused: int = refused) -> None:
+            nonlocal moves
+            moves += 1
+            if moves == refused + 1:
+                raise PermissionError(errno.EACCES, "Permission denied", str(source))
+            replace(source, target)
+
+        monkeypatch.setattr(os, "replace", moved)
+        with suppress(ComputeError):
+            write_together(folder, _fill(new), lambda: list(old))
+            break
+        assert _tree(folder) == before
+        assert [path.name for path in tmp_path.iterdir()] == ["results"]
+    assert moves > 6
+    monkeypatch.setattr(os, "replace", replace)
+    found = {name: text for name, text in _tree(folder).items() if text is not None}
+    assert found == {name: text.encode() for name, text in {**new, "points/mine.txt": "mine"}.items()}
+
+
+def test_folders_below_results_come_and_go_with_them(tmp_path):
+    folder = tmp_path / "results"
+    first = {"points-top/0000.vtp": "0", "points-top/0001.vtp": "1", "result.h5": b"h5"}
+    write_together(folder, _fill(first), list)
+    assert set(_tree(folder)) == {*first, "points-top"}
+    write_together(folder, _fill({"result.h5": b"new"}), lambda: list(first))
+    assert _tree(folder) == {"result.h5": b"new"}
+
+
+# Inputs that change.
+
+
+def test_a_file_that_changes_is_noticed_whatever_tells_it(tmp_path):
+    path, far = tmp_path / "a.h5", time.time_ns() - 10**12
+
+    def hashed() -> Any:
+        path.write_bytes(b"first")
+        os.utime(path, ns=(far, far))
+        return hash_files([path], tmp_path)
+
+    inputs = hashed()
+    inputs.check()
+    for change in (
+        lambda: path.write_bytes(b"second one"),
+        lambda: path.write_bytes(b"other"),
+        path.unlink,
+        lambda: os.utime(path),
+    ):
+        inputs = hashed()
+        change()
+        with pytest.raises(InputError, match=r"a\.h5: (changed|vanished) while it was read"):
+            inputs.check()
+    # Another file of the same size and time in its place is told by its content.
+    for content, refused in ((b"first", False), (b"other", True)):
+        inputs = hashed()
+        (tmp_path / "new").write_bytes(content)
+        os.utime(tmp_path / "new", ns=(far, far))
+        os.replace(tmp_path / "new", path)
+        if refused:
+            with pytest.raises(InputError, match="changed while it was read"):
+                inputs.check()
+        else:
+            inputs.check()
+    # So is a file that changes within the resolution of its time.
+    path.write_bytes(b"first")
+    when = path.stat().st_mtime_ns
+    inputs = hash_files([path], tmp_path)
+    path.write_bytes(b"other")
+    os.utime(path, ns=(when, when))
+    with pytest.raises(InputError, match="changed while it was read"):
+        inputs.check()
+
+
+def test_a_file_that_changes_while_it_is_hashed_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "a.h5"
+    path.write_bytes(b"first")
+
+    def grown(file: Path) -> str:
+        with file.open("ab") as stream:
+            stream.write(b"more")
+        return "digest"
+
+    monkeypatch.setattr("fusion.report.folder.sha256", grown)
+    with pytest.raises(InputError, match="changed while it was read"):
+        hash_files([path], tmp_path)
+
+
+@pytest.mark.parametrize("change", ["rewritten", "vanished"])
+def test_a_run_on_a_file_that_changes_writes_nothing(change, make_campaign, ready_evaluation, monkeypatch, capsys):
+    folder = make_campaign()
+    file = folder / "vibrometer.h5"
+
+    def evaluate(*_: Any, **__: Any) -> Any:
+        if change == "vanished":
+            file.unlink()
+        else:
+            file.write_bytes(b"of another copy")
+        return ready_evaluation
+
+    monkeypatch.setattr("fusion.campaign.run.evaluate_recording", evaluate)
+    without_pages(monkeypatch)
+    assert main(["run", str(folder), "-q"]) == EXIT_INPUT
+    verb = "vanished" if change == "vanished" else "changed"
+    sentence = f"shakercal: {file}: {verb} while it was read; start again when nothing writes it"
+    assert capsys.readouterr().err.splitlines()[-1] == sentence
+    assert not (folder / "results").exists()
+
+
+def test_a_manifest_that_changes_between_reading_and_hashing_is_refused(make_campaign, evaluated, monkeypatch, capsys):
+    folder = make_campaign()
+    hashed = hash_files
+
+    def late(*arguments: Any) -> Any:
+        with (folder / "recording.toml").open("a") as stream:
+            stream.write("# another sentence\n")
+        return hashed(*arguments)
+
+    monkeypatch.setattr("fusion.campaign.run.hash_files", late)
+    assert main(["run", str(folder), "-q"]) == EXIT_INPUT
+    assert "recording.toml: changed while it was read" in capsys.readouterr().err
+    assert not evaluated
+
+
+def test_every_file_that_a_run_opens_is_among_the_hashed(tmp_path):
+    """The interpreter tells every file that Python opens; those of the campaign are inputs of the results."""
+    simulate(tmp_path / "sweep", "sweep", 3, recordings=1)
+    recording = next((tmp_path / "sweep").glob("*/recording.toml")).parent
+    opened: set[str] = set()
+    listening = True
+
+    def listen(event: str, arguments: tuple[Any, ...]) -> None:
+        if listening and event == "open" and isinstance(arguments[0], str | bytes | os.PathLike):
+            opened.add(os.path.realpath(os.fsdecode(arguments[0])))
+
+    sys.addaudithook(listen)
+    with pytest.MonkeyPatch.context() as patch:
+        without_pages(patch)
+        assert main(["run", str(recording), "-o", str(tmp_path / "results"), "-q"]) == EXIT_DONE
+    listening = False
+    named = read_provenance(tmp_path / "results").input_hashes
+    hashed = {os.path.realpath(tmp_path / "sweep" / name) for name in named}
+    read = {name for name in opened if name.startswith(os.path.realpath(tmp_path / "sweep"))}
+    assert len(read) > 3
+    assert read <= hashed
+
+
+# One run at a time, and what is left of one that was killed.
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from fusion.report.files import claimed, temporary
+place = Path(sys.argv[1])
+with claimed(place), temporary(place) as made:
+    made.mkdir()
+    (made / "half").write_text("")
+    Path(sys.argv[2]).write_text("held")
+    time.sleep(600)
+"""
+
+
+@pytest.fixture
+def holder(tmp_path: Path) -> Iterator[Callable[[Path], subprocess.Popen[bytes]]]:
+    """Start processes that hold a place and make something for it."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def hold(place: Path) -> subprocess.Popen[bytes]:
+        told = tmp_path / f"held-{len(started)}"
+        started.append(subprocess.Popen([sys.executable, "-c", HOLD, place, told], env=environment()))
+        wait_until(lambda: told.exists() and bool(told.read_text()))
+        told.unlink()
+        return started[-1]
+
+    yield hold
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.usefixtures("evaluated")
+def test_two_runs_on_one_folder_and_what_a_killed_one_leaves(holder, make_campaign, monkeypatch, capsys):
+    without_pages(monkeypatch)
+    folder = make_campaign()
+    before = set(_tree(folder.parent))
+    first = holder(folder / "results")
+    assert main(["run", str(folder), "-q"]) == EXIT_FAILED
+    sentence = (
+        f"shakercal: {folder / 'results'}: another run is writing there; start this one again when that has ended"
+    )
+    assert capsys.readouterr().err == f"{sentence}\n"
+    assert len([path for path in folder.iterdir() if path.suffix == ".part"]) == 1
+    first.kill()
+    first.wait()
+    assert main(["run", str(folder), "-q"]) == EXIT_DONE
+    assert not list(folder.rglob(".*"))
+    assert before < set(_tree(folder.parent))
+
+
+def test_only_what_a_process_left_that_is_gone_is_removed(holder, tmp_path):
+    living, gone = holder(tmp_path / "Fz-0100"), holder(tmp_path / "Fz-0200")
+    gone.kill()
+    gone.wait()
+    for name in (".DS_Store", ".hidden-123", ".poetry.lock", ".x-0123456789.part"):
+        (tmp_path / name).write_text("")
+    removed = {path.name.partition("-0200")[2].rpartition(".")[2] for path in remove_abandoned(tmp_path)}
+    assert removed == {"part", files.LOCK}
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert len(left) == 6
+    assert sum("Fz-0100" in name for name in left) == 2
+    assert remove_abandoned(tmp_path / "none") == []
+    assert living.poll() is None
+
+
+def test_results_whose_replacement_was_killed_in_between_are_put_back(tmp_path):
+    token = "0123456789ab"
+    for kind, below in (("old", ""), ("aside", "points")):
+        place = tmp_path / kind
+        hidden = tmp_path / f".{kind}-{token}.{kind}" / below
+        hidden.mkdir(parents=True)
+        (hidden / "result.h5").write_text("old results")
+        if kind == "aside":
+            place.mkdir()
+            (place / "notes.txt").write_text("mine")
+    remove_abandoned(tmp_path)
+    assert set(_tree(tmp_path)) == {
+        "old", "old/result.h5", "aside", "aside/notes.txt", "aside/points", "aside/points/result.h5",
+    }  # fmt: skip
+
+
+def test_where_there_are_no_locks_only_what_is_a_day_old_is_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "_lock", lambda _: (_ for _ in ()).throw(OSError(errno.ENOLCK, "no locks")))
+    for name, age in ((".a-0123456789ab.part", 0.0), (".b-0123456789ab.part", 2.0 * files.FORGOTTEN_S)):
+        (tmp_path / name).write_text("")
+        os.utime(tmp_path / name, (time.time() - age,) * 2)
+    assert [path.name for path in remove_abandoned(tmp_path)] == [".b-0123456789ab.part"]
+    write_whole(tmp_path / "a", "text")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".a-0123456789ab.part", "a"]
+
+
+def test_a_place_that_nothing_came_of_leaves_no_folder(tmp_path):
+    with suppress(ZeroDivisionError), claimed(tmp_path / "a" / "b" / "results"):
+        assert (tmp_path / "a" / "b").is_dir()
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+# Signals and kills, sampled; benchmarks/faults.py has the statistics.
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of another process")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("after_s", [0.02, 0.3, 1.0])
+def test_a_signal_during_the_start_ends_the_process_in_one_line(number, after_s, tmp_path):
+    """Whether modules are being imported or not."""
+    end = faults.signalled(["simulate", str(tmp_path / "out"), "--preset", "demo"], number, after_s)
+    assert end.status == 128 + number
+    assert len(end.told) == 1
+    assert end.told[0].startswith("shakercal: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of another process")
+def test_whoever_is_killed_when_the_next_run_gives_the_same_results(tmp_path):
+    rng = random.Random(5)
+    campaign = faults.make_campaign(tmp_path)
+    for workers, count in ((1, 5), (2, 5)):
+        found = faults.kills(campaign, tmp_path, count, rng, workers)
+        assert found.good == found.tried == count, found
+
+
+@pytest.mark.slow
+def test_inputs_that_change_during_a_run_are_noticed(tmp_path):
+    found = faults.changes(faults.make_campaign(tmp_path), tmp_path, 5, random.Random(7))
+    assert found.good == found.tried == 5, found
+
+
+# What is printed.
+
+
+@pytest.mark.parametrize(
+    ("encoding", "text", "printed"),
+    [
+        ("cp1252", "(\N{MINUS SIGN}2.0 ± 0.1) µm², √Hz → Ω", "(-2.0 ± 0.1) µm², sqrtHz -> Ohm"),
+        ("ascii", "(\N{MINUS SIGN}2.0 ± 0.1) µm², ω = 3°, café, 漢", "(-2.0 +- 0.1) um^2, omega = 3 deg, cafe, ?"),
+        ("utf-8", "a\udce9b − ±", "a?b − ±"),
+    ],
+)
+def test_signs_that_an_encoding_lacks_are_spelled(encoding, text, printed):
+    raw = io.BytesIO()
+    stream = io.TextIOWrapper(raw, encoding=encoding, newline="\n")
+    terminal: Any = Terminal(stream)
+    print(text, file=terminal)
+    terminal.flush()
+    assert raw.getvalue() == f"{printed}\n".encode(encoding)
+
+
+def test_nothing_in_a_name_steers_the_terminal(make_campaign, evaluated, capsys):
+    assert printable("a\x1b]0;title\x07b\r\x9bc\u202ed\te\n") == "a\\x1b]0;title\\x07b\\r\\x9bc\\u202ed\te\n"
+    folder = make_campaign()
+    named = folder.with_name("\x1b[31mFz")
+    folder.rename(named)
+    assert main(["run", str(named)]) == EXIT_DONE
+    told = capsys.readouterr()
+    assert "\x1b" not in told.out + told.err
+    assert "\\x1b[31mFz" in told.out
+    assert evaluated
+
+
+PLAN = ["plan", "--frequencies", "80", "--max-rate", "50", "--exposure", "40e-6", "--frames", "48"]
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii", "utf-8"])
+def test_a_table_survives_every_encoding(encoding):
+    command = [sys.executable, "-m", "fusion.cli", *PLAN]
+    run = subprocess.run(command, env={**environment(), "PYTHONIOENCODING": encoding}, capture_output=True, check=False)
+    assert (run.returncode, run.stderr) == (EXIT_DONE, b"")
+    assert "Hz" in run.stdout.decode(encoding)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes of POSIX")
+def test_an_output_that_nobody_reads_or_that_is_full_is_no_traceback():
+    command = [sys.executable, "-m", "fusion.cli", *PLAN]
+    reading, writing = os.pipe()
+    os.close(reading)
+    run = subprocess.run(command, env=environment(), stdout=writing, stderr=subprocess.PIPE, check=False)
+    os.close(writing)
+    assert (run.returncode, run.stderr) == (EXIT_CLOSED, b"")
+    closed = subprocess.run(
+        ["sh", "-c", '"$@" >&-', "sh", *command], env=environment(), capture_output=True, check=False
+    )
+    assert (closed.returncode, closed.stderr) == (EXIT_DONE, b"")
+    if Path("/dev/full").exists():
+        with Path("/dev/full").open("wb") as full:
+            run = subprocess.run(command, env=environment(), stdout=full, stderr=subprocess.PIPE, check=False)
+        assert run.returncode == EXIT_FAILED
+        assert re.fullmatch(rb"shakercal: [^\n]*No space left on device[^\n]*\n", run.stderr)
+
+
+def test_no_name_is_a_formula_in_a_spreadsheet_and_every_name_is_read_back(tmp_path):
+    names = ["=1+1", "+z", "-Fz", "@x", "'=1", "''-a", "'quoted'", "plain", "-1.5e-3", "\tx", "a=b", ""]
+    rows = [{"name": name, "number": -1.5} for name in names]
+    columns = [Column("name", lambda row: row["name"]), Column("n", lambda row: row["number"])]
+    text = csv_text(columns, rows)
+    cells = list(csv.reader(io.StringIO(text)))[1:]
+    assert all(cell[:1] not in "=+@\t" or not cell for cell, _ in cells)
+    assert [cell for cell, _ in cells if cell.startswith("-")] == ["-1.5e-3"]
+    assert all(number == "-1.5" for _, number in cells)
+    (tmp_path / "a.csv").write_bytes(text.encode())
+    assert [row["name"] for row in read_rows(tmp_path / "a.csv")] == names
