@@ -62,7 +62,7 @@ def campaign(
     folder = tmp_path / "demo"
     shutil.copytree(demo_recording, folder)
     manifest = load_manifest(folder / "Fz-0080")
-    hashes = hash_files(manifest.files, manifest.root)
+    hashes = hash_files(manifest.files, manifest.root).hashes
     write_results(replace(demo_evaluation, input_hashes=hashes), folder / "results" / "Fz-0080")
     (folder / "certificate.toml").write_text(FORM, encoding="utf-8")
     return folder

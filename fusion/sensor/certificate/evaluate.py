@@ -250,7 +250,7 @@ def _days(form: Form, manifests: Sequence[Manifest]) -> list[Date]:
 def _results_of(manifest: Manifest, folder: Path) -> Recorded:
     """Read the results of a recording, which must be those of its files as they are now."""
     recorded = read_recorded(folder)
-    now, then = hash_files(manifest.files, manifest.root), recorded.origin.input_hashes
+    now, then = hash_files(manifest.files, manifest.root, manifest.read).hashes, recorded.origin.input_hashes
     if now != then:
         changed = min(name for name in {*now, *then} if now.get(name) != then.get(name))
         found = f"results of other input files ({changed} is not what it was)"

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, InputError, check_new_file, write_whole
+from fusion.base import DASH, check_new_file
+from fusion.report.files import write_files, write_together, write_whole
 from fusion.report.folder import render_page
 from fusion.report.table import (
     WEAK,
@@ -48,13 +49,8 @@ def run_certificate(
         if (folder / name).exists() and not force:
             check_new_file(folder / name, force=False)
     found = evaluate_certificate(path, results, form_path, allow_outside=allow_outside)
-    files: dict[str, str | bytes] = {XML_FILE: certificate_xml(found), PAGE_FILE: certificate_page(found)}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except FileExistsError as error:
-        raise InputError(folder, "", found="a file", expected="a folder for the certificate") from error
-    for name, content in files.items():
-        write_whole(folder / name, content)
+    files = {PAGE_FILE: certificate_page(found), XML_FILE: certificate_xml(found)}
+    write_together(folder, lambda part: write_files(part, files), lambda: list(files))
     print(f"{found.title} of {found.sensor.name} {found.sensor.serial}, certificate {found.form.administration.number}")
     for element in found.elements:
         first, last = element.values[0].frequency_hz, element.values[-1].frequency_hz
