@@ -24,6 +24,12 @@ from photogram.subsets.search import (
 from photogram.subsets.sweep import line_starts, line_uncertainty_px, surfaces
 
 Image = NDArray[Any]
+
+
+class BodyNotFound(ValueError):
+    """Pictures that can be read do not tell where the body is: no texture, no match, or copies of a pattern."""
+
+
 NEIGHBOUR_ROUNDS = 8
 SEEDS = 12
 LEAST_AGREEING = 0.2  # share of its neighbours that have to foretell a subset
@@ -188,7 +194,7 @@ def find_on_lines(
     surfaces through these (`sweep.surfaces`) are followed from neighbour to neighbour. The one with most subsets
     counts, unless another fits as well: a quarter as many of the same subsets, hardly less correlated, no further off
     the epipolar lines, no more missing that should be in the right image, and not beyond the depths `depth_m` (nearest,
-    farthest, in the left camera) where the body is known to be. Then a `ValueError` says so.
+    farthest, in the left camera) where the body is known to be. Then `BodyNotFound` says so.
     """
     usable = reference.status == TrackStatus.OK
     if usable.sum() < 3:
@@ -275,7 +281,7 @@ def _grown(reference: Reference, frame: tuple[Image, Spline], settings: TrackSet
 def _refuse_rival(
     reference: Reference, rig: StereoRig, best: _Surface, other: _Surface, depth_m: DepthRange | None
 ) -> None:
-    """Raise `ValueError` where the second surface fits as well as the first."""
+    """Raise `BodyNotFound` where the second surface fits as well as the first."""
     centre = reference.centre_px
     sides = [np.where(one.ok[:, None], centre + one.found.warp[:, [0, 3]], np.nan) for one in (best, other)]
     both = best.ok & other.ok & (np.abs(sides[0] - sides[1]).max(axis=1) > 1.0)
@@ -291,7 +297,7 @@ def _refuse_rival(
     depth = [float(np.nanmedian(triangulate(rig, centre[None], side[None]).position_m[..., 2])) for side in sides]
     if depth_m is not None and depth_m[0] <= depth[0] <= depth_m[1] and not depth_m[0] <= depth[1] <= depth_m[1]:
         return
-    raise ValueError(
+    raise BodyNotFound(
         f"right: expected one place for the body, found two that fit as well, {depth[0]:.3f} m and {depth[1]:.3f} m "
         f"from the left camera ({best.ok.sum()} and {other.ok.sum()} subsets): its pattern repeats; show where the "
         "pattern ends in both pictures, turn the foil by some degrees, or use one that does not repeat"

@@ -17,6 +17,7 @@ from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
 from photogram.images.sequence import GreyImage, ImageSequence
 from photogram.subsets.find import (
+    BodyNotFound,
     DepthRange,
     dropped,
     find_anew,
@@ -155,7 +156,7 @@ def match_stereo(
     """Positions in the right image (F = 1) of the subsets centred at points_px (N,2) in the left image.
 
     With `rig` from its epipolar lines (`find_on_lines`, with `depth_m`); without it, or where no surface fits it, from
-    local affine maps of matched features, then from neighbours that were found. Raises `ValueError` where the pattern
+    local affine maps of matched features, then from neighbours that were found. Raises `BodyNotFound` where the pattern
     repeats so that two surfaces fit as well.
     """
     check_shape("points_px", points_px, (None, 2))
@@ -242,8 +243,8 @@ def lay_stereo_grid(
     """Lay a grid over the textured body in the first left image and match it to the first right image.
 
     Only subsets that were found there, that are not saturated and, with `rig`, that lie on their epipolar lines are
-    kept. Raises `ValueError` when the cameras have unlike numbers of frames, fewer than three subsets are left, or the
-    pattern repeats so that they may be elsewhere.
+    kept. Raises `ValueError` when the cameras have unlike numbers of frames, and `BodyNotFound` when fewer than
+    three subsets are left or the pattern repeats so that they may be elsewhere.
     """
     if len(left) != len(right):
         raise ValueError(f"right: expected {len(left)} frames as in left, found {len(right)}")
@@ -251,7 +252,7 @@ def lay_stereo_grid(
     areas = _inner_area(images[0]), _inner_area(images[1])
     points = lay_grid(areas[0], settings.radius_px, settings.grid_step_px)
     if len(points) < 3:
-        raise ValueError(f"left: expected a speckled body, found room for {len(points)} subsets in {left.names[0]}")
+        raise BodyNotFound(f"left: expected a speckled body, found room for {len(points)} subsets in {left.names[0]}")
     matched = match_stereo(images[0], images[1], points, settings, rig, depth_m)
     right_px = matched.position_px[0]
     kept = (matched.status[0] == TrackStatus.OK) & (subset_mean(areas[1], right_px, settings.radius_px) >= OVERLAP)
@@ -265,7 +266,7 @@ def lay_stereo_grid(
         if abs(off) > 1.0:
             period = repeat_px(images[0], points, settings.radius_px)
             if np.isfinite(period):
-                raise ValueError(
+                raise BodyNotFound(
                     f"right: expected the body on its epipolar lines, found it {off:.1f} px beside them, and its "
                     f"pattern repeats every {period:.1f} px: a copy was taken for the original, or the calibration "
                     "does not belong to these images"
@@ -276,7 +277,7 @@ def lay_stereo_grid(
             )
             notices.append(Notice("warning", text, "stereo calibration"))
     if kept.sum() < 3:
-        raise ValueError(
+        raise BodyNotFound(
             f"right: expected the body of {left.names[0]}, found {kept.sum()} of its {len(points)} subsets "
             f"in {right.names[0]}"
         )
@@ -308,7 +309,7 @@ def stereo_tracks(
 
 
 def _refuse_jumps(image: Image, track: Tracks, settings: TrackSettings, side: str) -> None:
-    """Raise `ValueError` where a body whose pattern repeats is further than half a period from where it was foretold.
+    """Raise `BodyNotFound` where a body whose pattern repeats is further than half a period from where it was foretold.
 
     Then a copy of the pattern lies nearer, and the pictures cannot tell which of them is the body.
     """
@@ -323,7 +324,7 @@ def _refuse_jumps(image: Image, track: Tracks, settings: TrackSettings, side: st
     period = repeat_px(image, track.position_px[0], settings.radius_px)
     jumps = np.flatnonzero(jump > period / 2.0)
     if len(jumps):
-        raise ValueError(
+        raise BodyNotFound(
             f"{side}: expected a motion that the last frames foretell, found a jump of {jump[jumps[0]]:.1f} px in "
             f"frame {jumps[0] + 1} (counted from 0), more than half of the {period:.1f} px at which the pattern "
             "repeats: a copy may have been taken for the original; use a foil that does not repeat, or more frames per "
