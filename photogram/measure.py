@@ -168,7 +168,8 @@ def body_motion(scene: BodyScene, blocks: Sequence[FollowedBlock]) -> BodyMotion
         for side, reference in enumerate(references)
     )
     firsts = images[0].read(0), images[1].read(0)
-    stereo = stereo_tracks(firsts, scene.grid, (left, right), settings)
+    stereo = stereo_tracks(firsts, scene.grid, (left, right), settings, scene.rig)
+    left, right = stereo.left, stereo.right
     quality, remarks = None, list[Notice]()
     if noise is not None:
         quality = (

@@ -17,6 +17,7 @@ from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
 from photogram.images.sequence import GreyImage, ImageSequence
 from photogram.subsets.find import (
+    MORE_LOST,
     BodyNotFound,
     DepthRange,
     dropped,
@@ -24,6 +25,7 @@ from photogram.subsets.find import (
     find_by_search,
     find_from_features,
     find_from_neighbours,
+    find_off_copies,
     find_on_lines,
     follow,
     identity,
@@ -37,6 +39,7 @@ from photogram.subsets.texture import (
     aliasing_notice,
     lay_grid,
     repeat_px,
+    repeat_steps_px,
     saturated,
     speckle_size,
     subset_mean,
@@ -285,9 +288,19 @@ def lay_stereo_grid(
 
 
 def stereo_tracks(
-    images: tuple[GreyImage, GreyImage], grid: StereoGrid, tracks: tuple[Tracks, Tracks], settings: TrackSettings
+    images: tuple[GreyImage, GreyImage],
+    grid: StereoGrid,
+    tracks: tuple[Tracks, Tracks],
+    settings: TrackSettings,
+    rig: StereoRig | None = None,
 ) -> StereoTracks:
-    """The tracks of both cameras with what their first images are like, and remarks on both."""
+    """The tracks of both cameras with what their first images are like, and remarks on both.
+
+    With `rig`, without the places at which one camera shows a subset elsewhere than the other. Raises `BodyNotFound`
+    where that happens to the whole body, or it jumps, and its pattern repeats.
+    """
+    if rig is not None:
+        tracks = _both_sides(images[0], rig, tracks, settings)
     notices, speckle, levels, biases = list(grid.notices), [], [], []
     for image, track, side in zip(images, tracks, ("left", "right"), strict=True):
         _refuse_jumps(image, track, settings, side)
@@ -332,6 +345,40 @@ def _refuse_jumps(image: Image, track: Tracks, settings: TrackSettings, side: st
         )
 
 
+def _both_sides(
+    image: Image, rig: StereoRig, tracks: tuple[Tracks, Tracks], settings: TrackSettings
+) -> tuple[Tracks, Tracks]:
+    """Both tracks without the places where one camera took a copy of a subset: off its epipolar line unlike at first.
+
+    What all subsets do together is another matter, a camera that moves or the whole body on a copy of itself; where the
+    pattern repeats nothing tells these apart, and `BodyNotFound` is raised.
+    """
+    residual, _, _ = epipolar_residual(rig, tracks[0].position_px, tracks[1].position_px)
+    change = residual - residual[0]
+    common = np.array([_middle(frame) for frame in change])
+    aside = np.abs(change - common[:, None]) > TOLERANCE_PX
+    jumps = np.flatnonzero(np.abs(common) > TOLERANCE_PX)
+    period = repeat_px(image, tracks[0].position_px[0], settings.radius_px) if len(jumps) else float("nan")
+    if np.isfinite(period):
+        raise BodyNotFound(
+            f"right: expected the body where the left camera shows it, found it {abs(common[jumps[0]]):.1f} px beside "
+            f"its epipolar lines in frame {jumps[0]} (counted from 0), and its pattern repeats every {period:.1f} px: "
+            "a copy was taken for the original in one camera, or a camera moved"
+        )
+    return (_without(tracks[0], aside), _without(tracks[1], aside)) if aside.any() else tracks
+
+
+def _without(track: Tracks, which: BoolArray) -> Tracks:
+    """The tracks with subsets lost in the frames `which` (F,N)."""
+    return replace(
+        track,
+        position_px=np.where(which[..., None], np.nan, track.position_px),
+        covariance_px2=np.where(which[..., None, None], np.nan, track.covariance_px2),
+        zncc=np.where(which, np.nan, track.zncc),
+        status=np.where(which, np.int8(TrackStatus.NOT_CONVERGED), track.status),
+    )
+
+
 def track_stereo(
     left: ImageSequence,
     right: ImageSequence,
@@ -355,7 +402,7 @@ def track_stereo(
     left_tracks = track_sequence(left, grid.left_px, settings, progress)
     after = None if progress is None else lambda done: progress(len(left) + done)
     right_tracks = track_sequence(right, grid.right_px, settings, after)
-    return stereo_tracks((left.read(0), right.read(0)), grid, (left_tracks, right_tracks), settings)
+    return stereo_tracks((left.read(0), right.read(0)), grid, (left_tracks, right_tracks), settings, rig)
 
 
 def _follow_one_by_one(
@@ -363,6 +410,8 @@ def _follow_one_by_one(
 ) -> Iterator[FollowedFrame]:
     """Later frames, one by one on the CPU."""
     history: list[Registration] = []
+    usable = reference.status == TrackStatus.OK
+    steps: FloatArray | None = None
     for number in frames:
         image = sequence.read(number)
         target = spline_of_image(image, settings.degree)
@@ -372,6 +421,10 @@ def _follow_one_by_one(
         else:
             found = find_anew(reference, first, (image, target), settings)
             history = [identity(reference)] if number == 1 else []
+        if np.count_nonzero(found.status != TrackStatus.OK) > MORE_LOST * len(usable) + np.count_nonzero(~usable):
+            if steps is None:
+                steps = repeat_steps_px(first, reference.centre_px[usable], settings.radius_px)
+            found = find_off_copies(reference, first, (image, target), found, steps, settings)
         history = [*history[1 - HISTORY :], found]
         yield FollowedFrame(image, target, found)
 
