@@ -96,14 +96,14 @@ def ours(package: Path, points: Array, radius: int, order: int) -> Found:
     import cv2
 
     from photogram.bspline import spline_of_image
-    from photogram.subsets.icgn import TrackSettings, followed, noise_of_residual, position_covariance
+    from photogram.subsets.icgn import TrackSettings, noise_of_residual, position_covariance
     from photogram.subsets.reference import TrackStatus, prepare_reference
     from photogram.subsets.track import find_anew
 
     first, second = (cv2.imread(str(package / STAR.format(name)), cv2.IMREAD_UNCHANGED) for name in ("Ref", "Def"))
     settings = TrackSettings(radius_px=radius, shape_order=order)
     reference = prepare_reference(spline_of_image(first), points, radius, order)
-    found = followed(reference, find_anew(reference, first, (second, spline_of_image(second)), settings))
+    found = find_anew(reference, first, (second, spline_of_image(second)), settings)
     noise = noise_of_residual(reference, found, settings.degree)
     covariance = position_covariance(reference, found, noise)[:, [0, 1], [0, 1]]
     place = [0, reference.removed.shape[2] // (4 if order == 2 else 2)]

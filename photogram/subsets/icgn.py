@@ -170,16 +170,6 @@ def resolved(reference: Reference, found: Registration) -> Registration:
     return _refused(found, np.any(unresolved_px(reference, found) > LARGEST_UNRESOLVED_PX, axis=1))
 
 
-def followed(reference: Reference, found: Registration) -> Registration:
-    """`found` without the subsets of order 1 of which `unresolved_px` is more than 0.15 px.
-
-    Order 2 was judged when it was found, against the affine result.
-    """
-    if reference.order != 1:
-        return found
-    return _refused(found, np.any(unresolved_px(reference, found) > LARGEST_UNRESOLVED_PX, axis=1))
-
-
 def _refused(found: Registration, which: BoolArray) -> Registration:
     """`found` with the subsets `which` (N,) that were found as `UNRESOLVED`."""
     gone = which & (found.status == TrackStatus.OK)
@@ -191,24 +181,18 @@ def unresolved_px(reference: Reference, found: Registration) -> FloatArray:
     """Displacement (N,2) in px, rms over the subset, that explains what is left over beyond noise.
 
     A displacement e that the shape function does not follow leaves gain²·mean(f_x²)·e² over along x, likewise along y,
-    and the position may be off by as much. Noise is what half of the subsets have less of; three standard deviations
-    √(2/ν) of a variance of ν pixels go to chance. Of order 2 it is at most one and a half times what the reference's
-    own noise in both images leaves. Of order 1, which follows rigid bodies too, blur and light may leave something over
-    everywhere, and a subset that has more noise than half of the others in the reference has as much more here.
+    and the position may be off by as much. Noise is what half of the subsets have less of, at most one and a half times
+    what the reference's own noise in both images leaves; three standard deviations √(2/ν) of a variance of ν pixels go
+    to chance.
     """
     ok = found.status == TrackStatus.OK
     if not ok.any():
         return np.full((len(ok), 2), np.nan)
     slopes = np.einsum("nkp,nkp->nk", reference.pixels[:, 1:], reference.pixels[:, 1:]) / reference.pixels.shape[2]
     freedom = reference.pixels.shape[2] - reference.removed.shape[2] - GAIN_AND_OFFSET
-    typical = np.maximum(np.median(reference.noise_grey2[ok]), QUANTISATION)
-    level = np.full(len(ok), np.median(found.residual_grey2[ok]))
-    if reference.order == 1:
-        level *= np.maximum(1.0, reference.noise_grey2 / typical)
-    else:
-        level = np.minimum(level, OTHER_NOISE * (1.0 + found.gain**2) * typical)
-    chance = 1.0 + UNEXPLAINED_SIGMAS * np.sqrt(2.0 / freedom)
-    excess = np.maximum(found.residual_grey2 - chance * level, 0.0) / found.gain**2
+    own = OTHER_NOISE * (1.0 + found.gain**2) * np.maximum(np.median(reference.noise_grey2[ok]), QUANTISATION)
+    level = np.minimum(np.median(found.residual_grey2[ok]), own) * (1.0 + UNEXPLAINED_SIGMAS * np.sqrt(2.0 / freedom))
+    excess = np.maximum(found.residual_grey2 - level, 0.0) / found.gain**2
     square: FloatArray = np.divide(excess[:, None], slopes, out=np.full_like(slopes, np.nan), where=slopes > 0.0)
     return np.sqrt(square)
 
@@ -217,20 +201,18 @@ def position_covariance(reference: Reference, found: Registration, noise_grey: F
     """Covariance (N,2,2) in px² of the found centres from white image noise of standard deviation noise_grey (N,).
 
     A V Aᵀ σ²/gain² with V the `position_variance` of the subset (affine parameters, gain and offset free) and A the
-    local deformation: the noise of the one image; that of the reference is constant over a series. With orders 1 and 2,
-    V further has the square of what the displacement field may have that the subset does not resolve, `unresolved_px`;
-    with order 2 also, for the terms after the second, 0.15 of what the second ones change, (u_xx + u_yy)·r(r+1)/6. (In
-    a wave 1.3 to 4 sides long, a parabola leaves 0.15 to 0.01 of it.)
+    local deformation: the noise of the one image; that of the reference is constant over a series. With order 2, V
+    further has the squares of what the displacement field may have that the subset does not resolve: `unresolved_px`,
+    and for the terms after the second 0.15 of what the second ones change, (u_xx + u_yy)·r(r+1)/6. (In a wave
+    1.3 to 4 sides long, a parabola leaves 0.15 to 0.01 of it.)
     """
     deformation = np.eye(2) + found.warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
     scale = (noise_grey / found.gain) ** 2
     turned = np.swapaxes(deformation, 1, 2)
     covariance: FloatArray = deformation @ reference.position_variance @ turned * scale[:, None, None]
-    left = np.nan_to_num(unresolved_px(reference, found)) ** 2 if reference.order > 0 else np.zeros((len(scale), 2))
     if reference.order == 2:
         bent = (found.warp[:, [6, 9]] + found.warp[:, [8, 11]]) * reference.radius_px * (reference.radius_px + 1) / 6.0
-        left += (TRUNCATED * bent) ** 2
-    if left.any():
+        left = unresolved_px(reference, found) ** 2 + (TRUNCATED * bent) ** 2
         covariance += deformation @ (np.eye(2) * left[:, :, None]) @ turned
     return covariance
 

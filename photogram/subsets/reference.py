@@ -143,8 +143,8 @@ CHUNK = 256
 class TrackStatus(IntEnum):
     """What became of one subset in one frame; every status but `OK` comes with NaN positions.
 
-    `UNRESOLVED`: the shape function leaves a displacement that it cannot follow. Of order 2 also: texture, noise and
-    size of the subset do not carry it, or it fits worse than the affine one, which it contains (a false minimum).
+    `UNRESOLVED`, of order 2 alone: texture, noise and size of the subset do not carry the shape function, or it leaves
+    a displacement that it cannot follow, or it fits worse than the affine one, which it contains (a false minimum).
     """
 
     OK = 0

@@ -30,7 +30,7 @@ from photogram.subsets.find import (
     follow,
     identity,
 )
-from photogram.subsets.icgn import Registration, TrackSettings, followed, noise_of_residual, position_covariance
+from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance
 from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
 from photogram.subsets.search import predict_warp
 from photogram.subsets.sweep import TOLERANCE_PX
@@ -443,7 +443,6 @@ def _middle(values: FloatArray) -> float:
 
 def tracks_of(found: Sequence[Registration], reference: Reference, degree: int) -> Tracks:
     """Positions and covariances of all frames; the first of several is the reference itself."""
-    found = [*found[:1], *(followed(reference, here) for here in found[1:])]
     status = np.stack([here.status for here in found])
     ok = status == TrackStatus.OK
     noise = np.stack([noise_of_residual(reference, here, degree) for here in found])

@@ -1,23 +1,15 @@
-"""Subsets in a wave whose period grows along the image: what they find is true as stated, or refused."""
+"""Subsets of order 2 in a wave whose period grows along the image: what they find is true as stated, or refused."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from scipy.signal import savgol_coeffs
 
 from photogram.bspline import spline_of_image
-from photogram.subsets.icgn import (
-    Registration,
-    TrackSettings,
-    followed,
-    noise_of_residual,
-    position_covariance,
-    register,
-    unresolved_px,
-)
+from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
 from photogram.subsets.icgn_torch import register_frames, spline_frames, torch_reference
 from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
 from photogram.subsets.track import find_anew
@@ -95,34 +87,6 @@ def test_nothing_that_was_found_is_far_off_beyond_what_is_stated(star):
     assert np.mean(status[:, resolved] == TrackStatus.OK) > 0.85
     assert np.mean(np.abs(star.error_px[:, resolved]) > 0.1) < 1e-3
     assert np.mean(status[:, period(CENTRES) < 19.0] == TrackStatus.UNRESOLVED) > 0.3
-
-
-def test_order_one_refuses_or_states_most_of_what_it_does_not_follow(star):
-    """Without the test nothing is refused and what is off by 0.1 px is so beyond 5 u; coarse waves it keeps."""
-    settings, coarse = replace(SETTINGS, shape_order=1), period(CENTRES) > 80.0
-    reference = prepare_reference(spline_of_image(star.first), CENTRES, SETTINGS.radius_px, 1)
-    whole = [find_anew(reference, star.first, (image, spline_of_image(image)), settings) for image in star.later[:2]]
-    kept = replace(star, reference=reference, found=[followed(reference, here) for here in whole])
-    off = (np.abs(replace(kept, found=whole).error_px) > 0.1).any(axis=2)
-    beyond = (np.abs(kept.error_px) > np.maximum(0.1, 5.0 * np.sqrt(2.0) * kept.u_px)).any(axis=2)
-    assert off.mean() > 0.2
-    assert beyond.sum() < 0.4 * off.sum()
-    assert all((here.status[coarse] == TrackStatus.OK).all() for here in kept.found)
-
-
-def test_order_one_refuses_nothing_of_a_rigid_body_under_uneven_light(make_texture):
-    """Four times as bright on one side as on the other, hence with more shot noise there."""
-    texture, rng, settings = make_texture(seed=73, s=1.5), np.random.default_rng(73), replace(SETTINGS, shape_order=1)
-    light, images = np.linspace(0.4, 1.6, SIZE[0]), []
-    for shift in (0.0, 0.3, 1.5):
-        moving = texture.image(SIZE, lambda points, shift=shift: points - shift)
-        grey = np.maximum(light * (110.0 + CONTRAST * moving), 0.0)
-        images.append(np.rint(rng.normal(grey, np.sqrt(1.0 + 0.04 * grey))).clip(0, 255).astype(np.uint8))
-    reference = prepare_reference(spline_of_image(images[0]), CENTRES, SETTINGS.radius_px, 1)
-    for image in images[1:]:
-        rigid = find_anew(reference, images[0], (image, spline_of_image(image)), settings)
-        np.testing.assert_array_equal(followed(reference, rigid).status, TrackStatus.OK)
-        assert np.mean((unresolved_px(reference, rigid) > 0.0).any(axis=1)) < 0.06
 
 
 def test_scatter_is_stated(star):
