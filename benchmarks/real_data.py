@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from photogram.calibration.file import read_calibration
-from photogram.camera import triangulate
-from photogram.geometry import fit_rigid
+from photogram.calibration.foreign_formats import import_calibration
+from photogram.camera import Camera, StereoRig, epipolar_residual, triangulate
+from photogram.geometry import RigidTransform, fit_rigid, rotation_from_vector, vector_from_rotation
 from photogram.images.files import open_sequence
 from photogram.motion import fit_motion
 from photogram.subsets.icgn import TrackSettings
@@ -130,6 +131,46 @@ def static_stereo(folder: Path) -> Iterator[Row]:
         yield Row(f"{name}: mean displacement, largest", f"{mean.max():.4f} px", "0.005 to 0.020 px")
         ratio = scatter / stated
         yield Row(f"{name}: scatter / stated uncertainty", f"{ratio.min():.2f} to {ratio.max():.2f}", "none stated")
+    yield from _static_cameras(folder, (stereo.left.position_px[0], stereo.right.position_px[0]))
+
+
+def _static_cameras(folder: Path, ours: tuple[FloatArray, FloatArray]) -> Iterator[Row]:
+    """Whether the calibration is that of the pictures: matches against it, and against what fits them."""
+    stated = import_calibration(folder / "cal.xml").rig
+    tables = (folder / f"DICe_solution_{name}_0.txt" for name in ("auto", "auto_stereo"))
+    peer = [np.loadtxt(table, delimiter=",", skiprows=21)[:, :2] for table in tables]
+    off, peers = (epipolar_residual(stated, *pair)[0] for pair in (ours, peer))
+    yield Row(
+        "rms distance of the matches from cal.xml's epipolar lines", _rms_px(off), f"{_rms_px(peers)} (peer's matches)"
+    )
+
+    def changed(x: FloatArray) -> StereoRig:  # a turn, the baseline's y and z, focal lengths, first radial terms
+        turned = RigidTransform(rotation_from_vector(x[:3]), np.array([0.0, x[3], x[4]])) @ stated.right_from_left
+        lenses = []
+        for camera, focal, radial in ((stated.left, x[5], x[7]), (stated.right, x[6], x[8])):
+            lens = camera.parameters.copy()
+            lens[:2] *= np.exp(focal)
+            lens[4] += radial
+            lenses.append(Camera.from_parameters(lens, camera.size_px))
+        return StereoRig(lenses[0], lenses[1], turned)
+
+    angle, length = _angle_deg(stated), stated.left.matrix[0, 0]
+    yield Row("angle between the axes, focal length as stated", f"{angle:.1f}°, {length:.0f} px")
+    for what, free in (("pose fitted to the matches", 5), ("pose, focal lengths and distortion fitted", 9)):
+        fit = least_squares(
+            lambda x: epipolar_residual(changed(np.pad(x, (0, 9 - len(x)))), *ours)[0], np.zeros(free), x_scale="jac"
+        )
+        found = changed(np.pad(fit.x, (0, 9 - free)))
+        text = f"{_rms_px(fit.fun)}; {_angle_deg(found):.1f}°, {found.left.matrix[0, 0]:.0f} px"
+        yield Row(f"{what}: rms distance; angle, focal length", text)
+
+
+def _rms_px(values: FloatArray) -> str:
+    return f"{np.sqrt(np.mean(values**2)):.3g} px"
+
+
+def _angle_deg(rig: StereoRig) -> float:
+    return float(np.degrees(np.linalg.norm(vector_from_rotation(rig.right_from_left.rotation))))
 
 
 def undersampled_video(folder: Path) -> Iterator[Row]:

@@ -16,7 +16,7 @@ from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
 from photogram.motion import PlacedCamera, RigidMotion, fit_motion, overlap_correlation
-from photogram.subsets.find import DepthRange, identity
+from photogram.subsets.find import BodyNotFound, DepthRange, identity
 from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.reference import Reference
 from photogram.subsets.texture import SubsetQuality, assess
@@ -168,7 +168,8 @@ def body_motion(scene: BodyScene, blocks: Sequence[FollowedBlock]) -> BodyMotion
         for side, reference in enumerate(references)
     )
     firsts = images[0].read(0), images[1].read(0)
-    stereo = stereo_tracks(firsts, scene.grid, (left, right), settings)
+    stereo = stereo_tracks(firsts, scene.grid, (left, right), settings, scene.rig)
+    left, right = stereo.left, stereo.right
     quality, remarks = None, list[Notice]()
     if noise is not None:
         quality = (
@@ -178,6 +179,9 @@ def body_motion(scene: BodyScene, blocks: Sequence[FollowedBlock]) -> BodyMotion
         remarks = [*quality[0].notices("left camera"), *quality[1].notices("right camera")]
     pixels = left.position_px, right.position_px, left.covariance_px2, right.covariance_px2
     points = triangulate(scene.rig, *pixels).transformed(scene.body_from_left)
+    seen = int(np.count_nonzero(np.isfinite(points.position_m[0]).all(axis=1)))  # in some later frame as well
+    if seen < 3:
+        raise BodyNotFound(f"rig: expected at least 3 points that both cameras see in a later frame too, found {seen}")
     shared = None
     if settings.grid_step_px <= 2 * settings.radius_px:
         shared = overlap_correlation(scene.grid.left_px, settings.radius_px)
@@ -238,11 +242,11 @@ def _place(scene: BodyScene, found: Found) -> Points:
 
 
 def _views(scene: BodyScene, splines: Splines, rest_m: FloatArray, noise: Noise) -> tuple[BodyView, ...]:
-    """The body at rest in both cameras; `ValueError` where the calibration places no points of it."""
+    """The body at rest in both cameras; `BodyNotFound` where the calibration places no points of it."""
     placed = int(np.count_nonzero(np.isfinite(rest_m).all(axis=1)))
     if placed < 3:
         text = f"at least 3 points that both cameras see in one place, found {placed} of {len(rest_m)}"
-        raise ValueError(f"rig: expected {text}; the calibration does not belong to these images")
+        raise BodyNotFound(f"rig: expected {text}; the calibration does not belong to these images")
     left_from_body = scene.body_from_left.inverse()
     cameras = (
         PlacedCamera(scene.rig.left, left_from_body),

@@ -29,6 +29,7 @@ from fusion.phasors.channels import (
     refine_ties,
 )
 from fusion.phasors.stereo_motion import (
+    LeftOut,
     OpenImages,
     StereoMotion,
     measure_pairs,
@@ -139,22 +140,37 @@ def measure_set_up(
     """Follow the images of a set-up, here or by an executor, and fit the lines to the motion of every stereo pair."""
     manifest, base = opened.manifest, opened.base
     with told_in(manifest.path, opened.where, opened.name):
-        found = (*measure_pairs(opened.images, settings, progress, executor), *opened.points)
-        motions, refuted = still_calibrated(found)
-        if refuted and not motions and all(r.entry.quantity not in TRANSDUCERS for r in opened.readings):
-            raise ComputeError(f"no instrument is left that measures a motion: {refuted[0].text}")
+        seen = [
+            item if isinstance(item, LeftOut) else still_calibrated(item)
+            for item in measure_pairs(opened.images, settings, progress, executor)
+        ]
+        left_out = [item for item in seen if isinstance(item, LeftOut)]
+        motions = (*(item for item in seen if isinstance(item, StereoMotion)), *opened.points)
+        _check_left(opened, motions, left_out)
         if opened.lines is None:
             lines, first = motion_lines(manifest, base, motions)
             clock = base.sight_errors(first)
         else:
             lines, clock = opened.lines, line_clock(base)
         strength = line_strength(opened.readings, lines)
-        stereo, aliased = pairs_phasors(base, motions, lines, base.line_errors(lines, clock), strength)
+        stereo, aliased, unfitted = pairs_phasors(base, motions, lines, base.line_errors(lines, clock), strength)
+        left_out += unfitted
+        _check_left(opened, stereo, left_out)
     changes = line_stationarity(opened.channels, [item.result for item in stereo], lines, base.results())
     doubts = {DISTORTION: [found.doubt for found in distortions(opened.channels, lines)]}
     doubts[DRIFT] = [doubt for frequency in _frequencies(changes) for doubt in _told(changes, frequency).doubts]
     readings = tuple(_doubted(reading, doubts) for reading in opened.readings)
-    return SetUp(replace(opened, readings=readings), lines, stereo, (*refuted, *aliased))
+    told = tuple(item.notice for item in left_out)
+    return SetUp(replace(opened, readings=readings), lines, stereo, (*told, *aliased))
+
+
+def _check_left(opened: OpenSetUp, stereo: Sequence[object], left_out: Sequence[LeftOut]) -> None:
+    """Raise why the first pair is left out where no other pair and no channel of the set-up measures a motion."""
+    if left_out and not stereo and all(r.entry.quantity not in TRANSDUCERS for r in opened.readings):
+        error = left_out[0].error
+        if isinstance(error, InputError):
+            raise error
+        raise ComputeError(f"no instrument is left that measures a motion: {left_out[0].notice.text}")
 
 
 # What readings of outputs are found to hold beside the load.

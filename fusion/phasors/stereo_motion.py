@@ -5,10 +5,10 @@ Images are followed here one pair after another, or by an executor's processes, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -45,6 +45,7 @@ from photogram.measure import (
 )
 from photogram.motion import Deformation, RigidMotion, deformation, fit_motion, points_with_estimated_noise
 from photogram.point_tables import read_point_tables
+from photogram.subsets.find import BodyNotFound
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.texture import SubsetQuality, suggested_radius_px
 from photogram.subsets.track import StereoTracks, resolve_device
@@ -52,6 +53,7 @@ from shaker.arrays import Notice
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.sine.aliasing import usable_lines
 
+T = TypeVar("T")
 BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform, TrackSettings]
 
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
@@ -105,6 +107,21 @@ class StereoMotion:
     reprojection_px: float
     view: ImageView | None
     notices: tuple[AnyNotice, ...]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A stereo pair that tells no motion, and `error`, which ends the run where nothing else measures one."""
+
+    name: str
+    error: InputError | ComputeError
+
+    @property
+    def notice(self) -> Notice:
+        """Return what the user is told where the other instruments are evaluated without the pair."""
+        why = self.error.found if isinstance(self.error, InputError) else str(self.error)
+        why = why.removeprefix(f"stereo pair {self.name}: ")
+        return Notice("warning", f"stereo pair {self.name} is left out: {why}", self.name)
 
 
 def sensor_from_camera(stereo: Stereo) -> RigidTransform:
@@ -190,30 +207,49 @@ def known_depth(manifest: Manifest, pair: Stereo) -> tuple[float, float] | None:
 
 def measure_pairs(
     images: Sequence[OpenImages], settings: Settings, progress: ProgressCallback, executor: Executor | None = None
-) -> tuple[StereoMotion, ...]:
-    """Track the images of stereo pairs and fit the rigid motion of the body that each sees.
+) -> tuple[StereoMotion | LeftOut, ...]:
+    """Track the images of stereo pairs and fit the rigid motion of the body that each sees, or say why there is none.
 
-    An executor opens the images itself, by the same paths, and its motions are those found without one to the last bit.
+    Files that cannot be read are refused. An executor opens the images itself, by the same paths, and its motions are
+    those found without one to the last bit.
     """
     if executor is None:
-        return tuple(measure_images(item, settings, progress) for item in images)
-    device, motions, begun = settings.device, [], []
+        return tuple(_attempted(item, partial(measure_images, item, settings, progress)) for item in images)
+    device, begun = settings.device, []
+    motions: list[StereoMotion | LeftOut] = []
     prepared = [executor.submit(0, _prepared, body_inputs(item, settings), device, item.depth_m) for item in images]
     for item, pending in zip(images, prepared, strict=True):
-        scene: BodyScene = _answer(item, pending)
-        blocks = [executor.submit(1, _followed, pending, frames, device) for frames in scene.blocks]
-        begun.append((item, scene, blocks))
+        scene: BodyScene | LeftOut = _attempted(item, partial(_answer, item, pending))
+        shares = () if isinstance(scene, LeftOut) else scene.blocks
+        begun.append((item, scene, [executor.submit(1, _followed, pending, share, device) for share in shares]))
     for item, scene, blocks in begun:
+        if isinstance(scene, LeftOut):
+            motions.append(scene)
+            continue
         stage, total = f"track {item.sight.name}", 2 * len(item.left)
         followed = []
         for frames, pending in zip(scene.blocks, blocks, strict=True):
             progress(stage, 2 * frames.start, total)
             followed.append(_answer(item, pending))
         progress(stage, total, total)
-        with as_input_error(*item.sight.where):
-            body = body_motion(scene, followed)
-        motions.append(seen_motion(item, body))
+        motions.append(_attempted(item, partial(_moved, item, scene, followed)))
     return tuple(motions)
+
+
+def _attempted(images: OpenImages, act: Callable[[], T]) -> T | LeftOut:
+    """What an action on a pair returns, or that the pair is left out since its body is not found."""
+    try:
+        return act()
+    except InputError as error:
+        if not isinstance(error.__cause__, BodyNotFound):
+            raise
+        return LeftOut(images.sight.name, error)
+
+
+def _moved(images: OpenImages, scene: BodyScene, followed: Sequence[FollowedBlock]) -> StereoMotion:
+    with as_input_error(*images.sight.where):
+        body = body_motion(scene, followed)
+    return seen_motion(images, body)
 
 
 def _answer(images: OpenImages, pending: Pending) -> Any:
@@ -256,7 +292,8 @@ def body_inputs(images: OpenImages, settings: Settings) -> BodyInputs:
 def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
     """Return the motion of the body that a stereo pair sees, with what its images tell of the pair itself."""
     if not np.isfinite(body.motion.pose).all(axis=1).any():
-        raise ComputeError(f"stereo pair {images.sight.name}: {NO_MOTION}; look at its images")
+        with as_input_error(*images.sight.where):
+            raise BodyNotFound(f"{NO_MOTION}; look at the images")
     reprojection = float(np.sqrt(np.nanmean(body.points.reprojection_px**2)))
     epipolar = check_epipolar(body.tracks, images.rig)
     return StereoMotion(
@@ -269,12 +306,10 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
     )
 
 
-def still_calibrated(motions: Sequence[StereoMotion]) -> tuple[tuple[StereoMotion, ...], tuple[Notice, ...]]:
-    """Return the motions of the pairs that can be what was calibrated, and a warning for each that is left out."""
-    refuted = {m.sight.name: m.view.epipolar.refuted for m in motions if m.view is not None}
-    told = [(name, f"stereo pair {name} is left out: {why}; calibrate again") for name, why in refuted.items() if why]
-    kept = tuple(motion for motion in motions if not refuted.get(motion.sight.name))
-    return kept, tuple(Notice("warning", text, name) for name, text in told)
+def still_calibrated(motion: StereoMotion) -> StereoMotion | LeftOut:
+    """Return the motion of a pair that can be what was calibrated; any other pair is left out."""
+    name, why = motion.sight.name, "" if motion.view is None else motion.view.epipolar.refuted
+    return LeftOut(name, ComputeError(f"{why}; calibrate again")) if why else motion
 
 
 def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> StereoMotion:

@@ -13,7 +13,7 @@ from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading
 from fusion.phasors.channels import spread_lines
-from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
+from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, sensor_from_camera
 from fusion.phasors.timing import Lateness, Sight, TimeBase, together
 from photogram.camera import StereoRig, principal_components, triangulate
 from photogram.epipolar import EpipolarCheck
@@ -111,23 +111,28 @@ def pairs_phasors(
     lines: Lines,
     line_errors: Sequence[Lateness],
     strength: FloatArray | None,
-) -> tuple[tuple[StereoPhasors, ...], tuple[AnyNotice, ...]]:
+) -> tuple[tuple[StereoPhasors, ...], tuple[AnyNotice, ...], tuple[LeftOut, ...]]:
     """Fit the lines to the motion of every stereo pair, and leave out the pairs whose rate tells no line apart.
 
-    The notices name what was left out, line by line and pair by pair. `line_errors`: what is open of the lines;
+    The notices name what was left out, line by line and pair by pair; the pairs whose motion takes no fit come last.
+    `line_errors`: what is open of the lines;
     `strength` (K,): the acceleration at each line relative to the strongest, as far as channels tell.
     """
     fitted: list[StereoPhasors] = []
+    unfitted: list[LeftOut] = []
     notices: list[AnyNotice] = []
     for measured in motions:
         name = measured.sight.name
         usable, aliased = _usable(measured, lines)
         notices += [Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in aliased]
-        if usable.any():
-            fitted.append(stereo_phasors(base, measured, lines, line_errors, strength))
-        else:
+        if not usable.any():
             notices.append(Notice("warning", f"stereo pair {name} is left out: {NO_LINE}", name))
-    return tuple(fitted), tuple(notices)
+            continue
+        try:
+            fitted.append(stereo_phasors(base, measured, lines, line_errors, strength))
+        except ComputeError as error:
+            unfitted.append(LeftOut(name, error))
+    return tuple(fitted), tuple(notices), tuple(unfitted)
 
 
 def _usable(measured: StereoMotion, lines: Lines) -> tuple[NDArray[np.bool_], tuple[Notice, ...]]:

@@ -43,12 +43,13 @@ class _Frame:
 def save_points(folder: Path, stereo: StereoResult) -> list[str]:
     """Write the points of a pair into a folder and return the files' names.
 
-    points-NAME.csv, points-NAME-FRAME.vtp and points-NAME.pvd, which names these with their times: ParaView opens it.
+    points-NAME.csv, points-NAME/FRAME.vtp and points-NAME.pvd, which names these with their times: ParaView opens it.
     """
     if stereo.surface is None:
         return []
     name = f"points-{stereo.name}"
     names = [f"{name}.csv", f"{name}.pvd"]
+    (folder / name).mkdir()
     known = np.asarray(np.isfinite(stereo.surface.reference_m).all(axis=1))
     places = stereo.surface.reference_m[known]
     with (folder / names[0]).open("w", encoding="utf-8", newline="\n") as table:
@@ -59,7 +60,7 @@ def save_points(folder: Path, stereo: StereoResult) -> list[str]:
             for point in np.flatnonzero(frame.seen).tolist():
                 values = ",".join(map(repr, numbers[point].tolist()))
                 table.write(f"{frame.number},{frame.time_s!r},{point},{values}\n")
-            names.append(f"{name}-{frame.number:04d}.vtp")
+            names.append(f"{name}/{frame.number:04d}.vtp")
             (folder / names[-1]).write_text(_vtp(places, frame), encoding="utf-8")
             steps.append(f'<DataSet timestep="{frame.time_s!r}" file={quoteattr(names[-1])}/>')
     collection = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="1.0">', "<Collection>", *steps]

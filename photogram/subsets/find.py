@@ -24,8 +24,17 @@ from photogram.subsets.search import (
 from photogram.subsets.sweep import line_starts, line_uncertainty_px, surfaces
 
 Image = NDArray[Any]
+
+
+class BodyNotFound(ValueError):
+    """Pictures that can be read do not tell where the body is: no texture, no match, or copies of a pattern."""
+
+
 NEIGHBOUR_ROUNDS = 8
 SEEDS = 12
+MORE_LOST = 0.05  # share of missing subsets by which a body beside another copy of itself is told
+MOST_COPIES = 3
+EDGE = 1.5  # subset radii from the edge of a picture within which a subset need not be found
 LEAST_AGREEING = 0.2  # share of its neighbours that have to foretell a subset
 
 
@@ -60,6 +69,49 @@ def follow(
         found = merged(found, more)
     found = find_from_neighbours(reference, frame[1], found, settings)
     return held_together(reference, found) if attempt > 0 else found
+
+
+def find_off_copies(
+    reference: Reference,
+    first: Image,
+    frame: tuple[Image, Spline],
+    found: Registration,
+    steps_px: FloatArray,
+    settings: TrackSettings,
+) -> Registration:
+    """`found`, or, where a pattern repeats by steps_px (K,2), the body next to it if that leaves fewer subsets missing.
+
+    A body that is taken for a copy of itself lacks the subsets at one of its ends; where no end is seen, nothing tells.
+    """
+    size = np.array(frame[0].shape[::-1])
+    best, missing = found, _missing(reference, found, settings.radius_px, size)
+    for _ in range(MOST_COPIES):
+        tried = []
+        for step in steps_px if missing > MORE_LOST else ():
+            start = neighbour_starts(reference.centre_px, best.warp)
+            start[:, [0, 3]] += step
+            near = replace(settings, reach_px=max(3, int(np.hypot(*step) / 4.0)))
+            there = find_by_search(reference, first, frame, start, near)
+            there = held_together(reference, find_from_neighbours(reference, frame[1], there, settings))
+            tried.append((_missing(reference, there, settings.radius_px, size), there))
+        least, there = min(tried, key=lambda each: each[0], default=(missing, best))
+        if least > missing - MORE_LOST:
+            break
+        best, missing = there, least
+    return best
+
+
+def _missing(reference: Reference, found: Registration, radius_px: int, size_px: NDArray[np.int64]) -> float:
+    """Share of the subsets that, by their neighbours, should be in a picture of size_px (2,) and are not."""
+    ok, expected = found.status == TrackStatus.OK, _expected(reference, found, radius_px, size_px)
+    return float(np.mean(~ok[expected])) if ok.any() else 1.0
+
+
+def _expected(reference: Reference, found: Registration, radius_px: int, size_px: NDArray[np.int64]) -> BoolArray:
+    """Subsets (N,) that are found, or whose neighbours foretell a place well inside a picture of size_px (2,)."""
+    place = reference.centre_px + neighbour_starts(reference.centre_px, found.warp)[:, [0, 3]]
+    inside = ((place >= EDGE * radius_px) & (place <= size_px - 1.0 - EDGE * radius_px)).all(axis=1)
+    return np.asarray((inside & (reference.status == TrackStatus.OK)) | (found.status == TrackStatus.OK))
 
 
 def held_together(reference: Reference, found: Registration) -> Registration:
@@ -188,7 +240,7 @@ def find_on_lines(
     surfaces through these (`sweep.surfaces`) are followed from neighbour to neighbour. The one with most subsets
     counts, unless another fits as well: a quarter as many of the same subsets, hardly less correlated, no further off
     the epipolar lines, no more missing that should be in the right image, and not beyond the depths `depth_m` (nearest,
-    farthest, in the left camera) where the body is known to be. Then a `ValueError` says so.
+    farthest, in the left camera) where the body is known to be. Then `BodyNotFound` says so.
     """
     usable = reference.status == TrackStatus.OK
     if usable.sum() < 3:
@@ -258,24 +310,19 @@ def _once(place: FloatArray) -> FloatArray:
 
 def _grown(reference: Reference, frame: tuple[Image, Spline], settings: TrackSettings, known: FloatArray) -> _Surface:
     """The surface through the subsets whose warps (N,p) are known, without those that depart from their neighbours."""
-    usable = reference.status == TrackStatus.OK
     start = neighbour_starts(reference.centre_px, known)
     found = find_from_neighbours(reference, frame[1], register(reference, frame[1], start, settings), settings)
-    centre = reference.centre_px
-    agree = agreeing_neighbours(centre, found.warp)
+    agree = agreeing_neighbours(reference.centre_px, found.warp)
     found = held_together(reference, found)
-    start = neighbour_starts(centre, found.warp)
-    place, reach = centre + start[:, [0, 3]], 1.5 * settings.radius_px
-    size = np.array(frame[0].shape[::-1])
-    expected = usable & ((place >= reach) & (place <= size - 1.0 - reach)).all(axis=1)
+    expected = _expected(reference, found, settings.radius_px, np.array(frame[0].shape[::-1]))
     agree = agree[np.isfinite(agree)]
-    return _Surface(found, expected | (found.status == TrackStatus.OK), float(np.mean(agree)) if len(agree) else 1.0)
+    return _Surface(found, expected, float(np.mean(agree)) if len(agree) else 1.0)
 
 
 def _refuse_rival(
     reference: Reference, rig: StereoRig, best: _Surface, other: _Surface, depth_m: DepthRange | None
 ) -> None:
-    """Raise `ValueError` where the second surface fits as well as the first."""
+    """Raise `BodyNotFound` where the second surface fits as well as the first."""
     centre = reference.centre_px
     sides = [np.where(one.ok[:, None], centre + one.found.warp[:, [0, 3]], np.nan) for one in (best, other)]
     both = best.ok & other.ok & (np.abs(sides[0] - sides[1]).max(axis=1) > 1.0)
@@ -291,7 +338,7 @@ def _refuse_rival(
     depth = [float(np.nanmedian(triangulate(rig, centre[None], side[None]).position_m[..., 2])) for side in sides]
     if depth_m is not None and depth_m[0] <= depth[0] <= depth_m[1] and not depth_m[0] <= depth[1] <= depth_m[1]:
         return
-    raise ValueError(
+    raise BodyNotFound(
         f"right: expected one place for the body, found two that fit as well, {depth[0]:.3f} m and {depth[1]:.3f} m "
         f"from the left camera ({best.ok.sum()} and {other.ok.sum()} subsets): its pattern repeats; show where the "
         "pattern ends in both pictures, turn the foil by some degrees, or use one that does not repeat"

@@ -24,6 +24,7 @@ TILE_PX = 32
 FINE_TEXTURE = 0.4
 SATURATED_SHARE = 0.01
 REPEAT_SEEDS, REPEAT_ZNCC = 12, 0.75
+MOST_STEPS = 8  # of a pattern that repeats, to its nearest copies
 
 
 def textured_area(image: Image) -> BoolArray:
@@ -141,26 +142,53 @@ def speckle_size(image: Image, area: BoolArray) -> float:
 def repeat_px(image: Image, points_px: FloatArray, radius_px: int) -> float:
     """Distance in px at which the pattern of image (H,W) repeats; NaN where it does not.
 
-    Some of the subsets at points_px (N,2) are correlated with the whole image: the median distance to the nearest other
-    place with a zero-normalised correlation above 0.75, if a third of them have one, and at the same distance.
+    Of some of the subsets at points_px (N,2), the median distance to the nearest copy, if a third of them have one, and
+    at the same distance.
     """
-    import cv2
-
-    grey = image.astype(np.float32)
-    side, nearest = 2 * radius_px + 1, []
-    inside = points_px[((points_px >= radius_px) & (points_px < np.array(grey.shape[::-1]) - radius_px)).all(axis=1)]
-    for x, y in np.rint(inside[:: max(1, len(inside) // REPEAT_SEEDS)][:REPEAT_SEEDS]).astype(np.int64) - radius_px:
-        score = cv2.matchTemplate(grey, grey[y : y + side, x : x + side], cv2.TM_CCOEFF_NORMED)
-        peaks = score_peaks(score, REPEAT_ZNCC)
-        distance = np.hypot(*(peaks - (x, y)).T)
-        distance = distance[distance > radius_px]
-        nearest.append(distance.min() if len(distance) else np.inf)
+    copies = _copies_px(image, points_px, radius_px)
+    nearest = [float(np.hypot(*each.T).min()) if len(each) else np.inf for each in copies]
     known = np.array([distance for distance in nearest if np.isfinite(distance)])
     if len(known) < max(2, len(nearest) / 3):
         return float("nan")
     middle = float(np.median(known))
     alike = np.count_nonzero(np.abs(known - middle) <= 0.1 * middle)
     return middle if alike >= len(nearest) / 3 else float("nan")
+
+
+def repeat_steps_px(image: Image, points_px: FloatArray, radius_px: int) -> FloatArray:
+    """Displacements (K,2) in px, shortest first, by which a third of the subsets find copies in either direction."""
+    copies = _copies_px(image, points_px, radius_px)
+    steps: list[FloatArray] = []
+    for step in sorted(np.concatenate([*copies, np.empty((0, 2))]), key=lambda each: float(np.hypot(*each))):
+        apart = 0.1 * np.hypot(*step)
+        if any(np.hypot(*(step - known)) <= 2.0 * apart for known in steps):
+            continue
+        near = [np.hypot(*(sign * each - step).T) <= apart for each in copies for sign in (1.0, -1.0)]
+        if (
+            sum(first.any() or second.any() for first, second in zip(near[::2], near[1::2], strict=True))
+            >= len(copies) / 3
+        ):
+            steps += [step, -step]
+        if len(steps) >= MOST_STEPS:
+            break
+    return np.array(steps).reshape(-1, 2)
+
+
+def _copies_px(image: Image, points_px: FloatArray, radius_px: int) -> list[FloatArray]:
+    """Of some of the subsets at points_px (N,2), where in image (H,W) copies of it are, as displacements (K,2) in px.
+
+    Places elsewhere in the whole image with a zero-normalised correlation above 0.75.
+    """
+    import cv2
+
+    grey = image.astype(np.float32)
+    side, copies = 2 * radius_px + 1, []
+    inside = points_px[((points_px >= radius_px) & (points_px < np.array(grey.shape[::-1]) - radius_px)).all(axis=1)]
+    for x, y in np.rint(inside[:: max(1, len(inside) // REPEAT_SEEDS)][:REPEAT_SEEDS]).astype(np.int64) - radius_px:
+        score = cv2.matchTemplate(grey, grey[y : y + side, x : x + side], cv2.TM_CCOEFF_NORMED)
+        away = score_peaks(score, REPEAT_ZNCC) - np.array([x, y], dtype=np.float64)
+        copies.append(away[np.hypot(*away.T) > radius_px])
+    return copies
 
 
 def fine_texture_share(image: Image, area: BoolArray, noise_grey: float) -> float:

@@ -17,12 +17,15 @@ from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
 from photogram.images.sequence import GreyImage, ImageSequence
 from photogram.subsets.find import (
+    MORE_LOST,
+    BodyNotFound,
     DepthRange,
     dropped,
     find_anew,
     find_by_search,
     find_from_features,
     find_from_neighbours,
+    find_off_copies,
     find_on_lines,
     follow,
     identity,
@@ -36,6 +39,7 @@ from photogram.subsets.texture import (
     aliasing_notice,
     lay_grid,
     repeat_px,
+    repeat_steps_px,
     saturated,
     speckle_size,
     subset_mean,
@@ -155,7 +159,7 @@ def match_stereo(
     """Positions in the right image (F = 1) of the subsets centred at points_px (N,2) in the left image.
 
     With `rig` from its epipolar lines (`find_on_lines`, with `depth_m`); without it, or where no surface fits it, from
-    local affine maps of matched features, then from neighbours that were found. Raises `ValueError` where the pattern
+    local affine maps of matched features, then from neighbours that were found. Raises `BodyNotFound` where the pattern
     repeats so that two surfaces fit as well.
     """
     check_shape("points_px", points_px, (None, 2))
@@ -242,8 +246,8 @@ def lay_stereo_grid(
     """Lay a grid over the textured body in the first left image and match it to the first right image.
 
     Only subsets that were found there, that are not saturated and, with `rig`, that lie on their epipolar lines are
-    kept. Raises `ValueError` when the cameras have unlike numbers of frames, fewer than three subsets are left, or the
-    pattern repeats so that they may be elsewhere.
+    kept. Raises `ValueError` when the cameras have unlike numbers of frames, and `BodyNotFound` when fewer than
+    three subsets are left or the pattern repeats so that they may be elsewhere.
     """
     if len(left) != len(right):
         raise ValueError(f"right: expected {len(left)} frames as in left, found {len(right)}")
@@ -251,7 +255,7 @@ def lay_stereo_grid(
     areas = _inner_area(images[0]), _inner_area(images[1])
     points = lay_grid(areas[0], settings.radius_px, settings.grid_step_px)
     if len(points) < 3:
-        raise ValueError(f"left: expected a speckled body, found room for {len(points)} subsets in {left.names[0]}")
+        raise BodyNotFound(f"left: expected a speckled body, found room for {len(points)} subsets in {left.names[0]}")
     matched = match_stereo(images[0], images[1], points, settings, rig, depth_m)
     right_px = matched.position_px[0]
     kept = (matched.status[0] == TrackStatus.OK) & (subset_mean(areas[1], right_px, settings.radius_px) >= OVERLAP)
@@ -265,7 +269,7 @@ def lay_stereo_grid(
         if abs(off) > 1.0:
             period = repeat_px(images[0], points, settings.radius_px)
             if np.isfinite(period):
-                raise ValueError(
+                raise BodyNotFound(
                     f"right: expected the body on its epipolar lines, found it {off:.1f} px beside them, and its "
                     f"pattern repeats every {period:.1f} px: a copy was taken for the original, or the calibration "
                     "does not belong to these images"
@@ -276,7 +280,7 @@ def lay_stereo_grid(
             )
             notices.append(Notice("warning", text, "stereo calibration"))
     if kept.sum() < 3:
-        raise ValueError(
+        raise BodyNotFound(
             f"right: expected the body of {left.names[0]}, found {kept.sum()} of its {len(points)} subsets "
             f"in {right.names[0]}"
         )
@@ -284,9 +288,19 @@ def lay_stereo_grid(
 
 
 def stereo_tracks(
-    images: tuple[GreyImage, GreyImage], grid: StereoGrid, tracks: tuple[Tracks, Tracks], settings: TrackSettings
+    images: tuple[GreyImage, GreyImage],
+    grid: StereoGrid,
+    tracks: tuple[Tracks, Tracks],
+    settings: TrackSettings,
+    rig: StereoRig | None = None,
 ) -> StereoTracks:
-    """The tracks of both cameras with what their first images are like, and remarks on both."""
+    """The tracks of both cameras with what their first images are like, and remarks on both.
+
+    With `rig`, without the places at which one camera shows a subset elsewhere than the other. Raises `BodyNotFound`
+    where that happens to the whole body, or it jumps, and its pattern repeats.
+    """
+    if rig is not None:
+        tracks = _both_sides(images[0], rig, tracks, settings)
     notices, speckle, levels, biases = list(grid.notices), [], [], []
     for image, track, side in zip(images, tracks, ("left", "right"), strict=True):
         _refuse_jumps(image, track, settings, side)
@@ -308,7 +322,7 @@ def stereo_tracks(
 
 
 def _refuse_jumps(image: Image, track: Tracks, settings: TrackSettings, side: str) -> None:
-    """Raise `ValueError` where a body whose pattern repeats is further than half a period from where it was foretold.
+    """Raise `BodyNotFound` where a body whose pattern repeats is further than half a period from where it was foretold.
 
     Then a copy of the pattern lies nearer, and the pictures cannot tell which of them is the body.
     """
@@ -323,12 +337,46 @@ def _refuse_jumps(image: Image, track: Tracks, settings: TrackSettings, side: st
     period = repeat_px(image, track.position_px[0], settings.radius_px)
     jumps = np.flatnonzero(jump > period / 2.0)
     if len(jumps):
-        raise ValueError(
+        raise BodyNotFound(
             f"{side}: expected a motion that the last frames foretell, found a jump of {jump[jumps[0]]:.1f} px in "
             f"frame {jumps[0] + 1} (counted from 0), more than half of the {period:.1f} px at which the pattern "
             "repeats: a copy may have been taken for the original; use a foil that does not repeat, or more frames per "
             "second"
         )
+
+
+def _both_sides(
+    image: Image, rig: StereoRig, tracks: tuple[Tracks, Tracks], settings: TrackSettings
+) -> tuple[Tracks, Tracks]:
+    """Both tracks without the places where one camera took a copy of a subset: off its epipolar line unlike at first.
+
+    What all subsets do together is another matter, a camera that moves or the whole body on a copy of itself; where the
+    pattern repeats nothing tells these apart, and `BodyNotFound` is raised.
+    """
+    residual, _, _ = epipolar_residual(rig, tracks[0].position_px, tracks[1].position_px)
+    change = residual - residual[0]
+    common = np.array([_middle(frame) for frame in change])
+    aside = np.abs(change - common[:, None]) > TOLERANCE_PX
+    jumps = np.flatnonzero(np.abs(common) > TOLERANCE_PX)
+    period = repeat_px(image, tracks[0].position_px[0], settings.radius_px) if len(jumps) else float("nan")
+    if np.isfinite(period):
+        raise BodyNotFound(
+            f"right: expected the body where the left camera shows it, found it {abs(common[jumps[0]]):.1f} px beside "
+            f"its epipolar lines in frame {jumps[0]} (counted from 0), and its pattern repeats every {period:.1f} px: "
+            "a copy was taken for the original in one camera, or a camera moved"
+        )
+    return (_without(tracks[0], aside), _without(tracks[1], aside)) if aside.any() else tracks
+
+
+def _without(track: Tracks, which: BoolArray) -> Tracks:
+    """The tracks with subsets lost in the frames `which` (F,N)."""
+    return replace(
+        track,
+        position_px=np.where(which[..., None], np.nan, track.position_px),
+        covariance_px2=np.where(which[..., None, None], np.nan, track.covariance_px2),
+        zncc=np.where(which, np.nan, track.zncc),
+        status=np.where(which, np.int8(TrackStatus.NOT_CONVERGED), track.status),
+    )
 
 
 def track_stereo(
@@ -354,7 +402,7 @@ def track_stereo(
     left_tracks = track_sequence(left, grid.left_px, settings, progress)
     after = None if progress is None else lambda done: progress(len(left) + done)
     right_tracks = track_sequence(right, grid.right_px, settings, after)
-    return stereo_tracks((left.read(0), right.read(0)), grid, (left_tracks, right_tracks), settings)
+    return stereo_tracks((left.read(0), right.read(0)), grid, (left_tracks, right_tracks), settings, rig)
 
 
 def _follow_one_by_one(
@@ -362,6 +410,8 @@ def _follow_one_by_one(
 ) -> Iterator[FollowedFrame]:
     """Later frames, one by one on the CPU."""
     history: list[Registration] = []
+    usable = reference.status == TrackStatus.OK
+    steps: FloatArray | None = None
     for number in frames:
         image = sequence.read(number)
         target = spline_of_image(image, settings.degree)
@@ -371,6 +421,10 @@ def _follow_one_by_one(
         else:
             found = find_anew(reference, first, (image, target), settings)
             history = [identity(reference)] if number == 1 else []
+        if np.count_nonzero(found.status != TrackStatus.OK) > MORE_LOST * len(usable) + np.count_nonzero(~usable):
+            if steps is None:
+                steps = repeat_steps_px(first, reference.centre_px[usable], settings.radius_px)
+            found = find_off_copies(reference, first, (image, target), found, steps, settings)
         history = [*history[1 - HISTORY :], found]
         yield FollowedFrame(image, target, found)
 

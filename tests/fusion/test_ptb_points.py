@@ -165,8 +165,14 @@ def test_saved_points_are_those_of_the_files(campaign, tmp_path):
     assert not list((tmp_path / "none").glob("points*"))
     settings = {**evaluation.settings, **Settings(save_points=True).as_dict()}
     written = write_results(replace(evaluation, settings=settings), tmp_path / "saved")
-    names = {path.name for path in written if path.name.startswith("points")}
-    assert names == {"points-base.csv", "points-base.pvd", *(f"points-base-{k:04d}.vtp" for k in range(FRAMES))}
+    assert written == write_results(replace(evaluation, settings=settings), tmp_path / "saved", force=True)
+    names = {path.relative_to(tmp_path / "saved").as_posix() for path in written}
+    assert {name for name in names if name.startswith("points")} == {
+        "points-base.csv",
+        "points-base.pvd",
+        *(f"points-base/{k:04d}.vtp" for k in range(FRAMES)),
+    }
+    assert all(path.is_file() for path in written)
 
     table = np.genfromtxt(tmp_path / "saved" / "points-base.csv", delimiter=",", names=True)
     assert table.dtype.names == HEAD

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -14,11 +15,15 @@ import h5py
 import numpy as np
 import pytest
 import tifffile
-from support import Refused
+from crews import Inline
+from support import Refused, evaluated
 
 from fusion.base import ComputeError, InputError
 from fusion.commands.options import EXIT_INPUT
 from fusion.phasors import stereo_motion
+from fusion.recording.load import load_manifest
+from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.simulate import simulate
 
 NAME = "Fz-0080"
 RIG, RECORDING = "rig.toml", f"{NAME}/recording.toml"
@@ -292,6 +297,55 @@ def test_images_that_are_wrong_later_in_the_series(change, sentence, campaign, u
     _pixels("top-right/0002.tif", change)(campaign)
     told = untouched("run", campaign / NAME)
     assert told.startswith(f"shakercal: {campaign / RECORDING}: images.top: top-right/0002.tif: {sentence}")
+
+
+# What concerns one stereo pair alone does not end the run: the pair is left out by name.
+
+BLIND = [_pixels(f"{pair}-right/0000.tif", lambda image: np.full_like(image, 300)) for pair in ("top", "base")]
+WITHOUT_IMAGES = _content(RECORDING, lambda content: content[: content.index(b"[[images]]")])
+MOTION_CHANNEL = rb'\[\[daq\.channel\]\]\n(?:(?!\n\[)[\s\S])*?quantity = "(?:velocity|acceleration)"[\s\S]*?(?=\n\[)'
+WITHOUT_MOTION = _content(RECORDING, lambda content: re.sub(MOTION_CHANNEL, b"", content))
+
+
+def _left_out(found, words):
+    told = {notice.where: notice for notice in found.notices if "is left out" in notice.text}
+    assert set(told) == {"top", "base"}
+    for name, notice in told.items():
+        assert notice.severity == "warning"
+        assert re.match(f"stereo pair {name} is left out: {words}", notice.text)
+    assert found.stereo == ()
+
+
+def test_pairs_without_a_body_are_left_out_and_the_others_evaluated(campaign):
+    """As if their pictures had not been recorded, to the last bit; by an executor too."""
+    _each(*BLIND)(campaign)
+    manifest = load_manifest(campaign / NAME)
+    found = [evaluate_recording(manifest, executor=crew) for crew in (None, Inline())]
+    WITHOUT_IMAGES(campaign)
+    alone = evaluate_recording(load_manifest(campaign / NAME))
+    for each in found:
+        _left_out(each, r"expected the body of \w+-left/0000.tif, found 0 of its \d+ subsets in \w+-right/0000.tif")
+        np.testing.assert_array_equal(each.load.value, alone.load.value)
+        np.testing.assert_array_equal(each.load.uncertainty.covariance, alone.load.uncertainty.covariance)
+
+
+def test_where_nothing_else_measures_a_motion_a_pair_without_a_body_is_wrong_input(campaign, untouched):
+    _each(*BLIND, WITHOUT_MOTION)(campaign)
+    told = untouched("run", campaign / NAME)
+    assert told.startswith(f"shakercal: {campaign / RECORDING}: images.top: expected the body of top-left/0000.tif")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["foil that repeats", "body lost after the first frame"])
+def test_a_pair_that_says_not_where_its_body_is_is_left_out_by_name(case, campaign, tmp_path):
+    if case == "foil that repeats":
+        words = r"expected one place for the body, found two that fit as well, 0\.\d+ m and 0\.\d+ m .* pattern repeats"
+        _left_out(evaluated(simulate(tmp_path / "foil", "demo", 3, violate=("foil-repeats",))), words)
+        return
+    for pair in ("top", "base"):
+        for frame in range(1, 24):
+            _pixels(f"{pair}-right/{frame:04d}.tif", lambda image: np.full_like(image, 300))(campaign)
+    _left_out(evaluated(campaign / NAME), "expected at least 3 points that both cameras see in a later frame")
 
 
 def test_no_recording(tmp_path, untouched):

@@ -19,8 +19,8 @@ from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus, prepare_reference
 from photogram.subsets.search import agreeing_neighbours, template_shifts
 from photogram.subsets.sweep import TOLERANCE_PX, line_starts, line_uncertainty_px, surfaces
-from photogram.subsets.texture import repeat_px
-from photogram.subsets.track import StereoGrid, lay_stereo_grid, match_stereo, track_stereo
+from photogram.subsets.texture import repeat_px, repeat_steps_px
+from photogram.subsets.track import StereoGrid, lay_stereo_grid, match_stereo, stereo_tracks, track_stereo
 from photogram.synthetic.scene import Face, render, tiled, view_of
 
 MIDDLE = (160, 128)
@@ -225,6 +225,10 @@ def test_the_distance_of_copies_is_found_and_there_is_none_without():
     found = repeat_px(pair.images(1)[0].read(0), points, 10)
     assert found == pytest.approx(50.0 * np.cos(np.radians(14)), abs=2.0)  # 10 mm, seen 14° off its normal
     assert np.isnan(repeat_px(single.images(1)[0].read(0), points, 10))
+    steps = repeat_steps_px(pair.images(1)[0].read(0), points, 10)
+    for true in ((found, 0.0), (-found, 0.0), (0.0, 50.0), (0.0, -50.0)):
+        assert np.hypot(*(steps - true).T).min() < 2.0
+    assert repeat_steps_px(single.images(1)[0].read(0), points, 10).shape == (0, 2)
 
 
 def test_of_several_copies_the_one_next_to_the_guess_is_taken(make_texture):
@@ -255,19 +259,64 @@ def test_a_subset_on_a_copy_while_its_neighbours_are_not_is_lost(make_texture):
     assert np.isnan(held.warp[14]).all()
 
 
-def test_a_jump_by_a_period_is_refused_and_a_small_motion_is_not(monkeypatch):
+STEPS = [(-1.2, 0.0), (-0.9, 0.02), (0.85, 0.1), (1.0, 0.0), (1.25, -0.1)]
+
+
+def test_a_jump_by_a_period_is_refused_where_no_end_of_the_foil_tells_the_body_from_its_copy(monkeypatch):
     """Copies 49 px apart in the left picture: a block that begins at 29 px finds the copy at −20 px, next to rest."""
     monkeypatch.setattr(measure, "BLOCK_FRAMES", 3)
-    pair = Pair(foil(ENDS_IN_VIEW, 3.5, 0.01))
-    for reach_px, passes in ((15.0, True), (40.0, False)):
-        shifts = PIXEL_M * reach_px * np.sin(0.4 * np.arange(6))
+    for half_m, depth_m in ((ENDS_IN_VIEW, None), (BEYOND, (0.25, 0.33))):
+        pair = Pair(foil(half_m, 3.5, 0.01))
+        shifts = PIXEL_M * 40.0 * np.sin(0.4 * np.arange(4))
         images = pair.images(2, tuple(shifts))
-        if passes:
+        if half_m is ENDS_IN_VIEW:
             body = measure.measure_body(images, pair.rig, pair.places[0].inverse(), TrackSettings())
             np.testing.assert_allclose(body.motion.pose[:, 0], shifts, atol=0.02 * PIXEL_M)
         else:
             words = r"found a jump of \d\d.* in frame 2 \(counted from 0\), more than half of the 4\d"
-            refused(words, measure.measure_body, images, pair.rig, pair.places[0].inverse(), TrackSettings())
+            place, settings = pair.places[0].inverse(), TrackSettings()
+            refused(words, measure.measure_body, images, pair.rig, place, settings, None, "cpu", depth_m)
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [(-1.1, 0.1), *(pytest.param(step, marks=pytest.mark.slow) for step in STEPS)],
+)
+def test_a_body_that_went_on_by_about_a_period_is_not_taken_for_the_copy_beside_it(steps):
+    """The end of the foil is in view: the copy, nearer than the body, lacks its subsets. From the second frame on."""
+    pair, period_m = Pair(foil(ENDS_IN_VIEW, 3.5, 0.01)), 0.01
+    images = pair.images(4, (0.0, period_m * steps[0], period_m * (steps[0] + steps[1])))
+    words = r"expected a motion that the last frames foretell, found a jump of \d+"
+    refused(words, measure.measure_body, images, pair.rig, pair.places[0].inverse(), TrackSettings())
+
+
+def test_a_copy_in_one_camera_alone_is_lost_and_the_whole_body_on_copies_refused():
+    """In frame 1 by a period in y, across the epipolar lines: some subsets, and all of them."""
+    pair = Pair(foil(ENDS_IN_VIEW, 3.5, 0.01))
+    images = pair.images(2, (0.0, 0.5 * PIXEL_M, PIXEL_M))
+    good = track_stereo(*images, pair.rig, TrackSettings())
+    firsts, grid = (images[0].read(0), images[1].read(0)), lay_stereo_grid(*images, pair.rig, TrackSettings())
+    assert (good.left.status == TrackStatus.OK).mean() > 0.97
+    for which in ([3, 17], range(len(grid.left_px))):
+        moved = good.right.position_px.copy()
+        moved[1, which, 1] += 50.0
+        both = (good.left, replace(good.right, position_px=moved))
+        if len(which) > 2:
+            refused(
+                r"found it 50\.\d px beside its epipolar lines in frame 1",
+                stereo_tracks,
+                firsts,
+                grid,
+                both,
+                TrackSettings(),
+                pair.rig,
+            )
+            continue
+        found = stereo_tracks(firsts, grid, both, TrackSettings(), pair.rig)
+        for side, before in ((found.left, good.left), (found.right, good.right)):
+            lost = np.argwhere((side.status != TrackStatus.OK) & (before.status == TrackStatus.OK))
+            assert lost.tolist() == [[1, 3], [1, 17]]
+            assert np.isnan(side.position_px[1, which]).all()
 
 
 def test_copies_off_the_lines_are_refused_where_the_calibration_finds_nothing():
