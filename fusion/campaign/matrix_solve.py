@@ -358,9 +358,9 @@ def estimated_noise(stack: Stack, solution: Solution) -> EstimatedNoise:
     for r, usable in enumerate(np.tile(stack.usable, (1, 2))):
         for noise, turn in ((stack.output_noise[r], np.eye(len(usable))), (stack.load_noise[r], solution.through[r])):
             own = turn[usable]
-            for part in (part for part in noise.random if part.dof is not None):
-                covariance = own @ part.covariance[0] @ own.T
-                parts.append((np.flatnonzero(solution.drive == r), covariance, float(part.dof[0])))
+            for part in noise.random:
+                dof = np.inf if part.dof is None else float(part.dof[0])
+                parts.append((np.flatnonzero(solution.drive == r), own @ part.covariance[0] @ own.T, dof))
     return EstimatedNoise.of_parts(parts, len(solution.residual))
 
 

@@ -286,7 +286,7 @@ def _merged(readings: Sequence[Reading], entry: ChannelEntry) -> tuple[Reading, 
         if len(known) == 1:
             weight[known, k] = 1.0
         elif len(known):
-            own = [(readings[t].phasors.covariance[k], float(readings[t].phasors.dof[k])) for t in known]
+            own = [(readings[t].phasors.covariance[k], float(readings[t].phasors.dof[k])) for t in known.tolist()]
             found = _weighted(value[known, k], covariance[k][np.ix_(known, known)], own)
             weight[known, k], spread[k], lost[k] = found.weight, found.spread, found.lost
             if found.fails:
@@ -386,7 +386,7 @@ def _weighted(value: ComplexArray, covariance: FloatArray, own: Sequence[tuple[F
             high *= 2.0
         extra = float(brentq(lambda v: chi2(v) - dof, 0.0, high, rtol=1e-3, xtol=1e-12 * high))
     weight = _weights(covariance + extra * np.eye(count))
-    lost = noise.lost(projector(extra), np.kron(np.eye(2), weight)[None], every)
+    lost = noise.lost(projector(extra), np.asarray(np.kron(np.eye(2), weight)[None], dtype=np.float64), every)
     return _Weighted(weight, float(np.sqrt(extra)), float(np.trace(lost[0])), noise.fails(first, dof, projector(0.0)))
 
 
