@@ -176,15 +176,20 @@ def departure(found: Identification) -> float:
 
 
 def sine_transfers(
-    items: Sequence[EvaluatedSines], names: Mapping[Path, str], band_hz: tuple[float, float] | None
+    items: Sequence[EvaluatedSines],
+    names: Mapping[Path, str],
+    starts: Mapping[str, str],
+    band_hz: tuple[float, float] | None,
 ) -> tuple[Prepared, ...]:
     """Return load over base along the drive where both were measured, recordings of one load and mounting as one curve.
 
-    `names`: those that tell recordings apart, by the path of their manifest.
+    `names`: those that tell recordings apart, by the path of their manifest; `starts`: those of their starts by these,
+    where they are not the recording's own.
     """
     groups: dict[tuple[object, ...], list[Prepared]] = {}
     for item in items:
-        measured = _transfer(item, names[item.manifest.path], band_hz)
+        name = names[item.manifest.path]
+        measured = _transfer(item, name, starts.get(name, name), band_hz)
         if measured is not None:
             load = measured.mass_matrix.tobytes(), str(item.manifest.rig.load)
             key = (*load, measured.drive.tobytes(), item.manifest.mounting, measured.clock)
@@ -240,7 +245,9 @@ def relative_errors(uncertainty: Uncertainty, value: ComplexArray) -> tuple[Rela
     )
 
 
-def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | None) -> MeasuredTransfer | None:
+def _transfer(
+    item: EvaluatedSines, name: str, start: str, band_hz: tuple[float, float] | None
+) -> MeasuredTransfer | None:
     """Return load over base acceleration along the drive at the driven lines, None where one is not known."""
     manifest = item.manifest
     drive = drive_of(manifest)
@@ -266,7 +273,7 @@ def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | No
     below = parts[1].at_lines(chosen).scaled((-ratio / base)[:, None])
     relabelled = tuple(replace(part, label=f"base: {part.label}") for part in below.random)
     whole = parts[0].at_lines(chosen).scaled((1.0 / base)[:, None]).plus(replace(below, random=relabelled))
-    whole = between_recordings(whole, name, manifest.mounting)
+    whole = between_recordings(whole, name, manifest.mounting, start)
     body = rigid_load(manifest)
     along = Placement(np.zeros(3), np.eye(3)[component])
     clock = manifest.daq[0] if manifest.daq else None
