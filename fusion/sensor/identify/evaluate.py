@@ -241,12 +241,6 @@ class IdentifyEvaluation(CommandEvaluation):
     components: tuple[ComponentResult, ...]
 
 
-_NO_MODEL = (
-    "[model] of rig.toml is in U of the oscillators read from single curves alone, not in that of stiffness, damping and "
-    "internal mass: it states how resonances change, not how that divides among these three"
-)
-
-
 # From a campaign to the sensor as a mechanical system: curves → joint fits → readings, sensitivity, usable bands.
 
 
@@ -267,8 +261,6 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
     starts = start_names({item.measured.name: item.grids for item in found})
     prepared = [with_clocks_of(item, starts[item.measured.name]) for item in found]
     notices = [*campaign.notices, *(notice for told in told_of for notice in told)]
-    if any(manifest.rig.model is not None for manifest in manifests):
-        notices.append(Notice("info", _NO_MODEL, "model"))
     recorded = []
     for sine in campaign.sines:
         told_by, name = read_recorded(sine.results), names[sine.manifest.path]

@@ -133,9 +133,9 @@ def curves(evaluation: TransferEvaluation) -> Iterator[Curve]:
     for result in evaluation.references:
         transfer = result.transfer
         for c, name in enumerate(transfer.ratio.channels):
-            medians = [float(np.median(part)) for part in expanded(result, c)]
+            size, turn = (float(np.median(part)) for part in expanded(result, c))
             lowest = float(np.min(transfer.coherence[:, c]))
-            yield Curve(f"{name} / {result.name}", transfer.ratio.unit[c], transfer, *medians, lowest)
+            yield Curve(f"{name} / {result.name}", transfer.ratio.unit[c], transfer, size, turn, lowest)
 
 
 CURVES: list[Column[Curve]] = [
