@@ -12,6 +12,7 @@ from fusion.campaign.matrix_solve import (
     Excitation,
     Solution,
     Stack,
+    estimated_noise,
     excitation,
     judge,
     require_six,
@@ -28,7 +29,6 @@ from fusion.estimation.uncertainty import (
     real_design,
     region,
 )
-from fusion.estimation.variance_components import fails
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
 from shaker.labels import LOAD_COMPONENTS
@@ -109,10 +109,11 @@ def fit_matrix(drives: Sequence[Drive], channels: Sequence[str] | None = None) -
     Loads and outputs err, and what drives share is one unknown for all of them (`fusion.campaign.matrix_solve`). All
     six columns are determined or none: where the drives do not excite six independent loads,
     `MissingExcitationError` says what to add, and only ratios of single recordings are left. Where recordings disagree
-    beyond what is stated (chi-square above its 99 % quantile), every output gets the further standard deviation
-    τ·max_j|S_ij|·|load| that makes chi-square equal its degrees of freedom (Paule & Mandel 1982, J. Res. NBS 87, 377);
-    within one mounting and direction it counts as one error, since mounting anew is its usual cause. `channels`: order
-    of the outputs, by default that of the drives; one that is not recorded in enough drives has no row.
+    beyond what is stated (chi-square at 1 %, noise that was estimated counted as such, `estimated_noise`), every output
+    gets the further standard deviation τ·max_j|S_ij|·|load| that makes chi-square equal its degrees of freedom (Paule &
+    Mandel 1982, J. Res. NBS 87, 377); within one mounting and direction it counts as one error, since mounting anew is
+    its usual cause. `channels`: order of the outputs, by default that of the drives; one that is not recorded in enough
+    drives has no row.
     """
     if not drives:
         raise ValueError("drives: expected at least one, found none")
@@ -180,7 +181,7 @@ def _solve(stack: Stack) -> tuple[Solution, Solution, float]:
     start = judge(stack)
     if start.chi2 < FAR * max(start.dof, 1):
         plain = solve(stack)
-        if not fails(plain.chi2, plain.dof):
+        if not estimated_noise(stack, plain).fails(plain.chi2, plain.dof, plain.projector):
             return plain, plain, 0.0
     solution, tau = _disagreeing(stack)
     return solution, judge(stack, solution), tau

@@ -11,6 +11,7 @@ from scipy.linalg import block_diag, solve_triangular
 
 from fusion.campaign.repeats import LOADS, Drive
 from fusion.estimation.uncertainty import Influence, Uncertainty, as_complex, real_design, real_stack
+from fusion.estimation.variance_components import EstimatedNoise
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.labels import LOAD_COMPONENTS
 
@@ -349,6 +350,18 @@ def solve(stack: Stack, discrepancy: FloatArray | None = None) -> Solution:
             return solution
         solution = _step(stack, _Point(solution.matrix, solution.load, solution.errors), extra)
     raise ValueError(f"drives: expected loads that determine a matrix, found none after {ITERATIONS} iterations")
+
+
+def estimated_noise(stack: Stack, solution: Solution) -> EstimatedNoise:
+    """Return how well the noise of loads and outputs is known that a solution's readings were judged by."""
+    parts = []
+    for r, usable in enumerate(np.tile(stack.usable, (1, 2))):
+        for noise, turn in ((stack.output_noise[r], np.eye(len(usable))), (stack.load_noise[r], solution.through[r])):
+            own = turn[usable]
+            for part in noise.random:
+                dof = np.inf if part.dof is None else float(part.dof[0])
+                parts.append((np.flatnonzero(solution.drive == r), own @ part.covariance[0] @ own.T, dof))
+    return EstimatedNoise.of_parts(parts, len(solution.residual))
 
 
 def judge(stack: Stack, solution: Solution | None = None) -> Solution:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -127,26 +127,27 @@ def line_drives(
 
 
 def with_starts(drives: Iterable[Drive]) -> tuple[Drive, ...]:
-    """Return all drives of a campaign with the names of their `start`: equal where all their grids are alike.
+    """Return all drives of a campaign with the names of their `start` (`start_names`)."""
+    named = tuple(drives)
+    starts = start_names({drive.recording: drive.grids for drive in named})
+    return tuple(replace(drive, start=starts[drive.recording]) for drive in named)
 
-    What sampled edges leave open of instants is then one error of all these recordings, which no mean takes off.
+
+def start_names(grids: Mapping[str, tuple[Grid, ...]]) -> dict[str, str]:
+    """Return for every recording of a campaign the first one whose `grids` are all alike, itself where they differ.
+
+    What sampled edges leave open of instants is one error of all these recordings, which no mean takes off.
     """
-    named: list[Drive] = []
-    firsts: list[Drive] = []
-    for drive in drives:
-        first = next((first for first in firsts if _start_alike(first, drive)), None)
-        if first is None:
-            firsts.append(first := drive)
-        named.append(replace(drive, start=first.recording))
-    return tuple(named)
+    named: dict[str, str] = {}
+    for recording, own in grids.items():
+        firsts = (first for first, name in named.items() if first == name and _start_alike(grids[first], own))
+        named[recording] = next(firsts, recording)
+    return named
 
 
-def _start_alike(first: Drive, other: Drive) -> bool:
-    """Whether two drives are of one recording, or of two with the same grids."""
-    if first.recording == other.recording:
-        return True
-    known = len(first.grids) == len(other.grids) > 0
-    return known and all(map(Grid.like, first.grids, other.grids))
+def _start_alike(first: tuple[Grid, ...], other: tuple[Grid, ...]) -> bool:
+    """Whether two recordings have the same grids."""
+    return len(first) == len(other) > 0 and all(map(Grid.like, first, other))
 
 
 def between_recordings(uncertainty: Uncertainty, recording: str, mounting: str, start: str = "") -> Uncertainty:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -58,7 +58,6 @@ from fusion.estimation.variance_components import (
     disagreement,
     estimate_scatter,
     failing_lines,
-    fails,
     scatter_covariances,
 )
 from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, brief
@@ -179,7 +178,8 @@ def fuse(
         probability=EstimatedNoise.of(system, first.effects).probability(first.chi2, first.dof, first.projector),
     )
     swapped = exchanged(system, first, open_) if any(one.gross for one in open_) else ()
-    return replace(result, notices=_notices(result, bool(stated), unknowns if solved.contradicted else None, swapped))
+    contradicted = _enough(system, first, unknowns) if solved.contradicted else None
+    return replace(result, notices=_notices(result, bool(stated), contradicted, swapped))
 
 
 def without_gross(
@@ -421,13 +421,14 @@ def unnoticed(system: System, solution: Solution) -> tuple[Unnoticed, ...]:
 def _notices(
     result: Acceleration,
     stated: bool,
-    contradicted: Sequence[CommonEstimate] | None,
+    contradicted: Mapping[CommonEstimate, bool] | None,
     swapped: Sequence[tuple[str, str]],
 ) -> tuple[Notice, ...]:
     """Return the notices of an estimate.
 
-    `stated`: some instrument states a systematic uncertainty; `contradicted`: the unknowns as they come out of what is
-    stated, where the readings contradict that; `swapped`: channels that, exchanged, leave no contradiction.
+    `stated`: some instrument states a systematic uncertainty; `contradicted`: the unknowns that deviate as they come
+    out of what is stated, where the readings contradict that, and whether they explain it; `swapped`: channels that,
+    exchanged, leave no contradiction.
     """
     notices = []
     titles = ", ".join(result.instruments)
@@ -500,7 +501,7 @@ def _deviation(test: Consistency) -> str:
 
 
 def _disagreement(
-    result: Acceleration, unknowns: Sequence[CommonEstimate], swapped: Sequence[tuple[str, str]]
+    result: Acceleration, unknowns: Mapping[CommonEstimate, bool], swapped: Sequence[tuple[str, str]]
 ) -> Notice:
     """Name who deviates from the others, and which stated unknown would explain it."""
     chi2 = f"chi-square {result.chi2:.3g} for {result.dof} degrees of freedom"
@@ -518,13 +519,25 @@ def _disagreement(
     else:
         text += f"; the others agree without {', or without '.join(named)}"
     text += "".join(f"; all agree if {a} and {b} are exchanged" for a, b in swapped)
-    text += _causes(result, [unknown for unknown in unknowns if abs(unknown.deviation) > NOTABLE_DEVIATION])
+    text += _causes(result, unknowns)
     if result.disputed is None:
         return Notice("warning", text + "; U was enlarged to cover the disagreement", result.body)
     return Notice("warning", f"{text}; nothing decides, so no mean is given: {_values(result)}", result.body)
 
 
-def _causes(result: Acceleration, deviating: Sequence[CommonEstimate]) -> str:
+def _enough(system: System, solution: Solution, unknowns: Sequence[CommonEstimate]) -> dict[CommonEstimate, bool]:
+    """Return the unknowns that deviate, and whether the readings agree nearly once such a one is free."""
+    noise, found = EstimatedNoise.of(system, solution.effects), dict[CommonEstimate, bool]()
+    for unknown, effect in zip(unknowns, solution.effects.T, strict=True):
+        if abs(unknown.deviation) > NOTABLE_DEVIATION:
+            part = solution.projector @ effect
+            rest = solution.projector - np.outer(part, part) / (1.0 - unknown.remaining**2)
+            chi2 = solution.chi2 - unknown.deviation**2
+            found[unknown] = not noise.fails(chi2, solution.dof - 1, rest, NEARLY)
+    return found
+
+
+def _causes(result: Acceleration, deviating: Mapping[CommonEstimate, bool]) -> str:
     """Which stated unknowns explain a contradiction; else those that would have to be wrong beyond reason."""
 
     def wants(unknown: CommonEstimate) -> str:
@@ -538,7 +551,7 @@ def _causes(result: Acceleration, deviating: Sequence[CommonEstimate]) -> str:
     possible, gross = (
         [u for u in some if abs(u.deviation) >= EQUALLY_LIKELY * abs(some[0].deviation)] for some in (possible, gross)
     )
-    explain = [u for u in possible if not fails(result.chi2 - u.deviation**2, result.dof - 1, NEARLY)]
+    explain = [u for u in possible if deviating[u]]
     if explain and result.disputed is None:
         return "".join(f"; {wants(unknown)}" for unknown in explain)
     return f"; gross error or wrong statement: {', or '.join(map(wants, gross[:MOST_NAMED]))}" if gross else ""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -113,17 +113,27 @@ class EstimatedNoise:
     @classmethod
     def of(cls, system: System, effects: FloatArray) -> EstimatedNoise:
         """Return it for a system and the `effects` (N, E) of all its common errors."""
-        blocks = []
+        parts = []
         for place, observation in enumerate(system.observations):
-            for k in np.flatnonzero(np.isfinite(observation.phasors.dof)).tolist():
+            for k, dof in enumerate(observation.phasors.dof.tolist()):
                 rows = np.flatnonzero((system.observation == place) & (system.line == k))
-                if len(rows):
-                    values, vectors = np.linalg.eigh(system.noise[np.ix_(rows, rows)])
-                    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-                    blocks.append((rows, np.asarray(root), max(float(observation.phasors.dof[k]), 1.0)))
-        dof = np.array([error.dof for error in system.common])
-        finite = np.isfinite(dof)
-        return cls(tuple(blocks), effects[:, finite], np.maximum(dof[finite], 1.0))
+                parts.append((rows, system.noise[np.ix_(rows, rows)], dof))
+        freedom = np.array([error.dof for error in system.common])
+        finite = np.isfinite(freedom)
+        return replace(
+            cls.of_parts(parts, len(effects)), effects=effects[:, finite], dof=np.maximum(freedom[finite], 1.0)
+        )
+
+    @classmethod
+    def of_parts(cls, parts: Iterable[tuple[IntArray, FloatArray, float]], count: int) -> EstimatedNoise:
+        """Return it for `count` readings by the rows of each part, their covariance and its degrees of freedom."""
+        blocks = []
+        for rows, covariance, dof in parts:
+            if len(rows) and np.isfinite(dof):
+                values, vectors = np.linalg.eigh(covariance)
+                root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+                blocks.append((rows, np.asarray(root), max(dof, 1.0)))
+        return cls(tuple(blocks), np.zeros((count, 0)), np.zeros(0))
 
     def moments(self, weights: FloatArray) -> tuple[float, float, float]:
         """Return A₁ = E (tr Θ·δV)², A₂ = E tr(Θ·δV·Θ·δV), δV the error of the covariance, and by what χ² grows.

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from fusion.base import AnyNotice
 from fusion.estimation.measurement_model import Observation
-from fusion.estimation.variance_components import fails
+from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import Reading, RelativeError, acting, observe_channels
 from fusion.instruments.stereo import PERIODIC, StereoReading
 from fusion.phasors.channels import ChannelResult
@@ -269,14 +270,15 @@ def _merged(readings: Sequence[Reading], entry: ChannelEntry) -> tuple[Reading, 
 
     Readings are weighed by their whole covariance over the set-ups, in which a complex value has one variance, the sum
     of those of its parts. Where chi-square is above its degrees of freedom, all set-ups get the variance that makes it
-    equal to them (Paule & Mandel 1982, J. Res. NBS 87, 377). Noise of its own comes from noise and scatter, further
-    errors remain by their names.
+    equal to them (Paule & Mandel 1982, J. Res. NBS 87, 377). Noise of its own comes from noise, what weights by
+    estimated noise cost, and scatter; further errors remain by their names.
     """
     first = readings[0]
     if len(readings) == 1:
         return replace(first, entry=entry), []
     name, frequency_hz = first.entry.name, first.phasors.frequency_hz
-    weight, spread = np.zeros((len(readings), len(frequency_hz))), np.zeros(len(frequency_hz))
+    weight = np.zeros((len(readings), len(frequency_hz)))
+    spread, lost = np.zeros(len(frequency_hz)), np.zeros(len(frequency_hz))
     value = np.stack([reading.phasors.value[:, 0] for reading in readings])
     covariance, notices = _between_set_ups(readings, value), []
     for k, f in enumerate(frequency_hz):
@@ -284,9 +286,10 @@ def _merged(readings: Sequence[Reading], entry: ChannelEntry) -> tuple[Reading, 
         if len(known) == 1:
             weight[known, k] = 1.0
         elif len(known):
-            own = covariance[k][np.ix_(known, known)]
-            weight[known, k], spread[k], failed = _weighted(value[known, k], own)
-            if failed:
+            own = [(readings[t].phasors.covariance[k], float(readings[t].phasors.dof[k])) for t in known.tolist()]
+            found = _weighted(value[known, k], covariance[k][np.ix_(known, known)], own)
+            weight[known, k], spread[k], lost[k] = found.weight, found.spread, found.lost
+            if found.fails:
                 share = spread[k] / np.nanmax(np.abs(value[:, k]))
                 text = (
                     f"{name} differs from take to take by {100.0 * share:.2g} % at {f:.6g} Hz "
@@ -298,15 +301,20 @@ def _merged(readings: Sequence[Reading], entry: ChannelEntry) -> tuple[Reading, 
         for w, reading in zip(weight, readings, strict=True)
         for error in reading.further
     ]
-    mean = replace(_mean([reading.phasors for reading in readings], weight, spread), channels=(entry.name,))
+    mean = replace(_mean([reading.phasors for reading in readings], weight, spread, lost), channels=(entry.name,))
     return Reading(entry, mean, first.chain, acting(further)), notices
 
 
-def _mean(parts: Sequence[Phasors], weight: FloatArray, spread: FloatArray) -> Phasors:
-    """Weighted mean with the covariance of noise and scatter, and its degrees of freedom (Welch-Satterthwaite)."""
+def _mean(parts: Sequence[Phasors], weight: FloatArray, spread: FloatArray, lost: FloatArray) -> Phasors:
+    """Weighted mean with the covariance of noise and scatter, and its degrees of freedom (Welch-Satterthwaite).
+
+    What estimated weights cost, `lost` (K,), enlarges the noise.
+    """
     known, square = np.any(weight != 0.0, axis=0), weight**2
     value = np.nansum([w * p.value[:, 0] for w, p in zip(weight, parts, strict=True)], axis=0)
     own = np.nan_to_num([s[:, None, None] * p.covariance for s, p in zip(square, parts, strict=True)])
+    noise = np.trace(own, axis1=2, axis2=3).sum(axis=0)
+    own = own * (1.0 + np.divide(lost, noise, out=np.zeros(len(lost)), where=noise > 0.0))[:, None, None]
     scatter = square.sum(axis=0) * spread**2
     covariance = own.sum(axis=0) + scatter[:, None, None] / 2.0 * np.eye(2)
     noise = np.trace(own, axis1=2, axis2=3)
@@ -340,26 +348,46 @@ def _between_set_ups(readings: Sequence[Reading], value: ComplexArray) -> FloatA
     return np.asarray(covariance + shared * size[:, None, None] ** 2)
 
 
-def _weighted(value: ComplexArray, covariance: FloatArray) -> tuple[FloatArray, float, bool]:
-    """Return the weights (T,) of complex values, the standard deviation they have beyond their covariance, and whether
-    chi-square fails at 1 %."""
+class _Weighted(NamedTuple):
+    """Weights (T,) of complex values, the standard deviation `spread` they have beyond their covariance, the variance
+    `lost` by weights that were estimated, and whether chi-square `fails` at 1 %."""
+
+    weight: FloatArray
+    spread: float
+    lost: float
+    fails: bool
+
+
+def _weighted(value: ComplexArray, covariance: FloatArray, own: Sequence[tuple[FloatArray, float]]) -> _Weighted:
+    """Return how complex values (T,) of a `covariance` (T, T) are weighed.
+
+    In it the noise of each has the covariance (2, 2) and the degrees of freedom of `own`.
+    """
     from scipy.optimize import brentq
 
-    dof = 2 * (len(value) - 1)
+    count = len(value)
+    dof, every = 2 * (count - 1), np.arange(2 * count)
+    parts = [(np.array([t, t + count]), *part) for t, part in enumerate(own)]
+    noise = EstimatedNoise.of_parts(parts, 2 * count)
+
+    def projector(variance: float) -> FloatArray:
+        whole = np.linalg.inv(covariance + variance * np.eye(count))
+        summed = whole.sum(axis=1)
+        return np.asarray(2.0 * np.kron(np.eye(2), whole - np.outer(summed, summed) / summed.sum()))
 
     def chi2(variance: float) -> float:
-        whole = covariance + variance * np.eye(len(value))
-        rest = value - _weights(whole) @ value
-        return float(2.0 * np.vdot(rest, np.linalg.solve(whole, rest)).real)
+        both = np.concatenate([value.real, value.imag])
+        return float(both @ projector(variance) @ both)
 
-    first = chi2(0.0)
-    if first <= dof:
-        return _weights(covariance), 0.0, False
-    high = float(np.var(value)) * len(value)
-    while chi2(high) > dof:
-        high *= 2.0
-    extra = float(brentq(lambda v: chi2(v) - dof, 0.0, high, rtol=1e-3, xtol=1e-12 * high))
-    return _weights(covariance + extra * np.eye(len(value))), float(np.sqrt(extra)), fails(first, dof)
+    extra, first = 0.0, chi2(0.0)
+    if first > dof:
+        high = float(np.var(value)) * count
+        while chi2(high) > dof:
+            high *= 2.0
+        extra = float(brentq(lambda v: chi2(v) - dof, 0.0, high, rtol=1e-3, xtol=1e-12 * high))
+    weight = _weights(covariance + extra * np.eye(count))
+    lost = noise.lost(projector(extra), np.asarray(np.kron(np.eye(2), weight)[None], dtype=np.float64), every)
+    return _Weighted(weight, float(np.sqrt(extra)), float(np.trace(lost[0])), noise.fails(first, dof, projector(0.0)))
 
 
 def _weights(covariance: FloatArray) -> FloatArray:

@@ -39,7 +39,7 @@ from fusion.report.table import (
 )
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.load import LoadResult
-from fusion.sensitivity.ratio import Sensitivity
+from fusion.sensitivity.ratio import Sensitivity, StatedMatrix
 from fusion.sensitivity.ratio import driven_component as driven_load
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, typeset
 from shaker.timebase.tie import ClockTie
@@ -316,7 +316,7 @@ def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int
     remark = _relative(element)
     if static is not None:
         sensor, relative = evaluation.manifest.rig.sensor, element.magnitude / abs(static)
-        u_static = 0.0 if sensor is None else sensor.static_sensitivity_uncertainty
+        u_static = 0.0 if sensor is None else StatedMatrix.of(sensor).u_relative
         share = 100.0 * (relative - 1.0)
         u_share = 100.0 * element.k * float(np.hypot(element.u_magnitude / abs(static), relative * u_static))
         remark += f"; from static: {measured(share, u_share, '%').striptags()}"

@@ -46,7 +46,7 @@ from fusion.report.tables import (
 from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
 from fusion.sensitivity.distributions import Propagated, RealSpread
 from fusion.sensitivity.load import BudgetEntry, budget
-from fusion.sensitivity.ratio import parasitic_loads
+from fusion.sensitivity.ratio import StatedMatrix, parasitic_loads, static_unknowns
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, typeset
 
@@ -269,10 +269,11 @@ def other_loads_table(evaluation: Evaluation) -> Table | None:
     if sensitivity is None or outputs is None or load is None or sensor is None or static is None:
         return None
     line, component = main_line(evaluation), driven_component(evaluation)
-    shares = parasitic_loads(outputs, load, static, component, sensor.static_sensitivity_uncertainty)
+    unknowns = static_unknowns(StatedMatrix.of(sensor), outputs.phasors.channels, static)
+    shares = parasitic_loads(outputs, load, static, component, unknowns)
     rows: list[tuple[str, ...]] = []
     for c, name in enumerate(outputs.phasors.channels):
-        if not np.isfinite(shares.value[line, c]):
+        if not abs(shares.value[line, c]) > 0.0:
             rows.append((name, DASH, DASH, DASH, DASH))
             continue
         share = shares.element(line, c)

@@ -286,7 +286,7 @@ def _element_notices(
         )
         return (Notice("info", text, "sensitivity"),)
     # Of the output that the driven load moves most, at the strongest line.
-    shares = parasitic_loads(outputs, load, known.value, component, sensor.static_sensitivity_uncertainty)
+    shares = parasitic_loads(outputs, load, known.value, component, known.unknowns)
     line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
     if not load.observed[line].any():
         return ()  # instruments that contradict each other leave no load

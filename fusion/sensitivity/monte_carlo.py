@@ -37,7 +37,9 @@ def propagate(
     poses, scales, delays, clocks from normal distributions of their stated standard uncertainties, each once by its
     name; places, finite rotations, products and delays enter exactly. Motion that nobody observes has its
     amplitude at the limit and any phase; disagreement between instruments is drawn as the evaluation states it. The
-    weights of the instruments are the evaluation's.
+    weights of the instruments are the evaluation's. What weights by estimated noise cost (2Λ of `EstimatedNoise.lost`,
+    in first-order U) is not drawn beside that: t-distributions are wider by as much already, having the variance
+    ν/(ν - 2), and both together would contradict a first-order U that covers (docs/uncertainty.md).
     """
     motions = [_motion(inputs, fused) for fused in analysis.accelerations if fused.source == "fused"]
     driven = np.flatnonzero(inputs.lines.multiple == 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -16,7 +16,6 @@ from fusion.estimation.consistency import OUTPUT_MISTAKES, likely_mistake
 from fusion.estimation.least_squares import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
-    Influence,
     Polar,
     Uncertainty,
     Unknown,
@@ -216,12 +215,16 @@ class ParasiticLoads:
 
 
 def parasitic_loads(
-    outputs: Outputs, load: LoadResult, static: ArrayLike, component: int, u_static: float = 0.0
+    outputs: Outputs,
+    load: LoadResult,
+    static: ArrayLike,
+    component: int,
+    unknowns: Iterable[Unknown[ComplexArray]] = (),
 ) -> ParasiticLoads:
     """Return z = Σ_{j≠d} S_cj L_j / U_c over the load components j other than the driven one d.
 
-    `static` (C, 6): static sensitivity of the channels; `u_static`: relative standard uncertainty of each element by
-    itself. dz = Σ (S_cj dL_j + dS_cj L_j) / U_c - z dU_c / U_c, with unknowns that act on both load and outputs as one;
+    `static` (C, 6): static sensitivity of the channels, its `unknowns` as the element has them (`static_unknowns`).
+    dz = Σ (S_cj dL_j + dS_cj L_j) / U_c - z dU_c / U_c, with unknowns that act on both load and outputs as one;
     components of the motion that nobody observed are in L at zero with their uncertainty.
     """
     matrix = np.array(static, dtype=np.complex128)
@@ -233,11 +236,11 @@ def parasitic_loads(
     from_load = load.uncertainty.transformed(real_design(slope))
     total = from_load.plus(outputs.uncertainty.scaled(quotient(-value, signal)))
     own = []
-    for channel, j in np.argwhere(matrix != 0.0).tolist() if u_static > 0.0 else ():
-        change = np.zeros(signal.shape, dtype=np.complex128)
-        change[:, channel] = u_static * parts[:, channel, j]
-        name = f"static sensitivity {outputs.phasors.channels[channel]}/{LOAD_COMPONENTS[j]}"
-        own.append(Influence(name, "static sensitivity", u_static, "1", real_stack(change), "rig"))
+    for unknown in unknowns:
+        changed = unknown.effect.copy()
+        changed[:, component] = 0.0
+        change = quotient(load.value @ changed.T, signal)
+        own += [unknown.acting(real_stack(change))] if np.any(changed) else []
     return ParasiticLoads(value, Uncertainty(total.random, (*total.influences, *own)))
 
 
@@ -275,6 +278,11 @@ class StatedMatrix:
         )
         u_static, cross_talk = sensor.static_sensitivity_uncertainty, sensor.cross_talk
         return cls(tuple(sensor.channels), capacity, static, u_static, cross_talk, sensor.cross_talk_uncertainty)
+
+    @property
+    def u_relative(self) -> float:
+        """Return the relative standard uncertainty of main elements, `U_STATIC` where none is stated."""
+        return self.u_static or U_STATIC
 
     @property
     def rated(self) -> FloatArray:
@@ -409,7 +417,7 @@ def known_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, 
         if main is not None and told[main] and static[main, component] != 0.0:
             rows = tuple(np.flatnonzero(told).tolist())
             return KnownMatrix(
-                names, component, main, rows, static, _static_unknowns(stated, names, static), static=True
+                names, component, main, rows, static, static_unknowns(stated, names, static), static=True
             )
     if stated.cross_talk is None or stated.capacity is None:
         return None
@@ -425,11 +433,11 @@ def known_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, 
     return KnownMatrix(names, component, main, (main,), value, tuple(unknowns), static=False)
 
 
-def _static_unknowns(
+def static_unknowns(
     stated: StatedMatrix, channels: tuple[str, ...], static: FloatArray
 ) -> tuple[Unknown[ComplexArray], ...]:
-    """One unknown per element of a static matrix (C, 6), in the unit of the element."""
-    relative = stated.u_static or U_STATIC
+    """Return one unknown per element of a static matrix (C, 6), in the unit of the element."""
+    relative = stated.u_relative
     share = U_STATIC if stated.u_cross_talk is None else stated.u_cross_talk
     signal = np.abs(static) * stated.rated
     u = np.hypot(relative * np.abs(static), share * signal.max(axis=1)[:, None] / stated.rated)

@@ -583,6 +583,17 @@ def test_instruments_whose_noise_was_estimated_agree_as_often_as_the_test_says(d
     assert np.mean(np.array(plain) < 0.05) > {12: 0.15, 27: 0.07}[dof]
 
 
+def test_the_cause_of_a_contradiction_is_named_where_noise_was_estimated():
+    """What readings still differ by once the turn is free is noise; as if that were known, a quarter had no cause."""
+    named = []
+    for trial in range(60):
+        stereo, *others = estimated(trial, 8)
+        result = fuse([turned(stereo, 1, 3.5e-3), *others])
+        named += ["pose rotation y would have to be" in n.text for n in result.notices if "disagree" in n.text]
+    assert len(named) > 10
+    assert np.mean(named) > 0.9
+
+
 @pytest.mark.slow
 def test_what_estimated_weights_cost_is_in_u():
     """Errors over u have the mean square of Student's t, 12/10, or less; without what weights cost they are beyond."""

@@ -30,6 +30,7 @@ from fusion.campaign.run import run_path
 from fusion.cli import main
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.recording.manifest import ChannelEntry
+from fusion.recording.rig import ModelChanges
 from fusion.report.folder import Provenance, write_provenance
 from fusion.sensor.identify.evaluate import evaluate_identification, read_curves
 from fusion.sensor.identify.fit import JointFit, joint_fits, mechanics, modelled
@@ -108,6 +109,28 @@ def test_one_damping_for_each_recording(prepared):
     vector, covariance = mechanics(fit)
     assert vector[1] == pytest.approx(np.mean(values))
     assert covariance[1, 1] > np.var(values, ddof=1)
+
+
+def test_what_the_rig_states_beside_recordings_is_in_u(prepared):
+    """Springs 0.2 % (frequencies 0.1 %) and damping ratios 5 % with another mounting; the masses keep their U."""
+    plain = _fit(prepared).identification
+    model = ModelChanges.model_validate(
+        {"mounting": {"frequency_uncertainty": 1e-3, "damping_ratio_uncertainty": 0.05}, "load": {}}
+    )
+    stated = [
+        replace(item, manifest=replace(item.manifest, rig=item.manifest.rig.model_copy(update={"model": model})))
+        for item in prepared
+    ]
+    wide = _fit(stated).identification
+    added = [np.sqrt(wide.u(name) ** 2 - plain.u(name) ** 2) / wide.value(name) for name in plain.names[:2]]
+    np.testing.assert_allclose(added, [2e-3, np.hypot(1e-3, 0.05)], rtol=1e-6)
+    assert wide.u("internal_mass") == plain.u("internal_mass")
+    # b/k follows the damping ratio over the frequency, as the covariance has it.
+    k, b = wide.value("stiffness_z"), wide.value("damping_z")
+    slope = np.array([-b / k**2, 1.0 / k])
+    assert wide.derived[0].u == pytest.approx(np.sqrt(slope @ wide.covariance[:2, :2] @ slope), rel=1e-3)
+    total = np.sqrt(np.sum([change**2 for change in wide.budget.values()], axis=0))
+    np.testing.assert_allclose(total, [estimate.u for estimate in wide.estimates], rtol=1e-6)
 
 
 def test_one_load_takes_the_internal_mass_as_stated(prepared):

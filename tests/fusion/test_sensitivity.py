@@ -30,6 +30,7 @@ from fusion.sensitivity.ratio import (
     parasitic_loads,
     sensitivity_ratio,
     sensor_element,
+    static_unknowns,
 )
 from fusion.simulate.sines import runs
 from fusion.simulate.world import Draws
@@ -253,7 +254,8 @@ def test_load_and_outputs_alone_and_elements_together(case):
 
 
 def test_share_of_other_loads(case):
-    shares = parasitic_loads(case.outputs, case.load, STATIC, 2, 3e-3)
+    unknowns = static_unknowns(StatedMatrix(("Fz", "Fx"), None, STATIC, 3e-3, None, 0.0), ("Fz", "Fx"), STATIC)
+    shares = parasitic_loads(case.outputs, case.load, STATIC, 2, unknowns)
     static = GTC.ureal(STATIC[1, 0], 3e-3 * STATIC[1, 0])
     element, expected = shares.element(0, 1), static * case.gtc_load[0] / case.gtc_outputs[1]
     mixed = element.r * element.u_re * element.u_im
@@ -265,6 +267,21 @@ def test_share_of_other_loads(case):
     (notice,) = shares.notices(0, 0, "output Fz at 212.5 Hz")
     assert f"({100.0 * force.real:.2f} ± " in notice.text
     assert not parasitic_loads(case.outputs, case.load, np.diag([0.0, 0.0, 2e-7, 0, 0, 0])[[2, 2]], 2).notices(0, 0, "")
+
+
+def test_what_is_not_stated_of_a_static_matrix_is_the_same_for_share_and_element(case):
+    """0.1 % of main elements, 0.1 % of the rated output beside them: in the share of other loads as in the element."""
+    stated = StatedMatrix(("Fz", "Fx"), np.array([2e3, 2e3, 4e3, 100.0, 100.0, 100.0]), STATIC)
+    known = known_matrix(stated, ("Fz", "Fx"), 2, [1.0, 1.0])
+    assert known is not None
+    share = parasitic_loads(case.outputs, case.load, STATIC, 2, known.unknowns).uncertainty
+    (own,) = (part for part in share.grouped() if part.label == "static sensitivity")
+    assert stated.capacity is not None
+    u = 1e-3 * np.hypot(STATIC[0], 2e-7 * 4e3 / stated.capacity)  # rated output of Fz: 2e-7·4 kN
+    expected = np.linalg.norm(np.delete(u * case.load.value[0], 2)) / abs(GTC_OUTPUT[0, 0])
+    assert np.sqrt(own.covariance[0, 0, 0] + own.covariance[0, 2, 2]) == pytest.approx(expected, rel=1e-9)
+    assert stated.u_relative == 1e-3
+    assert replace(stated, u_static=2e-3).u_relative == 2e-3
 
 
 def test_budget_is_that_of_gtc(case):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from contracts import coverage_contract
+from scipy.stats import binom
 from support import block, channel, evaluated, far, write_daq
 from take_factory import (
     BASE_Z,
@@ -29,6 +30,7 @@ from take_factory import (
     reference,
 )
 
+from fusion.estimation.uncertainty import coverage_factor
 from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels, output_phasors
 from fusion.phasors.setup import OpenSetUp
 from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
@@ -151,6 +153,25 @@ def test_noise_of_the_reference_is_one_error_of_all_takes(rig):
     names = {influence.name for influence in found.influences if influence.label == "reference noise"}
     assert len(names) == 16
     assert {influence.scope for influence in found.influences if influence.label == "reference noise"} == {"recording"}
+
+
+@pytest.mark.parametrize("dof", [8, 1e9])
+def test_a_mean_of_takes_whose_noise_was_estimated_holds_and_is_told_to_scatter_as_often_as_stated(dof):
+    """As if the noise were known 9.5 % would be told of the 1 % that the test allows, and 92.5 % hold."""
+    rng, told, held = np.random.default_rng(4), 0, 0
+    for _ in range(400):
+        takes = []
+        for take in (_reading(LASERS[0], 1.0, rng, 0.0) for _ in range(8)):
+            covariance = take.phasors.covariance * (rng.chisquare(dof) / dof)
+            takes.append(
+                replace(take, phasors=replace(take.phasors, covariance=covariance, dof=np.array([float(dof)])))
+            )
+        (found,), notices = merge_readings([(f"take {n}", [take]) for n, take in enumerate(takes, 1)])
+        mean = found.phasors
+        told += len(notices)
+        held += abs(mean.value[0, 0].real - 1.0) < coverage_factor(mean.dof[0]) * mean.u_re[0, 0]
+    assert told <= binom.isf(1e-3, 400, 0.01)
+    assert binom.ppf(0.01, 400, 0.95) <= held <= binom.isf(1e-3, 400, 0.98)
 
 
 BASE = np.array([0.1, -0.2j, 98.0 * np.exp(0.72j), 1.0, 0.5j, 0.0])

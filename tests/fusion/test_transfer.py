@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 import pytest
 from page_outline import self_contained
+from scipy.stats import binom
 from support import AT_ORIGIN, DOCS, block, channel, edit, rows, told_columns
 
 from fusion.base import InputError
@@ -19,8 +20,8 @@ from fusion.cli import main
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.load import load_manifest
 from fusion.sensor.transfer.evaluate import evaluate_transfer, find_resonances
-from fusion.sensor.transfer.records import ReferenceResult, TransferSettings
-from fusion.sensor.transfer.report import TRANSFER
+from fusion.sensor.transfer.records import ReferenceResult, TransferSettings, uncertainty
+from fusion.sensor.transfer.report import TRANSFER, expanded
 from fusion.simulate.chirp import Chirp, Oscillator, write_chirp
 from fusion.simulate.preset import read_preset
 
@@ -90,6 +91,34 @@ def test_the_curve_is_the_truth_within_its_covariance(simulated):
     assert np.all(np.abs(unknown) < 3.5)
     names = {"base: scale", "base: delay", "top: scale", "top: delay", "top: frequency of amplifier"}
     assert {error.name for error in result.errors} == names
+
+
+@pytest.mark.parametrize("stated", [0.0, 1.0])
+def test_u_of_a_line_covers_with_noise_of_few_degrees_of_freedom(simulated, stated):
+    """95 % of magnitudes and of phases, with noise of 4 degrees of freedom alone and beside a stated error as large."""
+    result, rng = _evaluated(simulated), np.random.default_rng(2)
+    ratio = result.transfer.ratio
+    count, u = len(ratio.frequency_hz), 1e-3
+    noise = u**2 * (rng.chisquare(4, count) / 4.0)[:, None, None] * np.eye(2)
+    off = u * np.hypot(1.0, stated) * (rng.standard_normal(count) + 1j * rng.standard_normal(count))
+    drawn = replace(
+        ratio,
+        value=(np.exp(0.4j) * (1.0 + off))[:, None],
+        covariance=noise + (stated * u) ** 2 * np.eye(2),
+        dof=np.full(count, 4.0),
+    )
+    one = replace(result, transfer=replace(result.transfer, ratio=drawn), random_covariance=noise)
+    held = [np.mean(np.abs(part) < U) for part, U in zip((off.real, off.imag), expanded(one, 0), strict=True)]
+    plain = [np.mean(np.abs(part) < 2.0 * size) for part, size in zip((off.real, off.imag), _u(one), strict=True)]
+    low, high = binom.ppf([1e-3, 0.999], count, 0.95) / count
+    assert all(low <= share <= high for share in held)
+    assert stated or max(plain) < low  # k = 2 leaves out one line in nine
+
+
+def _u(result: ReferenceResult) -> tuple[np.ndarray, np.ndarray]:
+    """Standard uncertainties of magnitude, relative, and phase."""
+    ratio = result.transfer.ratio
+    return uncertainty(ratio.value[:, 0], ratio.covariance)
 
 
 def test_the_resonance_is_found(simulated):

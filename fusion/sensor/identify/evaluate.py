@@ -12,7 +12,7 @@ import numpy as np
 
 from fusion.base import ARGUMENT, CommandEvaluation
 from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
-from fusion.campaign.repeats import Drive, drive_values, over_lines
+from fusion.campaign.repeats import Drive, drive_values, over_lines, start_names, with_starts
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Sensor
 from fusion.report.table import sensitivity_unit
@@ -34,6 +34,7 @@ from fusion.sensor.identify.measured import (
     Prepared,
     load_along,
     prepare,
+    with_clocks_of,
 )
 from shaker.arrays import Notice
 from shaker.identification.measured import MeasuredCurve, MeasuredSensitivity, ParameterEstimate, RelativeError
@@ -256,18 +257,20 @@ def evaluate_identification(campaign: Campaign, settings: IdentifySettings) -> I
     manifests = [*campaign.transfers, *(item.manifest for item in campaign.sines)]
     called = [manifest.name for manifest in manifests]  # a name that occurs twice gets the folder's beside it
     names = {m.path: m.name if called.count(m.name) == 1 else f"{m.name} [{m.folder.name}]" for m in manifests}
-    prepared, notices = [], list(campaign.notices)
-    for manifest in campaign.transfers:
-        item, told = prepare(manifest, names[manifest.path], settings.band_hz)
-        prepared.append(item)
-        notices += told
+    found, told_of = zip(*(prepare(m, names[m.path], settings.band_hz) for m in campaign.transfers), strict=True)
+    starts = start_names({item.measured.name: item.grids for item in found})
+    prepared = [with_clocks_of(item, starts[item.measured.name]) for item in found]
+    notices = [*campaign.notices, *(notice for told in told_of for notice in told)]
     recorded = []
     for sine in campaign.sines:
         told_by, name = read_recorded(sine.results), names[sine.manifest.path]
         drives = tuple(replace(drive, recording=name) for drive in told_by.drives)
         recorded.append(replace(told_by, name=name, drives=drives))
+    driven_lines = with_starts(drive for entry in recorded for drive in entry.drives)
+    starts = {drive.recording: drive.start for drive in driven_lines}
+    recorded = [replace(r, drives=tuple(d for d in driven_lines if d.recording == r.name)) for r in recorded]
     driven = {item.component for item in prepared}
-    added = sine_transfers(campaign.sines, names, settings.band_hz)
+    added = sine_transfers(campaign.sines, names, starts, settings.band_hz)
     fits = joint_fits([*prepared, *(item for item in added if item.component in driven)], settings)
     changes = {fit.component: _by_found_mass(fit, campaign.sines, names) for fit in fits if fit.mass_is_free}
     measured = {item.component: item for item in sensitivities(recorded, changes)}

@@ -27,9 +27,16 @@ from fusion.sensor.identify.measured import (
     drive_of,
     mass_unit,
 )
+from fusion.sensor.unseen import beside
 from shaker.arrays import ComplexArray, FloatArray, Notice, Severity
 from shaker.identification.fit import Identification, identify
-from shaker.identification.measured import MeasuredSensitivity, MeasuredTransfer, Placement, RelativeError
+from shaker.identification.measured import (
+    MeasuredSensitivity,
+    MeasuredTransfer,
+    ParameterEstimate,
+    Placement,
+    RelativeError,
+)
 from shaker.identification.sensitivity import SensitivityComparison, SpringPrior, fit_sensitivity, sensor_model
 from shaker.identification.sensor import NO_CHAIN, SensorModel
 from shaker.identification.structures import ChainStructure, Structure, Suspension
@@ -142,10 +149,54 @@ def _fitted(
     known = {} if sensor is None else {name: sensor.moving(own) for name, own in inside.items()}
     records = [item.measured for item in group]
     try:
-        return identify(records, structure, known=known, each_recording=each)
+        return _with_unseen(identify(records, structure, known=known, each_recording=each), group)
     except (ValueError, np.linalg.LinAlgError) as error:
         told = f"no model was fitted to {', '.join(record.name for record in records)}: {ARGUMENT.sub('', str(error))}"
         raise ComputeError(f"{told}; --band chooses the lines of one resonance") from error
+
+
+def _with_unseen(found: Identification, group: Sequence[Prepared]) -> Identification:
+    """Return a fit with what the rig states that no recording shows (`fusion.sensor.unseen`).
+
+    Springs move frequencies, k by twice as much, and the damping ratio b/(2√(km)) moves b. Several loads are in the fit
+    and show themselves what another one changes.
+    """
+    rig = next((item.manifest.rig for item in group if item.manifest.rig.model is not None), None)
+    if rig is None:
+        return found
+    several = np.ptp([item.load_kg for item in group]) > _DIFFERENT * group[0].load_kg
+    mountings = [item.manifest.mounting for item in group]
+    known = beside(rig, mountings, ("load",) if several else (), scattering=False)
+
+    def moved(item: ParameterEstimate) -> FloatArray:
+        """Change (E,) by each unknown, of b/k that of its parts."""
+        kind = item.name.partition("_")[0]
+        by = {"stiffness": (2.0, 0.0), "damping": (1.0, 1.0)}.get(kind, (0.0, 0.0))
+        by = (-1.0, 1.0) if item in found.derived else by
+        return np.array([item.value * (by[0] * one.frequency + by[1] * one.damping_ratio) for one in known.unknowns])
+
+    def wider(item: ParameterEstimate) -> ParameterEstimate:
+        return replace(item, u=float(np.linalg.norm([item.u, *moved(item)])))
+
+    effects = np.stack([moved(item) for item in found.estimates], axis=1)
+    relative = np.array([(one.frequency, one.damping_ratio) for one in known.unknowns]).reshape(-1, 2)
+    of_frequency, of_damping = np.linalg.norm(relative, axis=0)
+    modes = tuple(
+        replace(
+            mode,
+            u_frequency_hz=float(np.hypot(mode.u_frequency_hz, of_frequency * mode.frequency_hz)),
+            u_damping_ratio=float(np.hypot(mode.u_damping_ratio, of_damping * mode.damping_ratio)),
+        )
+        for mode in found.modes
+    )
+    return replace(
+        found,
+        estimates=tuple(map(wider, found.estimates)),
+        covariance=found.covariance + effects.T @ effects,
+        derived=tuple(map(wider, found.derived)),
+        modes=modes,
+        budget={**found.budget, **known.by_cause(lambda own: np.linalg.norm(effects[own], axis=0))},
+    )
 
 
 def _mass_is_free(component: int, group: Sequence[Prepared], settings: IdentifySettings) -> bool:
@@ -176,15 +227,20 @@ def departure(found: Identification) -> float:
 
 
 def sine_transfers(
-    items: Sequence[EvaluatedSines], names: Mapping[Path, str], band_hz: tuple[float, float] | None
+    items: Sequence[EvaluatedSines],
+    names: Mapping[Path, str],
+    starts: Mapping[str, str],
+    band_hz: tuple[float, float] | None,
 ) -> tuple[Prepared, ...]:
     """Return load over base along the drive where both were measured, recordings of one load and mounting as one curve.
 
-    `names`: those that tell recordings apart, by the path of their manifest.
+    `names`: those that tell recordings apart, by the path of their manifest; `starts`: those of their starts by these,
+    where they are not the recording's own.
     """
     groups: dict[tuple[object, ...], list[Prepared]] = {}
     for item in items:
-        measured = _transfer(item, names[item.manifest.path], band_hz)
+        name = names[item.manifest.path]
+        measured = _transfer(item, name, starts.get(name, name), band_hz)
         if measured is not None:
             load = measured.mass_matrix.tobytes(), str(item.manifest.rig.load)
             key = (*load, measured.drive.tobytes(), item.manifest.mounting, measured.clock)
@@ -240,7 +296,9 @@ def relative_errors(uncertainty: Uncertainty, value: ComplexArray) -> tuple[Rela
     )
 
 
-def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | None) -> MeasuredTransfer | None:
+def _transfer(
+    item: EvaluatedSines, name: str, start: str, band_hz: tuple[float, float] | None
+) -> MeasuredTransfer | None:
     """Return load over base acceleration along the drive at the driven lines, None where one is not known."""
     manifest = item.manifest
     drive = drive_of(manifest)
@@ -266,7 +324,7 @@ def _transfer(item: EvaluatedSines, name: str, band_hz: tuple[float, float] | No
     below = parts[1].at_lines(chosen).scaled((-ratio / base)[:, None])
     relabelled = tuple(replace(part, label=f"base: {part.label}") for part in below.random)
     whole = parts[0].at_lines(chosen).scaled((1.0 / base)[:, None]).plus(replace(below, random=relabelled))
-    whole = between_recordings(whole, name, manifest.mounting)
+    whole = between_recordings(whole, name, manifest.mounting, start)
     body = rigid_load(manifest)
     along = Placement(np.zeros(3), np.eye(3)[component])
     clock = manifest.daq[0] if manifest.daq else None

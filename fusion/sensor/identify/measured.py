@@ -13,6 +13,7 @@ import numpy as np
 from fusion.base import InputError
 from fusion.instruments.channel import geometry_errors
 from fusion.instruments.transducer import TRANSDUCERS, Beams, placed_at, unit_direction
+from fusion.phasors.timing import Grid
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.folder import RESULT_FILE, InputFiles, hash_files, read_provenance
@@ -192,16 +193,22 @@ def _results(manifest: Manifest) -> Path | None:
 
 SETTINGS = TransferSettings(quantity="acceleration")
 """Every motion as an acceleration, so that a ratio has no unit."""
+CLOCK = "clock "
+"""How names of unknowns of a clock's tie begin."""
 _ALONG = 1e-3  # share of the drive that the reference must see
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A curve to be fitted, the recording it comes from, and the `resonances` found in its responses one by one."""
+    """A curve to be fitted, the recording it comes from, and the `resonances` found in its responses one by one.
+
+    `grids`: where trigger edges fall between the samples of every block, none where no clocks had to be tied.
+    """
 
     manifest: Manifest
     measured: MeasuredTransfer
     resonances: tuple[FoundResonance, ...] = ()
+    grids: tuple[Grid, ...] = ()
 
     @property
     def component(self) -> int:
@@ -276,7 +283,19 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
     if stated:
         text = f"{stated} of the load stated: in the model of its curves; readings of single curves take it as rigid"
         notices.append(Notice("info", text, name))
-    return Prepared(manifest, measured, found), tuple(notices)
+    grids = tuple(clock.grid for clock in evaluation.clocks if clock.grid is not None)
+    known = grids if len(grids) == len(evaluation.clocks) else ()
+    return Prepared(manifest, measured, found, known), tuple(notices)
+
+
+def with_clocks_of(item: Prepared, start: str) -> Prepared:
+    """Return a curve whose clock ties are unknowns of all recordings of one `start` (`fusion.campaign.repeats`)."""
+    own, measured = f" [{item.measured.name}]", item.measured
+    errors = tuple(
+        replace(error, name=f"{error.name.removesuffix(own)} [{start}]") if error.name.startswith(CLOCK) else error
+        for error in measured.errors
+    )
+    return replace(item, measured=replace(measured, errors=errors))
 
 
 def _on_load(manifest: Manifest, tops: Sequence[ChannelEntry]) -> list[Place]:
@@ -412,7 +431,8 @@ def _load_over_base(
 ) -> tuple[Phasors, tuple[RelativeError, ...]]:
     """Return the ratios of some responses in the band with the covariance of their noise, and their common errors.
 
-    A delay has the sign it has in a run (a signal that is later than stated), and a clock's tie is one recording's own.
+    A delay has the sign it has in a run (a signal that is later than stated), and a clock's tie is the recording's own
+    (`with_clocks_of`).
     """
     ratio = replace(result.transfer.ratio, covariance=result.random_covariance).select(channels)
     frequency, chosen = ratio.frequency_hz, np.ones(len(ratio.frequency_hz), dtype=np.bool_)
@@ -426,7 +446,7 @@ def _load_over_base(
     errors = []
     for error in result.errors:
         relative = error.relative[:, places] * (-1.0 if error.name.endswith(": delay") else 1.0)
-        name = f"{error.name} [{recording}]" if error.name.startswith("clock ") else error.name
+        name = f"{error.name} [{recording}]" if error.name.startswith(CLOCK) else error.name
         if np.any(relative != 0.0):
             errors.append(RelativeError(name, relative[chosen]))
     return ratio.at_lines(chosen), tuple(errors)

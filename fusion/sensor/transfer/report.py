@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from fusion.base import K2
-from fusion.estimation.uncertainty import Polar, element_covariance, polar
+from fusion.estimation.uncertainty import Contribution, Polar, Uncertainty, coverage_factor, element_covariance, polar
 from fusion.recording.load import load_for_command
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.folder import Command
@@ -56,6 +56,7 @@ from fusion.sensor.transfer.records import (
     uncertainty,
 )
 from fusion.sensor.unseen import CAUSES, NOT_ASSESSED, beside
+from shaker.arrays import FloatArray
 from shaker.frf.result import TransferFunction
 from shaker.labels import typeset
 
@@ -95,14 +96,30 @@ def transfer_lines(evaluation: TransferEvaluation) -> Iterator[Line]:
                 yield Line(frequency, *head, value, float(coherence[k, c]), *tail)
 
 
+def expanded(result: ReferenceResult, channel: int) -> tuple[FloatArray, FloatArray]:
+    """Return U(|H|)/|H| and U(arg H) in rad, (K,) each, of one response: 95 %, noise with its degrees of freedom."""
+    ratio, both = result.transfer.ratio, [channel, channel + len(result.transfer.ratio.channels)]
+    whole, noise = (part[:, both][:, :, both] for part in (ratio.covariance, result.random_covariance))
+    value = ratio.value[:, channel]
+    parts = Contribution("noise", "A", noise, ratio.dof), Contribution("stated", "B", whole - noise)
+    factors = _factor(Uncertainty(parts).dof_polar(value[:, None])[..., 0])
+    size, phase = uncertainty(value, whole)
+    return factors[0] * size, factors[1] * phase
+
+
+def _factor(dof: FloatArray) -> FloatArray:
+    """Coverage factors for 95 %."""
+    return np.asarray(np.vectorize(coverage_factor, otypes=[np.float64])(dof))
+
+
 class Curve(NamedTuple):
-    """One response over its reference; `u_relative`, `u_phase_rad`: medians over the lines of u(|H|)/|H|, u(arg H)."""
+    """One response over its reference; `U_relative`, `U_phase_rad`: medians over the lines of U(|H|)/|H|, U(arg H)."""
 
     name: str
     unit: str
     transfer: TransferFunction
-    u_relative: float
-    u_phase_rad: float
+    U_relative: float
+    U_phase_rad: float
     coherence: float
 
     @property
@@ -116,10 +133,9 @@ def curves(evaluation: TransferEvaluation) -> Iterator[Curve]:
     for result in evaluation.references:
         transfer = result.transfer
         for c, name in enumerate(transfer.ratio.channels):
-            ratio = transfer.ratio.select([name])
-            u_relative, u_phase_rad = (float(np.median(u)) for u in uncertainty(ratio.value[:, 0], ratio.covariance))
+            size, turn = (float(np.median(part)) for part in expanded(result, c))
             lowest = float(np.min(transfer.coherence[:, c]))
-            yield Curve(f"{name} / {result.name}", ratio.unit[0], transfer, u_relative, u_phase_rad, lowest)
+            yield Curve(f"{name} / {result.name}", transfer.ratio.unit[c], transfer, size, turn, lowest)
 
 
 CURVES: list[Column[Curve]] = [
@@ -129,8 +145,8 @@ CURVES: list[Column[Curve]] = [
     on_page("lines", lambda curve: f"{len(curve.transfer.ratio.frequency_hz)}"),
     on_page("band / Hz", lambda curve: curve.band),
     on_page("spacing / Hz", lambda curve: f"{curve.transfer.line_spacing_hz:.6g}"),
-    on_page("U(|H|) / %, median", lambda curve: small(200.0 * curve.u_relative)),
-    on_page("U(phase) / mrad, median", lambda curve: small(2e3 * curve.u_phase_rad)),
+    on_page("U(|H|) / %, median", lambda curve: small(100.0 * curve.U_relative)),
+    on_page("U(phase) / mrad, median", lambda curve: small(1e3 * curve.U_phase_rad)),
     on_page("smallest coherence", lambda curve: f"{curve.coherence:.4f}"),
 ]
 
@@ -177,10 +193,10 @@ def headlines(evaluation: TransferEvaluation) -> list[Headline]:
 
 
 def printed(evaluation: TransferEvaluation) -> Iterator[str]:
-    """Lines for the terminal: curves, then resonances, U at k = 2."""
+    """Lines for the terminal: curves with U for 95 %, then resonances, U at k = 2."""
     for curve in curves(evaluation):
         lines = f"{curve.transfer.estimator}, {len(curve.transfer.ratio.frequency_hz)} lines from {curve.band} Hz"
-        median = f"{200.0 * curve.u_relative:.2g} % and {2e3 * curve.u_phase_rad:.2g} mrad (k = 2)"
+        median = f"{100.0 * curve.U_relative:.2g} % and {1e3 * curve.U_phase_rad:.2g} mrad (95 %)"
         yield f"{curve.name} [{curve.unit}]: {lines}, median U {median}"
     for found in resonances(evaluation):
         fit = found.fit
@@ -228,7 +244,9 @@ def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
             for result in evaluation.references
             for channel in range(len(result.transfer.ratio.channels))
         ],
-        "curves": table("Transfer functions, U: k = 2", CURVES, curves(evaluation)),
+        "curves": table(
+            "Transfer functions, U: 95 %, k by the degrees of freedom of each line", CURVES, curves(evaluation)
+        ),
         "resonances": table("Resonances with U (k = 2)", RESONANCES, resonances(evaluation)),
         "budgets": [_budget_table(found, known.missing) for found in resonances(evaluation)],
         "channels": table("Channels and their chains as stated", CHANNELS, channels),
@@ -247,7 +265,7 @@ CHANNELS: list[Column[tuple[str, ChannelEntry]]] = [
 
 
 def draw_transfer(result: ReferenceResult, channel: int) -> Picture:
-    """Magnitude and phase of one response with U (k = 2), relative uncertainty with its random part, and coherence."""
+    """Magnitude and phase of one response with U, relative uncertainty with its random part, and coherence."""
     response, coherence = result.transfer.ratio.channels[channel], result.transfer.coherence[:, channel]
     curve, both = result.transfer.ratio.select([response]), [channel, channel + len(result.transfer.ratio.channels)]
     frequency, value, unit = curve.frequency_hz, curve.value[:, 0], typeset(curve.unit[0])
@@ -257,7 +275,8 @@ def draw_transfer(result: ReferenceResult, channel: int) -> Picture:
     title, size = f"{response} over {result.name}", np.abs(value)
     with sheet(f"transfer-{response}-{result.name}", 7.4, 4, heights=(2.3, 1.5, 1.2, 0.9)) as drawn:
         magnitude, phase, relative, linear = drawn.panels
-        draw_response(magnitude, phase, frequency, value, uncertainty(value, curve.covariance), color=BLUE)
+        wide, turn = expanded(result, channel)
+        draw_response(magnitude, phase, frequency, value, (wide / K2, turn / K2), color=BLUE)
         for place, resonance in enumerate(modes):
             inside = np.linspace(*resonance.band_hz, 400)
             others = [other.model(inside) for other in (*alone[:place], *alone[place + 1 :])]
@@ -271,8 +290,9 @@ def draw_transfer(result: ReferenceResult, channel: int) -> Picture:
             plain_logarithm(magnitude.yaxis)
             magnitude.yaxis.set_major_formatter(FuncFormatter(_one_digit))
         magnitude.set_ylabel("|H|" if unit == "1" else f"|H| / ({unit})")
-        for covariance, colour, label in ((curve.covariance, BLACK, "all"), (noise, ORANGE, "noise alone")):
-            percent = np.minimum(100.0 * K2 * uncertainty(value, covariance)[0], LARGEST_PERCENT)
+        alone_wide = _factor(curve.dof) * uncertainty(value, noise)[0]
+        for part, colour, label in ((wide, BLACK, "all"), (alone_wide, ORANGE, "noise alone")):
+            percent = np.minimum(100.0 * part, LARGEST_PERCENT)
             relative.plot(frequency, percent, color=colour, linewidth=0.8, label=label, zorder=2)
         relative.set_yscale("log")
         decades(relative.yaxis)
@@ -293,7 +313,7 @@ def draw_transfer(result: ReferenceResult, channel: int) -> Picture:
         frequency_axis(linear, frequency)
         told = " Red: the oscillators fitted, over the lines that were used." if modes else ""
         caption = (
-            f"Bands: expanded uncertainty U (k = 2), which the third panel shows by itself.{told} A coherence below "
+            f"Bands: expanded uncertainty U (95 %), which the third panel shows by itself.{told} A coherence below "
             "one tells of noise, of other sources or of a structure that is not linear."
         )
         return drawn.picture(title, caption, gap=(0.5, 0.3))
