@@ -215,6 +215,7 @@ def _elastomer_options(parser: Parser) -> None:
     parser.value("geometry", Path, "GEOMETRY.toml", "what the element is, or a folder with elastomer.toml")
     text = 'also model it as an elastic solid on meshes that get finer (needs pip install "shakercal[solid]")'
     parser.switch("--solid", text)
+    parser.switch("--allow-outside", "accept files outside the folder above that of GEOMETRY.toml")
     parser.results("folder elastomer beside the file")
 
 
@@ -225,7 +226,14 @@ def elastomer(options: argparse.Namespace) -> None:
     from fusion.sensor.elastomer.report import run_elastomer
 
     with progress_bar(enabled=not options.quiet) as progress:
-        run_elastomer(options.geometry, options.output, solid=options.solid, force=options.force, progress=progress)
+        run_elastomer(
+            options.geometry,
+            options.output,
+            solid=options.solid,
+            force=options.force,
+            allow_outside=options.allow_outside,
+            progress=progress,
+        )
 
 
 COMMANDS = (rotate, identify, step, load, compensate, decouple, elastomer)

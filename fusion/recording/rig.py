@@ -13,22 +13,34 @@ from pydantic import BeforeValidator, Field, model_validator
 from fusion.estimation.least_squares import UnseenMotion
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.values import (
+    DENSITY,
+    FAR,
+    HERTZ,
+    MODULUS,
+    NEAR,
+    SECONDS,
+    SHARE,
+    WEIGHT,
     ZERO3,
     ZERO6,
     ZERO33,
     Block,
     BodyName,
+    Delay,
     Direction,
     ExistingFile,
     Exposure,
     FreeVector,
     Inertia,
     InertiaSpread,
+    Mass,
     NotNegative,
     Number,
+    Place,
     PoseSpread,
     Positive,
     Rotation,
+    Share,
     Spread3,
     Text,
     Vector3,
@@ -44,6 +56,7 @@ from fusion.recording.values import (
     spread,
     texts,
     vector,
+    within,
 )
 from shaker.static_rotation.harmonics import Known, air_density_at, gravity_at
 
@@ -55,6 +68,8 @@ CONVENTIONAL_AIR_DENSITY = 1.2  # kg/m^3, OIML D 28
 CONVENTIONAL_WEIGHT_DENSITY = 8000.0  # kg/m^3, OIML D 28
 GRAVITY_ON_EARTH = (9.7, 9.9)  # m/s^2
 U_STATED_AIR = 0.01  # relative, of an air density without any other statement
+STRAIN = within(0.0, 0.01, "m/m", **{"µm/m": 1e-6})
+AIR = within(0.01, 20.0, "kg/m^3", **{"g/cm^3": 1e3})
 Celsius = Annotated[float, Field(ge=-100, le=200, allow_inf_nan=False)]
 """A temperature in °C; one in kelvin lies beyond."""
 
@@ -94,16 +109,16 @@ class Sensor(Block):
     sense: Literal["on_load", "on_sensor"]
     capacity: Annotated[Vector6 | None, BeforeValidator(positive(vector(6), "6 numbers above 0"))] = None
     static_sensitivity: Annotated[tuple[Vector6, ...] | None, BeforeValidator(_sensitivity_rows)] = None
-    static_sensitivity_uncertainty: NotNegative = 0.0
-    cross_talk: Positive | None = None
+    static_sensitivity_uncertainty: Share = 0.0
+    cross_talk: Annotated[Positive, SHARE] | None = None
     cross_talk_uncertainty: NotNegative | None = None
-    temperature_coefficient: Number | None = None
-    temperature_coefficient_uncertainty: NotNegative = 0.0
+    temperature_coefficient: Annotated[Number, SHARE] | None = None
+    temperature_coefficient_uncertainty: Share = 0.0
     reference_temperature: Celsius = 23.0
     base_strain_sensitivity: NotNegative | None = None
-    internal_mass: NotNegative
+    internal_mass: Annotated[NotNegative, WEIGHT]
     internal_mass_uncertainty: NotNegative = 0.0
-    internal_centre_of_mass: FreeVector = ZERO3
+    internal_centre_of_mass: Place = ZERO3
     internal_centre_of_mass_uncertainty: Spread3 = ZERO3
     internal_inertia: Inertia = ZERO33
     internal_inertia_uncertainty: InertiaSpread = ZERO33
@@ -131,11 +146,11 @@ class Mounted(Block):
     `inertia` (3, 3): about the centre of mass, products −∫xy dm.
     """
 
-    mass: Positive
+    mass: Mass
     mass_uncertainty: NotNegative = 0.0
     mass_kind: Literal["true", "conventional"] = "true"
-    density: Positive | None = None
-    centre_of_mass: FreeVector
+    density: Annotated[Positive, DENSITY] | None = None
+    centre_of_mass: Place
     centre_of_mass_uncertainty: Spread3 = ZERO3
     inertia_uncertainty: InertiaSpread = ZERO33
 
@@ -180,9 +195,9 @@ class ElasticMode(Block):
     places by name; both for a mode of `modal_mass`.
     """
 
-    frequency: Positive
+    frequency: Annotated[Positive, HERTZ]
     frequency_uncertainty: NotNegative = 0.0
-    damping: NotNegative | None = None
+    damping: Share | None = None
     participation: Annotated[Vector6, BeforeValidator(vector(6))]
     modal_mass: Positive = 1.0
     displacement: Annotated[dict[str, tuple[float, ...]], BeforeValidator(_displacements)]
@@ -217,31 +232,31 @@ class Elastic(Block):
 
     name: Text
     shape: Literal["rod", "plate", "modes"]
-    foot: FreeVector = ZERO3
+    foot: Place = ZERO3
     axis: Direction | None = None
-    length: Positive | None = None
+    length: Annotated[Positive, NEAR] | None = None
     length_uncertainty: NotNegative = 0.0
-    diameter: Positive | None = None
+    diameter: Annotated[Positive, NEAR] | None = None
     diameter_uncertainty: NotNegative = 0.0
-    inner_diameter: NotNegative = 0.0
+    inner_diameter: Annotated[NotNegative, NEAR] = 0.0
     inner_diameter_uncertainty: NotNegative = 0.0
-    thickness: Positive | None = None
+    thickness: Annotated[Positive, NEAR] | None = None
     thickness_uncertainty: NotNegative = 0.0
-    clamped_diameter: Positive | None = None
+    clamped_diameter: Annotated[Positive, NEAR] | None = None
     clamped_diameter_uncertainty: NotNegative = 0.0
-    young_modulus: Positive | None = None
+    young_modulus: Annotated[Positive, MODULUS] | None = None
     young_modulus_uncertainty: NotNegative = 0.0
-    density: Positive | None = None
+    density: Annotated[Positive, DENSITY] | None = None
     density_uncertainty: NotNegative = 0.0
     poisson_ratio: Annotated[float, Field(ge=0, lt=0.5)] = 0.3
     poisson_ratio_uncertainty: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
-    tip_mass: NotNegative = 0.0
+    tip_mass: Annotated[NotNegative, WEIGHT] = 0.0
     tip_mass_uncertainty: NotNegative = 0.0
-    axial_frequency: Positive | None = None
+    axial_frequency: Annotated[Positive, HERTZ] | None = None
     axial_frequency_uncertainty: NotNegative = 0.0
-    bending_frequency: Positive | None = None
+    bending_frequency: Annotated[Positive, HERTZ] | None = None
     bending_frequency_uncertainty: NotNegative = 0.0
-    damping: NotNegative = 0.0
+    damping: Share = 0.0
     damping_uncertainty: NotNegative = 0.0
     frequencies_uncertainty: Annotated[float, Field(ge=0, lt=1)] = 0.0
     participation_uncertainty: Annotated[float, Field(ge=0, lt=1)] = 0.0
@@ -298,7 +313,7 @@ class Load(Mounted):
         Vector6 | None, BeforeValidator(positive(spread(6), "a number or 6 numbers, all above 0"))
     ] = None
     elastic_frequency_uncertainty: Annotated[Vector6, BeforeValidator(spread(6))] = ZERO6
-    elastic_damping: NotNegative = 0.0
+    elastic_damping: Share = 0.0
     cable_stiffness: Annotated[Vector3 | None, BeforeValidator(spread(3))] = None
     cable_stiffness_uncertainty: Spread3 = ZERO3
 
@@ -336,15 +351,15 @@ class Environment(Block):
     gravity_uncertainty: Spread3 = ZERO3
     down: Direction | None = None
     temperature: Celsius | None = None
-    air_density: Positive | None = None
+    air_density: Annotated[Positive, AIR] | None = None
     latitude: Annotated[float | None, Field(ge=-90, le=90, allow_inf_nan=False)] = None
     height: Annotated[float | None, Field(ge=-500, le=9000, allow_inf_nan=False)] = None
     pressure: Annotated[float | None, Field(ge=3e4, le=1.2e5, allow_inf_nan=False)] = None
     humidity: Annotated[float | None, Field(ge=0, le=1, allow_inf_nan=False)] = None
     sensor_temperature: Celsius | None = None
     sensor_temperature_uncertainty: NotNegative = 0.0
-    support_motion: NotNegative | None = None
-    base_strain: NotNegative | None = None
+    support_motion: Share | None = None
+    base_strain: Annotated[NotNegative, STRAIN] | None = None
 
     @model_validator(mode="after")
     def _gravity_is_told_whole(self) -> Self:
@@ -388,14 +403,14 @@ class Stereo(Block):
     body: BodyName
     calibration: ExistingFile | None = None
     rotation: Rotation
-    translation: FreeVector
+    translation: Annotated[FreeVector, FAR]
     pose_uncertainty: PoseSpread = ZERO6
     pose_by_calibration: Annotated[tuple[tuple[float, ...], ...] | None, BeforeValidator(rows_of(6, 32, 24))] = None
-    scale_uncertainty: NotNegative | None = None
+    scale_uncertainty: Share | None = None
     bit_depth: Annotated[int, Field(ge=1, le=16)] | None = None
     exposure: Exposure
-    delay: Number = 0.0
-    delay_uncertainty: NotNegative = 0.0
+    delay: Delay = 0.0
+    delay_uncertainty: Annotated[NotNegative, SECONDS] = 0.0
 
 
 class Head(Block):
