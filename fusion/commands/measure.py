@@ -18,12 +18,14 @@ from fusion.commands.options import (
     band,
     command,
     count,
-    count_or_none,
     draws,
+    hertz,
     not_negative,
     positive,
     radius,
+    seed,
     size,
+    whole,
 )
 
 if TYPE_CHECKING:
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("shakercal")
 DECIMALS = 6  # of frequencies within a range, in Hz
+MOST_FRAMES = 1_000_000
+MOST_LINES = 1000  # excitations of a plan
 
 
 def _plan_options(parser: Parser) -> None:
@@ -39,14 +43,14 @@ def _plan_options(parser: Parser) -> None:
         "ratios), with commas between them"
     )
     parser.value("--frequencies", frequencies, "LIST", text, required=True)
-    parser.add_argument("--frames", type=count, required=True, help="frames per point")
+    parser.add_argument("--frames", type=whole(4, MOST_FRAMES), required=True, help="frames per point")
     rate = parser.add_mutually_exclusive_group(required=True)
-    rate.add_argument("--max-rate", type=positive, metavar="HZ", help="fastest camera rate to look for")
-    rate.add_argument("--rate", type=positive, metavar="HZ", help="explain what this camera rate does instead")
-    parser.value("--min-rate", positive, "HZ", "slowest camera rate (default: half the fastest)")
-    parser.value("--rate-step", positive, "HZ", "steps of rates (default: 0.001)", default=1e-3)
+    rate.add_argument("--max-rate", type=hertz, metavar="HZ", help="fastest camera rate to look for")
+    rate.add_argument("--rate", type=hertz, metavar="HZ", help="explain what this camera rate does instead")
+    parser.value("--min-rate", hertz, "HZ", "slowest camera rate (default: half the fastest)")
+    parser.value("--rate-step", hertz, "HZ", "steps of rates (default: 0.001)", default=1e-3)
     parser.value("--exposure", not_negative, "S", "exposure time (default: 0)", default=0.0)
-    parser.value("--harmonics", count, "N", "fitted, 1: fundamental (default: 5)", default=5)
+    parser.value("--harmonics", whole(1, 100), "N", "fitted, 1: fundamental (default: 5)", default=5)
     parser.switch("--together", "all excitations at the same time")
     parser.value("--corner", not_negative, "HZ", "1/f noise is white noise there (default: 5)", default=5.0)
     text = "relative accuracy of excitation and camera rate (default: 0.0001)"
@@ -61,7 +65,11 @@ def _plan_options(parser: Parser) -> None:
 
 def frequencies(text: str) -> tuple[float, ...]:
     """Return the frequencies of a text such as 53.7,106.25 or 53.7:1020.3:12, in the order given."""
-    found = [value for item in text.split(",") for value in _range(item.strip())]
+    found: list[float] = []
+    for item in text.split(","):
+        found += _range(item.strip())
+        if len(found) > MOST_LINES:
+            raise argparse.ArgumentTypeError(f"expected at most {MOST_LINES} frequencies, found {len(found)} or more")
     repeated = next((value for i, value in enumerate(found) if value in found[:i]), None)
     if repeated is not None:
         raise argparse.ArgumentTypeError(f"expected every frequency once, found {repeated:g} Hz twice")
@@ -70,20 +78,21 @@ def frequencies(text: str) -> tuple[float, ...]:
 
 def _range(text: str) -> list[float]:
     """Return the frequencies of one number or range."""
-    wrong = argparse.ArgumentTypeError(
-        f"expected frequencies such as 106.25 or 53.7:1020.3:12, found {text or 'nothing'}"
-    )
+    shown = (text if text.isprintable() else ascii(text))[:60] or "nothing"
+    wrong = argparse.ArgumentTypeError(f"expected frequencies such as 106.25 or 53.7:1020.3:12, found {shown}")
     parts = text.split(":")
     logarithmic = len(parts) == 4 and parts[3] == "log"
     if len(parts) not in (1, 3) and not logarithmic:
         raise wrong
     try:
-        first, last = positive(parts[0]), positive(parts[1] if len(parts) > 1 else parts[0])
+        first, last = hertz(parts[0]), hertz(parts[1] if len(parts) > 1 else parts[0])
         number = int(parts[2]) if len(parts) > 1 else 1
     except (ValueError, argparse.ArgumentTypeError):
         raise wrong from None
     if number < 1 or (number == 1) != (first == last):
-        raise argparse.ArgumentTypeError(f"expected a count of at least 2 between two frequencies, found {text}")
+        raise argparse.ArgumentTypeError(f"expected a count of at least 2 between two frequencies, found {shown}")
+    if number > MOST_LINES:
+        raise argparse.ArgumentTypeError(f"expected a count of at most {MOST_LINES}, found {shown}")
     shares = [i / max(number - 1, 1) for i in range(number)]
     if logarithmic:
         return [round(first * (last / first) ** share, DECIMALS) for share in shares]
@@ -134,7 +143,7 @@ def _simulate_options(parser: Parser) -> None:
         "shakercal load; elastomer: a geometry for shakercal elastomer"
     )
     parser.choice("--preset", PRESETS, text)
-    parser.add_argument("--seed", type=count_or_none, default=1, help="seed of every random draw (default: 1)")
+    parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
     text = (
         "break one assumption of the program in demo, nitsche2018, sweep or matrix, may be repeated; "
         "docs/assumptions.md lists the names, units and default sizes"
@@ -303,7 +312,7 @@ def _lines_options(parser: Parser) -> None:
     parser.value("source", Path, "SOURCE", text)
     text = "channel of the file, may be repeated (default: all)"
     parser.add_argument("--channel", action="append", metavar="NAME", help=text)
-    parser.value("--sample-rate", positive, "HZ", "of a file that states none")
+    parser.value("--sample-rate", hertz, "HZ", "of a file that states none")
     parser.value("--band", band, "LOW:HIGH", "list lines of the file between these, in Hz")
     parser.figure_and_table("draw spectrum and floor", "write the list as a table")
     parser.allow_outside()
@@ -359,7 +368,7 @@ def _run_options(parser: Parser) -> None:
         f"({FEWEST_DRAWS} to {MOST_DRAWS}; 100000 are good for two digits of U; default: none)"
     )
     parser.value("--monte-carlo", draws, "N", text, default=0)
-    parser.value("--seed", count_or_none, "S", f"of these draws (default: {DEFAULT_SEED})", default=DEFAULT_SEED)
+    parser.value("--seed", seed, "S", f"of these draws (default: {DEFAULT_SEED})", default=DEFAULT_SEED)
     parser.switch("--save-points", "write every point of every frame too, as a table and for ParaView (.pvd)")
     where = parser.add_mutually_exclusive_group()
     text = "processes that share the work on this machine (default: 1); results are the same to the last digit"
@@ -410,7 +419,7 @@ def _transfer_options(parser: Parser) -> None:
     )
     parser.choice("--estimator", ("auto", "periodic", "local", "H1", "H2", "Hv"), text)
     text = "line spacing where no period is stated (default: 16 segments side by side; of blows: 1 Hz)"
-    parser.value("--resolution", positive, "HZ", text)
+    parser.value("--resolution", hertz, "HZ", text)
     text = "turn every motion into this quantity (default: as it was measured)"
     parser.add_argument("--quantity", choices=("displacement", "velocity", "acceleration"), help=text)
     parser.results("RECORDING/transfer")

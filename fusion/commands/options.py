@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from fusion.base import FEWEST_DRAWS, MOST_DRAWS
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 0, 1, 2, 130
+MOST_OF_SIZE = 100_000  # columns or rows, of targets and pictures
 Value = TypeVar("Value", int, float)
 
 
@@ -92,16 +92,30 @@ def _number(convert: Callable[[str], Value], accepts: Callable[[Value], bool], e
                 return value
         except ValueError:
             pass
-        raise argparse.ArgumentTypeError(f"expected {expected}, found {text}")
+        shown = text if len(text) <= 60 and text.isprintable() else ascii(text)[:60]
+        raise argparse.ArgumentTypeError(f"expected {expected}, found {shown}")
 
     return check
 
 
-positive = _number(float, lambda value: 0 < value < math.inf, "a number above 0")
-not_negative = _number(float, lambda value: 0 <= value < math.inf, "a number of at least 0")
+SMALLEST, LARGEST = 1e-30, 1e30
+"""Sizes of numbers that are not 0: those of a manifest (`fusion.recording.values`), which is not imported here."""
+positive = _number(float, lambda value: SMALLEST <= value <= LARGEST, f"a number above 0, at most {LARGEST:g}")
+not_negative = _number(
+    float, lambda value: value == 0 or SMALLEST <= value <= LARGEST, f"a number of at least 0, at most {LARGEST:g}"
+)
+hertz = _number(float, lambda value: 1e-6 <= value <= 1e8, "a frequency in Hz above 0, at most 1e8")
 between_0_and_1 = _number(float, lambda value: 0 < value < 1, "a number between 0 and 1")
-count = _number(int, lambda value: value >= 1, "a whole number of at least 1")
-count_or_none = _number(int, lambda value: value >= 0, "a whole number of at least 0")
+
+
+def whole(least: int, most: int) -> Callable[[str], int]:
+    """Return the type of a whole number between two, both included."""
+    return _number(int, lambda value: least <= value <= most, f"a whole number from {least} to {most}")
+
+
+count = whole(1, 1000)
+count_or_none = whole(0, 1000)
+seed = whole(0, 2**63 - 1)
 radius = _number(int, lambda value: 4 <= value <= 100, "4 to 100 pixels")
 draws = _number(int, lambda value: FEWEST_DRAWS <= value <= MOST_DRAWS, f"{FEWEST_DRAWS} to {MOST_DRAWS} draws")
 
@@ -117,8 +131,10 @@ def percent(text: str) -> float:
 def size(text: str) -> tuple[int, int]:
     """Return columns and rows of a text such as 9x6."""
     columns, cross, rows = text.lower().partition("x")
-    if not (cross and columns.isdigit() and rows.isdigit()):
-        raise argparse.ArgumentTypeError(f"expected columns x rows such as 9x6, found {text}")
+    if not (cross and columns.isdecimal() and rows.isdecimal()):
+        raise argparse.ArgumentTypeError(f"expected columns x rows such as 9x6, found {ascii(text)[:60]}")
+    if not all(len(part) <= 6 and 1 <= int(part) <= MOST_OF_SIZE for part in (columns, rows)):
+        raise argparse.ArgumentTypeError(f"expected columns and rows from 1 to {MOST_OF_SIZE}, found {text[:40]}")
     return int(columns), int(rows)
 
 
@@ -126,7 +142,7 @@ def band(text: str) -> tuple[float, float]:
     """Return the two frequencies of a text such as 10:2000."""
     low, colon, high = text.partition(":")
     if not colon:
-        raise argparse.ArgumentTypeError(f"expected two frequencies such as 10:2000, found {text}")
+        raise argparse.ArgumentTypeError(f"expected two frequencies such as 10:2000, found {ascii(text)[:60]}")
     limits = not_negative(low), positive(high)
     if limits[0] >= limits[1]:
         raise argparse.ArgumentTypeError(f"expected the lower frequency first, found {text}")

@@ -12,11 +12,12 @@ from fusion.commands.options import (
     Parser,
     between_0_and_1,
     command,
-    count,
-    count_or_none,
+    hertz,
     not_negative,
     percent,
     positive,
+    seed,
+    whole,
 )
 
 
@@ -75,8 +76,8 @@ def _step_options(parser: Parser) -> None:
     parser.recordings()
     text = "start of the fit: matrix pencil (default) or instrumental-variable ARX; all: compare every method"
     parser.choice("--method", ("pencil", "arx", "all"), text)
-    parser.value("--modes", count, "N", "oscillating modes of a model (default: by rule)")
-    parser.value("--real-poles", count_or_none, "N", "real poles of a model (default: by rule)")
+    parser.value("--modes", whole(1, 20), "N", "oscillating modes of a model (default: by rule)")
+    parser.value("--real-poles", whole(0, 20), "N", "real poles of a model (default: by rule)")
     text = "how the load changes (default: auto, the force channel where one is named, else by rule)"
     parser.choice("--release", ("auto", "step", "ramp", "smooth", "measured"), text)
     parser.results("folder step in the campaign or in the only recording, else beside rig.toml")
@@ -105,7 +106,7 @@ def _load_options(parser: Parser) -> None:
     text = "foretell resonance and bands with these loads, such as a gripper or a hand (kg; of moments kg m^2)"
     parser.value("--load-mass", positive, "KG", text, nargs="+", default=[])
     parser.value("--permitted", percent, "PERCENT", "error up to which loads are permitted (5)", default=0.05)
-    parser.value("--wanted", positive, "HZ", "largest load for these resonances", nargs="+", default=[])
+    parser.value("--wanted", hertz, "HZ", "largest load for these resonances", nargs="+", default=[])
     parser.results("folder load in the campaign, in the only recording, or beside rig.toml or TABLE")
     parser.set_defaults(refuse=parser.error)
 
@@ -135,22 +136,22 @@ def _compensate_options(parser: Parser) -> None:
     # what is compensated
     text = "models.json of shakercal step, load.json of shakercal load, or a folder with one"
     parser.value("models", Path, "MODEL", text, nargs="*")
-    parser.value("--sensor-frequency", positive, "HZ", "natural frequency, without a model")
+    parser.value("--sensor-frequency", hertz, "HZ", "natural frequency, without a model")
     parser.value("--sensor-damping", not_negative, "ZETA", "damping ratio, without a model")
     parser.value("--channel", str, "NAME", "output channels (default: all)", nargs="+", default=[])
     parser.value("--load-mass", not_negative, "KG", "loads of a model over the load, kg", nargs="+", default=[])
-    parser.value("--modes", count, "N", "modes to compensate (default: 1)", default=1)
+    parser.value("--modes", whole(1, 20), "N", "modes to compensate (default: 1)", default=1)
     # what is wanted
-    parser.value("--frequency", positive, "HZ", "natural frequency of the target")
+    parser.value("--frequency", hertz, "HZ", "natural frequency of the target")
     text = "damping ratio of the target (default: the one with the widest band for the permitted error)"
     parser.value("--damping", positive, "ZETA", text)
-    parser.value("--bandwidth", positive, "HZ", "instead of both: up to where the gain shall be right")
+    parser.value("--bandwidth", hertz, "HZ", "instead of both: up to where the gain shall be right")
     parser.value("--permitted-error", positive, "PERCENT", "of the gain (default: 10)", default=10.0)
-    parser.value("--real-pole", positive, "HZ", "move the slowest real pole here")
-    parser.value("--low-pass", positive, "HZ", "corner of a Butterworth low-pass in the filter: less noise")
+    parser.value("--real-pole", hertz, "HZ", "move the slowest real pole here")
+    parser.value("--low-pass", hertz, "HZ", "corner of a Butterworth low-pass in the filter: less noise")
     parser.switch("--calibrated", "divide by the static gain too: the filter puts out the load")
     # how it is sampled, and what is filtered
-    parser.value("--sample-rate", positive, "HZ", "of the filter (default: that of the model)")
+    parser.value("--sample-rate", hertz, "HZ", "of the filter (default: that of the model)")
     text = "matched poles and zeros, or Tustin prewarped at each mode (default: matched)"
     parser.choice("--discretisation", ("matched", "tustin"), text)
     parser.value("--apply", Path, "RECORDING", "filter the outputs of this recording too")
@@ -194,10 +195,10 @@ def compensate(options: argparse.Namespace) -> None:
 def _decouple_options(parser: Parser) -> None:
     parser.value("campaign", Path, "CAMPAIGN", "folder with recordings of releases of all loads")
     parser.allow_outside()
-    parser.value("--frequency", positive, "HZ", "wanted frequency behind the filter (default: half the lowest mode's)")
+    parser.value("--frequency", hertz, "HZ", "wanted frequency behind the filter (default: half the lowest mode's)")
     text = "wanted damping ratio, between 0 and 1 (default: 0.6)"
     parser.value("--damping", between_0_and_1, "Z", text, default=0.6)
-    parser.value("--seed", count_or_none, "N", "of the models drawn for U (default: 1)", default=1)
+    parser.value("--seed", seed, "N", "of the models drawn for U (default: 1)", default=1)
     parser.results("folder decouple in the campaign")
 
 

@@ -43,9 +43,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     text = read_text(path, LARGEST_TOML, "a manifest")
     deep = next((number for number, line in enumerate(text.splitlines(), 1) if _nested(line) > DEEPEST), None)
     if deep is not None:
-        raise InputError(
-            path, f"line {deep}", "more", f"at most {DEEPEST} brackets, or names with dots, in one another"
-        )
+        raise InputError(path, f"line {deep}", "more", f"at most {DEEPEST} tables or lists in one another")
     try:
         values = tomllib.loads(text)
     except RecursionError as error:

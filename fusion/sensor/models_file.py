@@ -109,15 +109,7 @@ def read_stored(path: Path, name: str, command: str, parsed: Callable[[dict[str,
             told, expected = f"format {content['format']}", f"format {FORMAT}; shakercal {command} writes it anew"
             raise InputError(file, "format", found=told, expected=expected)
         return parsed(content)
-    except (
-        KeyError,
-        TypeError,
-        ValueError,
-        AttributeError,
-        OverflowError,
-        RecursionError,
-        np.linalg.LinAlgError,
-    ) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
         told = f"no key {error}" if isinstance(error, KeyError) else describe(str(error), plain=True)
         raise InputError(file, "", found=told, expected=f"{what} as shakercal {command} writes them") from error
 
