@@ -155,7 +155,7 @@ def refusal(expected: str, found: str, key: str = "") -> PydanticCustomError:
     )
 
 
-SMALLEST, LARGEST = 1e-30, 1e30
+SMALLEST, LARGEST = 1e-100, 1e30
 """Sizes of numbers in SI units between which every input lies that is not 0; their products do not overflow."""
 LONGEST_TEXT = 4096
 MOST_ITEMS = 10_000  # blocks of one kind, names in a list
