@@ -34,6 +34,7 @@ from fusion.recording.values import (
     Inertia,
     InertiaSpread,
     Mass,
+    Matrix3,
     NotNegative,
     Number,
     Place,
@@ -49,6 +50,7 @@ from fusion.recording.values import (
     describe,
     positive,
     refusal,
+    refuse_as_file_names,
     refuse_foreign,
     refuse_missing,
     refuse_repeated,
@@ -67,6 +69,8 @@ OTHER_UNITS = {"force": "N", "voltage": "V"}
 CONVENTIONAL_AIR_DENSITY = 1.2  # kg/m^3, OIML D 28
 CONVENTIONAL_WEIGHT_DENSITY = 8000.0  # kg/m^3, OIML D 28
 GRAVITY_ON_EARTH = (9.7, 9.9)  # m/s^2
+DENSEST_KGM3 = 22_600.0  # osmium
+FARTHEST_M = 5.0  # radius of gyration of anything on a shaker
 U_STATED_AIR = 0.01  # relative, of an air density without any other statement
 STRAIN = within(0.0, 0.01, "m/m", **{"µm/m": 1e-6})
 AIR = within(0.01, 20.0, "kg/m^3", **{"g/cm^3": 1e3})
@@ -99,6 +103,25 @@ def _sensitivity_rows(value: object) -> tuple[tuple[float, ...], ...]:
     return tuple(vector(6)(row) for row in value)
 
 
+def _refuse_impossible(mass: float, inertia: Matrix3, mass_key: str, inertia_key: str) -> None:
+    """Refuse mass and inertia that no body has together: a mass in g, an inertia in g mm².
+
+    Of all bodies of a mass and a largest density a ball has the least inertia, 0.4·m·r² about every axis; half of it is
+    let pass, for values of few digits. All zeros stand for a point mass.
+    """
+    largest = float(np.linalg.eigvalsh(np.array(inertia)).max())
+    if largest <= 0.0 or mass <= 0.0:
+        return
+    gyration = float(np.sqrt(largest / mass))
+    if gyration > FARTHEST_M:
+        told = f"up to {largest:g} kg m^2 of {mass:g} kg, as if {gyration:.3g} m away"
+        raise refusal("moments of inertia in kg m^2 of this mass", told, key=inertia_key)
+    least = 0.4 * mass * (3.0 * mass / (4.0 * np.pi * DENSEST_KGM3)) ** (2.0 / 3.0)
+    if largest < 0.5 * least:
+        told = f"{mass:g} kg with moments of inertia up to {largest:g} kg m^2, which is denser than any metal"
+        raise refusal("a mass in kg with moments of inertia in kg m^2", told, key=mass_key)
+
+
 class Sensor(Block):
     """The sensor under test: its outputs, their sense, and the mass that moves above its elastic element."""
 
@@ -128,6 +151,7 @@ class Sensor(Block):
         rows = self.static_sensitivity
         if rows is not None and len(rows) != len(self.channels):
             raise refusal(f"{len(self.channels)} rows, one per channel", f"{len(rows)} rows", key="static_sensitivity")
+        _refuse_impossible(self.internal_mass, self.internal_inertia, "internal_mass", "internal_inertia")
         if self.cross_talk is not None and self.capacity is None:
             raise refusal("the six rated loads that cross_talk is relative to", "nothing", key="capacity")
         return self
@@ -158,8 +182,7 @@ class Mounted(Block):
     def _conventional_mass_has_density(self) -> Self:
         if self.mass_kind == "conventional" and self.density is None:
             raise refusal('the density in kg/m^3 that mass_kind = "conventional" needs', "nothing", key="density")
-        if self.density is not None and self.density <= CONVENTIONAL_AIR_DENSITY:
-            raise refusal("a density above that of air", f"{self.density:g}", key="density")
+        _refuse_impossible(self.mass, getattr(self, "inertia", ZERO33), "mass", "inertia")
         return self
 
     @property
@@ -512,6 +535,7 @@ class Rig(Block):
     @model_validator(mode="after")
     def _parts_have_different_names(self) -> Self:
         refuse_repeated([part.name for part in self.part], "parts", "part")
+        refuse_as_file_names(self.stereo, "stereo")
         return self
 
     def unit_of(self, channel: ChannelEntry) -> str:

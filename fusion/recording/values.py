@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import sys
+import unicodedata
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from datetime import date, time
@@ -158,6 +159,7 @@ def refusal(expected: str, found: str, key: str = "") -> PydanticCustomError:
 SMALLEST, LARGEST = 1e-100, 1e30
 """Sizes of numbers in SI units between which every input lies that is not 0; their products do not overflow."""
 LONGEST_TEXT = 4096
+LONGEST_FILE_NAME = 100  # bytes of a name in the name of a file
 MOST_ITEMS = 10_000  # blocks of one kind, names in a list
 UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 """Control characters, line ends that are none of a text file, what turns the direction of writing; not tab and \n."""
@@ -381,6 +383,26 @@ def refuse_foreign(block: Block, known: Collection[str], why: str) -> None:
     for key in type(block).model_fields:
         if key in block.model_fields_set and key not in known:
             raise refusal(f"no such key for {why}", describe(getattr(block, key)), key=key)
+
+
+RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(10))}
+"""Names of devices on Windows, whatever follows after a dot."""
+
+
+def refuse_as_file_names(names: Collection[str], key: str) -> None:
+    """Refuse names that become part of the names of files, unless every file system takes them and tells them apart."""
+    seen: dict[str, str] = {}
+    for name in names:
+        wrong = re.search(r'[\x00-\x1f\x7f/\\:*?"<>|]', name)
+        where = f"{key}.{describe(name, plain=True)}"
+        if not name or wrong or name[-1] in ". " or name[0] in " -" or len(name.encode()) > LONGEST_FILE_NAME:
+            expected = f"a name that a file can bear, of at most {LONGEST_FILE_NAME} bytes, since motion-NAME.csv does"
+            raise refusal(expected, f'"{describe(name, plain=True)}"', key=where)
+        if name.partition(".")[0].lower() in RESERVED:
+            raise refusal("a name that is no device's on Windows", f'"{name}"', key=where)
+        twin = seen.setdefault(unicodedata.normalize("NFKC", name).casefold(), name)
+        if twin != name:
+            raise refusal(f'a name that differs from "{twin}" by more than case', f'"{name}"', key=where)
 
 
 def refuse_repeated(names: Sequence[str], what: str, key: str) -> None:
