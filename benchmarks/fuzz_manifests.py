@@ -448,15 +448,14 @@ def fuzzed_options(command: str, folder: Path, examples: int, start: int = 1) ->
     """Run a command on valid input with options that are likely wrong."""
     preset, base, options = OPTIONS[command]
     place, told = (prepared(folder, preset) if preset else folder), Told()
-    pair = st.tuples(st.sampled_from(options), st.lists(st.sampled_from(WORDS), max_size=2)).map(
-        lambda item: [item[0], *item[1]]
-    )
+    word = st.sampled_from(WORDS).map(lambda word: [word]) | st.just([])
+    pair = st.tuples(st.sampled_from(options), word).map(lambda item: [item[0], *item[1]])
 
     def use(more: list[list[str]]) -> None:
         arguments = [command, *base, *(word for one in more for word in one)]
         tried(arguments, place, told, " ".join(arguments))
 
-    drawn(st.lists(pair, min_size=1, max_size=3), examples, use, start)
+    drawn(st.lists(pair, min_size=1, max_size=2), examples, use, start)
     return told
 
 

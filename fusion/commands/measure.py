@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import logging
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fusion.base import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS
@@ -21,6 +20,7 @@ from fusion.commands.options import (
     draws,
     hertz,
     not_negative,
+    path,
     positive,
     radius,
     seed,
@@ -106,8 +106,8 @@ def plan(options: argparse.Namespace) -> None:
     from fusion.planning.plan import Request, Size, make_plan, plan_csv, print_plan
     from shaker.lines.rate_planner import Sampling
 
-    for path in filter(None, (options.figure, options.csv)):
-        check_new_file(path, force=options.force)
+    for file in filter(None, (options.figure, options.csv)):
+        check_new_file(file, force=options.force)
     if options.rate is not None and options.min_rate is not None:
         raise InputError("--min-rate", "", found="--rate", expected="--max-rate beside it")
     limits_hz = options.min_rate or (options.max_rate or 0.0) / 2.0, options.max_rate
@@ -135,7 +135,7 @@ def plan(options: argparse.Namespace) -> None:
 def _simulate_options(parser: Parser) -> None:
     from fusion.simulate import PRESETS
 
-    parser.value("out", Path, "OUT", "campaign folder to create")
+    parser.value("out", path, "OUT", "campaign folder to create")
     text = (
         "which rig (default: demo); sweep, matrix: campaigns for a curve over frequency and for the 6x6; targets: a "
         "camera calibration; chirp: a recording for shakercal transfer; masses, pitching: campaigns of two loads for "
@@ -192,7 +192,7 @@ def _cameras_options(parser: Parser) -> None:
     text = "a length measured otherwise: two points column,row of the target or two pictures, m, standard uncertainty"
     parser.add_argument("--known-length", nargs=4, metavar=("FROM", "TO", "M", "U"), help=text)
     parser.add_argument(
-        "-o", "--output", required=True, type=Path, metavar="CALIBRATION", help="file NAME.json to write"
+        "-o", "--output", required=True, type=path, metavar="CALIBRATION", help="file NAME.json to write"
     )
     parser.switch("--force", "replace a calibration that is there")
 
@@ -223,9 +223,9 @@ def cameras(options: argparse.Namespace) -> None:
 
 
 def _import_calibration_options(parser: Parser) -> None:
-    parser.value("calibration", Path, "FILE", "the other program's file")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="JSON", help="calibration file to write")
-    parser.value("--extrinsics", Path, "FILE", "second file: OpenCV's R and T where apart, ROS's right camera")
+    parser.value("calibration", path, "FILE", "the other program's file")
+    parser.add_argument("-o", "--output", type=path, required=True, metavar="JSON", help="calibration file to write")
+    parser.value("--extrinsics", path, "FILE", "second file: OpenCV's R and T where apart, ROS's right camera")
     parser.value("--image-size", size, "2448x2048", "width x height, if the file has none")
     text = "of the file's lengths, where it does not say it"
     parser.add_argument("--length-unit", choices=("m", "mm"), help=text)
@@ -245,9 +245,9 @@ def import_calibration(options: argparse.Namespace) -> None:
 
 
 def _export_calibration_options(parser: Parser) -> None:
-    parser.value("calibration", Path, "CALIBRATION", "file NAME.json of this program")
+    parser.value("calibration", path, "CALIBRATION", "file NAME.json of this program")
     text = "file to write: .yml for OpenCV, .xml for VIC-3D, .json for MATLAB"
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help=text)
+    parser.add_argument("-o", "--output", type=path, required=True, metavar="FILE", help=text)
     parser.switch("--force", "overwrite a file that is there")
 
 
@@ -261,8 +261,8 @@ def export_calibration(options: argparse.Namespace) -> None:
 
 
 def _align_options(parser: Parser) -> None:
-    parser.value("alignment", Path, "ALIGNMENT.toml", "file that names the evidence")
-    parser.add_argument("-o", "--output", type=Path, metavar="POSE.toml", help="file for the block of rig.toml")
+    parser.value("alignment", path, "ALIGNMENT.toml", "file that names the evidence")
+    parser.add_argument("-o", "--output", type=path, metavar="POSE.toml", help="file for the block of rig.toml")
     parser.switch("--force", "overwrite the output that is there")
     parser.allow_outside("ALIGNMENT.toml")
     parser.device("where subsets are tracked")
@@ -309,7 +309,7 @@ def check(options: argparse.Namespace) -> int:
 
 def _lines_options(parser: Parser) -> None:
     text = "DAQ file, a recording (its folder or recording.toml), or a campaign of several"
-    parser.value("source", Path, "SOURCE", text)
+    parser.value("source", path, "SOURCE", text)
     text = "channel of the file, may be repeated (default: all)"
     parser.add_argument("--channel", action="append", metavar="NAME", help=text)
     parser.value("--sample-rate", hertz, "HZ", "of a file that states none")
@@ -324,8 +324,8 @@ def lines(options: argparse.Namespace) -> None:
     from fusion.base import check_new_file, write_whole
     from fusion.planning.lines import lines_csv, lines_of_file, lines_of_recording, print_lines
 
-    for path in filter(None, (options.figure, options.csv)):
-        check_new_file(path, force=options.force)
+    for file in filter(None, (options.figure, options.csv)):
+        check_new_file(file, force=options.force)
     if options.source.is_dir() or options.source.suffix.lower() == ".toml":
         lists = [lines_of_recording(manifest) for manifest in _manifests(options)]
     else:
@@ -358,7 +358,7 @@ def _manifests(options: argparse.Namespace) -> list[Manifest]:
 def _run_options(parser: Parser) -> None:
     parser.recording()
     text = "folder of the results (default: RECORDING/results)"
-    parser.add_argument("-o", "--output", type=Path, metavar="RESULTS", help=text)
+    parser.add_argument("-o", "--output", type=path, metavar="RESULTS", help=text)
     parser.switch("--force", "compute again and overwrite result files that are there")
     text = "half-width of the subsets (default: from the speckle size in the images, 10 px for speckle of 4 to 5 px)"
     parser.value("--subset-radius", radius, "PX", text)

@@ -6,7 +6,6 @@ Of each command: its options, then what it does, which alone imports heavy modul
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from fusion.commands.options import (
     Parser,
@@ -14,6 +13,7 @@ from fusion.commands.options import (
     command,
     hertz,
     not_negative,
+    path,
     percent,
     positive,
     seed,
@@ -35,7 +35,7 @@ def rotate(options: argparse.Namespace) -> None:
 
 
 def _identify_options(parser: Parser) -> None:
-    parser.value("campaign", Path, "CAMPAIGN", "folder of a campaign or of one recording")
+    parser.value("campaign", path, "CAMPAIGN", "folder of a campaign or of one recording")
     parser.allow_outside()
     text = "default: auto, translation, and pitching where a second peak calls for it"
     parser.choice("--model", ("auto", "translation", "pitching", "adapter"), text)
@@ -94,13 +94,13 @@ def step(options: argparse.Namespace) -> None:
 
 
 def _load_options(parser: Parser) -> None:
-    parser.value("recordings", Path, "RECORDING", "folder of a campaign, or of step recordings", nargs="*")
+    parser.value("recordings", path, "RECORDING", "folder of a campaign, or of step recordings", nargs="*")
     parser.allow_outside()
     text = (
         "in place of recordings: CSV with load_mass_kg, frequency_hz and, if known, u_frequency_hz, second_hz, "
         "u_load_mass_kg"
     )
-    parser.value("--frequencies", Path, "TABLE", text)
+    parser.value("--frequencies", path, "TABLE", text)
     parser.value("--moving-mass", positive, "KG", "of the sensor, with --frequencies")
     parser.value("--moving-mass-uncertainty", not_negative, "KG", "standard uncertainty (0)", default=0.0)
     text = "foretell resonance and bands with these loads, such as a gripper or a hand (kg; of moments kg m^2)"
@@ -135,7 +135,7 @@ def load(options: argparse.Namespace) -> None:
 def _compensate_options(parser: Parser) -> None:
     # what is compensated
     text = "models.json of shakercal step, load.json of shakercal load, or a folder with one"
-    parser.value("models", Path, "MODEL", text, nargs="*")
+    parser.value("models", path, "MODEL", text, nargs="*")
     parser.value("--sensor-frequency", hertz, "HZ", "natural frequency, without a model")
     parser.value("--sensor-damping", not_negative, "ZETA", "damping ratio, without a model")
     parser.value("--channel", str, "NAME", "output channels (default: all)", nargs="+", default=[])
@@ -154,7 +154,7 @@ def _compensate_options(parser: Parser) -> None:
     parser.value("--sample-rate", hertz, "HZ", "of the filter (default: that of the model)")
     text = "matched poles and zeros, or Tustin prewarped at each mode (default: matched)"
     parser.choice("--discretisation", ("matched", "tustin"), text)
-    parser.value("--apply", Path, "RECORDING", "filter the outputs of this recording too")
+    parser.value("--apply", path, "RECORDING", "filter the outputs of this recording too")
     parser.value("--ball", positive, "N_PER_M", "check force feedback against a virtual ball of this stiffness")
     parser.allow_outside()
     parser.results("folder compensate beside the first model, or in the working folder")
@@ -193,7 +193,7 @@ def compensate(options: argparse.Namespace) -> None:
 
 
 def _decouple_options(parser: Parser) -> None:
-    parser.value("campaign", Path, "CAMPAIGN", "folder with recordings of releases of all loads")
+    parser.value("campaign", path, "CAMPAIGN", "folder with recordings of releases of all loads")
     parser.allow_outside()
     parser.value("--frequency", hertz, "HZ", "wanted frequency behind the filter (default: half the lowest mode's)")
     text = "wanted damping ratio, between 0 and 1 (default: 0.6)"
@@ -213,7 +213,7 @@ def decouple(options: argparse.Namespace) -> None:
 
 
 def _elastomer_options(parser: Parser) -> None:
-    parser.value("geometry", Path, "GEOMETRY.toml", "what the element is, or a folder with elastomer.toml")
+    parser.value("geometry", path, "GEOMETRY.toml", "what the element is, or a folder with elastomer.toml")
     text = 'also model it as an elastic solid on meshes that get finer (needs pip install "shakercal[solid]")'
     parser.switch("--solid", text)
     parser.switch("--allow-outside", "accept files outside the folder above that of GEOMETRY.toml")
