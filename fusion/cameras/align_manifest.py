@@ -30,6 +30,7 @@ from fusion.recording.values import (
     Rotation,
     Spread3,
     Text,
+    Version,
     array_of_tables,
     describe,
     refusal,
@@ -192,7 +193,7 @@ class KnownPose(Block):
 class AlignmentFile(Block):
     """alignment.toml: the evidence on where a stereo pair's left camera stands in the sensor frame."""
 
-    format: Literal[1]
+    format: Version
     stereo: Text
     calibration: ExistingFile | None = None
     scale_uncertainty: NotNegative | None = None

@@ -31,6 +31,7 @@ from fusion.recording.values import (
     Share,
     Spread3,
     Text,
+    Version,
     array_of_tables,
     describe,
     refusal,
@@ -272,7 +273,7 @@ class RecordingFile(SetUpFiles):
     `environment`: what of the rig's surroundings was otherwise that day.
     """
 
-    format: Literal[1]
+    format: Version
     name: Text
     rig: Text
     mounting: Text = "1"

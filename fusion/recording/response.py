@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from fusion.recording.values import (
     Number,
     Positive,
     Text,
+    Version,
     array_of_tables,
     describe,
     refusal,
@@ -126,7 +127,7 @@ class Element(Block):
 class Chain(Block):
     """A chain's file: elements one behind the other."""
 
-    format: Literal[1] = 1
+    format: Version = 1
     element: Annotated[tuple[Element, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
 

@@ -46,6 +46,7 @@ from fusion.recording.values import (
     Text,
     Vector3,
     Vector6,
+    Version,
     array_of_tables,
     describe,
     positive,
@@ -520,7 +521,7 @@ class Administration(Block):
 class Rig(Block):
     """rig.toml: what does not change from run to run."""
 
-    format: Literal[1]
+    format: Version
     name: Text
     sensor: Sensor | None = None
     load: Load | None = None

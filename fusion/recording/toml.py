@@ -130,7 +130,7 @@ def _checked(
         whole, start = within or (values, [])
         place, own = [*start, *first["loc"]], first.get("ctx", {}).get("key")
         expected, found = _phrases(model, first)
-        key = key_path(whole, [*place, own] if own else place)
+        key = key_path(whole, [*place, *own.split(".")] if own else place)
         raise InputError(path, key, found, expected, more=len(problems) - 1) from error
 
 

@@ -322,6 +322,13 @@ def inertia_spread(value: Any) -> tuple[tuple[float, ...], ...]:
     return rows
 
 
+def _version(value: Any) -> int:
+    """Check the version of a file's format; `true` is no 1."""
+    if type(value) is not int or value != 1:
+        raise refusal("1, the version of the format", describe(value))
+    return value
+
+
 def texts(value: Any) -> tuple[str, ...]:
     """Check a list of different, non-empty texts."""
     if not isinstance(value, list | tuple) or not all(isinstance(item, str) and item for item in value):
@@ -394,15 +401,14 @@ def refuse_as_file_names(names: Collection[str], key: str) -> None:
     seen: dict[str, str] = {}
     for name in names:
         wrong = re.search(r'[\x00-\x1f\x7f/\\:*?"<>|]', name)
-        where = f"{key}.{describe(name, plain=True)}"
         if not name or wrong or name[-1] in ". " or name[0] in " -" or len(name.encode()) > LONGEST_FILE_NAME:
             expected = f"a name that a file can bear, of at most {LONGEST_FILE_NAME} bytes, since motion-NAME.csv does"
-            raise refusal(expected, f'"{describe(name, plain=True)}"', key=where)
+            raise refusal(expected, f'"{describe(name, plain=True)}"', key=key)
         if name.partition(".")[0].lower() in RESERVED:
-            raise refusal("a name that is no device's on Windows", f'"{name}"', key=where)
+            raise refusal("a name that is no device's on Windows", f'"{name}"', key=key)
         twin = seen.setdefault(unicodedata.normalize("NFKC", name).casefold(), name)
         if twin != name:
-            raise refusal(f'a name that differs from "{twin}" by more than case', f'"{name}"', key=where)
+            raise refusal(f'a name that differs from "{twin}" by more than case', f'"{name}"', key=key)
 
 
 def refuse_repeated(names: Sequence[str], what: str, key: str) -> None:
@@ -444,6 +450,7 @@ HERTZ = within(1e-4, 1e8, "Hz")
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Version = Annotated[Literal[1], BeforeValidator(_version)]
 Text = Annotated[str, Field(min_length=1)]
 Texts = Annotated[tuple[str, ...], BeforeValidator(texts)]
 Exposure = Annotated[float | Literal["pulse", "file"], BeforeValidator(exposure), SECONDS]

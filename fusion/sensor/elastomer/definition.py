@@ -24,6 +24,7 @@ from fusion.recording.values import (
     PathScope,
     Positive,
     Text,
+    Version,
     array_of_tables,
     describe,
     refusal,
@@ -194,7 +195,7 @@ class Mounting(Block):
 class ElementFile(Block):
     """GEOMETRY.toml."""
 
-    format: Literal[1]
+    format: Version
     name: Text
     material: Material
     beams: Beams
