@@ -39,7 +39,6 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
-from fusion.base import TEMPORARY
 from fusion.cameras.align_manifest import AlignmentFile
 from fusion.cli import main as shakercal
 from fusion.recording.manifest import RecordingFile
@@ -321,7 +320,7 @@ def fault(status: int, told: str, folder: Path, before: set[Path]) -> str:
     if max(map(len, told.splitlines() or [""])) > 3000:
         return f"a line of {max(map(len, told.splitlines()))} characters: {told[:200]}"
     new = set(folder.rglob("*")) - before
-    left = [path for path in new if TEMPORARY.fullmatch(path.name) or (status != 0 and path.name != "fresh")]
+    left = [path for path in new if path.name.startswith(".") or status != 0]
     return f"exit {status} left {left[0].relative_to(folder)}: {told[-200:]}" if left else ""
 
 

@@ -289,7 +289,7 @@ def align(options: argparse.Namespace) -> None:
 
 @command(Parser.recording)
 def check(options: argparse.Namespace) -> int:
-    """Say what a recording holds; compute nothing."""
+    """Say what a recording holds and what its command would refuse; no image is followed."""
     from fusion.base import InputError
     from fusion.planning.check import check
     from fusion.recording.load import find_recordings, load_manifest

@@ -428,10 +428,10 @@ def within(low: float, high: float, unit: str, **others: float) -> AfterValidato
         for number in (value,) if isinstance(value, int | float) else value if isinstance(value, tuple) else ():
             size = abs(number)
             if size and not low <= size <= high:
-                usual = [f"{number * one:g} {unit} if meant in {name}" for name, one in others.items()]
+                usual = [f" ({number * one:g} {unit} if meant in {name})" for name, one in others.items()]
                 fits = [told for told, one in zip(usual, others.values(), strict=True) if low <= size * one <= high]
                 least = f"{low:g} to {high:g}" if size < low else f"at most {high:g}"
-                raise refusal(f"{least} {unit}".strip(), f"{number:g}" + f" ({fits[0]})" * bool(fits))
+                raise refusal(f"{least} {unit}".strip(), f"{number:g}{next(iter(fits), '')}")
         return value
 
     return AfterValidator(check)

@@ -185,6 +185,7 @@ UNITS = [
     ("rig.toml", "translation = [0.0, 0.0, 0.30]", "translation = [0.0, 0.0, 300.0]", r"0.3 m if meant in mm"),
     ("rig.toml", "exposure = 40e-6", "exposure = 40", r"stereo.top.exposure: .*0.04 s if meant in ms"),
     ("rig.toml", "temperature = 23.0", "temperature = 296.15", "environment.temperature: expected a number of at most"),
+    ("rig.toml", "mass = 6.9605", "mass = 1e25", r"load.mass: expected at most 100000 kg, found 1e[+]25$"),
     ("rig.toml", "scale_uncertainty = 2e-4", "scale_uncertainty = 2.0", r"at most 1, found 2 \(0.02 .*percent"),
     (
         "recording.toml",
