@@ -133,7 +133,7 @@ def _refused(manifest: Manifest) -> list[str]:
     from fusion.phasors.setup import open_set_ups
     from fusion.sensor.rotate.readings import read_rotation
     from fusion.sensor.step.releases import read_recording
-    from fusion.sensor.transfer.evaluate import read_together
+    from fusion.sensor.transfer.records import read_together
 
     command = KINDS[manifest.excitation.kind].commands[0]
     readers: dict[str, Callable[[Manifest], object]] = {
