@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BeforeValidator, model_validator
 
 from fusion.base import InputError, as_input_error
-from fusion.recording.toml import read_toml, validate
+from fusion.recording.toml import read_text, read_toml, validate
 from fusion.recording.values import (
     ZERO3,
     ZERO6,
@@ -30,7 +30,9 @@ from fusion.recording.values import (
     Rotation,
     Spread3,
     Text,
+    Version,
     array_of_tables,
+    describe,
     refusal,
     repeated_name,
     vector,
@@ -56,13 +58,15 @@ from shaker.arrays import FloatArray
 def _size(value: Any) -> tuple[int, int]:
     """Check columns and rows of a target."""
     whole = isinstance(value, list | tuple) and len(value) == 2 and all(type(item) is int for item in value)
-    if not whole or min(value) < 2:
-        raise refusal("2 whole numbers of at least 2, columns and rows", f"{value}"[:60])
+    if not whole or min(value) < 2 or max(value) > MOST_OF_TARGET:
+        raise refusal(f"2 whole numbers of 2 to {MOST_OF_TARGET}, columns and rows", f"{value}"[:60])
     return value[0], value[1]
 
 
 PIXEL_COLUMNS = ("left_x", "left_y", "right_x", "right_y")
 FEWEST_FACE_POINTS = 3
+LARGEST_TABLE = 50_000_000  # bytes
+MOST_OF_TARGET = 1000  # rows or columns
 Pixel = Annotated[tuple[float, float], BeforeValidator(vector(2))]
 Blocks = BeforeValidator(array_of_tables)
 
@@ -189,7 +193,7 @@ class KnownPose(Block):
 class AlignmentFile(Block):
     """alignment.toml: the evidence on where a stereo pair's left camera stands in the sensor frame."""
 
-    format: Literal[1]
+    format: Version
     stereo: Text
     calibration: ExistingFile | None = None
     scale_uncertainty: NotNegative | None = None
@@ -235,7 +239,8 @@ class AlignmentFile(Block):
 def read_alignment(path: Path, allow_outside: bool = False) -> AlignmentFile:
     """Read and check alignment.toml; its paths start in its folder and stay there."""
     folder = path.parent.resolve()
-    return validate(AlignmentFile, read_toml(path), path, Context(PathScope(folder, folder, allow_outside), {}))
+    scope = PathScope(folder, folder, allow_outside, "of this file")
+    return validate(AlignmentFile, read_toml(path), path, Context(scope, {}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,19 +333,20 @@ def _face(path: Path, face: Face, pair: Pair, datum: StatedFrame) -> KnownFace:
 
 def _pixel_table(file: Path) -> FloatArray:
     """Return the pixels (N, 4) of a table with the columns left_x, left_y, right_x, right_y."""
+    reader = csv.DictReader(read_text(file, LARGEST_TABLE, "a table of pixels").splitlines())
     try:
-        with file.open(encoding="utf-8-sig", newline="") as stream:
-            reader = csv.DictReader(stream)
-            missing = [name for name in PIXEL_COLUMNS if name not in (reader.fieldnames or ())]
-            if missing:
-                found = ", ".join(reader.fieldnames or ()) or "nothing"
-                raise InputError(file, "", found, f"the columns {', '.join(PIXEL_COLUMNS)}")
-            rows = [[float(row[name]) for name in PIXEL_COLUMNS] for row in reader]
-    except OSError as error:
-        raise InputError(file, "", error.strerror or str(error), "a file that can be read") from error
-    except (TypeError, ValueError) as error:
-        raise InputError(file, "", str(error), "a number in each column") from error
-    return np.array(rows).reshape(-1, len(PIXEL_COLUMNS))
+        missing = [name for name in PIXEL_COLUMNS if name not in (reader.fieldnames or ())]
+        if missing:
+            found = describe(", ".join(reader.fieldnames or ()), plain=True) or "nothing"
+            raise InputError(file, "", found, f"the columns {', '.join(PIXEL_COLUMNS)}")
+        rows = [[float(row[name]) for name in PIXEL_COLUMNS] for row in reader]
+    except (TypeError, ValueError, csv.Error) as error:
+        raise InputError(file, "", describe(str(error), plain=True), "a number in each column") from error
+    pixels = np.array(rows).reshape(-1, len(PIXEL_COLUMNS))
+    if not np.isfinite(pixels).all():
+        line = int(np.flatnonzero(~np.isfinite(pixels).all(axis=1))[0]) + 2
+        raise InputError(file, f"line {line}", "one that is none", "finite numbers")
+    return pixels
 
 
 def _seen(

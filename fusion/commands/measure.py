@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import logging
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fusion.base import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS
@@ -18,12 +17,15 @@ from fusion.commands.options import (
     band,
     command,
     count,
-    count_or_none,
     draws,
+    hertz,
     not_negative,
+    path,
     positive,
     radius,
+    seed,
     size,
+    whole,
 )
 
 if TYPE_CHECKING:
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("shakercal")
 DECIMALS = 6  # of frequencies within a range, in Hz
+MOST_FRAMES = 1_000_000
+MOST_LINES = 1000  # excitations of a plan
 
 
 def _plan_options(parser: Parser) -> None:
@@ -39,14 +43,14 @@ def _plan_options(parser: Parser) -> None:
         "ratios), with commas between them"
     )
     parser.value("--frequencies", frequencies, "LIST", text, required=True)
-    parser.add_argument("--frames", type=count, required=True, help="frames per point")
+    parser.add_argument("--frames", type=whole(4, MOST_FRAMES), required=True, help="frames per point")
     rate = parser.add_mutually_exclusive_group(required=True)
-    rate.add_argument("--max-rate", type=positive, metavar="HZ", help="fastest camera rate to look for")
-    rate.add_argument("--rate", type=positive, metavar="HZ", help="explain what this camera rate does instead")
-    parser.value("--min-rate", positive, "HZ", "slowest camera rate (default: half the fastest)")
-    parser.value("--rate-step", positive, "HZ", "steps of rates (default: 0.001)", default=1e-3)
+    rate.add_argument("--max-rate", type=hertz, metavar="HZ", help="fastest camera rate to look for")
+    rate.add_argument("--rate", type=hertz, metavar="HZ", help="explain what this camera rate does instead")
+    parser.value("--min-rate", hertz, "HZ", "slowest camera rate (default: half the fastest)")
+    parser.value("--rate-step", hertz, "HZ", "steps of rates (default: 0.001)", default=1e-3)
     parser.value("--exposure", not_negative, "S", "exposure time (default: 0)", default=0.0)
-    parser.value("--harmonics", count, "N", "fitted, 1: fundamental (default: 5)", default=5)
+    parser.value("--harmonics", whole(1, 100), "N", "fitted, 1: fundamental (default: 5)", default=5)
     parser.switch("--together", "all excitations at the same time")
     parser.value("--corner", not_negative, "HZ", "1/f noise is white noise there (default: 5)", default=5.0)
     text = "relative accuracy of excitation and camera rate (default: 0.0001)"
@@ -61,7 +65,11 @@ def _plan_options(parser: Parser) -> None:
 
 def frequencies(text: str) -> tuple[float, ...]:
     """Return the frequencies of a text such as 53.7,106.25 or 53.7:1020.3:12, in the order given."""
-    found = [value for item in text.split(",") for value in _range(item.strip())]
+    found: list[float] = []
+    for item in text.split(","):
+        found += _range(item.strip())
+        if len(found) > MOST_LINES:
+            raise argparse.ArgumentTypeError(f"expected at most {MOST_LINES} frequencies, found {len(found)} or more")
     repeated = next((value for i, value in enumerate(found) if value in found[:i]), None)
     if repeated is not None:
         raise argparse.ArgumentTypeError(f"expected every frequency once, found {repeated:g} Hz twice")
@@ -70,20 +78,21 @@ def frequencies(text: str) -> tuple[float, ...]:
 
 def _range(text: str) -> list[float]:
     """Return the frequencies of one number or range."""
-    wrong = argparse.ArgumentTypeError(
-        f"expected frequencies such as 106.25 or 53.7:1020.3:12, found {text or 'nothing'}"
-    )
+    shown = (text if text.isprintable() else ascii(text))[:60] or "nothing"
+    wrong = argparse.ArgumentTypeError(f"expected frequencies such as 106.25 or 53.7:1020.3:12, found {shown}")
     parts = text.split(":")
     logarithmic = len(parts) == 4 and parts[3] == "log"
     if len(parts) not in (1, 3) and not logarithmic:
         raise wrong
     try:
-        first, last = positive(parts[0]), positive(parts[1] if len(parts) > 1 else parts[0])
+        first, last = hertz(parts[0]), hertz(parts[1] if len(parts) > 1 else parts[0])
         number = int(parts[2]) if len(parts) > 1 else 1
     except (ValueError, argparse.ArgumentTypeError):
         raise wrong from None
     if number < 1 or (number == 1) != (first == last):
-        raise argparse.ArgumentTypeError(f"expected a count of at least 2 between two frequencies, found {text}")
+        raise argparse.ArgumentTypeError(f"expected a count of at least 2 between two frequencies, found {shown}")
+    if number > MOST_LINES:
+        raise argparse.ArgumentTypeError(f"expected a count of at most {MOST_LINES}, found {shown}")
     shares = [i / max(number - 1, 1) for i in range(number)]
     if logarithmic:
         return [round(first * (last / first) ** share, DECIMALS) for share in shares]
@@ -98,8 +107,8 @@ def plan(options: argparse.Namespace) -> None:
     from fusion.report.files import write_whole
     from shaker.lines.rate_planner import Sampling
 
-    for path in filter(None, (options.figure, options.csv)):
-        check_new_file(path, force=options.force)
+    for file in filter(None, (options.figure, options.csv)):
+        check_new_file(file, force=options.force)
     if options.rate is not None and options.min_rate is not None:
         raise InputError("--min-rate", "", found="--rate", expected="--max-rate beside it")
     limits_hz = options.min_rate or (options.max_rate or 0.0) / 2.0, options.max_rate
@@ -127,7 +136,7 @@ def plan(options: argparse.Namespace) -> None:
 def _simulate_options(parser: Parser) -> None:
     from fusion.simulate import PRESETS
 
-    parser.value("out", Path, "OUT", "campaign folder to create")
+    parser.value("out", path, "OUT", "campaign folder to create")
     text = (
         "which rig (default: demo); sweep, matrix: campaigns for a curve over frequency and for the 6x6; targets: a "
         "camera calibration; chirp: a recording for shakercal transfer; masses, pitching: campaigns of two loads for "
@@ -135,7 +144,7 @@ def _simulate_options(parser: Parser) -> None:
         "shakercal load; elastomer: a geometry for shakercal elastomer"
     )
     parser.choice("--preset", PRESETS, text)
-    parser.add_argument("--seed", type=count_or_none, default=1, help="seed of every random draw (default: 1)")
+    parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
     text = (
         "break one assumption of the program in demo, nitsche2018, sweep or matrix, may be repeated; "
         "docs/assumptions.md lists the names, units and default sizes"
@@ -184,7 +193,7 @@ def _cameras_options(parser: Parser) -> None:
     text = "a length measured otherwise: two points column,row of the target or two pictures, m, standard uncertainty"
     parser.add_argument("--known-length", nargs=4, metavar=("FROM", "TO", "M", "U"), help=text)
     parser.add_argument(
-        "-o", "--output", required=True, type=Path, metavar="CALIBRATION", help="file NAME.json to write"
+        "-o", "--output", required=True, type=path, metavar="CALIBRATION", help="file NAME.json to write"
     )
     parser.switch("--force", "replace a calibration that is there")
 
@@ -215,9 +224,9 @@ def cameras(options: argparse.Namespace) -> None:
 
 
 def _import_calibration_options(parser: Parser) -> None:
-    parser.value("calibration", Path, "FILE", "the other program's file")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="JSON", help="calibration file to write")
-    parser.value("--extrinsics", Path, "FILE", "second file: OpenCV's R and T where apart, ROS's right camera")
+    parser.value("calibration", path, "FILE", "the other program's file")
+    parser.add_argument("-o", "--output", type=path, required=True, metavar="JSON", help="calibration file to write")
+    parser.value("--extrinsics", path, "FILE", "second file: OpenCV's R and T where apart, ROS's right camera")
     parser.value("--image-size", size, "2448x2048", "width x height, if the file has none")
     text = "of the file's lengths, where it does not say it"
     parser.add_argument("--length-unit", choices=("m", "mm"), help=text)
@@ -237,9 +246,9 @@ def import_calibration(options: argparse.Namespace) -> None:
 
 
 def _export_calibration_options(parser: Parser) -> None:
-    parser.value("calibration", Path, "CALIBRATION", "file NAME.json of this program")
+    parser.value("calibration", path, "CALIBRATION", "file NAME.json of this program")
     text = "file to write: .yml for OpenCV, .xml for VIC-3D, .json for MATLAB"
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help=text)
+    parser.add_argument("-o", "--output", type=path, required=True, metavar="FILE", help=text)
     parser.switch("--force", "overwrite a file that is there")
 
 
@@ -253,8 +262,8 @@ def export_calibration(options: argparse.Namespace) -> None:
 
 
 def _align_options(parser: Parser) -> None:
-    parser.value("alignment", Path, "ALIGNMENT.toml", "file that names the evidence")
-    parser.add_argument("-o", "--output", type=Path, metavar="POSE.toml", help="file for the block of rig.toml")
+    parser.value("alignment", path, "ALIGNMENT.toml", "file that names the evidence")
+    parser.add_argument("-o", "--output", type=path, metavar="POSE.toml", help="file for the block of rig.toml")
     parser.switch("--force", "overwrite the output that is there")
     parser.allow_outside("ALIGNMENT.toml")
     parser.device("where subsets are tracked")
@@ -281,7 +290,7 @@ def align(options: argparse.Namespace) -> None:
 
 @command(Parser.recording)
 def check(options: argparse.Namespace) -> int:
-    """Say what a recording holds; compute nothing."""
+    """Say what a recording holds and what its command would refuse; no image is followed."""
     from fusion.base import InputError
     from fusion.planning.check import check
     from fusion.recording.load import find_recordings, load_manifest
@@ -301,10 +310,10 @@ def check(options: argparse.Namespace) -> int:
 
 def _lines_options(parser: Parser) -> None:
     text = "DAQ file, a recording (its folder or recording.toml), or a campaign of several"
-    parser.value("source", Path, "SOURCE", text)
+    parser.value("source", path, "SOURCE", text)
     text = "channel of the file, may be repeated (default: all)"
     parser.add_argument("--channel", action="append", metavar="NAME", help=text)
-    parser.value("--sample-rate", positive, "HZ", "of a file that states none")
+    parser.value("--sample-rate", hertz, "HZ", "of a file that states none")
     parser.value("--band", band, "LOW:HIGH", "list lines of the file between these, in Hz")
     parser.figure_and_table("draw spectrum and floor", "write the list as a table")
     parser.allow_outside()
@@ -317,8 +326,8 @@ def lines(options: argparse.Namespace) -> None:
     from fusion.planning.lines import lines_csv, lines_of_file, lines_of_recording, print_lines
     from fusion.report.files import write_whole
 
-    for path in filter(None, (options.figure, options.csv)):
-        check_new_file(path, force=options.force)
+    for file in filter(None, (options.figure, options.csv)):
+        check_new_file(file, force=options.force)
     if options.source.is_dir() or options.source.suffix.lower() == ".toml":
         lists = [lines_of_recording(manifest) for manifest in _manifests(options)]
     else:
@@ -351,7 +360,7 @@ def _manifests(options: argparse.Namespace) -> list[Manifest]:
 def _run_options(parser: Parser) -> None:
     parser.recording()
     text = "folder of the results (default: RECORDING/results)"
-    parser.add_argument("-o", "--output", type=Path, metavar="RESULTS", help=text)
+    parser.add_argument("-o", "--output", type=path, metavar="RESULTS", help=text)
     parser.switch("--force", "compute again and overwrite result files that are there")
     text = "half-width of the subsets (default: from the speckle size in the images, 10 px for speckle of 4 to 5 px)"
     parser.value("--subset-radius", radius, "PX", text)
@@ -361,7 +370,7 @@ def _run_options(parser: Parser) -> None:
         f"({FEWEST_DRAWS} to {MOST_DRAWS}; 100000 are good for two digits of U; default: none)"
     )
     parser.value("--monte-carlo", draws, "N", text, default=0)
-    parser.value("--seed", count_or_none, "S", f"of these draws (default: {DEFAULT_SEED})", default=DEFAULT_SEED)
+    parser.value("--seed", seed, "S", f"of these draws (default: {DEFAULT_SEED})", default=DEFAULT_SEED)
     parser.switch("--save-points", "write every point of every frame too, as a table and for ParaView (.pvd)")
     where = parser.add_mutually_exclusive_group()
     text = "processes that share the work on this machine (default: 1); results are the same to the last digit"
@@ -412,7 +421,7 @@ def _transfer_options(parser: Parser) -> None:
     )
     parser.choice("--estimator", ("auto", "periodic", "local", "H1", "H2", "Hv"), text)
     text = "line spacing where no period is stated (default: 16 segments side by side; of blows: 1 Hz)"
-    parser.value("--resolution", positive, "HZ", text)
+    parser.value("--resolution", hertz, "HZ", text)
     text = "turn every motion into this quantity (default: as it was measured)"
     parser.add_argument("--quantity", choices=("displacement", "velocity", "acceleration"), help=text)
     parser.results("RECORDING/transfer")

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from fusion.base import FEWEST_DRAWS, MOST_DRAWS
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_CLOSED = 0, 1, 2, 130, 141
+LONGEST, LONGEST_MESSAGE = 4096, 500  # characters of a path, and of what is said of arguments
+MOST_OF_SIZE = 100_000  # columns or rows, of targets and pictures
 Value = TypeVar("Value", int, float)
 
 
 class Parser(argparse.ArgumentParser):
     """A parser with short words for what most commands have."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong with the arguments, control characters by their number, and end."""
+        shown = "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in message)
+        super().error(shown if len(shown) <= LONGEST_MESSAGE else f"{shown[:LONGEST_MESSAGE]}…")
 
     def value(self, flag: str, kind: Callable[[str], Any], metavar: Any, text: str, **more: Any) -> None:
         """Add an option or argument with a value, its type `kind`."""
@@ -33,13 +39,13 @@ class Parser(argparse.ArgumentParser):
 
     def recording(self) -> None:
         """Add the recording or campaign a command works on."""
-        self.value("recording", Path, "RECORDING", "folder of a recording or of a campaign")
+        self.value("recording", path, "RECORDING", "folder of a recording or of a campaign")
         self.allow_outside()
 
     def recordings(self) -> None:
         """Add the recordings that a command evaluates together."""
         text = "folder of a campaign, or of recordings of one rig"
-        self.value("recordings", Path, "RECORDING", text, nargs="+")
+        self.value("recordings", path, "RECORDING", text, nargs="+")
         self.allow_outside()
 
     def allow_outside(self, file: str = "rig.toml") -> None:
@@ -48,13 +54,13 @@ class Parser(argparse.ArgumentParser):
 
     def results(self, default: str) -> None:
         """Add where a command writes its results, and the leave to overwrite; `default`: where without the option."""
-        self.add_argument("-o", "--output", type=Path, metavar="RESULTS", help=f"result folder (default: {default})")
+        self.add_argument("-o", "--output", type=path, metavar="RESULTS", help=f"result folder (default: {default})")
         self.switch("--force", "overwrite result files that are there")
 
     def figure_and_table(self, figure_text: str, table_text: str) -> None:
         """Add files that a command writes beside its lines."""
         self.value("--figure", figure, "FILE", f"{figure_text} (.png, .svg, .pdf)")
-        self.value("--csv", Path, "FILE", table_text)
+        self.value("--csv", path, "FILE", table_text)
         self.switch("--force", "overwrite files that are there")
 
     def device(self, text: str) -> None:
@@ -92,16 +98,30 @@ def _number(convert: Callable[[str], Value], accepts: Callable[[Value], bool], e
                 return value
         except ValueError:
             pass
-        raise argparse.ArgumentTypeError(f"expected {expected}, found {text}")
+        shown = text if len(text) <= 60 and text.isprintable() else ascii(text)[:60]
+        raise argparse.ArgumentTypeError(f"expected {expected}, found {shown}")
 
     return check
 
 
-positive = _number(float, lambda value: 0 < value < math.inf, "a number above 0")
-not_negative = _number(float, lambda value: 0 <= value < math.inf, "a number of at least 0")
+SMALLEST, LARGEST = 1e-30, 1e30
+"""Sizes of numbers that are not 0: those of a manifest (`fusion.recording.values`), which is not imported here."""
+positive = _number(float, lambda value: SMALLEST <= value <= LARGEST, f"a number above 0, at most {LARGEST:g}")
+not_negative = _number(
+    float, lambda value: value == 0 or SMALLEST <= value <= LARGEST, f"a number of at least 0, at most {LARGEST:g}"
+)
+hertz = _number(float, lambda value: 1e-6 <= value <= 1e8, "a frequency in Hz above 0, at most 1e8")
 between_0_and_1 = _number(float, lambda value: 0 < value < 1, "a number between 0 and 1")
-count = _number(int, lambda value: value >= 1, "a whole number of at least 1")
-count_or_none = _number(int, lambda value: value >= 0, "a whole number of at least 0")
+
+
+def whole(least: int, most: int) -> Callable[[str], int]:
+    """Return the type of a whole number between two, both included."""
+    return _number(int, lambda value: least <= value <= most, f"a whole number from {least} to {most}")
+
+
+count = whole(1, 1000)
+count_or_none = whole(0, 1000)
+seed = whole(0, 2**63 - 1)
 radius = _number(int, lambda value: 4 <= value <= 100, "4 to 100 pixels")
 draws = _number(int, lambda value: FEWEST_DRAWS <= value <= MOST_DRAWS, f"{FEWEST_DRAWS} to {MOST_DRAWS} draws")
 
@@ -114,11 +134,28 @@ def percent(text: str) -> float:
     return value / 100.0
 
 
+def path(text: str) -> Path:
+    """Return a path that a system can follow."""
+    shown = ascii(text)[1:-1][:60]
+    if not text.strip() or not text.isprintable() or len(text) > LONGEST:
+        raise argparse.ArgumentTypeError(f"expected a path, found {shown or 'nothing'}")
+    try:
+        place = Path(text).resolve()
+        if place.exists() and not (place.is_file() or place.is_dir()):
+            raise argparse.ArgumentTypeError(f"expected a file or folder, found a device or pipe at {shown}")
+    except (OSError, RuntimeError) as error:  # links in a circle are the latter before Python 3.13
+        told = error.strerror if isinstance(error, OSError) else "links that lead in a circle"
+        raise argparse.ArgumentTypeError(f"expected a path, found {shown}: {told}") from error
+    return Path(text)
+
+
 def size(text: str) -> tuple[int, int]:
     """Return columns and rows of a text such as 9x6."""
     columns, cross, rows = text.lower().partition("x")
-    if not (cross and columns.isdigit() and rows.isdigit()):
-        raise argparse.ArgumentTypeError(f"expected columns x rows such as 9x6, found {text}")
+    if not (cross and columns.isdecimal() and rows.isdecimal()):
+        raise argparse.ArgumentTypeError(f"expected columns x rows such as 9x6, found {ascii(text)[:60]}")
+    if not all(len(part) <= 6 and 1 <= int(part) <= MOST_OF_SIZE for part in (columns, rows)):
+        raise argparse.ArgumentTypeError(f"expected columns and rows from 1 to {MOST_OF_SIZE}, found {text[:40]}")
     return int(columns), int(rows)
 
 
@@ -126,7 +163,7 @@ def band(text: str) -> tuple[float, float]:
     """Return the two frequencies of a text such as 10:2000."""
     low, colon, high = text.partition(":")
     if not colon:
-        raise argparse.ArgumentTypeError(f"expected two frequencies such as 10:2000, found {text}")
+        raise argparse.ArgumentTypeError(f"expected two frequencies such as 10:2000, found {ascii(text)[:60]}")
     limits = not_negative(low), positive(high)
     if limits[0] >= limits[1]:
         raise argparse.ArgumentTypeError(f"expected the lower frequency first, found {text}")
@@ -135,10 +172,10 @@ def band(text: str) -> tuple[float, float]:
 
 def figure(text: str) -> Path:
     """Return the path of a figure of a known format."""
-    path = Path(text)
-    if path.suffix.lower() not in FIGURE_SUFFIXES:
+    file = path(text)
+    if file.suffix.lower() not in FIGURE_SUFFIXES:
         raise argparse.ArgumentTypeError(f"expected a name that ends in {', '.join(FIGURE_SUFFIXES)}, found {text}")
-    return path
+    return file
 
 
 def device(choice: str) -> str:

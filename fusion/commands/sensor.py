@@ -6,17 +6,18 @@ Of each command: its options, then what it does, which alone imports heavy modul
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from fusion.commands.options import (
     Parser,
     between_0_and_1,
     command,
-    count,
-    count_or_none,
+    hertz,
     not_negative,
+    path,
     percent,
     positive,
+    seed,
+    whole,
 )
 
 
@@ -34,7 +35,7 @@ def rotate(options: argparse.Namespace) -> None:
 
 
 def _identify_options(parser: Parser) -> None:
-    parser.value("campaign", Path, "CAMPAIGN", "folder of a campaign or of one recording")
+    parser.value("campaign", path, "CAMPAIGN", "folder of a campaign or of one recording")
     parser.allow_outside()
     text = "default: auto, translation, and pitching where a second peak calls for it"
     parser.choice("--model", ("auto", "translation", "pitching", "adapter"), text)
@@ -75,8 +76,8 @@ def _step_options(parser: Parser) -> None:
     parser.recordings()
     text = "start of the fit: matrix pencil (default) or instrumental-variable ARX; all: compare every method"
     parser.choice("--method", ("pencil", "arx", "all"), text)
-    parser.value("--modes", count, "N", "oscillating modes of a model (default: by rule)")
-    parser.value("--real-poles", count_or_none, "N", "real poles of a model (default: by rule)")
+    parser.value("--modes", whole(1, 20), "N", "oscillating modes of a model (default: by rule)")
+    parser.value("--real-poles", whole(0, 20), "N", "real poles of a model (default: by rule)")
     text = "how the load changes (default: auto, the force channel where one is named, else by rule)"
     parser.choice("--release", ("auto", "step", "ramp", "smooth", "measured"), text)
     parser.results("folder step in the campaign or in the only recording, else beside rig.toml")
@@ -93,19 +94,19 @@ def step(options: argparse.Namespace) -> None:
 
 
 def _load_options(parser: Parser) -> None:
-    parser.value("recordings", Path, "RECORDING", "folder of a campaign, or of step recordings", nargs="*")
+    parser.value("recordings", path, "RECORDING", "folder of a campaign, or of step recordings", nargs="*")
     parser.allow_outside()
     text = (
         "in place of recordings: CSV with load_mass_kg, frequency_hz and, if known, u_frequency_hz, second_hz, "
         "u_load_mass_kg"
     )
-    parser.value("--frequencies", Path, "TABLE", text)
+    parser.value("--frequencies", path, "TABLE", text)
     parser.value("--moving-mass", positive, "KG", "of the sensor, with --frequencies")
     parser.value("--moving-mass-uncertainty", not_negative, "KG", "standard uncertainty (0)", default=0.0)
     text = "foretell resonance and bands with these loads, such as a gripper or a hand (kg; of moments kg m^2)"
     parser.value("--load-mass", positive, "KG", text, nargs="+", default=[])
     parser.value("--permitted", percent, "PERCENT", "error up to which loads are permitted (5)", default=0.05)
-    parser.value("--wanted", positive, "HZ", "largest load for these resonances", nargs="+", default=[])
+    parser.value("--wanted", hertz, "HZ", "largest load for these resonances", nargs="+", default=[])
     parser.results("folder load in the campaign, in the only recording, or beside rig.toml or TABLE")
     parser.set_defaults(refuse=parser.error)
 
@@ -134,26 +135,26 @@ def load(options: argparse.Namespace) -> None:
 def _compensate_options(parser: Parser) -> None:
     # what is compensated
     text = "models.json of shakercal step, load.json of shakercal load, or a folder with one"
-    parser.value("models", Path, "MODEL", text, nargs="*")
-    parser.value("--sensor-frequency", positive, "HZ", "natural frequency, without a model")
+    parser.value("models", path, "MODEL", text, nargs="*")
+    parser.value("--sensor-frequency", hertz, "HZ", "natural frequency, without a model")
     parser.value("--sensor-damping", not_negative, "ZETA", "damping ratio, without a model")
     parser.value("--channel", str, "NAME", "output channels (default: all)", nargs="+", default=[])
     parser.value("--load-mass", not_negative, "KG", "loads of a model over the load, kg", nargs="+", default=[])
-    parser.value("--modes", count, "N", "modes to compensate (default: 1)", default=1)
+    parser.value("--modes", whole(1, 20), "N", "modes to compensate (default: 1)", default=1)
     # what is wanted
-    parser.value("--frequency", positive, "HZ", "natural frequency of the target")
+    parser.value("--frequency", hertz, "HZ", "natural frequency of the target")
     text = "damping ratio of the target (default: the one with the widest band for the permitted error)"
     parser.value("--damping", positive, "ZETA", text)
-    parser.value("--bandwidth", positive, "HZ", "instead of both: up to where the gain shall be right")
+    parser.value("--bandwidth", hertz, "HZ", "instead of both: up to where the gain shall be right")
     parser.value("--permitted-error", positive, "PERCENT", "of the gain (default: 10)", default=10.0)
-    parser.value("--real-pole", positive, "HZ", "move the slowest real pole here")
-    parser.value("--low-pass", positive, "HZ", "corner of a Butterworth low-pass in the filter: less noise")
+    parser.value("--real-pole", hertz, "HZ", "move the slowest real pole here")
+    parser.value("--low-pass", hertz, "HZ", "corner of a Butterworth low-pass in the filter: less noise")
     parser.switch("--calibrated", "divide by the static gain too: the filter puts out the load")
     # how it is sampled, and what is filtered
-    parser.value("--sample-rate", positive, "HZ", "of the filter (default: that of the model)")
+    parser.value("--sample-rate", hertz, "HZ", "of the filter (default: that of the model)")
     text = "matched poles and zeros, or Tustin prewarped at each mode (default: matched)"
     parser.choice("--discretisation", ("matched", "tustin"), text)
-    parser.value("--apply", Path, "RECORDING", "filter the outputs of this recording too")
+    parser.value("--apply", path, "RECORDING", "filter the outputs of this recording too")
     parser.value("--ball", positive, "N_PER_M", "check force feedback against a virtual ball of this stiffness")
     parser.allow_outside()
     parser.results("folder compensate beside the first model, or in the working folder")
@@ -192,12 +193,12 @@ def compensate(options: argparse.Namespace) -> None:
 
 
 def _decouple_options(parser: Parser) -> None:
-    parser.value("campaign", Path, "CAMPAIGN", "folder with recordings of releases of all loads")
+    parser.value("campaign", path, "CAMPAIGN", "folder with recordings of releases of all loads")
     parser.allow_outside()
-    parser.value("--frequency", positive, "HZ", "wanted frequency behind the filter (default: half the lowest mode's)")
+    parser.value("--frequency", hertz, "HZ", "wanted frequency behind the filter (default: half the lowest mode's)")
     text = "wanted damping ratio, between 0 and 1 (default: 0.6)"
     parser.value("--damping", between_0_and_1, "Z", text, default=0.6)
-    parser.value("--seed", count_or_none, "N", "of the models drawn for U (default: 1)", default=1)
+    parser.value("--seed", seed, "N", "of the models drawn for U (default: 1)", default=1)
     parser.results("folder decouple in the campaign")
 
 
@@ -212,9 +213,10 @@ def decouple(options: argparse.Namespace) -> None:
 
 
 def _elastomer_options(parser: Parser) -> None:
-    parser.value("geometry", Path, "GEOMETRY.toml", "what the element is, or a folder with elastomer.toml")
+    parser.value("geometry", path, "GEOMETRY.toml", "what the element is, or a folder with elastomer.toml")
     text = 'also model it as an elastic solid on meshes that get finer (needs pip install "shakercal[solid]")'
     parser.switch("--solid", text)
+    parser.switch("--allow-outside", "accept files outside the folder above that of GEOMETRY.toml")
     parser.results("folder elastomer beside the file")
 
 
@@ -225,7 +227,14 @@ def elastomer(options: argparse.Namespace) -> None:
     from fusion.sensor.elastomer.report import run_elastomer
 
     with progress_bar(enabled=not options.quiet) as progress:
-        run_elastomer(options.geometry, options.output, solid=options.solid, force=options.force, progress=progress)
+        run_elastomer(
+            options.geometry,
+            options.output,
+            solid=options.solid,
+            force=options.force,
+            allow_outside=options.allow_outside,
+            progress=progress,
+        )
 
 
 def _certificate_options(parser: Parser) -> None:

@@ -197,7 +197,11 @@ def _stretch(base: TimeBase, name: str, lines: Lines) -> dict[str, tuple[float, 
 def lines_in(manifest: Manifest, chosen: LineRecord) -> Lines:
     """Find the lines that the manifest states, their harmonics and all else in the channels chosen for it."""
     record, together, time_s, values = chosen.record, chosen.channels, chosen.time_s, chosen.values
-    harmonics = manifest.excitation.harmonics
+    harmonics, half_rate = manifest.excitation.harmonics, record.raw[together[0].name].sample_rate_hz / 2.0
+    beyond = [f for f in manifest.excitation.frequencies or () if f >= half_rate]
+    if beyond:
+        expected = f"frequencies in Hz below {half_rate:g} Hz, half the rate of the fastest channel {together[0].name}"
+        raise InputError(manifest.path, "excitation.frequencies", found=f"{beyond[0]:g} Hz", expected=expected)
     try:
         if manifest.excitation.frequencies is not None:
             return find_lines(time_s, values, manifest.excitation.frequencies, harmonics)

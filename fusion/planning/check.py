@@ -1,14 +1,14 @@
-"""What a recording holds, what its instruments can observe, what is missing: read, never computed."""
+"""What a recording holds, what its instruments can observe, what is missing, what its command would refuse."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from fusion.base import InputError, rounded
+from fusion.base import ComputeError, InputError, rounded
 from fusion.instruments.stereo import GEOMETRY
 from fusion.instruments.transducer import TRANSDUCERS, main_direction, placed_at
 from fusion.instruments.vibrometer import beam_notices
@@ -93,7 +93,7 @@ def observable(rows: FloatArray) -> BoolArray:
 
 
 def check(manifest: Manifest) -> CheckReport:
-    """Look at what a manifest names, without tracking or fitting anything.
+    """Read what a manifest names as the command that evaluates it does, up to where images would be followed.
 
     >>> from fusion import check, load_manifest
     >>> print(check(load_manifest("sample_images/demo/Fz-0080")))  # doctest: +ELLIPSIS
@@ -106,6 +106,7 @@ def check(manifest: Manifest) -> CheckReport:
     remarks = [*kind.command_remark, *(f"{notice.where}: {notice.text}" for notice in manifest.expired)]
     if kind.tabled and excitation.file is not None:
         contents, problems = _table(manifest, excitation.file)
+        problems += _refused(manifest) if not problems else []
         return CheckReport(manifest.name, manifest.path, tuple(contents), (), tuple(remarks), tuple(problems))
     takes = [take for _, block in manifest.set_ups for take in _takes(block)]
     contents, problems = _contents(manifest, takes)
@@ -123,7 +124,32 @@ def check(manifest: Manifest) -> CheckReport:
         outputs = tuple(entry.channel for entry in entries if entry.quantity == "output")
         forces = tuple(entry.name for entry in entries if entry.quantity == "force")
         remarks += kind.remarks(excitation, Recorded(outputs, forces, len(takes)))
+    problems += _refused(manifest) if not problems else []
     return CheckReport(manifest.name, manifest.path, tuple(contents), tuple(observed), tuple(remarks), tuple(problems))
+
+
+def _refused(manifest: Manifest) -> list[str]:
+    """What the command that evaluates a recording refuses of its files; an image beyond the first is not looked at."""
+    from fusion.phasors.setup import open_set_ups
+    from fusion.sensor.rotate.readings import read_rotation
+    from fusion.sensor.step.releases import read_recording
+    from fusion.sensor.transfer.records import read_together
+
+    command = KINDS[manifest.excitation.kind].commands[0]
+    readers: dict[str, Callable[[Manifest], object]] = {
+        "run": open_set_ups,
+        "transfer": read_together,
+        "step": read_recording,
+        "rotate": read_rotation,
+    }
+    try:
+        manifest.check_command(command)
+        readers[command](manifest)
+    except InputError as error:
+        return [str(error)]
+    except ComputeError:  # the files are as they should be
+        return []
+    return []
 
 
 def _table(manifest: Manifest, path: Path) -> tuple[list[str], list[str]]:

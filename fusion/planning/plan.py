@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 PER_NOISE = "noise per frame"
+MOST_LINES, MOST_LINES_OF_ALL = 200, 2000  # fitted at one point, and at all of them
+MOST_ENTRIES = 2_000_000  # lines times frames of a point
 SHOWN = 3  # frequencies and aliased harmonics that are written out; of more there is a count
 
 
@@ -116,6 +118,7 @@ def make_plan(request: Request) -> Plan:
     True
     """
     sampling = request.sampling
+    _check_size(request)
     groups = [request.frequency_hz] if request.together else [(f,) for f in request.frequency_hz]
     points = [lines_of(group, sampling.harmonics) for group in groups]
     _check(request, points)
@@ -136,6 +139,20 @@ def make_plan(request: Request) -> Plan:
         for rate, served in fewest_rates(scans)
     ]
     return Plan(request, chosen, tuple(shared))
+
+
+def _check_size(request: Request) -> None:
+    """Refuse more lines and frames than can be looked at in a sensible time and memory, naming the option."""
+    frames, harmonics, excitations = request.sampling.frames, request.sampling.harmonics, len(request.frequency_hz)
+    lines = harmonics * (excitations if request.together else 1)
+    if lines > MOST_LINES:
+        raise InputError("--harmonics", "", found=f"{lines}", expected=f"at most {MOST_LINES} lines of a point")
+    if frames * lines > MOST_ENTRIES:
+        expected = f"at most {MOST_ENTRIES // lines} for {lines} lines of a point"
+        raise InputError("--frames", "", found=str(frames), expected=expected)
+    if excitations * harmonics > MOST_LINES_OF_ALL:
+        expected = f"at most {MOST_LINES_OF_ALL // harmonics} with {harmonics} harmonics each"
+        raise InputError("--frequencies", "", found=str(excitations), expected=expected)
 
 
 def _explained(lines: Lines, rate_hz: float, rates: FloatArray, sampling: Sampling) -> Point:

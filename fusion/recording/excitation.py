@@ -13,13 +13,15 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.recording.values import (
+    HERTZ,
+    Angle,
     Block,
     Component,
     Direction,
     ExistingFile,
-    NotNegative,
     Number,
     Positive,
+    Share,
     Text,
     Texts,
     describe,
@@ -28,8 +30,13 @@ from fusion.recording.values import (
     refuse_missing,
     unit_vector,
     vector,
+    within,
 )
 
+MOST_FREQUENCIES = 2000
+HIGHEST_HARMONIC = 1000
+LASTING = within(0.0, 1e6, "s")
+FORCE = within(0.0, 1e9, "N or N m")
 Kind = Literal["sine", "multisine", "chirp", "noise", "impact", "step", "rotation"]
 
 
@@ -48,6 +55,8 @@ def _frequencies(value: object) -> tuple[float, ...]:
     """Nominal frequencies in Hz: at least one, positive, different."""
     if not isinstance(value, list | tuple) or not value:
         raise refusal("a list of frequencies in Hz", describe(value))
+    if len(value) > MOST_FREQUENCIES:
+        raise refusal(f"at most {MOST_FREQUENCIES} frequencies", f"{len(value)}")
     lines = vector(len(value))(value)
     if min(lines) <= 0:
         raise refusal("frequencies above 0", f"{min(lines):g}")
@@ -64,8 +73,9 @@ def _harmonics(value: object) -> Any:
     if not isinstance(value, list | tuple):
         raise refusal(expected, describe(value))
     for item in value:
-        if not isinstance(item, int) or isinstance(item, bool) or item < 1:
-            raise refusal(expected, describe(item))
+        if not isinstance(item, int) or isinstance(item, bool) or not 1 <= item <= HIGHEST_HARMONIC:
+            told = expected if not isinstance(item, int) or item < 1 else f"multiples of at most {HIGHEST_HARMONIC}"
+            raise refusal(told, describe(item))
     if len(set(value)) < len(value):
         raise refusal(expected, "one of them twice")
     return tuple(value)
@@ -83,17 +93,17 @@ class Excitation(Block):
 
     kind: Kind
     direction: Annotated[tuple[float, ...] | None, BeforeValidator(_driven)] = None
-    frequencies: Annotated[tuple[float, ...] | None, BeforeValidator(_frequencies)] = None
+    frequencies: Annotated[tuple[float, ...] | None, BeforeValidator(_frequencies), HERTZ] = None
     harmonics: Annotated[Literal["auto"] | tuple[int, ...], BeforeValidator(_harmonics)] = "auto"
-    band: Annotated[tuple[float, float] | None, BeforeValidator(_band)] = None
-    period: Positive | None = None
-    settle_periods: Annotated[int, Field(ge=0)] = 0
+    band: Annotated[tuple[float, float] | None, BeforeValidator(_band), within(0.0, 1e8, "Hz")] = None
+    period: Annotated[Positive, LASTING] | None = None
+    settle_periods: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     response: Annotated[Texts, Field(min_length=1)] = ()
     reference: Annotated[Texts, Field(min_length=1)] = ()
     component: Component | None = None
-    step_amplitude: Number | None = None
-    step_uncertainty: NotNegative = 0.0
-    onset: Number | None = None
+    step_amplitude: Annotated[Number, FORCE] | None = None
+    step_uncertainty: Share = 0.0
+    onset: Annotated[Number, LASTING] | None = None
     force: Text | None = None
     release: Text | None = None
     file: ExistingFile | None = None
@@ -101,7 +111,7 @@ class Excitation(Block):
     axis: Direction | None = None
     zero_gravity: Direction | None = None
     with_load: bool | None = None
-    angle_uncertainty: NotNegative = 0.0
+    angle_uncertainty: Angle = 0.0
     scale: Number = 1.0
 
     @model_validator(mode="after")

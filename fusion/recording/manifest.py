@@ -12,20 +12,26 @@ from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.excitation import Excitation
 from fusion.recording.rig import Environment, NamedHead, Part, Shaker
 from fusion.recording.values import (
+    HERTZ,
+    SECONDS,
     ZERO3,
+    Angle,
     Block,
     BodyName,
     Context,
+    Delay,
     Direction,
     ExistingFile,
     ExistingFiles,
     Exposure,
-    FreeVector,
     NotNegative,
     Number,
+    Place,
     Positive,
+    Share,
     Spread3,
     Text,
+    Version,
     array_of_tables,
     describe,
     refusal,
@@ -41,6 +47,7 @@ if TYPE_CHECKING:
 else:
     Quantity = Literal[(*TRANSDUCERS, "force", "output", "voltage", "trigger")]
 MINIMUM_FRAMES = 3
+FARTHEST_EDGE = 1_000_000_000
 COORDINATES = ("x", "y", "z")
 REFERENCE_COORDINATES = ("x0", "y0", "z0")
 COLUMNS = ("frame", "status", *REFERENCE_COORDINATES, *COORDINATES, "_")
@@ -86,19 +93,19 @@ class ChannelEntry(Block):
     name: Text
     quantity: Quantity
     body: BodyName | None = None
-    point: FreeVector | None = None
+    point: Place | None = None
     point_uncertainty: Spread3 = ZERO3
     direction: Direction | None = None
-    direction_uncertainty: NotNegative = 0.0
+    direction_uncertainty: Angle = 0.0
     head: Annotated[NamedHead | None, BeforeValidator(_head)] = None
     channel: Text | None = None
     scale: Number = 1.0
-    scale_uncertainty: NotNegative = 0.0
+    scale_uncertainty: Share = 0.0
     common: Text | None = None
-    individual_uncertainty: NotNegative = 0.0
-    transverse_sensitivity: NotNegative = 0.0
-    delay: Number = 0.0
-    delay_uncertainty: NotNegative = 0.0
+    individual_uncertainty: Share = 0.0
+    transverse_sensitivity: Share = 0.0
+    delay: Delay = 0.0
+    delay_uncertainty: Annotated[NotNegative, SECONDS] = 0.0
     response: ExistingFile | None = None
     reference: bool = False
     threshold: Number | None = None
@@ -140,9 +147,9 @@ class Daq(Block):
 
     name: Text
     file: Annotated[ExistingFile, AfterValidator(_daq_suffix)]
-    clock_uncertainty: NotNegative = 0.0
-    sample_rate: Positive | None = None
-    first_edge: int | None = None
+    clock_uncertainty: Share = 0.0
+    sample_rate: Annotated[Positive, HERTZ] | None = None
+    first_edge: Annotated[int, Field(ge=-FARTHEST_EDGE, le=FARTHEST_EDGE)] | None = None
     channel: Annotated[tuple[ChannelEntry, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
     def data_set(self, entry: ChannelEntry) -> tuple[str, str]:
@@ -163,10 +170,10 @@ class Frames(Block):
 
     stereo: Text
     trigger: Text
-    first_edge: Annotated[int, Field(ge=0)] | None = None
+    first_edge: Annotated[int, Field(ge=0, le=FARTHEST_EDGE)] | None = None
     exposure: Exposure
-    delay: Number
-    delay_uncertainty: NotNegative
+    delay: Delay
+    delay_uncertainty: Annotated[NotNegative, SECONDS]
 
     INHERITED: ClassVar[tuple[str, ...]] = ("exposure", "delay", "delay_uncertainty")
 
@@ -266,7 +273,7 @@ class RecordingFile(SetUpFiles):
     `environment`: what of the rig's surroundings was otherwise that day.
     """
 
-    format: Literal[1]
+    format: Version
     name: Text
     rig: Text
     mounting: Text = "1"

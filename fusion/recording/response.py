@@ -5,15 +5,27 @@ from __future__ import annotations
 import csv
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.base import InputError, as_input_error
-from fusion.recording.toml import read_toml, validate
-from fusion.recording.values import Block, NotNegative, Number, Positive, Text, array_of_tables, refusal, rows_of
+from fusion.recording.toml import read_text, read_toml, validate
+from fusion.recording.values import (
+    Block,
+    NotNegative,
+    Number,
+    Positive,
+    Text,
+    Version,
+    array_of_tables,
+    describe,
+    refusal,
+    rows_of,
+    wrong_size,
+)
 from shaker.arrays import FloatArray
 from shaker.frf.chain import (
     ChainResponse,
@@ -29,12 +41,18 @@ from shaker.frf.chain import (
 
 COLUMNS = ("frequency_hz", "magnitude", "phase_rad", "u_magnitude", "u_phase_rad")
 ELEMENTS = ".toml"
+LARGEST_TABLE = 50_000_000  # bytes
+MOST_ROOTS = 100  # poles or zeros of an element
 
 
-Roots = Annotated[
-    tuple[tuple[float, float], ...],
-    BeforeValidator(lambda value: rows_of(len(value) if isinstance(value, list | tuple) else 0, 2)(value)),
-]
+def _roots(value: object) -> tuple[tuple[float, ...], ...]:
+    count = len(value) if isinstance(value, list | tuple) else 0
+    if count > MOST_ROOTS:
+        raise refusal(f"at most {MOST_ROOTS} pairs", f"{count}")
+    return rows_of(count, 2)(value)
+
+
+Roots = Annotated[tuple[tuple[float, float], ...], BeforeValidator(_roots)]
 """A list of [real, imaginary] pairs."""
 
 
@@ -109,7 +127,7 @@ class Element(Block):
 class Chain(Block):
     """A chain's file: elements one behind the other."""
 
-    format: Literal[1] = 1
+    format: Version = 1
     element: Annotated[tuple[Element, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
 
@@ -144,23 +162,23 @@ def read_chain(path: Path) -> Chain:
 def read_table(path: Path) -> ResponseTable:
     """Read a response table; raises `InputError` for a missing column and a cell that is no number."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            names, rows = tuple(reader.fieldnames or ()), list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reader = csv.DictReader(read_text(path, LARGEST_TABLE, "a table").splitlines())
+        names, rows = tuple(reader.fieldnames or ()), list(reader)
+    except csv.Error as error:
         raise InputError(path, "", found=str(error), expected="a table in UTF-8 text") from error
     missing = [name for name in COLUMNS if name not in names]
     if missing:
-        found = f"columns {', '.join(str(name) for name in names) or 'none'}"
+        found = f"columns {describe(', '.join(map(str, names)), plain=True) or 'none'}"
         raise InputError(path, missing[0], found=found, expected="this column")
     columns = {name: np.full(len(rows), np.nan) for name in COLUMNS}
     for name, values in columns.items():
         for line, row in enumerate(rows):
             with suppress(TypeError, ValueError):
                 values[line] = float(row[name])
-            if not np.isfinite(values[line]):
-                found = f'"{row[name] or ""}" in line {line + 2}'
-                raise InputError(path, name, found=found, expected="one finite number per row")
+            if not np.isfinite(values[line]) or wrong_size(float(values[line])):
+                found = f'"{describe(row[name] or "", plain=True)}" in line {line + 2}'
+                expected = wrong_size(float(values[line])) or "one finite number per row"
+                raise InputError(path, name, found=found, expected=expected)
     frequency_hz, magnitude = columns["frequency_hz"], columns["magnitude"]
     if len(rows) == 0 or np.any(np.diff(frequency_hz) <= 0.0):
         raise InputError(path, "frequency_hz", found="values that do not ascend", expected="ascending frequencies")

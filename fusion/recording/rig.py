@@ -13,30 +13,45 @@ from pydantic import BeforeValidator, Field, model_validator
 from fusion.estimation.least_squares import UnseenMotion
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.values import (
+    DENSITY,
+    FAR,
+    HERTZ,
+    MODULUS,
+    NEAR,
+    SECONDS,
+    SHARE,
+    WEIGHT,
     ZERO3,
     ZERO6,
     ZERO33,
     Block,
     BodyName,
+    Delay,
     Direction,
     ExistingFile,
     Exposure,
     FreeVector,
     Inertia,
     InertiaSpread,
+    Mass,
+    Matrix3,
     NotNegative,
     Number,
+    Place,
     PoseSpread,
     Positive,
     Rotation,
+    Share,
     Spread3,
     Text,
     Vector3,
     Vector6,
+    Version,
     array_of_tables,
     describe,
     positive,
     refusal,
+    refuse_as_file_names,
     refuse_foreign,
     refuse_missing,
     refuse_repeated,
@@ -44,6 +59,7 @@ from fusion.recording.values import (
     spread,
     texts,
     vector,
+    within,
 )
 from shaker.static_rotation.harmonics import Known, air_density_at, gravity_at
 
@@ -54,7 +70,11 @@ OTHER_UNITS = {"force": "N", "voltage": "V"}
 CONVENTIONAL_AIR_DENSITY = 1.2  # kg/m^3, OIML D 28
 CONVENTIONAL_WEIGHT_DENSITY = 8000.0  # kg/m^3, OIML D 28
 GRAVITY_ON_EARTH = (9.7, 9.9)  # m/s^2
+DENSEST_KGM3 = 22_600.0  # osmium
+FARTHEST_M = 5.0  # radius of gyration of anything on a shaker
 U_STATED_AIR = 0.01  # relative, of an air density without any other statement
+STRAIN = within(0.0, 0.01, "m/m", **{"µm/m": 1e-6})
+AIR = within(0.01, 20.0, "kg/m^3", **{"g/cm^3": 1e3})
 Celsius = Annotated[float, Field(ge=-100, le=200, allow_inf_nan=False)]
 """A temperature in °C; one in kelvin lies beyond."""
 
@@ -84,6 +104,25 @@ def _sensitivity_rows(value: object) -> tuple[tuple[float, ...], ...]:
     return tuple(vector(6)(row) for row in value)
 
 
+def _refuse_impossible(mass: float, inertia: Matrix3, mass_key: str, inertia_key: str) -> None:
+    """Refuse mass and inertia that no body has together: a mass in g, an inertia in g mm².
+
+    Of all bodies of a mass and a largest density a ball has the least inertia, 0.4·m·r² about every axis; half of it is
+    let pass, for values of few digits. All zeros stand for a point mass.
+    """
+    largest = float(np.linalg.eigvalsh(np.array(inertia)).max())
+    if largest <= 0.0 or mass <= 0.0:
+        return
+    gyration = float(np.sqrt(largest / mass))
+    if gyration > FARTHEST_M:
+        told = f"up to {largest:g} kg m^2 of {mass:g} kg, as if {gyration:.3g} m away"
+        raise refusal("moments of inertia in kg m^2 of this mass", told, key=inertia_key)
+    least = 0.4 * mass * (3.0 * mass / (4.0 * np.pi * DENSEST_KGM3)) ** (2.0 / 3.0)
+    if largest < 0.5 * least:
+        told = f"{mass:g} kg with moments of inertia up to {largest:g} kg m^2, which is denser than any metal"
+        raise refusal("a mass in kg with moments of inertia in kg m^2", told, key=mass_key)
+
+
 class Sensor(Block):
     """The sensor under test: its outputs, their sense, and the mass that moves above its elastic element."""
 
@@ -94,16 +133,16 @@ class Sensor(Block):
     sense: Literal["on_load", "on_sensor"]
     capacity: Annotated[Vector6 | None, BeforeValidator(positive(vector(6), "6 numbers above 0"))] = None
     static_sensitivity: Annotated[tuple[Vector6, ...] | None, BeforeValidator(_sensitivity_rows)] = None
-    static_sensitivity_uncertainty: NotNegative = 0.0
-    cross_talk: Positive | None = None
+    static_sensitivity_uncertainty: Share = 0.0
+    cross_talk: Annotated[Positive, SHARE] | None = None
     cross_talk_uncertainty: NotNegative | None = None
-    temperature_coefficient: Number | None = None
-    temperature_coefficient_uncertainty: NotNegative = 0.0
+    temperature_coefficient: Annotated[Number, SHARE] | None = None
+    temperature_coefficient_uncertainty: Share = 0.0
     reference_temperature: Celsius = 23.0
     base_strain_sensitivity: NotNegative | None = None
-    internal_mass: NotNegative
+    internal_mass: Annotated[NotNegative, WEIGHT]
     internal_mass_uncertainty: NotNegative = 0.0
-    internal_centre_of_mass: FreeVector = ZERO3
+    internal_centre_of_mass: Place = ZERO3
     internal_centre_of_mass_uncertainty: Spread3 = ZERO3
     internal_inertia: Inertia = ZERO33
     internal_inertia_uncertainty: InertiaSpread = ZERO33
@@ -113,6 +152,7 @@ class Sensor(Block):
         rows = self.static_sensitivity
         if rows is not None and len(rows) != len(self.channels):
             raise refusal(f"{len(self.channels)} rows, one per channel", f"{len(rows)} rows", key="static_sensitivity")
+        _refuse_impossible(self.internal_mass, self.internal_inertia, "internal_mass", "internal_inertia")
         if self.cross_talk is not None and self.capacity is None:
             raise refusal("the six rated loads that cross_talk is relative to", "nothing", key="capacity")
         return self
@@ -131,11 +171,11 @@ class Mounted(Block):
     `inertia` (3, 3): about the centre of mass, products −∫xy dm.
     """
 
-    mass: Positive
+    mass: Mass
     mass_uncertainty: NotNegative = 0.0
     mass_kind: Literal["true", "conventional"] = "true"
-    density: Positive | None = None
-    centre_of_mass: FreeVector
+    density: Annotated[Positive, DENSITY] | None = None
+    centre_of_mass: Place
     centre_of_mass_uncertainty: Spread3 = ZERO3
     inertia_uncertainty: InertiaSpread = ZERO33
 
@@ -143,8 +183,7 @@ class Mounted(Block):
     def _conventional_mass_has_density(self) -> Self:
         if self.mass_kind == "conventional" and self.density is None:
             raise refusal('the density in kg/m^3 that mass_kind = "conventional" needs', "nothing", key="density")
-        if self.density is not None and self.density <= CONVENTIONAL_AIR_DENSITY:
-            raise refusal("a density above that of air", f"{self.density:g}", key="density")
+        _refuse_impossible(self.mass, getattr(self, "inertia", ZERO33), "mass", "inertia")
         return self
 
     @property
@@ -180,9 +219,9 @@ class ElasticMode(Block):
     places by name; both for a mode of `modal_mass`.
     """
 
-    frequency: Positive
+    frequency: Annotated[Positive, HERTZ]
     frequency_uncertainty: NotNegative = 0.0
-    damping: NotNegative | None = None
+    damping: Share | None = None
     participation: Annotated[Vector6, BeforeValidator(vector(6))]
     modal_mass: Positive = 1.0
     displacement: Annotated[dict[str, tuple[float, ...]], BeforeValidator(_displacements)]
@@ -217,31 +256,31 @@ class Elastic(Block):
 
     name: Text
     shape: Literal["rod", "plate", "modes"]
-    foot: FreeVector = ZERO3
+    foot: Place = ZERO3
     axis: Direction | None = None
-    length: Positive | None = None
+    length: Annotated[Positive, NEAR] | None = None
     length_uncertainty: NotNegative = 0.0
-    diameter: Positive | None = None
+    diameter: Annotated[Positive, NEAR] | None = None
     diameter_uncertainty: NotNegative = 0.0
-    inner_diameter: NotNegative = 0.0
+    inner_diameter: Annotated[NotNegative, NEAR] = 0.0
     inner_diameter_uncertainty: NotNegative = 0.0
-    thickness: Positive | None = None
+    thickness: Annotated[Positive, NEAR] | None = None
     thickness_uncertainty: NotNegative = 0.0
-    clamped_diameter: Positive | None = None
+    clamped_diameter: Annotated[Positive, NEAR] | None = None
     clamped_diameter_uncertainty: NotNegative = 0.0
-    young_modulus: Positive | None = None
+    young_modulus: Annotated[Positive, MODULUS] | None = None
     young_modulus_uncertainty: NotNegative = 0.0
-    density: Positive | None = None
+    density: Annotated[Positive, DENSITY] | None = None
     density_uncertainty: NotNegative = 0.0
     poisson_ratio: Annotated[float, Field(ge=0, lt=0.5)] = 0.3
     poisson_ratio_uncertainty: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
-    tip_mass: NotNegative = 0.0
+    tip_mass: Annotated[NotNegative, WEIGHT] = 0.0
     tip_mass_uncertainty: NotNegative = 0.0
-    axial_frequency: Positive | None = None
+    axial_frequency: Annotated[Positive, HERTZ] | None = None
     axial_frequency_uncertainty: NotNegative = 0.0
-    bending_frequency: Positive | None = None
+    bending_frequency: Annotated[Positive, HERTZ] | None = None
     bending_frequency_uncertainty: NotNegative = 0.0
-    damping: NotNegative = 0.0
+    damping: Share = 0.0
     damping_uncertainty: NotNegative = 0.0
     frequencies_uncertainty: Annotated[float, Field(ge=0, lt=1)] = 0.0
     participation_uncertainty: Annotated[float, Field(ge=0, lt=1)] = 0.0
@@ -298,7 +337,7 @@ class Load(Mounted):
         Vector6 | None, BeforeValidator(positive(spread(6), "a number or 6 numbers, all above 0"))
     ] = None
     elastic_frequency_uncertainty: Annotated[Vector6, BeforeValidator(spread(6))] = ZERO6
-    elastic_damping: NotNegative = 0.0
+    elastic_damping: Share = 0.0
     cable_stiffness: Annotated[Vector3 | None, BeforeValidator(spread(3))] = None
     cable_stiffness_uncertainty: Spread3 = ZERO3
 
@@ -336,15 +375,15 @@ class Environment(Block):
     gravity_uncertainty: Spread3 = ZERO3
     down: Direction | None = None
     temperature: Celsius | None = None
-    air_density: Positive | None = None
+    air_density: Annotated[Positive, AIR] | None = None
     latitude: Annotated[float | None, Field(ge=-90, le=90, allow_inf_nan=False)] = None
     height: Annotated[float | None, Field(ge=-500, le=9000, allow_inf_nan=False)] = None
     pressure: Annotated[float | None, Field(ge=3e4, le=1.2e5, allow_inf_nan=False)] = None
     humidity: Annotated[float | None, Field(ge=0, le=1, allow_inf_nan=False)] = None
     sensor_temperature: Celsius | None = None
     sensor_temperature_uncertainty: NotNegative = 0.0
-    support_motion: NotNegative | None = None
-    base_strain: NotNegative | None = None
+    support_motion: Share | None = None
+    base_strain: Annotated[NotNegative, STRAIN] | None = None
 
     @model_validator(mode="after")
     def _gravity_is_told_whole(self) -> Self:
@@ -388,14 +427,14 @@ class Stereo(Block):
     body: BodyName
     calibration: ExistingFile | None = None
     rotation: Rotation
-    translation: FreeVector
+    translation: Annotated[FreeVector, FAR]
     pose_uncertainty: PoseSpread = ZERO6
     pose_by_calibration: Annotated[tuple[tuple[float, ...], ...] | None, BeforeValidator(rows_of(6, 32, 24))] = None
-    scale_uncertainty: NotNegative | None = None
+    scale_uncertainty: Share | None = None
     bit_depth: Annotated[int, Field(ge=1, le=16)] | None = None
     exposure: Exposure
-    delay: Number = 0.0
-    delay_uncertainty: NotNegative = 0.0
+    delay: Delay = 0.0
+    delay_uncertainty: Annotated[NotNegative, SECONDS] = 0.0
 
 
 class Head(Block):
@@ -482,7 +521,7 @@ class Administration(Block):
 class Rig(Block):
     """rig.toml: what does not change from run to run."""
 
-    format: Literal[1]
+    format: Version
     name: Text
     sensor: Sensor | None = None
     load: Load | None = None
@@ -497,6 +536,7 @@ class Rig(Block):
     @model_validator(mode="after")
     def _parts_have_different_names(self) -> Self:
         refuse_repeated([part.name for part in self.part], "parts", "part")
+        refuse_as_file_names(self.stereo, "stereo")
         return self
 
     def unit_of(self, channel: ChannelEntry) -> str:

@@ -6,11 +6,13 @@ Inputs may be stated as certificates do, a table with U and k in the place of a 
 from __future__ import annotations
 
 import re
+import stat
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date as Date
 from difflib import get_close_matches
+from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
@@ -19,26 +21,90 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from fusion.base import InputError
-from fusion.recording.values import Block, Context, NotNegative, describe, is_number, refusal
+from fusion.recording.values import (
+    Block,
+    Context,
+    NotNegative,
+    describe,
+    is_number,
+    refusal,
+    wrong_size,
+    wrong_text,
+)
 
 LARGEST_TOML = 4_000_000  # bytes; no manifest is anywhere near
+LONG_LINE = 5000  # characters, from which on nesting takes the reader of TOML time
+DEEPEST = 32  # tables and lists in one another; manifests have five
 AnyBlock = TypeVar("AnyBlock", bound=Block)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file; syntax errors tell the line."""
+    """Read a TOML file; syntax errors tell the line, a value beyond all sense its key."""
+    text = read_text(path, LARGEST_TOML, "a manifest")
+    deep = next((number for number, line in enumerate(text.splitlines(), 1) if _nested(line) > DEEPEST), None)
+    if deep is not None:
+        raise InputError(path, f"line {deep}", "more", f"at most {DEEPEST} tables or lists in one another")
     try:
-        if path.stat().st_size > LARGEST_TOML:
-            raise InputError(path, "", f"{path.stat().st_size} bytes", f"a manifest of at most {LARGEST_TOML} bytes")
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        values = tomllib.loads(text)
+    except RecursionError as error:
+        raise InputError(path, "", "brackets without end", "TOML") from error
+    except ValueError as error:
+        raise InputError(path, "", describe(str(error), plain=True), "TOML") from error
+    check_values(values, path)
+    return values
+
+
+def read_text(path: Path, largest: int, what: str) -> str:
+    """Return the text of a file of at most `largest` bytes; `InputError` for what is no file, too large or no text."""
+    try:
+        size = path.stat()
+        if not stat.S_ISREG(size.st_mode):
+            found = "a folder" if stat.S_ISDIR(size.st_mode) else "a device or pipe"
+            raise InputError(path, "", found, "a file that can be read")
+        if size.st_size > largest:
+            raise InputError(path, "", f"{size.st_size} bytes", f"{what} of at most {largest} bytes")
+        return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError as error:
         raise InputError(path, "", "no such file", "an existing file") from error
-    except OSError as error:
-        raise InputError(path, "", error.strerror or str(error), "a file that can be read") from error
     except UnicodeDecodeError as error:
         raise InputError(path, "", f"byte {error.start} is something else", "UTF-8 text") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, "", str(error), "TOML") from error
+    except (OSError, ValueError) as error:  # a ValueError: NUL in the name
+        found = getattr(error, "strerror", None) or str(error)
+        raise InputError(path, "", found, "a file that can be read") from error
+
+
+def _nested(line: str) -> int:
+    """How deep a long line of TOML goes, by its brackets and by the dots of the name before its value."""
+    if len(line) < LONG_LINE:
+        return 0
+    name = line.partition("=")[0]
+    depths = accumulate(1 if found[0] in "[{" else -1 for found in re.finditer(r"[\[\]{}]", line))
+    return max(0 if "," in name else name.count("."), *depths, 0)
+
+
+def check_values(values: Any, path: Path) -> None:
+    """Raise `InputError` at the first value of a file that nobody can mean, whatever its key.
+
+    Numbers beyond `SMALLEST` and `LARGEST` in size, control characters, texts without end, tables without a floor.
+    """
+    waiting: list[tuple[Any, list[int | str]]] = [(values, [])]
+    while waiting:
+        value, place = waiting.pop()
+        if isinstance(value, dict | list):
+            if len(place) > DEEPEST:
+                raise InputError(
+                    path, key_path(values, place[:3]), "more", f"at most {DEEPEST} tables or lists in one another"
+                )
+            steps = value.items() if isinstance(value, dict) else enumerate(value)
+            for step, item in steps:
+                wrong = wrong_text(step) if isinstance(step, str) else None
+                if wrong is not None:
+                    raise InputError(path, key_path(values, place), f"the name {describe(step, plain=True)}", wrong)
+                waiting.append((item, [*place, step]))
+            continue
+        wrong = wrong_text(value) if isinstance(value, str) else wrong_size(value)
+        if wrong is not None:
+            raise InputError(path, key_path(values, place), describe(value), wrong)
 
 
 def validate(model: type[AnyBlock], text: dict[str, Any], path: Path, context: Context | None = None) -> AnyBlock:
@@ -64,7 +130,7 @@ def _checked(
         whole, start = within or (values, [])
         place, own = [*start, *first["loc"]], first.get("ctx", {}).get("key")
         expected, found = _phrases(model, first)
-        key = key_path(whole, [*place, own] if own else place)
+        key = key_path(whole, [*place, *own.split(".")] if own else place)
         raise InputError(path, key, found, expected, more=len(problems) - 1) from error
 
 
@@ -239,7 +305,7 @@ def expand_statements(text: dict[str, Any], path: Path) -> tuple[dict[str, Any],
 
 def quoted(name: str) -> str:
     """A name as part of a key path, in quotes unless TOML takes it bare."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'"{name}"'
+    return name if re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name) else f'"{describe(name, plain=True)}"'
 
 
 def key_path(text: dict[str, Any], place: list[int | str]) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import sys
+import unicodedata
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from datetime import date, time
@@ -16,7 +17,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 from pydantic_core import PydanticCustomError
 
 if TYPE_CHECKING:
@@ -35,19 +36,30 @@ def natural_key(name: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
     return tuple((0, int(part)) if part.isdigit() else (1, part) for part in parts if part), name
 
 
+def _other_than_file(path: Path) -> str:
+    """Say what is at a path where no file is."""
+    if path.is_dir():
+        return f"a folder at {path}"
+    return f"a device or pipe at {path}" if path.exists() else f"no file {path}"
+
+
 @dataclass(frozen=True)
 class PathScope:
-    """Where the paths of one manifest start (`folder`) and which folder they may not leave (`root`, resolved)."""
+    """Where the paths of one manifest start (`folder`) and which folder they may not leave (`root`, resolved).
+
+    The one gate of every path of every manifest. `of`: whose folder that is, in words.
+    """
 
     folder: Path
     root: Path
     allow_outside: bool = False
+    of: str = "of rig.toml"
 
     def file(self, text: str) -> Path:
         """Resolve the path of one existing file."""
         path = self._inside(self._join(text), text)
         if not path.is_file():
-            raise refusal("an existing file", f"a folder at {path}" if path.is_dir() else f"no file {path}")
+            raise refusal("an existing file", _other_than_file(path))
         return path
 
     def files(self, text: str) -> tuple[Path, ...]:
@@ -66,8 +78,8 @@ class PathScope:
 
     def _join(self, text: str) -> Path:
         """Check the syntax of a path and put it behind the manifest's folder."""
-        if not text.strip() or "\0" in text:
-            raise refusal("a path", "an empty text" if not text.strip() else "a text with a NUL character")
+        if not text.strip() or UNPRINTABLE.search(text):
+            raise refusal("a path", "an empty text" if not text.strip() else "a text with control characters")
         if "\\" in text:
             raise refusal("a path with '/' between its parts", f"'{text}'")
         absolute = PurePosixPath(text).is_absolute() or PureWindowsPath(text).drive != ""
@@ -77,10 +89,13 @@ class PathScope:
 
     def _inside(self, path: Path, text: str) -> Path:
         """Follow links and refuse what lies outside the campaign's folder."""
-        resolved = path.resolve()
+        try:
+            resolved = path.resolve()
+        except RuntimeError as error:  # as versions of Python before 3.13 tell it
+            raise refusal("a path that can be read", f"links that lead in a circle at '{text}'") from error
         if not self.allow_outside and not resolved.is_relative_to(self.root):
             raise refusal(
-                f"a path inside the folder of rig.toml {self.root} (--allow-outside permits others)",
+                f"a path inside the folder {self.of} {self.root} (--allow-outside permits others)",
                 f"'{text}', which leads to {resolved}",
             )
         return resolved
@@ -141,19 +156,44 @@ def refusal(expected: str, found: str, key: str = "") -> PydanticCustomError:
     )
 
 
-def describe(value: Any) -> str:
-    """Say in a few words what was found in a TOML file."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
+SMALLEST, LARGEST = 1e-100, 1e30
+"""Sizes of numbers in SI units between which every input lies that is not 0; their products do not overflow."""
+LONGEST_TEXT = 4096
+LONGEST_FILE_NAME = 100  # bytes of a name in the name of a file
+MOST_ITEMS = 10_000  # blocks of one kind, names in a list
+UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+"""Control characters, line ends that are none of a text file, what turns the direction of writing; not tab and \n."""
+
+
+def wrong_text(text: str) -> str | None:
+    """Say what a text should be that stands in a file: short, and without control characters; None if it is."""
+    if len(text) > LONGEST_TEXT:
+        return f"a text of at most {LONGEST_TEXT} characters"
+    return "a text without control characters" if UNPRINTABLE.search(text.replace("\r\n", "\n")) else None
+
+
+def wrong_size(value: Any) -> str | None:
+    """Say what a number should be that overflows, or vanishes, where it is multiplied; None of all else."""
+    if not isinstance(value, int | float) or isinstance(value, bool) or value in (0, np.inf, -np.inf):
+        return None
+    return f"0 or a size of {SMALLEST:g} to {LARGEST:g}" if abs(value) < SMALLEST or abs(value) > LARGEST else None
+
+
+def describe(value: Any, *, plain: bool = False) -> str:
+    """Say in a few words what was found in a TOML file, control characters by their number; `plain`: a text alone."""
+    if value is None or isinstance(value, bool):
+        return {None: "nothing", True: "true", False: "false"}[value]
     if isinstance(value, str):
-        return f'the text "{value if len(value) <= 60 else value[:57] + "..."}"'
+        short = value if len(value) <= 60 or (plain and len(value) <= 200) else value[:57] + "..."
+        short = UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", short)
+        return short if plain else f'the text "{short}"'
     if isinstance(value, dict):
         return "a table"
     if isinstance(value, list | tuple):
         return f"a list of {len(value)}"
     if isinstance(value, date | time):
         return "a date or time"
-    return "nothing" if value is None else f"{value}"[:60]
+    return "a whole number of hundreds of digits" if isinstance(value, int) and abs(value) > 10**99 else f"{value}"[:99]
 
 
 def is_number(value: Any) -> bool:
@@ -282,6 +322,13 @@ def inertia_spread(value: Any) -> tuple[tuple[float, ...], ...]:
     return rows
 
 
+def _version(value: Any) -> int:
+    """Check the version of a file's format; `true` is no 1."""
+    if type(value) is not int or value != 1:
+        raise refusal("1, the version of the format", describe(value))
+    return value
+
+
 def texts(value: Any) -> tuple[str, ...]:
     """Check a list of different, non-empty texts."""
     if not isinstance(value, list | tuple) or not all(isinstance(item, str) and item for item in value):
@@ -289,6 +336,13 @@ def texts(value: Any) -> tuple[str, ...]:
     repeated = repeated_name(value)
     if repeated is not None:
         raise refusal("different names", f'"{repeated}" twice')
+    return _counted(value)
+
+
+def _counted(value: Sequence[Any]) -> tuple[Any, ...]:
+    """A list as a tuple, refused where it has more items than anybody writes."""
+    if len(value) > MOST_ITEMS:
+        raise refusal(f"at most {MOST_ITEMS}", f"{len(value)}")
     return tuple(value)
 
 
@@ -296,7 +350,7 @@ def array_of_tables(value: Any) -> Any:
     """An array of tables as the tuple that the models hold."""
     if not isinstance(value, list | tuple):
         raise refusal("blocks in double brackets, [[…]]", describe(value))
-    return tuple(value)
+    return _counted(value)
 
 
 def existing(resolve: Callable[[PathScope, str], Any], expected: str) -> Callable[[Any, ValidationInfo], Any]:
@@ -312,14 +366,16 @@ def existing(resolve: Callable[[PathScope, str], Any], expected: str) -> Callabl
         try:
             return resolve(info.context.scope, value)
         except OSError as error:
-            raise refusal("a path that can be read", f"{error.strerror or error} ({error.filename})") from error
+            found = f"{error.strerror or error} ({describe(str(error.filename), plain=True)})"
+            raise refusal("a path that can be read", found) from error
 
     return check
 
 
 def repeated_name(names: Sequence[str]) -> str | None:
     """First name that stands twice, or None."""
-    return next((name for i, name in enumerate(names) if name in names[:i]), None)
+    seen: set[str] = set()
+    return next((name for name in names if name in seen or seen.add(name)), None)  # type: ignore[func-returns-value]
 
 
 def refuse_missing(block: Block, required: Sequence[str], why: str) -> None:
@@ -336,6 +392,25 @@ def refuse_foreign(block: Block, known: Collection[str], why: str) -> None:
             raise refusal(f"no such key for {why}", describe(getattr(block, key)), key=key)
 
 
+RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(10))}
+"""Names of devices on Windows, whatever follows after a dot."""
+
+
+def refuse_as_file_names(names: Collection[str], key: str) -> None:
+    """Refuse names that become part of the names of files, unless every file system takes them and tells them apart."""
+    seen: dict[str, str] = {}
+    for name in names:
+        wrong = re.search(r'[\x00-\x1f\x7f/\\:*?"<>|]', name)
+        if not name or wrong or name[-1] in ". " or name[0] in " -" or len(name.encode()) > LONGEST_FILE_NAME:
+            expected = f"a name that a file can bear, of at most {LONGEST_FILE_NAME} bytes, since motion-NAME.csv does"
+            raise refusal(expected, f'"{describe(name, plain=True)}"', key=key)
+        if name.partition(".")[0].lower() in RESERVED:
+            raise refusal("a name that is no device's on Windows", f'"{name}"', key=key)
+        twin = seen.setdefault(unicodedata.normalize("NFKC", name).casefold(), name)
+        if twin != name:
+            raise refusal(f'a name that differs from "{twin}" by more than case', f'"{name}"', key=key)
+
+
 def refuse_repeated(names: Sequence[str], what: str, key: str) -> None:
     """Refuse blocks of which two have one name."""
     twice = repeated_name(names)
@@ -343,13 +418,48 @@ def refuse_repeated(names: Sequence[str], what: str, key: str) -> None:
         raise refusal(f"{what} of different names", f'"{twice}" twice', key=key)
 
 
+def within(low: float, high: float, unit: str, **others: float) -> AfterValidator:
+    """Validator of a number, or of the size of each number of a list, in `unit`: 0, or from `low` to `high`.
+
+    `others`: units in which users state it by mistake, in `unit`; one in which the number were usual is named.
+    """
+
+    def check(value: Any) -> Any:
+        for number in (value,) if isinstance(value, int | float) else value if isinstance(value, tuple) else ():
+            size = abs(number)
+            if size and not low <= size <= high:
+                usual = [f" ({number * one:g} {unit} if meant in {name})" for name, one in others.items()]
+                fits = [told for told, one in zip(usual, others.values(), strict=True) if low <= size * one <= high]
+                least = f"{low:g} to {high:g}" if size < low else f"at most {high:g}"
+                raise refusal(f"{least} {unit}".strip(), f"{number:g}{next(iter(fits), '')}")
+        return value
+
+    return AfterValidator(check)
+
+
+NEAR = within(0.0, 5.0, "m", mm=1e-3)
+FAR = within(0.0, 100.0, "m", mm=1e-3)
+WEIGHT = within(1e-9, 1e5, "kg", g=1e-3)
+DENSITY = within(10.0, 25_000.0, "kg/m^3", **{"g/cm^3": 1e3})
+MODULUS = within(1e4, 2e12, "Pa", GPa=1e9, MPa=1e6)
+SHARE = within(0.0, 1.0, "", percent=1e-2, ppm=1e-6)
+RADIANS = within(0.0, 3.15, "rad", degrees=np.pi / 180)
+SECONDS = within(0.0, 10.0, "s", ms=1e-3, µs=1e-6)
+HERTZ = within(1e-4, 1e8, "Hz")
+"""What keys can mean at all: sizes beyond are those of another unit."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Version = Annotated[Literal[1], BeforeValidator(_version)]
 Text = Annotated[str, Field(min_length=1)]
 Texts = Annotated[tuple[str, ...], BeforeValidator(texts)]
-Exposure = Annotated[float | Literal["pulse", "file"], BeforeValidator(exposure)]
+Exposure = Annotated[float | Literal["pulse", "file"], BeforeValidator(exposure), SECONDS]
 FreeVector = Annotated[Vector3, BeforeValidator(vector(3))]
+Place = Annotated[FreeVector, NEAR]
+Share = Annotated[NotNegative, SHARE]
+Angle = Annotated[NotNegative, RADIANS]
+Mass = Annotated[Positive, WEIGHT]
+Delay = Annotated[Number, SECONDS]
 Direction = Annotated[Vector3, BeforeValidator(unit_vector)]
 Spread3 = Annotated[Vector3, BeforeValidator(spread(3))]
 PoseSpread = Annotated[Vector6, BeforeValidator(spread(6, "3 in m, 3 in rad"))]

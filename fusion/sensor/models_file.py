@@ -11,6 +11,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from fusion.base import InputError
+from fusion.recording.toml import check_values, read_text
+from fusion.recording.values import describe
 from shaker.arrays import FloatArray, check_shape
 from shaker.labels import mechanical_units
 from shaker.lti.system import ModalModel
@@ -18,6 +20,7 @@ from shaker.release.load_model import PARAMETERS, LoadModel
 
 R = TypeVar("R")
 FORMAT = 1
+LARGEST_FILE = 50_000_000  # bytes, of thousands of models
 MODELS_FILE = "models.json"
 LOAD_MODEL_FILE = "load.json"
 
@@ -100,15 +103,14 @@ def read_stored(path: Path, name: str, command: str, parsed: Callable[[dict[str,
     """Return what a file of models, or of `what`, that a command wrote holds, or the one of this name in a folder."""
     file = path / name if path.is_dir() else path
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = json.loads(read_text(file, LARGEST_FILE, what))
+        check_values(content, file)
         if content["format"] != FORMAT:
             told, expected = f"format {content['format']}", f"format {FORMAT}; shakercal {command} writes it anew"
             raise InputError(file, "format", found=told, expected=expected)
         return parsed(content)
-    except OSError as error:
-        raise InputError(file, "", found=error.strerror or str(error), expected="a file that can be read") from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        told = f"no key {error}" if isinstance(error, KeyError) else str(error)
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
+        told = f"no key {error}" if isinstance(error, KeyError) else describe(str(error), plain=True)
         raise InputError(file, "", found=told, expected=f"{what} as shakercal {command} writes them") from error
 
 

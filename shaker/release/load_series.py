@@ -454,7 +454,8 @@ def identify_loads(
     measured, foreign = belonging(measured, masses)
     rigid = fit_resonances(measured, masses, rigid=True)[0]
     told = np.isfinite(measured.frequency_hz) & np.stack([np.ones_like(masses.load), masses.load], axis=1).astype(bool)
-    enough = int(told.sum()) >= 2 and bool(np.any(masses.load > 0))
+    different = sum(len(np.unique(masses.load[told[:, mode]])) for mode in range(2))  # repeats of a load tell no more
+    enough = different >= 2 and bool(np.any(masses.load > 0))
     elastic = fit_resonances(measured, masses, rigid=False) if enough else ()
     supported, reason = _supports(measured, masses, rigid, elastic, unit)
     chosen = elastic if supported else (rigid,)

@@ -353,7 +353,7 @@ def without(*keys: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (None, "expected a file that can be read"),
+        (None, "expected an existing file"),
         (without("models"), "no key 'models'"),
         (without("models", 0, "modes", 0, "damping_ratio"), "no key 'damping_ratio'"),
         ({**without("name"), "format": 2, "name": "c"}, "expected format 1"),

@@ -136,7 +136,7 @@ def test_wrong_input_is_one_sentence(arguments: str, told: str, refused: Refused
         ("--frequencies -5", "argument --frequencies: expected"),
         ("--frequencies 50:100:1", "argument --frequencies: expected a count of at least 2"),
         ("--frequencies 50,60,50", "argument --frequencies: expected every frequency once, found 50 Hz twice"),
-        ("--frames 0", "argument --frames: expected a whole number of at least 1"),
+        ("--frames 0", "argument --frames: expected a whole number from 4 to 1000000"),
         ("--figure plan.txt", r"argument --figure: expected a name that ends in .png, .svg, .pdf"),
         ("--rate 50", "argument --rate: not allowed with argument --max-rate"),
     ],

@@ -19,6 +19,7 @@ from crews import Inline
 from support import Refused, evaluated
 
 from fusion.base import ComputeError, InputError
+from fusion.cli import main
 from fusion.commands.options import EXIT_INPUT
 from fusion.phasors import stereo_motion
 from fusion.recording.load import load_manifest
@@ -276,6 +277,15 @@ def test_one_sentence_names_file_and_key(file, what, campaign, untouched):
         assert part in told
     assert told.count("expected") <= 1
     assert told.count(str(campaign / file)) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("file", "what"), [(file, what) for file, cases in WRONG.items() for what in cases])
+def test_check_refuses_what_a_run_refuses(file, what, campaign, capsys):
+    WRONG[file][what][0](campaign)
+    assert main(["check", str(campaign / NAME)]) == EXIT_INPUT
+    told = capsys.readouterr()
+    assert Path(file).name in told.out + told.err
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.sensor.compensate.source import (
     COMMAND,
+    OPTIONS,
     STATED,
     CompensatedChannel,
     CompensatedRecording,
@@ -362,7 +363,10 @@ def _subject(subject: Subject, wish: Wish, rate_hz: float | None) -> SubjectResu
         count = max(len(one.factors) for one in designs)
         filters = [_filter(subject, mass, one, wish, (rate, count)) for mass, one in zip(masses, designs, strict=True)]
     except ValueError as error:
-        raise InputError.told_by(error, Path(COMMAND), subject.name) from error
+        option = OPTIONS.get(str(error).partition(":")[0])
+        if option is None:  # the model itself
+            raise InputError.told_by(error, subject.file or Path(COMMAND), subject.name) from error
+        raise InputError.told_by(error, Path(COMMAND), f"{option} ({subject.name})") from error
     return SubjectResult(subject, tuple(filters))
 
 

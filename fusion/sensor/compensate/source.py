@@ -44,6 +44,18 @@ COMMAND = "shakercal compensate"
 NOT_TOLD = Rests(scope="")
 MOST_DOF = 1e6
 """Degrees of freedom from which on scatter counts for nothing but rounding."""
+OPTIONS = {
+    "modes": "--modes",
+    "frequency_hz": "--frequency",
+    "damping_ratio": "--damping",
+    "bandwidth_hz": "--bandwidth",
+    "permitted_error": "--permitted-error",
+    "real_hz": "--real-pole",
+    "low_pass_hz": "--low-pass",
+    "load_mass": "--load-mass",
+    "sample_rate_hz": "--sample-rate",
+}
+"""By the arguments that the design refuses: what a user states."""
 STATED = "sensor"
 """Channel of a sensor that is stated by numbers."""
 
@@ -120,6 +132,7 @@ class Subject:
     `component`: empty of a sensor that is stated. `model`: fitted to releases, over the load, or stated. `noise`:
     standard deviation of the output at `sample_rate_hz`, None where they are not known. `source`: in words; `rests`:
     what its U rests on, with `scatter` (P, P) the part of the covariance that has these degrees of freedom, None: all.
+    `file`: that holds the model, None of a sensor stated by numbers.
     """
 
     channel: str
@@ -131,6 +144,7 @@ class Subject:
     noise: float | None = None
     rests: Rests = NOT_TOLD
     scatter: FloatArray | None = None
+    file: Path | None = None
 
     @property
     def scope(self) -> str:
@@ -259,7 +273,7 @@ def _of_steps(file: Path) -> Sources:
         told = f"{one.method}, {one.recording}"
         rests = Rests(one.dof, one.scope or Rests().scope, one.outside)
         known = one.sample_rate_hz, one.noise, rests, one.scatter
-        subjects.append(Subject(channel, one.component, one.unit, one.model, told, *known))
+        subjects.append(Subject(channel, one.component, one.unit, one.model, told, *known, file))
     return Sources(models.name, tuple(subjects), (file,))
 
 
@@ -276,7 +290,7 @@ def _of_loads(file: Path) -> Sources:
             )
             notices.append(Notice("warning", text, model.channel))
         told = "two masses" if model.is_rigid else "three masses"
-        subject = Subject(model.channel, model.component, model.unit, model, told, rests=rests)
+        subject = Subject(model.channel, model.component, model.unit, model, told, rests=rests, file=file)
         if model.load_masses:
             loads = ", ".join(subject.load_text(load) for load in model.load_masses)
             subject = replace(subject, source=f"{told}, fitted to loads of {loads}")

@@ -12,25 +12,32 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.recording.toml import read_toml, validate
 from fusion.recording.values import (
+    DENSITY,
+    HERTZ,
+    MODULUS,
     Block,
     Context,
     ExistingFile,
+    Mass,
     NotNegative,
     Number,
     PathScope,
     Positive,
     Text,
+    Version,
     array_of_tables,
     describe,
     refusal,
     repeated_name,
     vector,
+    within,
 )
 from shaker.elastomer.frame import NAMES, RigidPart, block, joined
 from shaker.elastomer.geometry import CrossBeams
 from shaker.elastomer.geometry import Material as MaterialData
 from shaker.elastomer.solid import SolidBlock
 
+MOST_SIZES = 1000
 FINEST = 6
 """Largest refinement of the solid's mesh: beyond it memory is short and nothing is gained."""
 
@@ -58,49 +65,54 @@ def _sizes(value: object) -> tuple[float, ...]:
     """Check a list of numbers above zero."""
     if not isinstance(value, list | tuple) or not value:
         raise refusal("a list of numbers above 0", describe(value))
+    if len(value) > MOST_SIZES:
+        raise refusal(f"at most {MOST_SIZES} numbers", f"{len(value)}")
     sizes = vector(len(value))(value)
     if min(sizes) <= 0.0:
         raise refusal("a list of numbers above 0", f"{min(sizes):g} in it")
     return sizes
 
 
+SMALL = within(1e-6, 2.0, "m", mm=1e-3)
+Size = Annotated[Positive, SMALL]
+Offset = Annotated[Number, within(0.0, 2.0, "m", mm=1e-3)]
 Inertia3 = Annotated[tuple[float, float, float], BeforeValidator(_inertia)]
-Sizes = Annotated[tuple[float, ...], BeforeValidator(_sizes)]
+Sizes = Annotated[tuple[float, ...], BeforeValidator(_sizes), SMALL]
 
 
 class Material(Block):
     """Pa, -, kg/m³."""
 
-    youngs_modulus: Positive
+    youngs_modulus: Annotated[Positive, MODULUS]
     poisson_ratio: Annotated[float, Field(ge=0, lt=0.5, allow_inf_nan=False)]
-    density: Positive
+    density: Annotated[Positive, DENSITY]
 
 
 class Beams(Block):
     """The cross beams, in m."""
 
-    span: Positive
-    width: Positive
-    height: Positive
+    span: Size
+    width: Size
+    height: Size
     shear_factor: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] = 5.0 / 6.0
 
 
 class CompliantBeams(Block):
     """The compliant beams, in m."""
 
-    thickness: Positive
-    length: Positive
-    height: Positive | None = None
+    thickness: Size
+    length: Size
+    height: Size | None = None
 
 
 class Platform(Block):
     """The central platform, in m, kg, kg·m²: a block of the element's material, or its data."""
 
-    half_size: Positive
-    thickness: Positive | None = None
-    height: Number = 0.0
-    mass: Positive | None = None
-    centre_of_mass: Number = 0.0
+    half_size: Size
+    thickness: Size | None = None
+    height: Offset = 0.0
+    mass: Mass | None = None
+    centre_of_mass: Offset = 0.0
     inertia: Inertia3 | None = None
 
     @model_validator(mode="after")
@@ -120,8 +132,8 @@ class Part(Block):
     """A rigid part on the platform, in kg, m, kg·m²."""
 
     name: Text
-    mass: Positive
-    centre_of_mass: Number
+    mass: Mass
+    centre_of_mass: Offset
     inertia: Inertia3
 
 
@@ -141,12 +153,12 @@ class Solid(Block):
 class Frequencies(Block):
     """Natural frequencies in Hz by the name of their mode."""
 
-    Tx: Positive | None = None
-    Ty: Positive | None = None
-    Tz: Positive | None = None
-    Rx: Positive | None = None
-    Ry: Positive | None = None
-    Rz: Positive | None = None
+    Tx: Annotated[Positive, HERTZ] | None = None
+    Ty: Annotated[Positive, HERTZ] | None = None
+    Tz: Annotated[Positive, HERTZ] | None = None
+    Rx: Annotated[Positive, HERTZ] | None = None
+    Ry: Annotated[Positive, HERTZ] | None = None
+    Rz: Annotated[Positive, HERTZ] | None = None
 
     @property
     def stated(self) -> dict[str, float]:
@@ -183,7 +195,7 @@ class Mounting(Block):
 class ElementFile(Block):
     """GEOMETRY.toml."""
 
-    format: Literal[1]
+    format: Version
     name: Text
     material: Material
     beams: Beams
@@ -204,6 +216,15 @@ class ElementFile(Block):
         for key, size in sizes:
             if size >= 0.5 * self.beams.span:
                 raise refusal(f"a half-size below half the span, {0.5 * self.beams.span:g} m", f"{size:g} m", key)
+        side, room = 2.0 * self.platform.half_size, 0.5 * self.beams.span - self.platform.half_size
+        compliant = self.compliant_beams
+        for key, size, limit, what in (
+            ("beams.width", self.beams.width, side, "the side of the platform"),
+            ("compliant_beams.thickness", compliant.thickness, room, "the room beside the platform"),
+            ("compliant_beams.thickness", compliant.thickness, compliant.length, "the length of the compliant beam"),
+        ):
+            if size > limit:
+                raise refusal(f"at most {what}, {limit:g} m", f"{size:g} m", key)
         for key, blocks in (("part", self.part), ("stated", self.stated)):
             twice = repeated_name([item.name for item in blocks])
             if twice is not None:
@@ -277,9 +298,12 @@ class Definition:
         return tuple(RigidPart(part.mass, part.centre_of_mass, np.array(part.inertia)) for part in self.file.part)
 
 
-def read_definition(path: Path) -> Definition:
-    """Read and check GEOMETRY.toml; `InputError` names file and key. Paths in it count from its folder."""
+def read_definition(path: Path, *, allow_outside: bool = False) -> Definition:
+    """Read and check GEOMETRY.toml; `InputError` names file and key.
+
+    Paths in it count from its folder and stay in the folder above it, where results of other commands lie beside.
+    """
     text = read_toml(path)
     folder = path.parent.resolve()
-    context = Context(PathScope(folder, folder, allow_outside=True), {})
+    context = Context(PathScope(folder, folder.parent, allow_outside, "above this file"), {})
     return Definition(path, validate(ElementFile, text, path, context))

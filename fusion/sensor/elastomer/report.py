@@ -500,6 +500,7 @@ def run_elastomer(
     *,
     solid: bool = False,
     force: bool = False,
+    allow_outside: bool = False,
     progress: ProgressCallback = no_progress,
 ) -> None:
     """Model the element that a file (or elastomer.toml in a folder) states, write the results, print the comparison.
@@ -508,7 +509,7 @@ def run_elastomer(
     """
     file = path / "elastomer.toml" if path.is_dir() else path
     read = {file.resolve(): seen} if (seen := Identity.of(file)) else None
-    definition = read_definition(file)
+    definition = read_definition(file, allow_outside=allow_outside)
 
     def evaluate(hashes: dict[str, str]) -> ElementEvaluation:
         return evaluate_element(definition, hashes, solid=solid, progress=progress)

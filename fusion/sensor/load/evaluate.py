@@ -17,6 +17,8 @@ from fusion.base import CommandEvaluation, ComputeError, InputError
 from fusion.estimation.uncertainty import NamedQuantity, coverage_factor
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
+from fusion.recording.toml import read_text
+from fusion.recording.values import wrong_size
 from fusion.sensitivity.body import inertia_errors, rigid_load
 from fusion.sensor.models_file import parameter_units
 from fusion.sensor.step.records import effective_dof
@@ -215,6 +217,7 @@ def _masses(moving: Moving, loads: Sequence[tuple[float, dict[str, float]]]) -> 
 
 LOAD, FIRST, U_FIRST, SECOND, U_LOAD = "load_mass_kg", "frequency_hz", "u_frequency_hz", "second_hz", "u_load_mass_kg"
 COLUMNS = (LOAD, FIRST, U_FIRST, SECOND, U_LOAD)
+LARGEST_TABLE = 1_000_000  # bytes
 
 
 def read_table(path: Path, moving_mass: float, u_moving_mass: float) -> LoadSeries:
@@ -235,12 +238,7 @@ def read_table(path: Path, moving_mass: float, u_moving_mass: float) -> LoadSeri
 
 def _columns(path: Path) -> dict[str, FloatArray]:
     """All columns as numbers, NaN where nothing stands."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(path, "", found=error.strerror or str(error), expected="a file that can be read") from error
-    except UnicodeDecodeError as error:
-        raise InputError(path, "", found="bytes that are no UTF-8", expected="a CSV text") from error
+    text = read_text(path, LARGEST_TABLE, "a table of loads")
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     read = csv.DictReader(lines, delimiter=";" if lines and ";" in lines[0] else ",", skipinitialspace=True)
     rows = [{name.strip(): (cell or "").strip() for name, cell in row.items() if name is not None} for row in read]
@@ -260,7 +258,7 @@ def _columns(path: Path) -> dict[str, FloatArray]:
             value = float(text)
         except ValueError:
             value = float("nan")
-        if not low <= value < np.inf:
+        if not low <= value < np.inf or wrong_size(value):
             expected = "a number of at least 0" if low == 0.0 else "a frequency above 0"
             told = (text, expected) if text else ("nothing", "a number")
             raise InputError(path, f"{column}, row {place}", found=told[0], expected=told[1])

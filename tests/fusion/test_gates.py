@@ -1,0 +1,304 @@
+"""What every manifest passes before any key is looked at: paths, sizes, texts, depth; and what nobody can mean."""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import fuzz_manifests
+import pytest
+from pydantic import BaseModel, TypeAdapter, ValidationError
+from support import Refused, edit
+
+from fusion.base import InputError
+from fusion.cameras.align_manifest import AlignmentFile
+from fusion.recording.load import load_manifest
+from fusion.recording.manifest import RecordingFile
+from fusion.recording.response import Chain
+from fusion.recording.rig import Rig
+from fusion.recording.toml import LARGEST_TOML, read_toml
+from fusion.recording.values import Context, PathScope
+from fusion.sensor.elastomer.definition import ElementFile, read_definition
+from fusion.simulate import simulate
+
+MANIFESTS = (Rig, RecordingFile, AlignmentFile, ElementFile, Chain)
+PATH_KEYS = {
+    "Stereo.calibration", "ChannelEntry.response", "Daq.file", "Images.left", "Images.right", "PointFiles.files",
+    "Excitation.file", "AlignmentFile.calibration", "OtherPair.calibration", "Face.pixels", "TargetViewBlock.left",
+    "TargetViewBlock.right", "CommonView.left", "CommonView.right", "CommonView.other_left", "CommonView.other_right",
+    "Motion.recordings", "AxisBlock.recordings", "ElementFile.measured",
+}  # fmt: skip
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    yield annotation
+    for argument in get_args(annotation):
+        yield from _parts(argument)
+
+
+def _models(model: type[BaseModel], seen: set[type[BaseModel]]) -> set[type[BaseModel]]:
+    """A model and all that its keys hold."""
+    if model not in seen:
+        seen.add(model)
+        for field in model.model_fields.values():
+            for part in _parts(field.annotation):
+                if isinstance(part, type) and issubclass(part, BaseModel):
+                    _models(part, seen)
+    return seen
+
+
+def _path_keys() -> dict[str, Any]:
+    """Model.key -> what checks its value, of every key of every manifest that names files."""
+    models: set[type[BaseModel]] = set()
+    for manifest in MANIFESTS:
+        _models(manifest, models)
+    return {
+        f"{model.__name__}.{key}": TypeAdapter(Annotated[field.annotation, *(field.metadata or [None])])
+        for model in models
+        for key, field in model.model_fields.items()
+        if any(part is Path for part in _parts(field.annotation))
+    }
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """A folder with a recording's folder, a file outside, and links, pipes and circles inside."""
+    inside = tmp_path / "campaign" / "recording"
+    inside.mkdir(parents=True)
+    (tmp_path / "secret.h5").write_bytes(b"x")
+    (inside / "good.h5").write_bytes(b"x")
+    (inside / "out.h5").symlink_to(tmp_path / "secret.h5")
+    (inside / "away").symlink_to(tmp_path)
+    (inside / "loop.h5").symlink_to("loop.h5")
+    os.mkfifo(inside / "pipe.h5")
+    return inside
+
+
+def test_the_list_of_path_keys_is_whole():
+    assert set(_path_keys()) == PATH_KEYS
+
+
+@pytest.mark.parametrize("key", sorted(PATH_KEYS))
+def test_every_path_passes_one_gate(key, tree):
+    check = _path_keys()[key]
+    context = Context(PathScope(tree, tree.parent), {})
+    assert check.validate_python("good.h5", context=context)
+    wrong = ("../../secret.h5", str(tree.parent.parent / "secret.h5"), "out.h5", "away/secret.h5", "away/*.h5",
+             "loop.h5", "pipe.h5", "/dev/zero", "good.h5\0", "x" * 5000, "..", ".", "C:/x", "a\\b", "none")  # fmt: skip
+    for text in wrong:
+        with pytest.raises(ValidationError, match="expected"):
+            check.validate_python(text, context=context)
+
+
+def test_the_rig_passes_no_links_out(make_campaign, tmp_path):
+    folder = make_campaign()
+    for rig in ("/etc/hostname", "../../nowhere.toml", "../rig.toml\\u0000", "..", "pipe"):
+        (folder / "pipe").exists() or os.mkfifo(folder / "pipe")
+        text = (folder / "recording.toml").read_text(encoding="utf-8")
+        other = re.sub(r'^rig = ".*"', lambda _, rig=rig: f'rig = "{rig}"', text, flags=re.MULTILINE)
+        (folder / "recording.toml").write_text(other, encoding="utf-8")
+        with pytest.raises(InputError, match="rig"):
+            load_manifest(folder)
+        (folder / "recording.toml").write_text(text, encoding="utf-8")
+
+
+DEEP = 100_000
+FLOODS = {
+    "deep lists": ("x = " + "[" * DEEP, "at most 32"),
+    "deep lists, line by line": ("x = " + "[\n" * 5000, "brackets without end"),
+    "deep tables": ("x = " + "{a = " * DEEP, "at most 32"),
+    "a long name": (".".join("a" * DEEP) + " = 1", "at most 32"),
+    "deep, but short": ("x = " + "[" * 40 + "]" * 40, "at most 32"),
+    "a long text": (f'x = "{"a" * 5000}"', "at most 4096 characters"),
+    "a long key": (f'"{"k" * 5000}" = 1', "at most 4096 characters"),
+    "NUL": ('x = "a\\u0000b"', r'without control characters, found the text "a\\u0000b"'),
+    "an escape": ('x = ["a", "\\u001b[31m"]', r'x\[2\]: .*found the text "\\u001b\[31m"'),
+    "writing from the right": ('x = "a\\u202eb"', "without control characters"),
+    "a key with an escape": ('"\\u001b" = 1', r"found the name \\u001b"),
+    "a number that overflows": ("x = 1e300", "0 or a size of 1e-100 to 1e[+]30, found 1e[+]300"),
+    "a number that vanishes": ("x = 1e-300", "0 or a size of 1e-100"),
+    "a whole number that overflows": ("x = " + "9" * 4000, "found a whole number of hundreds of digits"),
+    "no whole number": ("x = " + "9" * 5000, "TOML"),
+    "too much": ("x = 1\n" * (LARGEST_TOML // 6 + 1), f"at most {LARGEST_TOML} bytes"),
+}
+
+
+@pytest.mark.parametrize("what", list(FLOODS))
+def test_what_no_manifest_holds_is_refused_at_once(what, tmp_path):
+    content, told = FLOODS[what]
+    path = tmp_path / "rig.toml"
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(InputError, match=told) as error:
+        read_toml(path)
+    assert str(error.value).isprintable()
+    assert len(str(error.value)) < 600 + len(str(path))
+
+
+def test_long_lines_that_are_meant_are_read(tmp_path):
+    path = tmp_path / "rig.toml"
+    rows = "[" + ", ".join(["[" + ", ".join(["0.0012345678901"] * 32) + "]"] * 60) + "]"
+    path.write_text(f'x = {rows}\nabout = "{"." * 4000}"\nten = 1e-99\n', encoding="utf-8")
+    assert len(read_toml(path)["x"]) == 60
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "elastomer",
+        "align",
+        "compensate --frequency 9",
+        "load --moving-mass 1 --frequencies",
+        "lines",
+        "check",
+        "run",
+        "import-calibration -o x.json",
+    ],
+)
+@pytest.mark.parametrize("place", ["pipe", "/dev/zero", "loop"])
+def test_devices_pipes_and_circles_are_no_files(command, place, tmp_path, capsys, monkeypatch):
+    from fusion.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    Path("loop").symlink_to("loop")
+    writer = threading.Timer(5.0, lambda: os.close(os.open("pipe", os.O_RDWR | os.O_NONBLOCK)))
+    writer.start()  # so that a command that does read fails instead of hanging
+    try:
+        with pytest.raises(SystemExit) as ended:
+            main([*command.split(), place])
+    finally:
+        writer.cancel()
+    assert ended.value.code == 2
+    assert re.search("device or pipe|circle", capsys.readouterr().err)
+
+
+UNITS = [
+    # file, old, new, what is said
+    ("rig.toml", "mass = 6.9605", "mass = 6960.5", "load.mass: expected a mass in kg .* denser than any metal"),
+    ("rig.toml", "mass = 6.9605", "mass = 696050.0", r"load.mass: expected at most 100000 kg, found .*if meant in g"),
+    ("rig.toml", "[0.0, 0.0, 0.0310]]", "[0.0, 0.0, 0.0310e6]]", r"load.inertia: expected"),
+    ("rig.toml", "centre_of_mass = [0.0, 0.0, 0.010]", "centre_of_mass = [0.0, 0.0, 10.0]", r"0.01 m if meant in mm"),
+    ("rig.toml", "translation = [0.0, 0.0, 0.30]", "translation = [0.0, 0.0, 300.0]", r"0.3 m if meant in mm"),
+    ("rig.toml", "exposure = 40e-6", "exposure = 40", r"stereo.top.exposure: .*0.04 s if meant in ms"),
+    ("rig.toml", "temperature = 23.0", "temperature = 296.15", "environment.temperature: expected a number of at most"),
+    ("rig.toml", "mass = 6.9605", "mass = 1e25", r"load.mass: expected at most 100000 kg, found 1e[+]25$"),
+    ("rig.toml", "scale_uncertainty = 2e-4", "scale_uncertainty = 2.0", r"at most 1, found 2 \(0.02 .*percent"),
+    (
+        "recording.toml",
+        "direction_uncertainty = 5e-3",
+        "direction_uncertainty = 5",
+        r"0.0872665 rad if meant in degrees",
+    ),
+    ("recording.toml", "clock_uncertainty = 1e-6", "clock_uncertainty = 50", "clock_uncertainty: expected at most 1"),
+    ("recording.toml", "point = [0.030, 0.0, 0.040]", "point = [30, 0, 40]", r"0.03 m if meant in mm"),
+    ("recording.toml", "delay = 0.0 ", "delay = 40.0 ", r"delay: expected at most 10 s, found 40"),
+    ("recording.toml", "frequencies = [106.25]", "frequencies = [-106.25]", "frequencies above 0, found -106.25"),
+    ("recording.toml", "frequencies = [106.25]", f"frequencies = {list(range(1, 3000))}", "at most 2000 frequencies"),
+    ("recording.toml", 'harmonics = "auto"', "harmonics = [2, 1000000]", "multiples of at most 1000"),
+    ("recording.toml", "first_edge = 0 ", "first_edge = 9999999999 ", "first_edge"),
+    ("recording.toml", "format = 1", "format = true", "format: expected 1, the version of the format, found true"),
+]
+
+
+@pytest.mark.parametrize(("file", "old", "new", "told"), UNITS)
+def test_a_value_of_another_unit_is_told(file, old, new, told, make_campaign):
+    with pytest.raises(InputError, match=told):
+        load_manifest(make_campaign(replace=((file, old, new),)))
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("CON", "device's on Windows"),
+        ("nul.x", "device's on Windows"),
+        ("a:b", "a file can bear"),
+        ("a/b", "a file can bear"),
+        ("../x", "a file can bear"),
+        ("end.", "a file can bear"),
+        ("end ", "a file can bear"),
+        ("x" * 200, "a file can bear"),
+        ("Top", 'differs from "top" by more than case'),
+        ("\N{FULLWIDTH LATIN SMALL LETTER T}op", 'differs from "top"'),
+    ],
+)
+def test_names_of_stereo_pairs_are_names_of_files(name, told, make_campaign):
+    folder = make_campaign()
+    text = (folder.parent / "rig.toml").read_text(encoding="utf-8")
+    (folder.parent / "rig.toml").write_text(text.replace("[stereo.base]", f'[stereo."{name}"]'), encoding="utf-8")
+    with pytest.raises(InputError, match=told):
+        load_manifest(folder)
+
+
+@pytest.fixture(scope="module")
+def element(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("element") / "own"
+    simulate(folder, "elastomer", 1)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("span = 0.064", "span = 64.0", r"beams.span: expected at most 2 m, found 64 \(0.064 m if meant in mm\)"),
+        ("width = 0.0038", "width = 0.38", "beams.width: expected at most the side of the platform, 0.0358 m"),
+        ("length = 0.032", "length = 0.00032", "thickness: expected at most the length of the compliant beam"),
+        ("density = 2820.0", "density = 2.82", r"2820 kg/m\^3 if meant in g/cm\^3"),
+        ("youngs_modulus = 72000000000.0", "youngs_modulus = 72", "7.2e[+]10 Pa if meant in GPa"),
+        ('measured = "models.json"', 'measured = "../../secret.json"', "inside the folder above this file"),
+    ],
+)
+def test_a_drawing_in_another_unit_is_refused(old, new, told, element, tmp_path):
+    text = (element / "elastomer.toml").read_text(encoding="utf-8")
+    folder = tmp_path / "above" / "own"
+    folder.mkdir(parents=True)
+    (tmp_path / "secret.json").write_text("{}", encoding="utf-8")
+    (folder / "models.json").write_bytes((element / "models.json").read_bytes())
+    (folder / "elastomer.toml").write_text(text, encoding="utf-8")
+    read_definition(folder / "elastomer.toml")
+    edit(folder / "elastomer.toml", old, new)
+    with pytest.raises(InputError, match=told):
+        read_definition(folder / "elastomer.toml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ("--frequency 100 --modes 9", "--modes (Fx): expected 0 to 1, as many as the model has"),
+        ("--frequency 1e6 --sample-rate 10", "--sample-rate (Fx): expected at least"),
+    ],
+)
+def test_a_wish_that_cannot_be_met_names_its_option(arguments, told, element, tmp_path, refused: Refused):
+    said = refused("compensate", element / "models.json", *arguments.split(), "-o", tmp_path / "out")
+    assert told in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_repeats_of_one_load_make_a_model_of_two_masses(tmp_path, capsys, monkeypatch):
+    from support import rows, without_pages
+
+    from fusion.cli import main
+
+    without_pages(monkeypatch)
+    table = tmp_path / "loads.csv"
+    table.write_text("load_mass_kg,frequency_hz\n0.15,100\n0.15,101\n0.15,99\n", encoding="utf-8")
+    assert main(["load", "--frequencies", str(table), "--moving-mass", "0.05", "-o", str(tmp_path / "out")]) == 0
+    (stiffness,) = [row for row in rows(tmp_path / "out" / "parameters.csv") if row["name"] == "stiffness"]
+    assert float(stiffness["value"]) == pytest.approx(0.2 * (2 * 3.141592653589793 * 100) ** 2, rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", fuzz_manifests.KINDS, ids=lambda kind: kind.name)
+def test_wrong_manifests_end_with_one_sentence(kind, tmp_path):
+    told = fuzz_manifests.fuzzed(kind, tmp_path, 12)
+    assert not told.broken
+    assert not told.unnoticed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", list(fuzz_manifests.OPTIONS))
+def test_wrong_options_end_with_one_sentence(command, tmp_path):
+    assert not fuzz_manifests.fuzzed_options(command, tmp_path, 12).broken
