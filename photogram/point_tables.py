@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, IntArray
+from photogram.images.sequence import reading
 
 POSITION = ("x", "y", "z")
 REFERENCE = ("x0", "y0", "z0")
@@ -70,13 +71,14 @@ def read_point_tables(
     if not files:
         raise ValueError("files: expected at least one table, found none")
     paths, program = [Path(path) for path in files], ""
+    if columns is not None:
+        _check_columns(columns)
     for path in paths:
-        if not path.is_file():
-            raise FileNotFoundError(f"{path}: no such file")
+        with reading(path):
+            pass
     if columns is None:
         program, frames = _known_frames(paths, scale)
     else:
-        _check_columns(columns)
         frames = _named_frames(paths, columns, valid_status, 1.0 if scale is None else scale)
     places, count = _places(frames)
     position = np.full((len(frames), count, 3), np.nan)
