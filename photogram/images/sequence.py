@@ -17,20 +17,22 @@ GreyImage = NDArray[np.uint8 | np.uint16]
 MOST_PIXELS = 1 << 28  # of a picture
 
 
-@contextmanager
-def reading(path: Path) -> Iterator[None]:
-    """Turn whatever goes wrong with a file into `OSError` or `ValueError`: one sentence that begins with its path.
-
-    What is no file is refused before it is opened: a pipe would wait for ever, a device may have no end.
-    """
+def check_file(path: Path) -> None:
+    """Raise `FileNotFoundError` for what is no file, before it is opened: a pipe would wait, a device has no end."""
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError) as error:  # ValueError: a NUL in its name
         told = "no such file" if isinstance(error, FileNotFoundError) else getattr(error, "strerror", None) or error
         raise FileNotFoundError(f"{path}: {told}".replace("\0", "\\0")) from error
     if not stat.S_ISREG(mode):
-        found = "a folder" if stat.S_ISDIR(mode) else "a device"
+        found = "a folder" if stat.S_ISDIR(mode) else "a device or pipe"
         raise FileNotFoundError(f"{path}: no such file, found {found}")
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn whatever goes wrong with a file into `OSError` or `ValueError`: one sentence that begins with its path."""
+    check_file(path)
     try:
         yield
     except MemoryError as error:
@@ -40,7 +42,7 @@ def reading(path: Path) -> Iterator[None]:
         text = " ".join(str(error).split())
         if isinstance(error, OSError | ValueError) and text.startswith(str(path)) and type(error) is not OSError:
             raise
-        cause = f"{type(error).__name__}: {text[:200]}"
+        cause = "its pixels cannot be decoded" if "OpenCV" in text else f"{type(error).__name__}: {text[:200]}"
         raise ValueError(f"{path}: not a readable {path.suffix[1:].upper()} file ({cause})") from error
 
 

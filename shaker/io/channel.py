@@ -67,7 +67,9 @@ def reading(path: Path) -> Iterator[None]:
         told = "none" if isinstance(error, FileNotFoundError) else getattr(error, "strerror", None) or error
         raise FileNotFoundError(f"{path}: expected a file, found {told}".replace("\0", "\\0")) from error
     if not stat.S_ISREG(mode):
-        raise FileNotFoundError(f"{path}: expected a file, found {'a folder' if stat.S_ISDIR(mode) else 'a device'}")
+        raise FileNotFoundError(
+            f"{path}: expected a file, found {'a folder' if stat.S_ISDIR(mode) else 'a device or pipe'}"
+        )
     try:
         yield
     except MemoryError as error:
