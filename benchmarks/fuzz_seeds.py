@@ -16,7 +16,8 @@ import tdms_factory as tdms
 import universal_factory as uff
 
 from photogram.images.files import open_sequence, read_picture
-from photogram.point_tables import read_point_tables
+from photogram.images.sequence import reading
+from photogram.point_tables import read_matrix, read_point_tables
 from shaker.io import read_channels
 from shaker.io.text import read_scan_asc, read_table_columns, table_units
 from shaker.io.universal import read_universal_functions, read_universal_shapes
@@ -33,10 +34,10 @@ LVM = (
 
 @dataclass(frozen=True)
 class Seed:
-    """How sound files of a kind come into a folder, and the call that reads one of them."""
+    """How sound files of a kind come into a folder, and the calls that read one of them."""
 
     make: Callable[[Path, Path], None]
-    read: Callable[[Path], Any]
+    reads: tuple[Callable[[Path], Any], ...]
     suffixes: tuple[str, ...]
 
     def write(self, folder: Path, data: Path) -> bool:
@@ -58,24 +59,8 @@ def _channels(path: Path) -> None:
         read_channels(path, names[-1:], 100.0)
 
 
-def _universal(path: Path) -> None:
-    _first_that_reads((_channels, read_universal_functions, read_universal_shapes), path)
-
-
-def _first_that_reads(readers: tuple[Callable[[Path], Any], ...], path: Path) -> None:
-    """Call all readers; raise what the last one of them that refuses the file raises."""
-    last: Exception | None = None
-    for read in readers:
-        try:
-            read(path)
-        except (OSError, ValueError) as error:
-            last = error
-    if last is not None:
-        raise last
-
-
-def _table(path: Path) -> None:
-    _first_that_reads((_channels, lambda own: read_table_columns(own, list(table_units(own)))), path)
+def _columns(path: Path) -> None:
+    read_table_columns(path, list(table_units(path)))
 
 
 def _tdms(folder: Path, data: Path) -> None:
@@ -159,6 +144,10 @@ def _mdf(folder: Path, data: Path) -> None:
     _taken(folder, data, "formats/mdf4/test_batch.mf4", "formats/mdf4/test_meas_4.10.mf4")
 
 
+def _dewesoft(folder: Path, data: Path) -> None:
+    _taken(folder, data, "formats/dewesoft/test_acc_001.dxd", "formats/dewesoft/Example_Drive01.d7d")
+
+
 def _parquet(folder: Path, _: Path) -> None:
     try:
         import pyarrow as pa
@@ -171,10 +160,6 @@ def _parquet(folder: Path, _: Path) -> None:
 
 
 # Pictures and films.
-
-
-def _pictures(path: Path) -> None:
-    _first_that_reads((_frames, read_picture), path)
 
 
 def _frames(path: Path) -> None:
@@ -248,40 +233,38 @@ def _points(folder: Path, data: Path) -> None:
     scipy.io.savemat(folder / "plain.mat", table)
 
 
-def _point_table(path: Path) -> None:
-    named = ["id", "x", "y", "z", *["_"] * 5]
-    _first_that_reads((lambda own: read_point_tables([own], named), lambda own: read_point_tables([own])), path)
+def _named_points(path: Path) -> None:
+    read_point_tables([path], ["id", "x", "y", "z", *["_"] * 5])
 
 
-def _only(make: Callable[[Path, Path], None], read: Callable[[Path], Any], *suffixes: str) -> Seed:
-    return Seed(make, read, suffixes)
+def _known_points(path: Path) -> None:
+    read_point_tables([path], scale=1e-3)
+
+
+def _matrix(path: Path) -> None:
+    with reading(path):
+        read_matrix(path)
 
 
 SEEDS: dict[str, Seed] = {
-    "tdms": _only(_tdms, _channels, ".tdms"),
-    "hdf5": _only(_hdf5, _channels, ".h5"),
-    "matlab": _only(_matlab, _channels, ".mat"),
-    "wave": _only(_wave, _channels, ".wav"),
-    "universal": _only(_universal_files, _universal, ".uff", ".unv"),
-    "labview": _only(_texts, _channels, ".lvm"),
-    "scan": _only(_texts, lambda path: (_channels(path), read_scan_asc(path)), ".asc"),
-    "csv": _only(_texts, _table, ".csv"),
-    "mdf": _only(_mdf, _channels, ".mf4"),
-    "dewesoft": _only(
-        lambda folder, data: _taken(
-            folder, data, "formats/dewesoft/test_acc_001.dxd", "formats/dewesoft/Example_Drive01.d7d"
-        ),
-        _channels,
-        ".dxd",
-        ".d7d",
-    ),
-    "parquet": _only(_parquet, _channels, ".parquet"),
-    "png": _only(_grey_files, _pictures, ".png"),
-    "jpeg": _only(_grey_files, read_picture, ".jpg"),
-    "bmp": _only(_grey_files, _pictures, ".bmp"),
-    "tiff": _only(_grey_files, _pictures, ".tif", ".tiff"),
-    "cine": _only(_cine, _frames, ".cine"),
-    "photron": _only(_photron, _frames, ".cih", ".cihx"),
-    "film": _only(_films, _frames, ".avi", ".mp4", ".mkv"),
-    "points": _only(_points, _point_table, ".csv", ".mat"),
+    "tdms": Seed(_tdms, (_channels,), (".tdms",)),
+    "hdf5": Seed(_hdf5, (_channels,), (".h5",)),
+    "matlab": Seed(_matlab, (_channels,), (".mat",)),
+    "wave": Seed(_wave, (_channels,), (".wav",)),
+    "universal": Seed(_universal_files, (_channels, read_universal_functions, read_universal_shapes), (".uff", ".unv")),
+    "labview": Seed(_texts, (_channels,), (".lvm",)),
+    "scan": Seed(_texts, (_channels, read_scan_asc), (".asc",)),
+    "csv": Seed(_texts, (_channels, _columns), (".csv",)),
+    "mdf": Seed(_mdf, (_channels,), (".mf4",)),
+    "dewesoft": Seed(_dewesoft, (_channels,), (".dxd", ".d7d")),
+    "parquet": Seed(_parquet, (_channels,), (".parquet",)),
+    "png": Seed(_grey_files, (_frames, read_picture), (".png",)),
+    "jpeg": Seed(_grey_files, (read_picture,), (".jpg",)),
+    "bmp": Seed(_grey_files, (_frames, read_picture), (".bmp",)),
+    "tiff": Seed(_grey_files, (_frames, read_picture), (".tif", ".tiff")),
+    "cine": Seed(_cine, (_frames,), (".cine",)),
+    "photron": Seed(_photron, (_frames,), (".cih", ".cihx")),
+    "film": Seed(_films, (_frames,), (".avi", ".mp4", ".mkv")),
+    "points": Seed(_points, (_named_points, _known_points), (".csv", ".mat")),
+    "matrix": Seed(_points, (_matrix,), (".txt",)),
 }
