@@ -6,8 +6,8 @@ Small valid files of every kind are written, or taken from the folder of real da
 input is one of them with one to four changes: bits flipped, bytes replaced, taken out, put in or doubled, the end cut
 off, whole numbers of 1 to 8 bytes and numbers in text set to extreme values. A process of its own reads them, so that
 a crash or a hang costs one input. Counted: files read as data, files refused by `OSError` or `ValueError` with one
-sentence that begins with the path, anything else (tracebacks of other kinds, sentences without the path, crashes of
-the process), inputs that took more than ten seconds of the processor or gave no answer within a minute, and the largest memory of the process.
+sentence that begins with the path, anything else (other errors, sentences without the path, crashes of the process),
+inputs that took more than ten seconds of the processor or gave no answer within a minute, and the largest memory.
 """
 
 from __future__ import annotations

@@ -161,7 +161,7 @@ def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float |
     import h5py
 
     with h5py.File(path, "r") as file:
-        links: list[str] = []
+        links: list[bytes] = []
         file.id.links.visit(
             lambda name, link: links.append(name) if link.type == h5py.h5l.TYPE_EXTERNAL else None, info=True
         )
