@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
+import struct
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, IntArray
+from photogram.images.sequence import check_file, reading
 
 POSITION = ("x", "y", "z")
 REFERENCE = ("x0", "y0", "z0")
 IGNORED = "_"
+MOST_BYTES = 256 << 20  # of a table
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,13 +75,15 @@ def read_point_tables(
     if not files:
         raise ValueError("files: expected at least one table, found none")
     paths, program = [Path(path) for path in files], ""
+    if columns is not None:
+        _check_columns(columns)
     for path in paths:
-        if not path.is_file():
-            raise FileNotFoundError(f"{path}: no such file")
+        check_file(path)
+        if path.stat().st_size > MOST_BYTES:
+            raise ValueError(f"{path}: expected a table of at most {MOST_BYTES >> 20} MiB, found a larger file")
     if columns is None:
         program, frames = _known_frames(paths, scale)
     else:
-        _check_columns(columns)
         frames = _named_frames(paths, columns, valid_status, 1.0 if scale is None else scale)
     places, count = _places(frames)
     position = np.full((len(frames), count, 3), np.nan)
@@ -103,7 +110,10 @@ def _named_frames(
     paths: Sequence[Path], columns: Sequence[str], valid_status: float | None, scale: float
 ) -> list[_Frame]:
     """Return the frames of tables whose columns the caller names."""
-    tables = [(str(path), _read_numbers(path, len(columns))) for path in paths]
+    tables = []
+    for path in paths:
+        with reading(path):
+            tables.append((str(path), _read_numbers(path, len(columns))))
     if "frame" in columns:
         if len(paths) > 1:
             raise ValueError(f"{paths[1]}: expected one file when there is a column frame, found {len(paths)}")
@@ -261,7 +271,8 @@ def _known_frames(paths: Sequence[Path], scale: float | None) -> tuple[str, list
         return _MATRIX, _matrix_frames(paths, scale)
     found, frames = [], []
     for path in paths:
-        columns = _mat_columns(path) if path.suffix.lower() == ".mat" else _text_columns(path)
+        with reading(path):
+            columns = _mat_columns(path) if path.suffix.lower() == ".mat" else _text_columns(path)
         layout = next((known for known in _LAYOUTS if {*known.place, *known.moves} <= set(columns)), None)
         if layout is None:
             names = ", ".join(list(columns)[:8]) or "none"
@@ -349,12 +360,38 @@ def _number(field: str) -> float | None:
         return None
 
 
+_MAT_NUMBERS = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
+
+
+def _inflated(path: Path) -> int:
+    """Return how many bytes the compressed parts of a `.mat` file have once inflated, as far as they are allowed."""
+    total = 0
+    with path.open("rb") as file:
+        order = "<" if file.read(128)[126:] == b"IM" else ">"
+        while len(tag := file.read(8)) == 8 and total <= MOST_BYTES:
+            kind, size = struct.unpack(f"{order}II", tag)
+            if kind != 15:  # not compressed, or a matrix of version 4
+                file.seek(size, 1)
+                continue
+            inflate, raw = zlib.decompressobj(), file.read(size)
+            while raw and not inflate.eof and total <= MOST_BYTES:
+                total += len(inflate.decompress(raw, 1 << 20))
+                raw = inflate.unconsumed_tail
+    return total
+
+
 def _mat_columns(path: Path) -> _Columns:
     """Return the arrays of a `.mat` file that have the size of the first coordinate, flat."""
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
     try:
-        found = loadmat(path)
+        # Nested structs are not touched: they are read by recursion in C. A file inflates at most a thousand times.
+        plain = {name: size for name, size, kind in whosmat(path) if kind in _MAT_NUMBERS}
+        if sum(8 * math.prod(size) for size in plain.values()) > 1100 * path.stat().st_size:
+            raise ValueError("more numbers declared than a file of its length can hold")
+        if _inflated(path) > MOST_BYTES:
+            raise ValueError(f"more than {MOST_BYTES >> 20} MiB once inflated")
+        found = loadmat(path, variable_names=list(plain))
     except Exception as error:  # whatever damaged bytes lead to
         raise ValueError(f"{path}: expected a .mat file up to version 7, found {type(error).__name__} in it") from error
     arrays = {
@@ -383,7 +420,8 @@ def _matrix_frames(paths: Sequence[Path], scale: float | None) -> list[_Frame]:
         values = {}
         for quantity, (path, unit) in quantities.items():
             if quantity in "XYZUVW":
-                values[quantity] = read_matrix(path) * _metres(path, quantity, unit, scale)
+                with reading(path):
+                    values[quantity] = read_matrix(path) * _metres(path, quantity, unit, scale)
         if len({value.shape for value in values.values()}) > 1:
             raise ValueError(f"{name}: expected matrices of one size, found several")
         before, moves = (np.stack([values[axis].ravel() for axis in axes], 1) for axes in ("XYZ", "UVW"))

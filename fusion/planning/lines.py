@@ -143,7 +143,8 @@ def lines_csv(lists: Sequence[LineList]) -> str:
 def _file_group(path: Path, group: dict[str, RawChannel], band_hz: tuple[float, float] | None) -> LineList:
     """Survey channels that were sampled alike."""
     rate_hz = next(iter(group.values())).sample_rate_hz
-    values = np.stack([channel.samples for channel in group.values()], axis=1)
+    columns = [channel.samples for channel in group.values()]
+    values = columns[0][:, None] if len(columns) == 1 else np.stack(columns, axis=1)
     for name, channel in group.items():
         missing = int(np.count_nonzero(~np.isfinite(channel.samples)))
         if missing:

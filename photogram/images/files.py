@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
 from photogram.arrays import Notice
-from photogram.images.sequence import GreyImage, ImageSequence, full_scale_of
+from photogram.images.sequence import (
+    GreyImage,
+    ImageSequence,
+    check_pixels,
+    full_scale_of,
+    reading,
+)
 from photogram.images.video import VIDEO_READERS
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 SUFFIXES = (*TIFF_SUFFIXES, ".png", ".bmp", *VIDEO_READERS)
+TIFF_CODES = ("NONE", "LZW", "ADOBE_DEFLATE", "DEFLATE", "PACKBITS", "JPEG", "OJPEG", "WEBP")
 PICTURE_BITS = (8, 10, 12, 14, 16)
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PNG_COLOURS = {2: "colour", 3: "palette colour", 4: "grey with transparency", 6: "colour with transparency"}
@@ -57,9 +65,8 @@ def open_sequence(paths: Sequence[str | Path], bit_depth: int | None = None) -> 
     files = tuple(Path(path) for path in paths)
     opener = VIDEO_READERS.get(files[0].suffix.lower())
     if opener is not None and len(files) == 1:
-        if not files[0].is_file():
-            raise FileNotFoundError(f"{files[0]}: no such file")
-        return opener(files[0], bit_depth)
+        with reading(files[0]):
+            return opener(files[0], bit_depth)
     headers = [_read_header(path) for path in files]
     first = headers[0]
     full_scale = full_scale_of(files[0], first.bits, bit_depth)
@@ -101,10 +108,9 @@ def read_picture(path: str | Path) -> tuple[GreyImage, int]:
     import cv2
 
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    data = np.fromfile(path, np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE) if data.size else None
+    with reading(path):
+        data = np.fromfile(path, np.uint8)
+        image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE) if data.size else None
     if image is None:
         raise ValueError(f"{path}: not a readable picture")
     if image.dtype not in (np.uint8, np.uint16):
@@ -116,14 +122,15 @@ def read_picture(path: str | Path) -> tuple[GreyImage, int]:
 
 def _read_header(path: Path) -> _Header:
     """Header of a file that is one picture, or of a TIFF file."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
     reader = {".tif": _tiff_header, ".tiff": _tiff_header, ".png": _png_header, ".bmp": _bmp_header}
     if path.suffix.lower() in VIDEO_READERS:
         raise ValueError(f"{path}: expected one video file for a camera, found several files")
     if path.suffix.lower() not in reader:
         raise ValueError(f"{path}: expected a file of type {' '.join(SUFFIXES)}, found {path.suffix or 'no suffix'}")
-    return reader[path.suffix.lower()](path)
+    with reading(path):
+        header = reader[path.suffix.lower()](path)
+        check_pixels(path, header.size_px)
+        return header
 
 
 def _read_file(paths: tuple[Path, ...], bits: int, index: int) -> GreyImage:
@@ -133,7 +140,8 @@ def _read_file(paths: tuple[Path, ...], bits: int, index: int) -> GreyImage:
     path = paths[index]
     if path.suffix.lower() in TIFF_SUFFIXES:
         return _read_tiff(path, bits, 0)
-    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+    with reading(path):
+        image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         kind = path.suffix[1:].upper()
         raise ValueError(f"{path}: not a readable {kind} file (its pixels cannot be decoded)")
@@ -148,10 +156,11 @@ def _tiff_header(path: Path) -> _Header:
         with tifffile.TiffFile(path) as tiff:
             pages = [tiff.pages[0], *tiff.pages[1:]]
             length = tiff.filehandle.size
-            ends = [int(end) for page in pages for end in np.add(page.dataoffsets, page.databytecounts)]
+            stored = [_stored(page) for page in pages]
             shape, bits, colour = pages[0].shape, int(pages[0].bitspersample), pages[0].photometric
             same = all(page.shape == shape and page.bitspersample == bits for page in pages)
             lossy = any("JPEG" in page.compression.name or page.compression.name == "WEBP" for page in pages)
+            wrong = next((page.compression.name for page in pages if page.compression.name not in TIFF_CODES), None)
     except (ValueError, IndexError, KeyError, struct.error) as error:
         raise ValueError(f"{path}: not a readable TIFF file ({error})") from error
     if len(shape) != 2 or colour not in (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.MINISWHITE):
@@ -160,25 +169,55 @@ def _tiff_header(path: Path) -> _Header:
         raise ValueError(f"{path}: expected pages of one size and bit depth, found different ones")
     if bits not in (8, 12, 16) or pages[0].dtype.kind != "u":
         raise ValueError(f"{path}: expected 8, 12 or 16 bits per pixel, found {bits} ({pages[0].dtype})")
-    if not ends or max(ends) > length:
-        raise ValueError(f"{path}: truncated, expected {max(ends, default=0)} bytes, found {length}")
+    if wrong is not None:
+        raise ValueError(f"{path}: expected no compression, LZW, deflate or JPEG, found {wrong}")
+    needed = max(end for end, _ in stored)
+    if needed > length:
+        raise ValueError(f"{path}: truncated, expected {needed} bytes, found {length}")
+    least = shape[0] * (shape[1] * bits // 8)
+    if pages[0].compression.name == "NONE" and min(size for _, size in stored) < least:
+        found = min(size for _, size in stored)
+        raise ValueError(f"{path}: expected {least} bytes of {shape[1]} x {shape[0]} pixels, found {found}")
     return _Header((shape[1], shape[0]), bits, len(pages), lossy)
+
+
+def _stored(page: Any) -> tuple[int, int]:
+    """Return where the pixels of a page of a TIFF file end, and their number of bytes."""
+    ends = np.add(page.dataoffsets, page.databytecounts)
+    return max((int(end) for end in ends), default=1 << 62), sum(int(count) for count in page.databytecounts)
+
+
+def _check_inflated(path: Path, tiff: Any, page: Any) -> None:
+    """Refuse deflated parts of a page that are not as long as its pixels need, before they fill the memory."""
+    each = math.prod(page.chunks) * page.dtype.itemsize
+    for start, size in zip(page.dataoffsets, page.databytecounts, strict=True):
+        tiff.filehandle.seek(start)
+        found = len(zlib.decompressobj().decompress(tiff.filehandle.read(size), each + 1))
+        # The last strip of a page may be shorter than the others, or filled up.
+        if found > each or (found < each and (page.is_tiled or start != page.dataoffsets[-1])):
+            raise ValueError(f"{path}: expected {each} bytes of pixels in every part, found others")
 
 
 def _read_tiff(path: Path, bits: int, page: int) -> GreyImage:
     """One page of a TIFF file; OpenCV takes what tifffile cannot decode alone (LZW, packed 12 bit)."""
     import tifffile
 
-    try:
-        with tifffile.TiffFile(path) as tiff:
-            image = np.asarray(tiff.pages[page].asarray())
-            return cast(GreyImage, image.astype(image.dtype.newbyteorder("="), copy=False))
-    except (NotImplementedError, ImportError):
-        return _read_tiff_opencv(path, bits, page)
-    except (ValueError, zlib.error, IndexError) as error:
-        if "imagecodecs" in str(error):
+    with reading(path):
+        try:
+            with tifffile.TiffFile(path) as tiff:
+                own = tiff.pages[page]
+                if "DEFLATE" in own.compression.name:
+                    _check_inflated(path, tiff, own)
+                image = np.asarray(own.asarray())
+                return cast(GreyImage, image.astype(image.dtype.newbyteorder("="), copy=False))
+        except (NotImplementedError, ImportError):
             return _read_tiff_opencv(path, bits, page)
-        raise ValueError(f"{path}: not a readable TIFF file ({error})") from error
+        except (ValueError, zlib.error, IndexError) as error:
+            if "imagecodecs" in str(error):
+                return _read_tiff_opencv(path, bits, page)
+            if str(error).startswith(str(path)):
+                raise
+            raise ValueError(f"{path}: not a readable TIFF file ({error})") from error
 
 
 def _read_tiff_opencv(path: Path, bits: int, page: int) -> GreyImage:
@@ -220,6 +259,7 @@ def _bmp_header(path: Path) -> _Header:
         start, size, width, height, _, bits, compression = struct.unpack_from("<IIiiHHI", head, 10)
         file.seek(14 + size)
         palette = np.frombuffer(file.read(1024), np.uint8)
+    check_pixels(path, (width, abs(height)))
     if bits != 8 or compression != 0:
         raise ValueError(f"{path}: expected 8 uncompressed bits per pixel, found {bits} (compression {compression})")
     grey = np.repeat(np.arange(len(palette) // 4), 3).reshape(-1, 3)

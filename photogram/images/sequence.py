@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +14,42 @@ from numpy.typing import NDArray
 from photogram.arrays import FloatArray, Notice, check_shape
 
 GreyImage = NDArray[np.uint8 | np.uint16]
+MOST_PIXELS = 1 << 28  # of a picture
+
+
+def check_file(path: Path) -> None:
+    """Raise `FileNotFoundError` for what is no file, before it is opened: a pipe would wait, a device has no end."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError) as error:  # ValueError: a NUL in its name
+        told = "no such file" if isinstance(error, FileNotFoundError) else getattr(error, "strerror", None) or error
+        raise FileNotFoundError(f"{path}: {told}".replace("\0", "\\0")) from error
+    if not stat.S_ISREG(mode):
+        found = "a folder" if stat.S_ISDIR(mode) else "a device or pipe"
+        raise FileNotFoundError(f"{path}: no such file, found {found}")
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn whatever goes wrong with a file into `OSError` or `ValueError`: one sentence that begins with its path."""
+    check_file(path)
+    try:
+        yield
+    except MemoryError as error:
+        raise ValueError(f"{path}: expected a file that fits into memory, found one that does not") from error
+    except Exception as error:
+        # The libraries answer damaged files with errors of every kind; here they become one.
+        text = " ".join(str(error).split())
+        if isinstance(error, OSError | ValueError) and text.startswith(str(path)) and type(error) is not OSError:
+            raise
+        cause = "its pixels cannot be decoded" if "OpenCV" in text else f"{type(error).__name__}: {text[:200]}"
+        raise ValueError(f"{path}: not a readable {path.suffix[1:].upper()} file ({cause})") from error
+
+
+def check_pixels(path: Path, size_px: tuple[int, int]) -> None:
+    """Raise `ValueError` for a picture without pixels or with more than any camera has."""
+    if not (min(size_px) > 0 and size_px[0] * size_px[1] <= MOST_PIXELS):
+        raise ValueError(f"{path}: expected at most {MOST_PIXELS} pixels, found {size_px[0]} x {size_px[1]}")
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, Notice
-from photogram.images.sequence import GreyImage, ImageSequence, full_scale_of
+from photogram.images.sequence import GreyImage, ImageSequence, check_pixels, full_scale_of, reading
 
 LARGEST_HEADER = 4 << 20  # bytes of a .cih or .cihx, which are some ten thousand
-MOST_PIXELS = 1 << 28
+MOST_FRAMES = 1 << 21
 
 
 def _names(path: Path, frames: int) -> tuple[str, ...]:
@@ -65,8 +65,8 @@ def open_photron(header: Path, bit_depth: int | None) -> ImageSequence:
 
     def whole(key: str) -> int:
         text = entries.get(key, "nothing")
-        if not text.isdigit() or int(text) < 1:
-            raise ValueError(f"{header}: {key}: expected a positive whole number, found {text}")
+        if not text.isdecimal() or len(text) > 9 or int(text) < 1:
+            raise ValueError(f"{header}: {key}: expected a positive whole number, found {text[:40]}")
         return int(text)
 
     stored_bits = whole("Color Bit")
@@ -79,6 +79,9 @@ def open_photron(header: Path, bit_depth: int | None) -> ImageSequence:
     if side not in ("lower", "higher"):
         raise ValueError(f"{header}: EffectiveBit Side: expected Lower or Higher, found {side!r}")
     frames, size_px = whole("Total Frame"), (whole("Image Width"), whole("Image Height"))
+    check_pixels(header, size_px)
+    if frames > MOST_FRAMES:
+        raise ValueError(f"{header}: Total Frame: expected at most {MOST_FRAMES}, found {frames}")
     bits = min(16, whole("EffectiveBit Depth")) if stored_bits == 16 else stored_bits
     expected, actual = frames * size_px[0] * size_px[1] * stored_bits // 8, path.stat().st_size
     if actual < expected:
@@ -130,7 +133,8 @@ def _read_mraw(path: Path, size_px: tuple[int, int], stored_bits: int, shift: in
     """Frame `index` of 8, 12 or 16 stored bits per pixel; of 16 the grey value may stand `shift` bits higher."""
     width, height = size_px
     count = width * height * stored_bits // 8
-    raw = np.fromfile(path, np.uint8, count=count, offset=index * count)
+    with reading(path):
+        raw = np.fromfile(path, np.uint8, count=count, offset=index * count)
     if len(raw) < count:
         raise ValueError(f"{path}: frame {index} is cut off, expected {count} bytes, found {len(raw)}")
     if stored_bits == 8:
@@ -143,6 +147,7 @@ def _read_mraw(path: Path, size_px: tuple[int, int], stored_bits: int, shift: in
 # Phantom cameras: Vision Research, "Cine file format", 2018. All numbers are little-endian.
 
 PACKED_10, PACKED_12 = 256, 1024  # of biCompression
+MOST_BLOCKS = 10_000
 FRAME_TIMES, EXPOSURES = 1002, 1003  # types of tagged blocks
 
 
@@ -166,7 +171,7 @@ class _Cine:
     def read(self, index: int) -> GreyImage:
         """Return frame `index`; codes of 10 bits as the grey values of 12 bits that they stand for."""
         width, height = self.size_px
-        with self.path.open("rb") as file:
+        with reading(self.path), self.path.open("rb") as file:
             file.seek(int(self.offsets[index]))
             (annotation,) = struct.unpack("<I", file.read(4).ljust(4, b"\0"))
             file.seek(int(self.offsets[index]) + annotation)
@@ -210,7 +215,8 @@ def open_cine(path: Path, bit_depth: int | None) -> ImageSequence:
         setup = file.read(1024).ljust(1024, b"\0")
         (setup_length,) = struct.unpack_from("<H", setup, 142)
         ends = setup_at + setup_length, offsets_at + 8 * frames
-        if setup[140:142] != b"ST" or not 0 < width * abs(height) <= MOST_PIXELS or frames < 1 or ends[1] > length:
+        check_pixels(path, (width, abs(height)))
+        if setup[140:142] != b"ST" or not 0 < frames <= MOST_FRAMES or ends[1] > length:
             raise ValueError(f"{path}: not a readable Phantom cine file (damaged header)")
         file.seek(offsets_at)
         offsets = np.frombuffer(file.read(8 * frames), "<i8")
@@ -246,7 +252,9 @@ def open_cine(path: Path, bit_depth: int | None) -> ImageSequence:
 def _tagged_blocks(file: Any, start: int, end: int) -> dict[int, bytes]:
     """Return the tagged blocks between two places of a cine file, by their type."""
     blocks: dict[int, bytes] = {}
-    while start + 8 <= end:
+    for _ in range(MOST_BLOCKS):
+        if start + 8 > end:
+            break
         file.seek(start)
         size, kind, _ = struct.unpack("<IHH", file.read(8).ljust(8, b"\0"))
         if not 8 <= size <= end - start:
@@ -283,6 +291,10 @@ class _Film:
 
     def read(self, index: int) -> GreyImage:
         """Return frame `index` as luminance."""
+        with reading(self.path):
+            return self._decoded(index)
+
+    def _decoded(self, index: int) -> GreyImage:
         import cv2
 
         if self.capture is None or index < self.following:
@@ -305,6 +317,7 @@ def open_film(path: Path, bit_depth: int | None) -> ImageSequence:
     if not capture.isOpened():
         raise ValueError(f"{path}: not a readable film, or of a codec that is not supported; save the frames as TIFF")
     size_px = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+    check_pixels(path, size_px)
     codec = struct.pack("<I", int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF).decode("latin-1")
     frames = 0
     while capture.grab():

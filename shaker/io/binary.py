@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import re
+import struct
 import warnings
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from shaker.io.channel import (
+    BLOCK,
     Column,
     RawChannel,
+    check_size,
+    check_stored,
     checked_rate,
     chosen,
     columns_of,
@@ -27,6 +32,8 @@ _RATES = ("sample_rate", "sampling_rate", "sampling_frequency", "fs")
 _MATLAB_RATES = ("sample_rate", "fs", "Fs")
 _STARTS, _UNITS = ("start_time",), ("unit", "units")
 _TIMES = ("time", "Time", "t")
+_LONGEST_TEXT = 1 << 20  # letters
+_DEEPEST = 64  # groups or structs inside one another
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,7 @@ def _put_together(
 ) -> dict[str, RawChannel]:
     """Return the channels wanted: by the rate beside them, else by a vector of times, else by the rate given."""
     times = {beside.times for beside in wanted.values() if beside.times}
-    values = read_datasets(datasets, {name: columns[name] for name in {*wanted, *times}})
+    values = read_datasets(path, datasets, {name: columns[name] for name in {*wanted, *times}})
     result = {}
     for name, beside in wanted.items():
         rate, start, where = beside.rate, beside.start or 0.0, f'channel "{name}"'
@@ -72,7 +79,16 @@ def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
 
     with h5py.File(path, "r") as file:
         columns: dict[str, Column] = {}
-        file.visititems(lambda name, node: columns.update(columns_of(name, node)))
+
+        def add(name: str, node: Any) -> None:
+            if name.count("/") > _DEEPEST:
+                raise ValueError(f"groups in {_DEEPEST} others")
+            columns.update(columns_of(name, node))
+
+        file.visititems(add)  # follows no links
+        for name in names or ():
+            if name not in columns and isinstance(file.get(name, getlink=True), h5py.ExternalLink):
+                raise ValueError(f'{path}: channel "{name}": expected samples in this file, found a link to another')
         present = columns if names is not None else [name for name in columns if not is_time(name.rsplit("/", 1)[-1])]
         wanted = {}
         for name in chosen(path, names, present):
@@ -145,6 +161,13 @@ def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float |
     import h5py
 
     with h5py.File(path, "r") as file:
+        links: list[bytes] = []
+        file.id.links.visit(
+            lambda name, link: links.append(name) if link.type == h5py.h5l.TYPE_EXTERNAL else None, info=True
+        )
+        if links:
+            own = links[0].decode("utf-8", "replace")
+            raise ValueError(f'{path}: variable "{own}": expected samples in this file, found a link to another')
         return _channels(path, dict(_hdf5_leaves("", file)), names, sample_rate_hz)
 
 
@@ -162,7 +185,7 @@ def _channels(
     present = columns if names is not None else [n for n in columns if n.rpartition(".")[2] not in _TIMES]
     wanted = {}
     for name in chosen(path, names, present):
-        rate, start = (_scalar(variables, name, keys) for keys in (_MATLAB_RATES, _STARTS))
+        rate, start = (_scalar(path, variables, name, keys) for keys in (_MATLAB_RATES, _STARTS))
         near = [columns[other] for other in _beside(name, _TIMES) if other in columns and other != name]
         times = next((own.dataset for own in near if own.length == columns[name].length), None)
         units = (variables.get(key) for key in _beside(name, _UNITS))
@@ -179,16 +202,19 @@ def _beside(name: str, keys: Sequence[str]) -> Iterator[str]:
         yield from (f"{struct}.{key}" if struct else key for key in keys)
 
 
-def _scalar(variables: Mapping[str, Any], name: str, keys: Sequence[str]) -> float | None:
+def _scalar(path: Path, variables: Mapping[str, Any], name: str, keys: Sequence[str]) -> float | None:
     """Return the number that stands beside a channel under one of the keys, None where there is none."""
     for key in _beside(name, keys):
         if getattr(variable := variables.get(key), "size", 0) == 1:
+            check_stored(path, key, variable)
             return float(np.asarray(variable).reshape(()))
     return None
 
 
 def _hdf5_leaves(prefix: str, group: Any) -> Iterator[tuple[str, Any]]:
     """Yield the variables of a version 7.3 file; arrays stay in the file."""
+    if prefix.count(".") > _DEEPEST:
+        raise ValueError(f"structs in {_DEEPEST} others")
     for key, node in group.items():
         if key.startswith("#"):
             continue
@@ -199,7 +225,10 @@ def _hdf5_leaves(prefix: str, group: Any) -> Iterator[tuple[str, Any]]:
             yield name, _Unreadable("a cell array" if kind == "cell" else "an array of structs or an object")
         elif "MATLAB_empty" in node.attrs:
             yield name, _Unreadable("an empty array")
+        elif kind == "char" and node.size > _LONGEST_TEXT:
+            yield name, _Unreadable(f"a text of {node.size} letters")
         elif kind == "char":
+            check_stored(Path(node.file.filename), name, node)
             yield name, "".join(map(chr, np.asarray(node[()]).ravel()))
         elif kind == "string" or node.attrs.get("MATLAB_object_decode"):
             yield name, _Unreadable("a MATLAB object")
@@ -211,6 +240,7 @@ def _classic(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
     """Return the variables of an older file, where only some channels are asked for those that matter to them."""
     from scipy.io import loadmat, whosmat
 
+    _check_classic(path)
     roots = None
     if names is not None:
         roots = {re.split("[./]", name)[0] for name in names}
@@ -220,6 +250,44 @@ def _classic(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
             roots = None  # a name is wrong: all of them stand in the message
     content = loadmat(str(path), variable_names=roots)
     return dict(leaf for name, value in content.items() for leaf in _classic_leaves(name, value))
+
+
+_PARTS = 5000  # cells, structs and objects in one file: scipy reads those inside one another by recursion in C
+_PART = {  # their array flags, in either order of bytes
+    "<": re.compile(rb"\x06\0\0\0\x08\0\0\0[\x01\x02\x03\x10\x11]"),
+    ">": re.compile(rb"\0\0\0\x06\0\0\0\x08..[\0-\xff][\x01\x02\x03\x10\x11]", re.DOTALL),
+}
+
+
+def _check_classic(path: Path) -> None:
+    """Refuse a version 5 file that inflates beyond bounds or holds more parts than its reader's stack can bear."""
+    with path.open("rb") as file:
+        head, total, parts = file.read(128), 0, 0
+        if 0 in head[:4]:
+            return  # version 4: matrices only, as they are
+        order = "<" if head[126:] == b"IM" else ">"
+        while len(tag := file.read(8)) == 8:
+            kind, size = struct.unpack(f"{order}II", tag)
+            end, tail = file.tell() + size, b""
+            for block in _blocks(file, size, zlib.decompressobj() if kind == 15 else None):
+                total += len(block)
+                check_size(path, "its variables", total)
+                parts += len(_PART[order].findall(tail + block))
+                tail = block[-11:]
+                if parts > _PARTS:
+                    raise ValueError(f"{path}: expected at most {_PARTS} cells and structs, found more")
+            file.seek(end)
+
+
+def _blocks(file: BinaryIO, left: int, inflate: Any) -> Iterator[bytes]:
+    """Yield an element's bytes, inflated where they are compressed, some at a time."""
+    while left > 0 and (raw := file.read(min(left, BLOCK))):
+        left -= len(raw)
+        if inflate is None:
+            yield raw
+        while inflate is not None and raw and not inflate.eof:
+            yield inflate.decompress(raw, BLOCK)
+            raw = inflate.unconsumed_tail
 
 
 def _classic_leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:

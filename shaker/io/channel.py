@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import stat
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -46,35 +49,59 @@ class RawChannel:
 # What all file readers share: choosing channels by name, and errors of one sentence that name the file.
 
 BLOCK = 1 << 20  # bytes read at a time
+MOST_CHANNELS = 10_000  # of a table
+LONGEST_LINE = 16 << 20  # bytes of a line of text
+_FREE, _EXPANSION = 512 << 20, 100  # bytes of samples that any file may have, and how many more for each of its own
 UNIFORM = 0.5  # of a sampling interval: how far a time column may stray from a uniform one
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn whatever goes wrong with a file into `OSError` or `ValueError`: one sentence that begins with its path."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: expected a file, found none")
+    """Turn whatever goes wrong with a file into `OSError` or `ValueError`: one sentence that begins with its path.
+
+    What is no file is refused before it is opened: a pipe would wait for ever, a device may have no end.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError) as error:  # ValueError: a NUL in its name
+        told = "none" if isinstance(error, FileNotFoundError) else getattr(error, "strerror", None) or error
+        raise FileNotFoundError(f"{path}: expected a file, found {told}".replace("\0", "\\0")) from error
+    if not stat.S_ISREG(mode):
+        raise FileNotFoundError(
+            f"{path}: expected a file, found {'a folder' if stat.S_ISDIR(mode) else 'a device or pipe'}"
+        )
     try:
         yield
-    except MemoryError:
-        raise
+    except MemoryError as error:
+        raise ValueError(f"{path}: expected a file that fits into memory, found one that does not") from error
     except Exception as error:
         # The libraries answer damaged files with errors of every kind; here they become one.
         text = " ".join(str(error).split())
-        if isinstance(error, OSError | ValueError) and text.startswith(str(path)):
+        if isinstance(error, OSError | ValueError) and text.startswith(str(path)) and type(error) is not OSError:
             raise
-        kind, cause = path.suffix.lower(), f"{type(error).__name__}: {text}"
+        kind, cause = path.suffix.lower(), f"{type(error).__name__}: {text[:200]}"
         raise ValueError(f"{path}: expected a readable {kind} file, found a damaged one ({cause})") from error
+
+
+def check_size(path: Path, what: str, size: int) -> None:
+    """Raise `ValueError` where a file of that length cannot hold what it declares, `size` bytes once read.
+
+    Compression makes measured samples a few times smaller, a trigger between its edges perhaps a hundred times.
+    """
+    most = _FREE + _EXPANSION * path.stat().st_size
+    if size > most:
+        found = f"{size / 1e6:.0f} MB declared in a file of {path.stat().st_size / 1e6:.3g} MB"
+        raise ValueError(f"{path}: {what}: expected at most {most / 1e6:.0f} MB of samples, found {found}")
 
 
 def chosen(path: Path, names: Sequence[str] | None, present: Iterable[str]) -> list[str]:
     """Return the names wanted (all present ones for None), or raise `ValueError` naming those present."""
-    available = list(present)
+    available = dict.fromkeys(present)
     if names is None:
-        return available
+        return list(available)
     for name in names:
         if name not in available:
-            raise ValueError(f'{path}: expected a channel "{name}", found {listed(available)}')
+            raise ValueError(f'{path}: expected a channel "{name}", found {listed(list(available))}')
     return list(names)
 
 
@@ -82,7 +109,8 @@ def chosen_by_either(
     path: Path, names: Sequence[str] | None, present: Mapping[str, T], short: Sequence[str]
 ) -> dict[str, T]:
     """Return what belongs to the names wanted (None: all present); who has a `short` name alone answers to it, too."""
-    alone = {own: item for own, item in zip(short, present.values(), strict=True) if short.count(own) == 1}
+    count = Counter(short)
+    alone = {own: item for own, item in zip(short, present.values(), strict=True) if count[own] == 1}
     known = {**present, **alone, **present}
     return {name: known[name] for name in (present if names is None else chosen(path, names, known))}
 
@@ -165,12 +193,33 @@ def columns_of(name: str, dataset: Any) -> dict[str, Column]:
     count, length = min(dataset.shape, default=0), max(dataset.shape, default=0)
     if dataset.dtype.kind not in _NUMBERS or length == count or (count > 1 and length < _SLENDER * count):
         return {}
+    if count > MOST_CHANNELS:
+        return {}
     axis = dataset.shape.index(length)
     return {f"{name}/{i + 1}" if count > 1 else name: Column(name, length, axis, i) for i in range(count)}
 
 
-def read_datasets(datasets: Mapping[str, Any], wanted: Mapping[str, Column]) -> dict[str, FloatArray]:
+def check_stored(path: Path, name: str, dataset: Any) -> None:
+    """Refuse a dataset of an HDF5 file whose samples stand in other files, or nowhere; arrays in memory pass."""
+    if not hasattr(dataset, "is_virtual"):
+        return  # an array in memory
+    if dataset.is_virtual or dataset.external:
+        found = "a virtual one, made of others" if dataset.is_virtual else "one in other files (external storage)"
+        raise ValueError(f'{path}: dataset "{name}": expected samples in this file, found {found}')
+    if not dataset.id.get_storage_size():
+        raise ValueError(f'{path}: dataset "{name}": expected stored samples, found none')
+    if dataset.chunks:
+        check_size(path, f'dataset "{name}", a chunk', math.prod(dataset.chunks) * dataset.dtype.itemsize)
+
+
+def read_datasets(path: Path, datasets: Mapping[str, Any], wanted: Mapping[str, Column]) -> dict[str, FloatArray]:
     """Return the samples (S,) of channels by name; each dataset is read once, in blocks of whole chunks."""
+    total = 0
+    for name in {column.dataset for column in wanted.values()}:
+        check_stored(path, name, datasets[name])
+    for name, column in wanted.items():
+        total += 8 * column.length
+        check_size(path, f'channel "{name}"', total)
     results: dict[str, FloatArray] = {}
     for name in dict.fromkeys(column.dataset for column in wanted.values()):
         own = {key: column for key, column in wanted.items() if column.dataset == name}

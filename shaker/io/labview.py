@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -11,12 +13,13 @@ from typing import BinaryIO
 import numpy as np
 
 from shaker.arrays import FloatArray
-from shaker.io.channel import UNIFORM, RawChannel, chosen, rate_of_times
+from shaker.io.channel import MOST_CHANNELS, UNIFORM, RawChannel, chosen, rate_of_times
 from shaker.io.text import TextLayout, decoded, find_bytes, read_columns, whole_lines
 
 _END, _CHANNELS = b"***End_of_Header***", b"\nChannels"
 _SPECIAL, _SPECIAL_END = "***Start_Special***", "***End_Special***"
 _SEPARATORS = {"Tab": "\t", "Comma": ",", "Semicolon": ";"}
+_NEAREST = 8  # X columns before a channel that are looked at for its times
 _COMMENT, _TIMES, _SEPARATOR = "Comment", "X_Value", "Separator"
 
 
@@ -75,6 +78,8 @@ def _segments(path: Path, stream: BinaryIO) -> Iterator[_Segment]:
         titles = [title.strip() for title in decoded(stream.readline()).rstrip("\r\n").split(separator)]
         if titles == [""]:
             raise ValueError(f"{path}: line {line}: expected column titles after the header, found none")
+        if len(titles) > MOST_CHANNELS:
+            raise ValueError(f"{path}: line {line}: expected at most {MOST_CHANNELS} columns, found {len(titles)}")
         start = stream.tell()
         columns = len(titles) - (1 if titles[-1] in (_COMMENT, "") else 0)
         layout = TextLayout(path, columns, separator, comma, remarks=True)
@@ -116,11 +121,11 @@ def _channel_columns(titles: Sequence[str]) -> dict[str, int]:
     """Return the columns of channels by unique names."""
     columns = [i for i, title in enumerate(titles) if title not in (_TIMES, _COMMENT, "")]
     plain = [titles[i] for i in columns]
-    seen = [plain[: i + 1].count(name) for i, name in enumerate(plain)]
-    return {
-        name if plain.count(name) == 1 else f"{name} #{number}": i
-        for name, number, i in zip(plain, seen, columns, strict=True)
-    }
+    count, seen, places = Counter(plain), Counter[str](), dict[str, int]()
+    for name, i in zip(plain, columns, strict=True):
+        seen[name] += 1
+        places[name if count[name] == 1 else f"{name} #{seen[name]}"] = i
+    return places
 
 
 def _read_segment(path: Path, segment: _Segment, wanted: Sequence[str]) -> dict[str, _Part]:
@@ -130,12 +135,13 @@ def _read_segment(path: Path, segment: _Segment, wanted: Sequence[str]) -> dict[
         if name not in channels:
             raise ValueError(f'{path}: line {segment.line}: expected the channel "{name}" in every segment')
     own = {name: channels[name] for name in wanted}
-    before = {name: [i for i in range(column) if segment.titles[i] == _TIMES] for name, column in own.items()}
+    all_times = [i for i, title in enumerate(segment.titles) if title == _TIMES]
+    before = {name: all_times[: bisect(all_times, column)][-_NEAREST:] for name, column in own.items()}
     needed = sorted({*own.values(), *(i for places in before.values() for i in places)})
     columns = read_columns(segment.layout, segment.start, segment.stop, segment.line, needed)
-    parts = {}
+    parts, places = {}, {name: index for index, name in enumerate(channels)}
     for name in wanted:
-        samples, index = columns[own[name]], list(channels).index(name)
+        samples, index = columns[own[name]], places[name]
         stated = int(_value(segment, "Samples", index, len(samples)))
         if 0 < stated < len(samples) and np.isnan(samples[stated:]).all():
             samples = samples[:stated]  # columns shorter than others (X_Columns Multi) end where the header says

@@ -8,6 +8,10 @@ has steps of a quarter of a microsecond.
 from __future__ import annotations
 
 import gc
+import json
+import os
+import pickle
+import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -15,6 +19,7 @@ from dataclasses import replace
 from importlib import import_module
 from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from traceback import clear_frames
 from typing import Any
 
@@ -23,6 +28,7 @@ import numpy as np
 from shaker.arrays import FloatArray
 from shaker.io.channel import (
     RawChannel,
+    check_size,
     checked_rate,
     chosen,
     chosen_by_either,
@@ -31,6 +37,7 @@ from shaker.io.channel import (
     rate_of_times,
 )
 
+_LONGEST_S, _SLOWEST = 30.0, 2e6  # Dewesoft's library: seconds, and bytes it reads in each
 _MDF_REAL = 5  # the last of the data types that are numbers (ASAM MDF 4.1, channel block, cn_data_type)
 _Samples = Callable[[], tuple[FloatArray, FloatArray, str]]
 
@@ -109,16 +116,53 @@ def read_dewesoft(
 ) -> dict[str, RawChannel]:
     """Read channels of a Dewesoft file (.dxd, .dxz, .d7d) as physical values at the times that the file has.
 
-    Its header's sampling rate is not used: files exist that were stored at another one.
+    Its header's sampling rate is not used: files exist that were stored at another one. Dewesoft's library ends the
+    whole program where a file is damaged, so a process of its own reads.
     """
-    with _package(path, "dwdatareader").DWFile(str(path)) as file:
-        present = {channel.name: channel for channel in file.values() if channel.number_of_samples > 1}
+    _package(path, "dwdatareader")
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / "channels"
+        code = "import sys; from shaker.io import packages; packages.dewesoft_process(*sys.argv[1:])"
+        command = [sys.executable, "-c", code, str(path.resolve()), str(out), json.dumps(names)]
+        try:
+            subprocess.run(
+                command,
+                check=False,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                timeout=_LONGEST_S + path.stat().st_size / _SLOWEST,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise ValueError(f"Dewesoft's library had not read it within {error.timeout:.0f} s") from error
+        if not out.exists():
+            raise ValueError("Dewesoft's library ended without a result")
+        found: dict[str, RawChannel] | str = pickle.loads(out.read_bytes())
+    if isinstance(found, str):
+        raise ValueError(f"{path}{found}" if found.startswith(": ") else found)
+    return found
 
-        def samples(channel: Any) -> _Samples:
-            return lambda: (*channel.scaled(), channel.unit or "")
 
-        wanted = {name: samples(present[name]) for name in chosen(path, names, present)}
-        return _uniform(path, wanted, names, sample_rate_hz)
+def dewesoft_process(file: str, out: str, names: str) -> None:
+    """Read a Dewesoft file here and leave its channels, or the sentence that refuses it, in a file."""
+    path, wanted_names = Path(file), json.loads(names)
+    result: dict[str, RawChannel] | str
+    try:
+        with _package(path, "dwdatareader").DWFile(file) as opened:
+            present = {channel.name: channel for channel in opened.values() if channel.number_of_samples > 1}
+
+            def samples(channel: Any) -> _Samples:
+                return lambda: (*channel.scaled(), channel.unit or "")
+
+            for name, channel in present.items():
+                check_size(path, f'channel "{name}"', 16 * channel.number_of_samples)
+            wanted = {name: samples(present[name]) for name in chosen(path, wanted_names, present)}
+            result = _uniform(path, wanted, wanted_names, None)
+    except Exception as error:  # the library's own, of every kind
+        result = str(error).removeprefix(file) or type(error).__name__
+    whole = Path(out).with_suffix(".part")
+    whole.write_bytes(pickle.dumps(result))
+    whole.rename(out)
 
 
 def read_parquet(
@@ -126,6 +170,8 @@ def read_parquet(
 ) -> dict[str, RawChannel]:
     """Read columns of a Parquet table; a column `time` (s) dates them, a column's metadata may have a `unit`."""
     table = _package(path, "pyarrow.parquet").ParquetFile(path)
+    rows = table.metadata.num_rows
+    check_size(path, f"{rows} rows", 16 * rows)
     fields = {field.name: field for field in table.schema_arrow}
     times = next((name for name in fields if is_time(name)), None)
     wanted = chosen(path, names, [name for name in fields if name != times])

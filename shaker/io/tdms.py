@@ -28,6 +28,7 @@ from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen_by_either,
 _LEAD = 28  # bytes before every segment's metadata
 _METADATA, _NEW_LIST, _RAW, _INTERLEAVED, _BIG_ENDIAN = 1 << 1, 1 << 2, 1 << 3, 1 << 5, 1 << 6
 _NO_DATA, _AS_BEFORE, _FORMAT_CHANGING, _DIGITAL_LINE = 0xFFFFFFFF, 0, 0x1269, 0x126A
+_MOST_CHUNKS = 1_000_000  # of a segment of several cards, which have thousands of rows in each
 _UNENDING = 0xFFFFFFFFFFFFFFFF  # length of a segment whose writer never closed it
 _STRING, _BOOLEAN, _STAMP = 0x20, 0x21, 0x44
 _NUMBERS = {1: "i1", 2: "i2", 3: "i4", 4: "i8", 5: "u1", 6: "u2", 7: "u4", 8: "u8", 9: "f4", 10: "f8"}
@@ -256,11 +257,11 @@ def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: in
     rows = [max((count for count, at, _ in places if at == buffer), default=0) for buffer in range(len(widths))]
     fields = [tuple(field for _, at, field in places if at == buffer) for buffer in range(len(widths))]
     if len(widths) == 1:
-        if size % widths[0]:
+        if not widths[0] or size % widths[0]:
             raise _cut_off(path)
         return [Region(position, widths[0], size // widths[0], fields[0])]
     length = sum(row * width for row, width in zip(rows, widths, strict=True))
-    if not length or size % length:
+    if not length or size % length or size // length > _MOST_CHUNKS:
         raise _cut_off(path)
     regions = []
     for start in range(position, position + size, length):
@@ -276,6 +277,7 @@ def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: in
 _SCALES = ("Polynomial", "Linear", "RTD", "Strain", "Table", "Thermistor", "Thermocouple", "Add", "Subtract")
 _SCALE_KEY = re.compile(r"NI_Scale\[(\d+)\]_Scale_Type")
 _MOST_SCALES = 1000
+_SOURCES = ("input_source", "left_input_source", "right_input_source")
 _SCALE_BLOCK = 1 << 14  # samples scaled at a time: their intermediate results stay in the cache
 
 
@@ -364,6 +366,10 @@ def _values(path: Path, stream: BinaryIO, index: TdmsIndex, wanted: set[str]) ->
 
     A card's channel without scale is its first raw scale.
     """
+    size = path.stat().st_size
+    for (name, _), length in index.lengths.items():
+        if length > 8 * size:  # a sample takes at least a bit
+            raise ValueError(f"{path}: channel {name}: expected at most {8 * size} samples, found {length} declared")
     sinks = {key: _Sink(np.empty(length)) for key, length in index.lengths.items() if key[0] in wanted}
     keys = {name: [key for key in sinks if key[0] == name] for name in wanted}
     scales = {name: _scale(path, name, index) for name in wanted}
@@ -436,7 +442,15 @@ def _scale(path: Path, name: str, index: TdmsIndex) -> Any:
         raise ValueError(f"{where}: expected at most {_MOST_SCALES} scales, found {most}")
     from nptdms.scaling import get_scaling
 
-    return get_scaling(*layers)
+    scale = get_scaling(*layers)
+    steps, left = getattr(scale, "scalings", []), [len(getattr(scale, "scalings", [])) - 1]
+    for _ in range(_MOST_SCALES):  # sums of sums of the same scale would be taken 2ⁿ times
+        if not left:
+            return scale
+        place = left.pop()
+        own = steps[place] if 0 <= place < len(steps) else None
+        left += [getattr(own, source) for source in _SOURCES if hasattr(own, source)]
+    raise ValueError(f"{where}: expected scales that build on one another, found more than {_MOST_SCALES} steps")
 
 
 def _starts(stream: BinaryIO, index: TdmsIndex, wanted: Iterable[str]) -> dict[str, float]:

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -33,7 +34,17 @@ from typing import BinaryIO
 import numpy as np
 
 from shaker.arrays import FloatArray, check_shape
-from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen, chosen_by_either, is_time, rate_of_times, reading
+from shaker.io.channel import (
+    BLOCK,
+    LONGEST_LINE,
+    RawChannel,
+    checked_rate,
+    chosen,
+    chosen_by_either,
+    is_time,
+    rate_of_times,
+    reading,
+)
 
 # Rows of numbers in text files: whole blocks at once, line by line only where a block holds anything unusual.
 
@@ -108,8 +119,15 @@ def whole_lines(stream: BinaryIO, start: int, stop: int) -> Iterator[tuple[int, 
             rest = tail
         else:
             rest += tail
+            check_line(rest)
     if rest.strip():
         yield stop, rest + b"\n"
+
+
+def check_line(line: bytes) -> None:
+    """Raise `ValueError` for a line that no text has: it would be searched for its end through the whole file."""
+    if len(line) > LONGEST_LINE:
+        raise ValueError(f"a line of more than {LONGEST_LINE >> 20} MiB")
 
 
 def _whole_block(layout: TextLayout, block: bytes) -> FloatArray | None:
@@ -190,7 +208,8 @@ class _Head:
     def plain(self) -> list[str]:
         """Names without their units where these tell them apart."""
         short = self.short
-        return [own if short.count(own) == 1 else name for own, name in zip(short, self.names, strict=True)]
+        count = Counter(short)
+        return [own if count[own] == 1 else name for own, name in zip(short, self.names, strict=True)]
 
     def columns(self, wanted: Sequence[int]) -> dict[int, FloatArray]:
         """Return columns by their places."""
@@ -274,7 +293,8 @@ def _head(path: Path) -> _Head:
 def _next_line(stream: BinaryIO, line: int) -> tuple[int, int, str]:
     """Return place, number and text of the next line that is neither empty nor a remark; no text at the end."""
     while True:
-        start, raw = stream.tell(), stream.readline()
+        start, raw = stream.tell(), stream.readline(LONGEST_LINE + 1)
+        check_line(raw)
         line += 1
         text = decoded(raw).rstrip("\r\n")
         if not raw or (text.strip() and not text.startswith(_COMMENT)):
@@ -332,14 +352,14 @@ def read_scan_asc(path: Path) -> Scan:
     """Read a scanning vibrometer's text; every scan point is a take of its own."""
     with reading(path), path.open("rb") as stream:
         for _ in range(_FIRST_POINT - 1):
-            stream.readline()
+            check_line(stream.readline(LONGEST_LINE + 1))
         points = []
-        while len(row := _numbers(line := stream.readline())) == 3:
+        while len(row := _numbers(line := stream.readline(LONGEST_LINE))) == 3:
             points.append(row)
         if not points:
             raise ValueError(f"{path}: line {_FIRST_POINT}: expected x, y, z of the first scan point, found none")
         while line and not row:
-            row = _numbers(line := stream.readline())
+            row = _numbers(line := stream.readline(LONGEST_LINE))
         if not (len(row) == 2 and row[0] >= 1.0 and row[0] == int(row[0]) and row[1] > 0.0):
             expected = "a line with the number of samples and the sampling interval"
             raise ValueError(f"{path}: expected {expected}, found none")

@@ -8,6 +8,7 @@ leaves open whether the abscissa, single precision in the text form, is; the num
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
-from shaker.io.channel import BLOCK, RawChannel, checked_rate, chosen, numbers, rate_of_times, reading
+from shaker.io.channel import BLOCK, LONGEST_LINE, RawChannel, checked_rate, chosen, numbers, rate_of_times, reading
 from shaker.io.text import plain_rows
 
 # Data sets, and the functions of data set 58 in them.
@@ -83,7 +84,7 @@ class FunctionHeader:
 def data_sets(path: Path, stream: BinaryIO) -> Iterator[DataSet]:
     """Yield the data sets of a file in their order; `ValueError` where an end mark is missing."""
     line = 0
-    while text := stream.readline():
+    while text := stream.readline(LONGEST_LINE):
         line += 1
         if not text.strip():
             continue
@@ -98,7 +99,7 @@ def data_sets(path: Path, stream: BinaryIO) -> Iterator[DataSet]:
             lines, stop = _HEADER, _skip_binary(path, stream, more, line + 1)
         else:
             lines, stop = 0, stream.tell()
-            while (text := stream.readline()).strip() != _MARK:
+            while (text := stream.readline(LONGEST_LINE)).strip() != _MARK:
                 if not text:
                     end = "the end mark -1 of the last data set, found the end"
                     raise ValueError(f"{path}: line {line + 1 + lines}: expected {end}")
@@ -480,11 +481,13 @@ def _headers(path: Path) -> list[tuple[DataSet, FunctionHeader]]:
 
 def _named(headers: list[tuple[DataSet, FunctionHeader]]) -> dict[str, tuple[DataSet, FunctionHeader]]:
     plain = [head.response_name or head.ordinate.label or head.response_point for _, head in headers]
+    count = Counter(plain)
     full = [
-        name if plain.count(name) == 1 else f"{name} {head.response_point}".strip()
+        name if count[name] == 1 else f"{name} {head.response_point}".strip()
         for name, (_, head) in zip(plain, headers, strict=True)
     ]
+    count = Counter(full)
     return {
-        name if full.count(name) == 1 else f"{name} #{i + 1}": item
+        name if count[name] == 1 else f"{name} #{i + 1}": item
         for i, (name, item) in enumerate(zip(full, headers, strict=True))
     }

@@ -491,8 +491,8 @@ def _merged(peaks: Sequence[Peaks], resolution_hz: float) -> Survey:
         for _, c, i in group:
             amplitude[k, c], u_amplitude[k, c] = abs(peaks[c].value[i]), peaks[c].u_value[i]
         snr[k] = max(float(abs(peaks[c].value[i]) ** 2 / peaks[c].noise[i]) for _, c, i in group)
-    level = np.stack([np.sqrt(p.level) for p in peaks], axis=1)
-    shown = np.unique(np.round(np.geomspace(1.0, max(len(level) - 1, 1), _FLOOR_POINTS)).astype(np.int64))
+    bins = len(peaks[0].level)
+    shown = np.unique(np.round(np.geomspace(1.0, max(bins - 1, 1), _FLOOR_POINTS)).astype(np.int64))
     cut = sum(p.cut for p in peaks)
     told = f"more than {MOST_LINES} lines in a channel; the {cut} weakest are left out"
     return Survey(
@@ -503,6 +503,6 @@ def _merged(peaks: Sequence[Peaks], resolution_hz: float) -> Survey:
         snr=snr,
         origin=(UNEXPLAINED,) * lines,
         floor_hz=np.asarray(shown * resolution_hz, dtype=np.float64),
-        floor=level[shown],
+        floor=np.stack([np.sqrt(p.level[shown]) for p in peaks], axis=1),
         notices=(Notice("info", told, "spectrum"),) if cut else (),
     )

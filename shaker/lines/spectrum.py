@@ -47,9 +47,13 @@ def amplitude_spectrum(samples: FloatArray, sample_rate_hz: float) -> Spectrum:
     count = len(samples)
     if count < 2:
         raise ValueError(f"samples: expected at least 2 samples, found {count}")
-    centred = samples - samples.mean(axis=0)
-    shape = hann_window(count).reshape((count,) + (1,) * (samples.ndim - 1))
-    amplitude = np.abs(np.fft.rfft(centred * shape, axis=0)) * (2.0 / count)
+    columns = samples.reshape(count, -1)
+    amplitude = np.empty((count // 2 + 1, columns.shape[1]))
+    for c in range(columns.shape[1]):
+        spectrum = _hann_rfft(columns[:, c], count / 2.0)
+        for part in _parts(len(spectrum)):
+            amplitude[part, c] = np.abs(spectrum[part]) * (2.0 / count)
+    amplitude = amplitude.reshape(-1, *samples.shape[1:])
     amplitude[0] /= 2.0
     if count % 2 == 0:
         amplitude[-1] /= 2.0
@@ -86,12 +90,49 @@ def centred_spectrum(samples: FloatArray) -> ComplexArray:
     The window is symmetric about the middle of the record, to which the phases refer.
     """
     count = len(samples)
-    flat = (samples - samples.mean()) * (1.0 + np.cos(2.0 * np.pi / count * (np.arange(count) - (count - 1) / 2.0)))
-    spectrum = np.fft.rfft(flat)
-    turn = np.exp(np.arange(len(spectrum)) * (-1j * np.pi / count))
-    turn[1::2] *= -1.0
-    spectrum *= turn * (2.0 / count)
-    return np.asarray(spectrum)
+    spectrum = _hann_rfft(samples, (count - 1) / 2.0)
+    for part in _parts(len(spectrum)):
+        turn = np.exp(np.arange(part.start, part.stop) * (-1j * np.pi / count))
+        turn[1::2] *= -1.0  # parts begin at even bins
+        spectrum[part] *= turn * (2.0 / count)
+    return spectrum
+
+
+_LONG = 1 << 22  # samples from which a transform is put together from shorter ones, in little more than its own memory
+_PART = 1 << 18  # bins worked on at a time
+_FEWEST_PARTS, _MOST_PARTS = 16, 64
+
+
+def _parts(bins: int) -> list[slice]:
+    """Return slices that cover so many bins."""
+    return [slice(first, min(first + _PART, bins)) for first in range(0, bins, _PART)]
+
+
+def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
+    """Return the transform (B,) of samples (S,), their mean removed, times 1 + cos(2π/S·(n - middle)).
+
+    Of long records every r-th sample is transformed for itself, r a divisor of S, and the r transforms F_q are put
+    together (decimation in time, Cooley and Tukey 1965): X(jM + m) = Σ_q exp(-2πi·qj/r)·exp(-2πi·qm/S)·F_q(m), M = S/r.
+    """
+    count, mean = len(samples), samples.mean()
+    pieces = next((r for r in range(_FEWEST_PARTS, _MOST_PARTS + 1) if count % r == 0), 1) if count >= _LONG else 1
+    turn = 2.0 * np.pi / count
+    if pieces == 1:
+        return np.asarray(np.fft.rfft((samples - mean) * (1.0 + np.cos(turn * (np.arange(count) - middle)))))
+    length, bins = count // pieces, count // 2 + 1
+    result = np.zeros(bins, dtype=np.complex128)
+    for q in range(pieces):
+        window = np.cos(turn * (np.arange(q, count, pieces) - middle))
+        window += 1.0
+        window *= samples[q::pieces] - mean
+        half = np.fft.rfft(window)
+        whole = np.concatenate([half, np.conj(half[(length - 1) // 2 : 0 : -1])])
+        for part in _parts(length):
+            own = whole[part] * np.exp(np.arange(part.start, part.stop) * (-1j * turn * q))
+            for j in range((bins - 1 - part.start) // length + 1):
+                target = result[j * length + part.start : j * length + part.stop]
+                target += own[: len(target)] * np.exp(-2j * np.pi * ((q * j) % pieces) / pieces)
+    return result
 
 
 def kernel(place: float, low: int, high: int, samples: int) -> tuple[FloatArray, FloatArray]:
@@ -182,29 +223,44 @@ def noise_level(power: FloatArray) -> tuple[FloatArray, float]:
     if usable < 1:
         return np.ones_like(power), 1.0
     trend = _low_trend(power)
-    flat = power / trend
-    levels: list[FloatArray] = []
+    curves: list[tuple[FloatArray, FloatArray]] = []
     counts: list[float] = []
     for size in _BLOCKS:
         blocks = max(1, usable // size)
         if blocks == 1 and counts:
             break
         edges = FIRST_BIN + np.round(np.linspace(0.0, usable, blocks + 1)).astype(np.int64)
-        shortest = int(np.min(np.diff(edges)))
-        medians = np.median(np.lib.stride_tricks.sliding_window_view(flat, shortest)[edges[:-1]], axis=1)
+        medians = _medians(power, trend, edges[:-1], int(np.min(np.diff(edges))))
         centres = (edges[:-1] + edges[1:] - 1) / 2.0
-        log_level = np.log(np.maximum(medians / np.log(2.0), np.finfo(np.float64).tiny))
-        levels.append(np.asarray(np.exp(np.interp(np.arange(len(power)), centres, log_level))))
+        curves.append((centres, np.log(np.maximum(medians / np.log(2.0), np.finfo(np.float64).tiny))))
         counts.append(usable / blocks)
-    level = levels[0] if len(levels) == 1 else np.maximum(levels[0], levels[1])
-    return np.asarray(level * trend), max(counts) / BINS_PER_INDEPENDENT
+    level = np.empty_like(power)
+    for part in _parts(len(power)):
+        bins = np.arange(part.start, part.stop)
+        levels = [np.exp(np.interp(bins, centres, log_level)) for centres, log_level in curves]
+        level[part] = levels[0] if len(levels) == 1 else np.maximum(levels[0], levels[1])
+    level[: len(trend)] *= trend
+    return level, max(counts) / BINS_PER_INDEPENDENT
+
+
+def _medians(power: FloatArray, trend: FloatArray, first: IntArray, length: int) -> FloatArray:
+    """Return the medians of blocks of bins of a length from their first ones on, the trend taken off."""
+    medians = np.empty(len(first))
+    step = max(1, _PART // length)
+    for k in range(0, len(first), step):
+        own = first[k : k + step]
+        flat = power[own[0] : own[-1] + length].copy()
+        low = trend[own[0] :]
+        flat[: len(low)] /= low[: len(flat)]
+        medians[k : k + step] = np.median(np.lib.stride_tricks.sliding_window_view(flat, length)[own - own[0]], axis=1)
+    return medians
 
 
 def _low_trend(power: FloatArray) -> FloatArray:
-    """Return the slope of the noise over the lowest bins (B,), constant beyond them."""
+    """Return the slope of the noise over the lowest bins, as many as it has; it is 1 beyond them."""
     last = min(_LOW_BINS, len(power) - 1)
     if last - FIRST_BIN < 16:
-        return np.ones_like(power)
+        return np.ones(0)
     bins = np.arange(FIRST_BIN, last + 1)
     log_bin = np.log(bins / last)
     columns, _ = np.linalg.qr(np.stack([np.ones_like(log_bin), log_bin, log_bin**2], axis=1))
@@ -215,7 +271,7 @@ def _low_trend(power: FloatArray) -> FloatArray:
         excess = np.minimum(observed / np.exp(log_power), _CAPPED) / share - 1.0
         log_power = log_power + columns @ (columns.T @ excess)
     trend = np.exp(log_power - log_power[-1])
-    return np.concatenate([np.full(FIRST_BIN, trend[0]), trend, np.ones(len(power) - last - 1)])
+    return np.concatenate([np.full(FIRST_BIN, trend[0]), trend])
 
 
 @lru_cache(maxsize=256)
@@ -271,6 +327,14 @@ class Peaks:
         check_shapes(self, self.place.shape, "u_place", "value", "u_value", "noise")
 
 
+def _power(spectrum: ComplexArray) -> FloatArray:
+    """Return the power of every bin (B,)."""
+    power = np.empty(len(spectrum))
+    for part in _parts(len(spectrum)):
+        power[part] = spectrum[part].real ** 2 + spectrum[part].imag ** 2
+    return power
+
+
 def find_peaks(
     samples: FloatArray,
     chance: float,
@@ -299,8 +363,9 @@ def excess_power(samples: FloatArray, place: FloatArray) -> tuple[FloatArray, Fl
     Samples (S,) → ratio (Q,) and fitted place of the peak (Q,).
     """
     spectrum = centred_spectrum(samples)
-    power = spectrum.real**2 + spectrum.imag**2
-    level = np.maximum(noise_level(power)[0], np.finfo(np.float64).tiny)
+    power = _power(spectrum)
+    level = noise_level(power)[0]
+    np.maximum(level, np.finfo(np.float64).tiny, out=level)
     ratio, where = np.empty(len(place)), np.empty(len(place))
     for q, (low, high) in enumerate(place):
         first = min(max(math.ceil(low), 1), len(power) - 2)
@@ -339,19 +404,23 @@ class _Search:
         _, ramp = kernel(0.0, 0, min(len(self.rest), _RAMP_BINS), self.samples)
         lowest = self.rest.imag[: len(ramp)]
         lowest -= float(ramp @ lowest) / float(ramp @ ramp) * ramp
-        self.power = self.rest.real**2 + self.rest.imag**2
+        self.power = self.level = np.empty(0)  # free what the last look found
+        self.power = _power(self.rest)
         level, self.independent = noise_level(self.power)
         strongest = max((abs(line.value) ** 2 for line in self.lines), default=float(self.power.max(initial=0.0)))
         rounding = max(self.smallest, _SMALLEST**2 * strongest, np.finfo(np.float64).tiny)
-        self.level = np.maximum(level, rounding)
+        self.level = np.maximum(level, rounding, out=level)
 
     def grow(self) -> bool:
         """Add all peaks that stand out anywhere and are no leakage of stronger ones; tell whether there were any."""
         height = chance_height(self.chance_anywhere, self.independent)
-        inner = self.power[FIRST_BIN : self.last]
-        beside = np.maximum(self.power[FIRST_BIN - 1 : self.last - 1], self.power[FIRST_BIN + 1 : self.last + 1])
-        top = (inner > height * self.level[FIRST_BIN : self.last]) & (inner >= beside)
-        bins = FIRST_BIN + np.flatnonzero(top)
+        found = []
+        for part in _parts(self.last):
+            first, stop = max(part.start, FIRST_BIN), part.stop
+            inner = self.power[first:stop]
+            beside = np.maximum(self.power[first - 1 : stop - 1], self.power[first + 1 : stop + 1])
+            found.append(first + np.flatnonzero((inner > height * self.level[first:stop]) & (inner >= beside)))
+        bins = np.concatenate([np.empty(0, dtype=np.int64), *found])
         return self._add(self._clear(bins[np.argsort(-self.power[bins], kind="stable")]))
 
     def grow_expected(self) -> bool:

@@ -1,0 +1,169 @@
+"""Files that lie: they declare what they do not hold, lead to other files, inflate, nest, or are no files at all."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+import tdms_factory as tdms
+from contracts import refused
+
+from shaker.io import channel, read_channels
+from shaker.io.channel import LONGEST_LINE, MOST_CHANNELS
+from shaker.io.text import table_units
+from shaker.lines import spectrum
+
+
+def _declared(path: Path, shape: tuple[int, ...], **options: object) -> None:
+    with h5py.File(path, "w") as file:
+        file.attrs["fs"] = 10.0
+        file.create_dataset("a", shape=shape, dtype="f8", **options)
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".mat"])
+def test_samples_that_are_declared_but_not_stored_are_refused(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    _declared(path, (10**12,), chunks=(1 << 16,))
+    refused(f'a{suffix}: dataset "a": expected stored samples, found none', read_channels, path, sample_rate_hz=1.0)
+    with h5py.File(path, "a") as file:
+        file["a"][:10] = 1.0
+    found = 'channel "a": expected at most 590 MB of samples, found 8000000 MB declared'
+    refused(found, read_channels, path, sample_rate_hz=1.0)
+    _declared(path, (10**7,), chunks=(1 << 16,), compression="gzip")
+    with h5py.File(path, "a") as file:
+        file["a"][:] = 0.0
+    assert len(read_channels(path, ["a"], 1.0)["a"].samples) == 10**7  # zeros shrink a thousand times, and are read
+    _declared(path, (10**9,), chunks=(10**8,), compression="gzip")
+    with h5py.File(path, "a") as file:
+        file["a"].id.write_direct_chunk((0,), zlib.compress(bytes(100)))
+    refused("a chunk: expected at most 5.. MB of samples, found 800 MB declared", read_channels, path, None, 1.0)
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".mat"])
+def test_samples_in_other_files_are_refused_by_name(tmp_path, suffix):
+    """HDF5 follows external storage, virtual datasets and links to anywhere on the disk."""
+    (tmp_path / "secret").write_bytes(np.arange(100.0).tobytes())
+    other, path = tmp_path / "other.h5", tmp_path / f"a{suffix}"
+    with h5py.File(other, "w") as file:
+        file["a"] = np.arange(100.0)
+    _declared(path, (100,), external=[(str(tmp_path / "secret"), 0, 800)])
+    refused(r'dataset "a": expected samples in this file, found one in other files', read_channels, path, ["a"], 1.0)
+    layout = h5py.VirtualLayout(shape=(100,), dtype="f8")
+    layout[:] = h5py.VirtualSource(str(other), "a", shape=(100,))
+    with h5py.File(path, "w", libver="latest") as file:
+        file.create_virtual_dataset("a", layout)
+    refused(r'dataset "a": expected samples in this file, found a virtual one', read_channels, path, ["a"], 1.0)
+    with h5py.File(path, "w") as file:
+        file["a"] = h5py.ExternalLink(str(other), "/a")
+    refused(r'"a": expected samples in this file, found a link to another', read_channels, path, ["a"], 1.0)
+    with h5py.File(path, "w") as file:
+        file["own"] = np.arange(100.0)
+        file["soft"] = h5py.SoftLink("/own")
+    np.testing.assert_array_equal(read_channels(path, ["own"], 1.0)["own"].samples, np.arange(100.0))
+    with h5py.File(path, "w") as file:
+        group = file
+        for _ in range(80):
+            group = group.create_group("g")
+        group["a"] = np.arange(10.0)
+    refused(f"a{suffix}: .*(groups|structs) in 64 others", read_channels, path, None, 1.0)
+
+
+def _element(kind: int, content: bytes) -> bytes:
+    return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_matlab_structures_inside_one_another_and_bombs_are_refused(tmp_path, monkeypatch, packed):
+    """The reader of such files ends the program somewhere between 10 000 and 20 000 cells in one another."""
+    cell = _element(6, struct.pack("<II", 1, 0)) + _element(5, struct.pack("<ii", 1, 1)) + _element(1, b"")
+    content = b"".join(struct.pack("<II", 14, 56 * (50_000 - n) - 8) + cell for n in range(50_000))
+    squeezed = zlib.compress(content)
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
+    path = tmp_path / "a.mat"
+    path.write_bytes(head + (struct.pack("<II", 15, len(squeezed)) + squeezed if packed else content))
+    refused(r"a\.mat: expected at most 5000 cells and structs, found more", read_channels, path)
+    if packed:
+        monkeypatch.setattr(channel, "_FREE", 1 << 20)
+        scipy.io.savemat(path, {"a": np.zeros(10**7, np.uint8), "fs": 1.0}, do_compression=True)
+        refused(r"a\.mat: its variables: expected at most \d+ MB of samples", read_channels, path)
+
+
+def test_sums_of_scales_of_a_card_are_counted(tmp_path):
+    """Each scale adds the one before to itself: 2⁶⁰ evaluations."""
+    scales: dict[str, object] = {"wf_increment": 0.01, **tdms.linear(1.0, 0.0), "NI_Number_Of_Scales": 61}
+    for n in range(1, 61):
+        scales[f"NI_Scale[{n}]_Scale_Type"] = "Add"
+        scales[f"NI_Scale[{n}]_Add_Left_Operand_Input_Source"] = n - 1
+        scales[f"NI_Scale[{n}]_Add_Right_Operand_Input_Source"] = n - 1
+    path = tmp_path / "a.tdms"
+    path.write_bytes(tdms.segment([tdms.entry("/'g'/'a'", tdms.plain("f8", 8), scales)], bytes(64)))
+    refused(r'a\.tdms: channel "g/a": .* found more than 1000 steps', read_channels, path)
+
+
+@pytest.mark.parametrize(
+    ("name", "head"),
+    [
+        ("a.csv", b"a,b\n1,2\n"),
+        ("b.csv", b""),
+        ("a.asc", b"\n" * 18 + b"1 2 3\n10 0.1\n"),
+        (
+            "a.lvm",
+            b"LabVIEW Measurement\t\n***End_of_Header***\t\n\t\nDelta_X\t1\t\n***End_of_Header***\t\nX_Value\tU\n",
+        ),
+        ("a.uff", b"    -1\n    58\n"),
+    ],
+)
+def test_lines_without_an_end_are_refused(tmp_path, name, head):
+    path = tmp_path / name
+    path.write_bytes(head + b"1" * (2 * LONGEST_LINE))
+    refused(rf"{name}: ", read_channels, path, None, 1.0)
+
+
+def test_thousands_of_columns_do_not_take_minutes(tmp_path):
+    path = tmp_path / "a.lvm"
+    titles = "\t".join(["X_Value", *["a"] * (2 * MOST_CHANNELS)])
+    path.write_text(
+        f"LabVIEW Measurement\t\n***End_of_Header***\t\n\t\nDelta_X\t1\t\n***End_of_Header***\t\n{titles}\n"
+    )
+    refused(r"a\.lvm: line \d+: expected at most 10000 columns, found 20001", read_channels, path)
+    path = tmp_path / "a.csv"
+    path.write_text(",".join(f"c{n}" for n in range(50_000)) + "\n" + ",".join(["1.5"] * 50_000) + "\n")
+    assert len(table_units(path)) == 50_000
+
+
+def test_what_is_no_file_is_refused_before_it_is_opened(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "folder.h5").mkdir()
+    (tmp_path / "self.mat").symlink_to("self.mat")
+    (tmp_path / "zero.wav").symlink_to("/dev/zero")
+    for name, found in (
+        ("pipe.csv", "a device or pipe"),
+        ("folder.h5", "a folder"),
+        ("self.mat", "Too many levels of symbolic links"),
+        ("zero.wav", "a device or pipe"),
+        ("nul\0.csv", "embedded null"),
+        ("a" * 300 + ".csv", "File name too long"),
+    ):
+        refused(f": expected a file, found {found}", read_channels, tmp_path / name, error=FileNotFoundError)
+
+
+@pytest.mark.parametrize("count", [16 * 3 * 5 * 101, 17 * 16 * 45 + 17])
+def test_long_transforms_put_together_are_those_of_the_whole(monkeypatch, count):
+    """Against the definition of the discrete Fourier transform at a few bins, and numpy's transform of the whole."""
+    monkeypatch.setattr(spectrum, "_LONG", 1)
+    monkeypatch.setattr(spectrum, "_PART", 1 << 10)
+    samples, n = np.random.default_rng(1).normal(size=count) + 3.0, np.arange(count)
+    flat = (samples - samples.mean()) * (1.0 + np.cos(2.0 * np.pi / count * (n - (count - 1) / 2.0)))
+    found = spectrum.centred_spectrum(samples)
+    k = np.arange(len(found))
+    expected = np.fft.rfft(flat) * np.exp(1j * np.pi * k * (count - 1) / count) * 2.0 / count
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12)
+    for own in (1, 77, len(found) - 1):
+        direct = 2.0 / count * (flat @ np.exp(-2j * np.pi * own * (n - (count - 1) / 2.0) / count))
+        assert abs(found[own] - direct) < 1e-12
