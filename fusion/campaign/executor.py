@@ -257,7 +257,7 @@ class _Worker:
                     os.environ[name] = value
         other.close()
 
-    def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]], stop: Connection) -> Answer | None:
+    def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]], stop: Any) -> Answer | None:
         """Have the process compute a task; None when it died meanwhile or `stop` was closed."""
         try:
             self._connection.send(task)
