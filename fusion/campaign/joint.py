@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -87,10 +88,10 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
     A name that occurs twice gets the folder's beside it, since unknowns of single recordings are known by the
     recording's name. Recordings of several sensors have nothing to say together.
     """
-    names = [entry.name for entry in recorded]
+    count = Counter(entry.name for entry in recorded)
     known = []
     for entry in recorded:
-        name_known = entry.name if names.count(entry.name) == 1 else f"{entry.name} [{entry.folder}]"
+        name_known = entry.name if count[entry.name] == 1 else f"{entry.name} [{entry.folder}]"
         drives = tuple(replace(drive, recording=name_known) for drive in entry.drives)
         known.append(replace(entry, name=name_known, drives=drives))
     started = iter(with_starts(drive for entry in known for drive in entry.drives))

@@ -175,6 +175,10 @@ def campaign_origin(recorded: Sequence[Recorded]) -> Provenance:
 # The tables of a campaign's page: recordings, matrices, repeats and linearity.
 
 
+MOST_ROWS = 1000
+"""Recordings and input files beyond which a page that lists all would no longer open well."""
+
+
 def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
     """Every recording that could be evaluated, its name leading to its report, then the others with the reason."""
     blank = "\N{NO-BREAK SPACE}"
@@ -195,7 +199,10 @@ def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
         on_page("warnings", lambda entry: str(sum(notice.severity == "warning" for notice in entry.notices))),
         on_page("result", lambda entry: "evaluated" if entry.drives else "no load or no output", "l"),
     ]
-    found = table("Recordings in the order of the tables; names lead to their reports", columns, evaluation.recorded)
+    caption, count = "Recordings in the order of the tables; names lead to their reports", len(evaluation.recorded)
+    if count > MOST_ROWS:
+        caption += f". The first {MOST_ROWS} of {count}; {SENSITIVITY_FILE} has all, and every folder its own report"
+    found = table(caption, columns, evaluation.recorded[:MOST_ROWS])
     twice = Markup('{0}<br><span class="below">{0}</span>')
     failed = [(twice.format(f), *[DASH] * 4, f"failed: {reason}") for f, reason in evaluation.failed.items()]
     return None if found is None else replace(found, rows=(*found.rows, *failed))
@@ -207,7 +214,8 @@ def _agreement_table(evaluation: CampaignEvaluation) -> Table | None:
     if not any(np.isfinite(item.normalised_deviation) for fit in fits for item in fit.agreement):
         return None
     cells = {(item.recording, k): item for k, fit in enumerate(fits) for item in fit.agreement}
-    names = [entry.name for entry in evaluation.recorded if any(name == entry.name for name, _ in cells)]
+    compared = {name for name, _ in cells}
+    names = [entry.name for entry in evaluation.recorded if entry.name in compared]
     rows = []
     for name in names:
         own = [cells.get((name, k)) for k in range(len(fits))]
@@ -331,6 +339,11 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         [p for p in points if p.kind != "ratio" or all(other.kind != "element" for other in points)]
         for points in mains.values()
     ]
+    frame = origin_frame(campaign_origin(evaluation.recorded), evaluation.notices)
+    inputs: Table = frame["inputs"]
+    if len(inputs.rows) > MOST_ROWS:
+        what = f"{inputs.caption}: the first {MOST_ROWS} of {len(inputs.rows)}; {CAMPAIGN_FILE} has all"
+        frame["inputs"] = replace(inputs, caption=what, rows=inputs.rows[:MOST_ROWS])
     context = {
         "name": evaluation.name,
         "subject": _subject(evaluation),
@@ -346,7 +359,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         "repeats": repeats_table(evaluation),
         "linearity": linearity_table(evaluation),
         "recordings": recordings_table(evaluation),
-        **origin_frame(campaign_origin(evaluation.recorded), evaluation.notices),
+        **frame,
     }
     return render_page("campaign.html", context)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -15,7 +14,9 @@ from fusion.estimation.uncertainty import (
     Contribution,
     Influence,
     Uncertainty,
+    added_up,
     coverage_factor,
+    merge_contributions,
     real_design,
     real_stack,
     total_variance,
@@ -138,10 +139,16 @@ def start_names(grids: Mapping[str, tuple[Grid, ...]]) -> dict[str, str]:
 
     What sampled edges leave open of instants is one error of all these recordings, which no mean takes off.
     """
+    # Firsts by where their edges begin, in steps that no two grids alike are further apart than.
+    step_s = max((grid.sample_s for own in grids.values() for grid in own), default=1.0) / 2.0
+    places: dict[int, list[tuple[int, str]]] = {}
     named: dict[str, str] = {}
-    for recording, own in grids.items():
-        firsts = (first for first, name in named.items() if first == name and _start_alike(grids[first], own))
-        named[recording] = next(firsts, recording)
+    for number, (recording, own) in enumerate(grids.items()):
+        step = int(own[0].start_s // step_s) if own else 0
+        near = sorted(first for k in (-1, 0, 1) for first in places.get(step + k, ())) if own else []
+        named[recording] = next((first for _, first in near if _start_alike(grids[first], own)), recording)
+        if own and named[recording] == recording:
+            places.setdefault(step, []).append((number, recording))
     return named
 
 
@@ -317,13 +324,17 @@ def alike(
     With `amplitudes_apart` false loads are compared after they have been scaled to one amplitude.
     """
     groups: list[list[Drive]] = []
+    near: list[list[Drive]] = []
     for drive in sorted(drives, key=lambda drive: drive.frequency_hz):
         component = driven_component(drive.direction, capacity)
         if drive.load[component] == 0.0:
             continue
-        match = next((g for g in groups if _same(g[0], drive, component, amplitudes_apart=amplitudes_apart)), None)
+        # Frequencies ascend: a group that began lower cannot take any drive that is still to come.
+        near = [g for g in near if np.log(drive.frequency_hz / g[0].frequency_hz) <= SAME_FREQUENCY]
+        match = next((g for g in near if _same(g[0], drive, component, amplitudes_apart=amplitudes_apart)), None)
         if match is None:
             groups.append([drive])
+            near.append(groups[-1])
         else:
             match.append(drive)
     return tuple(tuple(group) for group in groups)
@@ -471,26 +482,49 @@ def stack_values(values: Sequence[tuple[ComplexArray, Uncertainty]]) -> tuple[Fl
     """Real readings (N, 2C) and their joint covariance (N, 2C, N, 2C), what is shared included."""
     readings = np.array([real_stack(value) for value, _ in values])
     count, size = readings.shape
+    own, shared = _own_and_shared(values)
     covariance = np.zeros((count, size, count, size))
-    names = {influence.name: None for _, uncertainty in values for influence in uncertainty.influences}
-    effect = np.zeros((len(names), count, size))
-    place = {name: number for number, name in enumerate(names)}
+    covariance[np.arange(count), :, np.arange(count)] = own
+    for rows, effect in shared:
+        covariance[np.ix_(rows, range(size), rows)] += np.einsum("eni,emj->nimj", effect, effect)
+    return readings, covariance
+
+
+def _own_and_shared(
+    values: Sequence[tuple[ComplexArray, Uncertainty]],
+) -> tuple[FloatArray, list[tuple[list[int], FloatArray]]]:
+    """Covariances (N, 2C, 2C) of what readings have alone, and effects (E, n, 2C) of what n of the readings share."""
+    acts: dict[str, list[tuple[int, FloatArray]]] = {}
     for n, (_, uncertainty) in enumerate(values):
-        covariance[n, :, n] = np.sum([part.covariance[0] for part in uncertainty.random], axis=0)
         for influence in uncertainty.influences:
-            effect[place[influence.name], n] = influence.effect[0]
-    return readings, covariance + np.einsum("eni,emj->nimj", effect, effect)
+            acts.setdefault(influence.name, []).append((n, influence.effect[0]))
+    alone: dict[int, list[FloatArray]] = {}
+    groups: dict[tuple[int, ...], list[list[FloatArray]]] = {}
+    for found in acts.values():
+        rows, effects = tuple(n for n, _ in found), [effect for _, effect in found]
+        if len(rows) == 1:
+            alone.setdefault(rows[0], []).append(effects[0])
+        else:
+            groups.setdefault(rows, []).append(effects)
+    own = np.array([np.sum([part.covariance[0] for part in uncertainty.random], axis=0) for _, uncertainty in values])
+    for n, effects in alone.items():
+        own[n] += np.array(effects).T @ np.array(effects)
+    return own, [(list(rows), np.array(several)) for rows, several in groups.items()]
 
 
 def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: Sequence[str]) -> _Scatter:
     """Variance components of a recording and of a mounting by the analysis of variance."""
-    readings, stated = stack_values(values)
-    size, forms = readings.shape[1], nested(mountings)
+    readings, forms = np.array([real_stack(value) for value, _ in values]), nested(mountings)
+    size = readings.shape[1]
+    own, shared = _own_and_shared(values)
 
     def mean_square(form: FloatArray, dof: int) -> FloatArray:
         """Mean square of a quadratic form (N, N), less what stated uncertainties make of it."""
-        observed = np.einsum("ni,nm,mj->ij", readings, form, readings)
-        return np.asarray((observed - np.einsum("nm,nimj->ij", form, stated)) / dof)
+        stated = np.einsum("n,nij->ij", np.diag(form), own)
+        for rows, effect in shared:
+            part = np.tensordot(form[np.ix_(rows, rows)], effect, axes=(1, 1))
+            stated += np.tensordot(effect, part, axes=((1, 0), (0, 1)))
+        return np.asarray((readings.T @ form @ readings - stated) / dof)
 
     def positive(matrix: FloatArray) -> FloatArray:
         """Nearest covariance of a symmetric matrix: negative variances are none."""
@@ -539,7 +573,10 @@ def _of_mean(
     Groups are mountings, or recordings where all are of one mounting; a single recording has what is stated for it.
     """
     weighted = [u.scaled(np.full((1, len(plain)), w, np.complex128)) for w, (_, u) in zip(weight, values, strict=True)]
-    total = reduce(Uncertainty.plus, weighted)
+    total = Uncertainty(
+        merge_contributions([part for one in weighted for part in one.random]),
+        added_up(influence for one in weighted for influence in one.influences),
+    )
     several = len(set(mountings)) > 1
     groups = list(mountings) if several else [str(place) for place in range(len(values))]
     kinds = list(dict.fromkeys(groups))

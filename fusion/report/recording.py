@@ -286,7 +286,8 @@ def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) 
     """
     check_folder(top, {}, force=True)
     names = {entry.name for entry in top.iterdir()} if top.exists() and not force else set()
-    ours = {name for name in names if name in recordings or read_provenance(top / name) is not None}
+    known = set(recordings)
+    ours = {name for name in names if name in known or read_provenance(top / name) is not None}
     other = {name for name in names - ours if not name.startswith(".") and not (ours and name in CAMPAIGN_FILES)}
     if other:
         expected = "results of this campaign only (--force writes beside them and replaces only result files)"

@@ -29,6 +29,7 @@ from fusion.campaign.repeats import (
     group_by_frequency,
     mean_ratio,
     over_lines,
+    stack_values,
     with_starts,
 )
 from fusion.estimation.uncertainty import polar_elements
@@ -248,6 +249,51 @@ def test_grids_are_alike_within_half_a_sample():
     assert [d.start for d in with_starts(drives)] == ["0", "0", "0", *(f"{n}" for n in range(3, 11))]
     lines = [replace(first, frequency_hz=f) for f in (100.0, 200.0)]  # of one recording that tells no grid
     assert [d.start for d in with_starts(lines)] == ["0", "0"]
+
+
+def test_starts_are_found_without_comparing_every_recording_with_every_other(monkeypatch: pytest.MonkeyPatch):
+    """3000 recordings, half of them started beside an earlier one; the rule pair by pair is the truth."""
+    rng, asked, like = np.random.default_rng(7), 0, Grid.like
+    late = rng.uniform(0.0, 2.0, 1500)
+    late = rng.permutation(np.concatenate([late, late + rng.uniform(-1.0, 1.0, 1500) * 0.7 * GRID.sample_s]))
+    grids = [replace(GRID, start_s=float(start)) for start in late]
+    first = recorded(1.0, "0")
+    drives = [replace(first, recording=f"{n}", grids=(grid,)) for n, grid in enumerate(grids)]
+    leading: list[int] = []
+    expected = []
+    for n, start in enumerate(late):  # edges alike: within half a sampling interval of the first that is
+        found = next((m for m in leading if abs(late[m] - start) <= GRID.sample_s / 2.0), None)
+        leading += [n] if found is None else []
+        expected.append(f"{n if found is None else found}")
+
+    def counted(one: Grid, other: Grid) -> bool:
+        nonlocal asked
+        asked += 1
+        return like(one, other)
+
+    monkeypatch.setattr(Grid, "like", counted)
+    assert [drive.start for drive in with_starts(drives)] == expected
+    assert asked < 3 * len(drives)
+
+
+def test_joint_covariance_is_the_sum_over_noise_and_named_unknowns():
+    """Unknowns of one reading, of some and of all, against the sum of their outer products written out."""
+    rng = np.random.default_rng(3)
+    names = [["all", "ab", f"own {n}"] if n < 2 else ["all", f"own {n}"] for n in range(3)]
+    effects = [[complex(*rng.standard_normal(2)) for _ in own] for own in names]
+    values = [
+        (np.array([1.0 + 0j]), uncertainty([0.1], [(name, "rig", [e]) for name, e in zip(*pair, strict=True)]))
+        for pair in zip(names, effects, strict=True)
+    ]
+    dense = 0.01 * np.eye(6)
+    for name in {name for own in names for name in own}:
+        acting = np.zeros((3, 2))
+        for n, own in enumerate(names):
+            if name in own:
+                value = effects[n][own.index(name)]
+                acting[n] = value.real, value.imag
+        dense += np.outer(acting, acting)
+    assert stack_values(values)[1].reshape(6, 6) == pytest.approx(dense, rel=1e-12, abs=1e-15)
 
 
 @pytest.mark.parametrize("anew", [False, True])
