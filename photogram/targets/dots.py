@@ -22,9 +22,7 @@ from photogram.targets.view import (
 )
 
 LEAST_DOTS = 12
-MOST_SATURATED = (
-    0.9  # share of the pixels, the whole sheet: the dots seen are smaller then, their centres the same
-)
+MOST_SATURATED = 0.9  # share of the pixels: a whole sheet at full scale shows smaller dots, not shifted ones
 _SECOND = 0.5  # of the dots of the grid found that make another one
 WINDOWS = (1 / 6, 1 / 20, 2 / 5)
 ROUGHNESS = (0.5, 0.06)
