@@ -1,6 +1,6 @@
 """Calibration of random stereo pairs from rendered pictures of targets, against their truth; and the real dot grid.
 
-Usage: python benchmarks/cameras.py [--target NAME] [--rigs 50] [--first 0] [--write docs/cameras.md]
+Usage: python benchmarks/cameras.py [--target NAME] [--rigs 50] [--first 0] [--amount 0] [--write docs/cameras.md]
 
 For every target, `--rigs` random stereo pairs (field of view 16 to 50 deg, axes at 10 to 35 deg, distortion) look at
 12 random poses of it; the pictures, 640 x 512 px, 12 bit with shot and read noise, go through detection and bundle
@@ -41,6 +41,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SIZE_PX = np.array([640, 512])
 VIEWS = 12
 FIELD_M = 0.15
+SHARPENED_GAIN = 0.65  # of the light, so that the overshoot of sharpened pictures stays below full scale
 BOARDS = {
     "chessboard": Board(Target("chessboard", 9e-3, (9, 7))),
     "charuco": Board(Target("charuco", 9e-3, (11, 8), "DICT_4X4_100")),
@@ -51,18 +52,23 @@ BOARDS = {
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """One random pair: normalised errors of its parameters (24,), errors of all points (N, 2), failed pictures."""
+    """One random pair: normalised errors of its parameters (24,), errors of all points (N, 2), failed pictures.
+
+    `epipolar_px`: what the calibration does to the epipolar distance of points seen without error, rms.
+    """
 
     normalised: FloatArray
     point_error_px: FloatArray
     failed: tuple[str, ...]
     calibration: Calibration
+    epipolar_px: float
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--target", choices=(*BOARDS, "faults", "real"), help="one of the targets (default: all)")
     parser.add_argument("--write", type=Path, metavar="PAGE", help="replace the table of faults in a page")
+    parser.add_argument("--amount", type=float, default=0.0, help="of an unsharp mask, σ = 1 px, on all pictures")
     parser.add_argument("--rigs", type=int, default=50)
     parser.add_argument("--first", type=int, default=0, help="seed of the first pair")
     options = parser.parse_args()
@@ -81,14 +87,14 @@ def main() -> None:
             continue
         outcomes = []
         for seed in range(options.first, options.first + options.rigs):
-            outcomes.append(simulated(BOARDS[name], seed))
+            outcomes.append(simulated(BOARDS[name], seed, options.amount))
             worst = np.abs(outcomes[-1].normalised).max()
             print(f"  {name} {seed}: largest {worst:.2f}, {len(outcomes[-1].failed)} failed", flush=True)
         report(name, outcomes)
 
 
-def simulated(board: Board, seed: int) -> Outcome:
-    """Render one session, calibrate from it, and compare with the truth."""
+def simulated(board: Board, seed: int, amount: float = 0.0) -> Outcome:
+    """Render one session, its pictures sharpened by `amount`, calibrate from it, and compare with the truth."""
     rng = np.random.default_rng(seed)
     rig = random_rig(rng, SIZE_PX, FIELD_M)
     poses = random_poses(rng, rig, board, VIEWS)
@@ -99,7 +105,7 @@ def simulated(board: Board, seed: int) -> Outcome:
             ((rig.left, RigidTransform.identity()), (rig.right, rig.right_from_left))
         ):
             blur = float(rng.uniform(0.6, 1.2))
-            picture = ImageSensor().digitise(render_board(camera, relative @ pose, board, blur, slant=0.2), rng)
+            picture = photograph(render_board(camera, relative @ pose, board, blur, slant=0.2), rng, amount)
             try:
                 view = find_target(picture, board.target, f"{'LR'[side]}{number}", ImageSensor().full_scale)
             except TargetNotFound as error:
@@ -111,7 +117,32 @@ def simulated(board: Board, seed: int) -> Outcome:
         pairs.append((sides[0], sides[1]))
     calibration = calibrate_pair(pairs, board.target)
     normalised, _ = normalised_errors(calibration, rig)
-    return Outcome(normalised, np.concatenate(errors), tuple(failed), calibration)
+    seen = np.concatenate([pose.apply(board.points_m) for pose in poses])
+    return Outcome(normalised, np.concatenate(errors), tuple(failed), calibration, epipolar_px(calibration, rig, seen))
+
+
+def photograph(grey: FloatArray, rng: np.random.Generator, amount: float) -> NDArray[np.uint16]:
+    """Return a picture of grey levels (H, W), sharpened after the noise by an unsharp mask of σ = 1 px."""
+    sensor = ImageSensor()
+    if amount == 0.0:
+        return sensor.digitise(grey, rng)
+    level = SHARPENED_GAIN * sensor.full_scale * grey
+    noisy = level + rng.normal(size=grey.shape) * np.sqrt(sensor.variance(level))
+    sharp = noisy + amount * (noisy - cv2.GaussianBlur(noisy, (0, 0), 1.0))
+    return np.clip(np.rint(sharp), 0, sensor.full_scale).astype(np.uint16)
+
+
+def epipolar_px(calibration: Calibration, rig: StereoRig, points_m: FloatArray) -> float:
+    """Return the rms distance, in px, of points' true right images from the epipolar lines of their true left ones."""
+    found = calibration.rig
+    left, right = rig.project(points_m)
+    one, two = (
+        np.column_stack([camera.undistort(pixel), np.ones(len(pixel))])
+        for camera, pixel in ((found.left, left), (found.right, right))
+    )
+    line = one @ found.essential.T
+    distance = (two * line).sum(axis=1) / np.hypot(line[:, 0], line[:, 1]) * found.right.parameters[0]
+    return float(np.sqrt((distance**2).mean()))
 
 
 def normalised_errors(calibration: Calibration, rig: StereoRig) -> tuple[FloatArray, FloatArray]:
@@ -193,7 +224,8 @@ def report(name: str, outcomes: list[Outcome]) -> None:
     print(
         f"| {name} | {len(outcomes)} | {len(errors)} | {scatter:.4f} | {mean:.4f} | {bias:.4f} "
         f" | {np.median(factor):.3f} | {np.sqrt((normalised**2).mean()):.3f} | {within.max():.2f} "
-        f"| {100 * (within > 3).mean():.2f} % | {sum(len(outcome.failed) for outcome in outcomes)} |",
+        f"| {100 * (within > 3).mean():.2f} % | {sum(len(outcome.failed) for outcome in outcomes)} "
+        f"| {np.sqrt(np.mean([outcome.epipolar_px**2 for outcome in outcomes])):.4f} |",
         flush=True,
     )
     for outcome in outcomes:

@@ -212,9 +212,8 @@ def cameras(options: argparse.Namespace) -> None:
         raise InputError("shakercal cameras", "--" + str(error).partition(":")[0], str(error), "") from error
     known = None
     if options.known_length is not None:
-        first, second, *numbers = options.known_length
         try:
-            known = KnownLength(first, second, *map(float, numbers))
+            known = KnownLength.from_words(*options.known_length)
         except ValueError as error:
             raise InputError("shakercal cameras", "--known-length", str(error), "") from error
     settings = CameraSettings(target, options.shape, options.scale_uncertainty, options.lens, known)

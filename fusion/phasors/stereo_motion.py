@@ -146,7 +146,7 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages
     if entry.exposure == FILE:
         entry = entry.model_copy(update={"exposure": _stated_exposure(manifest, entry, sequences)})
     sight = see(manifest, base, entry, len(left))
-    rig = _read_rig(sight.pair, sequences)
+    rig = read_rig(sight.pair, sequences)
     first = []
     for side, sequence in (("left", left), ("right", right)):
         with as_input_error(manifest.path, f"{key}.{side}"):
@@ -342,8 +342,8 @@ def _read_unsaturated(sequence: ImageSequence, index: int) -> GreyImage:
     return image
 
 
-def _read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> StereoRig:
-    """Read a stereo pair's calibration and refuse one made for images of another size."""
+def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> StereoRig:
+    """Read a stereo pair's calibration; `InputError` where it is none, or one made for images of another size."""
     path = stereo.calibration
     if path is None:
         raise ComputeError("a stereo pair with images has no calibration")

@@ -19,9 +19,10 @@ from fusion.recording.files import read_set_ups, scanned_points, split_scan
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images
 from fusion.recording.response import check_response
-from fusion.recording.rig import Rig
+from fusion.recording.rig import Rig, Stereo
 from fusion.recording.toml import quoted
 from fusion.recording.values import PULSE
+from photogram.images.sequence import ImageSequence
 from shaker.arrays import BoolArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
@@ -188,7 +189,7 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list[str],
         contents.append(f"takes: {len(takes)}, tied by {reference}")
     for where, block in manifest.set_ups:
         told = [_read_daq(block, daq) for daq in block.daq]
-        told += [_read_images(images) for images in block.images]
+        told += [_read_images(images, manifest.rig.stereo[images.stereo]) for images in block.images]
         for points in block.points:
             empty = [path.name for path in points.files if path.stat().st_size == 0]
             wrong = [f"points {points.stereo}: {empty[0]} is empty ({len(empty)} such files)"] if empty else []
@@ -268,23 +269,34 @@ def _read_daq(block: Manifest, daq: Daq) -> tuple[str, list[str]]:
     return told, [f"daq {daq.name}: channel {name} holds values that are no finite numbers" for name in holes]
 
 
-def _read_images(images: Images) -> tuple[str, list[str]]:
-    """Frames of both cameras, with their size as the files have it."""
+def _read_images(images: Images, pair: Stereo) -> tuple[str, list[str]]:
+    """Frames of both cameras, with their size as the files have it, and whether the pair's calibration is one of it."""
     from photogram.images.files import open_sequence
 
     told = f"images {images.stereo}: {_size([*images.left, *images.right])}"
     try:
         left, right = (open_sequence(paths, images.bit_depth) for paths in (images.left, images.right))
     except (OSError, ValueError) as error:
-        return told, [f"images {images.stereo}: {' '.join(str(error).split())}"]
+        return told, [f"images {images.stereo}: {' '.join(str(error).split())}", *_no_rig(pair, ())]
     told += f", {len(left)} frames of {left.size_px[0]} x {left.size_px[1]} px, grey values up to {left.full_scale:g}"
     told += f", exposure {1e6 * left.exposure_s:.4g} µs by the file" if left.exposure_s is not None else ""
-    wrong = []
+    wrong = _no_rig(pair, (left, right))
     if len(left) != len(right):
         wrong.append(f"images {images.stereo}: {len(left)} frames left and {len(right)} right")
     if len(left) < 3:
         wrong.append(f"images {images.stereo}: {len(left)} frames, at least 3 are needed")
     return told, wrong
+
+
+def _no_rig(pair: Stereo, sequences: Sequence[ImageSequence]) -> list[str]:
+    """Return what is wrong with a pair's calibration, also against the size of its pictures."""
+    from fusion.phasors.stereo_motion import read_rig
+
+    try:
+        read_rig(pair, sequences)
+    except InputError as error:
+        return [str(error)]
+    return []
 
 
 def _exposure(block: Manifest, frames: Frames) -> tuple[str, list[str]]:

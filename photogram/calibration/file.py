@@ -14,6 +14,11 @@ from photogram.calibration.result import Calibration
 from photogram.camera import CAMERA_PARAMETERS, LEFT, RIG_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, nearest_rotation
 
+_LARGEST_FILE = 2**22  # bytes; a file of this program has some 20 kB
+LARGEST = 1e12
+"""No number of a calibration is larger."""
+_WIDEST, _FOCAL = 100_000, 1e9  # px
+_NEAR, _FAR = 1e-6, 1e4  # m
 _KEYS = ("format", "image_size", "left", "right", "rotation", "translation", "reprojection_rms", "covariance")
 
 
@@ -21,7 +26,8 @@ def read_calibration(path: str | Path) -> StereoRig:
     """Return the stereo pair of a calibration file; parameters absent from its covariance have variance zero.
 
     Refused with a `ValueError` naming file and key: unknown, missing or repeated keys, wrong shapes, a rotation more
-    than 10⁻⁶ from orthonormal or with determinant −1. A rotation within that is replaced by the nearest exact one.
+    than 10⁻⁶ from orthonormal or with determinant −1, cameras that are none (`plausible`). A rotation within that is
+    replaced by the nearest exact one.
 
     >>> from tempfile import TemporaryDirectory
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
@@ -32,14 +38,34 @@ def read_calibration(path: str | Path) -> StereoRig:
     array([-0.1,  0. ,  0. ])
     """
     path = Path(path)
+    content = _content(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_without_repeats)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: expected a JSON text, found: {error}") from error
-    try:
-        return _rig(content)
+        return plausible(_rig(content))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+def plausible(rig: StereoRig) -> StereoRig:
+    """Return the pair if a picture of its cameras can be: `ValueError` names what no camera and no pair has.
+
+    Pictures have up to 10⁵ px along a side, focal lengths lie within 1 and 10⁹ px, cameras within 1 µm and 10 km of
+    each other, and a ray leads to the middle of either picture.
+    """
+    for side, camera in (("left", rig.left), ("right", rig.right)):
+        if not ((camera.size_px >= 1) & (camera.size_px <= _WIDEST)).all():
+            raise ValueError(f"image_size: expected 1 to {_WIDEST} px, found {camera.size_px.tolist()}")
+        focal = np.diagonal(camera.matrix)[:2]
+        if not ((focal >= 1.0) & (focal <= _FOCAL)).all():
+            raise ValueError(f"{side}.matrix: expected focal lengths of 1 to {_FOCAL:g} px, found {focal.tolist()}")
+        middle = (camera.size_px - 1) / 2
+        if not np.isfinite(camera.undistort(middle)).all():
+            found = f"none: principal point {camera.matrix[:2, 2].tolist()}, distortion {camera.distortion.tolist()}"
+            raise ValueError(f"{side}: expected a ray to the middle of the picture, found {found}")
+    distance = float(np.linalg.norm(rig.right_from_left.translation_m))
+    if not _NEAR <= distance <= _FAR:
+        told = f"expected the right camera {_NEAR:g} to {_FAR:g} m from the left one"
+        raise ValueError(f"translation: {told}, found {distance:g} m")
+    return rig
 
 
 def write_calibration(path: str | Path, rig: StereoRig, reprojection_rms_px: float | None = None) -> None:
@@ -101,16 +127,28 @@ def write_camera(path: str | Path, calibration: Calibration) -> None:
 def read_camera(path: str | Path) -> tuple[Camera, FloatArray]:
     """Return a single camera and the covariance (13, 13) of its parameters from a file of `write_camera`."""
     path = Path(path)
+    content = _content(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_without_repeats)
         _check_keys("", content, _CAMERA_KEYS)
         if isinstance(content["format"], bool) or content["format"] != 1:
-            raise ValueError(f"format: expected 1, found {content['format']!r}")
+            raise ValueError(f"format: expected 1, found {content['format']!r:.60}")
         camera = _camera("camera", content["camera"], _size(content["image_size"]))
         covariance = _covariance(content["covariance"], CAMERA_PARAMETERS)
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     return camera, np.zeros((len(CAMERA_PARAMETERS),) * 2) if covariance is None else covariance
+
+
+def _content(path: Path) -> Any:
+    """Return the content of a JSON text of a size that calibrations have."""
+    with path.open("rb") as file:
+        text = file.read(_LARGEST_FILE + 1)
+    try:
+        if len(text) > _LARGEST_FILE:
+            raise ValueError(f"more than {_LARGEST_FILE >> 20} MB")
+        return json.loads(text.decode("utf-8"), object_pairs_hook=_without_repeats)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: expected a JSON text, found: {error}") from error
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
@@ -131,18 +169,19 @@ def _lens(camera: Camera) -> dict[str, Any]:
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return the object of a JSON text, refusing a key that stands twice."""
-    keys = [key for key, _ in pairs]
-    repeated = sorted({key for key in keys if keys.count(key) > 1})
-    if repeated:
-        raise ValueError(f"key {repeated[0]!r} stands twice")
-    return dict(pairs)
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"key {key!r:.60} stands twice")
+        found[key] = value
+    return found
 
 
 def _rig(content: Any) -> StereoRig:
     """Return the checked stereo pair of the parsed text."""
     _check_keys("", content, _KEYS)
     if isinstance(content["format"], bool) or content["format"] != 1:
-        raise ValueError(f"format: expected 1, found {content['format']!r}")
+        raise ValueError(f"format: expected 1, found {content['format']!r:.60}")
     size = _size(content["image_size"])
     if content["reprojection_rms"] is not None:
         _numbers("reprojection_rms", content["reprojection_rms"], ())
@@ -160,7 +199,7 @@ def _size(found: Any) -> FloatArray:
     """Return the width and height of the pictures."""
     size = _numbers("image_size", found, (2,))
     if (size != np.round(size)).any() or (size < 1).any():
-        raise ValueError(f"image_size: expected two whole numbers of pixels, found {found}")
+        raise ValueError(f"image_size: expected two whole numbers of pixels, found {found!r:.60}")
     return size
 
 
@@ -168,21 +207,25 @@ def _check_keys(where: str, found: Any, expected: tuple[str, ...]) -> None:
     """Raise `ValueError` unless `found` is an object with exactly the expected keys."""
     prefix = f"{where}." if where else ""
     if not isinstance(found, dict):
-        raise ValueError(f"{where or 'content'}: expected an object with keys {', '.join(expected)}, found {found!r}")
+        keys = ", ".join(expected)
+        raise ValueError(f"{where or 'content'}: expected an object with keys {keys}, found {found!r:.60}")
     for key in found:
         if key not in expected:
-            raise ValueError(f"{prefix}{key}: unknown key, expected {', '.join(expected)}")
+            raise ValueError(f"{prefix}{key:.60}: unknown key, expected {', '.join(expected)}")
     for key in expected:
         if key not in found:
             raise ValueError(f"{prefix}{key}: missing key")
 
 
-def _numbers(where: str, found: Any, shape: tuple[int, ...]) -> FloatArray:
+def _numbers(where: str, found: Any, shape: tuple[int, ...], largest: float = LARGEST) -> FloatArray:
     """Return nested lists of JSON numbers as an array of the given shape."""
-    array = np.asarray(_plain(where, found), dtype=np.float64)
+    try:
+        array = np.asarray(_plain(where, found), dtype=np.float64)
+    except (OverflowError, RecursionError) as error:
+        raise ValueError(f"{where}: expected finite numbers, found one too large, or lists without end") from error
     check_shape(where, array, shape)
-    if not np.isfinite(array).all():
-        raise ValueError(f"{where}: expected finite numbers, found NaN or infinity")
+    if not (np.abs(array) <= largest).all():
+        raise ValueError(f"{where}: expected finite numbers up to {largest:g}, found {array.ravel()[:16].tolist()}")
     return array
 
 
@@ -194,7 +237,7 @@ def _plain(where: str, found: Any) -> Any:
             raise ValueError(f"{where}: expected rows of one length")
         return parts
     if isinstance(found, bool) or not isinstance(found, int | float):
-        raise ValueError(f"{where}: expected numbers, found {found!r}")
+        raise ValueError(f"{where}: expected numbers, found {found!r:.60}")
     return found
 
 
@@ -218,13 +261,13 @@ def _covariance(found: Any, known: tuple[str, ...]) -> FloatArray | None:
     _check_keys("covariance", found, ("parameters", "matrix"))
     names = found["parameters"]
     if not isinstance(names, list) or not names:
-        raise ValueError(f"covariance.parameters: expected a list of names, found {names!r}")
+        raise ValueError(f"covariance.parameters: expected a list of names, found {names!r:.60}")
     unknown = [name for name in names if name not in known]
     if unknown:
-        raise ValueError(f"covariance.parameters: expected names like {known[0]!r}, found {unknown[0]!r}")
+        raise ValueError(f"covariance.parameters: expected names like {known[0]!r}, found {unknown[0]!r:.60}")
     if len(set(names)) < len(names):
         raise ValueError("covariance.parameters: expected each name once, found one twice")
-    matrix = _numbers("covariance.matrix", found["matrix"], (len(names), len(names)))
+    matrix = _numbers("covariance.matrix", found["matrix"], (len(names), len(names)), LARGEST**2)
     full = np.zeros((len(known), len(known)))
     index = [known.index(name) for name in names]
     full[np.ix_(index, index)] = matrix

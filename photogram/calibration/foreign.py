@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, IntArray, Notice
+from photogram.calibration.file import LARGEST, plausible
 from photogram.camera import CAMERA_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector
 
@@ -209,7 +210,7 @@ def build(stated: Stated, image_size: tuple[int, int] | None, length_unit: Lengt
     )
     missing = "no uncertainties came with it: state scale_uncertainty under [stereo.NAME] in rig.toml"
     notices += [Notice("info", told, "extrinsics"), Notice("info", missing, "covariance")]
-    return ImportedCalibration(StereoRig(left, right, between), stated.format, tuple(notices))
+    return ImportedCalibration(plausible(StereoRig(left, right, between)), stated.format, tuple(notices))
 
 
 def numbers(where: str, values: Any, count: int | tuple[int, ...]) -> FloatArray:
@@ -218,12 +219,12 @@ def numbers(where: str, values: Any, count: int | tuple[int, ...]) -> FloatArray
     expected = " x ".join(str(length) for length in shape) + " numbers"
     try:
         array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{where}: expected {expected}, found {str(values)[:60]!r}") from error
     if array.size != int(np.prod(shape)):
         raise ValueError(f"{where}: expected {expected}, found {array.size}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{where}: expected finite numbers, found NaN or infinity")
+    if not (np.abs(array) <= LARGEST).all():
+        raise ValueError(f"{where}: expected finite numbers up to {LARGEST:g}, found {array.ravel()[:16].tolist()}")
     return array.reshape(shape)
 
 

@@ -194,14 +194,15 @@ def _vic3d_camera(name: str, camera: ElementTree.Element) -> tuple[Lens, FloatAr
 # MatchID: a table of names and values.
 
 _MATCHID = re.compile(
-    r"^\s*(cam\d_[a-z]\w*(?: \d)?|t[xyz]|theta|phi|psi)\s*(?:\[(\w+)\]|_(px|mm|m|deg|rad))?\s*[;,:=\t]\s*(\S+)"
+    r"\s?(cam\d_[a-z]\w*(?: \d)?|t[xyz]|theta|phi|psi)\s?(?:\[(\w+)\]|_(px|mm|m|deg|rad))?\s?[;,:=\t]\s*(\S+)",
+    re.ASCII,
 )
 _MATCHID_UNITS: dict[str, LengthUnit] = {"mm": "mm", "m": "m"}
 
 
 def is_matchid(text: str) -> bool:
     """Whether a text has the names of a MatchID calibration."""
-    return re.search(r"^\s*cam\d_fx\b|^\s*cam\d_fx_px\b", text, re.IGNORECASE | re.MULTILINE) is not None
+    return re.search(r"^[ \t]*cam\d_fx(_px)?\b", text, re.IGNORECASE | re.MULTILINE) is not None
 
 
 def read_matchid(text: str) -> Stated:
@@ -212,7 +213,8 @@ def read_matchid(text: str) -> Stated:
     """
     values: dict[str, tuple[str, str]] = {}
     for line in text.lower().splitlines():
-        found = _MATCHID.match(line)
+        parts = (" ".join(part.split()) for part in line.split("\t"))
+        found = _MATCHID.match("\t".join(part for part in parts if part))
         if found:
             name, bracket, suffix, value = found.groups()
             suffixed = re.fullmatch(r"(\w+?)_(px|mm|m|deg|rad)", name)

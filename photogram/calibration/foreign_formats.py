@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -19,8 +21,12 @@ from photogram.calibration.foreign_matlab import read_bouguet, read_mat, read_ma
 from photogram.calibration.foreign_opencv import parse_json, read_kalibr, read_opencv, read_ros
 
 _PROJECT = "project.xml"  # the file inside a .z3d file that holds the calibration
-_LARGEST = 64 * 2**20  # bytes of a file or of a zipped part; calibrations have some kB, projects around them some MB
+_LARGEST = 16 * 2**20  # bytes of a file or of a zipped part; calibrations have some kB, projects around them some MB
+_LARGEST_TEXT = 2**20  # of a text that is neither OpenCV's, XML nor JSON: these hold a calibration and nothing else
 _DEEPEST = 64  # lists within lists: readers follow these by recursion
+_QUOTED = re.compile(r""" "[^"]*" | '[^'\n]*' """, re.VERBOSE)
+_KNOWN = "OpenCV, DICe, VIC-3D, MatchID, MATLAB or its toolbox of Bouguet, ROS, Kalibr"
+_LONGEST_SENTENCE = 400  # of what is said of a file, which may quote it
 
 
 def parse_xml(content: bytes) -> ElementTree.Element:
@@ -33,7 +39,7 @@ def parse_xml(content: bytes) -> ElementTree.Element:
             depth += 1 if event == "start" else -1
             if depth > _DEEPEST:
                 raise ValueError(f"expected at most {_DEEPEST} elements within each other, found more")
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, LookupError) as error:  # LookupError: an encoding that nobody knows
         raise ValueError(f"expected an XML text, found: {error}") from error
     root: ElementTree.Element = events.root  # type: ignore[attr-defined]
     for element in root.iter():
@@ -45,12 +51,14 @@ def parse_xml(content: bytes) -> ElementTree.Element:
 
 def _vic3d_parts(content: bytes) -> ElementTree.Element | None:
     """Return calibration and mask, cut out of the text of a VIC-3D project, as one element; None where they are not."""
-    calibration = re.search(rb"<calibration\b.*?</calibration\s*>", content, re.DOTALL | re.IGNORECASE)
+    begin = re.search(rb"<calibration\b", content, re.IGNORECASE)
+    end = begin and re.compile(rb"</calibration\s*>", re.IGNORECASE).search(content, begin.start())
     mask = re.search(rb"<polygonmask\b[^<>]*>", content, re.IGNORECASE)
-    if calibration is None:
+    if begin is None or end is None:
         return None
     size = b"" if mask is None else mask[0].rstrip(b"/>") + b"/>"
-    return parse_xml(b'<?xml version="1.0" encoding="ISO-8859-1"?><project>' + calibration[0] + size + b"</project>")
+    calibration = content[begin.start() : end.end()]
+    return parse_xml(b'<?xml version="1.0" encoding="ISO-8859-1"?><project>' + calibration + size + b"</project>")
 
 
 def import_calibration(
@@ -81,22 +89,47 @@ def import_calibration(
     path = Path(path)
     if image_size is not None and min(image_size) < 1:
         raise ValueError(f"image_size: expected a width and a height of at least 1, found {image_size}")
-    second = None
-    if extrinsics is not None:
-        try:
-            second = _text(Path(extrinsics).read_bytes().decode("utf-8-sig"))
-        except UnicodeDecodeError as error:
-            raise ValueError(f"{extrinsics}: expected a text, found other bytes") from error
-        except ValueError as error:
-            raise ValueError(f"{extrinsics}: {error}") from error
-    try:
+    with _one_sentence(path), np.errstate(all="ignore"):  # of numbers beyond reason, told by what comes of them
+        second = None if extrinsics is None else _second(Path(extrinsics))
         return build(_read(path, second, even_radial), image_size, length_unit)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+
+
+@contextmanager
+def _one_sentence(path: Path) -> Iterator[None]:
+    """Tell what is wrong with a file in one sentence that names it and quotes little of it."""
+    try:
+        yield
+    except (ValueError, RecursionError, OverflowError, MemoryError) as error:
+        if isinstance(error, np.linalg.LinAlgError):
+            told = "expected rotations, found a matrix that has no inverse"
+        elif isinstance(error, RecursionError):
+            told = f"expected at most {_DEEPEST} lists within each other, found more"
+        elif isinstance(error, ValueError):
+            told = " ".join(str(error).split())
+        else:
+            told = "expected numbers of a calibration, found one too large"
+        told = told if len(told) <= _LONGEST_SENTENCE else told[:_LONGEST_SENTENCE] + " …"
+        raise ValueError(told if told.startswith(f"{path}: ") else f"{path}: {told}") from error
+
+
+def _second(path: Path) -> str:
+    """Return the text of the second file."""
+    with _one_sentence(path):
+        content = _content(path)
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise ValueError("expected a text, found other bytes") from error
+        if text.lstrip().startswith("<"):
+            parse_xml(content)  # for its depth
+            return text
+        return _text(text)
 
 
 def _content(path: Path) -> bytes:
     """Return a file's content; of a zipped VIC-3D project the one part that matters."""
+    if path.exists() and not path.is_file():
+        raise ValueError("expected a file, found a folder or a device")
     if path.stat().st_size > _LARGEST:
         raise ValueError(f"expected a calibration of at most {_LARGEST >> 20} MB, found {path.stat().st_size >> 20} MB")
     if not zipfile.is_zipfile(path):
@@ -106,7 +139,7 @@ def _content(path: Path) -> bytes:
             content = part.read(_LARGEST + 1)
     except KeyError as error:
         raise ValueError(f"expected {_PROJECT} in this zipped file, found none") from error
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError) as error:
         raise ValueError(f"expected a zipped file that can be unpacked, found: {error}") from error
     if len(content) > _LARGEST:
         raise ValueError(f"expected {_PROJECT} of at most {_LARGEST >> 20} MB in this zipped file, found a larger one")
@@ -115,9 +148,11 @@ def _content(path: Path) -> bytes:
 
 def _text(text: str) -> str:
     """Return a text whose lists and objects are not nested too deep for the readers."""
-    marks = np.frombuffer(text.encode("utf-8", errors="replace"), dtype=np.uint8)
+    bare = _QUOTED.sub("", re.sub(r"\\.", "", text, flags=re.DOTALL))
+    marks = np.frombuffer(bare.encode("utf-8", errors="replace"), dtype=np.uint8)
     steps = np.isin(marks, list(b"[{")).astype(np.int64) - np.isin(marks, list(b"]}"))
-    if len(steps) and np.cumsum(steps).max() > _DEEPEST:
+    height = np.concatenate([[0], np.cumsum(steps)])
+    if (height - np.minimum.accumulate(height)).max() > _DEEPEST:
         raise ValueError(f"expected at most {_DEEPEST} lists within each other, found more")
     return text
 
@@ -132,6 +167,8 @@ def _read(path: Path, second: str | None, even_radial: bool) -> Stated:
         stated = _read_xml(content, even_radial)
         return stated if stated is not None else read_opencv(text, second)
     _text(text)
+    if not text.lstrip().startswith("{") and not text.startswith("%YAML") and len(text) > _LARGEST_TEXT:
+        raise ValueError(f"expected a text of at most {_LARGEST_TEXT >> 20} MB, found {len(text)} characters")
     return _read_json(text, second) if text.lstrip().startswith("{") else _read_lines(text, second, even_radial)
 
 
@@ -153,9 +190,17 @@ def _read_lines(text: str, second: str | None, even_radial: bool) -> Stated:
         return read_ros(text, second)
     if text.startswith("%YAML"):
         return read_opencv(text, second)
-    if "fc_left" in text:
-        return read_bouguet(text)
-    return read_matchid(text) if is_matchid(text) else read_dice_text(text, even_radial)
+    for is_it, read in ((lambda text: "fc_left" in text, read_bouguet), (is_matchid, read_matchid)):
+        if is_it(text):
+            return read(text)
+    lines = [line.strip() for line in text.splitlines() if line.strip() and not line.strip().startswith("#")]
+    if not lines:
+        raise ValueError("the file is empty")
+    if re.match(r"---(\s|$)|[^\W\d][\w. -]*:(\s|$)", lines[0]):
+        return read_opencv(text, second)
+    if not any(character.isdigit() for character in lines[0].split("#")[0]):
+        raise ValueError(f"expected a calibration of {_KNOWN}, found {lines[0][:40]!r}")
+    return read_dice_text(text, even_radial)
 
 
 def _read_xml(content: bytes, even_radial: bool) -> Stated | None:
@@ -174,5 +219,5 @@ def _read_xml(content: bytes, even_radial: bool) -> Stated | None:
     if next(root.iter("camera"), None) is not None and root.tag != "opencv_storage":
         return replace(stated := read_vic3d(root), notices=(*notices, *stated.notices))
     if root.tag != "opencv_storage":
-        raise ValueError(f"expected XML of OpenCV, DICe or VIC-3D, found one that begins with <{root.tag}>")
+        raise ValueError(f"expected XML of OpenCV, DICe or VIC-3D, found one that begins with <{root.tag[:40]}>")
     return None

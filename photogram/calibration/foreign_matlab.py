@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ from photogram.geometry import rotation_from_vector, skew
 
 _UNITS: dict[str, LengthUnit] = {"mm": "mm", "millimeters": "mm", "millimetres": "mm", "m": "m", "meters": "m"}
 _ESSENTIAL = 1e-3  # relative departure of an essential matrix from that of R and T above which they contradict
-_ASSIGNMENT = re.compile(r"\b([A-Za-z]\w*)\s*=\s*(?:\[([^\]]*)\]|([-+]?[\d.][\w.+-]*))")
+_PACKED, _MATRIX = 15, 14  # types of elements of a MAT-file 5
+_LARGEST_UNPACKED, _MOST_MATRICES = 2**26, 3000
+_ASSIGNMENT = re.compile(r"\b([A-Za-z]\w*)\s*=\s*(?:\[([^\[\]]*)\]|([-+]?[\d.][\w.+-]*))")
 
 
 def read_matlab(content: dict[str, Any]) -> Stated:
@@ -62,6 +65,7 @@ def _variables(path: Path) -> dict[str, Any]:
         with path.open("rb") as file:
             is_hdf5 = file.read(10) == b"MATLAB 7.3"
         if not is_hdf5:
+            _check_extent(path.read_bytes())
             found = loadmat(path, simplify_cells=True)
             if not any(isinstance(value, MatlabOpaque) for value in found.values()):
                 return {name: value for name, value in found.items() if not name.startswith("__")}
@@ -77,6 +81,23 @@ def _variables(path: Path) -> dict[str, Any]:
         ) from error
     except Exception as error:  # the readers raise whatever damaged bytes lead to
         raise ValueError(f"expected a .mat file that can be read, found {type(error).__name__} in it") from error
+
+
+def _check_extent(content: bytes) -> None:
+    """Raise `ValueError` where a MAT-file 5 unpacks to more, or holds more matrices, than its reader can be given.
+
+    SciPy's reader makes whatever a packed element holds, and follows cells within cells by recursion.
+    """
+    place, parts = 128, [content[128:]]
+    while place + 8 <= len(content):
+        kind, length = (int(number) for number in np.frombuffer(content, "<u4", 2, place))
+        if kind == _PACKED:
+            unpacked = zlib.decompressobj().decompress(content[place + 8 : place + 8 + length], _LARGEST_UNPACKED)
+            parts.append(unpacked)
+        place += 8 + length
+    matrices = sum(int((np.frombuffer(part, "<u4", len(part) // 4) == _MATRIX).sum()) for part in parts)
+    if sum(map(len, parts)) >= _LARGEST_UNPACKED or matrices > _MOST_MATRICES:
+        raise ValueError("more in it than in a calibration")
 
 
 def _plain(value: Any, depth: int = 0) -> Any:
@@ -102,7 +123,7 @@ def read_bouguet(text: str) -> Stated:
     x_right = R(om)·x_left + T in mm; kc: k1 k2 p1 p2 k3; skew alpha_c·fc(1); the toolbox counts pixels from 0, as it
     takes 1 off every corner (`click_ima_calib.m`). `nx`, `ny`: image size, where they are given.
     """
-    uncommented = re.sub(r"^\s*%.*$", "", text, flags=re.MULTILINE)
+    uncommented = re.sub(r"^[ \t]*%.*$", "", text, flags=re.MULTILINE)
     values: dict[str, Any] = {}
     for name, inside, scalar in _ASSIGNMENT.findall(uncommented):
         values.setdefault(name, re.findall(r"[^\s,;]+", inside or scalar))

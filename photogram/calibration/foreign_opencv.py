@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,10 @@ _WIDTHS, _HEIGHTS = ("imagewidth", "imgwidth", "width", "w"), ("imageheight", "i
 _UNITS = ("lengthunit", "worldunits")
 _BEYOND = ("s1", "s2", "s3", "s4", "tauX", "tauY")
 _LENGTHS = (4, 5, 8, 12, 14)
+_DEEPEST = 500  # levels that OpenCV's parser can be trusted with; it dies beyond some 30 000
+_LONGEST = 2000  # elements of one list or object; image points may stand beside the calibration
+_MOST_VALUES = 500_000
+_LARGEST_YAML = 2**18  # characters; PyYAML reads some 50 000 in a second
 
 Values = dict[str, tuple[str, Any]]
 """Values of a file by simplified name, each with the name as it stands there."""
@@ -54,8 +59,11 @@ def read_opencv(text: str, extrinsics: str | None = None) -> Stated:
 
 def _values(text: str) -> Values:
     """Return every value of a text."""
-    content = parse_json(text) if text.lstrip().startswith(("{", "[")) else _storage(text)
-    return {re.sub(r"[^a-z0-9]", "", name.lower()): (name, value) for name, value in _flat("", content)}
+    if text.lstrip().startswith(("{", "[")):
+        content = parse_json(text)
+    else:
+        content = _storage(text) if text.lstrip().startswith(("%YAML", "<")) else parse_yaml(text)
+    return {re.sub(r"[^a-z0-9]", "", str(name).lower()): (str(name), value) for name, value in _flat("", content)}
 
 
 def parse_json(text: str) -> Any:
@@ -78,27 +86,46 @@ def _flat(prefix: str, content: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _storage(text: str) -> Any:
-    """Return the content of a FileStorage text as nested objects."""
+    """Return the content of a FileStorage text as nested objects.
+
+    OpenCV's parser follows what is nested by recursion, until the process dies: a text of YAML that may hold more than
+    `_DEEPEST` levels, by its brackets, by the indents of its lines and by names and dashes on one line, is not given to
+    it. XML has been looked at before.
+    """
     import cv2
 
+    if not text.lstrip().startswith("<"):
+        lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
+        indents = {len(line) - len(line.lstrip()) for line in lines}
+        pieces = re.split(r"[\n,\[\]{}]", "\n".join(lines))
+        levels = max((1 + piece.count(":") + piece.count("- ") for piece in pieces), default=1)
+        if max(len(indents), 1) * levels > _DEEPEST:
+            raise ValueError("expected an OpenCV FileStorage text, found one nested too deep for it")
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)  # its nodes live as long
-        return _node(storage.root())
+        return _node(storage.root(), count())
     except (SystemError, cv2.error) as error:
         raise ValueError("expected an OpenCV FileStorage text, found one that OpenCV cannot parse") from error
     finally:
         cv2.utils.logging.setLogLevel(level)
 
 
-def _node(node: Any) -> Any:
-    """Return a node of a FileStorage as number, text, list, or object of such."""
+def _node(node: Any, visited: Iterator[int]) -> Any:
+    """Return a node of a FileStorage as number, text, list, or object of such; long ones, of no camera, as None.
+
+    Every access to an element walks the list to it.
+    """
+    if next(visited) > _MOST_VALUES:
+        raise ValueError(f"expected at most {_MOST_VALUES} values in a calibration, found more")
+    if (node.isMap() or node.isSeq()) and node.size() > _LONGEST:
+        return None
     if node.isMap():
         names = node.keys()
-        return {name: _node(node.getNode(name)) for name in names}
+        return {name: _node(node.getNode(name), visited) for name in names}
     if node.isSeq():
-        return [_node(node.at(index)) for index in range(node.size())]
+        return [_node(node.at(index), visited) for index in range(node.size())]
     return node.string() if node.isString() else node.real()
 
 
@@ -171,13 +198,17 @@ def parse_yaml(text: str) -> dict[str, Any]:
         raise ValueError(
             "expected the package PyYAML, which reads YAML, found none; install shakercal[formats]"
         ) from error
+    if len(text) > _LARGEST_YAML:
+        raise ValueError(f"expected a YAML text of at most {_LARGEST_YAML >> 10} kB, found {len(text) >> 10} kB")
     body = re.sub(r"\A%YAML:1\.0[^\n]*\n", "", text)  # OpenCV's header is no YAML
+    references = False
     try:
-        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(body)):
-            raise ValueError("expected a YAML text without references, found one")
-        content = yaml.safe_load(body)
-    except (yaml.YAMLError, RecursionError) as error:
+        references = any(isinstance(token, yaml.AliasToken) for token in yaml.scan(body))
+        content = None if references else yaml.safe_load(body)
+    except Exception as error:  # besides its own, whatever the values of damaged texts lead to
         raise ValueError(f"expected a YAML text, found: {' '.join(str(error).split())[:200]}") from error
+    if references:
+        raise ValueError("expected a YAML text without references, found one")
     if not isinstance(content, dict):
         raise ValueError(f"expected a YAML text of named values, found {str(content)[:40]!r}")
     return content
@@ -193,9 +224,9 @@ def read_ros(text: str, second: str | None) -> Stated:
         raise ValueError("camera_info: expected the right camera's file as the second file, found the left one alone")
     rotations, shifts, lenses, sizes = [], [], [], []
     for side, content in (("left", parse_yaml(text)), ("right", parse_yaml(second))):
-        kind = content.get("distortion_model")
+        kind = str(content.get("distortion_model"))
         if kind not in _ROS_MODELS:
-            raise ValueError(f"{side} distortion_model: expected {' or '.join(_ROS_MODELS)}, found {str(kind)[:40]}")
+            raise ValueError(f"{side} distortion_model: expected {' or '.join(_ROS_MODELS)}, found {kind[:40]}")
         names = "camera_matrix", "distortion_coefficients", "rectification_matrix", "projection_matrix"
         matrix, distortion, rectification, projection = (_ros_data(side, content, name) for name in names)
         if np.size(np.asarray(distortion[1], dtype=object)) != _ROS_MODELS[kind]:

@@ -28,10 +28,19 @@ class KnownLength:
     u_m: float
 
     def __post_init__(self) -> None:
-        if not (self.length_m > 0 and self.u_m >= 0):
+        if not (0 < self.length_m < np.inf and 0 <= self.u_m < np.inf):
             raise ValueError(
                 f"known length: expected a length above 0 m and an uncertainty, found {self.length_m} and {self.u_m}"
             )
+
+    @staticmethod
+    def from_words(first: str, second: str, length: str, u: str) -> KnownLength:
+        """Return the known length of four words; `ValueError` where the last two are no numbers."""
+        try:
+            numbers = float(length), float(u)
+        except ValueError:
+            raise ValueError(f"expected a length and its standard uncertainty in m, found {length!r} {u!r}") from None
+        return KnownLength(first, second, *numbers)
 
 
 def with_length(calibration: Calibration, known: KnownLength) -> Calibration:

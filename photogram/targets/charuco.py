@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, IntArray
 from photogram.targets.chessboard import SEARCHED_PX, corner_view, eight_bit, lattice_powers, reduced
-from photogram.targets.view import Target, TargetNotFound, TargetView, picture_fault
+from photogram.targets.view import Target, TargetNotFound, TargetView, picture_fault, refuse_second
 
 _NEAR = 1.3  # squares between a corner and the nearest marker that was seen
+_SECOND = 6  # markers that make a second board
 _FIT_SHARE = 0.7  # of the markers seen that have to be in their places
 
 
@@ -35,6 +36,9 @@ def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: flo
     if len(board.place) < _FIT_SHARE * board.seen:
         fitting = f"{len(board.place)} of {board.seen} markers"
         raise TargetNotFound(f"another target: only {fitting} are where a ChArUco board of {wanted} has them")
+    another = _beside(grey, board, target.size, dictionary)
+    if another is not None and len(another.place) >= max(_SECOND, _FIT_SHARE * another.seen):
+        refuse_second(f"a ChArUco board of {wanted}")
     index, start, axes = _expected(board, target.size)
     return corner_view(image, target, index, start, axes, name, full_scale)
 
@@ -61,6 +65,17 @@ def _search(grey: NDArray[np.uint8], size: tuple[int, int], dictionary: str) -> 
     whole = find_board(find_markers(grey, dictionary), size, grey.shape)
     both = [one for one in (whole, board) if one is not None]
     return max(both, key=lambda one: len(one.place), default=None)
+
+
+def _beside(grey: NDArray[np.uint8], board: Board, size: tuple[int, int], dictionary: str) -> Board | None:
+    """Return the board that markers beyond the outline of the one found make, None for none."""
+    small, factor = reduced(grey, SEARCHED_PX)
+    markers = find_markers(small, dictionary)
+    centre = (markers.centre_px + 0.5) * factor - 0.5
+    square = apply(board.lattice_from_px, centre) + 1.0 if len(centre) else centre
+    beyond = ((square < -0.5) | (square > np.array(size) + 0.5)).any(axis=1)
+    rest = Markers(markers.number[beyond], centre[beyond], markers.upper_px[beyond])
+    return find_board(rest, size, grey.shape)
 
 
 def _expected(board: Board, size: tuple[int, int]) -> tuple[IntArray, FloatArray, FloatArray]:

@@ -18,6 +18,7 @@ from photogram.targets.view import (
     outline,
     picture_fault,
     picture_noise,
+    refuse_second,
 )
 
 _LEAST_CONTRAST = 0.4  # of a corner, in units of the median over the target
@@ -160,6 +161,10 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
         else:
             raise TargetNotFound(_reason(image, small, boards, target.size, full_scale))
     _refuse_larger(grey, corners)
+    small, factor = reduced(grey, SEARCHED_PX)
+    another = _search(_covered(small, (corners + 0.5) / factor - 0.5), target.size)
+    if another is not None and _is_board(small, another):
+        refuse_second(f"a chessboard of {target.size[0]} x {target.size[1]} inner corners")
     lattice = _oriented(grey, corners)
     index = np.stack(np.meshgrid(*[np.arange(n) for n in lattice.shape[:2]], indexing="ij"), axis=-1)
     places = index.reshape(-1, 2), lattice.reshape(-1, 2), _axes(lattice).reshape(-1, 2, 2)

@@ -18,10 +18,12 @@ from photogram.targets.view import (
     check_exposure,
     outline,
     picture_fault,
+    refuse_second,
 )
 
 LEAST_DOTS = 12
-MOST_SATURATED = 0.1  # share of the pixels: beyond it the clipped sheet changes what ellipses are seen
+MOST_SATURATED = 0.9  # share of the pixels: a whole sheet at full scale shows smaller dots, not shifted ones
+_SECOND = 0.5  # of the dots of the grid found that make another one
 WINDOWS = (1 / 6, 1 / 20, 2 / 5)
 ROUGHNESS = (0.5, 0.06)
 OFF_LATTICE = 0.1
@@ -93,6 +95,7 @@ def _view(image: NDArray[Any], blobs: Blobs, target: Target, name: str, full_sca
     check_exposure(image, outline(grid.ellipses.centre_px), full_scale, MOST_SATURATED)
     check_blur(float(np.median(grid.ellipses.blur_px)), spacing_px)
     places = _places(grid, target, image.shape)
+    _refuse_another(image, blobs, lattice.member, target)
     ellipses, order = grid.ellipses, np.lexsort(places.T)
     radius = ellipses.radius_px / _spacing(local_fit(places, ellipses.centre_px)[1])
     return TargetView(
@@ -104,6 +107,20 @@ def _view(image: NDArray[Any], blobs: Blobs, target: Target, name: str, full_sca
         float(np.median(ellipses.blur_px)),
         np.array(image.shape[::-1], dtype=np.int64),
     )
+
+
+def _refuse_another(image: NDArray[Any], blobs: Blobs, member: IntArray, target: Target) -> None:
+    """Raise `TargetNotFound` where patches beside a grid's are another such grid."""
+    rest = np.setdiff1d(np.arange(len(blobs.ring)), member)
+    left = Blobs(blobs.centre_px[rest], blobs.shape_px2[rest], blobs.ring[rest])
+    lattice = find_lattice(left.centre_px, left.shape_px2)
+    if len(lattice.member) < max(LEAST_DOTS, _SECOND * len(member)):
+        return
+    try:
+        _places(_measure(image, left, lattice), target, image.shape)
+    except _NoGrid:
+        return
+    refuse_second("a grid of dots" + ("" if target.size is None else f", {target.size[0]} x {target.size[1]},"))
 
 
 def _measure(image: NDArray[Any], blobs: Blobs, lattice: Lattice) -> _Grid:

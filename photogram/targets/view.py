@@ -118,6 +118,12 @@ def _exposure_fault(
     return None
 
 
+def refuse_second(what: str) -> None:
+    """Raise `TargetNotFound` for a picture that shows a second target like the one found."""
+    told = "cover one, or nobody can tell which of them the other pictures show"
+    raise TargetNotFound(f"two targets: {what} is seen twice; {told}")
+
+
 def check_blur(blur_px: float, cell_px: float) -> None:
     """Raise `TargetNotFound` for edges blurred by σ = `blur_px` beyond both 2.6 px and 0.12 of a cell `cell_px`.
 

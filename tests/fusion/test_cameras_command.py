@@ -84,7 +84,8 @@ def test_a_picture_that_cannot_be_read_is_left_out_by_name_and_a_known_length_se
     plain = read_calibration(pictures / "top.json").right_from_left.translation_m
     assert np.allclose(found.right_from_left.translation_m, 1.002 * plain, rtol=1e-9)
     assert "column,row" in refused(*_command(pictures, "-q", "--force", "--known-length", "0,0", "99,0", "0.1", "0"))
-    assert "could not convert" in refused(*_command(pictures, "-q", "--force", *known, "long", "0"))
+    told = refused(*_command(pictures, "-q", "--force", *known, "long", "0"))
+    assert "--known-length: expected a length and its standard uncertainty in m, found 'long' '0'" in told
 
 
 def test_a_single_camera_comes_back(

@@ -93,12 +93,15 @@ def test_what_cannot_be_read_is_wrong(recording):
     rig = recording.parent / "rig.toml"
     modes = block("[load.elastic]", name="plate", shape="modes")
     modes += block("[load.elastic.mode]", frequency=900.0, participation=[0.0, 0, 1, 0, 0, 0])
+    for name in ("top", "base"):
+        (recording.parent / f"calibration/{name}.json").write_text('{"format": 1}', encoding="utf-8")
     modes += "displacement = { velocity = [0.0, 0.0, 1.0] }\n\n[[part]]"
     rig.write_text(rig.read_text(encoding="utf-8").replace("[[part]]", modes, 1), encoding="utf-8")
     problems = "\n".join(check(load_manifest(recording)).problems)
     for words in (
         "rig.toml: load.elastic.plate.mode.displacement: expected every instrument on the load, found no top",
         "0001.tif",
+        "top.json: image_size: missing key",
         "bridge.tdms",
         "result_B1.txt is empty",
         "bridge-response.csv: phase_rad: expected this column",
