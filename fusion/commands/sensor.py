@@ -239,8 +239,8 @@ def elastomer(options: argparse.Namespace) -> None:
 
 def _certificate_options(parser: Parser) -> None:
     parser.recording()
-    parser.value("--form", Path, "FILE", "what the results do not tell (default: certificate.toml beside them)")
-    parser.value("--results", Path, "RESULTS", "where run left them (default: results in the folder)")
+    parser.value("--form", path, "FILE", "what the results do not tell (default: certificate.toml beside them)")
+    parser.value("--results", path, "RESULTS", "where run left them (default: results in the folder)")
     parser.switch("--draft", "write a certificate.toml to fill in, and nothing else")
     parser.results("folder certificate in the recording or campaign")
 
