@@ -49,7 +49,7 @@ def run_certificate(
         if (folder / name).exists() and not force:
             check_new_file(folder / name, force=False)
     found = evaluate_certificate(path, results, form_path, allow_outside=allow_outside)
-    files = {PAGE_FILE: certificate_page(found), XML_FILE: certificate_xml(found)}
+    files: dict[str, str | bytes] = {PAGE_FILE: certificate_page(found), XML_FILE: certificate_xml(found)}
     write_together(folder, lambda part: write_files(part, files), lambda: list(files))
     print(f"{found.title} of {found.sensor.name} {found.sensor.serial}, certificate {found.form.administration.number}")
     for element in found.elements:
