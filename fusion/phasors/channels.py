@@ -18,7 +18,7 @@ from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.lines.spectrum import amplitude_spectrum
-from shaker.sine.aliasing import Fold, alias_frequency, folded_harmonics
+from shaker.sine.aliasing import CAPTURE, Fold, alias_frequency, folded_harmonics
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit, SineModel
@@ -198,10 +198,12 @@ def lines_in(manifest: Manifest, chosen: LineRecord) -> Lines:
     """Find the lines that the manifest states, their harmonics and all else in the channels chosen for it."""
     record, together, time_s, values = chosen.record, chosen.channels, chosen.time_s, chosen.values
     harmonics, half_rate = manifest.excitation.harmonics, record.raw[together[0].name].sample_rate_hz / 2.0
-    beyond = [f for f in manifest.excitation.frequencies or () if f >= half_rate]
+    # A line above is looked for where it folds to, within `CAPTURE` of its nominal frequency: the whole band, some day.
+    beyond = [f for f in manifest.excitation.frequencies or () if CAPTURE * f >= half_rate]
     if beyond:
-        expected = f"frequencies in Hz below {half_rate:g} Hz, half the rate of the fastest channel {together[0].name}"
-        raise InputError(manifest.path, "excitation.frequencies", found=f"{beyond[0]:g} Hz", expected=expected)
+        least = f"at most {half_rate / CAPTURE:g} Hz, for channels at {2.0 * half_rate:g} samples a second"
+        found, expected = f"{beyond[0]:g} Hz", f"frequencies in Hz that sampling can tell: {least} ({together[0].name})"
+        raise InputError(manifest.path, "excitation.frequencies", found=found, expected=expected)
     try:
         if manifest.excitation.frequencies is not None:
             return find_lines(time_s, values, manifest.excitation.frequencies, harmonics)

@@ -440,7 +440,7 @@ def within(low: float, high: float, unit: str, **others: float) -> AfterValidato
 NEAR = within(0.0, 5.0, "m", mm=1e-3)
 FAR = within(0.0, 100.0, "m", mm=1e-3)
 WEIGHT = within(1e-9, 1e5, "kg", g=1e-3)
-DENSITY = within(10.0, 25_000.0, "kg/m^3", **{"g/cm^3": 1e3})
+DENSITY = within(10.0, 1e12, "kg/m^3", **{"g/cm^3": 1e3})
 MODULUS = within(1e4, 2e12, "Pa", GPa=1e9, MPa=1e6)
 SHARE = within(0.0, 1.0, "", percent=1e-2, ppm=1e-6)
 RADIANS = within(0.0, 3.15, "rad", degrees=np.pi / 180)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from support import AT_ORIGIN, Refused, block, channel, recording_head, rows, write_daq
 
+from fusion.base import InputError
 from fusion.cli import main
 from fusion.phasors.channels import channel_phasors, find_channel_lines, refine_ties
 from fusion.phasors.timing import TimeBase, tie_daqs
@@ -120,6 +121,14 @@ def test_a_campaign_is_listed_recording_by_recording(
     assert "61.1000" in text
     assert "2 recordings" in refused("lines", tmp_path, "--csv", tmp_path / "lines.csv")
     assert not (tmp_path / "lines.csv").exists()
+
+
+def test_a_frequency_that_no_sampling_could_tell_is_refused(tmp_path: Path) -> None:
+    """At 12.8 kHz half a per cent of 5 MHz is twice the whole band; 20 kHz is looked for where it folds to."""
+    run = _recording(tmp_path, {53.7: 1.0}, frequencies=[5e6])
+    manifest = load_manifest(run)
+    with pytest.raises(InputError, match="expected frequencies in Hz that sampling can tell: at most 1.28e"):
+        find_channel_lines(manifest, tie_daqs(manifest, read_daqs(manifest)))
 
 
 def test_channels_are_fitted_with_what_leaks_into_their_lines(tmp_path: Path) -> None:

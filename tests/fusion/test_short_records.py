@@ -159,8 +159,9 @@ def test_less_than_a_third_of_a_beat_is_left_out_with_its_harmonics():
     base = time_base({("daq", "camera"): latched(0.1 + np.arange(30) / CAMERA_HZ, DAQ_HZ)})
     rng = np.random.default_rng(1)
     measured = seen_pair(base, recorded(SIZE + np.zeros((1, 6)), 0.1 + np.arange(30) / CAMERA_HZ, rng))
-    found, notices = pairs_phasors(base, [measured], known_lines(LINE_HZ, 0.0), (), None)
+    found, notices, unfitted = pairs_phasors(base, [measured], known_lines(LINE_HZ, 0.0), (), None)
     assert not found
+    assert not unfitted
     assert any("folds to 0.5022 Hz" in notice.text for notice in notices)
     assert any("212.5 Hz is dropped with its fundamental" in notice.text for notice in notices)
 
