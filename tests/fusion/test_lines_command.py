@@ -127,7 +127,7 @@ def test_a_frequency_that_no_sampling_could_tell_is_refused(tmp_path: Path) -> N
     """At 12.8 kHz half a per cent of 5 MHz is twice the whole band; 20 kHz is looked for where it folds to."""
     run = _recording(tmp_path, {53.7: 1.0}, frequencies=[5e6])
     manifest = load_manifest(run)
-    with pytest.raises(InputError, match="expected frequencies in Hz that sampling can tell: at most 1.28e"):
+    with pytest.raises(InputError, match="Hz that sampling can tell: at most 1"):
         find_channel_lines(manifest, tie_daqs(manifest, read_daqs(manifest)))
 
 

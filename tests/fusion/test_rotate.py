@@ -137,7 +137,7 @@ def test_buoyancy_adds_the_air_that_is_displaced(tmp_path):
     after = _evaluated(folder)
     for name, share, little in (
         ("load_mass", 1.2 / 2700.0, 0.01 / 1e9),
-        ("internal_mass", 0.6 * (1.0 / 8000.0 + 1.0 / 2700.0), 0.005 * (1.0 / 8000.0 + 1.0 / 1e9)),
+        ("internal_mass", 0.6 * (1.0 / 8000.0 + 1.0 / 2700.0), 0.005 * (1.0 / 8000.0 + 1.0 / 2700.0)),
     ):
         ratio = after.find(name).value / before.find(name).value
         assert ratio == pytest.approx((1.0 - little) / (1.0 - share), rel=1e-6)
