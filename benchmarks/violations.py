@@ -54,6 +54,7 @@ class Rig:
     across: bool = True
     images: bool = False
     head: bool = False
+    clocks: bool = False
 
 
 RIGS = {
@@ -64,10 +65,12 @@ RIGS = {
     "axial": Rig(across=False),
     "head": Rig(across=False, head=True),
     "images": Rig(80.0, 24, images=True),
+    "clocks": Rig(clocks=True),
 }
 """`full`: four laser points and a triaxial accelerometer on the load, an accelerometer on the base, points of a stereo
 pair on either. `axial`: without what sees transverse motion of the load. `head`: the same, its laser points stated as
-beams of one head, which shifts and turns. `images`: two small rendered pairs."""
+beams of one head, which shifts and turns. `images`: two small rendered pairs. `clocks`: `full`, its camera
+rate drawn within 1/300, its trigger's jitter from 1 ns to 20 us, as the estimate takes both for possible."""
 CASES: tuple[tuple[str, tuple[str, ...]], ...] = (
     *((rig, ()) for rig in RIGS),
     ("full", ("transverse-motion",)),
@@ -174,7 +177,11 @@ class Draw:
 
 def draw(rig: Rig, names: Sequence[str], seed: int) -> Draw:
     """Simulate and evaluate one recording in a folder of its own."""
-    preset = preset_of(rig)
+    preset, jitter_s = preset_of(rig), JITTER_S
+    if rig.clocks:
+        rng = np.random.default_rng([seed, 20])
+        preset = replace(preset, camera_rate_hz=preset.camera_rate_hz * (1.0 + rng.uniform(-1.0, 1.0) / 300.0))
+        jitter_s = float(np.exp(rng.uniform(*np.log([1e-9, 2e-5]))))
     if not rig.images:
         motion = np.array([[0.24, 0.18, 60.0, 1.3, 2.0, 1.2], [0.01, 0.01, 0.24, 0.05, 0.05, 0.05]])
         phases = np.exp(2j * np.pi * np.random.default_rng([seed, 18]).uniform(size=motion.shape))
@@ -184,7 +191,7 @@ def draw(rig: Rig, names: Sequence[str], seed: int) -> Draw:
         daqs = [replace(d, start_s=d.start_s + s) for d, s in zip(preset.daqs, [0.0, *later], strict=True)]
         preset = replace(preset, first_frame_s=preset.first_frame_s + first, daqs=tuple(daqs))
     draws = Draws(seed, True, broken=violations(names, preset))
-    world = make_world(preset, draws, JITTER_S)
+    world = make_world(preset, draws, jitter_s)
     with tempfile.TemporaryDirectory() as scratch:
         recording = write_run(Path(scratch), rendered_run(preset), world, draws)
         try:
