@@ -203,7 +203,7 @@ def evaluate_trial(manifest: Manifest, world: World, draws: Draws) -> Analysis:
         raise ComputeError("no channel shows the lines")
     _, readings = channel_phasors(manifest, base, lines)
     errors, strength = base.line_errors(lines, line_clock(base)), line_strength(readings, lines)
-    stereo, _ = pairs_phasors(base, [stereo_motion(manifest, base, world, draws)], lines, errors, strength)
+    stereo, *_ = pairs_phasors(base, [stereo_motion(manifest, base, world, draws)], lines, errors, strength)
     channels = observe_channels(readings, manifest.rig.surroundings.gravity, manifest.daq[0].clock_uncertainty)
     sensor, body = manifest.rig.sensor, load_body(manifest.rig, manifest.part)
     outputs = None if sensor is None else sensor_outputs(readings, sensor.channels)

@@ -108,7 +108,19 @@ def _one_process(kind: str, first: int, inputs: int, seed: int, folder: Path, fo
     assert process.stdout is not None
     reading = threading.Thread(target=lambda: [lines.put(line) for line in process.stdout or ()], daemon=True)
     reading.start()
-    number = first
+    try:
+        return _answers(process, reading, lines, range(first, inputs), found)
+    finally:
+        process.wait()
+        reading.join()
+        process.stdout.close()
+
+
+def _answers(
+    process: subprocess.Popen[str], reading: threading.Thread, lines: Queue[str], numbers: range, found: Found
+) -> int:
+    """Collect what a process says of its inputs until it ends or hangs; return the input to go on from."""
+    number, inputs = numbers.start, numbers.stop
     while number < inputs:
         try:
             told = json.loads(lines.get(timeout=NO_ANSWER_S if reading.is_alive() or not lines.empty() else 0.2))
@@ -130,7 +142,6 @@ def _one_process(kind: str, first: int, inputs: int, seed: int, folder: Path, fo
             found.data += 1
         else:
             found.refused += 1
-    process.wait()
     return inputs
 
 

@@ -406,7 +406,7 @@ def fit_platform(beams: CrossBeams, half_size_m: float, wanted_hz: Mapping[str, 
 
     def platform(logarithms: FloatArray) -> RigidPart:
         """The platform of logarithms of mass, height, and two radii of gyration."""
-        mass, height, across, along = np.exp(logarithms)
+        mass, height, across, along = np.exp(np.clip(logarithms, -200.0, 200.0))  # a trial step may go anywhere
         return RigidPart(float(mass), float(height), mass * np.array([across, across, along]) ** 2)
 
     def misfit(logarithms: FloatArray) -> FloatArray:

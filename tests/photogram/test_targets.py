@@ -294,13 +294,13 @@ def test_two_equal_boards_in_a_picture_are_told(kind):
     assert len(find_target(image, board.target, "a", 4095).index) >= 0.9 * len(board.index)
 
 
-@pytest.mark.parametrize(("gain", "amount"), [slow(1.2, 0.0), (1.6, 0.0), slow(1.6, 2.0), slow(3.0, 1.0)])
+@pytest.mark.parametrize(("gain", "amount"), [(1.6, 0.0), slow(1.6, 2.0), slow(3.0, 1.0)])
 def test_dots_on_a_sheet_at_full_scale_stay_where_they_are(gain, amount):
     """The sheet's share of pixels is saturated (truth by the conic of the disc seen, not by the fit's own model)."""
     board = Board(Target("dots", SPACING, (11, 8)))
     place = pose_of(board, CAMERA, 36.0, (0.3, -0.2, 0.1))
     image = unsharp(render_board(CAMERA, place, board, 0.7, slant=0.2), amount, 1.0, gain, 1)
-    assert (image == SENSOR.full_scale).mean() > (0.02 if gain < 1.5 else 0.2)
+    assert (image == SENSOR.full_scale).mean() > 0.2
     view = find_target(image, board.target, "a", SENSOR.full_scale)
     points = np.column_stack([view.index, np.zeros(len(view.index))]) * SPACING
     truth = see(CAMERA, RigidTransform.identity(), place, points, board.radius * SPACING).pixel
