@@ -406,12 +406,12 @@ def fit_platform(beams: CrossBeams, half_size_m: float, wanted_hz: Mapping[str, 
 
     def platform(logarithms: FloatArray) -> RigidPart:
         """The platform of logarithms of mass, height, and two radii of gyration."""
-        mass, height, across, along = np.exp(np.clip(logarithms, -200.0, 200.0))  # a trial step may go anywhere
+        mass, height, across, along = np.exp(np.clip(logarithms, -30.0, 30.0))  # a trial step may go anywhere
         return RigidPart(float(mass), float(height), mass * np.array([across, across, along]) ** 2)
 
     def misfit(logarithms: FloatArray) -> FloatArray:
         hertz = frame_modes(frame, platform(logarithms), 8).frequency_hz
-        return np.asarray(np.log(hertz[[NAMES.index(group[0]) for group in NEEDED]] / targets))
+        return np.asarray(np.log(np.maximum(hertz[[NAMES.index(group[0]) for group in NEEDED]] / targets, 1e-30)))
 
     def point(logarithms: FloatArray) -> Residuals:
         here, moves = misfit(logarithms), SMALL * np.eye(len(logarithms))
