@@ -1,4 +1,4 @@
-"""The commands that model the sensor, and its certificate: from rotate to elastomer, certificate.
+"""The commands that model the sensor, from rotate to elastomer, and the one that writes its certificate.
 
 Of each command: its options, then what it does, which alone imports heavy modules. Its docstring is its help.
 """

@@ -150,9 +150,8 @@ def refine_ties(base: TimeBase, lines: Lines) -> tuple[TimeBase, Lines]:
     if fastest is None or not open_ties:
         return base, lines
     found_in, clock = fastest[0].entry.name, float(np.linalg.norm([error.rate for error in line_clock(base)]))
-    relative = lines.u_frequency_hz / lines.frequency_hz
-    own = float(np.sqrt(np.maximum(relative**2 - clock**2, 0.0)).min())
-    stretches = {found_in: (0.0, own)}
+    own = np.sqrt(np.maximum((lines.u_frequency_hz / lines.frequency_hz) ** 2 - clock**2, 0.0))
+    stretches = {found_in: (0.0, float(own.min()))}
     for name in {first, *open_ties} - {found_in}:
         stretches |= _stretch(base, name, lines)
     if first not in stretches:
@@ -171,7 +170,7 @@ def refine_ties(base: TimeBase, lines: Lines) -> tuple[TimeBase, Lines]:
     plain = replace(
         lines,
         frequency_hz=lines.frequency_hz * scale,
-        u_frequency_hz=np.sqrt(np.maximum(relative**2 - clock**2, 0.0)) * lines.frequency_hz,
+        u_frequency_hz=own * lines.frequency_hz,
         nuisance_hz=lines.nuisance_hz * scale,
     )
     return refined, refined.on_clock(plain, line_clock(refined))

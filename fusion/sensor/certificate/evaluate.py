@@ -97,8 +97,8 @@ class Certificate:
     """Everything that a certificate states, for XML and page alike.
 
     `begin`, `end`: days of the calibration; `conditions`: name, D-SI unit, least and largest value; `warnings`: of the
-    evaluation, which the authoriser has reviewed; `not_assessed`: what no U holds; `versions`, `hashes`: of what
-    computed the results, of what they were computed from.
+    evaluation, which the authoriser has reviewed; `not_assessed`: what no U holds; `versions`: of what computed
+    the results.
     """
 
     form: Form
@@ -115,7 +115,6 @@ class Certificate:
     warnings: tuple[str, ...]
     not_assessed: tuple[str, ...]
     versions: dict[str, str]
-    hashes: dict[str, str]
 
     def statements(self) -> Iterator[tuple[str, str]]:
         """Yield name and text of everything that a certificate has to say in words."""
@@ -186,9 +185,6 @@ def evaluate_certificate(
         found = f"{len(warnings)} warnings, the first: {warnings[0]}"
         raise InputError(form_path, "administration.warnings_reviewed", found=found, expected=expected)
     days = _days(form, manifests)
-    hashes: dict[str, str] = {}
-    for entry in recorded:
-        hashes |= entry.origin.input_hashes
     ratios = all(element.kind == "ratio" for element in elements)
     return Certificate(
         form=form,
@@ -205,7 +201,6 @@ def evaluate_certificate(
         warnings=tuple(warnings),
         not_assessed=tuple(_not_assessed(recorded, evaluation.notices)),
         versions=recorded[0].origin.versions,
-        hashes=dict(sorted(hashes.items())),
     )
 
 
