@@ -50,20 +50,34 @@ class InputError(Exception):
 
     `file`: the file in which the mistake is to be corrected. `key`: TOML key path, column or channel; empty where
     the file as a whole is meant. `found`, `expected`: short phrases without a full stop; where `expected` is empty,
-    `found` is a sentence of its own. `more`: number of further problems of the same file that are not told.
+    `found` is a sentence of its own. `others`: further mistakes, of the same file or of those read with it, which the
+    sentence only counts.
 
     >>> from fusion import InputError
     >>> print(InputError("rig.toml", "load.mass", found="0", expected="a number above 0"))
     rig.toml: load.mass: expected a number above 0, found 0
     """
 
-    def __init__(self, file: Path | str, key: str, found: str, expected: str, more: int = 0) -> None:
-        super().__init__(file, key, found, expected, more)
+    def __init__(
+        self, file: Path | str, key: str, found: str, expected: str, others: Iterable[InputError] = ()
+    ) -> None:
+        super().__init__(file, key, found, expected, tuple(others))
         self.file = Path(file)
         self.key = key
         self.found = found
         self.expected = expected
-        self.more = more
+        self.others: tuple[InputError, ...] = self.args[4]
+
+    @classmethod
+    def together(cls, errors: Iterable[InputError]) -> InputError:
+        """Return the first of some mistakes, which holds the others."""
+        first, *others = [single for error in errors for single in error.each]
+        return cls(first.file, first.key, first.found, first.expected, others)
+
+    @property
+    def each(self) -> tuple[InputError, ...]:
+        """Return every mistake by itself, this one first."""
+        return InputError(self.file, self.key, self.found, self.expected), *self.others
 
     @classmethod
     def told_by(cls, error: Exception, file: Path, key: str = "") -> InputError:
@@ -77,7 +91,10 @@ class InputError(Exception):
 
     def __str__(self) -> str:
         where = f"{self.file}: {self.key}: " if self.key else f"{self.file}: "
-        rest = f" ({self.more} more problem{'s' if self.more > 1 else ''} in this file)" if self.more else ""
+        more = len(self.others)
+        files = {other.file.name for other in self.others if other.file != self.file}
+        around = f", also in {' and '.join(sorted(files))}" if files else " in this file"
+        rest = f" ({more} more problem{'s' if more > 1 else ''}{around})" if more else ""
         told = f"expected {self.expected}, found {self.found}" if self.expected else self.found
         return " ".join(f"{where}{told}{rest}".split())
 

@@ -55,7 +55,8 @@ def refuse(kind: str) -> None:
     """Log, and fail in one of several ways."""
     logging.getLogger("shakercal").warning("a remark about %s", kind)
     if kind == "input":
-        raise InputError("a.h5", "Fz", found="b", expected="c", more=2)
+        others = (InputError("a.h5", "Fx", "b", "c"), InputError("a.h5", "Fy", "b", "c"))
+        raise InputError("a.h5", "Fz", found="b", expected="c", others=others)
     if kind == "unpicklable":
         raise ValueError(lambda: kind)
     raise OSError(28, "disk full")

@@ -289,7 +289,7 @@ def align(options: argparse.Namespace) -> None:
 
 @command(Parser.recording)
 def check(options: argparse.Namespace) -> int:
-    """Say what a recording holds and what its command would refuse; no image is followed."""
+    """Say what a recording holds and everything that its command would refuse; no image is followed."""
     from fusion.base import InputError
     from fusion.planning.check import check
     from fusion.recording.load import find_recordings, load_manifest
@@ -299,7 +299,8 @@ def check(options: argparse.Namespace) -> int:
         try:
             report = check(load_manifest(recording, allow_outside=options.allow_outside))
         except InputError as error:
-            log.error("%s", error)
+            for mistake in error.each:
+                log.error("%s", mistake)
             status = EXIT_INPUT
             continue
         print(report)

@@ -15,7 +15,7 @@ from fusion.instruments.vibrometer import beam_notices
 from fusion.phasors.channels import folding, folds_told
 from fusion.phasors.timing import no_pulse_width
 from fusion.recording.excitation import KINDS, Recorded
-from fusion.recording.files import read_set_ups, scanned_points, split_scan
+from fusion.recording.files import read_set_ups, recorded_channels, scanned_points, split_scan
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images
 from fusion.recording.response import check_response
@@ -246,15 +246,12 @@ def _heads(entries: Sequence[ChannelEntry]) -> list[str]:
 
 def _read_daq(block: Manifest, daq: Daq) -> tuple[str, list[str]]:
     """Channels of a DAQ file, with samples and rate as the file has them."""
-    from shaker.io import read_channels
-
-    names = [entry.name for entry in daq.channel]
     listed = ", ".join(f"{entry.name} ({entry.quantity})" for entry in daq.channel)
     told = f"daq {daq.name}: {daq.file.name}, {_size([daq.file])}: {listed}"
     try:
         points = scanned_points(block, daq)
         channels = (
-            read_channels(daq.file, names, daq.sample_rate)
+            recorded_channels(daq)
             if points is None
             else {f"{name}/{point.number}": channel for point in points for name, channel in point.raw.items()}
         )

@@ -12,7 +12,7 @@ import numpy as np
 
 from fusion.base import ComputeError, InputError, as_input_error
 from fusion.instruments.transducer import TRANSDUCERS, wrong_aim
-from fusion.recording.manifest import ChannelEntry, Daq, Frames
+from fusion.recording.manifest import SCAN, ChannelEntry, Daq, Frames
 from shaker.arrays import FloatArray
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
@@ -56,7 +56,6 @@ class DaqRecord:
 # A scanning vibrometer's text in a recording: every scan point is a take of its own.
 
 
-SUFFIX = ".asc"
 AnyFrames = TypeVar("AnyFrames", bound=Frames)
 
 
@@ -77,7 +76,7 @@ def scanned_points(manifest: Manifest, daq: Daq) -> tuple[ScannedPoint, ...] | N
     not the reference, is what looked at the points: its `point` is where the origin of the file's coordinates lies in
     the sensor frame, whose axes they share. All others stand at their own.
     """
-    if daq.file.suffix.lower() != SUFFIX:
+    if daq.file.suffix.lower() != SCAN:
         return None
     with as_input_error(manifest.path, f"daq.{daq.name}.file"):
         scan = read_scan_asc(daq.file)
@@ -193,9 +192,15 @@ def told_in(path: Path, where: str, name: str = "") -> Iterator[None]:
     except InputError as error:
         inside = error.file == path and error.key.split(".")[0] in ("daq", "images", "points")
         key = where + error.key if inside else error.key
-        raise InputError(error.file, key, error.found, error.expected, error.more) from error
+        raise InputError(error.file, key, error.found, error.expected, error.others) from error
     except ComputeError as error:
         raise ComputeError(f"{name}: {error}" if name else str(error)) from error
+
+
+def recorded_channels(daq: Daq) -> dict[str, RawChannel]:
+    """Read the channels of a block from its file, each by the name that the recording gives it."""
+    stored = read_channels(daq.file, [entry.stored_name for entry in daq.channel], daq.sample_rate)
+    return {entry.name: stored[entry.stored_name] for entry in daq.channel}
 
 
 def _read_daq(manifest: Manifest, daq: Daq, point: ScannedPoint | None = None) -> DaqRecord:
@@ -204,7 +209,7 @@ def _read_daq(manifest: Manifest, daq: Daq, point: ScannedPoint | None = None) -
         record: DaqRecord = point
     else:
         with as_input_error(manifest.path, f"daq.{daq.name}.file"):
-            raw = read_channels(daq.file, [channel.name for channel in daq.channel], daq.sample_rate)
+            raw = recorded_channels(daq)
         record = DaqRecord(daq, raw, min(channel.start_s for channel in raw.values()))
     for entry in daq.channel:
         _check_samples(daq, entry, record.raw[entry.name])
@@ -213,7 +218,7 @@ def _read_daq(manifest: Manifest, daq: Daq, point: ScannedPoint | None = None) -
 
 def _check_samples(daq: Daq, entry: ChannelEntry, channel: RawChannel) -> None:
     """Refuse an empty channel, samples that are not numbers, and a channel that has measured nothing."""
-    name = entry.name
+    name = entry.stored_name
     if len(channel.samples) < 2:
         raise InputError(daq.file, name, found=str(len(channel.samples)), expected="at least 2 samples")
     bad = np.flatnonzero(~np.isfinite(channel.samples))

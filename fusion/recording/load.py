@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import date as Date
 from pathlib import Path
@@ -18,14 +19,33 @@ import numpy as np
 from fusion.base import Identity, InputError
 from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, unit_direction, wrong_aim
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
-from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images, PointFiles, RecordingFile, SetUpFiles, Take
-from fusion.recording.rig import Part, Rig, Shaker, Stereo
-from fusion.recording.toml import UncertainInput, expand_statements, quoted, read_toml, uncertain_inputs, validate
+from fusion.recording.manifest import (
+    SCAN,
+    ChannelEntry,
+    Daq,
+    Frames,
+    Images,
+    PointFiles,
+    RecordingFile,
+    SetUpFiles,
+    Take,
+)
+from fusion.recording.rig import Head, Part, Rig, Shaker, Stereo
+from fusion.recording.toml import (
+    UncertainInput,
+    expand_statements,
+    quoted,
+    read_toml,
+    uncertain_inputs,
+    unfilled,
+    validate,
+)
 from fusion.recording.values import Context, PathScope, describe, natural_key, repeated_name
 from shaker.arrays import Notice
 
 log = logging.getLogger("shakercal")
 RECORDING_NAME = "recording.toml"
+FAR_AWAY_M = 1e6
 
 
 @dataclass(frozen=True)
@@ -191,18 +211,14 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         expected = "a rig.toml in a folder above the recording (--allow-outside permits others)"
         raise InputError(path, "rig", f'"{text["rig"]}"', expected)
     rig_text = read_toml(rig_path)
-    rig = validate(Rig, rig_text, rig_path, Context(PathScope(root, root, allow_outside), {}))
-    values, of_rig = expand_statements(text, path)[0], uncertain_inputs(rig_text, rig_path)
-    around = values.get("environment")
-    if isinstance(around, dict):
-        # What the recording states takes the place of what the rig does: together they must be as valid as one.
-        of_rig = tuple(
-            item for item in of_rig if f"{item.key}_uncertainty" not in (f"environment.{key}" for key in around)
-        )
-        values["environment"] = expand_statements(rig_text, rig_path)[0].get("environment", {}) | around
-    within = Context(PathScope(folder, root, allow_outside), rig.stereo, rig.head)
-    record = validate(RecordingFile, values, path, within)
-    _check_together(rig, rig_path, record, path)
+    folders = PathScope(folder, root, allow_outside), PathScope(root, root, allow_outside)
+    rig, record = _checked_files((path, text), (rig_path, rig_text), folders)
+    own = expand_statements(text, path)[0].get("environment", {})
+    of_rig = tuple(
+        item
+        for item in uncertain_inputs(rig_text, rig_path)
+        if f"{item.key}_uncertainty" not in (f"environment.{key}" for key in own)
+    )
     rig = rig.model_copy(update={"environment": record.environment or rig.environment})
     files = _input_files(path, rig_path, rig, record)
     seen = {file: Identity.of(file) for file in files} | at_first
@@ -228,6 +244,51 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         inputs=of_rig + uncertain_inputs(text, path),
         read={file: identity for file, identity in seen.items() if identity is not None},
     )
+
+
+def _checked_files(
+    of_recording: tuple[Path, dict[str, Any]], of_rig: tuple[Path, dict[str, Any]], folders: tuple[PathScope, PathScope]
+) -> tuple[Rig, RecordingFile]:
+    """Check what two files say, and what they say of each other; the `InputError` raised has every mistake of both.
+
+    Values that are still to be filled in come first.
+    """
+    (path, text), (rig_path, rig_text) = of_recording, of_rig
+    unknown, wrong = [*unfilled(text, path), *unfilled(rig_text, rig_path)], list[InputError]()
+    rig, record = None, None
+    with _added_to(wrong):
+        rig = validate(Rig, rig_text, rig_path, Context(folders[1], {}))
+    with _added_to(wrong):
+        values = expand_statements(text, path)[0]
+        around = values.get("environment")
+        if isinstance(around, dict):
+            # What the recording states takes the place of what the rig does: together they must be as valid as one.
+            values["environment"] = expand_statements(rig_text, rig_path)[0].get("environment", {}) | around
+        known = (rig.stereo, rig.head) if rig is not None else _named_in(rig_text)
+        record = validate(RecordingFile, values, path, Context(folders[0], *known))
+    if rig is not None and record is not None:
+        with _added_to(wrong):
+            wrong += _contradictions(rig, rig_path, record, path)
+    wrong = [*unknown, *(error for error in wrong if (error.file, error.key) not in {(e.file, e.key) for e in unknown})]
+    if rig is None or record is None or wrong:
+        raise InputError.together(wrong)
+    return rig, record
+
+
+@contextmanager
+def _added_to(wrong: list[InputError]) -> Iterator[None]:
+    """Add every mistake that is found meanwhile to a list."""
+    try:
+        yield
+    except InputError as error:
+        wrong += error.each
+
+
+def _named_in(rig_text: dict[str, Any]) -> tuple[dict[str, Stereo], dict[str, Head]]:
+    """Return stereo pairs and heads of a rig that has mistakes, so that the recording can be looked at all the same."""
+    names = {key: rig_text[key] if isinstance(rig_text.get(key), dict) else {} for key in ("stereo", "head")}
+    pairs = {name: Stereo.model_construct(exposure=0.0) for name in names["stereo"]}
+    return pairs, {name: Head.model_construct(mirror=(FAR_AWAY_M,) * 3) for name in names["head"]}
 
 
 def _rig_path(path: Path, text: dict[str, Any]) -> Path:
@@ -260,10 +321,10 @@ def _input_files(path: Path, rig_path: Path, rig: Rig, record: RecordingFile) ->
 # What no single table can check: what a recording names must exist in it and in its rig.
 
 
-def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path) -> None:
-    """Raise `InputError` for the first reference between rig and recording that leads nowhere."""
+def _contradictions(rig: Rig, rig_path: Path, record: RecordingFile, path: Path) -> Iterator[InputError]:
+    """Yield every reference between rig and recording that leads nowhere."""
     if not record.daq and not record.take and not KINDS[record.excitation.kind].tabled:
-        raise InputError(path, "daq", "none", "at least one [[daq]] or [[take]] block")
+        yield InputError(path, "daq", "none", "at least one [[daq]] or [[take]] block")
     blocks: list[tuple[str, SetUpFiles]] = [("", record)] if record.daq or record.images or record.points else []
     blocks += [(f"take[{number}].", take) for number, take in enumerate(record.take, 1)]
     channels = [
@@ -274,35 +335,37 @@ def _check_together(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
         ]
         for prefix, block in blocks
     ]
-    _check_stereo(rig, rig_path, blocks)
+    yield from _of_stereo(rig, rig_path, blocks)
     for (prefix, block), located in zip(blocks, channels, strict=True):
-        _check_triggers(block, {entry.name for _, _, entry in located if entry.quantity == "trigger"}, prefix, path)
-        _check_outputs(located, path, rig, rig_path)
+        yield from _of_triggers(
+            block, {entry.name for _, _, entry in located if entry.quantity == "trigger"}, prefix, path
+        )
+        yield from _of_outputs(located, path, rig, rig_path)
     for key, daq, entry in (item for located in channels for item in located):
-        wrong = None if daq.data_set(entry)[1] == "" and daq.file.suffix.lower() == ".asc" else wrong_aim(entry)
+        wrong = None if daq.data_set(entry)[1] == "" and daq.file.suffix.lower() == SCAN else wrong_aim(entry)
         if wrong is not None:
-            raise InputError(path, f"{key}.direction", wrong[1], wrong[0])
-    _check_standoffs((item for located in channels for item in located), path)
+            yield InputError(path, f"{key}.direction", wrong[1], wrong[0])
+    yield from _of_standoffs((item for located in channels for item in located), path)
     first: dict[str, ChannelEntry] = {}  # channels of one instrument share a relative error, hence measure one quantity
     for key, _, entry in (item for located in channels for item in located if item[2].common is not None):
         model = first.setdefault(str(entry.common), entry)
         if entry.quantity != model.quantity:
             expected = f'"{model.quantity}" as in channel {model.name}, which has common = "{entry.common}" too'
-            raise InputError(path, f"{key}.quantity", f'"{entry.quantity}"', expected)
-    _check_reference([prefix for prefix, _ in blocks], channels, several=bool(record.take), path=path)
+            yield InputError(path, f"{key}.quantity", f'"{entry.quantity}"', expected)
+    yield from _of_references([prefix for prefix, _ in blocks], channels, several=bool(record.take), path=path)
     names = {entry.name for located in channels for _, _, entry in located}
     for key, named in record.excitation.channels:
         for channel in named:
             if channel not in names:
                 found = f'"{channel}"; channels are {", ".join(sorted(names))}'
-                raise InputError(path, f"excitation.{key}", found, "the name of a recorded channel")
+                yield InputError(path, f"excitation.{key}", found, "the name of a recorded channel")
     twice = repeated_name([part.name for part in rig.part + record.part])
     if twice is not None:
         expected = "parts of different names in rig and recording"
-        raise InputError(path, f"part.{quoted(twice)}.name", f'"{twice}" twice', expected)
+        yield InputError(path, f"part.{quoted(twice)}.name", f'"{twice}" twice', expected)
 
 
-def _check_standoffs(located: Iterable[tuple[str, Daq, ChannelEntry]], path: Path) -> None:
+def _of_standoffs(located: Iterable[tuple[str, Daq, ChannelEntry]], path: Path) -> Iterator[InputError]:
     """Beams that leave one mirror look along nearly one direction: of a head whose stand-off alone is known, too."""
     first: dict[str, ChannelEntry] = {}
     for key, _, entry in located:
@@ -310,10 +373,10 @@ def _check_standoffs(located: Iterable[tuple[str, Daq, ChannelEntry]], path: Pat
             model = first.setdefault(entry.head.name, entry)
             if unit_direction(model) @ unit_direction(entry) < np.cos(CLOSE_TO_AXIS_RAD):
                 expected = f"nearly the direction of channel {model.name}, whose beam leaves head {entry.head.name} too"
-                raise InputError(path, f"{key}.direction", f"{list(entry.direction or ())}", expected)
+                yield InputError(path, f"{key}.direction", f"{list(entry.direction or ())}", expected)
 
 
-def _check_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFiles]]) -> None:
+def _of_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFiles]]) -> Iterator[InputError]:
     """Images need a calibration; a scale needs an uncertainty, stated or from the calibration."""
     pictured = [images.stereo for _, block in blocks for images in block.images]
     tabled = [points.stereo for _, block in blocks for points in block.points]
@@ -321,10 +384,10 @@ def _check_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFil
         pair = rig.stereo[name]
         if name in pictured and pair.calibration is None:
             expected = f"the calibration that the images of {name} need"
-            raise InputError(rig_path, f"stereo.{quoted(name)}.calibration", "no calibration", expected)
+            yield InputError(rig_path, f"stereo.{quoted(name)}.calibration", "no calibration", expected)
         if pair.scale_uncertainty is None and (name in tabled or not _has_covariance(pair)):
             expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
-            raise InputError(rig_path, f"stereo.{quoted(name)}.scale_uncertainty", "nothing", expected)
+            yield InputError(rig_path, f"stereo.{quoted(name)}.scale_uncertainty", "nothing", expected)
 
 
 def _has_covariance(pair: Stereo) -> bool:
@@ -340,40 +403,43 @@ def _has_covariance(pair: Stereo) -> bool:
     return isinstance(content, dict) and content.get("covariance") is not None
 
 
-def _check_triggers(block: SetUpFiles, triggers: set[str], prefix: str, path: Path) -> None:
+def _of_triggers(block: SetUpFiles, triggers: set[str], prefix: str, path: Path) -> Iterator[InputError]:
     """Frames belong to the edges of a trigger channel recorded with them, and to one set of frames per pair."""
     kinds: tuple[tuple[str, tuple[Frames, ...]], ...] = (("images", block.images), ("points", block.points))
     for kind, frames in ((kind, frames) for kind, entries in kinds for frames in entries):
         if frames.trigger not in triggers:
             found = f'"{frames.trigger}"; trigger channels are {", ".join(sorted(triggers)) or "none"}'
             expected = 'the name of a channel with quantity = "trigger"'
-            raise InputError(path, f"{prefix}{kind}.{quoted(frames.stereo)}.trigger", found, expected)
+            yield InputError(path, f"{prefix}{kind}.{quoted(frames.stereo)}.trigger", found, expected)
     twice = repeated_name([frames.stereo for _, entries in kinds for frames in entries])
     if twice is not None:
         key, expected = f"{prefix}images.{quoted(twice)}.stereo", "one images or points block per stereo pair"
-        raise InputError(path, key, f'two blocks for "{twice}"', expected)
+        yield InputError(path, key, f'two blocks for "{twice}"', expected)
 
 
-def _check_outputs(located: list[tuple[str, Daq, ChannelEntry]], path: Path, rig: Rig, rig_path: Path) -> None:
+def _of_outputs(
+    located: list[tuple[str, Daq, ChannelEntry]], path: Path, rig: Rig, rig_path: Path
+) -> Iterator[InputError]:
     """Outputs belong to the sensor under test, each of its channels once at a time."""
     seen: list[tuple[str, str]] = []
     for key, daq, entry in located:
         if entry.channel is None:
             continue
         if rig.sensor is None:
-            raise InputError(rig_path, "sensor", "nothing", f"the [sensor] whose output {entry.name} is recorded")
+            yield InputError(rig_path, "sensor", "nothing", f"the [sensor] whose output {entry.name} is recorded")
+            return
         if entry.channel not in rig.sensor.channels:
             expected = "one of the sensor's channels " + ", ".join(rig.sensor.channels)
-            raise InputError(path, f"{key}.channel", f'"{entry.channel}"', expected)
+            yield InputError(path, f"{key}.channel", f'"{entry.channel}"', expected)
         output = entry.channel, daq.data_set(entry)[1]
         if output in seen:
-            raise InputError(path, f"{key}.channel", f'"{entry.channel}" twice', "each output of the sensor once")
+            yield InputError(path, f"{key}.channel", f'"{entry.channel}" twice', "each output of the sensor once")
         seen.append(output)
 
 
-def _check_reference(
+def _of_references(
     prefixes: list[str], channels: list[list[tuple[str, Daq, ChannelEntry]]], *, several: bool, path: Path
-) -> None:
+) -> Iterator[InputError]:
     """Takes need one reference channel, the same in each of them."""
     marked = [
         [(key, daq.name, daq.data_set(entry)[0]) for key, daq, entry in located if entry.reference]
@@ -382,10 +448,11 @@ def _check_reference(
     for keys in marked:
         if len({(daq, name) for _, daq, name in keys}) > 1:
             expected = "one channel with reference = true"
-            raise InputError(path, f"{keys[1][0]}.reference", f"{len(keys)} of them", expected)
+            yield InputError(path, f"{keys[1][0]}.reference", f"{len(keys)} of them", expected)
+            return
     for prefix, keys in zip(prefixes, marked, strict=True) if several else ():
         same = marked[0] and {(daq, name) for _, daq, name in keys} == {marked[0][0][1:]}
         if not same:
             found = "none" if not keys else f"{keys[0][1]}.{keys[0][2]}"
             expected = "one channel with reference = true, the same in every take"
-            raise InputError(path, f"{prefix}daq", found, expected)
+            yield InputError(path, f"{prefix}daq", found, expected)

@@ -48,6 +48,8 @@ else:
     Quantity = Literal[(*TRANSDUCERS, "force", "output", "voltage", "trigger")]
 MINIMUM_FRAMES = 3
 FARTHEST_EDGE = 1_000_000_000
+SCAN = ".asc"
+"""Suffix of a scanning vibrometer's text."""
 COORDINATES = ("x", "y", "z")
 REFERENCE_COORDINATES = ("x0", "y0", "z0")
 COLUMNS = ("frame", "status", *REFERENCE_COORDINATES, *COORDINATES, "_")
@@ -88,9 +90,13 @@ def _head(value: object, info: ValidationInfo) -> object:
 
 
 class ChannelEntry(Block):
-    """One channel of a DAQ file: true phasor = file value · scale · exp(+jω·delay) / response(f)."""
+    """One channel of a DAQ file: true phasor = file value · scale · exp(+jω·delay) / response(f).
+
+    `in_file`: its name in the file, where that is not `name`, by which the recording knows it.
+    """
 
     name: Text
+    in_file: Text | None = None
     quantity: Quantity
     body: BodyName | None = None
     point: Place | None = None
@@ -111,7 +117,7 @@ class ChannelEntry(Block):
     threshold: Number | None = None
     edge: Literal["rising", "falling"] = "rising"
 
-    ANY: ClassVar[tuple[str, ...]] = ("name", "quantity", "delay", "delay_uncertainty", "response")
+    ANY: ClassVar[tuple[str, ...]] = ("name", "in_file", "quantity", "delay", "delay_uncertainty", "response")
     VALUE: ClassVar[tuple[str, ...]] = ("scale", "scale_uncertainty", "common", "individual_uncertainty", "reference")
     PLACE: ClassVar[tuple[str, ...]] = (
         "body", "point", "point_uncertainty", "direction", "direction_uncertainty", "head", "transverse_sensitivity",
@@ -141,6 +147,11 @@ class ChannelEntry(Block):
             raise refusal("a number other than 0", "0", key="scale")
         return self
 
+    @property
+    def stored_name(self) -> str:
+        """Return what the file calls this channel."""
+        return self.in_file or self.name
+
 
 class Daq(Block):
     """One DAQ file with one clock."""
@@ -155,11 +166,14 @@ class Daq(Block):
     def data_set(self, entry: ChannelEntry) -> tuple[str, str]:
         """Name of a channel and the scan point it names, empty where it names none: of a scan, `2/3` is ("2", "3")."""
         block, _, point = entry.name.partition("/")
-        return (block, point) if self.file.suffix.lower() == ".asc" else (entry.name, "")
+        return (block, point) if self.file.suffix.lower() == SCAN else (entry.name, "")
 
     @model_validator(mode="after")
     def _channels_have_different_names(self) -> Self:
         refuse_repeated([entry.name for entry in self.channel], "channels", "channel")
+        refuse_repeated([entry.stored_name for entry in self.channel], "channels of the file", "channel")
+        if self.file.suffix.lower() == SCAN and any(entry.in_file is not None for entry in self.channel):
+            raise refusal("no key in_file of a scan, whose channels are named block/point", "one", key="channel")
         if self.file.suffix.lower() == ".mat" and self.sample_rate is None:
             raise refusal("the sample rate in Hz, which a .mat file does not hold", "nothing", key="sample_rate")
         return self

@@ -108,7 +108,7 @@ def check_values(values: Any, path: Path) -> None:
 
 
 def validate(model: type[AnyBlock], text: dict[str, Any], path: Path, context: Context | None = None) -> AnyBlock:
-    """Check TOML values against a model; the first problem becomes an `InputError`."""
+    """Check TOML values against a model; its problems become one `InputError`."""
     values, _ = expand_statements(text, path)
     return _checked(model, values, path, context=context)
 
@@ -124,14 +124,16 @@ def _checked(
     try:
         return model.model_validate(values, context=context)
     except ValidationError as error:
-        problems = error.errors(include_url=False)
-        # An unknown key comes before the key that is missing in its stead.
-        first = min(problems, key=lambda problem: problem["type"] != "extra_forbidden")
         whole, start = within or (values, [])
-        place, own = [*start, *first["loc"]], first.get("ctx", {}).get("key")
-        expected, found = _phrases(model, first)
-        key = key_path(whole, [*place, *own.split(".")] if own else place)
-        raise InputError(path, key, found, expected, more=len(problems) - 1) from error
+
+        def told(problem: ErrorDetails) -> InputError:
+            place, own = [*start, *problem["loc"]], problem.get("ctx", {}).get("key")
+            expected, found = _phrases(model, problem)
+            return InputError(path, key_path(whole, [*place, *own.split(".")] if own else place), found, expected)
+
+        # An unknown key comes before the key that is missing in its stead.
+        problems = sorted(error.errors(include_url=False), key=lambda problem: problem["type"] != "extra_forbidden")
+        raise InputError.together(map(told, problems)) from error
 
 
 # Inputs as certificates state them: a table in the place of a value, or of its standard uncertainty.
@@ -301,6 +303,34 @@ def expand_statements(text: dict[str, Any], path: Path) -> tuple[dict[str, Any],
         return out
 
     return expanded(text, []), tuple(statements)
+
+
+UNFILLED = "?"
+"""What stands in a drafted manifest in the place of a value that only the laboratory knows."""
+
+
+def unfilled(text: dict[str, Any], path: Path) -> list[InputError]:
+    """Return a mistake for every value of a file that is still to be filled in, in the order of the file.
+
+    What is expected there is what the comment behind the value says.
+    """
+    places: list[list[int | str]] = []
+
+    def walk(value: Any, place: list[int | str]) -> None:
+        for step, item in value.items() if isinstance(value, dict) else enumerate(value):
+            if isinstance(item, dict | list):
+                walk(item, [*place, step])
+            elif item == UNFILLED:
+                places.append([*place, step])
+
+    walk(text, [])
+    marks = (line.partition("#") for line in read_text(path, LARGEST_TOML, "a manifest").splitlines() if places)
+    comments = [comment.strip() for value, _, comment in marks for _ in range(value.count(f'"{UNFILLED}"'))]
+    told = comments if len(comments) == len(places) else [""] * len(places)
+    return [
+        InputError(path, key_path(text, place), f'"{UNFILLED}", not filled in yet', comment or "a value")
+        for place, comment in zip(places, told, strict=True)
+    ]
 
 
 def quoted(name: str) -> str:

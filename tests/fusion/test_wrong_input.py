@@ -386,8 +386,9 @@ def test_the_sentence_names_file_key_expectation_and_finding():
     assert str(SAMPLE) == "rig.toml: stereo.top.rotation: expected a rotation, found 2"
     told = str(InputError("a.tif", "", found="3\n  bytes", expected="an image"))
     assert told == "a.tif: expected an image, found 3 bytes"
-    assert "(1 more problem in" in str(InputError("a", "b", "c", "d", more=1))
-    assert "(2 more problems in" in str(InputError("a", "b", "c", "d", more=2))
+    assert "(1 more problem in this file)" in str(InputError("rig.toml", "b", "c", "d", [SAMPLE]))
+    others = [SAMPLE, InputError("recording.toml", "b", "c", "d")]
+    assert "(2 more problems, also in recording.toml)" in str(InputError("rig.toml", "b", "c", "d", others))
 
 
 @pytest.mark.parametrize("error", [SAMPLE, ComputeError("no line found")])
