@@ -29,12 +29,12 @@ from fusion.phasors.stereo_phasors import pairs_phasors
 from fusion.phasors.timing import TimeBase, see, tie_daqs
 from fusion.recording.files import DaqRecord
 from fusion.recording.load import Manifest, load_manifest
+from fusion.recording.toml import to_toml
 from fusion.sensitivity.analyse import Analysis, Inputs, analyse
 from fusion.sensitivity.body import load_body
 from fusion.simulate.preset import ChannelSpec, Preset, read_preset
 from fusion.simulate.sines import record, recording_tables, rendered_run, rig_tables
 from fusion.simulate.world import Draws, TrueStereo, World, make_world
-from fusion.simulate.write import to_toml
 from photogram.calibration.file import read_calibration, write_calibration
 from photogram.camera import triangulate
 from photogram.epipolar import check_epipolar

@@ -9,6 +9,8 @@ from .campaign.run import run_path as run_path
 from .estimation.fuse import Acceleration as Acceleration
 from .planning.check import CheckReport as CheckReport
 from .planning.check import check as check
+from .planning.draft.init import Draft as Draft
+from .planning.draft.init import draft as draft
 from .planning.plan import Request as Request
 from .planning.plan import make_plan as make_plan
 from .recording.load import Manifest as Manifest

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from support import write_daq
 
+from fusion.recording.toml import to_toml
 from fusion.simulate.chirp import Chirp, Suspension, rig_file, write_chirps
 from fusion.simulate.preset import read_preset
 from fusion.simulate.world import Draws, true_part
-from fusion.simulate.write import to_toml
 
 QUICK = read_preset(Chirp, "chirp.chirp", sample_rate_hz=12800.0, period_s=0.64, periods=4, band_hz=(800.0, 2400.0))
 SMALL = read_preset(Suspension, "masses", chirp=QUICK)

@@ -1,4 +1,4 @@
-"""The commands from a camera to the sensitivity: plan, simulate, cameras, align, check, lines, run, transfer.
+"""The commands from a camera to the sensitivity: plan, simulate, cameras, align, init, check, lines, run, transfer.
 
 Of each command: its options, then what it does, which alone imports heavy modules. Its docstring is its help.
 """
@@ -287,6 +287,28 @@ def align(options: argparse.Namespace) -> None:
     print(text, end="")
 
 
+def _init_options(parser: Parser) -> None:
+    parser.value("folder", path, "FOLDER", "folder of a recording's files, or of several such folders")
+    how = parser.add_mutually_exclusive_group()
+    text = "take over rig and channels of this recording, whose files are alike"
+    how.add_argument("--from", dest="like", type=path, metavar="RECORDING", help=text)
+    how.add_argument("--example", action="store_true", help="write a commented example instead, with every block")
+
+
+@command(_init_options)
+def init(options: argparse.Namespace) -> None:
+    """Draft recording.toml and rig.toml from the files of a folder."""
+    from fusion.planning.draft.init import run_init
+
+    made = run_init(options.folder, options.like, with_example=options.example)
+    for line in made.found:
+        print(line)
+    for file in made.files:
+        print(f"written: {file}")
+    if made.asked:
+        print(f'{made.asked} values are left to fill in, "?"; shakercal check {options.folder} lists them')
+
+
 @command(Parser.recording)
 def check(options: argparse.Namespace) -> int:
     """Say what a recording holds and everything that its command would refuse; no image is followed."""
@@ -437,4 +459,4 @@ def transfer(options: argparse.Namespace) -> None:
     run_transfer(options.recording, options.output, settings, force=options.force, allow_outside=options.allow_outside)
 
 
-COMMANDS = (run, check, cameras, import_calibration, export_calibration, align, simulate, plan, lines, transfer)
+COMMANDS = (run, init, check, cameras, import_calibration, export_calibration, align, simulate, plan, lines, transfer)

@@ -42,6 +42,7 @@ from fusion.recording.toml import (
 )
 from fusion.recording.values import Context, PathScope, describe, natural_key, repeated_name
 from shaker.arrays import Notice
+from shaker.io import refused_suffix
 
 log = logging.getLogger("shakercal")
 RECORDING_NAME = "recording.toml"
@@ -137,6 +138,9 @@ def find_recordings(path: str | Path) -> list[Path]:
     """
     path = Path(path)
     if path.is_file():
+        if refused_suffix(path) is None:
+            expected = f"a recording's folder or {RECORDING_NAME}; shakercal init {path.parent} drafts one"
+            raise InputError(path, "", "a recorder's file", expected)
         return [path]
     if not path.is_dir():
         raise InputError(
@@ -150,7 +154,8 @@ def find_recordings(path: str | Path) -> list[Path]:
     except OSError as error:
         raise InputError(path, "", error.strerror or str(error), "a folder that can be read") from error
     if not found:
-        raise InputError(path, "", "none", f"{RECORDING_NAME} in this folder or in a folder directly below it")
+        expected = f"{RECORDING_NAME} in this folder or directly below it; shakercal init {path} drafts one"
+        raise InputError(path, "", "none", expected)
     return found
 
 

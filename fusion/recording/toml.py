@@ -5,10 +5,11 @@ Inputs may be stated as certificates do, a table with U and k in the place of a 
 
 from __future__ import annotations
 
+import json
 import re
 import stat
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import date as Date
 from difflib import get_close_matches
@@ -409,3 +410,29 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
         yield annotation
     for argument in get_args(annotation):
         yield from _models_in(argument)
+
+
+# Tables to TOML text.
+
+
+def to_toml(table: Mapping[str, Any], path: str = "") -> str:
+    """Return TOML text: plain keys first, then sub-tables, then arrays of tables (lists of dictionaries)."""
+    lines = [f"{key} = {_shown(value)}" for key, value in table.items() if not _is_table(value)]
+    for key, value in table.items():
+        name = f"{path}.{key}" if path else key
+        if isinstance(value, Mapping):
+            header = "" if all(isinstance(v, Mapping) for v in value.values()) else f"\n[{name}]\n"
+            lines.append(header + to_toml(value, name).rstrip("\n"))
+        elif _is_table(value):
+            lines += [f"\n[[{name}]]\n" + to_toml(item, name).rstrip("\n") for item in value]
+    return "\n".join(lines) + "\n"
+
+
+def _is_table(value: Any) -> bool:
+    """Say whether a value needs a header of its own."""
+    return isinstance(value, Mapping) or (isinstance(value, list) and bool(value) and isinstance(value[0], Mapping))
+
+
+def _shown(value: Any) -> str:
+    """Return a plain value as TOML has it."""
+    return value.isoformat() if isinstance(value, Date) else json.dumps(value, ensure_ascii=False)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from fusion.base import ProgressCallback, no_progress
+from fusion.recording.toml import to_toml
 from fusion.simulate.preset import CHECKED, PartSpec, Preset, Vector, read_preset
 from fusion.simulate.sines import (
     DRIVE_MPS2,
@@ -34,7 +35,7 @@ from fusion.simulate.sines import (
     write_run,
 )
 from fusion.simulate.world import STATIC_UNCERTAINTY, Draws, TruePart, make_world, static_sensitivity, true_part
-from fusion.simulate.write import RIG_FILE, TRUTH_FILE, Record, complex_table, to_toml, write_recording, write_texts
+from fusion.simulate.write import RIG_FILE, TRUTH_FILE, Record, complex_table, write_recording, write_texts
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.frf.chain import filter_poles, pole_response
 from shaker.labels import MOTION_COMPONENTS

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from pydantic.dataclasses import dataclass
 
+from fusion.recording.toml import to_toml
 from fusion.simulate.preset import CHECKED, read_preset
 from fusion.simulate.world import Draws
-from fusion.simulate.write import RIG_FILE, TRUTH_FILE, Record, complex_table, to_toml, write_recording, write_texts
+from fusion.simulate.write import RIG_FILE, TRUTH_FILE, Record, complex_table, write_recording, write_texts
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel

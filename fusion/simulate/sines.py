@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.base import ProgressCallback, no_progress
+from fusion.recording.toml import to_toml
 from fusion.report.files import write_file
 from fusion.simulate.preset import (
     ChannelSpec,
@@ -50,7 +51,6 @@ from fusion.simulate.write import (
     Record,
     complex_table,
     points_text,
-    to_toml,
     write_recording,
     write_texts,
 )

@@ -15,11 +15,12 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from fusion.base import ProgressCallback
+from fusion.recording.toml import to_toml
 from fusion.report.files import write_file
 from fusion.sensor.models_file import MODELS_FILE, ModelEntry, ModelsFile, models_text
 from fusion.simulate.preset import CHECKED, Vector, read_preset
 from fusion.simulate.world import Draws
-from fusion.simulate.write import RIG_FILE, TRUTH_FILE, to_toml, write_recording, write_texts
+from fusion.simulate.write import RIG_FILE, TRUTH_FILE, write_recording, write_texts
 from photogram.calibration.file import write_calibration
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.board import Board, random_poses, random_rig, render_board

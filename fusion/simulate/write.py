@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.recording.toml import to_toml
 from fusion.report.files import write_file, write_files
 from shaker.arrays import FloatArray
 
@@ -89,24 +90,6 @@ def points_text(position_m: FloatArray) -> str:
     rows = np.concatenate([place, position_m / POINTS_SCALE], axis=2).reshape(-1, len(COLUMNS))
     text = "\n".join(f"{frame:.0f},{point:.0f},{x:.6f},{y:.6f},{z:.6f}" for frame, point, x, y, z in rows.tolist())
     return f"{','.join(COLUMNS)}\n{text}\n"
-
-
-def to_toml(table: Mapping[str, Any], path: str = "") -> str:
-    """Return TOML text: plain keys first, then sub-tables, then arrays of tables (lists of dictionaries)."""
-    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items() if not _is_table(value)]
-    for key, value in table.items():
-        name = f"{path}.{key}" if path else key
-        if isinstance(value, Mapping):
-            header = "" if all(isinstance(v, Mapping) for v in value.values()) else f"\n[{name}]\n"
-            lines.append(header + to_toml(value, name).rstrip("\n"))
-        elif _is_table(value):
-            lines += [f"\n[[{name}]]\n" + to_toml(item, name).rstrip("\n") for item in value]
-    return "\n".join(lines) + "\n"
-
-
-def _is_table(value: Any) -> bool:
-    """Say whether a value needs a header of its own."""
-    return isinstance(value, Mapping) or (isinstance(value, list) and bool(value) and isinstance(value[0], Mapping))
 
 
 def complex_table(value: NDArray[np.complex128]) -> dict[str, Any]:

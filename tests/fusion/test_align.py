@@ -36,7 +36,7 @@ from fusion.cameras.align_manifest import (
 )
 from fusion.cli import main
 from fusion.recording.rig import Stereo
-from fusion.simulate.write import to_toml
+from fusion.recording.toml import to_toml
 from photogram.alignment.evidence import calibration_steps
 from photogram.alignment.solve import align
 from photogram.calibration.file import write_calibration

@@ -19,7 +19,7 @@ from support import DOCS, rows, told_columns
 
 from fusion.base import InputError
 from fusion.cli import main
-from fusion.recording.toml import _models_in
+from fusion.recording.toml import _models_in, to_toml
 from fusion.sensor.elastomer.definition import ElementFile, read_definition
 from fusion.sensor.elastomer.evaluate import (
     ComparedColumn,
@@ -32,7 +32,6 @@ from fusion.sensor.elastomer.evaluate import (
     spread,
 )
 from fusion.simulate.statics import write_element
-from fusion.simulate.write import to_toml
 from shaker.elastomer.frame import NAMES
 from shaker.lti.system import ModalModel
 

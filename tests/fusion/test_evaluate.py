@@ -25,12 +25,12 @@ from fusion.phasors.stereo_motion import known_depth, measure_images, open_image
 from fusion.phasors.timing import tie_daqs
 from fusion.recording.files import read_daqs
 from fusion.recording.load import find_recordings, load_manifest
+from fusion.recording.toml import to_toml
 from fusion.report.recording import write_results
 from fusion.sensitivity.analyse import Evaluation, analyse
 from fusion.simulate import simulate
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.world import Draws, TrueStereo, frame_bounds, make_world
-from fusion.simulate.write import to_toml
 from photogram.calibration.file import read_calibration, write_calibration
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.board import Board, random_poses, render_board

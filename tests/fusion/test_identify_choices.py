@@ -31,6 +31,7 @@ from fusion.cli import main
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import ModelChanges
+from fusion.recording.toml import to_toml
 from fusion.report.folder import Provenance, write_provenance
 from fusion.sensor.identify.evaluate import evaluate_identification, read_curves
 from fusion.sensor.identify.fit import JointFit, joint_fits, mechanics, modelled
@@ -55,7 +56,6 @@ from fusion.simulate.chirp import (
 )
 from fusion.simulate.preset import PartSpec, read_preset
 from fusion.simulate.world import Draws, true_part
-from fusion.simulate.write import to_toml
 from shaker.identification.measured import AT_THE_BASE, MeasuredTransfer, Placement, PlacementError, RelativeError
 from shaker.mechanics import MassChain
 from shaker.sine.phasor import Phasors

@@ -15,6 +15,7 @@ from support import without_pages, write_daq
 
 from fusion.campaign.run import run_path
 from fusion.recording.load import load_manifest
+from fusion.recording.toml import to_toml
 from fusion.sensitivity.evaluate import Settings
 from fusion.sensor.identify.evaluate import evaluate_identification
 from fusion.sensor.identify.fit import joint_fits
@@ -27,7 +28,6 @@ from fusion.sensor.identify.measured import (
     with_clocks_of,
 )
 from fusion.simulate.world import Draws, true_part
-from fusion.simulate.write import to_toml
 from shaker.identification.measured import RelativeError
 
 RATE_HZ, PERIOD = 12800.0, 256.05  # of the trigger, in samples: its edges move by a sample in 20 of them

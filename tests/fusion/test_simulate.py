@@ -15,6 +15,7 @@ from support import complex_of, state, truth_of
 from fusion.base import InputError
 from fusion.cli import main
 from fusion.recording.load import load_manifest
+from fusion.recording.toml import to_toml
 from fusion.simulate import PRESETS, simulate
 from fusion.simulate.preset import PartSpec, Preset, read_preset
 from fusion.simulate.world import (
@@ -28,7 +29,6 @@ from fusion.simulate.world import (
     velocity_at,
     wrench,
 )
-from fusion.simulate.write import to_toml
 from photogram.geometry import rotation_from_vector
 
 GRAVITY = np.array([0.0, 0.0, -9.8125])

@@ -1,0 +1,1 @@
+"""Manifests drafted from what lies in a folder (`shakercal init`)."""

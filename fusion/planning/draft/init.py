@@ -1,0 +1,199 @@
+"""`shakercal init`: manifests for a folder without, drafted, taken over from another recording, or as an example."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from fusion.base import InputError
+from fusion.planning.draft.channels import HEAD, recorders
+from fusion.planning.draft.inventory import Inventory, holds_recording, look_into
+from fusion.planning.draft.recording import driven_axis, driven_lines, recording_text
+from fusion.planning.draft.rig import rig_text
+from fusion.recording.load import RECORDING_NAME
+from fusion.recording.toml import UNFILLED, read_toml, to_toml
+from fusion.recording.values import natural_key
+from fusion.report.files import write_whole
+
+RIG_NAME = "rig.toml"
+EXAMPLE_RECORDING = "Fz-0106.25"
+
+
+@dataclass(frozen=True)
+class Draft:
+    """Drafted files by path, and what was found, in words.
+
+    >>> from fusion import Draft, draft
+    >>> from shutil import copytree, ignore_patterns
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = copytree("sample_images/demo", f"{folder}/demo", ignore=ignore_patterns("*.toml"))
+    ...     drafted = draft(f"{folder}/demo")
+    >>> isinstance(drafted, Draft), [path.name for path in drafted.files], drafted.asked
+    (True, ['rig.toml', 'recording.toml'], 28)
+    """
+
+    files: dict[Path, str]
+    found: tuple[str, ...]
+
+    @property
+    def asked(self) -> int:
+        """Return how many values are left to fill in."""
+        return sum(text.count(f'= "{UNFILLED}"') for text in self.files.values())
+
+
+def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
+    """Draft the manifests of a folder: of the recording that it is, or of all below it that have none.
+
+    `like`: a recording whose rig and channels are taken over. A rig.toml in the folder, or above a recording, is used
+    as it is. Raises `InputError` where nothing was recorded, or where all has a manifest.
+
+    >>> from fusion import draft
+    >>> draft("sample_images/demo/Fz-0080")
+    Traceback (most recent call last):
+        ...
+    fusion.base.InputError: sample_images/demo/Fz-0080: expected a folder without recording.toml, found one there
+    """
+    folder = Path(folder)
+    found = [look_into(place) for place in _recordings(folder)]
+    found = [inventory for inventory in found if not inventory.empty]
+    if not found:
+        raise InputError(folder, "", "none", "recorders' files or pictures in this folder or in folders directly below")
+    files = {}
+    if like is not None:
+        for inventory in found:
+            files[inventory.folder / RECORDING_NAME] = _taken_over(inventory, Path(like))
+    else:
+        single = found[0].folder == folder
+        above = folder.absolute().parent / RIG_NAME
+        rig = folder.parent / RIG_NAME if single and folder.name and above.is_file() else folder / RIG_NAME
+        pairs = read_toml(rig).get("stereo", {}) if rig.exists() else {}
+        if not rig.exists():
+            files[rig] = rig_text(folder, found)
+        for inventory in found:
+            path = Path(os.path.relpath(rig, inventory.folder)).as_posix()
+            files[inventory.folder / RECORDING_NAME] = recording_text(inventory, path, tuple(pairs))
+    return Draft(files, tuple(map(_told, found)))
+
+
+def example(folder: Path) -> Draft:
+    """Return a commented example: the rig and the recording of docs/recording-format.md."""
+    texts = resources.files("fusion.planning.draft") / "example"
+    places = {RIG_NAME: folder / RIG_NAME, RECORDING_NAME: folder / EXAMPLE_RECORDING / RECORDING_NAME}
+    files = {path: (texts / name).read_text(encoding="utf-8") for name, path in places.items()}
+    return Draft(files, ("an example with every block; the files that it names are not there",))
+
+
+def run_init(folder: Path, like: Path | None = None, *, with_example: bool = False) -> Draft:
+    """Write drafted manifests, each whole or not at all; a file that is there is never replaced."""
+    made = example(folder) if with_example else draft(folder, like)
+    for path in made.files:
+        if path.exists():
+            raise InputError(path, "", "a file of this name", "a place for a new one (init never overwrites)")
+    for path, text in made.files.items():
+        write_whole(path, text)
+    return made
+
+
+def _recordings(folder: Path) -> list[Path]:
+    """Return the recordings without a manifest that a folder is or has."""
+    if not folder.is_dir():
+        found = "a file" if folder.is_file() else "nothing at this path"
+        raise InputError(folder, "", found, "the folder in which the recorders' files lie")
+    try:
+        if (folder / RECORDING_NAME).exists():
+            raise InputError(folder, "", "one there", f"a folder without {RECORDING_NAME}")
+        if holds_recording(folder):
+            return [folder]
+        below = sorted(
+            (entry for entry in folder.iterdir() if entry.is_dir()), key=lambda entry: natural_key(entry.name)
+        )
+        held = [entry for entry in below if holds_recording(entry)]
+    except OSError as error:
+        raise InputError(folder, "", error.strerror or str(error), "a folder that can be read") from error
+    kept = [entry for entry in held if not (entry / RECORDING_NAME).exists()]
+    if held and not kept:
+        raise InputError(folder, "", f"one in each of {len(held)}", f"a folder below without {RECORDING_NAME}")
+    return kept
+
+
+def _told(inventory: Inventory) -> str:
+    """Say in a line what a recording holds."""
+    channels = sum(len(daq.channels) for daq in inventory.daqs)
+    files = f"{len(inventory.daqs)} recorder file{'s' if len(inventory.daqs) > 1 else ''}"
+    told = [f"{files} with {channels} channels"] if inventory.daqs else []
+    told += [f"stereo pair {pair.name} of {pair.left.frames} frames" for pair in inventory.pairs]
+    told += [f"camera {camera.pattern} without a partner" for camera in inventory.cameras]
+    told += [f"points {table.path.name}" for table in inventory.points]
+    told += [f"response {path.name}" for path in inventory.responses]
+    lines, where = driven_lines(recorders(inventory.daqs))
+    if lines:
+        told.append(f"driven at {', '.join(f'{line:g}' for line in lines[:5])} Hz {where}")
+    return f"{inventory.folder.name}: {'; '.join(told)}"
+
+
+# A recording like another one: its rig and channels, the lines and files of its own.
+
+
+def _taken_over(inventory: Inventory, like: Path) -> str:
+    """Return recording.toml with everything of another recording that the files of this one bear out."""
+    path = like if like.is_file() else like / RECORDING_NAME
+    text = read_toml(path)
+    if "take" in text:
+        raise InputError(path, "take", "takes", "a recording without takes to take over")
+    rig, excitation = text.get("rig"), text.get("excitation")
+    if not isinstance(rig, str) or not isinstance(excitation, dict):
+        raise InputError(path, "", "neither", "a recording with its rig and an excitation")
+    folder = inventory.folder
+
+    def moved(name: Any) -> Any:
+        """Return the path of a file beside the other recording as seen from here, where it has none of that name."""
+        if not isinstance(name, str) or (folder / name).exists():
+            return name
+        return Path(os.path.relpath(path.parent / name, folder)).as_posix()
+
+    lines, _ = driven_lines(recorders(inventory.daqs))
+    axis = driven_axis(folder.resolve().name)
+    excitation = {**excitation, **({"frequencies": lines} if lines and "frequencies" in excitation else {})}
+    excitation |= {"direction": axis} if axis is not None and "direction" in excitation else {}
+    kept = {key: value for key, value in text.items() if key not in ("name", "rig", "date", "excitation")}
+    made = {"format": 1, "name": folder.resolve().name, "rig": moved(rig), **kept, "excitation": excitation}
+    made["daq"] = [_same_recorder(block, inventory, moved) for block in _blocks(text, "daq")]
+    pairs = {pair.name: pair for pair in inventory.pairs}
+    made["images"] = [
+        {**block, "left": pair.left.pattern, "right": pair.right.pattern}
+        if (pair := pairs.get(block.get("stereo", "")))
+        else {**block, "left": UNFILLED, "right": UNFILLED}
+        for block in _blocks(text, "images")
+    ]
+    there = {table.name: table.path.name for table in inventory.points}
+    made["points"] = [
+        block
+        if (folder / str(block.get("files"))).exists()
+        else {**block, "files": there.get(str(block.get("stereo")), UNFILLED)}
+        for block in _blocks(text, "points")
+    ]
+    return f"{HEAD}# Rig and channels are those of {path.parent.name}.\n" + to_toml(
+        {k: v for k, v in made.items() if v != []}
+    )
+
+
+def _blocks(text: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    """Return the blocks of an array of tables."""
+    blocks = text.get(key, [])
+    return [block for block in blocks if isinstance(block, dict)] if isinstance(blocks, list) else []
+
+
+def _same_recorder(block: dict[str, Any], inventory: Inventory, moved: Any) -> dict[str, Any]:
+    """Return a recorder's block with this recording's file: of the same name, else the one with all its channels."""
+    channels = [
+        {**entry, **({"response": moved(entry["response"])} if "response" in entry else {})}
+        for entry in _blocks(block, "channel")
+    ]
+    wanted = {str(entry.get("in_file", entry.get("name"))) for entry in channels}
+    having = [daq.path.name for daq in inventory.daqs if wanted <= {channel.name for channel in daq.channels}]
+    same = [name for name in having if name == block.get("file")] or having
+    return {**block, "file": same[0] if len(same) == 1 else UNFILLED, "channel": channels}

@@ -1,0 +1,346 @@
+"""What lies in a folder without a manifest: recorders with their channels, cameras and pairs, calibrations, tables."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fusion.recording.manifest import SCAN
+from fusion.recording.values import natural_key
+from photogram.images.files import SUFFIXES as IMAGE_SUFFIXES
+from photogram.images.files import TIFF_SUFFIXES, open_sequence
+from photogram.images.video import VIDEO_READERS
+from shaker.io import SUFFIXES, read_channels
+from shaker.io.text import table_units
+from shaker.timebase.edges import find_edges
+from shaker.timebase.trigger import fit_trigger
+
+if TYPE_CHECKING:
+    from photogram.images.sequence import ImageSequence
+    from shaker.io.channel import RawChannel
+
+MOST_FILES = 100_000
+LOOKED_AT = 4  # pictures of a camera that tell its bit depth
+GREY_BITS = (8, 10, 12, 14, 16)
+NEAR_A_LEVEL, TWO_LEVELS = 0.15, 0.9  # of the step; share of the samples that lie so near to one of the two
+TABLE_KEYS = {"frequency_hz"}
+SIDES = (("left", "right"), ("l", "r"), ("a", "b"), ("0", "1"), ("1", "2"))
+
+
+@dataclass(frozen=True)
+class TriggerPulses:
+    """Pulses that a channel of two levels shows: how many edges, how often, how long (s; 0 where that is unknown)."""
+
+    edges: int
+    rate_hz: float
+    width_s: float
+
+
+@dataclass(frozen=True)
+class FoundChannel:
+    """A channel of a file: its name and unit there, rate and length, range of its samples, its pulses if it has any."""
+
+    name: str
+    unit: str
+    rate_hz: float
+    samples: int
+    low: float
+    high: float
+    pulses: TriggerPulses | None
+
+
+@dataclass(frozen=True)
+class FoundDaq:
+    """A file of a recorder: its channels, or what is wrong with it. `raw`: the samples by the name of the channel."""
+
+    path: Path
+    channels: tuple[FoundChannel, ...]
+    raw: dict[str, RawChannel]
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class FoundCamera:
+    """Pictures of one camera: the pattern of their paths below the recording, and what they are.
+
+    `bits`: the fewest that hold the brightest pixel of a few pictures; `brightest`: that pixel's grey value.
+    """
+
+    pattern: str
+    frames: int
+    size_px: tuple[int, int]
+    bits: int
+    brightest: int
+    exposure_s: float | None
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class FoundPair:
+    """Two cameras whose names differ in left and right alone; `name` is what they have in common."""
+
+    name: str
+    left: FoundCamera
+    right: FoundCamera
+
+
+@dataclass(frozen=True)
+class FoundPoints:
+    """A table of 3-D points of another program: its columns, and how far the points lie from their origin."""
+
+    path: Path
+    columns: tuple[str, ...]
+    reach: float
+
+    @property
+    def name(self) -> str:
+        """Return the stereo pair that the table seems to belong to, by its file's name."""
+        words = [word for word in re.split(r"[^A-Za-z0-9]+", self.path.stem) if word.lower() != "points"]
+        return "-".join(words) or "pair"
+
+
+@dataclass(frozen=True)
+class Inventory:
+    """What a recording folder holds; `responses`: tables over frequency; `others`: files that are none of this."""
+
+    folder: Path
+    daqs: tuple[FoundDaq, ...]
+    pairs: tuple[FoundPair, ...]
+    cameras: tuple[FoundCamera, ...]
+    points: tuple[FoundPoints, ...]
+    responses: tuple[Path, ...]
+    others: tuple[Path, ...]
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing was recorded."""
+        return not (self.daqs or self.pairs or self.cameras or self.points)
+
+
+def look_into(folder: Path) -> Inventory:
+    """Read what lies in a folder and in the folders of pictures directly below it."""
+    files = sorted((path for path in folder.iterdir() if path.is_file()), key=lambda path: natural_key(path.name))
+    tables = {path: _columns(path) for path in files if path.suffix.lower() == ".csv"}
+    responses = tuple(path for path, columns in tables.items() if set(columns) >= TABLE_KEYS)
+    points = tuple(_points(path, columns) for path, columns in tables.items() if {"x", "y", "z"} <= set(columns))
+    taken = {*responses, *(item.path for item in points)}
+    recorders = [path for path in files if path.suffix.lower() in SUFFIXES and path not in taken]
+    below = [entry for entry in folder.iterdir() if entry.is_dir() and not entry.name.startswith(".")]
+    pictures = [path for place in (folder, *below) for path in _pictures(place)]
+    pairs, single = _paired([_camera(folder, group) for group in _series(pictures)])
+    known = {*taken, *recorders, *pictures}
+    return Inventory(
+        folder,
+        tuple(map(_daq, recorders)),
+        pairs,
+        single,
+        points,
+        responses,
+        tuple(path for path in files if path not in known and path.suffix != ".toml"),
+    )
+
+
+def holds_recording(folder: Path) -> bool:
+    """Whether a recorder's file lies in a folder, or pictures do."""
+    found = [path.suffix.lower() for path in folder.iterdir() if path.is_file()]
+    return any(suffix in SUFFIXES or suffix in IMAGE_SUFFIXES for suffix in found)
+
+
+# Recorders.
+
+
+def _columns(path: Path) -> tuple[str, ...]:
+    """Return the names of a table's columns, none where it has no header."""
+    try:
+        return tuple(table_units(path))
+    except (OSError, ValueError):
+        return ()
+
+
+def _points(path: Path, columns: tuple[str, ...]) -> FoundPoints:
+    """Return a table of points, whose first rows tell how far they reach."""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        rows = [line for _, line in zip(range(200), file, strict=False)][1:]
+    places = [columns.index(axis) for axis in ("x", "y", "z")]
+    cells = [re.split(r"[,;\t]", row) for row in rows]
+    numbers = [abs(float(row[place])) for row in cells for place in places if len(row) > place and row[place].strip()]
+    return FoundPoints(path, columns, max(numbers, default=0.0))
+
+
+def _daq(path: Path) -> FoundDaq:
+    """Read a recorder's file and look at each of its channels; of a scan at those of its first point."""
+    try:
+        raw = read_channels(path)
+    except (OSError, ValueError) as error:
+        return FoundDaq(path, (), {}, str(error).removeprefix(f"{path}: "))
+    if path.suffix.lower() == SCAN:
+        raw = {name.partition("/")[0]: channel for name, channel in reversed(raw.items())}
+    return FoundDaq(path, tuple(_channel(name, channel) for name, channel in raw.items()), raw)
+
+
+def _channel(name: str, raw: RawChannel) -> FoundChannel:
+    """Look at the samples of a channel."""
+    finite = raw.samples[np.isfinite(raw.samples)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+    return FoundChannel(name, raw.unit, raw.sample_rate_hz, len(raw.samples), low, high, _pulses(raw))
+
+
+def _pulses(raw: RawChannel) -> TriggerPulses | None:
+    """Return the pulses of a channel that has two levels and a period, None of any other."""
+    samples = raw.samples
+    if len(samples) < 8 or not np.isfinite(samples).all() or np.ptp(samples) == 0.0:
+        return None
+    # Levels by the middle of either half: pulses may be short.
+    middle = (float(samples.min()) + float(samples.max())) / 2
+    levels = float(np.median(samples[samples < middle])), float(np.median(samples[samples >= middle]))
+    step = levels[1] - levels[0]
+    near = np.minimum(np.abs(samples - levels[0]), np.abs(samples - levels[1])) < NEAR_A_LEVEL * step
+    if float(np.mean(near)) < TWO_LEVELS:
+        return None
+    try:
+        edges = find_edges(samples, raw.sample_rate_hz)
+        fit = fit_trigger(edges)
+    except ValueError:
+        return None
+    if fit.edges < 3 or fit.spurious > fit.edges / 10:
+        return None
+    up = float(np.mean(samples >= middle))
+    return TriggerPulses(fit.edges, 1.0 / fit.period_s, up * len(samples) / raw.sample_rate_hz / fit.edges)
+
+
+# Cameras.
+
+
+def _pictures(folder: Path) -> list[Path]:
+    """Return the pictures and videos of a folder in natural order."""
+    found = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()]
+    return sorted(found[:MOST_FILES], key=lambda path: natural_key(path.name))
+
+
+def _series(pictures: Iterable[Path]) -> list[tuple[Path, ...]]:
+    """Put pictures together that differ in one number of their names; a video, and a file of many pages, stands alone.
+
+    Of the numbers of a name the one that takes most values counts the frames, the others tell cameras apart.
+    """
+    alike: dict[tuple[Path, tuple[str, ...]], list[tuple[tuple[str, ...], Path]]] = defaultdict(list)
+    alone = []
+    for path in pictures:
+        if path.suffix.lower() in VIDEO_READERS:
+            alone.append((path,))
+            continue
+        parts = re.split(r"(\d+)", path.name)
+        alike[path.parent, tuple(parts[::2])].append((tuple(parts[1::2]), path))
+    series = []
+    for members in alike.values():
+        numbers = list(zip(*(numbers for numbers, _ in members), strict=True))
+        counted = max(range(len(numbers)), key=lambda i: len(set(numbers[i])), default=0)
+        groups: dict[tuple[str, ...], list[Path]] = defaultdict(list)
+        for own, path in members:
+            groups[own[:counted] + own[counted + 1 :]].append(path)
+        series += [tuple(group) for group in groups.values()]
+    return [group for group in series if len(group) >= 3 or group[0].suffix.lower() in TIFF_SUFFIXES] + alone
+
+
+def _pattern(folder: Path, group: Sequence[Path]) -> str:
+    """Return the pattern that names the pictures of a camera, as a path below the recording."""
+    names = [path.name for path in group]
+    start = next((i for i, letters in enumerate(zip(*names, strict=False)) if len(set(letters)) > 1), len(names[0]))
+    while start and names[0][start - 1].isdigit():
+        start -= 1
+    ends = [re.sub(r"^\d+", "", name[start:]) for name in names]
+    name = f"{names[0][:start]}*{ends[0]}" if len(names) > 1 else names[0]
+    return (group[0].parent / name).relative_to(folder).as_posix()
+
+
+def _camera(folder: Path, group: Sequence[Path]) -> FoundCamera:
+    """Look at the pictures of a camera."""
+    pattern = _pattern(folder, group)
+    try:
+        images = open_sequence(group)
+        chosen = sorted({round(i * (len(images) - 1) / (LOOKED_AT - 1)) for i in range(LOOKED_AT)})
+        brightest = max(int(images.read(i).max()) for i in chosen)
+    except (OSError, ValueError) as error:
+        return FoundCamera(pattern, len(group), (0, 0), 8, 0, None, " ".join(str(error).split()))
+    bits = next(bits for bits in GREY_BITS if brightest < 2**bits)
+    bits = images.full_scale.bit_length() if _states_its_depth(group, images) else bits
+    return FoundCamera(pattern, len(images), images.size_px, bits, brightest, images.exposure_s)
+
+
+def _states_its_depth(group: Sequence[Path], images: ImageSequence) -> bool:
+    """Whether the files themselves say how many bits their pixels have."""
+    return group[0].suffix.lower() in VIDEO_READERS or images.full_scale != 2**16 - 1
+
+
+def _paired(cameras: Sequence[FoundCamera]) -> tuple[tuple[FoundPair, ...], tuple[FoundCamera, ...]]:
+    """Return cameras whose names differ as left and right do, as pairs, and those that have no partner."""
+    pairs, rest = list[FoundPair](), list(cameras)
+    for left_word, right_word in SIDES:
+        for camera in list(rest):
+            place = _word(camera.pattern, left_word)
+            if camera not in rest or place is None:
+                continue
+            other = camera.pattern[: place[0]] + right_word + camera.pattern[place[1] :]
+            partner = next((item for item in rest if item.pattern.lower() == other.lower()), None)
+            if partner is None or (partner.frames, partner.size_px) != (camera.frames, camera.size_px):
+                continue
+            rest = [item for item in rest if item not in (camera, partner)]
+            pairs.append(FoundPair(_common_name(camera.pattern, place), camera, partner))
+    names = [pair.name for pair in pairs]
+    counts = [names[:i].count(name) for i, name in enumerate(names)]
+    named = [
+        FoundPair(f"{p.name}{n + 1}" if n else p.name, p.left, p.right) for p, n in zip(pairs, counts, strict=True)
+    ]
+    return tuple(named), tuple(rest)
+
+
+def _word(pattern: str, word: str) -> tuple[int, int] | None:
+    """Return where a word stands last in a pattern by itself: no letter beside letters, no digit beside digits."""
+    before = r"(?<![0-9])" if word.isdigit() else r"(?<![A-Za-z])"
+    after = r"(?![0-9])" if word.isdigit() else r"(?![A-Za-z])"
+    found = list(re.finditer(before + word + after, pattern, re.IGNORECASE))
+    return found[-1].span() if found else None
+
+
+def _common_name(pattern: str, place: tuple[int, int]) -> str:
+    """Return what the name of a camera says beside left or right and the number of the frame."""
+    rest = pattern[: place[0]] + "/" + pattern[place[1] :]
+    words = [word for word in re.split(r"[^A-Za-z0-9]+", rest.rpartition(".")[0]) if word]
+    dull = {"cam", "camera", "img", "image", "frame", "kamera", "pair", "stereo"}
+    kept = [word for word in words if word.lower() not in dull]
+    return "-".join(kept)[:40] or "pair"
+
+
+# Calibrations.
+
+
+def calibrations(folders: Iterable[Path]) -> dict[Path, tuple[int, int]]:
+    """Return the calibration files of this program in some folders, with the size of the pictures they belong to."""
+    found: dict[Path, tuple[int, int]] = {}
+    for folder in dict.fromkeys(folders):
+        for path in sorted(folder.glob("*.json")) if folder.is_dir() else ():
+            content = _content(path)
+            size = content.get("image_size")
+            if {"left", "right", "translation"} <= set(content) and isinstance(size, list) and len(size) == 2:
+                found[path] = size[0], size[1]
+    return found
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """Return a small JSON file's table, an empty one where it is something else."""
+    try:
+        content = json.loads(path.read_bytes()) if path.stat().st_size < 1 << 22 else None
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def states_scale(path: Path) -> bool:
+    """Whether a calibration has a covariance, so that no uncertainty of lengths need be stated beside it."""
+    return _content(path).get("covariance") is not None

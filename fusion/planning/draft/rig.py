@@ -1,0 +1,151 @@
+"""rig.toml for what the recordings of a campaign hold."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from fusion.instruments.transducer import TRANSDUCERS
+from fusion.planning.draft.channels import (
+    HEAD,
+    Guess,
+    asked,
+    body,
+    optional,
+    ordered,
+    recorders,
+    stated,
+    word_in,
+)
+from fusion.planning.draft.inventory import FoundPair, FoundPoints, Inventory, calibrations, states_scale
+from fusion.recording.toml import quoted
+from shaker.labels import LOAD_COMPONENTS
+
+# The rig.
+
+
+SENSOR_KEYS = (
+    ("serial", "", ""),
+    ("capacity", [500.0, 500.0, 1000.0, 25.0, 25.0, 25.0], "rated loads, N and N m"),
+    ("static_sensitivity", [[0.0] * 6], "a row per channel, unit per N and N m: makes the result the sensor's element"),
+    ("cross_talk", 0.01, "rated, relative, where no static matrix is known"),
+    ("internal_mass_uncertainty", 5e-4, "kg"),
+    ("internal_centre_of_mass", [0.0, 0.0, 0.0], "m"),
+    ("internal_centre_of_mass_uncertainty", 1e-3, "m"),
+    ("internal_inertia", [[0.0] * 3] * 3, "kg m^2, about its centre of mass"),
+    ("internal_inertia_uncertainty", 1e-6, "kg m^2"),
+)
+LOAD_KEYS = (("centre_of_mass_uncertainty", 1e-4, "m"), ("inertia_uncertainty", 1e-5, "kg m^2"))
+PART_KEYS = (
+    ("name", "adapter plate", ""),
+    ("body", "load", '"load" or "base"'),
+    ("mass", 0.1, "kg"),
+    ("mass_uncertainty", 1e-4, "kg"),
+    ("centre_of_mass", [0.0, 0.0, 0.0], "m"),
+    ("centre_of_mass_uncertainty", 1e-4, "m"),
+    ("inertia", [[0.0] * 3] * 3, "kg m^2"),
+    ("inertia_uncertainty", 1e-6, "kg m^2"),
+)
+AROUND_KEYS = (
+    ("gravity", [0.0, 0.0, -9.81], "m/s^2 in sensor axes, points down: corrects tilt"),
+    ("temperature", 23.0, "°C"),
+    ("air_density", 1.19, "kg/m^3"),
+)
+HEAD_KEYS = (
+    ("mirror", [0.0, 0.0, 0.6], "m, from where the beams leave; or standoff, its distance"),
+    ("rotation_uncertainty", 2e-3, "rad"),
+    ("point_uncertainty", 5e-4, "m"),
+)
+POSE_KEYS = (("pose_uncertainty", [1e-4] * 3 + [5e-4] * 3, "m and rad"), ("delay", 0.0, "s, from trigger to exposure"))
+
+
+def rig_text(root: Path, inventories: Sequence[Inventory]) -> str:
+    """Return the text of rig.toml for what the recordings of a campaign hold."""
+    found = [recorder for inventory in inventories[:1] for recorder in recorders(inventory.daqs)]
+    outputs = [item for recorder in found for item in recorder.channels if item.quantity == "output"]
+    lines = [HEAD, "format = 1", stated("name", root.resolve().name)]
+    if outputs:
+        lines += _sensor(outputs)
+        lines += ["\n[load]  # everything mounted above the sensor, without the sensor's own part"]
+        lines += [
+            asked("mass", "the true mass in kg"),
+            asked("mass_uncertainty", "its standard uncertainty (k = 1) in kg"),
+        ]
+        lines += [asked("centre_of_mass", "the centre of mass in the sensor frame, in m")]
+        lines += [asked("inertia", "the 3 x 3 tensor about the centre of mass in kg m^2")]
+        lines += [optional(*entry) for entry in LOAD_KEYS]
+        lines += ["\n# [[part]]  # adapters, screws, accelerometers: any number", *(optional(*e) for e in PART_KEYS)]
+    lines += ["\n# [environment]", *(optional(*entry) for entry in AROUND_KEYS)]
+    files = calibrations([root, root / "calibration", *(inventory.folder for inventory in inventories)])
+    if sum(item.quantity in TRANSDUCERS for recorder in found for item in recorder.channels) > 1:
+        lines += ["\n# [head.laser]  # what the beams of a laser, or the axes of an accelerometer, have in common"]
+        lines += [optional(*entry) for entry in HEAD_KEYS]
+    width_s = next((pulses.width_s for recorder in found for _, pulses in recorder.triggers), 0.0)
+    every: list[FoundPair | FoundPoints] = []
+    for inventory in inventories:
+        every += [*inventory.points, *inventory.pairs]
+    for item in ordered({item.name: item for item in every}.values()):
+        lines += _pair(item, root, files, width_s)
+    return "\n".join(lines) + "\n"
+
+
+def _sensor(outputs: Sequence[Guess]) -> Iterator[str]:
+    """Yield the block of the sensor."""
+    named = [next((name for name in LOAD_COMPONENTS if word_in(name.lower(), o.found.name)), "") for o in outputs]
+    units = {o.found.unit.strip().lower() for o in outputs}
+    yield "\n[sensor]"
+    yield stated("name", "sensor under test", "as its certificate shall name it")
+    if all(named):
+        yield stated("channels", named, "its outputs, as they were found")
+    else:
+        yield asked("channels", f'the names of its outputs, such as ["Fx", "Fy", "Fz"]; {len(outputs)} were found')
+    if units <= {"mv/v", "v/v"}:
+        yield stated("unit", "V/V", "of the outputs after their scale")
+    elif len(units) == 1 and units <= {"v", "n"}:
+        yield stated("unit", units.pop().upper(), "of the outputs after their scale")
+    else:
+        yield asked("unit", "the unit of the outputs after their scale")
+    yield asked("sense", '"on_load" or "on_sensor": on which the wrench acts for which its outputs are positive')
+    yield asked("internal_mass", "the sensor's own mass that moves above its elastic element, in kg")
+    yield from (optional(*entry) for entry in SENSOR_KEYS)
+
+
+def _pair(
+    item: FoundPair | FoundPoints, root: Path, files: dict[Path, tuple[int, int]], width_s: float
+) -> Iterator[str]:
+    """Yield the block of a stereo pair."""
+    yield f"\n[stereo.{quoted(item.name)}]"
+    yield body(item.name)
+    scaled = False
+    if isinstance(item, FoundPair):
+        alike = [path for path, size in files.items() if size == item.left.size_px]
+        own = [path for path in alike if item.name.lower() in path.stem.lower()] or (alike if len(alike) == 1 else [])
+        if own:
+            why = f"guessed: its name, and pictures of {item.left.size_px[0]} x {item.left.size_px[1]} px"
+            yield stated("calibration", Path(os.path.relpath(own[0], root)).as_posix(), why)
+            scaled = states_scale(own[0])
+        else:
+            yield asked("calibration", "a file of shakercal cameras or import-calibration")
+    frame = "left camera" if isinstance(item, FoundPair) else "points"
+    yield asked(
+        "rotation", f"3 x 3, of x_sensor = rotation x_{frame.replace(' ', '_')} + translation (shakercal align)"
+    )
+    yield asked("translation", f"in m, where the frame of the {frame} begins in the sensor frame")
+    yield from (optional(*entry) for entry in POSE_KEYS)
+    why = "relative standard uncertainty (k = 1) of all lengths"
+    yield (
+        optional("scale_uncertainty", 1e-4, f"{why}, beside the calibration's")
+        if scaled
+        else asked("scale_uncertainty", why)
+    )
+    if isinstance(item, FoundPair):
+        brightest = max(item.left.brightest, item.right.brightest)
+        bits = max(item.left.bits, item.right.bits)
+        yield stated("bit_depth", bits, f"guessed: the brightest grey value seen is {brightest}")
+    if isinstance(item, FoundPair) and item.left.exposure_s is not None:
+        yield stated("exposure", "file", f"the files state {1e6 * item.left.exposure_s:.4g} us")
+    else:
+        told = f" ({1e6 * width_s:.4g} us)" if width_s else ""
+        yield asked("exposure", f'its length in s, or "pulse" where it lasts as long as the trigger is active{told}')
+    yield optional("delay_uncertainty", 1e-6, "s")
