@@ -11,6 +11,8 @@ from .planning.check import CheckReport as CheckReport
 from .planning.check import check as check
 from .planning.draft.init import Draft as Draft
 from .planning.draft.init import draft as draft
+from .planning.look.look import Look as Look
+from .planning.look.look import look as look
 from .planning.plan import Request as Request
 from .planning.plan import make_plan as make_plan
 from .recording.load import Manifest as Manifest

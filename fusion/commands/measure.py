@@ -1,4 +1,4 @@
-"""The commands from a camera to the sensitivity: plan, simulate, cameras, align, init, check, lines, run, transfer.
+"""The commands from a camera to the sensitivity, from plan to run.
 
 Of each command: its options, then what it does, which alone imports heavy modules. Its docstring is its help.
 """
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from fusion.base import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS
 from fusion.commands.options import (
     EXIT_DONE,
+    EXIT_FAILED,
     EXIT_INPUT,
     Parser,
     band,
@@ -21,6 +22,7 @@ from fusion.commands.options import (
     hertz,
     not_negative,
     path,
+    percent,
     positive,
     radius,
     seed,
@@ -330,6 +332,25 @@ def check(options: argparse.Namespace) -> int:
     return status
 
 
+def _look_options(parser: Parser) -> None:
+    parser.recording()
+    text = "expanded uncertainty (k = 2) that the result shall have, in %%"
+    parser.value("--aim", percent, "PERCENT", text)
+    parser.value("--page", path, "FILE.html", "write a page, too, whose colour is read from two metres")
+    parser.switch("--watch", "look again whenever files change, until Ctrl-C; the page loads itself again")
+
+
+@command(_look_options)
+def look(options: argparse.Namespace) -> int:
+    """Look at a recording within seconds: is it worth keeping, and which uncertainty can it have."""
+    from fusion.planning.look.look import run_look
+
+    level = run_look(
+        options.recording, options.aim, options.page, watch=options.watch, allow_outside=options.allow_outside
+    )
+    return EXIT_FAILED if level == "wrong" else EXIT_DONE
+
+
 def _lines_options(parser: Parser) -> None:
     text = "DAQ file, a recording (its folder or recording.toml), or a campaign of several"
     parser.value("source", path, "SOURCE", text)
@@ -459,4 +480,17 @@ def transfer(options: argparse.Namespace) -> None:
     run_transfer(options.recording, options.output, settings, force=options.force, allow_outside=options.allow_outside)
 
 
-COMMANDS = (run, init, check, cameras, import_calibration, export_calibration, align, simulate, plan, lines, transfer)
+COMMANDS = (
+    run,
+    init,
+    check,
+    look,
+    cameras,
+    import_calibration,
+    export_calibration,
+    align,
+    simulate,
+    plan,
+    lines,
+    transfer,
+)

@@ -1,0 +1,206 @@
+"""What recorders' channels show at a glance: clipping, dead channels, drift, mains, triggers, lines that fold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from fusion.instruments.transducer import TRANSDUCERS, main_direction
+from fusion.phasors.channels import folding, folds_told
+from fusion.recording.load import Manifest
+from fusion.recording.manifest import ChannelEntry, Daq
+from shaker.arrays import FloatArray
+from shaker.io.channel import RawChannel
+from shaker.lines.detection import survey_lines
+from shaker.sine.aliasing import alias_frequency, nearest_clear_rate, separation_bins
+from shaker.timebase.edges import find_edges
+from shaker.timebase.trigger import TriggerFit, fit_trigger
+
+Level = Literal["good", "look", "wrong"]
+LEVELS: tuple[Level, ...] = ("good", "look", "wrong")
+LOOKED_AT = 1 << 17  # samples in which lines are looked for
+FEWEST = 64
+CLIPPED, FEWEST_CLIPPED = 3.0, 8  # samples at an extreme over those of the three levels below it; how many at least
+FEWEST_STEPS = 30  # of the converter, in the amplitude of a driven line
+DRIFTS, MAINS = 0.2, 0.05  # over the amplitude of the driven line
+DRIVEN_SHARE = 0.7  # of the driven direction along a channel's, from which on it must see the line
+MAINS_BINS = 3.0
+APART_BINS = 1.0
+WELL_APART = 2.0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that a look has found: how bad, of which channel, trigger or camera, in words."""
+
+    level: Level
+    where: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Strength:
+    """A driven line in a channel: its amplitude in SI of the quantity, and the relative u that noise leaves of it."""
+
+    entry: ChannelEntry
+    frequency_hz: float
+    amplitude: float
+    u_relative: float
+
+
+def look_at_channels(
+    manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]
+) -> tuple[list[Finding], list[Strength]]:
+    """Look at the channels of a recorder: what is wrong with each, and how strong the driven lines are in it."""
+    found: list[Finding] = []
+    strengths: list[Strength] = []
+    groups: dict[tuple[float, int], list[ChannelEntry]] = {}
+    for entry in daq.channel:
+        channel = raw[entry.name]
+        where = f"{daq.name}.{entry.name}"
+        if not np.isfinite(channel.samples).all():
+            found.append(Finding("wrong", where, "has samples that are no finite numbers"))
+        elif np.ptp(channel.samples) == 0.0:
+            found.append(Finding("wrong", where, f"is dead: {channel.samples[0]:.4g} {channel.unit} throughout"))
+        elif entry.quantity != "trigger":
+            found += _clipping(where, channel)
+            groups.setdefault((channel.sample_rate_hz, len(channel.samples)), []).append(entry)
+    for (rate_hz, samples), entries in groups.items():
+        if samples < FEWEST:
+            found.append(Finding("wrong", daq.name, f"only {samples} samples"))
+            continue
+        folds = folding(manifest.excitation.frequencies or (), rate_hz, samples)
+        if folds and not all(entry.response for entry in entries):
+            told = f"{folds_told(folds)} at {rate_hz:g} samples/s, unless an anti-aliasing filter keeps it off"
+            found.append(Finding("look", daq.name, told))
+        for finding, strength in _lines(manifest, daq, entries, raw):
+            found += finding
+            strengths += strength
+    return found, strengths
+
+
+def _clipping(where: str, channel: RawChannel) -> Iterator[Finding]:
+    """Yield a finding where many samples are exactly at an extreme.
+
+    Of a sine read in steps the outermost level holds about as many samples as the next three together, (1 : 0.41 + 0.32
+    + 0.27); one that is cut off holds far more.
+    """
+    levels, counts = np.unique(channel.samples, return_counts=True)
+    if len(levels) < 8:
+        return
+    for name, ends in (("top", counts[::-1][:4]), ("bottom", counts[:4])):
+        if ends[0] >= FEWEST_CLIPPED and ends[0] > CLIPPED * ends[1:].sum():
+            level = levels[-1] if name == "top" else levels[0]
+            told = f"is clipped: {ends[0]} samples at its {name}, {level:.5g} {channel.unit}"
+            yield Finding("wrong", where, told.rstrip())
+            return
+
+
+def _lines(
+    manifest: Manifest, daq: Daq, entries: Sequence[ChannelEntry], raw: Mapping[str, RawChannel]
+) -> Iterator[tuple[list[Finding], list[Strength]]]:
+    """Yield what the spectra of channels show that were sampled alike, channel by channel."""
+    nominal = manifest.excitation.frequencies or ()
+    rate_hz, samples = raw[entries[0].name].sample_rate_hz, len(raw[entries[0].name].samples)
+    values = np.stack([raw[entry.name].samples[:LOOKED_AT] for entry in entries], axis=1)
+    length = len(values)
+    survey = survey_lines(values - values.mean(axis=0), rate_hz, [f for f in nominal if f < rate_hz / 2])
+    alias = alias_frequency(np.array(nominal), rate_hz) if nominal else np.empty(0)
+    near = [int(np.argmin(np.abs(survey.frequency_hz - a))) if len(survey.frequency_hz) else -1 for a in alias]
+    bins = rate_hz / length
+    near = [
+        i if i >= 0 and abs(survey.frequency_hz[i] - a) < 1e-2 * a + 3 * bins else -1
+        for i, a in zip(near, alias, strict=True)
+    ]
+    for c, entry in enumerate(entries):
+        where, found, strengths = f"{daq.name}.{entry.name}", list[Finding](), list[Strength]()
+        for frequency, i in zip(nominal, near, strict=True):
+            amplitude = float(survey.amplitude[i, c]) if i >= 0 else np.nan
+            if np.isfinite(amplitude):
+                u = float(survey.u_amplitude[i, c]) / amplitude * np.sqrt(length / samples)
+                strengths.append(Strength(entry, frequency, abs(entry.scale) * amplitude, u))
+            elif _must_see(manifest, entry):
+                found.append(Finding("wrong", where, f"shows nothing at {frequency:g} Hz, which it should see"))
+        strongest = max((s.amplitude / abs(entry.scale) for s in strengths), default=0.0)
+        if strongest > 0.0:
+            found += _beside_the_line(where, raw[entry.name], strongest, driven=_must_see(manifest, entry))
+            mains = [
+                (float(survey.amplitude[i, c]), survey.frequency_hz[i], origin)
+                for i, origin in enumerate(survey.origin)
+                if origin.kind == "mains" and np.isfinite(survey.amplitude[i, c])
+            ]
+            if mains and max(mains)[0] > MAINS * strongest:
+                share = f"{100 * max(mains)[0] / strongest:.2g} % of the driven line"
+                found.append(Finding("look", where, f"picks up mains: {max(mains)[1]:.4g} Hz with {share}"))
+        yield found, strengths
+
+
+def _beside_the_line(where: str, channel: RawChannel, amplitude: float, *, driven: bool) -> Iterator[Finding]:
+    """Yield what drifts, and what hardly moves the converter."""
+    tenth = max(len(channel.samples) // 10, 1)
+    drift = abs(float(np.mean(channel.samples[-tenth:]) - np.mean(channel.samples[:tenth])))
+    if drift > DRIFTS * amplitude:
+        told = f"drifts by {drift:.3g} {channel.unit}, {100 * drift / amplitude:.2g} % of its driven line"
+        yield Finding("look", where, " ".join(told.split()))
+    steps = np.diff(np.unique(channel.samples[:LOOKED_AT]))
+    if driven and 0 < len(steps) < LOOKED_AT // 8 and amplitude < FEWEST_STEPS * float(steps.min()):
+        yield Finding("look", where, f"its driven line is only {amplitude / float(steps.min()):.2g} converter steps")
+
+
+def _must_see(manifest: Manifest, entry: ChannelEntry) -> bool:
+    """Whether a channel looks along what is driven: motion by its direction, an output by its name."""
+    driven = np.asarray(manifest.excitation.direction or ())
+    if len(driven) != 3:
+        return False
+    if entry.quantity == "output":
+        names = ("Fx", "Fy", "Fz")
+        return entry.channel in names and abs(float(driven[names.index(entry.channel)])) > DRIVEN_SHARE
+    aimed = entry.quantity in TRANSDUCERS and not TRANSDUCERS[entry.quantity].turning
+    return aimed and abs(float(np.asarray(main_direction(entry)) @ driven)) > DRIVEN_SHARE
+
+
+# Triggers, and what they make of the driven lines.
+
+
+def trigger_of(entry: ChannelEntry, channel: RawChannel) -> TriggerFit | str:
+    """Return the periodic model of a trigger channel, or why there is none."""
+    try:
+        return fit_trigger(find_edges(channel.samples, channel.sample_rate_hz, entry.threshold, entry.edge))
+    except ValueError as error:
+        return str(error).partition(": ")[2] or str(error)
+
+
+def look_at_trigger(where: str, fit: TriggerFit | str) -> Iterator[Finding]:
+    """Yield what is wrong with the edges of a trigger."""
+    if isinstance(fit, str):
+        yield Finding("wrong", where, f"is no periodic trigger: {fit}")
+        return
+    if fit.missing:
+        told = ", ".join(map(str, fit.missing[:5])) + (" …" if len(fit.missing) > 5 else "")
+        yield Finding("wrong", where, f"{len(fit.missing)} of {fit.edges} trigger edges are lost (number {told})")
+    if fit.doubled or fit.spurious:
+        yield Finding("look", where, f"{fit.doubled + fit.spurious} edges are doubled or stray")
+    if fit.scatters:
+        yield Finding("look", where, f"its edges scatter by {1e6 * fit.jitter_s:.2g} µs")
+
+
+def look_at_beat(where: str, frequencies_hz: Sequence[float], fit: TriggerFit, frames: int) -> Iterator[Finding]:
+    """Yield where the cameras' rate folds driven lines onto each other, or onto standstill."""
+    rate_hz = 1.0 / fit.period_s
+    lines = np.array(sorted(frequencies_hz), dtype=np.float64)
+    bins = separation_bins(lines, rate_hz, frames) if len(lines) else np.inf
+    told = ", ".join(f"{f:g} Hz at {a:.3g} Hz" for f, a in zip(lines, alias_frequency(lines, rate_hz), strict=True))
+    if bins < APART_BINS:
+        clear = nearest_clear_rate(lines, rate_hz, frames)
+        advice = f"; {clear:.6g} frames/s keep all apart" if clear is not None else ""
+        text = (
+            f"at {rate_hz:.6g} frames/s driven lines fold to within {bins:.2g} of a bin of each other or of standstill"
+        )
+        yield Finding("wrong", where, f"{text} ({told}){advice}")
+        return
+    harmonics: FloatArray = np.outer(lines, (1.0, 2.0, 3.0)).ravel()
+    if len(lines) <= 5 and separation_bins(harmonics, rate_hz, frames) < APART_BINS:
+        yield Finding("look", where, f"at {rate_hz:.6g} frames/s a harmonic up to the third folds onto a driven line")

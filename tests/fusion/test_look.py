@@ -1,0 +1,258 @@
+"""`shakercal look`: recordings with one fault each, which the look has to name."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+from support import edit, refusals, rows
+
+from fusion import look
+from fusion.base import InputError
+from fusion.cli import main
+from fusion.planning.look.look import look_page
+from fusion.planning.look.pictures import _sigma_px
+from fusion.planning.look.signals import _clipping
+from fusion.simulate import simulate
+from photogram.subsets.texture import textured_area
+from shaker.io.channel import RawChannel
+
+
+@pytest.fixture
+def campaign(tmp_path, demo_recording):
+    """A copy of the demo that a test may damage."""
+    ignore = shutil.ignore_patterns("results", "truth.json")
+    return Path(shutil.copytree(demo_recording, tmp_path / "demo", ignore=ignore))
+
+
+def change(folder: Path, file: str, name: str, how: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Change the samples of a channel."""
+    with h5py.File(folder / "Fz-0080" / file, "a") as stream:
+        attributes = dict(stream[name].attrs)
+        samples = how(np.array(stream[name]))
+        del stream[name]
+        stream[name] = samples
+        stream[name].attrs.update(attributes)
+
+
+def repaint(folder: Path, camera: str, how: Callable[[np.ndarray, int], np.ndarray]) -> None:
+    """Change the pictures of a camera."""
+    for i, path in enumerate(sorted((folder / "Fz-0080" / camera).glob("*.tif"))):
+        cv2.imwrite(str(path), how(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), i).astype(np.uint16))
+
+
+def _clip(folder: Path) -> None:
+    change(folder, "vibrometer.h5", "velocity_2", lambda v: np.clip(v, -1.3, 1.3))
+
+
+def _kill(folder: Path) -> None:
+    change(folder, "bridge.h5", "Fz", lambda v: np.full_like(v, 0.25))
+
+
+def _silence(folder: Path) -> None:
+    noise = np.random.default_rng(1)
+    change(folder, "vibrometer.h5", "velocity_1", lambda v: noise.normal(size=len(v)) * 1e-3)
+
+
+def _hum(folder: Path) -> None:
+    change(folder, "bridge.h5", "Fz", lambda v: v + 0.05 * np.ptp(v) * np.sin(2 * np.pi * 50 * np.arange(len(v)) / 2e4))
+
+
+def _drift(folder: Path) -> None:
+    change(folder, "bridge.h5", "Fz", lambda v: v + np.linspace(0, 0.5, len(v)) * np.ptp(v))
+
+
+def _lose_edges(folder: Path) -> None:
+    def without(v: np.ndarray) -> np.ndarray:
+        starts = np.flatnonzero((v[1:] > 2.5) & (v[:-1] <= 2.5))
+        v = v.copy()
+        v[starts[7] - 20 : starts[7] + 200] = v[:220].mean()
+        return v
+
+    change(folder, "vibrometer.h5", "camera_trigger", without)
+
+
+def _fold(folder: Path) -> None:
+    edit(folder / "Fz-0080" / "recording.toml", "frequencies = [80.0]", "frequencies = [76.7]")
+
+
+def _black(folder: Path) -> None:
+    repaint(folder, "top-left", lambda image, i: image // 50 if 8 <= i < 20 else image)
+
+
+def _dark(folder: Path) -> None:
+    repaint(folder, "base-right", lambda image, i: image // 30)
+
+
+def _overexpose(folder: Path) -> None:
+    repaint(folder, "top-right", lambda image, i: np.minimum(image.astype(float) * 2.0, 1023))
+
+
+def _defocus(folder: Path) -> None:
+    repaint(folder, "top-left", lambda image, i: cv2.GaussianBlur(image.astype(np.float32), (0, 0), 3.0))
+
+
+def _defocus_both(folder: Path) -> None:
+    for side in ("left", "right"):
+        repaint(folder, f"top-{side}", lambda image, i: cv2.GaussianBlur(image.astype(np.float32), (0, 0), 4.0))
+
+
+def _exchange(folder: Path) -> None:
+    place = folder / "Fz-0080"
+    (place / "top-left").rename(place / "x")
+    (place / "top-right").rename(place / "top-left")
+    (place / "x").rename(place / "top-right")
+
+
+def _turn(folder: Path, angle_rad: float) -> None:
+    path = folder / "calibration" / "top.json"
+    content = json.loads(path.read_text())
+    turned, _ = cv2.Rodrigues(np.array([angle_rad, 0.0, 0.0]))
+    content["rotation"] = (turned @ np.array(content["rotation"])).tolist()
+    path.write_text(json.dumps(content))
+
+
+def _another_pair(folder: Path) -> None:
+    _turn(folder, 0.03)
+
+
+def _touched(folder: Path) -> None:
+    _turn(folder, 4e-4)
+
+
+def _one_frame_less(folder: Path) -> None:
+    for side in ("left", "right"):
+        (folder / "Fz-0080" / f"base-{side}" / "0023.tif").unlink()
+
+
+def _truncate(folder: Path) -> None:
+    path = folder / "Fz-0080" / "top-left" / "0000.tif"
+    path.write_bytes(path.read_bytes()[:2000])
+
+
+FAULTS = [
+    (_clip, "wrong", "vibrometer.velocity_2", "is clipped"),
+    (_kill, "wrong", "bridge.Fz", "is dead: 0.25 mV/V throughout"),
+    (_silence, "wrong", "vibrometer.velocity_1", "shows nothing at 80 Hz"),
+    (_hum, "look", "bridge.Fz", "picks up mains: 50 Hz with"),
+    (_drift, "look", "bridge.Fz", "drifts by"),
+    (_lose_edges, "wrong", "vibrometer.camera_trigger", "1 of 24 trigger edges are lost (number 7)"),
+    (_fold, "wrong", "top", "driven lines fold to within"),
+    (_black, "wrong", "top left", "dark frames: 3 of 8 looked at"),
+    (_dark, "wrong", "base right", "dark: the brightest pixel is"),
+    (_overexpose, "wrong", "top right", "overexposed"),
+    (_defocus, "look", "top", "the left camera is out of focus"),
+    (_defocus_both, "look", "top right", "out of focus, or speckle too coarse"),
+    (_exchange, "wrong", "top", "left and right are exchanged"),
+    (_another_pair, "wrong", "top", "is not what was calibrated"),
+    (_touched, "look", "top", "off their epipolar lines: was a camera touched?"),
+    (_one_frame_less, "wrong", "base", "23 frames and 24 trigger edges"),
+    (_truncate, "wrong", "top", "truncated"),
+]
+
+
+@pytest.mark.parametrize(("damage", "level", "where", "text"), FAULTS, ids=[fault[0].__name__ for fault in FAULTS])
+def test_a_fault_is_named(campaign, damage, level, where, text):
+    damage(campaign)
+    found = look(campaign / "Fz-0080")
+    assert found.level == level, found.findings
+    assert any(f.level == level and f.where == where and text in f.text for f in found.findings), found.findings
+
+
+def test_a_good_recording_is_green_and_its_uncertainty_is_foreseen(demo_recording, tmp_path, capsys):
+    assert main(["look", str(demo_recording)]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("GREEN   Fz 80.0 Hz, simulated\n")
+    (share,) = re.findall(r"about ([0-9.]+) %", told)
+    assert main(["run", str(demo_recording), "-o", str(tmp_path / "r"), "-q"]) == 0
+    (row,) = (
+        row
+        for row in rows(tmp_path / "r" / "Fz-0080" / "sensitivity.csv")
+        if row["kind"] == "element" and row["channel"] == row["component"] == "Fz"
+    )
+    stated = 200 * float(row["u_magnitude"]) / float(row["magnitude"])
+    assert float(share) == pytest.approx(stated, rel=0.3)
+
+
+@pytest.mark.slow
+def test_a_foil_that_repeats_is_named(tmp_path):
+    folder = simulate(tmp_path / "foil", "demo", 1, violate=("foil-repeats=0.006",))
+    found = look(folder)
+    assert any("the speckle foil repeats every" in finding.text for finding in found.findings), found.findings
+
+
+def test_the_light_is_the_status_and_a_page(campaign, capsys):
+    _clip(campaign)
+    page = campaign.parent / "light.html"
+    assert main(["look", str(campaign), "--page", str(page), "--aim", "0.01"]) == 1
+    told = capsys.readouterr().out
+    assert told.startswith("RED   Fz 80.0 Hz, simulated\nrecord again")
+    assert "yellow: U (k = 2) of Fz per Fz at 80 Hz will be about" in told
+    text = page.read_text(encoding="utf-8")
+    assert '<header class="light wrong"><strong>RED</strong>' in text
+    assert "is clipped" in text
+    assert "refresh" not in text
+    assert '<meta http-equiv="refresh" content="2">' in look_page([look(campaign / "Fz-0080")], 2.0)
+
+
+def test_a_manifest_with_mistakes_is_refused(campaign, capsys):
+    edit(campaign / "rig.toml", "mass = 2.4063", 'mass = "?"  # the true mass in kg')
+    told = refusals(capsys)("look", campaign)
+    assert 'load.mass: expected the true mass in kg, found "?", not filled in yet' in told
+    with pytest.raises(InputError):
+        look(campaign / "Fz-0080")
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+@pytest.mark.parametrize("noise", [0.0, 2.0])
+def test_sines_in_converter_steps_are_not_clipped(bits, noise):
+    # A full sine dwells at its crest: of 8 bits 5 % of the samples stand on the last step.
+    rng = np.random.default_rng(bits)
+    time_s = np.arange(40_000) / 10e3
+    sine = (2 ** (bits - 1) - 5) * np.sin(2 * np.pi * 79.3 * time_s) + noise * rng.normal(size=len(time_s))
+    for samples, clipped in ((np.rint(sine), False), (np.clip(np.rint(sine), -np.inf, 0.9 * 2 ** (bits - 1)), True)):
+        found = list(_clipping("x", RawChannel(np.rint(samples), 10e3)))
+        assert bool(found) == clipped
+
+
+def test_the_noise_of_subsets_is_foreseen():
+    # A texture without fine structure, white noise of known size.
+    rng = np.random.default_rng(3)
+    plain = cv2.GaussianBlur(rng.normal(size=(400, 400)), (0, 0), 2.0)
+    plain = 4000 + 4000 * plain
+    radius, sigma = 10, 12.0
+    noisy = np.rint(plain + sigma * rng.normal(size=plain.shape)).astype(np.uint16)
+    slope = np.gradient(plain, axis=1)
+    truth = np.sqrt(2) * sigma / np.sqrt(np.mean(slope**2) * (2 * radius + 1) ** 2)
+    assert _sigma_px(noisy, textured_area(noisy), radius) == pytest.approx(truth, rel=0.5)
+
+
+def test_a_folder_that_fills_is_looked_at_again(campaign, monkeypatch, capsys):
+    class Ended(Exception):
+        """What ends the watch, as Ctrl-C does."""
+
+    steps = []
+    path, away = campaign / "Fz-0080" / "bridge.h5", campaign.parent / "bridge.h5"
+    path.rename(away)
+
+    def sleep(_: float) -> None:
+        steps.append(None)
+        if len(steps) == 2:  # at the second look nothing has changed
+            away.rename(path)
+        if len(steps) == 3:
+            raise Ended
+
+    monkeypatch.setattr("fusion.planning.look.look.time.sleep", sleep)
+    with pytest.raises(Ended):
+        main(["look", str(campaign), "--watch"])
+    told = capsys.readouterr().out
+    assert told.count("RED") == 1
+    assert "red: not complete yet: " in told
+    assert told.count("GREEN") == 1
