@@ -86,7 +86,7 @@ NAMES = (
     ("angular_velocity", r"gyro\w*|rate"),
     ("output", r"bridge\w*|output\w*"),
     ("force", r"force\w*|kraft\w*|load_?cell\w*"),
-    ("trigger", r"trig\w*|sync\w*|strobe\w*"),
+    ("voltage", r"volt\w*|drive|generator|excitation"),
 )
 """Quantities by a word of a channel's name, the first that fits."""
 TRIGGER_WORDS = r"\w*trig\w*|sync\w*|strobe\w*|cam\w*"
@@ -107,15 +107,14 @@ def guess(channel: FoundChannel) -> Guess:
         return Guess(channel, "trigger", why, 1.0)
     by_name = next((quantity for quantity, words in NAMES if word_in(words, channel.name)), None)
     by_unit, scale = UNITS.get(unit, (None, None))
-    if by_name == "trigger":
-        by_name = None  # it has no edges
     if by_name == "output" and by_unit in (None, "force"):
         scaled = 1.0 if unit in ("n", "v", "v/v") else None
         return Guess(channel, "output", "guessed: its name", scaled, f"the file says {channel.unit}")
     if by_unit is not None:
         return Guess(channel, by_unit, f"the file says {channel.unit}", scale, f"from {channel.unit}")
     if by_name is not None:
-        return Guess(channel, by_name, "guessed: its name")
+        volts = by_name == "voltage" and unit in ("", "v", "volt", "volts")
+        return Guess(channel, by_name, "guessed: its name", 1.0 if volts else None, "V")
     return Guess(channel, UNFILLED, "velocity, acceleration, displacement, force, output or voltage")
 
 

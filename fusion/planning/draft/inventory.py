@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -267,7 +268,8 @@ def _camera(folder: Path, group: Sequence[Path]) -> FoundCamera:
         chosen = sorted({round(i * (len(images) - 1) / (LOOKED_AT - 1)) for i in range(LOOKED_AT)})
         brightest = max(int(images.read(i).max()) for i in chosen)
     except (OSError, ValueError) as error:
-        return FoundCamera(pattern, len(group), (0, 0), 8, 0, None, " ".join(str(error).split()))
+        told = " ".join(str(error).split()).replace(f"{group[0].parent}{os.sep}", "")
+        return FoundCamera(pattern, len(group), (0, 0), 8, 0, None, told)
     bits = next(bits for bits in GREY_BITS if brightest < 2**bits)
     bits = images.full_scale.bit_length() if _states_its_depth(group, images) else bits
     return FoundCamera(pattern, len(images), images.size_px, bits, brightest, images.exposure_s)
