@@ -40,6 +40,7 @@ from shaker.sine.solve import SineFit, SineModel
 MIN_SUBSETS = 6
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
 BIAS_STEP_PX = 0.01
+STEP, FEWEST_BESIDE = 20.0, 4  # of the noise: a step that no chance makes; frames beyond the unknowns of the lines
 ONE_BEAT = 1.1  # periods of a line's alias: in less, a slope looks like the line
 NO_LINE = "its camera rate tells no line of the recording apart"
 
@@ -167,6 +168,7 @@ def stereo_phasors(
     if not usable.any():
         raise ComputeError(f"stereo pair {name}: {NO_LINE}")
     frequency_hz = lines.frequency_hz[usable]
+    steps = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
     from_mean, fit = _fit_about_mean(name, measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, exposure.length_s)
     changes = {}
@@ -191,7 +193,11 @@ def stereo_phasors(
         face_m=np.asarray(np.nanmean(measured.deformation.reference_m, axis=0)),
     )
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
-    own = [n for n in fit.notices if n.severity == "warning"] + _short_notices(lines, usable, sight.time_s, reading)
+    own = (
+        [n for n in fit.notices if n.severity == "warning"]
+        + steps
+        + _short_notices(lines, usable, sight.time_s, reading)
+    )
     told += [(name, notice) for notice in own + _jitter_notices(base, sight, lines, usable, reading)]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
     pose = from_mean.pose.copy()
@@ -330,6 +336,41 @@ def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
         sigma_px=sigma_px,
         epipolar=replace(view.epipolar, notices=()),
     )
+
+
+def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: FloatArray) -> list[Notice]:
+    """Say where the body stays elsewhere from some frame on: touched, or taken for a copy of itself.
+
+    Beside the lines and a drift, a parabola, a step at each frame in turn: the best fit counts if its step stands
+    `STEP` standard deviations out of what remains. One larger than all motion is none of the body that was calibrated:
+    `ComputeError`.
+    """
+    seen = np.flatnonzero(np.isfinite(position_m).all(axis=1))
+    turn = np.linspace(-1.0, 1.0, len(seen))
+    design = np.column_stack([sine_columns(time_s[seen], frequency_hz), turn, turn**2])
+    if len(seen) < design.shape[1] + FEWEST_BESIDE:
+        return []
+    base, _ = np.linalg.qr(design)
+    split = np.arange(2, len(seen) - 1)  # first frame behind the step; two on either side
+    behind = (np.arange(len(seen))[:, None] >= split).astype(np.float64)
+    steps = behind - base @ (base.T @ behind)
+    size2 = np.maximum(np.sum(steps**2, axis=0), 1e-9)
+    left = position_m[seen] - base @ (base.T @ position_m[seen])
+    shift = (steps.T @ left) / size2[:, None]
+    best = int(np.argmax(np.sum(shift**2, axis=1) * size2))
+    rest = left - np.outer(steps[:, best], shift[best])
+    noise = float(np.sqrt(np.sum(rest**2) / (len(seen) - design.shape[1] - 1)))
+    length = float(np.linalg.norm(shift[best]))
+    if length * np.sqrt(size2[best]) <= STEP * noise:
+        return []
+    frames = f"{seen[split[best] - 1]} and {seen[split[best]]}"
+    text = (
+        f"its body lies {1e3 * length:.3g} mm elsewhere from one frame to the next ({frames}, from 0) and stays there"
+    )
+    if length > float(np.linalg.norm(np.ptp(position_m[seen] - np.outer(behind[:, best], shift[best]), axis=0))):
+        why = "it was touched, or a copy on a pattern that repeats was taken for it"
+        raise ComputeError(f"stereo pair {name}: {text}: {why}")
+    return [Notice("warning", f"{text}: was it touched? What that does to the lines is in U", f"frame {frames}")]
 
 
 def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray) -> tuple[RigidMotion, SineFit]:
