@@ -87,7 +87,15 @@ def normal_draws(value: complex, spread: np.ndarray) -> Propagated:
     draws = (value + parts[:, 0] + 1j * parts[:, 1])[:, None, None]
     dof = np.array([[np.inf]])
     first = FirstOrder(
-        "load", np.array([1.0]), ("Fz",), ("N",), np.array([[value]]), spread[None, None], dof, np.array([dof, dof])
+        "load",
+        np.array([1.0]),
+        ("Fz",),
+        ("N",),
+        np.array([[value]]),
+        spread[None, None],
+        dof,
+        np.full((2, 1, 1), norm.ppf(0.975)),
+        np.zeros((1, 1)),
     )
     return summarise(first, draws)
 
@@ -137,7 +145,7 @@ def test_noise_that_was_estimated_is_in_draws_as_in_first_order(dof):
     u = found.accelerations[0].phasors.u_re[0, 2]
     assert u > 1.15 * 1e-3 / np.sqrt(3.0)
     half = (result.magnitude.high[0, 0] - result.magnitude.low[0, 0]) / 2.0
-    assert 0.94 < half / (coverage_factor(result.dof_polar[0, 0, 0]) * u) < 1.03
+    assert 0.94 < half / (result.k_polar[0, 0, 0] * u) < 1.03
     assert not any(notice.severity == "warning" for notice in drawn.notices)
 
 
