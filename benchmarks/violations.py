@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from fusion.base import ComputeError, InputError, Settings
+from fusion.estimation.uncertainty import Polar, polar_elements
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.evaluate import evaluate_recording
@@ -198,32 +199,30 @@ def draw(rig: Rig, names: Sequence[str], seed: int) -> Draw:
             found = evaluate_recording(load_manifest(recording), Settings())
         except (InputError, ComputeError) as error:
             return Draw((), str(error).replace(scratch, ""))
-    element, stated = driven_element(found)
+    element = driven_element(found)
     truth = np.concatenate([[world.sensitivity[0, DRIVEN, DRIVEN]], world.motion["load"].acceleration[0]])
     fused = next(a for a in found.accelerations if (a.body, a.source) == ("load", "fused"))
     line = int(np.argmin(np.abs(fused.phasors.frequency_hz - rig.frequency_hz)))
-    value = np.concatenate([[element], fused.phasors.value[line]])
-    covariance, dof = fused.phasors.covariance[line], fused.uncertainty.dof()[line]
-    pairs = [stated, *((covariance[np.ix_([i, i + 6], [i, i + 6])], float(dof[i])) for i in range(6))]
+    main = np.nan if element is None else complex(element.re, element.im)
+    value = np.concatenate([[main], fused.phasors.value[line]])
+    stated = [element, *polar_elements(fused.phasors.value, fused.uncertainty)[line]]
     distance, expanded = np.full(7, np.nan), np.full(7, np.nan)
-    for place, (error, (pair, freedom)) in enumerate(zip(value - truth, pairs, strict=True)):
-        if np.isfinite(error) and np.isfinite(pair).all():
-            both = np.array([error.real, error.imag])
-            limit = region_quantile(freedom)
+    for place, (error, own) in enumerate(zip(value - truth, stated, strict=True)):
+        if own is not None and np.isfinite(own.region_covariance).all():
+            pair, both = own.region_covariance, np.array([error.real, error.imag])
+            limit = region_quantile(own.dof)
             distance[place] = np.sqrt(both @ np.linalg.solve(pair, both) / limit)
             expanded[place] = np.sqrt(np.linalg.eigvalsh(pair)[-1] * limit)
     notices = tuple(f"{notice.text} [{notice.where}]" for notice in found.notices)
     return Draw(notices, "", distance, value - truth, expanded, fused.probability)
 
 
-def driven_element(found: Evaluation) -> tuple[complex, tuple[FloatArray, float]]:
-    """Return the program's best statement of the driven element, with covariance (2, 2) and degrees of freedom."""
+def driven_element(found: Evaluation) -> Polar | None:
+    """Return the program's best statement of the driven element, None where there is none."""
     sensitivity = getattr(found, "element", None) or found.sensitivity  # a ratio where nothing is known of the matrix
     if sensitivity is None:
-        return complex(np.nan, np.nan), (np.full((2, 2), np.nan), np.nan)
-    line = int(np.argmin(found.lines.multiple))
-    place = line, DRIVEN, DRIVEN
-    return complex(sensitivity.value[place]), (sensitivity.covariance[place], float(sensitivity.dof[place]))
+        return None
+    return sensitivity.polar[int(np.argmin(found.lines.multiple))][sensitivity.elements.index((DRIVEN, DRIVEN))]
 
 
 def opening(text: str) -> str:

@@ -97,7 +97,6 @@ CURVE: list[Column[CurvePoint]] = [
     Column("mountings", lambda point: point.mountings),
     word("kind", lambda point: point.kind),
     *polar_columns("magnitude", lambda point: point.element, freedom=True),
-    Column("k_phase", lambda point: point.element.k_phase),
 ]
 CROSSTALK: list[Column[CrossTalkElement]] = [
     Column("frequency_hz", lambda element: element.frequency_hz),

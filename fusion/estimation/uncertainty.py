@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.sine.phasor import real_stacked_diagonal
@@ -79,9 +80,31 @@ def region_factor(dof: float) -> float:
     return float(np.sqrt(dof * np.expm1(tail / (dof - 1.0)))) if dof > 1.0 + tail / 500.0 else np.inf
 
 
+BENT = 1.716
+"""Radial variance that a turn by φ ~ N(0, u²) needs, over u⁴·|X|²: k⁴/(4·(k₂² - k²)) with k = 1.96, k₂² = 5.99.
+
+The turn takes X to X - X·φ²/2 + j·X·φ. An ellipse of the variances c·u⁴·|X|² and u²·|X|² holds all with |φ| ≤ k·u, 95
+in 100, where k² + k⁴/(4c) = k₂². The second moment of φ²/2, c = 3/4, makes it 91.7 (both where nothing else is along
+X; with anything else 95 to 95.5, and 91.7 to 95).
+"""
+
+
+def region_covariance(value: ComplexArray | complex, covariance: FloatArray, u_turn: ArrayLike = 0.0) -> FloatArray:
+    """Return the covariance (..., 2, 2) of which the 95 % regions of complex values (...) are the ellipses.
+
+    First order, `covariance` (..., 2, 2) of (Re, Im), and along the value what that lacks: what turns it, with the
+    standard uncertainty `u_turn` (...) of the angle, bends the region (JCGM 100, 5.1.2, note). Magnitude and phase have
+    no part in this: neither depends on how far the other is off.
+    """
+    values, turn = np.asarray(value, dtype=np.complex128), np.asarray(u_turn, dtype=np.float64) ** 2
+    along = np.stack([values.real, values.imag], axis=-1)
+    further = np.minimum(BENT * turn, 1.0) * turn  # no longer along the value than across
+    return np.asarray(covariance + further[..., None, None] * along[..., :, None] * along[..., None, :])
+
+
 @dataclass(frozen=True)
 class Region:
-    """The 95 % region of a complex value: an ellipse about it in the complex plane.
+    """The 95 % region of a complex value: an ellipse about it in the complex plane (`region_covariance`).
 
     `half_axes`: the larger and the smaller one, in the unit of the value; `angle_rad`: of the larger one from the real
     axis, in (-π/2, π/2]; `holds_zero`: whether the origin lies inside, so that amplitude and phase say nothing.
@@ -93,7 +116,7 @@ class Region:
 
 
 def region(value: complex, covariance: FloatArray, dof: float = np.inf) -> Region:
-    """Return the 95 % region of a complex value with the covariance (2, 2) of (Re, Im)."""
+    """Return the 95 % region of a complex value with the covariance (2, 2) of (Re, Im), or of `region_covariance`."""
     if not np.all(np.isfinite(covariance)):
         return Region((np.inf, np.inf), 0.0, holds_zero=True)
     variances, axes = np.linalg.eigh(covariance)
@@ -110,6 +133,7 @@ def region(value: complex, covariance: FloatArray, dof: float = np.inf) -> Regio
 
 
 Kind = Literal["A", "B"]
+Distribution = Literal["normal", "uniform"]
 Scope = Literal["recording", "start", "mounting", "rig"]
 """How long an unknown keeps its value: during one recording, in all whose recorders start alike beside the trigger (so
 that its edges fall on the same places between the samples), until something is mounted anew, or as long as the rig."""
@@ -137,7 +161,8 @@ class Unknown(Generic[Effect]):
     """One real unknown of standard uncertainty `u` (in `unit`), and the first-order `effect` of that on something.
 
     `name` identifies the unknown: equal names are the same unknown, wherever they occur within its `scope`. `label`
-    groups unknowns in a budget. `dof`: degrees of freedom behind `u`, infinite where that is known.
+    groups unknowns in a budget. `dof`: degrees of freedom behind `u`, infinite where that is known. `distribution`:
+    "uniform" of what is stated as a bound, ±√3·u.
     """
 
     name: str
@@ -148,10 +173,12 @@ class Unknown(Generic[Effect]):
     scope: Scope = "recording"
     type: Kind = "B"
     dof: float = np.inf
+    distribution: Distribution = "normal"
 
     def acting(self, effect: FloatArray) -> Influence:
         """Return the same unknown as it acts on complex values, by its `effect` (K, 2C) on them."""
-        return Influence(self.name, self.label, self.u, self.unit, effect, self.scope, self.type, self.dof)
+        own = self.scope, self.type, self.dof, self.distribution
+        return Influence(self.name, self.label, self.u, self.unit, effect, *own)
 
 
 @dataclass(frozen=True)
@@ -321,6 +348,72 @@ class Uncertainty:
         """Return the effective degrees of freedom (2, K, C) of magnitude and phase of the values (K, C)."""
         return np.stack([self.dof_along(value), self.dof_along(1j * value)])
 
+    def k_polar(self, value: ComplexArray) -> FloatArray:
+        """Return the coverage factors (2, K, C) of magnitude and phase of the values (K, C) for 95 %.
+
+        Those of the degrees of freedom; where bounds are among the influences, what the sum of uniform numbers and of
+        the rest needs, the rest taken as normal with its U/1.96.
+        """
+        bounds = [influence for influence in self.influences if influence.distribution == "uniform"]
+        rest = Uncertainty(self.random, tuple(i for i in self.influences if i.distribution == "normal"))
+        k = _factors(rest.dof_polar(value))
+        if not bounds:
+            return k
+        size = value.shape[-1]
+        effects = np.stack([influence.effect[:, :size] + 1j * influence.effect[:, size:] for influence in bounds])
+        unit = np.divide(value, np.abs(value), out=np.ones_like(value), where=np.isfinite(value) & (value != 0.0))
+        pair = np.arange(size)[:, None] + [0, size]
+        own = rest.covariance[:, pair[:, :, None], pair[:, None, :]]
+        for way, direction in enumerate((unit, 1j * unit)):
+            widths = np.sqrt(3.0) * np.abs((effects * direction.conj()).real)
+            e = np.stack([direction.real, direction.imag], axis=-1)
+            u = np.sqrt(np.maximum(np.einsum("kci,kcij,kcj->kc", e, own, e), 0.0))
+            for place in np.argwhere(np.isfinite(u) & np.isfinite(k[way]) & (widths.sum(axis=0) > 0.0)).tolist():
+                one = (way, *place)
+                k[one] = _bounded_factor(widths[:, *place], float(u[*place]), float(k[one]))
+        return k
+
+    def u_turn(self, value: ComplexArray) -> FloatArray:
+        """Return by what angle (K, C) unknown times turn the values (K, C), as a standard uncertainty in rad.
+
+        Delays, times of clocks and of triggers: what is late by τ is turned by -ωτ, whole, not to first order only.
+        """
+        times = [as_complex(influence.effect) for influence in self.influences if influence.unit == "s"]
+        usable = np.isfinite(value) & (value != 0.0)
+        none = np.zeros(value.shape, dtype=np.complex128)
+        shares = (np.divide(effect, value, out=none.copy(), where=usable).imag for effect in times)
+        return np.asarray(np.sqrt(sum((share**2 for share in shares), np.zeros(value.shape))))
+
+
+def _factors(dof: FloatArray) -> FloatArray:
+    """Return the coverage factor of each number of degrees of freedom (...), NaN where there is none."""
+    found = [np.nan if np.isnan(one) else coverage_factor(one) for one in dof.ravel().tolist()]
+    return np.array(found, dtype=np.float64).reshape(dof.shape)
+
+
+_PERIOD, _LAST, _LEAST_WIDTH = 40.0, 300.0, 0.02  # in standard deviations of the sum
+
+
+def _bounded_factor(widths: FloatArray, u: float, k: float) -> float:
+    """Return U/u of a sum of numbers uniform within ± `widths` (N,) and of one with U = k·u, for 95 %.
+
+    P(|s| ≤ U) = 2/π·∫ sin(U·t)/t·φ(t) dt with the characteristic function φ, by the trapezoidal rule, which is that of
+    a periodic density: exact but for what lies beyond a period.
+    """
+    from scipy.optimize import brentq
+
+    whole = float(np.hypot(np.sqrt(np.sum(widths**2) / 3.0), u))
+    normal = max(k * u / coverage_factor(np.inf) / whole, _LEAST_WIDTH)
+    step = 2.0 * np.pi / _PERIOD
+    t = step * np.arange(1.0, _LAST / step)
+    phi = np.exp(-0.5 * (normal * t) ** 2) * np.prod(np.sinc(widths[:, None] / whole * t / np.pi), axis=0)
+    weight = 2.0 / np.pi * step * phi / t
+
+    def missing(factor: float) -> float:
+        return 2.0 * factor / _PERIOD + float(np.sin(factor * t) @ weight) - COVERAGE
+
+    return float(brentq(missing, 0.0, _PERIOD / 2.0)) if normal < _PERIOD / 8.0 else k
+
 
 def real_design(matrix: ComplexArray) -> FloatArray:
     """Return the real form (..., 2M, 2J) of complex matrices (..., M, J), which acts on [all Re, all Im]."""
@@ -385,7 +478,8 @@ class Polar:
     """A complex value as magnitude and phase in (-pi, pi] and as parts, with standard uncertainties (k = 1).
 
     `r`: correlation of real and imaginary part; `dof`: effective degrees of freedom of the complex value, for its
-    region; `dof_magnitude`, `dof_phase`: those of the real quantities, which decide their coverage factors.
+    region; `dof_magnitude`, `dof_phase`: those of the real quantities, with their coverage factors for 95 %;
+    `u_turn_rad`: what of the phase's uncertainty turns the value, and so bends its region.
     """
 
     magnitude: float
@@ -397,19 +491,17 @@ class Polar:
     u_re: float
     u_im: float
     r: float
-    dof: float = np.inf
-    dof_magnitude: float = np.inf
-    dof_phase: float = np.inf
+    dof: float
+    dof_magnitude: float
+    dof_phase: float
+    k_magnitude: float
+    k_phase: float
+    u_turn_rad: float
 
     @property
     def k(self) -> float:
         """Return the coverage factor of the magnitude for 95 %."""
-        return coverage_factor(self.dof_magnitude)
-
-    @property
-    def k_phase(self) -> float:
-        """Return the coverage factor of the phase for 95 %."""
-        return coverage_factor(self.dof_phase)
+        return self.k_magnitude
 
     @property
     def expanded_magnitude(self) -> float:
@@ -422,15 +514,20 @@ class Polar:
         return self.k_phase * self.u_phase_rad
 
     @property
+    def region_covariance(self) -> FloatArray:
+        """Return the covariance (2, 2) of which the 95 % region of the complex value is the ellipse."""
+        mixed = self.r * self.u_re * self.u_im
+        first = np.array([[self.u_re**2, mixed], [mixed, self.u_im**2]])
+        return region_covariance(complex(self.re, self.im), first, self.u_turn_rad)
+
+    @property
     def region(self) -> Region:
         """Return the 95 % region of the complex value.
 
         Of two complex readings and fewer there is none, yet intervals of magnitude and phase there are: then zero is in
         it unless the interval of the magnitude for 97.5 % ends before (Bonferroni, with one as large across).
         """
-        mixed = self.r * self.u_re * self.u_im
-        covariance = np.array([[self.u_re**2, mixed], [mixed, self.u_im**2]])
-        found = region(complex(self.re, self.im), covariance, self.dof)
+        found = region(complex(self.re, self.im), self.region_covariance, self.dof)
         if self.dof >= LEAST_REGION_DOF or not self.u_magnitude > 0.0:
             return found
         half = coverage_factor(self.dof_magnitude, (1.0 + COVERAGE) / 2.0) * self.u_magnitude
@@ -438,14 +535,20 @@ class Polar:
 
 
 def polar(
-    value: complex, covariance: FloatArray, dof: float = np.inf, dof_polar: tuple[float, float] | None = None
+    value: complex,
+    covariance: FloatArray,
+    dof: float = np.inf,
+    dof_polar: tuple[float, float] | None = None,
+    k_polar: tuple[float, float] | None = None,
+    u_turn: float = 0.0,
 ) -> Polar:
     """First-order propagation of the covariance (2, 2) of (Re, Im) of `value` to magnitude and phase.
 
     u(|X|)^2 = e^T V e with e = (Re, Im)/|X|, u(arg X)^2 = n^T V n / |X|^2 with n = (-Im, Re)/|X| (JCGM 102, 9.4).
     Where |X| is of the order of its uncertainty the expansion fails: u(arg X) is capped at pi/sqrt(3), the standard
     deviation of a phase of which nothing is known, and at X = 0 u(|X|) is that of the mean direction. `dof`: of the
-    complex value; `dof_polar`: of magnitude and phase, `dof` by default.
+    complex value; `dof_polar`: of magnitude and phase, `dof` by default; `k_polar`: their coverage factors, by default
+    those of `dof_polar`; `u_turn`: see `Polar`.
     """
     re, im = float(value.real), float(value.imag)
     magnitude = float(np.hypot(re, im))
@@ -461,8 +564,9 @@ def polar(
         turned = float(np.sqrt(max(float(across @ covariance @ across), 0.0)))
         u_phase = min(turned / magnitude, UNIFORM_PHASE_U)
     # An imaginary part of -0 does not turn pi into -pi.
-    freedom = (dof, dof) if dof_polar is None else dof_polar
-    return Polar(magnitude, float(np.arctan2(im + 0.0, re)), u_magnitude, u_phase, re, im, u_re, u_im, r, dof, *freedom)
+    phase, freedom = float(np.arctan2(im + 0.0, re)), (dof, dof) if dof_polar is None else dof_polar
+    factors = (coverage_factor(freedom[0]), coverage_factor(freedom[1])) if k_polar is None else k_polar
+    return Polar(magnitude, phase, u_magnitude, u_phase, re, im, u_re, u_im, r, dof, *freedom, *factors, u_turn)
 
 
 def polar_elements(
@@ -473,11 +577,13 @@ def polar_elements(
     `covariance` (K, 2C, 2C): that of `uncertainty`, where it has been added up already.
     """
     covariance = uncertainty.covariance if covariance is None else covariance
-    dof, along = uncertainty.dof(), uncertainty.dof_polar(value)
+    dof, turn = uncertainty.dof(), uncertainty.u_turn(value)
+    along, factors = uncertainty.dof_polar(value), uncertainty.k_polar(value)
     lines: list[list[Polar | None]] = [[None] * len(row) for row in value]
     for k, c in np.argwhere(np.isfinite(value)).tolist():
         pair, both = element_covariance(covariance[k], c), (float(along[0, k, c]), float(along[1, k, c]))
-        lines[k][c] = polar(complex(value[k, c]), pair, float(dof[k, c]), both)
+        k_both = float(factors[0, k, c]), float(factors[1, k, c])
+        lines[k][c] = polar(complex(value[k, c]), pair, float(dof[k, c]), both, k_both, float(turn[k, c]))
     return lines
 
 

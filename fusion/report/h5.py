@@ -11,12 +11,12 @@ from typing import Any, get_args
 import h5py
 import numpy as np
 
-from fusion.estimation.uncertainty import Contribution, Influence, Kind, Scope, Uncertainty
+from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
 
 COMPRESS_ABOVE = 512
 LEFT_OUT = {"manifest", "reference_image", "surface", "settings", "versions", "input_hashes"}
 """Fields that are in the inputs, or stand in the group `provenance`."""
-INFLUENCE_TEXTS = ("name", "label", "unit", "scope", "type")
+INFLUENCE_TEXTS = ("name", "label", "unit", "scope", "type", "distribution")
 INFLUENCE_NUMBERS = ("u", "dof")
 
 
@@ -98,7 +98,7 @@ def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
     """Write an uncertainty into a group, so that `fusion.report.h5.read_uncertainty` returns it to the last bit.
 
     `random/LABEL`: covariance (K, 2C, 2C) and dof (K,) of each random contribution; `name`, `label`, `u`, `unit`,
-    `scope`, `type`, `dof` (E,) and `effect` (E, K, 2C) of the influences; `covariance` (K, 2C, 2C): of everything.
+    `scope`, `type`, `distribution`, `dof` (E,) and `effect` (E, K, 2C) of the influences; `covariance` (K, 2C, 2C): of everything.
     """
     random = group.create_group("random", track_order=True)
     for part in uncertainty.random:
@@ -142,12 +142,14 @@ def read_uncertainty(group: h5py.Group) -> Uncertainty:
         dof = part["dof"][()] if "dof" in part else None
         kind = _known("type", part.attrs["type"], Kind)
         random.append(Contribution(str(part.attrs["label"]), kind, part["covariance"][()], dof))
-    columns = [group[field].asstr()[()] for field in INFLUENCE_TEXTS]
+    *columns, shapes = [group[field].asstr()[()] for field in INFLUENCE_TEXTS]
     numbers = group["u"][()], group["dof"][()] if "dof" in group else np.full(len(group["u"]), np.inf)
     influences = []
-    for name, label, unit, scope, kind, u, dof, effect in zip(*columns, *numbers, group["effect"][()], strict=True):
+    rows = zip(*columns, *numbers, group["effect"][()], shapes, strict=True)
+    for name, label, unit, scope, kind, u, dof, effect, shape in rows:
         known = _known("scope", scope, Scope), _known("type", kind, Kind)
-        influences.append(Influence(name, label, float(u), unit, effect, *known, float(dof)))
+        own = *known, float(dof), _known("distribution", shape, Distribution)
+        influences.append(Influence(name, label, float(u), unit, effect, *own))
     return Uncertainty(tuple(random), tuple(influences))
 
 

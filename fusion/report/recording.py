@@ -126,8 +126,8 @@ def sensitivity_elements(found: Sensitivity, recording: str) -> Iterator[Element
 
 
 def row_element(row: Mapping[str, str]) -> Polar:
-    """One element of a sensitivity.csv, from the texts of its row; `dof` holds for what has none of its own there."""
-    return Polar(**{field.name: float(row.get(field.name, row["dof"])) for field in fields(Polar)})
+    """One element of a sensitivity.csv, from the texts of its row."""
+    return Polar(**{field.name: float(row[field.name]) for field in fields(Polar)})
 
 
 def _phasors(result: Acceleration | LoadResult, body: str, source: str, recording: str) -> Iterator[Element]:

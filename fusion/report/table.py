@@ -59,13 +59,13 @@ def on_page(head: str, shown: Callable[[R], str], align: str = "r") -> Column[R]
 def polar_columns(size: str, value: Callable[[R], Polar], *, freedom: bool = False) -> list[Column[R]]:
     """Return the ten columns of a complex value, of which `size` is the magnitude's name.
 
-    `freedom`: the two of the degrees of freedom of magnitude and phase instead, which stand at the end of a table.
+    `freedom`: instead those of degrees of freedom, factors and of what turns it, which stand at the end of a table.
     """
 
     def column(field: str) -> Column[R]:
         return Column(field.replace("magnitude", size), lambda row: getattr(value(row), field))
 
-    return [column(field.name) for field in fields(Polar) if field.name.startswith("dof_") == freedom]
+    return [column(field.name) for field in (fields(Polar)[10:] if freedom else fields(Polar)[:10])]
 
 
 def quantity_columns(quantity: Callable[[R], Quantity]) -> list[Column[R]]:

@@ -156,9 +156,10 @@ def result_elements(result: Acceleration | LoadResult) -> list[list[Polar | None
 
 def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, component: int) -> Polar:
     """One element of the sensitivity at one line, as magnitude and phase."""
-    place = line, channel, component
-    both = float(sensitivity.dof_polar[0][place]), float(sensitivity.dof_polar[1][place])
-    return polar(complex(sensitivity.value[place]), sensitivity.covariance[place], float(sensitivity.dof[place]), both)
+    element = sensitivity.polar[line][sensitivity.elements.index((channel, component))]
+    if element is None:
+        raise ValueError(f"line {line}: expected a value of element ({channel}, {component}), found none")
+    return element
 
 
 # Headlines and tables of the results.

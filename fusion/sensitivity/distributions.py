@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fusion.base import AnyNotice
-from fusion.estimation.uncertainty import COVERAGE, coverage_factor, region_factor
+from fusion.estimation.uncertainty import COVERAGE, region_covariance, region_factor
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shapes
 
 DIGITS = 2
@@ -78,7 +78,8 @@ class FirstOrder:
     """Q complex quantities at L lines as the evaluation has them, by first-order propagation of uncertainty.
 
     `elements`, `unit` (Q names). `value` (L, Q), NaN where a line does not determine a quantity; `first_covariance`
-    (L, Q, 2, 2) of its (Re, Im) with `dof` (L, Q), and `dof_polar` (2, L, Q) of magnitude and phase.
+    (L, Q, 2, 2) of its (Re, Im) with `dof` (L, Q), `k_polar` (2, L, Q): coverage factors of magnitude and phase,
+    `u_turn` (L, Q): what turns a value.
     """
 
     name: str
@@ -88,7 +89,8 @@ class FirstOrder:
     value: ComplexArray
     first_covariance: FloatArray
     dof: FloatArray
-    dof_polar: FloatArray
+    k_polar: FloatArray
+    u_turn: FloatArray
 
     def at(self, lines: IntArray, elements: IntArray) -> FirstOrder:
         """Return some of the elements at some of the lines, by their places."""
@@ -101,7 +103,8 @@ class FirstOrder:
             self.value[place],
             self.first_covariance[place],
             self.dof[place],
-            self.dof_polar[:, lines][:, :, elements],
+            self.k_polar[:, lines][:, :, elements],
+            self.u_turn[place],
         )
 
 
@@ -109,10 +112,10 @@ class FirstOrder:
 class Propagated(FirstOrder):
     """Q complex quantities at L lines, as N draws of everything uncertain spread them.
 
-    `first_factor` (L, Q) of the first-order 95 % ellipse. `mean` (L, Q), `covariance` (L, Q, 2, 2) of the draws,
+    `first_factor` (L, Q) of the stated 95 % ellipse. `mean` (L, Q), `covariance` (L, Q, 2, 2) of the draws,
     `factor` (L, Q): the ellipse (z - mean)ᵀ·covariance⁻¹·(z - mean) ≤ factor² holds 95 % of them (JCGM 102, 7.7.2).
-    `first_holds` (L, Q): share of the draws inside the first-order ellipse. `magnitude`, `phase` (rad, within π of the
-    value's phase): real quantities of the same draws.
+    `first_holds` (L, Q): share of the draws inside the stated ellipse (`region_covariance`). `magnitude`, `phase` (rad,
+    within π of the value's phase): real quantities of the same draws.
     """
 
     first_factor: FloatArray
@@ -125,9 +128,9 @@ class Propagated(FirstOrder):
 
     def __post_init__(self) -> None:
         shape = (len(self.frequency_hz), len(self.elements))
-        check_shapes(self, shape, "value", "first_factor", "dof", "mean", "factor", "first_holds")
+        check_shapes(self, shape, "value", "first_factor", "dof", "u_turn", "mean", "factor", "first_holds")
         check_shapes(self, (*shape, 2, 2), "first_covariance", "covariance")
-        check_shapes(self, (2, *shape), "dof_polar")
+        check_shapes(self, (2, *shape), "k_polar")
         if len(self.unit) != shape[1]:
             raise ValueError(f"unit: expected {shape[1]} units, one per element, found {len(self.unit)}")
 
@@ -170,17 +173,15 @@ class MonteCarlo:
 def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
     """Return what N draws (N, L, Q) of quantities say beside their first-order propagation."""
 
-    def each(factor: Callable[[float], float], dof: FloatArray) -> FloatArray:
-        """Coverage factor for each number of degrees of freedom, NaN where there is none."""
-        factors = [np.nan if np.isnan(value) else factor(value) for value in dof.ravel().tolist()]
-        return np.array(factors, dtype=np.float64).reshape(dof.shape)
-
     mean = draws.mean(axis=0)
     parts = np.stack([(draws - mean).real, (draws - mean).imag], axis=-1)
     covariance = np.asarray(np.einsum("nlqi,nlqj->lqij", parts, parts) / (len(draws) - 1))
     factor = np.sqrt(np.quantile(_distance(draws - mean, covariance), COVERAGE, axis=0))
-    first_factor = each(region_factor, first.dof)
-    inside = _distance(draws - first.value, first.first_covariance) <= first_factor**2
+    freedom = first.dof.ravel().tolist()
+    factors = [np.nan if np.isnan(dof) else region_factor(dof) for dof in freedom]
+    first_factor = np.array(factors, dtype=np.float64).reshape(first.dof.shape)
+    stated = region_covariance(first.value, first.first_covariance, first.u_turn)
+    inside = _distance(draws - first.value, stated) <= first_factor**2
     known = np.isfinite(mean) & np.isfinite(first.value)
     size = np.abs(first.value)
     turned = np.angle(draws * np.conj(first.value)) + np.angle(first.value)
@@ -190,7 +191,7 @@ def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
         np.sqrt(np.einsum("lqi,lqij,lqj->lq", e, first.first_covariance, e))
         for e in (np.stack([unit.real, unit.imag], axis=-1), np.stack([-unit.imag, unit.real], axis=-1))
     )
-    k_magnitude, k_phase = each(coverage_factor, first.dof_polar)
+    k_magnitude, k_phase = first.k_polar
     return Propagated(
         **vars(first),
         first_factor=first_factor,

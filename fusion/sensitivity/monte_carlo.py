@@ -174,9 +174,8 @@ def _draw_elements(
     matrix = np.zeros((deviates.count, loads.shape[1], *known.value.shape), np.complex128) + known.value
     unknowns = (*known.unknowns, *known.courses(outputs.phasors.value, load.value))
     for unknown in unknowns:
-        # Rated cross-talk is a bound: uniform between its limits.
         bound = np.sqrt(3.0) * (deviates.angle(unknown.name) / np.pi - 1.0)
-        off = deviates.normal(unknown.name) if known.static else bound
+        off = deviates.normal(unknown.name) if unknown.distribution == "normal" else bound
         matrix += off[:, None, None, None] * unknown.effect
     return known.elements(outputs.draw(deviates), loads, matrix)
 
@@ -190,8 +189,8 @@ def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
     ) -> FirstOrder:
         pair = np.arange(len(elements))[:, None] + [0, len(elements)]
         covariance = uncertainty.covariance[:, pair[:, :, None], pair[:, None, :]]
-        freedom = uncertainty.dof(), uncertainty.dof_polar(value)
-        return FirstOrder(name, frequency, tuple(elements), tuple(units), value, covariance, *freedom)
+        known = uncertainty.dof(), uncertainty.k_polar(value), uncertainty.u_turn(value)
+        return FirstOrder(name, frequency, tuple(elements), tuple(units), value, covariance, *known)
 
     for fused in analysis.accelerations:
         if fused.source == "fused":

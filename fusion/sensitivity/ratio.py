@@ -23,6 +23,7 @@ from fusion.estimation.uncertainty import (
     element_covariance,
     merge_contributions,
     polar,
+    polar_elements,
     real_design,
     real_stack,
 )
@@ -93,11 +94,9 @@ class Sensitivity:
         return every
 
     @cached_property
-    def dof_polar(self) -> FloatArray:
-        """Return those of magnitude and phase (2, K, C, 6), NaN where there is no element."""
-        every = np.full((2, *self.value.shape), np.nan)
-        every[:, :, *self._places()] = self.uncertainty.dof_polar(self.value[:, *self._places()])
-        return every
+    def polar(self) -> list[list[Polar | None]]:
+        """Return the elements (K lines of E) as magnitude and phase, None where one is not known."""
+        return polar_elements(self.value[:, *self._places()], self.uncertainty)
 
     def _places(self) -> tuple[list[int], list[int]]:
         return [channel for channel, _ in self.elements], [component for _, component in self.elements]
@@ -429,7 +428,8 @@ def known_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, 
         effect = np.zeros(value.shape, np.complex128)
         effect[main, j] = stated.cross_talk / np.sqrt(3.0) * rated[component] / rated[j]
         name = f"{RATED} {names[main]}/{LOAD_COMPONENTS[j]}"
-        unknowns.append(Unknown(name, RATED, stated.cross_talk / float(np.sqrt(3.0)), "1", effect, "rig"))
+        u = stated.cross_talk / float(np.sqrt(3.0))
+        unknowns.append(Unknown(name, RATED, u, "1", effect, "rig", distribution="uniform"))
     return KnownMatrix(names, component, main, (main,), value, tuple(unknowns), static=False)
 
 

@@ -96,9 +96,14 @@ def test_the_numbers_are_those_of_the_table_and_the_xml_is_valid(
                 ("u_magnitude", "u_phase_rad"), factors, texts(result, ".//si:valueExpandedMUXMLList"), strict=True
             ):
                 assert float(stated) == pytest.approx(float(k) * float(row[u]), rel=1e-12)
-        variances = texts(result, ".//si:covarianceXMLList/si:valueXMLList")
-        assert float(variances[0]) == pytest.approx(float(row["u_re"]) ** 2, rel=1e-12)
-        assert float(variances[3]) == pytest.approx(float(row["u_im"]) ** 2, rel=1e-12)
+        # First order, and along the value what a turn bends the region by (docs/results.md).
+        re, im, u_re, u_im, u_turn = (float(row[name]) for name in ("re", "im", "u_re", "u_im", "u_phase_rad"))
+        bent = max(u_turn**2 - (float(row["u_magnitude"]) / float(row["magnitude"])) ** 2, 0.0) ** 2
+        bent *= 1.716 if len(values) == 3 else 0.0
+        variances = [float(text) for text in texts(result, ".//si:covarianceXMLList/si:valueXMLList")]
+        assert variances[0] == pytest.approx(u_re**2 + bent * re**2, rel=1e-9)
+        assert variances[1] == pytest.approx(float(row["r"]) * u_re * u_im + bent * re * im, rel=1e-9)
+        assert variances[3] == pytest.approx(u_im**2 + bent * im**2, rel=1e-9)
     units = set(texts(root, ".//si:complexListXMLList/si:unitXMLList"))
     assert units == {r"\volt\volt\tothe{-1}\newton\tothe{-1}"}
     assert texts(root, ".//dcc:calibrationLaboratory//dcc:name/dcc:content") == ["Söhne <&\"'> </script>"]

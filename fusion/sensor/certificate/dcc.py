@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 from lxml import etree
 from lxml.builder import ElementMaker
 
@@ -248,10 +249,9 @@ def _limit(element: Element) -> list[etree._Element]:
 
 
 def _complex(element: Element, unit: str, squared: str) -> etree._Element:
-    """Real and imaginary part with their covariance matrix and the factor of the 95 % region."""
+    """Real and imaginary part with the covariance matrix and the factor of their 95 % region."""
     values = element.values
-    mixed = [value.element.r * value.element.u_re * value.element.u_im for value in values]
-    rows = ([v.element.u_re**2 for v in values], mixed, mixed, [v.element.u_im**2 for v in values])
+    rows = np.array([value.element.region_covariance for value in values]).reshape(-1, 4).T
     cells = [S.covarianceXMLList(S.valueXMLList(_numbers(row)), S.unitXMLList(squared)) for row in rows]
     region = S.ellipsoidalRegionMUXMLList(
         S.covarianceMatrixXMLList(S.columnXMLList(*cells[:2]), S.columnXMLList(*cells[2:])),
