@@ -23,7 +23,6 @@ def test_sound_files_are_read(tmp_path: Path, data_dir: Path, kind: str):
 
 
 KNOWN = {
-    "matlab": "scipy ends the process on a text whose type of data is damaged",
     "dewesoft": "Dewesoft's library may look for half a minute in a damaged file, until it is ended",
 }
 

@@ -83,12 +83,17 @@ def reading(path: Path) -> Iterator[None]:
         raise ValueError(f"{path}: expected a readable {kind} file, found a damaged one ({cause})") from error
 
 
-def check_size(path: Path, what: str, size: int) -> None:
-    """Raise `ValueError` where a file of that length cannot hold what it declares, `size` bytes once read.
+def most_bytes(path: Path) -> int:
+    """Return how many bytes of samples a file of that length can hold.
 
     Compression makes measured samples a few times smaller, a trigger between its edges perhaps a hundred times.
     """
-    most = _FREE + _EXPANSION * path.stat().st_size
+    return _FREE + _EXPANSION * path.stat().st_size
+
+
+def check_size(path: Path, what: str, size: int) -> None:
+    """Raise `ValueError` where a file of that length cannot hold what it declares, `size` bytes once read."""
+    most = most_bytes(path)
     if size > most:
         found = f"{size / 1e6:.0f} MB declared in a file of {path.stat().st_size / 1e6:.3g} MB"
         raise ValueError(f"{path}: {what}: expected at most {most / 1e6:.0f} MB of samples, found {found}")
