@@ -38,7 +38,10 @@ def check_mat5(path: Path, most_bytes: int, most_arrays: int) -> None:
             end = file.tell() + length
             if kind not in (_MATRIX, _COMPRESSED) or not 0 < length <= size - file.tell():
                 raise walk.wrong("a variable within the file", f"type {kind} with {length} bytes")
-            walk.variable(file, length, kind == _COMPRESSED)
+            try:
+                walk.variable(file, length, kind == _COMPRESSED)
+            except zlib.error as error:
+                raise walk.wrong("a compressed variable", f"a damaged one ({error})") from error
             file.seek(end)
 
 
