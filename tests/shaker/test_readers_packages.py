@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -52,6 +54,15 @@ def test_dewesoft_files_of_two_generations(data_dir):
     means = [0.0379724609, 0.0223764095, -0.9976381226]
     np.testing.assert_allclose([channel.samples.mean() for channel in new.values()], means, atol=1e-9)
     refused('channel "ENG_RPM": expected readable samples', read_channels, folder / "Example_Drive01.d7d", ["ENG_RPM"])
+
+
+def test_dewesoft_library_that_looks_for_ever_is_ended(tmp_path, monkeypatch):
+    (tmp_path / "dwdatareader.py").write_text("def DWFile(path):\n    while True:\n        pass\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(sys.modules, "dwdatareader", ModuleType("dwdatareader"))
+    monkeypatch.setattr(packages, "_LONGEST_S", 1.0)
+    (tmp_path / "a.dxd").write_bytes(bytes(100))
+    refused(r"a\.dxd: .* had not read it within 1 s of the processor", read_channels, tmp_path / "a.dxd")
 
 
 def test_parquet_columns_have_units_and_a_time(tmp_path):
