@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from shaker.io.channel import (
+    DEEPEST,
     Column,
     RawChannel,
     check_stored,
@@ -21,6 +22,7 @@ from shaker.io.channel import (
     is_time,
     most_bytes,
     numbers,
+    opened_hdf5,
     rate_of_times,
     read_datasets,
 )
@@ -31,7 +33,6 @@ _MATLAB_RATES = ("sample_rate", "fs", "Fs")
 _STARTS, _UNITS = ("start_time",), ("unit", "units")
 _TIMES = ("time", "Time", "t")
 _LONGEST_TEXT = 1 << 20  # letters
-_DEEPEST = 64  # groups or structs inside one another
 _MOST_ARRAYS = 250_000  # of a MATLAB file
 
 
@@ -76,12 +77,12 @@ def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
     """
     import h5py
 
-    with h5py.File(path, "r") as file:
+    with opened_hdf5(path, links=True) as file:
         columns: dict[str, Column] = {}
 
         def add(name: str, node: Any) -> None:
-            if name.count("/") > _DEEPEST:
-                raise ValueError(f"groups in {_DEEPEST} others")
+            if name.count("/") > DEEPEST:
+                raise ValueError(f"groups in {DEEPEST} others")
             columns.update(columns_of(name, node))
 
         file.visititems(add)  # follows no links
@@ -157,16 +158,7 @@ def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float |
     # Version 7.3 is HDF5 behind a user block of 512 bytes (or none).
     if _HDF5_SIGNATURE not in (head[:8], head[512:]):
         return _channels(path, _classic(path, names), names, sample_rate_hz)
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        links: list[bytes] = []
-        file.id.links.visit(
-            lambda name, link: links.append(name) if link.type == h5py.h5l.TYPE_EXTERNAL else None, info=True
-        )
-        if links:
-            own = links[0].decode("utf-8", "replace")
-            raise ValueError(f'{path}: variable "{own}": expected samples in this file, found a link to another')
+    with opened_hdf5(path) as file:
         return _channels(path, dict(_hdf5_leaves("", file)), names, sample_rate_hz)
 
 
@@ -212,8 +204,8 @@ def _scalar(path: Path, variables: Mapping[str, Any], name: str, keys: Sequence[
 
 def _hdf5_leaves(prefix: str, group: Any) -> Iterator[tuple[str, Any]]:
     """Yield the variables of a version 7.3 file; arrays stay in the file."""
-    if prefix.count(".") > _DEEPEST:
-        raise ValueError(f"structs in {_DEEPEST} others")
+    if prefix.count(".") > DEEPEST:
+        raise ValueError(f"structs in {DEEPEST} others")
     for key, node in group.items():
         if key.startswith("#"):
             continue
