@@ -15,7 +15,7 @@ import secrets
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -33,10 +33,14 @@ TAKEN = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
 # One place that writes.
 
 
-def write_file(path: Path, content: str | bytes) -> None:
-    """Write a new file, text as UTF-8 with its line ends as they are; every byte of a result passes here."""
+def write_file(path: Path, content: str | bytes | Iterable[str]) -> None:
+    """Write a new file, text as UTF-8 with its line ends as they are; every byte of a result passes here.
+
+    Text may come in parts, where all of it is too much for the memory.
+    """
     with path.open("wb") as stream:
-        stream.write(content if isinstance(content, bytes) else content.encode("utf-8"))
+        for part in (content,) if isinstance(content, str | bytes) else content:
+            stream.write(part if isinstance(part, bytes) else part.encode("utf-8"))
 
 
 def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> list[str]:

@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -41,9 +41,9 @@ class Disk:
     def __init__(self, refused: int, code: int) -> None:
         self.refused, self.code, self.count = refused, code, 0
 
-    def __call__(self, path: Path, content: str | bytes) -> None:
+    def __call__(self, path: Path, content: str | bytes | Iterable[str]) -> None:
         self.count += 1
-        data = content.encode() if isinstance(content, str) else content
+        data = content if isinstance(content, bytes) else "".join(content).encode()
         if self.count == self.refused:
             path.write_bytes(data[: len(data) // 2])
             raise OSError(self.code, os.strerror(self.code), str(path))
