@@ -105,6 +105,8 @@ def read_mdf(
 
         def samples(place: tuple[int, int]) -> _Samples:
             def read() -> tuple[FloatArray, FloatArray, str]:
+                group = file.groups[place[0]].channel_group
+                check_size(path, f"group {place[0]}", max(group.cycles_nr, 1) * group.samples_byte_nr)
                 signal = file.get(group=place[0], index=place[1])
                 return signal.timestamps, signal.samples, signal.unit
 

@@ -38,6 +38,21 @@ def test_mdf_of_three_programs(data_dir):
     refused('expected a channel "Fz", found ', read_channels, path, ["Fz"])
 
 
+def test_mdf_records_larger_than_the_file_are_not_made(tmp_path):
+    """The reader makes a whole record, of whatever length its group declares (ASAM MDF 4.1, block CG)."""
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as file:
+        file.append([asammdf.Signal(np.arange(9.0), np.arange(9) / 10.0, name="Fz")], acq_name="a")
+        path = Path(file.save(tmp_path / "a.mf4", overwrite=True, compression=2))
+    assert len(read_channels(path, ["Fz"])["Fz"].samples) == 9
+    content = bytearray(path.read_bytes())
+    place = content.index(b"##CG") + 96
+    assert content[place : place + 4] == (16).to_bytes(4, "little")
+    content[place : place + 4] = (1 << 30).to_bytes(4, "little")
+    path.write_bytes(content)
+    refused("group 0: expected at most 537 MB of samples, found 9664 MB declared", read_channels, path, ["Fz"])
+
+
 def test_dewesoft_files_of_two_generations(data_dir):
     """Values printed by dwdatareader; the header of the second one states another rate than its samples have."""
     pytest.importorskip("dwdatareader")
