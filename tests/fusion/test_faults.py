@@ -20,6 +20,7 @@ from typing import Any
 
 import faults
 import pytest
+from contracts import refused as told_by
 from crews import environment, wait_until
 from support import without_pages
 
@@ -214,6 +215,38 @@ def test_every_failing_move_is_taken_back(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "replace", replace)
     found = {name: text for name, text in _tree(folder).items() if text is not None}
     assert found == {name: text.encode() for name, text in {**new, "points/mine.txt": "mine"}.items()}
+
+
+def test_a_path_longer_than_windows_takes_is_told(tmp_path, monkeypatch):
+    """It says there that there is no such file, which is also what a folder says that another run has just removed."""
+    place = tmp_path.joinpath(*["folder of a recording" * 3] * 5) / "results"
+
+    def no_file(path: Any, *_: Any) -> int:
+        raise FileNotFoundError(errno.ENOENT, "No such file or directory", str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files.os, "open", no_file)
+        told_by(
+            r"could not be written: no such .*; its path of \d+ characters may be longer",
+            _claim,
+            place,
+            error=ComputeError,
+        )
+        told_by(
+            r"could not be written: no such file or directory \(\.a\.[a-z-]+\); what",
+            _claim,
+            Path("/tmp/a"),
+            error=ComputeError,
+        )
+    assert not place.exists()
+    assert not list(tmp_path.iterdir())
+    name = "x" * 250  # which leaves no room for the names beside it
+    told_by("could not be written: file name too long", write_whole, tmp_path / name, "text", error=ComputeError)
+
+
+def _claim(place: Path) -> None:
+    with claimed(place):
+        pass
 
 
 def test_folders_below_results_come_and_go_with_them(tmp_path):
