@@ -20,7 +20,6 @@ from typing import Any
 
 import faults
 import pytest
-from contracts import refused as told_by
 from crews import environment, wait_until
 from support import without_pages
 
@@ -226,27 +225,17 @@ def test_a_path_longer_than_windows_takes_is_told(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(files.os, "open", no_file)
-        told_by(
-            r"could not be written: no such .*; its path of \d+ characters may be longer",
-            _claim,
-            place,
-            error=ComputeError,
-        )
-        told_by(
-            r"could not be written: no such file or directory \(\.a\.[a-z-]+\); what",
-            _claim,
-            Path("/tmp/a"),
-            error=ComputeError,
-        )
+        for path, told in (
+            (place, r"no such .*; its path of \d+ characters may be longer"),
+            (Path("/tmp/a"), r"no such file or directory \(\.a\.[a-z-]+\); what"),
+        ):
+            with pytest.raises(ComputeError, match=f"could not be written: {told}"), claimed(path):
+                pass
     assert not place.exists()
     assert not list(tmp_path.iterdir())
     name = "x" * 250  # which leaves no room for the names beside it
-    told_by("could not be written: file name too long", write_whole, tmp_path / name, "text", error=ComputeError)
-
-
-def _claim(place: Path) -> None:
-    with claimed(place):
-        pass
+    with pytest.raises(ComputeError, match="could not be written: file name too long"):
+        write_whole(tmp_path / name, "text")
 
 
 def test_folders_below_results_come_and_go_with_them(tmp_path):
