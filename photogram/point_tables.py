@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +12,13 @@ import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.images.sequence import check_file, reading
+from photogram.mat5 import check_mat5
 
 POSITION = ("x", "y", "z")
 REFERENCE = ("x0", "y0", "z0")
 IGNORED = "_"
 MOST_BYTES = 256 << 20  # of a table
+_MOST_ARRAYS = 10_000  # of a `.mat` file
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -363,34 +363,15 @@ def _number(field: str) -> float | None:
 _MAT_NUMBERS = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
 
 
-def _inflated(path: Path) -> int:
-    """Return how many bytes the compressed parts of a `.mat` file have once inflated, as far as they are allowed."""
-    total = 0
-    with path.open("rb") as file:
-        order = "<" if file.read(128)[126:] == b"IM" else ">"
-        while len(tag := file.read(8)) == 8 and total <= MOST_BYTES:
-            kind, size = struct.unpack(f"{order}II", tag)
-            if kind != 15:  # not compressed, or a matrix of version 4
-                file.seek(size, 1)
-                continue
-            inflate, raw = zlib.decompressobj(), file.read(size)
-            while raw and not inflate.eof and total <= MOST_BYTES:
-                total += len(inflate.decompress(raw, 1 << 20))
-                raw = inflate.unconsumed_tail
-    return total
-
-
 def _mat_columns(path: Path) -> _Columns:
     """Return the arrays of a `.mat` file that have the size of the first coordinate, flat."""
     from scipy.io import loadmat, whosmat
 
+    check_mat5(path, MOST_BYTES, _MOST_ARRAYS)
     try:
-        # Nested structs are not touched: they are read by recursion in C. A file inflates at most a thousand times.
         plain = {name: size for name, size, kind in whosmat(path) if kind in _MAT_NUMBERS}
         if sum(8 * math.prod(size) for size in plain.values()) > 1100 * path.stat().st_size:
             raise ValueError("more numbers declared than a file of its length can hold")
-        if _inflated(path) > MOST_BYTES:
-            raise ValueError(f"more than {MOST_BYTES >> 20} MiB once inflated")
         found = loadmat(path, variable_names=list(plain))
     except Exception as error:  # whatever damaged bytes lead to
         raise ValueError(f"{path}: expected a .mat file up to version 7, found {type(error).__name__} in it") from error

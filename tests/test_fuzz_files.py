@@ -22,20 +22,8 @@ def test_sound_files_are_read(tmp_path: Path, data_dir: Path, kind: str):
         assert fuzz_files.outcome(seed.reads, path) == (True, ""), path
 
 
-KNOWN = {
-    "matlab": "scipy ends the process on a text whose type of data is damaged",
-    "dewesoft": "Dewesoft's library may look for half a minute in a damaged file, until it is ended",
-}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "kind",
-    [
-        pytest.param(kind, marks=pytest.mark.xfail(reason=KNOWN[kind], strict=False)) if kind in KNOWN else kind
-        for kind in fuzz_seeds.SEEDS
-    ],
-)
+@pytest.mark.parametrize("kind", fuzz_seeds.SEEDS)
 def test_damaged_files_give_data_or_one_sentence(data_dir: Path, kind: str):
     """Read by a process of its own: no crash, no hang, no other error, no more memory than 2 GB."""
     found = fuzz_files.fuzzed(kind, 10 if kind == "dewesoft" else 60, 2026, data_dir)

@@ -12,8 +12,8 @@ from fusion.base import InputError
 from fusion.campaign.repeats import Drive, line_drives
 from fusion.instruments.channel import Outputs
 from fusion.phasors.timing import Grid
-from fusion.report.folder import RESULT_FILE, RESULT_FORMAT, Provenance, read_provenance
-from fusion.report.h5 import read_uncertainty
+from fusion.report.folder import RESULT_FILE, RESULT_FORMAT, Provenance, provenance_of
+from fusion.report.h5 import opened_results, read_uncertainty
 from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import StatedMatrix
 from shaker.arrays import FloatArray, Notice
@@ -79,10 +79,9 @@ def read_recorded(folder: str | Path) -> Recorded:
     >>> recorded = read_recorded("sample_images/demo/Fz-0080/results")  # doctest: +SKIP
     """
     folder = Path(folder)
-    origin = read_provenance(folder)
-    if origin is None:
+    if not (folder / RESULT_FILE).is_file():
         raise InputError(folder / RESULT_FILE, "", found="no results", expected="the results of a recording")
-    with h5py.File(folder / RESULT_FILE, "r") as file:
+    with opened_results(folder / RESULT_FILE) as file:
         if file.attrs["format"] != RESULT_FORMAT:
             expected = f"format {RESULT_FORMAT}; --force evaluates the recording anew"
             raise InputError(folder / RESULT_FILE, "", found=f"format {file.attrs['format']}", expected=expected)
@@ -99,7 +98,7 @@ def read_recorded(folder: str | Path) -> Recorded:
             sensor=_sensor(file["sensor"]) if "sensor" in file else None,
             drives=_drives(file),
             notices=tuple(Notice(*row) for row in notices),
-            origin=origin,
+            origin=provenance_of(file),
         )
 
 

@@ -315,13 +315,14 @@ def init(options: argparse.Namespace) -> None:
 def check(options: argparse.Namespace) -> int:
     """Say what a recording holds and everything that its command would refuse; no image is followed."""
     from fusion.base import InputError
-    from fusion.planning.check import check
+    from fusion.planning.check import check, check_together
     from fusion.recording.load import find_recordings, load_manifest
 
-    status = EXIT_DONE
+    status, manifests = EXIT_DONE, []
     for recording in find_recordings(options.recording):
         try:
-            report = check(load_manifest(recording, allow_outside=options.allow_outside))
+            manifests.append(load_manifest(recording, allow_outside=options.allow_outside))
+            report = check(manifests[-1])
         except InputError as error:
             for mistake in error.each:
                 log.error("%s", mistake)
@@ -329,6 +330,9 @@ def check(options: argparse.Namespace) -> int:
             continue
         print(report)
         status = EXIT_INPUT if report.problems else status
+    for contradiction in check_together(manifests):
+        log.error("%s", contradiction)
+        status = EXIT_INPUT
     return status
 
 

@@ -134,12 +134,15 @@ def _refused(manifest: Manifest) -> list[str]:
     from fusion.phasors.setup import open_set_ups
     from fusion.sensor.rotate.readings import read_rotation
     from fusion.sensor.step.releases import read_recording
-    from fusion.sensor.transfer.records import read_together
+    from fusion.sensor.transfer.evaluate import estimated
+    from fusion.sensor.transfer.records import TransferSettings, read_together
 
     command = KINDS[manifest.excitation.kind].commands[0]
     readers: dict[str, Callable[[Manifest], object]] = {
         "run": open_set_ups,
-        "transfer": read_together,
+        "transfer": lambda manifest: [
+            estimated(manifest, together, TransferSettings()) for together in read_together(manifest)
+        ],
         "step": read_recording,
         "rotate": read_rotation,
     }
@@ -151,6 +154,23 @@ def _refused(manifest: Manifest) -> list[str]:
     except ComputeError:  # the files are as they should be
         return []
     return []
+
+
+def check_together(manifests: Sequence[Manifest]) -> list[str]:
+    """Return what recordings of a campaign that are evaluated together say otherwise of their sensor."""
+    from fusion.sensor.identify.measured import check_sensor
+    from fusion.sensor.load.evaluate import check_one_sensor
+
+    loads = [manifest for manifest in manifests if "load" in KINDS[manifest.excitation.kind].commands]
+    transfers = [manifest for manifest in manifests if "transfer" in KINDS[manifest.excitation.kind].commands]
+    told = []
+    for own, check_them in ((loads, check_one_sensor), (transfers, check_sensor)):
+        try:
+            if len(own) > 1:
+                check_them(own)
+        except InputError as error:
+            told.append(str(error))
+    return told
 
 
 def _table(manifest: Manifest, path: Path) -> tuple[list[str], list[str]]:

@@ -35,6 +35,7 @@ from fusion.recording.values import (
 
 LARGEST_TOML = 4_000_000  # bytes; no manifest is anywhere near
 LONG_LINE = 5000  # characters, from which on nesting takes the reader of TOML time
+UTF16 = (b"\xff\xfe", b"\xfe\xff")  # how Windows begins such a file
 DEEPEST = 32  # tables and lists in one another; manifests have five
 AnyBlock = TypeVar("AnyBlock", bound=Block)
 
@@ -64,11 +65,16 @@ def read_text(path: Path, largest: int, what: str) -> str:
             raise InputError(path, "", found, "a file that can be read")
         if size.st_size > largest:
             raise InputError(path, "", f"{size.st_size} bytes", f"{what} of at most {largest} bytes")
-        return path.read_bytes().decode("utf-8-sig")
+        content = path.read_bytes()
+        if content.startswith(UTF16):
+            raise InputError(path, "", "UTF-16", "UTF-8 text; save it as UTF-8")
+        return content.decode("utf-8-sig")
     except FileNotFoundError as error:
         raise InputError(path, "", "no such file", "an existing file") from error
     except UnicodeDecodeError as error:
-        raise InputError(path, "", f"byte {error.start} is something else", "UTF-8 text") from error
+        line = content[: error.start].count(b"\n") + 1
+        found = f"a letter of another encoding in line {line}, such as code page 1252"
+        raise InputError(path, "", found, "UTF-8 text; save it as UTF-8") from error
     except (OSError, ValueError) as error:  # a ValueError: NUL in the name
         found = getattr(error, "strerror", None) or str(error)
         raise InputError(path, "", found, "a file that can be read") from error

@@ -15,9 +15,10 @@ import secrets
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import count
 from pathlib import Path
 
 from fusion.base import ComputeError, undone, uninterrupted
@@ -27,16 +28,24 @@ HIDDEN = re.compile(rf"\.(?P<name>.+?)(-[0-9a-f]{{12}}\.(?P<kind>part|old|aside)
 """Names of what is being made (`part`), of what it replaces (`old`; single files: `aside`), and of locks."""
 FORGOTTEN_S = 86_400.0
 """Age after which something half-made is taken for abandoned where the file system has no locks."""
+LONG_PATH = 240
+"""Characters of a path from which on Windows, unless long paths are enabled there, says that there is no such file."""
+_ATTEMPTS = 100
+"""How often a folder that another run removes meanwhile is made anew."""
 TAKEN = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
 """What a system says of a lock that somebody else holds; anything else says that there are none."""
 
 # One place that writes.
 
 
-def write_file(path: Path, content: str | bytes) -> None:
-    """Write a new file, text as UTF-8 with its line ends as they are; every byte of a result passes here."""
+def write_file(path: Path, content: str | bytes | Iterable[str]) -> None:
+    """Write a new file, text as UTF-8 with its line ends as they are; every byte of a result passes here.
+
+    Text may come in parts, where all of it is too much for the memory.
+    """
     with path.open("wb") as stream:
-        stream.write(content if isinstance(content, bytes) else content.encode("utf-8"))
+        for part in (content,) if isinstance(content, str | bytes) else content:
+            stream.write(part if isinstance(part, bytes) else part.encode("utf-8"))
 
 
 def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> list[str]:
@@ -66,6 +75,8 @@ def writing(place: Path) -> Iterator[None]:
         reason = (error.strerror or str(error)).lower()
         file = f" ({Path(str(error.filename2 or error.filename)).name})" if error.filename is not None else ""
         advice = ", or is it open in another program?" if isinstance(error, PermissionError) else ""
+        if isinstance(error, FileNotFoundError) and len(str(error.filename)) > LONG_PATH:
+            advice = f"; its path of {len(str(error.filename))} characters may be longer than the system takes"
         text = f"{place}: could not be written: {reason}{file}{advice}; what was there before is as it was"
         raise ComputeError(text) from error
 
@@ -109,11 +120,13 @@ def _lock_of(place: Path) -> Path:
 
 def _locked(lock: Path, place: Path) -> int | None:
     """Create and lock a file and return its handle, None where the file system has no locks."""
-    while True:
+    for attempt in count(1):
         try:
             lock.parent.mkdir(parents=True, exist_ok=True)
             handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
         except FileNotFoundError:  # another run has just removed the folder that it made for nothing
+            if attempt == _ATTEMPTS:
+                raise
             continue
         try:
             _lock(handle)
@@ -127,6 +140,7 @@ def _locked(lock: Path, place: Path) -> int | None:
             if os.path.samestat(os.fstat(handle), os.stat(lock)):
                 return handle
         os.close(handle)  # who held it before has removed it in between
+    return None
 
 
 def _lock(handle: int) -> None:

@@ -8,6 +8,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -22,7 +23,7 @@ from fusion.base import PROGRAM, AnyNotice, CommandEvaluation, Identity, InputEr
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
 from fusion.report.files import HIDDEN, claimed, write_files, write_together
-from fusion.report.h5 import h5_content
+from fusion.report.h5 import h5_content, opened_results
 from fusion.report.table import Table
 
 # What was run on what: hashes of the input files, versions, and whether a folder still answers to them.
@@ -157,14 +158,18 @@ def read_provenance(folder: Path, marker: str = RESULT_FILE) -> Provenance | Non
     path = folder / marker
     if not path.is_file() or not h5py.is_hdf5(path):
         return None
-    with h5py.File(path, "r") as file:
-        group = file.get("provenance")
-        if group is None:
-            return None
-        hashes = zip(group["input_file"].asstr()[()], group["input_sha256"].asstr()[()], strict=True)
-        settings, versions = (dict(group[name].attrs) for name in ("settings", "versions"))
-        plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in settings.items()}
-        return Provenance(dict(hashes), plain, versions, tuple(group["files"].asstr()[()]))
+    with suppress(InputError), opened_results(path) as file:
+        return provenance_of(file)
+    return None
+
+
+def provenance_of(file: h5py.File) -> Provenance:
+    """Return the provenance of open results; `KeyError` where they have none."""
+    group = file["provenance"]
+    hashes = zip(group["input_file"].asstr()[()], group["input_sha256"].asstr()[()], strict=True)
+    settings, versions = (dict(group[name].attrs) for name in ("settings", "versions"))
+    plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in settings.items()}
+    return Provenance(dict(hashes), plain, versions, tuple(group["files"].asstr()[()]))
 
 
 def write_provenance(file: h5py.File, origin: Origin, files: Sequence[str]) -> None:

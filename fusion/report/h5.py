@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
+from functools import partial
 from itertools import count
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Any, get_args
 
 import h5py
 import numpy as np
 
+from fusion.base import InputError
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
+from shaker.io.channel import check_stored, opened_hdf5
 
 COMPRESS_ABOVE = 512
 LEFT_OUT = {"manifest", "reference_image", "surface", "settings", "versions", "input_hashes"}
@@ -29,6 +33,18 @@ def h5_content(fill: Callable[[h5py.File], None], *, in_order: bool = True) -> b
         fill(file)
         file.flush()
         return bytes(file.id.get_file_image())
+
+
+@contextmanager
+def opened_results(path: Path) -> Iterator[h5py.File]:
+    """Open the results of an earlier run; `InputError` where they are damaged or lead to other files."""
+    try:
+        with opened_hdf5(path) as file:
+            file.visititems(partial(check_stored, path))
+            yield file
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        told = " ".join(str(error).split()).removeprefix(f"{path}: ")
+        raise InputError(path, "", expected="results of an earlier run", found=f"damaged ones ({told})") from error
 
 
 def write_fields(group: h5py.Group, item: Any) -> None:

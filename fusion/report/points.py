@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.phasors.stereo_phasors import StereoResult
+from fusion.report.files import write_file
 from photogram.geometry import displacement_jacobian, pose_rate, rotation_from_vector
 from photogram.motion import Deformation
 from shaker.arrays import BoolArray, FloatArray
@@ -52,21 +53,25 @@ def save_points(folder: Path, stereo: StereoResult) -> list[str]:
     (folder / name).mkdir()
     known = np.asarray(np.isfinite(stereo.surface.reference_m).all(axis=1))
     places = stereo.surface.reference_m[known]
-    with (folder / names[0]).open("w", encoding="utf-8", newline="\n") as table:
-        table.write(",".join(HEAD) + "\n")
-        steps = []
-        for frame in _frames(stereo, stereo.surface, known):
-            numbers = np.hstack([places, frame.moved_m, frame.u_moved_m, frame.rest_m, frame.u_rest_m])
-            for point in np.flatnonzero(frame.seen).tolist():
-                values = ",".join(map(repr, numbers[point].tolist()))
-                table.write(f"{frame.number},{frame.time_s!r},{point},{values}\n")
-            names.append(f"{name}/{frame.number:04d}.vtp")
-            (folder / names[-1]).write_text(_vtp(places, frame), encoding="utf-8")
-            steps.append(f'<DataSet timestep="{frame.time_s!r}" file={quoteattr(names[-1])}/>')
+    write_file(folder / names[0], _table(stereo, stereo.surface, known))
+    steps = []
+    for frame in _frames(stereo, stereo.surface, known):
+        names.append(f"{name}/{frame.number:04d}.vtp")
+        write_file(folder / names[-1], _vtp(places, frame))
+        steps.append(f'<DataSet timestep="{frame.time_s!r}" file={quoteattr(names[-1])}/>')
     collection = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="1.0">', "<Collection>", *steps]
-    text = "\n".join([*collection, "</Collection>", "</VTKFile>", ""])
-    (folder / names[1]).write_text(text, encoding="utf-8")
+    write_file(folder / names[1], "\n".join([*collection, "</Collection>", "</VTKFile>", ""]))
     return names
+
+
+def _table(stereo: StereoResult, surface: Deformation, known: BoolArray) -> Iterator[str]:
+    """Yield the table, the rows of one frame after the other."""
+    yield ",".join(HEAD) + "\n"
+    for frame in _frames(stereo, surface, known):
+        numbers = np.hstack([surface.reference_m[known], frame.moved_m, frame.u_moved_m, frame.rest_m, frame.u_rest_m])
+        start = f"{frame.number},{frame.time_s!r},"
+        points = np.flatnonzero(frame.seen).tolist()
+        yield "".join(f"{start}{point},{','.join(map(repr, numbers[point].tolist()))}\n" for point in points)
 
 
 def _frames(stereo: StereoResult, surface: Deformation, known: BoolArray) -> Iterator[_Frame]:

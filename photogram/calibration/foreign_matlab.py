@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import warnings
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +12,13 @@ import numpy as np
 from photogram.arrays import FloatArray
 from photogram.calibration.foreign import SIDES, LengthUnit, Lens, Stated, numbers
 from photogram.geometry import rotation_from_vector, skew
+from photogram.mat5 import check_mat5
 
 # MATLAB: stereoParameters as JSON, and Bouguet's calibration toolbox as text.
 
 _UNITS: dict[str, LengthUnit] = {"mm": "mm", "millimeters": "mm", "millimetres": "mm", "m": "m", "meters": "m"}
 _ESSENTIAL = 1e-3  # relative departure of an essential matrix from that of R and T above which they contradict
-_PACKED, _MATRIX = 15, 14  # types of elements of a MAT-file 5
-_LARGEST_UNPACKED, _MOST_MATRICES = 2**26, 3000
+_LARGEST_UNPACKED, _MOST_ARRAYS = 2**26, 3000
 _ASSIGNMENT = re.compile(r"\b([A-Za-z]\w*)\s*=\s*(?:\[([^\[\]]*)\]|([-+]?[\d.][\w.+-]*))")
 
 
@@ -61,11 +60,11 @@ def _variables(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
     from scipy.io.matlab import MatlabOpaque
 
+    check_mat5(path, _LARGEST_UNPACKED, _MOST_ARRAYS)
     try:
         with path.open("rb") as file:
             is_hdf5 = file.read(10) == b"MATLAB 7.3"
         if not is_hdf5:
-            _check_extent(path.read_bytes())
             found = loadmat(path, simplify_cells=True)
             if not any(isinstance(value, MatlabOpaque) for value in found.values()):
                 return {name: value for name, value in found.items() if not name.startswith("__")}
@@ -81,23 +80,6 @@ def _variables(path: Path) -> dict[str, Any]:
         ) from error
     except Exception as error:  # the readers raise whatever damaged bytes lead to
         raise ValueError(f"expected a .mat file that can be read, found {type(error).__name__} in it") from error
-
-
-def _check_extent(content: bytes) -> None:
-    """Raise `ValueError` where a MAT-file 5 unpacks to more, or holds more matrices, than its reader can be given.
-
-    SciPy's reader makes whatever a packed element holds, and follows cells within cells by recursion.
-    """
-    place, parts = 128, [content[128:]]
-    while place + 8 <= len(content):
-        kind, length = (int(number) for number in np.frombuffer(content, "<u4", 2, place))
-        if kind == _PACKED:
-            unpacked = zlib.decompressobj().decompress(content[place + 8 : place + 8 + length], _LARGEST_UNPACKED)
-            parts.append(unpacked)
-        place += 8 + length
-    matrices = sum(int((np.frombuffer(part, "<u4", len(part) // 4) == _MATRIX).sum()) for part in parts)
-    if sum(map(len, parts)) >= _LARGEST_UNPACKED or matrices > _MOST_MATRICES:
-        raise ValueError("more in it than in a calibration")
 
 
 def _plain(value: Any, depth: int = 0) -> Any:

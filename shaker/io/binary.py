@@ -3,37 +3,37 @@
 from __future__ import annotations
 
 import re
-import struct
 import warnings
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
 from shaker.io.channel import (
-    BLOCK,
+    DEEPEST,
     Column,
     RawChannel,
-    check_size,
     check_stored,
     checked_rate,
     chosen,
     columns_of,
     is_time,
+    most_bytes,
     numbers,
+    opened_hdf5,
     rate_of_times,
     read_datasets,
 )
+from shaker.io.mat5 import check_mat5
 
 _RATES = ("sample_rate", "sampling_rate", "sampling_frequency", "fs")
 _MATLAB_RATES = ("sample_rate", "fs", "Fs")
 _STARTS, _UNITS = ("start_time",), ("unit", "units")
 _TIMES = ("time", "Time", "t")
 _LONGEST_TEXT = 1 << 20  # letters
-_DEEPEST = 64  # groups or structs inside one another
+_MOST_ARRAYS = 250_000  # of a MATLAB file
 
 
 @dataclass(frozen=True)
@@ -77,12 +77,12 @@ def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
     """
     import h5py
 
-    with h5py.File(path, "r") as file:
+    with opened_hdf5(path, links=True) as file:
         columns: dict[str, Column] = {}
 
         def add(name: str, node: Any) -> None:
-            if name.count("/") > _DEEPEST:
-                raise ValueError(f"groups in {_DEEPEST} others")
+            if name.count("/") > DEEPEST:
+                raise ValueError(f"groups in {DEEPEST} others")
             columns.update(columns_of(name, node))
 
         file.visititems(add)  # follows no links
@@ -158,16 +158,7 @@ def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float |
     # Version 7.3 is HDF5 behind a user block of 512 bytes (or none).
     if _HDF5_SIGNATURE not in (head[:8], head[512:]):
         return _channels(path, _classic(path, names), names, sample_rate_hz)
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        links: list[bytes] = []
-        file.id.links.visit(
-            lambda name, link: links.append(name) if link.type == h5py.h5l.TYPE_EXTERNAL else None, info=True
-        )
-        if links:
-            own = links[0].decode("utf-8", "replace")
-            raise ValueError(f'{path}: variable "{own}": expected samples in this file, found a link to another')
+    with opened_hdf5(path) as file:
         return _channels(path, dict(_hdf5_leaves("", file)), names, sample_rate_hz)
 
 
@@ -213,8 +204,8 @@ def _scalar(path: Path, variables: Mapping[str, Any], name: str, keys: Sequence[
 
 def _hdf5_leaves(prefix: str, group: Any) -> Iterator[tuple[str, Any]]:
     """Yield the variables of a version 7.3 file; arrays stay in the file."""
-    if prefix.count(".") > _DEEPEST:
-        raise ValueError(f"structs in {_DEEPEST} others")
+    if prefix.count(".") > DEEPEST:
+        raise ValueError(f"structs in {DEEPEST} others")
     for key, node in group.items():
         if key.startswith("#"):
             continue
@@ -240,7 +231,7 @@ def _classic(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
     """Return the variables of an older file, where only some channels are asked for those that matter to them."""
     from scipy.io import loadmat, whosmat
 
-    _check_classic(path)
+    check_mat5(path, most_bytes(path), _MOST_ARRAYS)
     roots = None
     if names is not None:
         roots = {re.split("[./]", name)[0] for name in names}
@@ -250,44 +241,6 @@ def _classic(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
             roots = None  # a name is wrong: all of them stand in the message
     content = loadmat(str(path), variable_names=roots)
     return dict(leaf for name, value in content.items() for leaf in _classic_leaves(name, value))
-
-
-_PARTS = 5000  # cells, structs and objects in one file: scipy reads those inside one another by recursion in C
-_PART = {  # their array flags, in either order of bytes
-    "<": re.compile(rb"\x06\0\0\0\x08\0\0\0[\x01\x02\x03\x10\x11]"),
-    ">": re.compile(rb"\0\0\0\x06\0\0\0\x08..[\0-\xff][\x01\x02\x03\x10\x11]", re.DOTALL),
-}
-
-
-def _check_classic(path: Path) -> None:
-    """Refuse a version 5 file that inflates beyond bounds or holds more parts than its reader's stack can bear."""
-    with path.open("rb") as file:
-        head, total, parts = file.read(128), 0, 0
-        if 0 in head[:4]:
-            return  # version 4: matrices only, as they are
-        order = "<" if head[126:] == b"IM" else ">"
-        while len(tag := file.read(8)) == 8:
-            kind, size = struct.unpack(f"{order}II", tag)
-            end, tail = file.tell() + size, b""
-            for block in _blocks(file, size, zlib.decompressobj() if kind == 15 else None):
-                total += len(block)
-                check_size(path, "its variables", total)
-                parts += len(_PART[order].findall(tail + block))
-                tail = block[-11:]
-                if parts > _PARTS:
-                    raise ValueError(f"{path}: expected at most {_PARTS} cells and structs, found more")
-            file.seek(end)
-
-
-def _blocks(file: BinaryIO, left: int, inflate: Any) -> Iterator[bytes]:
-    """Yield an element's bytes, inflated where they are compressed, some at a time."""
-    while left > 0 and (raw := file.read(min(left, BLOCK))):
-        left -= len(raw)
-        if inflate is None:
-            yield raw
-        while inflate is not None and raw and not inflate.eof:
-            yield inflate.decompress(raw, BLOCK)
-            raw = inflate.unconsumed_tail
 
 
 def _classic_leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -51,6 +51,7 @@ class RawChannel:
 BLOCK = 1 << 20  # bytes read at a time
 MOST_CHANNELS = 10_000  # of a table
 LONGEST_LINE = 16 << 20  # bytes of a line of text
+DEEPEST = 64  # groups or structs inside one another
 _FREE, _EXPANSION = 512 << 20, 100  # bytes of samples that any file may have, and how many more for each of its own
 UNIFORM = 0.5  # of a sampling interval: how far a time column may stray from a uniform one
 
@@ -83,12 +84,17 @@ def reading(path: Path) -> Iterator[None]:
         raise ValueError(f"{path}: expected a readable {kind} file, found a damaged one ({cause})") from error
 
 
-def check_size(path: Path, what: str, size: int) -> None:
-    """Raise `ValueError` where a file of that length cannot hold what it declares, `size` bytes once read.
+def most_bytes(path: Path) -> int:
+    """Return how many bytes of samples a file of that length can hold.
 
     Compression makes measured samples a few times smaller, a trigger between its edges perhaps a hundred times.
     """
-    most = _FREE + _EXPANSION * path.stat().st_size
+    return _FREE + _EXPANSION * path.stat().st_size
+
+
+def check_size(path: Path, what: str, size: int) -> None:
+    """Raise `ValueError` where a file of that length cannot hold what it declares, `size` bytes once read."""
+    most = most_bytes(path)
     if size > most:
         found = f"{size / 1e6:.0f} MB declared in a file of {path.stat().st_size / 1e6:.3g} MB"
         raise ValueError(f"{path}: {what}: expected at most {most / 1e6:.0f} MB of samples, found {found}")
@@ -199,6 +205,29 @@ def columns_of(name: str, dataset: Any) -> dict[str, Column]:
     return {f"{name}/{i + 1}" if count > 1 else name: Column(name, length, axis, i) for i in range(count)}
 
 
+@contextmanager
+def opened_hdf5(path: Path, *, links: bool = False) -> Iterator[Any]:
+    """Open an HDF5 file for reading, the one way for all; with `links` to other files for who follows none himself.
+
+    Whether the samples of a dataset stand in the file is asked of `check_stored`.
+    """
+    import h5py
+
+    own = (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT)
+
+    def wrong(name: bytes, link: Any) -> str | None:
+        if name.count(b"/") > DEEPEST:
+            return f"groups in {DEEPEST} others"
+        told = f'"{name.decode("utf-8", "replace")}": expected samples in this file, found a link to another'
+        return None if link.type in own else told
+
+    with h5py.File(path, "r") as file:
+        found = None if links else file.id.links.visit(wrong, info=True)
+        if found is not None:
+            raise ValueError(f"{path}: {found}")
+        yield file
+
+
 def check_stored(path: Path, name: str, dataset: Any) -> None:
     """Refuse a dataset of an HDF5 file whose samples stand in other files, or nowhere; arrays in memory pass."""
     if not hasattr(dataset, "is_virtual"):
@@ -206,7 +235,7 @@ def check_stored(path: Path, name: str, dataset: Any) -> None:
     if dataset.is_virtual or dataset.external:
         found = "a virtual one, made of others" if dataset.is_virtual else "one in other files (external storage)"
         raise ValueError(f'{path}: dataset "{name}": expected samples in this file, found {found}')
-    if not dataset.id.get_storage_size():
+    if dataset.size and not dataset.id.get_storage_size():
         raise ValueError(f'{path}: dataset "{name}": expected stored samples, found none')
     if dataset.chunks:
         check_size(path, f'dataset "{name}", a chunk', math.prod(dataset.chunks) * dataset.dtype.itemsize)

@@ -13,6 +13,7 @@ import os
 import pickle
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import replace
@@ -20,6 +21,7 @@ from importlib import import_module
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Thread, get_ident
 from traceback import clear_frames
 from typing import Any
 
@@ -37,7 +39,8 @@ from shaker.io.channel import (
     rate_of_times,
 )
 
-_LONGEST_S, _SLOWEST = 30.0, 2e6  # Dewesoft's library: seconds, and bytes it reads in each
+_LONGEST_S, _SLOWEST = 8.0, 2e6  # Dewesoft's library: seconds of the processor, and bytes that it reads in each
+_PATIENCE = 30.0  # how many times as long a process may take by the clock on a loaded machine
 _MDF_REAL = 5  # the last of the data types that are numbers (ASAM MDF 4.1, channel block, cn_data_type)
 _Samples = Callable[[], tuple[FloatArray, FloatArray, str]]
 
@@ -102,6 +105,8 @@ def read_mdf(
 
         def samples(place: tuple[int, int]) -> _Samples:
             def read() -> tuple[FloatArray, FloatArray, str]:
+                group = file.groups[place[0]].channel_group
+                check_size(path, f"group {place[0]}", max(group.cycles_nr, 1) * group.samples_byte_nr)
                 signal = file.get(group=place[0], index=place[1])
                 return signal.timestamps, signal.samples, signal.unit
 
@@ -117,13 +122,15 @@ def read_dewesoft(
     """Read channels of a Dewesoft file (.dxd, .dxz, .d7d) as physical values at the times that the file has.
 
     Its header's sampling rate is not used: files exist that were stored at another one. Dewesoft's library ends the
-    whole program where a file is damaged, so a process of its own reads.
+    whole program where a file is damaged, or looks for ever, so a process of its own reads. It has 8 s of the
+    processor, or one for every 2 MB where these are more; sound files need a tenth of that.
     """
     _package(path, "dwdatareader")
+    longest_s = max(_LONGEST_S, path.stat().st_size / _SLOWEST)
     with TemporaryDirectory() as folder:
         out = Path(folder) / "channels"
         code = "import sys; from shaker.io import packages; packages.dewesoft_process(*sys.argv[1:])"
-        command = [sys.executable, "-c", code, str(path.resolve()), str(out), json.dumps(names)]
+        command = [sys.executable, "-c", code, str(path.resolve()), str(out), json.dumps(names), str(longest_s)]
         try:
             subprocess.run(
                 command,
@@ -131,7 +138,7 @@ def read_dewesoft(
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                timeout=_LONGEST_S + path.stat().st_size / _SLOWEST,
+                timeout=_PATIENCE * longest_s,
             )
         except subprocess.TimeoutExpired as error:
             raise ValueError(f"Dewesoft's library had not read it within {error.timeout:.0f} s") from error
@@ -143,9 +150,10 @@ def read_dewesoft(
     return found
 
 
-def dewesoft_process(file: str, out: str, names: str) -> None:
+def dewesoft_process(file: str, out: str, names: str, longest_s: str) -> None:
     """Read a Dewesoft file here and leave its channels, or the sentence that refuses it, in a file."""
     path, wanted_names = Path(file), json.loads(names)
+    Thread(target=_ended_after, args=(float(longest_s), Path(out)), daemon=True).start()
     result: dict[str, RawChannel] | str
     try:
         with _package(path, "dwdatareader").DWFile(file) as opened:
@@ -160,9 +168,22 @@ def dewesoft_process(file: str, out: str, names: str) -> None:
             result = _uniform(path, wanted, wanted_names, None)
     except Exception as error:  # the library's own, of every kind
         result = str(error).removeprefix(file) or type(error).__name__
-    whole = Path(out).with_suffix(".part")
+    _leave(Path(out), result)
+
+
+def _leave(out: Path, result: object) -> None:
+    whole = out.with_suffix(f".{get_ident()}")
     whole.write_bytes(pickle.dumps(result))
-    whole.rename(out)
+    whole.replace(out)
+
+
+def _ended_after(longest_s: float, out: Path) -> None:
+    """End this process when it has used that many seconds of the processor."""
+    while time.process_time() < longest_s:
+        time.sleep(0.1)
+    if not out.exists():
+        _leave(out, f"Dewesoft's library had not read it within {longest_s:.0f} s of the processor")
+    os._exit(0)
 
 
 def read_parquet(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,14 +15,16 @@ from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
-from support import AT_ORIGIN, DOCS, block, channel, examples, recording_head, write_daq
+from support import AT_ORIGIN, DOCS, block, channel, edit, examples, recording_head, write_daq
 
 from fusion.base import InputError
+from fusion.cli import main
 from fusion.instruments.transducer import TRANSDUCERS, placed_at, unit_direction
 from fusion.planning.check import check, observable
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.response import Element, read_chain, read_response
+from fusion.simulate import simulate
 from shaker.labels import MOTION_COMPONENTS
 
 Campaign = Callable[..., Path]
@@ -108,6 +112,42 @@ def test_what_cannot_be_read_is_wrong(recording):
         "daq vibrometer: channel velocity holds values that are no finite numbers",
     ):
         assert words in problems
+
+
+def test_a_period_that_the_record_does_not_hold_is_wrong(tmp_path):
+    simulate(tmp_path / "chirp", "chirp", 1)
+    folder = tmp_path / "chirp" / "chirp"
+    assert not check(load_manifest(folder)).problems
+    edit(folder / "recording.toml", "period = 1.0", "period = 100.0")
+    (told,) = check(load_manifest(folder)).problems
+    assert re.search(r"recording\.toml: excitation\.period: expected at least 2 whole periods .* in 6 s", told)
+
+
+def test_rigs_of_one_campaign_say_the_same_of_its_sensor(tmp_path, capsys):
+    folder = tmp_path / "loads"
+    simulate(folder, "loads", 1)
+    for entry in sorted(folder.glob("step-*"))[2:]:
+        shutil.rmtree(entry)
+    assert main(["check", str(folder)]) == 0
+    rig = sorted(folder.glob("rig-*.toml"))[1]
+    for old, new, told in (
+        (
+            "internal_mass = 0.24",
+            "internal_mass = 0.25",
+            r"sensor\.internal_mass: expected 0\.24 as in .*, found 0\.25",
+        ),
+        (
+            "internal_mass_uncertainty = 5e-05",
+            "internal_mass_uncertainty = 0.01",
+            "internal_mass_uncertainty: .*found 0.01",
+        ),
+    ):
+        edit(rig, old, new)
+        capsys.readouterr()
+        assert main(["check", str(folder)]) == 2
+        assert re.search(rf"{rig.name}: .*{told}", capsys.readouterr().err)
+        assert main(["load", str(folder), "-o", str(tmp_path / "out"), "-q"]) == 2
+        edit(rig, new, old)
 
 
 LASER_ONLY = (

@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -41,9 +41,9 @@ class Disk:
     def __init__(self, refused: int, code: int) -> None:
         self.refused, self.code, self.count = refused, code, 0
 
-    def __call__(self, path: Path, content: str | bytes) -> None:
+    def __call__(self, path: Path, content: str | bytes | Iterable[str]) -> None:
         self.count += 1
-        data = content.encode() if isinstance(content, str) else content
+        data = content if isinstance(content, bytes) else "".join(content).encode()
         if self.count == self.refused:
             path.write_bytes(data[: len(data) // 2])
             raise OSError(self.code, os.strerror(self.code), str(path))
@@ -214,6 +214,28 @@ def test_every_failing_move_is_taken_back(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "replace", replace)
     found = {name: text for name, text in _tree(folder).items() if text is not None}
     assert found == {name: text.encode() for name, text in {**new, "points/mine.txt": "mine"}.items()}
+
+
+def test_a_path_longer_than_windows_takes_is_told(tmp_path, monkeypatch):
+    """It says there that there is no such file, which is also what a folder says that another run has just removed."""
+    place = tmp_path.joinpath(*["folder of a recording" * 3] * 5) / "results"
+
+    def no_file(path: Any, *_: Any) -> int:
+        raise FileNotFoundError(errno.ENOENT, "No such file or directory", str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files.os, "open", no_file)
+        for path, told in (
+            (place, r"no such .*; its path of \d+ characters may be longer"),
+            (Path("/tmp/a"), r"no such file or directory \(\.a\.[a-z-]+\); what"),
+        ):
+            with pytest.raises(ComputeError, match=f"could not be written: {told}"), claimed(path):
+                pass
+    assert not place.exists()
+    assert not list(tmp_path.iterdir())
+    name = "x" * 250  # which leaves no room for the names beside it
+    with pytest.raises(ComputeError, match="could not be written: file name too long"):
+        write_whole(tmp_path / name, "text")
 
 
 def test_folders_below_results_come_and_go_with_them(tmp_path):

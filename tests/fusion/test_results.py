@@ -24,6 +24,8 @@ from fusion.report.folder import check_folder, hash_files, is_current, read_prov
 from fusion.report.recording import merge_tables, write_results
 from fusion.report.tables import headlines, sensitivity_table
 from fusion.sensitivity.analyse import Evaluation
+from fusion.sensor.identify import fit
+from fusion.sensor.identify.measured import EvaluatedSines
 
 FORMAT = "recording-format.md"
 SENSITIVITY, PHASOR = (",".join(told_columns(FORMAT, f"{name}.csv")) for name in ("sensitivity", "acceleration"))
@@ -213,6 +215,44 @@ def test_recording_without_sensor_and_cameras(write, tmp_path):
         file.attrs["format"] = 1
     refused("--force evaluates the recording anew", read_recorded, folder, error=InputError)
     refused("no results", read_recorded, tmp_path, error=InputError)
+
+
+def _external_link(file: h5py.File, other: Path) -> None:
+    file["notices/more"] = h5py.ExternalLink(str(other), "/a")
+
+
+def _external_storage(file: h5py.File, other: Path) -> None:
+    file.create_dataset("notices/more", (10,), "f8", external=[(str(other), 0, 80)])
+
+
+def _virtual(file: h5py.File, other: Path) -> None:
+    layout = h5py.VirtualLayout((10,), "f8")
+    layout[:] = h5py.VirtualSource(str(other), "a", (10,))
+    file.create_virtual_dataset("notices/more", layout)
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (_external_link, "a link to another"),
+        (_external_storage, "one in other files"),
+        (_virtual, "a virtual one, made of others"),
+    ],
+)
+def test_results_that_lead_to_other_files_are_none(write, tmp_path, change, found):
+    """Wherever results are read, and whether or not what leads away is asked for."""
+    folder = write(make_evaluation(tmp_path, Choice(images=False)))
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["a"] = np.arange(10.0)
+    assert read_provenance(folder) is not None
+    with h5py.File(folder / "result.h5", "r+") as file:
+        change(file, tmp_path / "other.h5")
+    told = rf"result\.h5: expected results of an earlier run, found damaged ones \(.*notices/more.*{found}"
+    refused(told, read_recorded, folder, error=InputError)
+    sines = EvaluatedSines(make_evaluation(tmp_path, Choice(images=False)).manifest, folder)
+    refused(told, fit._transfer, sines, "Fz", "", None, error=InputError)
+    assert read_provenance(folder) is None
+    refused("--force", check_folder, folder, {}, force=False, error=InputError)
 
 
 @pytest.mark.usefixtures("no_pages")

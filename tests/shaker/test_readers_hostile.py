@@ -16,6 +16,7 @@ from contracts import refused
 
 from shaker.io import channel, read_channels
 from shaker.io.channel import LONGEST_LINE, MOST_CHANNELS
+from shaker.io.mat5 import check_mat5
 from shaker.io.text import table_units
 from shaker.lines import spectrum
 
@@ -82,16 +83,55 @@ def _element(kind: int, content: bytes) -> bytes:
 def test_matlab_structures_inside_one_another_and_bombs_are_refused(tmp_path, monkeypatch, packed):
     """The reader of such files ends the program somewhere between 10 000 and 20 000 cells in one another."""
     cell = _element(6, struct.pack("<II", 1, 0)) + _element(5, struct.pack("<ii", 1, 1)) + _element(1, b"")
-    content = b"".join(struct.pack("<II", 14, 56 * (50_000 - n) - 8) + cell for n in range(50_000))
+    content = b"".join(struct.pack("<II", 14, 48 * (50_000 - n) - 8) + cell for n in range(50_000))
     squeezed = zlib.compress(content)
     head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
     path = tmp_path / "a.mat"
     path.write_bytes(head + (struct.pack("<II", 15, len(squeezed)) + squeezed if packed else content))
-    refused(r"a\.mat: expected at most 5000 cells and structs, found more", read_channels, path)
+    refused(r"a\.mat: expected at most 64 cells and structs inside one another, found more", read_channels, path)
     if packed:
         monkeypatch.setattr(channel, "_FREE", 1 << 20)
         scipy.io.savemat(path, {"a": np.zeros(10**7, np.uint8), "fs": 1.0}, do_compression=True)
         refused(r"a\.mat: its variables: expected at most \d+ MB of samples", read_channels, path)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize(
+    ("own", "data", "found"),
+    [
+        (6, (0, 8), "data of a type that MATLAB has, found type 0 with 8 bytes"),  # each of these ends SciPy's process
+        (6, (14, 8), "data of a type that MATLAB has, found type 14"),
+        (6, (19, 8), "data of a type that MATLAB has, found type 19"),
+        (4, (0, 8), "data of a type that MATLAB has, found type 0"),
+        (4, (4, 1 << 31), "data within their variable"),
+        (23, (9, 8), "a class of arrays that MATLAB has, found class 23"),
+        (1, (14, 8), "as many cells as a variable's length allows, found 1000000 in 16 bytes"),
+    ],
+)
+def test_matlab_tags_that_the_reader_would_trust_are_refused(tmp_path, order, own, data, found):
+    def words(*numbers: int) -> bytes:
+        return struct.pack(f"{order}{len(numbers)}I", *numbers)
+
+    shape = (1000, 1000) if own == 1 else (1, 1)
+    content = words(6, 8, own, 0, 5, 8, *shape, 1, 1) + b"a".ljust(8, b"\0") + words(*data) + bytes(8)
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack(f"{order}2H", 0x0100, 0x4D49)
+    (tmp_path / "a.mat").write_bytes(head + words(14, len(content)) + content)
+    refused(rf"a\.mat: expected {found}", read_channels, tmp_path / "a.mat", None, 1.0)
+    (tmp_path / "a.mat").write_bytes(head + words(14, len(content) + 8) + content)
+    refused(r"a\.mat: expected a variable within the file", read_channels, tmp_path / "a.mat", None, 1.0)
+
+
+def test_matlab_files_of_many_writers_pass(tmp_path):
+    """SciPy brings files that MATLAB 5 to 7.4 wrote on several machines: what it reads of them is not refused."""
+    samples = sorted((Path(scipy.io.__file__).parent / "matlab/tests/data").glob("*.mat"))
+    if not samples:
+        pytest.skip("SciPy is installed without its sample files")
+    for path in samples:
+        try:
+            scipy.io.loadmat(path)
+        except (TypeError, ValueError, NotImplementedError, zlib.error):
+            continue
+        check_mat5(path, 1 << 24, 1000)
 
 
 def test_sums_of_scales_of_a_card_are_counted(tmp_path):

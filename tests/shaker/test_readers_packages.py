@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -36,6 +38,21 @@ def test_mdf_of_three_programs(data_dir):
     refused('expected a channel "Fz", found ', read_channels, path, ["Fz"])
 
 
+def test_mdf_records_larger_than_the_file_are_not_made(tmp_path):
+    """The reader makes a whole record, of whatever length its group declares (ASAM MDF 4.1, block CG)."""
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as file:
+        file.append([asammdf.Signal(np.arange(9.0), np.arange(9) / 10.0, name="Fz")], acq_name="a")
+        path = Path(file.save(tmp_path / "a.mf4", overwrite=True, compression=2))
+    assert len(read_channels(path, ["Fz"])["Fz"].samples) == 9
+    content = bytearray(path.read_bytes())
+    place = content.index(b"##CG") + 96
+    assert content[place : place + 4] == (16).to_bytes(4, "little")
+    content[place : place + 4] = (1 << 30).to_bytes(4, "little")
+    path.write_bytes(content)
+    refused("group 0: expected at most 537 MB of samples, found 9664 MB declared", read_channels, path, ["Fz"])
+
+
 def test_dewesoft_files_of_two_generations(data_dir):
     """Values printed by dwdatareader; the header of the second one states another rate than its samples have."""
     pytest.importorskip("dwdatareader")
@@ -52,6 +69,15 @@ def test_dewesoft_files_of_two_generations(data_dir):
     means = [0.0379724609, 0.0223764095, -0.9976381226]
     np.testing.assert_allclose([channel.samples.mean() for channel in new.values()], means, atol=1e-9)
     refused('channel "ENG_RPM": expected readable samples', read_channels, folder / "Example_Drive01.d7d", ["ENG_RPM"])
+
+
+def test_dewesoft_library_that_looks_for_ever_is_ended(tmp_path, monkeypatch):
+    (tmp_path / "dwdatareader.py").write_text("def DWFile(path):\n    while True:\n        pass\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(sys.modules, "dwdatareader", ModuleType("dwdatareader"))
+    monkeypatch.setattr(packages, "_LONGEST_S", 1.0)
+    (tmp_path / "a.dxd").write_bytes(bytes(100))
+    refused(r"a\.dxd: .* had not read it within 1 s of the processor", read_channels, tmp_path / "a.dxd")
 
 
 def test_parquet_columns_have_units_and_a_time(tmp_path):

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from fusion.base import ARGUMENT, ComputeError, InputError
@@ -15,7 +14,7 @@ from fusion.estimation.uncertainty import Uncertainty
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Sensor
 from fusion.report.folder import RESULT_FILE
-from fusion.report.h5 import read_uncertainty
+from fusion.report.h5 import opened_results, read_uncertainty
 from fusion.report.table import sensitivity_unit
 from fusion.sensitivity.body import inertia_errors, rigid_load
 from fusion.sensor.identify.measured import (
@@ -305,7 +304,7 @@ def _transfer(
     component = component_of(drive)
     if manifest.rig.load is None or component >= 3:  # of a rig that is turned, sines add no points
         return None
-    with h5py.File(item.results / RESULT_FILE, "r") as file:
+    with opened_results(item.results / RESULT_FILE) as file:
         groups = ["accelerations/load-fused", "accelerations/base-fused"]
         if any(group not in file for group in groups):
             return None

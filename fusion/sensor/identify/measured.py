@@ -161,16 +161,21 @@ def read_campaign(path: Path, *, allow_outside: bool = False) -> Campaign:
         text = "recordings of sines have no results of `shakercal run`, which would add their sensitivity"
         notices.append(Notice("info", f"{len(missing)} {text}", "campaign"))
     used = [*transfers, *(item.manifest for item in sines)]
-    named = [(manifest, manifest.rig.sensor) for manifest in used if manifest.rig.sensor is not None]
+    check_sensor(used)
+    files = [file for manifest in used for file in manifest.files]
+    read = {path: seen for manifest in used for path, seen in manifest.read.items()}
+    inputs = hash_files([*files, *(item.results / RESULT_FILE for item in sines)], folder, read)
+    return Campaign(folder.name, folder, transfers, sines, inputs, tuple(notices))
+
+
+def check_sensor(manifests: Sequence[Manifest]) -> None:
+    """Raise `InputError` where recordings are not all of one sensor."""
+    named = [(manifest, manifest.rig.sensor) for manifest in manifests if manifest.rig.sensor is not None]
     for (manifest, sensor), key in product(named[1:], ("name", "serial")):
         first, one, other = named[0][0], getattr(named[0][1], key), getattr(sensor, key)
         if one != other:
             expected = f'the sensor of {first.rig_path}, "{one}"'
             raise InputError(manifest.rig_path, f"sensor.{key}", found=f'"{other}"', expected=expected)
-    files = [file for manifest in used for file in manifest.files]
-    read = {path: seen for manifest in used for path, seen in manifest.read.items()}
-    inputs = hash_files([*files, *(item.results / RESULT_FILE for item in sines)], folder, read)
-    return Campaign(folder.name, folder, transfers, sines, inputs, tuple(notices))
 
 
 def _results(manifest: Manifest) -> Path | None:

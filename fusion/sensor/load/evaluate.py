@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -156,15 +156,12 @@ def _series(releases: Sequence[Release], moving: Sequence[Moving], component: in
             modes.append(record_modes(decays[-1]))
         except ValueError as error:
             raise InputError.told_by(error, release.manifest.path, f"daq.channel.{release.driven}") from error
-    first = releases[0]
-    for release, own in zip(releases, moving, strict=True):
-        manifest = release.manifest
+    first, manifests = releases[0], [release.manifest for release in releases]
+    for release, manifest, own in zip(releases, manifests, moving, strict=True):
         if release.driven != first.driven:
             expected = f"{first.driven}, the output that is driven in {first.name}"
             raise InputError(manifest.path, "daq.channel", found=release.driven, expected=expected)
-        if own != moving[0]:
-            expected = f"{moving[0].value:g} as in {first.manifest.rig_path.name}"
-            raise InputError(manifest.rig_path, own.key, found=f"{own.value:g}", expected=expected)
+        _check_alike((first.manifest, moving[0]), (manifest, own))
     gains, u = np.array([(release.reading.static_gain, release.reading.u_static_gain) for release in releases]).T
     between = float(np.std(gains, ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else 0.0
     u_gain = max(between, float(np.sqrt(np.sum(u**2))) / len(u))
@@ -176,13 +173,35 @@ def _series(releases: Sequence[Release], moving: Sequence[Moving], component: in
         masses=_masses(moving[0], masses),
         decays=tuple(decays),
         noise=np.array([item.noise for item in modes]),
-        beside=beside(_telling(releases), [release.manifest.mounting for release in releases], NO_CAUSE),
+        beside=beside(
+            _telling([release.manifest for release in releases]),
+            [release.manifest.mounting for release in releases],
+            NO_CAUSE,
+        ),
     )
 
 
-def _telling(releases: Sequence[Release]) -> Rig:
+def _check_alike(first: tuple[Manifest, Moving], other: tuple[Manifest, Moving]) -> None:
+    """Raise `InputError` where two rigs say different things of what moves in their one sensor."""
+    (known, stated), (manifest, own) = first, other
+    if own != stated:
+        key, here, there = own.key, f"{own.value:g}", f"{stated.value:g}"
+        if own.value == stated.value:
+            key, here, there = f"{own.key}_uncertainty", f"{own.u:g}", f"{stated.u:g}"
+        raise InputError(manifest.rig_path, key, found=here, expected=f"{there} as in {known.rig_path.name}")
+
+
+def check_one_sensor(manifests: Sequence[Manifest]) -> None:
+    """Raise `InputError` where recordings of several loads contradict each other in what they say of their sensor."""
+    told = [manifest for manifest in manifests if manifest.rig.sensor is not None]
+    for manifest, component in product(told[1:], range(len(LOAD_COMPONENTS))):
+        _check_alike((told[0], _moving(told[0], component)), (manifest, _moving(manifest, component)))
+    _telling(manifests)
+
+
+def _telling(manifests: Sequence[Manifest]) -> Rig:
     """The rig that states what no record shows, of those of several loads; all that state something state the same."""
-    telling = [one.manifest for one in releases if one.manifest.rig.model is not None] or [releases[0].manifest]
+    telling = [one for one in manifests if one.rig.model is not None] or [manifests[0]]
     for other in telling:
         if other.rig.model != telling[0].rig.model:
             expected = f"the same as in {telling[0].rig_path.name}, since all are of one sensor"
