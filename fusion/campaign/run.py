@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 RECORDINGS = "recordings"
 LISTEN_S = 0.5  # between looks for an interruption
 SHARED_FRAMES = 2  # workers per recording from which on they share its frames instead of the recordings
+MOST_LINES, MOST_ROWS = 100, 300  # that the terminal shows: recordings, rows of their sensitivities
 log = logging.getLogger("shakercal")
 
 # One recording: evaluate and write, unless its results are there.
@@ -252,8 +253,15 @@ def print_recording(outcome: Outcome) -> None:
 
 
 def _print_sensitivity(console: Console, file: Path) -> None:
-    rows = read_rows(file)
+    """Print a sensitivity.csv, of a long one what is told of its first recordings."""
+    rows = read_rows(file, MOST_ROWS + 1)
+    cut = len(rows) > MOST_ROWS
+    if cut:
+        last = rows[-1]["recording"]
+        rows = [row for row in rows if row["recording"] != last] or rows[:-1]
     console.print(sensitivity_table(rows) if rows else "no sensitivity: see the report for what was observed")
+    if cut:
+        console.print(f"the first {len(rows)} rows; all are in {file}", soft_wrap=True)
 
 
 def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
@@ -270,7 +278,8 @@ def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
     own = {of(row, "channel") for row in rows if row["kind"] == "element"}
     rows = [row for row in rows if row["kind"] != "ratio" or of(row, "channel") not in own]
     names = list(dict.fromkeys(row["recording"] for row in rows))
-    rows.sort(key=lambda row: (names.index(row["recording"]), float(row["frequency_hz"])))
+    place = {name: number for number, name in enumerate(names)}
+    rows.sort(key=lambda row: (place[row["recording"]], float(row["frequency_hz"])))
     # The output of the load's name, else the largest one.
     mains: dict[tuple[str, ...], str] = {}
     for row in sorted(rows, key=lambda row: (row["channel"] != row["component"], -row_element(row).magnitude)):
@@ -319,10 +328,16 @@ def _cells(element: Polar) -> tuple[str, str, str]:
 
 
 def print_campaign(outcomes: Sequence[Outcome]) -> None:
-    """Print one line per recording, each failure with its reason, how many there are of each, and the joint report."""
+    """Print one line per recording, each failure with its reason, how many there are of each, and the joint report.
+
+    Of many recordings the first ones and all failures.
+    """
     console = stdout_console()
-    for outcome in outcomes:
+    shown = [outcome for place, outcome in enumerate(outcomes) if place < MOST_LINES or outcome.error is not None]
+    for outcome in shown:
         console.print(f"{outcome.name}: {outcome.told}", soft_wrap=True)
+    if len(shown) < len(outcomes):
+        console.print(f"and {len(outcomes) - len(shown)} more, each in a folder of its own")
     console.print(tally(outcomes))
     done = [outcome for outcome in outcomes if outcome.error is None]
     if done:

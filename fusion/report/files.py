@@ -197,7 +197,9 @@ def remove_abandoned(folder: Path, name: str | None = None) -> list[Path]:
     has not changed for a day counts as abandoned.
     """
     folder, removed = folder.resolve(), []
-    for entry in sorted(folder.iterdir()) if folder.is_dir() else []:
+    # Of many thousands of results only what is hidden becomes a path.
+    names = sorted(found for found in os.listdir(folder) if found.startswith(f".{name or ''}")) if folder.is_dir() else []
+    for entry in (folder / hidden for hidden in names):
         found = HIDDEN.fullmatch(entry.name)
         if found is None or entry in _made or name not in (None, found["name"]):
             continue
