@@ -364,7 +364,9 @@ class Pending(Protocol):
 
 
 class Executor(Protocol):
-    """Processes that compute tasks, one each at a time."""
+    """Processes that compute tasks, one each at a time; a recording that another one has is waited for `patience_s`."""
+
+    patience_s: float
 
     @property
     def size(self) -> int:

@@ -53,17 +53,22 @@ log = logging.getLogger("shakercal")
 
 @dataclass(frozen=True)
 class Job:
-    """A recording.toml to evaluate, the folder of its results, and the user's choices."""
+    """A recording.toml to evaluate, the folder of its results, and the user's choices.
+
+    `patience_s`: how long another process may still be busy with it.
+    """
 
     recording: Path
     folder: Path
     settings: Settings
     force: bool = False
     allow_outside: bool = False
+    patience_s: float = 0.0
 
-    def placed(self) -> Job:
+    def placed(self, patience_s: float = 0.0) -> Job:
         """Return the job with paths that hold for a process of any working folder."""
-        return replace(self, recording=self.recording.absolute(), folder=self.folder.absolute())
+        recording, folder = self.recording.absolute(), self.folder.absolute()
+        return replace(self, recording=recording, folder=folder, patience_s=patience_s)
 
 
 @dataclass(frozen=True)
@@ -94,11 +99,14 @@ def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Execut
     """Evaluate one recording unless its results are there, and write them; an executor follows its images."""
     manifest = load_manifest(job.recording, allow_outside=job.allow_outside)
     inputs = hash_files(manifest.files, manifest.root, manifest.read)
-    if not job.force and is_current(job.folder, inputs.hashes, job.settings.as_dict()):
+    there = partial(is_current, job.folder, inputs.hashes, job.settings.as_dict())
+    if not job.force and there():
         log.info("%s: results of the same input are there, nothing to compute", job.folder)
         return Outcome(job.recording, job.folder, resumed=True)
     check_folder(job.folder, inputs.hashes, force=job.force)
-    with claimed(job.folder), one_blas_thread():
+    with claimed(job.folder, job.patience_s), one_blas_thread():
+        if job.patience_s and not job.force and there():  # whoever had it has finished it meanwhile
+            return Outcome(job.recording, job.folder)
         evaluation = evaluate_recording(manifest, job.settings, inputs.hashes, progress, executor)
         for notice in evaluation.notices:
             log.log(logging.WARNING if notice.severity == "warning" else logging.DEBUG, "%s", notice.text)
@@ -202,7 +210,7 @@ def _run_here(jobs: Sequence[Job], executor: Executor | None, progress: Progress
 def _run_elsewhere(jobs: Sequence[Job], executor: Executor, progress: ProgressCallback) -> tuple[Outcome, ...]:
     """Have all recordings computed by others; the outcomes are in the recordings' order, whoever was first."""
     answered: SimpleQueue[int] = SimpleQueue()
-    pending: list[Pending] = [executor.submit(rank, run_job, job.placed()) for rank, job in enumerate(jobs)]
+    pending: list[Pending] = [executor.submit(rank, run_job, job.placed(executor.patience_s)) for rank, job in enumerate(jobs)]
     for rank, answer in enumerate(pending):
         answer.add_done_callback(partial(_tell, answered, rank))
     outcomes: dict[int, Outcome] = {}

@@ -25,6 +25,7 @@ from fusion.base import ComputeError, undone, uninterrupted
 LOCK = "shakercal-lock"
 HIDDEN = re.compile(rf"\.(?P<name>.+?)(-[0-9a-f]{{12}}\.(?P<kind>part|old|aside)|\.{LOCK})", re.DOTALL)
 """Names of what is being made (`part`), of what it replaces (`old`; single files: `aside`), and of locks."""
+WAIT_S = 0.2  # between looks for a lock to become free
 FORGOTTEN_S = 86_400.0
 """Age after which something half-made is taken for abandoned where the file system has no locks."""
 TAKEN = {errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
@@ -79,10 +80,10 @@ _made: set[Path] = set()
 
 
 @contextmanager
-def claimed(place: Path) -> Iterator[None]:
+def claimed(place: Path, patience_s: float = 0.0) -> Iterator[None]:
     """Hold the lock of a file or folder that is to be written, and make the folder it is to stand in.
 
-    Where another process holds it, this is a `ComputeError`. The lock is gone afterwards, and so are folders that were
+    Where another process holds it, after `patience_s`, this is a `ComputeError`. The lock is gone afterwards, and so are folders that were
     made for nothing.
     """
     place = place.resolve()
@@ -92,8 +93,15 @@ def claimed(place: Path) -> Iterator[None]:
         return
     new = [folder for folder in lock.parents if not folder.exists()]
     with undone(partial(_free, lock, new)):
-        with uninterrupted(), writing(place):
-            _held[lock] = _locked(lock, place)
+        end = time.monotonic() + patience_s
+        while lock not in _held:
+            try:
+                with uninterrupted(), writing(place):
+                    _held[lock] = _locked(lock, place)
+            except ComputeError:
+                if time.monotonic() >= end:
+                    raise
+                time.sleep(WAIT_S)
         yield
 
 
