@@ -119,7 +119,9 @@ def cost(campaign: Path) -> tuple[float, float, float, str]:
 def main(sizes: list[int], folder: Path, amplitudes: bool) -> None:
     """Print one row for each number of recordings."""
     base = evaluated(folder / "base")
-    print("| recordings | CPU time / s | of it by the system / s | peak memory / GB | lines printed | joint files / MB |")
+    print(
+        "| recordings | CPU time / s | of it by the system / s | peak memory / GB | lines printed | joint files / MB |"
+    )
     print("|---|---|---|---|---|---|")
     for size in sizes:
         campaign = folder / f"{size}{'-amplitudes' if amplitudes else ''}"

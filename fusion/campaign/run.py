@@ -210,7 +210,9 @@ def _run_here(jobs: Sequence[Job], executor: Executor | None, progress: Progress
 def _run_elsewhere(jobs: Sequence[Job], executor: Executor, progress: ProgressCallback) -> tuple[Outcome, ...]:
     """Have all recordings computed by others; the outcomes are in the recordings' order, whoever was first."""
     answered: SimpleQueue[int] = SimpleQueue()
-    pending: list[Pending] = [executor.submit(rank, run_job, job.placed(executor.patience_s)) for rank, job in enumerate(jobs)]
+    pending: list[Pending] = [
+        executor.submit(rank, run_job, job.placed(executor.patience_s)) for rank, job in enumerate(jobs)
+    ]
     for rank, answer in enumerate(pending):
         answer.add_done_callback(partial(_tell, answered, rank))
     outcomes: dict[int, Outcome] = {}

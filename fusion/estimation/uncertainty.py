@@ -258,7 +258,8 @@ class Uncertainty:
             replace(part, covariance=part.covariance[index], dof=None if part.dof is None else part.dof[index])
             for part in self.random
         )
-        return Uncertainty(random, tuple(i.acting(i.effect[index]) for i in self.influences))
+        effects = np.stack([i.effect for i in self.influences])[:, index] if self.influences else ()
+        return Uncertainty(random, tuple(i.acting(effect) for i, effect in zip(self.influences, effects, strict=True)))
 
     def where_known(self) -> Uncertainty:
         """Return the uncertainty with nothing in place of what is not known (NaN)."""

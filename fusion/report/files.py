@@ -83,8 +83,8 @@ _made: set[Path] = set()
 def claimed(place: Path, patience_s: float = 0.0) -> Iterator[None]:
     """Hold the lock of a file or folder that is to be written, and make the folder it is to stand in.
 
-    Where another process holds it, after `patience_s`, this is a `ComputeError`. The lock is gone afterwards, and so are folders that were
-    made for nothing.
+    Where another process still holds it after `patience_s`, this is a `ComputeError`. The lock is gone afterwards, and
+    so are folders that were made for nothing.
     """
     place = place.resolve()
     lock = _lock_of(place)
@@ -206,7 +206,9 @@ def remove_abandoned(folder: Path, name: str | None = None) -> list[Path]:
     """
     folder, removed = folder.resolve(), []
     # Of many thousands of results only what is hidden becomes a path.
-    names = sorted(found for found in os.listdir(folder) if found.startswith(f".{name or ''}")) if folder.is_dir() else []
+    names = (
+        sorted(found for found in os.listdir(folder) if found.startswith(f".{name or ''}")) if folder.is_dir() else []
+    )
     for entry in (folder / hidden for hidden in names):
         found = HIDDEN.fullmatch(entry.name)
         if found is None or entry in _made or name not in (None, found["name"]):

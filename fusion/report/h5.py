@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from itertools import count
@@ -142,7 +143,8 @@ def read_uncertainty(group: h5py.Group) -> Uncertainty:
         dof = part["dof"][()] if "dof" in part else None
         kind = _known("type", part.attrs["type"], Kind)
         random.append(Contribution(str(part.attrs["label"]), kind, part["covariance"][()], dof))
-    columns = [group[field].asstr()[()] for field in INFLUENCE_TEXTS]
+    # Thousands of recordings have the same names.
+    columns = [map(sys.intern, group[field].asstr()[()].tolist()) for field in INFLUENCE_TEXTS]
     numbers = group["u"][()], group["dof"][()] if "dof" in group else np.full(len(group["u"]), np.inf)
     influences = []
     for name, label, unit, scope, kind, u, dof, effect in zip(*columns, *numbers, group["effect"][()], strict=True):
