@@ -32,7 +32,8 @@ class Cluster:
         file = folder / "scheduler.json"
         wait_until(lambda: file.exists() and bool(file.read_text().strip()))
         self.address = json.loads(file.read_text())["address"]
-        self.workers = [self._worker(folder, "--nanny" if nannies else "--no-nanny") for _ in range(2)]
+        self.nanny = "--nanny" if nannies else "--no-nanny"
+        self.workers = [self._worker(folder, self.nanny) for _ in range(2)]
         with Client(self.address, set_as_default=False) as client:
             client.wait_for_workers(len(self.workers), PATIENCE_S)
 
@@ -41,11 +42,13 @@ class Cluster:
         return _start("scheduler", *place, "--no-dashboard", folder=self.folder)
 
     def restart_scheduler(self, away_s: float) -> None:
-        """Kill the scheduler and start another one at its address after a while."""
-        self._processes[0].kill()
-        self._processes[0].wait()
+        """Kill the scheduler, with which workers and nannies end, and start all again after a while, at its address."""
+        for process in self._processes:
+            process.kill() if process is self._processes[0] else process.terminate()
+            process.wait()
         time.sleep(away_s)
-        self._processes[0] = self._scheduler(self.address.rpartition(":")[2])
+        self._processes = [self._scheduler(self.address.rpartition(":")[2])]
+        self.workers = [self._worker(self.folder, self.nanny) for _ in self.workers]
 
     def _worker(self, folder: Path, nanny: str) -> subprocess.Popen[bytes]:
         options = ("--nthreads", "1", nanny, "--no-dashboard", "--local-directory", str(folder))
