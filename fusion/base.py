@@ -379,6 +379,16 @@ class Executor(Protocol):
         """
 
 
+class Keeper(Protocol):
+    """A place for what a run has found so far, from which it goes on when it was ended."""
+
+    def get(self, name: str) -> bytes | None:
+        """Return what was kept under a name by a run of the same inputs and settings, None where nothing was."""
+
+    def put(self, name: str, content: bytes) -> None:
+        """Keep something until the results are written."""
+
+
 # A progress bar on a terminal, nothing in a pipe.
 
 

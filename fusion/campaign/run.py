@@ -25,14 +25,15 @@ from fusion.base import (
     stdout_console,
     told,
     undone,
+    versions,
 )
 from fusion.campaign.executor import Workers, connected, one_blas_thread
 from fusion.campaign.joint_report import write_campaign
 from fusion.estimation.uncertainty import Polar, region_factor
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, load_manifest
-from fusion.report.files import claimed, remove_abandoned, workshop
-from fusion.report.folder import check_folder, hash_files, is_current
+from fusion.report.files import Kept, claimed, remove_abandoned, workshop
+from fusion.report.folder import check_folder, hash_files, is_current, origin_key
 from fusion.report.recording import REPORT_FILE, SENSITIVITY_FILE, check_campaign_folder, row_element, write_results
 from fusion.report.table import both, factor, has_phase, read_rows
 from fusion.report.tables import result_name
@@ -107,10 +108,12 @@ def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Execut
     with claimed(job.folder, job.patience_s), one_blas_thread():
         if job.patience_s and not job.force and there():  # whoever had it has finished it meanwhile
             return Outcome(job.recording, job.folder)
-        evaluation = evaluate_recording(manifest, job.settings, inputs.hashes, progress, executor)
+        kept = Kept(job.folder, origin_key(inputs.hashes, job.settings.as_dict(), versions()))
+        evaluation = evaluate_recording(manifest, job.settings, inputs.hashes, progress, executor, kept)
         for notice in evaluation.notices:
             log.log(logging.WARNING if notice.severity == "warning" else logging.DEBUG, "%s", notice.text)
         write_results(evaluation, job.folder, inputs, force=job.force)
+        kept.remove()
     return Outcome(job.recording, job.folder)
 
 

@@ -241,6 +241,43 @@ def _restore(aside: Path, place: Path) -> None:
         _move(file, place / file.relative_to(aside))
 
 
+# What a run has found so far.
+
+
+class Kept:
+    """Files under a hidden name beside a folder of results, `.NAME.so-far`, until these are written.
+
+    `key`: of everything that decides what they hold; files of another key are nobody's.
+    """
+
+    def __init__(self, place: Path, key: str) -> None:
+        place = place.resolve()
+        self._folder = None if workshop(place) == place else place.with_name(f".{place.name}.so-far")
+        self._key = key
+
+    def get(self, name: str) -> bytes | None:
+        """Return what was kept under a name, None where nothing was."""
+        if self._folder is not None:
+            with contextlib.suppress(OSError):
+                return (self._folder / f"{name}.{self._key}").read_bytes()
+        return None
+
+    def put(self, name: str, content: bytes) -> None:
+        """Keep something, whole or not at all; where the disk refuses it, the run goes on without."""
+        if self._folder is None:
+            return
+        file = self._folder / f"{name}.{self._key}"
+        with contextlib.suppress(OSError):
+            self._folder.mkdir(parents=True, exist_ok=True)
+            write_file(file.with_name(f"{file.name}.part"), content)
+            os.replace(file.with_name(f"{file.name}.part"), file)
+
+    def remove(self) -> None:
+        """Remove all that was kept, of other keys too."""
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+
 # A folder whose files appear together.
 
 
