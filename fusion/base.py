@@ -364,7 +364,9 @@ class Pending(Protocol):
 
 
 class Executor(Protocol):
-    """Processes that compute tasks, one each at a time."""
+    """Processes that compute tasks, one each at a time; a recording that another one has is waited for `patience_s`."""
+
+    patience_s: float
 
     @property
     def size(self) -> int:
@@ -375,6 +377,16 @@ class Executor(Protocol):
 
         Answers that are there may be arguments: the function receives what they hold.
         """
+
+
+class Keeper(Protocol):
+    """A place for what a run has found so far, from which it goes on when it was ended."""
+
+    def get(self, name: str) -> bytes | None:
+        """Return what was kept under a name by a run of the same inputs and settings, None where nothing was."""
+
+    def put(self, name: str, content: bytes) -> None:
+        """Keep something until the results are written."""
 
 
 # A progress bar on a terminal, nothing in a pipe.

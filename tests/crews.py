@@ -21,20 +21,37 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 class Cluster:
-    """A scheduler and two workers, each a process of its own, as a laboratory starts them."""
+    """A scheduler and two workers, each a process of its own, as a laboratory starts them.
 
-    def __init__(self, folder: Path) -> None:
+    `nannies`: each worker has one, which starts another when it dies.
+    """
+
+    def __init__(self, folder: Path, *, nannies: bool = False) -> None:
+        self.folder = folder
+        self._processes = [self._scheduler("0")]
         file = folder / "scheduler.json"
-        arguments = ["--scheduler-file", str(file), "--no-dashboard"]
-        self._processes = [_start("scheduler", *arguments, "--host", "127.0.0.1", "--port", "0", folder=folder)]
         wait_until(lambda: file.exists() and bool(file.read_text().strip()))
         self.address = json.loads(file.read_text())["address"]
-        self.workers = [self._worker(folder) for _ in range(2)]
+        self.nanny = "--nanny" if nannies else "--no-nanny"
+        self.workers = [self._worker(folder, self.nanny) for _ in range(2)]
         with Client(self.address, set_as_default=False) as client:
             client.wait_for_workers(len(self.workers), PATIENCE_S)
 
-    def _worker(self, folder: Path) -> subprocess.Popen[bytes]:
-        options = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(folder))
+    def _scheduler(self, port: str) -> subprocess.Popen[bytes]:
+        place = ("--scheduler-file", str(self.folder / "scheduler.json"), "--host", "127.0.0.1", "--port", port)
+        return _start("scheduler", *place, "--no-dashboard", folder=self.folder)
+
+    def restart_scheduler(self, away_s: float) -> None:
+        """Kill the scheduler, with which workers and nannies end, and start all again after a while, at its address."""
+        for process in self._processes:
+            process.kill() if process is self._processes[0] else process.terminate()
+            process.wait()
+        time.sleep(away_s)
+        self._processes = [self._scheduler(self.address.rpartition(":")[2])]
+        self.workers = [self._worker(self.folder, self.nanny) for _ in self.workers]
+
+    def _worker(self, folder: Path, nanny: str) -> subprocess.Popen[bytes]:
+        options = ("--nthreads", "1", nanny, "--no-dashboard", "--local-directory", str(folder))
         self._processes.append(_start("worker", self.address, *options, folder=folder))
         return self._processes[-1]
 
@@ -69,6 +86,8 @@ class Inline:
 
     `waits`: until it has as many tasks as its size, and then answers the last first.
     """
+
+    patience_s = 0.0
 
     def __init__(self, size: int = 2, *, waits: bool = False) -> None:
         self.size, self.batch = size, size if waits else 1

@@ -8,6 +8,9 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import solve_triangular
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from fusion.campaign.matrix import MatrixFit
 from fusion.campaign.repeats import (
@@ -24,8 +27,8 @@ from fusion.campaign.repeats import (
     mean_ratio,
     over_lines,
     over_plain,
+    own_and_shared,
     plain_mean,
-    stack_values,
 )
 from fusion.estimation.uncertainty import (
     Contribution,
@@ -102,11 +105,13 @@ def linearity(drives: Sequence[Drive], component: int, stated: StatedMatrix | No
         channels = [known.channels[row] for row in known.rows if known.channels[row] in channels]
     kind, found = drive_values(drives, component, stated, channels)
     plain = plain_mean([value for value, _ in found])
-    readings, spread = stack_values(over_plain(found, plain))
+    scaled = over_plain(found, plain)
+    readings = np.array([real_stack(value) for value, _ in scaled])
+    own, shared = own_and_shared(scaled)
     amplitude = np.array([abs(drive.load[component]) for drive in drives])
     width = float(np.ptp(amplitude))
     dof = 2 * (len(drives) - 2)
-    fits = [_slope(readings, spread, (amplitude - amplitude.mean()) / width, c) for c in range(len(channels))]
+    fits = [_slope(readings, own, shared, (amplitude - amplitude.mean()) / width, c) for c in range(len(channels))]
     change = np.array([fit[0] for fit in fits])
     covariance = np.array([fit[1] * (max(1.0, fit[2] / dof) if dof else 1.0) for fit in fits])
     freedom = float(dof) if dof and any(fit[2] > dof for fit in fits) else np.inf
@@ -128,24 +133,57 @@ def linearity(drives: Sequence[Drive], component: int, stated: StatedMatrix | No
 
 
 def _slope(
-    readings: FloatArray, stated: FloatArray, places: FloatArray, channel: int
+    readings: FloatArray, own: FloatArray, shared: Sequence[Shared], places: FloatArray, c: int
 ) -> tuple[complex, FloatArray, float]:
-    """Relative slope of one channel over places (N,), its covariance (2, 2), and chi-square."""
-    both = np.array([channel, channel + readings.shape[1] // 2])
-    count = len(readings)
-    values = readings[:, both].ravel()
-    spread = stated[:, both][:, :, :, both].reshape(2 * count, 2 * count)
-    spread = spread + np.eye(2 * count) * 1e-12 * np.trace(spread) / (2 * count)
+    """Relative slope of channel c over places (N,), its covariance (2, 2), and chi-square.
+
+    What all readings share are unknowns of the fit with a reading of zero ± 1 each; what some share makes these one
+    block of the covariance. Time and memory thus grow as the readings, not as their square.
+    """
+    count, both = len(readings), np.array([c, c + readings.shape[1] // 2])
+    own = own[:, both[:, None], both]
+    effects = [(rows, effect[:, :, both]) for rows, effect in shared]
+    total = np.trace(own, axis1=1, axis2=2).sum() + sum(float(np.sum(effect**2)) for _, effect in effects)
+    own = own + np.eye(2) * 1e-12 * total / (2 * count)
+    wide = [effect.reshape(len(effect), -1).T for rows, effect in effects if len(rows) == count]
     design = np.concatenate([np.kron(np.ones((count, 1)), np.eye(2)), np.kron(places[:, None], np.eye(2))], axis=1)
-    root = np.linalg.cholesky(spread)
-    white = np.linalg.solve(root, np.column_stack([design, values]))
-    unknowns = np.linalg.lstsq(white[:, :4], white[:, 4], rcond=None)[0]
-    covariance = np.linalg.inv(white[:, :4].T @ white[:, :4])
-    residual = white[:, 4] - white[:, :4] @ unknowns
+    columns = np.column_stack([*wide, design, readings[:, both].ravel()])
+    for rows, narrow in _blocks(count, [item for item in effects if len(item[0]) < count]):
+        place = {row: number for number, row in enumerate(rows)}
+        block = np.zeros((len(rows), 2, len(rows), 2))
+        block[range(len(rows)), :, range(len(rows))] = own[rows]
+        for acting, effect in narrow:
+            at = [place[row] for row in acting]
+            block[np.ix_(at, range(2), at)] += np.einsum("eni,emj->nimj", effect, effect)
+        lines = (2 * np.array(rows)[:, None] + np.arange(2)).ravel()
+        root = np.linalg.cholesky(block.reshape(2 * len(rows), -1))
+        columns[lines] = solve_triangular(root, columns[lines], lower=True)
+    free = columns.shape[1] - 5
+    upper = np.linalg.qr(np.concatenate([columns, np.eye(free, free + 5)]), mode="r")
+    inverse = np.linalg.inv(upper[free : free + 4, free : free + 4])
+    unknowns, covariance = inverse @ upper[free : free + 4, -1], inverse @ inverse.T
     middle, step = complex(unknowns[0], unknowns[1]), complex(unknowns[2], unknowns[3])
     slope = step / middle
     jacobian = np.concatenate([real_design(np.array([[-slope / middle]])), real_design(np.array([[1.0 / middle]]))], 1)
-    return slope, jacobian @ covariance @ jacobian.T, float(residual @ residual)
+    return slope, jacobian @ covariance @ jacobian.T, float(np.sum(upper[free + 4 :, -1] ** 2))
+
+
+Shared = tuple[list[int], FloatArray]
+"""Some readings, and what acts on all of them."""
+
+
+def _blocks(count: int, shared: Sequence[Shared]) -> list[tuple[list[int], list[Shared]]]:
+    """All `count` readings in blocks without anything shared between them, each with what is shared within."""
+    pairs = [(rows[0], row) for rows, _ in shared for row in rows]
+    first, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    graph = coo_array((np.ones(len(pairs)), (first, other)), shape=(count, count))
+    label = connected_components(graph, directed=False)[1].tolist()
+    blocks: dict[int, tuple[list[int], list[Shared]]] = {}
+    for row, block in enumerate(label):
+        blocks.setdefault(block, ([], []))[0].append(row)
+    for item in shared:
+        blocks[label[item[0][0]]][1].append(item)
+    return list(blocks.values())
 
 
 # Interpolation of noisy values over frequency, with what is not known between the points.

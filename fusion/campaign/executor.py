@@ -14,6 +14,7 @@ import signal
 import socket
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -168,6 +169,8 @@ class _Task:
 
 class Workers:
     """A number of processes, each led by a thread of this one; at the end of `with` they all end."""
+
+    patience_s = 0.0  # one that died computes nothing any more
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -358,18 +361,32 @@ def _end_with_parent() -> None:
 # Workers of a Dask cluster (`pip install "shakercal[cluster]"`).
 
 
-ANSWER_S = 10.0
-"""How long a scheduler may take to answer."""
+ANSWER_S, RETRY_S = 10.0, 0.2
+"""How long a scheduler may take to answer, and what passes between two attempts."""
 SCHEDULER_PORT = 8786
 """Where Dask's schedulers listen unless told otherwise."""
 OPTION = "--scheduler"
 
 
+AWAY_S = 300.0
+"""How long a scheduler that is gone is waited for; whoever starts it again may need some minutes."""
+BUSY_S = 600.0
+"""How long a worker waits for a recording that another one, cut off from the scheduler, still computes."""
+
+
 class Cluster:
-    """The workers that a Dask scheduler has; they see the same files as this process, by the same paths."""
+    """The workers that a Dask scheduler has; they see the same files as this process, by the same paths.
+
+    What they were to do is asked for again where the scheduler is started anew at its address.
+    """
+
+    patience_s = BUSY_S
 
     def __init__(self, client: Client) -> None:
         self._client = client
+        self._address = client.scheduler.address
+        self._reconnecting = threading.Lock()
+        self.ended = False
 
     @property
     def size(self) -> int:
@@ -382,32 +399,80 @@ class Cluster:
         Answers among the arguments are there: the function receives what they hold, from wherever that is. A worker
         that dies is nobody's loss: Dask computes again, elsewhere, what it had.
         """
-        held = [argument.future if isinstance(argument, ClusterAnswer) else argument for argument in arguments]
-        return ClusterAnswer(self._client.submit(call, with_one_thread, function, *held, priority=-rank, pure=False))
+        return ClusterAnswer(self, rank, (function, *arguments))
+
+    def client(self) -> Client:
+        """Return the connection to the scheduler, a new one where it was lost; `ComputeError` where none answers."""
+        from distributed import Client
+
+        with self._reconnecting:
+            told, end = False, time.monotonic() + AWAY_S
+            while self._client.status != "running":
+                if self.ended or time.monotonic() > end:
+                    raise ComputeError("the Dask scheduler is gone; start the run again where there is one")
+                if not told:
+                    log.warning("the Dask scheduler does not answer; it is waited for %.0f s", AWAY_S)
+                    told = True
+                if self._client.status == "closed":
+                    with suppress(OSError):
+                        self._client = Client(self._address, timeout=ANSWER_S, set_as_default=False)
+                time.sleep(RETRY_S)
+            return self._client
+
+    def end(self) -> None:
+        """Give up the connection; the scheduler and its workers stay."""
+        self.ended = True
+        self._client.close()
 
 
 class ClusterAnswer:
-    """The answer of a task, which lies where it was computed until its `result` is asked for."""
+    """The answer of a task, asked for again where the scheduler lost it or its workers died."""
 
-    def __init__(self, future: ClusterFuture[Answer]) -> None:
-        self.future = future
+    def __init__(self, cluster: Cluster, rank: int, task: tuple[Any, ...]) -> None:
+        self._cluster, self._rank, self._task = cluster, rank, task
+        self._answer: Future[Answer] = Future()
+        self._killed = 0
+        self.future: ClusterFuture[Answer]
+        self._begin()
 
-    def add_done_callback(self, told: Callable[[ClusterAnswer], object]) -> None:
-        """Have a function called as soon as there is an answer or none will be."""
-        self.future.add_done_callback(lambda _: told(self))
+    def _begin(self) -> None:
+        """Have the task computed, after those among its arguments that the scheduler has lost."""
+        client, held = self._cluster.client(), []
+        for argument in self._task:
+            if isinstance(argument, ClusterAnswer) and argument.future.cancelled():
+                argument._begin()
+            held.append(argument.future if isinstance(argument, ClusterAnswer) else argument)
+        self.future = client.submit(call, with_one_thread, *held, priority=-self._rank, pure=False)
+        self.future.add_done_callback(self._ended)
 
-    def result(self) -> Answer:
-        """Fetch the answer; `ComputeError` where the cluster has none."""
+    def _ended(self, future: ClusterFuture[Answer]) -> None:
+        """Fetch the answer; called in a thread of its own as soon as there is one or none will be."""
         from distributed import CancelledError
         from distributed.scheduler import KilledWorker
 
+        if self._answer.done() or future is not self.future:
+            return
         try:
-            return cast(Answer, self.future.result())
-        except KilledWorker as error:
-            text = "several workers of the cluster ended while they computed it; does their memory suffice?"
-            raise ComputeError(text) from error
-        except (CancelledError, OSError) as error:
-            raise ComputeError("the Dask scheduler is gone; start the run again where there is one") from error
+            try:
+                self._answer.set_result(future.result())
+            except KilledWorker as error:
+                self._killed += 1
+                if self._killed == ATTEMPTS:
+                    text = "several workers of the cluster ended while they computed it; does their memory suffice?"
+                    raise ComputeError(text) from error
+                self._begin()
+            except (CancelledError, OSError):
+                self._begin()
+        except BaseException as error:  # told where the answer is awaited
+            self._answer.set_exception(error)
+
+    def add_done_callback(self, told: Callable[[ClusterAnswer], object]) -> None:
+        """Have a function called as soon as there is an answer or none will be."""
+        self._answer.add_done_callback(lambda _: told(self))
+
+    def result(self) -> Answer:
+        """Return the answer; `ComputeError` where the cluster has none."""
+        return self._answer.result()
 
 
 @contextmanager
@@ -428,7 +493,8 @@ def connected(address: str) -> Iterator[Cluster]:
     except (OSError, ValueError, TypeError) as error:
         expected = "the address of a Dask scheduler that answers, such as tcp://10.0.0.1:8786"
         raise InputError(OPTION, "", found=f"{address or 'nothing'}, where none does", expected=expected) from error
-    with client:
+    cluster = Cluster(client)
+    try:
         # Workers that would compute something else are refused; those that are still to come are not asked.
         versions = client.run(_version, on_error="return")
         log.info("%s has %d worker%s", client.scheduler.address, len(versions), "" if len(versions) == 1 else "s")
@@ -438,7 +504,9 @@ def connected(address: str) -> Iterator[Cluster]:
                 raise InputError(
                     OPTION, "", found=f"{what} at {worker}", expected=f"workers with {PROGRAM} {__version__}"
                 )
-        yield Cluster(client)
+        yield cluster
+    finally:
+        cluster.end()
 
 
 def _version() -> str:

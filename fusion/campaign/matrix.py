@@ -12,6 +12,7 @@ from fusion.campaign.matrix_solve import (
     Excitation,
     Solution,
     Stack,
+    drives_excite,
     estimated_noise,
     excitation,
     judge,
@@ -123,6 +124,7 @@ def fit_matrix(drives: Sequence[Drive], channels: Sequence[str] | None = None) -
         width = f"{FREQUENCY_TOLERANCE:.2%}"
         raise ValueError(f"drives: expected one frequency within {width}, found {low:g} Hz to {high:g} Hz")
     wanted = tuple(dict.fromkeys(name for drive in drives for name in drive.channels) if channels is None else channels)
+    require_six(drives_excite(drives), len(drives))
     stack = stack_drives(drives, wanted)
     found = excitation(stack)
     require_six(found, len(drives))

@@ -219,13 +219,24 @@ def excitation(stack: Stack, drives: Sequence[int] | NDArray[np.int64] | None = 
     standard uncertainties and `LEAST_SHARE` of the largest excitation; the others are the negative eigenspace of the
     difference.
     """
+    chosen = np.arange(len(stack.load)) if drives is None else np.asarray(drives, dtype=np.int64)
+    return _excitation(stack.load[chosen], np.sum(stack.load_covariance()[chosen], axis=0))
+
+
+def drives_excite(drives: Sequence[Drive]) -> Excitation:
+    """Return `excitation` of drives that are not stacked yet, which takes no table of all unknowns by all drives."""
+    size = np.tile(_size(np.stack([drive.load for drive in drives])), 2)
+    covariance = np.sum([drive.load_uncertainty.covariance[0] for drive in drives], axis=0)
+    load = np.stack([drive.load for drive in drives]) / size[:LOADS]
+    return _excitation(load, covariance / np.outer(size, size))
+
+
+def _excitation(load: ComplexArray, both: FloatArray) -> Excitation:
+    """How strongly loads (R, 6) with the sum of their covariances (12, 12) excite six independent ones."""
     from scipy.linalg import eigh
 
-    chosen = np.arange(len(stack.load)) if drives is None else np.asarray(drives, dtype=np.int64)
-    load = stack.load[chosen]
     signal = load.conj().T @ load
     # E[n nᴴ] of complex errors from their covariances of [Re, Im].
-    both = np.sum(stack.load_covariance()[chosen], axis=0)
     re, im, mixed = both[:LOADS, :LOADS], both[LOADS:, LOADS:], both[LOADS:, :LOADS]
     noise = (re + im + 1j * (mixed - mixed.T)).conj()
     # Components in units of what is there of them, load or uncertainty, so that none is large or small by itself.

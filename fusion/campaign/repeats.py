@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -424,29 +424,43 @@ def _repeat_notices(recordings: int, mountings: int, frequency_hz: float) -> tup
 
 
 class Nested(NamedTuple):
-    """Quadratic forms (N, N) of N readings whose sums of squares are those within and between M mountings.
+    """Sums of squares of N readings within and between M mountings, as projections of the readings.
 
-    `within_dof` N - M, `between_dof` M - 1; `each`: recordings per mounting in the expectation of the mean square
-    between them, NaN of one mounting.
+    `place` (N,): the mounting of each reading; `sizes` (M,): their numbers of readings. `within_dof` N - M,
+    `between_dof` M - 1; `each`: recordings per mounting in the expectation of the mean square between them, NaN of one
+    mounting. Nothing has N x N elements.
     """
 
-    within: FloatArray
-    between: FloatArray
+    place: IntArray
+    sizes: FloatArray
     within_dof: int
     between_dof: int
     each: float
 
+    def within(self, values: FloatArray, rows: IntArray | None = None) -> FloatArray:
+        """Return values (N, ...) less the mean of their mounting; of `rows`, where all others are zero."""
+        return np.asarray(values - self._means(values, rows))
+
+    def between(self, values: FloatArray, rows: IntArray | None = None) -> FloatArray:
+        """Return the means of the mountings of values (N, ...) less the mean of all; of `rows` as above."""
+        return np.asarray(self._means(values, rows) - np.sum(values, axis=0) / len(self.place))
+
+    def _means(self, values: FloatArray, rows: IntArray | None) -> FloatArray:
+        place = self.place if rows is None else self.place[rows]
+        kinds, own = np.unique(place, return_inverse=True)
+        sums = np.zeros((len(kinds), *values.shape[1:]))
+        np.add.at(sums, own, values)
+        size = self.sizes[kinds].reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray((sums / size)[own])
+
 
 def nested(mountings: Sequence[str]) -> Nested:
     """Return the analysis of variance of recordings (N,) by the mounting of each (Searle et al. 1992, 3.6)."""
-    count, kinds = len(mountings), list(dict.fromkeys(mountings))
-    member = np.array([[mounting == kind for mounting in mountings] for kind in kinds], dtype=np.float64)
-    sizes = member.sum(axis=1)
-    own = member.T @ (member / sizes[:, None])
-    whole = np.full((count, count), 1.0 / count)
-    dof = len(kinds) - 1
+    kinds = {mounting: number for number, mounting in enumerate(dict.fromkeys(mountings))}
+    place = np.array([kinds[mounting] for mounting in mountings])
+    sizes, count, dof = np.bincount(place).astype(np.float64), len(place), len(kinds) - 1
     each = (count - float(np.sum(sizes**2)) / count) / dof if dof else np.nan
-    return Nested(np.eye(count) - own, own - whole, count - len(kinds), dof, each)
+    return Nested(place, sizes, count - len(kinds), dof, each)
 
 
 @dataclass(frozen=True)
@@ -478,19 +492,7 @@ def over_plain(
     return [(value / plain, uncertainty.scaled(factor)) for value, uncertainty in values]
 
 
-def stack_values(values: Sequence[tuple[ComplexArray, Uncertainty]]) -> tuple[FloatArray, FloatArray]:
-    """Real readings (N, 2C) and their joint covariance (N, 2C, N, 2C), what is shared included."""
-    readings = np.array([real_stack(value) for value, _ in values])
-    count, size = readings.shape
-    own, shared = _own_and_shared(values)
-    covariance = np.zeros((count, size, count, size))
-    covariance[np.arange(count), :, np.arange(count)] = own
-    for rows, effect in shared:
-        covariance[np.ix_(rows, range(size), rows)] += np.einsum("eni,emj->nimj", effect, effect)
-    return readings, covariance
-
-
-def _own_and_shared(
+def own_and_shared(
     values: Sequence[tuple[ComplexArray, Uncertainty]],
 ) -> tuple[FloatArray, list[tuple[list[int], FloatArray]]]:
     """Covariances (N, 2C, 2C) of what readings have alone, and effects (E, n, 2C) of what n of the readings share."""
@@ -516,15 +518,17 @@ def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: S
     """Variance components of a recording and of a mounting by the analysis of variance."""
     readings, forms = np.array([real_stack(value) for value, _ in values]), nested(mountings)
     size = readings.shape[1]
-    own, shared = _own_and_shared(values)
+    own, shared = own_and_shared(values)
 
-    def mean_square(form: FloatArray, dof: int) -> FloatArray:
-        """Mean square of a quadratic form (N, N), less what stated uncertainties make of it."""
-        stated = np.einsum("n,nij->ij", np.diag(form), own)
+    def mean_square(
+        form: Callable[[FloatArray, IntArray | None], FloatArray], diagonal: FloatArray, dof: int
+    ) -> FloatArray:
+        """Mean square of a projection with a diagonal (N,), less what stated uncertainties make of it."""
+        stated = np.einsum("n,nij->ij", diagonal, own)
         for rows, effect in shared:
-            part = np.tensordot(form[np.ix_(rows, rows)], effect, axes=(1, 1))
-            stated += np.tensordot(effect, part, axes=((1, 0), (0, 1)))
-        return np.asarray((readings.T @ form @ readings - stated) / dof)
+            turned = effect.swapaxes(0, 1)
+            stated += np.tensordot(turned, form(turned, np.array(rows)), axes=((0, 1), (0, 1)))
+        return np.asarray((readings.T @ form(readings, None) - stated) / dof)
 
     def positive(matrix: FloatArray) -> FloatArray:
         """Nearest covariance of a symmetric matrix: negative variances are none."""
@@ -532,10 +536,12 @@ def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: S
         return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
     within = between = np.zeros((size, size))
+    alike = 1.0 / forms.sizes[forms.place]
     if forms.within_dof:
-        within = positive(mean_square(forms.within, forms.within_dof))
+        within = positive(mean_square(forms.within, 1.0 - alike, forms.within_dof))
     if forms.between_dof:
-        between = positive((mean_square(forms.between, forms.between_dof) - within) / forms.each)
+        square = mean_square(forms.between, alike - 1.0 / len(readings), forms.between_dof)
+        between = positive((square - within) / forms.each)
     return _Scatter(within, between, forms.within_dof, forms.between_dof)
 
 
@@ -555,8 +561,10 @@ def _weights(
     if not np.all(variance > 0.0):
         return np.full(len(values), 1.0 / len(values))
     weight = np.zeros(len(values))
-    for kind in dict.fromkeys(mountings):
-        rows = [place for place, mounting in enumerate(mountings) if mounting == kind]
+    members: dict[str, list[int]] = {}
+    for place, mounting in enumerate(mountings):
+        members.setdefault(mounting, []).append(place)
+    for rows in members.values():
         precision = 1.0 / variance[rows]
         weight[rows] = precision / np.sum(precision) / (between + 1.0 / np.sum(precision))
     return np.asarray(weight / np.sum(weight))
@@ -587,9 +595,11 @@ def _of_mean(
         for influence in uncertainty.influences:
             acts_on.setdefault(influence.name, set()).add(group)
     shared = tuple(influence for influence in total.influences if len(acts_on[influence.name]) > 1)
-    member = np.array([[group == kind for group in groups] for kind in kinds], dtype=np.float64) * weight
-    share = member.sum(axis=1)
-    means = (member / share[:, None]) @ np.array([real_stack(value / plain) for value, _ in values])
+    place = nested(groups).place
+    share = np.bincount(place, weight)
+    readings = np.array([real_stack(value / plain) for value, _ in values])
+    means = np.zeros((len(kinds), readings.shape[1]))
+    np.add.at(means, place, (weight / share[place])[:, None] * readings)
     off = means - share @ means
     matrix = np.einsum("m,mi,mj->ij", share, off, off) / (len(kinds) - 1)
     turn = real_stacked_diagonal(plain[None])[0]

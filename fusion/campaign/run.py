@@ -25,14 +25,15 @@ from fusion.base import (
     stdout_console,
     told,
     undone,
+    versions,
 )
 from fusion.campaign.executor import Workers, connected, one_blas_thread
 from fusion.campaign.joint_report import write_campaign
 from fusion.estimation.uncertainty import Polar, region_factor
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, load_manifest
-from fusion.report.files import claimed, remove_abandoned, workshop
-from fusion.report.folder import check_folder, hash_files, is_current
+from fusion.report.files import Kept, claimed, remove_abandoned, workshop
+from fusion.report.folder import check_folder, hash_files, is_current, origin_key
 from fusion.report.recording import REPORT_FILE, SENSITIVITY_FILE, check_campaign_folder, row_element, write_results
 from fusion.report.table import both, factor, has_phase, read_rows
 from fusion.report.tables import result_name
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 RECORDINGS = "recordings"
 LISTEN_S = 0.5  # between looks for an interruption
 SHARED_FRAMES = 2  # workers per recording from which on they share its frames instead of the recordings
+MOST_LINES, MOST_ROWS = 100, 300  # that the terminal shows: recordings, rows of their sensitivities
 log = logging.getLogger("shakercal")
 
 # One recording: evaluate and write, unless its results are there.
@@ -52,17 +54,22 @@ log = logging.getLogger("shakercal")
 
 @dataclass(frozen=True)
 class Job:
-    """A recording.toml to evaluate, the folder of its results, and the user's choices."""
+    """A recording.toml to evaluate, the folder of its results, and the user's choices.
+
+    `patience_s`: how long another process may still be busy with it.
+    """
 
     recording: Path
     folder: Path
     settings: Settings
     force: bool = False
     allow_outside: bool = False
+    patience_s: float = 0.0
 
-    def placed(self) -> Job:
+    def placed(self, patience_s: float = 0.0) -> Job:
         """Return the job with paths that hold for a process of any working folder."""
-        return replace(self, recording=self.recording.absolute(), folder=self.folder.absolute())
+        recording, folder = self.recording.absolute(), self.folder.absolute()
+        return replace(self, recording=recording, folder=folder, patience_s=patience_s)
 
 
 @dataclass(frozen=True)
@@ -93,15 +100,20 @@ def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Execut
     """Evaluate one recording unless its results are there, and write them; an executor follows its images."""
     manifest = load_manifest(job.recording, allow_outside=job.allow_outside)
     inputs = hash_files(manifest.files, manifest.root, manifest.read)
-    if not job.force and is_current(job.folder, inputs.hashes, job.settings.as_dict()):
+    there = partial(is_current, job.folder, inputs.hashes, job.settings.as_dict())
+    if not job.force and there():
         log.info("%s: results of the same input are there, nothing to compute", job.folder)
         return Outcome(job.recording, job.folder, resumed=True)
     check_folder(job.folder, inputs.hashes, force=job.force)
-    with claimed(job.folder), one_blas_thread():
-        evaluation = evaluate_recording(manifest, job.settings, inputs.hashes, progress, executor)
+    with claimed(job.folder, job.patience_s), one_blas_thread():
+        if job.patience_s and not job.force and there():  # whoever had it has finished it meanwhile
+            return Outcome(job.recording, job.folder)
+        kept = Kept(job.folder, origin_key(inputs.hashes, job.settings.as_dict(), versions()))
+        evaluation = evaluate_recording(manifest, job.settings, inputs.hashes, progress, executor, kept)
         for notice in evaluation.notices:
             log.log(logging.WARNING if notice.severity == "warning" else logging.DEBUG, "%s", notice.text)
         write_results(evaluation, job.folder, inputs, force=job.force)
+        kept.remove()
     return Outcome(job.recording, job.folder)
 
 
@@ -201,7 +213,9 @@ def _run_here(jobs: Sequence[Job], executor: Executor | None, progress: Progress
 def _run_elsewhere(jobs: Sequence[Job], executor: Executor, progress: ProgressCallback) -> tuple[Outcome, ...]:
     """Have all recordings computed by others; the outcomes are in the recordings' order, whoever was first."""
     answered: SimpleQueue[int] = SimpleQueue()
-    pending: list[Pending] = [executor.submit(rank, run_job, job.placed()) for rank, job in enumerate(jobs)]
+    pending: list[Pending] = [
+        executor.submit(rank, run_job, job.placed(executor.patience_s)) for rank, job in enumerate(jobs)
+    ]
     for rank, answer in enumerate(pending):
         answer.add_done_callback(partial(_tell, answered, rank))
     outcomes: dict[int, Outcome] = {}
@@ -252,8 +266,15 @@ def print_recording(outcome: Outcome) -> None:
 
 
 def _print_sensitivity(console: Console, file: Path) -> None:
-    rows = read_rows(file)
+    """Print a sensitivity.csv, of a long one what is told of its first recordings."""
+    rows = read_rows(file, MOST_ROWS + 1)
+    cut = len(rows) > MOST_ROWS
+    if cut:
+        last = rows[-1]["recording"]
+        rows = [row for row in rows if row["recording"] != last] or rows[:-1]
     console.print(sensitivity_table(rows) if rows else "no sensitivity: see the report for what was observed")
+    if cut:
+        console.print(f"the first {len(rows)} rows; all are in {file}", soft_wrap=True)
 
 
 def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
@@ -270,7 +291,8 @@ def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
     own = {of(row, "channel") for row in rows if row["kind"] == "element"}
     rows = [row for row in rows if row["kind"] != "ratio" or of(row, "channel") not in own]
     names = list(dict.fromkeys(row["recording"] for row in rows))
-    rows.sort(key=lambda row: (names.index(row["recording"]), float(row["frequency_hz"])))
+    place = {name: number for number, name in enumerate(names)}
+    rows.sort(key=lambda row: (place[row["recording"]], float(row["frequency_hz"])))
     # The output of the load's name, else the largest one.
     mains: dict[tuple[str, ...], str] = {}
     for row in sorted(rows, key=lambda row: (row["channel"] != row["component"], -row_element(row).magnitude)):
@@ -319,10 +341,16 @@ def _cells(element: Polar) -> tuple[str, str, str]:
 
 
 def print_campaign(outcomes: Sequence[Outcome]) -> None:
-    """Print one line per recording, each failure with its reason, how many there are of each, and the joint report."""
+    """Print one line per recording, each failure with its reason, how many there are of each, and the joint report.
+
+    Of many recordings the first ones and all failures.
+    """
     console = stdout_console()
-    for outcome in outcomes:
+    shown = [outcome for place, outcome in enumerate(outcomes) if place < MOST_LINES or outcome.error is not None]
+    for outcome in shown:
         console.print(f"{outcome.name}: {outcome.told}", soft_wrap=True)
+    if len(shown) < len(outcomes):
+        console.print(f"and {len(outcomes) - len(shown)} more, each in a folder of its own")
     console.print(tally(outcomes))
     done = [outcome for outcome in outcomes if outcome.error is None]
     if done:

@@ -218,9 +218,9 @@ class Uncertainty:
         for part in self.random:
             check_shape(f"covariance of {part.label}", part.covariance, (lines, size, size))
         for influence in self.influences:
-            check_shape(f"effect of {influence.name}", influence.effect, (lines, size))
-        names = [influence.name for influence in self.influences]
-        if len(set(names)) < len(names):
+            if influence.effect.shape != (lines, size):
+                check_shape(f"effect of {influence.name}", influence.effect, (lines, size))
+        if len({influence.name for influence in self.influences}) < len(self.influences):
             raise ValueError("influences: expected every name once; add up the effects of one unknown")
 
     @property
@@ -250,14 +250,16 @@ class Uncertainty:
     def _mapped(
         self, of_covariance: Callable[[FloatArray], FloatArray], of_effect: Callable[[FloatArray], FloatArray]
     ) -> Uncertainty:
+        """Map every covariance (K, 2C, 2C), and the effects (E, K, 2C) of all influences at once."""
         random = tuple(replace(part, covariance=of_covariance(part.covariance)) for part in self.random)
-        return Uncertainty(random, tuple(i.acting(of_effect(i.effect)) for i in self.influences))
+        effects = of_effect(np.stack([i.effect for i in self.influences])) if self.influences else ()
+        return Uncertainty(random, tuple(i.acting(effect) for i, effect in zip(self.influences, effects, strict=True)))
 
     def transformed(self, jacobian: FloatArray) -> Uncertainty:
         """Return the uncertainty of D values that change by `jacobian` (K, 2D, 2C) times these values' changes."""
         return self._mapped(
             lambda covariance: jacobian @ covariance @ jacobian.swapaxes(1, 2),
-            lambda effect: np.einsum("kij,kj->ki", jacobian, effect),
+            lambda effects: np.einsum("kij,ekj->eki", jacobian, effects),
         )
 
     def scaled(self, factor: ComplexArray) -> Uncertainty:
@@ -274,7 +276,7 @@ class Uncertainty:
         size = self.random[0].covariance.shape[1] // 2
         index = np.asarray(values, dtype=np.int64)
         both = np.concatenate([index, index + size])
-        return self._mapped(lambda covariance: covariance[:, both[:, None], both], lambda effect: effect[:, both])
+        return self._mapped(lambda covariance: covariance[:, both[:, None], both], lambda effects: effects[..., both])
 
     def at_lines(self, lines: IntArray | BoolArray | Sequence[int]) -> Uncertainty:
         """Return the uncertainty of the values at some of the K lines, by their places or by a mask."""
@@ -283,7 +285,8 @@ class Uncertainty:
             replace(part, covariance=part.covariance[index], dof=None if part.dof is None else part.dof[index])
             for part in self.random
         )
-        return Uncertainty(random, tuple(i.acting(i.effect[index]) for i in self.influences))
+        effects = np.stack([i.effect for i in self.influences])[:, index] if self.influences else ()
+        return Uncertainty(random, tuple(i.acting(effect) for i, effect in zip(self.influences, effects, strict=True)))
 
     def where_known(self) -> Uncertainty:
         """Return the uncertainty with nothing in place of what is not known (NaN)."""

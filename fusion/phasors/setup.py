@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import AnyNotice, ComputeError, Executor, InputError, ProgressCallback, Settings, rounded
+from fusion.base import AnyNotice, ComputeError, Executor, InputError, Keeper, ProgressCallback, Settings, rounded
 from fusion.estimation.uncertainty import Scope, coverage_factor
 from fusion.instruments.channel import Reading, RelativeError, acting
 from fusion.instruments.transducer import TRANSDUCERS
@@ -135,14 +135,18 @@ def open_set_ups(manifest: Manifest) -> tuple[OpenSetUp, ...]:
 
 
 def measure_set_up(
-    opened: OpenSetUp, settings: Settings, progress: ProgressCallback, executor: Executor | None = None
+    opened: OpenSetUp,
+    settings: Settings,
+    progress: ProgressCallback,
+    executor: Executor | None = None,
+    kept: Keeper | None = None,
 ) -> SetUp:
     """Follow the images of a set-up, here or by an executor, and fit the lines to the motion of every stereo pair."""
     manifest, base = opened.manifest, opened.base
     with told_in(manifest.path, opened.where, opened.name):
         seen = [
             item if isinstance(item, LeftOut) else still_calibrated(item)
-            for item in measure_pairs(opened.images, settings, progress, executor)
+            for item in measure_pairs(opened.images, settings, progress, executor, kept)
         ]
         left_out = [item for item in seen if isinstance(item, LeftOut)]
         motions = (*(item for item in seen if isinstance(item, StereoMotion)), *opened.points)

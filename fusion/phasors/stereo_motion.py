@@ -5,8 +5,11 @@ Images are followed here one pair after another, or by an executor's processes, 
 
 from __future__ import annotations
 
+import hashlib
+import io
+import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -17,6 +20,7 @@ from fusion.base import (
     ComputeError,
     Executor,
     InputError,
+    Keeper,
     Pending,
     ProgressCallback,
     Settings,
@@ -29,6 +33,7 @@ from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE
 from photogram.calibration.file import read_calibration
 from photogram.camera import StereoRig
+from photogram.direct import DirectFit
 from photogram.epipolar import EpipolarCheck, check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence
@@ -40,13 +45,12 @@ from photogram.measure import (
     FollowedBlock,
     body_motion,
     follow_block,
-    measure_body,
     prepare_body,
 )
 from photogram.motion import Deformation, RigidMotion, deformation, fit_motion, points_with_estimated_noise
 from photogram.point_tables import read_point_tables
 from photogram.subsets.find import BodyNotFound
-from photogram.subsets.icgn import TrackSettings
+from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.texture import SubsetQuality, suggested_radius_px
 from photogram.subsets.track import StereoTracks, resolve_device
 from shaker.arrays import Notice
@@ -60,6 +64,7 @@ MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is
 SAME_EXPOSURE = 0.02  # relative difference of exposures that are told apart
 SAME_RATE = 0.01  # of frames on the camera's clock and of edges on that of a DAQ
 FEWEST_PLACES = 3  # on a body that tell where it is
+REGISTRATION = tuple(field.name for field in fields(Registration))
 NO_MOTION = "no frame has enough points for a rigid motion"
 
 
@@ -206,22 +211,31 @@ def known_depth(manifest: Manifest, pair: Stereo) -> tuple[float, float] | None:
 
 
 def measure_pairs(
-    images: Sequence[OpenImages], settings: Settings, progress: ProgressCallback, executor: Executor | None = None
+    images: Sequence[OpenImages],
+    settings: Settings,
+    progress: ProgressCallback,
+    executor: Executor | None = None,
+    kept: Keeper | None = None,
 ) -> tuple[StereoMotion | LeftOut, ...]:
     """Track the images of stereo pairs and fit the rigid motion of the body that each sees, or say why there is none.
 
     Files that cannot be read are refused. An executor opens the images itself, by the same paths, and its motions are
-    those found without one to the last bit.
+    those found without one to the last bit. Blocks of frames that were `kept` are not followed again.
     """
     if executor is None:
-        return tuple(_attempted(item, partial(measure_images, item, settings, progress)) for item in images)
+        return tuple(_attempted(item, partial(measure_images, item, settings, progress, kept)) for item in images)
     device, begun = settings.device, []
     motions: list[StereoMotion | LeftOut] = []
     prepared = [executor.submit(0, _prepared, body_inputs(item, settings), device, item.depth_m) for item in images]
     for item, pending in zip(images, prepared, strict=True):
         scene: BodyScene | LeftOut = _attempted(item, partial(_answer, item, pending))
         shares = () if isinstance(scene, LeftOut) else scene.blocks
-        begun.append((item, scene, [executor.submit(1, _followed, pending, share, device) for share in shares]))
+        there = [_kept_block(item, share, kept) for share in shares]
+        asked = [
+            executor.submit(1, _followed, pending, share, device) if block is None else block
+            for share, block in zip(shares, there, strict=True)
+        ]
+        begun.append((item, scene, asked))
     for item, scene, blocks in begun:
         if isinstance(scene, LeftOut):
             motions.append(scene)
@@ -230,7 +244,11 @@ def measure_pairs(
         followed = []
         for frames, pending in zip(scene.blocks, blocks, strict=True):
             progress(stage, 2 * frames.start, total)
+            if isinstance(pending, tuple):
+                followed.append(pending)
+                continue
             followed.append(_answer(item, pending))
+            _keep_block(item, frames, followed[-1], kept)
         progress(stage, total, total)
         motions.append(_attempted(item, partial(_moved, item, scene, followed)))
     return tuple(motions)
@@ -269,17 +287,77 @@ def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  #
     return follow_block(scene, frames, resolve_device(device))
 
 
-def measure_images(images: OpenImages, settings: Settings, progress: ProgressCallback) -> StereoMotion:
+def measure_images(
+    images: OpenImages, settings: Settings, progress: ProgressCallback, kept: Keeper | None = None
+) -> StereoMotion:
     """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
     stage, total = f"track {images.sight.name}", 2 * len(images.left)
+    device = resolve_device(settings.device)
+
+    def tell(done: int) -> None:
+        progress(stage, done, total)
+
     with as_input_error(*images.sight.where):
-        body = measure_body(
-            *body_inputs(images, settings),
-            lambda done: progress(stage, done, total),
-            resolve_device(settings.device),
-            images.depth_m,
-        )
+        scene = prepare_body(*body_inputs(images, settings), device, tell, images.depth_m)
+        followed = []
+        for frames in scene.blocks:
+            block = _kept_block(images, frames, kept)
+            if block is None:
+                block = follow_block(scene, frames, device, tell)
+                _keep_block(images, frames, block, kept)
+            followed.append(block)
+        body = body_motion(scene, followed)
     return seen_motion(images, body)
+
+
+# Blocks of frames as files, from which a run that was ended goes on.
+
+
+def _block_name(images: OpenImages, frames: range) -> str:
+    """Name of a block: that of the first image tells the pair of a take from that of another."""
+    pair = hashlib.sha256("\n".join([images.sight.name, *images.left.names[:1]]).encode()).hexdigest()[:12]
+    return f"{pair}-{frames.start}-{frames.stop}"
+
+
+def _keep_block(images: OpenImages, frames: range, block: FollowedBlock, kept: Keeper | None) -> None:
+    """Keep a block of frames unless it is all there is."""
+    if kept is None or len(frames) + 2 >= len(images.left):
+        return
+    arrays: dict[str, Any] = {}
+    for side in range(2):
+        for name in REGISTRATION:
+            arrays[f"{name}-{side}"] = np.stack([getattr(found[side], name) for found, _ in block])
+    fits = [(number, fit) for number, (_, fit) in enumerate(block) if fit is not None]
+    arrays["fitted"] = np.array([number for number, _ in fits], dtype=np.int64)
+    arrays["rotation"] = np.array([fit.moved.rotation for _, fit in fits]).reshape(-1, 3, 3)
+    arrays["translation"] = np.array([fit.moved.translation_m for _, fit in fits]).reshape(-1, 3)
+    arrays["covariance"] = np.array([fit.covariance for _, fit in fits]).reshape(-1, 6, 6)
+    arrays["noise"] = np.array([fit.noise for _, fit in fits], dtype=np.float64)
+    arrays["cells"] = np.array([fit.cells for _, fit in fits], dtype=np.int64)
+    content = io.BytesIO()
+    np.savez(content, **arrays)
+    kept.put(_block_name(images, frames), content.getvalue())
+
+
+def _kept_block(images: OpenImages, frames: range, kept: Keeper | None) -> FollowedBlock | None:
+    """Return a block of frames that was kept, to the last bit; None where there is none, or a damaged one."""
+    content = None if kept is None else kept.get(_block_name(images, frames))
+    if content is None:
+        return None
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        fits: list[DirectFit | None] = [None] * len(frames)
+        of_fits = (arrays[name] for name in ("fitted", "rotation", "translation", "covariance", "noise", "cells"))
+        for number, rotation, translation, covariance, noise, cells in zip(*of_fits, strict=True):
+            fits[number] = DirectFit(RigidTransform(rotation, translation), covariance, float(noise), int(cells))
+        sides = [
+            [Registration(*(arrays[f"{name}-{side}"][k].copy() for name in REGISTRATION)) for k in range(len(frames))]
+            for side in range(2)
+        ]
+    except (ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile):
+        return None
+    return tuple(((left, right), fit) for left, right, fit in zip(*sides, fits, strict=True))
 
 
 def body_inputs(images: OpenImages, settings: Settings) -> BodyInputs:

@@ -26,6 +26,7 @@ from fusion.base import ComputeError, undone, uninterrupted
 LOCK = "shakercal-lock"
 HIDDEN = re.compile(rf"\.(?P<name>.+?)(-[0-9a-f]{{12}}\.(?P<kind>part|old|aside)|\.{LOCK})", re.DOTALL)
 """Names of what is being made (`part`), of what it replaces (`old`; single files: `aside`), and of locks."""
+WAIT_S = 0.2  # between looks for a lock to become free
 FORGOTTEN_S = 86_400.0
 """Age after which something half-made is taken for abandoned where the file system has no locks."""
 LONG_PATH = 240
@@ -90,11 +91,11 @@ _made: set[Path] = set()
 
 
 @contextmanager
-def claimed(place: Path) -> Iterator[None]:
+def claimed(place: Path, patience_s: float = 0.0) -> Iterator[None]:
     """Hold the lock of a file or folder that is to be written, and make the folder it is to stand in.
 
-    Where another process holds it, this is a `ComputeError`. The lock is gone afterwards, and so are folders that were
-    made for nothing.
+    Where another process still holds it after `patience_s`, this is a `ComputeError`. The lock is gone afterwards, and
+    so are folders that were made for nothing.
     """
     place = place.resolve()
     lock = _lock_of(place)
@@ -103,8 +104,15 @@ def claimed(place: Path) -> Iterator[None]:
         return
     new = [folder for folder in lock.parents if not folder.exists()]
     with undone(partial(_free, lock, new)):
-        with uninterrupted(), writing(place):
-            _held[lock] = _locked(lock, place)
+        end = time.monotonic() + patience_s
+        while lock not in _held:
+            try:
+                with uninterrupted(), writing(place):
+                    _held[lock] = _locked(lock, place)
+            except ComputeError:
+                if time.monotonic() >= end:
+                    raise
+                time.sleep(WAIT_S)
         yield
 
 
@@ -211,7 +219,11 @@ def remove_abandoned(folder: Path, name: str | None = None) -> list[Path]:
     has not changed for a day counts as abandoned.
     """
     folder, removed = folder.resolve(), []
-    for entry in sorted(folder.iterdir()) if folder.is_dir() else []:
+    # Of many thousands of results only what is hidden becomes a path.
+    names = (
+        sorted(found for found in os.listdir(folder) if found.startswith(f".{name or ''}")) if folder.is_dir() else []
+    )
+    for entry in (folder / hidden for hidden in names):
         found = HIDDEN.fullmatch(entry.name)
         if found is None or entry in _made or name not in (None, found["name"]):
             continue
@@ -241,6 +253,43 @@ def _restore(aside: Path, place: Path) -> None:
         return
     for file in [path for path in aside.rglob("*") if path.is_file()]:
         _move(file, place / file.relative_to(aside))
+
+
+# What a run has found so far.
+
+
+class Kept:
+    """Files under a hidden name beside a folder of results, `.NAME.so-far`, until these are written.
+
+    `key`: of everything that decides what they hold; files of another key are nobody's.
+    """
+
+    def __init__(self, place: Path, key: str) -> None:
+        place = place.resolve()
+        self._folder = None if workshop(place) == place else place.with_name(f".{place.name}.so-far")
+        self._key = key
+
+    def get(self, name: str) -> bytes | None:
+        """Return what was kept under a name, None where nothing was."""
+        if self._folder is not None:
+            with contextlib.suppress(OSError):
+                return (self._folder / f"{name}.{self._key}").read_bytes()
+        return None
+
+    def put(self, name: str, content: bytes) -> None:
+        """Keep something, whole or not at all; where the disk refuses it, the run goes on without."""
+        if self._folder is None:
+            return
+        file = self._folder / f"{name}.{self._key}"
+        with contextlib.suppress(OSError):
+            self._folder.mkdir(parents=True, exist_ok=True)
+            write_file(file.with_name(f"{file.name}.part"), content)
+            os.replace(file.with_name(f"{file.name}.part"), file)
+
+    def remove(self) -> None:
+        """Remove all that was kept, of other keys too."""
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
 
 
 # A folder whose files appear together.

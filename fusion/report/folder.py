@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import logging
 import os
 import re
@@ -131,6 +132,12 @@ def is_current(folder: Path, hashes: Mapping[str, str], settings: Mapping[str, S
         return False
     same_program = found.versions.get(PROGRAM) == __version__
     return same_program and found.input_hashes == dict(hashes) and found.settings == dict(settings)
+
+
+def origin_key(hashes: Mapping[str, str], settings: Mapping[str, Setting], versions: Mapping[str, str]) -> str:
+    """Return one hash of inputs, settings, and the program and libraries with which they are evaluated."""
+    whole = json.dumps([dict(hashes), dict(settings), dict(versions)], sort_keys=True)
+    return hashlib.sha256(whole.encode()).hexdigest()[:32]
 
 
 def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker: str = RESULT_FILE) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
@@ -158,7 +159,8 @@ def read_uncertainty(group: h5py.Group) -> Uncertainty:
         dof = part["dof"][()] if "dof" in part else None
         kind = _known("type", part.attrs["type"], Kind)
         random.append(Contribution(str(part.attrs["label"]), kind, part["covariance"][()], dof))
-    *columns, shapes = [group[field].asstr()[()] for field in INFLUENCE_TEXTS]
+    # Thousands of recordings have the same names.
+    *columns, shapes = [list(map(sys.intern, group[field].asstr()[()].tolist())) for field in INFLUENCE_TEXTS]
     numbers = group["u"][()], group["dof"][()] if "dof" in group else np.full(len(group["u"]), np.inf)
     influences = []
     rows = zip(*columns, *numbers, group["effect"][()], shapes, strict=True)

@@ -11,6 +11,7 @@ import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
+from itertools import islice
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -158,10 +159,10 @@ def text_lines(shown: Table) -> Iterator[str]:
         yield "  ".join(cell.ljust(width) if side == "l" else cell.rjust(width) for cell, width, side in cells).rstrip()
 
 
-def read_rows(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a result table as dictionaries of texts."""
+def read_rows(path: Path, most: int | None = None) -> list[dict[str, str]]:
+    """Return the rows of a result table as dictionaries of texts, the first so many where `most` says so."""
     with path.open(encoding="utf-8", newline="") as stream:
-        rows = csv.DictReader(stream)
+        rows = islice(csv.DictReader(stream), most)
         return [{name: text[1:] if text and QUOTED.match(text) else text for name, text in row.items()} for row in rows]
 
 

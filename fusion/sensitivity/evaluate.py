@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fusion.base import Executor, ProgressCallback, Settings, no_progress, versions
+from fusion.base import Executor, Keeper, ProgressCallback, Settings, no_progress, versions
 from fusion.instruments.channel import sensor_outputs
 from fusion.instruments.vibrometer import beam_notices, point_spreads
 from fusion.phasors.setup import measure_set_up, open_set_ups
@@ -32,11 +32,13 @@ def evaluate_recording(
     input_hashes: Mapping[str, str] | None = None,
     progress: ProgressCallback = no_progress,
     executor: Executor | None = None,
+    kept: Keeper | None = None,
 ) -> Evaluation:
     """Evaluate one sinusoidal recording: files → phasors → acceleration of load and base → load → sensitivity.
 
     What was recorded in sequential set-ups is referred to the first before the instruments are fused. An `executor`
-    follows the images, to the same digits. `settings`: by default `Settings()`. `input_hashes` (file → SHA-256) are
+    follows the images, to the same digits; `kept`: where blocks of frames that were followed are found again when this
+    did not end. `settings`: by default `Settings()`. `input_hashes` (file → SHA-256) are
     carried into the result. Raises `InputError` for what the user can mend in the files, `ComputeError` for what these
     files do not allow.
 
@@ -46,7 +48,7 @@ def evaluate_recording(
     """
     started, settings = time.monotonic(), settings or Settings()
     manifest.check_command("run")
-    set_ups = [measure_set_up(opened, settings, progress, executor) for opened in open_set_ups(manifest)]
+    set_ups = [measure_set_up(opened, settings, progress, executor, kept) for opened in open_set_ups(manifest)]
     joined = join_set_ups(set_ups)
     sensor, surroundings, body = manifest.rig.sensor, manifest.rig.surroundings, load_body(manifest.rig, manifest.part)
     observations = joined.observed(surroundings.free_fall_mps2[0])

@@ -16,6 +16,7 @@ from fusion.estimation.consistency import OUTPUT_MISTAKES, likely_mistake
 from fusion.estimation.least_squares import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
+    Influence,
     Polar,
     Uncertainty,
     Unknown,
@@ -373,17 +374,22 @@ class KnownMatrix:
         total = total.plus(
             of_load.where_known().transformed(real_design(np.nan_to_num(quotient(by_load, driven[:, :, None]))))
         )
-        own, products, hidden = [], [], ~np.tile(given, (1, 2))
+        own, products = list[Influence](), list[Contribution]()
+        hidden = ~np.tile(given, (1, 2))
         unsure = np.where(hidden[:, :, None] & hidden[:, None, :], np.nan_to_num(of_load.covariance), 0.0)
-        for unknown in (*self.unknowns, *self.courses(outputs, load)):
-            effect = np.broadcast_to(unknown.effect, (len(load), *self.value.shape))
-            beside = effect[:, rows]
-            beside[:, :, d] = 0.0
-            by_each = back[:, :, None] * effect[:, None, m] - course[:, :, None] * beside
+        unknowns = (*self.unknowns, *self.courses(outputs, load))
+        if unknowns:
+            shape = len(load), *self.value.shape
+            effect = np.stack([np.broadcast_to(unknown.effect, shape) for unknown in unknowns])
+            beside = effect[:, :, rows]
+            beside[..., d] = 0.0
+            by_each = back[:, :, None] * effect[:, :, None, m] - course[:, :, None] * beside
             slope = np.nan_to_num(quotient(by_each, driven[:, :, None]))
-            own.append(unknown.acting(real_stack(np.einsum("kcj,kj->kc", slope, np.nan_to_num(load)))))
+            acting = real_stack(np.einsum("ukcj,kj->ukc", slope, np.nan_to_num(load)))
             both = real_design(slope)
-            products.append(Contribution(unknown.label, "B", both @ unsure @ both.swapaxes(1, 2)))
+            spread = both @ unsure @ both.swapaxes(2, 3)
+            own = [unknown.acting(change) for unknown, change in zip(unknowns, acting, strict=True)]
+            products = [Contribution(u.label, "B", square) for u, square in zip(unknowns, spread, strict=True)]
         lost = np.tile(~np.isfinite(self.elements(outputs, load)), (1, 2))
         first = total.random[0]
         blank = np.where(lost[:, :, None] | lost[:, None, :], np.nan, first.covariance)

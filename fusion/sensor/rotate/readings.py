@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -146,10 +146,10 @@ def components(carried: Carried, gradient: FloatArray) -> Iterator[tuple[str, Co
     effects = [np.einsum("qv,nvr->nqr", gradient, effect) for effect in carried.effects]
     known: FloatArray = np.zeros(len(gradient))
 
-    def beyond(form: FloatArray, dof: int, each: float, share: float) -> Component:
+    def beyond(form: Callable[[FloatArray], FloatArray], dof: int, each: float, share: float) -> Component:
         """What a mean square exceeds stated errors by, of `each` recordings of a mounting, with a share in the mean."""
-        square = np.einsum("nq,nm,mq->q", reading, form, reading) / dof
-        stated = sum((np.einsum("nqr,nm,mqr->q", e, form, e) for e in effects), np.zeros(len(square))) / dof
+        square = np.einsum("nq,nq->q", reading, form(reading)) / dof
+        stated = sum((np.einsum("nqr,nqr->q", e, form(e)) for e in effects), np.zeros(len(square))) / dof
         variance = np.maximum(square - stated - known, 0.0)
         enlarged = np.where(variance > 0.0, square * (1.0 + 2.0 / dof), 1.0)
         wide = np.where(variance > 0.0, variance + square * (2.0 / dof), 0.0)
