@@ -171,7 +171,8 @@ SUFFIXES = {
     "_px": "px", "_kg": "kg", "_n": "N", "_relative": "1", "_db": "dB",
 }  # fmt: skip
 """Units that the names of fields end with."""
-WORDS = {"u": "standard uncertainty of the", "max": "largest", "dof": "degrees of freedom"}
+PHASORS = {"frequency_hz", "value", "covariance", "channels", "unit"}
+"""What a group of phasors holds, in whatever file."""
 
 
 def describe(file: h5py.File) -> None:
@@ -179,16 +180,21 @@ def describe(file: h5py.File) -> None:
 
     `units` is ASCII: one unit, `[a, b]` where they differ along the last axis (for Re and again for Im where that is
     twice as long), `[a, b]^2` for products of the units of row and column, `[unit]` where `unit` beside it has them.
+    Files of other commands say so of their phasors, and of what names with a unit say by themselves.
     """
+    whole = bool({"recording", "campaign"} & set(file.attrs))
     found: list[h5py.Dataset] = []
     file.visititems(lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
     for data in sorted(found, key=lambda data: (data.name.count("/"), len(data.shape), data.name)):
-        told = _told(data.name)
+        known = whole or set(data.parent) >= PHASORS
+        told = _told(data.name) if known else Told()
         if data.dtype.kind in "biufc":
             unit = _unit(data, told)
             if unit:
                 data.attrs["units"] = unit
         data.attrs["long_name"] = told.text or _words(data.name)
+        if not known:
+            continue
         own, names = data.name.rpartition("/")[2], told.axes.split()
         if len(names) != data.ndim:
             names = [own] if data.ndim == 1 else [f"{own}_{axis + 1}" for axis in range(data.ndim)]
@@ -214,7 +220,8 @@ def _words(path: str) -> str:
     """Return the name of a field in words: without its unit, `u_` as standard uncertainty."""
     name = path.rpartition("/")[2]
     ending = max((suffix for suffix in SUFFIXES if name.endswith(suffix)), key=len, default="")
-    return " ".join(WORDS.get(word, word) for word in name.removesuffix(ending).split("_"))
+    text = name.removesuffix(ending).replace("_", " ")
+    return re.sub("^u(?: |$)", "standard uncertainty of the ", text).removesuffix(" of the ")
 
 
 # Units: those of the values of a group, from what it says of itself.
@@ -241,7 +248,7 @@ def _unit(data: h5py.Dataset, told: Told) -> str:
 
     try:
         return rules[told.unit]() if told.unit in rules else told.unit
-    except KeyError:  # another result, of which the rule does not know
+    except KeyError:  # nothing here says of which unit
         return ""
 
 
@@ -326,8 +333,6 @@ def _scale(data: h5py.Dataset, name: str, length: int) -> h5py.Dataset:
         group = group.parent
     free = next(text for text in (name, *(f"{name}_{number}" for number in range(2, 99))) if text not in own)
     values = _coordinate(own, name, length)
-    if values is None and name in (K, "channels", "components"):  # other values than those known by this name
-        free = f"{data.name.rpartition('/')[2]}_{length}"
     if values is None:
         scale = own.create_dataset(free, shape=(length,), dtype=">f4")
         scale.make_scale(f"This is a netCDF dimension but not a netCDF variable. {length:9d}")
