@@ -1,4 +1,5 @@
-"""The commands from a camera to the sensitivity: plan, simulate, cameras, align, init, check, lines, run, transfer.
+"""The commands from a camera to the sensitivity: plan, simulate, cameras, align, init, check, lines, run, transfer,
+validate.
 
 Of each command: its options, then what it does, which alone imports heavy modules. Its docstring is its help.
 """
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 from fusion.base import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS
 from fusion.commands.options import (
     EXIT_DONE,
+    EXIT_FAILED,
     EXIT_INPUT,
     Parser,
     band,
@@ -459,4 +461,26 @@ def transfer(options: argparse.Namespace) -> None:
     run_transfer(options.recording, options.output, settings, force=options.force, allow_outside=options.allow_outside)
 
 
-COMMANDS = (run, init, check, cameras, import_calibration, export_calibration, align, simulate, plan, lines, transfer)
+def _validate_options(parser: Parser) -> None:
+    text = "write validation.json and a page there (default: print only)"
+    parser.add_argument("-o", "--output", type=path, metavar="FOLDER", help=text)
+    parser.switch("--force", "replace those of an earlier validation")
+
+
+@command(_validate_options)
+def validate(options: argparse.Namespace) -> int:
+    """Compare what this installation computes with results of other means (software validation)."""
+    from fusion.planning.validation import run as validation
+
+    if options.output is not None:
+        validation.check_place(options.output, force=options.force)
+    found = validation.validate()
+    if options.output is not None:
+        validation.write_validation(options.output, found)
+    validation.print_validation(found)
+    return EXIT_DONE if found.passed else EXIT_FAILED
+
+
+COMMANDS = (
+    run, init, check, cameras, import_calibration, export_calibration, align, simulate, plan, lines, transfer, validate,
+)  # fmt: skip
