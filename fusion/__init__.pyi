@@ -19,6 +19,7 @@ from .recording.load import Manifest as Manifest
 from .recording.load import find_recordings as find_recordings
 from .recording.load import load_for_command as load_for_command
 from .recording.load import load_manifest as load_manifest
+from .report.labelled import read_results as read_results
 from .sensitivity.analyse import Evaluation as Evaluation
 from .sensitivity.evaluate import evaluate_recording as evaluate_recording
 from .sensitivity.load import LoadResult as LoadResult

@@ -163,3 +163,19 @@ def far(error: complex, covariance: np.ndarray, dof: float = np.inf) -> float:
     """How far out a complex error is, over the edge of the 95 % region of its covariance (2, 2): inside below 1."""
     parts = np.array([error.real, error.imag])
     return float(np.sqrt(parts @ np.linalg.solve(covariance, parts)) / region_factor(float(dof)))
+
+
+def untold(file: h5py.File) -> list[str]:
+    """Return the paths of data sets without words, of numbers without a unit, and of axes without a name."""
+    found: list[str] = []
+
+    def look(path: str, data: object) -> None:
+        if isinstance(data, h5py.Dataset):
+            bare = b"not a netCDF variable" in data.attrs.get("NAME", b"")
+            number = data.dtype.kind in "biufc" and not bare
+            named = data.is_scale or all(len(dim) == 1 for dim in data.dims)
+            if not ((bare or data.attrs.get("long_name")) and (data.attrs.get("units") or not number) and named):
+                found.append(path)
+
+    file.visititems(look)
+    return found

@@ -46,3 +46,9 @@ def test_wheel_holds_the_three_packages_and_nothing_else_and_runs_outside_the_cl
     done = subprocess.run([*command, "run", str(demo_recording), "-o", str(results)], check=False, **outside)
     assert done.returncode == 0, done.stderr
     assert (results / "sensitivity.csv").stat().st_size > 0
+    judged = subprocess.run([*command, "validate"], check=True, **outside)
+    assert "as installed" in judged.stdout
+    (site / "shaker" / "labels.py").write_text((site / "shaker" / "labels.py").read_text() + "# changed\n")
+    judged = subprocess.run([*command, "validate"], check=False, **outside)
+    assert judged.returncode == 1
+    assert "not as installed: shaker/labels.py" in judged.stdout

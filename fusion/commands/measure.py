@@ -484,6 +484,26 @@ def transfer(options: argparse.Namespace) -> None:
     run_transfer(options.recording, options.output, settings, force=options.force, allow_outside=options.allow_outside)
 
 
+def _validate_options(parser: Parser) -> None:
+    text = "write validation.json and a page there (default: print only)"
+    parser.add_argument("-o", "--output", type=path, metavar="FOLDER", help=text)
+    parser.switch("--force", "replace those of an earlier validation")
+
+
+@command(_validate_options)
+def validate(options: argparse.Namespace) -> int:
+    """Compare what this installation computes with results of other means (software validation)."""
+    from fusion.planning.validation import run as validation
+
+    if options.output is not None:
+        validation.check_place(options.output, force=options.force)
+    found = validation.validate()
+    if options.output is not None:
+        validation.write_validation(options.output, found)
+    validation.print_validation(found)
+    return EXIT_DONE if found.passed else EXIT_FAILED
+
+
 COMMANDS = (
     run,
     init,
@@ -497,4 +517,5 @@ COMMANDS = (
     plan,
     lines,
     transfer,
+    validate,
 )

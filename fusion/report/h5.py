@@ -16,6 +16,7 @@ import numpy as np
 
 from fusion.base import InputError
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
+from fusion.report.quantities import describe
 from shaker.io.channel import check_stored, opened_hdf5
 
 COMPRESS_ABOVE = 512
@@ -28,10 +29,13 @@ INFLUENCE_NUMBERS = ("u", "dof")
 def h5_content(fill: Callable[[h5py.File], None], *, in_order: bool = True) -> bytes:
     """Return the content of an HDF5 file that a function fills in memory: what the disk refuses is no matter of HDF5.
 
-    Equal input gives equal bytes. `in_order`: the file keeps the order in which its groups were made.
+    Equal input gives equal bytes. `in_order`: of results: the file keeps the order in which its groups were made, and
+    says of every data set what it is.
     """
     with h5py.File("in memory", "w", driver="core", backing_store=False, track_order=in_order) as file:
         fill(file)
+        if in_order:
+            describe(file)
         file.flush()
         return bytes(file.id.get_file_image())
 

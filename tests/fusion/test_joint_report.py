@@ -16,7 +16,7 @@ from contracts import refused
 from evaluation_factory import Choice, make_evaluation
 from page_outline import outline
 from simulated_drives import CAPACITY, MAIN, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
-from support import DOCS, examples, rows
+from support import DOCS, examples, rows, untold
 
 from fusion.base import InputError
 from fusion.campaign import joint_report as joint_write
@@ -177,6 +177,21 @@ def test_uncertainties_are_kept_with_their_names(matrix):
         assert file["recordings/name"].asstr()[2] == "run 3"
         kinds = [curve.attrs["kind"] for curve in file["curves"].values()]
     assert kinds[-1] == "matrix"
+
+
+def test_every_number_of_a_campaign_has_unit_words_and_named_axes(swept, matrix):
+    for evaluation in (swept, matrix):
+        with h5py.File(io.BytesIO(campaign_h5(evaluation, ["a.csv"]))) as file:
+            assert untold(file) == []
+            assert file["curves/000/value"].attrs["units"] == "(V/V)/N"
+            assert file["curves/000/value"].dims[1][0].asstr()[0] == "Fx/Fz" if evaluation is swept else "Fx/Fx"
+    with h5py.File(io.BytesIO(campaign_h5(matrix, []))) as file:
+        fit = file["matrices/000"]
+        rows = fit["uncertainty/covariance"].dims[1][0].asstr()[()].tolist()
+        assert rows[:7] == ["Re Fx/Fx", "Re Fx/Fy", "Re Fx/Fz", "Re Fx/Mx", "Re Fx/My", "Re Fx/Mz", "Re Fy/Fx"]
+        units = fit["uncertainty/effect"].attrs["units"].strip("[]").split(", ")
+        assert units == 6 * (3 * ["(V/V)/N"] + 3 * ["(V/V)/(N.m)"])
+        assert file["cross_talks/000/value"].attrs["units"] == "1"
 
 
 def test_equal_input_gives_equal_bytes_and_without_six_loads_there_is_no_matrix(swept):

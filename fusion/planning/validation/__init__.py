@@ -1,0 +1,1 @@
+"""Software validation: frozen cases computed by this installation, against results of other means."""

@@ -1,0 +1,388 @@
+"""What stands in HDF5 files of results, told in the files: unit, name in words and named axes of every data set."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+
+from fusion.report.table import sensitivity_unit
+from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units
+
+
+class Told(NamedTuple):
+    """What is told of a data set: names of its axes, its unit, its name in words; empty: by the rules below.
+
+    `axes`: of a data set of one axis in the group or above it, else any name. `unit`: ASCII; `value` for that of the
+    values of its group, `squared` for the products of those, `.` for the unit of each row in `unit` beside it.
+    """
+
+    axes: str = ""
+    unit: str = ""
+    text: str = ""
+
+
+K, KC, EACH = "frequency_hz", "frequency_hz channels", "[unit of the channel]"
+TOLD = {
+    "frequency_hz": Told(K, "Hz", "frequency"),
+    "u_frequency_hz": Told(K),
+    "nominal_hz": Told(K, text="nominal fundamental of the line"),
+    "multiple": Told(K, "1", "harmonic number of the line"),
+    "dof": Told(K, "1", "degrees of freedom"),
+    "kind": Told(K),
+    "why": Told(K),
+    "channels": Told("channels"),
+    "components": Told("components"),
+    "unit": Told("channels"),
+    "value": Told(KC, "value", "peak phasors"),
+    "covariance": Told("frequency_hz row column", "squared", "covariance of [all Re, all Im]"),
+    "observed": Told(KC, "1", "whether the component is a result"),
+    "disputed": Told(KC, "1", "whether instruments contradict each other in the component"),
+    "leaked": Told("frequency_hz row column", "value", "what one u of unobserved motion adds to [Re, Im]"),
+    "instruments": Told("instruments"),
+    "capacity": Told("components", "load", "rated loads"),
+    "static": Told("channels components", "static", "static sensitivity"),
+    "static_sensitivity": Told("channels components", "static", "static sensitivity"),
+    "direction": Told("axis", "1", "direction in the sensor frame"),
+    "frequencies": Told("excitation", "Hz", "stated frequencies"),
+    "origin_m": Told("axis", text="point that the motion is referred to"),
+    "elements": Told("element of", "1", "number of channel and of component (0 to 5: Fx to Mz) of each element"),
+    "half_axis": Told("channels components", "1", "larger half axis of the 95 % region"),
+    "holds_zero": Told("channels components", "1", "whether the 95 % region holds zero"),
+    "main": Told("channels", "1", "number of the main component (0 to 5: Fx to Mz)"),
+    "load_size": Told("components", "load", "largest loads of the recordings"),
+    "effect": Told("name frequency_hz row", "value", "change of [all Re, all Im] for one u of each unknown"),
+    "uncertainty/dof": Told("name", "1", "degrees of freedom of u"),
+    "uncertainty/u": Told("name", ".", "standard uncertainty of the unknown"),
+    **{f"uncertainty/{text}": Told("name") for text in ("name", "label", "unit", "scope", "type")},
+    "unknowns/*": Told("name"),
+    "unknowns/u": Told("name", ".", "standard uncertainty of the unknown"),
+    "unknowns/estimate": Told("name", "1", "estimate of the unknown over its u"),
+    "unknowns/remaining": Told("name", "1", "u after the estimate over u before"),
+    "consistency/*": Told("instrument"),
+    "consistency/channels": Told("instrument", "1", "number of channels"),
+    "consistency/normalised_deviation": Told("instrument", "1", "normalised deviation from all others"),
+    "consistency/ratio": Told("instrument", "1", "measured over predicted"),
+    **{f"consistency/{word}": Told("instrument", "1", f"whether it is {word}") for word in ("used", "suspect")},
+    "consistency/left_out": Told("instrument", "1", "whether it is left out as a gross error"),
+    "unnoticed/*": Told("case"),
+    "unnoticed/shift": Told("case", "1", "shift of the component over its U"),
+    "notices/*": Told("notice"),
+    "scatter/*/amplitude": Told(K, "1", "scatter in phase with the reading, relative to the motion"),
+    "scatter/*/phase": Told(K, "rad", "scatter at right angles to the reading, relative to the motion"),
+    "budget/*/coefficient": Told(
+        "quantity frequency_hz element", "per", "change of relative magnitude and phase per unit"
+    ),
+    "u_relative": Told("frequency_hz element", "1", "contribution to the u of the relative magnitude"),
+    "u_phase_rad": Told("frequency_hz element", text="contribution to the u of the phase"),
+    "excerpt_s": Told("excerpt_s", text="time of the excerpt"),
+    "excerpt": Told("excerpt_s", "value", "excerpt of the record"),
+    "excerpt_fit": Told("excerpt_s", "value", "fit to the excerpt"),
+    "spectrum_hz": Told("spectrum_hz", text="frequency of the spectrum"),
+    "spectrum": Told("spectrum_hz", "value", "amplitude spectrum"),
+    "time_s": Told("time_s", text="time on the clock of the first recorder"),
+    "stationarity/value": Told("time_s frequency_hz channels", "value", "peak phasors of the blocks"),
+    "stationarity/u": Told("time_s frequency_hz channels", "value", "standard uncertainty of either part"),
+    "amplitude_per_s": Told(KC, "value/s", "rate of change of the amplitude"),
+    "u_amplitude_per_s": Told(KC, "value/s", "standard uncertainty of the rate of change of the amplitude"),
+    "phase_rad_per_s": Told(KC, "rad/s", "rate of change of the phase"),
+    "u_phase_rad_per_s": Told(KC, "rad/s", "standard uncertainty of the rate of change of the phase"),
+    "p_value": Told(KC, "1", "chance that noise alone moves the blocks that far"),
+    "pose": Told("time_s channels", "value", "pose: translation and rotation vector"),
+    "motion/covariance": Told("time_s channels component", "squared", "covariance of the pose"),
+    "motion_from_mean/covariance": Told("time_s channels component", "squared", "covariance of the pose"),
+    "residual_m": Told("time_s", text="rms residual of the points per coordinate"),
+    "motion/points": Told("time_s", "1", "number of points used"),
+    "motion_from_mean/points": Told("time_s", "1", "number of points used"),
+    "stereo/*/residual": Told("time_s channels", "value", "what the sine approximation leaves of the pose"),
+    "usable": Told("line", "1", "whether the rate of the camera can tell the line apart"),
+    "subsets_px": Told("subset coordinate", text="place of the subsets in the first left image"),
+    "sigma_px": Told("of", text="median standard deviation of a subset's coordinate: predicted, found"),
+    "read_variance_grey2": Told("camera", "1", "variance of the dark sensor in grey values squared"),
+    "variance_per_grey": Told("camera", "1", "variance per grey value"),
+    "deflection/value": Told("frequency_hz point axis", "m", "deflection beside the rigid motion, peak phasors"),
+    "deflection/u": Told("frequency_hz point axis", "m", "standard uncertainty of either part"),
+    "reference_m": Told("point axis", text="place of the points at rest"),
+    "course_px": Told("time_s share", text="epipolar residual: mean, change along x, change along y"),
+    "u_course_px": Told("time_s share", text="standard uncertainty of the epipolar residual"),
+    "pattern_px": Told("share", text="epipolar residual of the recording: mean, change along x, change along y"),
+    "pattern_covariance": Told("share share_of", "px^2", "what calibration and matching explain of the pattern"),
+    "position_px": Told("point coordinate", text="mean place of the points in the left image"),
+    "residual_px": Told("point", text="mean epipolar residual of the points"),
+    "offset": Told("channels", "value", "offset"),
+    "offset_covariance": Told("channels component", "squared", "covariance of the offset"),
+    "drift_per_s": Told("channels", "value/s", "drift"),
+    "residual_rms": Told("channels", "value", "rms of what the sines leave"),
+    "decay_per_s": Told(K, "1/s", "decay of the line"),
+    "u_decay_per_s": Told(K, "1/s"),
+    "slopes": Told("set row column", "1", "share of the lines' parts times time that the fit follows"),
+    "spikes": Told("spike", "1", "number of each frame left out"),
+    "others/amplitude": Told("frequency_hz channel", EACH, "peak amplitude in the channel"),
+    "others/u_amplitude": Told("frequency_hz channel", EACH, "standard uncertainty of the peak amplitude"),
+    "snr": Told(K, "1", "power of the line over that of the noise"),
+    "origin": Told(K),
+    "floor": Told("floor_hz channel", EACH, "noise floor as amplitude per bin"),
+    "floor_hz": Told("floor_hz", text="frequency of the noise floor"),
+    "nuisance_hz": Told("nuisance_hz", text="lines fitted beside those of the recording"),
+    "trigger/number": Told("number", "1", "number of the edge"),
+    **{f"trigger/{name}": Told("number") for name in ("edge_s", "lower_s", "upper_s", "correction_s")},
+    "trigger/missing": Told("missed", "1", "numbers without an edge"),
+    "trigger/covariance": Told("parameter other", "s^2", "covariance of start_s and period_s"),
+    "tie/covariance": Told("parameter other", "[s, 1]^2", "covariance of offset_s and rate"),
+    "axes": Told("across axis", "1", "directions across that of the points"),
+    "place_m": Told("channels across", text="lever arms of the points"),
+    "plane": Told("frequency_hz plane_of", "[m/s^2, rad/s^2, rad/s^2]", "mean and angular accelerations of the points"),
+    "points/*/residual": Told(KC, "m/s^2", "what the plane leaves"),
+    "fused": Told(K, "value", "output over the load of the fused motion"),
+    "set_ups/*/value": Told(K, EACH, "phasors of the reference channel"),
+    "factor": Told(K, "1", "factor that ties the set-up to the first"),
+    "drift": Told(K, "1", "change of the reference's magnitude"),
+    "u_drift": Told(K, "1"),
+    "sensitivity/value": Told("frequency_hz channels components", "value", "complex sensitivity"),
+    "element/value": Told("frequency_hz channels components", "value", "complex sensitivity, elements of the sensor"),
+    "load/value": Told("frequency_hz components", "value", "peak phasors of the load"),
+    "load/observed": Told("frequency_hz components", "1", "whether the component is a result"),
+    "curves/*/value": Told("frequency_hz element", "value", "complex sensitivity"),
+    "repeats/*/value": Told("channels", "value", "mean complex sensitivity"),
+    "weight": Told("recordings", "1", "weight in the mean"),
+    "within": Told("channels", "1", "relative standard deviation of a recording"),
+    "between": Told("channels", "1", "relative standard deviation of a mounting"),
+    "mountings": Told("recordings"),
+    "linearity/*/amplitude": Told("recordings", "driven", "amplitude of the load"),
+    "slope": Told("channels", "1/driven", "relative change per unit of load"),
+    "change": Told("channels", "1", "relative change from the smallest to the largest amplitude"),
+    "linearity/*/covariance": Told("channels part part_of", "1", "covariance of (Re, Im) of the change"),
+    "linear": Told("channels", "1", "whether the 95 % region of the change holds zero"),
+    "matrices/*/value": Told("channels components", "value", "complex 6x6 matrix"),
+    "singular": Told("independent", "1", "independent loads in their standard uncertainties"),
+    "excitation/share": Told("independent", "1", "singular values relative to the largest"),
+    "agreement/*": Told("drive"),
+    "agreement/normalised_deviation": Told("drive", "1", "normalised deviation from all others"),
+    "agreement/readings": Told("drive", "1", "number of readings"),
+    "agreement/frequency_hz": Told("drive", "Hz", "frequency"),
+    "cross_talks/*/value": Told("channels components", "1", "output under a rated load over that under its own"),
+}
+"""By the tail of the path: the longest that fits counts, `*` stands for any name."""
+SUFFIXES = {
+    "_rad_per_s": "rad/s", "_per_s": "1/s", "_hz": "Hz", "_rad": "rad", "_s": "s", "_m": "m", "_m2": "m^2",
+    "_px": "px", "_kg": "kg", "_n": "N", "_relative": "1", "_db": "dB",
+}  # fmt: skip
+"""Units that the names of fields end with."""
+PHASORS = {"frequency_hz", "value", "covariance", "channels", "unit"}
+"""What a group of phasors holds, in whatever file."""
+
+
+def describe(file: h5py.File) -> None:
+    """Give every data set `units` and `long_name` as far as they are known, and its axes names as dimension scales.
+
+    `units` is ASCII: one unit, `[a, b]` where they differ along the last axis (for Re and again for Im where that is
+    twice as long), `[a, b]^2` for products of the units of row and column, `[unit]` where `unit` beside it has them.
+    Files of other commands say so of their phasors, and of what names with a unit say by themselves.
+    """
+    whole = bool({"recording", "campaign"} & set(file.attrs))
+    found: list[h5py.Dataset] = []
+    file.visititems(lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
+    for data in sorted(found, key=lambda data: (data.name.count("/"), len(data.shape), data.name)):
+        known = whole or set(data.parent) >= PHASORS
+        told = _told(data.name) if known else Told()
+        if data.dtype.kind in "biufc":
+            unit = _unit(data, told)
+            if unit:
+                data.attrs["units"] = unit
+        data.attrs["long_name"] = told.text or _words(data.name)
+        if not known:
+            continue
+        own, names = data.name.rpartition("/")[2], told.axes.split()
+        if len(names) != data.ndim:
+            names = [own] if data.ndim == 1 else [f"{own}_{axis + 1}" for axis in range(data.ndim)]
+        for axis, name in enumerate(names):
+            scale = _scale(data, name, data.shape[axis])
+            if scale != data:
+                data.dims[axis].attach_scale(scale)
+
+
+def _told(path: str) -> Told:
+    """Return what the table has of a path: of the longest tail that fits, one without `*` before one with it."""
+    parts = [re.sub(r"^\w+_uncertainty$", "uncertainty", part) for part in path.strip("/").split("/")]
+    fitting = [
+        tail
+        for tail in (name.split("/") for name in TOLD)
+        if len(tail) <= len(parts) and all(a in ("*", b) for a, b in zip(tail[::-1], parts[::-1], strict=False))
+    ]
+    best = max(fitting, key=lambda tail: (len(tail), -tail.count("*")), default=None)
+    return TOLD["/".join(best)] if best else Told()
+
+
+def _words(path: str) -> str:
+    """Return the name of a field in words: without its unit, `u_` as standard uncertainty."""
+    name = path.rpartition("/")[2]
+    ending = max((suffix for suffix in SUFFIXES if name.endswith(suffix)), key=len, default="")
+    text = name.removesuffix(ending).replace("_", " ")
+    return re.sub("^u(?: |$)", "standard uncertainty of the ", text).removesuffix(" of the ")
+
+
+# Units: those of the values of a group, from what it says of itself.
+
+
+def _unit(data: h5py.Dataset, told: Told) -> str:
+    """Return the unit of a data set, empty where nothing tells it."""
+    group, name = data.parent, data.name.rpartition("/")[2]
+    rules: dict[str, Callable[[], str]] = {
+        "": lambda: next((unit for suffix, unit in SUFFIXES.items() if name.endswith(suffix)), ""),
+        ".": lambda: _listed(group["unit"].asstr()[()], "[unit]"),
+        "load": lambda: _listed(LOAD_UNITS),
+        "per": lambda: f"[1, rad]/({group.attrs['unit'] or '1'})",
+        "static": lambda: _listed(_sensitivity_units(group)),
+        "driven": lambda: LOAD_UNITS[int(group.attrs["component"])],
+        "1/driven": lambda: f"1/({LOAD_UNITS[int(group.attrs['component'])]})",
+        "value": lambda: _listed(_sensitivity_units(group) if data.ndim > 1 and _is_matrix(group) else units()),
+        "value/s": lambda: _listed(f"({unit})/s" if "/" in unit else f"{unit}/s" for unit in units()),
+        "squared": lambda: _squared(_listed(units())),
+    }
+
+    def units() -> list[str]:
+        return _units_of_values(group)
+
+    try:
+        return rules[told.unit]() if told.unit in rules else told.unit
+    except KeyError:  # nothing here says of which unit
+        return ""
+
+
+def _squared(listed: str) -> str:
+    """Return what products of these units have."""
+    return listed if listed in ("", "1") else f"{listed}^2" if listed[0] == "[" else f"({listed})^2"
+
+
+def _is_matrix(group: h5py.Group) -> bool:
+    """Whether the values of a group stand over channels and load components."""
+    top = group.name.split("/")
+    return "uncertainty" not in top and (top[1:2] == ["matrices"] or top[1:] in (["sensitivity"], ["element"]))
+
+
+def _sensitivity_units(group: h5py.Group) -> list[str]:
+    """Return the units of sensitivities to the six load components."""
+    return [sensitivity_unit(_output_unit(group), component) for component in LOAD_COMPONENTS]
+
+
+def _listed(units: Iterable[str], several: str = "") -> str:
+    """Return the one unit of all, else `several`, by default all in brackets."""
+    units = [str(unit) for unit in units]
+    return units[0] if len(set(units)) == 1 else (several or f"[{', '.join(units)}]") if units else ""
+
+
+def _output_unit(group: h5py.Group) -> str:
+    """Return the unit of the outputs that sensitivities of a group are of."""
+    return str(group.attrs.get("unit", group.file["sensor"].attrs["unit"] if "sensor" in group.file else ""))
+
+
+def _owner(group: h5py.Group) -> tuple[h5py.Group, str]:
+    """Return the group whose values an uncertainty is of, and which of its values (`plane`, `residual`)."""
+    found = re.match(r"(.*)/(?:(\w+)_)?uncertainty(/.*)?$", group.name)
+    return (group.file[found[1]], found[2] or "") if found else (group, "")
+
+
+def _units_of_values(group: h5py.Group) -> list[str]:
+    """Return the unit of each value of a group, or of what an uncertainty or a group of details belongs to."""
+    owner, which = _owner(group)
+    top = owner.name.split("/")[1:]
+    stated = next((inner for inner in ("unit", "phasors/unit") if inner in owner), None)
+    fixed = {
+        "load": list(LOAD_UNITS),
+        "cross_talks": ["1"],
+        "stereo": list(component_units(0)),
+        "points": ["m/s^2", "rad/s^2", "rad/s^2"] if which == "plane" else ["m/s^2"],
+    }
+    if stated is not None:
+        units = list(owner[stated].asstr()[()])
+    elif top[0] in fixed and top[-1] != "ratios":
+        units = fixed[top[0]]
+    elif "components" not in owner and "component" in owner.attrs:
+        component = owner.attrs["component"]
+        units = [
+            sensitivity_unit(_output_unit(owner), LOAD_COMPONENTS[component] if component in range(6) else component)
+        ]
+    elif "elements" in owner:
+        units = [_sensitivity_units(owner)[j] for j in owner["elements"][:, 1]]
+    elif top[0] == "matrices":
+        units = _sensitivity_units(owner) * len(owner["channels"])
+    elif "unit" in owner.attrs:
+        units = [str(owner.attrs["unit"])]
+    else:
+        units = _units_of_values(owner.parent) if len(top) > 1 else []
+    return units
+
+
+# Axes: coordinates of the group or of those above it, labels, or a length alone.
+
+
+def _scale(data: h5py.Dataset, name: str, length: int) -> h5py.Dataset:
+    """Return the dimension scale of an axis: of the data set's group, or of one above it, made where there is none."""
+    own, group = data.parent, data.parent
+    while True:
+        near = group.get(name)
+        if isinstance(near, h5py.Dataset) and near.shape == (length,):
+            if not near.is_scale:
+                near.make_scale(name)
+            return near
+        if group.name == "/":
+            break
+        group = group.parent
+    free = next(text for text in (name, *(f"{name}_{number}" for number in range(2, 99))) if text not in own)
+    values = _coordinate(own, name, length)
+    if values is None:
+        scale = own.create_dataset(free, shape=(length,), dtype=">f4")
+        scale.make_scale(f"This is a netCDF dimension but not a netCDF variable. {length:9d}")
+        return scale
+    text = not isinstance(values, np.ndarray)
+    scale = own.create_dataset(free, data=values, dtype=h5py.string_dtype() if text else None)
+    scale.make_scale(free)
+    scale.attrs["long_name"] = "real parts, then imaginary parts" if name in ("row", "column") else _words(f"/{name}")
+    if not text:
+        scale.attrs["units"] = "Hz"
+    return scale
+
+
+def _coordinate(group: h5py.Group, name: str, length: int) -> Any:
+    """Return what an axis says at each place, None where nothing does."""
+    owner, which = _owner(group)
+    labels = _labels(owner, which) if name in ("row", "column", "element") else []
+    places = [owner, *(owner[inner] for inner in ("phasors", "fit/phasors") if inner in owner)]
+    found: Any = next((place[name] for place in places if name in place and place[name].shape == (length,)), None)
+    if name in ("row", "column"):
+        values: Any = [f"{part} {label}" for part in ("Re", "Im") for label in labels]
+    elif name == "element":
+        values = labels
+    elif name == "components":
+        values = LOAD_COMPONENTS
+    elif name in ("channels", "component") and group.name.startswith("/stereo"):
+        values = MOTION_COMPONENTS
+    elif name == "axis":
+        values = AXES
+    elif found is not None:
+        values = found.asstr()[()].tolist() if found.dtype.kind == "O" else found[()]
+    else:
+        values = np.array([owner.attrs["frequency_hz"]]) if name == K and K in owner.attrs else ()
+    return values if len(values) == length > 0 else None
+
+
+def _labels(owner: h5py.Group, which: str) -> list[str]:
+    """Return the label of each value of a group."""
+    if which == "plane":
+        return ["mean", "rotation 1", "rotation 2"]
+    if "elements" in owner:
+        channels = owner["channels"].asstr()[()]
+        return [f"{channels[c]}/{LOAD_COMPONENTS[j]}" for c, j in owner["elements"][()]]
+    top = owner.name.split("/")[1]
+    if top == "load":
+        return list(LOAD_COMPONENTS)
+    inner = next((inner for inner in ("channels", "phasors/channels") if inner in owner), None)
+    if inner is None:
+        return _labels(owner.parent, which) if owner.name != "/" else []
+    channels = list(owner[inner].asstr()[()])
+    if top in ("matrices", "cross_talks"):
+        return [f"{channel}/{component}" for channel in channels for component in LOAD_COMPONENTS]
+    return channels

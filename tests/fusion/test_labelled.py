@@ -1,0 +1,104 @@
+"""`fusion.read_results`: what the tables of a run say, as labelled arrays, pandas tables and xarray data sets."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from contracts import refused
+from recordings import once
+
+from fusion import InputError, read_results
+from fusion.campaign.joint_report import write_campaign
+from fusion.report.recording import result_tables, write_h5
+from fusion.sensitivity.analyse import Evaluation
+
+
+@pytest.fixture(scope="module")
+def folder(demo_evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    def write(path: Path) -> Path:
+        path.mkdir()
+        for name, text in result_tables(demo_evaluation).items():
+            (path / name).write_text(text)
+        write_h5(path / "result.h5", demo_evaluation, [])
+        return path
+
+    return once(tmp_path_factory, "labelled", write)
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_arrays_say_what_the_tables_say(folder):
+    results = read_results(str(folder))
+    for table, of in (("sensitivity.csv", results.sensitivity), ("load.csv", results.load)):
+        column = "channel" if table == "sensitivity.csv" else "body"
+        told = [row for row in rows(folder / table) if row.get("kind") != "element"]
+        assert len(told) == np.isfinite(of.value).sum()
+        for row in told:
+            k = int(np.argmin(np.abs(of.frequency_hz - float(row["frequency_hz"]))))
+            e = of.elements.index(f"{row[column]}/{row['component']}")
+            assert of.value[k, e] == complex(float(row["re"]), float(row["im"]))
+            assert of.unit[e] == row["unit"]
+            assert np.sqrt(of.covariance[k, e, e]) == pytest.approx(float(row["u_re"]), rel=1e-12)
+            assert np.array_equal(of.of(row[column], row["component"]), of.value[:, e], equal_nan=True)
+    assert {row["source"] for row in rows(folder / "acceleration.csv")} == {
+        name.partition("-")[2] for name in results.acceleration
+    }
+    assert repr(results.load) == "load: 6 elements at 3 lines from 80.0002 to 240.001 Hz in N, N.m"
+    assert len(repr(results).splitlines()) == 1 + 3 + len(results.acceleration)
+
+
+def test_pandas_has_the_rows_of_the_tables(folder):
+    pytest.importorskip("pandas")
+    frame = read_results(folder / "result.h5").load.to_dataframe()
+    told = rows(folder / "load.csv")
+    assert len(frame) == len(told)
+    for name in ("frequency_hz", "re", "im", "u_re", "u_im", "r", "dof", "u_phase_rad", "dof_phase"):
+        assert np.allclose(frame[name], [float(row[name]) for row in told], rtol=1e-9)
+    assert list(frame["component"]) == [row["component"] for row in told]
+
+
+def test_xarray_has_values_and_covariance_by_name(folder):
+    pytest.importorskip("xarray")
+    results = read_results(folder)
+    data = results.sensitivity.to_xarray()
+    with h5py.File(folder / "result.h5") as file:
+        covariance = file["sensitivity/uncertainty/covariance"][()]
+    found = data["covariance"].sel(row="Re Fz/Fz", column="Im Fz/Fz").to_numpy()
+    assert np.allclose(found, covariance[:, 2, 8], rtol=1e-12)
+    assert data["value"].attrs["units"] == "(V/V)/N"
+    assert "units" not in results.load.to_xarray()["value"].attrs
+
+
+def test_what_is_not_installed_is_said_in_one_sentence(folder, monkeypatch):
+    def absent(name: str) -> None:
+        raise ModuleNotFoundError(name)
+
+    load = read_results(folder).load
+    monkeypatch.setattr(importlib, "import_module", absent)
+    refused("pandas is not installed: pip install pandas", load.to_dataframe, error=ImportError)
+    refused("xarray is not installed: pip install xarray", load.to_xarray, error=ImportError)
+
+
+def test_a_campaign_has_curves_and_the_rest_is_refused(folder, tmp_path):
+    write_campaign(tmp_path, "one", [folder], {})
+    results = read_results(tmp_path)
+    assert (results.name, results.load, results.acceleration) == ("one", None, {})
+    told = [row for row in rows(tmp_path / "curve.csv") if row["kind"] == "ratio"]
+    curve = next(curve for curve in results.curve if curve.kind[0] == "ratio")
+    assert sorted(set(curve.channel)) == sorted({row["channel"] for row in told})
+    assert curve.of("Fz", "Fz")[0].real == pytest.approx(
+        next(float(row["re"]) for row in told if row["channel"] == "Fz"), rel=1e-12
+    )
+    refused("expected one of", curve.of, "Fz", "Mx")
+    refused("expected result.h5 or campaign.h5 of a run", read_results, tmp_path / "none", error=InputError)
+    with h5py.File(tmp_path / "result.h5", "w") as file:
+        file.attrs["format"] = 1
+    refused("expected results of format 2", read_results, tmp_path / "result.h5", error=InputError)
