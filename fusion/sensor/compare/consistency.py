@@ -1,0 +1,99 @@
+"""The reference value of a comparison, its consistency, degrees of equivalence and drift, from values and covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.stats import chi2
+
+from shaker.arrays import FloatArray
+
+SIGNIFICANCE = 0.05
+"""Of the chi-square test of consistency."""
+COVERAGE_FACTOR = 2.0
+MOST_RESULTS = 12
+"""Results of one element at one frequency: all their subsets are tried."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Weighted mean of the results `used` (N,), of all N the deviations from it and their expanded uncertainty, k = 2.
+
+    `p`: probability of a chi-square as large as `chi_squared` of those used.
+    """
+
+    value: float
+    u: float
+    chi_squared: float
+    dof: int
+    p: float
+    used: np.typing.NDArray[np.bool_]
+    deviation: FloatArray
+    expanded: FloatArray
+
+    @property
+    def normalised(self) -> FloatArray:
+        """Return E_n of every result against the reference value, NaN where a result is the reference by itself."""
+        return np.divide(
+            self.deviation, self.expanded, out=np.full(len(self.expanded), np.nan), where=self.expanded > 0.0
+        )
+
+
+def normalised_error(value: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return E_n (N, N) = (x_i - x_j) / U(x_i - x_j), k = 2, with the correlations; 0 on the diagonal."""
+    variance = np.diag(covariance)
+    spread = variance[:, None] + variance[None, :] - 2.0 * covariance
+    u = np.sqrt(np.maximum(spread, 0.0))
+    difference = value[:, None] - value[None, :]
+    return np.divide(difference, COVERAGE_FACTOR * u, out=np.zeros_like(difference), where=u > 0.0)
+
+
+def weighted_mean(value: FloatArray, covariance: FloatArray) -> tuple[float, float, FloatArray, float]:
+    """Return mean, its u, the weights (N,), and chi-square about it: generalised least squares of one constant."""
+    solved = np.linalg.solve(covariance, np.column_stack([np.ones(len(value)), value]))
+    total = float(solved[:, 0].sum())
+    weights = solved[:, 0] / total
+    mean = float(weights @ value)
+    left = value - mean
+    return mean, float(total**-0.5), weights, float(left @ np.linalg.solve(covariance, left))
+
+
+def reference_value(value: FloatArray, covariance: FloatArray) -> Reference:
+    """Return the reference value of N results with covariance (N, N).
+
+    Cox, Metrologia 39 (2002) 589, procedure A: the weighted mean where chi-square does not refute it at 5 %; else that
+    of the largest subset that is consistent, among equals of the least chi-square (Cox, Metrologia 44 (2007) 187).
+    """
+    count = len(value)
+    if not 2 <= count <= MOST_RESULTS:
+        raise ValueError(f"value: expected 2 to {MOST_RESULTS} results, found {count}")
+    for size in range(count, 0, -1):
+        found = []
+        for subset in combinations(range(count), size):
+            own = np.array(subset)
+            found.append((weighted_mean(value[own], covariance[np.ix_(own, own)])[3], subset))
+        squared, subset = min(found)
+        p = float(chi2.sf(squared, size - 1)) if size > 1 else 1.0
+        if p >= SIGNIFICANCE:
+            break
+    own = np.array(subset)
+    mean, u, inner, squared = weighted_mean(value[own], covariance[np.ix_(own, own)])
+    weights = np.zeros(count)
+    weights[own] = inner
+    turned = np.eye(count) - weights  # deviations x_i - w.x, row by row
+    variance = np.einsum("ij,jk,ik->i", turned, covariance, turned)
+    expanded = COVERAGE_FACTOR * np.sqrt(np.maximum(variance, 0.0))
+    expanded[expanded < 1e-9 * np.sqrt(np.diag(covariance))] = 0.0
+    return Reference(mean, u, squared, size - 1, p, np.isin(np.arange(count), own), value - mean, expanded)
+
+
+def drift(year: FloatArray, value: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+    """Return the change per year and its u: a straight line by generalised least squares; `ValueError` on one date."""
+    if len(np.unique(year)) < 2:
+        raise ValueError("year: expected two dates, found one")
+    design = np.column_stack([np.ones(len(year)), year - year.mean()])
+    weighed = np.linalg.solve(covariance, np.column_stack([design, value]))
+    scatter = np.linalg.inv(design.T @ weighed[:, :2])
+    return float((scatter @ (design.T @ weighed[:, 2]))[1]), float(scatter[1, 1] ** 0.5)
