@@ -1,0 +1,157 @@
+"""Results side by side: which values belong together, their reference value, E_n and drift."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date as Date
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from fusion.base import CommandEvaluation, InputError
+from fusion.sensor.compare.consistency import MOST_RESULTS, Reference, drift, normalised_error, reference_value
+from fusion.sensor.compare.read import Result, Value
+from shaker.arrays import FloatArray, Notice
+
+DAYS = 365.25
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One quantity (magnitude or phase) of an element at a frequency: of the results `names`, value, u and reference.
+
+    `normalised` (N, N): E_n of every pair; `per_year` with `u_per_year`: drift, None where dates are not stated.
+    """
+
+    frequency_hz: float
+    channel: str
+    component: str
+    quantity: str
+    unit: str
+    names: tuple[str, ...]
+    value: FloatArray
+    u: FloatArray
+    reference: Reference
+    normalised: FloatArray
+    per_year: float | None
+    u_per_year: float | None
+
+    @property
+    def largest(self) -> float:
+        """Return the largest E_n of all pairs, in size."""
+        return float(np.abs(self.normalised).max())
+
+
+@dataclass(frozen=True)
+class ComparisonEvaluation(CommandEvaluation):
+    """A comparison: what was compared, and values that no other result has a partner for."""
+
+    results: tuple[Result, ...]
+    compared: tuple[Compared, ...]
+    alone: tuple[tuple[str, Value], ...]
+
+
+def evaluate_comparison(
+    results: Sequence[Result], dates: Mapping[str, Date], tolerance: float, hashes: dict[str, str]
+) -> ComparisonEvaluation:
+    """Compare results by name; frequencies belong together where they differ by no more than `tolerance`, relative.
+
+    Independence of the results is assumed.
+    """
+    begun = time.perf_counter()
+    if not 2 <= len(results) <= MOST_RESULTS:
+        found = "one result" if len(results) == 1 else f"{len(results)} results"
+        raise InputError(results[0].file, "", found=found, expected=f"2 to {MOST_RESULTS} results to compare")
+    compared: list[Compared] = []
+    alone: list[tuple[str, Value]] = []
+    for group in _groups(results, tolerance):
+        if len(group) < 2:
+            alone += group
+            continue
+        units = {value.unit for _, value in group}
+        if len(units) > 1:
+            file = next(result.file for result in results if result.name == group[1][0])
+            raise InputError(file, "unit", found=" and ".join(sorted(units)), expected="the same unit in all results")
+        compared.append(_compared(group, "magnitude", dates))
+        turned = [entry for entry in group if entry[1].phase_rad is not None]
+        if len(turned) > 1:
+            compared.append(_compared(turned, "phase", dates))
+    if not compared:
+        expected = f"an element whose frequencies agree within {tolerance:g}, relative"
+        raise InputError(results[1].file, "frequency_hz", found="nothing in common", expected=expected)
+    return ComparisonEvaluation(
+        name=f"Comparison of {', '.join(result.name for result in results)}",
+        notices=tuple(_notices(results, alone)),
+        settings={"tolerance": tolerance} | {f"date of {name}": str(day) for name, day in dates.items()},
+        input_hashes=hashes,
+        duration_s=time.perf_counter() - begun,
+        results=tuple(results),
+        compared=tuple(compared),
+        alone=tuple(alone),
+    )
+
+
+def _groups(results: Sequence[Result], tolerance: float) -> list[list[tuple[str, Value]]]:
+    """Values of the same element and frequency, at most one of each result, by element and frequency."""
+    entries = [(result.name, value) for result in results for value in result.values]
+    entries.sort(key=lambda entry: (entry[1].channel, entry[1].component, entry[1].frequency_hz))
+    groups: list[list[tuple[str, Value]]] = []
+    for name, value in entries:
+        last = groups[-1] if groups else []
+        first = last[0][1] if last else None
+        if (
+            first is not None
+            and (first.channel, first.component) == (value.channel, value.component)
+            and value.frequency_hz - first.frequency_hz <= tolerance * first.frequency_hz
+            and name not in {own for own, _ in last}
+        ):
+            last.append((name, value))
+        else:
+            groups.append([(name, value)])
+    return groups
+
+
+def _compared(group: Sequence[tuple[str, Value]], quantity: str, dates: Mapping[str, Date]) -> Compared:
+    """Reference value, E_n and drift of one quantity; phases are taken on the branch of the first."""
+    names, own = tuple(name for name, _ in group), [value for _, value in group]
+    if quantity == "magnitude":
+        value, u = np.array([v.magnitude for v in own]), np.array([v.u_magnitude for v in own])
+    else:
+        phase = np.array([v.phase_rad for v in own], dtype=np.float64)
+        value = phase[0] + np.angle(np.exp(1j * (phase - phase[0])))
+        u = np.array([v.u_phase_rad for v in own])
+    covariance, change = np.diag(u**2), None
+    if all(name in dates for name in names) and len({dates[name] for name in names}) > 1:
+        change = drift(np.array([dates[name].toordinal() / DAYS for name in names]), value, covariance)
+    return Compared(
+        frequency_hz=float(np.mean([v.frequency_hz for v in own])),
+        channel=own[0].channel,
+        component=own[0].component,
+        quantity=quantity,
+        unit=own[0].unit if quantity == "magnitude" else "rad",
+        names=names,
+        value=value,
+        u=u,
+        reference=reference_value(value, covariance),
+        normalised=normalised_error(value, covariance),
+        per_year=None if change is None else change[0],
+        u_per_year=None if change is None else change[1],
+    )
+
+
+def _notices(results: Sequence[Result], alone: Sequence[tuple[str, Value]]) -> list[Notice]:
+    """What a reader has to know of the comparison."""
+    text = (
+        "independence of the results is assumed: what two share, such as the mass of the same load or the same "
+        "accelerometer, cancels in their difference, so that E_n comes out too small"
+    )
+    found = [Notice("info", text, "comparison")]
+    for one, other in combinations(results, 2):
+        if Path(one.file).resolve() == Path(other.file).resolve():
+            found.append(Notice("warning", f"{one.name} and {other.name} are the same file", "comparison"))
+    if alone:
+        found.append(Notice("info", f"{len(alone)} values have no partner and are not compared", "comparison"))
+    return found

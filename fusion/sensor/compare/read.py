@@ -1,0 +1,128 @@
+"""What a comparison reads: a results folder of this program, or a CSV table of others."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fusion.base import InputError
+from fusion.recording.toml import read_text
+from fusion.recording.values import describe, wrong_size
+from fusion.report.recording import CURVE_FILE, SENSITIVITY_FILE
+
+LARGEST_TABLE = 50_000_000  # bytes
+NEEDED = ("frequency_hz", "channel", "component", "magnitude", "unit")
+KINDS = ("element", "matrix", "ratio")
+"""Of the rows of a sensitivity.csv: those that are results of a driven load."""
+
+
+@dataclass(frozen=True)
+class Value:
+    """One value of one result: magnitude and phase (rad, None where not determined) with u, of which 2·u is U.
+
+    u = U/k, with k no larger than 2: where few degrees of freedom make k larger, 2·u stays the stated U.
+    """
+
+    frequency_hz: float
+    channel: str
+    component: str
+    unit: str
+    magnitude: float
+    u_magnitude: float
+    phase_rad: float | None
+    u_phase_rad: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """What is compared: its name, file and values."""
+
+    name: str
+    file: Path
+    values: tuple[Value, ...]
+
+
+def result_file(path: Path) -> Path:
+    """Return the table of a results folder, or the file itself; `InputError` where there is none."""
+    if not path.is_dir():
+        return path
+    for folder in (path, path / "results"):
+        for name in (CURVE_FILE, SENSITIVITY_FILE):
+            if (folder / name).is_file():
+                return folder / name
+    raise InputError(path, "", found=f"no {CURVE_FILE} and no {SENSITIVITY_FILE}", expected="a folder of results")
+
+
+def read_result(name: str, path: Path) -> Result:
+    """Read one result: curve.csv or sensitivity.csv of a folder, or a table; `InputError` for what cannot be compared.
+
+    Columns: frequency_hz, channel, component, magnitude, unit, and U_magnitude with k, or u_magnitude; optionally
+    phase_rad with U_phase_rad (k_phase, else k) or u_phase_rad.
+    """
+    file = result_file(path)
+    try:
+        reader = csv.DictReader(read_text(file, LARGEST_TABLE, "a table").splitlines())
+        columns, rows = tuple(reader.fieldnames or ()), list(reader)
+    except csv.Error as error:
+        raise InputError(file, "", found=str(error), expected="a table in UTF-8 text") from error
+    missing = [column for column in NEEDED if column not in columns]
+    if missing:
+        raise InputError(file, missing[0], found="no such column", expected="this column")
+    if not {"U_magnitude", "u_magnitude"} & set(columns):
+        raise InputError(file, "U_magnitude", found="no such column", expected="this column, or u_magnitude")
+    values = []
+    for line, row in enumerate(rows, 2):
+        if "kind" in columns and row["kind"] not in KINDS:
+            continue
+        values.append(_value(row, file, line))
+    if not values:
+        raise InputError(file, "", found="no values", expected="a table with results")
+    keys = [(value.frequency_hz, value.channel, value.component) for value in values]
+    twice = next((key for place, key in enumerate(keys) if key in set(keys[:place][-50:])), None)
+    if twice is not None:
+        raise InputError(file, "frequency_hz", found=f"{twice[0]:g} Hz twice for {twice[1]}", expected="one value each")
+    return Result(name, file, tuple(values))
+
+
+def _value(row: dict[str, str], file: Path, line: int) -> Value:
+    """One row of a table."""
+
+    def number(column: str, least: float = -np.inf) -> float:
+        text = row.get(column) or ""
+        try:
+            found = float(text)
+        except ValueError:
+            found = np.nan
+        if not np.isfinite(found) or wrong_size(found) or found < least:
+            shown = f'"{describe(text, plain=True)}" in line {line}'
+            expected = "a finite number" if least == -np.inf else f"a number of at least {least:g}"
+            raise InputError(file, column, found=shown, expected=expected)
+        return found
+
+    def uncertainty(of: str, factor: str) -> float:
+        if not row.get(f"U_{of}"):
+            found, column = number(f"u_{of}", 0.0), f"u_{of}"
+        else:
+            found, column = number(f"U_{of}", 0.0) / min(number(factor, 1.0), 2.0), f"U_{of}"
+        if found == 0.0:
+            raise InputError(file, column, found=f"0 in line {line}", expected="a number above 0")
+        return found
+
+    texts = {}
+    for column in ("channel", "component", "unit"):
+        texts[column] = (row.get(column) or "").strip()
+        if not texts[column]:
+            raise InputError(file, column, found=f"nothing in line {line}", expected="a text")
+    phase = row.get("phase_rad") not in (None, "", "nan")
+    turned = uncertainty("phase_rad", "k_phase" if row.get("k_phase") else "k") if phase else np.nan
+    return Value(
+        frequency_hz=number("frequency_hz", 0.0),
+        **texts,
+        magnitude=number("magnitude", 0.0),
+        u_magnitude=uncertainty("magnitude", "k"),
+        phase_rad=number("phase_rad") if phase else None,
+        u_phase_rad=turned,
+    )
