@@ -266,9 +266,11 @@ def certificate(options: argparse.Namespace) -> None:
 def _compare_options(parser: Parser) -> None:
     text = "results folder or CSV table, with a name for it where NAME= stands in front"
     parser.value("inputs", str, "[NAME=]RESULT", text, nargs="+")
-    parser.value("--date", str, "NAME=DATE", "day of a result, YYYY-MM-DD, for the drift; may be repeated", action="append")
     parser.value(
-        "--tolerance", percent, "PERCENT", "by which frequencies of one value may differ (default: 0.1)", default=0.1
+        "--date", str, "NAME=DATE", "day of a result, YYYY-MM-DD, for the drift; may be repeated", action="append"
+    )
+    parser.value(
+        "--tolerance", percent, "PERCENT", "by which frequencies of one value may differ (default: 0.1)", default=1e-3
     )
     parser.results("folder comparison here")
 
@@ -278,7 +280,7 @@ def compare(options: argparse.Namespace) -> None:
     """Results of laboratories, campaigns or dates: E_n, reference value, consistency, drift."""
     from fusion.sensor.compare.report import run_compare
 
-    run_compare(options.inputs, options.output, options.date or (), options.tolerance / 100.0, force=options.force)
+    run_compare(options.inputs, options.output, options.date or (), options.tolerance, force=options.force)
 
 
 COMMANDS = (rotate, identify, step, load, compensate, decouple, elastomer, certificate, compare)

@@ -66,8 +66,11 @@ def draw_normalised(evaluation: ComparisonEvaluation) -> Picture:
         for axes, quantity in zip(drawn.panels, ("magnitude", "phase"), strict=True):
             own = [found for found in _main(evaluation) if found.quantity == quantity]
             for place, result in enumerate(evaluation.results):
-                shown = [(f.frequency_hz, f.reference.normalised[f.names.index(result.name)]) for f in own
-                         if result.name in f.names]
+                shown = [
+                    (f.frequency_hz, f.reference.normalised[f.names.index(result.name)])
+                    for f in own
+                    if result.name in f.names
+                ]
                 if shown:
                     x, y = np.array(shown).T
                     axes.plot(x, y, "o", color=COLOURS[place % len(COLOURS)], label=result.name, markersize=4)
@@ -147,7 +150,11 @@ COMPARE = Command(
 
 
 def run_compare(
-    inputs: Sequence[str], output: Path | None, dates: Sequence[str] = (), tolerance: float = 1e-3, *,
+    inputs: Sequence[str],
+    output: Path | None,
+    dates: Sequence[str] = (),
+    tolerance: float = 1e-3,
+    *,
     force: bool = False,
 ) -> None:
     """Compare results, each `PATH` or `NAME=PATH`, dated by `NAME=YYYY-MM-DD`; write results and print the summary."""
