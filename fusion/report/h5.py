@@ -98,7 +98,8 @@ def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
     """Write an uncertainty into a group, so that `fusion.report.h5.read_uncertainty` returns it to the last bit.
 
     `random/LABEL`: covariance (K, 2C, 2C) and dof (K,) of each random contribution; `name`, `label`, `u`, `unit`,
-    `scope`, `type`, `distribution`, `dof` (E,) and `effect` (E, K, 2C) of the influences; `covariance` (K, 2C, 2C): of everything.
+    `scope`, `type`, `distribution`, `dof` (E,) and `effect` (E, K, 2C) of the influences; `covariance` (K, 2C, 2C): of
+    everything.
     """
     random = group.create_group("random", track_order=True)
     for part in uncertainty.random:

@@ -513,7 +513,9 @@ def test_later_records_move_the_offset_alone(base_lag_s, other_lag_s):
     assert float(moved.u_to_base_s(np.array(there + other_lag_s))) == pytest.approx(u, rel=0.1)
 
 
-@pytest.mark.parametrize(("cases", "low", "high"), [(1, 0.15, 2.4), pytest.param(12, 0.65, 1.5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("cases", "low", "high"), [(1, 0.15, 2.4), pytest.param(12, 0.65, 1.5, marks=pytest.mark.slow)]
+)
 def test_what_noise_does_to_a_tie_differs_where_records_start_alike(cases, low, high):
     """Edges resolved between the samples, four records of each start: what scatters among them is the `noise` of it."""
     rng, scatter, stated, whole = np.random.default_rng(8), [], [], []
