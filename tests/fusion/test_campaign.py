@@ -6,6 +6,7 @@ import io
 import os
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -17,7 +18,7 @@ from support import edit, rows, state
 
 from fusion.base import ComputeError, InputError, Settings
 from fusion.campaign import run as under_test
-from fusion.campaign.run import Outcome, exit_status, run_path, sensitivity_table
+from fusion.campaign.run import Outcome, exit_status, print_campaign, run_path, sensitivity_table
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.estimation.uncertainty import coverage_factor
@@ -293,7 +294,8 @@ def test_of_many_recordings_the_terminal_shows_the_first_and_names_the_table_of_
     monkeypatch.setattr("fusion.campaign.run.MOST_ROWS", 50)
     text = result_tables(make_evaluation(tmp_path))[SENSITIVITY_FILE]
     head, *body = text.splitlines()
-    name = rows_of_text(text)[0]["recording"]
+    (tmp_path / SENSITIVITY_FILE).write_text(text, encoding="utf-8")
+    name = rows(tmp_path / SENSITIVITY_FILE)[0]["recording"]
     several = [line.replace(name, f"no. {k}") for k in range(9) for line in body]
     (tmp_path / SENSITIVITY_FILE).write_text("\n".join([head, *several]) + "\n", encoding="utf-8")
     outcomes = [Outcome(tmp_path / f"{k}" / "recording.toml", tmp_path / f"{k}") for k in range(9)]
