@@ -375,10 +375,11 @@ def lines(options: argparse.Namespace) -> None:
 
     for file in filter(None, (options.figure, options.csv)):
         check_new_file(file, force=options.force)
+    drawn = options.figure is not None
     if options.source.is_dir() or options.source.suffix.lower() == ".toml":
-        lists = [lines_of_recording(manifest) for manifest in _manifests(options)]
+        lists = [lines_of_recording(manifest, drawn=drawn) for manifest in _manifests(options)]
     else:
-        lists = lines_of_file(options.source, options.channel, options.sample_rate, options.band)
+        lists = lines_of_file(options.source, options.channel, options.sample_rate, options.band, drawn=drawn)
     if options.csv:
         write_whole(options.csv, lines_csv(lists))
     if options.figure:
