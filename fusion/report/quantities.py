@@ -182,7 +182,7 @@ def describe(file: h5py.File) -> None:
     twice as long), `[a, b]^2` for products of the units of row and column, `[unit]` where `unit` beside it has them.
     Files of other commands say so of their phasors, and of what names with a unit say by themselves.
     """
-    whole = bool({"recording", "campaign"} & set(file.attrs))
+    whole = "mounting" in file.attrs or "curves" in file
     found: list[h5py.Dataset] = []
     file.visititems(lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
     for data in sorted(found, key=lambda data: (data.name.count("/"), len(data.shape), data.name)):
