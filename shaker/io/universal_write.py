@@ -2,7 +2,8 @@
 
 Doubles throughout: 58b has unevenly spaced abscissas in double precision, as other programs read it; text has 13
 digits of values and six of an uneven abscissa. Where six digits do not hold start and interval of even spacing, eight
-are written, which fill their field. Exponents are written with E, which Fortran's format D reads as well and other programs need.
+are written, which fill their field. Exponents have an E, which Fortran's format D reads, too, and other programs need;
+the end mark follows binary numbers at once.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ def universal_function(function: UniversalFunction, *, binary: bool = True) -> b
     if binary:
         raw = numbers.astype("<f8").tobytes()
         first = f"{58:6d}b{1:6d}{2:6d}{11:12d}{len(raw):12d}{0:6d}{0:6d}{0:12d}{0:12d}"
-        return b"".join([_MARK, _lines([first, *head]), raw, b"\r\n", _MARK])
+        return b"".join([_MARK, _lines([first, *head]), raw, _MARK])
     widths = ["13.5E"] * (not even) + ["20.12E"] * (len(columns) - (not even))
     cells = [f"{value:{form}}" for row in numbers.tolist() for value, form in zip(row, widths, strict=True)]
     each = 4 if even or len(columns) == 2 else 3
