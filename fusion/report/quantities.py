@@ -25,7 +25,18 @@ class Told(NamedTuple):
     text: str = ""
 
 
-K, KC, EACH = "frequency_hz", "frequency_hz channels", "[unit of the channel]"
+K, KC, KQ, EACH = "frequency_hz", "frequency_hz channels", "frequency_hz elements", "[unit of the channel]"
+SPREAD = {
+    "mean": "mean of the draws",
+    "u": "standard deviation of the draws",
+    "low": "lower end of the 95 % interval",
+    "high": "upper end of the 95 % interval",
+    "u_end": "standard uncertainty of the ends, of so many draws",
+    "first_u": "standard uncertainty by first order",
+    "first_low": "lower end of the 95 % interval by first order",
+    "first_high": "upper end of the 95 % interval by first order",
+}
+"""What is told of the draws of a real quantity."""
 TOLD = {
     "frequency_hz": Told(K, "Hz", "frequency"),
     "u_frequency_hz": Told(K),
@@ -141,6 +152,22 @@ TOLD = {
     "factor": Told(K, "1", "factor that ties the set-up to the first"),
     "drift": Told(K, "1", "change of the reference's magnitude"),
     "u_drift": Told(K, "1"),
+    "results/*/elements": Told("elements"),
+    "results/*/unit": Told("elements"),
+    "results/*/value": Told(KQ, "value", "values that the draws are about"),
+    "results/*/mean": Told(KQ, "value", "mean of the draws"),
+    "results/*/covariance": Told(f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) of the draws"),
+    "results/*/first_covariance": Told(f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) by first order"),
+    "results/*/factor": Told(KQ, "1", "factor of the 95 % ellipse of the draws"),
+    "results/*/first_factor": Told(KQ, "1", "factor of the 95 % ellipse by first order"),
+    "results/*/first_holds": Told(KQ, "1", "share of the draws in the ellipse by first order"),
+    "results/*/dof": Told(KQ, "1", "degrees of freedom of the complex value"),
+    "results/*/dof_polar": Told(f"polar {KQ}", "1", "degrees of freedom of magnitude and of phase"),
+    **{
+        f"results/*/{of}/{name}": Told(KQ, unit, f"{of}: {text}")
+        for of, unit in (("magnitude", "value"), ("phase", "rad"))
+        for name, text in SPREAD.items()
+    },
     "sensitivity/value": Told("frequency_hz channels components", "value", "complex sensitivity"),
     "element/value": Told("frequency_hz channels components", "value", "complex sensitivity, elements of the sensor"),
     "load/value": Told("frequency_hz components", "value", "peak phasors of the load"),
