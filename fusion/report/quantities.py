@@ -193,6 +193,9 @@ TOLD = {
     "cross_talks/*/value": Told("channels components", "1", "output under a rated load over that under its own"),
 }
 """By the tail of the path: the longest that fits counts, `*` stands for any name."""
+_TAILS: dict[str, list[list[str]]] = {}
+for _name in TOLD:
+    _TAILS.setdefault(_name.rpartition("/")[2], []).append(_name.split("/"))
 SUFFIXES = {
     "_rad_per_s": "rad/s", "_per_s": "1/s", "_hz": "Hz", "_rad": "rad", "_s": "s", "_m": "m", "_m2": "m^2",
     "_px": "px", "_kg": "kg", "_n": "N", "_relative": "1", "_db": "dB",
@@ -236,7 +239,7 @@ def _told(path: str) -> Told:
     parts = [re.sub(r"^\w+_uncertainty$", "uncertainty", part) for part in path.strip("/").split("/")]
     fitting = [
         tail
-        for tail in (name.split("/") for name in TOLD)
+        for tail in _TAILS.get(parts[-1], []) + _TAILS["*"]
         if len(tail) <= len(parts) and all(a in ("*", b) for a, b in zip(tail[::-1], parts[::-1], strict=False))
     ]
     best = max(fitting, key=lambda tail: (len(tail), -tail.count("*")), default=None)
