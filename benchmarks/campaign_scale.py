@@ -103,7 +103,7 @@ def _rename(file: h5py.File, original: str, copy: str, digest: str) -> None:
 
 
 def cost(campaign: Path) -> tuple[float, float, float, str]:
-    """Run a campaign as a user does; return CPU time in s of the program and of the system for it, peak memory in GB, and what the command printed."""
+    """Run a campaign as a user does: CPU time of program and system, s, peak memory, GB, and what was printed."""
     with tempfile.TemporaryFile() as out:
         process = subprocess.Popen([sys.executable, "-c", RUN, "run", "-q", str(campaign)], stdout=out)
         _, status, usage = os.wait4(process.pid, 0)

@@ -485,6 +485,24 @@ def transfer(options: argparse.Namespace) -> None:
     run_transfer(options.recording, options.output, settings, force=options.force, allow_outside=options.allow_outside)
 
 
+def _export_options(parser: Parser) -> None:
+    text = "folder of results (run, transfer, elastomer) or of a recording"
+    parser.value("results", path, "RESULTS", text)
+    parser.add_argument("-o", "--output", type=path, required=True, metavar="FILE.uff", help="file to write")
+    parser.switch("--text", "functions as data set 58 in text, with 13 digits (default: 58b, all digits)")
+    parser.switch("--force", "overwrite a file that is there")
+
+
+@command(_export_options)
+def export(options: argparse.Namespace) -> None:
+    """Write results or the channels of a recording as a universal file (UFF 58, 58b, 55, 2411)."""
+    from fusion.report.universal import export_universal
+
+    made = export_universal(options.results, options.output, text=options.text, force=options.force)
+    counts = f"{len(made.functions)} functions, {len(made.shapes)} shapes, {len(made.nodes)} nodes"
+    print(f"universal file written: {options.output} ({counts})")
+
+
 def _validate_options(parser: Parser) -> None:
     text = "write validation.json and a page there (default: print only)"
     parser.add_argument("-o", "--output", type=path, metavar="FOLDER", help=text)
@@ -518,5 +536,6 @@ COMMANDS = (
     plan,
     lines,
     transfer,
+    export,
     validate,
 )
