@@ -17,7 +17,7 @@ import numpy as np
 from fusion.base import InputError
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
 from fusion.report.quantities import describe
-from shaker.io.channel import check_stored, opened_hdf5
+from shaker.io.channel import check_inside, opened_hdf5
 
 COMPRESS_ABOVE = 512
 LEFT_OUT = {"manifest", "reference_image", "surface", "settings", "versions", "input_hashes"}
@@ -45,7 +45,7 @@ def opened_results(path: Path) -> Iterator[h5py.File]:
     """Open the results of an earlier run; `InputError` where they are damaged or lead to other files."""
     try:
         with opened_hdf5(path) as file:
-            file.visititems(partial(check_stored, path))
+            file.visititems(partial(check_inside, path))
             yield file
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         told = " ".join(str(error).split()).removeprefix(f"{path}: ")

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import h5py
 import numpy as np
 
 from fusion.base import PROGRAM, InputError, __version__, check_new_file
@@ -15,6 +14,7 @@ from fusion.recording.files import read_daqs
 from fusion.recording.load import RECORDING_NAME, load_manifest
 from fusion.report.files import write_whole
 from fusion.report.folder import RESULT_FILE
+from fusion.report.h5 import opened_results
 from fusion.report.labelled import CAMPAIGN_FILE, LabelledPhasors, read_results
 from shaker.arrays import FloatArray
 from shaker.io.universal import UniversalFunction, UniversalShape
@@ -109,7 +109,7 @@ def _of_phasors(name: str, found: LabelledPhasors, outputs: Sequence[str]) -> It
 def _of_transfer(file: Path) -> Exported:
     """Transfer functions: response a node for each channel, its reference the node before."""
     functions: list[UniversalFunction] = []
-    with h5py.File(file, "r") as content:
+    with opened_results(file) as content:
         name = str(content.attrs["recording"])
         for group in content["references"].values():
             ratio, reference = group["transfer/ratio"], str(group["transfer"].attrs["reference"])
@@ -135,7 +135,7 @@ def _of_transfer(file: Path) -> Exported:
 
 def _of_element(file: Path) -> Exported:
     """Nodes of the frame of an elastic element, and its natural modes."""
-    with h5py.File(file, "r") as content:
+    with opened_results(file) as content:
         frame, name = content["frame"], str(content.attrs["name"])
         place, motion = frame["node_m"][()], frame["node_motion"][()]
         frequency = frame["modes/frequency_hz"][()]
