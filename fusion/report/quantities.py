@@ -143,6 +143,7 @@ TOLD = {
     "trigger/missing": Told("missed", "1", "numbers without an edge"),
     "trigger/covariance": Told("parameter other", "s^2", "covariance of start_s and period_s"),
     "tie/covariance": Told("parameter other", "[s, 1]^2", "covariance of offset_s and rate"),
+    "tie/noise": Told("parameter other", "[s, 1]^2", "its part that the noise of the edges makes"),
     "axes": Told("across axis", "1", "directions across that of the points"),
     "place_m": Told("channels across", text="lever arms of the points"),
     "plane": Told("frequency_hz plane_of", "[m/s^2, rad/s^2, rad/s^2]", "mean and angular accelerations of the points"),
@@ -162,7 +163,8 @@ TOLD = {
     "results/*/first_factor": Told(KQ, "1", "factor of the 95 % ellipse by first order"),
     "results/*/first_holds": Told(KQ, "1", "share of the draws in the ellipse by first order"),
     "results/*/dof": Told(KQ, "1", "degrees of freedom of the complex value"),
-    "results/*/dof_polar": Told(f"polar {KQ}", "1", "degrees of freedom of magnitude and of phase"),
+    "results/*/k_polar": Told(f"polar {KQ}", "1", "coverage factors of magnitude and of phase"),
+    "results/*/u_turn": Told(KQ, "rad", "standard uncertainty of what turns the value"),
     **{
         f"results/*/{of}/{name}": Told(KQ, unit, f"{of}: {text}")
         for of, unit in (("magnitude", "value"), ("phase", "rad"))
