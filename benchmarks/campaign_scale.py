@@ -5,9 +5,8 @@
 Twelve recordings of the preset `sweep` (12 frequencies, other program's points) are evaluated. Their results folders
 are multiplied: inputs as hard links under manifests of their own, in `result.h5` what a campaign reads, with another
 name, mounting (two recordings each) and noise of 10⁻³ on loads and outputs. `shakercal run` finds nothing to compute
-and joins them; half of the joint results are compared with those of a campaign that holds half of the recordings
-nowhere, so that this measures, and tests nothing. With --amplitudes loads grow by a half within each excitation, which
-asks for the slope over amplitude. Prints the rows of the table in docs/campaigns.md.
+and joins them. With --amplitudes loads grow by a half within each excitation, which asks for the slope over amplitude.
+Prints the rows of the table in docs/campaigns.md.
 """
 
 from __future__ import annotations
@@ -104,7 +103,7 @@ def _rename(file: h5py.File, original: str, copy: str, digest: str) -> None:
 
 
 def cost(campaign: Path) -> tuple[float, float, float, str]:
-    """Run a campaign as a user does; return wall and CPU time in s, peak memory in GB, and what the command printed."""
+    """Run a campaign as a user does: CPU time of program and system, s, peak memory, GB, and what was printed."""
     with tempfile.TemporaryFile() as out:
         process = subprocess.Popen([sys.executable, "-c", RUN, "run", "-q", str(campaign)], stdout=out)
         _, status, usage = os.wait4(process.pid, 0)

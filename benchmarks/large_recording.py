@@ -6,16 +6,21 @@ Renders 20 poses of a round face in each camera, which repeat, each frame with n
 as a TIFF file (2.6 MB each). Then both pairs are tracked with the default settings, reading included: about 1000
 subsets of 21 x 21 px per camera. Prints wall and user CPU time, the peak memory of this process (another one renders),
 and how well the subsets' motion agrees with the truth. With --keep, a recording that is already there is used again.
+
+With --growth, the memory of a series of any length instead: 24 frames of the sample recording are followed, their
+results repeated, and the motion of so many frames computed from them. Images are read one at a time and no part of it.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import pickle
 import resource
 import sys
 import tempfile
 import time
+import tracemalloc
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -26,11 +31,16 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from fusion.base import Settings
+from fusion.phasors.setup import open_set_ups
+from fusion.phasors.stereo_motion import body_inputs
+from fusion.recording.load import load_manifest
 from fusion.simulate.preset import Preset, StereoSetup, face_of, nominal_rig, read_preset
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence
 from photogram.images.sequence import ImageSequence
+from photogram.measure import body_motion, follow_block, prepare_body
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.track import StereoTracks, track_stereo
@@ -41,6 +51,7 @@ SIZE_PX, PIXEL_M, FOCAL_PX, RADIUS_M = (1280, 1024), 83e-6, 5420.0, 0.0335
 POSES = 20
 PEAK = np.array([6e-5, 4e-5, 2.4e-4, 3e-4, 2e-4, 1e-4])  # m and rad: 3 px at most
 SIDES = ("left", "right")
+SAMPLE = Path(__file__).parents[1] / "sample_images" / "demo"
 
 
 @dataclass(frozen=True)
@@ -57,7 +68,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=211)
     parser.add_argument("--keep", type=Path, help="folder for the recording, kept and used again")
+    parser.add_argument("--growth", action="store_true", help="measure the memory of each frame, images left out")
     options = parser.parse_args()
+    if options.growth:
+        print_growth()
+        return
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.keep or Path(scratch)
         if not all((folder / camera_folder(setup, side)).is_dir() for setup in setups() for side in SIDES):
@@ -74,6 +89,26 @@ def main() -> None:
     for setup, pair in zip(setups(), tracks, strict=True):
         lost, worst = lost_share(pair), 1e3 * error_px(setup, pair)
         print(f"| {setup.name}: positions lost, mean error of a frame | {100 * lost:.2f} %, {worst:.2f} mpx | |")
+
+
+def print_growth() -> None:
+    """Print what a frame takes of memory for each subset, from series of several lengths."""
+    manifest = load_manifest(next(SAMPLE.glob("*/recording.toml")))
+    (opened,) = open_set_ups(manifest)
+    (left, right), rig, placed, settings = body_inputs(opened.images[0], Settings())
+    scene = prepare_body((left, right), rig, placed, settings)
+    block = follow_block(scene, range(2, len(left)))
+    subsets = len(scene.references[0].centre_px)
+    print("| frames | subsets | peak memory / MB | per frame and subset / byte |")
+    print("|---|---|---|---|")
+    for repeated in (20, 100, 400):
+        tracemalloc.start()
+        blocks = [pickle.loads(pickle.dumps(block)) for _ in range(repeated)]
+        body_motion(scene, blocks)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        frames = 1 + len(scene.lead) + repeated * len(block)
+        print(f"| {frames} | {subsets} | {peak / 1e6:.0f} | {peak / frames / subsets:.0f} |", flush=True)
 
 
 def setups() -> Iterator[StereoSetup]:

@@ -159,7 +159,7 @@ def _slope(
         root = np.linalg.cholesky(block.reshape(2 * len(rows), -1))
         columns[lines] = solve_triangular(root, columns[lines], lower=True)
     free = columns.shape[1] - 5
-    upper = np.linalg.qr(np.concatenate([columns, np.eye(free, free + 5)]), mode="r")
+    upper = np.asarray(np.linalg.qr(np.concatenate([columns, np.eye(free, free + 5)]), mode="r"))
     inverse = np.linalg.inv(upper[free : free + 4, free : free + 4])
     unknowns, covariance = inverse @ upper[free : free + 4, -1], inverse @ inverse.T
     middle, step = complex(unknowns[0], unknowns[1]), complex(unknowns[2], unknowns[3])

@@ -40,8 +40,8 @@ from fusion.report.folder import (
     write_provenance,
 )
 from fusion.report.h5 import h5_content, write_fields, write_value
+from fusion.report.labelled import CAMPAIGN_FILE
 from fusion.report.recording import (
-    CAMPAIGN_FILE,
     CAMPAIGN_FILES,
     CROSSTALK_FILE,
     CURVE_FILE,

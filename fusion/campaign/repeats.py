@@ -426,9 +426,8 @@ def _repeat_notices(recordings: int, mountings: int, frequency_hz: float) -> tup
 class Nested(NamedTuple):
     """Sums of squares of N readings within and between M mountings, as projections of the readings.
 
-    `place` (N,): the mounting of each reading; `sizes` (M,): their numbers of readings. `within_dof` N - M,
-    `between_dof` M - 1; `each`: recordings per mounting in the expectation of the mean square between them, NaN of one
-    mounting. Nothing has N x N elements.
+    `place` (N,): the mounting of each reading; `sizes` (M,): of the mountings. `within_dof` N - M, `between_dof` M - 1;
+    `each`: recordings per mounting in the expectation of the mean square between them, NaN of one mounting.
     """
 
     place: IntArray
@@ -520,15 +519,13 @@ def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: S
     size = readings.shape[1]
     own, shared = own_and_shared(values)
 
-    def mean_square(
-        form: Callable[[FloatArray, IntArray | None], FloatArray], diagonal: FloatArray, dof: int
-    ) -> FloatArray:
+    def mean_square(form: Callable[..., FloatArray], diagonal: FloatArray, dof: int) -> FloatArray:
         """Mean square of a projection with a diagonal (N,), less what stated uncertainties make of it."""
         stated = np.einsum("n,nij->ij", diagonal, own)
         for rows, effect in shared:
             turned = effect.swapaxes(0, 1)
             stated += np.tensordot(turned, form(turned, np.array(rows)), axes=((0, 1), (0, 1)))
-        return np.asarray((readings.T @ form(readings, None) - stated) / dof)
+        return np.asarray((readings.T @ form(readings) - stated) / dof)
 
     def positive(matrix: FloatArray) -> FloatArray:
         """Nearest covariance of a symmetric matrix: negative variances are none."""
@@ -540,8 +537,8 @@ def _components(values: Sequence[tuple[ComplexArray, Uncertainty]], mountings: S
     if forms.within_dof:
         within = positive(mean_square(forms.within, 1.0 - alike, forms.within_dof))
     if forms.between_dof:
-        square = mean_square(forms.between, alike - 1.0 / len(readings), forms.between_dof)
-        between = positive((square - within) / forms.each)
+        whole = mean_square(forms.between, alike - 1.0 / len(readings), forms.between_dof)
+        between = positive((whole - within) / forms.each)
     return _Scatter(within, between, forms.within_dof, forms.between_dof)
 
 
@@ -560,13 +557,9 @@ def _weights(
     variance = own[:, best] + within
     if not np.all(variance > 0.0):
         return np.full(len(values), 1.0 / len(values))
-    weight = np.zeros(len(values))
-    members: dict[str, list[int]] = {}
-    for place, mounting in enumerate(mountings):
-        members.setdefault(mounting, []).append(place)
-    for rows in members.values():
-        precision = 1.0 / variance[rows]
-        weight[rows] = precision / np.sum(precision) / (between + 1.0 / np.sum(precision))
+    place, precision = nested(mountings).place, 1.0 / variance
+    total = np.bincount(place, precision)[place]
+    weight = precision / total / (between + 1.0 / total)
     return np.asarray(weight / np.sum(weight))
 
 
@@ -595,10 +588,9 @@ def _of_mean(
         for influence in uncertainty.influences:
             acts_on.setdefault(influence.name, set()).add(group)
     shared = tuple(influence for influence in total.influences if len(acts_on[influence.name]) > 1)
-    place = nested(groups).place
+    place, means = nested(groups).place, np.zeros((len(kinds), 2 * len(plain)))
     share = np.bincount(place, weight)
     readings = np.array([real_stack(value / plain) for value, _ in values])
-    means = np.zeros((len(kinds), readings.shape[1]))
     np.add.at(means, place, (weight / share[place])[:, None] * readings)
     off = means - share @ means
     matrix = np.einsum("m,mi,mj->ij", share, off, off) / (len(kinds) - 1)

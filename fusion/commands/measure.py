@@ -375,10 +375,11 @@ def lines(options: argparse.Namespace) -> None:
 
     for file in filter(None, (options.figure, options.csv)):
         check_new_file(file, force=options.force)
+    drawn = options.figure is not None
     if options.source.is_dir() or options.source.suffix.lower() == ".toml":
-        lists = [lines_of_recording(manifest) for manifest in _manifests(options)]
+        lists = [lines_of_recording(manifest, drawn=drawn) for manifest in _manifests(options)]
     else:
-        lists = lines_of_file(options.source, options.channel, options.sample_rate, options.band)
+        lists = lines_of_file(options.source, options.channel, options.sample_rate, options.band, drawn=drawn)
     if options.csv:
         write_whole(options.csv, lines_csv(lists))
     if options.figure:
@@ -484,6 +485,24 @@ def transfer(options: argparse.Namespace) -> None:
     run_transfer(options.recording, options.output, settings, force=options.force, allow_outside=options.allow_outside)
 
 
+def _export_options(parser: Parser) -> None:
+    text = "folder of results (run, transfer, elastomer) or of a recording"
+    parser.value("results", path, "RESULTS", text)
+    parser.add_argument("-o", "--output", type=path, required=True, metavar="FILE.uff", help="file to write")
+    parser.switch("--text", "functions as data set 58 in text, with 13 digits (default: 58b, all digits)")
+    parser.switch("--force", "overwrite a file that is there")
+
+
+@command(_export_options)
+def export(options: argparse.Namespace) -> None:
+    """Write results or the channels of a recording as a universal file (UFF 58, 58b, 55, 2411)."""
+    from fusion.report.universal import export_universal
+
+    made = export_universal(options.results, options.output, text=options.text, force=options.force)
+    counts = f"{len(made.functions)} functions, {len(made.shapes)} shapes, {len(made.nodes)} nodes"
+    print(f"universal file written: {options.output} ({counts})")
+
+
 def _validate_options(parser: Parser) -> None:
     text = "write validation.json and a page there (default: print only)"
     parser.add_argument("-o", "--output", type=path, metavar="FOLDER", help=text)
@@ -517,5 +536,6 @@ COMMANDS = (
     plan,
     lines,
     transfer,
+    export,
     validate,
 )

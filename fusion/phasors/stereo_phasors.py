@@ -171,14 +171,6 @@ def stereo_phasors(
     steps = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
     from_mean, fit = _fit_about_mean(name, measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, exposure.length_s)
-    changes = {}
-    if view is not None:
-        changes[CALIBRATION] = _calibration_effects(measured, view, frequency_hz)
-        changes[PERIODIC] = _periodic_effects(measured, view, len(frequency_hz))
-    effects = {}
-    for what, change in changes.items():
-        effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
-        effects[what][:, usable] = change / gain[usable][:, None]
     errors = [error.through(fit, usable, 2) for error in together([*base.sight_errors(sight), *line_errors])]
     if strength is not None:
         errors += _left_out(measured, fit, lines, usable, gain * strength)
@@ -187,18 +179,15 @@ def stereo_phasors(
         name=name,
         pair=sight.pair,
         phasors=spread_lines(fit.phasors, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None]),
-        effects=effects,
+        effects={} if view is None else _image_effects(measured, view, frequency_hz, usable, gain),
         clock_uncertainty=base.records[0].entry.clock_uncertainty,
         errors=(*errors, *exposure.errors(lines.frequency_hz)),
         face_m=np.asarray(np.nanmean(measured.deformation.reference_m, axis=0)),
     )
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
-    own = (
-        [n for n in fit.notices if n.severity == "warning"]
-        + steps
-        + _short_notices(lines, usable, sight.time_s, reading)
-    )
-    told += [(name, notice) for notice in own + _jitter_notices(base, sight, lines, usable, reading)]
+    own = [*(n for n in fit.notices if n.severity == "warning"), *steps]
+    own += _short_notices(lines, usable, sight.time_s, reading) + _jitter_notices(base, sight, lines, usable, reading)
+    told += [(name, notice) for notice in own]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
     pose = from_mean.pose.copy()
     pose[fit.spikes] = np.nan
@@ -219,6 +208,21 @@ def stereo_phasors(
         stationarity=stationarity(time_s, pose, frequency_hz, MOTION_COMPONENTS),
     )
     return StereoPhasors(result if view is None else _with_view(result, view), reading, notices)
+
+
+def _image_effects(
+    measured: StereoMotion, view: ImageView, frequency_hz: FloatArray, usable: NDArray[np.bool_], gain: FloatArray
+) -> dict[str, ComplexArray]:
+    """Return what calibration and errors periodic in the pixel do to the phasors, NaN at lines not `usable`."""
+    changes = {
+        CALIBRATION: _calibration_effects(measured, view, frequency_hz),
+        PERIODIC: _periodic_effects(measured, view, len(frequency_hz)),
+    }
+    effects = {}
+    for what, change in changes.items():
+        effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
+        effects[what][:, usable] = change / gain[usable][:, None]
+    return effects
 
 
 def _left_out(

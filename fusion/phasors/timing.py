@@ -196,9 +196,16 @@ class TimeBase:
         tie = self.ties[daq]
         if tie is None:
             return ()
-        line = _Straight.of(tie.covariance)
-        at_s, rate = float(tie.to_base_s(np.asarray(line.at))), line.u_slope / tie.rate
-        return _straight_errors(f"clock {daq}", at_s, line.u_value, rate, tie.pairs)
+        found: list[Lateness] = []
+        parts: tuple[tuple[str, FloatArray, Scope], ...] = (
+            ("", tie.covariance - tie.noise, "start"),
+            (" (noise of its edges)", tie.noise, "recording"),
+        )
+        for what, covariance, scope in parts:
+            line = _Straight.of(covariance)
+            at_s, rate = float(tie.to_base_s(np.asarray(line.at))), line.u_slope / tie.rate
+            found += _straight_errors(f"clock {daq}{what}", at_s, line.u_value, rate, tie.pairs, scope)
+        return tuple(found)
 
     def sight_errors(self, sight: Sight) -> tuple[Lateness, ...]:
         """Return what the trigger's periodic model, and the tie of its clock, leave open of the frames' instants.
@@ -272,15 +279,17 @@ class TimeBase:
         return tuple(clocks)
 
 
-def _straight_errors(name: str, at_s: float, u_s: float, rate: float, edges: int) -> tuple[Lateness, ...]:
+def _straight_errors(
+    name: str, at_s: float, u_s: float, rate: float, edges: int, scope: Scope = "start"
+) -> tuple[Lateness, ...]:
     """Return the errors of a time base that is known to `u_s` at the time `at_s`, and independently to its `rate`.
 
     Both from as many `edges`, of which the line takes two degrees of freedom.
     """
     steady, dof = np.zeros(()), float(max(edges - 2, 1))
     both = (
-        Lateness(f"{name}: time", u_s, "s", u_s, 0.0, steady, dof, "start"),
-        Lateness(f"{name}: rate", rate, "1", -rate * at_s, rate, steady, dof, "start"),
+        Lateness(f"{name}: time", u_s, "s", u_s, 0.0, steady, dof, scope),
+        Lateness(f"{name}: rate", rate, "1", -rate * at_s, rate, steady, dof, scope),
     )
     return tuple(error for error in both if error.u > 0.0)
 

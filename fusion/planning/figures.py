@@ -93,6 +93,8 @@ def draw_lines(lists: Sequence[LineList], kind: str) -> bytes:
 
 def _draw_channel(axes: Axes, item: LineList, c: int) -> None:
     """One channel's spectrum with its lines."""
+    if item.spectrum is None:
+        raise ValueError("item: expected lines surveyed with `drawn`, found no spectrum")
     frequency, amplitude = item.spectrum.frequency_hz[FIRST_BIN:], item.spectrum.amplitude[FIRST_BIN:, c]
     edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, POINTS)
     axes.loglog(*thin_out(frequency, amplitude, edges), color=BLUE, linewidth=0.6)

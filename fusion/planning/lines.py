@@ -51,7 +51,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class LineList:
-    """Lines of channels sampled together, in ascending frequency, with spectrum and noise floor for the figure.
+    """Lines of channels sampled together, in ascending frequency, with their noise floor, and spectrum if drawn.
 
     `cameras`: name and rate (Hz) of what sees the lines aliased.
     """
@@ -63,15 +63,23 @@ class LineList:
     samples: int
     entries: tuple[Entry, ...]
     cameras: tuple[tuple[str, float], ...]
-    spectrum: Spectrum
+    spectrum: Spectrum | None
     survey: Survey
     notices: tuple[AnyNotice, ...]
 
 
 def lines_of_file(
-    path: Path, names: Sequence[str] | None, rate_hz: float | None, band_hz: tuple[float, float] | None
+    path: Path,
+    names: Sequence[str] | None,
+    rate_hz: float | None,
+    band_hz: tuple[float, float] | None,
+    *,
+    drawn: bool = False,
 ) -> list[LineList]:
-    """Survey the channels of a DAQ file, those sampled alike together; a band keeps the lines in it."""
+    """Survey the channels of a DAQ file, those sampled alike together; a band keeps the lines in it.
+
+    `drawn`: with their spectra for the figure, which take as much memory as the samples.
+    """
     try:
         channels = read_channels(path, names, rate_hz)
     except (OSError, ValueError) as error:
@@ -81,10 +89,10 @@ def lines_of_file(
         groups.setdefault((channel.sample_rate_hz, len(channel.samples)), {})[name] = channel
     if not groups:
         raise InputError(path, "", found="none", expected="a channel of samples over time")
-    return [_file_group(path, group, band_hz) for group in groups.values()]
+    return [_file_group(path, group, band_hz, drawn=drawn) for group in groups.values()]
 
 
-def lines_of_recording(manifest: Manifest) -> LineList:
+def lines_of_recording(manifest: Manifest, *, drawn: bool = False) -> LineList:
     """Return the lines that a run of this recording fits, all others of the same channels, and the cameras' aliases.
 
     Of a recording in takes these are those of the first one.
@@ -117,7 +125,7 @@ def lines_of_recording(manifest: Manifest) -> LineList:
             for entry in sorted(entries, key=lambda entry: entry.frequency_hz)
         ),
         cameras,
-        amplitude_spectrum(chosen.values, rate_hz),
+        amplitude_spectrum(chosen.values, rate_hz) if drawn else None,
         lines.others,
         lines.notices,
     )
@@ -140,7 +148,9 @@ def lines_csv(lists: Sequence[LineList]) -> str:
     return stream.getvalue()
 
 
-def _file_group(path: Path, group: dict[str, RawChannel], band_hz: tuple[float, float] | None) -> LineList:
+def _file_group(
+    path: Path, group: dict[str, RawChannel], band_hz: tuple[float, float] | None, *, drawn: bool
+) -> LineList:
     """Survey channels that were sampled alike."""
     rate_hz = next(iter(group.values())).sample_rate_hz
     columns = [channel.samples for channel in group.values()]
@@ -163,7 +173,7 @@ def _file_group(path: Path, group: dict[str, RawChannel], band_hz: tuple[float, 
         len(values),
         tuple(_others(survey, None)),
         (),
-        amplitude_spectrum(values, rate_hz),
+        amplitude_spectrum(values, rate_hz) if drawn else None,
         survey,
         survey.notices,
     )

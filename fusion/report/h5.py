@@ -17,7 +17,7 @@ import numpy as np
 from fusion.base import InputError
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
 from fusion.report.quantities import describe
-from shaker.io.channel import check_stored, opened_hdf5
+from shaker.io.channel import check_inside, opened_hdf5
 
 COMPRESS_ABOVE = 512
 LEFT_OUT = {"manifest", "reference_image", "surface", "settings", "versions", "input_hashes"}
@@ -45,7 +45,7 @@ def opened_results(path: Path) -> Iterator[h5py.File]:
     """Open the results of an earlier run; `InputError` where they are damaged or lead to other files."""
     try:
         with opened_hdf5(path) as file:
-            file.visititems(partial(check_stored, path))
+            file.visititems(partial(check_inside, path))
             yield file
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         told = " ".join(str(error).split()).removeprefix(f"{path}: ")
@@ -119,7 +119,8 @@ def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
     """Write an uncertainty into a group, so that `fusion.report.h5.read_uncertainty` returns it to the last bit.
 
     `random/LABEL`: covariance (K, 2C, 2C) and dof (K,) of each random contribution; `name`, `label`, `u`, `unit`,
-    `scope`, `type`, `distribution`, `dof` (E,) and `effect` (E, K, 2C) of the influences; `covariance` (K, 2C, 2C): of everything.
+    `scope`, `type`, `distribution`, `dof` (E,) and `effect` (E, K, 2C) of the influences; `covariance` (K, 2C, 2C): of
+    everything.
     """
     random = group.create_group("random", track_order=True)
     for part in uncertainty.random:

@@ -14,7 +14,7 @@ import numpy as np
 from fusion.base import InputError
 from fusion.estimation.uncertainty import Uncertainty, polar_elements
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT
-from fusion.report.h5 import read_uncertainty
+from fusion.report.h5 import opened_results, read_uncertainty
 from fusion.report.table import sensitivity_unit
 from shaker.arrays import ComplexArray, FloatArray, check_shape
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
@@ -144,7 +144,7 @@ def read_results(path: str | Path) -> Results:
     file = next((file for file in files if file.is_file() and h5py.is_hdf5(file)), None)
     if file is None:
         raise InputError(path, "", found="none of these", expected=f"{RESULT_FILE} or {CAMPAIGN_FILE} of a run")
-    with h5py.File(file, "r") as content:
+    with opened_results(file) as content:
         if content.attrs.get("format") != RESULT_FORMAT or not {"recording", "campaign"} & set(content.attrs):
             found = f"format {content.attrs['format']}" if "format" in content.attrs else "another file"
             raise InputError(file, "", found=found, expected=f"results of format {RESULT_FORMAT}; evaluate anew")

@@ -25,7 +25,18 @@ class Told(NamedTuple):
     text: str = ""
 
 
-K, KC, EACH = "frequency_hz", "frequency_hz channels", "[unit of the channel]"
+K, KC, KQ, EACH = "frequency_hz", "frequency_hz channels", "frequency_hz elements", "[unit of the channel]"
+SPREAD = {
+    "mean": "mean of the draws",
+    "u": "standard deviation of the draws",
+    "low": "lower end of the 95 % interval",
+    "high": "upper end of the 95 % interval",
+    "u_end": "standard uncertainty of the ends, of so many draws",
+    "first_u": "standard uncertainty by first order",
+    "first_low": "lower end of the 95 % interval by first order",
+    "first_high": "upper end of the 95 % interval by first order",
+}
+"""What is told of the draws of a real quantity."""
 TOLD = {
     "frequency_hz": Told(K, "Hz", "frequency"),
     "u_frequency_hz": Told(K),
@@ -132,6 +143,7 @@ TOLD = {
     "trigger/missing": Told("missed", "1", "numbers without an edge"),
     "trigger/covariance": Told("parameter other", "s^2", "covariance of start_s and period_s"),
     "tie/covariance": Told("parameter other", "[s, 1]^2", "covariance of offset_s and rate"),
+    "tie/noise": Told("parameter other", "[s, 1]^2", "its part that the noise of the edges makes"),
     "axes": Told("across axis", "1", "directions across that of the points"),
     "place_m": Told("channels across", text="lever arms of the points"),
     "plane": Told("frequency_hz plane_of", "[m/s^2, rad/s^2, rad/s^2]", "mean and angular accelerations of the points"),
@@ -141,6 +153,23 @@ TOLD = {
     "factor": Told(K, "1", "factor that ties the set-up to the first"),
     "drift": Told(K, "1", "change of the reference's magnitude"),
     "u_drift": Told(K, "1"),
+    "results/*/elements": Told("elements"),
+    "results/*/unit": Told("elements"),
+    "results/*/value": Told(KQ, "value", "values that the draws are about"),
+    "results/*/mean": Told(KQ, "value", "mean of the draws"),
+    "results/*/covariance": Told(f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) of the draws"),
+    "results/*/first_covariance": Told(f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) by first order"),
+    "results/*/factor": Told(KQ, "1", "factor of the 95 % ellipse of the draws"),
+    "results/*/first_factor": Told(KQ, "1", "factor of the 95 % ellipse by first order"),
+    "results/*/first_holds": Told(KQ, "1", "share of the draws in the ellipse by first order"),
+    "results/*/dof": Told(KQ, "1", "degrees of freedom of the complex value"),
+    "results/*/k_polar": Told(f"polar {KQ}", "1", "coverage factors of magnitude and of phase"),
+    "results/*/u_turn": Told(KQ, "rad", "standard uncertainty of what turns the value"),
+    **{
+        f"results/*/{of}/{name}": Told(KQ, unit, f"{of}: {text}")
+        for of, unit in (("magnitude", "value"), ("phase", "rad"))
+        for name, text in SPREAD.items()
+    },
     "sensitivity/value": Told("frequency_hz channels components", "value", "complex sensitivity"),
     "element/value": Told("frequency_hz channels components", "value", "complex sensitivity, elements of the sensor"),
     "load/value": Told("frequency_hz components", "value", "peak phasors of the load"),
@@ -166,6 +195,9 @@ TOLD = {
     "cross_talks/*/value": Told("channels components", "1", "output under a rated load over that under its own"),
 }
 """By the tail of the path: the longest that fits counts, `*` stands for any name."""
+_TAILS: dict[str, list[list[str]]] = {}
+for _name in TOLD:
+    _TAILS.setdefault(_name.rpartition("/")[2], []).append(_name.split("/"))
 SUFFIXES = {
     "_rad_per_s": "rad/s", "_per_s": "1/s", "_hz": "Hz", "_rad": "rad", "_s": "s", "_m": "m", "_m2": "m^2",
     "_px": "px", "_kg": "kg", "_n": "N", "_relative": "1", "_db": "dB",
@@ -182,7 +214,7 @@ def describe(file: h5py.File) -> None:
     twice as long), `[a, b]^2` for products of the units of row and column, `[unit]` where `unit` beside it has them.
     Files of other commands say so of their phasors, and of what names with a unit say by themselves.
     """
-    whole = bool({"recording", "campaign"} & set(file.attrs))
+    whole = "mounting" in file.attrs or "curves" in file
     found: list[h5py.Dataset] = []
     file.visititems(lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
     for data in sorted(found, key=lambda data: (data.name.count("/"), len(data.shape), data.name)):
@@ -209,7 +241,7 @@ def _told(path: str) -> Told:
     parts = [re.sub(r"^\w+_uncertainty$", "uncertainty", part) for part in path.strip("/").split("/")]
     fitting = [
         tail
-        for tail in (name.split("/") for name in TOLD)
+        for tail in _TAILS.get(parts[-1], []) + _TAILS["*"]
         if len(tail) <= len(parts) and all(a in ("*", b) for a, b in zip(tail[::-1], parts[::-1], strict=False))
     ]
     best = max(fitting, key=lambda tail: (len(tail), -tail.count("*")), default=None)

@@ -30,6 +30,7 @@ from fusion.report.folder import (
     write_provenance,
 )
 from fusion.report.h5 import h5_content, write_fields, write_value
+from fusion.report.labelled import CAMPAIGN_FILE
 from fusion.report.motion_figures import motion_pictures, subset_pictures
 from fusion.report.points import save_points
 from fusion.report.signal_figures import channel_pictures, point_pictures, trigger_pictures
@@ -253,7 +254,7 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
 # The results folder: tables, HDF5 file and report, whole or not at all.
 
 
-CURVE_FILE, CROSSTALK_FILE, CAMPAIGN_FILE = "curve.csv", "crosstalk.csv", "campaign.h5"
+CURVE_FILE, CROSSTALK_FILE = "curve.csv", "crosstalk.csv"
 CAMPAIGN_FILES = (*MERGED_FILES, CURVE_FILE, CROSSTALK_FILE, REPORT_FILE, CAMPAIGN_FILE)
 """Files at the top of a campaign's results."""
 OWN_FILE = re.compile(

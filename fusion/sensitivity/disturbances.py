@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.estimation.measurement_model import CommonError, Observation
-from fusion.estimation.uncertainty import Uncertainty, Unknown, added_up, real_stack
+from fusion.estimation.uncertainty import Uncertainty, Unknown, added_up, polar_elements, real_stack
 from fusion.instruments.channel import Outputs
 from shaker.arrays import ComplexArray, Notice
 
 if TYPE_CHECKING:
+    from fusion.recording.manifest import ChannelEntry
     from fusion.recording.rig import Environment, Rig, Sensor
     from fusion.sensitivity.body import Body
+    from fusion.sensitivity.ratio import Sensitivity
 
 OPTICAL = ("photogrammetry", "vibrometer")
 USUAL_COEFFICIENT = 1e-4
@@ -150,3 +152,38 @@ def not_assessed(
     told += dict.fromkeys(further)
     if told:
         yield Notice("info", "not assessed, not in U: " + "; ".join(told), "surroundings")
+
+
+TURNED_RAD, TURNED_U = 5e-3, 3.0
+"""Phase from which on a measuring chain of which nothing is stated is asked for; the same in standard uncertainties."""
+
+
+def unstated_chain(found: Sensitivity | None, entries: Sequence[ChannelEntry], component: int) -> Iterator[Notice]:
+    """Yield a question where the main output turns against the load, and nothing is stated of its measuring chain.
+
+    Far below its resonance a sensor turns hardly; filters of amplifiers and delays of converters do, in proportion to
+    the frequency. `component`: of the load that was driven; its lowest line counts.
+    """
+    places = [e for e, (_, j) in enumerate(found.elements) if j == component] if found is not None else []
+    if found is None or not places:
+        return
+    value = found.value[:, [found.elements[e][0] for e in places], component]
+    driven = [k for k, kind in enumerate(found.kind) if kind != "harmonic" and np.isfinite(value[k]).any()]
+    if not driven:
+        return
+    line = min(driven, key=lambda k: float(found.frequency_hz[k]))
+    main = int(np.nanargmax(np.abs(value[line])))
+    entry = next((e for e in entries if e.channel == found.channels[found.elements[places[main]][0]]), None)
+    seen = polar_elements(value[[line]], found.uncertainty.at([*places]).at_lines([line]))[0][main]
+    if entry is None or seen is None or entry.response is not None or entry.delay or entry.delay_uncertainty:
+        return
+    turn = float(np.angle(np.exp(2j * seen.phase_rad))) / 2.0  # either sign of the sensor
+    if abs(turn) > max(TURNED_RAD, TURNED_U * seen.u_phase_rad):
+        hertz = float(found.frequency_hz[line])
+        lag_us = 1e6 * abs(turn) / (2 * np.pi * hertz)
+        text = (
+            f"output {entry.name} {'lags' if turn < 0 else 'leads'} the load by {1e3 * abs(turn):.3g} mrad at "
+            f"{hertz:.6g} Hz, as much as {lag_us:.3g} us, and neither delay nor response of its measuring chain is "
+            "stated: does its amplifier have one?"
+        )
+        yield Notice("info", text, "sensitivity")

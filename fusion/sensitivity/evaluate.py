@@ -19,11 +19,12 @@ from fusion.sensitivity.body import load_body
 from fusion.sensitivity.disturbances import (
     at_reference_temperature,
     not_assessed,
+    unstated_chain,
     with_base_strain,
     with_support_motion,
 )
 from fusion.sensitivity.monte_carlo import propagate
-from fusion.sensitivity.ratio import with_ratios
+from fusion.sensitivity.ratio import driven_component, with_ratios
 
 
 def evaluate_recording(
@@ -67,7 +68,11 @@ def evaluate_recording(
         points = tuple(with_ratios(spread, outputs, analysis.sensitivity, body) for spread in points)
     parallel = beam_notices([reading.entry for reading in joined.readings])
     folded = [text for set_up in set_ups for text in set_up.not_assessed]
-    missing = not_assessed(manifest.rig, observations, body, float(np.min(joined.lines.frequency_hz)), folded)
+    missing = [*not_assessed(manifest.rig, observations, body, float(np.min(joined.lines.frequency_hz)), folded)]
+    if sensor is not None and direction is not None:
+        entries = [reading.entry for reading in joined.readings]
+        found = analysis.element or analysis.sensitivity
+        missing += unstated_chain(found, entries, driven_component(direction, sensor.capacity))
     told = [*manifest.expired, *joined.notices, *parallel, *unseen, *analysis.notices, *missing]
     notices = [*told, *(drawn.notices if drawn else ())]
     return Evaluation(

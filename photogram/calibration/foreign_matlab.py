@@ -55,6 +55,24 @@ def read_mat(path: Path) -> Stated:
     raise ValueError(f"expected a variable with stereoParameters, or fc_left and the like, found {names}")
 
 
+class _Away(Exception):
+    """Of a file whose data stand in others."""
+
+
+def _leads_away(path: Path) -> bool:
+    """Tell whether a file of version 7.3, which is HDF5, takes anything from other files."""
+    import h5py
+
+    def elsewhere(_: str, node: Any) -> bool | None:
+        return (isinstance(node, h5py.Dataset) and bool(node.is_virtual or node.external)) or None
+
+    def linked(_: bytes, link: Any) -> bool | None:
+        return link.type not in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) or None
+
+    with h5py.File(path, "r") as file:
+        return bool(file.id.links.visit(linked, info=True) or file.visititems(elsewhere))
+
+
 def _variables(path: Path) -> dict[str, Any]:
     """Return the variables of a `.mat` file, structs and objects as dictionaries."""
     from scipy.io import loadmat
@@ -64,6 +82,8 @@ def _variables(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as file:
             is_hdf5 = file.read(10) == b"MATLAB 7.3"
+        if is_hdf5 and _leads_away(path):
+            raise _Away
         if not is_hdf5:
             found = loadmat(path, simplify_cells=True)
             if not any(isinstance(value, MatlabOpaque) for value in found.values()):
@@ -78,6 +98,8 @@ def _variables(path: Path) -> dict[str, Any]:
             "expected the package mat-io, which reads MATLAB's objects, found none; install shakercal[formats], or in "
             "MATLAB write jsonencode(toStruct(stereoParams)) to a file and import that"
         ) from error
+    except _Away as error:
+        raise ValueError("expected data in this file, found some in other files") from error
     except Exception as error:  # the readers raise whatever damaged bytes lead to
         raise ValueError(f"expected a .mat file that can be read, found {type(error).__name__} in it") from error
 

@@ -209,7 +209,7 @@ def columns_of(name: str, dataset: Any) -> dict[str, Column]:
 def opened_hdf5(path: Path, *, links: bool = False) -> Iterator[Any]:
     """Open an HDF5 file for reading, the one way for all; with `links` to other files for who follows none himself.
 
-    Whether the samples of a dataset stand in the file is asked of `check_stored`.
+    Whether the samples of a dataset stand in the file is asked of `check_inside` and `check_stored`.
     """
     import h5py
 
@@ -228,13 +228,18 @@ def opened_hdf5(path: Path, *, links: bool = False) -> Iterator[Any]:
         yield file
 
 
+def check_inside(path: Path, name: str, dataset: Any) -> None:
+    """Refuse a dataset of an HDF5 file whose samples stand in other files; groups and arrays in memory pass."""
+    if hasattr(dataset, "is_virtual") and (dataset.is_virtual or dataset.external):
+        found = "a virtual one, made of others" if dataset.is_virtual else "one in other files (external storage)"
+        raise ValueError(f'{path}: dataset "{name}": expected samples in this file, found {found}')
+
+
 def check_stored(path: Path, name: str, dataset: Any) -> None:
     """Refuse a dataset of an HDF5 file whose samples stand in other files, or nowhere; arrays in memory pass."""
     if not hasattr(dataset, "is_virtual"):
         return  # an array in memory
-    if dataset.is_virtual or dataset.external:
-        found = "a virtual one, made of others" if dataset.is_virtual else "one in other files (external storage)"
-        raise ValueError(f'{path}: dataset "{name}": expected samples in this file, found {found}')
+    check_inside(path, name, dataset)
     if dataset.size and not dataset.id.get_storage_size():
         raise ValueError(f'{path}: dataset "{name}": expected stored samples, found none')
     if dataset.chunks:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import lgamma
 
@@ -122,17 +122,27 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
     length, bins = count // pieces, count // 2 + 1
     result = np.zeros(bins, dtype=np.complex128)
     for q in range(pieces):
-        window = np.cos(turn * (np.arange(q, count, pieces) - middle))
+        window = np.arange(q, count, pieces, dtype=np.float64)
+        window -= middle
+        window *= turn
+        np.cos(window, out=window)
         window += 1.0
         window *= samples[q::pieces] - mean
         half = np.fft.rfft(window)
-        whole = np.concatenate([half, np.conj(half[(length - 1) // 2 : 0 : -1])])
+        del window
         for part in _parts(length):
-            own = whole[part] * np.exp(np.arange(part.start, part.stop) * (-1j * turn * q))
+            own = _whole(half, length, part) * np.exp(np.arange(part.start, part.stop) * (-1j * turn * q))
             for j in range((bins - 1 - part.start) // length + 1):
                 target = result[j * length + part.start : j * length + part.stop]
                 target += own[: len(target)] * np.exp(-2j * np.pi * ((q * j) % pieces) / pieces)
     return result
+
+
+def _whole(half: ComplexArray, length: int, part: slice) -> ComplexArray:
+    """Return bins of a transform of `length` real samples from its first half."""
+    stop = min(part.stop, len(half))
+    mirrored = np.arange(max(part.start, stop), part.stop)
+    return np.concatenate([half[part.start : stop], np.conj(half[length - mirrored])])
 
 
 def kernel(place: float, low: int, high: int, samples: int) -> tuple[FloatArray, FloatArray]:
@@ -211,8 +221,58 @@ _FIT_STEPS = 60
 BINS_PER_INDEPENDENT = 1.94  # 1 + 2·(4/9 + 1/36): Hann bins share their noise
 
 
-def noise_level(power: FloatArray) -> tuple[FloatArray, float]:
-    """Return the noise power of every bin (B,) and the number of independent bins each value rests on.
+class Power:
+    """Power of the bins of a spectrum (B,), taken from it where it is asked for: all of it is half its memory."""
+
+    def __init__(self, spectrum: ComplexArray) -> None:
+        self._spectrum = spectrum
+
+    def __len__(self) -> int:
+        return len(self._spectrum)
+
+    def __getitem__(self, bins: slice | int | IntArray) -> FloatArray:
+        own = np.asarray(self._spectrum[bins])
+        return np.asarray(np.square(own.real) + np.square(own.imag))
+
+    @property
+    def highest(self) -> float:
+        """The power of the strongest bin."""
+        return max((float(self[part].max()) for part in _parts(len(self))), default=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseLevel:
+    """Noise power of the bins (B,), interpolated where it is asked for, and no less than `least`.
+
+    `curves`: centres of blocks and the logarithm of their level; `trend`: factor of the lowest bins; `independent`: the
+    number of independent bins each value rests on.
+    """
+
+    bins: int
+    curves: tuple[tuple[FloatArray, FloatArray], ...]
+    trend: FloatArray
+    independent: float
+    least: float = 0.0
+
+    def __len__(self) -> int:
+        return self.bins
+
+    def __getitem__(self, bins: slice | int | IntArray) -> FloatArray:
+        at = np.arange(*bins.indices(self.bins)) if isinstance(bins, slice) else np.asarray(bins)
+        levels = [np.exp(np.interp(at, centres, log_level)) for centres, log_level in self.curves]
+        level = levels[0] if len(levels) == 1 else np.maximum(levels[0], levels[1])
+        if len(self.trend) and at.min(initial=self.bins) < len(self.trend):
+            level = level * np.where(at < len(self.trend), self.trend[np.minimum(at, len(self.trend) - 1)], 1.0)
+        return np.asarray(np.maximum(level, self.least))
+
+    @property
+    def lowest(self) -> float:
+        """The noise power of the quietest bin."""
+        return min(float(self[part].min()) for part in _parts(self.bins))
+
+
+def noise_level(power: FloatArray | Power) -> NoiseLevel:
+    """Return the noise power of every bin (B,).
 
     Medians of blocks of bins, which pass over lines, divided by ln 2 (a bin's power has an exponential distribution)
     and interpolated; of narrow and wide blocks the higher value. Towards zero frequency, where drift and 1/f noise
@@ -221,7 +281,7 @@ def noise_level(power: FloatArray) -> tuple[FloatArray, float]:
     """
     usable = len(power) - FIRST_BIN
     if usable < 1:
-        return np.ones_like(power), 1.0
+        return NoiseLevel(len(power), ((np.zeros(1), np.zeros(1)),), np.ones(0), 1.0)
     trend = _low_trend(power)
     curves: list[tuple[FloatArray, FloatArray]] = []
     counts: list[float] = []
@@ -234,16 +294,10 @@ def noise_level(power: FloatArray) -> tuple[FloatArray, float]:
         centres = (edges[:-1] + edges[1:] - 1) / 2.0
         curves.append((centres, np.log(np.maximum(medians / np.log(2.0), np.finfo(np.float64).tiny))))
         counts.append(usable / blocks)
-    level = np.empty_like(power)
-    for part in _parts(len(power)):
-        bins = np.arange(part.start, part.stop)
-        levels = [np.exp(np.interp(bins, centres, log_level)) for centres, log_level in curves]
-        level[part] = levels[0] if len(levels) == 1 else np.maximum(levels[0], levels[1])
-    level[: len(trend)] *= trend
-    return level, max(counts) / BINS_PER_INDEPENDENT
+    return NoiseLevel(len(power), tuple(curves), trend, max(counts) / BINS_PER_INDEPENDENT)
 
 
-def _medians(power: FloatArray, trend: FloatArray, first: IntArray, length: int) -> FloatArray:
+def _medians(power: FloatArray | Power, trend: FloatArray, first: IntArray, length: int) -> FloatArray:
     """Return the medians of blocks of bins of a length from their first ones on, the trend taken off."""
     medians = np.empty(len(first))
     step = max(1, _PART // length)
@@ -256,7 +310,7 @@ def _medians(power: FloatArray, trend: FloatArray, first: IntArray, length: int)
     return medians
 
 
-def _low_trend(power: FloatArray) -> FloatArray:
+def _low_trend(power: FloatArray | Power) -> FloatArray:
     """Return the slope of the noise over the lowest bins, as many as it has; it is 1 beyond them."""
     last = min(_LOW_BINS, len(power) - 1)
     if last - FIRST_BIN < 16:
@@ -312,7 +366,7 @@ class Peaks:
 
     `place`, `u_place` (L,) in bins, 1 / length of the record; `value` (L,) phasors at the middle of the record,
     `u_value` (L,) of their real or imaginary part; `noise` (L,) noise power in a bin about the line; `level` (B,) noise
-    floor of the whole spectrum, likewise; `cut` the number of lines left out because there were too many.
+    floor of the whole spectrum; `cut` the number of lines left out because there were too many.
     """
 
     place: FloatArray
@@ -320,19 +374,11 @@ class Peaks:
     value: ComplexArray
     u_value: FloatArray
     noise: FloatArray
-    level: FloatArray
+    level: NoiseLevel
     cut: int
 
     def __post_init__(self) -> None:
         check_shapes(self, self.place.shape, "u_place", "value", "u_value", "noise")
-
-
-def _power(spectrum: ComplexArray) -> FloatArray:
-    """Return the power of every bin (B,)."""
-    power = np.empty(len(spectrum))
-    for part in _parts(len(spectrum)):
-        power[part] = spectrum[part].real ** 2 + spectrum[part].imag ** 2
-    return power
 
 
 def find_peaks(
@@ -363,15 +409,14 @@ def excess_power(samples: FloatArray, place: FloatArray) -> tuple[FloatArray, Fl
     Samples (S,) → ratio (Q,) and fitted place of the peak (Q,).
     """
     spectrum = centred_spectrum(samples)
-    power = _power(spectrum)
-    level = noise_level(power)[0]
-    np.maximum(level, np.finfo(np.float64).tiny, out=level)
+    power = Power(spectrum)
+    level = replace(noise_level(power), least=np.finfo(np.float64).tiny)
     ratio, where = np.empty(len(place)), np.empty(len(place))
     for q, (low, high) in enumerate(place):
         first = min(max(math.ceil(low), 1), len(power) - 2)
         last = min(max(math.floor(high), first), len(power) - 2)
         top = first + int(np.argmax(power[first : last + 1] / level[first : last + 1]))
-        ratio[q] = power[top] / level[top]
+        ratio[q] = float(power[top]) / float(level[top])
         where[q] = fit_line(spectrum, len(samples), float(top), float(level[top])).place
     return ratio, where
 
@@ -388,7 +433,7 @@ class _Search:
         chance: float,
         smallest: float,
     ) -> None:
-        self.rest, self.samples, self.smallest = spectrum, samples, smallest
+        self.rest, self.power, self.samples, self.smallest = spectrum, Power(spectrum), samples, smallest
         self.taken, self.expected = taken, expected
         self.lines: list[BinLine] = []
         self.last = len(spectrum) - (2 if samples % 2 == 0 else 1)
@@ -396,7 +441,7 @@ class _Search:
         self.chance_anywhere = share * chance / max(self.last - FIRST_BIN, 1)
         self.chance_expected = share * chance / max(3 * len(expected), 1)
         self.look()
-        self.least = float(self.level.min())
+        self.least = self.level.lowest
 
     def look(self) -> None:
         """Take the power of what is left, and its noise floor."""
@@ -404,28 +449,26 @@ class _Search:
         _, ramp = kernel(0.0, 0, min(len(self.rest), _RAMP_BINS), self.samples)
         lowest = self.rest.imag[: len(ramp)]
         lowest -= float(ramp @ lowest) / float(ramp @ ramp) * ramp
-        self.power = self.level = np.empty(0)  # free what the last look found
-        self.power = _power(self.rest)
-        level, self.independent = noise_level(self.power)
-        strongest = max((abs(line.value) ** 2 for line in self.lines), default=float(self.power.max(initial=0.0)))
+        level = noise_level(self.power)
+        strongest = max((abs(line.value) ** 2 for line in self.lines), default=self.power.highest)
         rounding = max(self.smallest, _SMALLEST**2 * strongest, np.finfo(np.float64).tiny)
-        self.level = np.maximum(level, rounding, out=level)
+        self.level = replace(level, least=rounding)
 
     def grow(self) -> bool:
         """Add all peaks that stand out anywhere and are no leakage of stronger ones; tell whether there were any."""
-        height = chance_height(self.chance_anywhere, self.independent)
+        height = chance_height(self.chance_anywhere, self.level.independent)
         found = []
         for part in _parts(self.last):
             first, stop = max(part.start, FIRST_BIN), part.stop
-            inner = self.power[first:stop]
-            beside = np.maximum(self.power[first - 1 : stop - 1], self.power[first + 1 : stop + 1])
+            power = self.power[first - 1 : stop + 1]
+            inner, beside = power[1:-1], np.maximum(power[:-2], power[2:])
             found.append(first + np.flatnonzero((inner > height * self.level[first:stop]) & (inner >= beside)))
         bins = np.concatenate([np.empty(0, dtype=np.int64), *found])
         return self._add(self._clear(bins[np.argsort(-self.power[bins], kind="stable")]))
 
     def grow_expected(self) -> bool:
         """Add the peaks that stand out at expected places; tell whether there were any."""
-        height = chance_height(self.chance_expected, self.independent)
+        height = chance_height(self.chance_expected, self.level.independent)
         around = [np.arange(max(FIRST_BIN, round(p) - 1), min(self.last, round(p) + 2)) for p in self.expected]
         best = {int(bins[np.argmax(self.power[bins])]) for bins in around if len(bins)}
         high = sorted((k for k in best if self.power[k] > height * self.level[k]), key=lambda k: -self.power[k])
@@ -439,7 +482,7 @@ class _Search:
             if len(known) and np.min(np.abs(known - k)) < APART_BINS:
                 continue
             distance = np.abs(np.array(clear, dtype=np.float64) - k)
-            leak = self.power[clear] / (np.pi * np.maximum(distance - 1.0, 0.3) ** 3) ** 2
+            leak = self.power[np.array(clear, dtype=np.int64)] / (np.pi * np.maximum(distance - 1.0, 0.3) ** 3) ** 2
             if not np.any(_LEAKAGE**2 * leak > self.power[k]):
                 clear.append(k)
             if len(clear) + len(self.lines) >= 2 * MOST_LINES:
@@ -503,5 +546,5 @@ class _Search:
         local = float(np.median(self.power[free])) / np.log(2.0)
         chance = self.chance_expected if expected else self.chance_anywhere
         height = chance_height(float(np.sqrt(chance)), len(free) / BINS_PER_INDEPENDENT)
-        height = max(height, chance_height(chance, self.independent))
+        height = max(height, chance_height(chance, self.level.independent))
         return max(local, floor) if abs(line.value) ** 2 > height * local else None

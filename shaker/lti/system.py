@@ -451,7 +451,7 @@ class ModalModel(Brief):
         `step`: by how many of its standard uncertainties a parameter is moved to either side, real poles by 5 % at
         most; one without uncertainty is not moved.
         """
-        moves = step * np.sqrt(np.diag(self._known_covariance()))
+        moves = step * np.sqrt(np.maximum(np.diag(self._known_covariance()), 0.0))  # less than 0 by rounding
         reals = slice(4 * len(self.frequency_hz), 4 * len(self.frequency_hz) + len(self.real_hz))
         moves[reals] = np.minimum(moves[reals], 0.05 * np.abs(self.real_hz))
         return differences(lambda moved: function(self.with_vector(moved)), self.vector, moves)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -151,14 +151,19 @@ _DIFFERENCE = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
 
 @dataclass(frozen=True)
 class ClockLine:
-    """t_base = offset_s + rate·t_other with covariance (2, 2) of (offset_s, rate)."""
+    """t_base = offset_s + rate·t_other with covariance (2, 2) of (offset_s, rate).
+
+    `noise` (2, 2): what of it is by noise of the samples, and so another error in every record.
+    """
 
     offset_s: float
     rate: float
     covariance: FloatArray
+    noise: FloatArray = field(default_factory=lambda: np.zeros((2, 2)), kw_only=True)
 
     def __post_init__(self) -> None:
         check_shape("covariance", self.covariance, (2, 2))
+        check_shape("noise", self.noise, (2, 2))
 
     def to_base_s(self, time_s: FloatArray) -> FloatArray:
         """Return times of the other clock on the base clock."""
@@ -173,7 +178,8 @@ class ClockLine:
         """Return the line with the two clocks exchanged."""
         rate = 1.0 / self.rate
         jacobian = np.array([[-rate, self.offset_s * rate**2], [0.0, -(rate**2)]])
-        return ClockLine(-self.offset_s * rate, rate, jacobian @ self.covariance @ jacobian.T)
+        covariance, noise = (jacobian @ own @ jacobian.T for own in (self.covariance, self.noise))
+        return ClockLine(-self.offset_s * rate, rate, covariance, noise=noise)
 
 
 def clock_line(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
@@ -189,13 +195,19 @@ def clock_line(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
     if len(here) < _LEAST_PAIRS:
         return single
     if base.kind == other.kind:
-        paired = _from_pairs(base, other, here, there)
+        paired, scatter_s = _from_pairs(base, other, here, there)
         middle = np.asarray(np.mean(other.edge_s[there]))
         line = paired if paired.u_to_base_s(middle) < single.u_to_base_s(middle) else single
         if base.kind == "sampled":
             line = _from_intervals(base, other, shift, line, line is paired)
         elif line is single:
-            return line
+            variance = float(line.u_to_base_s(middle)) ** 2
+            opened = (base.open_s**2 + other.open_s**2) / 12.0
+            own = min(f.resolution_s**2 / (f.resolution_s**2 + 12.0 * f.jitter_s**2) for f in (base, other))
+            return replace(line, noise=line.covariance * own * max(1.0 - opened / variance, 0.0))
+        else:  # what edges scatter by beyond the samples' noise may be of the rise
+            read = (base.resolution_s**2 + (line.rate * other.resolution_s) ** 2) / 12.0
+            line = replace(line, noise=line.covariance * min(read / max(scatter_s**2, 1e-30), 1.0))
     elif base.kind == "resolved":
         line = _from_one_resolved(base, other, here, there).inverse()
     else:
@@ -222,15 +234,20 @@ def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
     return ClockLine(offset, rate, jacobian @ joint @ jacobian.T)
 
 
-def _from_pairs(base: TriggerFit, other: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
-    """Fit a line to paired edges, free of the trigger's jitter: to middles of intervals, or to resolved crossings."""
+def _from_pairs(base: TriggerFit, other: TriggerFit, here: IntArray, there: IntArray) -> tuple[ClockLine, float]:
+    """Fit a line to paired edges, free of the trigger's jitter: to middles of intervals, or to resolved crossings.
+
+    Returned with the scatter of the edges about it (s).
+    """
     if base.kind == "sampled":
         place, unscale = _scaled(other.edge_s[there])
-        return unscale(straight_line(place, base.edge_s[here], 0.3 * base.resolution_s)[0])
+        found = straight_line(place, base.edge_s[here], 0.3 * base.resolution_s)[0]
+        return unscale(found), found.jitter_s
     place, unscale = _scaled(other.crossing_s[there])
     y, x = base.crossing_s[here], other.crossing_s[there]
     phases = [(y - base.lower_s[here]) / base.sample_s, (x - other.lower_s[there]) / other.sample_s]
-    return unscale(fit_resolved(y, place, phases)[0])
+    found = fit_resolved(y, place, phases)[0]
+    return unscale(found), found.jitter_s
 
 
 def _from_one_resolved(resolved: TriggerFit, sampled: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
@@ -320,7 +337,10 @@ class ClockTie(ClockLine):
         gain = self.covariance[:, 1] / both
         offset_s, rate = np.array([self.offset_s, self.rate]) + gain * apart
         covariance = self.covariance - np.outer(gain, self.covariance[1])
-        return replace(self, offset_s=float(offset_s), rate=float(rate), covariance=covariance)
+        left = np.eye(2) - np.outer(gain, [0.0, 1.0])
+        return replace(
+            self, offset_s=float(offset_s), rate=float(rate), covariance=covariance, noise=left @ self.noise @ left.T
+        )
 
     def __repr__(self) -> str:
         line = f"t = {self.offset_s:.9g} s + {self.rate:.12g}·t_other"
@@ -369,7 +389,7 @@ def tie_clocks(
         line = clock_line(base, other, decided.edges)
     middle_s = float(np.mean(other.edge_s[there] if len(pairs) else other.edge_s))
     own = line.offset_s, line.rate, line.covariance
-    return ClockTie(*own, decided.edges, decided.decided_by, len(pairs), middle_s, notices)
+    return ClockTie(*own, decided.edges, decided.decided_by, len(pairs), middle_s, notices, noise=line.noise)
 
 
 # Instants of single trigger edges from all records that saw them: the periodic model and each edge's own deviation.

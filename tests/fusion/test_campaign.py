@@ -6,6 +6,7 @@ import io
 import os
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -17,7 +18,7 @@ from support import edit, rows, state
 
 from fusion.base import ComputeError, InputError, Settings
 from fusion.campaign import run as under_test
-from fusion.campaign.run import Outcome, exit_status, run_path, sensitivity_table
+from fusion.campaign.run import Outcome, exit_status, print_campaign, run_path, sensitivity_table
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.estimation.uncertainty import coverage_factor
@@ -286,3 +287,23 @@ def test_printed_values_have_u_with_its_own_factor_and_no_phase_where_zero_may_b
         assert words in text
     (row,) = (line for line in text.splitlines() if "(2.9 ± 2.9)e-9" in line)
     assert "\N{EN DASH}" in row
+
+
+def test_of_many_recordings_the_terminal_shows_the_first_and_names_the_table_of_all(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("fusion.campaign.run.MOST_LINES", 2)
+    monkeypatch.setattr("fusion.campaign.run.MOST_ROWS", 50)
+    text = result_tables(make_evaluation(tmp_path))[SENSITIVITY_FILE]
+    head, *body = text.splitlines()
+    (tmp_path / SENSITIVITY_FILE).write_text(text, encoding="utf-8")
+    name = rows(tmp_path / SENSITIVITY_FILE)[0]["recording"]
+    several = [line.replace(name, f"no. {k}") for k in range(9) for line in body]
+    (tmp_path / SENSITIVITY_FILE).write_text("\n".join([head, *several]) + "\n", encoding="utf-8")
+    outcomes = [Outcome(tmp_path / f"{k}" / "recording.toml", tmp_path / f"{k}") for k in range(9)]
+    outcomes[7] = replace(outcomes[7], error=ComputeError("no light"))
+    print_campaign(outcomes)
+    told = capsys.readouterr().out
+    whole = 50 // len(body) * len(body)
+    assert f"the first {whole} rows; all are in {tmp_path / SENSITIVITY_FILE}" in told
+    assert "7: failed, no light" in told
+    assert "and 6 more" in told
+    assert "9 recordings: 8 evaluated, 1 failed" in told

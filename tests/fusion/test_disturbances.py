@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from contracts import coverage_contract
 
 from fusion.estimation.fuse import fuse
 from fusion.estimation.measurement_model import Deviates
+from fusion.estimation.uncertainty import Contribution, Uncertainty
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels, output_phasors
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Environment, Load, Rig, Sensor
@@ -14,9 +16,12 @@ from fusion.sensitivity.body import load_body
 from fusion.sensitivity.disturbances import (
     at_reference_temperature,
     not_assessed,
+    unstated_chain,
     with_base_strain,
     with_support_motion,
 )
+from fusion.sensitivity.ratio import Sensitivity
+from shaker.labels import LOAD_COMPONENTS
 from shaker.sine.phasor import Phasors
 
 FREQUENCY_HZ = np.array([80.0, 160.0])
@@ -148,3 +153,28 @@ def test_cables_carry_part_of_the_force():
     force = 5.0 * acceleration + drawn * place
     np.testing.assert_allclose(estimate, 5.0 * acceleration + 2e4 * place[:, 0], rtol=1e-12)
     np.testing.assert_allclose(u, np.std(force, axis=1), rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("turn_rad", "stated", "asked"),
+    [
+        (-20e-3, {}, "lags the load by 20 mrad at 80 Hz, as much as 39.8 us"),
+        (np.pi + 12e-3, {}, "leads the load by 12 mrad"),
+        (-3e-3, {}, None),
+        (-20e-3, {"delay": 4e-5}, None),
+        (-20e-3, {"delay_uncertainty": 1e-6}, None),
+    ],
+)
+def test_an_amplifier_that_nobody_states_is_asked_for(turn_rad, stated, asked):
+    entry = ChannelEntry(name="bridge", quantity="output", channel="Fz", **stated)
+    value = np.full((2, 1, 6), np.nan, dtype=np.complex128)
+    value[:, 0, 2] = 7e-7 * np.exp(1j * turn_rad)
+    spread = Contribution("noise", "A", np.repeat(1e-20 * np.eye(2)[None], 2, axis=0), np.full(2, np.inf))
+    found = Sensitivity(
+        FREQUENCY_HZ, value, ((0, 2),), Uncertainty((spread,), ()), ("Fz",), LOAD_COMPONENTS, "V/V",
+        ("ratio", "harmonic"), (),
+    )  # fmt: skip
+    told = [notice.text for notice in unstated_chain(found, [entry], 2)]
+    assert len(told) == (asked is not None)
+    assert all(f"output bridge {asked}" in text for text in told)
+    assert list(unstated_chain(None, [entry], 2)) == list(unstated_chain(found, [entry], 0)) == []

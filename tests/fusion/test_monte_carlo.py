@@ -149,7 +149,9 @@ def test_noise_that_was_estimated_is_in_draws_as_in_first_order(dof, least):
     assert not any(notice.severity == "warning" for notice in drawn.notices)
 
 
-@pytest.mark.parametrize(("count", "dof", "trials"), [(3, 4.0, 400), pytest.param(2, 3.0, 2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("count", "dof", "trials"), [(3, 4.0, 400), pytest.param(2, 3.0, 2000, marks=pytest.mark.slow)]
+)
 def test_a_mean_weighted_by_estimated_noise_holds(count, dof, trials):
     """True noise of 1e-3, estimated with few degrees of freedom: 400 means, two parts each, fix 95 % to 0.8 %."""
     rng = np.random.default_rng(12)
@@ -162,7 +164,10 @@ def test_a_mean_weighted_by_estimated_noise_holds(count, dof, trials):
         readings = tuple(reading(*one, dof) for one in zip(entries, values.tolist(), u.tolist(), strict=True))
         (fused, *_) = analyse(inputs_of(readings)).accelerations
         found = polar_elements(fused.phasors.value, fused.uncertainty)[0][2]
-        held += [abs(found.magnitude - 10.0) < found.expanded_magnitude, abs(found.phase_rad) < found.expanded_phase_rad]
+        held += [
+            abs(found.magnitude - 10.0) < found.expanded_magnitude,
+            abs(found.phase_rad) < found.expanded_phase_rad,
+        ]
     assert 0.925 < np.mean(held) < 0.97
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support import untold
 
+from fusion.cli import main
 from fusion.report.recording import write_h5
 from fusion.sensitivity.analyse import Evaluation
 
@@ -85,3 +86,14 @@ def test_xarray_opens_groups_with_named_dimensions_and_the_numbers(result, demo_
     with xarray.open_dataset(result, group="sensitivity", engine="h5netcdf") as data:
         found = data["value"].sel(channels="My", components="Fz").to_numpy()
         assert np.array_equal(found, demo_evaluation.sensitivity.value[:, 4, 2], equal_nan=True)
+
+
+@pytest.mark.slow
+def test_draws_have_unit_words_and_named_axes(demo_recording, tmp_path):
+    command = ["run", str(demo_recording), "--monte-carlo", "1000", "-q", "-o", str(tmp_path / "out")]
+    assert main(command) == 0
+    (path,) = (tmp_path / "out").rglob("result.h5")
+    with h5py.File(path) as file:
+        assert untold(file) == []
+        assert file["monte_carlo/results/load/magnitude/u"].attrs["units"] == LOADS
+        assert file["monte_carlo/results/load/phase/u"].attrs["units"] == "rad"

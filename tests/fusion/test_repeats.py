@@ -17,7 +17,7 @@ from support import far
 from violations import JITTER_S, Rig, preset_of
 
 from fusion.base import Settings
-from fusion.campaign.curve import find_linearity
+from fusion.campaign.curve import _slope, find_linearity
 from fusion.campaign.repeats import (
     BETWEEN,
     Drive,
@@ -457,3 +457,32 @@ def test_elements_are_averaged_as_ratios_and_what_is_not_known_of_the_matrix_sta
     assert abs(effects["static sensitivity Fz/Fx"]) == pytest.approx(0.1 * np.hypot(2e-3, 5e-5) / 1.005, rel=1e-9)
     (single,) = find_repeats(drives[:1], stated=stated)
     assert {i.name: i.effect[0, 0] for i in single.uncertainty.influences} == pytest.approx(effects)
+
+
+def test_a_slope_by_blocks_is_generalised_least_squares_written_out():
+    """Errors of one reading, of some, and of all, against the whole covariance inverted."""
+    rng, count = np.random.default_rng(8), 7
+    places, roots = np.linspace(-0.5, 0.5, count), 1e-3 * rng.standard_normal((count, 4, 4))
+    own = roots @ roots.swapaxes(1, 2)
+    shared = [(list(range(count)), 3e-3 * rng.standard_normal((3, count, 4)))]
+    shared += [(rows, 2e-3 * rng.standard_normal((2, len(rows), 4))) for rows in ([0, 3], [3, 5], [1, 2])]
+    readings = np.array([1.0, 1.0, 0.0, 0.0]) + 1e-2 * rng.standard_normal((count, 4))
+    for channel in (0, 1):
+        both = [channel, channel + 2]
+        spread = np.zeros((count, 2, count, 2))
+        for n in range(count):
+            spread[n, :, n] = own[n][np.ix_(both, both)]
+        for rows, effects in shared:
+            for effect in effects:
+                for n, row in enumerate(rows):
+                    for m, other in enumerate(rows):
+                        spread[row, :, other] += np.outer(effect[n, both], effect[m, both])
+        weight = np.linalg.inv(spread.reshape(2 * count, -1))
+        design = np.array([[1.0, 0.0, x, 0.0] if part == 0 else [0.0, 1.0, 0.0, x] for x in places for part in (0, 1)])
+        values = readings[:, both].ravel()
+        covariance = np.linalg.inv(design.T @ weight @ design)
+        unknowns = covariance @ design.T @ weight @ values
+        residual = values - design @ unknowns
+        slope, _, chi2 = _slope(readings, own, shared, places, channel)
+        assert slope == pytest.approx(complex(*unknowns[2:]) / complex(*unknowns[:2]), rel=1e-7)
+        assert chi2 == pytest.approx(residual @ weight @ residual, rel=1e-7)

@@ -15,7 +15,7 @@ from scipy.stats import binom
 from simulated_phasors import simulate_phasors
 
 from fusion.estimation.fuse import Acceleration
-from fusion.estimation.uncertainty import Influence
+from fusion.estimation.uncertainty import Influence, polar_elements
 from fusion.instruments.channel import Outputs, Reading, late, output_phasors
 from fusion.sensitivity.analyse import analyse
 from fusion.sensitivity.body import Body, make_part
@@ -371,6 +371,15 @@ def test_rated_cross_talk_bounds_what_other_loads_put_into_the_main_output(case)
     expected = np.array([[c.real, c.imag] for c in change])
     np.testing.assert_allclose(extra, expected.T @ expected, rtol=1e-6)
     assert [entry.count for entry in element.budget if entry.label == "rated cross-talk"] == [5]
+    # U holds 95 % of what bounds and all else make of it, and no more: draws of the bounds beside a normal rest.
+    ((found,),) = element.polar
+    ((rest,),) = polar_elements(case.ratio.value[0, 0, 2].reshape(1, 1), case.ratio.uncertainty.at([0]))
+    along = change / case.ratio.value[0, 0, 2] * found.magnitude
+    rng = np.random.default_rng(4)
+    off = np.sqrt(3.0) * rng.uniform(-1.0, 1.0, (100_000, len(change))) @ along.real
+    off += rest.expanded_magnitude / 1.96 * rng.standard_normal(100_000)
+    assert found.expanded_magnitude == pytest.approx(np.quantile(np.abs(off), 0.95), rel=0.015)
+    assert found.expanded_magnitude <= np.sqrt(3.0) * np.abs(along.real).sum() + rest.expanded_magnitude
 
 
 def test_without_knowledge_of_cross_talk_there_is_no_element(case):

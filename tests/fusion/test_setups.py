@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
-from support import block, edit, evaluated, write_daq
+from support import block, edit, evaluated, untold, write_daq
 from take_factory import (
     FREQUENCY_HZ,
     LOAD,
@@ -32,7 +33,7 @@ from fusion.instruments.transducer import unit_direction
 from fusion.planning.check import check
 from fusion.recording.files import read_set_ups
 from fusion.recording.load import load_manifest
-from fusion.report.recording import result_tables
+from fusion.report.recording import result_tables, write_h5
 from fusion.report.tables import acceleration
 from fusion.sensitivity.analyse import Evaluation
 
@@ -63,6 +64,15 @@ def test_eight_points_one_after_another_give_the_motion(eight):
     assert abs(error[0] / LOAD[2]) < 2e-6  # noise: the drift itself is taken off
     assert load.instruments == ("laser",)
     assert {f"take {number}: velocity_1" for number in range(1, 9)} <= {test.instrument for test in load.consistency}
+
+
+def test_every_number_of_takes_has_unit_words_and_named_axes(eight, tmp_path):
+    write_h5(tmp_path / "result.h5", eight, [])
+    with h5py.File(tmp_path / "result.h5") as file:
+        assert untold(file) == []
+        take = next(group for group in file["set_ups"].values() if isinstance(group, h5py.Group))
+        assert take["factor"].attrs["units"] == "1"
+        assert [axis[0].name.rpartition("/")[2] for axis in take["drift"].dims] == ["frequency_hz"]
 
 
 def test_the_drift_between_takes_is_part_of_the_uncertainty(eight):

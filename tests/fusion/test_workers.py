@@ -10,9 +10,11 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -27,10 +29,15 @@ from fusion.campaign import run as leading
 from fusion.campaign.executor import Answer, Workers, call, connected, one_blas_thread
 from fusion.campaign.run import Outcome, run_path
 from fusion.commands.options import EXIT_INTERRUPTED
-from fusion.report.files import remove_abandoned
+from fusion.phasors import stereo_motion
+from fusion.report.files import Kept, remove_abandoned
 from fusion.report.recording import result_tables
 from fusion.sensitivity.analyse import Evaluation
 from fusion.simulate import simulate
+from photogram.direct import DirectFit
+from photogram.geometry import RigidTransform
+from photogram.images.sequence import ImageSequence
+from photogram.subsets.icgn import Registration
 
 
 @pytest.fixture(scope="module")
@@ -364,7 +371,8 @@ def test_workers_of_another_version_are_refused(cluster, monkeypatch):
             pass
 
 
-def test_a_scheduler_that_goes_is_told(tmp_path):
+def test_a_scheduler_that_stays_away_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr("fusion.campaign.executor.AWAY_S", 1.0)
     cluster = Cluster(tmp_path)
     with connected(cluster.address) as crew:
         waiting = crew.submit(0, tasks.wait_for_ever, tmp_path / "begun")
@@ -372,3 +380,111 @@ def test_a_scheduler_that_goes_is_told(tmp_path):
         cluster.end()
         with pytest.raises(ComputeError, match="the Dask scheduler is gone"):
             waiting.result()
+
+
+def _worker_processes(nanny: int) -> list[int]:
+    """The workers that a nanny has started."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((place / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == nanny and b"spawn_main" in (place / "cmdline").read_bytes():
+                found.append(int(place.name))
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds the workers of a nanny in /proc")
+def test_killed_workers_and_a_scheduler_that_starts_anew_change_no_digit(sweep, serial, tmp_path):
+    cluster, ended, killed = Cluster(tmp_path, nannies=True), threading.Event(), 0
+
+    def kill() -> None:
+        nonlocal killed
+        while not ended.wait(10.0):
+            if killed == 1:
+                cluster.restart_scheduler(1.0)
+            for process in _worker_processes(cluster.workers[killed % 2].pid)[:1]:
+                os.kill(process, signal.SIGKILL)
+                killed += 1
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        outcomes = _run(sweep, tmp_path / "out", tasks.slow_job, workers=cluster.address)
+    finally:
+        ended.set()
+        killer.join()
+        cluster.end()
+    assert [outcome.error for outcome in outcomes] == [None] * RECORDINGS
+    assert killed > 0
+    assert _tables(tmp_path / "out") == serial
+    assert _hidden(tmp_path / "out") == []
+
+
+BLOCKS = """
+import sys
+import photogram.measure
+from unittest.mock import patch
+from fusion.cli import main
+photogram.measure.BLOCK_FRAMES = 3
+if __name__ == "__main__":
+    with patch("fusion.report.recording.render_report", lambda _: "<!doctype html>"):
+        sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [[], ["--workers", "2"]])
+def test_frames_that_were_followed_before_a_kill_are_not_followed_again(options, demo_recording, tmp_path):
+    script = tmp_path / "blocks.py"
+    script.write_text(BLOCKS)
+    whole = [sys.executable, script, "run", "-q", demo_recording / NAME, "-o", tmp_path / "whole"]
+    assert subprocess.run(whole, env=environment(), check=False, capture_output=True).returncode == 0
+    kept, out = tmp_path / ".out.so-far", tmp_path / "out"
+    command = [*whole[:-1], out, *options]
+    for blocks in (1, 5):
+        with subprocess.Popen(command, env=environment(), stderr=subprocess.DEVNULL) as run:
+            wait_until(lambda blocks=blocks: len(list(kept.glob("*"))) >= blocks)
+            run.kill()
+        assert not out.exists()
+    damaged = next(file for file in kept.iterdir() if not file.name.endswith(".part"))
+    damaged.write_bytes(damaged.read_bytes()[:-100])
+    assert subprocess.run(command, env=environment(), check=False, capture_output=True).returncode == 0
+    assert _tables(out) == _tables(tmp_path / "whole")
+    assert not kept.exists()
+
+
+def test_blocks_come_back_to_the_last_bit_and_damaged_ones_not_at_all(tmp_path):
+    rng = np.random.default_rng(1)
+
+    def found() -> Registration:
+        status = rng.integers(0, 3, 5).astype(np.int8)
+        return Registration(rng.normal(size=(5, 6)), *rng.normal(size=(3, 5)), status, rng.integers(0, 9, 5))
+
+    moved = RigidTransform.from_pose(rng.normal(size=6))
+    fits = [None, DirectFit(moved, rng.normal(size=(6, 6)), 1.1, 7), None]
+    block = tuple(((found(), found()), fit) for fit in fits)
+    images = SimpleNamespace(sight=SimpleNamespace(name="top"), left=ImageSequence(("a",) * 9, (1, 1), 255, None))
+    kept = Kept(tmp_path / "results", "key")
+    stereo_motion._keep_block(images, range(2, 5), block, kept)
+    again = stereo_motion._kept_block(images, range(2, 5), kept)
+    for ((left, right), fit), ((left_again, right_again), fit_again) in zip(block, again, strict=True):
+        for one, other in ((left, left_again), (right, right_again)):
+            assert all(np.array_equal(getattr(one, name), getattr(other, name)) for name in stereo_motion.REGISTRATION)
+        assert (fit is None) == (fit_again is None)
+        if fit is not None:
+            assert np.array_equal(fit.moved.rotation, fit_again.moved.rotation)
+            assert np.array_equal(fit.covariance, fit_again.covariance)
+            assert (fit.noise, fit.cells) == (fit_again.noise, fit_again.cells)
+    assert stereo_motion._kept_block(images, range(5, 8), kept) is None
+    assert stereo_motion._kept_block(images, range(2, 5), Kept(tmp_path / "results", "other")) is None
+    (file,) = (tmp_path / ".results.so-far").iterdir()
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    for damaged in (bytes(content), file.read_bytes()[:-50], b""):
+        file.write_bytes(damaged)
+        assert stereo_motion._kept_block(images, range(2, 5), kept) is None
+    kept.remove()
+    assert list(tmp_path.iterdir()) == []

@@ -8,6 +8,7 @@ import zipfile
 from pathlib import Path
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 from contracts import refused
@@ -572,6 +573,29 @@ def test_matchid(formats, tmp_path):
         again = _imported(tmp_path, text, (20, 20)).rig
         np.testing.assert_array_equal(again.values, imported.rig.values)
         np.testing.assert_array_equal(again.right_from_left.rotation, pose.rotation)
+
+
+def _in_other_files(kind: str, folder: Path) -> Path:
+    """A `.mat` file of version 7.3 that takes a matrix from elsewhere."""
+    (folder / "secret").write_bytes(np.arange(2.0).tobytes())
+    layout = h5py.VirtualLayout((1, 2), "f8")
+    layout[:] = h5py.VirtualSource(str(folder / "other.h5"), "a", (1, 2))
+    with h5py.File(folder / "a.mat", "w", userblock_size=512) as file:
+        if kind == "link":
+            file["fc_left"] = h5py.ExternalLink(str(folder / "other.h5"), "/a")
+        elif kind == "storage":
+            file.create_dataset("fc_left", (1, 2), "f8", external=[(str(folder / "secret"), 0, 16)])
+        else:
+            file.create_virtual_dataset("fc_left", layout)
+    with (folder / "a.mat").open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    return folder / "a.mat"
+
+
+@pytest.mark.parametrize("kind", ["link", "storage", "virtual"])
+def test_a_calibration_takes_nothing_from_other_files(kind, tmp_path):
+    path = _in_other_files(kind, tmp_path)
+    refused(r"a\.mat: expected data in this file, found some in other files", import_calibration, path)
 
 
 def test_matlab_object_as_mat_io_prints_it(formats, tmp_path, monkeypatch):

@@ -191,6 +191,17 @@ def test_impulse_is_the_derivative_of_the_step():
     assert np.allclose(slope, model.impulse(time), rtol=1e-5, atol=1e-3 * np.abs(slope).max() * 1e-3)
 
 
+def test_variances_below_zero_by_rounding_move_nothing():
+    residues = third_order().residues()
+    variance = np.diag([1e-4, 1e-12, 1e-6, 1e-6, 1.0, -1e-27])
+    model = ModalModel(
+        np.array([1700.0]), np.array([0.015]), residues[:1], np.array([6000.0]), residues[2:].real, covariance=variance
+    )
+    value, slope = model.jacobian(lambda moved: moved.frequency_hz)
+    assert value == pytest.approx([1700.0])
+    assert slope == pytest.approx(np.array([[1.0, 0.0, 0.0, 0.0, 0.0, 0.0]]))
+
+
 DAMPINGS = [1e-5, 0.004, 0.02, 0.2, 0.5, 0.65, 0.9]
 
 

@@ -511,3 +511,42 @@ def test_later_records_move_the_offset_alone(base_lag_s, other_lag_s):
     deviation = moved.to_base_s(np.array(there + other_lag_s)) - base_lag_s - tie.to_base_s(np.array(there))
     assert abs(float(deviation)) < 0.1 * u
     assert float(moved.u_to_base_s(np.array(there + other_lag_s))) == pytest.approx(u, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("cases", "low", "high"), [(1, 0.15, 2.4), pytest.param(12, 0.65, 1.5, marks=pytest.mark.slow)]
+)
+def test_what_noise_does_to_a_tie_differs_where_records_start_alike(cases, low, high):
+    """Edges resolved between the samples, four records of each start: what scatters among them is the `noise` of it."""
+    rng, scatter, stated, whole = np.random.default_rng(8), [], [], []
+    for _ in range(cases):
+        first, begin = 0.1 + rng.uniform(0.0, PERIOD_S), rng.uniform(0.0, 0.05)
+        instants = first + PERIOD_S * np.arange(FEW)
+        clean = [
+            _band_limited(instants if rate == RATE_HZ else (instants - begin) * (1.0 + PPM), rate, 1.8)
+            for rate in (RATE_HZ, OTHER_HZ)
+        ]
+        middle, found = np.asarray((instants[FEW // 2] - begin) * (1.0 + PPM)), []
+        for _ in range(4):
+            fits = [
+                fit_trigger(find_edges(signal + 0.1 * rng.standard_normal(len(signal)), rate))
+                for signal, rate in zip(clean, (RATE_HZ, OTHER_HZ), strict=True)
+            ]
+            tie = tie_clocks(*fits, start_difference_s=begin)
+            found.append(float(tie.to_base_s(middle)))
+            row = np.array([1.0, float(middle)])
+            stated.append(row @ tie.noise @ row)
+            whole.append(row @ tie.covariance @ row)
+        scatter.append(np.var(found, ddof=1))
+    assert low < np.sqrt(np.mean(scatter) / np.mean(stated)) < high
+    assert np.all(np.array(stated) <= np.array(whole))
+
+
+def test_what_sampling_leaves_open_is_no_noise():
+    base, other, _, _ = _two_clocks(np.random.default_rng(2))
+    assert not tie_clocks(base, other).noise.any()
+    # A rate found otherwise takes its share off both.
+    tie = replace(tie_clocks(base, other), noise=0.5 * tie_clocks(base, other).covariance)
+    left = tie.with_rate(tie.rate, 1e-9)
+    assert left.noise[1, 1] == pytest.approx(0.5 * tie.covariance[1, 1] * (1e-18 / (tie.covariance[1, 1] + 1e-18)) ** 2)
+    assert np.linalg.eigvalsh(left.covariance - left.noise).min() > -1e-30

@@ -81,7 +81,7 @@ def look(recording: str | Path, aim: float | None = None, *, allow_outside: bool
 
     >>> from fusion import look
     >>> [finding.text for finding in look("sample_images/demo/Fz-0080", aim=1e-4).findings]  # doctest: +ELLIPSIS
-    ['U (k = 2) of Fz per Fz at 80 Hz will be about 0.1... %, more than the 0.01 % aimed at']
+    ['U (k = 2) of Fz per Fz at 80 Hz will be about 0.07... %, more than the 0.01 % aimed at']
     """
     manifest = load_manifest(recording, allow_outside=allow_outside)
     findings: list[Finding] = []
