@@ -32,6 +32,14 @@ from numba.core.caching import IndexDataCacheFile
 UNUSED_S = 30 * 86400.0
 
 
+class _Cache(IndexDataCacheFile):  # type: ignore[misc]
+    """A cache that a full or read-only disk leaves as it is: the kernel is compiled again next time."""
+
+    def save(self, key: Any, data: Any) -> None:
+        with contextlib.suppress(OSError):
+            super().save(key, data)
+
+
 def njit(
     *, parallel: bool = False, nogil: bool = False, error_model: str = "python", inline: str = "never"
 ) -> Callable[[Callable[..., Any]], Any]:
@@ -47,7 +55,7 @@ def njit(
         cache, folder = dispatcher._cache, _cache_folder()  # numba offers no public way to say where and until when
         if folder is not None:
             cache._cache_path = str(folder)
-            cache._cache_file = IndexDataCacheFile(str(folder), cache._impl.filename_base, _sources_digest())
+            cache._cache_file = _Cache(str(folder), cache._impl.filename_base, _sources_digest())
         return dispatcher
 
     return compiled

@@ -31,8 +31,10 @@ from fusion.campaign.repeats import Repeats
 from fusion.estimation.uncertainty import Polar, polar, polar_elements
 from fusion.report.files import write_files, write_together
 from fusion.report.folder import (
+    CURVE_FILE,
     RESULT_FILE,
     RESULT_FORMAT,
+    SENSITIVITY_FILE,
     InputFiles,
     Provenance,
     origin_frame,
@@ -44,11 +46,9 @@ from fusion.report.labelled import CAMPAIGN_FILE
 from fusion.report.recording import (
     CAMPAIGN_FILES,
     CROSSTALK_FILE,
-    CURVE_FILE,
     MERGED_FILES,
     REPORT_FILE,
     SENSITIVITY,
-    SENSITIVITY_FILE,
     merge_tables,
     sensitivity_elements,
 )

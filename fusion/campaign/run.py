@@ -33,8 +33,8 @@ from fusion.estimation.uncertainty import Polar, region_factor
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, load_manifest
 from fusion.report.files import Kept, claimed, remove_abandoned, workshop
-from fusion.report.folder import check_folder, hash_files, is_current, origin_key
-from fusion.report.recording import REPORT_FILE, SENSITIVITY_FILE, check_campaign_folder, row_element, write_results
+from fusion.report.folder import SENSITIVITY_FILE, check_folder, hash_files, is_current, origin_key
+from fusion.report.recording import REPORT_FILE, check_campaign_folder, row_element, write_results
 from fusion.report.table import both, factor, has_phase, read_rows
 from fusion.report.tables import result_name
 from fusion.sensitivity.evaluate import evaluate_recording

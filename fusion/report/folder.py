@@ -31,6 +31,7 @@ from fusion.report.table import Table
 
 
 RESULT_FILE, RESULT_FORMAT = "result.h5", 2
+SENSITIVITY_FILE, CURVE_FILE = "sensitivity.csv", "curve.csv"
 Setting = str | float | int
 
 

@@ -19,8 +19,10 @@ from fusion.report import tables, uncertainty_tables
 from fusion.report.figures import acceleration_pictures, draw_budget, sensitivity_pictures
 from fusion.report.files import write_file, write_files
 from fusion.report.folder import (
+    CURVE_FILE,
     RESULT_FILE,
     RESULT_FORMAT,
+    SENSITIVITY_FILE,
     InputFiles,
     check_folder,
     origin_frame,
@@ -45,7 +47,7 @@ from shaker.arrays import FloatArray
 # Its tables as CSV files, and how a campaign joins those of several.
 
 
-SENSITIVITY_FILE, ACCELERATION_FILE, LOAD_FILE = "sensitivity.csv", "acceleration.csv", "load.csv"
+ACCELERATION_FILE, LOAD_FILE = "acceleration.csv", "load.csv"
 
 
 class Element(NamedTuple):
@@ -254,7 +256,7 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
 # The results folder: tables, HDF5 file and report, whole or not at all.
 
 
-CURVE_FILE, CROSSTALK_FILE = "curve.csv", "crosstalk.csv"
+CROSSTALK_FILE = "crosstalk.csv"
 CAMPAIGN_FILES = (*MERGED_FILES, CURVE_FILE, CROSSTALK_FILE, REPORT_FILE, CAMPAIGN_FILE)
 """Files at the top of a campaign's results."""
 OWN_FILE = re.compile(

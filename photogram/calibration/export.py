@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from photogram.arrays import FloatArray, Notice
+from photogram.calibration.file import write_whole
 from photogram.calibration.foreign import (
     RADIAL,
     SIDES,
@@ -133,12 +133,7 @@ def export_calibration(path: str | Path, rig: StereoRig) -> tuple[str, tuple[Not
     text, notices = write(rig)
     if rig.covariance is not None:
         notices.append(Notice("info", f"a file of {program} holds no covariance; keep the original", "covariance"))
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_whole(path, text)
     return program, tuple(notices)
 
 

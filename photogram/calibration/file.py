@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 from pathlib import Path
 from typing import Any
 
@@ -151,14 +152,18 @@ def _content(path: Path) -> Any:
         raise ValueError(f"{path}: expected a JSON text, found: {error}") from error
 
 
-def _write(path: Path, content: dict[str, Any]) -> None:
-    """Write a JSON text by a temporary name and one replacement."""
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+def write_whole(path: Path, text: str) -> None:
+    """Write a text by one replacement of a temporary name that nobody else has, in containers of one number either."""
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(6)}.tmp")
     try:
-        temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    write_whole(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def _lens(camera: Camera) -> dict[str, Any]:

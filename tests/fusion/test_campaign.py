@@ -22,7 +22,8 @@ from fusion.campaign.run import Outcome, exit_status, print_campaign, run_path, 
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.estimation.uncertainty import coverage_factor
-from fusion.report.recording import CAMPAIGN_FILES, SENSITIVITY_FILE, result_tables, row_element
+from fusion.report.folder import SENSITIVITY_FILE
+from fusion.report.recording import CAMPAIGN_FILES, result_tables, row_element
 from fusion.report.tables import sensitivity_element
 
 NAMES = ["Fz-0106.25", "Fz-0375.90"]

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support import refusals, rows, state, told_columns
 
+from fusion.cli import main
 from fusion.sensor.compare.consistency import drift, normalised_error, reference_value
+from fusion.sensor.compare.report import COMPARISON
 
 
 def test_reference_of_independent_results_is_that_of_the_closed_form() -> None:
@@ -54,3 +57,96 @@ def test_drift_is_that_of_many_draws() -> None:
     slopes = np.array([slope for slope, _ in found])
     assert slopes.mean() == pytest.approx(0.05, abs=4 * slopes.std() / 4000**0.5)
     assert slopes.std() == pytest.approx(found[0][1], rel=0.05)
+
+
+def test_two_results_that_contradict_each_other_have_no_reference() -> None:
+    found = reference_value(np.array([1.0, 2.0]), 0.01 * np.eye(2))
+    assert not found.used.any()
+    assert np.isnan(found.value)
+    assert np.isnan(found.normalised).all()
+
+
+HEAD = "frequency_hz,channel,component,magnitude,U_magnitude,k,phase_rad,U_phase_rad,unit"
+
+
+def table(*values: tuple[float, float, float], unit: str = "(V/V)/N", head: str = HEAD) -> str:
+    """A table of Fz per Fz: frequency, magnitude, its U."""
+    return "\n".join([head, *(f"{f},Fz,Fz,{m},{u},2,-0.01,0.002,{unit}" for f, m, u in values)]) + "\n"
+
+
+def test_tables_become_a_page_and_a_table(tmp_path, capsys) -> None:
+    (tmp_path / "a.csv").write_text(table((80.0, 2e-7, 2e-10), (160.0, 2.1e-7, 2e-10)))
+    (tmp_path / "b.csv").write_text(table((80.01, 2.002e-7, 2e-10), (200.0, 2.2e-7, 2e-10)))
+    out = tmp_path / "out"
+    dates = ["--date", "one=2024-01-01", "--date", "two=2026-01-01"]
+    names = [f"one={tmp_path / 'a.csv'}", f"two={tmp_path / 'b.csv'}"]
+    assert main(["compare", *names, *dates, "-o", str(out)]) == 0
+    assert "magnitude: 1 values compared, |E_n| of a pair above 1 at 0" in capsys.readouterr().out
+    one, two = (row for row in rows(out / "comparison.csv") if row["quantity"] == "magnitude")
+    assert float(one["reference"]) == pytest.approx(2.001e-7)
+    assert float(one["u_reference"]) == pytest.approx(1e-10 / 2**0.5)
+    assert float(two["E_n_largest_pair"]) == pytest.approx(2e-10 / (2 * 2**0.5 * 1e-10))
+    assert float(two["E_n"]) == pytest.approx(1e-10 / (2 * np.sqrt(1e-20 - 0.5e-20)))
+    assert float(one["per_year"]) == pytest.approx(1e-10, rel=2e-3)
+    assert list(one) == told_columns("comparison.md", "comparison.csv")
+    assert [column.name for column in COMPARISON] == list(one)
+    assert "2 values have no partner" in (out / "comparison.html").read_text(encoding="utf-8")
+
+
+def test_of_several_kinds_the_element_counts_and_ratios_meet_ratios(tmp_path) -> None:
+    head = HEAD + ",kind"
+    rows_a = [f"80,Fz,Fz,{m},2e-10,2,0,0.01,u,{kind}" for m, kind in ((2.0e-7, "element"), (2.5e-7, "ratio"))]
+    (tmp_path / "a.csv").write_text("\n".join([head, *rows_a, "160,Fz,Fz,3e-7,2e-10,2,0,0.01,u,ratio"]) + "\n")
+    rows_b = ["80,Fz,Fz,2.001e-7,2e-10,2,0,0.01,u,matrix", "160,Fz,Fz,3e-7,2e-10,2,0,0.01,u,element"]
+    (tmp_path / "b.csv").write_text("\n".join([head, *rows_b]) + "\n")
+    assert main(["compare", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "-o", str(tmp_path / "out")]) == 0
+    found = [row for row in rows(tmp_path / "out" / "comparison.csv") if row["quantity"] == "magnitude"]
+    assert [float(row["value"]) for row in found] == [2.0e-7, 2.001e-7]
+
+
+GOOD = table((80.0, 2e-7, 2e-10))
+BROKEN = [
+    ("", "expected this column, found no such column"),
+    ("\x00\x01", ""),
+    (GOOD.replace("magnitude,U", "size,U"), "magnitude: expected this column"),
+    (GOOD.replace(",U_magnitude", ",x"), "U_magnitude: expected this column, or u_magnitude"),
+    (GOOD.replace("2e-07,", "nan,"), "magnitude: expected a number of at least 0"),
+    (GOOD.replace("2e-07,", "-2e-07,"), "magnitude: expected a number of at least 0"),
+    (GOOD.replace("2e-10,2,", "0,2,"), "expected a number above 0, found 0 in line 2"),
+    (GOOD.replace("2e-10,2,", "2e-10,0.5,"), "k: expected a number of at least 1"),
+    (GOOD.replace("2e-10,2,", "many,2,"), 'found "many" in line 2'),
+    (GOOD.replace(",Fz,Fz", ",,Fz"), "channel: expected a text"),
+    (GOOD + GOOD.splitlines()[1] + "\n", "expected one value each, found 80 Hz twice for Fz per Fz (line 3)"),
+    (table((90.0, 2e-7, 2e-10)), "found nothing in common"),
+    (table((80.0, 2e-7, 2e-10), unit="mV/N"), "expected the same unit in all results"),
+    (HEAD + "\n", "expected a table with results, found no values"),
+    (GOOD.replace("80.0,", "1e300,"), "frequency_hz: expected"),
+]
+
+
+@pytest.mark.parametrize(("text", "told"), BROKEN)
+def test_tables_that_cannot_be_compared_are_one_sentence(tmp_path, capsys, text, told) -> None:
+    (tmp_path / "a.csv").write_text(GOOD)
+    (tmp_path / "b.csv").write_text(text)
+    before = state(tmp_path)
+    assert told in refusals(capsys)("compare", tmp_path / "a.csv", tmp_path / "b.csv", "-o", tmp_path / "out")
+    assert state(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (["a.csv"], "expected NAME=PATH with names of their own"),
+        (["b.csv", "--date", "c=2024-01-01"], "expected one of the names a, b"),
+        (["b.csv", "--date", "a=yesterday"], "expected a day as YYYY-MM-DD"),
+        (["nowhere.csv"], "no such file"),
+        (["empty"], "expected a folder of results"),
+        ([], "expected 2 to 12 results to compare, found one result"),
+    ],
+)
+def test_options_that_fit_nothing_are_one_sentence(tmp_path, capsys, monkeypatch, more, told) -> None:
+    (tmp_path / "a.csv").write_text(GOOD)
+    (tmp_path / "b.csv").write_text(GOOD)
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert told in refusals(capsys)("compare", "a.csv", *more, "-o", "out")

@@ -277,3 +277,20 @@ def test_a_kernel_follows_the_functions_that_it_calls_and_serves_all_checkouts(t
     assert in_another_process(tmp_path / "other") == ["20", "1"]
     called.write_text(CALLED.format(offset=2), encoding="utf-8")
     assert in_another_process(tmp_path / "one") == ["30", "0"]
+
+
+def test_a_disk_that_takes_no_cache_ends_nothing(monkeypatch):
+    tried = []
+
+    def refuse(*_: object) -> None:
+        tried.append(None)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(photogram.kernels.IndexDataCacheFile, "save", refuse)
+
+    @njit()
+    def twice(x):
+        return 2.0 * x
+
+    assert twice(1.5) == 3.0
+    assert len(tried) == 1

@@ -1,4 +1,4 @@
-"""The reference value of a comparison, its consistency, degrees of equivalence and drift, from values and covariance."""
+"""The reference value of a comparison, its consistency, degrees of equivalence and drift."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ MOST_RESULTS = 12
 class Reference:
     """Weighted mean of the results `used` (N,), of all N the deviations from it and their expanded uncertainty, k = 2.
 
-    `p`: probability of a chi-square as large as `chi_squared` of those used.
+    `p`: probability of a chi-square as large as `chi_squared` of those used. Where no two results are consistent none
+    is used, and all but `p` of all is NaN.
     """
 
     value: float
@@ -36,9 +37,8 @@ class Reference:
     @property
     def normalised(self) -> FloatArray:
         """Return E_n of every result against the reference value, NaN where a result is the reference by itself."""
-        return np.divide(
-            self.deviation, self.expanded, out=np.full(len(self.expanded), np.nan), where=self.expanded > 0.0
-        )
+        known = self.expanded > 0.0
+        return np.asarray(np.where(known, self.deviation / np.where(known, self.expanded, 1.0), np.nan))
 
 
 def normalised_error(value: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -47,14 +47,14 @@ def normalised_error(value: FloatArray, covariance: FloatArray) -> FloatArray:
     spread = variance[:, None] + variance[None, :] - 2.0 * covariance
     u = np.sqrt(np.maximum(spread, 0.0))
     difference = value[:, None] - value[None, :]
-    return np.divide(difference, COVERAGE_FACTOR * u, out=np.zeros_like(difference), where=u > 0.0)
+    return np.asarray(np.where(u > 0.0, difference / (COVERAGE_FACTOR * np.where(u > 0.0, u, 1.0)), 0.0))
 
 
 def weighted_mean(value: FloatArray, covariance: FloatArray) -> tuple[float, float, FloatArray, float]:
     """Return mean, its u, the weights (N,), and chi-square about it: generalised least squares of one constant."""
     solved = np.linalg.solve(covariance, np.column_stack([np.ones(len(value)), value]))
     total = float(solved[:, 0].sum())
-    weights = solved[:, 0] / total
+    weights = np.asarray(solved[:, 0] / total, dtype=np.float64)
     mean = float(weights @ value)
     left = value - mean
     return mean, float(total**-0.5), weights, float(left @ np.linalg.solve(covariance, left))
@@ -69,16 +69,20 @@ def reference_value(value: FloatArray, covariance: FloatArray) -> Reference:
     count = len(value)
     if not 2 <= count <= MOST_RESULTS:
         raise ValueError(f"value: expected 2 to {MOST_RESULTS} results, found {count}")
-    for size in range(count, 0, -1):
+    tried = []
+    for size in range(count, 1, -1):
         found = []
         for subset in combinations(range(count), size):
             own = np.array(subset)
             found.append((weighted_mean(value[own], covariance[np.ix_(own, own)])[3], subset))
         squared, subset = min(found)
-        p = float(chi2.sf(squared, size - 1)) if size > 1 else 1.0
-        if p >= SIGNIFICANCE:
+        tried.append(float(chi2.sf(squared, size - 1)))
+        if tried[-1] >= SIGNIFICANCE:
             break
-    own = np.array(subset)
+    else:
+        nothing, none = np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
+        return Reference(np.nan, np.nan, np.nan, 0, tried[0], none, nothing, nothing)
+    own, p = np.array(subset), tried[-1]
     mean, u, inner, squared = weighted_mean(value[own], covariance[np.ix_(own, own)])
     weights = np.zeros(count)
     weights[own] = inner

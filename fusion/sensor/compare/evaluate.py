@@ -57,9 +57,9 @@ class ComparisonEvaluation(CommandEvaluation):
 def evaluate_comparison(
     results: Sequence[Result], dates: Mapping[str, Date], tolerance: float, hashes: dict[str, str]
 ) -> ComparisonEvaluation:
-    """Compare results by name; frequencies belong together where they differ by no more than `tolerance`, relative.
+    """Compare results by name; frequencies belong together within `tolerance`, relative, of the lowest of them.
 
-    Independence of the results is assumed.
+    Independence of the results is assumed. Raises `InputError` where nothing can be compared, or units differ.
     """
     begun = time.perf_counter()
     if not 2 <= len(results) <= MOST_RESULTS:
@@ -97,14 +97,14 @@ def evaluate_comparison(
 def _groups(results: Sequence[Result], tolerance: float) -> list[list[tuple[str, Value]]]:
     """Values of the same element and frequency, at most one of each result, by element and frequency."""
     entries = [(result.name, value) for result in results for value in result.values]
-    entries.sort(key=lambda entry: (entry[1].channel, entry[1].component, entry[1].frequency_hz))
+    entries.sort(key=lambda entry: (entry[1].channel, entry[1].component, entry[1].ratio, entry[1].frequency_hz))
     groups: list[list[tuple[str, Value]]] = []
     for name, value in entries:
         last = groups[-1] if groups else []
         first = last[0][1] if last else None
         if (
             first is not None
-            and (first.channel, first.component) == (value.channel, value.component)
+            and (first.channel, first.component, first.ratio) == (value.channel, value.component, value.ratio)
             and value.frequency_hz - first.frequency_hz <= tolerance * first.frequency_hz
             and name not in {own for own, _ in last}
         ):
@@ -152,6 +152,9 @@ def _notices(results: Sequence[Result], alone: Sequence[tuple[str, Value]]) -> l
     for one, other in combinations(results, 2):
         if Path(one.file).resolve() == Path(other.file).resolve():
             found.append(Notice("warning", f"{one.name} and {other.name} are the same file", "comparison"))
+    if any(value.ratio for result in results for value in result.values):
+        text = "ratios of outputs and driven load are compared with ratios only: other loads act in each as they did"
+        found.append(Notice("info", text, "comparison"))
     if alone:
         found.append(Notice("info", f"{len(alone)} values have no partner and are not compared", "comparison"))
     return found

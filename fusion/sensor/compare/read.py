@@ -11,24 +11,26 @@ import numpy as np
 from fusion.base import InputError
 from fusion.recording.toml import read_text
 from fusion.recording.values import describe, wrong_size
-from fusion.report.recording import CURVE_FILE, SENSITIVITY_FILE
+from fusion.report.folder import CURVE_FILE, SENSITIVITY_FILE
 
 LARGEST_TABLE = 50_000_000  # bytes
 NEEDED = ("frequency_hz", "channel", "component", "magnitude", "unit")
-KINDS = ("element", "matrix", "ratio")
-"""Of the rows of a sensitivity.csv: those that are results of a driven load."""
+KINDS = ("matrix", "element", "ratio")
+"""Of the rows of a table: those that are results of a driven load, the one that tells most of the sensor first."""
 
 
 @dataclass(frozen=True)
 class Value:
     """One value of one result: magnitude and phase (rad, None where not determined) with u, of which 2·u is U.
 
-    u = U/k, with k no larger than 2: where few degrees of freedom make k larger, 2·u stays the stated U.
+    `ratio`: of one recording's output and driven load, not the sensor's own element. u = U/k, with k no larger than 2:
+    where few degrees of freedom make k larger, 2·u stays the stated U.
     """
 
     frequency_hz: float
     channel: str
     component: str
+    ratio: bool
     unit: str
     magnitude: float
     u_magnitude: float
@@ -60,7 +62,8 @@ def read_result(name: str, path: Path) -> Result:
     """Read one result: curve.csv or sensitivity.csv of a folder, or a table; `InputError` for what cannot be compared.
 
     Columns: frequency_hz, channel, component, magnitude, unit, and U_magnitude with k, or u_magnitude; optionally
-    phase_rad with U_phase_rad (k_phase, else k) or u_phase_rad.
+    phase_rad with U_phase_rad (k_phase, else k) or u_phase_rad, and kind (element where there is none). Of several
+    kinds of one value that counts which tells most of the sensor: matrix, element, ratio.
     """
     file = result_file(path)
     try:
@@ -73,21 +76,24 @@ def read_result(name: str, path: Path) -> Result:
         raise InputError(file, missing[0], found="no such column", expected="this column")
     if not {"U_magnitude", "u_magnitude"} & set(columns):
         raise InputError(file, "U_magnitude", found="no such column", expected="this column, or u_magnitude")
-    values = []
+    found: dict[tuple[float, str, str], tuple[int, Value]] = {}
     for line, row in enumerate(rows, 2):
-        if "kind" in columns and row["kind"] not in KINDS:
+        kind = row["kind"] if "kind" in columns else KINDS[1]
+        if kind not in KINDS:
             continue
-        values.append(_value(row, file, line))
-    if not values:
+        value, rank = _value(row, file, line, ratio=kind == "ratio"), KINDS.index(kind)
+        key = value.frequency_hz, value.channel, value.component
+        if key in found and found[key][0] == rank:
+            told = f"{value.frequency_hz:g} Hz twice for {value.channel} per {value.component}"
+            raise InputError(file, "frequency_hz", found=f"{told} (line {line})", expected="one value each")
+        if key not in found or rank < found[key][0]:
+            found[key] = rank, value
+    if not found:
         raise InputError(file, "", found="no values", expected="a table with results")
-    keys = [(value.frequency_hz, value.channel, value.component) for value in values]
-    twice = next((key for place, key in enumerate(keys) if key in set(keys[:place][-50:])), None)
-    if twice is not None:
-        raise InputError(file, "frequency_hz", found=f"{twice[0]:g} Hz twice for {twice[1]}", expected="one value each")
-    return Result(name, file, tuple(values))
+    return Result(name, file, tuple(value for _, value in found.values()))
 
 
-def _value(row: dict[str, str], file: Path, line: int) -> Value:
+def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> Value:
     """One row of a table."""
 
     def number(column: str, least: float = -np.inf) -> float:
@@ -120,6 +126,7 @@ def _value(row: dict[str, str], file: Path, line: int) -> Value:
     turned = uncertainty("phase_rad", "k_phase" if row.get("k_phase") else "k") if phase else np.nan
     return Value(
         frequency_hz=number("frequency_hz", 0.0),
+        ratio=ratio,
         **texts,
         magnitude=number("magnitude", 0.0),
         u_magnitude=uncertainty("magnitude", "k"),

@@ -41,14 +41,14 @@ COMPARISON: list[Column[Row]] = [
     Column("value", lambda row: row.of.value[row.place]),
     Column("u", lambda row: row.of.u[row.place]),
     word("unit", lambda row: row.of.unit),
-    Column("reference", lambda row: row.of.reference.value),
-    Column("u_reference", lambda row: row.of.reference.u),
-    Column("deviation", lambda row: row.of.reference.deviation[row.place]),
-    Column("U_deviation", lambda row: row.of.reference.expanded[row.place]),
+    Column("reference", lambda row: known(row.of.reference.value)),
+    Column("u_reference", lambda row: known(row.of.reference.u)),
+    Column("deviation", lambda row: known(row.of.reference.deviation[row.place])),
+    Column("U_deviation", lambda row: known(row.of.reference.expanded[row.place])),
     Column("E_n", lambda row: known(row.of.reference.normalised[row.place])),
     Column("E_n_largest_pair", lambda row: np.abs(row.of.normalised[row.place]).max()),
     word("in_reference", lambda row: "yes" if row.of.reference.used[row.place] else "no"),
-    Column("chi_squared", lambda row: row.of.reference.chi_squared),
+    Column("chi_squared", lambda row: known(row.of.reference.chi_squared)),
     Column("chi_squared_dof", lambda row: row.of.reference.dof),
     Column("p", lambda row: row.of.reference.p),
     Column("per_year", lambda row: row.of.per_year),
@@ -77,7 +77,8 @@ def draw_normalised(evaluation: ComparisonEvaluation) -> Picture:
             axes.axhspan(-1.0, 1.0, color=GREY, alpha=0.15, linewidth=0)
             axes.set_ylabel(f"$E_n$ of {quantity}")
         drawn.panels[0].legend()
-        frequency_axis(drawn.panels[-1], np.array([found.frequency_hz for found in _main(evaluation)]))
+        ends = np.array([found.frequency_hz for found in _main(evaluation)])
+        frequency_axis(drawn.panels[-1], np.array([0.95 * ends.min(), 1.05 * ends.max()]))
         text = "Deviation from the reference value over its expanded uncertainty; within the band it is covered."
         return drawn.picture("Deviations from the reference value", text)
 
@@ -88,7 +89,14 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
         on_page("quantity", lambda f: f.quantity, "l"),
         on_page("frequency / Hz", lambda f: f"{f.frequency_hz:.4f}"),
         on_page("results", lambda f: str(len(f.names))),
-        on_page("reference ± U", lambda f: measured(f.reference.value, 2.0 * f.reference.u, f.unit)),
+        on_page(
+            "reference ± U",
+            lambda f: (
+                measured(f.reference.value, 2.0 * f.reference.u, f.unit)
+                if f.reference.used.any()
+                else "none, they contradict each other"
+            ),
+        ),
         on_page("p of consistency", lambda f: f"{f.reference.p:.3f}"),
         on_page(
             "left out",
@@ -123,9 +131,8 @@ def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
         if own:
             above = sum(found.largest > 1.0 for found in own)
             left = sum(not found.reference.used.all() for found in own)
-            yield (
-                f"{quantity}: {len(own)} values compared, |E_n| of a pair above 1 at {above}, not consistent at {left}"
-            )
+            counts = f"|E_n| of a pair above 1 at {above}, not consistent at {left}"
+            yield f"{quantity}: {len(own)} values compared, {counts}"
     if evaluation.alone:
         yield f"{len(evaluation.alone)} values without a partner"
 
