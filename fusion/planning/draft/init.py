@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from fusion.base import InputError
-from fusion.planning.draft.channels import HEAD, recorders
+from fusion.planning.draft.channels import HEAD
 from fusion.planning.draft.inventory import Inventory, holds_recording, look_into
-from fusion.planning.draft.recording import driven_axis, driven_lines, recording_text
+from fusion.planning.draft.recording import Surveyed, driven_axis, recording_text
 from fusion.planning.draft.rig import rig_text
 from fusion.recording.load import RECORDING_NAME
 from fusion.recording.toml import UNFILLED, read_toml, to_toml
@@ -62,21 +62,22 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
     found = [inventory for inventory in found if not inventory.empty]
     if not found:
         raise InputError(folder, "", "none", "recorders' files or pictures in this folder or in folders directly below")
+    surveyed = [Surveyed.of(inventory) for inventory in found]
     files = {}
     if like is not None:
-        for inventory in found:
-            files[inventory.folder / RECORDING_NAME] = _taken_over(inventory, Path(like))
+        for item in surveyed:
+            files[item.inventory.folder / RECORDING_NAME] = _taken_over(item, Path(like))
     else:
         single = found[0].folder == folder
         above = folder.absolute().parent / RIG_NAME
         rig = folder.parent / RIG_NAME if single and folder.name and above.is_file() else folder / RIG_NAME
         pairs = read_toml(rig).get("stereo", {}) if rig.exists() else {}
         if not rig.exists():
-            files[rig] = rig_text(folder, found)
-        for inventory in found:
-            path = Path(os.path.relpath(rig, inventory.folder)).as_posix()
-            files[inventory.folder / RECORDING_NAME] = recording_text(inventory, path, tuple(pairs))
-    return Draft(files, tuple(map(_told, found)))
+            files[rig] = rig_text(folder, found, surveyed[0].recorders)
+        for item in surveyed:
+            path = Path(os.path.relpath(rig, item.inventory.folder)).as_posix()
+            files[item.inventory.folder / RECORDING_NAME] = recording_text(item, path, tuple(pairs))
+    return Draft(files, tuple(map(_told, surveyed)))
 
 
 def example(folder: Path) -> Draft:
@@ -120,8 +121,9 @@ def _recordings(folder: Path) -> list[Path]:
     return kept
 
 
-def _told(inventory: Inventory) -> str:
+def _told(surveyed: Surveyed) -> str:
     """Say in a line what a recording holds."""
+    inventory = surveyed.inventory
     channels = sum(len(daq.channels) for daq in inventory.daqs)
     files = f"{len(inventory.daqs)} recorder file{'s' if len(inventory.daqs) > 1 else ''}"
     told = [f"{files} with {channels} channels"] if inventory.daqs else []
@@ -129,16 +131,15 @@ def _told(inventory: Inventory) -> str:
     told += [f"camera {camera.pattern} without a partner" for camera in inventory.cameras]
     told += [f"points {table.path.name}" for table in inventory.points]
     told += [f"response {path.name}" for path in inventory.responses]
-    lines, where = driven_lines(recorders(inventory.daqs))
-    if lines:
-        told.append(f"driven at {', '.join(f'{line:g}' for line in lines[:5])} Hz {where}")
+    if surveyed.lines_hz:
+        told.append(f"driven at {', '.join(f'{line:g}' for line in surveyed.lines_hz[:5])} Hz {surveyed.where}")
     return f"{inventory.folder.name}: {'; '.join(told)}"
 
 
 # A recording like another one: its rig and channels, the lines and files of its own.
 
 
-def _taken_over(inventory: Inventory, like: Path) -> str:
+def _taken_over(surveyed: Surveyed, like: Path) -> str:
     """Return recording.toml with everything of another recording that the files of this one bear out."""
     path = like if like.is_file() else like / RECORDING_NAME
     text = read_toml(path)
@@ -147,6 +148,7 @@ def _taken_over(inventory: Inventory, like: Path) -> str:
     rig, excitation = text.get("rig"), text.get("excitation")
     if not isinstance(rig, str) or not isinstance(excitation, dict):
         raise InputError(path, "", "neither", "a recording with its rig and an excitation")
+    inventory, lines = surveyed.inventory, list(surveyed.lines_hz)
     folder = inventory.folder
 
     def moved(name: Any) -> Any:
@@ -155,7 +157,6 @@ def _taken_over(inventory: Inventory, like: Path) -> str:
             return name
         return Path(os.path.relpath(path.parent / name, folder)).as_posix()
 
-    lines, _ = driven_lines(recorders(inventory.daqs))
     axis = driven_axis(folder.resolve().name)
     excitation = {**excitation, **({"frequencies": lines} if lines and "frequencies" in excitation else {})}
     excitation |= {"direction": axis} if axis is not None and "direction" in excitation else {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -35,16 +36,34 @@ FARTHEST_M = 5.0  # of a point of a body
 COORDINATES = {"x", "y", "z", "x0", "y0", "z0", "frame", "status"}
 
 
-def recording_text(inventory: Inventory, rig: str, known: Sequence[str] = ()) -> str:
+@dataclass(frozen=True)
+class Surveyed:
+    """What a folder holds, what its channels seem to read, and the driven lines in Hz with the file that shows them."""
+
+    inventory: Inventory
+    recorders: tuple[Recorder, ...]
+    lines_hz: tuple[float, ...]
+    where: str
+
+    @staticmethod
+    def of(inventory: Inventory) -> Surveyed:
+        """Look at the channels of a folder, once for all that is written of them."""
+        found = tuple(recorders(inventory.daqs))
+        lines_hz, where = driven_lines(found)
+        return Surveyed(inventory, found, tuple(lines_hz), where)
+
+
+def recording_text(surveyed: Surveyed, rig: str, known: Sequence[str] = ()) -> str:
     """Return recording.toml for what a folder holds.
 
     `rig`: the path of its rig.toml from there; `known`: stereo pairs of a rig.toml that is there already.
     """
-    found, folder = recorders(inventory.daqs), inventory.folder.resolve()
+    inventory, found = surveyed.inventory, surveyed.recorders
+    folder = inventory.folder.resolve()
     lines = [HEAD, "format = 1", stated("name", folder.name), stated("rig", rig)]
     lines += ["# date = 2026-01-31  # of the recording", optional("operator", "", "who recorded it")]
     lines += [optional("mounting", "1", "recordings with another text were mounted anew")]
-    lines += _excitation(folder.name, found)
+    lines += _excitation(folder.name, list(surveyed.lines_hz), surveyed.where)
     for recorder in found:
         lines += _daq_block(recorder, inventory.responses)
     lines += _frames(inventory, found, known)
@@ -100,9 +119,8 @@ def driven_axis(name: str) -> list[float] | None:
     return None if axis is None else six[:3] if axis[1][0] == "F" else six
 
 
-def _excitation(name: str, found: Sequence[Recorder]) -> Iterator[str]:
+def _excitation(name: str, lines: list[float], where: str) -> Iterator[str]:
     """Yield the block of the excitation."""
-    lines, where = driven_lines(found)
     few = 0 < len(lines) <= MOST_DRIVEN
     yield "\n[excitation]"
     if few:

@@ -10,11 +10,11 @@ from fusion.instruments.transducer import TRANSDUCERS
 from fusion.planning.draft.channels import (
     HEAD,
     Guess,
+    Recorder,
     asked,
     body,
     optional,
     ordered,
-    recorders,
     stated,
     word_in,
 )
@@ -60,9 +60,8 @@ HEAD_KEYS = (
 POSE_KEYS = (("pose_uncertainty", [1e-4] * 3 + [5e-4] * 3, "m and rad"), ("delay", 0.0, "s, from trigger to exposure"))
 
 
-def rig_text(root: Path, inventories: Sequence[Inventory]) -> str:
-    """Return the text of rig.toml for what the recordings of a campaign hold."""
-    found = [recorder for inventory in inventories[:1] for recorder in recorders(inventory.daqs)]
+def rig_text(root: Path, inventories: Sequence[Inventory], found: Sequence[Recorder]) -> str:
+    """Return the text of rig.toml for what the recordings of a campaign hold; `found`: the recorders of the first."""
     outputs = [item for recorder in found for item in recorder.channels if item.quantity == "output"]
     lines = [HEAD, "format = 1", stated("name", root.resolve().name)]
     if outputs:
