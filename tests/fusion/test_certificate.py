@@ -12,11 +12,12 @@ from lxml import etree
 from support import DOCS, Refused, edit, examples, rows, without_pages
 
 from fusion.cli import main
+from fusion.recording.dsi import dsi_unit
 from fusion.recording.load import load_manifest
 from fusion.report.folder import hash_files
 from fusion.report.recording import write_results
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensor.certificate.dcc import certificate_xml, dsi_unit
+from fusion.sensor.certificate.dcc import certificate_xml
 from fusion.sensor.certificate.evaluate import Certificate, evaluate_certificate
 from fusion.sensor.certificate.form import NEW_FORM
 from fusion.sensor.certificate.report import certificate_page

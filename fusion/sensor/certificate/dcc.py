@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -12,6 +11,7 @@ from lxml.builder import ElementMaker
 
 from fusion.base import PROGRAM, InputError, __version__
 from fusion.estimation.uncertainty import COVERAGE
+from fusion.recording.dsi import Powers, dsi_unit
 from fusion.sensor.certificate.form import Party
 
 if TYPE_CHECKING:
@@ -30,39 +30,7 @@ REF_TYPES = {
 }
 """Types of quantities that no published list has: the certificate declares them itself."""
 
-# Units as the D-SI writes them (Hutzschenreuter et al. 2019, SmartCom Digital System of Units guide).
-
-PREFIXES = {"": "", "k": r"\kilo", "m": r"\milli", "u": r"\micro", "\u00b5": r"\micro", "\u03bc": r"\micro"}
-PREFIXES |= {"n": r"\nano", "p": r"\pico", "M": r"\mega"}
-SYMBOLS = {"V": r"\volt", "A": r"\ampere", "C": r"\coulomb", "N": r"\newton", "m": r"\metre", "s": r"\second"}
-SYMBOLS |= {"Hz": r"\hertz", "Ohm": r"\ohm", "\u03a9": r"\ohm", "F": r"\farad", "W": r"\watt", "Pa": r"\pascal"}
-Powers = Sequence[tuple[str, int]]
 PER_LOAD: Mapping[str, Powers] = {"F": ((r"\newton", -1),), "M": ((r"\newton", -1), (r"\metre", -1))}
-
-
-def dsi_unit(unit: str, further: Powers = (), power: int = 1) -> str:
-    r"""Return a unit such as `mV/V`, times further units with their exponents, to a power, as the D-SI writes it.
-
-    `ValueError` where it is not made of volts, amperes, coulombs, newtons, metres, ohms and their like.
-
-    >>> from fusion.sensor.certificate.dcc import dsi_unit
-    >>> print(dsi_unit("mV/V", [(r"\newton", -1)]))
-    \milli\volt\volt\tothe{-1}\newton\tothe{-1}
-    """
-    parts = [(name, power * exponent) for name, exponent in (*_powers(unit), *further)]
-    return "".join(name if exponent == 1 else rf"{name}\tothe{{{exponent}}}" for name, exponent in parts) or r"\one"
-
-
-def _powers(unit: str) -> Iterator[tuple[str, int]]:
-    """Yield the units of a text with their exponents, in their order."""
-    for place, factor in enumerate(unit.replace("(", "").replace(")", "").split("/")):
-        for symbol in re.split(r"[\u00b7.*\s]+", factor.strip()):
-            if symbol == "1":
-                continue
-            ends = [own for own in SYMBOLS if symbol.endswith(own) and symbol[: -len(own)] in PREFIXES]
-            if not ends:
-                raise ValueError(f"expected a unit made of V, A, C, N, m and their like, such as mV/V, found {unit}")
-            yield PREFIXES[symbol[: -len(ends[0])]] + SYMBOLS[ends[0]], 1 if place == 0 else -1
 
 
 # The document.
