@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
+from fusion.campaign.drive import FREQUENCY_TOLERANCE, LOADS, Drive
 from fusion.campaign.matrix_solve import (
     Excitation,
     Solution,
@@ -21,7 +22,6 @@ from fusion.campaign.matrix_solve import (
     solve,
     stack_drives,
 )
-from fusion.campaign.repeats import FREQUENCY_TOLERANCE, LOADS, Drive
 from fusion.estimation.consistency import deleted
 from fusion.estimation.uncertainty import (
     Contribution,

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from fusion.campaign.drive import LOADS, Drive
 from fusion.campaign.elimination import Order, elimination_order
-from fusion.campaign.repeats import LOADS, Drive
 from fusion.estimation.uncertainty import Influence, Uncertainty, as_complex, real_design, real_stack
 from fusion.estimation.variance_components import EstimatedNoise
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray

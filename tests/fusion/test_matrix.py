@@ -19,6 +19,7 @@ from simulated_drives import CAPACITY, DriveErrors, drive_setup, eight_setups, s
 from support import far
 
 from fusion.campaign import elimination, matrix_solve
+from fusion.campaign.drive import Drive
 from fusion.campaign.matrix import MatrixFit, cross_talk, fit_matrix, main_components
 from fusion.campaign.matrix_solve import (
     LINES_APART,
@@ -29,7 +30,6 @@ from fusion.campaign.matrix_solve import (
     solve,
     stack_drives,
 )
-from fusion.campaign.repeats import Drive
 from fusion.estimation.uncertainty import Uncertainty
 from shaker.labels import LOAD_COMPONENTS
 
