@@ -29,9 +29,10 @@ from simulated_drives import CAPACITY, DriveErrors, drive_setup, eight_setups, s
 from simulated_phasors import Channel, PhasorSetup, lines_at, simulate_phasors
 from violations import without_heads
 
+from fusion.campaign.drive import Drive
 from fusion.campaign.matrix import cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
-from fusion.campaign.repeats import Drive, find_repeats
+from fusion.campaign.repeats import find_repeats
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, coverage_factor, polar_elements
 from fusion.instruments.channel import ChainUncertainty
 from fusion.recording.manifest import ChannelEntry

@@ -26,7 +26,7 @@ from scipy.optimize import least_squares
 
 from fusion.base import Settings, rounded
 from fusion.campaign.curve import ratio_curves
-from fusion.campaign.repeats import Drive, drives_of, with_starts
+from fusion.campaign.drive import Drive, drives_of, with_starts
 from fusion.estimation.uncertainty import Polar, element_covariance, polar
 from fusion.instruments.vibrometer import PointRatios
 from fusion.phasors.stereo_phasors import StereoResult

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.campaign.repeats import Drive
+from fusion.campaign.drive import Drive
 from fusion.estimation.uncertainty import Contribution, Influence, Scope, Uncertainty
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fusion.campaign.repeats import Drive
+from fusion.campaign.drive import Drive
 from fusion.estimation.uncertainty import Contribution, Influence, Scope, Uncertainty
 
 AnyArray = NDArray[Any]

@@ -12,12 +12,13 @@ from scipy.linalg import solve_triangular
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from fusion.campaign.drive import Drive, over_lines
 from fusion.campaign.matrix import MatrixFit
 from fusion.campaign.repeats import (
     BETWEEN,
     LEVERS,
     SAME_FREQUENCY,
-    Drive,
+    Mean,
     Repeats,
     alike,
     common_outputs,
@@ -25,7 +26,6 @@ from fusion.campaign.repeats import (
     drive_values,
     known_of,
     mean_ratio,
-    over_lines,
     over_plain,
     own_and_shared,
     plain_mean,
@@ -317,14 +317,18 @@ class Curve:
 
 
 def ratio_curves(
-    drives: Iterable[Drive], capacity: Sequence[float] | None = None, stated: StatedMatrix | None = None
+    drives: Iterable[Drive],
+    capacity: Sequence[float] | None = None,
+    stated: StatedMatrix | None = None,
+    mean: Mean = mean_ratio,
 ) -> tuple[Curve, ...]:
     """Return one curve per driven component: all outputs over it, every frequency the mean of its repeats.
 
     With what is `stated` of the matrix, curves of the sensor's elements instead, where that allows them.
 
     Recordings of one excitation count as repeats whatever their amplitude. Of several excitations that drive the same
-    component at one frequency (other lever arms) the one with the least of other components is on the curve.
+    component at one frequency (other lever arms) the one with the least of other components is on the curve. `mean`:
+    in place of `mean_ratio` (`means_once`).
     """
     groups: dict[int, list[tuple[float, tuple[Drive, ...]]]] = {}
     for group in alike(drives, capacity, amplitudes_apart=False):
@@ -340,7 +344,7 @@ def ratio_curves(
     curves = []
     for j in sorted(groups):
         known = [(group, known_of(group, j, stated)) for _, group in groups[j]]
-        means = [mean_ratio(group, j, own) for group, own in known if (own is None) == (stated is None)]
+        means = [mean(group, j, own) for group, own in known if (own is None) == (stated is None)]
         if means:
             curves.append(_ratio_curve(j, means))
     return tuple(curves)

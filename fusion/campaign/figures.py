@@ -13,9 +13,9 @@ from matplotlib.colors import LogNorm
 from matplotlib.ticker import MaxNLocator
 
 from fusion.campaign.curve import LEAST_POINTS, Curve, CurvePoint, curve_elements, interpolate, single_points
+from fusion.campaign.drive import Drive
 from fusion.campaign.matrix import CrossTalk, MatrixFit
 from fusion.campaign.matrix_solve import LEAST_SINGULAR
-from fusion.campaign.repeats import Drive
 from fusion.report.style import (
     BLACK,
     BLUE,

@@ -22,10 +22,11 @@ from fusion.campaign.curve import (
     ratio_curves,
     relative_curve,
 )
+from fusion.campaign.drive import Drive, group_by_frequency, with_starts
 from fusion.campaign.matrix import CrossTalk, MatrixFit, cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
 from fusion.campaign.recorded import Recorded, SensorFacts
-from fusion.campaign.repeats import Drive, Repeats, find_repeats, group_by_frequency, with_starts
+from fusion.campaign.repeats import Repeats, find_repeats, means_once
 from fusion.estimation.uncertainty import Polar
 from fusion.report.table import (
     Column,
@@ -110,12 +111,13 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
     capacity = None if sensor is None or sensor.capacity is None else sensor.capacity.tolist()
     matrices, refused = _fit_matrices(driven, () if sensor is None else sensor.channels)
     notices += [notice for notice in refused if notice.severity == "warning"]
-    ratios = _attempt("curves of ratios", lambda: ratio_curves(driven, capacity), notices)
+    mean = means_once()
+    ratios = _attempt("curves of ratios", lambda: ratio_curves(driven, capacity, None, mean), notices)
     stated = None if sensor is None else sensor.stated
     elements: tuple[Curve, ...] = ()
     if stated is not None:
-        elements = _attempt("curves of elements", lambda: ratio_curves(driven, capacity, stated), notices)
-    alike = _attempt("means of repeats", lambda: find_repeats(driven, capacity, stated), notices)
+        elements = _attempt("curves of elements", lambda: ratio_curves(driven, capacity, stated, mean), notices)
+    alike = _attempt("means of repeats", lambda: find_repeats(driven, capacity, stated, mean), notices)
     series = _attempt("linearity", lambda: find_linearity(driven, capacity, stated), notices)
     # The matrices of all frequencies are one curve for each set of outputs that they have.
     sets = dict.fromkeys(fit.channels for fit in matrices)

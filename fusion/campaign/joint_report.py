@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
@@ -49,7 +50,7 @@ from fusion.report.recording import (
     MERGED_FILES,
     REPORT_FILE,
     SENSITIVITY,
-    merge_tables,
+    merged_table,
     sensitivity_elements,
 )
 from fusion.report.table import (
@@ -109,20 +110,25 @@ CROSSTALK: list[Column[CrossTalkElement]] = [
 ]
 
 
-def campaign_tables(evaluation: CampaignEvaluation, folders: Sequence[Path]) -> dict[str, str]:
-    """Return the text of every joint table, by file name; `folders`: of the recordings, in the order of the rows.
+def campaign_tables(evaluation: CampaignEvaluation, folders: Sequence[Path]) -> dict[str, Iterable[str]]:
+    """Return every joint table in parts, by file name; `folders`: of the recordings, in the order of the rows.
 
     The matrices stand among the sensitivities, with the campaign in place of a recording.
     """
-    tables, sensor = merge_tables(folders), evaluation.sensor
-    units = [] if sensor is None else [sensor.unit] * len(evaluation.matrices)
-    for fit, unit in zip(evaluation.matrices, units, strict=False):
-        elements = sensitivity_elements(fit.sensitivity(unit), evaluation.name)
-        tables[SENSITIVITY_FILE] += csv_text(SENSITIVITY, elements).partition("\n")[2]
-    tables[CURVE_FILE] = csv_text(CURVE, curve_points(evaluation))
+    tables: dict[str, Iterable[str]] = {name: merged_table(name, folders) for name in MERGED_FILES}
+    tables[SENSITIVITY_FILE] = chain(tables[SENSITIVITY_FILE], _of_matrices(evaluation))
+    tables[CURVE_FILE] = [csv_text(CURVE, curve_points(evaluation))]
     cross_talk = (element for found in evaluation.cross_talks for element in _beside_the_main(found))
-    tables[CROSSTALK_FILE] = csv_text(CROSSTALK, cross_talk)
+    tables[CROSSTALK_FILE] = [csv_text(CROSSTALK, cross_talk)]
     return tables
+
+
+def _of_matrices(evaluation: CampaignEvaluation) -> Iterator[str]:
+    """Yield the rows of every matrix among the sensitivities."""
+    if evaluation.sensor is not None:
+        for fit in evaluation.matrices:
+            elements = sensitivity_elements(fit.sensitivity(evaluation.sensor.unit), evaluation.name)
+            yield csv_text(SENSITIVITY, elements).partition("\n")[2]
 
 
 def _beside_the_main(found: CrossTalk) -> Iterator[CrossTalkElement]:
@@ -392,9 +398,8 @@ def write_campaign(top: Path, name: str, folders: Sequence[Path], failed: Mappin
     evaluation = evaluate_campaign(name, [read_recorded(folder) for folder in folders], failed)
 
     def make(temporary: Path) -> list[str]:
-        files: dict[str, str | bytes] = {**campaign_tables(evaluation, folders)}
-        files[REPORT_FILE] = render_campaign(evaluation)
-        files[CAMPAIGN_FILE] = campaign_h5(evaluation, [*files, CAMPAIGN_FILE])
-        return write_files(temporary, files)
+        names = write_files(temporary, campaign_tables(evaluation, folders))
+        names += write_files(temporary, {REPORT_FILE: render_campaign(evaluation)})
+        return names + write_files(temporary, {CAMPAIGN_FILE: campaign_h5(evaluation, [*names, CAMPAIGN_FILE])})
 
     return write_together(top, make, lambda: CAMPAIGN_FILES, inputs.check)

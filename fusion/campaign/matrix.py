@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
+from fusion.campaign.drive import FREQUENCY_TOLERANCE, LOADS, Drive
 from fusion.campaign.matrix_solve import (
     Excitation,
     Solution,
     Stack,
+    changes,
     drives_excite,
     estimated_noise,
     excitation,
@@ -20,7 +22,6 @@ from fusion.campaign.matrix_solve import (
     solve,
     stack_drives,
 )
-from fusion.campaign.repeats import FREQUENCY_TOLERANCE, LOADS, Drive
 from fusion.estimation.consistency import deleted
 from fusion.estimation.uncertainty import (
     Contribution,
@@ -168,12 +169,10 @@ def fit_matrix(drives: Sequence[Drive], channels: Sequence[str] | None = None) -
 
 def _agreement(stack: Stack, solution: Solution) -> tuple[Agreement, ...]:
     """Every drive's outputs against what all others say of them."""
-    left = solution.projector @ solution.residual
-    sizes = np.sqrt(np.diag(solution.noise + solution.effects @ solution.effects.T))
     judged = []
-    for r, drive in enumerate(stack.drives):
-        rows = np.flatnonzero(solution.drive == r)
-        chi2, count, _ = deleted(solution.projector, left, sizes, rows, RANK_TOLERANCE)
+    for r, (drive, usable) in enumerate(zip(stack.drives, np.tile(stack.usable, (1, 2)), strict=True)):
+        rows, own = np.flatnonzero(usable), (solution.projector[r], solution.left[r], solution.size[r])
+        chi2, count, _ = deleted(*own, rows, RANK_TOLERANCE)
         deviation = float(np.sqrt(chi2 / count)) if count else np.nan
         judged.append(Agreement(drive.recording, drive.mounting, drive.frequency_hz, deviation, count))
     return tuple(judged)
@@ -218,27 +217,27 @@ def _disagreeing(stack: Stack) -> tuple[Solution, float]:
 
 def _uncertainty(stack: Stack, solution: Solution, tau: float) -> Uncertainty:
     """Uncertainty of the 6C elements in their units: readings' own errors, shared unknowns, disagreement."""
-    usable = np.tile(stack.usable, (1, 2))
-    gains = np.zeros((len(stack.drives), len(solution.gain), usable.shape[1]))
-    parts: list[Contribution] = []
-    for r, gain in enumerate(gains):
-        gain[:, usable[r]] = solution.gain[:, solution.drive == r]
-        parts += stack.output_noise[r].transformed(gain[None]).random
+    random: tuple[Contribution, ...] = ()
+    for r, gain in enumerate(solution.gain):
+        parts = [*random, *stack.output_noise[r].transformed(gain[None]).random]
         parts += stack.load_noise[r].transformed(-(gain @ solution.through[r])[None]).random
+        random = merge_contributions(parts)
     if tau > 0.0:
         # One error for drives mounted and driven alike.
-        errors = gains * np.tile(_spread(stack, tau), (1, 2))[:, None]
+        spread = np.tile(_spread(stack, tau), (1, 2))
         alike: dict[tuple[str, tuple[float, ...]], list[int]] = {}
         for r, drive in enumerate(stack.drives):
             alike.setdefault((drive.mounting, drive.direction), []).append(r)
-        effects = [np.sum(errors[members], axis=0) for members in alike.values()]
-        covariance = np.sum([effect @ effect.T for effect in effects], axis=0)
-        parts.append(Contribution(DISAGREEMENT, "A", covariance[None], np.array([float(max(solution.dof, 1))])))
-    changes = zip(stack.unknowns, solution.effects.T @ solution.gain.T, strict=True)
-    influences = tuple(unknown.acting(effect[None]) for unknown, effect in changes)
+        effects = (np.sum(solution.gain[members] * spread[members, None], axis=0) for members in alike.values())
+        covariance = sum(
+            (effect @ effect.T for effect in effects), np.zeros((solution.gain.shape[1], solution.gain.shape[1]))
+        )
+        random += (Contribution(DISAGREEMENT, "A", covariance[None], np.array([float(max(solution.dof, 1))])),)
+    pairs = zip(stack.unknowns, changes(stack, solution), strict=True)
+    influences = tuple(unknown.acting(effect[None]) for unknown, effect in pairs)
     # Elements are brought to comparable sizes before contributions are joined, so that degrees of freedom are theirs.
     units = np.asarray((stack.output_size[:, None] / stack.load_size).reshape(1, -1), dtype=np.complex128)
-    return Uncertainty(merge_contributions(parts), influences).transformed(real_stacked_diagonal(units))
+    return Uncertainty(random, influences).transformed(real_stacked_diagonal(units))
 
 
 # Cross-talk: what the outputs of a sensor say of loads that are not theirs, at rated loads.

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, solve_triangular
+from scipy.linalg import solve_triangular
 
-from fusion.campaign.repeats import LOADS, Drive
+from fusion.campaign.drive import LOADS, Drive
+from fusion.campaign.elimination import Order, elimination_order
 from fusion.estimation.uncertainty import Influence, Uncertainty, as_complex, real_design, real_stack
 from fusion.estimation.variance_components import EstimatedNoise
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
@@ -30,8 +32,9 @@ class Stack:
     """R drives at one frequency, loads in units of `load_size` (6,), outputs of `output_size` (C,).
 
     `load` (R, 6), `output` (R, C) with NaN where there is no reading; `load_noise`, `output_noise`: what is each
-    drive's own, by drive; `unknowns` (E): what drives share or load and outputs share, with its change of the loads for
-    one standard uncertainty `load_effect` (E, R, 6), and of the outputs relative to them `output_effect` (E, R, C).
+    drive's own, by drive; `unknowns` (E): what drives share or load and outputs share. Of them up to A act on one
+    drive: `acting` (R, A) says which (-1: no further one), `load_effect` (R, A, 6) how they change its load for one
+    standard uncertainty, `output_effect` (R, A, C) its outputs, relative to these.
     """
 
     drives: tuple[Drive, ...]
@@ -43,6 +46,7 @@ class Stack:
     load_noise: tuple[Uncertainty, ...]
     output_noise: tuple[Uncertainty, ...]
     unknowns: tuple[Influence, ...]
+    acting: IntArray
     load_effect: ComplexArray
     output_effect: ComplexArray
 
@@ -56,15 +60,26 @@ class Stack:
         """Return which outputs (R, C) have a reading."""
         return np.isfinite(self.output)
 
-    @property
+    @cached_property
     def own_load_covariance(self) -> FloatArray:
         """Return the covariance (R, 12, 12) of every drive's load without what drives share."""
         return np.concatenate([noise.covariance for noise in self.load_noise])
 
+    @cached_property
+    def own_output_covariance(self) -> FloatArray:
+        """Return the covariance (R, 2C, 2C) of every drive's outputs without what drives share."""
+        return np.concatenate([noise.covariance for noise in self.output_noise])
+
     def load_covariance(self) -> FloatArray:
         """Return the whole covariance (R, 12, 12) of every drive's load, common errors included."""
         effect = real_stack(self.load_effect)
-        return np.asarray(self.own_load_covariance + np.einsum("eri,erj->rij", effect, effect))
+        return np.asarray(self.own_load_covariance + effect.swapaxes(1, 2) @ effect)
+
+    @cached_property
+    def order(self) -> Order:
+        """Return in which order unknowns are eliminated."""
+        acts = np.any(self.load_effect != 0.0, axis=2) | np.any(self.output_effect != 0.0, axis=2)
+        return elimination_order(np.where(acts, self.acting, -1), len(self.unknowns))
 
 
 def stack_drives(drives: Sequence[Drive], channels: Sequence[str]) -> Stack:
@@ -87,17 +102,22 @@ def stack_drives(drives: Sequence[Drive], channels: Sequence[str]) -> Stack:
         for drive, (of_load, of_outputs) in ((drive, drive.shared()) for drive in drives)
     ]
     known = {influence.name: influence for both in sized for part in both for influence in part.influences}
-    load_effect = np.zeros((len(known), len(drives), LOADS), np.complex128)
-    output_effect = np.zeros((len(known), len(drives), len(wanted)), np.complex128)
     place = {name: number for number, name in enumerate(known)}
-    for row, (of_load, of_outputs) in enumerate(sized):
+    names = [list(dict.fromkeys(i.name for part in both for i in part.influences)) for both in sized]
+    most = max(map(len, names))
+    acting = np.full((len(drives), most), -1)
+    load_effect = np.zeros((len(drives), most, LOADS), np.complex128)
+    output_effect = np.zeros((len(drives), most, len(wanted)), np.complex128)
+    for row, (own, (of_load, of_outputs)) in enumerate(zip(names, sized, strict=True)):
+        slot = {name: number for number, name in enumerate(own)}
+        acting[row, : len(own)] = [place[name] for name in own]
         for influence in of_load.influences:
-            load_effect[place[influence.name], row] = as_complex(influence.effect[0])
+            load_effect[row, slot[influence.name]] = as_complex(influence.effect[0])
         # Relative to the output, zero where there is none.
         usable = np.isfinite(output[row]) & (output[row] != 0.0)
         for influence in of_outputs.influences:
             change, relative = as_complex(influence.effect[0]), np.zeros(len(wanted), np.complex128)
-            output_effect[place[influence.name], row] = np.divide(change, output[row], out=relative, where=usable)
+            output_effect[row, slot[influence.name]] = np.divide(change, output[row], out=relative, where=usable)
     stack = Stack(
         drives=tuple(drives),
         channels=wanted,
@@ -108,6 +128,7 @@ def stack_drives(drives: Sequence[Drive], channels: Sequence[str]) -> Stack:
         load_noise=tuple(Uncertainty(of_load.random) for of_load, _ in sized),
         output_noise=tuple(Uncertainty(of_outputs.random) for _, of_outputs in sized),
         unknowns=tuple(known.values()),
+        acting=acting,
         load_effect=load_effect,
         output_effect=output_effect,
     )
@@ -142,20 +163,21 @@ def _with_slopes(stack: Stack) -> Stack:
     away = np.log(np.array([drive.frequency_hz for drive in stack.drives]) / stack.frequency_hz)
     if np.ptp(away) <= SAME_LINE:
         return stack
-    unknowns, effects = [], []
+    unknowns, drives = [], len(stack.drives)
+    effects = np.zeros((drives, 2 * len(stack.channels), len(stack.channels)), np.complex128)
     for place, channel in enumerate(stack.channels):
-        for part, turn in (("in phase", 1.0), ("out of phase", 1.0j)):
-            effect = np.zeros(stack.output.shape, np.complex128)
-            effect[:, place] = SLOPE * turn * away
-            effects.append(effect)
+        for number, (part, turn) in enumerate((("in phase", 1.0), ("out of phase", 1.0j))):
+            effects[:, 2 * place + number, place] = SLOPE * turn * away
             name = f"change of {channel} with frequency at {stack.frequency_hz:.6g} Hz, {part}"
             unknowns.append(Influence(name, LINES_APART, SLOPE, "", np.zeros((1, 2)), "rig"))
-    none = np.zeros((len(unknowns), *stack.load.shape), np.complex128)
+    further = np.broadcast_to(len(stack.unknowns) + np.arange(len(unknowns)), effects.shape[:2])
+    none = np.zeros((drives, len(unknowns), LOADS), np.complex128)
     return replace(
         stack,
         unknowns=(*stack.unknowns, *unknowns),
-        load_effect=np.concatenate([stack.load_effect, none]),
-        output_effect=np.concatenate([stack.output_effect, effects]),
+        acting=np.concatenate([stack.acting, further], axis=1),
+        load_effect=np.concatenate([stack.load_effect, none], axis=1),
+        output_effect=np.concatenate([stack.output_effect, effects], axis=1),
     )
 
 
@@ -294,33 +316,7 @@ DIGITS = 1e-10
 
 
 @dataclass(frozen=True)
-class Solution:
-    """Matrix, loads and unknowns that fit a stack best, in its units.
-
-    `matrix` (C, 6), `load` (R, 6), `errors` (E,) in standard uncertainties. Of the N usable real readings, drive by
-    drive: `drive` (N,), `residual` (N,) of the outputs at the measured loads, `effects` (N, E), `noise` (N, N), `gain`
-    (12C, N) from readings to [Re, Im] of the matrix, `through` (R, 2C, 12) from the loads to the readings, `projector`
-    (N, N) with `chi2` = residualᵀ · projector · residual, of `dof` degrees of freedom; `step`: the last one, in
-    standard uncertainties of the elements.
-    """
-
-    matrix: ComplexArray
-    load: ComplexArray
-    errors: FloatArray
-    drive: IntArray
-    residual: FloatArray
-    effects: FloatArray
-    noise: FloatArray
-    gain: FloatArray
-    through: FloatArray
-    projector: FloatArray
-    step: float
-    chi2: float
-    dof: int
-
-
-@dataclass(frozen=True)
-class _Point:
+class Point:
     """Where the likelihood is linearised: matrix (C, 6), loads (R, 6), errors (E,)."""
 
     matrix: ComplexArray
@@ -329,19 +325,48 @@ class _Point:
 
 
 @dataclass(frozen=True)
-class _Linear:
-    """The model about a point, all drives: changes of the outputs.
+class Solution:
+    """Matrix, loads and unknowns that fit a stack best, in its units.
 
-    `residual` (R, 2C), `design` (R, 2C, 12C) for the matrix, `through` (R, 2C, 12) for the loads, `effects` (R, 2C, E)
-    for the unknowns; `load_step` (R, 12, 12) from errors of the readings of the loads to the loads themselves.
+    `matrix` (C, 6), `load` (R, 6), `errors` (E,) in standard uncertainties; `point`: about which the model was linear.
+    Of the 2C real readings of every drive, zero where there is none: `residual` (R, 2C) of the outputs at the measured
+    loads, `noise` (R, 2C, 2C), `size` (R, 2C) of noise and unknowns together, `gain` (R, 12C, 2C) from readings to [Re,
+    Im] of the matrix, `through` (R, 2C, 12) from the loads to the readings. Of the projector P of all readings, with
+    `chi2` = residualᵀ·P·residual of `dof` degrees of freedom, `left` (R, 2C) is P·residual, `projector` (R, 2C, 2C)
+    that between readings of one drive; `step`: the last one, in standard uncertainties of the elements.
+    """
+
+    matrix: ComplexArray
+    load: ComplexArray
+    errors: FloatArray
+    point: Point
+    residual: FloatArray
+    noise: FloatArray
+    size: FloatArray
+    gain: FloatArray
+    through: FloatArray
+    left: FloatArray
+    projector: FloatArray
+    step: float
+    chi2: float
+    dof: int
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """The model of R drives about a point: changes of the outputs, zero where there is no reading.
+
+    `residual` (R, 2C), `design` (R, 2C, 12C) for the matrix, `through` (R, 2C, 12) for the loads, `effects` (R, 2C, A)
+    for the unknowns; `load_step` (R, 12, 12) from errors of the readings of the loads to the loads themselves; `noise`
+    (R, 2C, 2C), one where there is no reading.
     """
 
     residual: FloatArray
     design: FloatArray
     through: FloatArray
     effects: FloatArray
-    load_effect: FloatArray
     load_step: FloatArray
+    noise: FloatArray
 
 
 def solve(stack: Stack, discrepancy: FloatArray | None = None) -> Solution:
@@ -359,7 +384,7 @@ def solve(stack: Stack, discrepancy: FloatArray | None = None) -> Solution:
     for _ in range(ITERATIONS):
         if solution.step <= CONVERGED:
             return solution
-        solution = _step(stack, _Point(solution.matrix, solution.load, solution.errors), extra)
+        solution = _step(stack, Point(solution.matrix, solution.load, solution.errors), extra)
     raise ValueError(f"drives: expected loads that determine a matrix, found none after {ITERATIONS} iterations")
 
 
@@ -367,12 +392,13 @@ def estimated_noise(stack: Stack, solution: Solution) -> EstimatedNoise:
     """Return how well the noise of loads and outputs is known that a solution's readings were judged by."""
     parts = []
     for r, usable in enumerate(np.tile(stack.usable, (1, 2))):
+        rows = r * len(usable) + np.flatnonzero(usable)
         for noise, turn in ((stack.output_noise[r], np.eye(len(usable))), (stack.load_noise[r], solution.through[r])):
             own = turn[usable]
             for part in noise.random:
                 dof = np.inf if part.dof is None else float(part.dof[0])
-                parts.append((np.flatnonzero(solution.drive == r), own @ part.covariance[0] @ own.T, dof))
-    return EstimatedNoise.of_parts(parts, len(solution.residual))
+                parts.append((rows, own @ part.covariance[0] @ own.T, dof))
+    return EstimatedNoise.of_parts(parts, solution.residual.size)
 
 
 def judge(stack: Stack, solution: Solution | None = None) -> Solution:
@@ -381,116 +407,192 @@ def judge(stack: Stack, solution: Solution | None = None) -> Solution:
     Where readings disagree a thousandfold, the greatest likelihood drives the unknowns far beyond where the model is
     linear, and what it says of a single reading is meaningless; one step does not.
     """
-    point = _start(stack) if solution is None else _Point(solution.matrix, solution.load, solution.errors)
+    point = _start(stack) if solution is None else Point(solution.matrix, solution.load, solution.errors)
     return _step(stack, point, np.zeros(stack.output.shape))
 
 
-def _start(stack: Stack) -> _Point:
+def changes(stack: Stack, solution: Solution) -> FloatArray:
+    """Return by how much every unknown changes [Re, Im] of the matrix for one standard uncertainty (E, 12C)."""
+    total = np.zeros((len(stack.unknowns), solution.gain.shape[1]))
+    for group in stack.order.chunks():
+        drives = np.concatenate([own for own, _ in group])
+        effects = _linearise(stack, solution.point, drives).effects
+        np.add.at(total, stack.acting[drives], (solution.gain[drives] @ effects).swapaxes(1, 2))
+    return total
+
+
+def _start(stack: Stack) -> Point:
     """Matrix by least squares as if the loads were exact."""
     rows = [
         np.linalg.lstsq(stack.load[usable], stack.output[usable, c], rcond=None)[0]
         for c, usable in enumerate(stack.usable.T)
     ]
-    return _Point(np.array(rows), stack.load, np.zeros(len(stack.unknowns)))
+    return Point(np.array(rows), stack.load, np.zeros(len(stack.unknowns)))
 
 
-def _linearise(stack: Stack, point: _Point) -> _Linear:
-    """First-order model of all readings about a point."""
-    drives, channels = stack.output.shape
-    factor = 1.0 + np.einsum("erc,e->rc", stack.output_effect, point.errors)
-    plain = point.load @ point.matrix.T
+def _linearise(stack: Stack, point: Point, drives: IntArray) -> _Linear:
+    """First-order model of the readings of some drives about a point."""
+    channels, acting = len(stack.channels), point.errors[stack.acting[drives]]
+    load, given, output = point.load[drives], stack.load[drives], stack.output[drives]
+    of_load, of_output = stack.load_effect[drives], stack.output_effect[drives]
+    factor = 1.0 + (acting[:, None] @ of_output)[:, 0]
+    plain = load @ point.matrix.T
     # The size of a load's common errors follows the fitted load: γ = <l, L>/<l, l>, E(L) = E·γ.
-    weight = stack.load.conj() / np.sum(np.abs(stack.load) ** 2, axis=1, keepdims=True)
-    size = np.sum(weight * point.load, axis=1)
-    shift = np.einsum("erj,e->rj", stack.load_effect, point.errors)
+    weight = given.conj() / np.sum(np.abs(given) ** 2, axis=1, keepdims=True)
+    size = np.sum(weight * load, axis=1)
+    shift = (acting[:, None] @ of_load)[:, 0]
     step = np.linalg.inv(np.eye(LOADS) + shift[:, :, None] * weight[:, None])
     through = factor[:, :, None] * point.matrix @ step
-    rows = np.einsum("cd,rc,rj->rcdj", np.eye(channels), factor, point.load)
-    output_effect = (stack.output_effect * plain).transpose(1, 2, 0)
-    load_effect = stack.load_effect.transpose(1, 2, 0) * size[:, None, None]
-    residual = stack.output - factor * plain + output_effect @ point.errors
-    residual = residual - (through @ (stack.load - point.load)[..., None])[..., 0]
-    effects = output_effect - through @ load_effect
+    rows = np.einsum("cd,rc,rj->rcdj", np.eye(channels), factor, load)
+    output_effect = (of_output * plain[:, None]).swapaxes(1, 2)
+    residual = output - factor * plain + (output_effect @ acting[..., None])[..., 0]
+    residual = residual - (through @ (given - load)[..., None])[..., 0]
+    effects = output_effect - through @ (of_load.swapaxes(1, 2) * size[:, None, None])
+    known = np.tile(np.isfinite(output), (1, 2))
+    turn = real_design(through)
+    noise = stack.own_output_covariance[drives] + turn @ stack.own_load_covariance[drives] @ turn.swapaxes(1, 2)
+    noise = np.where(known[:, :, None] & known[:, None], noise, 0.0)
     return _Linear(
-        residual=real_stack(residual),
-        design=real_design(rows.reshape(drives, channels, -1)),
-        through=real_design(through),
-        effects=np.concatenate([effects.real, effects.imag], axis=1),
-        load_effect=np.concatenate([load_effect.real, load_effect.imag], axis=1),
+        residual=np.where(known, real_stack(residual), 0.0),
+        design=np.where(known[:, :, None], real_design(rows.reshape(len(drives), channels, -1)), 0.0),
+        through=turn,
+        effects=np.where(known[:, :, None], np.concatenate([effects.real, effects.imag], axis=1), 0.0),
         load_step=real_design(step),
+        noise=noise + ~known[:, :, None] * np.eye(known.shape[1]),
     )
 
 
-def _step(stack: Stack, point: _Point, discrepancy: FloatArray) -> Solution:
+@dataclass(frozen=True)
+class _White:
+    """Readings of K drives whitened by all that is their own, for a least squares in the other unknowns.
+
+    `turn` (K, 2C, 2C) whitens; `columns` (K, 2C, M + P): effects of up to M unknowns of a group, then of the wide
+    unknowns, design, residual (P columns). `groups`: slice of the drives and number of unknowns of each group.
+    """
+
+    drives: IntArray
+    linear: _Linear
+    turn: FloatArray
+    columns: FloatArray
+    groups: tuple[tuple[slice, int], ...]
+
+    def group(self, place: slice, count: int, width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what a group's own `count` unknowns leave of its `width` last columns.
+
+        Of the system [L B; 1 0] of its rows: Q (n, count) of L, B (n, P) less what Q takes of it, and the rows that
+        are left for the system of all groups.
+        """
+        rows = self.columns[place].reshape(-1, self.columns.shape[2])
+        within, rest = rows[:, :count], rows[:, -width:]
+        if not count:
+            return within, rest, rest
+        system = np.concatenate([np.concatenate([within, rest], axis=1), np.eye(count, count + width)])
+        upper = np.asarray(np.linalg.qr(system, mode="r"))
+        q = solve_triangular(upper[:count, :count], within.T, trans="T").T
+        return q, rest - q @ upper[:count, count:], upper[count:, count:]
+
+
+def _whitened(stack: Stack, point: Point, discrepancy: FloatArray) -> Iterator[_White]:
+    """Yield the readings of all drives, linearised and whitened."""
+    order, readings = stack.order, real_stack(stack.output)
+    digits = (DIGITS * np.max(np.abs(readings[np.isfinite(readings)]))) ** 2
+    extra = np.tile(discrepancy**2, 2)
+    for chunk in order.chunks():
+        drives = np.concatenate([own for own, _ in chunk])
+        linear = _linearise(stack, point, drives)
+        # Raised where it is far below the common errors, or below the digits of the readings.
+        diagonal = np.diagonal(linear.noise, axis1=1, axis2=2) + extra[drives]
+        floor = NOISE_FLOOR**2 * np.sum(linear.effects**2, axis=2) + digits
+        raised = extra[drives] + np.maximum(floor - diagonal, 0.0)
+        linear = replace(linear, noise=linear.noise + raised[:, :, None] * np.eye(raised.shape[1]))
+        root = np.linalg.cholesky(linear.noise)
+        alone = np.linalg.solve(root, np.where(order.own[drives][:, None], linear.effects, 0.0))
+        one = np.broadcast_to(np.eye(raised.shape[1]), root.shape)
+        upper = np.asarray(np.linalg.qr(np.concatenate([alone.swapaxes(1, 2), one], axis=1), mode="r"))
+        turn = np.linalg.solve(upper.swapaxes(1, 2), np.linalg.solve(root, one))
+        # Where the effect of an unknown stands; what is its drive's own, or nothing, behind all others.
+        most = max(len(within) for _, within in chunk)
+        place = np.full(len(stack.unknowns) + 1, most + len(order.wide))
+        place[order.wide] = most + np.arange(len(order.wide))
+        for _, within in chunk:
+            place[within] = np.arange(len(within))
+        shared = np.zeros((len(drives), most + len(order.wide) + 1, raised.shape[1]))
+        shared[np.arange(len(drives))[:, None], place[stack.acting[drives]]] = linear.effects.swapaxes(1, 2)
+        parts = [shared[:, :-1].swapaxes(1, 2), linear.design, linear.residual[..., None]]
+        ends = np.cumsum([len(own) for own, _ in chunk]).tolist()
+        groups = [(slice(end - len(own), end), len(within)) for end, (own, within) in zip(ends, chunk, strict=True)]
+        yield _White(drives, linear, turn, turn @ np.concatenate(parts, axis=2), tuple(groups))
+
+
+def _upper(stack: Stack, point: Point, discrepancy: FloatArray, width: int) -> FloatArray:
+    """Triangular factor (P - 1, P) of the system of all drives in wide unknowns and matrix, the right side last.
+
+    The system [A X y; 1 0 0], whitened, is equivalent to a covariance noise + A·Aᵀ but keeps its digits.
+    """
+    upper, pending = np.eye(len(stack.order.wide), width), list[FloatArray]()
+    for white in _whitened(stack, point, discrepancy):
+        for place, count in white.groups:
+            pending.append(white.group(place, count, width)[2])
+            if sum(map(len, pending)) > 4 * width:
+                upper, pending = np.asarray(np.linalg.qr(np.concatenate([upper, *pending]), mode="r")), []
+    return np.asarray(np.linalg.qr(np.concatenate([upper, *pending]), mode="r")[: width - 1])
+
+
+def _step(stack: Stack, point: Point, discrepancy: FloatArray) -> Solution:
     """One Gauss-Newton step: generalised least squares for the matrix, then loads and errors from what is left."""
-    linear = _linearise(stack, point)
     drives, channels = stack.output.shape
-    mask = np.tile(stack.usable, (1, 2))
-    residual, design, effects = linear.residual[mask], linear.design[mask], linear.effects[mask]
-    noise = _noise(stack, linear, discrepancy, mask)
-    # Raised where it is far below the common errors, or below the digits of the readings.
-    readings = real_stack(stack.output)[mask]
-    floor = (NOISE_FLOOR * np.linalg.norm(effects, axis=1)) ** 2 + (DIGITS * np.max(np.abs(readings))) ** 2
-    noise = noise + np.diag(np.maximum(floor - np.diag(noise), 0.0))
-    gain, projector, spread = _least_squares(noise, design, effects)
-    step = gain @ residual
-    left = projector @ residual
-    errors = effects.T @ left
-    change = as_complex(step).reshape(channels, LOADS)
-    full = np.zeros(mask.shape)
-    full[mask] = left
+    known, shape, wide = np.tile(stack.usable, (1, 2)), (drives, 2 * channels, 2 * channels), len(stack.order.wide)
+    width = wide + 2 * LOADS * channels + 1
+    upper = _upper(stack, point, discrepancy, width)
+    inverse = solve_triangular(upper[:, :-1], np.eye(width - 1))
+    found, spread = inverse @ upper[:, -1], np.linalg.norm(inverse[wide:], axis=1)
+    residual, size, left = (np.zeros(known.shape) for _ in range(3))
+    noise, projector = np.zeros(shape), np.zeros(shape)
+    through, gain = np.zeros((*known.shape, 2 * LOADS)), np.zeros((drives, 2 * LOADS * channels, 2 * channels))
+    errors = np.zeros(len(stack.unknowns))
+    steps = np.zeros((drives, 2 * LOADS, 2 * LOADS))
+    for white in _whitened(stack, point, discrepancy):
+        own, linear = white.drives, white.linear
+        for place, count in white.groups:
+            q, rest, _ = white.group(place, count, width)
+            rows, turn = own[place], white.turn[place]
+            common = rest[:, :-1] @ inverse
+            q = np.concatenate([q, common], axis=1).reshape(len(rows), 2 * channels, -1)
+            projector[rows] = turn.swapaxes(1, 2) @ (np.eye(2 * channels) - q @ q.swapaxes(1, 2)) @ turn
+            common = common.reshape(len(rows), 2 * channels, -1)
+            gain[rows] = inverse[wide:] @ common.swapaxes(1, 2) @ turn
+            off = (rest[:, -1] - rest[:, :-1] @ found).reshape(len(rows), -1, 1)
+            left[rows] = (turn.swapaxes(1, 2) @ off)[..., 0]
+        residual[own], noise[own], through[own], steps[own] = (
+            linear.residual, linear.noise, linear.through, linear.load_step,
+        )  # fmt: skip
+        size[own] = np.sqrt(np.diagonal(linear.noise, axis1=1, axis2=2) + np.sum(linear.effects**2, axis=2))
+        np.add.at(errors, stack.acting[own], (linear.effects.swapaxes(1, 2) @ left[own][..., None])[..., 0])
     # What is left of a drive's outputs is shared with the noise of its load. Readings at the point,
     # l(L, e) = L + E(L)·e, leave l - l(L, e) - E·(e_new - e) - noise to the step of L.
-    own = -stack.own_load_covariance @ linear.through.swapaxes(1, 2) @ full[..., None]
-    apart = real_stack(stack.load - point.load) - linear.load_effect @ errors - own[..., 0]
-    load = point.load + as_complex((linear.load_step @ apart[..., None])[..., 0])
+    shared = (stack.own_load_covariance @ (through.swapaxes(1, 2) @ left[..., None]))[..., 0]
+    apart = real_stack(stack.load - point.load) - real_stack(_shift(stack, point, errors)) + shared
+    load = point.load + as_complex((steps @ apart[..., None])[..., 0])
     return Solution(
-        matrix=point.matrix + change,
+        matrix=point.matrix + as_complex(found[wide:]).reshape(channels, LOADS),
         load=load,
         errors=errors,
-        drive=np.repeat(np.arange(drives), 2 * channels).reshape(mask.shape)[mask],
+        point=point,
         residual=residual,
-        effects=effects,
         noise=noise,
+        size=size,
         gain=gain,
-        through=linear.through,
+        through=through,
+        left=left,
         projector=projector,
-        step=float(np.max(np.abs(step) / spread)),
-        chi2=float(residual @ left),
-        dof=len(residual) - design.shape[1],
+        step=float(np.max(np.abs(found[wide:]) / spread)),
+        chi2=float(np.sum(residual * left)),
+        dof=int(np.count_nonzero(known)) - 2 * LOADS * channels,
     )
 
 
-def _least_squares(
-    noise: FloatArray, design: FloatArray, effects: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Gain (P, N), projector (N, N) and standard uncertainties (P,) of least squares with common errors.
-
-    The system [X A; 0 I], whitened by the noise, is equivalent to the covariance noise + A·Aᵀ but keeps its digits;
-    more unknowns than readings are turned into as many.
-    """
-    root = np.linalg.cholesky(noise)
-    white = solve_triangular(root, np.column_stack([design, effects]), lower=True)
-    count, unknowns = design.shape
-    common = white[:, unknowns:]
-    if common.shape[1] > count:
-        common = np.asarray(np.linalg.qr(common.T, mode="r")).T
-    scale = np.linalg.norm(white[:, :unknowns], axis=0)
-    total = unknowns + common.shape[1]
-    augmented = np.zeros((count + common.shape[1], total))
-    augmented[:count, :unknowns], augmented[:count, unknowns:] = white[:, :unknowns] / scale, common
-    augmented[count:, unknowns:] = np.eye(common.shape[1])
-    q, r = np.linalg.qr(augmented)
-    inverse = solve_triangular(r, np.eye(total))
-    gain = solve_triangular(root, (inverse[:unknowns] @ q[:count].T).T, lower=True, trans="T").T / scale[:, None]
-    half = solve_triangular(root, np.eye(count) - q[:count] @ q[:count].T, lower=True, trans="T")
-    projector = solve_triangular(root, half.T, lower=True, trans="T")
-    return gain, (projector + projector.T) / 2.0, np.linalg.norm(inverse[:unknowns], axis=1) / scale
-
-
-def _noise(stack: Stack, linear: _Linear, discrepancy: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
-    """Covariance (N, N) of the residuals without the unknowns: outputs, loads seen through the matrix, discrepancy."""
-    outputs = np.concatenate([noise.covariance for noise in stack.output_noise])
-    own = outputs + linear.through @ stack.own_load_covariance @ linear.through.swapaxes(1, 2)
-    own = own + np.tile(discrepancy**2, 2)[:, :, None] * np.eye(own.shape[1])
-    return np.asarray(block_diag(*(own[r][np.ix_(known, known)] for r, known in enumerate(mask))))
+def _shift(stack: Stack, point: Point, errors: FloatArray) -> ComplexArray:
+    """Return by how much errors (E,) change the loads (R, 6), which are as large as at a point."""
+    weight = stack.load.conj() / np.sum(np.abs(stack.load) ** 2, axis=1, keepdims=True)
+    size = np.sum(weight * point.load, axis=1, keepdims=True)
+    return np.asarray((errors[stack.acting][:, None] @ stack.load_effect)[:, 0] * size)

@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 
 from fusion.base import InputError
-from fusion.campaign.repeats import Drive, line_drives
+from fusion.campaign.drive import Drive, line_drives
 from fusion.instruments.channel import Outputs
 from fusion.phasors.timing import Grid
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT, Provenance, provenance_of

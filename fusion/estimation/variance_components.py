@@ -140,17 +140,20 @@ class EstimatedNoise:
     def moments(self, weights: FloatArray) -> tuple[float, float, float]:
         """Return A₁ = E (tr Θ·δV)², A₂ = E tr(Θ·δV·Θ·δV), δV the error of the covariance, and by what χ² grows.
 
-        Of weights Θ (N, N): χ² = yᵀ·Θ·y has, of second order, the expectation d + A₂. Of a block that contributes t of
-        d all orders together make A₂ into A₂/(1 - A₂/t) if it is alone (Hotelling), which is taken for each.
+        Of weights Θ (N, N), or of only what they are within B blocks of n readings (B, n, n) that no part of the noise
+        exceeds: χ² = yᵀ·Θ·y has, of second order, the expectation d + A₂. Of a block that contributes t of d all orders
+        together make A₂ into A₂/(1 - A₂/t) if it is alone (Hotelling), which is taken for each.
         """
         first = second = growth = 0.0
         for rows, root, dof in self.blocks:
-            parts = self._parts(root @ weights[np.ix_(rows, rows)] @ root)
+            parts = self._parts(root @ _between(weights, rows) @ root)
             traces, both = np.trace(parts, axis1=2, axis2=3), parts[0, 0] + parts[1, 1]
             own = float(np.sum(parts * parts.swapaxes(2, 3)) + np.sum(traces**2)) / dof
             first += 2.0 * float(np.sum(both * both.T)) / dof
             second += own
             growth += own / (1.0 - min(own / max(float(np.trace(traces)), TINY), MOST_ESTIMATED))
+        if not len(self.dof):
+            return first, second, growth
         shares = np.einsum("ne,nm,me->e", self.effects, weights, self.effects)
         known = 2.0 * shares**2 / self.dof
         more = known / (1.0 - np.minimum(2.0 * shares / self.dof, MOST_ESTIMATED))
@@ -226,6 +229,14 @@ class EstimatedNoise:
         if np.isinf(m):
             return float(chndtrinc(chdtri(dof, 1.0 - TEST_LEVEL), dof, 1.0 - power))
         return float(ncfdtrinc(dof, m, 1.0 - power, fdtri(dof, m, TEST_LEVEL)))
+
+
+def _between(weights: FloatArray, rows: IntArray) -> FloatArray:
+    """Weights between some readings, of all (N, N) or of those within blocks (B, n, n)."""
+    if weights.ndim == 2:
+        return np.asarray(weights[np.ix_(rows, rows)])
+    block, own = divmod(rows, weights.shape[1])
+    return np.asarray(weights[block[0]][np.ix_(own, own)])
 
 
 def fails(chi2: float, dof: int, level: float = TEST_LEVEL) -> bool:

@@ -49,7 +49,7 @@ def write_file(path: Path, content: str | bytes | Iterable[str]) -> None:
             stream.write(part if isinstance(part, bytes) else part.encode("utf-8"))
 
 
-def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> list[str]:
+def write_files(folder: Path, contents: Mapping[str, str | bytes | Iterable[str]]) -> list[str]:
     """Write new files into a folder, those of names such as `below/name` below it, and return the names."""
     for name, content in contents.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -154,23 +154,20 @@ def poses(stereo: StereoResult) -> Iterator[Pose]:
         yield Pose(float(time), *numbers)
 
 
-def merge_tables(folders: Sequence[Path]) -> dict[str, str]:
-    """The recordings' sensitivity, acceleration and load tables joined by rows, as texts by file name.
+def merged_table(name: str, folders: Sequence[Path]) -> Iterator[str]:
+    """Yield one of the tables of `MERGED_FILES` joined of the recordings' by rows: its first line, then each body.
 
-    `folders`: the recordings' results folders, in the order of the rows. A folder without one of the tables is left
-    out of that table. Raises `ValueError` for a table of other columns.
+    `folders`: the recordings' results folders, in the order of the rows. A folder without the table is left out. Raises
+    `ValueError` for a table of other columns.
     """
-    merged = {}
-    for name, columns in MERGED_FILES.items():
-        lines = [",".join(column.name for column in columns)]
-        for path in (folder / name for folder in folders):
-            if path.is_file():
-                first, *body = path.read_text(encoding="utf-8").removesuffix("\n").split("\n")
-                if first != lines[0]:
-                    raise ValueError(f"{path}: expected the columns {lines[0]}, found {first}")
-                lines += body
-        merged[name] = "\n".join(lines) + "\n"
-    return merged
+    head = ",".join(column.name for column in MERGED_FILES[name])
+    yield f"{head}\n"
+    for path in (folder / name for folder in folders):
+        if path.is_file():
+            first, _, body = path.read_text(encoding="utf-8").partition("\n")
+            if first != head:
+                raise ValueError(f"{path}: expected the columns {head}, found {first}")
+            yield body if body.endswith("\n") or not body else f"{body}\n"
 
 
 # Which figures the report of one recording holds.

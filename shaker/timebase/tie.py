@@ -10,6 +10,7 @@ import numpy as np
 from shaker.arrays import FloatArray, IntArray, Notice, check_shape, check_shapes
 from shaker.timebase.trigger import (
     LEAST_JITTER,
+    RINGING,
     Posterior,
     TriggerFit,
     fit_resolved,
@@ -195,7 +196,7 @@ def clock_line(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
     if len(here) < _LEAST_PAIRS:
         return single
     if base.kind == other.kind:
-        paired, scatter_s = _from_pairs(base, other, here, there)
+        paired = _from_pairs(base, other, here, there)
         middle = np.asarray(np.mean(other.edge_s[there]))
         line = paired if paired.u_to_base_s(middle) < single.u_to_base_s(middle) else single
         if base.kind == "sampled":
@@ -205,16 +206,17 @@ def clock_line(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
             opened = (base.open_s**2 + other.open_s**2) / 12.0
             own = min(f.resolution_s**2 / (f.resolution_s**2 + 12.0 * f.jitter_s**2) for f in (base, other))
             return replace(line, noise=line.covariance * own * max(1.0 - opened / variance, 0.0))
-        else:  # what edges scatter by beyond the samples' noise may be of the rise
-            read = (base.resolution_s**2 + (line.rate * other.resolution_s) ** 2) / 12.0
-            line = replace(line, noise=line.covariance * min(read / max(scatter_s**2, 1e-30), 1.0))
     elif base.kind == "resolved":
         line = _from_one_resolved(base, other, here, there).inverse()
     else:
         line = _from_one_resolved(other, base, there, here)
     # As in `fit_trigger`: what is open between samples is the least, what is open of a rise comes on top.
     fits = base, other
-    gaps, rises = (sum(f.open_s**2 for f in fits if f.kind == kind) / 12.0 for kind in ("sampled", "resolved"))
+    gaps = sum(f.open_s**2 for f in fits if f.kind == "sampled") / 12.0
+    if base.kind == other.kind:  # the shapes of both rises are in the line
+        rises = sum((RINGING * f.sample_s) ** 2 for f in fits if f.kind == "resolved") / 12.0
+    else:
+        rises = sum(f.open_s**2 for f in fits if f.kind == "resolved") / 12.0
     known = float(line.u_to_base_s(np.asarray(np.mean(other.edge_s[there])))) ** 2
     return replace(line, covariance=line.covariance + np.diag([rises + max(gaps - known, 0.0), 0.0]))
 
@@ -234,20 +236,19 @@ def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
     return ClockLine(offset, rate, jacobian @ joint @ jacobian.T)
 
 
-def _from_pairs(base: TriggerFit, other: TriggerFit, here: IntArray, there: IntArray) -> tuple[ClockLine, float]:
-    """Fit a line to paired edges, free of the trigger's jitter: to middles of intervals, or to resolved crossings.
-
-    Returned with the scatter of the edges about it (s).
-    """
+def _from_pairs(base: TriggerFit, other: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
+    """Fit a line to paired edges, free of the trigger's jitter: to middles of intervals, or to resolved crossings."""
     if base.kind == "sampled":
         place, unscale = _scaled(other.edge_s[there])
-        found = straight_line(place, base.edge_s[here], 0.3 * base.resolution_s)[0]
-        return unscale(found), found.jitter_s
+        return unscale(straight_line(place, base.edge_s[here], 0.3 * base.resolution_s))
     place, unscale = _scaled(other.crossing_s[there])
-    y, x = base.crossing_s[here], other.crossing_s[there]
-    phases = [(y - base.lower_s[here]) / base.sample_s, (x - other.lower_s[there]) / other.sample_s]
-    found = fit_resolved(y, place, phases)[0]
-    return unscale(found), found.jitter_s
+    rises = [replace(rise, phase=rise.phase[at]) for rise, at in ((base.rise, here), (other.rise, there))]
+    read = (base.resolution_s**2 + other.resolution_s**2) / 12.0
+    found = fit_resolved(base.crossing_s[here], place, rises, float(np.sqrt(read)))
+    # What edges scatter by beyond the samples' noise may be of the rise.
+    share = min(read / max(found.line.jitter_s**2, 1e-30), 1.0)
+    noise = unscale(replace(found.line, covariance=share * found.noise)).covariance
+    return replace(unscale(found.line), noise=noise)
 
 
 def _from_one_resolved(resolved: TriggerFit, sampled: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
@@ -255,7 +256,7 @@ def _from_one_resolved(resolved: TriggerFit, sampled: TriggerFit, here: IntArray
     place, unscale = _scaled(resolved.edge_s[here])
     lower, upper = sampled.lower_s[there], sampled.upper_s[there]
     width = float(np.median(upper - lower))
-    start, _ = straight_line(place, (lower + upper) / 2.0, 0.3 * width)
+    start = straight_line(place, (lower + upper) / 2.0, 0.3 * width)
     return unscale(line_posterior(place, lower[None], upper[None], start, LEAST_JITTER * width))
 
 

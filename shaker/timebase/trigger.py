@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -200,53 +201,120 @@ def _normal_points(dimensions: int) -> FloatArray:
 
 # Crossings of a resolved rise: what its shape adds to the reconstruction, learnt from all edges.
 
-_TERMS = (0, 2, 4, 6, 8)
-_EDGES_PER_TERM = 8
-_CONDITION = 1e3
+_TERMS = 16
+_ORDER = np.arange(1.0, _TERMS + 1)
+_DECAYS = (1.5, 2.5)  # powers of the order by which the sines fall off: kinks of the rise near the crossing, and far
+_SMALLEST, _LARGEST = (
+    1e-3,
+    0.15,
+)  # of a sample: first sine's standard deviation, from filters to RC inputs of half a one
+_RATIO = 3.0  # from one size of the sines to the next
+_LOCKED_SINES = 0.12, 1.5  # of a sample, and power: standard deviations of sines at places too few to learn them
 
 
-def straight_line(
-    place: FloatArray, time_s: FloatArray, least_scatter_s: float = 0.0, beside: Sequence[FloatArray] = ()
-) -> tuple[Posterior, FloatArray]:
-    """Fit time_s (E,) = m + h·place + what columns `beside` (E, N each) explain, by least squares.
+def straight_line(place: FloatArray, time_s: FloatArray, least_scatter_s: float = 0.0) -> Posterior:
+    """Fit time_s (E,) = m + h·place by least squares.
 
-    Returns the line, its jitter the scatter about the fit and its covariance for one of at least `least_scatter_s`, and
-    what the columns explain (E,).
+    The jitter is the scatter about the fit, the covariance that for one of at least `least_scatter_s`.
     """
-    columns = np.column_stack([np.ones_like(place), place, *beside])
+    columns = np.column_stack([np.ones_like(place), place])
     inverse, centre = np.linalg.inv(columns.T @ columns), float(time_s.mean())
     value = inverse @ (columns.T @ (time_s - centre))
     residual = time_s - centre - columns @ value
-    scatter = float(np.sqrt(residual @ residual / max(len(time_s) - columns.shape[1], 1)))
-    covariance = inverse[:2, :2] * max(scatter, least_scatter_s) ** 2
-    return Posterior(value[:2] + np.array([centre, 0.0]), covariance, scatter), columns[:, 2:] @ value[2:]
+    scatter = float(np.sqrt(residual @ residual / max(len(time_s) - 2, 1)))
+    return Posterior(value + np.array([centre, 0.0]), inverse * max(scatter, least_scatter_s) ** 2, scatter)
 
 
-def fit_resolved(time_s: FloatArray, place: FloatArray, phases: Sequence[FloatArray]) -> tuple[Posterior, FloatArray]:
-    """Fit time_s (E,) = m + h·place + Σ a_j sin(π j φ) with the phase φ (E,) of each crossing between two samples.
+@dataclass(frozen=True)
+class Rise:
+    """Where resolved edges of a record lie between two samples: phase (E,) from 0 to 1, and the sampling interval.
 
-    Returns the line, its jitter the scatter of the corrected edges about it, and the correction (E,).
-
-    A rise that is not band-limited (a ramp, an exponential) leaves the reconstruction with an error that depends on
-    where the crossing lies between two samples, and only on that; it vanishes where a sample is the crossing (φ = 0 or
-    1), hence the sines. One series for each array of `phases`; its length follows from the data (Schwarz criterion), 0
-    for a band-limited input. The idea is that of the effective point-spread function (Anderson & King, PASP 112, 2000).
+    `locked`: they take too few places for the shape of the rise to be learnt from them.
     """
-    best, best_score = None, np.inf
-    for terms in _TERMS:
-        order = np.arange(1, terms + 1)
-        series = [np.sin(np.pi * order * phase[:, None]) for phase in phases]
-        columns = np.column_stack([np.ones_like(place), place, *series])
-        edges, count = columns.shape
-        if terms and (count * _EDGES_PER_TERM > edges or np.linalg.cond(columns) > _CONDITION):
-            break
-        fit = straight_line(place, time_s, beside=series)
-        squares = fit[0].jitter_s ** 2 * max(edges - count, 1)
-        score = edges * np.log(squares + 1e-300) + count * np.log(edges)
-        if best is None or score < best_score:
-            best, best_score = fit, score
-    assert best is not None
-    return best
+
+    phase: FloatArray
+    sample_s: float
+    locked: bool
+
+    @property
+    def sines(self) -> FloatArray:
+        """What a shape of one sample's size adds to the edges (E, J), in seconds."""
+        return np.asarray(self.sample_s * np.sin(np.pi * _ORDER * self.phase[:, None]))
+
+
+@dataclass(frozen=True)
+class ResolvedLine:
+    """A line through resolved edges, the share `noise` (2, 2) of its covariance that the edges' own scatter makes, and
+    what the shapes of the rises add to each edge (E,)."""
+
+    line: Posterior
+    noise: FloatArray
+    correction_s: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("noise", self.noise, (2, 2))
+        check_shape("correction_s", self.correction_s, (None,))
+
+
+def fit_resolved(
+    time_s: FloatArray, place: FloatArray, rises: Sequence[Rise], least_scatter_s: float = 0.0
+) -> ResolvedLine:
+    """Fit time_s (E,) = m + h·place + e_1(φ_1) - e_2(φ_2) with the phases φ (E,) of crossings between two samples.
+
+    A rise that is not band-limited (a ramp, an exponential) leaves the reconstruction with an error e that depends on
+    where the crossing lies between two samples, and only on that (the idea is that of the effective point-spread
+    function: Anderson & King, PASP 112, 2000). It vanishes where a sample is the crossing, hence e = Σ a_j sin(π j φ).
+    The a_j are Gaussian about 0 with a standard deviation that falls off as a power of j; its size and the power are
+    unknown and averaged over by the restricted likelihood of the edges (Patterson & Thompson, Biometrika 58, 1971), so
+    that what few or unevenly spread edges cannot tell of the shape stays in the covariance. A phase is the time read,
+    not the true one: dφ_true/dφ = 1 - e' enters the likelihood, without which edges that drift slowly past the samples
+    would put all of their drift down to the shape. A locked rise is not learnt: what RC inputs would make of the
+    line is in its covariance. The second rise is of the clock on which `place` counts.
+    """
+    columns = np.column_stack([np.ones_like(place), place])
+    inverse = np.linalg.inv(columns.T @ columns)
+    least = max(least_scatter_s, LEAST_JITTER * max(r.sample_s for r in rises))
+    start, unlearnt = straight_line(place, time_s, least), np.zeros((2, 2))
+    for rise in rises:
+        if rise.locked:
+            tilt = inverse @ (columns.T @ rise.sines) * (_LOCKED_SINES[0] * _ORDER ** -_LOCKED_SINES[1])
+            unlearnt += tilt @ tilt.T
+    learnt = [(sign, rise) for sign, rise in zip((1.0, -1.0), rises, strict=False) if not rise.locked]
+    if not learnt:
+        line = replace(start, covariance=start.covariance + unlearnt)
+        return ResolvedLine(line, start.covariance, np.zeros_like(time_s))
+    sines = np.hstack([sign * rise.sines for sign, rise in learnt])
+    into_line = inverse @ (columns.T @ sines)
+    left, apart = time_s - columns @ start.mean, sines - columns @ into_line
+    normal, right, edges = apart.T @ apart, apart.T @ left, len(place)
+    # Standard deviations of the a_j over the scatter of the edges, for every size and power.
+    low, high = _SMALLEST / max(start.jitter_s, least), _LARGEST / least
+    sizes = np.geomspace(low, high, 1 + int(np.ceil(np.log(high / low) / np.log(_RATIO))))
+    one = [size * _ORDER**-power for size in sizes for power in _DECAYS]
+    spread = np.array([np.concatenate(pair) for pair in product(one, repeat=len(learnt))])
+    whitened = np.eye(spread.shape[1]) + spread[:, :, None] * normal * spread[:, None, :]
+    posterior = np.linalg.inv(whitened) * spread[:, :, None] * spread[:, None, :]
+    shape = posterior @ right
+    squares = np.maximum(left @ left - shape @ right, 0.0)
+    variance = np.maximum(squares / max(edges - 2, 1), least**2)
+    score = -0.5 * (np.linalg.slogdet(whitened)[1] + (edges - 2) * np.log(variance) + squares / variance)
+    allowed = np.ones(len(spread), dtype=bool)
+    for number, (_, rise) in enumerate(learnt):
+        own = slice(number * _TERMS, (number + 1) * _TERMS)
+        slope = shape[:, own] @ (np.pi * _ORDER * np.cos(np.pi * _ORDER * rise.phase[:, None])).T
+        score += np.log(np.maximum(np.abs(1.0 - slope), 1e-9)).sum(axis=1)
+        allowed &= spread[:, own.start] * np.sqrt(variance) <= _LARGEST
+    score = np.where(allowed | ~allowed.any(), score, -np.inf)
+    weight = np.exp(score - score.max())
+    weight /= weight.sum()
+    tilt = into_line @ posterior
+    means = start.mean - shape @ into_line.T
+    mean = weight @ means
+    noise = variance[:, None, None] * (inverse + tilt @ normal @ np.swapaxes(tilt, 1, 2))
+    covariance = np.einsum("g,gpq->pq", weight * variance, inverse + tilt @ into_line.T)
+    covariance += (weight[:, None] * (means - mean)).T @ (means - mean)
+    line = Posterior(mean, covariance + unlearnt, float(np.sqrt(weight @ variance)))
+    return ResolvedLine(line, np.einsum("g,gpq->pq", weight, noise), sines @ (weight @ shape))
 
 
 # The periodic model of a camera trigger: start, period, jitter, missing, doubled and spurious edges.
@@ -254,8 +322,7 @@ def fit_resolved(time_s: FloatArray, place: FloatArray, phases: Sequence[FloatAr
 LEAST_JITTER = 5e-6  # of a sample: 0.1 ns at 51.2 kHz, what a logic output that a quartz drives has at least
 _IDLE = 1.05  # periods without an edge at an end of the record that show the burst to begin or end there
 _LOCKED = 0.15  # of a sample: no edge over this range of phases once there are enough of them
-_LOCKED_RISE = 0.1  # of a sample: interval of a reconstructed crossing's error that no other phase averages out
-_RINGING = 1e-3  # of a sample: interval that the ringing of the pulse's other edge leaves open of a resolved one
+RINGING = 1e-3  # of a sample: interval that the ringing of the pulse's other edge leaves open of a resolved one
 
 
 @dataclass(frozen=True)
@@ -315,6 +382,16 @@ class TriggerFit:
         return self.edge_s + self.correction_s
 
     @property
+    def locked(self) -> bool:
+        """Whether the edges keep falling on few places between two samples."""
+        return _locked(self.number, self.period_s / self.sample_s, self.jitter_s / self.sample_s) > 0.0
+
+    @property
+    def rise(self) -> Rise:
+        """Where the crossings lie between two samples."""
+        return Rise((self.crossing_s - self.lower_s) / self.sample_s, self.sample_s, self.locked)
+
+    @property
     def sample_s(self) -> float:
         """Sampling interval."""
         return float(np.median(self.upper_s - self.lower_s))
@@ -346,8 +423,8 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     Missing edges are counted, doubled and stray ones dropped. Each true instant is known to lie in an interval one
     sample wide; the estimate is the mean of the posterior of (start, period) under Gaussian jitter of unknown size,
     which tends to the centre of the polygon of all intervals as the jitter vanishes (error ~ 1/edges) and to least
-    squares as it grows (error ~ 1/√edges). Where the rise is resolved, least squares on the reconstructed crossings
-    knows more; of the two the one with the smaller uncertainty counts. At least three edges are needed.
+    squares as it grows (error ~ 1/√edges). Where the rise is resolved, the line is fitted to the reconstructed
+    crossings (`fit_resolved`), whose noise intervals would take for jitter. At least three edges are needed.
 
     >>> import numpy as np
     >>> from shaker import find_edges, fit_trigger
@@ -366,25 +443,27 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     sample = float(np.median(upper - lower))
     kind: EdgeKind = "sampled"
     # Rounding to samples scatters by 0.29 of one, except where period and sampling are commensurate.
-    rough, _ = straight_line(place, (lower + upper) / 2.0, 0.3 * sample)
-    line, resolution = line_posterior(place, lower[None], upper[None], rough, LEAST_JITTER * sample), sample
+    rough = straight_line(place, (lower + upper) / 2.0, 0.3 * sample)
     edge, correction = (lower + upper) / 2.0, np.zeros(len(n))
     if edges.kind == "resolved":
-        rise, shape = fit_resolved(estimate, place, [(estimate - lower) / sample])
-        if rise.covariance[0, 0] < line.covariance[0, 0]:
-            jitter = float(np.sqrt(max(rise.jitter_s**2 - edges.u_reading_s**2, 0.0)))
-            line, kind, edge, correction = replace(rise, jitter_s=jitter), "resolved", estimate - shape, shape
-            resolution = np.sqrt(12.0) * edges.u_reading_s
-    # The largest gap between the edges' places between two samples: wide where they take few of them.
-    phase = np.sort(n * (line.mean[1] / half / sample) % 1.0)
-    locked = float(np.max(np.append(np.diff(phase), phase[0] + 1.0 - phase[-1])))
-    if locked <= max(_LOCKED, 10.0 / len(n)) or line.jitter_s / sample >= _LOCKED:
-        locked = 0.0
-    open_s = sample * (locked if kind == "sampled" else _LOCKED_RISE if locked else _RINGING)
-    # A gap is open in all instants alike where the period is a simple multiple of the sampling interval. Intervals take
-    # any period for as likely: of the two answers the larger one counts. A rise's shape is in none of the estimates.
-    more = open_s**2 / 12.0 - (line.covariance[0, 0] if kind == "sampled" else 0.0)
-    line = replace(line, covariance=line.covariance + np.diag([max(more, 0.0), 0.0]))
+        step = straight_line(place, estimate)
+        rise = Rise(
+            (estimate - lower) / sample, sample, _locked(n, step.mean[1] / half / sample, step.jitter_s / sample) > 0
+        )
+        found = fit_resolved(estimate, place, [rise], edges.u_reading_s)
+        line, shape = found.line, found.correction_s
+        line = replace(line, jitter_s=float(np.sqrt(max(line.jitter_s**2 - edges.u_reading_s**2, 0.0))))
+        kind, edge, correction, resolution = "resolved", estimate - shape, shape, np.sqrt(12.0) * edges.u_reading_s
+        # What the rise's shape and the ringing of other flanks leave open is the same in all edges.
+        more = (RINGING * sample) ** 2 / 12.0
+        open_s = float(np.sqrt(12.0 * (more + max(line.covariance[0, 0] - found.noise[0, 0], 0.0))))
+    else:
+        line, resolution = line_posterior(place, lower[None], upper[None], rough, LEAST_JITTER * sample), sample
+        # A gap is open in all instants alike where the period is a simple multiple of the sampling interval. Intervals
+        # take any period for as likely: of the two answers the larger one counts.
+        open_s = sample * _locked(n, line.mean[1] / half / sample, line.jitter_s / sample)
+        more = max(open_s**2 / 12.0 - line.covariance[0, 0], 0.0)
+    line = replace(line, covariance=line.covariance + np.diag([more, 0.0]))
     # From (middle, half span) to (start, period).
     jacobian = np.array([[1.0, -1.0], [0.0, 1.0 / half]])
     start, period = jacobian @ line.mean
@@ -412,6 +491,16 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     return replace(fit, notices=_notices(fit))
 
 
+def _locked(number: IntArray, period: float, jitter: float) -> float:
+    """Return the widest gap (samples) that edges numbered (E,) leave between two samples where they take few places.
+
+    Period and jitter in samples. 0 where they take many, or jitter does so for them.
+    """
+    phase = np.sort(number * period % 1.0)
+    gap = float(np.max(np.append(np.diff(phase), phase[0] + 1.0 - phase[-1])))
+    return 0.0 if gap <= max(_LOCKED, 10.0 / len(number)) or jitter >= _LOCKED else gap
+
+
 def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
     """Tell about edges that were not where the period puts them."""
     warnings = []
@@ -424,7 +513,7 @@ def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
     if fit.jitter_s > 1e-3 * fit.period_s:
         warnings.append(f"jitter of {fit.jitter_s * 1e6:.3g} us, over 0.1 % of the period")
     notices = [Notice("warning", text, "trigger") for text in warnings]
-    if fit.open_s > _RINGING * fit.sample_s:
+    if fit.locked:
         u_middle = float(fit.u_time_s(np.asarray(fit.edges // 2)))
         text = (
             f"the edges always fall on the same places between two samples, which leaves their instants open to "

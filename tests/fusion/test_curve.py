@@ -20,8 +20,8 @@ from fusion.campaign.curve import (
     ratio_curves,
     relative_curve,
 )
+from fusion.campaign.drive import Drive
 from fusion.campaign.matrix import fit_matrix
-from fusion.campaign.repeats import Drive
 from fusion.sensitivity.ratio import StatedMatrix
 from shaker.labels import LOAD_COMPONENTS
 

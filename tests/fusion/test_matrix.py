@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from typing import Any
 
@@ -11,14 +12,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from plain_drives import plain_drive, uncertainty
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 from scipy.stats import binom, chi2
 from simulated_drives import CAPACITY, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
 from support import far
 
+from fusion.campaign import elimination, matrix_solve
+from fusion.campaign.drive import Drive
 from fusion.campaign.matrix import MatrixFit, cross_talk, fit_matrix, main_components
-from fusion.campaign.matrix_solve import LINES_APART, MissingExcitationError, Stack, solve, stack_drives
-from fusion.campaign.repeats import Drive
+from fusion.campaign.matrix_solve import (
+    LINES_APART,
+    MissingExcitationError,
+    Solution,
+    Stack,
+    changes,
+    solve,
+    stack_drives,
+)
 from fusion.estimation.uncertainty import Uncertainty
 from shaker.labels import LOAD_COMPONENTS
 
@@ -63,11 +74,18 @@ def likelihood(stack: Stack, roots: tuple[list[AnyArray], list[AnyArray]], unkno
     found = [errors]
     for r in range(drives):
         size = np.vdot(stack.load[r], load[r]) / np.vdot(stack.load[r], stack.load[r])
-        left = stack.load[r] - load[r] - size * (errors @ stack.load_effect[:, r])
-        above = stack.output[r] - (1.0 + errors @ stack.output_effect[:, r]) * (matrix @ load[r])
+        own = errors[stack.acting[r]]
+        left = stack.load[r] - load[r] - size * (own @ stack.load_effect[r])
+        above = stack.output[r] - (1.0 + own @ stack.output_effect[r]) * (matrix @ load[r])
         for rest, root in ((left, roots[0][r]), (above, roots[1][r])):
             found.append(root @ np.concatenate([rest.real, rest.imag]))
     return np.concatenate(found)
+
+
+def covariance_of(stack: Stack, found: Solution) -> AnyArray:
+    """Covariance (12C, 12C) of the matrix from every reading's noise and every unknown."""
+    effect = changes(stack, found)
+    return np.sum(found.gain @ found.noise @ found.gain.swapaxes(1, 2), axis=0) + effect.T @ effect
 
 
 def test_the_fit_is_the_maximum_of_the_nonlinear_likelihood():
@@ -80,7 +98,7 @@ def test_the_fit_is_the_maximum_of_the_nonlinear_likelihood():
     found = solve(stack)
     row, loads = 1.01 * found.matrix.ravel(), stack.load.ravel()
     start = np.concatenate([row.real, loads.real, row.imag, loads.imag, 0.0 * found.errors])
-    u = np.sqrt(np.diag(found.gain @ (found.noise + found.effects @ found.effects.T) @ found.gain.T))
+    u = np.sqrt(np.diag(covariance_of(stack, found)))
     noise = np.sqrt([part.covariance[0].diagonal() for part in stack.load_noise]).reshape(8, 2, 6)
     scale = np.concatenate([u[:6], noise[:, 0].ravel(), u[6:], noise[:, 1].ravel(), np.ones(len(found.errors))])
 
@@ -103,6 +121,70 @@ def test_the_fit_is_the_maximum_of_the_nonlinear_likelihood():
     # The curvature of the likelihood is the covariance.
     spread = np.sqrt(np.diag(np.linalg.inv(oracle.jac.T @ oracle.jac))) * scale
     np.testing.assert_allclose(spread[: 2 * len(loads) + 12].reshape(2, -1)[:, :6].ravel(), u, rtol=1e-3)
+
+
+def mounted(count: int) -> tuple[Drive, ...]:
+    """Eight excitations again and again, two recordings of each in one mounting."""
+    rng = np.random.default_rng(17)
+    setups = [
+        replace(s, recording=f"{s.recording} {n}", mounting=f"{s.mounting} {n // 2}")
+        for n in range(count // 8)
+        for s in eight_setups(rng)
+    ]
+    return simulate_drives(setups, true_matrix(rng), DriveErrors(rng))
+
+
+@pytest.mark.parametrize(("chunk", "local"), [(512, 256), (3, 4), (3, 2)])
+def test_eliminating_unknowns_by_groups_of_drives_is_least_squares_with_one_dense_covariance(monkeypatch, chunk, local):
+    monkeypatch.setattr(elimination, "CHUNK", chunk)
+    monkeypatch.setattr(elimination, "MOST_LOCAL", local)
+    drives = list(mounted(32))
+    dumb = np.where(np.arange(6) == 2, complex(np.nan, np.nan), drives[5].outputs)
+    drives[5] = replace(drives[5], outputs=dumb)
+    stack = stack_drives(drives, LOAD_COMPONENTS)
+    found = solve(stack)
+    grouped = sum(len(within) for _, within in stack.order.groups)
+    assert stack.order.own.sum() == 32
+    assert grouped == 16 * min(local, 3)
+    linear = matrix_solve._linearise(stack, found.point, np.arange(32))
+    known = np.tile(stack.usable, (1, 2)).ravel()
+    effects = np.zeros((len(known), len(stack.unknowns)))
+    for r, (own, acting) in enumerate(zip(linear.effects, stack.acting, strict=True)):
+        effects[12 * r : 12 * r + 12, acting[acting >= 0]] = own[:, acting >= 0]
+    effects, design = effects[known], linear.design.reshape(len(known), -1)[known]
+    residual = linear.residual.ravel()[known]
+    covariance = block_diag(*found.noise)[np.ix_(known, known)] + effects @ effects.T
+    weight = np.linalg.inv(covariance)
+    curvature = design.T @ weight @ design
+    gain = np.linalg.solve(curvature, design.T @ weight)
+    projector = weight - weight @ design @ gain
+    spread = np.sqrt(np.diag(np.linalg.inv(curvature)))
+    each, between = np.repeat(np.arange(32), 12)[known], np.sqrt(np.diag(covariance))
+    # Inverse and products of dense matrices lose six digits; sizes are those of the readings and of the result.
+    flat = found.gain.swapaxes(0, 1).reshape(72, -1)[:, known]
+    np.testing.assert_allclose(flat * between / spread[:, None], gain * between / spread[:, None], atol=1e-6)
+    np.testing.assert_allclose(
+        found.left.ravel()[known] * between, projector @ residual * between, rtol=1e-6, atol=1e-6
+    )
+    for r, own in enumerate(found.projector):
+        inside = np.ix_(each == r, each == r)
+        usable = known[12 * r : 12 * r + 12]
+        np.testing.assert_allclose(own[np.ix_(usable, usable)], projector[inside], rtol=1e-6, atol=1e-6 * own.max())
+    assert found.chi2 == pytest.approx(residual @ projector @ residual, rel=1e-7)
+    np.testing.assert_allclose(found.errors, effects.T @ projector @ residual, atol=1e-6)
+    np.testing.assert_allclose(changes(stack, found) / spread, effects.T @ gain.T / spread, atol=1e-6)
+    assert found.dof == len(residual) - 72
+
+
+def test_memory_of_the_fit_grows_as_the_recordings():
+    peaks = []
+    for count in (32, 320):
+        drives = mounted(count)
+        tracemalloc.start()
+        fit_matrix(drives)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 11.0 * peaks[0]
 
 
 def test_a_line_with_errors_in_both_coordinates_is_yorks():
@@ -149,9 +231,9 @@ def test_regions_hold_the_matrix_95_times_in_100():
 
 def test_the_covariance_is_that_of_least_squares_with_everything_correlated():
     drives, _ = eight_drives(1)
-    fit, solution = fit_matrix(drives), solve(stack_drives(drives, LOAD_COMPONENTS))
-    units = np.tile((stack_drives(drives, LOAD_COMPONENTS).output_size[:, None] / fit.load_size).ravel(), 2)
-    whole = solution.gain @ (solution.noise + solution.effects @ solution.effects.T) @ solution.gain.T
+    fit, stack = fit_matrix(drives), stack_drives(drives, LOAD_COMPONENTS)
+    units = np.tile((stack.output_size[:, None] / fit.load_size).ravel(), 2)
+    whole = covariance_of(stack, solve(stack))
     np.testing.assert_allclose(fit.uncertainty.covariance[0], whole * np.outer(units, units), rtol=1e-6, atol=1e-30)
     names = [influence.name for influence in fit.uncertainty.influences]
     assert "load: mass" in names

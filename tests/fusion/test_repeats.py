@@ -18,20 +18,8 @@ from violations import JITTER_S, Rig, preset_of
 
 from fusion.base import Settings
 from fusion.campaign.curve import _slope, find_linearity
-from fusion.campaign.repeats import (
-    BETWEEN,
-    Drive,
-    Repeats,
-    alike,
-    between_recordings,
-    drives_of,
-    find_repeats,
-    group_by_frequency,
-    mean_ratio,
-    over_lines,
-    own_and_shared,
-    with_starts,
-)
+from fusion.campaign.drive import Drive, between_recordings, drives_of, group_by_frequency, over_lines, with_starts
+from fusion.campaign.repeats import BETWEEN, Repeats, alike, find_repeats, mean_ratio, own_and_shared
 from fusion.estimation.uncertainty import polar_elements
 from fusion.phasors.timing import Grid
 from fusion.recording.load import load_manifest

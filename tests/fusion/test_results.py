@@ -16,12 +16,12 @@ from evaluation_factory import ACCELERATION, LOAD_COMPONENTS, STATIC, Choice, ma
 from support import rows, state, told_columns, without_pages
 
 from fusion.base import InputError, versions
+from fusion.campaign.drive import drives_of
 from fusion.campaign.recorded import read_recorded
-from fusion.campaign.repeats import drives_of
 from fusion.estimation.uncertainty import Influence, Uncertainty
 from fusion.report import recording as results
 from fusion.report.folder import check_folder, hash_files, is_current, read_provenance, sha256
-from fusion.report.recording import merge_tables, write_results
+from fusion.report.recording import MERGED_FILES, merged_table, write_results
 from fusion.report.tables import headlines, sensitivity_table
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensor.identify import fit
@@ -261,15 +261,14 @@ def test_campaign_tables_are_the_recordings_rows_in_order(tmp_path):
     for name in ("Fz, first", 'Fz "second"'):
         folders.append(tmp_path / str(len(folders)))
         write_results(make_evaluation(tmp_path, Choice(frames=24, name=name)), folders[-1])
-    tables = merge_tables(folders)
-    assert set(tables) == {"sensitivity.csv", "acceleration.csv", "load.csv"}
-    for name, text in tables.items():
-        (tmp_path / name).write_text(text, encoding="utf-8", newline="\n")
+    assert set(MERGED_FILES) == {"sensitivity.csv", "acceleration.csv", "load.csv"}
+    for name in MERGED_FILES:
+        (tmp_path / name).write_text("".join(merged_table(name, folders)), encoding="utf-8", newline="\n")
         separate = rows(folders[0] / name) + rows(folders[1] / name)
         assert rows(tmp_path / name) == separate
     assert rows(tmp_path / "load.csv")[-1]["recording"] == 'Fz "second"'
     (tmp_path / "load.csv").write_text("a,b\n1,2\n", encoding="utf-8")
-    refused(r"load\.csv: expected the columns", merge_tables, [tmp_path])
+    refused(r"load\.csv: expected the columns", lambda: list(merged_table("load.csv", [tmp_path])))
 
 
 def identical(first: Any, second: Any) -> bool:

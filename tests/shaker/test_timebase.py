@@ -314,6 +314,40 @@ def test_observed_rise_is_followed(rise):
     assert abs(normalised) < 4.0
 
 
+@pytest.mark.parametrize(("ties", "high"), [(6, 2.0), pytest.param(60, 1.15, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("rise", "noise"), [(_charging, 1e-3), (_charging, 0.02), (_half_band, 1e-3)])
+def test_what_edges_cannot_tell_of_a_rise_is_in_the_uncertainty(rise, noise, ties, high):
+    rng, normalised, models = np.random.default_rng(41), [], []
+    for _ in range(ties):
+        first, second = _instants(rng)
+        base, other = (
+            fit_trigger(find_edges(signal + noise * rng.normal(size=len(signal)), rate, threshold=0.5))
+            for signal, rate in (
+                (_shaped(rise, first, rng), RATE_HZ),
+                (_shaped(rise, second, rng, rate=OTHER_HZ), OTHER_HZ),
+            )
+        )
+        middle = np.array(FEW // 2)
+        models.append(float((base.time_s(middle) - first[FEW // 2]) / base.u_time_s(middle)))
+        normalised.append(_deviation(tie_clocks(base, other))[1])
+    for found in (normalised, models):
+        assert np.sqrt(np.mean(np.square(found))) < high
+
+
+@pytest.mark.parametrize("samples", [968.0, 968.002, 968.5])
+@pytest.mark.parametrize("rise", [_ramp, _charging, _half_band])
+def test_a_rise_that_locked_edges_show_at_one_place_is_covered_and_told(rise, samples):
+    """Slowly drifting edges (968.002 samples) do not put their drift down to the shape of the rise."""
+    rng = np.random.default_rng(42)
+    for _ in range(3):
+        instants = 0.1 + rng.uniform(0.0, PERIOD_S) + samples / RATE_HZ * np.arange(FEW)
+        fit = _filtered(rise, instants, RATE_HZ, rng)
+        for edge in (0, FEW // 2, FEW - 1):
+            deviation = float(fit.time_s(np.array(edge))) - instants[edge]
+            assert abs(deviation) < 2.0 * float(fit.u_time_s(np.array(edge)))
+        assert any("same places between two samples" in notice.text for notice in fit.notices)
+
+
 def _deviations(seed: int, draws: int, jitter_s: float) -> np.ndarray:
     """Errors of ties by intervals (2, draws), and over their stated uncertainties."""
     rng, found = np.random.default_rng(seed), []
@@ -478,7 +512,7 @@ def test_instants_follow_edges_that_jitter():
     both = edge_instants(base, number, [(other, tie_clocks(base, other))])
     assert np.std(model) > 15e-6
     assert np.std(alone.time_s - first) < 6.5e-6  # 19.5 us / sqrt(12) = 5.6 us
-    assert np.std(both.time_s - first) < 0.3e-6
+    assert np.std(both.time_s - first) < 0.35e-6
     assert 0.7 < np.std((alone.time_s - first) / alone.u_time_s) < 1.4
     assert np.max(np.abs(both.time_s - first) / both.u_time_s) < 4.0
     assert np.all(both.u_time_s < 1e-6)

@@ -124,8 +124,8 @@ def _complex(inputs: Inputs, name: str) -> ComplexArray:
 
 def matrix(inputs: Inputs) -> dict[str, float]:
     """The 6x6 matrix from eight recordings whose loads are known."""
+    from fusion.campaign.drive import Drive
     from fusion.campaign.matrix import fit_matrix
-    from fusion.campaign.repeats import Drive
     from fusion.estimation.uncertainty import Contribution, Uncertainty
     from shaker.labels import LOAD_COMPONENTS
 

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import ARGUMENT, CommandEvaluation
+from fusion.campaign.drive import Drive, over_lines, start_names, with_starts
 from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
-from fusion.campaign.repeats import Drive, drive_values, over_lines, start_names, with_starts
+from fusion.campaign.repeats import drive_values
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Sensor
 from fusion.report.table import sensitivity_unit

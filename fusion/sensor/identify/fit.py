@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import ARGUMENT, ComputeError, InputError
-from fusion.campaign.repeats import between_recordings
+from fusion.campaign.drive import between_recordings
 from fusion.estimation.uncertainty import Uncertainty
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Sensor

@@ -294,7 +294,7 @@ def prepare(manifest: Manifest, name: str, band_hz: tuple[float, float] | None) 
 
 
 def with_clocks_of(item: Prepared, start: str) -> Prepared:
-    """Return a curve whose clock ties are unknowns of all recordings of one `start` (`fusion.campaign.repeats`)."""
+    """Return a curve whose clock ties are unknowns of all recordings of one `start` (`fusion.campaign.drive`)."""
     own, measured = f" [{item.measured.name}]", item.measured
     errors = tuple(
         replace(error, name=f"{error.name.removesuffix(own)} [{start}]") if error.name.startswith(CLOCK) else error

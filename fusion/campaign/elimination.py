@@ -1,0 +1,83 @@
+"""In which order unknowns that recordings share are eliminated, so that time and memory grow as the recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from shaker.arrays import BoolArray, IntArray
+
+MOST_LOCAL = 256
+"""Largest number of unknowns of a few drives that are eliminated together."""
+CHUNK = 512
+"""Least number of drives whose readings are in memory at once."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """Unknowns by the drives on which they act, so that time and memory grow as the drives.
+
+    `own` (R, A): slots of unknowns of one drive only; `wide` (W,): unknowns that are columns for all drives; `groups`:
+    drives that have nothing but these in common with any other, each with the unknowns that act within it.
+    """
+
+    own: BoolArray
+    wide: IntArray
+    groups: tuple[tuple[IntArray, IntArray], ...]
+
+    def chunks(self) -> Iterator[tuple[tuple[IntArray, IntArray], ...]]:
+        """Yield groups together, as many as make `CHUNK` drives."""
+        chunk: list[tuple[IntArray, IntArray]] = []
+        drives = 0
+        for group in self.groups:
+            chunk.append(group)
+            drives += len(group[0])
+            if drives >= CHUNK:
+                yield tuple(chunk)
+                chunk, drives = [], 0
+        if chunk:
+            yield tuple(chunk)
+
+
+def elimination_order(acting: IntArray, count: int) -> Order:
+    """Return it for the unknowns `acting` (R, A) on each drive, of `count` (-1: none).
+
+    What acts on more than half of the drives is wide: there are no more than 2A of these. The others join drives to
+    groups, beginning with those that act on fewest, and are wide where a group would have more than `MOST_LOCAL`.
+    """
+    rows, slots = np.nonzero(acting >= 0)
+    names = acting[rows, slots]
+    degree = np.bincount(names, minlength=count)
+    by_name = np.argsort(names, kind="stable")
+    ends = np.cumsum(degree)
+    above, size = list(range(len(acting))), [0] * len(acting)
+
+    def top(drive: int) -> int:
+        while above[drive] != drive:
+            above[drive] = drive = above[above[drive]]
+        return drive
+
+    wide, local = [], []
+    for unknown in np.argsort(degree, kind="stable").tolist():
+        if degree[unknown] < 2:
+            continue
+        acts_on = rows[by_name[ends[unknown] - degree[unknown] : ends[unknown]]].tolist()
+        joined = {top(drive) for drive in acts_on} if 2 * degree[unknown] <= len(acting) else set()
+        together = 1 + sum(size[drive] for drive in joined)
+        if not joined or together > MOST_LOCAL:
+            wide.append(unknown)
+            continue
+        first = min(joined)
+        for drive in joined:
+            above[drive] = first
+        size[first] = together
+        local.append((acts_on[0], unknown))
+    groups: dict[int, tuple[list[int], list[int]]] = {}
+    for drive in range(len(acting)):
+        groups.setdefault(top(drive), ([], []))[0].append(drive)
+    for drive, unknown in local:
+        groups[top(drive)][1].append(unknown)
+    pairs = tuple((np.array(drives), np.array(within, dtype=np.int64)) for drives, within in groups.values())
+    return Order((acting >= 0) & (degree[acting] == 1), np.array(sorted(wide), dtype=np.int64), pairs)
