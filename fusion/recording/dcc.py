@@ -34,7 +34,7 @@ RECALIBRATION = re.compile(r"recalibration|valid_?until", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class CertifiedQuantity:
-    """N values of a quantity in the coherent SI unit `unit` stands for, complex where it is; NaN U where none is stated.
+    """N values of a quantity in the coherent SI unit `unit` stands for, complex where it is; NaN U where there is none.
 
     `expanded`, `k`, `probability` (N,) each; `covariance` (N, 2, 2) of real and imaginary part, standard, of a complex
     one; `types`: the words of its `refType`; `where`: result and quantity for people; `listed`: it stands in a list.
@@ -85,7 +85,7 @@ class CertifiedCurve:
 
 @dataclass(frozen=True)
 class CalibrationCertificate:
-    """What a DCC states: its number, laboratory, day, last day of validity, quantities, certificates behind them."""
+    """What a DCC states: its number, laboratory, day, last day of validity, quantities."""
 
     path: Path
     number: str
@@ -93,7 +93,6 @@ class CalibrationCertificate:
     date: Date | None
     valid_until: Date | None
     quantities: tuple[CertifiedQuantity, ...]
-    sources: tuple[str, ...]
 
     def refusal(self, key: str, found: str, expected: str) -> InputError:
         """Return the mistake of an element of this file."""
@@ -116,10 +115,6 @@ def read_dcc(path: Path) -> CalibrationCertificate:
         for statement in administrative.iterfind("{*}statements/{*}statement")
         if RECALIBRATION.search(statement.get("refType") or "")
     ]
-    equipment = root.iterfind(
-        "{*}measurementResults/{*}measurementResult/{*}measuringEquipments/{*}measuringEquipment/{*}identifications/{*}identification"
-    )
-    sources = [_text(e.find("{*}value")) for e in equipment if _text(e.find("{*}issuer")) == "calibrationLaboratory"]
     return CalibrationCertificate(
         path=path,
         number=number,
@@ -127,7 +122,6 @@ def read_dcc(path: Path) -> CalibrationCertificate:
         date=next((day for day in days if day is not None), None),
         valid_until=min((day for day in statements if day is not None), default=None),
         quantities=tuple(_quantities(path, root)),
-        sources=tuple(dict.fromkeys(filter(None, sources))),
     )
 
 
@@ -278,13 +272,17 @@ class _Numbers:
     def _uncertainty(self, values: Any, suffix: str, count: int) -> tuple[FloatArray, FloatArray, FloatArray, str]:
         """Read U with k, probability and distribution in all ways in which the D-SI states them; NaN where none is."""
         nothing = np.full(count, np.nan)
-        for place, tags in (
-            (f"measurementUncertaintyUnivariate{suffix}/{{*}}expandedMU{suffix}", ("valueExpandedMU", "coverageFactor")),
+        places: tuple[tuple[str, tuple[str, ...]], ...] = (
+            (
+                f"measurementUncertaintyUnivariate{suffix}/{{*}}expandedMU{suffix}",
+                ("valueExpandedMU", "coverageFactor"),
+            ),
             (f"measurementUncertaintyUnivariate{suffix}/{{*}}standardMU{suffix}", ("valueStandardMU",)),
             (f"measurementUncertaintyUnivariate{suffix}/{{*}}coverageIntervalMU{suffix}", ("valueStandardMU",)),
             (f"expandedUnc{suffix}", ("uncertainty", "coverageFactor")),
             (f"coverageInterval{suffix}", ("standardUnc",)),
-        ):
+        )
+        for place, tags in places:
             element = values.find("{*}" + place)
             if element is None:
                 continue
@@ -315,7 +313,10 @@ class _Numbers:
             value = first * np.exp(1j * second * radian)
         else:
             value = first + 1j * second
-        covariance, nothing = None if polar else self._covariance(values, suffix, len(first)), np.full(len(first), np.nan)
+        covariance, nothing = (
+            None if polar else self._covariance(values, suffix, len(first)),
+            np.full(len(first), np.nan),
+        )
         return CertifiedQuantity(
             "", "", (), np.asarray(value * factor), unit, nothing, nothing, nothing, "",
             None if covariance is None else covariance * factor[:, None, None] ** 2, 0, bool(suffix),
@@ -331,18 +332,28 @@ class _Numbers:
             raise self.refusal(f"covarianceMatrix{suffix}", f"{len(cells)} elements", "2 columns of 2")
         found = np.stack([self.numbers(cell, f"value{suffix}", count) for cell in cells], axis=1).reshape(-1, 2, 2)
         scale = np.trace(found, axis1=1, axis2=2)[:, None, None]
-        if np.any(np.abs(found - found.swapaxes(1, 2)) > 1e-6 * scale) or np.any(np.linalg.det(found) < -1e-9 * scale[:, 0, 0] ** 2):
-            raise self.refusal(f"covarianceMatrix{suffix}", "another matrix", "a symmetric one without negative variances")
+        if np.any(np.abs(found - found.swapaxes(1, 2)) > 1e-6 * scale) or np.any(
+            np.linalg.det(found) < -1e-9 * scale[:, 0, 0] ** 2
+        ):
+            raise self.refusal(
+                f"covarianceMatrix{suffix}", "another matrix", "a symmetric one without negative variances"
+            )
         return found
 
 
 def _joined(parts: Sequence[CertifiedQuantity]) -> CertifiedQuantity:
     """Return the values of an `si:list` as one list."""
-    names = ("value", "expanded", "k", "probability")
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     matrices = [part.covariance for part in parts if part.covariance is not None]
     covariance = np.concatenate(matrices) if len(matrices) == len(parts) else None
-    return replace(parts[0], **joined, covariance=covariance, listed=True)
+    return replace(
+        parts[0],
+        value=np.concatenate([part.value for part in parts]),
+        expanded=np.concatenate([part.expanded for part in parts]),
+        k=np.concatenate([part.k for part in parts]),
+        probability=np.concatenate([part.probability for part in parts]),
+        covariance=covariance,
+        listed=True,
+    )
 
 
 # What users take from a certificate: lists over frequency, single values.
@@ -394,7 +405,9 @@ def _curve(certificate: CalibrationCertificate, members: Sequence[CertifiedQuant
         along = np.stack([np.cos(phase), np.sin(phase)], axis=1)
         across = np.stack([-np.sin(phase), np.cos(phase)], axis=1)
         u_magnitude = np.sqrt(np.einsum("ni,nij,nj->n", along, main.covariance, along))
-        u_phase = np.sqrt(np.einsum("ni,nij,nj->n", across, main.covariance, across)) / np.where(magnitude, magnitude, 1)
+        u_phase = np.sqrt(np.einsum("ni,nij,nj->n", across, main.covariance, across)) / np.where(
+            magnitude, magnitude, 1
+        )
     exact = whole is not None and whole.covariance is not None and whole.unit.dimension == main.unit.dimension
     types = tuple(dict.fromkeys(word for q in used for word in q.types))
     return CertifiedCurve(
@@ -410,42 +423,3 @@ def _standard(certificate: CalibrationCertificate, quantity: CertifiedQuantity) 
     if not np.all(np.isfinite(quantity.expanded)):
         raise certificate.refusal(quantity.where, "no uncertainty", "U with its coverage factor")
     return np.asarray(quantity.expanded / np.minimum(quantity.k, 2.0))
-
-
-def single(
-    certificate: CalibrationCertificate, result: str, fits: Sequence[str]
-) -> tuple[CertifiedQuantity, Unit]:
-    """Return the one value of a certificate that a name, or its unit, picks, and which of the units that `fit` it is in.
-
-    `InputError` where none or several are that, or it lacks U.
-    """
-    wanted = [parse_unit(unit) for unit in fits]
-    scalars = [q for q in certificate.quantities if len(q.value) == 1 and not q.value.imag[0]]
-    named = [q for q in scalars if not result or q.called(result)]
-    known = ", ".join(dict.fromkeys(f'"{q.result}"' for q in scalars)) or "none"
-    if not named:
-        raise certificate.refusal(f'result "{result}"' if result else "dcc:results", f"none; there are {known}", "a value")
-    fitting = [q for q in named if any(q.unit.dimension == unit.dimension for unit in wanted)]
-    if not fitting:
-        found = named[0].unit.text if len(named) == 1 else f"units {', '.join(dict.fromkeys(q.unit.text for q in named))}"
-        raise certificate.refusal(named[0].where, found, f"a unit that converts into {' or '.join(fits)}")
-    if len(fitting) > 1:
-        told = "; ".join(q.where for q in fitting[:5])
-        raise certificate.refusal("dcc:results", f"{len(fitting)} values in {fits[0]} ({told})", "result, the name of one")
-    (own,) = fitting
-    if not np.isfinite(own.expanded[0]):
-        raise certificate.refusal(own.where, "no uncertainty", "U with its coverage factor")
-    return own, next(unit for unit in wanted if unit.dimension == own.unit.dimension)
-
-
-def curve_named(certificate: CalibrationCertificate, result: str) -> CertifiedCurve:
-    """Return the list over frequency of a name, or the only one; `InputError` where none or several are that."""
-    every = curves(certificate)
-    fitting = [curve for curve in every if not result or result in (curve.name, *curve.types)]
-    if len(fitting) != 1:
-        known = ", ".join(f'"{curve.name}"' for curve in every[:8]) or "none"
-        found = f"{len(fitting)} over frequency; there are {known}" if every else "no list over frequency"
-        raise certificate.refusal(
-            f'result "{result}"' if result else "dcc:results", found, "one result over frequency, by its name"
-        )
-    return fitting[0]

@@ -1,4 +1,4 @@
-r"""Units as certificates write them (D-SI, `\milli\volt\newton\tothe{-1}`) and as people do (`mV/N`): one reader of both.
+r"""Units as certificates write them (D-SI, `\milli\volt\newton\tothe{-1}`) and as people do (`mV/N`).
 
 Names after Hutzschenreuter et al. 2019, SmartCom Digital System of Units guide, and the SI brochure.
 """
@@ -57,7 +57,8 @@ UNITS: Mapping[str, tuple[float, Dimension]] = {
     "litre": (1e-3, (3, 0, 0, 0, 0)),
 }
 CELSIUS_AT_0_K = -273.15
-TOKEN = re.compile(r"\\([A-Za-z]+)(?:\{(-?\d{1,3}(?:\.0)?)\})?")
+MOST_PARTS = 12
+TOKEN = re.compile(r"\\([A-Za-z]+)(?:\{(-?\d(?:\.0)?)\})?")
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,8 @@ def parse_unit(text: str) -> Unit:
     if not own.startswith("\\"):
         own = dsi_unit(own)
     own = re.sub(r"\^\{?(-?\d+)\}?", r"\\tothe{\1}", own)
-    factor, dimension, parts, place = 1.0, list(NONE), [], 0
+    factor, dimension, place = 1.0, list(NONE), 0
+    parts: list[tuple[str, int, int]] = []  # unit, decimal prefix, exponent
     decimals, below = 0, False
     for found in TOKEN.finditer(own):
         name, exponent = found[1], found[2]
@@ -122,23 +124,24 @@ def parse_unit(text: str) -> Unit:
             break
         place = found.end()
         if name == "tothe" and exponent and parts and not decimals:
-            parts[-1][2] *= int(float(exponent))
+            last, size, power = parts[-1]
+            parts[-1] = last, size, power * int(float(exponent))
         elif name == "per" and not below and not decimals:
             below = True
         elif name in DECIMALS and not decimals:
             decimals = DECIMALS[name]
         elif name.lower() in UNITS:
-            parts.append([name.lower(), decimals, -1 if below else 1])
+            parts.append((name.lower(), decimals, -1 if below else 1))
             decimals, below = 0, False
         else:
             raise ValueError(rf"expected a unit of the D-SI such as \volt\per\newton, found {text[:80]}")
-    if place != len(own) or not parts or decimals or below:
+    if place != len(own) or not 0 < len(parts) <= MOST_PARTS or decimals or below:
         raise ValueError(rf"expected a unit of the D-SI such as \volt\per\newton, found {text[:80]}")
-    for name, decimal, exponent in parts:
-        size, own_dimension = UNITS[name]
-        factor *= (size * 10.0**decimal) ** exponent
-        dimension = [d + exponent * o for d, o in zip(dimension, own_dimension, strict=True)]
-    celsius = len(parts) == 1 and parts[0] == ["degreecelsius", 0, 1]
+    for name, decimal, power in parts:
+        of_unit, own_dimension = UNITS[name]
+        factor *= (of_unit * 10.0**decimal) ** power
+        dimension = [d + power * o for d, o in zip(dimension, own_dimension, strict=True)]
+    celsius = parts == [("degreecelsius", 0, 1)]
     metre, kilogram, second, ampere, kelvin = dimension
     return Unit(factor, (metre, kilogram, second, ampere, kelvin), text.strip(), celsius)
 

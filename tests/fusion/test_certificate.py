@@ -21,6 +21,7 @@ from fusion.sensor.certificate.dcc import certificate_xml
 from fusion.sensor.certificate.evaluate import Certificate, evaluate_certificate
 from fusion.sensor.certificate.form import NEW_FORM
 from fusion.sensor.certificate.report import certificate_page
+from fusion.sensor.compare.read import read_result
 
 SCHEMA = Path(os.environ.get("SHAKERCAL_DATA", DOCS.parent.parent / "shared" / "data")) / "dcc" / "dcc-3.3.0.xsd"
 NAMES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
@@ -118,6 +119,24 @@ def test_the_numbers_are_those_of_the_table_and_the_xml_is_valid(
     schema = etree.XMLSchema(etree.parse(SCHEMA))
     assert schema.validate(root), schema.error_log
     assert xmlschema.XMLSchema(str(SCHEMA)).is_valid(str(campaign / "certificate" / "certificate.xml"))
+
+
+def test_its_own_certificates_are_read_back(campaign: Path) -> None:
+    assert main(["certificate", str(campaign)]) == 0
+    back = read_result("own", campaign / "certificate" / "certificate.xml")
+    table = read_result("table", campaign / "results" / "Fz-0080")
+    assert back.date is not None
+    found = {(value.channel, value.component): value for value in back.values}
+    expected = [value for value in table.values if value.frequency_hz < 90.0 and value.phase_rad is not None]
+    assert expected
+    for value in expected:
+        own = found[value.channel, value.component]
+        assert (own.frequency_hz, own.magnitude, own.phase_rad) == pytest.approx(
+            (value.frequency_hz, value.magnitude, value.phase_rad), rel=1e-12
+        )
+        # The table has u; of U with k above 2 half of it counts as u.
+        assert 1.0 - 1e-9 <= own.u_magnitude / value.u_magnitude < 1.1
+        assert 1.0 - 1e-9 <= own.u_phase_rad / value.u_phase_rad < 1.1
 
 
 def test_what_is_missing_is_told_in_one_list(campaign: Path, refused: Refused) -> None:

@@ -104,6 +104,69 @@ def test_of_several_kinds_the_element_counts_and_ratios_meet_ratios(tmp_path) ->
     assert [float(row["value"]) for row in found] == [2.0e-7, 2.001e-7]
 
 
+DSI = r"\milli\volt\per\volt\per\newton"
+CERTIFICATE = (
+    '<dcc:digitalCalibrationCertificate xmlns:dcc="https://ptb.de/dcc" xmlns:si="https://ptb.de/si"><dcc:administrativeData>'
+    "<dcc:coreData><dcc:uniqueIdentifier>K 7</dcc:uniqueIdentifier>"
+    "<dcc:endPerformanceDate>2026-03-01</dcc:endPerformanceDate>"
+    "</dcc:coreData></dcc:administrativeData><dcc:measurementResults><dcc:measurementResult><dcc:results><dcc:result><dcc:name>"
+    "<dcc:content>Sensitivity Fz per Fz</dcc:content></dcc:name><dcc:data><dcc:list>"
+    '<dcc:quantity refType="vib_frequency"><si:realListXMLList><si:valueXMLList>80 160</si:valueXMLList>'
+    r"<si:unitXMLList>\hertz</si:unitXMLList></si:realListXMLList></dcc:quantity>"
+    '<dcc:quantity refType="basic_measuredValue"><si:realListXMLList><si:valueXMLList>2.002e-4 2.1e-4</si:valueXMLList>'
+    f"<si:unitXMLList>{DSI}</si:unitXMLList>"
+    "<si:measurementUncertaintyUnivariateXMLList><si:expandedMUXMLList><si:valueExpandedMUXMLList>2e-7</si:valueExpandedMUXMLList>"
+    "<si:coverageFactorXMLList>2</si:coverageFactorXMLList></si:expandedMUXMLList></si:measurementUncertaintyUnivariateXMLList>"
+    "</si:realListXMLList></dcc:quantity></dcc:list></dcc:data></dcc:result></dcc:results></dcc:measurementResult>"
+    "</dcc:measurementResults></dcc:digitalCalibrationCertificate>"
+)
+
+
+def test_a_certificate_in_another_unit_meets_a_table(tmp_path) -> None:
+    (tmp_path / "a.csv").write_text(table((80.0, 2e-7, 2e-10)))
+    (tmp_path / "b.xml").write_text(CERTIFICATE)
+    out = tmp_path / "out"
+    paths = [str(tmp_path / "a.csv"), str(tmp_path / "b.xml")]
+    assert main(["compare", *paths, "--date", "a=2025-03-01", "-o", str(out)]) == 0
+    one, two = (row for row in rows(out / "comparison.csv") if row["quantity"] == "magnitude")
+    assert one["unit"] == two["unit"] == "(V/V)/N"
+    assert float(two["value"]) == pytest.approx(2.002e-7)
+    assert float(two["u"]) == pytest.approx(1e-10)
+    assert float(one["per_year"]) == pytest.approx(2e-10, rel=2e-3), "dated by the certificate"
+
+
+BROKEN_CERTIFICATES = [
+    (CERTIFICATE[:-40], "damaged XML"),
+    ("<a/>", "the root of a DCC"),
+    ('<!DOCTYPE a [<!ENTITY b "c">]>' + CERTIFICATE, "a document type declaration"),
+    (CERTIFICATE.replace("K 7", ""), "dcc:uniqueIdentifier"),
+    (CERTIFICATE.replace("80 160", "80"), "1 numbers"),
+    (CERTIFICATE.replace("2.1e-4", "many"), "si:valueXMLList"),
+    (CERTIFICATE.replace("2.1e-4", "nan"), "finite numbers"),
+    (CERTIFICATE.replace(">2e-7<", "><"), "si:valueExpandedMUXMLList"),
+    (CERTIFICATE.replace("expandedMUXMLList>", "noneXMLList>"), "no uncertainty"),
+    (CERTIFICATE.replace(DSI, r"\furlong"), "a unit of the D-SI"),
+    (CERTIFICATE.replace(DSI, r"\giga\metre\tothe{999}"), "a unit of the D-SI"),
+    (CERTIFICATE.replace(DSI, r"\milli\volt\per\newton"), "a unit that converts into (V/V)/N"),
+    (CERTIFICATE.replace("2026-03-01", "March"), "a day as YYYY-MM-DD"),
+    (CERTIFICATE.replace(" per Fz", ""), "CHANNEL per COMPONENT"),
+    ("<a>" * 100_000, "damaged XML"),
+]
+
+
+@pytest.mark.parametrize(("text", "told"), BROKEN_CERTIFICATES)
+def test_certificates_that_cannot_be_compared_are_one_sentence(tmp_path, capsys, text, told) -> None:
+    (tmp_path / "a.csv").write_text(GOOD)
+    (tmp_path / "b.xml").write_text(text)
+    before = state(tmp_path)
+    assert main(["compare", str(tmp_path / "a.csv"), str(tmp_path / "b.xml"), "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert told in said
+    assert "b.xml" in said
+    assert len(said.strip().splitlines()) == 1
+    assert state(tmp_path) == before
+
+
 GOOD = table((80.0, 2e-7, 2e-10))
 BROKEN = [
     ("", "expected this column, found no such column"),
@@ -118,7 +181,7 @@ BROKEN = [
     (GOOD.replace(",Fz,Fz", ",,Fz"), "channel: expected a text"),
     (GOOD + GOOD.splitlines()[1] + "\n", "expected one value each, found 80 Hz twice for Fz per Fz (line 3)"),
     (table((90.0, 2e-7, 2e-10)), "found nothing in common"),
-    (table((80.0, 2e-7, 2e-10), unit="mV/N"), "expected the same unit in all results"),
+    (table((80.0, 2e-7, 2e-10), unit="mV/N"), "expected a unit that converts into (V/V)/N, found mV/N"),
     (HEAD + "\n", "expected a table with results, found no values"),
     (GOOD.replace("80.0,", "1e300,"), "frequency_hz: expected"),
 ]

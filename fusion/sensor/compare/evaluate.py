@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date as Date
 from itertools import combinations
 from pathlib import Path
@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import CommandEvaluation, InputError
+from fusion.recording.dsi import parse_unit, same_dimension
 from fusion.sensor.compare.consistency import MOST_RESULTS, Reference, drift, normalised_error, reference_value
 from fusion.sensor.compare.read import Result, Value
 from shaker.arrays import FloatArray, Notice
@@ -67,14 +68,11 @@ def evaluate_comparison(
         raise InputError(results[0].file, "", found=found, expected=f"2 to {MOST_RESULTS} results to compare")
     compared: list[Compared] = []
     alone: list[tuple[str, Value]] = []
-    for group in _groups(results, tolerance):
-        if len(group) < 2:
-            alone += group
+    for own in _groups(results, tolerance):
+        if len(own) < 2:
+            alone += own
             continue
-        units = {value.unit for _, value in group}
-        if len(units) > 1:
-            file = next(result.file for result in results if result.name == group[1][0])
-            raise InputError(file, "unit", found=" and ".join(sorted(units)), expected="the same unit in all results")
+        group = _in_one_unit(own, results)
         compared.append(_compared(group, "magnitude", dates))
         turned = [entry for entry in group if entry[1].phase_rad is not None]
         if len(turned) > 1:
@@ -112,6 +110,23 @@ def _groups(results: Sequence[Result], tolerance: float) -> list[list[tuple[str,
         else:
             groups.append([(name, value)])
     return groups
+
+
+def _in_one_unit(group: list[tuple[str, Value]], results: Sequence[Result]) -> list[tuple[str, Value]]:
+    """Return values in the unit of the first of them that people write; `InputError` where one does not convert."""
+    units = {value.unit for _, value in group}
+    if len(units) == 1:
+        return group
+    unit = next((value.unit for _, value in group if not value.unit.startswith("\\")), group[0][1].unit)
+    converted = []
+    for name, value in group:
+        if not same_dimension(value.unit, unit):
+            file = next(result.file for result in results if result.name == name)
+            raise InputError(file, "unit", found=value.unit, expected=f"a unit that converts into {unit}")
+        factor = 1.0 if value.unit == unit else parse_unit(value.unit).factor / parse_unit(unit).factor
+        size, u = factor * value.magnitude, factor * value.u_magnitude
+        converted.append((name, replace(value, unit=unit, magnitude=size, u_magnitude=u)))
+    return converted
 
 
 def _compared(group: Sequence[tuple[str, Value]], quantity: str, dates: Mapping[str, Date]) -> Compared:

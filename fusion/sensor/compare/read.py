@@ -1,14 +1,17 @@
-"""What a comparison reads: a results folder of this program, or a CSV table of others."""
+"""What a comparison reads: a results folder of this program, or a CSV table or certificate of others."""
 
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import dataclass
+from datetime import date as Date
 from pathlib import Path
 
 import numpy as np
 
 from fusion.base import InputError
+from fusion.recording.dcc import SUFFIX, curves, read_dcc
 from fusion.recording.toml import read_text
 from fusion.recording.values import describe, wrong_size
 from fusion.report.folder import CURVE_FILE, SENSITIVITY_FILE
@@ -17,6 +20,8 @@ LARGEST_TABLE = 50_000_000  # bytes
 NEEDED = ("frequency_hz", "channel", "component", "magnitude", "unit")
 KINDS = ("matrix", "element", "ratio")
 """Of the rows of a table: those that are results of a driven load, the one that tells most of the sensor first."""
+ELEMENT = re.compile(r"(\S+) per (\S+)$")
+"""How the name of a certificate's result ends."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +45,12 @@ class Value:
 
 @dataclass(frozen=True)
 class Result:
-    """What is compared: its name, file and values."""
+    """What is compared: its name, file and values, and the day that its certificate states."""
 
     name: str
     file: Path
     values: tuple[Value, ...]
+    date: Date | None = None
 
 
 def result_file(path: Path) -> Path:
@@ -59,13 +65,17 @@ def result_file(path: Path) -> Path:
 
 
 def read_result(name: str, path: Path) -> Result:
-    """Read one result: curve.csv or sensitivity.csv of a folder, or a table; `InputError` for what cannot be compared.
+    """Read one result: curve.csv or sensitivity.csv of a folder, a table, or a Digital Calibration Certificate.
+
+    `InputError` for what cannot be compared.
 
     Columns: frequency_hz, channel, component, magnitude, unit, and U_magnitude with k, or u_magnitude; optionally
     phase_rad with U_phase_rad (k_phase, else k) or u_phase_rad, and kind (element where there is none). Of several
     kinds of one value that counts which tells most of the sensor: matrix, element, ratio.
     """
     file = result_file(path)
+    if file.suffix.lower() == SUFFIX:
+        return _certified(name, file)
     try:
         reader = csv.DictReader(read_text(file, LARGEST_TABLE, "a table").splitlines())
         columns, rows = tuple(reader.fieldnames or ()), list(reader)
@@ -91,6 +101,35 @@ def read_result(name: str, path: Path) -> Result:
     if not found:
         raise InputError(file, "", found="no values", expected="a table with results")
     return Result(name, file, tuple(value for _, value in found.values()))
+
+
+def _certified(name: str, file: Path) -> Result:
+    """Read the results of a certificate that are named as `shakercal certificate` does, "… CHANNEL per COMPONENT"."""
+    certificate, values = read_dcc(file), list[Value]()
+    for curve in curves(certificate):
+        element = ELEMENT.search(curve.name)
+        if element is None:
+            continue
+        u_magnitude, phased = curve.u_magnitude / curve.unit.factor, np.isfinite(curve.phase_rad)
+        if np.any(curve.u_magnitude <= 0.0) or np.any(curve.u_phase_rad[phased] <= 0.0):
+            raise InputError(file, f'result "{curve.name}"', found="an uncertainty of 0", expected="one above 0")
+        for n, frequency_hz in enumerate(curve.frequency_hz.tolist()):
+            own = Value(
+                frequency_hz=frequency_hz,
+                channel=element[1],
+                component=element[2],
+                ratio=False,
+                unit=curve.unit.text,
+                magnitude=float(curve.magnitude[n]) / curve.unit.factor,
+                u_magnitude=float(u_magnitude[n]),
+                phase_rad=float(curve.phase_rad[n]) if phased[n] else None,
+                u_phase_rad=float(curve.u_phase_rad[n]),
+            )
+            values.append(own)
+    if not values:
+        expected = 'a result over frequency named "… CHANNEL per COMPONENT", such as "Sensitivity Fz per Fz"'
+        raise InputError(file, "dcc:results", found="none", expected=expected)
+    return Result(name, file, tuple(values), certificate.date)
 
 
 def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> Value:

@@ -183,6 +183,7 @@ def run_compare(
         except ValueError as error:
             raise InputError("--date", name, found=f'"{day}"', expected="a day as YYYY-MM-DD") from error
     results = [read_result(name, path) for name, path in named.items()]
+    days = {result.name: result.date for result in results if result.date is not None} | days
     root = Path(os.path.commonpath([result.file.resolve().parent for result in results]))
     files = hash_files([result_file(path) for path in named.values()], root)
     folder = Path("comparison") if output is None else output
