@@ -332,10 +332,11 @@ class TriggerFit:
     `number` (E,): count of each edge kept (0 = first), which lies in (`lower_s`, `upper_s`] (E,); `edge_s` (E,) their
     own estimates, from which `correction_s` (E,) for the shape of the rise is taken off already. `kind`: what the model
     rests on, the intervals ("sampled") or the estimates ("resolved"); `resolution_s`: √12 times what sampling and noise
-    leave open of one edge; `open_s`: of all edges alike, because they keep falling on the same places between samples
-    or for the ringing of others. `covariance` (2, 2) of (start_s, period_s); `jitter_s` standard deviation of the edges
-    about the model beyond what sampling explains; `missing` numbers without an edge, `doubled` and `spurious` edges
-    dropped. `idle_before`, `idle_after`: the record shows that the burst begins or ends here.
+    leave open of one edge; `open_s`: of all edges alike, because they keep falling on the same places between samples,
+    for the shape of a resolved rise or the ringing of others. `covariance` (2, 2) of (start_s, period_s); `jitter_s`
+    standard deviation of the edges about the model beyond what sampling explains; `missing` numbers without an edge,
+    `doubled` and `spurious` edges dropped. `idle_before`, `idle_after`: the record shows that the burst begins or ends
+    here.
     """
 
     start_s: float
