@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import os
+import pickle
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import TYPE_CHECKING
+from functools import lru_cache, partial
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
@@ -19,40 +21,84 @@ if TYPE_CHECKING:
     from fusion.sensitivity.load import LoadResult
 
 
+Numbers = tuple[tuple[Contribution, ...], FloatArray]
+About = tuple[str, str, float, str, Scope, Kind, float, Distribution]
+"""An unknown without its effect: name, label, standard uncertainty, unit, scope, type, degrees of freedom, kind."""
+
+
 class Stored(Uncertainty):
     """An uncertainty whose influences are made when they are asked for.
 
-    Between two uses there is one table of all effects (E, K, 2C), and what else is known of an unknown there is once
-    for all recordings: of thousands of recordings, objects take five times the memory of their numbers.
+    Between two uses there are the random contributions and one table `effects` (E, K, 2C), in memory or on a shelf;
+    what else is known of an unknown, `about` (E), is there once wherever it acts. Objects take five times the memory.
     """
 
-    effects: FloatArray
-    about: tuple[Influence, ...]
+    about: tuple[About, ...]
+    numbers: Callable[[], Numbers]
 
-    def __init__(self, known: Uncertainty) -> None:
+    def __init__(self, about: tuple[About, ...], numbers: Callable[[], Numbers]) -> None:
+        object.__setattr__(self, "about", about)
+        object.__setattr__(self, "numbers", numbers)
+
+    @classmethod
+    def of(cls, known: Uncertainty) -> Stored:
+        """Return a known uncertainty, stored in memory."""
         influences = known.influences
-        about = tuple(
-            _without_effect(i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences
-        )
-        for name, value in (
-            ("random", known.random),
-            ("effects", np.array([influence.effect for influence in influences])),
-            ("about", about),
-        ):
-            object.__setattr__(self, name, value)
+        own = ((i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences)
+        effects = np.array([influence.effect for influence in influences])
+        return cls(tuple(_once(*about) for about in own), partial(_held, (known.random, effects)))
+
+    @property
+    def random(self) -> tuple[Contribution, ...]:
+        """Return the random contributions."""
+        return self.numbers()[0]
 
     @property
     def influences(self) -> tuple[Influence, ...]:
         """Return the influences."""
-        return tuple(about.acting(effect) for about, effect in zip(self.about, self.effects, strict=True))
+        pairs = zip(self.about, self.numbers()[1], strict=True)
+        return tuple(Influence(*about[:4], effect, *about[4:]) for about, effect in pairs)
+
+    def _mapped(
+        self, of_covariance: Callable[[FloatArray], FloatArray], of_effect: Callable[[FloatArray], FloatArray]
+    ) -> Stored:
+        random, effects = self.numbers()
+        mapped = tuple(replace(part, covariance=of_covariance(part.covariance)) for part in random)
+        effects = np.ascontiguousarray(of_effect(effects)) if self.about else effects
+        return Stored(self.about, partial(_held, (mapped, effects)))
+
+
+def _held(numbers: Numbers) -> Numbers:
+    return numbers
 
 
 @lru_cache(maxsize=4096)
-def _without_effect(
-    name: str, label: str, u: float, unit: str, *own: *tuple[Scope, Kind, float, Distribution]
-) -> Influence:
-    """Return an unknown without an effect, the same object for the same unknown."""
-    return Influence(name, label, u, unit, np.zeros((0, 0)), *own)
+def _once(*about: *About) -> About:
+    """Return the same object for the same unknown."""
+    return about
+
+
+class Shelf:
+    """Uncertainties of thousands of drives in a file, which is gone when it is closed."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+
+    def put(self, drive: Drive) -> Drive:
+        """Return a drive whose uncertainties are on the shelf."""
+        load, outputs = (self._put(u) for u in (drive.load_uncertainty, drive.outputs_uncertainty))
+        return replace(drive, load_uncertainty=load, outputs_uncertainty=outputs)
+
+    def _put(self, known: Uncertainty) -> Stored:
+        stored = known if isinstance(known, Stored) else Stored.of(known)
+        place = self._file.seek(0, os.SEEK_END)
+        pickle.dump(stored.numbers(), self._file, protocol=pickle.HIGHEST_PROTOCOL)
+        return Stored(stored.about, partial(self._get, place))
+
+    def _get(self, place: int) -> Numbers:
+        self._file.seek(place)
+        numbers: Numbers = pickle.load(self._file)
+        return numbers
 
 
 LOADS = 6
@@ -138,9 +184,9 @@ def line_drives(
             nominal_hz=float(nominal_hz[line]),
             direction=tuple(float(number) for number in direction),
             load=load.value[line],
-            load_uncertainty=Stored(load.uncertainty.at_lines([line])),
+            load_uncertainty=Stored.of(load.uncertainty.at_lines([line])),
             outputs=outputs.phasors.value[line],
-            outputs_uncertainty=Stored(outputs.uncertainty.at_lines([line])),
+            outputs_uncertainty=Stored.of(outputs.uncertainty.at_lines([line])),
             channels=outputs.phasors.channels,
         )
         for line in driven.tolist()
@@ -190,8 +236,11 @@ def between_recordings(uncertainty: Uncertainty, recording: str, mounting: str, 
         "recording": f" [{recording}]",
         "start": f" [{start or recording}]",
     }
+    if isinstance(uncertainty, Stored):
+        about: list[About] = [(f"{a[0]}{suffix[a[4]]}", a[1], a[2], a[3], "rig", *a[5:]) for a in uncertainty.about]
+        return Stored(tuple(about), uncertainty.numbers)
     influences = [replace(i, name=f"{i.name}{suffix[i.scope]}", scope="rig") for i in uncertainty.influences]
-    return Uncertainty(uncertainty.random, tuple(influences))
+    return replace(uncertainty, influences=tuple(influences))
 
 
 def over_lines(parts: Sequence[Uncertainty]) -> Uncertainty:

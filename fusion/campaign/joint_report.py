@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import NamedTuple
 from urllib.parse import quote
 
@@ -15,6 +17,7 @@ from markupsafe import Markup
 
 from fusion.base import DASH
 from fusion.campaign.curve import CurvePoint, Linearity
+from fusion.campaign.drive import Shelf
 from fusion.campaign.figures import draw_crosstalk, draw_curve, draw_excitation, draw_outputs
 from fusion.campaign.joint import (
     CampaignEvaluation,
@@ -30,7 +33,7 @@ from fusion.campaign.matrix_solve import LEAST_SINGULAR
 from fusion.campaign.recorded import Recorded, read_recorded
 from fusion.campaign.repeats import Repeats
 from fusion.estimation.uncertainty import Polar, polar, polar_elements
-from fusion.report.files import write_files, write_together
+from fusion.report.files import workshop, write_files, write_together, writing
 from fusion.report.folder import (
     CURVE_FILE,
     RESULT_FILE,
@@ -395,7 +398,16 @@ def write_campaign(top: Path, name: str, folders: Sequence[Path], failed: Mappin
     no result. The files appear together, or not at all where results are replaced while they are read.
     """
     inputs = InputFiles.watched(folder / file for folder in folders for file in (*MERGED_FILES, RESULT_FILE))
-    evaluation = evaluate_campaign(name, [read_recorded(folder) for folder in folders], failed)
+    with ExitStack() as stack:
+        with writing(top):
+            shelf = Shelf(stack.enter_context(TemporaryFile(dir=workshop(top))))
+            entries = (read_recorded(folder) for folder in folders)
+            recorded = [replace(entry, drives=tuple(map(shelf.put, entry.drives))) for entry in entries]
+        return _write(top, evaluate_campaign(name, recorded, failed), folders, inputs)
+
+
+def _write(top: Path, evaluation: CampaignEvaluation, folders: Sequence[Path], inputs: InputFiles) -> list[Path]:
+    """Write the joint files together, unless inputs have changed."""
 
     def make(temporary: Path) -> list[str]:
         names = write_files(temporary, campaign_tables(evaluation, folders))

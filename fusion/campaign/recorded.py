@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -161,5 +162,5 @@ def _numbers(group: h5py.Group, name: str) -> tuple[float, ...]:
 
 
 def _texts(group: h5py.Group, name: str) -> tuple[str, ...]:
-    """A list of texts."""
-    return tuple(group[name].asstr()[()].tolist())
+    """A list of texts, each there once for all recordings."""
+    return tuple(map(sys.intern, group[name].asstr()[()].tolist()))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from fusion.campaign.drive import Drive
+from fusion.campaign.drive import Drive, Stored
 from fusion.estimation.least_squares import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
@@ -191,7 +191,8 @@ def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | Non
     if not usable:
         raise ValueError("drives: expected an output that all recordings of one excitation have, found none")
     usable = usable if known is None else [known.channels[row] for row in known.rows]
-    found = [drive_value(drive, component, usable, known) for drive in drives]
+    each = (drive_value(drive, component, usable, known) for drive in drives)
+    found: list[tuple[ComplexArray, Uncertainty]] = [(value, Stored.of(uncertainty)) for value, uncertainty in each]
     plain = plain_mean([value for value, _ in found])
     scaled = over_plain(found, plain)
     mountings = [drive.mounting for drive in drives]
@@ -387,7 +388,7 @@ def _weights(
     """
     # What no other recording shares: noise, and unknowns of the recording.
     seen = Counter(influence.name for _, uncertainty in values for influence in uncertainty.influences)
-    alone = [replace(u, influences=tuple(i for i in u.influences if seen[i.name] == 1)) for _, u in values]
+    alone = (Uncertainty(u.random, tuple(i for i in u.influences if seen[i.name] == 1)) for _, u in values)
     own = np.array([total_variance(uncertainty.covariance)[0] for uncertainty in alone])
     best = int(np.argmin(np.sum(own, axis=0)))
     within, between = (total_variance(part[None])[0, best] for part in (scatter.within, scatter.between))

@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import re
+import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -174,10 +175,14 @@ def read_provenance(folder: Path, marker: str = RESULT_FILE) -> Provenance | Non
 def provenance_of(file: h5py.File) -> Provenance:
     """Return the provenance of open results; `KeyError` where they have none."""
     group = file["provenance"]
-    hashes = zip(group["input_file"].asstr()[()], group["input_sha256"].asstr()[()], strict=True)
+    # Thousands of recordings have the same names, versions and files.
+    names, digests, files = (
+        map(sys.intern, group[name].asstr()[()]) for name in ("input_file", "input_sha256", "files")
+    )
     settings, versions = (dict(group[name].attrs) for name in ("settings", "versions"))
     plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in settings.items()}
-    return Provenance(dict(hashes), plain, versions, tuple(group["files"].asstr()[()]))
+    versions = {sys.intern(name): sys.intern(str(version)) for name, version in versions.items()}
+    return Provenance(dict(zip(names, digests, strict=True)), plain, versions, tuple(files))
 
 
 def write_provenance(file: h5py.File, origin: Origin, files: Sequence[str]) -> None:
