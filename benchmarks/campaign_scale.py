@@ -1,6 +1,6 @@
 """Campaigns of thousands of recordings: what listing, resuming and joining them costs, by their number.
 
-    python benchmarks/campaign_scale.py [100 1000 10000] [--folder FOLDER] [--amplitudes]
+    python benchmarks/campaign_scale.py [100 1000 10000] [--folder FOLDER] [--amplitudes] [--matrix]
 
 Twelve recordings of the preset `sweep` (12 frequencies, other program's points) are evaluated. Their results folders
 are multiplied: inputs as hard links under manifests of their own, in `result.h5` what a campaign reads, with another
@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -34,16 +35,17 @@ FREQUENCIES, PER_FREQUENCY, PER_MOUNTING = 12, 4, 2
 NOISE = 1e-3
 READ = ("excitation", "sensor", "notices", "lines", "load", "outputs", "clocks", "provenance")
 """What of result.h5 a campaign reads."""
+STEM = re.compile(", (?:mounting|simulated)")
 RUN = "import sys; from fusion.cli import main; sys.exit(main(sys.argv[1:]))"
 
 
-def evaluated(folder: Path) -> Path:
-    """Return a campaign of one evaluated recording per frequency, made where it is not there yet."""
+def evaluated(folder: Path, preset: str) -> Path:
+    """Return a campaign of one evaluated recording per frequency or excitation, made where it is not there yet."""
     if not (folder / "results").is_dir():
-        made = folder.with_name("made")
-        simulate(made, "sweep", 1)
+        made = folder.with_name(f"made-{preset}")
+        simulate(made, preset, 1)
         for number, place in enumerate(sorted(path.parent for path in made.glob(f"*/{RECORDING_NAME}"))):
-            if number % PER_FREQUENCY:
+            if preset == "sweep" and number % PER_FREQUENCY:
                 shutil.rmtree(place)
         made.rename(folder)
         for outcome in run_path(folder, None, Settings()):
@@ -64,9 +66,10 @@ def multiply(base: Path, campaign: Path, recordings: int, amplitudes: bool) -> N
         copy = f"{original.rpartition('-')[0]}-{turn + 1:05d}"
         text = (base / original / RECORDING_NAME).read_text(encoding="utf-8")
         name = text.partition('name = "')[2].partition('"')[0]
-        other, mounting = f"{name.partition(',')[0]}, recording {turn + 1}", f"{turn // PER_MOUNTING + 1}"
+        before_it = text.partition('mounting = "')[2].partition('"')[0]
+        other, mounting = f"{STEM.split(name)[0]}, recording {turn + 1}", f"{before_it}-{turn // PER_MOUNTING + 1}"
         text = text.replace(f'name = "{name}"', f'name = "{other}"', 1)
-        text = text.replace('mounting = "1"', f'mounting = "{mounting}"', 1)
+        text = text.replace(f'mounting = "{before_it}"', f'mounting = "{mounting}"', 1)
         for file in (base / original).iterdir():
             if file.is_file() and file.name != RECORDING_NAME:
                 _link(file, campaign / copy / file.name)
@@ -115,15 +118,15 @@ def cost(campaign: Path) -> tuple[float, float, float, str]:
     return usage.ru_utime, usage.ru_stime, usage.ru_maxrss * unit / 1e9, told
 
 
-def main(sizes: list[int], folder: Path, amplitudes: bool) -> None:
+def main(sizes: list[int], folder: Path, amplitudes: bool, preset: str) -> None:
     """Print one row for each number of recordings."""
-    base = evaluated(folder / "base")
+    base = evaluated(folder / f"base-{preset}", preset)
     print(
         "| recordings | CPU time / s | of it by the system / s | peak memory / GB | lines printed | joint files / MB |"
     )
     print("|---|---|---|---|---|---|")
     for size in sizes:
-        campaign = folder / f"{size}{'-amplitudes' if amplitudes else ''}"
+        campaign = folder / f"{preset}-{size}{'-amplitudes' if amplitudes else ''}"
         if not campaign.exists():
             multiply(base, campaign, size, amplitudes)
         user, system, peak, told = cost(campaign)
@@ -140,7 +143,8 @@ if __name__ == "__main__":
     parser.add_argument("sizes", nargs="*", type=int, default=[100, 1000, 10000], help="numbers of recordings")
     parser.add_argument("--folder", type=Path, help="where everything is kept (default: nowhere)")
     parser.add_argument("--amplitudes", action="store_true", help="recordings of several amplitudes")
+    parser.add_argument("--matrix", action="store_true", help="recordings of a 6 x 6 matrix")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         where = Path(temporary) if options.folder is None else options.folder
-        main(options.sizes, where, options.amplitudes)
+        main(options.sizes, where, options.amplitudes, "matrix" if options.matrix else "sweep")

@@ -91,8 +91,9 @@ class Shelf:
 
     def _put(self, known: Uncertainty) -> Stored:
         stored = known if isinstance(known, Stored) else Stored.of(known)
+        numbers = stored.numbers()  # which may come from this file
         place = self._file.seek(0, os.SEEK_END)
-        pickle.dump(stored.numbers(), self._file, protocol=pickle.HIGHEST_PROTOCOL)
+        pickle.dump(numbers, self._file, protocol=pickle.HIGHEST_PROTOCOL)
         return Stored(stored.about, partial(self._get, place))
 
     def _get(self, place: int) -> Numbers:

@@ -257,10 +257,10 @@ def _draw_bars(
 
 def _draw_mountings(axes: Axes, recorded: Sequence[tuple[float, str]], off: FloatArray, right: float) -> None:
     """Single recordings of given frequency and mounting, off the curve (R,), each mounting beside its frequency."""
-    mountings = np.array([mounting for _, mounting in recorded], dtype=np.str_)
+    mountings, all_hz = (np.array(column) for column in ([m for _, m in recorded], [f for f, _ in recorded]))
     for place, mounting in enumerate(np.unique(mountings)):
         own = mountings == mounting
-        frequency = np.array([f for f, _ in recorded])[own] + SPREAD_SHARE * right * (place + 1)
+        frequency = all_hz[own] + SPREAD_SHARE * right * (place + 1)
         look: dict[str, Any] = {"markerfacecolor": "none", "markersize": 3.8, "markeredgewidth": 0.8, "linestyle": ""}
         marker = MOUNTING_MARKERS[place % len(MOUNTING_MARKERS)]
         axes.plot(frequency, off[own], marker, color=BLACK, label=f"mounting {mounting}", **look)

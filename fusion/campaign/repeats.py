@@ -198,6 +198,7 @@ def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | Non
     mountings = [drive.mounting for drive in drives]
     scatter = _components(scaled, mountings)
     weight = _weights(scaled, mountings, scatter)
+    del scaled  # of thousands of recordings, as large as what was found
     value = np.einsum("n,nc->c", weight, np.array([value for value, _ in found]))
     uncertainty = _of_mean(found, weight, mountings, plain)
     # Relative standard deviations of the whole complex value: root of the sum of both parts' variances.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,15 +14,23 @@ from contracts import refused
 from numpy.typing import NDArray
 from plain_drives import plain_drive, uncertainty
 from scipy.stats import binom
-from simulated_drives import CAPACITY, DriveErrors, drive_setup, simulate_drives, true_matrix
+from simulated_drives import CAPACITY, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
 from support import far
 from violations import JITTER_S, Rig, preset_of
 
 from fusion.base import Settings
 from fusion.campaign.curve import _slope, find_linearity
-from fusion.campaign.drive import Drive, between_recordings, drives_of, group_by_frequency, over_lines, with_starts
+from fusion.campaign.drive import (
+    Drive,
+    Shelf,
+    between_recordings,
+    drives_of,
+    group_by_frequency,
+    over_lines,
+    with_starts,
+)
 from fusion.campaign.repeats import BETWEEN, Repeats, alike, find_repeats, mean_ratio, own_and_shared
-from fusion.estimation.uncertainty import polar_elements
+from fusion.estimation.uncertainty import Influence, Uncertainty, polar_elements
 from fusion.phasors.timing import Grid
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.evaluate import evaluate_recording
@@ -474,3 +484,43 @@ def test_a_slope_by_blocks_is_generalised_least_squares_written_out():
         slope, _, chi2 = _slope(readings, own, shared, places, channel)
         assert slope == pytest.approx(complex(*unknowns[2:]) / complex(*unknowns[:2]), rel=1e-7)
         assert chi2 == pytest.approx(residual @ weight @ residual, rel=1e-7)
+
+
+def test_uncertainties_on_a_shelf_are_the_same_to_the_last_bit(tmp_path):
+    first, second = simulate_drives(eight_setups(np.random.default_rng(1))[:2], *truth_and_errors(1))
+    with (tmp_path / "shelf").open("w+b") as file:
+        shelf = Shelf(file)
+        kept = [shelf.put(drive) for drive in (first, second)]
+        for drive, other in [*zip(kept, (first, second), strict=True), (shelf.put(kept[0]), first)]:
+            for found, known in zip(drive.shared(), other.shared(), strict=True):
+                assert [i.name for i in found.influences] == [i.name for i in known.influences]
+                assert all(a.effect.tobytes() == b.effect.tobytes() for a, b in pairs(found, known))
+                assert all(
+                    (a.u, a.dof, a.scope, a.unit) == (b.u, b.dof, b.scope, b.unit) for a, b in pairs(found, known)
+                )
+                assert found.covariance.tobytes() == known.covariance.tobytes()
+                factor = np.full((1, 6), 2.0 - 1.0j)
+                assert found.scaled(factor).covariance.tobytes() == known.scaled(factor).covariance.tobytes()
+
+
+def pairs(found: Uncertainty, known: Uncertainty) -> Iterator[tuple[Influence, Influence]]:
+    return zip(found.influences, known.influences, strict=True)
+
+
+def truth_and_errors(seed: int) -> tuple[AnyArray, DriveErrors]:
+    rng = np.random.default_rng(seed)
+    return true_matrix(rng), DriveErrors(rng)
+
+
+def test_memory_of_the_mean_grows_as_the_recordings():
+    rng = np.random.default_rng(2)
+    base, errors, truth, peaks = drive_setup(rng, "", "z", (0.0, 0.0, 0.08)), DriveErrors(rng), true_matrix(rng), []
+    for count in (20, 200):
+        setups = [replace(base, recording=f"{n}", mounting=f"{n // 2}") for n in range(count)]
+        drives = simulate_drives(setups, truth, errors)
+        tracemalloc.start()
+        (found,) = find_repeats(drives, CAPACITY.tolist())
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert len(found.recordings) == count
+    assert peaks[1] < 11.0 * peaks[0]
