@@ -314,23 +314,27 @@ class _Numbers:
         else:
             value = first + 1j * second
         covariance, nothing = (
-            None if polar else self._covariance(values, suffix, len(first)),
+            None if polar else self._covariance(values, suffix, len(first), unit),
             np.full(len(first), np.nan),
         )
         return CertifiedQuantity(
             "", "", (), np.asarray(value * factor), unit, nothing, nothing, nothing, "",
-            None if covariance is None else covariance * factor[:, None, None] ** 2, 0, bool(suffix),
+            covariance, 0, bool(suffix),
         )  # fmt: skip
 
-    def _covariance(self, values: Any, suffix: str, count: int) -> FloatArray | None:
-        """Read the covariance matrices (N, 2, 2) of complex values, in the unit of the values squared."""
+    def _covariance(self, values: Any, suffix: str, count: int, unit: Unit) -> FloatArray | None:
+        """Read the covariance matrices (N, 2, 2) of complex values in SI, None where their unit is not that squared."""
         matrix = values.find(f".//{{*}}covarianceMatrix{suffix}")
         if matrix is None:
             return None
         cells = matrix.findall(f"{{*}}column{suffix}/{{*}}covariance{suffix}")
         if len(cells) != 4:
             raise self.refusal(f"covarianceMatrix{suffix}", f"{len(cells)} elements", "2 columns of 2")
-        found = np.stack([self.numbers(cell, f"value{suffix}", count) for cell in cells], axis=1).reshape(-1, 2, 2)
+        units = [self.units(cell, f"unit{suffix}", count) for cell in cells]
+        if any(own.dimension != tuple(2 * power for power in unit.dimension) for own, _ in units):
+            return None
+        numbers = [self.numbers(cell, f"value{suffix}", count) for cell in cells]
+        found = np.stack([n * factor for n, (_, factor) in zip(numbers, units, strict=True)], axis=1).reshape(-1, 2, 2)
         scale = np.trace(found, axis1=1, axis2=2)[:, None, None]
         if np.any(np.abs(found - found.swapaxes(1, 2)) > 1e-6 * scale) or np.any(
             np.linalg.det(found) < -1e-9 * scale[:, 0, 0] ** 2
@@ -400,7 +404,7 @@ def _curve(certificate: CalibrationCertificate, members: Sequence[CertifiedQuant
         phase, u_phase = (turns[0].value.real, _standard(certificate, turns[0])) if turns else (nothing, nothing)
     else:
         if main.covariance is None:
-            raise certificate.refusal(main.where, "no uncertainty", "the covariance of the complex values")
+            raise certificate.refusal(main.where, "no uncertainty", "their covariance, in their unit squared")
         magnitude, phase = np.abs(main.value), np.angle(main.value)
         along = np.stack([np.cos(phase), np.sin(phase)], axis=1)
         across = np.stack([-np.sin(phase), np.cos(phase)], axis=1)

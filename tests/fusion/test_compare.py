@@ -8,6 +8,7 @@ from support import refusals, rows, state, told_columns
 
 from fusion.cli import main
 from fusion.sensor.compare.consistency import drift, normalised_error, reference_value
+from fusion.sensor.compare.read import read_result
 from fusion.sensor.compare.report import COMPARISON
 
 
@@ -135,7 +136,49 @@ def test_a_certificate_in_another_unit_meets_a_table(tmp_path) -> None:
     assert float(one["per_year"]) == pytest.approx(2e-10, rel=2e-3), "dated by the certificate"
 
 
+def complex_certificate(unit: str, variance: str) -> str:
+    """The certificate with complex values in mV/V/N and their covariance in a unit in place of magnitudes."""
+    start = CERTIFICATE.index('<dcc:quantity refType="basic_measuredValue">')
+    end = CERTIFICATE.index("</dcc:list>")
+
+    def column(*numbers: str) -> str:
+        cells = (
+            f"<si:covarianceXMLList><si:valueXMLList>{number}</si:valueXMLList><si:unitXMLList>{unit}</si:unitXMLList>"
+            "</si:covarianceXMLList>"
+            for number in numbers
+        )
+        return f"<si:columnXMLList>{''.join(cells)}</si:columnXMLList>"
+
+    matrix = column(variance, "0") + column("0", variance)
+    region = (
+        "<si:measurementUncertaintyBivariateXMLList><si:ellipsoidalRegionMUXMLList><si:covarianceMatrixXMLList>"
+        f"{matrix}</si:covarianceMatrixXMLList></si:ellipsoidalRegionMUXMLList></si:measurementUncertaintyBivariateXMLList>"
+    )
+    values = (
+        "<dcc:quantity><si:complexListXMLList><si:valueRealXMLList>2.002e-4 2.1e-4</si:valueRealXMLList>"
+        f"<si:valueImagXMLList>0 0</si:valueImagXMLList><si:unitXMLList>{DSI}</si:unitXMLList>{region}"
+        "</si:complexListXMLList></dcc:quantity>"
+    )
+    return CERTIFICATE[:start] + values + CERTIFICATE[end:]
+
+
+@pytest.mark.parametrize(
+    ("unit", "variance"),
+    [
+        (r"\milli\volt\tothe{2}\volt\tothe{-2}\newton\tothe{-2}", "1e-14"),
+        (r"\volt\tothe{2}\volt\tothe{-2}\newton\tothe{-2}", "1e-20"),
+    ],
+)
+def test_a_covariance_counts_in_its_own_unit(tmp_path, unit: str, variance: str) -> None:
+    (tmp_path / "b.xml").write_text(complex_certificate(unit, variance))
+    one, two = read_result("b", tmp_path / "b.xml").values
+    assert (one.magnitude, two.magnitude) == pytest.approx((2.002e-4, 2.1e-4))
+    assert (one.u_magnitude, two.u_magnitude) == pytest.approx((1e-7, 1e-7)), "in mV/V/N"
+    assert one.u_phase_rad == pytest.approx(1e-7 / 2.002e-4)
+
+
 BROKEN_CERTIFICATES = [
+    (complex_certificate(r"\milli\volt\tothe{2}", "1e-14"), "found no uncertainty"),
     (CERTIFICATE[:-40], "damaged XML"),
     ("<a/>", "the root of a DCC"),
     ('<!DOCTYPE a [<!ENTITY b "c">]>' + CERTIFICATE, "a document type declaration"),
