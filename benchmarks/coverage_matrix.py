@@ -33,7 +33,8 @@ from fusion.campaign.drive import Drive
 from fusion.campaign.matrix import cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
 from fusion.campaign.repeats import find_repeats
-from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, coverage_factor, polar_elements
+from fusion.estimation.coverage import coverage_factor
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, polar_elements
 from fusion.instruments.channel import ChainUncertainty
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Sensor
@@ -56,12 +57,11 @@ class Tallies:
     def __init__(self) -> None:
         self.elements = [Tally() for _ in range(36)]
 
-    def add(self, error: ComplexArray, uncertainty: Uncertainty) -> None:
+    def add(self, value: ComplexArray, truth: ComplexArray, uncertainty: Uncertainty) -> None:
         """Take in one matrix."""
-        covariance, dof = uncertainty.covariance[0], uncertainty.dof()[0]
-        for place, tally in enumerate(self.elements):
-            both = [place, place + 36]
-            tally.add(complex(error.ravel()[place]), covariance[np.ix_(both, both)], float(dof[place]))
+        errors, stated = (value - truth).ravel().tolist(), polar_elements(value.reshape(1, -1), uncertainty)[0]
+        for tally, error, own in zip(self.elements, errors, stated, strict=True):
+            tally.add(error, own)
 
     def chosen(self, mask: BoolArray) -> list[Tally]:
         """Return the elements of a mask (6, 6)."""
@@ -79,9 +79,9 @@ def eight_recordings(trials: int, rng: np.random.Generator) -> None:
     for _ in range(trials):
         truth = true_matrix(rng)
         fit = fit_matrix(simulate_drives(eight_setups(rng), truth, DriveErrors(rng)))
-        elements.add(fit.value - truth, fit.uncertainty)
+        elements.add(fit.value, truth, fit.uncertainty)
         talk = cross_talk(fit, CAPACITY.tolist())
-        shares.add(talk.value - _cross_talk(truth), talk.uncertainty)
+        shares.add(talk.value, _cross_talk(truth), talk.uncertainty)
         chi2.append(fit.chi2 / fit.dof)
     for quantity, mask in (("main elements", MAIN), ("cross elements", ~MAIN)):
         print(row("eight recordings", quantity, elements.chosen(mask)))
@@ -114,7 +114,7 @@ def one_disagrees(trials: int, rng: np.random.Generator) -> None:
         fit = fit_matrix(simulate_drives(setups, truth, DriveErrors(rng)))
         failed += fit.discrepancy > 0.0
         named += fit.worst is not None and fit.worst.recording == setups[wrong].recording
-        elements.add(fit.value - truth, fit.uncertainty)
+        elements.add(fit.value, truth, fit.uncertainty)
     print(row("one of nine 1 % high", "all elements", elements.elements))
     print(f"\nNoticed {failed} times of {trials}, the right one named {named} times.\n")
 
@@ -147,15 +147,13 @@ def repeats(trials: int, rng: np.random.Generator) -> None:
             for n in range(3)
         ]
         (found,) = find_repeats(simulate_drives(setups, truth, DriveErrors(rng)))
-        both = [2, 8]
-        covariance, dof = found.uncertainty.covariance[0][np.ix_(both, both)], float(found.uncertainty.dof()[0, 2])
-        tally.add(complex(found.value[2] - truth[2, 2]), covariance, dof)
+        tally.add(complex(found.value[2] - truth[2, 2]), polar_elements(found.value[None], found.uncertainty)[0][2])
     print(row("four mountings of three recordings", "ratio Fz/Fz", [tally]))
 
 
 FEW = (
     "| mountings (recordings) | scatter between mountings / noise | u shared: magnitude, phase | magnitude covered | "
-    "phase covered | U / half-width: magnitude, phase | t / 1.96 |\n|---|---|---|---|---|---|---|"
+    "phase covered | region covered | U / half-width: magnitude, phase | t / 1.96 |\n|---|---|---|---|---|---|---|---|"
 )
 
 
@@ -167,7 +165,7 @@ def few_mountings(trials: int, rng: np.random.Generator) -> None:
             for shared in ((0.0, 0.0), (0.0, 10.0), (10.0, 0.0), (0.5, 0.5)):
                 size = max(mounted, 1.0) * np.array(shared)
                 found = np.array([_mean_of_few(rng, each, mounted, size) for _ in range(trials)])
-                errors, expanded = found[:, :2], found[:, 2:]
+                errors, expanded, off = found[:, :2], found[:, 2:4], found[:, 4]
                 held = 100.0 * np.mean(errors <= expanded, axis=0)
                 wide = np.median(expanded, axis=0) / np.quantile(errors, 0.95, axis=0)
                 # What Student's t with as many degrees of freedom cannot avoid: its median U over that of a known u.
@@ -175,13 +173,17 @@ def few_mountings(trials: int, rng: np.random.Generator) -> None:
                 t_over = coverage_factor(free) * np.sqrt(chi2.median(free) / free) / coverage_factor(np.inf)
                 print(
                     f"| {len(each)} ({', '.join(map(str, each))}) | {mounted:g} | {shared[0]:g}, {shared[1]:g} | "
-                    f"{held[0]:.1f} % | {held[1]:.1f} % | {wide[0]:.2f}, {wide[1]:.2f} | {t_over:.2f} |"
+                    f"{held[0]:.1f} % | {held[1]:.1f} % | {100.0 * np.mean(off <= 1.0):.1f} % | "
+                    f"{wide[0]:.2f}, {wide[1]:.2f} | {t_over:.2f} |"
                 )
     print()
 
 
 def _mean_of_few(rng: np.random.Generator, each: Sequence[int], mounted: float, shared: FloatArray) -> list[float]:
-    """Errors and U of magnitude and phase of one mean; all sizes in the noise of a recording, 1e-4, which is stated."""
+    """Errors and U of magnitude and phase of one mean, and how far out it lies, over the edge of its region.
+
+    All sizes in the noise of a recording, 1e-4, which is stated.
+    """
     noise, unit = 1e-4, np.eye(1, 6, 2)[0]
 
     def normal(size: float) -> complex:
@@ -204,11 +206,14 @@ def _mean_of_few(rng: np.random.Generator, each: Sequence[int], mounted: float, 
     (found,) = find_repeats(drives)
     ((element,),) = polar_elements(found.value[None], found.uncertainty)
     assert element is not None
+    error = np.array([element.re - 1.0, element.im])
+    off = float(np.sqrt(error @ np.linalg.solve(element.region_matrix, error)))
     return [
         abs(element.magnitude - 1.0),
         abs(element.phase_rad),
         element.expanded_magnitude,
         element.expanded_phase_rad,
+        off,
     ]
 
 
@@ -298,10 +303,8 @@ def count_elements(
             true = complex(matrix[k, driven, driven])
             for tally, result in ((count.element, found.element), (count.ratio, found.sensitivity)):
                 if result is not None:
-                    value, spread = result.value[k, driven, driven], result.covariance[k, driven, driven]
-                    relative = complex(value / true - 1.0)
-                    turn = np.array([[true.real, true.imag], [-true.imag, true.real]]) / abs(true) ** 2
-                    tally.add(relative, turn @ spread @ turn.T, float(result.dof[k, driven, driven]))
+                    stated = result.polar[k][result.elements.index((driven, driven))]
+                    tally.add(complex(result.value[k, driven, driven] - true), stated)
             count.bias.append(complex(found.sensitivity.value[k, driven, driven] / true - 1.0))
     return counts
 

@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom, f, t
+from scipy.stats import binom, t
 
+from fusion.estimation.coverage import Polar
+from fusion.estimation.uncertainty import Uncertainty, polar_elements
 from fusion.sensitivity.analyse import Analysis
 
 FloatArray = NDArray[np.float64]
@@ -21,49 +23,40 @@ HEAD = (
 )
 
 
-def region_quantile(dof: float) -> float:
-    """Return the 95 % quantile of a complex value's squared Mahalanobis distance with estimated covariance.
-
-    2·ν/(ν − 1)·F(2, ν − 1), χ² with two degrees of freedom for many ν (Willink & Hall 2002, Metrologia 39, 361).
-    """
-    freedom = min(max(dof, 1.5), 1e6)
-    return float(2.0 * freedom / (freedom - 1.0) * f.ppf(LEVEL, 2, freedom - 1.0))
-
-
 @dataclass
 class Tally:
-    """Errors of one complex quantity over many recordings, with their covariances and degrees of freedom."""
+    """Errors of one complex quantity over many recordings, with what was stated of each value."""
 
     errors: list[FloatArray] = field(default_factory=list)
-    covariances: list[FloatArray] = field(default_factory=list)
-    dofs: list[float] = field(default_factory=list)
+    stated: list[Polar] = field(default_factory=list)
 
-    def add(self, error: complex, covariance: FloatArray, dof: float) -> None:
-        """Take in one value: its error, the covariance (2, 2) of Re and Im, its degrees of freedom."""
-        if np.isfinite(error) and np.isfinite(covariance).all():
+    def add(self, error: complex, stated: Polar | None) -> None:
+        """Take in the error of one value and the value as it is stated, where there is one."""
+        if stated is not None and np.isfinite(error) and np.isfinite(stated.covariance).all():
             self.errors.append(np.array([error.real, error.imag]))
-            self.covariances.append(covariance)
-            self.dofs.append(float(dof))
+            self.stated.append(stated)
 
     @property
     def covered(self) -> FloatArray:
         """Return for each value whether its 95 % region holds the truth."""
-        errors, covariances = np.array(self.errors), np.array(self.covariances)
-        squares = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
-        limits = {dof: region_quantile(dof) for dof in set(self.dofs)}
-        return np.asarray(squares <= np.array([limits[dof] for dof in self.dofs]))
+        errors, matrices = np.array(self.errors), np.array([one.region_matrix for one in self.stated])
+        return np.asarray(np.einsum("ni,ni->n", errors, np.linalg.solve(matrices, errors[..., None])[..., 0]) <= 1.0)
+
+    @property
+    def u(self) -> FloatArray:
+        """Return the standard uncertainties (N, 2) of Re and Im."""
+        return np.array([(one.u_re, one.u_im) for one in self.stated])
 
     @property
     def normalised(self) -> FloatArray:
         """Return the errors (2N,) of Re and Im over their standard uncertainties."""
-        u = np.sqrt(np.diagonal(np.array(self.covariances), axis1=1, axis2=2))
-        return np.asarray((np.array(self.errors) / u).ravel())
+        return np.asarray((np.array(self.errors) / self.u).ravel())
 
     @property
     def expanded_over_errors(self) -> float:
         """Return the median U (95 %, of Re or Im) over the half-width that holds 95 % of the errors, the larger one."""
-        factor = t.ppf(0.5 + LEVEL / 2.0, np.minimum(np.array(self.dofs), 1e6))
-        expanded = factor[:, None] * np.sqrt(np.diagonal(np.array(self.covariances), axis1=1, axis2=2))
+        factor = t.ppf(0.5 + LEVEL / 2.0, np.minimum([one.dof for one in self.stated], 1e6))
+        expanded = factor[:, None] * self.u
         half = np.quantile(np.abs(np.array(self.errors)), LEVEL, axis=0)
         return float(np.max(np.median(expanded, axis=0) / half))
 
@@ -104,23 +97,21 @@ class Counts:
         value = fused.phasors.value[0]
         self.driven.append(complex(value[driven] / acceleration[driven] - 1.0))
         self.warned += any(notice.severity == "warning" for notice in fused.notices)
-        _add(self.acceleration, value - acceleration, fused.uncertainty.covariance[0], fused.uncertainty.dof()[0])
+        _add(self.acceleration, value - acceleration, fused.phasors.value, fused.uncertainty)
         if found.load is not None:
-            phasors, uncertainty = found.load.phasors, found.load.uncertainty
-            _add(self.load, phasors.value[0] - load, uncertainty.covariance[0], uncertainty.dof()[0])
+            _add(self.load, found.load.value[0] - load, found.load.value, found.load.uncertainty)
         ratio = found.sensitivity
         if ratio is not None:
             error = ratio.value[0, :, driven] - outputs / load[driven]
             for c, tally in enumerate(self.sensitivity):
-                tally.add(complex(error[c]), ratio.covariance[0, c, driven], float(ratio.dof[0, c, driven]))
+                tally.add(complex(error[c]), ratio.polar[0][ratio.elements.index((c, driven))])
 
     def join(self, other: Counts) -> None:
         """Take in what was counted elsewhere."""
         for name in QUANTITIES:
             for own, found in zip(getattr(self, name), getattr(other, name), strict=True):
                 own.errors += found.errors
-                own.covariances += found.covariances
-                own.dofs += found.dofs
+                own.stated += found.stated
         self.driven += other.driven
         self.warned += other.warned
 
@@ -130,8 +121,7 @@ class Counts:
             yield row(case, name, getattr(self, name))
 
 
-def _add(tallies: Sequence[Tally], error: ComplexArray, covariance: FloatArray, dof: FloatArray) -> None:
-    """Take in six components."""
-    for place, tally in enumerate(tallies):
-        both = np.ix_([place, place + 6], [place, place + 6])
-        tally.add(complex(error[place]), covariance[both], float(dof[place]))
+def _add(tallies: Sequence[Tally], error: ComplexArray, value: ComplexArray, uncertainty: Uncertainty) -> None:
+    """Take in six components of the first line."""
+    for tally, own, stated in zip(tallies, error.tolist(), polar_elements(value, uncertainty)[0], strict=True):
+        tally.add(own, stated)

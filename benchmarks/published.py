@@ -27,7 +27,8 @@ from scipy.optimize import least_squares
 from fusion.base import Settings, rounded
 from fusion.campaign.curve import ratio_curves
 from fusion.campaign.drive import Drive, drives_of, with_starts
-from fusion.estimation.uncertainty import Polar, element_covariance, polar
+from fusion.estimation.coverage import Polar, polar
+from fusion.estimation.uncertainty import element_covariance
 from fusion.instruments.vibrometer import PointRatios
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.recording.load import load_manifest

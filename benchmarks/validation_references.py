@@ -260,7 +260,7 @@ def certificate() -> Case:
             return mp.betainc(nu / 2, mp.mpf("0.5"), 0, nu / (nu + t**2), regularized=True) - mp.mpf("0.05")
 
         quantities[f"k of {dof:g} degrees of freedom"] = relative(mp.findroot(tail, 2), 1e-10, "1")
-        below = mp.mpf("0.05") ** (-2 / (nu - 1)) - 1  # Willink & Hall 2002, eq. 5
+        below = mp.mpf("0.05") ** (-2 / nu) - 1  # closed quantile of F(2, nu), times 2
         quantities[f"region factor of {dof:g}"] = relative(mp.sqrt(nu * below), 1e-10, "1")
     quantities["k of infinite degrees of freedom"] = relative(mp.sqrt(2) * mp.erfinv(mp.mpf("0.95")), 1e-10, "1")
     re, im, var_re, var_im, mixed = (mp.mpf(v) for v in (5.1e-7, -7.2e-9, 1.1e-19, 1.0e-20, 3.0e-21))

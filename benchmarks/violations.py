@@ -21,12 +21,12 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from coverage_statistics import region_quantile
 from numpy.typing import NDArray
 from scipy.stats import binom
 
 from fusion.base import ComputeError, InputError, Settings
-from fusion.estimation.uncertainty import Polar, polar_elements
+from fusion.estimation.coverage import Polar
+from fusion.estimation.uncertainty import polar_elements
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.evaluate import evaluate_recording
@@ -208,11 +208,10 @@ def draw(rig: Rig, names: Sequence[str], seed: int) -> Draw:
     stated = [element, *polar_elements(fused.phasors.value, fused.uncertainty)[line]]
     distance, expanded = np.full(7, np.nan), np.full(7, np.nan)
     for place, (error, own) in enumerate(zip(value - truth, stated, strict=True)):
-        if own is not None and np.isfinite(own.region_covariance).all():
-            pair, both = own.region_covariance, np.array([error.real, error.imag])
-            limit = region_quantile(own.dof)
-            distance[place] = np.sqrt(both @ np.linalg.solve(pair, both) / limit)
-            expanded[place] = np.sqrt(np.linalg.eigvalsh(pair)[-1] * limit)
+        if own is not None and np.isfinite(own.region_matrix).all():
+            matrix, both = own.region_matrix, np.array([error.real, error.imag])
+            distance[place] = np.sqrt(both @ np.linalg.solve(matrix, both))
+            expanded[place] = np.sqrt(np.linalg.eigvalsh(matrix)[-1])
     notices = tuple(f"{notice.text} [{notice.where}]" for notice in found.notices)
     return Draw(notices, "", distance, value - truth, expanded, fused.probability)
 

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 
 from fusion.base import Settings
 from fusion.cli import main
-from fusion.estimation.uncertainty import region_factor
+from fusion.estimation.uncertainty import Uncertainty
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.evaluate import evaluate_recording
@@ -159,10 +159,11 @@ def without_pages(patch: pytest.MonkeyPatch) -> None:
         patch.setattr(place, lambda *_: "<!doctype html>\n")
 
 
-def far(error: complex, covariance: np.ndarray, dof: float = np.inf) -> float:
-    """How far out a complex error is, over the edge of the 95 % region of its covariance (2, 2): inside below 1."""
-    parts = np.array([error.real, error.imag])
-    return float(np.sqrt(parts @ np.linalg.solve(covariance, parts)) / region_factor(float(dof)))
+def far(value: np.ndarray, truth: np.ndarray, uncertainty: Uncertainty) -> list[float]:
+    """How far C values of the first line lie from the truth, over the edge of their 95 % regions: inside below 1."""
+    error, regions = np.ravel(value - truth), uncertainty.at_lines([0]).regions(np.reshape(value, (1, -1)))[0]
+    parts = np.stack([error.real, error.imag], axis=-1)[..., None]
+    return np.sqrt(parts.swapaxes(1, 2) @ np.linalg.solve(regions, parts)).ravel().tolist()
 
 
 def untold(file: h5py.File) -> list[str]:

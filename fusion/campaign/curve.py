@@ -30,17 +30,16 @@ from fusion.campaign.repeats import (
     own_and_shared,
     plain_mean,
 )
+from fusion.estimation.coverage import Polar, region, region_matrix
 from fusion.estimation.uncertainty import (
     Contribution,
     Influence,
-    Polar,
     Uncertainty,
     added_up,
     as_complex,
     polar_elements,
     real_design,
     real_stack,
-    region,
 )
 from fusion.sensitivity.ratio import StatedMatrix, driven_component
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
@@ -115,7 +114,8 @@ def linearity(drives: Sequence[Drive], component: int, stated: StatedMatrix | No
     change = np.array([fit[0] for fit in fits])
     covariance = np.array([fit[1] * (max(1.0, fit[2] / dof) if dof else 1.0) for fit in fits])
     freedom = float(dof) if dof and any(fit[2] > dof for fit in fits) else np.inf
-    linear = np.array([region(complex(v), c, freedom).holds_zero for v, c in zip(change, covariance, strict=True)])
+    regions = region_matrix(change, covariance, (freedom, freedom))
+    linear = np.array([region(complex(v), m).holds_zero for v, m in zip(change, regions, strict=True)])
     return Linearity(
         frequency_hz=float(np.mean([drive.frequency_hz for drive in drives])),
         direction=drives[0].direction,

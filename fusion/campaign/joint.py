@@ -27,7 +27,7 @@ from fusion.campaign.matrix import CrossTalk, MatrixFit, cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
 from fusion.campaign.recorded import Recorded, SensorFacts
 from fusion.campaign.repeats import Repeats, find_repeats, means_once
-from fusion.estimation.uncertainty import Polar
+from fusion.estimation.coverage import Polar
 from fusion.report.table import (
     Column,
     Headline,

@@ -32,7 +32,8 @@ from fusion.campaign.matrix import CrossTalk
 from fusion.campaign.matrix_solve import LEAST_SINGULAR
 from fusion.campaign.recorded import Recorded, read_recorded
 from fusion.campaign.repeats import Repeats
-from fusion.estimation.uncertainty import Polar, polar, polar_elements
+from fusion.estimation.coverage import Polar, polar
+from fusion.estimation.uncertainty import polar_elements
 from fusion.report.files import workshop, write_files, write_together, writing
 from fusion.report.folder import (
     CURVE_FILE,

@@ -23,14 +23,12 @@ from fusion.campaign.matrix_solve import (
     stack_drives,
 )
 from fusion.estimation.consistency import deleted
+from fusion.estimation.coverage import region
 from fusion.estimation.uncertainty import (
     Contribution,
     Uncertainty,
-    element_covariance,
     merge_contributions,
     real_design,
-    region,
-    region_covariance,
 )
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape
@@ -291,13 +289,8 @@ def cross_talk(fit: MatrixFit, capacity: Sequence[float]) -> CrossTalk:
             jacobian[i * LOADS + j, i * LOADS + j] = ratio[i, j] / own[i]
             jacobian[i * LOADS + j, i * LOADS + main[i]] = -value[i, j] / own[i]
     uncertainty = fit.uncertainty.transformed(real_design(jacobian)[None])
-    covariance, dof = uncertainty.covariance[0], uncertainty.dof()[0]
-    turn = uncertainty.u_turn(value.reshape(1, -1))[0]
-    pairs = [
-        region_covariance(e, element_covariance(covariance, place), turn[place])
-        for place, e in enumerate(value.ravel().tolist())
-    ]
-    regions = [region(e, pair, float(nu)) for e, pair, nu in zip(value.ravel().tolist(), pairs, dof, strict=True)]
+    matrices = uncertainty.regions(value.reshape(1, -1))[0]
+    regions = [region(e, matrix) for e, matrix in zip(value.ravel().tolist(), matrices, strict=True)]
     half_axis = np.array([found.half_axes[0] for found in regions]).reshape(value.shape)
     holds_zero = np.array([found.holds_zero for found in regions]).reshape(value.shape)
     return CrossTalk(fit.frequency_hz, fit.channels, LOAD_COMPONENTS, main, value, uncertainty, half_axis, holds_zero)

@@ -10,12 +10,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from fusion.campaign.drive import Drive, Stored
+from fusion.estimation.coverage import coverage_factor
 from fusion.estimation.least_squares import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
     Uncertainty,
     added_up,
-    coverage_factor,
     merge_contributions,
     real_design,
     real_stack,
@@ -31,6 +31,8 @@ SAME_DIRECTION = 1e-3
 SAME_LOAD = 0.05
 """Difference of any load component (moments over 0.1 m), relative to the driven one, within one excitation."""
 WITHIN, BETWEEN = "repeatability", "mounting anew"
+TURNED = "phases that differ"
+"""Label of what a mean of complex values lacks in magnitude because of them."""
 LEVERS = np.array([1.0, 1.0, 1.0, *np.full(3, 1.0 / BODY_SIZE_M)])
 
 
@@ -436,4 +438,20 @@ def _of_mean(
     turn = real_stacked_diagonal(plain[None])[0]
     scattered = (turn @ matrix @ turn.T)[None]
     part = Contribution(BETWEEN if several else WITHIN, "A", scattered, np.array([len(kinds) - 1.0]))
-    return Uncertainty((part,), shared)
+    return Uncertainty((part, _turned_apart(np.array([value for value, _ in values]), weight)), shared)
+
+
+def _turned_apart(values: ComplexArray, weight: FloatArray) -> Contribution:
+    """Return what the mean of complex values (N, C) may lack in magnitude because their phases differ.
+
+    Values that are turned apart by φ_n have a mean that is short by Σw·φ²/2; noise, which shifts them, shortens
+    nothing. Of the scatter across the mean as much may be turns as exceeds that along it: a bound, u = 1/√3 of it.
+    Of a mean below its scatter nothing is told.
+    """
+    mean = weight @ values
+    off = np.divide(values, mean, out=np.full_like(values, 2.0), where=mean != 0.0) - 1.0
+    usable = weight @ np.abs(off) ** 2 < 1.0
+    short = np.where(usable, np.maximum(weight @ (off.imag**2 - off.real**2), 0.0), 0.0) / 2.0
+    along = real_stack(mean * short / np.sqrt(3.0))
+    own = np.outer(along, along) * np.tile(np.eye(values.shape[1]), (2, 2))
+    return Contribution(TURNED, "B", own[None])

@@ -29,7 +29,7 @@ from fusion.base import (
 )
 from fusion.campaign.executor import Workers, connected, one_blas_thread
 from fusion.campaign.joint_report import write_campaign
-from fusion.estimation.uncertainty import Polar, region_factor
+from fusion.estimation.coverage import Polar
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, load_manifest
 from fusion.report.files import Kept, claimed, remove_abandoned, workshop
@@ -337,7 +337,7 @@ def _cells(element: Polar) -> tuple[str, str, str]:
     first = rounded(large, large)
     second = rounded(small, large, first.exponent)
     pair = f"(region ± {first.value}, ± {second.value})" + (f"e{first.exponent:d}" if first.exponent else "")
-    return pair, "not distinguishable from 0", f"{region_factor(element.dof):.2f}"
+    return pair, "not distinguishable from 0", f"{element.region_factor:.2f}"
 
 
 def print_campaign(outcomes: Sequence[Outcome]) -> None:

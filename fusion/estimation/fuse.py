@@ -30,6 +30,7 @@ from fusion.estimation.consistency import (
     undetected_errors,
     without_readings,
 )
+from fusion.estimation.coverage import polar, region_factor
 from fusion.estimation.least_squares import (
     SCALE,
     UNOBSERVED,
@@ -47,8 +48,6 @@ from fusion.estimation.uncertainty import (
     Uncertainty,
     element_covariance,
     merge_contributions,
-    polar,
-    region_factor,
     total_variance,
 )
 from fusion.estimation.variance_components import (
@@ -413,7 +412,7 @@ def unnoticed(system: System, solution: Solution) -> tuple[Unnoticed, ...]:
         for c in np.flatnonzero(system.observed[line]).tolist():
             both = np.ix_([c, c + 6], [c, c + 6])
             largest = np.max(np.linalg.eigvals(np.linalg.solve(covariance[both], moved[both])).real, initial=0.0)
-            shift = float(np.sqrt(largest)) / region_factor(np.inf)
+            shift = float(np.sqrt(largest) / region_factor(np.inf))
             found += [Unnoticed(name, MOTION_COMPONENTS[c], shift)] if shift > 1.0 else []
     return tuple(found)
 

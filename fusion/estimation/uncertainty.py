@@ -1,4 +1,4 @@
-"""Uncertain numbers by named unknowns; coverage factors and 95 % regions; magnitude and phase."""
+"""What makes values uncertain: random contributions and named unknowns, mapped and added up with their dof."""
 
 from __future__ import annotations
 
@@ -7,130 +7,21 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from fusion.estimation.coverage import (
+    Polar,
+    along_and_across,
+    bounded_factor,
+    counted_covariance,
+    coverage_factor,
+    polar,
+    region_matrix,
+)
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.sine.phasor import real_stacked_diagonal
 
-# Coverage: factors that turn standard into expanded uncertainties, and 95 % regions of complex values.
-
-
-COVERAGE = 0.95
-"""Probability with which an interval or a region contains the value."""
-
-
 ENLARGED = 5.0
 """Over the square of its degrees of freedom: by how much an estimated variance is enlarged in those of a sum."""
-LEAST_REGION_DOF = 2.0
-"""Degrees of freedom of a complex value below which its region says too little to tell it from zero."""
-
-
-def coverage_factor(dof: float, coverage: float = COVERAGE) -> float:
-    """Return k = t_0.975(dof): ±k·u holds a real value 95 times in 100 (JCGM 100, G.3.2), or as `coverage` says.
-
-    `dof`: effective degrees of freedom, infinite where the uncertainty is known; 1.96 then, infinite below 1e-3.
-    """
-    from scipy.special import ndtri, stdtrit
-
-    upper = 0.5 + coverage / 2.0
-    if np.isinf(dof):
-        return float(ndtri(upper))
-    return float(stdtrit(dof, upper)) if dof > 1e-3 else np.inf
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A real number with its standard uncertainty, NaN where that is not known, and the degrees of freedom of that."""
-
-    value: float
-    u: float
-    dof: float
-    unit: str
-
-    @property
-    def k(self) -> float:
-        """Return the coverage factor for 95 %."""
-        return coverage_factor(self.dof)
-
-    @property
-    def expanded(self) -> float:
-        """Return U = k·u."""
-        return self.k * self.u
-
-
-@dataclass(frozen=True)
-class NamedQuantity(Quantity):
-    """A quantity with its `name` in files and its `label` for readers."""
-
-    name: str
-    label: str
-
-
-def region_factor(dof: float) -> float:
-    """Return k₂, so that the ellipse z^T V⁻¹ z ≤ k₂² holds a complex value 95 times in 100.
-
-    k₂² = 2ν/(ν-1)·F_0.95(2, ν-1), chi-square of two degrees of freedom for infinite ν (Willink & Hall 2002,
-    Metrologia 39, 361, eq. 5). F(2, n) has the closed quantile n/2·(0.05^(-2/n) - 1), hence k₂² =
-    ν·(0.05^(-2/(ν-1)) - 1). Infinite for ν ≤ 1: fewer than two complex readings have no region.
-    """
-    tail = -2.0 * np.log(1.0 - COVERAGE)
-    if np.isinf(dof):
-        return float(np.sqrt(tail))
-    # Above a power of e^500 the region is infinite for every purpose.
-    return float(np.sqrt(dof * np.expm1(tail / (dof - 1.0)))) if dof > 1.0 + tail / 500.0 else np.inf
-
-
-BENT = 1.716
-"""Radial variance that a turn by φ ~ N(0, u²) needs, over u⁴·|X|²: k⁴/(4·(k₂² - k²)) with k = 1.96, k₂² = 5.99.
-
-The turn takes X to X - X·φ²/2 + j·X·φ. An ellipse of the variances c·u⁴·|X|² and u²·|X|² holds all with |φ| ≤ k·u, 95
-in 100, where k² + k⁴/(4c) = k₂². The second moment of φ²/2, c = 3/4, makes it 91.7 (both where nothing else is along
-X; with anything else 95 to 95.5, and 91.7 to 95).
-"""
-
-
-def region_covariance(value: ComplexArray | complex, covariance: FloatArray, u_turn: ArrayLike = 0.0) -> FloatArray:
-    """Return the covariance (..., 2, 2) of which the 95 % regions of complex values (...) are the ellipses.
-
-    First order, `covariance` (..., 2, 2) of (Re, Im), and along the value what that lacks: what turns it, with the
-    standard uncertainty `u_turn` (...) of the angle, bends the region (JCGM 100, 5.1.2, note). Magnitude and phase have
-    no part in this: neither depends on how far the other is off.
-    """
-    values, turn = np.asarray(value, dtype=np.complex128), np.asarray(u_turn, dtype=np.float64) ** 2
-    along = np.stack([values.real, values.imag], axis=-1)
-    further = np.minimum(BENT * turn, 1.0) * turn  # no longer along the value than across
-    return np.asarray(covariance + further[..., None, None] * along[..., :, None] * along[..., None, :])
-
-
-@dataclass(frozen=True)
-class Region:
-    """The 95 % region of a complex value: an ellipse about it in the complex plane (`region_covariance`).
-
-    `half_axes`: the larger and the smaller one, in the unit of the value; `angle_rad`: of the larger one from the real
-    axis, in (-π/2, π/2]; `holds_zero`: whether the origin lies inside, so that amplitude and phase say nothing.
-    """
-
-    half_axes: tuple[float, float]
-    angle_rad: float
-    holds_zero: bool
-
-
-def region(value: complex, covariance: FloatArray, dof: float = np.inf) -> Region:
-    """Return the 95 % region of a complex value with the covariance (2, 2) of (Re, Im), or of `region_covariance`."""
-    if not np.all(np.isfinite(covariance)):
-        return Region((np.inf, np.inf), 0.0, holds_zero=True)
-    variances, axes = np.linalg.eigh(covariance)
-    # A direction without uncertainty has no half-axis, whatever the degrees of freedom.
-    small, large = (region_factor(dof) * float(np.sqrt(v)) if v > 0.0 else 0.0 for v in variances.tolist())
-    turned = np.abs(axes.T @ [value.real, value.imag]).tolist()
-    shares = [part / half if half > 0.0 else np.inf for part, half in zip(turned, (small, large), strict=True) if part]
-    along = axes[:, 1] * (1.0 if axes[0, 1] > 0.0 or (axes[0, 1] == 0.0 and axes[1, 1] > 0.0) else -1.0)
-    angle = float(np.arctan2(along[1], along[0]))
-    return Region((large, small), angle, holds_zero=sum(share**2 for share in shares) <= 1.0)
-
-
-# What makes complex values uncertain: noise of its own at every line, and named unknowns that act on many values.
-
 
 Kind = Literal["A", "B"]
 Distribution = Literal["normal", "uniform"]
@@ -373,10 +264,31 @@ class Uncertainty:
             u = np.sqrt(np.maximum(np.einsum("kci,kcij,kcj->kc", e, own, e), 0.0))
             for place in np.argwhere(np.isfinite(u) & np.isfinite(k[way]) & (widths.sum(axis=0) > 0.0)).tolist():
                 one = (way, *place)
-                k[one] = _bounded_factor(widths[:, *place], float(u[*place]), float(k[one]))
+                k[one] = bounded_factor(widths[:, *place], float(u[*place]), float(k[one]))
         return k
 
-    def u_turn(self, value: ComplexArray) -> FloatArray:
+    def regions(self, value: ComplexArray) -> FloatArray:
+        """Return the matrices (K, C, 2, 2) of the 95 % regions of the values (K, C): `coverage.region_matrix`.
+
+        Each of the parts along and across a value has its own degrees of freedom; of their covariance a random
+        contribution counts as far as it is known.
+        """
+        pair, frame = np.arange(value.shape[1])[:, None] + [0, value.shape[1]], along_and_across(value)
+
+        def parts(covariance: FloatArray) -> FloatArray:
+            """Return the covariances (K, C, 2, 2) of the parts along and across the values."""
+            return frame.swapaxes(-1, -2) @ covariance[:, pair[:, :, None], pair[:, None, :]] @ frame
+
+        whole = self.covariance
+        mixed = parts(whole)[..., 0, 1]
+        for part in self.random:
+            if part.dof is not None:
+                own = parts(part.covariance)
+                mixed += counted_covariance(own, part.dof[:, None]) - own[..., 0, 1]
+        each = whole[:, pair[:, :, None], pair[:, None, :]]
+        return region_matrix(value, each, self.dof_polar(value), mixed, self._turn(value))
+
+    def _turn(self, value: ComplexArray) -> FloatArray:
         """Return by what angle (K, C) unknown times turn the values (K, C), as a standard uncertainty in rad.
 
         Delays, times of clocks and of triggers: what is late by τ is turned by -ωτ, whole, not to first order only.
@@ -392,30 +304,6 @@ def _factors(dof: FloatArray) -> FloatArray:
     """Return the coverage factor of each number of degrees of freedom (...), NaN where there is none."""
     found = [np.nan if np.isnan(one) else coverage_factor(one) for one in dof.ravel().tolist()]
     return np.array(found, dtype=np.float64).reshape(dof.shape)
-
-
-_PERIOD, _LAST, _LEAST_WIDTH = 40.0, 300.0, 0.02  # in standard deviations of the sum
-
-
-def _bounded_factor(widths: FloatArray, u: float, k: float) -> float:
-    """Return U/u of a sum of numbers uniform within ± `widths` (N,) and of one with U = k·u, for 95 %.
-
-    P(|s| ≤ U) = 2/π·∫ sin(U·t)/t·φ(t) dt with the characteristic function φ, by the trapezoidal rule, which is that of
-    a periodic density: exact but for what lies beyond a period.
-    """
-    from scipy.optimize import brentq
-
-    whole = float(np.hypot(np.sqrt(np.sum(widths**2) / 3.0), u))
-    normal = max(k * u / coverage_factor(np.inf) / whole, _LEAST_WIDTH)
-    step = 2.0 * np.pi / _PERIOD
-    t = step * np.arange(1.0, _LAST / step)
-    phi = np.exp(-0.5 * (normal * t) ** 2) * np.prod(np.sinc(widths[:, None] / whole * t / np.pi), axis=0)
-    weight = 2.0 / np.pi * step * phi / t
-
-    def missing(factor: float) -> float:
-        return 2.0 * factor / _PERIOD + float(np.sin(factor * t) @ weight) - COVERAGE
-
-    return float(brentq(missing, 0.0, _PERIOD / 2.0)) if normal < _PERIOD / 8.0 else k
 
 
 def real_design(matrix: ComplexArray) -> FloatArray:
@@ -470,108 +358,6 @@ def merge_contributions(parts: Sequence[Contribution]) -> tuple[Contribution, ..
     return tuple(merged)
 
 
-# Complex numbers as magnitude and phase with uncertainty.
-
-
-UNIFORM_PHASE_U = float(np.pi / np.sqrt(3.0))
-
-
-@dataclass(frozen=True)
-class Polar:
-    """A complex value as magnitude and phase in (-pi, pi] and as parts, with standard uncertainties (k = 1).
-
-    `r`: correlation of real and imaginary part; `dof`: effective degrees of freedom of the complex value, for its
-    region; `dof_magnitude`, `dof_phase`: those of the real quantities, with their coverage factors for 95 %;
-    `u_turn_rad`: what of the phase's uncertainty turns the value, and so bends its region.
-    """
-
-    magnitude: float
-    phase_rad: float
-    u_magnitude: float
-    u_phase_rad: float
-    re: float
-    im: float
-    u_re: float
-    u_im: float
-    r: float
-    dof: float
-    dof_magnitude: float
-    dof_phase: float
-    k_magnitude: float
-    k_phase: float
-    u_turn_rad: float
-
-    @property
-    def k(self) -> float:
-        """Return the coverage factor of the magnitude for 95 %."""
-        return self.k_magnitude
-
-    @property
-    def expanded_magnitude(self) -> float:
-        """Return U of the magnitude, k·u."""
-        return self.k * self.u_magnitude
-
-    @property
-    def expanded_phase_rad(self) -> float:
-        """Return U of the phase, k·u."""
-        return self.k_phase * self.u_phase_rad
-
-    @property
-    def region_covariance(self) -> FloatArray:
-        """Return the covariance (2, 2) of which the 95 % region of the complex value is the ellipse."""
-        mixed = self.r * self.u_re * self.u_im
-        first = np.array([[self.u_re**2, mixed], [mixed, self.u_im**2]])
-        return region_covariance(complex(self.re, self.im), first, self.u_turn_rad)
-
-    @property
-    def region(self) -> Region:
-        """Return the 95 % region of the complex value.
-
-        Of two complex readings and fewer there is none, yet intervals of magnitude and phase there are: then zero is in
-        it unless the interval of the magnitude for 97.5 % ends before (Bonferroni, with one as large across).
-        """
-        found = region(complex(self.re, self.im), self.region_covariance, self.dof)
-        if self.dof >= LEAST_REGION_DOF or not self.u_magnitude > 0.0:
-            return found
-        half = coverage_factor(self.dof_magnitude, (1.0 + COVERAGE) / 2.0) * self.u_magnitude
-        return replace(found, holds_zero=bool(half >= self.magnitude))
-
-
-def polar(
-    value: complex,
-    covariance: FloatArray,
-    dof: float = np.inf,
-    dof_polar: tuple[float, float] | None = None,
-    k_polar: tuple[float, float] | None = None,
-    u_turn: float = 0.0,
-) -> Polar:
-    """First-order propagation of the covariance (2, 2) of (Re, Im) of `value` to magnitude and phase.
-
-    u(|X|)^2 = e^T V e with e = (Re, Im)/|X|, u(arg X)^2 = n^T V n / |X|^2 with n = (-Im, Re)/|X| (JCGM 102, 9.4).
-    Where |X| is of the order of its uncertainty the expansion fails: u(arg X) is capped at pi/sqrt(3), the standard
-    deviation of a phase of which nothing is known, and at X = 0 u(|X|) is that of the mean direction. `dof`: of the
-    complex value; `dof_polar`: of magnitude and phase, `dof` by default; `k_polar`: their coverage factors, by default
-    those of `dof_polar`; `u_turn`: see `Polar`.
-    """
-    re, im = float(value.real), float(value.imag)
-    magnitude = float(np.hypot(re, im))
-    u_re, u_im = (float(u) for u in np.sqrt(np.diag(covariance)))
-    r = float(covariance[0, 1]) / (u_re * u_im) if u_re * u_im > 0.0 else 0.0
-    if magnitude == 0.0:
-        u_magnitude, u_phase = float(np.sqrt(np.trace(covariance) / 2.0)), UNIFORM_PHASE_U
-    elif np.isnan(covariance).any():
-        u_magnitude = u_phase = float("nan")
-    else:
-        along, across = np.array([re, im]) / magnitude, np.array([-im, re]) / magnitude
-        u_magnitude = float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
-        turned = float(np.sqrt(max(float(across @ covariance @ across), 0.0)))
-        u_phase = min(turned / magnitude, UNIFORM_PHASE_U)
-    # An imaginary part of -0 does not turn pi into -pi.
-    phase, freedom = float(np.arctan2(im + 0.0, re)), (dof, dof) if dof_polar is None else dof_polar
-    factors = (coverage_factor(freedom[0]), coverage_factor(freedom[1])) if k_polar is None else k_polar
-    return Polar(magnitude, phase, u_magnitude, u_phase, re, im, u_re, u_im, r, dof, *freedom, *factors, u_turn)
-
-
 def polar_elements(
     value: ComplexArray, uncertainty: Uncertainty, covariance: FloatArray | None = None
 ) -> list[list[Polar | None]]:
@@ -580,13 +366,13 @@ def polar_elements(
     `covariance` (K, 2C, 2C): that of `uncertainty`, where it has been added up already.
     """
     covariance = uncertainty.covariance if covariance is None else covariance
-    dof, turn = uncertainty.dof(), uncertainty.u_turn(value)
+    dof, region = uncertainty.dof(), uncertainty.regions(value)
     along, factors = uncertainty.dof_polar(value), uncertainty.k_polar(value)
     lines: list[list[Polar | None]] = [[None] * len(row) for row in value]
     for k, c in np.argwhere(np.isfinite(value)).tolist():
         pair, both = element_covariance(covariance[k], c), (float(along[0, k, c]), float(along[1, k, c]))
         k_both = float(factors[0, k, c]), float(factors[1, k, c])
-        lines[k][c] = polar(complex(value[k, c]), pair, float(dof[k, c]), both, k_both, float(turn[k, c]))
+        lines[k][c] = polar(complex(value[k, c]), pair, float(dof[k, c]), both, k_both, region[k, c])
     return lines
 
 

@@ -10,15 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
-from fusion.estimation.uncertainty import (
-    Contribution,
-    Scope,
-    Uncertainty,
-    Unknown,
-    added_up,
-    as_complex,
-    real_stack,
-)
+from fusion.estimation.uncertainty import Contribution, Scope, Uncertainty, Unknown, added_up, as_complex, real_stack
 from fusion.instruments.transducer import (
     TRANSDUCERS,
     TRANSVERSE,

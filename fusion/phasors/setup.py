@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.base import AnyNotice, ComputeError, Executor, InputError, Keeper, ProgressCallback, Settings, rounded
-from fusion.estimation.uncertainty import Scope, coverage_factor
+from fusion.estimation.coverage import coverage_factor
+from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import Reading, RelativeError, acting
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.channels import (

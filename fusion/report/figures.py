@@ -11,8 +11,8 @@ from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
 from fusion.base import prefix
+from fusion.estimation.coverage import Polar
 from fusion.estimation.fuse import Acceleration, Source
-from fusion.estimation.uncertainty import Polar
 from fusion.report.style import (
     BLACK,
     BLUE,

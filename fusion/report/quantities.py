@@ -160,11 +160,9 @@ TOLD = {
     "results/*/covariance": Told(f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) of the draws"),
     "results/*/first_covariance": Told(f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) by first order"),
     "results/*/factor": Told(KQ, "1", "factor of the 95 % ellipse of the draws"),
-    "results/*/first_factor": Told(KQ, "1", "factor of the 95 % ellipse by first order"),
+    "results/*/first_region": Told(f"{KQ} part part_of", "[unit]^2", "matrix of the 95 % region by first order"),
     "results/*/first_holds": Told(KQ, "1", "share of the draws in the ellipse by first order"),
-    "results/*/dof": Told(KQ, "1", "degrees of freedom of the complex value"),
     "results/*/k_polar": Told(f"polar {KQ}", "1", "coverage factors of magnitude and of phase"),
-    "results/*/u_turn": Told(KQ, "rad", "standard uncertainty of what turns the value"),
     **{
         f"results/*/{of}/{name}": Told(KQ, unit, f"{of}: {text}")
         for of, unit in (("magnitude", "value"), ("phase", "rad"))

@@ -12,8 +12,8 @@ import h5py
 import numpy as np
 
 from fusion.base import InputError
+from fusion.estimation.coverage import Polar
 from fusion.estimation.fuse import Acceleration
-from fusion.estimation.uncertainty import Polar
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report import tables, uncertainty_tables
 from fusion.report.figures import acceleration_pictures, draw_budget, sensitivity_pictures

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from fusion.base import prefix
-from fusion.estimation.uncertainty import coverage_factor
+from fusion.estimation.coverage import coverage_factor
 from fusion.instruments.vibrometer import PointSpread, axis_name
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.timing import ClockResult

@@ -16,7 +16,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from fusion.estimation.uncertainty import Polar
+from fusion.estimation.coverage import Polar
 from shaker.arrays import ComplexArray, FloatArray
 
 WIDTH_IN = 8.4

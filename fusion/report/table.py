@@ -20,7 +20,7 @@ import numpy as np
 from markupsafe import Markup
 
 from fusion.base import DASH, rounded
-from fusion.estimation.uncertainty import Polar, Quantity, Region, region_factor
+from fusion.estimation.coverage import Polar, Quantity, Region
 from shaker.arrays import ComplexArray
 from shaker.labels import typeset
 
@@ -60,7 +60,7 @@ def on_page(head: str, shown: Callable[[R], str], align: str = "r") -> Column[R]
 def polar_columns(size: str, value: Callable[[R], Polar], *, freedom: bool = False) -> list[Column[R]]:
     """Return the ten columns of a complex value, of which `size` is the magnitude's name.
 
-    `freedom`: instead those of degrees of freedom, factors and of what turns it, which stand at the end of a table.
+    `freedom`: instead those of degrees of freedom, factors and of its region, which stand at the end of a table.
     """
 
     def column(field: str) -> Column[R]:
@@ -220,7 +220,7 @@ def polar_cells(element: Polar, exponent: int | None = None) -> tuple[str, str, 
     """
     region = element.region
     if region.holds_zero:
-        return half_axes(region, exponent), WEAK, factor(region_factor(element.dof))
+        return half_axes(region, exponent), WEAK, factor(element.region_factor)
     size, expanded = element.magnitude, element.expanded_magnitude
     cell = measured(size, expanded) if exponent is None else fixed(size, expanded, exponent)
     return cell, phase(element), both(factor(element.k), factor(element.k_phase))
@@ -232,9 +232,7 @@ def both(of_magnitude: str, of_phase: str) -> str:
 
 
 def polar_freedom(element: Polar) -> str:
-    """Degrees of freedom of magnitude and phase, or of the region of a value that may be zero."""
-    if element.region.holds_zero:
-        return degrees_of_freedom(element.dof)
+    """Degrees of freedom of magnitude and phase: of the parts along a value and across it."""
     return both(degrees_of_freedom(element.dof_magnitude), degrees_of_freedom(element.dof_phase))
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from markupsafe import Markup
 
 from fusion.base import DASH, prefix
+from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.fuse import Acceleration
-from fusion.estimation.uncertainty import Polar, polar, polar_elements
+from fusion.estimation.uncertainty import polar_elements
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.setup import LineStationarity, line_stationarity
 from fusion.phasors.stereo_phasors import StereoResult

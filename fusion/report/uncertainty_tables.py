@@ -10,8 +10,9 @@ from markupsafe import Markup
 
 from fusion.base import DASH, rounded
 from fusion.estimation.consistency import CommonEstimate, Consistency
+from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.fuse import REMAINING, Acceleration, Untested, untested
-from fusion.estimation.uncertainty import Polar, Uncertainty, element_covariance, polar, polar_elements
+from fusion.estimation.uncertainty import Uncertainty, element_covariance, polar_elements
 from fusion.instruments.vibrometer import FEWEST_POINTS, PointRatios, PointSpread, axis_name
 from fusion.recording.toml import UncertainInput
 from fusion.report.table import (

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion.base import AnyNotice
-from fusion.estimation.uncertainty import COVERAGE, region_covariance, region_factor
+from fusion.estimation.coverage import COVERAGE
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shapes
 
 DIGITS = 2
@@ -78,8 +78,8 @@ class FirstOrder:
     """Q complex quantities at L lines as the evaluation has them, by first-order propagation of uncertainty.
 
     `elements`, `unit` (Q names). `value` (L, Q), NaN where a line does not determine a quantity; `first_covariance`
-    (L, Q, 2, 2) of its (Re, Im) with `dof` (L, Q), `k_polar` (2, L, Q): coverage factors of magnitude and phase,
-    `u_turn` (L, Q): what turns a value.
+    (L, Q, 2, 2) of its (Re, Im), `first_region` (L, Q, 2, 2) the matrix of its 95 % region (`coverage.region_matrix`),
+    `k_polar` (2, L, Q): coverage factors of magnitude and phase.
     """
 
     name: str
@@ -88,9 +88,8 @@ class FirstOrder:
     unit: tuple[str, ...]
     value: ComplexArray
     first_covariance: FloatArray
-    dof: FloatArray
+    first_region: FloatArray
     k_polar: FloatArray
-    u_turn: FloatArray
 
     def at(self, lines: IntArray, elements: IntArray) -> FirstOrder:
         """Return some of the elements at some of the lines, by their places."""
@@ -102,9 +101,8 @@ class FirstOrder:
             tuple(self.unit[q] for q in elements),
             self.value[place],
             self.first_covariance[place],
-            self.dof[place],
+            self.first_region[place],
             self.k_polar[:, lines][:, :, elements],
-            self.u_turn[place],
         )
 
 
@@ -112,13 +110,12 @@ class FirstOrder:
 class Propagated(FirstOrder):
     """Q complex quantities at L lines, as N draws of everything uncertain spread them.
 
-    `first_factor` (L, Q) of the stated 95 % ellipse. `mean` (L, Q), `covariance` (L, Q, 2, 2) of the draws,
+    `mean` (L, Q), `covariance` (L, Q, 2, 2) of the draws,
     `factor` (L, Q): the ellipse (z - mean)ᵀ·covariance⁻¹·(z - mean) ≤ factor² holds 95 % of them (JCGM 102, 7.7.2).
-    `first_holds` (L, Q): share of the draws inside the stated ellipse (`region_covariance`). `magnitude`, `phase` (rad,
+    `first_holds` (L, Q): share of the draws inside the stated region. `magnitude`, `phase` (rad,
     within π of the value's phase): real quantities of the same draws.
     """
 
-    first_factor: FloatArray
     mean: ComplexArray
     covariance: FloatArray
     factor: FloatArray
@@ -128,8 +125,8 @@ class Propagated(FirstOrder):
 
     def __post_init__(self) -> None:
         shape = (len(self.frequency_hz), len(self.elements))
-        check_shapes(self, shape, "value", "first_factor", "dof", "u_turn", "mean", "factor", "first_holds")
-        check_shapes(self, (*shape, 2, 2), "first_covariance", "covariance")
+        check_shapes(self, shape, "value", "mean", "factor", "first_holds")
+        check_shapes(self, (*shape, 2, 2), "first_covariance", "first_region", "covariance")
         check_shapes(self, (2, *shape), "k_polar")
         if len(self.unit) != shape[1]:
             raise ValueError(f"unit: expected {shape[1]} units, one per element, found {len(self.unit)}")
@@ -177,11 +174,7 @@ def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
     parts = np.stack([(draws - mean).real, (draws - mean).imag], axis=-1)
     covariance = np.asarray(np.einsum("nlqi,nlqj->lqij", parts, parts) / (len(draws) - 1))
     factor = np.sqrt(np.quantile(_distance(draws - mean, covariance), COVERAGE, axis=0))
-    freedom = first.dof.ravel().tolist()
-    factors = [np.nan if np.isnan(dof) else region_factor(dof) for dof in freedom]
-    first_factor = np.array(factors, dtype=np.float64).reshape(first.dof.shape)
-    stated = region_covariance(first.value, first.first_covariance, first.u_turn)
-    inside = _distance(draws - first.value, stated) <= first_factor**2
+    inside = _distance(draws - first.value, first.first_region) <= 1.0
     known = np.isfinite(mean) & np.isfinite(first.value)
     size = np.abs(first.value)
     turned = np.angle(draws * np.conj(first.value)) + np.angle(first.value)
@@ -194,7 +187,6 @@ def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
     k_magnitude, k_phase = first.k_polar
     return Propagated(
         **vars(first),
-        first_factor=first_factor,
         mean=mean,
         covariance=covariance,
         factor=factor,

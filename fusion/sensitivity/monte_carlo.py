@@ -189,7 +189,7 @@ def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
     ) -> FirstOrder:
         pair = np.arange(len(elements))[:, None] + [0, len(elements)]
         covariance = uncertainty.covariance[:, pair[:, :, None], pair[:, None, :]]
-        known = uncertainty.dof(), uncertainty.k_polar(value), uncertainty.u_turn(value)
+        known = uncertainty.regions(value), uncertainty.k_polar(value)
         return FirstOrder(name, frequency, tuple(elements), tuple(units), value, covariance, *known)
 
     for fused in analysis.accelerations:

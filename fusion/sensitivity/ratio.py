@@ -13,17 +13,15 @@ from numpy.typing import ArrayLike
 
 from fusion.base import AnyNotice, rounded
 from fusion.estimation.consistency import OUTPUT_MISTAKES, likely_mistake
+from fusion.estimation.coverage import Polar, coverage_factor, polar
 from fusion.estimation.least_squares import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
     Influence,
-    Polar,
     Uncertainty,
     Unknown,
-    coverage_factor,
     element_covariance,
     merge_contributions,
-    polar,
     polar_elements,
     real_design,
     real_stack,

@@ -21,7 +21,7 @@ from fusion.campaign import run as under_test
 from fusion.campaign.run import Outcome, exit_status, print_campaign, run_path, sensitivity_table
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
-from fusion.estimation.uncertainty import coverage_factor
+from fusion.estimation.coverage import coverage_factor
 from fusion.report.folder import SENSITIVITY_FILE
 from fusion.report.recording import CAMPAIGN_FILES, result_tables, row_element
 from fusion.report.tables import sensitivity_element

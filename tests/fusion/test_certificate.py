@@ -7,6 +7,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from lxml import etree
 from support import DOCS, Refused, edit, examples, rows, without_pages
@@ -98,14 +99,13 @@ def test_the_numbers_are_those_of_the_table_and_the_xml_is_valid(
                 ("u_magnitude", "u_phase_rad"), factors, texts(result, ".//si:valueExpandedMUXMLList"), strict=True
             ):
                 assert float(stated) == pytest.approx(float(k) * float(row[u]), rel=1e-12)
-        # First order, and along the value what a turn bends the region by (docs/results.md).
-        re, im, u_re, u_im, u_turn = (float(row[name]) for name in ("re", "im", "u_re", "u_im", "u_phase_rad"))
-        bent = max(u_turn**2 - (float(row["u_magnitude"]) / float(row["magnitude"])) ** 2, 0.0) ** 2
-        bent *= 1.716 if len(values) == 3 else 0.0
+        re, im, r = (float(row[f"region_{name}"]) for name in ("re", "im", "r"))
+        (k,) = (float(text) for text in texts(result, ".//si:ellipsoidalRegionMUXMLList/si:coverageFactorXMLList"))
         variances = [float(text) for text in texts(result, ".//si:covarianceXMLList/si:valueXMLList")]
-        assert variances[0] == pytest.approx(u_re**2 + bent * re**2, rel=1e-9)
-        assert variances[1] == pytest.approx(float(row["r"]) * u_re * u_im + bent * re * im, rel=1e-9)
-        assert variances[3] == pytest.approx(u_im**2 + bent * im**2, rel=1e-9)
+        np.testing.assert_allclose(k**2 * np.array(variances), [re**2, r * re * im, r * re * im, im**2], rtol=1e-9)
+        # One factor for both parts: the area is that of the covariance of first order.
+        first = float(row["u_re"]) * float(row["u_im"]) * np.sqrt(1.0 - float(row["r"]) ** 2)
+        assert np.sqrt(variances[0] * variances[3] - variances[1] ** 2) == pytest.approx(first, rel=1e-6)
     units = set(texts(root, ".//si:complexListXMLList/si:unitXMLList"))
     assert units == {r"\volt\volt\tothe{-1}\newton\tothe{-1}"}
     assert texts(root, ".//dcc:calibrationLaboratory//dcc:name/dcc:content") == ["Söhne <&\"'> </script>"]
@@ -134,9 +134,9 @@ def test_its_own_certificates_are_read_back(campaign: Path) -> None:
         assert (own.frequency_hz, own.magnitude, own.phase_rad) == pytest.approx(
             (value.frequency_hz, value.magnitude, value.phase_rad), rel=1e-12
         )
-        # The table has u; of U with k above 2 half of it counts as u.
-        assert 1.0 - 1e-9 <= own.u_magnitude / value.u_magnitude < 1.1
-        assert 1.0 - 1e-9 <= own.u_phase_rad / value.u_phase_rad < 1.1
+        # The table has u; of U with k above 2 half of it counts as u, and a region has one factor for both parts.
+        assert 0.98 < own.u_magnitude / value.u_magnitude < 1.1
+        assert 0.98 < own.u_phase_rad / value.u_phase_rad < 1.1
 
 
 def test_what_is_missing_is_told_in_one_list(campaign: Path, refused: Refused) -> None:

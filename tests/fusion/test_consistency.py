@@ -27,12 +27,13 @@ from instrument_factory import (
 )
 from scipy.optimize import brentq
 from scipy.stats import binom, chi2, f, ncf, ncx2, t
+from support import far
 
 from fusion.estimation.consistency import as_stated, explanations, not_allowed_for, suspicion
 from fusion.estimation.fuse import INCONSISTENCY, Acceleration, fuse, fuse_sources, untested
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.measurement_model import Observation
-from fusion.estimation.uncertainty import as_complex, region_factor
+from fusion.estimation.uncertainty import as_complex
 from fusion.estimation.variance_components import Contrasts, EstimatedNoise, variance_components
 from fusion.sensitivity.body import Body, make_part
 from fusion.sensitivity.load import load_phasors
@@ -199,11 +200,7 @@ def disagreement(result: Acceleration) -> np.ndarray:
 
 def covered(result: Acceleration, truth: np.ndarray = TRUTH) -> np.ndarray:
     """Which components' 95 % regions hold the truth at the first line."""
-    covariance, dof = result.uncertainty.covariance[0], result.uncertainty.dof()[0]
-    error = result.phasors.value[0] - truth[0]
-    parts = np.stack([error.real, error.imag], axis=1)
-    squares = [p @ np.linalg.solve(covariance[both_parts(c)], p) for c, p in enumerate(parts)]
-    return np.array([square <= region_factor(float(nu)) ** 2 for square, nu in zip(squares, dof, strict=True)])
+    return np.array(far(result.phasors.value[0], truth[0], result.uncertainty)) <= 1.0
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -283,7 +280,7 @@ def judged(make: Callable[[], list[Observation]], truth: np.ndarray, *, cautious
         errors.append(((value - truth[0, 2]) / unit).real)
         along = np.array([unit.real, unit.imag])
         spread.append(t.ppf(0.975, dof) * np.sqrt(along @ covariance @ along))
-        return value, covariance * region_factor(dof) ** 2 / chi2.ppf(0.95, 2)
+        return value, result.uncertainty.regions(result.phasors.value)[0, 2] / chi2.ppf(0.95, 2)
 
     coverage_contract(estimate, truth[0, 2], 200, cautious=cautious)
     assert np.median(spread) / np.quantile(np.abs(errors), 0.95) < 1.2

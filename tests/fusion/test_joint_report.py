@@ -32,7 +32,7 @@ from fusion.campaign.joint_report import (
     write_campaign,
 )
 from fusion.campaign.recorded import Recorded, SensorFacts
-from fusion.estimation.uncertainty import coverage_factor
+from fusion.estimation.coverage import coverage_factor
 from fusion.phasors.timing import Grid
 from fusion.report import recording as results
 from fusion.report.folder import Provenance
@@ -48,7 +48,7 @@ STATIC = np.diag(MAIN)
 SENSOR = SensorFacts("six-component transducer", "0815", LOADS, "V/V", "on_load", CAPACITY, STATIC, 1e-4)
 MATRIX = true_matrix(np.random.default_rng(42))
 POLAR = "magnitude,phase_rad,u_magnitude,u_phase_rad,re,im,u_re,u_im,r,dof"
-TAIL = "dof_magnitude,dof_phase,k_magnitude,k_phase,u_turn_rad"
+TAIL = "dof_magnitude,dof_phase,k_magnitude,k_phase,region_re,region_im,region_r"
 HEADER = (
     f"frequency_hz,channel,component,{POLAR},k,U_magnitude,U_phase_rad,relative,u_relative,U_relative,unit,recordings,"
     f"mountings,kind,{TAIL}"

@@ -55,9 +55,7 @@ def normalised(fit: MatrixFit, truth: AnyArray) -> AnyArray:
 
 def distances(fit: MatrixFit, truth: AnyArray) -> list[float]:
     """How far out every element is, over the edge of its 95 % region."""
-    error, covariance, dof = (fit.value - truth).ravel(), fit.uncertainty.covariance[0], fit.uncertainty.dof()[0]
-    both = [np.ix_([n, n + error.size], [n, n + error.size]) for n in range(error.size)]
-    return [far(e, covariance[place], nu) for e, place, nu in zip(error, both, dof, strict=True)]
+    return far(fit.value, truth, fit.uncertainty)
 
 
 def whitening(parts: tuple[Uncertainty, ...]) -> list[AnyArray]:

@@ -15,9 +15,10 @@ from simulated_phasors import CASES, case_setup, lines_at, simulate_phasors
 
 from fusion.base import Settings
 from fusion.cli import main
+from fusion.estimation.coverage import region_factor, region_matrix
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.measurement_model import Deviates
-from fusion.estimation.uncertainty import polar_elements, region_factor
+from fusion.estimation.uncertainty import polar_elements
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.instruments.stereo import StereoReading
 from fusion.recording.manifest import ChannelEntry
@@ -85,7 +86,6 @@ def test_tolerances_of_the_guide():
 def normal_draws(value: complex, spread: np.ndarray) -> Propagated:
     parts = np.random.default_rng(2).multivariate_normal(np.zeros(2), spread, 100_000)
     draws = (value + parts[:, 0] + 1j * parts[:, 1])[:, None, None]
-    dof = np.array([[np.inf]])
     first = FirstOrder(
         "load",
         np.array([1.0]),
@@ -93,9 +93,8 @@ def normal_draws(value: complex, spread: np.ndarray) -> Propagated:
         ("N",),
         np.array([[value]]),
         spread[None, None],
-        dof,
+        region_matrix(np.array([[value]]), spread[None, None]),
         np.full((2, 1, 1), norm.ppf(0.975)),
-        np.zeros((1, 1)),
     )
     return summarise(first, draws)
 

@@ -29,7 +29,7 @@ from fusion.campaign.drive import (
     over_lines,
     with_starts,
 )
-from fusion.campaign.repeats import BETWEEN, Repeats, alike, find_repeats, mean_ratio, own_and_shared
+from fusion.campaign.repeats import BETWEEN, TURNED, Repeats, alike, find_repeats, mean_ratio, own_and_shared
 from fusion.estimation.uncertainty import Influence, Uncertainty, polar_elements
 from fusion.phasors.timing import Grid
 from fusion.recording.load import load_manifest
@@ -76,7 +76,7 @@ def test_variance_components_are_those_of_an_unbalanced_analysis_of_variance():
     # U rests on what the means of the mountings differ by alone (Hartung & Knapp 2001): nothing is taken off.
     means = np.array([np.mean(v) for v in groups.values()])
     expected = np.sum(weights * (means - mean) ** 2) / 2.0
-    assert list(parts) == [BETWEEN]
+    assert list(parts) == [BETWEEN, TURNED]
     assert parts[BETWEEN].covariance[0, 0, 0] == pytest.approx(expected, rel=1e-5)
     assert parts[BETWEEN].dof == pytest.approx([2.0])
 
@@ -363,6 +363,36 @@ def test_phases_of_means_are_covered_however_the_recorders_start(tmp_path, anew:
         assert held[1] < binom.ppf(5e-3, 20, 0.95)
 
 
+@pytest.mark.parametrize("turned", [0.01, 0.1])
+def test_the_magnitude_of_a_mean_holds_what_its_phases_take_from_it(turned: float):
+    # Recordings that are turned and otherwise alike: the mean is short by half the mean square of the angles.
+    rng, inside, lengths = np.random.default_rng(8), [], []
+    for _ in range(100):
+        angles = turned * rng.standard_normal(6)
+        drives = [recorded(np.exp(1j * angle), f"{n}", f"{n}", scale=0.0) for n, angle in enumerate(angles.tolist())]
+        (found,) = find_repeats(drives)
+        ((own, _),) = polar_elements(found.value[None], found.uncertainty)
+        lengths.append(own.magnitude)
+        inside.append(abs(own.magnitude - 1.0) <= own.expanded_magnitude)
+    assert np.mean(lengths) == pytest.approx(1.0 - turned**2 / 2.0 * 5.0 / 6.0, abs=0.2 * turned**2)
+    assert np.mean(inside) > 0.93
+
+
+def test_what_scatters_along_a_mean_as_across_it_takes_nothing_from_it():
+    rng, parts = np.random.default_rng(9), []
+    for _ in range(200):
+        values = 1.0 + 0.01 * (rng.standard_normal(6) + 1j * rng.standard_normal(6))
+        (found,) = find_repeats([recorded(complex(v), f"{n}", f"{n}", scale=0.0) for n, v in enumerate(values)])
+        (turns,) = (part for part in found.uncertainty.random if part.label == TURNED)
+        parts.append(np.sqrt(turns.covariance[0, 0, 0]))
+    # A few hundredths of what the mean scatters by, 0.01/√6.
+    assert np.max(parts) < 0.03 * 0.01 / np.sqrt(6.0)
+    # Of a mean below its scatter nothing is told.
+    (weak,) = find_repeats([recorded(v, f"{n}", f"{n}") for n, v in enumerate((1.0 + 1.0j, -1.0 + 1.0j, 0.1 - 1.9j))])
+    (turns,) = (part for part in weak.uncertainty.random if part.label == TURNED)
+    assert not np.any(turns.covariance)
+
+
 @pytest.mark.slow
 def test_the_mean_over_mountings_is_covered():
     rng, inside = np.random.default_rng(6), []
@@ -376,9 +406,7 @@ def test_the_mean_over_mountings_is_covered():
             for n in range(1 + m % 2)
         ]
         (found,) = find_repeats(simulate_drives(setups, truth, DriveErrors(rng)), CAPACITY.tolist())
-        error = found.value[2] - truth[2, 2]
-        covariance, dof = found.uncertainty.covariance[0][np.ix_([2, 8], [2, 8])], found.uncertainty.dof()[0, 2]
-        inside.append(far(error, covariance, dof) <= 1.0)
+        inside += [off <= 1.0 for off in far(found.value[[2]], truth[2, 2], found.uncertainty.at([2]))]
     assert 0.89 < np.mean(inside) <= 1.0
 
 

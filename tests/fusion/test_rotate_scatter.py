@@ -13,7 +13,7 @@ from support import rows
 
 from fusion.campaign.repeats import BETWEEN, WITHIN, nested
 from fusion.cli import main
-from fusion.estimation.uncertainty import coverage_factor
+from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import load_manifest
 from fusion.sensor.rotate.evaluate import MEAN_ROWS, Campaign, evaluate_rotation, quantities
 from fusion.sensor.rotate.readings import (

@@ -30,7 +30,7 @@ from take_factory import (
     reference,
 )
 
-from fusion.estimation.uncertainty import coverage_factor
+from fusion.estimation.coverage import coverage_factor
 from fusion.instruments.channel import ChainUncertainty, Reading, late, observe_channels, output_phasors
 from fusion.phasors.setup import OpenSetUp
 from fusion.phasors.setups import ReferenceTie, merge_readings, reference_ties
@@ -134,10 +134,11 @@ def test_regions_hold_the_truth_as_often_as_stated(rig, trials, drift):
     def estimate(_: int) -> tuple[list[float], np.ndarray]:
         found, out = _analyse(rng, rig, drift), []
         for body, truth in (("load", LOAD[2]), ("base", BASE_Z)):
-            motion = next(a.phasors for a in found.accelerations if a.body == body)
-            out.append(far(motion.value[0, 2] - truth, motion.covariance[0][np.ix_([2, 8], [2, 8])]))
+            motion = next(a for a in found.accelerations if a.body == body)
+            out += far(motion.phasors.value[0, [2]], truth, motion.uncertainty.at([2]))
         ratio = found.sensitivity
-        return [*out, far(ratio.value[0, 0, 2] - SENSITIVITY, ratio.covariance[0, 0, 2])], np.ones(3)
+        of_ratio = ratio.uncertainty.at([ratio.elements.index((0, 2))])
+        return [*out, *far(ratio.value[0, 0, [2]], SENSITIVITY, of_ratio)], np.ones(3)
 
     held = coverage_contract(estimate, np.zeros(3), trials, cautious=True)
     assert trials < 100 or np.all(held < 1.0)  # no larger than needed

@@ -15,8 +15,9 @@ import pytest
 from instrument_factory import stereo_entry
 from scipy.stats import binom
 
+from fusion.estimation.coverage import polar
 from fusion.estimation.measurement_model import Deviates
-from fusion.estimation.uncertainty import Contribution, Uncertainty, polar, real_stack
+from fusion.estimation.uncertainty import Contribution, Uncertainty, real_stack
 from fusion.phasors.stereo_motion import StereoMotion
 from fusion.phasors.stereo_phasors import StereoPhasors, pairs_phasors, stereo_phasors
 from fusion.phasors.timing import TimeBase, see, together

@@ -14,20 +14,9 @@ from hypothesis.extra.numpy import arrays
 from scipy import stats
 
 from fusion.base import Rounded, prefix, rounded
+from fusion.estimation.coverage import UNIFORM_PHASE_U, coverage_factor, polar, region, region_factor, region_matrix
 from fusion.estimation.measurement_model import Deviates
-from fusion.estimation.uncertainty import (
-    UNIFORM_PHASE_U,
-    Contribution,
-    Influence,
-    Uncertainty,
-    coverage_factor,
-    element_covariance,
-    polar,
-    polar_elements,
-    region,
-    region_covariance,
-    region_factor,
-)
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, element_covariance, polar_elements
 from fusion.report.h5 import read_uncertainty, write_uncertainty
 from fusion.sensitivity.load import budget
 from shaker.labels import typeset
@@ -125,48 +114,78 @@ def test_factors_of_the_table_of_the_gum(dof, factor):
     assert coverage_factor(dof) == pytest.approx(factor, abs=0.006)
 
 
-@given(st.floats(1.2, 1e4))
-def test_region_factor_is_hotellings(dof):
-    expected = np.sqrt(2.0 * dof / (dof - 1.0) * stats.f.ppf(0.95, 2, dof - 1.0))
-    assert region_factor(dof) == pytest.approx(expected, rel=1e-6)
+@given(st.floats(0.5, 1e4))
+def test_region_factor_is_that_of_two_parts_with_one_variance(dof):
+    assert region_factor(dof) == pytest.approx(np.sqrt(2.0 * stats.f.ppf(0.95, 2, dof)), rel=1e-6)
 
 
 def test_factors_at_the_ends():
     assert region_factor(np.inf) == pytest.approx(np.sqrt(stats.chi2.ppf(0.95, 2)), rel=1e-12)
     assert region_factor(1e9) == pytest.approx(region_factor(np.inf), rel=1e-8)
-    assert region_factor(1.0) == np.inf
-    assert region_factor(0.5) == np.inf
+    assert region_factor(1e-3) == np.inf
+    assert np.isnan(region_factor(np.nan))
     assert coverage_factor(0.0) == np.inf
 
 
-@pytest.mark.parametrize("count", [4, 8, 30])
-def test_region_of_a_mean_of_complex_readings_holds_the_truth(count):
-    # The case of Willink & Hall: mean of n complex readings, ν = n - 1. 20 000 means fix 95 % to 0.15 %.
-    rng = np.random.default_rng(count)
-    truth, trials = 0.4 - 0.2j, 20_000
-    root = np.array([[1.0, 0.0], [0.7, 0.4]])
-    readings = np.array([truth.real, truth.imag]) + rng.standard_normal((trials, count, 2)) @ root.T
-    means = readings.mean(axis=1)
-    spreads = np.einsum("tni,tnj->tij", readings - means[:, None], readings - means[:, None]) / (count - 1) / count
-    error = means - np.array([truth.real, truth.imag])
-    distance = np.einsum("ti,tij,tj->t", error, np.linalg.inv(spreads), error)
-    assert np.mean(distance <= region_factor(count - 1) ** 2) == pytest.approx(0.95, abs=0.005)
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9, 0.99])
+@pytest.mark.parametrize("dof", [1, 2, 3, 5, 10, 20])
+@pytest.mark.parametrize("known", [0.0, 1.0, 10.0])
+def test_regions_hold_whatever_is_estimated_and_along_which_direction(correlation, dof, known):
+    # A mean of dof + 1 complex readings whose parts may be correlated, and a stated u of the phase, `known` times as
+    # large. 20 000 regions fix 95 % to 0.15 %.
+    rng, trials = np.random.default_rng([int(10 * correlation), dof, int(known)]), 20_000
+    root = np.array([[1.0, 0.0], [correlation, np.sqrt(1.0 - correlation**2)]])
+    sample = rng.standard_normal((trials, dof, 2)) @ root.T
+    error = rng.standard_normal((trials, 2)) @ root.T
+    error[:, 1] += known * rng.standard_normal(trials)
+    spread = np.einsum("tni,tnj->tij", sample, sample) / dof
+    regions = known_phase(trials, known, float(dof), spread).regions(np.ones((trials, 1), np.complex128))[:, 0]
+    squares = np.einsum("ti,ti->t", error, np.linalg.solve(regions, error[..., None])[..., 0])
+    # At worst: two degrees of freedom and a correlation of 0.9; five and one of nearly 1.
+    assert 0.925 < np.mean(squares <= 1.0) < 0.972
 
 
 def test_axes_of_a_region():
     turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
     covariance = turn @ np.diag([4.0, 0.25]) @ turn.T
-    known, estimated, k = region(5.0 + 1.0j, covariance), region(5.0 + 1.0j, covariance, 5.0), region_factor(np.inf)
+    value, k = 5.0 * np.exp(0.3j), region_factor(np.inf)
+    known = region(value, region_matrix(value, covariance))
     assert known.half_axes == pytest.approx((2.0 * k, 0.5 * k))
     assert known.angle_rad == pytest.approx(0.3)
-    assert estimated.half_axes[0] == pytest.approx(2.0 * region_factor(5.0))
+    # Each part with its own factor: 5 degrees of freedom along the value, 2 across it.
+    estimated = region(value, region_matrix(value, covariance, (5.0, 2.0)))
+    assert estimated.half_axes == pytest.approx((2.0 * region_factor(5.0), 0.5 * region_factor(2.0)))
     assert region(1.0j, np.diag([1.0, 9.0])).angle_rad == pytest.approx(np.pi / 2.0)
+    one = polar(value, covariance, 5.0)
+    assert one.region_factor == pytest.approx(region_factor(5.0))
+    assert polar(value, np.zeros((2, 2)), 5.0).region_factor == pytest.approx(region_factor(5.0))
+
+
+def test_what_a_region_counts_of_a_correlation():
+    value = np.array([[1.0 + 0.0j]])
+
+    def correlation(dof: float, r: float) -> float:
+        noise = Contribution("noise", "A", np.array([[[1.0, r], [r, 4.0]]]) * [[1.0, 2.0], [2.0, 1.0]], np.array([dof]))
+        ((one,),) = polar_elements(value, Uncertainty((noise,)))
+        return one.region_r
+
+    assert correlation(np.inf, 0.6) == pytest.approx(0.6)
+    # 20/19·(K(19)/K(20))²·(1 + 3/20)² = 1.4110 times the variance 0.64 or 0.19 that the correlation leaves.
+    factor = 20.0 / 19.0 * (stats.f.ppf(0.95, 2, 19) / stats.f.ppf(0.95, 2, 20)) * 1.15**2
+    assert correlation(20.0, 0.6) == pytest.approx(np.sqrt(1.0 - factor * 0.64))
+    assert correlation(20.0, -0.9) == pytest.approx(-np.sqrt(1.0 - factor * 0.19))
+    assert correlation(5.0, 0.6) == correlation(2.0, 0.6) == correlation(1.0, 0.9) == 0.0
+    # Two parts that one unknown moves are correlated, however few degrees of freedom its size has.
+    tie = Influence("tilt", "tilt", 1.0, "rad", np.array([[0.6, 0.6]]), dof=2.0)
+    nothing = Contribution("noise", "A", np.zeros((1, 2, 2)))
+    ((one,),) = polar_elements(value, Uncertainty((nothing,), (tie,)))
+    assert one.region_r == pytest.approx(1.0)
 
 
 @given(st.floats(-np.pi, np.pi), st.floats(0.5, 1.5))
 def test_a_region_holds_zero_as_its_ellipse_does(angle, share):
-    edge = np.linalg.cholesky(COVARIANCE) @ [np.cos(angle), np.sin(angle)] * region_factor(40.0)
-    assert abs(share - 1.0) < 1e-6 or region(share * complex(*edge), COVARIANCE, 40.0).holds_zero == (share < 1.0)
+    edge = np.linalg.cholesky(COVARIANCE) @ [np.cos(angle), np.sin(angle)]
+    assert abs(share - 1.0) < 1e-6 or region(share * complex(*edge), COVARIANCE).holds_zero == (share < 1.0)
 
 
 @pytest.mark.parametrize("u_phase", [0.001, 0.01, 0.03, 0.07, 0.15, 0.3])
@@ -181,34 +200,35 @@ def test_regions_of_turned_values_hold_and_magnitude_and_phase_stay(u_phase, u_m
         (nothing,),
         tuple(Influence(n, n, u, unit, np.stack([e.real, e.imag], axis=1)) for n, u, unit, e in parts),
     )
-    turn = told.u_turn(read[:, None])[:, 0]
     error = np.stack([(truth - read).real, (truth - read).imag], axis=-1)[..., None]
 
-    def held(covariance: np.ndarray) -> float:
-        squares = (error.swapaxes(1, 2) @ np.linalg.solve(covariance, error))[:, 0, 0]
-        return float(np.mean(squares <= stats.chi2.ppf(0.95, 2)))
+    def held(matrix: np.ndarray) -> float:
+        return float(np.mean((error.swapaxes(1, 2) @ np.linalg.solve(matrix, error))[:, 0, 0] <= 1.0))
 
-    stated = region_covariance(read, told.covariance, turn)
+    stated = told.regions(read[:, None])[:, 0]
     assert 0.945 < held(stated) < 0.965
     if u_phase >= 0.07 and u_magnitude < 5e-3:
-        assert held(told.covariance) < 0.94
+        assert held(told.covariance * stats.chi2.ppf(0.95, 2)) < 0.94
     ((one,),) = polar_elements(read[:1, None], told.at_lines([0]))
     assert (one.u_magnitude, one.u_phase_rad) == pytest.approx((u_magnitude * abs(read[0]), u_phase), rel=1e-9)
-    assert one.region.half_axes == pytest.approx(tuple(2.4477 * np.sqrt(np.linalg.eigvalsh(stated[0])[::-1])), rel=1e-4)
+    assert one.region.half_axes == pytest.approx(tuple(np.sqrt(np.linalg.eigvalsh(stated[0])[::-1])), rel=1e-4)
 
 
 def test_only_times_turn_a_value():
-    value, one = np.array([[2.0j]]), np.array([[1.0 - 0.2j]])
-    nothing = Contribution("noise", "A", np.eye(2)[None])
-    parts = (("tilt", "rad"), ("delay", "s"), ("clock: rate", "1"))
-    told = Uncertainty(
-        (nothing,), tuple(Influence(n, n, 1.0, unit, np.stack([one.real, one.imag], -1)[:, 0]) for n, unit in parts)
-    )
-    # (1 - 0.2j)/2j = -0.1 - 0.5j: the delay turns by half a radian.
-    assert told.u_turn(value)[0, 0] == pytest.approx(0.5)
-    np.testing.assert_array_equal(told.u_turn(np.zeros((1, 1), np.complex128)), 0.0)
+    value, effect = np.array([[2.0j]]), np.array([[1.0, -0.2]])
+    nothing, square = Contribution("noise", "A", np.zeros((1, 2, 2))), stats.chi2.ppf(0.95, 2)
+
+    def beyond(unit: str, at: np.ndarray = value) -> np.ndarray:
+        told = Uncertainty((nothing,), (Influence("one", "one", 1.0, unit, effect),))
+        return np.asarray(told.regions(at)[0, 0] / square - told.covariance[0])
+
+    # (1 - 0.2j)/2j = -0.1 - 0.5j: a delay turns by half a radian, which takes more of the imaginary part.
+    np.testing.assert_allclose(beyond("s"), np.diag([0.0, 1.716 * 0.5**4 * 2.0**2]), atol=1e-12)
+    for unit, at in (("rad", value), ("1", value), ("s", np.zeros((1, 1), np.complex128))):
+        np.testing.assert_allclose(beyond(unit, at), 0.0, atol=1e-12)
     # Never longer along the value than a circle would be.
-    np.testing.assert_allclose(region_covariance(2.0 + 0.0j, np.zeros((2, 2)), 3.0), np.diag([36.0, 0.0]))
+    far = region_matrix(2.0 + 0.0j, np.zeros((2, 2)), u_turn=3.0)
+    np.testing.assert_allclose(far, np.diag([36.0 * square, 0.0]), rtol=1e-9)
 
 
 @pytest.mark.parametrize("widths", [(1.0,), (1.0, 1.0), (1.0, 0.3, 0.1), (0.2, 0.2, 0.2, 0.2, 0.2)])
@@ -289,13 +309,13 @@ def test_intervals_hold_whatever_the_share_of_what_is_estimated(dof, known):
     assert 0.926 < held < 0.970  # 20 000 intervals fix 95 % to 0.15 %
 
 
-def test_two_readings_have_intervals_though_they_have_no_region():
+def test_two_readings_have_a_region_though_a_wide_one():
     (near,), (far,) = (
         polar_elements(np.array([[value]]), known_phase(1, 0.0, 1.0, np.diag([1.0, 4.0])[None]))[0]
-        for value in (20.0 + 0j, 30.0 + 0j)
+        for value in (19.0 + 0j, 21.0 + 0j)
     )
-    assert np.isinf(near.region.half_axes[0])
-    # t of one degree of freedom, 97.5 %: 25.5.
+    # 2·F of 2 and 1 degrees of freedom: 19.97².
+    assert near.region.half_axes == pytest.approx((2.0 * 19.97, 19.97), rel=1e-3)
     assert near.region.holds_zero
     assert not far.region.holds_zero
 
@@ -304,7 +324,7 @@ def test_values_without_uncertainty_or_without_region():
     assert not region(1e-300 + 0j, np.zeros((2, 2))).holds_zero
     assert region(0j, np.zeros((2, 2))).holds_zero
     assert region(1.0 + 1.0j, np.full((2, 2), np.nan)).holds_zero
-    assert region(1e9 + 0j, np.eye(2), 1.0).holds_zero
+    assert region(1e9 + 0j, np.full((2, 2), np.inf)).holds_zero
     flat = region(1.0 + 0j, np.diag([0.0, 1.0]))
     assert not flat.holds_zero
     assert flat.half_axes[1] == 0.0

@@ -10,7 +10,7 @@ import pytest
 from support import rows
 
 from fusion.cli import main
-from fusion.estimation.uncertainty import coverage_factor
+from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import load_manifest
 from fusion.recording.rig import Change, ElasticMode, ModelChanges, Rig, Warming
 from fusion.recording.toml import validate

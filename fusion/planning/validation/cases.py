@@ -148,13 +148,13 @@ def matrix(inputs: Inputs) -> dict[str, float]:
 
 def certificate(inputs: Inputs) -> dict[str, float]:
     """Coverage factors, magnitude and phase with their uncertainties, rounding."""
-    from fusion.estimation.uncertainty import coverage_factor, polar, region_factor
+    from fusion.estimation.coverage import coverage_factor, polar, region_factor
 
     found = {"k of infinite degrees of freedom": coverage_factor(np.inf)}
     for dof in inputs["dof"]:
         found |= {
             f"k of {dof:g} degrees of freedom": coverage_factor(dof),
-            f"region factor of {dof:g}": region_factor(dof),
+            f"region factor of {dof:g}": float(region_factor(dof)),
         }
     stated = polar(complex(*inputs["value"]), np.array(inputs["covariance"]))
     texts = sum(rounded(value, expanded).text == text for value, expanded, text in inputs["rounding"])

@@ -10,7 +10,7 @@ from lxml import etree
 from lxml.builder import ElementMaker
 
 from fusion.base import PROGRAM, InputError, __version__
-from fusion.estimation.uncertainty import COVERAGE
+from fusion.estimation.coverage import COVERAGE
 from fusion.recording.dsi import Powers, dsi_unit
 from fusion.sensor.certificate.form import Party
 
@@ -219,11 +219,13 @@ def _limit(element: Element) -> list[etree._Element]:
 def _complex(element: Element, unit: str, squared: str) -> etree._Element:
     """Real and imaginary part with the covariance matrix and the factor of their 95 % region."""
     values = element.values
-    rows = np.array([value.element.region_covariance for value in values]).reshape(-1, 4).T
+    factors = [value.element.region_factor for value in values]
+    matrices = [value.element.region_matrix / k**2 for value, k in zip(values, factors, strict=True)]
+    rows = np.reshape(matrices, (-1, 4)).T
     cells = [S.covarianceXMLList(S.valueXMLList(_numbers(row)), S.unitXMLList(squared)) for row in rows]
     region = S.ellipsoidalRegionMUXMLList(
         S.covarianceMatrixXMLList(S.columnXMLList(*cells[:2]), S.columnXMLList(*cells[2:])),
-        S.coverageFactorXMLList(_numbers(value.region_factor for value in values)),
+        S.coverageFactorXMLList(_numbers(factors)),
         S.coverageProbabilityXMLList(repr(COVERAGE)),
     )
     numbers = S.complexListXMLList(

@@ -13,7 +13,7 @@ from fusion.base import InputError
 from fusion.campaign.curve import CurvePoint
 from fusion.campaign.joint import best_points, curve_points, evaluate_campaign, main_channel
 from fusion.campaign.recorded import Recorded, SensorFacts, read_recorded
-from fusion.estimation.uncertainty import COVERAGE, Polar, region_factor
+from fusion.estimation.coverage import COVERAGE, Polar
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, for_kinds, load_manifest
 from fusion.recording.toml import UncertainInput
@@ -50,11 +50,6 @@ class Stated:
     k: float
     k_phase: float
     has_phase: bool
-
-    @property
-    def region_factor(self) -> float:
-        """Return the factor of the 95 % region of the complex value."""
-        return region_factor(self.element.dof)
 
 
 @dataclass(frozen=True)

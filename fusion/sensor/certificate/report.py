@@ -133,7 +133,7 @@ def _element_table(element: Element) -> Table | None:
 
     def factors(value: Stated) -> str:
         if value.element.region.holds_zero:
-            return factor(value.region_factor)
+            return factor(value.element.region_factor)
         return both(factor(value.k), factor(value.k_phase))
 
     columns: list[Column[Stated]] = [

@@ -17,7 +17,7 @@ import numpy as np
 from markupsafe import Markup
 
 from fusion.base import DASH, GRAM, MILLI, PERCENT, InputError, rounded
-from fusion.estimation.uncertainty import coverage_factor
+from fusion.estimation.coverage import coverage_factor
 from fusion.report.folder import Command, hash_files
 from fusion.report.h5 import write_value
 from fusion.report.table import (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fusion.base import InputError
-from fusion.estimation.uncertainty import coverage_factor
+from fusion.estimation.coverage import coverage_factor
 from fusion.recording.values import repeated_name
 from fusion.sensor.models_file import (
     LOAD_MODEL_FILE,

@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from fusion.base import DASH, rounded
 from fusion.campaign.executor import one_blas_thread
-from fusion.estimation.uncertainty import coverage_factor
+from fusion.estimation.coverage import coverage_factor
 from fusion.report.folder import Command
 from fusion.report.h5 import write_fields, write_value
 from fusion.report.table import (

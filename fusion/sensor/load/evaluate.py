@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.base import CommandEvaluation, ComputeError, InputError
-from fusion.estimation.uncertainty import NamedQuantity, coverage_factor
+from fusion.estimation.coverage import NamedQuantity, coverage_factor
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
 from fusion.recording.toml import read_text

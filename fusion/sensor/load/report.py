@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from fusion.base import DASH, GRAM, rounded
-from fusion.estimation.uncertainty import NamedQuantity
+from fusion.estimation.coverage import NamedQuantity
 from fusion.recording.load import load_for_command
 from fusion.report.folder import Command, hash_files
 from fusion.report.h5 import write_fields, write_value

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.base import PERCENT, InputError, rounded
-from fusion.estimation.uncertainty import coverage_factor
+from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import Manifest, check_one_rig
 from fusion.sensor.rotate.readings import (
     JOINT,

@@ -11,7 +11,7 @@ import numpy as np
 
 from fusion.base import CommandEvaluation, InputError, as_input_error
 from fusion.campaign.repeats import BETWEEN, WITHIN, nested
-from fusion.estimation.uncertainty import NamedQuantity
+from fusion.estimation.coverage import NamedQuantity
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Load, Part, Sensor
 from shaker.arrays import FloatArray, Notice

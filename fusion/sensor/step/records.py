@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from fusion.base import InputError
-from fusion.estimation.uncertainty import NamedQuantity
+from fusion.estimation.coverage import NamedQuantity
 from fusion.recording.files import read_daqs
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry

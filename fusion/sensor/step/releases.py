@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.base import CommandEvaluation, InputError
-from fusion.estimation.uncertainty import NamedQuantity, Quantity
+from fusion.estimation.coverage import NamedQuantity, Quantity
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
 from fusion.sensor.models_file import ModelEntry

@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from fusion.base import DASH, K2, MILLI, PERCENT, rounded
 from fusion.campaign.executor import one_blas_thread
-from fusion.estimation.uncertainty import NamedQuantity, Quantity, coverage_factor
+from fusion.estimation.coverage import NamedQuantity, Quantity, coverage_factor
 from fusion.recording.load import load_for_command
 from fusion.report.folder import Command, subject_of
 from fusion.report.h5 import write_fields, write_value

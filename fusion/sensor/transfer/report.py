@@ -13,7 +13,8 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from fusion.base import K2
-from fusion.estimation.uncertainty import Contribution, Polar, Uncertainty, coverage_factor, element_covariance, polar
+from fusion.estimation.coverage import Polar, coverage_factor, polar
+from fusion.estimation.uncertainty import Contribution, Uncertainty, element_covariance
 from fusion.recording.load import load_for_command
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.folder import Command
