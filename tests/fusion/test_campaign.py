@@ -274,12 +274,14 @@ def test_printed_values_have_u_with_its_own_factor_and_no_phase_where_zero_may_b
     found = rows(tmp_path / SENSITIVITY_FILE)
     assert row_element(found[2]) == sensitivity_element(evaluation.sensitivity, 0, 2, 2)
     few = found[2] | {"dof": "4.0", "k_magnitude": "2.776445", "k_phase": "2.776445"}
-    weak = found[0] | {"re": "1e-11", "im": "0.0", "u_re": "2e-11", "u_im": "1e-11", "r": "0.0", "dof": "inf"}
+    weak = found[0] | {"re": "1e-11", "im": "0.0", "u_re": "2e-11", "u_im": "1e-11", "r": "0.0"}
+    weak |= {"region_re": "4.895e-11", "region_im": "2.448e-11", "region_r": "0.0"}
     console = Console(width=160, file=io.StringIO(), record=True)
     # A region that is thin beside the origin: the magnitude may be next to nothing, and the phase anything.
     thin = {"u_re": "1.5e-9", "u_im": "1e-12", "r": "0.0", "u_magnitude": "1.5e-9", "u_phase_rad": "0.03"}
-    thin = found[1] | thin | {"re": "2.9e-9", "im": "-1e-11", "magnitude": "2.9e-9", "dof": "inf"}
+    thin = found[1] | thin | {"re": "2.9e-9", "im": "-1e-11", "magnitude": "2.9e-9"}
     thin |= {"k_magnitude": "1.96", "k_phase": "1.96"}
+    thin |= {"region_re": "3.67e-9", "region_im": "2.448e-12", "region_r": "0.0"}
     console.print(sensitivity_table([found[2], few, weak, thin]))
     text = console.export_text()
     expanded = coverage_factor(4.0) * float(few["u_magnitude"]) * 1e7
