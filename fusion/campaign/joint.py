@@ -26,7 +26,7 @@ from fusion.campaign.drive import Drive, group_by_frequency, with_starts
 from fusion.campaign.matrix import CrossTalk, MatrixFit, cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
 from fusion.campaign.recorded import Recorded, SensorFacts
-from fusion.campaign.repeats import Repeats, find_repeats, means_once
+from fusion.campaign.repeats import Repeats, at_frequencies, find_repeats, means_once, repeat_notices
 from fusion.estimation.coverage import Polar
 from fusion.report.table import (
     Column,
@@ -125,7 +125,7 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
     curves = (*ratios, *elements, *joint)
     repeats = tuple(mean for mean in alike if len(mean.recordings) > 1)
     notices += [notice for fit in matrices for notice in fit.notices]
-    notices += [notice for mean in repeats for notice in mean.notices]
+    notices += repeat_notices(repeats)
     if len(alike) > len(repeats):
         what = f"{len(alike) - len(repeats)} of {len(alike)} excitations were recorded once"
         text = f"{what}: repeatability and what mounting anew changes are not assessed and not in their U"
@@ -197,10 +197,7 @@ def _fit_matrices(drives: Sequence[Drive], channels: Sequence[str]) -> tuple[tup
             refused.setdefault(("warning", str(error)), []).append(group[0].frequency_hz)
     notices = []
     for (severity, reason), places in refused.items():
-        where = f"{places[0]:.6g} Hz"
-        if len(places) > 1:
-            where = f"{len(places)} frequencies, {min(places):.6g} to {max(places):.6g} Hz"
-        notices.append(Notice(severity, f"no matrix at {where}: {reason}", "matrix"))
+        notices.append(Notice(severity, f"no matrix at {at_frequencies(places)}: {reason}", "matrix"))
     return tuple(fits), tuple(notices)
 
 

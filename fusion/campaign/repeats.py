@@ -60,7 +60,6 @@ class Repeats:
     between: FloatArray
     within_dof: int
     between_dof: int
-    notices: tuple[Notice, ...]
     kind: Literal["ratio", "element"] = "ratio"
 
 
@@ -208,7 +207,6 @@ def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | Non
         np.sqrt(total_variance(matrix[None])[0]) if dof else np.full(len(usable), np.nan)
         for matrix, dof in ((scatter.within, scatter.within_dof), (scatter.between, scatter.between_dof))
     )
-    notices = _repeat_notices(len(drives), scatter.between_dof + 1, drives[0].frequency_hz)
     return Repeats(
         frequency_hz=float(np.mean([drive.frequency_hz for drive in drives])),
         direction=drives[0].direction,
@@ -224,7 +222,6 @@ def mean_ratio(drives: Sequence[Drive], component: int, known: KnownMatrix | Non
         between=between,
         within_dof=scatter.within_dof,
         between_dof=scatter.between_dof,
-        notices=notices,
         kind="ratio" if known is None else "element",
     )
 
@@ -249,19 +246,29 @@ def means_once() -> Mean:
     return mean
 
 
-def _repeat_notices(recordings: int, mountings: int, frequency_hz: float) -> tuple[Notice, ...]:
-    """Say what the mean of some recordings leaves out of U, and how little two tell."""
-    where, stated = f"{frequency_hz:.6g} Hz", "is not in U beyond what is stated of positions and directions"
-    told = []
-    if recordings > 1 and mountings == 1:
-        told.append(f"{recordings} recordings at {where} are of one mounting: what mounting anew changes {stated}")
-    if recordings > 1 and max(mountings, recordings if mountings == 1 else 0) == 2:
-        what = "mountings" if mountings == 2 else "recordings"
-        told.append(
-            f"two {what} at {where} tell what they differ by with one degree of freedom, which U pays for with up to "
-            f"k = {coverage_factor(1.0):.1f}; a third makes it {coverage_factor(2.0):.1f}"
-        )
-    return tuple(Notice("info", text, "repeats") for text in told)
+def at_frequencies(frequency_hz: Sequence[float]) -> str:
+    """Say at which frequencies: one, or how many from where to where."""
+    if len(frequency_hz) == 1:
+        return f"{frequency_hz[0]:.6g} Hz"
+    return f"{len(frequency_hz)} frequencies, {min(frequency_hz):.6g} to {max(frequency_hz):.6g} Hz"
+
+
+def repeat_notices(means: Iterable[Repeats]) -> tuple[Notice, ...]:
+    """Say once for all frequencies what means of several recordings leave out of U, and how little two tell."""
+    places: dict[str, list[float]] = {}
+    for mean in means:
+        recordings, mountings = len(mean.recordings), mean.between_dof + 1
+        if recordings > 1 and mountings == 1:
+            told = f"{recordings} recordings are of one mounting: what mounting anew changes is not in U"
+            told += " beyond what is stated of positions and directions"
+            places.setdefault(told, []).append(mean.frequency_hz)
+        if recordings > 1 and max(mountings, recordings if mountings == 1 else 0) == 2:
+            told = f"two {'mountings' if mountings == 2 else 'recordings'} tell what they differ by with one degree of "
+            told += f"freedom, which U pays for with up to k = {coverage_factor(1.0):.1f}; "
+            told += f"a third makes it {coverage_factor(2.0):.1f}"
+            places.setdefault(told, []).append(mean.frequency_hz)
+    found = ((at_frequencies(sorted(where)), told) for told, where in places.items())
+    return tuple(Notice("info", f"{where}: {told}", "repeats") for where, told in found)
 
 
 class Nested(NamedTuple):

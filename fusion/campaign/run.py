@@ -33,20 +33,20 @@ from fusion.estimation.coverage import Polar
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, load_manifest
 from fusion.report.files import Kept, claimed, remove_abandoned, workshop
-from fusion.report.folder import SENSITIVITY_FILE, check_folder, hash_files, is_current, origin_key
+from fusion.report.folder import CURVE_FILE, SENSITIVITY_FILE, check_folder, hash_files, is_current, origin_key
 from fusion.report.recording import REPORT_FILE, check_campaign_folder, row_element, write_results
 from fusion.report.table import both, factor, has_phase, read_rows
 from fusion.report.tables import result_name
 from fusion.sensitivity.evaluate import evaluate_recording
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.table import Table
 
 RECORDINGS = "recordings"
 LISTEN_S = 0.5  # between looks for an interruption
 SHARED_FRAMES = 2  # workers per recording from which on they share its frames instead of the recordings
-MOST_LINES, MOST_ROWS = 100, 300  # that the terminal shows: recordings, rows of their sensitivities
+MOST_LINES, MOST_ROWS = 100, 300  # that the terminal shows: recordings, rows of the sensitivity
+NO_SENSITIVITY = "no sensitivity: see the report for what was observed"
 log = logging.getLogger("shakercal")
 
 # One recording: evaluate and write, unless its results are there.
@@ -261,63 +261,80 @@ def _outcome(job: Job, work: Callable[[], Outcome]) -> Outcome:
 def print_recording(outcome: Outcome) -> None:
     """Print the sensitivity of a recording with expanded uncertainty, and the path of its report."""
     console = stdout_console()
-    _print_sensitivity(console, outcome.folder / SENSITIVITY_FILE)
+    rows = read_rows(outcome.folder / SENSITIVITY_FILE)
+    console.print(sensitivity_table(rows) if rows else NO_SENSITIVITY)
     console.print(outcome.told, soft_wrap=True)
 
 
-def _print_sensitivity(console: Console, file: Path) -> None:
-    """Print a sensitivity.csv, of a long one what is told of its first recordings."""
-    rows = read_rows(file, MOST_ROWS + 1)
-    cut = len(rows) > MOST_ROWS
-    if cut:
-        last = rows[-1]["recording"]
-        rows = [row for row in rows if row["recording"] != last] or rows[:-1]
-    console.print(sensitivity_table(rows) if rows else "no sensitivity: see the report for what was observed")
-    if cut:
-        console.print(f"the first {len(rows)} rows; all are in {file}", soft_wrap=True)
-
-
 def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
-    """Return the rows of a sensitivity.csv as a table with U = k·u for 95 %, two significant digits of it.
+    """Return the rows of a recording's sensitivity.csv as a table with U = k·u for 95 %, two significant digits of it.
 
     Of a value that is not distinguishable from 0 the half-axes of its region stand in place of magnitude and phase.
-    Rows of several recordings name theirs. A ratio is left out where the recording gives the sensor's element.
+    A ratio is left out where the recording gives the sensor's element.
     """
-    from rich.table import Table
 
     def of(row: dict[str, str], *keys: str) -> tuple[str, ...]:
-        return tuple(row[key] for key in ("recording", "frequency_hz", "component", *keys))
+        return tuple(row[key] for key in ("frequency_hz", "component", *keys))
 
     own = {of(row, "channel") for row in rows if row["kind"] == "element"}
-    rows = [row for row in rows if row["kind"] != "ratio" or of(row, "channel") not in own]
-    names = list(dict.fromkeys(row["recording"] for row in rows))
-    place = {name: number for number, name in enumerate(names)}
-    rows.sort(key=lambda row: (place[row["recording"]], float(row["frequency_hz"])))
-    # The output of the load's name, else the largest one.
-    mains: dict[tuple[str, ...], str] = {}
-    for row in sorted(rows, key=lambda row: (row["channel"] != row["component"], -row_element(row).magnitude)):
-        mains.setdefault(of(row), row["channel"])
-    several = len(names) > 1
-    # The matrix stands under the campaign's name.
-    recorded = {row["recording"] for row in rows if row["kind"] != "matrix"}
-    what = f"{len(recorded)} recordings" if several else names[0]
-    title = "Sensitivity" if any(row["kind"] in ("element", "matrix") for row in rows) else "Output over load"
-    table = Table(title=f"{title}, {what} (U = k·u, 95 %)", title_justify="left")
-    if several:
-        table.add_column("recording")
-    for head in ("frequency / Hz", "quantity", "magnitude ± U", "unit", "phase ± U / rad", "k", "kind"):
-        table.add_column(
-            head,
-            justify="left" if head in ("quantity", "unit", "kind") else "right",
-            no_wrap=head == "quantity" and not several,
-        )
-    for row in rows:
-        name = result_name(row["kind"], row["channel"], row["component"], main=mains[of(row)] == row["channel"])
-        magnitude, phase, k_factor = _cells(row_element(row))
-        frequency = f"{float(row['frequency_hz']):.4f}"
-        cells = (frequency, name, magnitude, row["unit"], phase, k_factor, row["kind"])
-        table.add_row(*([row["recording"]] if several else []), *cells)
+    shown = [row for row in rows if row["kind"] != "ratio" or of(row, "channel") not in own]
+    mains = _main_channels(shown, of)
+    head = "Sensitivity" if own else "Output over load"
+    table = _table(f"{head}, {rows[0]['recording']} (U = k·u, 95 %)")
+    for row in sorted(shown, key=lambda row: float(row["frequency_hz"])):
+        table.add_row(*_row(row, main=mains[of(row)] == row["channel"]))
     return table
+
+
+def curve_table(rows: Sequence[dict[str, str]]) -> Table:
+    """Return from the rows of a curve.csv the best statement of every main element over frequency, with U as above.
+
+    Of a matrix, else the sensor's element, else the ratio, the one that is known at most frequencies.
+    """
+    mains = _main_channels(rows, lambda row: (row["component"],))
+    found: dict[str, dict[str, list[dict[str, str]]]] = {}
+    for row in rows:
+        if mains[(row["component"],)] == row["channel"]:
+            found.setdefault(row["component"], {}).setdefault(row["kind"], []).append(row)
+    best = []
+    for kinds in found.values():
+        single = kinds.get("element") or kinds.get("ratio", [])
+        matrix = kinds.get("matrix", [])
+        best += single if len(single) > len(matrix) else matrix
+    known = any(row["kind"] != "ratio" for row in best)
+    table = _table(f"{'Sensitivity' if known else 'Output over load'}, means of all recordings (U = k·u, 95 %)")
+    table.add_column("recordings (mountings)", justify="right", max_width=12)
+    for row in sorted(best, key=lambda row: (row["component"], float(row["frequency_hz"])))[:MOST_ROWS]:
+        table.add_row(*_row(row, main=True), f"{row['recordings']} ({row['mountings']})")
+    return table
+
+
+def _main_channels(
+    rows: Sequence[dict[str, str]], of: Callable[[dict[str, str]], tuple[str, ...]]
+) -> dict[tuple[str, ...], str]:
+    """Return for rows that are alike by `of` the output of the load's name, else the largest one."""
+    mains: dict[tuple[str, ...], str] = {}
+    for row in sorted(rows, key=lambda row: (row["channel"] != row["component"], -float(row["magnitude"]))):
+        mains.setdefault(of(row), row["channel"])
+    return mains
+
+
+def _table(title: str) -> Table:
+    """Return an empty table of sensitivities."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for head in ("frequency / Hz", "quantity", "magnitude ± U", "unit", "phase ± U / rad", "k", "kind"):
+        left = head in ("quantity", "unit", "kind")
+        table.add_column(head, justify="left" if left else "right", no_wrap=head == "quantity")
+    return table
+
+
+def _row(row: dict[str, str], *, main: bool) -> tuple[str, ...]:
+    """Return the cells of a sensitivity."""
+    name = result_name(row["kind"], row["channel"], row["component"], main=main)
+    magnitude, phase, k_factor = _cells(row_element(row))
+    return f"{float(row['frequency_hz']):.4f}", name, magnitude, row["unit"], phase, k_factor, row["kind"]
 
 
 def _cells(element: Polar) -> tuple[str, str, str]:
@@ -355,7 +372,11 @@ def print_campaign(outcomes: Sequence[Outcome]) -> None:
     done = [outcome for outcome in outcomes if outcome.error is None]
     if done:
         top = done[0].folder.parent
-        _print_sensitivity(console, top / SENSITIVITY_FILE)
+        rows = read_rows(top / CURVE_FILE)
+        console.print(curve_table(rows) if rows else NO_SENSITIVITY)
+        if rows:
+            told = f"all elements: {top / CURVE_FILE}; of every recording: {top / SENSITIVITY_FILE}"
+            console.print(told, soft_wrap=True)
         console.print(f"report of all: {top / REPORT_FILE}", soft_wrap=True)
 
 

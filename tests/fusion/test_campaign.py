@@ -18,11 +18,11 @@ from support import edit, rows, state
 
 from fusion.base import ComputeError, InputError, Settings
 from fusion.campaign import run as under_test
-from fusion.campaign.run import Outcome, exit_status, print_campaign, run_path, sensitivity_table
+from fusion.campaign.run import Outcome, curve_table, exit_status, print_campaign, run_path, sensitivity_table
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.estimation.coverage import coverage_factor
-from fusion.report.folder import SENSITIVITY_FILE
+from fusion.report.folder import CURVE_FILE, SENSITIVITY_FILE
 from fusion.report.recording import CAMPAIGN_FILES, result_tables, row_element
 from fusion.report.tables import sensitivity_element
 
@@ -102,8 +102,8 @@ def test_a_campaign_of_one_recording_is_a_campaign_and_prints_its_sensitivity(ma
     assert names_in(top / "results") == {NAMES[0], *JOINT}
     assert len(evaluated) == 1
     told = capsys.readouterr().out.splitlines()
-    assert any(line.startswith("Output over load, Fz 106.25 Hz (U = k·u, 95 %)") for line in told)
-    assert told[-2].startswith("└")  # the table is the last but for the path of the report
+    assert any(line.startswith("Output over load, means of all recordings (U = k·u, 95 %)") for line in told)
+    assert told[-3].startswith("└")  # the table is the last but for the paths of the tables and of the report
     assert told[-1] == f"report of all: {top / 'results' / 'report.html'}"
 
 
@@ -260,7 +260,7 @@ def test_outcomes_are_in_the_order_of_the_recordings_whoever_was_first(campaign,
     lines = told.out.splitlines()
     assert [line.split(":")[0] for line in (*lines[:3], lines[-1])] == [*NAMES, "2 recordings", "report of all"]
     assert lines[2] == "2 recordings: 2 evaluated"
-    assert lines[3].startswith("Output over load, 2 recordings")
+    assert lines[3].startswith("Output over load, means of all recordings")
     assert all(any(title in line and "ratio Fz" in line for line in lines[4:]) for title in TITLES)
     assert [f"shakercal: {name}: 318.75 Hz" in told.err for name in NAMES] == [True, True]
     assert main(["run", str(campaign), "--workers", "2"]) == EXIT_DONE
@@ -292,21 +292,37 @@ def test_printed_values_have_u_with_its_own_factor_and_no_phase_where_zero_may_b
     assert "\N{EN DASH}" in row
 
 
-def test_of_many_recordings_the_terminal_shows_the_first_and_names_the_table_of_all(tmp_path, capsys, monkeypatch):
+def test_a_campaign_prints_its_curve_and_of_many_recordings_the_first(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("fusion.campaign.run.MOST_LINES", 2)
-    monkeypatch.setattr("fusion.campaign.run.MOST_ROWS", 50)
-    text = result_tables(make_evaluation(tmp_path))[SENSITIVITY_FILE]
-    head, *body = text.splitlines()
-    (tmp_path / SENSITIVITY_FILE).write_text(text, encoding="utf-8")
-    name = rows(tmp_path / SENSITIVITY_FILE)[0]["recording"]
-    several = [line.replace(name, f"no. {k}") for k in range(9) for line in body]
-    (tmp_path / SENSITIVITY_FILE).write_text("\n".join([head, *several]) + "\n", encoding="utf-8")
+    table = result_tables(make_evaluation(tmp_path))[SENSITIVITY_FILE]
+    (tmp_path / SENSITIVITY_FILE).write_text(table, encoding="utf-8")
+    one = rows(tmp_path / SENSITIVITY_FILE)[2] | {"recordings": "4", "mountings": "2"}
+    # Two ratios and two elements along z, one element of a matrix along x, and outputs that are not the load's own.
+    told = [
+        one | {"kind": kind, "component": component, "channel": channel, "frequency_hz": frequency, "magnitude": size}
+        for kind, component, channel, frequency, size in (
+            ("ratio", "Fz", "Fz", "80.0", "1.97e-7"), ("ratio", "Fz", "Fz", "160.0", "1.96e-7"),
+            ("element", "Fz", "Fz", "80.0", "1.98e-7"), ("element", "Fz", "Fz", "160.0", "1.99e-7"),
+            ("matrix", "Fz", "Fz", "80.0", "1.95e-7"), ("element", "Fz", "Fx", "80.0", "1e-9"),
+            ("matrix", "Fx", "bridge 1", "80.0", "5.1e-7"), ("matrix", "Fx", "bridge 2", "80.0", "1.2e-9"),
+        )
+    ]  # fmt: skip
+    lines = [",".join(one), *(",".join(row.values()) for row in told)]
+    (tmp_path / CURVE_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
     outcomes = [Outcome(tmp_path / f"{k}" / "recording.toml", tmp_path / f"{k}") for k in range(9)]
     outcomes[7] = replace(outcomes[7], error=ComputeError("no light"))
     print_campaign(outcomes)
-    told = capsys.readouterr().out
-    whole = 50 // len(body) * len(body)
-    assert f"the first {whole} rows; all are in {tmp_path / SENSITIVITY_FILE}" in told
-    assert "7: failed, no light" in told
-    assert "and 6 more" in told
-    assert "9 recordings: 8 evaluated, 1 failed" in told
+    said = capsys.readouterr().out
+    console = Console(width=160, file=io.StringIO(), record=True)
+    console.print(curve_table(told))
+    lines = [line for line in console.export_text().splitlines() if line.startswith("│")]
+    cells = [[cell.strip() for cell in line.split("│")[1:-1]] for line in lines]
+    assert [(row[0], row[1], row[2][:5], row[6], row[7]) for row in cells] == [
+        ("80.0000", "bridge 1 per Fx", "(5.10", "matrix", "4 (2)"),
+        ("80.0000", "Fz per Fz", "(1.98", "element", "4 (2)"),
+        ("160.0000", "Fz per Fz", "(1.99", "element", "4 (2)"),
+    ]
+    assert f"all elements: {tmp_path / CURVE_FILE}; of every recording: {tmp_path / SENSITIVITY_FILE}" in said
+    assert "7: failed, no light" in said
+    assert "and 6 more" in said
+    assert "9 recordings: 8 evaluated, 1 failed" in said

@@ -29,7 +29,16 @@ from fusion.campaign.drive import (
     over_lines,
     with_starts,
 )
-from fusion.campaign.repeats import BETWEEN, TURNED, Repeats, alike, find_repeats, mean_ratio, own_and_shared
+from fusion.campaign.repeats import (
+    BETWEEN,
+    TURNED,
+    Repeats,
+    alike,
+    find_repeats,
+    mean_ratio,
+    own_and_shared,
+    repeat_notices,
+)
 from fusion.estimation.uncertainty import Influence, Uncertainty, polar_elements
 from fusion.phasors.timing import Grid
 from fusion.recording.load import load_manifest
@@ -129,10 +138,9 @@ def test_what_counts_as_a_repeat_and_as_one_frequency():
 def test_what_has_no_component_no_mean_or_no_slope():
     (single,) = find_repeats([recorded(1.0, "a")])
     assert np.isnan([single.within, single.between]).all()
-    assert not single.notices  # the campaign says it once for all
     (same,) = find_repeats([recorded(1.0, "a"), recorded(1.001, "b")])
     assert (same.within_dof, same.between_dof) == (1, 0)
-    assert "are of one mounting" in same.notices[0].text
+    assert "100 Hz: 2 recordings are of one mounting" in repeat_notices([same])[0].text
     partial = recorded(1.0, "b")
     partial = replace(partial, outputs=np.array([partial.outputs[0], complex(np.nan, np.nan)]))
     (found,) = find_repeats([recorded(1.0, "a"), partial])
@@ -210,9 +218,12 @@ def test_magnitude_and_phase_of_means_are_covered(each, u, mounted):
 
 def test_few_mountings_and_single_recordings_are_told():
     (two,) = find_repeats([recorded(1.0, "a", "1"), recorded(1.001, "b", "2")])
-    assert "two mountings at 100 Hz tell what they differ by with one degree of freedom" in two.notices[0].text
+    (told,) = repeat_notices([two])
+    assert "100 Hz: two mountings tell what they differ by with one degree of freedom" in told.text
+    (told,) = repeat_notices([replace(two, frequency_hz=300.0), two])
+    assert told.text.startswith("2 frequencies, 100 to 300 Hz: two mountings tell what")
     (three,) = find_repeats([recorded(1.0 + 1e-3 * n, f"{n}", f"{n}") for n in range(3)])
-    assert not three.notices
+    assert not repeat_notices([three])
     # Unknowns of one recording or mounting are in what these differ by, and counted once.
     drives = []
     for name, value in (("a", 1.0), ("b", 1.001)):
