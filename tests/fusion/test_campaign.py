@@ -261,7 +261,7 @@ def test_outcomes_are_in_the_order_of_the_recordings_whoever_was_first(campaign,
     assert [line.split(":")[0] for line in (*lines[:3], lines[-1])] == [*NAMES, "2 recordings", "report of all"]
     assert lines[2] == "2 recordings: 2 evaluated"
     assert lines[3].startswith("Output over load, means of all recordings")
-    assert all(any(title in line and "ratio Fz" in line for line in lines[4:]) for title in TITLES)
+    assert any("ratio Fz" in line and "ratio" in line and "2 (" in line for line in lines[4:])  # one mean of both
     assert [f"shakercal: {name}: 318.75 Hz" in told.err for name in NAMES] == [True, True]
     assert main(["run", str(campaign), "--workers", "2"]) == EXIT_DONE
     assert "2 recordings: 2 unchanged since the last run" in capsys.readouterr().out
