@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from photogram.calibration.exchange.read import import_calibration
 from photogram.calibration.file import read_calibration
-from photogram.calibration.foreign_formats import import_calibration
 from photogram.camera import Camera, StereoRig, epipolar_residual, triangulate
 from photogram.geometry import RigidTransform, fit_rigid, rotation_from_vector, vector_from_rotation
 from photogram.images.files import open_sequence

@@ -3,10 +3,10 @@
 from .alignment.evidence import KnownPoints as KnownPoints
 from .alignment.solve import align as align
 from .arrays import __version__ as __version__
-from .calibration.export import export_calibration as export_calibration
+from .calibration.exchange.read import import_calibration as import_calibration
+from .calibration.exchange.write import export_calibration as export_calibration
 from .calibration.file import read_calibration as read_calibration
 from .calibration.file import write_calibration as write_calibration
-from .calibration.foreign_formats import import_calibration as import_calibration
 from .calibration.session import calibrate_pair as calibrate_pair
 from .camera import Camera as Camera
 from .camera import StereoRig as StereoRig

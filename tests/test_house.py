@@ -116,7 +116,7 @@ def _calls(name: str) -> Iterator[str]:
 def test_one_function_opens_hdf5_and_one_writes_results() -> None:
     """So that no file leads to others unseen, and no write is refused without a sentence."""
     opens = {name for name in MODULES for call in _calls(name) if re.match(r"h5py\.File\((?!'in memory')", call)}
-    assert opens == {"shaker.io.channel", "photogram.calibration.foreign_matlab"}
+    assert opens == {"shaker.io.channel", "photogram.calibration.exchange.matlab"}
     writes = re.compile(r"[\w.]+\.(write_text|write_bytes)\(|[\w.]*open\(.*'[wax]b?'")
     writers = {name for name in MODULES if name.startswith("fusion.") for call in _calls(name) if writes.match(call)}
     assert writers == {"fusion.report.files", "fusion.cli"}, "fusion.cli: what nobody reads"

@@ -26,9 +26,9 @@ from fusion.report.folder import Provenance, hash_files
 from fusion.report.table import plain
 from photogram.arrays import Notice
 from photogram.calibration.bundle import ShapeKind
-from photogram.calibration.export import export_calibration
+from photogram.calibration.exchange.read import import_calibration
+from photogram.calibration.exchange.write import export_calibration
 from photogram.calibration.file import read_calibration, write_calibration, write_camera
-from photogram.calibration.foreign_formats import import_calibration
 from photogram.calibration.result import Calibration, Dropped
 from photogram.calibration.scale import KnownLength, with_length
 from photogram.calibration.session import calibrate_pair

@@ -15,10 +15,10 @@ from contracts import refused
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
-from photogram.calibration.export import export_calibration
+from photogram.calibration.exchange.lens import ImportedCalibration, picture_grid
+from photogram.calibration.exchange.read import import_calibration
+from photogram.calibration.exchange.write import export_calibration
 from photogram.calibration.file import read_calibration, write_calibration
-from photogram.calibration.foreign import ImportedCalibration, picture_grid
-from photogram.calibration.foreign_formats import import_calibration
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, skew
 

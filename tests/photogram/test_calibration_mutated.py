@@ -24,9 +24,9 @@ import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
-from photogram.calibration.export import export_calibration
+from photogram.calibration.exchange.read import import_calibration
+from photogram.calibration.exchange.write import export_calibration
 from photogram.calibration.file import read_calibration, read_camera, write_calibration
-from photogram.calibration.foreign_formats import import_calibration
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
 

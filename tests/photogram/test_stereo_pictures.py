@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from photogram.calibration.foreign import rotation_from_cardan
+from photogram.calibration.exchange.lens import rotation_from_cardan
 from photogram.camera import Camera, StereoRig, epipolar_residual, triangulate
 from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from photogram.arrays import FloatArray, Notice
-from photogram.calibration.foreign import (
+from photogram.calibration.exchange.lens import (
     EVEN,
     LengthUnit,
     Lens,

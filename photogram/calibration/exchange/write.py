@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from photogram.arrays import FloatArray, Notice
-from photogram.calibration.file import write_whole
-from photogram.calibration.foreign import (
+from photogram.calibration.exchange.lens import (
     RADIAL,
     SIDES,
     TURN,
@@ -19,6 +18,7 @@ from photogram.calibration.foreign import (
     fitted_camera,
     picture_grid,
 )
+from photogram.calibration.file import write_whole
 from photogram.camera import CAMERA_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from photogram.arrays import FloatArray
-from photogram.calibration.foreign import LengthUnit, Lens, Stated, numbers
+from photogram.calibration.exchange.lens import LengthUnit, Lens, Stated, numbers
 from photogram.geometry import rotation_from_vector
 
 # OpenCV: FileStorage in YAML, XML or JSON, and plain JSON with the same content in lists.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from photogram.arrays import FloatArray
-from photogram.calibration.foreign import SIDES, LengthUnit, Lens, Stated, numbers
+from photogram.calibration.exchange.lens import SIDES, LengthUnit, Lens, Stated, numbers
 from photogram.geometry import rotation_from_vector, skew
 from photogram.mat5 import check_mat5
 

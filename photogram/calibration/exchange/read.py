@@ -15,10 +15,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from photogram.arrays import Notice
-from photogram.calibration.foreign import ImportedCalibration, LengthUnit, Stated, build
-from photogram.calibration.foreign_dic import is_matchid, read_dice_text, read_dice_xml, read_matchid, read_vic3d
-from photogram.calibration.foreign_matlab import read_bouguet, read_mat, read_matlab
-from photogram.calibration.foreign_opencv import parse_json, read_kalibr, read_opencv, read_ros
+from photogram.calibration.exchange.dic import is_matchid, read_dice_text, read_dice_xml, read_matchid, read_vic3d
+from photogram.calibration.exchange.lens import ImportedCalibration, LengthUnit, Stated, build
+from photogram.calibration.exchange.matlab import read_bouguet, read_mat, read_matlab
+from photogram.calibration.exchange.opencv import parse_json, read_kalibr, read_opencv, read_ros
 
 _PROJECT = "project.xml"  # the file inside a .z3d file that holds the calibration
 _LARGEST = 16 * 2**20  # bytes of a file or of a zipped part; calibrations have some kB, projects around them some MB

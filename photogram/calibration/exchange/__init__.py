@@ -1,0 +1,1 @@
+"""Calibrations of other programs: read as this program has them, and written for others."""
