@@ -352,8 +352,10 @@ def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: F
     seen = np.flatnonzero(np.isfinite(position_m).all(axis=1))
     turn = np.linspace(-1.0, 1.0, len(seen))
     design = np.column_stack([sine_columns(time_s[seen], frequency_hz), turn, turn**2])
-    if len(seen) < design.shape[1] + FEWEST_BESIDE:
-        return []
+    fewest = design.shape[1] + FEWEST_BESIDE
+    if len(seen) < fewest:
+        told = "are too few to tell whether its body stayed elsewhere from one of them on, touched or taken for a copy"
+        return [Notice("info", f"{len(seen)} frames {told} of itself; that takes {fewest}", "frames")]
     base, _ = np.linalg.qr(design)
     split = np.arange(2, len(seen) - 1)  # first frame behind the step; two on either side
     behind = (np.arange(len(seen))[:, None] >= split).astype(np.float64)

@@ -27,7 +27,7 @@ def motion(seed: int, frames: int = 60, noise_m: float = 1e-7, drift_m: float = 
 
 
 @settings(max_examples=200, deadline=None)
-@given(seed=st.integers(0, 10_000), frames=st.integers(10, 200), drift_m=st.sampled_from([0.0, 1e-6, 1e-5]))
+@given(seed=st.integers(0, 10_000), frames=st.integers(11, 200), drift_m=st.sampled_from([0.0, 1e-6, 1e-5]))
 def test_sines_noise_and_drift_are_no_step(seed, frames, drift_m):
     assert _step("top", *motion(seed, frames, drift_m=drift_m), FREQUENCY_HZ) == []
 
@@ -47,6 +47,15 @@ def test_a_small_step_is_told():
     (notice,) = _step("top", time_s, position, FREQUENCY_HZ)
     assert notice.severity == "warning"
     assert "0.00996 mm elsewhere from one frame to the next (24 and 25, from 0)" in notice.text
+
+
+def test_frames_too_few_to_tell_are_told():
+    (notice,) = _step("top", *motion(1, 8), FREQUENCY_HZ)
+    needed = 2 * len(FREQUENCY_HZ) + 7
+    assert notice.severity == "info"
+    assert notice.text.startswith("8 frames are too few to tell whether its body stayed elsewhere")
+    assert notice.text.endswith(f"that takes {needed}")
+    assert _step("top", *motion(1, needed), FREQUENCY_HZ) == []
 
 
 def test_lost_frames_keep_their_numbers():
