@@ -145,6 +145,17 @@ def test_regions_hold_whatever_is_estimated_and_along_which_direction(correlatio
     assert 0.925 < np.mean(squares <= 1.0) < 0.972
 
 
+@pytest.mark.parametrize("truth", [0.0, 1.0, 3.0])
+@pytest.mark.parametrize("dof", [1, 2, 5, 20])
+def test_regions_hold_where_noise_decides_the_direction_of_a_value(truth, dof):
+    rng, trials = np.random.default_rng([dof, int(truth)]), 20_000
+    sample, error = rng.standard_normal((trials, dof, 2)), rng.standard_normal((trials, 2))
+    noise = Contribution("noise", "A", np.einsum("tni,tnj->tij", sample, sample) / dof, np.full(trials, float(dof)))
+    regions = Uncertainty((noise,)).regions((truth + error @ [1.0, 1.0j])[:, None])[:, 0]
+    squares = np.einsum("ti,ti->t", error, np.linalg.solve(regions, error[..., None])[..., 0])
+    assert 0.925 < np.mean(squares <= 1.0) < 0.965
+
+
 def test_axes_of_a_region():
     turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
     covariance = turn @ np.diag([4.0, 0.25]) @ turn.T
