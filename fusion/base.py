@@ -385,8 +385,8 @@ class Keeper(Protocol):
     def get(self, name: str) -> bytes | None:
         """Return what was kept under a name by a run of the same inputs and settings, None where nothing was."""
 
-    def put(self, name: str, content: bytes) -> None:
-        """Keep something until the results are written."""
+    def put(self, name: str, content: bytes) -> bool:
+        """Keep something until the results are written, and return whether that is done."""
 
 
 # A progress bar on a terminal, nothing in a pipe.

@@ -276,15 +276,17 @@ class Kept:
                 return (self._folder / f"{name}.{self._key}").read_bytes()
         return None
 
-    def put(self, name: str, content: bytes) -> None:
-        """Keep something, whole or not at all; where the disk refuses it, the run goes on without."""
+    def put(self, name: str, content: bytes) -> bool:
+        """Keep something, whole or not at all, and return whether that is done; where not, the run goes on without."""
         if self._folder is None:
-            return
+            return False
         file = self._folder / f"{name}.{self._key}"
         with contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
             write_file(file.with_name(f"{file.name}.part"), content)
             os.replace(file.with_name(f"{file.name}.part"), file)
+            return True
+        return False
 
     def remove(self) -> None:
         """Remove all that was kept, of other keys too."""
