@@ -111,7 +111,6 @@ def check_epipolar(tracks: StereoTracks | Iterable[StereoTracks], rig: StereoRig
         course = np.full((frames, 3), np.nan)
         return EpipolarCheck(course, course, np.full(3, np.nan), None, position, np.full(len(mean), np.nan), ())
     basis = _basis(position[good])
-    basis = _basis(position[good])
     change, u_course, path = (
         np.concatenate(parts) for parts in zip(*_courses(blocks, rig, good, mean, position), strict=True)
     )

@@ -52,7 +52,6 @@ BLOCK_FRAMES = 32
 """A constant, so that results do not depend on who computes them; few enough to share, many enough to start seldom."""
 GPU_BLOCK_FRAMES = 1024
 """On a GPU, which follows frames in batches: more than most series have, few enough to hold."""
-OF_FRAMES = ("position_px", "covariance_px2", "zncc", "status")
 LARGEST_BENDING = 4.0  # rms, in standard deviations of the points; the reference's noise makes it 1.4
 LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the points
 
@@ -85,14 +84,17 @@ class BodyMotion(Arrays):
     def tracks(self) -> StereoTracks:
         """Subsets of all frames, some 500 bytes for each in every frame."""
         blocks = list(self.tracked)
-        sides = [
+        left, right = (
             Tracks(
-                *(np.concatenate([getattr(getattr(block, side), name) for block in blocks]) for name in OF_FRAMES),
-                getattr(blocks[0], side).noise_grey,
+                np.concatenate([track.position_px for track in side]),
+                np.concatenate([track.covariance_px2 for track in side]),
+                np.concatenate([track.zncc for track in side]),
+                np.concatenate([track.status for track in side]),
+                side[0].noise_grey,
             )
-            for side in ("left", "right")
-        ]
-        return self.tracked.told.of((sides[0], sides[1]))
+            for side in ([block.left for block in blocks], [block.right for block in blocks])
+        )
+        return self.tracked.told.of((left, right))
 
     @cached_property
     def points(self) -> Points:
@@ -317,8 +319,8 @@ class _Fits(Arrays, shapes="pose F 6; covariance F 6 6"):
     def merged(self, of_points: RigidMotion, start: int) -> RigidMotion:
         """The motion of points in some frames, from `start` on, replaced where there is a direct fit."""
         own = slice(start, start + len(of_points.pose))
-        known = np.isfinite(self.pose[own]).all(axis=1)
-        typical = np.isfinite(self.covariance[own]).all(axis=(1, 2))
+        known = np.asarray(np.isfinite(self.pose[own]).all(axis=1))
+        typical = np.asarray(np.isfinite(self.covariance[own]).all(axis=(1, 2)))
         return replace(
             of_points,
             pose=np.where(known[:, None], self.pose[own], of_points.pose),

@@ -346,7 +346,7 @@ class StereoCourse:
         for side, (position, status) in enumerate(zip(positions_px, statuses, strict=True)):
             seen = np.where(aside[..., None], np.nan, position) - self._first[side]
             middle = np.full((len(seen), 2), np.nan)
-            some = np.isfinite(seen).all(axis=2).any(axis=1)
+            some = np.any(np.isfinite(seen).all(axis=2), axis=1)
             middle[some] = np.nanmedian(seen[some], axis=1)
             self._moved[side].append(middle)
             counted = np.where(aside, np.int8(TrackStatus.NOT_CONVERGED), status)

@@ -497,7 +497,7 @@ def sine_amplitudes(
 class SineSums:
     """Sines at the same times in N series of C values each, samples missing here and there, some samples at a time.
 
-    Only sums are held, (2K + 1)² numbers for each series. Values count from `origin` (N, C), which should lie near them.
+    Only sums are held, (2K + 1)² numbers for each series. Values count from `origin` (N, C), which lies near them.
     """
 
     def __init__(self, time_s: FloatArray, frequency_hz: FloatArray, origin: FloatArray) -> None:
@@ -512,7 +512,7 @@ class SineSums:
     def add(self, values: FloatArray) -> None:
         """Take in the next samples (S, N, C); one with a NaN is missing in its series."""
         rows = self._columns[self._taken : self._taken + len(values)]
-        known = np.isfinite(values).all(axis=2)
+        known = np.asarray(np.isfinite(values).all(axis=2))
         filled = np.where(known[..., None], values - self._origin, 0.0)
         products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), -1)
         self._gram += (known.T.astype(np.float64) @ products).reshape(self._gram.shape)
