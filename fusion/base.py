@@ -382,6 +382,10 @@ class Executor(Protocol):
 class Keeper(Protocol):
     """A place for what a run has found so far, from which it goes on when it was ended."""
 
+    @property
+    def disk(self) -> Path:
+        """A folder on the disk of the results, for nameless files that last as long as the run."""
+
     def get(self, name: str) -> bytes | None:
         """Return what was kept under a name by a run of the same inputs and settings, None where nothing was."""
 

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import hashlib
 import io
+import weakref
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import Any, TypeVar
 
@@ -310,17 +312,35 @@ def measure_images(
 class Followed:
     """The blocks of a pair's frames that were followed, read one at a time, in their order, as often as asked for.
 
-    They lie where they are kept, or where that is nowhere in a temporary file, which is memory up to `HELD` bytes. What
-    was kept and is no longer there is followed again.
+    They lie where they are kept. What is kept nowhere is in memory up to `HELD` bytes, beyond that in a temporary file
+    on the disk of the results, in the system's folder for such files where there are none; the file has no name where
+    the system permits it, and is gone with this object or its process. What was kept and is no longer there is followed
+    again. A pickle holds all blocks, of whatever size, and is opened in memory and the system's folder.
     """
 
     def __init__(self, images: OpenImages, scene: BodyScene, device: str, kept: Keeper | None) -> None:
         self.scene = scene
         self._device, self._kept = device, kept if len(scene.blocks) > 1 else None
         pair = "\n".join([images.sight.name, *images.left.names[:1]])  # the first image tells it from that of a take
-        self._pair = hashlib.sha256(pair.encode()).hexdigest()[:12]
-        self._held = SpooledTemporaryFile(max_size=HELD)  # noqa: SIM115  (gone with this object)
+        self._sight, self._pair = images.sight.name, hashlib.sha256(pair.encode()).hexdigest()[:12]
+        self._hold(None if kept is None else kept.disk)
+
+    def _hold(self, folder: Path | None) -> None:
         self._places: dict[range, tuple[int, int]] = {}
+        self._held = SpooledTemporaryFile(max_size=HELD, dir=folder)  # noqa: SIM115  (closed with this object)
+        weakref.finalize(self, self._held.close)
+
+    def __getstate__(self) -> dict[str, Any]:
+        content = {frames: packed(block) for frames, block in zip(self.scene.blocks, self, strict=True)}
+        plain = {name: self.__dict__[name] for name in ("scene", "_device", "_sight", "_pair")}
+        return {**plain, "content": content}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        content = state.pop("content")
+        self.__dict__.update(state, _kept=None)
+        self._hold(None)
+        for frames, block in content.items():
+            self._put(frames, block)
 
     def missing(self) -> list[range]:
         """Return the blocks that have to be followed."""
@@ -330,8 +350,19 @@ class Followed:
         """Put a block where it is found again."""
         content = packed(block)
         if self._kept is None or not self._kept.put(self._name(frames), content):
-            self._places[frames] = self._held.seek(0, io.SEEK_END), len(content)
+            self._put(frames, content)
+
+    def _put(self, frames: range, content: bytes) -> None:
+        start = self._held.seek(0, io.SEEK_END)
+        try:
             self._held.write(content)
+            self._held.flush()
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            text = "its subsets found place neither beside the results nor in a temporary file"
+            where = f"stereo pair {self._sight}, frames {frames.start} to {frames.stop - 1}"
+            raise ComputeError(f"{where}: {text} ({reason})") from error
+        self._places[frames] = start, len(content)
 
     def __iter__(self) -> Iterator[FollowedBlock]:
         for frames in self.scene.blocks:

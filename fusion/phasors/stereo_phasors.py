@@ -36,7 +36,7 @@ from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.normal_equations import SineSums, sine_amplitudes
 from shaker.sine.solve import SineFit, SineModel
 
-MIN_SUBSETS = 6
+MIN_SUBSETS, SEEN_SHARE = 6, 0.5
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
 BIAS_STEP_PX = 0.01
 STEP, FEWEST_BESIDE = 20.0, 4  # of the noise: a step that no chance makes; frames beyond the unknowns of the lines
@@ -456,11 +456,15 @@ def _calibration_effects(measured: StereoMotion, view: ImageView, sums: SineSums
 
 
 def _phasor_frames(sums: SineSums, samples: int) -> tuple[FloatArray, FloatArray]:
-    """Return left and right positions (1 + 2K, N, 2): mean, mean + Re and mean + Im of each line's displacement."""
-    good = sums.count == samples
-    if np.count_nonzero(good) < MIN_SUBSETS:
-        raise ComputeError(f"only {np.count_nonzero(good)} subsets are followed through all frames; look at the images")
+    """Return left and right positions (1 + 2K, N, 2): mean, mean + Re and mean + Im of each line's displacement.
+
+    Of the subsets that are seen in most frames, each by its own: in a long recording all are lost now and then.
+    """
     mean, phasors, _ = sums.solved(1)
+    good = np.isfinite(mean).all(axis=1) & (sums.count >= SEEN_SHARE * samples)
+    if np.count_nonzero(good) < MIN_SUBSETS:
+        share = f"{np.count_nonzero(good)} subsets are followed through half of the frames"
+        raise ComputeError(f"only {share}; look at the images")
     parts = [part[good] for value in phasors for part in (value.real, value.imag)]
     frames = np.stack([mean[good], *(mean[good] + part for part in parts)])
     return frames[..., :2], frames[..., 2:]

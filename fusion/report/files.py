@@ -266,7 +266,8 @@ class Kept:
 
     def __init__(self, place: Path, key: str) -> None:
         place = place.resolve()
-        self._folder = None if workshop(place) == place else place.with_name(f".{place.name}.so-far")
+        self.disk = workshop(place)
+        self._folder = None if self.disk == place else place.with_name(f".{place.name}.so-far")
         self._key = key
 
     def get(self, name: str) -> bytes | None:
