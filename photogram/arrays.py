@@ -111,7 +111,7 @@ class RunningMean:
         return np.asarray(self._total / np.where(self.count > 0, self.count, np.nan))
 
 
-SAMPLED = 1 << 21
+SAMPLED = 1 << 19
 
 
 class Sample:
