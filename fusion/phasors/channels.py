@@ -312,7 +312,7 @@ def _fit_group(
         values = values.copy()
         values[fit.spikes] = np.nan
     steady = stationarity(time_s, values, frequency_hz, names)
-    fitted = []
+    fitted: list[tuple[ChannelResult, Reading]] = []
     for c, channel in enumerate(group):
         own = wanted.select([channel.name])
         result, reading = _result(record, channel, time_s, whole[:, c], fit, own)

@@ -12,7 +12,6 @@ import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import Any, TypeVar
 
@@ -323,9 +322,9 @@ class Followed:
         self._device, self._kept = device, kept if len(scene.blocks) > 1 else None
         pair = "\n".join([images.sight.name, *images.left.names[:1]])  # the first image tells it from that of a take
         self._sight, self._pair = images.sight.name, hashlib.sha256(pair.encode()).hexdigest()[:12]
-        self._hold(None if kept is None else kept.disk)
+        self._hold(None if kept is None else str(kept.disk))
 
-    def _hold(self, folder: Path | None) -> None:
+    def _hold(self, folder: str | None) -> None:
         self._places: dict[range, tuple[int, int]] = {}
         self._held = SpooledTemporaryFile(max_size=HELD, dir=folder)  # noqa: SIM115  (closed with this object)
         weakref.finalize(self, self._held.close)

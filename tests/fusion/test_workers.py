@@ -548,13 +548,13 @@ def test_the_temporary_file_lies_on_the_disk_of_the_results_and_goes_with_its_ow
     kept = Kept(tmp_path / "results", "key")
     assert kept.disk == tmp_path / "results"
     assert not kept.put("name", b"")
-    made: list[Path] = []
+    made: list[str] = []
     temporary = tempfile.TemporaryFile
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda **told: made.append(told["dir"]) or temporary(**told))
     opened = len(os.listdir("/proc/self/fd")) if Path("/proc").is_dir() else 0
     held_here = followed(kept)
     held_here.add(BLOCKS_OF_THREE[0], drawn_block(1))
-    assert made == [tmp_path / "results"]
+    assert made == [str(tmp_path / "results")]
     assert list((tmp_path / "results").iterdir()) == []
     del held_here
     assert not opened or len(os.listdir("/proc/self/fd")) == opened
