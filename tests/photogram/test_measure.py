@@ -220,6 +220,24 @@ def test_what_was_followed_gives_the_same_however_much_of_it_is_read_at_a_time(s
     assert parts.notices == whole.notices
 
 
+@pytest.mark.parametrize("length", [1, 3, 40])
+def test_means_and_medians_of_all_frames_from_some_at_a_time(length, monkeypatch):
+    """The mean to the last bit; the median of all values, or of those of every second, fourth, ... frame."""
+    values = np.random.default_rng(1).normal(size=(40, 6))
+    values[values > 1.5] = np.nan
+    values[:, 5] = np.nan
+    for most, every in ((1000, 1), (130, 2), (100, 4)):
+        monkeypatch.setattr(arrays, "SAMPLED", most)
+        mean, sample = arrays.RunningMean(), arrays.Sample()
+        for start in range(0, 40, length):
+            mean.add(values[start : start + length])
+            sample.add(values[start : start + length])
+        known = np.isfinite(values).sum(axis=0)
+        assert np.array_equal(mean.mean[:5], np.nansum(values, axis=0)[:5] / known[:5])
+        assert np.isnan(mean.mean[5])
+        assert sample.median == np.nanmedian(values[::every])
+
+
 class Repeated:
     """A block of frames, again and again, as it is read from a disk: a new one each time."""
 
