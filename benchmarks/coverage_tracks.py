@@ -163,10 +163,10 @@ def stereo_motion(manifest: Manifest, base: TimeBase, world: World, draws: Draws
     ).transformed(sensor_from_camera(pair))
     motion = fit_motion(points, None, np.zeros(3))
     epipolar = check_epipolar(tracks, rig)
-    view = ImageView(tracks, rig, np.zeros((1, 1)), None, None, epipolar)
+    view = ImageView((tracks,), rig, np.zeros((1, 1)), None, None, epipolar, np.nan, np.nan)
     reprojection = float(np.sqrt(np.mean(points.reprojection_px**2)))
     sight = see(manifest, base, entry, world.preset.frames)
-    return StereoMotion(sight, motion, deformation(points, motion), reprojection, view, epipolar.notices)
+    return StereoMotion(sight, motion, (deformation(points, motion),), reprojection, view, epipolar.notices)
 
 
 def subset_tracks(world: World, stereo: TrueStereo, draws: Draws) -> StereoTracks:

@@ -1,29 +1,30 @@
 """A recording of full size: two stereo pairs of 1280 x 1024 px, 4 x 211 frames of 12 bit, tracked from its files.
 
-Usage: python benchmarks/large_recording.py [--frames 211] [--keep FOLDER]
+Usage: python benchmarks/large_recording.py [--frames 211] [--keep FOLDER] [--growth]
 
 Renders 20 poses of a round face in each camera, which repeat, each frame with noise of its own, and stores every frame
 as a TIFF file (2.6 MB each). Then both pairs are tracked with the default settings, reading included: about 1000
 subsets of 21 x 21 px per camera. Prints wall and user CPU time, the peak memory of this process (another one renders),
 and how well the subsets' motion agrees with the truth. With --keep, a recording that is already there is used again.
 
-With --growth, the memory of a series of any length instead: 24 frames of the sample recording are followed, their
-results repeated, and the motion of so many frames computed from them. Images are read one at a time and no part of it.
+With --growth, a series of any length instead: the first pair is followed through so many frames (34 pictures of each
+camera, which repeat) as a run does, blocks of what is found lie on a disk, again and again, until they are those of 100
+GB of pictures, and motion, check of the cameras, phasors and deformation of so many frames are computed from there. A
+process of its own for each length prints its peak memory.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import pickle
 import resource
 import sys
 import tempfile
 import time
-import tracemalloc
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -32,15 +33,17 @@ import tifffile
 from numpy.typing import NDArray
 
 from fusion.base import Settings
-from fusion.phasors.setup import open_set_ups
-from fusion.phasors.stereo_motion import body_inputs
+from fusion.phasors.setup import OpenSetUp, open_set_ups
+from fusion.phasors.stereo_motion import Followed, OpenImages, body_inputs, seen_motion
+from fusion.phasors.stereo_phasors import stereo_phasors
 from fusion.recording.load import load_manifest
+from fusion.report.files import Kept
 from fusion.simulate.preset import Preset, StereoSetup, face_of, nominal_rig, read_preset
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence
 from photogram.images.sequence import ImageSequence
-from photogram.measure import body_motion, follow_block, prepare_body
+from photogram.measure import BLOCK_FRAMES, BodyScene, body_motion, follow_block, prepare_body
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.track import StereoTracks, track_stereo
@@ -48,7 +51,7 @@ from photogram.synthetic.scene import render, view_of
 
 FloatArray = NDArray[np.float64]
 SIZE_PX, PIXEL_M, FOCAL_PX, RADIUS_M = (1280, 1024), 83e-6, 5420.0, 0.0335
-POSES = 20
+POSES, PICTURES = 20, 34
 PEAK = np.array([6e-5, 4e-5, 2.4e-4, 3e-4, 2e-4, 1e-4])  # m and rad: 3 px at most
 SIDES = ("left", "right")
 SAMPLE = Path(__file__).parents[1] / "sample_images" / "demo"
@@ -66,18 +69,19 @@ class Cost:
 def main() -> None:
     """Write the recording, track it, print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=int, default=211)
+    parser.add_argument("--frames", type=int, help="of each camera, by default 211, with --growth 2000")
     parser.add_argument("--keep", type=Path, help="folder for the recording, kept and used again")
-    parser.add_argument("--growth", action="store_true", help="measure the memory of each frame, images left out")
+    parser.add_argument("--growth", action="store_true", help="measure how memory grows with the frames")
     options = parser.parse_args()
-    if options.growth:
-        print_growth()
-        return
+    options.frames = options.frames or (2000 if options.growth else 211)
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.keep or Path(scratch)
         if not all((folder / camera_folder(setup, side)).is_dir() for setup in setups() for side in SIDES):
             with ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn")) as pool:
-                pool.submit(write_recording, folder, options.frames).result()
+                pool.submit(write_recording, folder, PICTURES if options.growth else options.frames).result()
+        if options.growth:
+            print_growth(folder, options.frames)
+            return
         track(folder, 2)
         tracks, cost = track(folder, options.frames)
     frames = options.frames * len(SIDES) * len(tracks)
@@ -91,24 +95,65 @@ def main() -> None:
         print(f"| {setup.name}: positions lost, mean error of a frame | {100 * lost:.2f} %, {worst:.2f} mpx | |")
 
 
-def print_growth() -> None:
-    """Print what a frame takes of memory for each subset, from series of several lengths."""
-    manifest = load_manifest(next(SAMPLE.glob("*/recording.toml")))
-    (opened,) = open_set_ups(manifest)
-    (left, right), rig, placed, settings = body_inputs(opened.images[0], Settings())
-    scene = prepare_body((left, right), rig, placed, settings)
-    block = follow_block(scene, range(2, len(left)))
-    subsets = len(scene.references[0].centre_px)
-    print("| frames | subsets | peak memory / MB | per frame and subset / byte |")
-    print("|---|---|---|---|")
-    for repeated in (20, 100, 400):
-        tracemalloc.start()
-        blocks = [pickle.loads(pickle.dumps(block)) for _ in range(repeated)]
-        body_motion(scene, blocks)
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        frames = 1 + len(scene.lead) + repeated * len(block)
-        print(f"| {frames} | {subsets} | {peak / 1e6:.0f} | {peak / frames / subsets:.0f} |", flush=True)
+def print_growth(folder: Path, frames: int) -> None:
+    """Print what series of several lengths take of memory, disk and time, in a process each."""
+    print("| frames of a pair | pictures / GB | what | peak memory / GB | disk / GB | CPU time of a frame / ms |")
+    print("|---|---|---|---|---|---|")
+    for repeated in (0, 1, 4, 10):
+        with ProcessPoolExecutor(max_workers=1, mp_context=get_context("spawn")) as pool:
+            print(pool.submit(growth, folder, frames, repeated).result(), flush=True)
+
+
+def growth(folder: Path, frames: int, repeated: int) -> str:
+    """Return a row: blocks of some frames followed and kept, or the frames of all blocks, repeated, evaluated."""
+    (opened,) = open_set_ups(load_manifest(next(SAMPLE.glob("*/recording.toml"))))  # for its channels and lines
+    images, scene = large_pair(folder, opened.images[0], frames)
+    kept, (name, own) = Kept(folder / "results", "growth"), ("followed", len(scene.blocks))
+    starts = range(scene.blocks[0].start, 1 + max(1, repeated) * own * BLOCK_FRAMES, BLOCK_FRAMES)
+    scene = replace(scene, blocks=tuple(range(start, start + BLOCK_FRAMES) for start in starts))
+    followed, begun = Followed(images, scene, "cpu", kept), time.process_time()
+    if not repeated:
+        for block in scene.blocks:
+            followed.add(block, follow_block(scene, block))
+    else:
+        name = "evaluated"
+        for number, found in enumerate(islice(followed, own)):
+            for block in scene.blocks[own + number :: own]:
+                followed.add(block, found)
+        begun = time.process_time()
+        evaluate(opened, images, followed)
+    count, took = scene.blocks[-1].stop, time.process_time() - begun
+    pictures = 2 * count * SIZE_PX[0] * SIZE_PX[1] * 2
+    disk = sum(file.stat().st_size for file in folder.rglob("*.growth"))
+    each = f"{disk / 1e9:.2f} | {1e3 * took / count:.0f}"
+    return f"| {count} | {pictures / 1e9:.1f} | {name} | {peak_bytes() / 1e9:.2f} | {each} |"
+
+
+def large_pair(folder: Path, sample: OpenImages, frames: int) -> tuple[OpenImages, BodyScene]:
+    """The first pair with so many frames, in whole blocks, its pictures repeated, in place of that of the sample."""
+    setup = next(setups())
+    rig, placed = nominal_rig(setup)
+    frames = 2 + max(1, (frames - 2) // BLOCK_FRAMES) * BLOCK_FRAMES
+    files = [sorted((folder / camera_folder(setup, side)).glob("*.tif")) for side in SIDES]
+    left, right = (open_sequence([own[k % len(own)] for k in range(frames)], setup.bit_depth) for own in files)
+    where = {"rotation": placed.rotation.tolist(), "translation": placed.translation_m.tolist()}
+    sight = replace(sample.sight, pair=sample.sight.pair.model_copy(update=where))
+    images = replace(sample, sight=sight, left=left, right=right, rig=rig, first=left.read(0), depth_m=None)
+    return images, prepare_body(*body_inputs(images, Settings()))
+
+
+def evaluate(opened: OpenSetUp, images: OpenImages, followed: Followed) -> None:
+    """Compute what a run does of the frames of a pair that are followed, taken at equal distances in time."""
+    assert opened.lines is not None
+    measured = seen_motion(images, body_motion(followed.scene, followed))
+    known_s = measured.sight.time_s
+    time_s = known_s[0] + np.mean(np.diff(known_s)) * np.arange(len(measured.motion.pose))
+    stereo_phasors(opened.base, replace(measured, sight=replace(measured.sight, time_s=time_s)), opened.lines)
+
+
+def peak_bytes() -> int:
+    """Peak memory of this process."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 def setups() -> Iterator[StereoSetup]:
@@ -159,9 +204,8 @@ def track(folder: Path, frames: int) -> tuple[list[StereoTracks], Cost]:
     for setup in setups():
         left, right = (_sequence(folder / camera_folder(setup, side), setup, frames) for side in SIDES)
         tracks.append(track_stereo(left, right, cameras_from_world(setup)[0], TrackSettings()))
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    peak = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-    return tracks, Cost(time.perf_counter() - wall_s, usage.ru_utime - user_s, peak)
+    user_s = resource.getrusage(resource.RUSAGE_SELF).ru_utime - user_s
+    return tracks, Cost(time.perf_counter() - wall_s, user_s, peak_bytes())
 
 
 def _sequence(folder: Path, setup: StereoSetup, frames: int) -> ImageSequence:

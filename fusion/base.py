@@ -382,11 +382,15 @@ class Executor(Protocol):
 class Keeper(Protocol):
     """A place for what a run has found so far, from which it goes on when it was ended."""
 
+    @property
+    def disk(self) -> Path:
+        """A folder on the disk of the results, for nameless files that last as long as the run."""
+
     def get(self, name: str) -> bytes | None:
         """Return what was kept under a name by a run of the same inputs and settings, None where nothing was."""
 
-    def put(self, name: str, content: bytes) -> None:
-        """Keep something until the results are written."""
+    def put(self, name: str, content: bytes) -> bool:
+        """Keep something until the results are written, and return whether that is done."""
 
 
 # A progress bar on a terminal, nothing in a pipe.

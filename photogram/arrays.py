@@ -85,3 +85,53 @@ class Notice:
     severity: Severity
     text: str
     where: str
+
+
+# What is known of all frames of a series that comes some frames at a time.
+
+
+class RunningMean:
+    """Mean over frames of what is finite: the digits of `values.sum(axis=0)` over all of them, however they come."""
+
+    def __init__(self) -> None:
+        self._total: FloatArray | None = None
+        self.count: IntArray = np.zeros((), np.int64)
+
+    def add(self, values: FloatArray) -> None:
+        """Take in further frames (F, ...)."""
+        known = np.isfinite(values)
+        rows = np.where(known, values, 0.0)
+        rows = rows if self._total is None else np.concatenate([self._total[None], rows])  # in the order of the frames
+        self._total, self.count = np.asarray(rows.sum(axis=0)), self.count + known.sum(axis=0)
+
+    @property
+    def mean(self) -> FloatArray:
+        """The mean so far (...), NaN where nothing is known."""
+        assert self._total is not None
+        return np.asarray(self._total / np.where(self.count > 0, self.count, np.nan))
+
+
+SAMPLED = 1 << 19
+
+
+class Sample:
+    """Values of all frames, or of equally spaced ones where these are more than `SAMPLED` values: for a median."""
+
+    def __init__(self) -> None:
+        self._rows: list[FloatArray] = []
+        self._every, self._frames = 1, 0
+
+    def add(self, values: FloatArray) -> None:
+        """Take in further frames (F, ...)."""
+        first = -self._frames % self._every
+        self._rows += [row.copy() for row in values[first :: self._every]]
+        self._frames += len(values)
+        while sum(row.size for row in self._rows[:1]) * len(self._rows) > SAMPLED and len(self._rows) > 1:
+            self._rows, self._every = self._rows[::2], 2 * self._every
+
+    @property
+    def median(self) -> float:
+        """Median of what is finite, NaN where nothing is."""
+        values = np.array(self._rows)
+        values = values[np.isfinite(values)]
+        return float(np.median(values)) if len(values) else float("nan")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, derivatives
+from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, RunningMean, derivatives
 from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.subsets.track import StereoTracks
@@ -73,8 +74,10 @@ class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3
         return told if times > UNUSABLE else ""
 
 
-def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
+def check_epipolar(tracks: StereoTracks | Iterable[StereoTracks], rig: StereoRig) -> EpipolarCheck:
     """Return the epipolar residuals of a recording, with warnings where the cameras are not what was calibrated.
+
+    `tracks` of all frames, or of some after the other, which are gone through twice.
 
     Two tests, each with a chance of 10⁻⁴ to warn without cause. The pattern (mean and slopes) over all frames against
     the covariance that the calibration and the matching give it, or against 0.1 px where the calibration has none. And
@@ -95,20 +98,25 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
     >>> float(np.abs(check.mean_px).max()) < 0.01
     True
     """
-    residual, by_left, by_right = epipolar_residual(rig, tracks.left.position_px, tracks.right.position_px)
-    sides = (by_left, tracks.left), (by_right, tracks.right)
-    variance = np.sum([np.einsum("fni,fnij,fnj->fn", by, side.covariance_px2, by) for by, side in sides], axis=0)
-    mean = _mean(residual)
-    position, other = _mean(tracks.left.position_px), _mean(tracks.right.position_px)
+    blocks: Iterable[StereoTracks] = (tracks,) if isinstance(tracks, StereoTracks) else tracks
+    means, bias_px, frames = [RunningMean() for _ in range(3)], 0.0, 0
+    for block in blocks:
+        residual, *_ = epipolar_residual(rig, block.left.position_px, block.right.position_px)
+        for running, values in zip(means, (residual, block.left.position_px, block.right.position_px), strict=True):
+            running.add(values)
+        bias_px, frames = float(np.sqrt(np.nansum(block.bias_px**2))), frames + len(residual)
+    mean, position, other = (running.mean for running in means)
     good = _good(mean, position)
     if np.count_nonzero(good) < FEWEST_POINTS:
-        course = np.full((residual.shape[0], 3), np.nan)
-        return EpipolarCheck(course, course, np.full(3, np.nan), None, position, np.full(residual.shape[1], np.nan), ())
+        course = np.full((frames, 3), np.nan)
+        return EpipolarCheck(course, course, np.full(3, np.nan), None, position, np.full(len(mean), np.nan), ())
     basis = _basis(position[good])
-    change, u_course = _course(residual[:, good] - mean[good], variance[:, good], basis)
+    change, u_course, path = (
+        np.concatenate(parts) for parts in zip(*_courses(blocks, rig, good, mean, position), strict=True)
+    )
     solver = np.linalg.pinv(basis)
     pattern = solver @ mean[good]
-    matches, bias_px = (position[good], other[good]), float(np.sqrt(np.nansum(tracks.bias_px**2)))
+    matches = position[good], other[good]
     covariance = None
     if rig.covariance is not None:
         left_over = mean[good] - basis @ pattern
@@ -119,7 +127,6 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
     excess = _unexplained(pattern, covariance)
     # A residual that belongs to places in the picture changes as the body passes over it: by the share of how far the
     # body goes, rms over the frames, in the extent of its points.
-    path = _mean((tracks.left.position_px[:, good] - position[good]).swapaxes(0, 1))
     extent = np.sqrt(np.mean(np.sum((position[good] - position[good].mean(axis=0)) ** 2, axis=-1)))
     travel = float(np.sqrt(np.nanmean(np.sum(path**2, axis=-1))) / extent)
     passing_px = travel * float(np.sqrt(np.mean(mean[good] ** 2)))
@@ -138,11 +145,21 @@ def check_epipolar(tracks: StereoTracks, rig: StereoRig) -> EpipolarCheck:
     )
 
 
-def _mean(values: FloatArray) -> FloatArray:
-    """Return the mean over the frames that are not NaN, NaN where none is."""
-    known = np.isfinite(values)
-    count = known.sum(axis=0)
-    return np.asarray(np.where(known, values, 0.0).sum(axis=0) / np.where(count > 0, count, np.nan))
+def _courses(
+    blocks: Iterable[StereoTracks], rig: StereoRig, good: BoolArray, mean: FloatArray, position: FloatArray
+) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Yield block by block coefficients (F, 3) of the residuals beside their mean (N,), u, and the body's path (F, 2).
+
+    `good` (N,): the points that count; `position` (N, 2): their mean positions in the left camera.
+    """
+    basis = _basis(position[good])
+    for block in blocks:
+        residual, by_left, by_right = epipolar_residual(rig, block.left.position_px, block.right.position_px)
+        sides = (by_left, block.left), (by_right, block.right)
+        variance = np.sum([np.einsum("fni,fnij,fnj->fn", by, side.covariance_px2, by) for by, side in sides], axis=0)
+        path = RunningMean()
+        path.add((block.left.position_px[:, good] - position[good]).swapaxes(0, 1))
+        yield (*_course(residual[:, good] - mean[good], variance[:, good], basis), path.mean)
 
 
 def _good(mean: FloatArray, position: FloatArray) -> BoolArray:

@@ -2,32 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
+from itertools import chain
 
 import numpy as np
 
-from photogram.arrays import Arrays, FloatArray, Notice
+from photogram.arrays import Arrays, FloatArray, Notice, RunningMean, Sample
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import Points, StereoRig, triangulate
 from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_covariance, view_body
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
-from photogram.motion import PlacedCamera, RigidMotion, fit_motion, overlap_correlation
+from photogram.motion import (
+    Deformation,
+    DeformationMean,
+    PlacedCamera,
+    RigidMotion,
+    fit_motion,
+    overlap_correlation,
+)
 from photogram.subsets.find import BodyNotFound, DepthRange, identity
 from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.reference import Reference
 from photogram.subsets.texture import SubsetQuality, assess
 from photogram.subsets.track import (
+    StereoCourse,
     StereoGrid,
     StereoTracks,
+    Told,
+    Tracks,
     follow_sequence,
     lay_stereo_grid,
+    noise_of,
+    places_of,
     prepare_sequence,
-    stereo_tracks,
     tracks_of,
+    without_aside,
 )
 
 Progress = Callable[[int], None]
@@ -37,26 +50,61 @@ Found = tuple[Registration, Registration]
 UNIFORM = NoiseModel(1.0, 0.0)
 BLOCK_FRAMES = 32
 """A constant, so that results do not depend on who computes them; few enough to share, many enough to start seldom."""
+GPU_BLOCK_FRAMES = 1024
+"""On a GPU, which follows frames in batches: more than most series have, few enough to hold."""
 LARGEST_BENDING = 4.0  # rms, in standard deviations of the points; the reference's noise makes it 1.4
 LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the points
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BodyMotion(Arrays):
-    """A body seen by a stereo pair: subsets, points in the body's frame, motion, and what the user should know.
+    """The motion of a body seen by a stereo pair, and what the user should know.
 
     motion: fitted to the grey values of all pixels, `motion_of_points` to the points alone. Of the left and the right
     camera: noise models, and quality, what the subsets promised before they were tracked; None when no frame could be
-    fitted to the grey values.
+    fitted to the grey values. subsets_px: where the left camera sees the subsets first; medians over subsets and
+    frames: sigma_px, standard deviation that the noise gives to their positions, and `zncc` in the left camera.
+    `tracked` and `surface` go through the subsets and points, and what these do beside the motion, some frames at a
+    time, made anew from what was followed; `tracks` and `points` are those of all frames at once.
     """
 
-    tracks: StereoTracks
-    points: Points
     motion: RigidMotion
     motion_of_points: RigidMotion
+    reprojection_px: float
+    subsets_px: FloatArray
+    sigma_px: float
+    zncc: float
     noise: Noise | None
     quality: tuple[SubsetQuality, SubsetQuality] | None
     notices: tuple[Notice, ...]
+    tracked: Tracked
+    surface: Surface
+
+    @cached_property
+    def tracks(self) -> StereoTracks:
+        """Subsets of all frames, some 500 bytes for each in every frame."""
+        blocks = list(self.tracked)
+        left, right = (
+            Tracks(
+                np.concatenate([track.position_px for track in side]),
+                np.concatenate([track.covariance_px2 for track in side]),
+                np.concatenate([track.zncc for track in side]),
+                np.concatenate([track.status for track in side]),
+                side[0].noise_grey,
+            )
+            for side in ([block.left for block in blocks], [block.right for block in blocks])
+        )
+        return self.tracked.told.of((left, right))
+
+    @cached_property
+    def points(self) -> Points:
+        """Points of all frames, in the body's frame, 100 bytes for each in every frame."""
+        parts = [self.tracked.points(block) for block in self.tracked]
+        return Points(
+            np.concatenate([part.position_m for part in parts]),
+            np.concatenate([part.covariance_m2 for part in parts]),
+            np.concatenate([part.reprojection_px for part in parts]),
+        )
 
 
 FollowedBlock = tuple[tuple[Found, DirectFit | None], ...]
@@ -130,7 +178,7 @@ def prepare_body(
     """Return what following a body needs: its subsets, its surface, and the noise of the images.
 
     `depth_m`: nearest and farthest depth in the left camera at which the body can be, where its pattern may repeat.
-    Blocks have `BLOCK_FRAMES` frames; on a GPU, which follows frames in batches, the series is one block.
+    Blocks have `BLOCK_FRAMES` frames, on a GPU `GPU_BLOCK_FRAMES`.
     """
     grid = lay_stereo_grid(*images, rig, settings, depth_m)
     left, right = (
@@ -143,7 +191,7 @@ def prepare_body(
     _tell(progress, 1)
     scene = _with_noise(scene, first, device, progress)
     rest = range(1 + len(scene.lead), len(images[0]))
-    length = BLOCK_FRAMES if device == "cpu" else max(1, len(rest))
+    length = BLOCK_FRAMES if device == "cpu" else GPU_BLOCK_FRAMES
     return replace(scene, blocks=tuple(rest[start : start + length] for start in range(0, len(rest), length)))
 
 
@@ -158,43 +206,207 @@ def follow_block(
     return tuple(followed)
 
 
-def body_motion(scene: BodyScene, blocks: Sequence[FollowedBlock]) -> BodyMotion:
-    """Return the motion of the body from what was found in the scene's blocks, in their order."""
-    followed = [*scene.lead, *(frame for block in blocks for frame in block)]
-    fits = [fit for _, fit in followed]
+def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion:
+    """Return the motion of the body from what was found in the scene's blocks, in their order.
+
+    The blocks, a list or what reads them from a disk, are gone through twice, one at a time, and again whenever subsets
+    or points are asked for.
+    """
+    tracked, fits = _tracked(scene, blocks)
     settings, images, references, noise = scene.settings, scene.images, scene.references, scene.noise
-    left, right = (
-        tracks_of([identity(reference), *(found[side] for found, _ in followed)], reference, settings.degree)
-        for side, reference in enumerate(references)
-    )
-    firsts = images[0].read(0), images[1].read(0)
-    stereo = stereo_tracks(firsts, scene.grid, (left, right), settings, scene.rig)
-    left, right = stereo.left, stereo.right
     quality, remarks = None, list[Notice]()
     if noise is not None:
         quality = (
-            assess(references[0], firsts[0], noise[0], images[0].full_scale),
-            assess(references[1], firsts[1], noise[1], images[1].full_scale),
+            assess(references[0], images[0].read(0), noise[0], images[0].full_scale),
+            assess(references[1], images[1].read(0), noise[1], images[1].full_scale),
         )
         remarks = [*quality[0].notices("left camera"), *quality[1].notices("right camera")]
-    pixels = left.position_px, right.position_px, left.covariance_px2, right.covariance_px2
-    points = triangulate(scene.rig, *pixels).transformed(scene.body_from_left)
-    seen = int(np.count_nonzero(np.isfinite(points.position_m[0]).all(axis=1)))  # in some later frame as well
-    if seen < 3:
-        raise BodyNotFound(f"rig: expected at least 3 points that both cameras see in a later frame too, found {seen}")
     shared = None
     if settings.grid_step_px <= 2 * settings.radius_px:
         shared = overlap_correlation(scene.grid.left_px, settings.radius_px)
-    of_points = fit_motion(points, None, np.zeros(3), shared)
-    pose, covariance = of_points.pose.copy(), of_points.covariance.copy()
-    done = {frame: fit for frame, fit in enumerate(fits, start=1) if fit is not None}
-    for frame, fit in done.items():
-        pose[frame], covariance[frame] = fit.moved.pose, fit.covariance
-    if done:  # the first frame has the covariance of a typical one
-        covariance[0] = rest_covariance(scene.views, float(np.median([fit.noise for fit in done.values()])))
-    motion = replace(of_points, pose=pose, covariance=covariance)
-    notices = (*stereo.notices, *remarks, *_rigid_notices(points, motion, of_points, fits))
-    return BodyMotion(stereo, points, motion, of_points, noise, quality, notices)
+    sums = _Sums()
+    for block in tracked:
+        points = tracked.points(block)
+        if sums.mean is None:
+            seen = int(np.count_nonzero(np.isfinite(points.position_m[0]).all(axis=1)))  # in some later frame as well
+            if seen < 3:
+                text = f"at least 3 points that both cameras see in a later frame too, found {seen}"
+                raise BodyNotFound(f"rig: expected {text}")
+            sums.mean, sums.subsets_px = DeformationMean(points.position_m[0]), block.left.position_px[0]
+        of_points = fit_motion(points, sums.mean.reference_m, np.zeros(3), shared)
+        sums.add(block, points, of_points, fits.merged(of_points, sums.frames))
+    assert sums.mean is not None
+    motion, of_points = _joined(sums.motions), _joined(sums.of_points)
+    notices = (*tracked.told.notices, *remarks, *_rigid_notices(sums, motion, of_points, fits))
+    return BodyMotion(
+        motion=motion,
+        motion_of_points=of_points,
+        reprojection_px=float(np.sqrt(sums.reprojection[0] / max(sums.reprojection[1], 1))),
+        subsets_px=sums.subsets_px,
+        sigma_px=float(np.sqrt(sums.variance_px2.median)),
+        zncc=sums.zncc.median,
+        noise=noise,
+        quality=quality,
+        notices=notices,
+        tracked=tracked,
+        surface=Surface(sums.mean, motion, tracked),
+    )
+
+
+# What was followed, gone through some frames at a time.
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracked(Arrays):
+    """Tracked subsets of a body, some frames at a time from the first one on, as often as they are asked for.
+
+    noise_grey: image noise (N,) at the subsets of the left and the right camera, over all frames. `told`: what these
+    say of both cameras.
+    """
+
+    scene: BodyScene
+    blocks: Iterable[FollowedBlock]
+    noise_grey: tuple[FloatArray, FloatArray]
+    course: StereoCourse
+    told: Told
+
+    def __iter__(self) -> Iterator[StereoTracks]:
+        for found in _in_turn(self.scene, self.blocks):
+            left, right = (
+                tracks_of(
+                    [both[side] for both, _ in found], self.scene.references[side], self.scene.settings.degree, noise
+                )
+                for side, noise in enumerate(self.noise_grey)
+            )
+            aside = self.course.aside((left.position_px, right.position_px))
+            yield self.told.of(without_aside((left, right), aside))
+
+    def points(self, tracks: StereoTracks) -> Points:
+        """The points of some frames, in the body's frame."""
+        left, right = tracks.left, tracks.right
+        pixels = left.position_px, right.position_px, left.covariance_px2, right.covariance_px2
+        return triangulate(self.scene.rig, *pixels).transformed(self.scene.body_from_left)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Surface(Arrays):
+    """What the points of a body do beside its motion, some frames at a time, as often as it is asked for."""
+
+    mean: DeformationMean
+    motion: RigidMotion
+    tracked: Tracked
+
+    def __iter__(self) -> Iterator[Deformation]:
+        start = 0
+        for block in self.tracked:
+            stop = start + len(block.left.position_px)
+            yield self.mean.of(self.tracked.points(block), _of_frames(self.motion, slice(start, stop)))
+            start = stop
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Fits(Arrays, shapes="pose F 6; covariance F 6 6"):
+    """The direct fits of all frames, NaN for none; the first frame has the covariance of a typical one."""
+
+    pose: FloatArray
+    covariance: FloatArray
+
+    @property
+    def missed(self) -> int:
+        """How many later frames have none."""
+        return int(np.count_nonzero(~np.isfinite(self.pose[1:, 0])))
+
+    def merged(self, of_points: RigidMotion, start: int) -> RigidMotion:
+        """The motion of points in some frames, from `start` on, replaced where there is a direct fit."""
+        own = slice(start, start + len(of_points.pose))
+        known = np.asarray(np.isfinite(self.pose[own]).all(axis=1))
+        typical = np.asarray(np.isfinite(self.covariance[own]).all(axis=(1, 2)))
+        return replace(
+            of_points,
+            pose=np.where(known[:, None], self.pose[own], of_points.pose),
+            covariance=np.where(typical[:, None, None], self.covariance[own], of_points.covariance),
+        )
+
+
+class _Sums:
+    """What is left of the subsets and points of a body when they have been gone through once."""
+
+    def __init__(self) -> None:
+        self.mean: DeformationMean | None = None
+        self.subsets_px: FloatArray = np.empty((0, 2))
+        self.frames, self.reprojection = 0, (0.0, 0)
+        self.motions: list[RigidMotion] = []
+        self.of_points: list[RigidMotion] = []
+        self.variance_px2, self.variance_m2, self.zncc = Sample(), Sample(), Sample()
+
+    def add(self, tracks: StereoTracks, points: Points, of_points: RigidMotion, motion: RigidMotion) -> None:
+        """Take in further frames."""
+        assert self.mean is not None
+        self.mean.add(points, motion)
+        squares = points.reprojection_px**2
+        total, count = self.reprojection
+        self.reprojection = total + float(np.nansum(squares)), count + int(np.count_nonzero(np.isfinite(squares)))
+        sides = [np.diagonal(side.covariance_px2, axis1=2, axis2=3) for side in (tracks.left, tracks.right)]
+        self.variance_px2.add(np.stack(sides, axis=1))
+        self.zncc.add(tracks.left.zncc)
+        variance = np.trace(points.covariance_m2, axis1=2, axis2=3) / 3.0
+        first = 1 if self.frames == 0 else 0
+        self.variance_m2.add(np.where(np.isfinite(of_points.residual_m)[:, None], variance, np.nan)[first:])
+        self.frames += len(squares)
+        self.of_points.append(of_points)
+        self.motions.append(motion)
+
+
+def _in_turn(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> Iterator[FollowedBlock]:
+    """The scene's frames from the reference on, no more than `BLOCK_FRAMES` at a time."""
+    own = identity(scene.references[0]), identity(scene.references[1])
+    for block in chain([((own, None), *scene.lead)], blocks):
+        for start in range(0, len(block), BLOCK_FRAMES):
+            yield block[start : start + BLOCK_FRAMES]
+
+
+def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked, _Fits]:
+    """Go through what was followed for what it takes all frames to know: noise, remarks, and the direct fits."""
+    course, noise = StereoCourse(scene.rig), (RunningMean(), RunningMean())
+    poses, covariances, levels = [], [], []
+    nothing = np.full(6, np.nan), np.full((6, 6), np.nan)
+    for found in _in_turn(scene, blocks):
+        sides = [[both[side] for both, _ in found] for side in range(2)]
+        left, right = (places_of(*both) for both in zip(sides, scene.references, strict=True))
+        course.add((left[0], right[0]), (left[1], right[1]))
+        for running, side, reference in zip(noise, sides, scene.references, strict=True):
+            running.add(noise_of(side, reference, scene.settings.degree) ** 2)
+        for _, fit in found:
+            pose, covariance = nothing if fit is None else (fit.moved.pose, fit.covariance)
+            poses.append(pose)
+            covariances.append(covariance)
+            levels += [] if fit is None else [fit.noise]
+    if levels:
+        covariances[0] = rest_covariance(scene.views, float(np.median(levels)))
+    grey = np.sqrt(noise[0].mean), np.sqrt(noise[1].mean)
+    firsts = scene.images[0].read(0), scene.images[1].read(0)
+    told = course.told(firsts, scene.grid, scene.settings, grey)
+    return Tracked(scene, blocks, grey, course, told), _Fits(np.array(poses), np.array(covariances))
+
+
+def _of_frames(motion: RigidMotion, frames: slice) -> RigidMotion:
+    """The motion in some frames."""
+    return RigidMotion(
+        motion.pose[frames],
+        motion.covariance[frames],
+        motion.residual_m[frames],
+        motion.points[frames],
+        motion.origin_m,
+    )
+
+
+def _joined(parts: Sequence[RigidMotion]) -> RigidMotion:
+    """The motion of all frames."""
+    pose, covariance, residual_m, points = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("pose", "covariance", "residual_m", "points")
+    )
+    return RigidMotion(pose, covariance, residual_m, points, parts[0].origin_m)
 
 
 def _with_noise(scene: BodyScene, first: Splines, device: str, progress: Progress | None) -> BodyScene:
@@ -266,24 +478,21 @@ def _fit(views: tuple[BodyView, ...], splines: Splines, start: FloatArray) -> Di
     return fit_direct(views, splines, RigidTransform.from_pose(start)) if np.isfinite(start).all() else None
 
 
-def _rigid_notices(
-    points: Points, motion: RigidMotion, of_points: RigidMotion, fits: list[DirectFit | None]
-) -> list[Notice]:
+def _rigid_notices(sums: _Sums, motion: RigidMotion, of_points: RigidMotion, fits: _Fits) -> list[Notice]:
     """Warnings about points that move unlike a rigid body, frames without a direct fit, and one against the points."""
     texts = []
     known = np.isfinite(of_points.residual_m[1:])
     if known.any():
-        variance = np.trace(points.covariance_m2[1:], axis1=2, axis2=3) / 3.0
-        misfit, noise = np.median(of_points.residual_m[1:][known]), np.sqrt(np.nanmedian(variance[known]))
+        misfit, noise = np.median(of_points.residual_m[1:][known]), np.sqrt(sums.variance_m2.median)
         if misfit >= LARGEST_BENDING * noise:
             texts.append(
                 f"the points depart from a rigid motion by {1e6 * misfit:.1f} µm rms, {misfit / noise:.0f} times their "
                 "noise: the body bends, or parts of it move on their own"
             )
-    missed = sum(fit is None for fit in fits)
-    if missed:
+    if fits.missed:
         texts.append(
-            f"in {missed} of {len(fits)} frames the motion could not be fitted to the grey values; its points count"
+            f"in {fits.missed} of {len(fits.pose) - 1} frames the motion could not be fitted to the grey values; "
+            "its points count"
         )
     difference = (motion.pose - of_points.pose)[1:]
     both = np.isfinite(difference).all(axis=1)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape, derivatives
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, RunningMean, check_shape, derivatives
 from photogram.camera import Camera, Points
 from photogram.geometry import (
     RigidTransform,
@@ -344,6 +344,51 @@ class Deformation(Arrays, shapes="reference_m N 3; residual_m F N 3; covariance_
     covariance_m2: FloatArray
 
 
+class DeformationMean:
+    """What deformation is counted from, found from all frames: the points' mean residuals in the axes of the body.
+
+    reference_m (N, 3): the points at rest.
+    """
+
+    def __init__(self, reference_m: FloatArray) -> None:
+        check_shape("reference_m", reference_m, (None, 3))
+        self.reference_m = reference_m
+        self._residual, self._own = RunningMean(), RunningMean()
+
+    def add(self, points: Points, motion: RigidMotion) -> None:
+        """Take in the points (F, N) of further frames with their motion."""
+        residual, own = self._beside(points, motion)
+        self._residual.add(residual)
+        self._own.add(own)
+
+    def _beside(self, points: Points, motion: RigidMotion) -> tuple[FloatArray, FloatArray]:
+        """Return what is not rigid (F, N, 3), and its covariance, both NaN where either is not known."""
+        frames, count, _ = points.position_m.shape
+        check_shape("reference_m", self.reference_m, (count, 3))
+        check_shape("motion.pose", motion.pose, (frames, 6))
+        rotation = rotation_from_vector(motion.pose[:, 3:])
+        rest = self.reference_m - motion.origin_m
+        carried = points.position_m - motion.origin_m - motion.pose[:, None, :3]
+        residual = carried @ rotation - rest
+        arm = rest @ np.swapaxes(rotation, 1, 2)
+        step_of_pose = np.linalg.inv(pose_rate(motion.pose))
+        step_covariance = step_of_pose @ motion.covariance @ np.swapaxes(step_of_pose, 1, 2)
+        own = np.empty((*arm.shape, 3))
+        for frame, slope in enumerate(map(displacement_jacobian, arm)):
+            left = points.covariance_m2[frame] - slope @ step_covariance[frame] @ np.swapaxes(slope, 1, 2)
+            own[frame] = rotation[frame].T @ left @ rotation[frame]
+        seen = np.asarray(np.isfinite(residual).all(axis=2) & np.isfinite(own).all(axis=(2, 3)))
+        return np.where(seen[..., None], residual, np.nan), np.where(seen[..., None, None], own, np.nan)
+
+    def of(self, points: Points, motion: RigidMotion) -> Deformation:
+        """Return the deformation of frames that were taken in, all or some of them."""
+        residual, own = self._beside(points, motion)
+        number = np.maximum(self._residual.count[:, :1], 1)
+        shared = np.nan_to_num(self._own.mean) / number[..., None]
+        covariance = (1.0 - 2.0 / number)[..., None] * own + shared
+        return Deformation(self.reference_m, residual - self._residual.mean, covariance)
+
+
 def deformation(points: Points, motion: RigidMotion, reference_m: FloatArray | None = None) -> Deformation:
     """Return what remains of points (F, N) after their body's `motion` against reference (N, 3), by default frame 0.
 
@@ -356,30 +401,9 @@ def deformation(points: Points, motion: RigidMotion, reference_m: FloatArray | N
     from another one: Hausman 1978, Econometrica 46, 1251). The mean leaves (1 − 2/F)·Vₖ + Σ V/F².
     """
     reference = points.position_m[0] if reference_m is None else np.asarray(reference_m, dtype=np.float64)
-    frames, count, _ = points.position_m.shape
-    check_shape("reference_m", reference, (count, 3))
-    check_shape("motion.pose", motion.pose, (frames, 6))
-    rotation = rotation_from_vector(motion.pose[:, 3:])
-    rest = reference - motion.origin_m
-    carried = points.position_m - motion.origin_m - motion.pose[:, None, :3]
-    residual = carried @ rotation - rest
-    arm = rest @ np.swapaxes(rotation, 1, 2)
-    step_of_pose = np.linalg.inv(pose_rate(motion.pose))
-    step_covariance = step_of_pose @ motion.covariance @ np.swapaxes(step_of_pose, 1, 2)
-    own = np.empty((*arm.shape, 3))
-    for frame, slope in enumerate(map(displacement_jacobian, arm)):
-        left = points.covariance_m2[frame] - slope @ step_covariance[frame] @ np.swapaxes(slope, 1, 2)
-        own[frame] = rotation[frame].T @ left @ rotation[frame]
-    seen = np.asarray(np.isfinite(residual).all(axis=2) & np.isfinite(own).all(axis=(2, 3)))
-    number = np.maximum(seen.sum(axis=0), 1)
-    mean = np.sum(np.where(seen[..., None], residual, 0.0), axis=0) / number[:, None]
-    shared = np.sum(np.where(seen[..., None, None], own, 0.0), axis=0) / (number**2)[:, None, None]
-    covariance = (1.0 - 2.0 / number)[:, None, None] * own + shared
-    return Deformation(
-        reference,
-        np.where(seen[..., None], residual - mean, np.nan),
-        np.where(seen[..., None, None], covariance, np.nan),
-    )
+    mean = DeformationMean(reference)
+    mean.add(points, motion)
+    return mean.of(points, motion)
 
 
 # Where a camera sees the body's surface, and how small patches of it move in the image when the body moves.

@@ -66,7 +66,6 @@ from photogram.arrays import Notice
 from photogram.camera import StereoRig, triangulate
 from photogram.geometry import RigidTransform
 from photogram.motion import RigidMotion, fit_motion
-from photogram.subsets.reference import TrackStatus
 from shaker.arrays import FloatArray
 
 log = logging.getLogger("shakercal")
@@ -293,15 +292,20 @@ def _axis_effects(item: _Recorded, pair: Pair | None, line: FloatArray) -> Float
     if pair is None or view is None:
         return np.zeros((0 if pair is None else len(pair.steps), 6))
     motion = item.measured.motion
-    good = (view.tracks.left.status == TrackStatus.OK) & (view.tracks.right.status == TrackStatus.OK)
     fitted = np.flatnonzero(np.isfinite(motion.pose).all(axis=1))
     ordered = fitted[np.argsort(motion.pose[fitted, 3:] @ line[3:])]
     chosen = ordered[np.unique(np.linspace(0, len(ordered) - 1, EFFECT_FRAMES).astype(int))]
-    common = np.flatnonzero(good[chosen].all(axis=0))
+    both, start = [], 0
+    for block in view.tracks:
+        rows = np.intersect1d(chosen - start, np.arange(len(block.left.position_px)))
+        both.append(np.concatenate([block.left.position_px[rows], block.right.position_px[rows]], axis=2))
+        start += len(block.left.position_px)
+    places = np.concatenate(both)[np.argsort(np.argsort(chosen))]
+    common = np.flatnonzero(np.isfinite(places).all(axis=(0, 2)))
     if len(common) < FEWEST_SUBSETS:
         raise ValueError(f"only {len(common)} subsets are followed through all frames; look at the images")
     subsets = common[np.unique(np.linspace(0, len(common) - 1, EFFECT_SUBSETS).astype(int))]
-    left, right = (side.position_px[np.ix_(chosen, subsets)] for side in (view.tracks.left, view.tracks.right))
+    left, right = places[:, subsets, :2], places[:, subsets, 2:]
     covariance = motion.covariance[chosen]
 
     def turned(rig: StereoRig) -> FloatArray:

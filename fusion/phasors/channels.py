@@ -312,7 +312,7 @@ def _fit_group(
         values = values.copy()
         values[fit.spikes] = np.nan
     steady = stationarity(time_s, values, frequency_hz, names)
-    fitted = []
+    fitted: list[tuple[ChannelResult, Reading]] = []
     for c, channel in enumerate(group):
         own = wanted.select([channel.name])
         result, reading = _result(record, channel, time_s, whole[:, c], fit, own)
@@ -320,6 +320,7 @@ def _fit_group(
         late = [error.through(fit, seen, order).of_channel(c).relative_to(own) for error in errors]
         steady_here = steady and steady.select(channel.name)
         result = replace(result, stationarity=steady_here, harmonics=_harmonics(channel, fit, every, multiples))
+        result = replace(result, spectrum_hz=fitted[0][0].spectrum_hz) if fitted else result  # the same, held once
         fitted.append((result, replace(reading, further=acting(late))))
     return fitted
 
@@ -387,8 +388,8 @@ def _result(
         samples=len(values),
         phasors=phasors,
         residual_rms=float(fit.residual_rms[place]),
-        excerpt_s=time_s[shown],
-        excerpt=values[shown],
+        excerpt_s=time_s[shown].copy(),  # a view would hold the whole record
+        excerpt=values[shown].copy(),
         excerpt_fit=fit.model(time_s[shown])[:, place],
         spectrum_hz=spectrum.frequency_hz,
         spectrum=spectrum.amplitude,

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import hashlib
 import io
+import weakref
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from tempfile import SpooledTemporaryFile
 from typing import Any, TypeVar
 
 import numpy as np
@@ -65,6 +67,7 @@ SAME_EXPOSURE = 0.02  # relative difference of exposures that are told apart
 SAME_RATE = 0.01  # of frames on the camera's clock and of edges on that of a DAQ
 FEWEST_PLACES = 3  # on a body that tell where it is
 REGISTRATION = tuple(field.name for field in fields(Registration))
+HELD = 1 << 26
 NO_MOTION = "no frame has enough points for a rigid motion"
 
 
@@ -87,28 +90,31 @@ class OpenImages:
 
 @dataclass(frozen=True)
 class ImageView:
-    """What the images of one stereo pair gave: tracked subsets, their rig, the first left image, the noise models of
-    both cameras and what their subsets promised, and whether the pair still is what was calibrated."""
+    """What the images of one stereo pair gave: tracked subsets of some frames at a time, their rig, the first left
+    image, the noise models of both cameras and what their subsets promised, whether the pair still is what was
+    calibrated, and medians: standard deviation that the noise gives to positions, and `zncc` in the left camera."""
 
-    tracks: StereoTracks
+    tracks: Iterable[StereoTracks]
     rig: StereoRig
     reference_image: GreyImage
     noise: tuple[NoiseModel, NoiseModel] | None
     quality: tuple[SubsetQuality, SubsetQuality] | None
     epipolar: EpipolarCheck
+    sigma_px: float
+    zncc: float
 
 
 @dataclass(frozen=True)
 class StereoMotion:
     """Motion of one body in the sensor frame before any line is known.
 
-    `motion` from the first frame's pose about the sensor origin; `deformation` what the points do beside it; `view` is
-    None for points of another program.
+    `motion` from the first frame's pose about the sensor origin; `deformation` what the points do beside it, of some
+    frames at a time; `view` is None for points of another program.
     """
 
     sight: Sight
     motion: RigidMotion
-    deformation: Deformation
+    deformation: Iterable[Deformation]
     reprojection_px: float
     view: ImageView | None
     notices: tuple[AnyNotice, ...]
@@ -225,33 +231,26 @@ def measure_pairs(
     if executor is None:
         return tuple(_attempted(item, partial(measure_images, item, settings, progress, kept)) for item in images)
     device, begun = settings.device, []
-    motions: list[StereoMotion | LeftOut] = []
     prepared = [executor.submit(0, _prepared, body_inputs(item, settings), device, item.depth_m) for item in images]
     for item, pending in zip(images, prepared, strict=True):
         scene: BodyScene | LeftOut = _attempted(item, partial(_answer, item, pending))
-        shares = () if isinstance(scene, LeftOut) else scene.blocks
-        there = [_kept_block(item, share, kept) for share in shares]
-        asked = [
-            executor.submit(1, _followed, pending, share, device) if block is None else block
-            for share, block in zip(shares, there, strict=True)
-        ]
-        begun.append((item, scene, asked))
-    for item, scene, blocks in begun:
-        if isinstance(scene, LeftOut):
-            motions.append(scene)
+        followed = scene if isinstance(scene, LeftOut) else Followed(item, scene, device, kept)
+        shares = () if isinstance(followed, LeftOut) else followed.missing()
+        asked = {share: executor.submit(1, _followed, pending, share, device) for share in shares}
+        begun.append((item, followed, asked))
+    for item, followed, asked in begun:  # of all pairs, so that no block waits in memory for the motion of another pair
+        if isinstance(followed, LeftOut):
             continue
         stage, total = f"track {item.sight.name}", 2 * len(item.left)
-        followed = []
-        for frames, pending in zip(scene.blocks, blocks, strict=True):
+        for frames in followed.scene.blocks:
             progress(stage, 2 * frames.start, total)
-            if isinstance(pending, tuple):
-                followed.append(pending)
-                continue
-            followed.append(_answer(item, pending))
-            _keep_block(item, frames, followed[-1], kept)
+            if frames in asked:
+                followed.add(frames, _answer(item, asked.pop(frames)))
         progress(stage, total, total)
-        motions.append(_attempted(item, partial(_moved, item, scene, followed)))
-    return tuple(motions)
+    return tuple(
+        followed if isinstance(followed, LeftOut) else _attempted(item, partial(_moved, item, followed))
+        for item, followed, _ in begun
+    )
 
 
 def _attempted(images: OpenImages, act: Callable[[], T]) -> T | LeftOut:
@@ -264,9 +263,9 @@ def _attempted(images: OpenImages, act: Callable[[], T]) -> T | LeftOut:
         return LeftOut(images.sight.name, error)
 
 
-def _moved(images: OpenImages, scene: BodyScene, followed: Sequence[FollowedBlock]) -> StereoMotion:
+def _moved(images: OpenImages, followed: Followed) -> StereoMotion:
     with as_input_error(*images.sight.where):
-        body = body_motion(scene, followed)
+        body = body_motion(followed.scene, followed)
     return seen_motion(images, body)
 
 
@@ -299,30 +298,95 @@ def measure_images(
 
     with as_input_error(*images.sight.where):
         scene = prepare_body(*body_inputs(images, settings), device, tell, images.depth_m)
-        followed = []
-        for frames in scene.blocks:
-            block = _kept_block(images, frames, kept)
-            if block is None:
-                block = follow_block(scene, frames, device, tell)
-                _keep_block(images, frames, block, kept)
-            followed.append(block)
+        followed = Followed(images, scene, device, kept)
+        for frames in followed.missing():
+            followed.add(frames, follow_block(scene, frames, device, tell))
         body = body_motion(scene, followed)
     return seen_motion(images, body)
 
 
-# Blocks of frames as files, from which a run that was ended goes on.
+# Blocks of frames on a disk: a motion is computed from them one at a time, and a run that was ended goes on from them.
 
 
-def _block_name(images: OpenImages, frames: range) -> str:
-    """Name of a block: that of the first image tells the pair of a take from that of another."""
-    pair = hashlib.sha256("\n".join([images.sight.name, *images.left.names[:1]]).encode()).hexdigest()[:12]
-    return f"{pair}-{frames.start}-{frames.stop}"
+class Followed:
+    """The blocks of a pair's frames that were followed, read one at a time, in their order, as often as asked for.
+
+    They lie where they are kept. What is kept nowhere is in memory up to `HELD` bytes, beyond that in a temporary file
+    on the disk of the results, in the system's folder for such files where there are none; the file has no name where
+    the system permits it, and is gone with this object or its process. What was kept and is no longer there is followed
+    again. A pickle holds all blocks, of whatever size, and is opened in memory and the system's folder.
+    """
+
+    def __init__(self, images: OpenImages, scene: BodyScene, device: str, kept: Keeper | None) -> None:
+        self.scene = scene
+        self._device, self._kept = device, kept if len(scene.blocks) > 1 else None
+        pair = "\n".join([images.sight.name, *images.left.names[:1]])  # the first image tells it from that of a take
+        self._sight, self._pair = images.sight.name, hashlib.sha256(pair.encode()).hexdigest()[:12]
+        self._hold(None if kept is None else str(kept.disk))
+
+    def _hold(self, folder: str | None) -> None:
+        self._places: dict[range, tuple[int, int]] = {}
+        self._held = SpooledTemporaryFile(max_size=HELD, dir=folder)  # noqa: SIM115  (closed with this object)
+        weakref.finalize(self, self._held.close)
+
+    def __getstate__(self) -> dict[str, Any]:
+        content = {frames: packed(block) for frames, block in zip(self.scene.blocks, self, strict=True)}
+        plain = {name: self.__dict__[name] for name in ("scene", "_device", "_sight", "_pair")}
+        return {**plain, "content": content}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        content = state.pop("content")
+        self.__dict__.update(state, _kept=None)
+        self._hold(None)
+        for frames, block in content.items():
+            self._put(frames, block)
+
+    def missing(self) -> list[range]:
+        """Return the blocks that have to be followed."""
+        return [frames for frames in self.scene.blocks if self._found(frames) is None]
+
+    def add(self, frames: range, block: FollowedBlock) -> None:
+        """Put a block where it is found again."""
+        content = packed(block)
+        if self._kept is None or not self._kept.put(self._name(frames), content):
+            self._put(frames, content)
+
+    def _put(self, frames: range, content: bytes) -> None:
+        start = self._held.seek(0, io.SEEK_END)
+        try:
+            self._held.write(content)
+            self._held.flush()
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            text = "its subsets found place neither beside the results nor in a temporary file"
+            where = f"stereo pair {self._sight}, frames {frames.start} to {frames.stop - 1}"
+            raise ComputeError(f"{where}: {text} ({reason})") from error
+        self._places[frames] = start, len(content)
+
+    def __iter__(self) -> Iterator[FollowedBlock]:
+        for frames in self.scene.blocks:
+            block = self._found(frames)
+            if block is None:
+                block = follow_block(self.scene, frames, resolve_device(self._device))
+                self.add(frames, block)
+            yield block
+
+    def _name(self, frames: range) -> str:
+        return f"{self._pair}-{frames.start}-{frames.stop}"
+
+    def _found(self, frames: range) -> FollowedBlock | None:
+        content = None
+        if frames in self._places:
+            start, length = self._places[frames]
+            self._held.seek(start)
+            content = self._held.read(length)
+        elif self._kept is not None:
+            content = self._kept.get(self._name(frames))
+        return None if content is None else unpacked(content, len(frames))
 
 
-def _keep_block(images: OpenImages, frames: range, block: FollowedBlock, kept: Keeper | None) -> None:
-    """Keep a block of frames unless it is all there is."""
-    if kept is None or len(frames) + 2 >= len(images.left):
-        return
+def packed(block: FollowedBlock) -> bytes:
+    """Return a block of frames as a file."""
     arrays: dict[str, Any] = {}
     for side in range(2):
         for name in REGISTRATION:
@@ -336,23 +400,20 @@ def _keep_block(images: OpenImages, frames: range, block: FollowedBlock, kept: K
     arrays["cells"] = np.array([fit.cells for _, fit in fits], dtype=np.int64)
     content = io.BytesIO()
     np.savez(content, **arrays)
-    kept.put(_block_name(images, frames), content.getvalue())
+    return content.getvalue()
 
 
-def _kept_block(images: OpenImages, frames: range, kept: Keeper | None) -> FollowedBlock | None:
-    """Return a block of frames that was kept, to the last bit; None where there is none, or a damaged one."""
-    content = None if kept is None else kept.get(_block_name(images, frames))
-    if content is None:
-        return None
+def unpacked(content: bytes, frames: int) -> FollowedBlock | None:
+    """Return a block of frames that was `packed`, to the last bit; None for a damaged one."""
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        fits: list[DirectFit | None] = [None] * len(frames)
+        fits: list[DirectFit | None] = [None] * frames
         of_fits = (arrays[name] for name in ("fitted", "rotation", "translation", "covariance", "noise", "cells"))
         for number, rotation, translation, covariance, noise, cells in zip(*of_fits, strict=True):
             fits[number] = DirectFit(RigidTransform(rotation, translation), covariance, float(noise), int(cells))
         sides = [
-            [Registration(*(arrays[f"{name}-{side}"][k].copy() for name in REGISTRATION)) for k in range(len(frames))]
+            [Registration(*(arrays[f"{name}-{side}"][k].copy() for name in REGISTRATION)) for k in range(frames)]
             for side in range(2)
         ]
     except (ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile):
@@ -372,14 +433,13 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
     if not np.isfinite(body.motion.pose).all(axis=1).any():
         with as_input_error(*images.sight.where):
             raise BodyNotFound(f"{NO_MOTION}; look at the images")
-    reprojection = float(np.sqrt(np.nanmean(body.points.reprojection_px**2)))
-    epipolar = check_epipolar(body.tracks, images.rig)
+    epipolar = check_epipolar(body.tracked, images.rig)
     return StereoMotion(
         images.sight,
         body.motion,
-        deformation(body.points, body.motion),
-        reprojection,
-        ImageView(body.tracks, images.rig, images.first, body.noise, body.quality, epipolar),
+        body.surface,
+        body.reprojection_px,
+        ImageView(body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, body.sigma_px, body.zncc),
         (*images.notices, *body.notices, *epipolar.notices),
     )
 
@@ -407,7 +467,7 @@ def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> Ste
         raise ComputeError(f"stereo pair {name}: no rigid motion can be fitted ({error})") from error
     if not np.isfinite(motion.pose).all(axis=1).any():
         raise ComputeError(f"stereo pair {name}: {NO_MOTION}; look at its points")
-    return StereoMotion(sight, motion, deformation(points, motion, reference), float("nan"), None, ())
+    return StereoMotion(sight, motion, (deformation(points, motion, reference),), float("nan"), None, ())
 
 
 def _read_unsaturated(sequence: ImageSequence, index: int) -> GreyImage:

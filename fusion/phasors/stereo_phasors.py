@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,14 +15,13 @@ from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading
 from fusion.phasors.channels import spread_lines
 from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, sensor_from_camera
 from fusion.phasors.timing import Lateness, Sight, TimeBase, together
+from photogram.arrays import RunningMean
 from photogram.camera import StereoRig, principal_components, triangulate
 from photogram.epipolar import EpipolarCheck
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage
 from photogram.motion import Deformation, RigidMotion, fit_motion, relative_to
-from photogram.subsets.reference import TrackStatus
-from photogram.subsets.track import StereoTracks
 from shaker.arrays import ComplexArray, FloatArray, Notice, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import Lines
@@ -34,10 +33,10 @@ from shaker.sine.aliasing import (
     usable_lines,
 )
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
-from shaker.sine.normal_equations import sine_amplitudes, solve_sines
+from shaker.sine.normal_equations import SineSums, sine_amplitudes
 from shaker.sine.solve import SineFit, SineModel
 
-MIN_SUBSETS = 6
+MIN_SUBSETS, SEEN_SHARE = 6, 0.5
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
 BIAS_STEP_PX = 0.01
 STEP, FEWEST_BESIDE = 20.0, 4  # of the noise: a step that no chance makes; frames beyond the unknowns of the lines
@@ -59,7 +58,7 @@ class StereoResult:
     `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
     `stationarity`: the six components over blocks of whole beats, exposure loss not corrected. `u_exposure_s`: 0 where
     the exposure is stated. `u_rate`: relative, of the rate at which its frames were taken. `surface`: the points, and
-    what they do beside the rigid motion in every frame.
+    what they do beside the rigid motion in every frame, some frames at a time.
     """
 
     name: str
@@ -78,7 +77,7 @@ class StereoResult:
     noise_grey: float | None = None
     median_zncc: float | None = None
     deflection: DeflectionShape | None = None
-    surface: Deformation | None = None
+    surface: Iterable[Deformation] | None = None
     noise: tuple[NoiseModel, ...] = ()
     sigma_px: FloatArray | None = None
     epipolar: EpipolarCheck | None = None
@@ -182,7 +181,7 @@ def stereo_phasors(
         effects={} if view is None else _image_effects(measured, view, frequency_hz, usable, gain),
         clock_uncertainty=base.records[0].entry.clock_uncertainty,
         errors=(*errors, *exposure.errors(lines.frequency_hz)),
-        face_m=np.asarray(np.nanmean(measured.deformation.reference_m, axis=0)),
+        face_m=np.asarray(np.nanmean(next(iter(measured.deformation)).reference_m, axis=0)),
     )
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     own = [*(n for n in fit.notices if n.severity == "warning"), *steps]
@@ -214,9 +213,20 @@ def _image_effects(
     measured: StereoMotion, view: ImageView, frequency_hz: FloatArray, usable: NDArray[np.bool_], gain: FloatArray
 ) -> dict[str, ComplexArray]:
     """Return what calibration and errors periodic in the pixel do to the phasors, NaN at lines not `usable`."""
+    sums, means = None, (RunningMean(), RunningMean())
+    for block in view.tracks:
+        positions = block.left.position_px, block.right.position_px
+        both = np.concatenate(positions, axis=2)
+        if sums is None:
+            sums, bias_px = SineSums(measured.sight.time_s, frequency_hz, np.nan_to_num(both[0])), block.bias_px
+        sums.add(both)
+        for running, position in zip(means, positions, strict=True):
+            running.add(position)
+    assert sums is not None
+    places = means[0].mean, means[1].mean
     changes = {
-        CALIBRATION: _calibration_effects(measured, view, frequency_hz),
-        PERIODIC: _periodic_effects(measured, view, len(frequency_hz)),
+        CALIBRATION: _calibration_effects(measured, view, sums, len(frequency_hz)),
+        PERIODIC: _periodic_effects(measured, view, places, bias_px, len(frequency_hz)),
     }
     effects = {}
     for what, change in changes.items():
@@ -322,20 +332,16 @@ def _jitter_notices(
 
 def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
     """Add what only images tell: the first one, the subsets, their noise and what it promised of their scatter."""
-    sigma_px = None
+    sigma_px, first = None, next(iter(view.tracks))
     if view.quality is not None:
-        variance = [
-            np.diagonal(side.covariance_px2, axis1=2, axis2=3) for side in (view.tracks.left, view.tracks.right)
-        ]
-        predicted = [side.predicted_sigma_px for side in view.quality]
-        sigma_px = np.array([np.nanmedian(predicted), np.sqrt(np.nanmedian(variance))])
+        sigma_px = np.array([np.nanmedian([side.predicted_sigma_px for side in view.quality]), view.sigma_px])
     return replace(
         result,
         reference_image=view.reference_image,
-        subsets_px=view.tracks.left.position_px[0],
-        speckle_px=float(np.min(view.tracks.speckle_px)),
-        noise_grey=float(np.mean(view.tracks.noise_grey)),
-        median_zncc=float(np.nanmedian(view.tracks.left.zncc)),
+        subsets_px=first.left.position_px[0],
+        speckle_px=float(np.min(first.speckle_px)),
+        noise_grey=float(np.mean(first.noise_grey)),
+        median_zncc=view.zncc,
         noise=view.noise or (),
         sigma_px=sigma_px,
         epipolar=replace(view.epipolar, notices=()),
@@ -358,13 +364,17 @@ def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: F
         return [Notice("info", f"{len(seen)} frames {told} of itself; that takes {fewest}", "frames")]
     base, _ = np.linalg.qr(design)
     split = np.arange(2, len(seen) - 1)  # first frame behind the step; two on either side
-    behind = (np.arange(len(seen))[:, None] >= split).astype(np.float64)
-    steps = behind - base @ (base.T @ behind)
-    size2 = np.maximum(np.sum(steps**2, axis=0), 1e-9)
+
+    def behind(values: FloatArray) -> FloatArray:  # sums (S, C) over the frames behind each step
+        return np.asarray(np.cumsum(values[::-1], axis=0)[::-1][split])
+
     left = position_m[seen] - base @ (base.T @ position_m[seen])
-    shift = (steps.T @ left) / size2[:, None]
+    along = behind(base)
+    size2 = np.maximum(len(seen) - split - np.sum(along**2, axis=1), 1e-9)
+    shift = behind(left) / size2[:, None]
     best = int(np.argmax(np.sum(shift**2, axis=1) * size2))
-    rest = left - np.outer(steps[:, best], shift[best])
+    later = (np.arange(len(seen)) >= split[best]).astype(np.float64)
+    rest = left - np.outer(later - base @ along[best], shift[best])
     noise = float(np.sqrt(np.sum(rest**2) / (len(seen) - design.shape[1] - 1)))
     length = float(np.linalg.norm(shift[best]))
     if length * np.sqrt(size2[best]) <= STEP * noise:
@@ -373,7 +383,7 @@ def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: F
     text = (
         f"its body lies {1e3 * length:.3g} mm elsewhere from one frame to the next ({frames}, from 0) and stays there"
     )
-    if length > float(np.linalg.norm(np.ptp(position_m[seen] - np.outer(behind[:, best], shift[best]), axis=0))):
+    if length > float(np.linalg.norm(np.ptp(position_m[seen] - np.outer(later, shift[best]), axis=0))):
         why = "it was touched, or a copy on a pattern that repeats was taken for it"
         raise ComputeError(f"stereo pair {name}: {text}: {why}")
     return [Notice("warning", f"{text}: was it touched? What that does to the lines is in U", f"frame {frames}")]
@@ -399,20 +409,21 @@ def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray)
     return motion, fit
 
 
-def _periodic_effects(measured: StereoMotion, view: ImageView, lines: int) -> ComplexArray:
+def _periodic_effects(
+    measured: StereoMotion, view: ImageView, means: tuple[FloatArray, FloatArray], bias_px: FloatArray, lines: int
+) -> ComplexArray:
     """Return (12·K, K, 6): what errors periodic in the pixel may do to the phasors, each at one line only.
 
     A mean error B·sin(2πu + φ) of all subsets moving as u(t) = a·cos ωt is at most 2·B·J₁(1.84) = 1.16·B at any
     multiple of ω; over amplitudes and phases that is about 0.4·B, as a standard uncertainty of real and imaginary part
     alike. Since u differs across the image, it counts for x and y of either camera as a shift of all subsets by B and
     as displacements growing to B at the body's rim, along and across: twelve patterns, each on its own, of which the
-    motion has six independent combinations.
+    motion has six independent combinations. `means` (N, 2): the subsets' positions in both cameras.
     """
-    tracks = view.tracks
-    seen = (tracks.left.status == TrackStatus.OK).any(axis=0) & (tracks.right.status == TrackStatus.OK).any(axis=0)
+    seen = np.isfinite(means[0]).all(axis=1) & np.isfinite(means[1]).all(axis=1)
     motions: list[FloatArray] = []
-    places = [np.nanmean(side.position_px[:, seen], axis=0) for side in (tracks.left, tracks.right)]
-    for side, bias in enumerate(np.nan_to_num(tracks.bias_px)):
+    places = [mean[seen] for mean in means]
+    for side, bias in enumerate(np.nan_to_num(bias_px)):
         centred = places[side] - places[side].mean(axis=0)
         patterns = np.column_stack([np.ones(len(centred)), centred / np.abs(centred).max(axis=0)])
         for pattern in patterns.T:
@@ -425,7 +436,7 @@ def _periodic_effects(measured: StereoMotion, view: ImageView, lines: int) -> Co
     return np.asarray(np.einsum("kl,pc->kplc", np.eye(lines), parts).reshape(-1, lines, 6))
 
 
-def _calibration_effects(measured: StereoMotion, view: ImageView, frequency_hz: FloatArray) -> ComplexArray:
+def _calibration_effects(measured: StereoMotion, view: ImageView, sums: SineSums, lines: int) -> ComplexArray:
     """Return (P, K, 6): the displacement phasors' change for each principal component of the calibration.
 
     The path from the tracks onward is evaluated again with each perturbed rig. Phasors are linear in small pixel
@@ -434,8 +445,8 @@ def _calibration_effects(measured: StereoMotion, view: ImageView, frequency_hz: 
     """
     covariance = view.rig.covariance
     if covariance is None:
-        return np.empty((0, len(frequency_hz), 6), dtype=np.complex128)
-    frames = _phasor_frames(measured.sight.time_s, view.tracks, frequency_hz)
+        return np.empty((0, lines, 6), dtype=np.complex128)
+    frames = _phasor_frames(sums, len(measured.sight.time_s))
     change, pose = measured.sight.pair.pose_by_calibration, sensor_from_camera(measured.sight.pair)
     answer = np.zeros((6, len(covariance))) if change is None else np.array(change)  # the pose was found with this rig
     nominal = _phasor_motion(view.rig, pose, frames)
@@ -446,17 +457,19 @@ def _calibration_effects(measured: StereoMotion, view: ImageView, frequency_hz: 
     return np.array(changes)
 
 
-def _phasor_frames(time_s: FloatArray, tracks: StereoTracks, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return left and right positions (1 + 2K, N, 2): mean, mean + Re and mean + Im of each line's displacement."""
-    good = (tracks.left.status == TrackStatus.OK).all(axis=0) & (tracks.right.status == TrackStatus.OK).all(axis=0)
+def _phasor_frames(sums: SineSums, samples: int) -> tuple[FloatArray, FloatArray]:
+    """Return left and right positions (1 + 2K, N, 2): mean, mean + Re and mean + Im of each line's displacement.
+
+    Of the subsets that are seen in most frames, each by its own: in a long recording all are lost now and then.
+    """
+    mean, phasors, _ = sums.solved(1)
+    good = np.isfinite(mean).all(axis=1) & (sums.count >= SEEN_SHARE * samples)
     if np.count_nonzero(good) < MIN_SUBSETS:
-        raise ComputeError(f"only {np.count_nonzero(good)} subsets are followed through all frames; look at the images")
-    both = np.concatenate([tracks.left.position_px[:, good], tracks.right.position_px[:, good]], axis=1)
-    flat = both.reshape(len(time_s), -1)
-    mean, phasors = sine_amplitudes(time_s, flat, frequency_hz)
-    parts = [part for value in phasors for part in (value.real, value.imag)]
-    frames = np.stack([mean, *(mean + part for part in parts)]).reshape(-1, 2, flat.shape[1] // 4, 2)
-    return frames[:, 0], frames[:, 1]
+        share = f"{np.count_nonzero(good)} subsets are followed through half of the frames"
+        raise ComputeError(f"only {share}; look at the images")
+    parts = [part[good] for value in phasors for part in (value.real, value.imag)]
+    frames = np.stack([mean[good], *(mean[good] + part for part in parts)])
+    return frames[..., :2], frames[..., 2:]
 
 
 def _phasor_motion(rig: StereoRig, pose: RigidTransform, frames: tuple[FloatArray, FloatArray]) -> ComplexArray:
@@ -508,32 +521,19 @@ class DeflectionShape:
 
 
 def deflection_shape(
-    time_s: FloatArray, frequency_hz: FloatArray, deformation: Deformation, exposure_s: float
+    time_s: FloatArray, frequency_hz: FloatArray, deformation: Iterable[Deformation], exposure_s: float
 ) -> DeflectionShape:
     """Return the phasors of a deformation of F frames at times (F,) and lines (K,), by sine approximation.
 
     Least squares with all lines and an offset, as `fit_sines` does for the rigid motion, on the frames in which the
     point is seen; u² = s²·(2/S)·(XᵀX)⁻¹ with the variance s² of the point's own residual, mean of both parts.
+    `deformation`: of some frames after the other.
     """
-    shape = (len(frequency_hz), *deformation.reference_m.shape)
-    value, u = np.full(shape, np.nan, dtype=np.complex128), np.full(shape, np.nan)
-    seen = np.isfinite(deformation.residual_m).all(axis=2)
-    patterns, member = np.unique(seen, axis=1, return_inverse=True)
-    for index, pattern in enumerate(patterns.T):
-        if pattern.sum() < 2 * len(frequency_hz) + 1 + LEAST_FREEDOM:
-            continue
-        points = np.flatnonzero(member.ravel() == index)
-        data = deformation.residual_m[np.ix_(pattern, points)].reshape(pattern.sum(), -1)
-        try:
-            solution = solve_sines(sine_columns(time_s[pattern], frequency_hz), data)
-        except ValueError:  # these frames cannot tell the lines apart
-            continue
-        samples, last = len(data), 2 * len(frequency_hz)
-        cosine, sine = solution.coefficients[0:last:2], solution.coefficients[1:last:2]
-        variance = np.sum(solution.residual**2, axis=0) / (samples - last - 1)
-        spread = np.diagonal(solution.inverse)[:last].reshape(-1, 2).mean(axis=1)
-        amplitude = np.sqrt(2.0 / samples) * (cosine - 1j * sine)
-        value[:, points] = amplitude.reshape(len(frequency_hz), -1, 3)
-        u[:, points] = np.sqrt(2.0 / samples * np.multiply.outer(spread, variance)).reshape(len(frequency_hz), -1, 3)
+    sums = None
+    for part in deformation:
+        sums = SineSums(time_s, frequency_hz, np.zeros_like(part.reference_m)) if sums is None else sums
+        sums.add(part.residual_m)
+    assert sums is not None
+    _, value, u = sums.solved(LEAST_FREEDOM)
     gain = exposure_gain(frequency_hz, exposure_s)[:, None, None]
-    return DeflectionShape(frequency_hz, deformation.reference_m, np.asarray(value / gain), u / gain)
+    return DeflectionShape(frequency_hz, part.reference_m, np.asarray(value / gain), u / gain)

@@ -26,6 +26,7 @@ from fusion.base import ComputeError, undone, uninterrupted
 LOCK = "shakercal-lock"
 HIDDEN = re.compile(rf"\.(?P<name>.+?)(-[0-9a-f]{{12}}\.(?P<kind>part|old|aside)|\.{LOCK})", re.DOTALL)
 """Names of what is being made (`part`), of what it replaces (`old`; single files: `aside`), and of locks."""
+SO_FAR = ".so-far"
 WAIT_S = 0.2  # between looks for a lock to become free
 FORGOTTEN_S = 86_400.0
 """Age after which something half-made is taken for abandoned where the file system has no locks."""
@@ -120,6 +121,11 @@ def workshop(place: Path) -> Path:
     """Return the folder in which `place` is made: the one it stands in, or itself where that is another disk's."""
     within = place.is_dir() and (os.path.ismount(place) or not os.access(place.parent, os.W_OK | os.X_OK))
     return place if within else place.parent
+
+
+def is_own(name: str) -> bool:
+    """Whether a name is that of what a run makes, of its lock, or of what it has found so far."""
+    return HIDDEN.fullmatch(name) is not None or (name.startswith(".") and name.endswith(SO_FAR))
 
 
 def _lock_of(place: Path) -> Path:
@@ -259,37 +265,38 @@ def _restore(aside: Path, place: Path) -> None:
 
 
 class Kept:
-    """Files under a hidden name beside a folder of results, `.NAME.so-far`, until these are written.
+    """Files in a hidden folder beside that of the results, `.NAME.so-far`, or in it where it is another disk's.
+
+    They are there until the results are written.
 
     `key`: of everything that decides what they hold; files of another key are nobody's.
     """
 
     def __init__(self, place: Path, key: str) -> None:
         place = place.resolve()
-        self._folder = None if workshop(place) == place else place.with_name(f".{place.name}.so-far")
+        self.disk = workshop(place)
+        self._folder = self.disk / f".{place.name}{SO_FAR}"
         self._key = key
 
     def get(self, name: str) -> bytes | None:
         """Return what was kept under a name, None where nothing was."""
-        if self._folder is not None:
-            with contextlib.suppress(OSError):
-                return (self._folder / f"{name}.{self._key}").read_bytes()
+        with contextlib.suppress(OSError):
+            return (self._folder / f"{name}.{self._key}").read_bytes()
         return None
 
-    def put(self, name: str, content: bytes) -> None:
-        """Keep something, whole or not at all; where the disk refuses it, the run goes on without."""
-        if self._folder is None:
-            return
+    def put(self, name: str, content: bytes) -> bool:
+        """Keep something, whole or not at all, and return whether that is done; where not, the run goes on without."""
         file = self._folder / f"{name}.{self._key}"
         with contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
             write_file(file.with_name(f"{file.name}.part"), content)
             os.replace(file.with_name(f"{file.name}.part"), file)
+            return True
+        return False
 
     def remove(self) -> None:
         """Remove all that was kept, of other keys too."""
-        if self._folder is not None:
-            shutil.rmtree(self._folder, ignore_errors=True)
+        shutil.rmtree(self._folder, ignore_errors=True)
 
 
 # A folder whose files appear together.

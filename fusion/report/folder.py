@@ -24,7 +24,7 @@ from markupsafe import Markup
 from fusion.base import PROGRAM, AnyNotice, CommandEvaluation, Identity, InputError, __version__, warnings_first
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
-from fusion.report.files import HIDDEN, claimed, write_files, write_together
+from fusion.report.files import claimed, is_own, write_files, write_together
 from fusion.report.h5 import h5_content, opened_results
 from fusion.report.table import Table
 
@@ -153,7 +153,7 @@ def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker
     if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
         what = "a folder that may not be written to" if above.is_dir() else "a file"
         raise InputError(folder, "", found=f"{what} at {above}", expected="a place for a folder with the results")
-    if force or not folder.exists() or all(HIDDEN.fullmatch(entry.name) for entry in folder.iterdir()):
+    if force or not folder.exists() or all(is_own(entry.name) for entry in folder.iterdir()):
         return
     found = read_provenance(folder, marker)
     if found is None or found.input_hashes != dict(hashes):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,8 +51,9 @@ def save_points(folder: Path, stereo: StereoResult) -> list[str]:
     name = f"points-{stereo.name}"
     names = [f"{name}.csv", f"{name}.pvd"]
     (folder / name).mkdir()
-    known = np.asarray(np.isfinite(stereo.surface.reference_m).all(axis=1))
-    places = stereo.surface.reference_m[known]
+    reference_m = next(iter(stereo.surface)).reference_m
+    known = np.asarray(np.isfinite(reference_m).all(axis=1))
+    places = reference_m[known]
     write_file(folder / names[0], _table(stereo, stereo.surface, known))
     steps = []
     for frame in _frames(stereo, stereo.surface, known):
@@ -64,28 +65,33 @@ def save_points(folder: Path, stereo: StereoResult) -> list[str]:
     return names
 
 
-def _table(stereo: StereoResult, surface: Deformation, known: BoolArray) -> Iterator[str]:
+def _table(stereo: StereoResult, surface: Iterable[Deformation], known: BoolArray) -> Iterator[str]:
     """Yield the table, the rows of one frame after the other."""
     yield ",".join(HEAD) + "\n"
+    places = next(iter(surface)).reference_m[known]
     for frame in _frames(stereo, surface, known):
-        numbers = np.hstack([surface.reference_m[known], frame.moved_m, frame.u_moved_m, frame.rest_m, frame.u_rest_m])
+        numbers = np.hstack([places, frame.moved_m, frame.u_moved_m, frame.rest_m, frame.u_rest_m])
         start = f"{frame.number},{frame.time_s!r},"
         points = np.flatnonzero(frame.seen).tolist()
         yield "".join(f"{start}{point},{','.join(map(repr, numbers[point].tolist()))}\n" for point in points)
 
 
-def _frames(stereo: StereoResult, surface: Deformation, known: BoolArray) -> Iterator[_Frame]:
+def _frames(stereo: StereoResult, surface: Iterable[Deformation], known: BoolArray) -> Iterator[_Frame]:
     """Yield the frames with a motion, points without a place in the first frame left out.
 
     x' − x = R·(x − o) + o + t + R·e − x with the deviation e about each point's mean over time; the covariance is that
     of e turned, R·V·Rᵀ, with J·P·Jᵀ of the pose, J = [I, −[R·(x − o)]×]. What all points share, as the calibration's
     errors, is no part of it.
     """
-    motion, arm = stereo.motion, surface.reference_m[known] - stereo.motion.origin_m
-    for number in np.flatnonzero(np.isfinite(motion.pose).all(axis=1)).tolist():
+    motion = stereo.motion
+    each = ((part, row) for part in surface for row in range(len(part.residual_m)))
+    for number, (part, row) in enumerate(each):
+        if not np.isfinite(motion.pose[number]).all():
+            continue
+        arm = part.reference_m[known] - motion.origin_m
         turn = rotation_from_vector(motion.pose[number, 3:])
-        rest = surface.residual_m[number, known] @ turn.T
-        own = turn @ surface.covariance_m2[number, known] @ turn.T
+        rest = part.residual_m[row, known] @ turn.T
+        own = turn @ part.covariance_m2[row, known] @ turn.T
         turned = arm @ turn.T
         jacobian = displacement_jacobian(turned) @ np.linalg.inv(pose_rate(motion.pose[number]))
         whole = own + jacobian @ motion.covariance[number] @ jacobian.swapaxes(1, 2)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, RunningMean, check_shape
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
 from photogram.images.sequence import GreyImage, ImageSequence
@@ -299,42 +299,135 @@ def stereo_tracks(
     With `rig`, without the places at which one camera shows a subset elsewhere than the other. Raises `BodyNotFound`
     where that happens to the whole body, or it jumps, and its pattern repeats.
     """
-    if rig is not None:
-        tracks = _both_sides(images[0], rig, tracks, settings)
-    notices, speckle, levels, biases = list(grid.notices), [], [], []
-    for image, track, side in zip(images, tracks, ("left", "right"), strict=True):
-        _refuse_jumps(image, track, settings, side)
-    for image, area, track, where in zip(images, grid.areas, tracks, ("left camera", "right camera"), strict=True):
-        noise = _middle(track.noise_grey)
-        bias = aliasing_bias(image, area, noise, settings.radius_px, settings.degree)
-        unresolved = aliasing_notice(image, area, noise, bias, where)
-        notices += [unresolved] if unresolved is not None else []
-        lost = track.status[track.status != TrackStatus.OK]
-        if lost.size > LARGEST_LOST_SHARE * track.status.size:
-            reasons, counts = np.unique(lost, return_counts=True)
-            why = TrackStatus(int(reasons[np.argmax(counts)])).name.lower().replace("_", " ")
-            share = f"{100 * lost.size / track.status.size:.0f} %"
-            notices.append(Notice("warning", f"{share} of the subset positions are missing, most often: {why}", where))
-        speckle.append(speckle_size(image, area))
-        levels.append(noise)
-        biases.append(bias.mean_px)
-    return StereoTracks(*tracks, tuple(notices), np.array(speckle), np.array(levels), np.array(biases))
+    course = StereoCourse(rig)
+    aside = course.add((tracks[0].position_px, tracks[1].position_px), (tracks[0].status, tracks[1].status))
+    told = course.told(images, grid, settings, (tracks[0].noise_grey, tracks[1].noise_grey))
+    return told.of(without_aside(tracks, aside))
 
 
-def _refuse_jumps(image: Image, track: Tracks, settings: TrackSettings, side: str) -> None:
+@dataclass(frozen=True, eq=False, repr=False)
+class Told(Arrays, shapes="speckle_px 2; noise_grey 2; bias_px 2"):
+    """What `StereoTracks` say beside the tracks, once all frames are known."""
+
+    notices: tuple[Notice, ...]
+    speckle_px: FloatArray
+    noise_grey: FloatArray
+    bias_px: FloatArray
+
+    def of(self, tracks: tuple[Tracks, Tracks]) -> StereoTracks:
+        """Return the tracks of all frames, or of some, with it."""
+        return StereoTracks(*tracks, self.notices, self.speckle_px, self.noise_grey, self.bias_px)
+
+
+class StereoCourse:
+    """What the frames of a series say of its tracks, however many of them come at a time.
+
+    With `rig`, places where one camera took a copy of a subset, off its epipolar line unlike at first, are none.
+    """
+
+    def __init__(self, rig: StereoRig | None) -> None:
+        self._rig = rig
+        self._first: tuple[FloatArray, FloatArray] | None = None
+        self._residual = np.empty(0)
+        self._common: list[FloatArray] = []
+        self._moved: tuple[list[FloatArray], list[FloatArray]] = [], []
+        self._statuses = np.zeros((2, len(TrackStatus)), np.int64)
+
+    def add(
+        self, positions_px: tuple[FloatArray, FloatArray], statuses: tuple[NDArray[np.int8], NDArray[np.int8]]
+    ) -> BoolArray:
+        """Take in further frames, positions (F,N,2) and statuses (F,N) of both cameras; return which are none (F,N)."""
+        if self._first is None:
+            self._first = positions_px[0][0], positions_px[1][0]
+            if self._rig is not None:
+                self._residual = epipolar_residual(self._rig, *self._first)[0]
+        common, aside = self._apart(positions_px)
+        self._common.append(common)
+        for side, (position, status) in enumerate(zip(positions_px, statuses, strict=True)):
+            seen = np.where(aside[..., None], np.nan, position) - self._first[side]
+            middle = np.full((len(seen), 2), np.nan)
+            some = np.any(np.isfinite(seen).all(axis=2), axis=1)
+            middle[some] = np.nanmedian(seen[some], axis=1)
+            self._moved[side].append(middle)
+            counted = np.where(aside, np.int8(TrackStatus.NOT_CONVERGED), status)
+            self._statuses[side] += np.bincount(counted.ravel(), minlength=len(TrackStatus))
+        return aside
+
+    def aside(self, positions_px: tuple[FloatArray, FloatArray]) -> BoolArray:
+        """Which places (F,N) of frames that were added are none."""
+        return self._apart(positions_px)[1]
+
+    def _apart(self, positions_px: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, BoolArray]:
+        """By how much all subsets left their epipolar lines (F,), and which (F,N) are elsewhere than the others."""
+        if self._rig is None:
+            return np.zeros(len(positions_px[0])), np.zeros(positions_px[0].shape[:2], np.bool_)
+        change = epipolar_residual(self._rig, *positions_px)[0] - self._residual
+        common = np.array([_middle(frame) for frame in change])
+        return common, np.asarray(np.abs(change - common[:, None]) > TOLERANCE_PX)
+
+    def told(
+        self,
+        images: tuple[GreyImage, GreyImage],
+        grid: StereoGrid,
+        settings: TrackSettings,
+        noise_grey: tuple[FloatArray, FloatArray],
+    ) -> Told:
+        """Remarks on both cameras, whose subsets have the noise (N,); `BodyNotFound` as `stereo_tracks` raises it."""
+        assert self._first is not None
+        self._refuse_copies(images[0], settings)
+        for image, first, moved, side in zip(images, self._first, self._moved, ("left", "right"), strict=True):
+            _refuse_jumps(image, first, np.concatenate(moved), settings, side)
+        notices, speckle, levels, biases = list(grid.notices), [], [], []
+        cameras = zip(images, grid.areas, noise_grey, self._statuses, ("left camera", "right camera"), strict=True)
+        for image, area, noises, counts, where in cameras:
+            noise = _middle(noises)
+            bias = aliasing_bias(image, area, noise, settings.radius_px, settings.degree)
+            unresolved = aliasing_notice(image, area, noise, bias, where)
+            notices += [unresolved] if unresolved is not None else []
+            lost = counts.sum() - counts[TrackStatus.OK]
+            if lost > LARGEST_LOST_SHARE * counts.sum():
+                most = np.argmax(np.where(np.arange(len(counts)) == TrackStatus.OK, -1, counts))
+                why = TrackStatus(int(most)).name.lower().replace("_", " ")
+                text = f"{100 * lost / counts.sum():.0f} % of the subset positions are missing, most often: {why}"
+                notices.append(Notice("warning", text, where))
+            speckle.append(speckle_size(image, area))
+            levels.append(noise)
+            biases.append(bias.mean_px)
+        return Told(tuple(notices), np.array(speckle), np.array(levels), np.array(biases))
+
+    def _refuse_copies(self, image: Image, settings: TrackSettings) -> None:
+        """Raise `BodyNotFound` where all subsets leave their epipolar lines and the pattern repeats.
+
+        A camera that moves does that, or the whole body on a copy of itself in one camera; nothing tells these apart.
+        """
+        common = np.concatenate(self._common)
+        jumps = np.flatnonzero(np.abs(common) > TOLERANCE_PX)
+        if not len(jumps) or self._first is None:
+            return
+        period = repeat_px(image, self._first[0], settings.radius_px)
+        if np.isfinite(period):
+            raise BodyNotFound(
+                f"right: expected the body where the left camera shows it, found it {abs(common[jumps[0]]):.1f} px "
+                f"beside its epipolar lines in frame {jumps[0]} (counted from 0), and its pattern repeats every "
+                f"{period:.1f} px: a copy was taken for the original in one camera, or a camera moved"
+            )
+
+
+def _refuse_jumps(image: Image, first_px: FloatArray, moved: FloatArray, settings: TrackSettings, side: str) -> None:
     """Raise `BodyNotFound` where a body whose pattern repeats is further than half a period from where it was foretold.
 
-    Then a copy of the pattern lies nearer, and the pictures cannot tell which of them is the body.
+    first_px (N,2): its subsets at first; moved (F,2): by how much they have moved since, NaN where none is seen. A copy
+    of the pattern then lies nearer, and the pictures cannot tell which of them is the body.
     """
-    warps = np.zeros((len(track.position_px), 1, 6))
-    moved = track.position_px - track.position_px[0]
-    for frame in np.flatnonzero(np.isfinite(moved).all(axis=2).any(axis=1)):
-        warps[frame:, 0, [0, 3]] = np.nanmedian(moved[frame], axis=0)
+    warps = np.zeros((len(moved), 1, 6))
+    seen = np.isfinite(moved).all(axis=1)
+    last = np.maximum.accumulate(np.where(seen, np.arange(len(moved)), -1))
+    warps[:, 0, [0, 3]] = np.where((last >= 0)[:, None], moved[np.maximum(last, 0)], 0.0)
     foretold = [predict_warp(list(warps[max(0, frame - HISTORY) : frame])) for frame in range(1, len(warps))]
     jump = np.hypot(*(warps[1:] - np.array(foretold).reshape(-1, 1, 6))[:, 0, [0, 3]].T)
     if not (jump > settings.radius_px).any():
         return
-    period = repeat_px(image, track.position_px[0], settings.radius_px)
+    period = repeat_px(image, first_px, settings.radius_px)
     jumps = np.flatnonzero(jump > period / 2.0)
     if len(jumps):
         raise BodyNotFound(
@@ -345,26 +438,8 @@ def _refuse_jumps(image: Image, track: Tracks, settings: TrackSettings, side: st
         )
 
 
-def _both_sides(
-    image: Image, rig: StereoRig, tracks: tuple[Tracks, Tracks], settings: TrackSettings
-) -> tuple[Tracks, Tracks]:
-    """Both tracks without the places where one camera took a copy of a subset: off its epipolar line unlike at first.
-
-    What all subsets do together is another matter, a camera that moves or the whole body on a copy of itself; where the
-    pattern repeats nothing tells these apart, and `BodyNotFound` is raised.
-    """
-    residual, _, _ = epipolar_residual(rig, tracks[0].position_px, tracks[1].position_px)
-    change = residual - residual[0]
-    common = np.array([_middle(frame) for frame in change])
-    aside = np.abs(change - common[:, None]) > TOLERANCE_PX
-    jumps = np.flatnonzero(np.abs(common) > TOLERANCE_PX)
-    period = repeat_px(image, tracks[0].position_px[0], settings.radius_px) if len(jumps) else float("nan")
-    if np.isfinite(period):
-        raise BodyNotFound(
-            f"right: expected the body where the left camera shows it, found it {abs(common[jumps[0]]):.1f} px beside "
-            f"its epipolar lines in frame {jumps[0]} (counted from 0), and its pattern repeats every {period:.1f} px: "
-            "a copy was taken for the original in one camera, or a camera moved"
-        )
+def without_aside(tracks: tuple[Tracks, Tracks], aside: BoolArray) -> tuple[Tracks, Tracks]:
+    """The tracks of both cameras with subsets lost where they are `aside` (F,N) (`StereoCourse`)."""
     return (_without(tracks[0], aside), _without(tracks[1], aside)) if aside.any() else tracks
 
 
@@ -441,20 +516,38 @@ def _middle(values: FloatArray) -> float:
     return float(np.median(finite)) if len(finite) else float("nan")
 
 
-def tracks_of(found: Sequence[Registration], reference: Reference, degree: int) -> Tracks:
-    """Positions and covariances of all frames; the first of several is the reference itself."""
+def places_of(found: Sequence[Registration], reference: Reference) -> tuple[FloatArray, NDArray[np.int8]]:
+    """Positions (F,N,2) of all frames, NaN where a subset is not found, and statuses (F,N)."""
     status = np.stack([here.status for here in found])
-    ok = status == TrackStatus.OK
-    noise = np.stack([noise_of_residual(reference, here, degree) for here in found])
-    noise[~ok] = np.nan
-    seen = np.isfinite(noise)
-    pooled = np.sqrt(np.sum(np.where(seen, noise, 0.0) ** 2, axis=0) / np.maximum(seen.sum(axis=0), 1))
-    pooled = np.where(seen.any(axis=0), pooled, np.nan)
-    noise[0] = np.where(np.isfinite(noise[0]) | ~ok[0], noise[0], pooled)
     position = np.stack([reference.centre_px + here.warp[:, [0, 3]] for here in found])
+    position[status != TrackStatus.OK] = np.nan
+    return position, status
+
+
+def noise_of(found: Sequence[Registration], reference: Reference, degree: int) -> FloatArray:
+    """Image noise (F,N) of all frames at each subset, NaN where it is not found."""
+    noise = np.stack([noise_of_residual(reference, here, degree) for here in found])
+    noise[np.stack([here.status for here in found]) != TrackStatus.OK] = np.nan
+    return noise
+
+
+def tracks_of(
+    found: Sequence[Registration], reference: Reference, degree: int, noise_grey: FloatArray | None = None
+) -> Tracks:
+    """Positions and covariances of all frames; the first of several is the reference itself.
+
+    Of some frames of a series if `noise_grey` (N,) tells the noise of all.
+    """
+    position, status = places_of(found, reference)
+    ok, noise = status == TrackStatus.OK, noise_of(found, reference, degree)
+    if noise_grey is None:
+        pooled = RunningMean()
+        pooled.add(noise**2)
+        noise_grey = np.sqrt(pooled.mean)
+    noise[0] = np.where(np.isfinite(noise[0]) | ~ok[0], noise[0], noise_grey)
     covariance = np.stack(
         [position_covariance(reference, here, level) for here, level in zip(found, noise, strict=True)]
     )
-    position[~ok], covariance[~ok] = np.nan, np.nan
+    covariance[~ok] = np.nan
     zncc = np.where(ok, np.stack([here.zncc for here in found]), np.nan)
-    return Tracks(position, covariance, zncc, status, pooled)
+    return Tracks(position, covariance, zncc, status, noise_grey)

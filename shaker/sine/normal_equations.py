@@ -494,6 +494,60 @@ def sine_amplitudes(
     return solution.coefficients[-1] / np.sqrt(len(time_s)), solution.phasors(len(frequency_hz))[0]
 
 
+class SineSums:
+    """Sines at the same times in N series of C values each, samples missing here and there, some samples at a time.
+
+    Only sums are held, (2K + 1)² numbers for each series. Values count from `origin` (N, C), which lies near them.
+    """
+
+    def __init__(self, time_s: FloatArray, frequency_hz: FloatArray, origin: FloatArray) -> None:
+        self._columns, self._origin = sine_columns(time_s, frequency_hz), origin
+        (series, channels), parameters = origin.shape, self._columns.shape[1]
+        self._gram = np.zeros((series, parameters, parameters))
+        self._right = np.zeros((parameters, series, channels))
+        self._square = np.zeros((series, channels))
+        self._taken = 0
+        self.count: IntArray = np.zeros(series, np.int64)
+
+    def add(self, values: FloatArray) -> None:
+        """Take in the next samples (S, N, C); one with a NaN is missing in its series."""
+        rows = self._columns[self._taken : self._taken + len(values)]
+        known = np.asarray(np.isfinite(values).all(axis=2))
+        filled = np.where(known[..., None], values - self._origin, 0.0)
+        products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), -1)
+        self._gram += (known.T.astype(np.float64) @ products).reshape(self._gram.shape)
+        self._right += (rows.T @ filled.reshape(len(rows), -1)).reshape(self._right.shape)
+        self._square += (filled**2).sum(axis=0)
+        self._taken += len(values)
+        self.count = self.count + known.sum(axis=0)
+
+    def solved(self, freedom: int) -> tuple[FloatArray, ComplexArray, FloatArray]:
+        """Return offsets (N, C), phasors (K, N, C) and u (K, N, C) of their real and of their imaginary parts.
+
+        NaN for a series of fewer than `freedom` samples beyond the unknowns, or whose samples cannot tell the lines
+        apart. u² = s²·(XᵀX)⁻¹ with the variance s² of the residual, mean of both parts.
+        """
+        samples, parameters = self._columns.shape
+        good = self.count >= parameters + freedom
+        good[good] = [condition_number(gram) < SINGULAR for gram in self._gram[good]]
+        gram, right = self._gram[good], self._right[:, good].swapaxes(0, 1)
+        inverse = np.linalg.inv(gram)
+        coefficients = inverse @ right
+        coefficients += inverse @ (right - gram @ coefficients)
+        rest = np.maximum(self._square[good] - (coefficients * right).sum(axis=1), 0.0)
+        variance = rest / np.maximum(self.count[good] - parameters, 1)[:, None]
+        spread = np.diagonal(inverse, axis1=1, axis2=2)[:, :-1].reshape(len(inverse), -1, 2).mean(axis=2)
+        lines = (parameters - 1) // 2
+        value = np.full((lines, *self._origin.shape), np.nan, dtype=np.complex128)
+        u = np.full(value.shape, np.nan)
+        scale = np.sqrt(2.0 / samples)
+        value[:, good] = scale * (coefficients[:, 0:-1:2] - 1j * coefficients[:, 1:-1:2]).swapaxes(0, 1)
+        u[:, good] = scale * np.sqrt(spread[:, :, None] * variance[:, None]).swapaxes(0, 1)
+        offset = np.full(self._origin.shape, np.nan)
+        offset[good] = self._origin[good] + coefficients[:, -1] / np.sqrt(samples)
+        return offset, value, u
+
+
 def check_samples(samples: int, parameters: int) -> None:
     """Refuse a fit without degrees of freedom."""
     if samples <= parameters:

@@ -43,7 +43,6 @@ from photogram.calibration.file import write_calibration
 from photogram.camera import triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
 from photogram.motion import fit_motion
-from photogram.subsets.reference import TrackStatus
 from photogram.synthetic.board import Board, render_board
 from photogram.targets.view import TargetView
 
@@ -328,9 +327,10 @@ def seen_turning(world: World, point_m: np.ndarray, direction: np.ndarray) -> Si
     left, right = (px + 0.01 * rng.normal(size=px.shape) for px in world.true.project(to_camera.apply(moved)))
     noise = 0.01**2 * np.eye(2)
     points = triangulate(world.rig, left, right, noise, noise).transformed(provisional)
-    status = np.full(left.shape[:2], TrackStatus.OK)
-    sides = [SimpleNamespace(status=status, position_px=px) for px in (left, right)]
-    tracks = SimpleNamespace(left=sides[0], right=sides[1])
+    tracks = [
+        SimpleNamespace(left=SimpleNamespace(position_px=left[some]), right=SimpleNamespace(position_px=right[some]))
+        for some in (slice(0, 12), slice(12, 24), slice(24, None))
+    ]
     measured = SimpleNamespace(motion=fit_motion(points, None, np.zeros(3)), view=SimpleNamespace(tracks=tracks))
     manifest = SimpleNamespace(name="turned", path="turned/recording.toml")
     return SimpleNamespace(manifest=manifest, measured=measured, sensor_from_camera=provisional)

@@ -18,10 +18,13 @@ from scipy.stats import binom
 from simulated_phasors import CASES, case_setup, simulate_phasors
 from support import complex_of, evaluated, far, rows, truth_of
 
-from fusion.base import Settings, no_progress
+from fusion.base import ComputeError, Settings, no_progress
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
+from fusion.instruments.stereo import CALIBRATION
+from fusion.phasors.channels import find_channel_lines
 from fusion.phasors.stereo_motion import known_depth, measure_images, open_images
+from fusion.phasors.stereo_phasors import stereo_phasors
 from fusion.phasors.timing import tie_daqs
 from fusion.recording.files import read_daqs
 from fusion.recording.load import find_recordings, load_manifest
@@ -33,6 +36,7 @@ from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.world import Draws, TrueStereo, frame_bounds, make_world
 from photogram.calibration.file import read_calibration, write_calibration
 from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.subsets.track import without_aside
 from photogram.synthetic.board import Board, random_poses, render_board
 from photogram.targets.view import Target
 from shaker.arrays import brief
@@ -148,6 +152,30 @@ def test_speckle_finer_than_the_pixels_is_told_and_costs_certainty(tmp_path):
     assert np.sqrt(np.mean(fused**2)) < 1.3
     assert np.max(np.abs(fused)) < 5.0
     assert any("error periodic in the pixel" in entry.label for entry in evaluation.sensitivity.budget)
+
+
+def test_subsets_that_are_lost_now_and_then_tell_what_the_calibration_does(tmp_path):
+    """None is seen in all frames; the effects are those of the same recording without losses, within the noise."""
+    case, draws = coverage_tracks.CASES[0], Draws(1, True)
+    world = make_world(coverage_tracks.case_preset(case), draws, 0.0)
+    manifest = coverage_tracks.write_manifest(tmp_path, case, world)
+    base = coverage_tracks.time_base(manifest, world, draws)
+    lines = find_channel_lines(manifest, base)
+    measured = coverage_tracks.stereo_motion(manifest, base, world, draws)
+    (whole,) = measured.view.tracks
+    rng = np.random.default_rng(1)
+
+    def losing(share: float) -> np.ndarray:
+        aside = rng.random(whole.left.status.shape) < share
+        left, right = without_aside((whole.left, whole.right), aside)
+        view = replace(measured.view, tracks=(replace(whole, left=left, right=right),))
+        assert aside.any(axis=0).all()
+        return stereo_phasors(base, replace(measured, view=view), lines).reading.effects[CALIBRATION]
+
+    expected = stereo_phasors(base, measured, lines).reading.effects[CALIBRATION]
+    assert np.all(np.abs(losing(0.1) - expected) < 0.02 * np.abs(expected).max(axis=(0, 1)))
+    with pytest.raises(ComputeError, match="only 0 subsets are followed through half of the frames"):
+        losing(0.7)
 
 
 TRIALS = 12

@@ -278,7 +278,7 @@ def test_the_shape_comes_back_within_its_uncertainty(bend):
     ratios = []
     for seed in range(4):
         time, saddle, residual = bending_body(seed, bend)
-        shape = deflection_shape(time, LINES_HZ, residual, EXPOSURE_S)
+        shape = deflection_shape(time, LINES_HZ, (residual,), EXPOSURE_S)
         truth = np.zeros_like(shape.value)
         truth[0, :, 2] = bend * saddle
         error = (shape.value - truth) / shape.u
@@ -294,7 +294,7 @@ def test_missing_frames_cost_nothing_but_their_share():
     time, _, residual = bending_body(1, BEND)
     residual.residual_m[::3, 5] = np.nan
     residual.residual_m[:90, 6] = np.nan
-    shape = deflection_shape(time, LINES_HZ, residual, EXPOSURE_S)
+    shape = deflection_shape(time, LINES_HZ, (residual,), EXPOSURE_S)
     assert np.isnan(shape.value[:, 6]).all()
     assert np.isnan(shape.u[:, 6]).all()
     assert shape.u[0, 5].mean() == pytest.approx(shape.u[0, 7].mean() * np.sqrt(96 / 64), rel=0.25)

@@ -73,7 +73,8 @@ def seen_pair(base: TimeBase, poses: FloatArray) -> StereoMotion:
     motion = RigidMotion(
         poses - poses[0], np.tile(np.eye(6), (frames, 1, 1)), np.zeros(frames), np.ones(frames), np.zeros(3)
     )
-    return StereoMotion(sight, motion, Deformation(nothing[0], nothing, np.zeros((frames, 1, 3, 3))), 0.0, None, ())
+    beside = Deformation(nothing[0], nothing, np.zeros((frames, 1, 3, 3)))
+    return StereoMotion(sight, motion, (beside,), 0.0, None, ())
 
 
 def recorded(

@@ -14,7 +14,6 @@ import threading
 from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -29,15 +28,10 @@ from fusion.campaign import run as leading
 from fusion.campaign.executor import Answer, Workers, call, connected, one_blas_thread
 from fusion.campaign.run import Outcome, run_path
 from fusion.commands.options import EXIT_INTERRUPTED
-from fusion.phasors import stereo_motion
-from fusion.report.files import Kept, remove_abandoned
+from fusion.report.files import remove_abandoned
 from fusion.report.recording import result_tables
 from fusion.sensitivity.analyse import Evaluation
 from fusion.simulate import simulate
-from photogram.direct import DirectFit
-from photogram.geometry import RigidTransform
-from photogram.images.sequence import ImageSequence
-from photogram.subsets.icgn import Registration
 
 
 @pytest.fixture(scope="module")
@@ -454,37 +448,3 @@ def test_frames_that_were_followed_before_a_kill_are_not_followed_again(options,
     assert subprocess.run(command, env=environment(), check=False, capture_output=True).returncode == 0
     assert _tables(out) == _tables(tmp_path / "whole")
     assert not kept.exists()
-
-
-def test_blocks_come_back_to_the_last_bit_and_damaged_ones_not_at_all(tmp_path):
-    rng = np.random.default_rng(1)
-
-    def found() -> Registration:
-        status = rng.integers(0, 3, 5).astype(np.int8)
-        return Registration(rng.normal(size=(5, 6)), *rng.normal(size=(3, 5)), status, rng.integers(0, 9, 5))
-
-    moved = RigidTransform.from_pose(rng.normal(size=6))
-    fits = [None, DirectFit(moved, rng.normal(size=(6, 6)), 1.1, 7), None]
-    block = tuple(((found(), found()), fit) for fit in fits)
-    images = SimpleNamespace(sight=SimpleNamespace(name="top"), left=ImageSequence(("a",) * 9, (1, 1), 255, None))
-    kept = Kept(tmp_path / "results", "key")
-    stereo_motion._keep_block(images, range(2, 5), block, kept)
-    again = stereo_motion._kept_block(images, range(2, 5), kept)
-    for ((left, right), fit), ((left_again, right_again), fit_again) in zip(block, again, strict=True):
-        for one, other in ((left, left_again), (right, right_again)):
-            assert all(np.array_equal(getattr(one, name), getattr(other, name)) for name in stereo_motion.REGISTRATION)
-        assert (fit is None) == (fit_again is None)
-        if fit is not None:
-            assert np.array_equal(fit.moved.rotation, fit_again.moved.rotation)
-            assert np.array_equal(fit.covariance, fit_again.covariance)
-            assert (fit.noise, fit.cells) == (fit_again.noise, fit_again.cells)
-    assert stereo_motion._kept_block(images, range(5, 8), kept) is None
-    assert stereo_motion._kept_block(images, range(2, 5), Kept(tmp_path / "results", "other")) is None
-    (file,) = (tmp_path / ".results.so-far").iterdir()
-    content = bytearray(file.read_bytes())
-    content[len(content) // 2] ^= 1
-    for damaged in (bytes(content), file.read_bytes()[:-50], b""):
-        file.write_bytes(damaged)
-        assert stereo_motion._kept_block(images, range(2, 5), kept) is None
-    kept.remove()
-    assert list(tmp_path.iterdir()) == []

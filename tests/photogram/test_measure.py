@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+import tracemalloc
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from speckle import PIXEL_M, SENSOR, Stereo, camera, face, rendered, sequence, two_places
 
-from photogram import measure
+from photogram import arrays, measure
 from photogram.bspline import Spline, evaluate, spline_of_image
 from photogram.camera import StereoRig
 from photogram.direct import (
@@ -28,11 +29,13 @@ from photogram.direct import (
     rest_covariance,
     view_body,
 )
+from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
-from photogram.measure import BodyMotion, body_motion, follow_block, measure_body, prepare_body
+from photogram.measure import BodyMotion, FollowedBlock, body_motion, follow_block, measure_body, prepare_body
 from photogram.motion import PlacedCamera, body_patches, deformation, patch_rates, patch_warps
+from photogram.subsets.find import dropped
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.texture import textured_area
@@ -185,6 +188,82 @@ def test_blocks_can_be_followed_elsewhere_and_in_any_order(series, measured):
         assert getattr(whole.motion, name).tobytes() == getattr(again.motion, name).tobytes()
     assert whole.tracks.left.position_px.tobytes() == again.tracks.left.position_px.tobytes()
     assert whole.notices == again.notices
+
+
+@pytest.mark.parametrize("length", [1, 3, 5])
+def test_what_was_followed_gives_the_same_however_much_of_it_is_read_at_a_time(series, monkeypatch, length):
+    """Points, rigid motion, deformation, epipolar residuals: those of all frames at once, to rounding."""
+    prepared = prepare_body(*series)
+    block = [frame for frames in prepared.blocks for frame in follow_block(prepared, frames)]
+    lost = block[2][0][1]
+    block[2] = ((block[2][0][0], dropped(lost, np.arange(len(lost.status)) % 5 == 0, TrackStatus.LEFT_IMAGE)), None)
+    whole = body_motion(prepared, [tuple(block)])
+    monkeypatch.setattr(measure, "BLOCK_FRAMES", length)
+    parts = body_motion(prepared, [tuple(block)])
+    assert max(len(tracks.left.zncc) for tracks in parts.tracked) == length
+
+    def same(one: object, other: object, *names: str) -> None:
+        for name in names:
+            numbers = getattr(one, name)
+            np.testing.assert_allclose(numbers, getattr(other, name), 1e-9, 1e-12 * np.nanmax(np.abs(numbers)))
+
+    for name in ("motion", "motion_of_points"):
+        same(getattr(whole, name), getattr(parts, name), "pose", "covariance", "residual_m", "points")
+    same(whole.points, parts.points, "position_m", "covariance_m2", "reprojection_px")
+    same(whole, parts, "reprojection_px", "sigma_px", "zncc")
+    beside = deformation(whole.points, whole.motion)
+    for name in ("residual_m", "covariance_m2"):
+        joined = np.concatenate([getattr(part, name) for part in parts.surface])
+        np.testing.assert_allclose(joined, getattr(beside, name), 1e-6, 1e-9 * np.nanmax(np.abs(joined)))
+    one, other = check_epipolar(whole.tracks, prepared.rig), check_epipolar(parts.tracked, prepared.rig)
+    same(one, other, "course_px", "u_course_px", "pattern_px", "mean_px")
+    assert parts.notices == whole.notices
+
+
+@pytest.mark.parametrize("length", [1, 3, 40])
+def test_means_and_medians_of_all_frames_from_some_at_a_time(length, monkeypatch):
+    """The mean to the last bit; the median of all values, or of those of every second, fourth, ... frame."""
+    values = np.random.default_rng(1).normal(size=(40, 6))
+    values[values > 1.5] = np.nan
+    values[:, 5] = np.nan
+    for most, every in ((1000, 1), (130, 2), (100, 4)):
+        monkeypatch.setattr(arrays, "SAMPLED", most)
+        mean, sample = arrays.RunningMean(), arrays.Sample()
+        for start in range(0, 40, length):
+            mean.add(values[start : start + length])
+            sample.add(values[start : start + length])
+        known = np.isfinite(values).sum(axis=0)
+        assert np.array_equal(mean.mean[:5], np.nansum(values, axis=0)[:5] / known[:5])
+        assert np.isnan(mean.mean[5])
+        assert sample.median == np.nanmedian(values[::every])
+
+
+class Repeated:
+    """A block of frames, again and again, as it is read from a disk: a new one each time."""
+
+    def __init__(self, block: FollowedBlock, times: int) -> None:
+        self.content, self.times = pickle.dumps(block), times
+
+    def __iter__(self) -> Iterator[FollowedBlock]:
+        return (pickle.loads(self.content) for _ in range(self.times))
+
+
+def test_memory_hardly_grows_with_the_frames(series, monkeypatch):
+    """By the motion of each frame and its covariance, which no number of subsets makes larger."""
+    monkeypatch.setattr(arrays, "SAMPLED", 1 << 12)
+    prepared = prepare_body(*series)
+    block = tuple(frame for frames in prepared.blocks for frame in follow_block(prepared, frames))
+    peaks = []
+    for times in (4, 16):
+        tracemalloc.start()
+        body = body_motion(prepared, Repeated(block, times))
+        check_epipolar(body.tracked, prepared.rig)
+        assert sum(len(part.residual_m) for part in body.surface) == 2 + times * len(block)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    per_frame = (peaks[1] - peaks[0]) / (12 * len(block))
+    places_and_covariances = 96 * len(prepared.rest_m)  # in bytes, of both cameras
+    assert per_frame < 2000.0 < places_and_covariances
 
 
 @pytest.mark.parametrize("frames", [2, 3])

@@ -12,7 +12,7 @@ from scipy.stats import f as f_distribution
 
 from shaker.sine.fit import fit_sines
 from shaker.sine.noise import neighbour_bins
-from shaker.sine.normal_equations import LONG, Demodulator, UniformTimes, timeline
+from shaker.sine.normal_equations import LONG, Demodulator, SineSums, UniformTimes, timeline
 from shaker.sine.solve import SineModel
 
 CAMERA_HZ, RATE_HZ = 52.874, 51_200.0
@@ -485,3 +485,33 @@ def test_robust_fit_is_as_good_as_its_good_samples(spikes):
     # 1200 squares scatter by 4 %.
     assert np.mean(squares) * 300.0 * (1.0 - spikes) / 2.0 == pytest.approx(1.0, abs=0.13)
     assert 0.91 < np.mean(inside) < 0.985
+
+
+@pytest.mark.parametrize("length", [1, 7, 200])
+def test_sums_of_some_samples_at_a_time_give_the_least_squares_of_all(length):
+    """By orthogonal decomposition, series by series; one too short and one that cannot tell the lines apart are NaN."""
+    rng = np.random.default_rng(1)
+    time_s, lines_hz = np.arange(200) / 53.0, np.array([8.01, 13.3])
+    angle = 2.0 * np.pi * np.outer(time_s, lines_hz)
+    amplitude = rng.normal(size=(2, 5, 3)) + 1j * rng.normal(size=(2, 5, 3))
+    offset = 1e3 + rng.normal(size=(5, 3))
+    values = offset + np.einsum("sk,knc->snc", np.exp(1j * angle), amplitude).real + 0.01 * rng.normal(size=(200, 5, 3))
+    values[rng.random((200, 5)) < 0.2] = np.nan
+    values[7:, 3, 1] = np.nan  # of three channels one is missing: so is the sample
+    values[np.arange(200) % 53 != 0, 4] = np.nan
+    sums = SineSums(time_s, lines_hz, offset + 0.1)
+    for start in range(0, 200, length):
+        sums.add(values[start : start + length])
+    found, phasors, u = sums.solved(3)
+    design = np.column_stack([np.cos(angle), -np.sin(angle), np.ones(200)])
+    for series in range(3):
+        known = np.isfinite(values[:, series]).all(axis=1)
+        expected, squares, *_ = np.linalg.lstsq(design[known], values[known, series], rcond=None)
+        np.testing.assert_allclose(found[series], expected[4], rtol=1e-13)
+        np.testing.assert_allclose(phasors[:, series], expected[:2] + 1j * expected[2:4], rtol=1e-10)
+        spread = np.diag(np.linalg.inv(design[known].T @ design[known]))
+        mean = np.sqrt((spread[:2] + spread[2:4])[:, None] / 2.0 * squares / (known.sum() - 5))
+        np.testing.assert_allclose(u[:, series], mean, rtol=1e-6)
+        assert np.all(np.abs(phasors[:, series] - amplitude[:, series]) < 5.0 * u[:, series])
+    assert np.isnan(phasors[:, 3:]).all()
+    assert np.isnan(found[3:]).all()
