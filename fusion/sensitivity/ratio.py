@@ -528,6 +528,10 @@ def contradicting_outputs(
         f"would make them: {'; '.join(listed)}"
     )
     text += "".join(f"; outputs {names[a]} and {names[b]} look exchanged" for a, b in pairs)
+    text += (
+        "; check sensor.static_sensitivity, sensor.unit, sensor.sense, load.mass, load.inertia and load.centre_of_mass "
+        "in rig.toml, scale, delay, response and channel of the outputs in recording.toml"
+    )
     yield Notice("warning", text, "sensitivity")
 
 
