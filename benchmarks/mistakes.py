@@ -195,8 +195,12 @@ MISTAKES = (
     Mistake("inertia of the load in kg mm²", _rig("load", "inertia", 1e6), ("load.inertia",)),
     Mistake("inertia of the load in kg cm²", _rig("load", "inertia", 1e4), ("load.inertia",)),
     Mistake("inertia of the load in g m²", _rig("load", "inertia", 1e-3), ("load.mass", "load.inertia")),
-    Mistake("centre of mass of the load in mm", _rig("load", "centre_of_mass", 1e3), ("load.centre_of_mass",)),
-    Mistake("centre of mass of the load in cm", _rig("load", "centre_of_mass", 1e2), ("load.centre_of_mass",)),
+    Mistake(
+        "centre of mass of the load in mm", _rig("load", "centre_of_mass", 1e3), ("load.centre_of_mass",), ("demo",)
+    ),
+    Mistake(
+        "centre of mass of the load in cm", _rig("load", "centre_of_mass", 1e2), ("load.centre_of_mass",), ("demo",)
+    ),
     Mistake("laser points in mm", _channels("point", lambda v: _times(v, 1e3), "velocity"), (".point",)),
     Mistake("laser points in cm", _channels("point", lambda v: _times(v, 1e2), "velocity"), (".point",)),
     Mistake("rated loads in kN", _rig("sensor", "capacity", 1e-3), ("sensor.capacity",)),
@@ -217,10 +221,10 @@ MISTAKES = (
     Mistake("temperature in K", _set("environment", "temperature", 296.15), ("environment.temperature",)),
     Mistake("angle of beams in degrees", _channels("direction_uncertainty", np.degrees, "velocity"), ("direction_u",)),
     Mistake("u of a scale in per cent", _channels("scale_uncertainty", lambda v: 1e2 * v, "velocity"), ("scale_u",)),
-    Mistake("delay of an output in ms", _main_output("delay", lambda _: 0.12), (".delay", "delay, response")),
+    Mistake("delay of an output in ms", _main_output("delay", lambda _: 0.12), (".delay", "delay or response")),
     Mistake("delay of an output in µs", _main_output("delay", lambda _: 120.0), (".delay",)),
     Mistake("response of the amplifier missing", _no_response, ("response of its measuring chain",)),
-    Mistake("phases of a response in degrees", _degrees_in_response, ("phase_rad",), ("demo",)),
+    Mistake("phases of a response in degrees", _degrees_in_response, ("delay or response",), ("demo",)),
     Mistake("frequency in kHz", _set("excitation", "frequencies", [0.08]), ("excitation.frequencies",)),
     Mistake("frequency in rad/s", _set("excitation", "frequencies", [502.65]), ("excitation.frequencies",)),
     Mistake("sampling rate in kHz", _rate(1e-3), ("rate", "period", "clock")),
@@ -305,7 +309,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.write is not None:
         text = options.write.read_text(encoding="utf-8")
         table = "\n".join(lines)
-        text = re.sub(r"(?s)(<!-- mistakes -->\n).*?(\n<!-- end of mistakes -->)", rf"\g<1>{re.escape(table)}\2", text)
+        head, _, rest = text.partition("<!-- mistakes -->")
+        text = (
+            f"{head}<!-- mistakes -->\n{table}\n<!-- end of mistakes -->{rest.partition('<!-- end of mistakes -->')[2]}"
+        )
         options.write.write_text(text, encoding="utf-8")
     return 0
 

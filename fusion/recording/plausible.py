@@ -14,6 +14,7 @@ from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.dsi import NONE, parse_unit
 from fusion.recording.rig import DENSEST_KGM3, Rig, Sensor
 from fusion.recording.toml import quoted
+from fusion.recording.values import Vector3
 from shaker.arrays import FloatArray, Notice
 
 if TYPE_CHECKING:
@@ -41,17 +42,18 @@ LATE_S = 0.01
 def doubts(manifest: Manifest) -> tuple[Notice, ...]:
     """Return a question for everything that a recording and its rig state and that looks like a mistake."""
     rig, file = manifest.rig, manifest.rig_path
-    told = [*_bodies(manifest), *_sensor(rig), *_gravity(rig)]
-    # A load that hangs is nothing unusual.
-    of_rig = [
-        Notice("info" if key.startswith("environment") else "warning", f"{key}: {text}", file.name)
-        for key, text in told
-    ]
+    told = [*_bodies(manifest), *_sensor(rig)]
     channels = [
         (f"{where}daq.{quoted(daq.name)}.channel.{quoted(entry.name)}", entry)
         for where, block in manifest.set_ups
         for daq in block.daq
         for entry in daq.channel
+    ]
+    told += _gravity(rig, [entry.point for _, entry in channels if entry.body == "load" and entry.point is not None])
+    # A load that hangs is nothing unusual.
+    of_rig = [
+        Notice("info" if key.startswith("environment") else "warning", f"{key}: {text}", file.name)
+        for key, text in told
     ]
     lowest = min(manifest.excitation.frequencies or (), default=np.inf)
     own = [f"{key}.{text}" for key, entry in channels for text in _channel(entry, rig, lowest)]
@@ -131,20 +133,18 @@ def _rated_output(sensor: Sensor, rated: FloatArray) -> Iterator[tuple[str, str]
             return
 
 
-def _gravity(rig: Rig) -> Iterator[tuple[str, str]]:
-    """A load stands on its sensor, unless it hangs."""
+def _gravity(rig: Rig, points: Sequence[Vector3]) -> Iterator[tuple[str, str]]:
+    """A load stands on its sensor, unless it hangs; `points`: of instruments on it."""
     fall, _ = rig.surroundings.free_fall_mps2
     if fall is None or rig.load is None:
         return
-    centre, down = np.array(rig.load.centre_of_mass), np.array(fall)
+    centre, down, what = np.array(rig.load.centre_of_mass), np.array(fall), "the load's centre of mass"
+    if not centre.any() and points:
+        centre, what = np.mean(points, axis=0), "what is measured on the load"
     along = float(centre @ down) / max(float(np.linalg.norm(centre) * np.linalg.norm(down)), 1e-300)
     if along > 0.5:
         key = "environment.gravity" if rig.surroundings.gravity is not None else "environment.down"
-        yield (
-            key,
-            "points from the sensor to the load's centre of mass, so that the load hangs under the sensor: does "
-            "it? gravity points down, load.centre_of_mass from the sensor to the load",
-        )
+        yield key, f"points from the sensor to {what}: does the load hang under the sensor? Gravity points down"
 
 
 def _channel(entry: ChannelEntry, rig: Rig, lowest_hz: float) -> Iterator[str]:

@@ -520,6 +520,8 @@ def contradicting_outputs(
     for c in doubted:
         ratio = complex(quotient(signal[c], predicted[c, None])[0])
         looks = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES) if abs(predicted[c]) > cross[c] else ""
+        if not looks and abs(abs(ratio) - 1.0) < CHANGED:
+            looks = "the delay or response of its chain were missing or in another unit"
         factor = f"{abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad"
         listed.append(f"{names[c]} is {factor}" + (f", as if {looks}" if looks else ""))
     pairs = [(a, b) for a, b in combinations(doubted, 2) if agrees(a, b) and agrees(b, a)]
