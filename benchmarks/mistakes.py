@@ -214,7 +214,7 @@ MISTAKES = (
     Mistake("outputs Fx and Fz exchanged", _exchanged("output", ("Fx", "Fz")), ("exchanged",)),
     Mistake("first laser reversed", _channels("direction", _negative, "velocity", True), ("sign",)),
     Mistake("two lasers exchanged", _exchanged("velocity", ("velocity_1", "velocity_2")), ("exchanged",)),
-    Mistake("velocity in mm/s", _channels("scale", lambda v: 1e3 * v, "velocity"), (".scale", "times")),
+    Mistake("velocity in mm/s", _channels("scale", lambda v: 1e3 * v, "velocity"), ("thousand",)),
     Mistake("acceleration in g", _channels("scale", lambda v: v / 9.80665, "acceleration"), ("g were taken",)),
     Mistake("gravity points up", _rig("environment", "gravity", -1.0), ("gravity",)),
     Mistake("gravity in g", _rig("environment", "gravity", 1 / 9.8113), ("environment.gravity",)),
@@ -235,7 +235,7 @@ MISTAKES = (
     Mistake("rotation of a pair from sensor to camera", _clockwise, ("rotation",)),
     Mistake("focal length in mm", _calibration(_focal(0.01)), ("focal", "matrix", ".json"), ("demo",)),
     Mistake("focal length of another lens", _calibration(_focal(1.4)), ("focal", "matrix", ".json"), ("demo",)),
-    Mistake("base line of a pair in mm", _calibration(_base_line), ("translation", ".json"), ("demo",)),
+    Mistake("base line of a pair in mm", _calibration(_base_line), ("m apart",), ("demo",)),
 )
 
 

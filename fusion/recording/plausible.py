@@ -5,7 +5,9 @@ Each doubt is a question; nothing is refused, since every one of them has an ans
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,6 +37,8 @@ OVERLOAD = 1.0
 AIMED_RAD = 0.1
 SCALES = {"vibrometer": 0.03, "accelerometer": 0.1}
 """Relative standard uncertainty of a scale from which on it looks like per cent: instruments have a tenth of it."""
+WIDEST = 5.0
+"""Distance of two cameras over that of the left one from the sensor: at 2 their axes meet at a right angle."""
 LATE_S = 0.01
 """Delay of a channel that no filter has whose corner lies above a period of the excitation."""
 
@@ -42,7 +46,7 @@ LATE_S = 0.01
 def doubts(manifest: Manifest) -> tuple[Notice, ...]:
     """Return a question for everything that a recording and its rig state and that looks like a mistake."""
     rig, file = manifest.rig, manifest.rig_path
-    told = [*_bodies(manifest), *_sensor(rig)]
+    told = [*_bodies(manifest), *_sensor(rig), *_pairs(rig)]
     channels = [
         (f"{where}daq.{quoted(daq.name)}.channel.{quoted(entry.name)}", entry)
         for where, block in manifest.set_ups
@@ -131,6 +135,23 @@ def _rated_output(sensor: Sensor, rated: FloatArray) -> Iterator[tuple[str, str]
                 f"{1e3 * low:g} to {1e3 * high:g}: is the matrix in {sensor.unit} per N and N m, sensor.capacity in N?",
             )
             return
+
+
+def _pairs(rig: Rig) -> Iterator[tuple[str, str]]:
+    """Cameras stand closer to each other than several times their distance from the sensor."""
+    for name, pair in rig.stereo.items():
+        if pair.calibration is None:
+            continue
+        apart, away = np.nan, float(np.linalg.norm(pair.translation))
+        with suppress(OSError, ValueError, TypeError, LookupError):  # whoever reads it says what is wrong
+            content = json.loads(pair.calibration.read_text(encoding="utf-8"))
+            apart = float(np.linalg.norm(np.array(content["translation"], dtype=np.float64)))
+        if away > 0.0 and apart > WIDEST * away:
+            yield (
+                f"stereo.{quoted(name)}.calibration",
+                f"its cameras are {apart:.3g} m apart and the left one {away:.3g} m from the sensor: is the "
+                f"translation of {pair.calibration.name} in m, and that of the pair?",
+            )
 
 
 def _gravity(rig: Rig, points: Sequence[Vector3]) -> Iterator[tuple[str, str]]:

@@ -50,6 +50,15 @@ def test_a_body_as_light_as_air_is_asked_about(make_campaign: Campaign) -> None:
     assert notice.where == "rig.toml"
 
 
+def test_cameras_far_apart_are_asked_about(make_campaign: Campaign) -> None:
+    """150 m between cameras 0.3 m from the sensor: a base line in mm."""
+    recording = make_campaign()
+    file = recording.parent / "calibration" / "top.json"
+    file.write_text(file.read_text().replace("[-0.15, 0, 0]", "[-150, 0, 0]"))
+    (notice,) = doubts(load_manifest(recording))
+    assert "stereo.top.calibration: its cameras are 150 m apart and the left one 0.3 m from the sensor" in notice.text
+
+
 def test_the_examples_of_the_document_are_not_doubted(make_campaign: Campaign) -> None:
     assert doubts(load_manifest(make_campaign())) == ()
 
@@ -64,6 +73,10 @@ def test_right_presets_are_not_doubted(preset: str, tmp_path: Path) -> None:
 
 def test_the_demo_is_not_doubted() -> None:
     assert doubts(load_manifest(ROOT / "sample_images" / "demo" / "Fz-0080")) == ()
+
+
+NOTICED = {"two lasers exchanged", "rotation of a pair from sensor to camera"}
+"""Mistakes of which only a contradiction of instruments tells, not its cause."""
 
 
 @pytest.fixture(scope="module")
@@ -82,4 +95,4 @@ def test_plausible_mistakes_are_asked_about(mistakes: ModuleType, tmp_path: Path
     usual = mistakes.said(campaign)
     own = [mistake for mistake in mistakes.MISTAKES if "uniaxial" in mistake.rigs]
     silent = {mistake.name for mistake in own if not mistakes.asked(mistake, campaign, usual)[0]}
-    assert silent <= {"two lasers exchanged", "rotation of a pair from sensor to camera"}
+    assert silent <= NOTICED
