@@ -232,7 +232,7 @@ MISTAKES = (
     Mistake("exposure in ms", _pairs("exposure", lambda v: 1e3 * v), ("exposure",)),
     Mistake("exposure in µs", _pairs("exposure", lambda v: 1e6 * v), ("exposure",)),
     Mistake("place of a pair in mm", _pairs("translation", lambda v: _times(v, 1e3)), (".translation",)),
-    Mistake("rotation of a pair from sensor to camera", _clockwise, ("rotation",)),
+    Mistake("rotation of a pair from sensor to camera", _clockwise, (".rotation",)),
     Mistake("focal length in mm", _calibration(_focal(0.01)), ("focal", "matrix", ".json"), ("demo",)),
     Mistake("focal length of another lens", _calibration(_focal(1.4)), ("focal", "matrix", ".json"), ("demo",)),
     Mistake("base line of a pair in mm", _calibration(_base_line), ("m apart",), ("demo",)),

@@ -39,6 +39,9 @@ SCALES = {"vibrometer": 0.03, "accelerometer": 0.1}
 """Relative standard uncertainty of a scale from which on it looks like per cent: instruments have a tenth of it."""
 WIDEST = 5.0
 """Distance of two cameras over that of the left one from the sensor: at 2 their axes meet at a right angle."""
+ASIDE_DEG, TURNED_DEG = 60.0, 30.0
+"""Angle between the optical axis and the sensor; the same where the inverse rotation would look towards it. Pairs on
+the base look past it by some 20°."""
 LATE_S = 0.01
 """Delay of a channel that no filter has whose corner lies above a period of the excitation."""
 
@@ -138,7 +141,7 @@ def _rated_output(sensor: Sensor, rated: FloatArray) -> Iterator[tuple[str, str]
 
 
 def _pairs(rig: Rig) -> Iterator[tuple[str, str]]:
-    """Cameras stand closer to each other than several times their distance from the sensor."""
+    """Cameras stand closer to each other than several times their distance from the sensor, and look towards it."""
     for name, pair in rig.stereo.items():
         if pair.calibration is None:
             continue
@@ -151,6 +154,17 @@ def _pairs(rig: Rig) -> Iterator[tuple[str, str]]:
                 f"stereo.{quoted(name)}.calibration",
                 f"its cameras are {apart:.3g} m apart and the left one {away:.3g} m from the sensor: is the "
                 f"translation of {pair.calibration.name} in m, and that of the pair?",
+            )
+        if away == 0.0:
+            continue
+        rotation, place = np.array(pair.rotation), np.array(pair.translation)
+        cosines = np.clip([-(rotation.T @ place)[2] / away, -(rotation @ place)[2] / away], -1.0, 1.0)
+        aside, turned = np.degrees(np.arccos(cosines)).tolist()
+        if aside > ASIDE_DEG or (aside > TURNED_DEG and turned < aside / 3.0):
+            yield (
+                f"stereo.{quoted(name)}.rotation",
+                f"by it and the translation the left camera looks {aside:.3g}° past the sensor, {turned:.3g}° by its "
+                "inverse: is x_sensor = rotation · x_left_camera + translation?",
             )
 
 

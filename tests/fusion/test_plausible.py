@@ -59,6 +59,16 @@ def test_cameras_far_apart_are_asked_about(make_campaign: Campaign) -> None:
     assert "stereo.top.calibration: its cameras are 150 m apart and the left one 0.3 m from the sensor" in notice.text
 
 
+def test_a_pair_that_looks_away_is_asked_about(make_campaign: Campaign) -> None:
+    """A rotation of 180 degrees about x turns the camera 0.3 m above the sensor towards it; none, upwards."""
+    upwards = ("rig.toml", "[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]   #", "[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]   #")
+    (notice,) = doubts(load_manifest(make_campaign(replace=(upwards,))))
+    assert (
+        "stereo.top.rotation: by it and the translation the left camera looks 180° past the sensor, 180° by its inverse"
+        in notice.text
+    )
+
+
 def test_the_examples_of_the_document_are_not_doubted(make_campaign: Campaign) -> None:
     assert doubts(load_manifest(make_campaign())) == ()
 
