@@ -32,6 +32,8 @@ REACH = 20.0
 """Distance over radius of gyration: of a ball on its foot it is 1.6, at the end of a stem of twice its radius 4.7."""
 BRIDGE = (1e-5, 0.2)
 """Rated output over supply, V/V: foil gauges have 5e-4 to 4e-3, semiconductors up to 0.1."""
+BESIDE = 0.3
+"""Distance from the sensor over the load's radius of gyration up to which a load is neither above nor below it."""
 OVERLOAD = 1.0
 """Weight of the load over the largest rated force."""
 AIMED_RAD = 0.1
@@ -173,9 +175,12 @@ def _gravity(rig: Rig, points: Sequence[Vector3]) -> Iterator[tuple[str, str]]:
     fall, _ = rig.surroundings.free_fall_mps2
     if fall is None or rig.load is None:
         return
+    near = BESIDE * _gyration(rig.load.mass, rig.load.inertia)  # a load may enclose its sensor
     centre, down, what = np.array(rig.load.centre_of_mass), np.array(fall), "the load's centre of mass"
-    if not centre.any() and points:
+    if np.linalg.norm(centre) <= near and points:
         centre, what = np.mean(points, axis=0), "what is measured on the load"
+    if np.linalg.norm(centre) <= near:
+        return
     along = float(centre @ down) / max(float(np.linalg.norm(centre) * np.linalg.norm(down)), 1e-300)
     if along > 0.5:
         key = "environment.gravity" if rig.surroundings.gravity is not None else "environment.down"
