@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import AnyNotice, ComputeError
+from fusion.base import AnyNotice, ComputeError, InputError
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading
@@ -453,7 +453,14 @@ def _calibration_effects(measured: StereoMotion, view: ImageView, sums: SineSums
     changes = []
     for step in principal_components(covariance):
         moved = RigidTransform.from_pose(answer @ step) @ pose
-        changes.append(_phasor_motion(view.rig.perturbed(step), moved, frames) - nominal)
+        try:
+            changes.append(_phasor_motion(view.rig.perturbed(step), moved, frames) - nominal)
+        except ValueError as error:
+            file = measured.sight.pair.calibration or measured.sight.where[0]
+            found = "rays that meet nowhere in front of the cameras when it is off by its own standard uncertainty"
+            raise InputError(
+                file, "matrix", found, "focal lengths in px and a translation in m of this pair"
+            ) from error
     return np.array(changes)
 
 

@@ -356,17 +356,26 @@ def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: 
         raise InputError(manifest.path, f"{key}.exposure", found=found, expected=expected)
     else:
         exposure = Exposure(entry.trigger, entry.exposure)
+    if exposure.length_s > trigger.period_s:
+        file, own = _exposure_key(manifest, entry, exposure.length_s)
+        found, expected = f"{exposure.length_s:g} s", f"less than the {trigger.period_s:.4g} s from frame to frame"
+        raise InputError(file, own, found=found, expected=expected)
     middle_s = base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0
     pair = manifest.rig.stereo[entry.stereo].model_copy(update={"delay_uncertainty": entry.delay_uncertainty})
     share = float(np.mean(edges.model_share))
     return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), share, (manifest.path, key))
 
 
+def _exposure_key(manifest: Manifest, entry: Frames, stated: float | str) -> tuple[Path, str]:
+    """Return file and key at which the exposure of some frames is stated: the pair's own, or what overrides it."""
+    if manifest.rig.stereo[entry.stereo].exposure == stated:
+        return manifest.rig_path, f"stereo.{entry.stereo}.exposure"
+    return manifest.path, f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.exposure"
+
+
 def no_pulse_width(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:
     """Say at the key that asked for it why the width of a trigger's pulses cannot be measured."""
-    file, key = manifest.path, f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.exposure"
-    if manifest.rig.stereo[entry.stereo].exposure == PULSE:
-        file, key = manifest.rig_path, f"stereo.{entry.stereo}.exposure"
+    file, key = _exposure_key(manifest, entry, PULSE)
     reason = ARGUMENT.sub("", str(error), count=1)
     found = f'"{PULSE}", but the width of the pulses of {entry.trigger} in {daq} cannot be told ({reason})'
     return InputError(file, key, found=found, expected="the exposure in s")

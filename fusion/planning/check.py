@@ -18,6 +18,7 @@ from fusion.recording.excitation import KINDS, Recorded
 from fusion.recording.files import read_set_ups, recorded_channels, scanned_points, split_scan
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images
+from fusion.recording.plausible import doubts
 from fusion.recording.response import check_response
 from fusion.recording.rig import Rig, Stereo
 from fusion.recording.toml import quoted
@@ -104,7 +105,10 @@ def check(manifest: Manifest) -> CheckReport:
     ...
     """
     kind, excitation = KINDS[manifest.excitation.kind], manifest.excitation
-    remarks = [*kind.command_remark, *(f"{notice.where}: {notice.text}" for notice in manifest.expired)]
+    remarks = [
+        *kind.command_remark,
+        *(f"{notice.where}: {notice.text}" for notice in (*manifest.expired, *doubts(manifest))),
+    ]
     if kind.tabled and excitation.file is not None:
         contents, problems = _table(manifest, excitation.file)
         problems += _refused(manifest) if not problems else []

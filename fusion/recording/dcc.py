@@ -37,7 +37,8 @@ class CertifiedQuantity:
     """N values of a quantity in the coherent SI unit `unit` stands for, complex where it is; NaN U where there is none.
 
     `expanded`, `k`, `probability` (N,) each; `covariance` (N, 2, 2) of real and imaginary part, standard, of a complex
-    one; `types`: the words of its `refType`; `where`: result and quantity for people; `listed`: it stands in a list.
+    one; `types`: the words of its `refType`; `where`: result and quantity for people; `listed`: it stands in a list;
+    `ids`: of the quantity, its result and its data.
     """
 
     result: str
@@ -52,6 +53,7 @@ class CertifiedQuantity:
     covariance: FloatArray | None
     group: int
     listed: bool
+    ids: tuple[str, ...] = ()
 
     @property
     def where(self) -> str:
@@ -60,7 +62,7 @@ class CertifiedQuantity:
 
     def called(self, name: str) -> bool:
         """Whether a name or type that a user gives is this quantity's or its result's."""
-        return name in (self.result, self.name, *self.types)
+        return name in (self.result, self.name, *self.types, *self.ids)
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ class CertifiedCurve:
 
     name: str
     types: tuple[str, ...]
+    ids: tuple[str, ...]
     unit: Unit
     frequency_hz: FloatArray
     magnitude: FloatArray
@@ -189,7 +192,9 @@ def _quantities(path: Path, root: Any) -> Iterator[CertifiedQuantity]:
                 if count > MOST_QUANTITIES:
                     raise InputError(path, "dcc:results", "more", f"at most {MOST_QUANTITIES} quantities")
                 for values in [child for child in element if _tag(child) in KINDS][:1]:
-                    yield _quantity(path, (name, types, own_group), element, values)
+                    found = _quantity(path, (name, types, own_group), element, values)
+                    places = (result, data, element, *element.iterfind("{*}name/{*}content"))
+                    yield replace(found, ids=tuple(own for own in (place.get("id") for place in places) if own))
         group += 1
 
 
@@ -415,7 +420,8 @@ def _curve(certificate: CalibrationCertificate, members: Sequence[CertifiedQuant
     exact = whole is not None and whole.covariance is not None and whole.unit.dimension == main.unit.dimension
     types = tuple(dict.fromkeys(word for q in used for word in q.types))
     return CertifiedCurve(
-        name=main.result or main.name, types=types, unit=main.unit, frequency_hz=np.asarray(frequency.value.real),
+        name=main.result or main.name, types=types,
+        ids=tuple(i for q in used for i in q.ids), unit=main.unit, frequency_hz=np.asarray(frequency.value.real),
         magnitude=np.asarray(magnitude), u_magnitude=u_magnitude, phase_rad=phase, u_phase_rad=u_phase,
         value=whole.value if exact and whole is not None else None,
         covariance=whole.covariance if exact and whole is not None else None,
@@ -427,3 +433,15 @@ def _standard(certificate: CalibrationCertificate, quantity: CertifiedQuantity) 
     if not np.all(np.isfinite(quantity.expanded)):
         raise certificate.refusal(quantity.where, "no uncertainty", "U with its coverage factor")
     return np.asarray(quantity.expanded / np.minimum(quantity.k, 2.0))
+
+
+def curve_named(certificate: CalibrationCertificate, result: str) -> CertifiedCurve:
+    """Return the list over frequency of a name, or the only one; `InputError` where none or several are that."""
+    every = curves(certificate)
+    fitting = [curve for curve in every if not result or result in (curve.name, *curve.types, *curve.ids)]
+    if len(fitting) != 1:
+        known = ", ".join(f'"{curve.name}"' for curve in every[:8])
+        found = f"{len(fitting)} of {known}" if every else "no list over frequency"
+        key = f'result "{describe(result, plain=True)}"' if result else "dcc:results"
+        raise certificate.refusal(key, found, "one result over frequency, by its id, name or type")
+    return fitting[0]

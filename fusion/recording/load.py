@@ -18,6 +18,7 @@ import numpy as np
 
 from fusion.base import Identity, InputError
 from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, unit_direction, wrong_aim
+from fusion.recording.certified import CertifiedInputs, certified_inputs
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
 from fusion.recording.manifest import (
     SCAN,
@@ -217,6 +218,9 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         raise InputError(path, "rig", f'"{text["rig"]}"', expected)
     rig_text = read_toml(rig_path)
     folders = PathScope(folder, root, allow_outside), PathScope(root, root, allow_outside)
+    of_certificates = _certificates((path, text), (rig_path, rig_text), folders)
+    text, rig_text = (found.text for found in of_certificates)
+    certificates = {file: identity for found in of_certificates for file, identity in found.files.items()}
     rig, record = _checked_files((path, text), (rig_path, rig_text), folders)
     own = expand_statements(text, path)[0].get("environment", {})
     of_rig = tuple(
@@ -225,8 +229,8 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         if f"{item.key}_uncertainty" not in (f"environment.{key}" for key in own)
     )
     rig = rig.model_copy(update={"environment": record.environment or rig.environment})
-    files = _input_files(path, rig_path, rig, record)
-    seen = {file: Identity.of(file) for file in files} | at_first
+    files = tuple(dict.fromkeys((*_input_files(path, rig_path, rig, record), *certificates)))
+    seen = {file: Identity.of(file) for file in files} | certificates | at_first
     return Manifest(
         path=path,
         folder=folder,
@@ -246,9 +250,23 @@ def load_manifest(recording: str | Path, allow_outside: bool = False) -> Manifes
         date=record.date,
         operator=record.operator,
         procedure=record.procedure,
-        inputs=of_rig + uncertain_inputs(text, path),
+        inputs=(*of_rig, *uncertain_inputs(text, path), *(item for found in of_certificates for item in found.curves)),
         read={file: identity for file, identity in seen.items() if identity is not None},
     )
+
+
+def _certificates(
+    of_recording: tuple[Path, dict[str, Any]], of_rig: tuple[Path, dict[str, Any]], folders: tuple[PathScope, PathScope]
+) -> tuple[CertifiedInputs, CertifiedInputs]:
+    """Read the certificates that recording and rig name; the `InputError` raised has every mistake of both."""
+    (path, text), (rig_path, rig_text) = of_recording, of_rig
+    sensor = rig_text.get("sensor")
+    unit = str(sensor.get("unit", "1")) if isinstance(sensor, dict) else "1"
+    found = certified_inputs(text, path, folders[0], unit), certified_inputs(rig_text, rig_path, folders[1], unit)
+    wrong = [error for one in found for error in one.wrong]
+    if wrong:
+        raise InputError.together([*unfilled(text, path), *unfilled(rig_text, rig_path), *wrong])
+    return found
 
 
 def _checked_files(

@@ -113,11 +113,20 @@ class ChannelEntry(Block):
     delay: Delay = 0.0
     delay_uncertainty: Annotated[NotNegative, SECONDS] = 0.0
     response: ExistingFile | None = None
+    response_result: Text | None = None
     reference: bool = False
     threshold: Number | None = None
     edge: Literal["rising", "falling"] = "rising"
 
-    ANY: ClassVar[tuple[str, ...]] = ("name", "in_file", "quantity", "delay", "delay_uncertainty", "response")
+    ANY: ClassVar[tuple[str, ...]] = (
+        "name",
+        "in_file",
+        "quantity",
+        "delay",
+        "delay_uncertainty",
+        "response",
+        "response_result",
+    )
     VALUE: ClassVar[tuple[str, ...]] = ("scale", "scale_uncertainty", "common", "individual_uncertainty", "reference")
     PLACE: ClassVar[tuple[str, ...]] = (
         "body", "point", "point_uncertainty", "direction", "direction_uncertainty", "head", "transverse_sensitivity",
@@ -143,6 +152,10 @@ class ChannelEntry(Block):
         if self.quantity != "trigger":
             known = {*self.ANY, *self.VALUE, *{"output": ("channel",), "voltage": ()}.get(self.quantity, self.PLACE)}
         refuse_foreign(self, known, why)
+        if self.response_result is not None and (self.response is None or self.response.suffix.lower() != ".xml"):
+            raise refusal(
+                "no such key without a certificate as response", f'"{self.response_result}"', key="response_result"
+            )
         if self.scale == 0.0:
             raise refusal("a number other than 0", "0", key="scale")
         return self

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.base import InputError, as_input_error
+from fusion.recording.dcc import SUFFIX, CalibrationCertificate, curve_named, read_dcc
 from fusion.recording.toml import read_text, read_toml, validate
 from fusion.recording.values import (
     Block,
@@ -131,17 +132,18 @@ class Chain(Block):
     element: Annotated[tuple[Element, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
 
-def read_response(path: Path, frequency_hz: FloatArray) -> ChainResponse:
+def read_response(path: Path, frequency_hz: FloatArray, result: str | None = None) -> ChainResponse:
     """Return the response that a file states at frequencies (K,) in Hz.
 
-    `.toml`: `[[element]]` blocks, which multiply. Any other file is a table with the columns frequency_hz, magnitude,
-    phase_rad, u_magnitude, u_phase_rad (u_: standard uncertainty in the unit of the column it belongs to). Raises
-    `InputError` naming file and key or column.
+    `.toml`: `[[element]]` blocks, which multiply. `.xml`: a Digital Calibration Certificate, in SI units, of which
+    `result` is the id, name or type of a list over frequency where it has several. Any other file is a table with the
+    columns frequency_hz, magnitude, phase_rad, u_magnitude, u_phase_rad (u_: standard uncertainty in the unit of the
+    column it belongs to). Raises `InputError` naming file and key or column.
     """
     if path.suffix.lower() == ELEMENTS:
         with as_input_error(path, "element"):
             return product([element.response(frequency_hz) for element in read_chain(path).element])
-    table = read_table(path)
+    table = certified_table(read_dcc(path), result or "") if path.suffix.lower() == SUFFIX else read_table(path)
     outside = [f for f in frequency_hz if not table.frequency_hz[0] <= f <= table.frequency_hz[-1]]
     if outside:
         found = f"{table.frequency_hz[0]:g} to {table.frequency_hz[-1]:g} Hz"
@@ -150,8 +152,25 @@ def read_response(path: Path, frequency_hz: FloatArray) -> ChainResponse:
 
 
 def check_response(path: Path) -> None:
-    """Raise `InputError` unless a response file can be read."""
-    _ = read_chain(path) if path.suffix.lower() == ELEMENTS else read_table(path)
+    """Raise `InputError` unless a response file can be read; certificates are when their manifest is."""
+    if path.suffix.lower() != SUFFIX:
+        _ = read_chain(path) if path.suffix.lower() == ELEMENTS else read_table(path)
+
+
+def certified_table(certificate: CalibrationCertificate, result: str) -> ResponseTable:
+    """Return a list over frequency of a certificate, in SI; `InputError` for one without phase, or of no response."""
+    curve = curve_named(certificate, result)
+    key = f'result "{curve.name}"'
+    if not np.all(np.isfinite(curve.phase_rad)):
+        raise certificate.refusal(key, "no phase", "magnitude and phase, each with U, which a response needs")
+    order = np.argsort(curve.frequency_hz)
+    frequency_hz = curve.frequency_hz[order]
+    if frequency_hz[0] < 0.0 or np.any(np.diff(frequency_hz) <= 0.0):
+        raise certificate.refusal(key, "a negative frequency, or one twice", "each frequency once")
+    if np.any(curve.magnitude <= 0.0):
+        raise certificate.refusal(key, f"{curve.magnitude.min():g}", "magnitudes above 0")
+    columns = curve.magnitude, curve.phase_rad, curve.u_magnitude, curve.u_phase_rad
+    return ResponseTable(frequency_hz, *(column[order] for column in columns))
 
 
 def read_chain(path: Path) -> Chain:

@@ -117,10 +117,10 @@ def check_values(values: Any, path: Path) -> None:
 def validate(model: type[AnyBlock], text: dict[str, Any], path: Path, context: Context | None = None) -> AnyBlock:
     """Check TOML values against a model; its problems become one `InputError`."""
     values, _ = expand_statements(text, path)
-    return _checked(model, values, path, context=context)
+    return checked_table(model, values, path, context=context)
 
 
-def _checked(
+def checked_table(
     model: type[AnyBlock],
     values: dict[str, Any],
     path: Path,
@@ -291,7 +291,7 @@ def expand_statements(text: dict[str, Any], path: Path) -> tuple[dict[str, Any],
             if not isinstance(item, dict) or all(isinstance(item.get(u, {}), dict) for u in ("U", "U_relative")):
                 out[key] = expanded(item, here)
                 continue
-            own, name = _checked(Stated, item, path, (text, here)), key.removesuffix("_uncertainty")
+            own, name = checked_table(Stated, item, path, (text, here)), key.removesuffix("_uncertainty")
             target, relative = UNCERTAINTY_OF.get(name, f"{name}_uncertainty"), _is_relative(name, value)
             if (own.value is None) == (name == key):
                 wanted = "the value that this U belongs to" if name == key else "no value: it stands at its own key"

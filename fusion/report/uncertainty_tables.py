@@ -468,7 +468,7 @@ def inputs_table(inputs: Sequence[UncertainInput]) -> Table | None:
     def told(item: UncertainInput, factor: float) -> str:
         sizes = factor * np.unique(np.ravel(item.u))
         sizes = 100.0 * sizes if item.relative else sizes
-        text = " to ".join(f"{size:.3g}" for size in dict.fromkeys((float(sizes[0]), float(sizes[-1]))))
+        text = " to ".join(dict.fromkeys((f"{sizes[0]:.3g}", f"{sizes[-1]:.3g}")))
         return f"{text} %" if item.relative else text
 
     def value(item: UncertainInput) -> str:

@@ -14,6 +14,7 @@ from fusion.phasors.setup import measure_set_up, open_set_ups
 from fusion.phasors.setups import join_set_ups
 from fusion.phasors.stereo_phasors import unseen_fundamentals
 from fusion.recording.load import Manifest
+from fusion.recording.plausible import doubts
 from fusion.sensitivity.analyse import Evaluation, Inputs, analyse, elastic_rows
 from fusion.sensitivity.body import load_body
 from fusion.sensitivity.disturbances import (
@@ -73,7 +74,7 @@ def evaluate_recording(
         entries = [reading.entry for reading in joined.readings]
         found = analysis.element or analysis.sensitivity
         missing += unstated_chain(found, entries, driven_component(direction, sensor.capacity))
-    told = [*manifest.expired, *joined.notices, *parallel, *unseen, *analysis.notices, *missing]
+    told = [*manifest.expired, *doubts(manifest), *joined.notices, *parallel, *unseen, *analysis.notices, *missing]
     notices = [*told, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,

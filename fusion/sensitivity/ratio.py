@@ -518,6 +518,8 @@ def contradicting_outputs(
     for c in doubted:
         ratio = complex(quotient(signal[c], predicted[c, None])[0])
         looks = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES) if abs(predicted[c]) > cross[c] else ""
+        if not looks and abs(abs(ratio) - 1.0) < CHANGED:
+            looks = "the delay or response of its chain were missing or in another unit"
         factor = f"{abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad"
         listed.append(f"{names[c]} is {factor}" + (f", as if {looks}" if looks else ""))
     pairs = [(a, b) for a, b in combinations(doubted, 2) if agrees(a, b) and agrees(b, a)]
@@ -526,6 +528,10 @@ def contradicting_outputs(
         f"would make them: {'; '.join(listed)}"
     )
     text += "".join(f"; outputs {names[a]} and {names[b]} look exchanged" for a, b in pairs)
+    text += (
+        "; check sensor.static_sensitivity, sensor.unit, sensor.sense, load.mass, load.inertia and load.centre_of_mass "
+        "in rig.toml, scale, delay, response and channel of the outputs in recording.toml"
+    )
     yield Notice("warning", text, "sensitivity")
 
 

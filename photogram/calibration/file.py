@@ -18,6 +18,7 @@ from photogram.geometry import RigidTransform, nearest_rotation
 _LARGEST_FILE = 2**22  # bytes; a file of this program has some 20 kB
 LARGEST = 1e12
 """No number of a calibration is larger."""
+_SHORTEST = 0.1  # focal length over the longer side of the picture
 _WIDEST, _FOCAL = 100_000, 1e9  # px
 _NEAR, _FAR = 1e-6, 1e4  # m
 _KEYS = ("format", "image_size", "left", "right", "rotation", "translation", "reprojection_rms", "covariance")
@@ -49,8 +50,8 @@ def read_calibration(path: str | Path) -> StereoRig:
 def plausible(rig: StereoRig) -> StereoRig:
     """Return the pair if a picture of its cameras can be: `ValueError` names what no camera and no pair has.
 
-    Pictures have up to 10⁵ px along a side, focal lengths lie within 1 and 10⁹ px, cameras within 1 µm and 10 km of
-    each other, and a ray leads to the middle of either picture.
+    Pictures have up to 10⁵ px along a side, focal lengths lie within 1 and 10⁹ px and see less than 158°, cameras
+    within 1 µm and 10 km of each other, and a ray leads to the middle of either picture.
     """
     for side, camera in (("left", rig.left), ("right", rig.right)):
         if not ((camera.size_px >= 1) & (camera.size_px <= _WIDEST)).all():
@@ -58,6 +59,9 @@ def plausible(rig: StereoRig) -> StereoRig:
         focal = np.diagonal(camera.matrix)[:2]
         if not ((focal >= 1.0) & (focal <= _FOCAL)).all():
             raise ValueError(f"{side}.matrix: expected focal lengths of 1 to {_FOCAL:g} px, found {focal.tolist()}")
+        if focal.min() < _SHORTEST * camera.size_px.max():
+            told = f"expected focal lengths in px of at least {_SHORTEST:g} of the picture's {camera.size_px.max()} px"
+            raise ValueError(f"{side}.matrix: {told}, found {focal.tolist()}, as if in mm")
         middle = (camera.size_px - 1) / 2
         if not np.isfinite(camera.undistort(middle)).all():
             found = f"none: principal point {camera.matrix[:2, 2].tolist()}, distortion {camera.distortion.tolist()}"

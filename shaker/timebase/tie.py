@@ -370,7 +370,8 @@ def tie_clocks(
     """
     if abs(other.period_s / base.period_s - 1.0) > _SAME_PERIOD:
         raise ValueError(
-            f"other: expected the trigger period of the base clock, {base.period_s:.6g} s, found {other.period_s:.6g} s"
+            f"other: expected the trigger period of the base clock, {base.period_s:.6g} s, found "
+            f"{other.period_s:.6g} s: check the sampling rates of both"
         )
     decided = decide_shift(base, other, start_difference_s) if shift is None else Shift(shift, "first_edge")
     by_start = by_start_times(base, other, start_difference_s)

@@ -7,7 +7,12 @@ import pytest
 from support import refusals, rows, state, told_columns
 
 from fusion.cli import main
-from fusion.sensor.compare.consistency import drift, normalised_error, reference_value
+from fusion.sensor.compare.consistency import (
+    complex_normalised_error,
+    drift,
+    normalised_error,
+    reference_value,
+)
 from fusion.sensor.compare.read import read_result
 from fusion.sensor.compare.report import COMPARISON
 
@@ -67,6 +72,24 @@ def test_two_results_that_contradict_each_other_have_no_reference() -> None:
     assert np.isnan(found.normalised).all()
 
 
+def test_honest_laboratories_agree_about_complex_values_in_95_percent() -> None:
+    """Real and imaginary parts are drawn in Cartesian coordinates about a truth at 40 degrees, 4000 pairs."""
+    rng, draws = np.random.default_rng(3), 4000
+    truth, u_size, u_turn = 2.0 * np.exp(0.7j), np.array([0.004, 0.010]), np.array([0.003, 0.001])
+    radial, across = rng.standard_normal((2, draws, 2))
+    value = truth * (1.0 + u_size / 2.0 * radial + 1j * u_turn * across)
+    share = np.mean([complex_normalised_error(own, u_size, u_turn)[0, 1] <= 1.0 for own in value])
+    assert 0.937 < share < 0.963
+
+
+def test_complex_values_apart_along_one_axis_are_as_far_as_the_region_reaches() -> None:
+    """sqrt(5.991) = 2.4477 standard uncertainties of the difference are its edge (JCGM 102, 6.5)."""
+    u = np.array([0.003, 0.004])
+    apart = np.array([1.0 + 0.0j, 1.0 + 2.4477 * 0.005])
+    assert complex_normalised_error(apart, u, np.array([0.01, 0.01]))[0, 1] == pytest.approx(1.0, rel=1e-4)
+    assert np.isnan(complex_normalised_error(apart * [1.0, np.nan], u, u)[0, 1])
+
+
 HEAD = "frequency_hz,channel,component,magnitude,U_magnitude,k,phase_rad,U_phase_rad,unit"
 
 
@@ -91,6 +114,8 @@ def test_tables_become_a_page_and_a_table(tmp_path, capsys) -> None:
     assert float(one["per_year"]) == pytest.approx(1e-10, rel=2e-3)
     assert list(one) == told_columns("comparison.md", "comparison.csv")
     assert [column.name for column in COMPARISON] == list(one)
+    assert float(two["E_n_complex_largest_pair"]) == pytest.approx(2e-10 / (2**0.5 * 1e-10) / 5.99146**0.5)
+    assert "Control chart of Fz per Fz" in (out / "comparison.html").read_text(encoding="utf-8")
     assert "2 values have no partner" in (out / "comparison.html").read_text(encoding="utf-8")
 
 

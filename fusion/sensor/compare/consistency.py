@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import chi2
 
-from shaker.arrays import FloatArray
+from shaker.arrays import ComplexArray, FloatArray
 
 SIGNIFICANCE = 0.05
 """Of the chi-square test of consistency."""
@@ -48,6 +48,27 @@ def normalised_error(value: FloatArray, covariance: FloatArray) -> FloatArray:
     u = np.sqrt(np.maximum(spread, 0.0))
     difference = value[:, None] - value[None, :]
     return np.asarray(np.where(u > 0.0, difference / (COVERAGE_FACTOR * np.where(u > 0.0, u, 1.0)), 0.0))
+
+
+def complex_normalised_error(value: ComplexArray, u_magnitude: FloatArray, u_phase_rad: FloatArray) -> FloatArray:
+    """Return E_n (N, N) of independent complex values by magnitude and phase: 1 at the edge of the 95 % region.
+
+    sqrt(d' V^-1 d / 5.99) of the difference d, real and imaginary part, and its covariance V = V_i + V_j; 5.99 is the
+    95 % quantile of chi-square with two degrees of freedom (JCGM 102, 6.5). 0 on the diagonal, NaN where a value is.
+    """
+    found = np.zeros((len(value), len(value)))
+    along = np.stack([value.real, value.imag], axis=1) / np.abs(value)[:, None]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    tangent = np.abs(value) * u_phase_rad
+    own = np.einsum("n,ni,nj->nij", u_magnitude**2, along, along) + np.einsum(
+        "n,ni,nj->nij", tangent**2, across, across
+    )
+    for i, j in combinations(range(len(value)), 2):
+        both = np.array([(value[i] - value[j]).real, (value[i] - value[j]).imag])
+        known = bool(np.isfinite(own[i] + own[j]).all()) and np.linalg.det(own[i] + own[j]) > 0.0
+        squared = float(both @ np.linalg.solve(own[i] + own[j], both)) if known else np.nan
+        found[i, j] = found[j, i] = np.sqrt(squared / chi2.ppf(0.95, 2))
+    return found
 
 
 def weighted_mean(value: FloatArray, covariance: FloatArray) -> tuple[float, float, FloatArray, float]:

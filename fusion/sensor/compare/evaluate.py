@@ -13,18 +13,27 @@ import numpy as np
 
 from fusion.base import CommandEvaluation, InputError
 from fusion.recording.dsi import parse_unit, same_dimension
-from fusion.sensor.compare.consistency import MOST_RESULTS, Reference, drift, normalised_error, reference_value
+from fusion.sensor.compare.consistency import (
+    MOST_RESULTS,
+    Reference,
+    complex_normalised_error,
+    drift,
+    normalised_error,
+    reference_value,
+)
 from fusion.sensor.compare.read import Result, Value
 from shaker.arrays import FloatArray, Notice
 
-DAYS = 365.25
+DAYS = 365.2425
 
 
 @dataclass(frozen=True)
 class Compared:
     """One quantity (magnitude or phase) of an element at a frequency: of the results `names`, value, u and reference.
 
-    `normalised` (N, N): E_n of every pair; `per_year` with `u_per_year`: drift, None where dates are not stated.
+    `normalised` (N, N): E_n of every pair; `complex_normalised` (N, N): of magnitudes, that of magnitude and phase
+    together, NaN where one has no phase. `year` (N,): when, NaN where not stated; `per_year` with `u_per_year`: drift,
+    None where a date is not stated.
     """
 
     frequency_hz: float
@@ -37,6 +46,8 @@ class Compared:
     u: FloatArray
     reference: Reference
     normalised: FloatArray
+    complex_normalised: FloatArray | None
+    year: FloatArray
     per_year: float | None
     u_per_year: float | None
 
@@ -139,8 +150,10 @@ def _compared(group: Sequence[tuple[str, Value]], quantity: str, dates: Mapping[
         value = phase[0] + np.angle(np.exp(1j * (phase - phase[0])))
         u = np.array([v.u_phase_rad for v in own])
     covariance, change = np.diag(u**2), None
+    days = [dates.get(name) for name in names]
+    year = 1.0 + np.array([np.nan if day is None else (day.toordinal() - 1) / DAYS for day in days])
     if all(name in dates for name in names) and len({dates[name] for name in names}) > 1:
-        change = drift(np.array([dates[name].toordinal() / DAYS for name in names]), value, covariance)
+        change = drift(year, value, covariance)
     return Compared(
         frequency_hz=float(np.mean([v.frequency_hz for v in own])),
         channel=own[0].channel,
@@ -152,9 +165,18 @@ def _compared(group: Sequence[tuple[str, Value]], quantity: str, dates: Mapping[
         u=u,
         reference=reference_value(value, covariance),
         normalised=normalised_error(value, covariance),
+        complex_normalised=_of_both(own) if quantity == "magnitude" else None,
+        year=year,
         per_year=None if change is None else change[0],
         u_per_year=None if change is None else change[1],
     )
+
+
+def _of_both(own: Sequence[Value]) -> FloatArray:
+    """Return E_n (N, N) of the complex values, NaN where one has no phase."""
+    phase = np.array([np.nan if v.phase_rad is None else v.phase_rad for v in own])
+    size, u_size = np.array([v.magnitude for v in own]), np.array([v.u_magnitude for v in own])
+    return complex_normalised_error(size * np.exp(1j * phase), u_size, np.array([v.u_phase_rad for v in own]))
 
 
 def _notices(results: Sequence[Result], alone: Sequence[tuple[str, Value]]) -> list[Notice]:

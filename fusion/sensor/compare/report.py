@@ -32,6 +32,12 @@ def rows(evaluation: ComparisonEvaluation) -> Iterator[Row]:
     yield from (Row(found, place) for found in evaluation.compared for place in range(len(found.names)))
 
 
+def _complex_largest(found: Compared, place: int) -> float | None:
+    """Return the largest E_n of the complex values of a result's pairs, None where there is none."""
+    pairs = None if found.complex_normalised is None else np.delete(found.complex_normalised[place], place)
+    return None if pairs is None or not np.isfinite(pairs).any() else float(np.nanmax(pairs))
+
+
 COMPARISON: list[Column[Row]] = [
     Column("frequency_hz", lambda row: row.of.frequency_hz),
     word("channel", lambda row: row.of.channel),
@@ -53,6 +59,7 @@ COMPARISON: list[Column[Row]] = [
     Column("p", lambda row: row.of.reference.p),
     Column("per_year", lambda row: row.of.per_year),
     Column("u_per_year", lambda row: row.of.u_per_year),
+    Column("E_n_complex_largest_pair", lambda row: _complex_largest(row.of, row.place)),
 ]
 
 
@@ -83,6 +90,56 @@ def draw_normalised(evaluation: ComparisonEvaluation) -> Picture:
         return drawn.picture("Deviations from the reference value", text)
 
 
+def _largest_text(found: Compared) -> str:
+    every = [own for own in (_complex_largest(found, n) for n in range(len(found.names))) if own is not None]
+    return signed(max(every)) if every else "–"
+
+
+MOST_CHARTS, MOST_LINES = 6, 6
+"""Elements of which the page has a chart, and frequencies in one of them."""
+
+
+def draw_charts(evaluation: ComparisonEvaluation) -> list[Picture]:
+    """Control charts, element by element: deviations from the reference values over the years, with U."""
+    dated: dict[tuple[str, str], list[Compared]] = {}
+    for found in _main(evaluation):
+        if len(np.unique(found.year[np.isfinite(found.year)])) > 1 and found.reference.used.any():
+            dated.setdefault((found.channel, found.component), []).append(found)
+    return [_chart(element, own) for element, own in list(dated.items())[:MOST_CHARTS]]
+
+
+def _chart(element: tuple[str, str], own: Sequence[Compared]) -> Picture:
+    """Magnitude and phase of one element over the years."""
+    channel, component = element
+    span = float(np.ptp([year for found in own for year in found.year[np.isfinite(found.year)]]))
+    with sheet(f"chart-{channel}-{component}", 4.6, 2) as drawn:
+        for axes, quantity in zip(drawn.panels, ("magnitude", "phase"), strict=True):
+            lines = [found for found in own if found.quantity == quantity]
+            chosen = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), MOST_LINES)).astype(int))
+            for place, line in enumerate([lines[n] for n in chosen]):
+                factor = 100.0 / abs(line.reference.value) if quantity == "magnitude" else 1e3
+                colour, dates = COLOURS[place % len(COLOURS)], line.year + 0.006 * place * span
+                deviation, expanded = factor * line.reference.deviation, 2.0 * factor * line.u
+                axes.errorbar(
+                    dates, deviation, expanded, fmt="o", color=colour, markersize=4, capsize=2,
+                    label=f"{line.frequency_hz:.5g} Hz",
+                )  # fmt: skip
+                band = 2.0 * factor * line.reference.u
+                axes.axhspan(-band, band, color=colour, alpha=0.08, linewidth=0)
+            axes.axhline(0.0, color=GREY, linewidth=0.8)
+            axes.set_ylabel("magnitude / %" if quantity == "magnitude" else "phase / mrad")
+        low, high = drawn.panels[0].get_ylim()
+        drawn.panels[0].set_ylim(low, high + 0.25 * (high - low))  # room for the legend
+        drawn.panels[0].legend(loc="upper center", ncols=MOST_LINES)
+        drawn.panels[-1].set_xlabel("year")
+        drawn.panels[-1].xaxis.get_major_formatter().set_useOffset(False)  # type: ignore[attr-defined]
+        text = (
+            "Deviation of every dated result from the reference value with its U (k = 2), in relative terms of the "
+            "magnitude; the bands are U of the reference values. Frequencies stand side by side for legibility."
+        )
+        return drawn.picture(f"Control chart of {channel} per {component}", text)
+
+
 def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
     columns: list[Column[Compared]] = [
         on_page("element", lambda f: f"{f.channel} per {f.component}", "l"),
@@ -104,6 +161,7 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
             "l",
         ),
         on_page("largest E_n of a pair", lambda f: signed(f.largest)),
+        on_page("of complex values", _largest_text),
     ]
     changes: list[Column[Compared]] = [
         *columns[:3],
@@ -119,6 +177,7 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
         "subject": [("Results", ", ".join(f"{result.name} ({result.file})" for result in evaluation.results))],
         "reference": table("Reference values, U: k = 2", columns, evaluation.compared),
         "figures": [draw_normalised(evaluation)],
+        "charts": draw_charts(evaluation),
         "drift": table("Drift, U: k = 2", changes, dated),
         "alone": table("Not compared", single, evaluation.alone),
     }
@@ -143,6 +202,8 @@ def _fill(file: h5py.File, evaluation: ComparisonEvaluation) -> None:
         group = file.create_group(f"comparison/{number}")
         for name in ("frequency_hz", "channel", "component", "quantity", "unit", "names", "value", "u", "normalised"):
             write_value(group, name, getattr(found, name))
+        if found.complex_normalised is not None:
+            write_value(group, "complex_normalised", found.complex_normalised)
 
 
 COMPARE = Command(

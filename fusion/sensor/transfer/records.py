@@ -142,7 +142,7 @@ class ChannelChain:
 def channel_chain(channel: Located, frequency_hz: FloatArray) -> ChannelChain:
     """Return a channel with its response file read at frequencies (K,)."""
     entry = channel.entry
-    response = None if entry.response is None else read_response(entry.response, frequency_hz)
+    response = None if entry.response is None else read_response(entry.response, frequency_hz, entry.response_result)
     return ChannelChain(entry, frequency_hz, response, channel.record.entry.name, channel.u_clock_s)
 
 

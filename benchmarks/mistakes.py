@@ -1,0 +1,321 @@
+"""Whether the program asks back where a manifest has a mistake that a laboratory plausibly makes.
+
+    python benchmarks/mistakes.py [--only NAME ...] [--rig demo|uniaxial] [--write docs/assumptions.md]
+
+Each mistake is put into the manifests of the demo and of a light uniaxial recording of the simulator, which are right
+otherwise; `check` and `run` see them as a user's. What either says that it does not say of the right manifests counts
+if it has the words that name the suspicion. Some three minutes on one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import re
+import shutil
+import sys
+import tempfile
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from violations import RIGS, opening, preset_of
+
+from fusion.base import ComputeError, InputError, Settings
+from fusion.planning.check import check
+from fusion.recording.load import load_manifest
+from fusion.recording.toml import to_toml
+from fusion.sensitivity.evaluate import evaluate_recording
+from fusion.simulate.sines import driven, rendered_run, write_run
+from fusion.simulate.world import Draws, make_world
+
+Text = dict[str, Any]
+DEMO = Path(__file__).resolve().parent.parent / "sample_images" / "demo"
+RIG_NAMES = ("demo", "uniaxial")
+HEAD = "| mistake | demo | uniaxial | what is said |\n|---|---|---|---|"
+NAMED = ("disagree", "left out", "contradict")
+"""Words of a warning that names instruments or channels but not the cause: the mistake is noticed, no more."""
+SEED = 11
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One mistake: what it does to rig, recording and their folder; words of which the question has one."""
+
+    name: str
+    make: Callable[[Text, Text, Path], None]
+    words: tuple[str, ...]
+    rigs: tuple[str, ...] = RIG_NAMES
+
+
+def _times(value: Any, factor: float) -> Any:
+    return [_times(item, factor) for item in value] if isinstance(value, list) else value * factor
+
+
+def _rig(table: str, key: str, factor: float) -> Callable[[Text, Text, Path], None]:
+    """Multiply a value of a table of rig.toml."""
+
+    def make(rig: Text, _: Text, __: Path) -> None:
+        rig[table][key] = _times(rig[table][key], factor)
+
+    return make
+
+
+def _channels(key: str, change: Callable[[Any], Any], quantity: str, first: bool = False) -> Any:
+    """Change a key of all channels of a quantity, or of the first."""
+
+    def make(_: Text, recording: Text, __: Path) -> None:
+        own = [c for daq in recording["daq"] for c in daq["channel"] if c["quantity"] == quantity]
+        for channel in own[: 1 if first else None]:
+            channel[key] = change(channel.get(key))
+
+    return make
+
+
+def _exchanged(quantity: str, names: tuple[str, str]) -> Callable[[Text, Text, Path], None]:
+    """Exchange the names of two channels in their file."""
+
+    def make(_: Text, recording: Text, __: Path) -> None:
+        own = {c["name"]: c for daq in recording["daq"] for c in daq["channel"] if c["quantity"] == quantity}
+        for name, other in (names, names[::-1]):
+            own[name]["in_file"] = other
+
+    return make
+
+
+def _main_output(key: str, change: Callable[[Any], Any]) -> Callable[[Text, Text, Path], None]:
+    """Change a key of the channel of output Fz."""
+
+    def make(_: Text, recording: Text, __: Path) -> None:
+        (own,) = [c for daq in recording["daq"] for c in daq["channel"] if c.get("channel") == "Fz"]
+        own[key] = change(own.get(key))
+
+    return make
+
+
+def _pairs(key: str, change: Callable[[Any], Any]) -> Callable[[Text, Text, Path], None]:
+    """Change a key of the first stereo pair."""
+
+    def make(rig: Text, _: Text, __: Path) -> None:
+        pair = next(iter(rig["stereo"].values()))
+        pair[key] = change(pair.get(key))
+
+    return make
+
+
+def _calibration(change: Callable[[Text], None]) -> Callable[[Text, Text, Path], None]:
+    """Change the calibration of the first stereo pair."""
+
+    def make(rig: Text, _: Text, folder: Path) -> None:
+        file = folder / next(iter(rig["stereo"].values()))["calibration"]
+        content = json.loads(file.read_text())
+        change(content)
+        file.write_text(json.dumps(content))
+
+    return make
+
+
+def _focal(factor: float) -> Callable[[Text], None]:
+    def change(content: Text) -> None:
+        for side in ("left", "right"):
+            for place in (0, 1):
+                content[side]["matrix"][place][place] *= factor
+
+    return change
+
+
+def _base_line(content: Text) -> None:
+    content["translation"] = _times(content["translation"], 1000.0)
+
+
+def _rate(factor: float) -> Callable[[Text, Text, Path], None]:
+    """State another sampling rate of the first DAQ file."""
+
+    def make(_: Text, recording: Text, folder: Path) -> None:
+        file = next(folder.glob("*/recording.toml")).parent / recording["daq"][0]["file"]
+        with h5py.File(file, "r+") as stored:
+            for own in (stored, *stored.values()):
+                if "sample_rate" in own.attrs:
+                    own.attrs["sample_rate"] = own.attrs["sample_rate"] * factor
+
+    return make
+
+
+def _no_response(_: Text, recording: Text, __: Path) -> None:
+    for daq in recording["daq"]:
+        for channel in daq["channel"]:
+            if channel["quantity"] == "output":
+                for key in ("response", "delay_uncertainty", "delay"):
+                    channel.pop(key, None)
+
+
+def _degrees_in_response(_: Text, recording: Text, folder: Path) -> None:
+    """Write the phases of the amplifier's table in degrees."""
+    names = {c.get("response") for daq in recording["daq"] for c in daq["channel"]} - {None}
+    place = next(folder.glob("*/recording.toml")).parent
+    for file in (place / name for name in names):
+        head, *rows = file.read_text().splitlines()
+        column = head.split(",").index("phase_rad")
+        cells = [row.split(",") for row in rows]
+        for row in cells:
+            row[column] = f"{np.degrees(float(row[column])):.9g}"
+        file.write_text("\n".join([head, *(",".join(row) for row in cells)]) + "\n")
+
+
+def _set(table: str, key: str, value: Any) -> Callable[[Text, Text, Path], None]:
+    def make(rig: Text, recording: Text, _: Path) -> None:
+        (recording if table == "excitation" else rig)[table][key] = value
+
+    return make
+
+
+def _sense(rig: Text, _: Text, __: Path) -> None:
+    rig["sensor"]["sense"] = {"on_load": "on_sensor", "on_sensor": "on_load"}[rig["sensor"]["sense"]]
+
+
+def _clockwise(rig: Text, _: Text, __: Path) -> None:
+    """State the rotation of the first pair from sensor to camera."""
+    pair = next(iter(rig["stereo"].values()))
+    pair["rotation"] = [list(row) for row in zip(*pair["rotation"], strict=True)]
+
+
+def _negative(value: list[float]) -> list[float]:
+    return [-element for element in value]
+
+
+MISTAKES = (
+    Mistake("mass of the load in g", _rig("load", "mass", 1e3), ("load.mass",)),
+    Mistake("mass of the load in t", _rig("load", "mass", 1e-3), ("load.mass", "load.inertia")),
+    Mistake("mass inside the sensor in g", _rig("sensor", "internal_mass", 1e3), ("sensor.internal_mass",)),
+    Mistake("inertia of the load in kg mm²", _rig("load", "inertia", 1e6), ("load.inertia",)),
+    Mistake("inertia of the load in kg cm²", _rig("load", "inertia", 1e4), ("load.inertia",)),
+    Mistake("inertia of the load in g m²", _rig("load", "inertia", 1e-3), ("load.mass", "load.inertia")),
+    Mistake(
+        "centre of mass of the load in mm", _rig("load", "centre_of_mass", 1e3), ("load.centre_of_mass",), ("demo",)
+    ),
+    Mistake(
+        "centre of mass of the load in cm", _rig("load", "centre_of_mass", 1e2), ("load.centre_of_mass",), ("demo",)
+    ),
+    Mistake("laser points in mm", _channels("point", lambda v: _times(v, 1e3), "velocity"), (".point",)),
+    Mistake("laser points in cm", _channels("point", lambda v: _times(v, 1e2), "velocity"), (".point",)),
+    Mistake("rated loads in kN", _rig("sensor", "capacity", 1e-3), ("sensor.capacity",)),
+    Mistake("static sensitivity per kN", _rig("sensor", "static_sensitivity", 1e3), ("sensor.static_sensitivity",)),
+    Mistake("static sensitivity in mV/V", _rig("sensor", "static_sensitivity", 1e3), ("sensor.static_sensitivity",)),
+    Mistake(
+        "outputs in mV/V stated as V/V", _channels("scale", lambda v: 1e3 * v, "output"), ("load.mass", "scale, delay")
+    ),
+    Mistake("sense of the outputs reversed", _sense, ("sensor.sense", "sign")),
+    Mistake("output Fz reversed", _main_output("scale", lambda v: -v), ("sign",)),
+    Mistake("outputs Fx and Fz exchanged", _exchanged("output", ("Fx", "Fz")), ("exchanged",)),
+    Mistake("first laser reversed", _channels("direction", _negative, "velocity", True), ("sign",)),
+    Mistake("two lasers exchanged", _exchanged("velocity", ("velocity_1", "velocity_2")), ("exchanged",)),
+    Mistake("velocity in mm/s", _channels("scale", lambda v: 1e3 * v, "velocity"), ("thousand",)),
+    Mistake("acceleration in g", _channels("scale", lambda v: v / 9.80665, "acceleration"), ("g were taken",)),
+    Mistake("gravity points up", _rig("environment", "gravity", -1.0), ("gravity",)),
+    Mistake("gravity in g", _rig("environment", "gravity", 1 / 9.8113), ("environment.gravity",)),
+    Mistake("temperature in K", _set("environment", "temperature", 296.15), ("environment.temperature",)),
+    Mistake("angle of beams in degrees", _channels("direction_uncertainty", np.degrees, "velocity"), ("direction_u",)),
+    Mistake("u of a scale in per cent", _channels("scale_uncertainty", lambda v: 1e2 * v, "velocity"), ("scale_u",)),
+    Mistake("delay of an output in ms", _main_output("delay", lambda _: 0.12), (".delay", "delay or response")),
+    Mistake("delay of an output in µs", _main_output("delay", lambda _: 120.0), (".delay",)),
+    Mistake("response of the amplifier missing", _no_response, ("response of its measuring chain",)),
+    Mistake("phases of a response in degrees", _degrees_in_response, ("delay or response",), ("demo",)),
+    Mistake("frequency in kHz", _set("excitation", "frequencies", [0.08]), ("excitation.frequencies",)),
+    Mistake("frequency in rad/s", _set("excitation", "frequencies", [502.65]), ("excitation.frequencies",)),
+    Mistake("sampling rate in kHz", _rate(1e-3), ("sampling rates",)),
+    Mistake("sampling rate a tenth too high", _rate(1.1), ("sampling rates",)),
+    Mistake("exposure in ms", _pairs("exposure", lambda v: 1e3 * v), ("exposure",)),
+    Mistake("exposure in µs", _pairs("exposure", lambda v: 1e6 * v), ("exposure",)),
+    Mistake("place of a pair in mm", _pairs("translation", lambda v: _times(v, 1e3)), (".translation",)),
+    Mistake("rotation of a pair from sensor to camera", _clockwise, (".rotation",)),
+    Mistake("focal length in mm", _calibration(_focal(0.01)), ("focal", "matrix", ".json"), ("demo",)),
+    Mistake("focal length of another lens", _calibration(_focal(1.4)), ("focal", "matrix", ".json"), ("demo",)),
+    Mistake("base line of a pair in mm", _calibration(_base_line), ("m apart",), ("demo",)),
+)
+
+
+def right(rig: str, folder: Path) -> Path:
+    """Write a recording without mistakes; return its campaign."""
+    if rig == "demo":
+        shutil.copytree(DEMO, folder / rig)
+        return folder / rig
+    motion = np.array([[0.24, 0.18, 60.0, 1.3, 2.0, 1.2], [0.01, 0.01, 0.24, 0.05, 0.05, 0.05]])
+    phases = np.exp(2j * np.pi * np.random.default_rng(SEED).uniform(size=motion.shape))
+    preset = replace(driven(preset_of(RIGS["axial"]), "Fz", 106.25, motion * phases), name="uniaxial")
+    draws = Draws(SEED, True)
+    (folder / rig).mkdir()
+    write_run(folder / rig, rendered_run(preset), make_world(preset, draws, 30e-9), draws)
+    return folder / rig
+
+
+def said(campaign: Path) -> list[str]:
+    """Return what `check` and `run` say of a campaign's only recording."""
+    recording = next(campaign.glob("*/recording.toml")).parent
+    try:
+        manifest = load_manifest(recording)
+        report = check(manifest)
+        told = [*report.remarks, *report.problems]
+        return told + [f"{n.where}: {n.text}" for n in evaluate_recording(manifest, Settings()).notices]
+    except (InputError, ComputeError) as error:
+        return [str(error)]
+
+
+def asked(mistake: Mistake, campaign: Path, usual: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return what is said of a campaign with a mistake, and what of that is none of `usual`; the first question."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(shutil.copytree(campaign, Path(scratch) / "campaign"))
+        files = folder / "rig.toml", next(folder.glob("*/recording.toml"))
+        rig, recording = (tomllib.loads(file.read_text()) for file in files)
+        own = copy.deepcopy(rig), copy.deepcopy(recording)
+        mistake.make(*own, folder)
+        for file, text in zip(files, own, strict=True):
+            file.write_text(to_toml(text))
+        known = {opening(text) for text in usual}
+        new = [text.replace(f"{folder}/", "") for text in said(folder) if opening(text) not in known]
+    return [text for text in new if any(word in text for word in mistake.words)], new
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Try every mistake; print the table, and write it where told."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="*")
+    parser.add_argument("--rig", choices=RIG_NAMES)
+    parser.add_argument("--write", type=Path)
+    options = parser.parse_args(argv)
+    lines = [HEAD]
+    with tempfile.TemporaryDirectory() as scratch:
+        rigs = {rig: right(rig, Path(scratch)) for rig in RIG_NAMES if options.rig in (None, rig)}
+        usual = {rig: said(campaign) for rig, campaign in rigs.items()}
+        for mistake in (m for m in MISTAKES if not options.only or m.name in options.only):
+            cells, quoted = [], ""
+            for rig in RIG_NAMES:
+                if rig not in rigs or rig not in mistake.rigs:
+                    cells.append("–")
+                    continue
+                found, new = asked(mistake, rigs[rig], usual[rig])
+                named = any(word in text for text in new for word in NAMED)
+                cells.append("asked" if found else "noticed" if named else "**silent**")
+                quoted = quoted or next(iter(found), "")
+                if not found:
+                    print(f"{mistake.name} ({rig}): " + " ## ".join(text[:230] for text in new), file=sys.stderr)
+            quoted = re.sub(r"\s+", " ", quoted).replace("|", "\\|")
+            lines.append(f"| {mistake.name} | {' | '.join(cells)} | {quoted[:200]} |")
+            print(lines[-1], flush=True)
+    if options.write is not None:
+        text = options.write.read_text(encoding="utf-8")
+        table = "\n".join(lines)
+        head, _, rest = text.partition("<!-- mistakes -->")
+        text = (
+            f"{head}<!-- mistakes -->\n{table}\n<!-- end of mistakes -->{rest.partition('<!-- end of mistakes -->')[2]}"
+        )
+        options.write.write_text(text, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

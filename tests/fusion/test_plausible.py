@@ -1,0 +1,110 @@
+"""Questions about what a manifest states: none where it is right, key and suspicion where physics has a ground."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from fusion.recording.load import load_manifest
+from fusion.recording.plausible import doubts
+from fusion.simulate import PRESETS, RECORDINGS, simulate
+
+ROOT = Path(__file__).resolve().parents[2]
+Campaign = Callable[..., Path]
+INERTIA = "inertia = [[0.0360, 0.0, 0.0], [0.0, 0.0360, 0.0], [0.0, 0.0, 0.0310]]"
+CENTRE = "centre_of_mass = [0.0, 0.0, 0.0]\ncentre_of_mass_uncertainty = 1e-4"
+# By hand. Ball of 6.9605 kg and 0.036 kg m^2: k = 71.9 mm, r = 113.7 mm, 1130 kg/m^3; of 1e3 times that inertia,
+# 1130/31623. A centre of mass 2 m away is 28 k. 6.9605 kg weigh 68.3 N. 5.1e-7 V/V per N times 2000 N is 1.02 mV/V.
+CASES = [
+    ("rig.toml", CENTRE, CENTRE.replace("[0.0, 0.0, 0.0]", "[0.0, 0.0, 2.0]"), "load.centre_of_mass", "27.8 times"),
+    ("rig.toml", "[2000.0, 2000.0, 4000.0,", "[2.0, 2.0, 4.0,", "sensor.capacity", "weighs 68.3 N"),
+    ("rig.toml", "[5.1e-7, 0.0", "[5.1e-4, 0.0", "sensor.static_sensitivity", "1.02e+03 mV/V"),
+    ("rig.toml", "gravity = [0.0, 0.0, -9.8125]", "gravity = [0.0, 0.0, 9.8125]", "environment.gravity", "hang"),
+    ("rig.toml", "mass_uncertainty = 0.0010", "mass_uncertainty = 0.0010\ndensity = 7.9e4", "load.density", "79000"),
+    ("recording.toml", "direction_uncertainty = 5e-3", "direction_uncertainty = 0.3", "direction_uncertainty", "17.2°"),
+    ("recording.toml", "scale_uncertainty = 2.5e-4", "scale_uncertainty = 0.05", "velocity.scale_uncertainty", "5.0%"),
+    ("recording.toml", "delay = 0.0  ", "delay = 0.12  ", "velocity.delay", "12.8 periods of 106.25 Hz"),
+    ("recording.toml", "point = [0.030, 0.0, 0.040]", "point = [3.0, 0.0, 4.0]", "velocity.point", "5 m"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("file", "old", "new", "key", "told"), CASES)
+def test_what_has_no_ground_is_asked_about(make_campaign: Campaign, file, old, new, key, told) -> None:
+    manifest = load_manifest(make_campaign(replace=((file, old, new),)))
+    notice = next(notice for notice in doubts(manifest) if f"{key}:" in notice.text)
+    assert told in notice.text
+    assert notice.where == file
+
+
+def test_a_body_as_light_as_air_is_asked_about(make_campaign: Campaign) -> None:
+    inertia = "inertia = [[36.0, 0.0, 0.0], [0.0, 36.0, 0.0], [0.0, 0.0, 31.0]]"
+    manifest = load_manifest(make_campaign(replace=(("rig.toml", INERTIA, inertia),)))
+    (notice,) = doubts(manifest)
+    assert "load.inertia: a ball of 6.9605 kg" in notice.text
+    assert "0.036 kg/m^3" in notice.text
+    assert notice.where == "rig.toml"
+
+
+def test_cameras_far_apart_are_asked_about(make_campaign: Campaign) -> None:
+    """150 m between cameras 0.3 m from the sensor: a base line in mm."""
+    recording = make_campaign()
+    file = recording.parent / "calibration" / "top.json"
+    file.write_text(file.read_text().replace("[-0.15, 0, 0]", "[-150, 0, 0]"))
+    (notice,) = doubts(load_manifest(recording))
+    assert "stereo.top.calibration: its cameras are 150 m apart and the left one 0.3 m from the sensor" in notice.text
+
+
+def test_a_pair_that_looks_away_is_asked_about(make_campaign: Campaign) -> None:
+    """A rotation of 180 degrees about x turns the camera 0.3 m above the sensor towards it; none, upwards."""
+    upwards = ("rig.toml", "[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]   #", "[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]   #")
+    (notice,) = doubts(load_manifest(make_campaign(replace=(upwards,))))
+    assert (
+        "stereo.top.rotation: by it and the translation the left camera looks 180° past the sensor, 180° by its inverse"
+        in notice.text
+    )
+
+
+def test_the_examples_of_the_document_are_not_doubted(make_campaign: Campaign) -> None:
+    assert doubts(load_manifest(make_campaign())) == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", [preset for preset in PRESETS if preset not in ("targets", "elastomer")])
+def test_right_presets_are_not_doubted(preset: str, tmp_path: Path) -> None:
+    switches = {"frames": 8, "recordings": 1, "image_scale": 0.3} if preset in RECORDINGS else {}
+    simulate(tmp_path / "out", preset, 1, **switches)
+    recordings = list((tmp_path / "out").glob("*/recording.toml"))
+    assert recordings
+    assert {path.parent.name: found for path in recordings if (found := doubts(load_manifest(path)))} == {}
+
+
+def test_the_demo_is_not_doubted() -> None:
+    assert doubts(load_manifest(ROOT / "sample_images" / "demo" / "Fz-0080")) == ()
+
+
+NOTICED = {"two lasers exchanged", "rotation of a pair from sensor to camera"}
+"""Mistakes of which only a contradiction of instruments tells, not its cause."""
+
+
+@pytest.fixture(scope="module")
+def mistakes() -> ModuleType:
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    try:
+        return importlib.import_module("mistakes")
+    finally:
+        sys.path.remove(str(ROOT / "benchmarks"))
+
+
+@pytest.mark.slow
+def test_plausible_mistakes_are_asked_about(mistakes: ModuleType, tmp_path: Path) -> None:
+    """The whole path, `check` and `run`, of the light recording: as the document's table says."""
+    campaign = mistakes.right("uniaxial", tmp_path)
+    usual = mistakes.said(campaign)
+    own = [mistake for mistake in mistakes.MISTAKES if "uniaxial" in mistake.rigs]
+    silent = {mistake.name for mistake in own if not mistakes.asked(mistake, campaign, usual)[0]}
+    assert silent <= NOTICED
