@@ -88,17 +88,26 @@ def dsi_unit(unit: str, further: Powers = (), power: int = 1) -> str:
 
 
 def _powers(unit: str) -> Iterator[tuple[str, int]]:
-    """Yield the units of a text with their exponents, in their order."""
-    for place, factor in enumerate(unit.replace("(", "").replace(")", "").split("/")):
-        for symbol in re.split(r"[\u00b7.*\s]+", factor.strip()):
-            if symbol == "1":
-                continue
-            name, raised, exponent = symbol.replace("\u00b2", "^2").replace("\u00b3", "^3").partition("^")
+    """Yield the units of a text with their exponents, in their order; a stroke divides by all up to the next one."""
+    none = f"expected a unit made of V, A, C, N, m and their like, such as mV/V, found {unit}"
+    outer, sign, last = [1], 1, "/"  # of the brackets that are open, and behind a stroke within the last one
+    for token in re.findall(r"[()/]|[^()/\u00b7.*\s]+", unit):
+        if token == "(":
+            outer, sign = [*outer, outer[-1] * sign], 1
+        elif token == ")" and len(outer) > 1:
+            sign = outer.pop() * outer[-1]
+        elif token == "/" and last not in ("/", "("):
+            sign = -1
+        elif token != "1":
+            name, raised, exponent = token.replace("\u00b2", "^2").replace("\u00b3", "^3").partition("^")
             ends = [own for own in SYMBOLS if name.endswith(own) and name[: -len(own)] in PREFIXES]
             if not ends or (raised and not re.fullmatch(r"-?\d", exponent)):
-                raise ValueError(f"expected a unit made of V, A, C, N, m and their like, such as mV/V, found {unit}")
+                raise ValueError(none)
             known = max(ends, key=len)
-            yield PREFIXES[name[: -len(known)]] + SYMBOLS[known], (1 if place == 0 else -1) * int(exponent or 1)
+            yield PREFIXES[name[: -len(known)]] + SYMBOLS[known], outer[-1] * sign * int(exponent or 1)
+        last = token
+    if len(outer) > 1 or last in ("/", "("):
+        raise ValueError(none)
 
 
 @cache
