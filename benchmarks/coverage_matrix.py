@@ -317,7 +317,7 @@ def element_rows(name: str, load: str, trials: int, seed: int, stated: dict[str,
     counts = count_elements(name, load, range(seed, seed + trials), stated)
     for count, hertz in zip(counts, run.nominal_hz, strict=True):
         (u_element, element), (u_ratio, ratio) = (
-            (1.96 * float(np.median(np.sqrt([c[0, 0] for c in tally.covariances]))), tally.covered.mean())
+            (1.96 * float(np.median([one.u_magnitude / one.magnitude for one in tally.stated])), tally.covered.mean())
             for tally in (count.element, count.ratio)
         )
         cells = [driven, f"{hertz:g}", f"{100 * np.mean(count.bias).real:+.3f} %"]

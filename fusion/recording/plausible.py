@@ -5,7 +5,6 @@ Each doubt is a question; nothing is refused, since every one of them has an ans
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
@@ -17,6 +16,7 @@ from fusion.recording.dsi import NONE, parse_unit
 from fusion.recording.rig import DENSEST_KGM3, Rig, Sensor
 from fusion.recording.toml import quoted
 from fusion.recording.values import Vector3
+from photogram.calibration.file import read_calibration
 from shaker.arrays import FloatArray, Notice
 
 if TYPE_CHECKING:
@@ -148,9 +148,8 @@ def _pairs(rig: Rig) -> Iterator[tuple[str, str]]:
         if pair.calibration is None:
             continue
         apart, away = np.nan, float(np.linalg.norm(pair.translation))
-        with suppress(OSError, ValueError, TypeError, LookupError):  # whoever reads it says what is wrong
-            content = json.loads(pair.calibration.read_text(encoding="utf-8"))
-            apart = float(np.linalg.norm(np.array(content["translation"], dtype=np.float64)))
+        with suppress(OSError, ValueError):  # whoever reads it says what is wrong
+            apart = float(np.linalg.norm(read_calibration(pair.calibration).right_from_left.translation_m))
         if away > 0.0 and apart > WIDEST * away:
             yield (
                 f"stereo.{quoted(name)}.calibration",

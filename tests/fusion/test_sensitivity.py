@@ -401,9 +401,7 @@ def check_coverage(recording: str, driven: str, trials: int) -> None:
         # The acceptance region of 95 %, so wide that a perfect program fails once in a thousand such comparisons.
         low, high = binom.ppf([5e-4, 1.0 - 5e-4], trials, 0.95)
         assert low <= np.sum(count.element.covered) <= high
-        u_element, u_ratio = (
-            np.median([np.sqrt(c[0, 0]) for c in t.covariances]) for t in (count.element, count.ratio)
-        )
+        u_element, u_ratio = (np.median([one.u_magnitude for one in t.stated]) for t in (count.element, count.ratio))
         assert u_element < 2.0 * u_ratio
 
 
