@@ -118,7 +118,7 @@ def counted_covariance(parts: FloatArray, dof: ArrayLike) -> FloatArray:
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         g = few / (few - 1.0) * (region_factor(few - 1.0) / region_factor(few)) ** 2 * (1.0 + 3.0 / few) ** 2
         lost = (g - 1.0) * np.maximum(parts[..., 0, 0] * parts[..., 1, 1] - mixed**2, 0.0)
-    lost = np.where(np.isposinf(nu), 0.0, np.where(np.isinf(g), np.inf, lost))
+    lost = np.where(np.isposinf(nu), 0.0, np.where(np.isfinite(g), lost, np.inf))
     return np.asarray(np.sign(mixed) * np.sqrt(np.maximum(mixed**2 - lost, 0.0)))
 
 
