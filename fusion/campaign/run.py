@@ -360,7 +360,7 @@ def _cells(element: Polar) -> tuple[str, str, str]:
 def print_campaign(outcomes: Sequence[Outcome]) -> None:
     """Print one line per recording, each failure with its reason, how many there are of each, and the joint report.
 
-    Of many recordings the first ones and all failures.
+    Of many recordings the first ones and all failures. Of several the means, of one all that it tells.
     """
     console = stdout_console()
     shown = [outcome for place, outcome in enumerate(outcomes) if place < MOST_LINES or outcome.error is not None]
@@ -372,9 +372,11 @@ def print_campaign(outcomes: Sequence[Outcome]) -> None:
     done = [outcome for outcome in outcomes if outcome.error is None]
     if done:
         top = done[0].folder.parent
-        rows = read_rows(top / CURVE_FILE)
-        console.print(curve_table(rows) if rows else NO_SENSITIVITY)
-        if rows:
+        several = len(done) > 1
+        rows = read_rows(top / (CURVE_FILE if several else SENSITIVITY_FILE))
+        of_rows = curve_table if several else sensitivity_table
+        console.print(of_rows(rows) if rows else NO_SENSITIVITY)
+        if rows and several:
             told = f"all elements: {top / CURVE_FILE}; of every recording: {top / SENSITIVITY_FILE}"
             console.print(told, soft_wrap=True)
         console.print(f"report of all: {top / REPORT_FILE}", soft_wrap=True)

@@ -102,8 +102,8 @@ def test_a_campaign_of_one_recording_is_a_campaign_and_prints_its_sensitivity(ma
     assert names_in(top / "results") == {NAMES[0], *JOINT}
     assert len(evaluated) == 1
     told = capsys.readouterr().out.splitlines()
-    assert any(line.startswith("Output over load, means of all recordings (U = k·u, 95 %)") for line in told)
-    assert told[-3].startswith("└")  # the table is the last but for the paths of the tables and of the report
+    assert any(line.startswith("Output over load, Fz 106.25 Hz (U = k·u, 95 %)") for line in told)
+    assert told[-2].startswith("└")  # the table is the last but for the path of the report
     assert told[-1] == f"report of all: {top / 'results' / 'report.html'}"
 
 
