@@ -51,6 +51,7 @@ from shaker.labels import LOAD_COMPONENTS
 
 
 Joint = TypeVar("Joint")
+P = TypeVar("P")
 
 
 @dataclass(frozen=True)
@@ -280,14 +281,18 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
 
 
 def best_points(points: Sequence[CurvePoint]) -> list[CurvePoint]:
-    """Return the points of one kind that come nearest to the sensor's sensitivity, ascending in frequency.
+    """Return the points of the `best_kind`, ascending in frequency."""
+    return sorted(best_kind(points, lambda point: point.kind), key=lambda point: point.frequency_hz)
+
+
+def best_kind(points: Sequence[P], kind_of: Callable[[P], str]) -> list[P]:
+    """Return those of the points of one element over frequency whose kind comes nearest to the sensor's sensitivity.
 
     Elements of matrices, unless single recordings give elements, or else ratios, at more frequencies.
     """
-    kinds = {kind: [point for point in points if point.kind == kind] for kind in ("matrix", "element", "ratio")}
+    kinds = {kind: [point for point in points if kind_of(point) == kind] for kind in ("matrix", "element", "ratio")}
     single = kinds["element"] or kinds["ratio"]
-    best = single if len(single) > len(kinds["matrix"]) else kinds["matrix"]
-    return sorted(best, key=lambda point: point.frequency_hz)
+    return single if len(single) > len(kinds["matrix"]) else kinds["matrix"]
 
 
 def curve_tables(mains: dict[str, list[CurvePoint]]) -> list[Table]:

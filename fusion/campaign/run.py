@@ -28,6 +28,7 @@ from fusion.base import (
     versions,
 )
 from fusion.campaign.executor import Workers, connected, one_blas_thread
+from fusion.campaign.joint import best_kind
 from fusion.campaign.joint_report import write_campaign
 from fusion.estimation.coverage import Polar
 from fusion.recording.excitation import kinds_of
@@ -289,18 +290,14 @@ def sensitivity_table(rows: Sequence[dict[str, str]]) -> Table:
 def curve_table(rows: Sequence[dict[str, str]]) -> Table:
     """Return from the rows of a curve.csv the best statement of every main element over frequency, with U as above.
 
-    Of a matrix, else the sensor's element, else the ratio, the one that is known at most frequencies.
+    Of each element those of one kind (`best_kind`).
     """
     mains = _main_channels(rows, lambda row: (row["component"],))
-    found: dict[str, dict[str, list[dict[str, str]]]] = {}
+    found: dict[str, list[dict[str, str]]] = {}
     for row in rows:
         if mains[(row["component"],)] == row["channel"]:
-            found.setdefault(row["component"], {}).setdefault(row["kind"], []).append(row)
-    best = []
-    for kinds in found.values():
-        single = kinds.get("element") or kinds.get("ratio", [])
-        matrix = kinds.get("matrix", [])
-        best += single if len(single) > len(matrix) else matrix
+            found.setdefault(row["component"], []).append(row)
+    best = [row for of_one in found.values() for row in best_kind(of_one, lambda row: row["kind"])]
     known = any(row["kind"] != "ratio" for row in best)
     table = _table(f"{'Sensitivity' if known else 'Output over load'}, means of all recordings (U = k·u, 95 %)")
     table.add_column("recordings (mountings)", justify="right", max_width=12)

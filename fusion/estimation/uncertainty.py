@@ -242,22 +242,21 @@ class Uncertainty:
         """Return the effective degrees of freedom (2, K, C) of magnitude and phase of the values (K, C)."""
         return np.stack([self.dof_along(value), self.dof_along(1j * value)])
 
-    def k_polar(self, value: ComplexArray) -> FloatArray:
+    def k_polar(self, value: ComplexArray, dof_polar: FloatArray | None = None) -> FloatArray:
         """Return the coverage factors (2, K, C) of magnitude and phase of the values (K, C) for 95 %.
 
         Those of the degrees of freedom; where bounds are among the influences, what the sum of uniform numbers and of
-        the rest needs, the rest taken as normal with its U/1.96.
+        the rest needs, the rest taken as normal with its U/1.96. `dof_polar`: where these are known already.
         """
         bounds = [influence for influence in self.influences if influence.distribution == "uniform"]
+        if not bounds:
+            return _factors(self.dof_polar(value) if dof_polar is None else dof_polar)
         rest = Uncertainty(self.random, tuple(i for i in self.influences if i.distribution == "normal"))
         k = _factors(rest.dof_polar(value))
-        if not bounds:
-            return k
         size = value.shape[-1]
         effects = np.stack([influence.effect[:, :size] + 1j * influence.effect[:, size:] for influence in bounds])
         unit = np.divide(value, np.abs(value), out=np.ones_like(value), where=np.isfinite(value) & (value != 0.0))
-        pair = np.arange(size)[:, None] + [0, size]
-        own = rest.covariance[:, pair[:, :, None], pair[:, None, :]]
+        own = element_covariances(rest.covariance)
         for way, direction in enumerate((unit, 1j * unit)):
             widths = np.sqrt(3.0) * np.abs((effects * direction.conj()).real)
             e = np.stack([direction.real, direction.imag], axis=-1)
@@ -267,26 +266,23 @@ class Uncertainty:
                 k[one] = bounded_factor(widths[:, *place], float(u[*place]), float(k[one]))
         return k
 
-    def regions(self, value: ComplexArray) -> FloatArray:
+    def regions(
+        self, value: ComplexArray, covariance: FloatArray | None = None, dof_polar: FloatArray | None = None
+    ) -> FloatArray:
         """Return the matrices (K, C, 2, 2) of the 95 % regions of the values (K, C): `coverage.region_matrix`.
 
         Each of the parts along and across a value has its own degrees of freedom; of their covariance a random
-        contribution counts as far as it is known.
+        contribution counts as far as it is known. `covariance`, `dof_polar`: where these are known already.
         """
-        pair, frame = np.arange(value.shape[1])[:, None] + [0, value.shape[1]], along_and_across(value)
-
-        def parts(covariance: FloatArray) -> FloatArray:
-            """Return the covariances (K, C, 2, 2) of the parts along and across the values."""
-            return frame.swapaxes(-1, -2) @ covariance[:, pair[:, :, None], pair[:, None, :]] @ frame
-
-        whole = self.covariance
-        mixed = parts(whole)[..., 0, 1]
+        frame = along_and_across(value)
+        whole = element_covariances(self.covariance if covariance is None else covariance)
+        mixed = (frame.swapaxes(-1, -2) @ whole @ frame)[..., 0, 1]
         for part in self.random:
             if part.dof is not None:
-                own = parts(part.covariance)
+                own = frame.swapaxes(-1, -2) @ element_covariances(part.covariance) @ frame
                 mixed += counted_covariance(own, part.dof[:, None]) - own[..., 0, 1]
-        each = whole[:, pair[:, :, None], pair[:, None, :]]
-        return region_matrix(value, each, self.dof_polar(value), mixed, self._turn(value))
+        freedom = self.dof_polar(value) if dof_polar is None else dof_polar
+        return region_matrix(value, whole, freedom, mixed, self._turn(value))
 
     def _turn(self, value: ComplexArray) -> FloatArray:
         """Return by what angle (K, C) unknown times turn the values (K, C), as a standard uncertainty in rad.
@@ -366,14 +362,21 @@ def polar_elements(
     `covariance` (K, 2C, 2C): that of `uncertainty`, where it has been added up already.
     """
     covariance = uncertainty.covariance if covariance is None else covariance
-    dof, region = uncertainty.dof(), uncertainty.regions(value)
-    along, factors = uncertainty.dof_polar(value), uncertainty.k_polar(value)
+    dof, along = uncertainty.dof(), uncertainty.dof_polar(value)
+    region, factors = uncertainty.regions(value, covariance, along), uncertainty.k_polar(value, along)
     lines: list[list[Polar | None]] = [[None] * len(row) for row in value]
     for k, c in np.argwhere(np.isfinite(value)).tolist():
         pair, both = element_covariance(covariance[k], c), (float(along[0, k, c]), float(along[1, k, c]))
         k_both = float(factors[0, k, c]), float(factors[1, k, c])
         lines[k][c] = polar(complex(value[k, c]), pair, float(dof[k, c]), both, k_both, region[k, c])
     return lines
+
+
+def element_covariances(covariance: FloatArray) -> FloatArray:
+    """Covariances (K, C, 2, 2) of (Re, Im) of every element of real-stacked covariances (K, 2C, 2C)."""
+    size = covariance.shape[-1] // 2
+    pair = np.arange(size)[:, None] + [0, size]
+    return covariance[:, pair[:, :, None], pair[:, None, :]]
 
 
 def element_covariance(covariance: FloatArray, element: int) -> FloatArray:

@@ -11,7 +11,7 @@ from fusion.base import ComputeError, ProgressCallback, no_progress
 from fusion.estimation.fuse import Acceleration, solve_consistently, without_gross
 from fusion.estimation.least_squares import UNOBSERVED, UNOBSERVED_ITSELF, Places, Solution
 from fusion.estimation.measurement_model import Deviates, Drawn, Observation
-from fusion.estimation.uncertainty import Uncertainty, as_complex, real_stack
+from fusion.estimation.uncertainty import Uncertainty, as_complex, element_covariances, real_stack
 from fusion.estimation.variance_components import LEAST_DOF
 from fusion.instruments.channel import Outputs
 from fusion.sensitivity.analyse import Analysis, Inputs
@@ -187,10 +187,10 @@ def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
     def of(
         name: str, elements: Sequence[str], units: Sequence[str], value: ComplexArray, uncertainty: Uncertainty
     ) -> FirstOrder:
-        pair = np.arange(len(elements))[:, None] + [0, len(elements)]
-        covariance = uncertainty.covariance[:, pair[:, :, None], pair[:, None, :]]
-        known = uncertainty.regions(value), uncertainty.k_polar(value)
-        return FirstOrder(name, frequency, tuple(elements), tuple(units), value, covariance, *known)
+        covariance, dof = uncertainty.covariance, uncertainty.dof_polar(value)
+        known = uncertainty.regions(value, covariance, dof), uncertainty.k_polar(value, dof)
+        own = element_covariances(covariance)
+        return FirstOrder(name, frequency, tuple(elements), tuple(units), value, own, *known)
 
     for fused in analysis.accelerations:
         if fused.source == "fused":

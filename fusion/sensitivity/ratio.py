@@ -21,6 +21,7 @@ from fusion.estimation.uncertainty import (
     Uncertainty,
     Unknown,
     element_covariance,
+    element_covariances,
     merge_contributions,
     polar_elements,
     real_design,
@@ -81,8 +82,7 @@ class Sensitivity:
     def covariance(self) -> FloatArray:
         """Return the covariance (K, C, 6, 2, 2) of (Re, Im) of every element, NaN where there is none."""
         every = np.full((*self.value.shape, 2, 2), np.nan)
-        pair = np.arange(len(self.elements))[:, None] + [0, len(self.elements)]
-        every[:, *self._places()] = self.uncertainty.covariance[:, pair[:, :, None], pair[:, None, :]]
+        every[:, *self._places()] = element_covariances(self.uncertainty.covariance)
         return every
 
     @cached_property

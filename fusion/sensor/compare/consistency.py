@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import chi2
 
+from fusion.estimation.coverage import along_and_across, region_factor
 from shaker.arrays import ComplexArray, FloatArray
 
 SIGNIFICANCE = 0.05
@@ -56,18 +57,14 @@ def complex_normalised_error(value: ComplexArray, u_magnitude: FloatArray, u_pha
     sqrt(d' V^-1 d / 5.99) of the difference d, real and imaginary part, and its covariance V = V_i + V_j; 5.99 is the
     95 % quantile of chi-square with two degrees of freedom (JCGM 102, 6.5). 0 on the diagonal, NaN where a value is.
     """
-    found = np.zeros((len(value), len(value)))
-    along = np.stack([value.real, value.imag], axis=1) / np.abs(value)[:, None]
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    tangent = np.abs(value) * u_phase_rad
-    own = np.einsum("n,ni,nj->nij", u_magnitude**2, along, along) + np.einsum(
-        "n,ni,nj->nij", tangent**2, across, across
-    )
+    found, frame = np.zeros((len(value), len(value))), along_and_across(value)
+    roots = frame * np.stack([u_magnitude, np.abs(value) * u_phase_rad], axis=-1)[:, None, :]
+    own = roots @ roots.swapaxes(-1, -2)
     for i, j in combinations(range(len(value)), 2):
         both = np.array([(value[i] - value[j]).real, (value[i] - value[j]).imag])
         known = bool(np.isfinite(own[i] + own[j]).all()) and np.linalg.det(own[i] + own[j]) > 0.0
         squared = float(both @ np.linalg.solve(own[i] + own[j], both)) if known else np.nan
-        found[i, j] = found[j, i] = np.sqrt(squared / chi2.ppf(0.95, 2))
+        found[i, j] = found[j, i] = np.sqrt(squared) / region_factor(np.inf)
     return found
 
 
