@@ -211,7 +211,7 @@ def faulty_rows(seeds: range) -> list[str]:
 def faulty_session(
     seed: int, views: int, faults: Faults, amount: float
 ) -> tuple[Calibration, tuple[FloatArray, FloatArray]]:
-    """Return the calibration from a session with faults, in pictures sharpened by `amount` if any; its errors over u."""
+    """Return the calibration from a session with faults, in pictures sharpened by `amount` if any; errors over u."""
     rng = np.random.default_rng(seed)
     rig = random_rig(rng, SIZE_PX if amount else FAULTY_SIZE_PX, FIELD_M)
     poses = random_poses(rng, rig, FAULTY_BOARD, views)

@@ -164,7 +164,7 @@ def _looked(bundle: Bundle, sides: Sequence[_Side], prior: Prior) -> tuple[float
 class Normal:
     """Normal equations, view by view: what each says of rig, modes of the shape and drift (K,), pose, and free points.
 
-    `places` (Q,): the rig's parameters among those, first; `drifts` (D) how many are a drift's, last. `common` (V, K, K),
+    `places` (Q,): the rig's parameters among those, first; `drifts`: how many are a drift's, last. `common` (V, K, K),
     `pose` (V, 6, 6), `point` (V, P, 3, 3) and what couples them, `common_pose` (V, K, 6), `point_common` (V, P, K, 3),
     `point_pose` (V, P, 6, 3); right-hand sides end in `_side`. `prior`, `prior_side` (K,), `point_prior`,
     `point_prior_side` (P, 3): what is known beforehand. Points that are not free are none (P = 0).

@@ -57,7 +57,7 @@ def leave_out(adjusted: Adjusted, pictures: Sequence[Picture]) -> LeftOut:
 
 
 def drift_u(adjusted: Adjusted, left_out: LeftOut, factor: float) -> FloatArray:
-    """Return the standard uncertainties (D,) of a drift: by the residuals, or by the jackknife over the views if more."""
+    """Return the standard uncertainties (D,) of a drift by residuals, or by the jackknife over the views if more."""
     views = len(left_out.drift_steps)
     by_views = (views - 1) / views * (left_out.drift_steps**2).sum(axis=0)
     return np.asarray(np.sqrt(np.maximum(adjusted.drift_variance * factor, by_views)))
