@@ -6,7 +6,7 @@ import csv
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from pydantic import BeforeValidator, Field, model_validator
 from fusion.base import InputError, as_input_error
 from fusion.recording.dcc import SUFFIX, CalibrationCertificate, curve_named, read_dcc
 from fusion.recording.dsi import parse_unit
-from fusion.recording.manifest import ResponseColumns
 from fusion.recording.toml import read_text, read_toml, validate
 from fusion.recording.values import (
     Block,
@@ -42,7 +41,9 @@ from shaker.frf.chain import (
     product,
     table_response,
 )
-from shaker.io import read_channels
+
+if TYPE_CHECKING:
+    from fusion.recording.manifest import ResponseColumns
 
 COLUMNS = ("frequency_hz", "magnitude", "phase_rad", "u_magnitude", "u_phase_rad")
 ELEMENTS = ".toml"
@@ -231,6 +232,8 @@ def _typed_columns(path: Path) -> list[FloatArray]:
 
 def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
     """Return the columns that a user names, in SI, uncertainties standard ones, row by row."""
+    from shaker.io import read_channels
+
     names = columns.names
     with as_input_error(path, "response_columns"):
         read = read_channels(path, list(dict.fromkeys(names)), 1.0)
