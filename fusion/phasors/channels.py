@@ -356,7 +356,7 @@ def _correction(channel: ChannelEntry, frequency_hz: FloatArray) -> tuple[Comple
     correction = np.exp(2j * np.pi * frequency_hz * channel.delay)
     if channel.response is None:
         return correction, None
-    response = read_response(channel.response, frequency_hz, channel.response_result)
+    response = read_response(channel.response, frequency_hz, channel.response_result, channel.response_columns)
     return correction / response.value, response
 
 

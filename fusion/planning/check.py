@@ -219,10 +219,10 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list[str],
             wrong = [f"points {points.stereo}: {empty[0]} is empty ({len(empty)} such files)"] if empty else []
             told.append((f"points {points.stereo}: {len(points.files)} files, {_size(points.files)}", wrong))
         told += [_exposure(block, frames) for frames in (*block.images, *block.points) if frames.exposure == PULSE]
-        responses = dict.fromkeys(entry.response for daq in block.daq for entry in daq.channel if entry.response)
-        for path in responses:
+        entries = [entry for daq in block.daq for entry in daq.channel]
+        for path, columns in dict.fromkeys((e.response, e.response_columns) for e in entries if e.response):
             try:
-                check_response(path)
+                check_response(path, columns)
             except InputError as error:
                 problems.append(str(error))
         prefix = f"{where.rstrip('.')} " if where and len(manifest.set_ups) > 1 else ""

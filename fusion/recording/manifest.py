@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
 
 from fusion.instruments.transducer import TRANSDUCERS
+from fusion.recording.dsi import parse_unit
 from fusion.recording.excitation import Excitation
 from fusion.recording.rig import Environment, NamedHead, Part, Shaker
 from fusion.recording.values import (
@@ -40,7 +41,7 @@ from fusion.recording.values import (
     refuse_repeated,
     repeated_name,
 )
-from shaker.io import refused_suffix
+from shaker.io import SUFFIXES, refused_suffix
 
 if TYPE_CHECKING:
     Quantity = str
@@ -53,6 +54,14 @@ SCAN = ".asc"
 COORDINATES = ("x", "y", "z")
 REFERENCE_COORDINATES = ("x0", "y0", "z0")
 COLUMNS = ("frame", "status", *REFERENCE_COORDINATES, *COORDINATES, "_")
+
+
+def _unit(text: str) -> str:
+    try:
+        parse_unit(text)
+    except ValueError as error:
+        raise refusal("a unit such as mV/(m/s^2)", f'"{describe(text, plain=True)}"') from error
+    return text
 
 
 def _columns(value: object) -> tuple[str, ...]:
@@ -89,6 +98,29 @@ def _head(value: object, info: ValidationInfo) -> object:
     return NamedHead(value, known[value])
 
 
+class ResponseColumns(Block):
+    """Which columns of a response's table hold what, by the names its file gives them, in which units.
+
+    `magnitude_unit`: converted into SI; without it the numbers count as they are. `u_magnitude_unit` "%": of the
+    magnitude, else its unit. `k`: what the uncertainties were expanded by.
+    """
+
+    frequency: Text
+    magnitude: Text
+    phase: Text
+    u_magnitude: Text
+    u_phase: Text
+    magnitude_unit: Annotated[Text, AfterValidator(_unit)] | None = None
+    phase_unit: Literal["rad", "deg"] = "rad"
+    u_magnitude_unit: Literal["%"] | None = None
+    k: Positive = 1.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the five columns."""
+        return self.frequency, self.magnitude, self.phase, self.u_magnitude, self.u_phase
+
+
 class ChannelEntry(Block):
     """One channel of a DAQ file: true phasor = file value · scale · exp(+jω·delay) / response(f).
 
@@ -114,6 +146,7 @@ class ChannelEntry(Block):
     delay_uncertainty: Annotated[NotNegative, SECONDS] = 0.0
     response: ExistingFile | None = None
     response_result: Text | None = None
+    response_columns: ResponseColumns | None = None
     reference: bool = False
     threshold: Number | None = None
     edge: Literal["rising", "falling"] = "rising"
@@ -126,6 +159,7 @@ class ChannelEntry(Block):
         "delay_uncertainty",
         "response",
         "response_result",
+        "response_columns",
     )
     VALUE: ClassVar[tuple[str, ...]] = ("scale", "scale_uncertainty", "common", "individual_uncertainty", "reference")
     PLACE: ClassVar[tuple[str, ...]] = (
@@ -152,10 +186,13 @@ class ChannelEntry(Block):
         if self.quantity != "trigger":
             known = {*self.ANY, *self.VALUE, *{"output": ("channel",), "voltage": ()}.get(self.quantity, self.PLACE)}
         refuse_foreign(self, known, why)
-        if self.response_result is not None and (self.response is None or self.response.suffix.lower() != ".xml"):
+        suffix = self.response.suffix.lower() if self.response is not None else ""
+        if self.response_result is not None and suffix != ".xml":
             raise refusal(
                 "no such key without a certificate as response", f'"{self.response_result}"', key="response_result"
             )
+        if self.response_columns is not None and suffix not in SUFFIXES:
+            raise refusal("no such key without a table as response", "one", key="response_columns")
         if self.scale == 0.0:
             raise refusal("a number other than 0", "0", key="scale")
         return self

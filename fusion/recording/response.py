@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.base import InputError, as_input_error
 from fusion.recording.dcc import SUFFIX, CalibrationCertificate, curve_named, read_dcc
+from fusion.recording.dsi import parse_unit
 from fusion.recording.toml import read_text, read_toml, validate
 from fusion.recording.values import (
     Block,
@@ -40,10 +42,14 @@ from shaker.frf.chain import (
     table_response,
 )
 
+if TYPE_CHECKING:
+    from fusion.recording.manifest import ResponseColumns
+
 COLUMNS = ("frequency_hz", "magnitude", "phase_rad", "u_magnitude", "u_phase_rad")
 ELEMENTS = ".toml"
 LARGEST_TABLE = 50_000_000  # bytes
 MOST_ROOTS = 100  # poles or zeros of an element
+SAME_HZ = 1e-6  # relative, within which frequencies of a table are one
 
 
 def _roots(value: object) -> tuple[tuple[float, ...], ...]:
@@ -132,18 +138,21 @@ class Chain(Block):
     element: Annotated[tuple[Element, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
 
-def read_response(path: Path, frequency_hz: FloatArray, result: str | None = None) -> ChainResponse:
+def read_response(
+    path: Path, frequency_hz: FloatArray, result: str | None = None, columns: ResponseColumns | None = None
+) -> ChainResponse:
     """Return the response that a file states at frequencies (K,) in Hz.
 
     `.toml`: `[[element]]` blocks, which multiply. `.xml`: a Digital Calibration Certificate, in SI units, of which
     `result` is the id, name or type of a list over frequency where it has several. Any other file is a table with the
     columns frequency_hz, magnitude, phase_rad, u_magnitude, u_phase_rad (u_: standard uncertainty in the unit of the
-    column it belongs to). Raises `InputError` naming file and key or column.
+    column it belongs to), or those that `columns` names. Raises `InputError` naming file and key or column.
     """
     if path.suffix.lower() == ELEMENTS:
         with as_input_error(path, "element"):
             return product([element.response(frequency_hz) for element in read_chain(path).element])
-    table = certified_table(read_dcc(path), result or "") if path.suffix.lower() == SUFFIX else read_table(path)
+    certified = path.suffix.lower() == SUFFIX
+    table = certified_table(read_dcc(path), result or "") if certified else read_table(path, columns)
     outside = [f for f in frequency_hz if not table.frequency_hz[0] <= f <= table.frequency_hz[-1]]
     if outside:
         found = f"{table.frequency_hz[0]:g} to {table.frequency_hz[-1]:g} Hz"
@@ -151,10 +160,10 @@ def read_response(path: Path, frequency_hz: FloatArray, result: str | None = Non
     return table_response(table, frequency_hz)
 
 
-def check_response(path: Path) -> None:
+def check_response(path: Path, columns: ResponseColumns | None = None) -> None:
     """Raise `InputError` unless a response file can be read; certificates are when their manifest is."""
     if path.suffix.lower() != SUFFIX:
-        _ = read_chain(path) if path.suffix.lower() == ELEMENTS else read_table(path)
+        _ = read_chain(path) if path.suffix.lower() == ELEMENTS else read_table(path, columns)
 
 
 def certified_table(certificate: CalibrationCertificate, result: str) -> ResponseTable:
@@ -178,8 +187,28 @@ def read_chain(path: Path) -> Chain:
     return validate(Chain, read_toml(path), path)
 
 
-def read_table(path: Path) -> ResponseTable:
-    """Read a response table; raises `InputError` for a missing column and a cell that is no number."""
+def read_table(path: Path, columns: ResponseColumns | None = None) -> ResponseTable:
+    """Read a response table; raises `InputError` for a missing column and a cell that is no number.
+
+    Where `columns` names them, the file may be any that holds channels, its rows in any order. Of a frequency that is
+    there several times (loops of a calibration) the mean is taken; its standard uncertainty is the mean of those
+    stated, which repeating does not lessen, and that of the mean by the scatter.
+    """
+    names: tuple[str, ...] = COLUMNS if columns is None else columns.names
+    values = _typed_columns(path) if columns is None else _named_columns(path, columns)
+    if np.any(values[1] <= 0.0):
+        raise InputError(path, names[1], found=f"{values[1].min():g}", expected="positive values")
+    for name, u in zip(names[3:], values[3:], strict=True):
+        if np.any(u < 0.0):
+            raise InputError(path, name, found=f"{u.min():g}", expected="no negative values")
+    values = values if columns is None else _without_repeats(values)
+    if len(values[0]) == 0 or np.any(np.diff(values[0]) <= 0.0):
+        raise InputError(path, names[0], found="values that do not ascend", expected="ascending frequencies")
+    return ResponseTable(*values)
+
+
+def _typed_columns(path: Path) -> list[FloatArray]:
+    """Return the columns of a table that has those of the format."""
     try:
         reader = csv.DictReader(read_text(path, LARGEST_TABLE, "a table").splitlines())
         names, rows = tuple(reader.fieldnames or ()), list(reader)
@@ -198,12 +227,44 @@ def read_table(path: Path) -> ResponseTable:
                 found = f'"{describe(row[name] or "", plain=True)}" in line {line + 2}'
                 expected = wrong_size(float(values[line])) or "one finite number per row"
                 raise InputError(path, name, found=found, expected=expected)
-    frequency_hz, magnitude = columns["frequency_hz"], columns["magnitude"]
-    if len(rows) == 0 or np.any(np.diff(frequency_hz) <= 0.0):
-        raise InputError(path, "frequency_hz", found="values that do not ascend", expected="ascending frequencies")
-    if np.any(magnitude <= 0.0):
-        raise InputError(path, "magnitude", found=f"{magnitude.min():g}", expected="positive values")
-    for name in ("u_magnitude", "u_phase_rad"):
-        if np.any(columns[name] < 0.0):
-            raise InputError(path, name, found=f"{columns[name].min():g}", expected="no negative values")
-    return ResponseTable(**columns)
+    return list(columns.values())
+
+
+def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
+    """Return the columns that a user names, in SI, uncertainties standard ones, row by row."""
+    from shaker.io import read_channels
+
+    names = columns.names
+    with as_input_error(path, "response_columns"):
+        read = read_channels(path, list(dict.fromkeys(names)), 1.0)
+    values = [read[name].samples for name in names]
+    if len({len(column) for column in values}) > 1:
+        found = ", ".join(f"{len(column)} of {name}" for name, column in zip(names, values, strict=True))
+        raise InputError(path, "response_columns", found=found, expected="as many numbers of each")
+    for name, column in zip(names, values, strict=True):
+        for row, value in enumerate(column.tolist()):
+            if not np.isfinite(value) or wrong_size(value):
+                found = f"{value:g} in row {row + 1}"
+                raise InputError(path, name, found=found, expected=wrong_size(value) or "one finite number per row")
+    frequency_hz, magnitude, phase, u_magnitude, u_phase = values
+    factor = 1.0 if columns.magnitude_unit is None else parse_unit(columns.magnitude_unit).factor
+    turn = np.pi / 180 if columns.phase_unit == "deg" else 1.0
+    if columns.u_magnitude_unit == "%":
+        u_magnitude = u_magnitude / 100 * magnitude
+    u = factor / columns.k * u_magnitude, turn / columns.k * u_phase
+    return [frequency_hz, factor * magnitude, turn * phase, *u]
+
+
+def _without_repeats(values: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return columns of a table with one row per frequency, ascending, repeats of one replaced by their mean."""
+    order = np.argsort(values[0], kind="stable")
+    frequency_hz = values[0][order]
+    starts = np.flatnonzero(np.diff(frequency_hz, prepend=-np.inf) > SAME_HZ * np.abs(frequency_hz))
+    rows = []
+    for own in np.split(order, starts[1:]):
+        frequency, magnitude, phase, u_magnitude, u_phase = (column[own] for column in values)
+        phase = phase[0] + np.angle(np.exp(1j * (phase - phase[0])))  # +180° and −180° are one
+        mean = [column.mean() for column in (frequency, magnitude, phase)]
+        scatter = [column.std(ddof=1) / np.sqrt(len(own)) if len(own) > 1 else 0.0 for column in (magnitude, phase)]
+        rows.append([*mean, np.hypot(u_magnitude.mean(), scatter[0]), np.hypot(u_phase.mean(), scatter[1])])
+    return list(np.array(rows).reshape(-1, len(values)).T)

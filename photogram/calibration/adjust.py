@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from photogram.arrays import FloatArray, IntArray
-from photogram.calibration.bundle import Bundle, Picture, Seen, see_views
+from photogram.calibration.bundle import DRIFT_SPREAD, Bundle, Picture, Seen, grown, see_views
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT
 from photogram.geometry import RigidTransform
 
@@ -51,12 +51,13 @@ class Prior:
 @dataclass(frozen=True, eq=False)
 class Adjusted:
     """The most likely bundle, the covariance of its rig (32, 32) and of each pose (V, 6, 6), the variances (S,) of its
-    shape's values, and the normal equations there.
+    shape's values and (D,) of its drift, and the normal equations there.
     """
 
     bundle: Bundle
     covariance: FloatArray
     shape_variance: FloatArray
+    drift_variance: FloatArray
     pose_covariance: FloatArray
     normal: Normal
 
@@ -112,7 +113,21 @@ class _Side:
         rig = bundle.rig
         camera, relative = (rig.right, rig.right_from_left) if self.side else (rig.left, RigidTransform.identity())
         points = bundle.shape.points_m[self.point]
-        return see_views(camera, relative, bundle.poses, self.view, points, self.radius_m)
+        seen = see_views(camera, relative, bundle.poses, self.view, points, self.radius_m)
+        if bundle.drift is None:
+            return seen
+        return grown(seen, camera, bundle.drift.value[self.side] * bundle.drift.place[self.view])
+
+    def by_drift(self, bundle: Bundle, seen: Seen) -> FloatArray:
+        """Return the derivatives (N, 2, D) of what is seen by the drift of either camera's focal lengths."""
+        if bundle.drift is None:
+            return np.empty((*seen.pixel.shape, 0))
+        camera, place = (bundle.rig.right if self.side else bundle.rig.left), bundle.drift.place[self.view, None]
+        slope = np.zeros((*seen.pixel.shape, 2))
+        slope[..., self.side] = (
+            place * (seen.pixel - camera.matrix[:2, 2]) / (1 + bundle.drift.value[self.side] * place)
+        )
+        return slope
 
 
 def _sides(pictures: Sequence[Picture]) -> list[_Side]:
@@ -137,6 +152,8 @@ def _looked(bundle: Bundle, sides: Sequence[_Side], prior: Prior) -> tuple[float
     seen = [side.see(bundle) for side in sides]
     away, shape = prior.away(bundle.rig.values), bundle.shape.value_m / bundle.shape.prior_m
     total = float(away @ away) + float(shape @ shape)
+    if bundle.drift is not None:
+        total += float(bundle.drift.value @ bundle.drift.value) / DRIFT_SPREAD**2
     for side, there in zip(sides, seen, strict=True):
         residual = side.position_px - there.pixel
         total += float(np.einsum("ni,nij,nj->", residual, side.precision, residual))
@@ -145,15 +162,16 @@ def _looked(bundle: Bundle, sides: Sequence[_Side], prior: Prior) -> tuple[float
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """Normal equations, view by view: what each says of rig and modes of the shape (K,), of its pose, of free points.
+    """Normal equations, view by view: what each says of rig, modes of the shape and drift (K,), pose, and free points.
 
-    `places` (Q,): the rig's parameters among those. `common` (V, K, K), `pose` (V, 6, 6), `point` (V, P, 3, 3) and
-    what couples them, `common_pose` (V, K, 6), `point_common` (V, P, K, 3), `point_pose` (V, P, 6, 3); right-hand sides
-    end in `_side`. `prior`, `prior_side` (K,), `point_prior`, `point_prior_side` (P, 3): what is known beforehand.
-    Points that are not free are none (P = 0).
+    `places` (Q,): the rig's parameters among those, first; `drifts`: how many are a drift's, last. `common` (V, K, K),
+    `pose` (V, 6, 6), `point` (V, P, 3, 3) and what couples them, `common_pose` (V, K, 6), `point_common` (V, P, K, 3),
+    `point_pose` (V, P, 6, 3); right-hand sides end in `_side`. `prior`, `prior_side` (K,), `point_prior`,
+    `point_prior_side` (P, 3): what is known beforehand. Points that are not free are none (P = 0).
     """
 
     places: IntArray
+    drifts: int
     common: FloatArray
     pose: FloatArray
     point: FloatArray
@@ -169,7 +187,7 @@ class Normal:
     point_prior_side: FloatArray
 
     def step(self, damping: float) -> tuple[FloatArray, FloatArray, float]:
-        """Return the damped step of rig and shape (32 + S,), of the poses (V, 6), and the decrease that it promises."""
+        """Return the damped step of rig, shape and drift (32 + S + D,), of the poses, and the decrease it promises."""
         reduced = self.reduced(damping)
         side = np.concatenate([self.common_side.sum(axis=0) + self.prior_side, self.pose_side.ravel()])
         point_side = self.point_side.sum(axis=0) + self.point_prior_side
@@ -178,13 +196,13 @@ class Normal:
         return *self.spread(step, point_step), decrease
 
     def spread(self, step: FloatArray, point_step: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return a step of rig and shape (32 + S,), values in their places, and of the poses (V, 6)."""
+        """Return a step of rig, shape and drift (32 + S + D,), values in their places, and of the poses (V, 6)."""
         rig, common = np.zeros(_RIG), len(self.prior)
         rig[self.places] = step[: len(self.places)]
         return np.concatenate([rig, point_step.ravel(), step[len(self.places) : common]]), step[common:].reshape(-1, 6)
 
-    def covariance(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the covariance of the rig (32, 32), the variances of the shape (S,), the poses' covariances."""
+    def covariance(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the covariance of the rig (32, 32), variances of shape (S,) and drift (D,), the poses' covariances."""
         reduced, common, free = self.reduced(), len(self.prior), len(self.places)
         every = reduced.covariance()
         rig = np.zeros((_RIG, _RIG))
@@ -192,8 +210,8 @@ class Normal:
         answer = reduced.answer  # (P, R, 3)
         points = np.einsum("pii->pi", reduced.point) + np.einsum("pri,rs,psi->pi", answer, every, answer, optimize=True)
         pose = [every[n : n + 6, n : n + 6] for n in range(common, len(every), 6)]
-        modes = np.diagonal(every)[free:common]
-        return rig, np.concatenate([points.ravel(), modes]), np.array(pose)
+        modes, drift = np.split(np.diagonal(every)[free:common], [common - free - self.drifts])
+        return rig, np.concatenate([points.ravel(), modes]), drift, np.array(pose)
 
     def reduced(self, damping: float = 0.0, without: int | None = None) -> Reduced:
         """Return the equations of rig, modes and poses after elimination of the points, of all views but one."""
@@ -247,10 +265,12 @@ class Reduced:
 def _normal(bundle: Bundle, sides: Sequence[_Side], seen: Sequence[Seen], prior: Prior) -> Normal:
     """Return the normal equations at the bundle."""
     shape, free, views = bundle.shape, prior.free, len(bundle.poses)
-    modes, points = shape.modes.shape[2], len(shape.flat_m) if shape.free else 0
-    common = len(free) + modes
+    drift = np.empty(0) if bundle.drift is None else bundle.drift.value
+    points = len(shape.flat_m) if shape.free else 0
+    common = len(free) + shape.modes.shape[2] + len(drift)
     single, ranged = slice(0, 3 * points), slice(3 * points, None)
-    precision, side = shape.prior_m**-2.0, -shape.value_m / shape.prior_m**2
+    precision = np.concatenate([shape.prior_m**-2.0, np.full(len(drift), DRIFT_SPREAD**-2.0)])
+    side = -precision * np.concatenate([shape.value_m, drift])
     known = np.zeros((common, common))
     known[: len(free), : len(free)] = prior.slope.T @ prior.slope
     known[range(len(free), common), range(len(free), common)] = precision[ranged]
@@ -261,6 +281,7 @@ def _normal(bundle: Bundle, sides: Sequence[_Side], seen: Sequence[Seen], prior:
 
     normal = Normal(
         places=free,
+        drifts=len(drift),
         common=zeros(common, common),
         pose=zeros(6, 6),
         point=zeros(points, 3, 3),
@@ -276,16 +297,15 @@ def _normal(bundle: Bundle, sides: Sequence[_Side], seen: Sequence[Seen], prior:
         point_prior_side=side[single].reshape(-1, 3),
     )
     for one, there in zip(sides, seen, strict=True):
-        _add_side(normal, shape.modes, one, there)
+        _add_side(normal, bundle, one, there)
     return normal
 
 
-def _add_side(normal: Normal, modes: FloatArray, side: _Side, seen: Seen) -> None:
+def _add_side(normal: Normal, bundle: Bundle, side: _Side, seen: Seen) -> None:
     """Add what one camera's pictures say to the normal equations."""
-    slope = np.concatenate(
-        [seen.by_rig(side.side)[..., normal.places], np.einsum("nki,nim->nkm", seen.by_point, modes[side.point])],
-        axis=-1,
-    )
+    by_modes = np.einsum("nki,nim->nkm", seen.by_point, bundle.shape.modes[side.point])
+    by_common = [seen.by_rig(side.side)[..., normal.places], by_modes, side.by_drift(bundle, seen)]
+    slope = np.concatenate(by_common, axis=-1)
     weighted, weighted_pose = side.precision @ slope, side.precision @ seen.by_pose
     residual = side.position_px - seen.pixel
     for rows in side.rows:

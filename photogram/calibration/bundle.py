@@ -275,15 +275,50 @@ class Picture:
 
 
 @dataclass(frozen=True, eq=False)
+class Drift:
+    """How focal lengths change over a session (a lens that warms up, or gives way): evenly from view to view.
+
+    `value` (2,): relative change, left and right, from the first view to the last; the rig's are those of the middle.
+    `place` (V,): when each view was taken, −½ the first … ½ the last.
+    """
+
+    value: FloatArray
+    place: FloatArray
+
+    @staticmethod
+    def over(views: int) -> Drift:
+        """Return that of so many views before anything is known of it."""
+        return Drift(np.zeros(2), np.linspace(-0.5, 0.5, views))
+
+
+DRIFT_SPREAD = 5e-3  # standard deviation of what is known of a drift beforehand
+
+
+def grown(seen: Seen, camera: Camera, growth: FloatArray) -> Seen:
+    """Return what a camera sees whose focal lengths are larger than its own, relative, by `growth` (N,)."""
+    factor, centre = 1 + growth[:, None], camera.matrix[:2, 2]
+    others = (seen.by_camera, seen.by_relative, seen.by_pose, seen.by_point)
+    by_camera, *rest = (slope * factor[..., None] for slope in others)
+    by_camera[:, 0, 2] = by_camera[:, 1, 3] = 1.0
+    return Seen(centre + (seen.pixel - centre) * factor, by_camera, *rest)
+
+
+@dataclass(frozen=True, eq=False)
 class Bundle:
-    """All unknowns: the rig, the target's pose `left_from_target` in each view, and its shape."""
+    """All unknowns: the rig, the target's pose `left_from_target` in each view, its shape; a drift, or None."""
 
     rig: StereoRig
     poses: tuple[RigidTransform, ...]
     shape: Shape
+    drift: Drift | None = None
+
+    def of_views(self, views: Sequence[int]) -> Bundle:
+        """Return the bundle of some of the views."""
+        drift = self.drift and replace(self.drift, place=self.drift.place[list(views)])
+        return replace(self, poses=tuple(self.poses[view] for view in views), drift=drift)
 
     def moved(self, step: FloatArray, pose_steps: FloatArray) -> Bundle:
-        """Return the bundle after a step of rig and shape (32 + S,) and of the poses (V, 6).
+        """Return the bundle after a step of rig, shape and drift (32 + S + D,) and of the poses (V, 6).
 
         To first order the step is added; beyond it the path follows what the pictures hold on to: the targets' middles
         move linearly in either picture and in the logarithm of their depth, focal lengths by factors. Long focal
@@ -302,7 +337,9 @@ class Bundle:
             _camera_moved(self.rig.right, step[RIGHT]),
             self._relative_moved(step, before, after, shift),
         )
-        return Bundle(rig, poses, self.shape.moved(step[_RIG:]))
+        ends = _RIG + len(self.shape.value_m)
+        drift = self.drift and replace(self.drift, value=self.drift.value + step[ends:])
+        return Bundle(rig, poses, self.shape.moved(step[_RIG:ends]), drift)
 
     def _relative_moved(
         self, step: FloatArray, before: FloatArray, after: FloatArray, shift: FloatArray
@@ -323,7 +360,12 @@ class Bundle:
         camera = self.rig.right if picture.side else self.rig.left
         relative = self.rig.right_from_left if picture.side else RigidTransform.identity()
         points = self.shape.points_m[picture.point]
-        return see(camera, relative, self.poses[picture.view], points, picture.radius_m)
+        seen = see(camera, relative, self.poses[picture.view], points, picture.radius_m)
+        if self.drift is None:
+            return seen
+        return grown(
+            seen, camera, np.full(len(points), self.drift.value[picture.side] * self.drift.place[picture.view])
+        )
 
 
 def moved_pose(middle_m: FloatArray, pose: RigidTransform, step: FloatArray, growth: FloatArray) -> RigidTransform:

@@ -20,13 +20,15 @@ _LEAST = 1e-9  # of the largest variance: what counts as none
 class LeftOut:
     """A fit without each of its views in turn.
 
-    `steps` (V, 32): change of the rig's parameters, by one Gauss–Newton step from the whole fit's normal equations.
+    `steps` (V, 32): change of the rig's parameters, by one Gauss–Newton step from the whole fit's normal equations;
+    `drift_steps` (V, D): that of the drift's.
     `expected` (32, 32): covariance that the sum of these changes would have were the points' noise all there is,
     Σ (Hᵥ)⁻¹ − H⁻¹ of the normal equations with and without the view. `away` (V): rms length in px of what the others
     leave of a view's points, the target's pose fitted to them, by picture in the order of the fit.
     """
 
     steps: FloatArray
+    drift_steps: FloatArray
     expected: FloatArray
     away: tuple[FloatArray, ...]
 
@@ -35,7 +37,7 @@ def leave_out(adjusted: Adjusted, pictures: Sequence[Picture]) -> LeftOut:
     """Return the fit without each of its views in turn; `pictures` with the weights of the fit."""
     normal, bundle = adjusted.normal, adjusted.bundle
     places, common, free = np.ix_(normal.places, normal.places), len(normal.prior), len(normal.places)
-    steps, expected = [], np.zeros_like(adjusted.covariance)
+    steps, drifts, expected = [], [], np.zeros_like(adjusted.covariance)
     away: list[FloatArray] = [np.empty((0, 2))] * len(pictures)
     for view in range(len(bundle.poses)):
         reduced = normal.reduced(without=view)
@@ -45,18 +47,26 @@ def leave_out(adjusted: Adjusted, pictures: Sequence[Picture]) -> LeftOut:
         point_side = normal.point_side.sum(axis=0) + normal.point_prior_side - normal.point_side[view]
         step, pose_steps = normal.spread(*reduced.solved(side, point_side))
         steps.append(step[: len(expected)])
+        drifts.append(step[len(step) - normal.drifts :])
         expected[places] += reduced.covariance()[:free, :free] - adjusted.covariance[places]
         own = [n for n, picture in enumerate(pictures) if picture.view == view]
         there = predicted(bundle.moved(step, np.insert(pose_steps, view, 0.0, axis=0)), [pictures[n] for n in own])
         for n, residual in zip(own, there, strict=True):
             away[n] = residual
-    return LeftOut(np.array(steps), expected, tuple(away))
+    return LeftOut(np.array(steps), np.array(drifts), expected, tuple(away))
+
+
+def drift_u(adjusted: Adjusted, left_out: LeftOut, factor: float) -> FloatArray:
+    """Return the standard uncertainties (D,) of a drift by residuals, or by the jackknife over the views if more."""
+    views = len(left_out.drift_steps)
+    by_views = (views - 1) / views * (left_out.drift_steps**2).sum(axis=0)
+    return np.asarray(np.sqrt(np.maximum(adjusted.drift_variance * factor, by_views)))
 
 
 def predicted(bundle: Bundle, pictures: Sequence[Picture]) -> list[FloatArray]:
     """Return the residuals (N, 2) of one view's pictures, the target's pose fitted to them and all else held."""
     own = [replace(picture, view=0) for picture in pictures]
-    one = replace(bundle, poses=(bundle.poses[pictures[0].view],))
+    one = bundle.of_views([pictures[0].view])
     pose, _, _ = refined_pose(one, own)
     return residuals(replace(one, poses=(pose,)), own)
 
@@ -69,7 +79,8 @@ def stated_covariance(covariance: FloatArray, left_out: LeftOut, factor: float) 
     50, 317) tells what the views do, whatever their errors have in common. In units of what it would be with nothing
     but the points' noise, its principal variances beyond those that V samples of N parameters give by chance,
     (1 + √(N/V))² (Marčenko and Pastur 1967, Mathematics of the USSR-Sbornik 1, 457), take the place of that noise,
-    times (V − 1)/(V − 3), as so few views know them (JCGM 101:2008, 6.4.9), so that k = 2 holds 95 %.
+    less what the others add to the largest of few samples (Baik and Silverstein 2006, Journal of Multivariate Analysis
+    97, 1382), times (V − 1)/(V − 3), as so few views know them (JCGM 101:2008, 6.4.9), so that k = 2 holds 95 %.
     """
     free = np.flatnonzero(np.diagonal(covariance) > 0)
     views, places = len(left_out.steps), np.ix_(free, free)
@@ -80,8 +91,10 @@ def stated_covariance(covariance: FloatArray, left_out: LeftOut, factor: float) 
     size = np.sqrt(np.maximum(size, _LEAST * size[-1]))
     white = (left_out.steps[:, free] / scale) @ axes / size * np.sqrt(views - 1)  # variances of 1 by the noise alone
     variance, turn = np.linalg.eigh(white.T @ white / views)
-    few = (views - 1) / max(views - 3, 1)
-    more = np.where(variance > (1 + np.sqrt(len(free) / views)) ** 2, few * variance - 1, 0.0)
+    few, ratio = (views - 1) / max(views - 3, 1), len(free) / views
+    sum_ = variance + 1 - ratio  # a variance v beside ones is found as v + v·ratio/(v − 1)
+    true = (sum_ + np.sqrt(np.maximum(sum_**2 - 4 * variance, 0.0))) / 2
+    more = np.where(variance > (1 + np.sqrt(ratio)) ** 2, few * true - 1, 0.0)
     root = scale[:, None] * (axes * size) @ turn * np.sqrt(more)
     stated = covariance * factor
     stated[places] += root @ root.T
@@ -95,6 +108,5 @@ def split_half(adjusted: Adjusted, pictures: Sequence[Picture], prior: Prior) ->
     for first in (0, 1):
         number = {view: place for place, view in enumerate(range(first, views, 2))}
         half = [replace(picture, view=number[picture.view]) for picture in pictures if picture.view in number]
-        start = replace(bundle, poses=tuple(bundle.poses[view] for view in number))
-        rigs.append(adjust(start, half, prior).bundle.rig)
+        rigs.append(adjust(bundle.of_views(list(number)), half, prior).bundle.rig)
     return rigs[0], rigs[1]

@@ -93,7 +93,9 @@ class Judgement:
     """What the views of a session say of each other: shape and lens taken, `predicted_px` as in `OtherModel`.
 
     `u_fit` (32,): standard uncertainties that the residuals alone would give. `halves`: the rigs of every second view
-    and of the others, None for few views. `others`: models that were tried, and not taken.
+    and of the others, None for few views. `others`: models that were tried, and not taken. `drift` (2, 2): relative
+    change of the focal lengths, left and right, from the first view to the last, and its standard uncertainty; None
+    where none was found.
     """
 
     shape: str
@@ -102,6 +104,7 @@ class Judgement:
     u_fit: FloatArray
     halves: tuple[StereoRig, StereoRig] | None
     others: tuple[OtherModel, ...]
+    drift: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -246,7 +249,7 @@ def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
         if item.name.endswith((".fx", ".fy")) and item.u > _FOCAL_U * item.value:
             text = f"{item.name} is known to {100 * item.u / item.value:.1f} % only (k = 1)"
             warn(f"{text}; more turned views at other distances improve it", item.name)
-    notices += [*_aspects(calibration.rig), *_differences(calibration)]
+    notices += [*_aspects(calibration.rig), *_drifts(calibration), *_differences(calibration)]
     for state, text in _STATES.items():
         names = [item.name for item in calibration.parameters if item.state == state]
         if names:
@@ -278,6 +281,21 @@ def _aspects(rig: StereoRig) -> Iterator[Notice]:
             text = f"{side}.fx/{side}.fy is {ratio:.4f} (U = {2 * u:.4f}, k = 2); a sensor with square pixels has 1"
             more = "a print stretched along one axis, too few turned views, or pictures scaled in one direction"
             yield Notice("warning", f"{text}: {more}", side)
+
+
+def _drifts(calibration: Calibration) -> Iterator[Notice]:
+    """Yield by how much the focal lengths changed during the session."""
+    if calibration.judged is None or calibration.judged.drift is None:
+        return
+    many = calibration.judged.drift[: 1 if calibration.single else 2]
+    said = " and ".join(
+        f"{side} by {100 * value:+.3f} % (U = {200 * u:.3f} %, k = 2)"
+        for side, (value, u) in zip(("left", "right"), many, strict=False)
+    )
+    text = f"the focal lengths changed from the first view to the last: {said}; stated are those of the middle, and the"
+    yield Notice(
+        "warning", f"{text} range is in their uncertainty; let the cameras warm up, and fix the lenses", "drift"
+    )
 
 
 def _differences(calibration: Calibration) -> Iterator[Notice]:

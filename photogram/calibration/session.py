@@ -10,8 +10,8 @@ import numpy as np
 
 from photogram.arrays import BoolArray, FloatArray
 from photogram.calibration.adjust import Adjusted, Prior, adjust, residuals
-from photogram.calibration.bundle import Bundle, Picture, ShapeKind
-from photogram.calibration.left_out import LeftOut, leave_out, split_half, stated_covariance
+from photogram.calibration.bundle import DRIFT_SPREAD, Bundle, Drift, Picture, ShapeKind
+from photogram.calibration.left_out import LeftOut, drift_u, leave_out, split_half, stated_covariance
 from photogram.calibration.result import (
     CalibratedPicture,
     CalibratedView,
@@ -25,7 +25,7 @@ from photogram.calibration.result import (
     session_notices,
 )
 from photogram.calibration.start import LensKind, Pair, lens_prior, picture_of, start_bundle
-from photogram.camera import TRANSLATION, StereoRig
+from photogram.camera import LEFT, RIGHT, TRANSLATION, StereoRig
 from photogram.targets.view import Target, TargetView
 
 _ROUNDS = 12
@@ -37,6 +37,7 @@ _SCATTER = 5.0  # times what three quarters of the pictures stay below, beyond w
 _WORTH = 1.0  # unexplained over own variance above which offsets of the target's points and other lenses are tried
 _VIEWS_FOR_MORE = 5
 _VIEWS_TO_HALVE = 8
+_CHANCE = 0.01  # that a drift is taken for one where there is none
 _SETTLED = 0.01  # relative change of the added noise that ends the rounds
 
 
@@ -58,6 +59,8 @@ def calibrate_pair(
     relative standard uncertainty of the target's spacing, is added along the baseline, for with the spacing all lengths
     grow alike. `shape` and `lens` "auto": flat, with OpenCV's five coefficients of distortion, unless offsets of the
     single points, or the rational model's three further ones, make the other views predict a view's points better.
+    Focal lengths that change from the first pair to the last beyond what the views' scatter explains are estimated too;
+    those stated are the middle's, and that the pair may be used at any other time is in their covariance.
     Raises `ValueError` when the views do not allow a calibration.
 
     >>> from photogram.synthetic.board import random_poses, random_rig, seen_session
@@ -88,16 +91,19 @@ def calibrate_pair(
             better = _predicts_better(tried, best) if step != "flat" else not _predicts_better(best, tried)
             others.append(best if better else tried)
             best = tried if better else best
+    if len(best.adjusted.bundle.poses) >= _VIEWS_FOR_MORE and _drifting(best):
+        best = _calibrated(pairs, target, replace(best.model, drifts=True))
     return _result(best, others, target, scale_u)
 
 
 @dataclass(frozen=True)
 class _Model:
-    """How the target's shape is taken, the lens, and whether there is one camera only."""
+    """How the target's shape is taken, the lens, whether there is one camera only, and whether focal lengths drift."""
 
     shape: ShapeKind
     lens: LensKind
     single: bool = False
+    drifts: bool = False
 
     def prior(self, rig: StereoRig) -> Prior:
         """Return what is known of the cameras beforehand."""
@@ -112,6 +118,8 @@ def _calibrated(pairs: Sequence[Pair], target: Target, model: _Model) -> _Fit:
         session = _Session.of(bundle, pairs, target)
         if model.lens == "rational":  # from the best polynomial, near which its bent valley is short
             bundle = adjust(bundle, session.weighted(), replace(model, lens="polynomial").prior(bundle.rig)).bundle
+        if model.drifts:
+            bundle = replace(bundle, drift=Drift.over(len(bundle.poses)))
         fit = _settle(bundle, session, model)
         bad = _bad_pictures(fit)
         dropped += (*dropped_at_start, *bad)
@@ -121,6 +129,20 @@ def _calibrated(pairs: Sequence[Pair], target: Target, model: _Model) -> _Fit:
         names = [None, *(item.name for item in bad)]
         kept = [[view if view and view.name not in names else None for view in pair] for pair in pairs]
         pairs = [(left, right) for left, right in kept if left is not None or right is not None]
+
+
+def _drifting(fit: _Fit) -> bool:
+    """Return whether the focal lengths of a camera change with the order of the views, beyond chance.
+
+    Student's t of either drift, by what single views do to it, at a level of 1 % for both together.
+    """
+    from scipy.special import stdtrit
+
+    start = replace(fit.adjusted.bundle, drift=Drift.over(len(fit.adjusted.bundle.poses)))
+    adjusted = adjust(start, fit.session.weighted(), fit.model.prior(start.rig))
+    assert adjusted.bundle.drift is not None
+    u = drift_u(adjusted, leave_out(adjusted, fit.session.weighted()), fit.factor)
+    return bool((np.abs(adjusted.bundle.drift.value) > stdtrit(len(start.poses) - 1, 1 - _CHANCE / 4) * u).any())
 
 
 def _predicts_better(fit: _Fit, other: _Fit) -> bool:
@@ -200,6 +222,15 @@ class _Fit:
         return sum(float(squares[used].sum()) for squares, used in taken) / self.dof
 
     @property
+    def drift(self) -> FloatArray | None:
+        """Relative change of the focal lengths over the session and its standard uncertainty (2, 2): left, right."""
+        drift = self.adjusted.bundle.drift
+        if drift is None:
+            return None
+        assert self.left_out is not None
+        return np.column_stack([drift.value, drift_u(self.adjusted, self.left_out, self.factor)])
+
+    @property
     def predictions(self) -> list[tuple[FloatArray, BoolArray]]:
         """What the other views leave of each picture's points (N, 2), and which of these are used (N,)."""
         assert self.left_out is not None
@@ -209,7 +240,21 @@ class _Fit:
     def covariance(self) -> FloatArray:
         """The covariance (32, 32) of the rig that also holds what the views do."""
         assert self.left_out is not None
-        return stated_covariance(self.adjusted.covariance, self.left_out, self.factor)
+        stated = stated_covariance(self.adjusted.covariance, self.left_out, self.factor)
+        drift = self.adjusted.bundle.drift
+        if (
+            drift is not None
+        ):  # at the time of use the focal lengths lie anywhere between the first view's and the last's
+            change = np.zeros(len(stated))
+            for camera, places, value in zip((self.rig.left, self.rig.right), (LEFT, RIGHT), drift.value, strict=True):
+                change[places[:2]] = camera.parameters[:2] * value
+            stated += np.outer(change, change) / 12
+        return stated
+
+    @property
+    def rig(self) -> StereoRig:
+        """The pair as fitted, without covariance."""
+        return self.adjusted.bundle.rig
 
 
 def _settle(bundle: Bundle, session: _Session, model: _Model) -> _Fit:
@@ -235,8 +280,9 @@ def _fit(bundle: Bundle, session: _Session, model: _Model) -> _Fit:
     both = zip(away, pictures, strict=True)
     squares = tuple(np.einsum("ni,nij,nj->n", residual, each.precision, residual) for residual, each in both)
     # The number of coordinates minus that of parameters, a parameter counting as far as the data fix it
-    prior = np.concatenate([model.prior(adjusted.bundle.rig).sigma, adjusted.bundle.shape.prior_m])
-    variance = np.concatenate([np.diagonal(adjusted.covariance), adjusted.shape_variance])
+    drift = np.full(len(adjusted.drift_variance), DRIFT_SPREAD)
+    prior = np.concatenate([model.prior(adjusted.bundle.rig).sigma, adjusted.bundle.shape.prior_m, drift])
+    variance = np.concatenate([np.diagonal(adjusted.covariance), adjusted.shape_variance, adjusted.drift_variance])
     known = variance[prior > 0] / prior[prior > 0] ** 2
     parameters = float(np.sum(1 - known)) + 6 * len(adjusted.bundle.poses)
     dof = 2 * sum(int(used.sum()) for used in session.used) - parameters
@@ -350,6 +396,7 @@ def _judgement(fit: _Fit, others: Sequence[_Fit], prior: Prior) -> Judgement:
         u_fit,
         split_half(fit.adjusted, fit.session.weighted(), prior) if enough else None,
         tuple(tried),
+        fit.drift,
     )
 
 

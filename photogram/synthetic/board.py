@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -491,7 +492,8 @@ class Faults:
     """What real sessions have and the noise of their points does not tell.
 
     `warp_m`: largest height of a bent board over its plane, a random polynomial of third order. `focus`: relative
-    change of both focal lengths from the first view to the last, a lens that is refocused or warms up. `smooth_px`:
+    change of both focal lengths from the first view to the last; `course`: evenly, as a body warms up (three time
+    constants), or all at once after a third of the views, as a lens that is touched. `smooth_px`:
     rms error per coordinate that neighbours in one picture share (light, print on a soft sheet, air), over
     `_SMOOTH` of the board's diagonal, new in every picture. `locking_px`: amplitude of an error that follows the
     point's place within its pixel, as sharpened pictures give it.
@@ -501,6 +503,16 @@ class Faults:
     focus: float = 0.0
     smooth_px: float = 0.0
     locking_px: float = 0.0
+    course: Literal["even", "warming", "jump"] = "even"
+
+    def growth(self, views: int) -> FloatArray:
+        """Return the relative change (V,) of the focal lengths in each view, its mean zero."""
+        place = np.linspace(0.0, 1.0, views)
+        if self.course == "warming":
+            place = -np.expm1(-3 * place) / -np.expm1(-3)
+        elif self.course == "jump":
+            place = (place > 1 / 3).astype(np.float64)
+        return np.asarray(self.focus * (place - place.mean()))
 
 
 _SMOOTH = 0.3
@@ -525,9 +537,9 @@ def seen_session(
     root = np.linalg.cholesky(np.exp(-0.5 * (apart / length) ** 2) + 1e-6 * np.eye(len(points)))
     stated = np.broadcast_to(noise_px**2 * np.eye(2), (len(points), 2, 2))
     pairs: list[tuple[TargetView, TargetView]] = []
-    for pose, place in zip(poses, np.linspace(-0.5, 0.5, len(poses)), strict=True):
+    for pose, change in zip(poses, faults.growth(len(poses)), strict=True):
         growth = np.ones(13)
-        growth[:2] += faults.focus * place
+        growth[:2] += change
         sides = [Camera.from_parameters(camera.parameters * growth, camera.size_px) for camera in (rig.left, rig.right)]
         found = []
         for side, pixel in zip(

@@ -142,7 +142,9 @@ class ChannelChain:
 def channel_chain(channel: Located, frequency_hz: FloatArray) -> ChannelChain:
     """Return a channel with its response file read at frequencies (K,)."""
     entry = channel.entry
-    response = None if entry.response is None else read_response(entry.response, frequency_hz, entry.response_result)
+    response = None
+    if entry.response is not None:
+        response = read_response(entry.response, frequency_hz, entry.response_result, entry.response_columns)
     return ChannelChain(entry, frequency_hz, response, channel.record.entry.name, channel.u_clock_s)
 
 

@@ -1,0 +1,155 @@
+"""Tables of calibration systems as responses: columns by name, units, repeats; the same numbers as typed by hand."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from support import edit, evaluated
+
+from fusion.cli import main
+from fusion.recording.load import load_manifest
+from fusion.recording.manifest import ResponseColumns
+from fusion.recording.response import read_response, read_table
+
+DEMO = Path(__file__).parents[2] / "sample_images" / "demo"
+AT_HZ = np.array([10.0, 40.0, 80.0, 160.0, 500.0, 1000.0, 2000.0])
+CHARGE = ResponseColumns(
+    frequency="f",
+    magnitude="S",
+    phase="phi",
+    u_magnitude="U(S)",
+    u_phase="U(phi)",
+    magnitude_unit="mV/(m/s^2)",
+    phase_unit="deg",
+    u_magnitude_unit="%",
+    k=2.0,
+)
+KEY = (
+    'response_columns = { frequency = "f", magnitude = "S", phase = "phi", u_magnitude = "U(S)", u_phase = "U(phi)", '
+    'magnitude_unit = "mV/(m/s^2)", phase_unit = "deg", u_magnitude_unit = "%", k = 2.0 }'
+)
+
+
+def accelerometer(frequency_hz):
+    """10.2 mV/(m/s²) with a mounted resonance at 28 kHz, of opposite sign."""
+    ratio = frequency_hz / 28e3
+    return -10.2e-3 / (1 - ratio**2 + 0.03j * ratio)
+
+
+def german_table(path: Path, loops: int = 1, scatter: float = 0.0, suffix: str = ".csv") -> Path:
+    """A table as European systems export it: semicolons, decimal commas, a row of units, loops one after the other."""
+    rng = np.random.default_rng(3)
+    lines = ["loop;f;S;phi;U(S);U(phi)", "1;Hz;mV/(m/s^2);deg;%;deg"]
+    for loop in range(loops):
+        for frequency, value in zip(AT_HZ, accelerometer(AT_HZ), strict=True):
+            off, turn = scatter * rng.standard_normal(2)
+            seen = value * (1 + off) * np.exp(1j * turn)
+            row = (loop + 1, frequency, 1e3 * abs(seen), np.degrees(np.angle(seen)), 0.5, 0.4)
+            lines.append(";".join(f"{cell:.12g}".replace(".", ",") for cell in row))
+    table = path / f"calibration{suffix}"
+    table.write_text("\n".join(lines) + "\n", encoding="latin-1")
+    return table
+
+
+def test_a_table_of_a_calibration_system_is_read_by_its_own_columns(tmp_path):
+    table = read_table(german_table(tmp_path), CHARGE)
+    np.testing.assert_allclose(table.frequency_hz, AT_HZ)
+    np.testing.assert_allclose(table.magnitude, np.abs(accelerometer(AT_HZ)), rtol=1e-10)
+    np.testing.assert_allclose(np.exp(1j * table.phase_rad), np.exp(1j * np.angle(accelerometer(AT_HZ))), atol=1e-10)
+    np.testing.assert_allclose(table.u_magnitude, 0.0025 * table.magnitude)
+    np.testing.assert_allclose(table.u_phase_rad, np.radians(0.2))
+    found = read_response(german_table(tmp_path), np.array([93.0, 700.0]), None, CHARGE)
+    np.testing.assert_allclose(found.value, accelerometer(np.array([93.0, 700.0])), rtol=1e-4)
+
+
+def test_loops_are_averaged_and_lessen_their_scatter_only(tmp_path):
+    """Phases that lie around 180° are averaged on the circle; 400 loops of 1 % leave the stated 0.25 % and 0.05 %."""
+    table = read_table(german_table(tmp_path, loops=400, scatter=0.01), CHARGE)
+    assert len(table.frequency_hz) == len(AT_HZ)
+    value = table.magnitude * np.exp(1j * table.phase_rad)
+    assert np.abs(value / accelerometer(AT_HZ) - 1).max() < 4 * 0.01 / 20
+    np.testing.assert_allclose(table.u_magnitude / table.magnitude, np.hypot(0.0025, 0.01 / 20), rtol=0.02)
+    np.testing.assert_allclose(table.u_phase_rad, np.hypot(np.radians(0.2), 0.01 / 20), rtol=0.02)
+
+
+def test_datasets_of_an_hdf5_file_are_columns(tmp_path):
+    """Groups of datasets as PTB's programs store transfer functions, loops by loops, in rad and absolute units."""
+    path, value = tmp_path / "TF.hdf5", accelerometer(np.tile(AT_HZ, 3))
+    with h5py.File(path, "w") as file:
+        group = file.create_group("TRANSFER/acceleration")
+        group["Frequency"] = np.tile(AT_HZ, 3)
+        group["Magnitude"], group["Magnitude_std"] = np.abs(value), 1e-3 * np.abs(value)
+        group["Phase"], group["Phase_std"] = np.angle(value), np.full(len(value), 2e-3)
+    names = ("Frequency", "Magnitude", "Phase", "Magnitude_std", "Phase_std")
+    keys = ("frequency", "magnitude", "phase", "u_magnitude", "u_phase")
+    columns = ResponseColumns(**{key: f"TRANSFER/acceleration/{name}" for key, name in zip(keys, names, strict=True)})
+    table = read_table(path, columns)
+    np.testing.assert_allclose(table.magnitude, np.abs(accelerometer(AT_HZ)))
+    np.testing.assert_allclose(table.u_magnitude, 1e-3 * table.magnitude)
+    np.testing.assert_allclose(table.u_phase_rad, 2e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "old", "new", "told"),
+    [
+        ("table", ";S;", ";A;", "S"),
+        ("table", "10,2", "-10,2", "positive values"),
+        ("table", ";0,5;", ";-0,5;", "no negative values"),
+        ("table", "10,2", "x", "line 3: expected numbers"),
+        ("table", ";0,4", ";", "U(phi): expected one finite number per row, found nan in row 1"),
+        ("table", ";160;", ";1e200;", "160"),
+        ("manifest", '"mV/(m/s^2)"', '"mV per g"', "response_columns.magnitude_unit: expected a unit"),
+        ("manifest", '"deg"', '"grad"', "response_columns.phase_unit"),
+        ("manifest", "k = 2.0", "k = 0.0", "response_columns.k"),
+        ("manifest", 'phase = "phi", ', "", "response_columns.phase: expected this key"),
+        ("manifest", "calibration.csv", "recording.toml", "no such key without a table as response"),
+    ],
+)
+def test_a_table_that_cannot_be_read_is_one_sentence(tmp_path, capsys, change, old, new, told):
+    recording = with_response(tmp_path, f'response = "calibration.csv"\n{KEY}')
+    german_table(recording)
+    edit(recording / ("calibration.csv" if change == "table" else "recording.toml"), old, new)
+    assert main(["check", str(recording)]) == 2
+    said = capsys.readouterr()
+    assert told in said.out + said.err
+    assert ("calibration.csv" if change == "table" else "recording.toml") in said.out + said.err
+    assert "Traceback" not in said.err
+
+
+def with_response(folder: Path, text: str) -> Path:
+    """The demo's recording whose accelerometer has its calibration in a response file."""
+    shutil.copytree(DEMO, folder / "demo")
+    recording = folder / "demo" / "Fz-0080"
+    edit(recording / "recording.toml", 'quantity = "acceleration"\n', f'quantity = "acceleration"\n{text}\n')
+    return recording
+
+
+@pytest.mark.slow
+def test_a_run_with_a_table_by_its_columns_is_one_with_the_table_typed(tmp_path):
+    frequency = np.array(load_manifest(DEMO / "Fz-0080").excitation.frequencies)
+    recording = with_response(tmp_path / "a", f'response = "calibration.csv"\n{KEY}')
+    german_table(recording, loops=2)
+    assert AT_HZ[0] < frequency.min() <= frequency.max() < AT_HZ[-1]
+    by_columns = accelerometer_of(evaluated(recording))
+    recording = with_response(tmp_path / "b", 'response = "typed.csv"')
+    value = accelerometer(AT_HZ)
+    lines = ["frequency_hz,magnitude,phase_rad,u_magnitude,u_phase_rad"]
+    for hertz, one in zip(AT_HZ, value, strict=True):
+        row = (hertz, abs(one), np.angle(one), 0.0025 * abs(one), np.radians(0.2))
+        lines.append(",".join(f"{float(cell):.15g}" for cell in row))
+    (recording / "typed.csv").write_text("\n".join(lines), encoding="utf-8")
+    typed = accelerometer_of(evaluated(recording))
+    np.testing.assert_allclose(by_columns.phasors.value, typed.phasors.value, rtol=1e-9)
+    plain = accelerometer_of(evaluated(with_response(tmp_path / "c", "")))
+    ratio = plain.phasors.value / typed.phasors.value
+    np.testing.assert_allclose(ratio[0], accelerometer(frequency[0]), rtol=1e-4)
+
+
+def accelerometer_of(evaluation):
+    """The channel of the accelerometer."""
+    (channel,) = (own for own in evaluation.channels if own.name == "base_acceleration")
+    return channel
