@@ -21,14 +21,14 @@ SUPPORT = 8
 LIKE_PEAK, LESS_PEAK, PEAK_PX = 0.8, 0.15, 3
 
 
-def match_features(left_image: Image, right_image: Image) -> tuple[FloatArray, FloatArray]:
+def match_features(left_image: Image, right_image: Image, most: int = FEATURES) -> tuple[FloatArray, FloatArray]:
     """Positions (M,2), (M,2) of the same features in both images: SIFT, mutually nearest, with the ratio test.
 
-    Lowe 2004, Int. J. Comput. Vis. 60, 91; OpenCV's features, at most 6000 per image.
+    Lowe 2004, Int. J. Comput. Vis. 60, 91; OpenCV's features, the `most` distinct of each image.
     """
     import cv2
 
-    finder = cv2.SIFT.create(nfeatures=FEATURES, contrastThreshold=0.01)
+    finder = cv2.SIFT.create(nfeatures=most, contrastThreshold=0.01)
     left_points, left_words = finder.detectAndCompute(_eight_bit(left_image), None)
     right_points, right_words = finder.detectAndCompute(_eight_bit(right_image), None)
     if min(len(left_points), len(right_points)) < 2:
@@ -182,19 +182,27 @@ def warp_of_affine(affine: FloatArray) -> FloatArray:
 
 
 def _mutual_nearest(left: NDArray[np.float32], right: NDArray[np.float32]) -> list[tuple[int, int]]:
-    """Pairs of descriptors that are each other's nearest, clearly nearer than the left one's second nearest."""
-    size = np.sum(right**2, axis=1)
+    """Pairs of descriptors that are each other's nearest, clearly nearer than the left one's second nearest.
+
+    All squared distances |l|² − 2·l·r + |r|² of a part at once, as one product of matrices.
+    """
+    ones = np.ones((len(right), 1), np.float32)
+    columns = np.hstack([-2 * right, ones, np.sum(right**2, axis=1, keepdims=True)]).T
+    every = np.arange(len(right))
     least, back = np.full(len(right), np.inf), np.zeros(len(right), dtype=np.int64)
     candidates: list[tuple[int, int]] = []
     for start in range(0, len(left), CHUNK):
         part = left[start : start + CHUNK]
-        square = np.maximum(np.sum(part**2, axis=1)[:, None] - 2.0 * part @ right.T + size, 0.0)
-        nearest, closer = np.argmin(square, axis=1), np.argmin(square, axis=0)
-        first, second = np.partition(square, 1, axis=1)[:, :2].T
+        square = np.hstack([part, np.sum(part**2, axis=1, keepdims=True), ones[:1].repeat(len(part), axis=0)]) @ columns
+        closer = np.argmin(square, axis=0)
+        found = square[closer, every]
+        better = found < least
+        least[better], back[better] = found[better], start + closer[better]
+        rows, nearest = np.arange(len(part)), np.argmin(square, axis=1)
+        first = square[rows, nearest]
+        square[rows, nearest] = np.inf
+        second = square.min(axis=1)
         candidates += [(start + int(n), int(nearest[n])) for n in np.flatnonzero(first < RATIO**2 * second)]
-        better = square[closer, np.arange(len(right))] < least
-        least[better] = square[closer, np.arange(len(right))][better]
-        back[better] = start + closer[better]
     return [pair for pair in candidates if back[pair[1]] == pair[0]]
 
 

@@ -23,6 +23,7 @@ LOW_CONTRAST = 0.03  # standard deviation over full scale
 FINE_PX, COARSE_PX, UNLIKE = 2.5, 7.5, 1.5
 SMALL_AREA = 0.02  # share of the picture
 LARGEST_PX = 400  # side of the pictures in which features are matched
+FEATURES = 2000  # of each picture
 INLIER_PX, OFF_PX, FAR_OFF_PX = 3.0, 0.3, 1.0
 FEWEST_MATCHES, FEWEST_ON_LINES = 20, 0.2
 
@@ -161,7 +162,7 @@ def _matches(left: GreyImage, right: GreyImage) -> tuple[FloatArray, FloatArray]
     if factor > 1.0:
         size = (round(left.shape[1] / factor), round(left.shape[0] / factor))
         small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (left, right)]
-        first, second = match_features(*small)
+        first, second = match_features(*small, most=FEATURES)
     else:
-        first, second = match_features(left, right)
+        first, second = match_features(left, right, most=FEATURES)
     return (first + 0.5) * factor - 0.5, (second + 0.5) * factor - 0.5

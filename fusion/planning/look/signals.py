@@ -21,7 +21,7 @@ from shaker.timebase.trigger import TriggerFit, fit_trigger
 
 Level = Literal["good", "look", "wrong"]
 LEVELS: tuple[Level, ...] = ("good", "look", "wrong")
-LOOKED_AT = 1 << 17  # samples in which lines are looked for
+LOOKED_AT = 1 << 16  # samples in which lines are looked for
 FEWEST = 64
 CLIPPED, FEWEST_CLIPPED = 3.0, 8  # samples at an extreme over those of the three levels below it; how many at least
 FEWEST_STEPS = 30  # of the converter, in the amplitude of a driven line
@@ -88,6 +88,9 @@ def _clipping(where: str, channel: RawChannel) -> Iterator[Finding]:
     Of a sine read in steps the outermost level holds about as many samples as the next three together, (1 : 0.41 + 0.32
     + 0.27); one that is cut off holds far more.
     """
+    ends = (np.count_nonzero(channel.samples == limit) for limit in (channel.samples.max(), channel.samples.min()))
+    if max(ends) < FEWEST_CLIPPED:
+        return
     levels, counts = np.unique(channel.samples, return_counts=True)
     if len(levels) < 8:
         return
@@ -145,8 +148,8 @@ def _beside_the_line(where: str, channel: RawChannel, amplitude: float, *, drive
     if drift > DRIFTS * amplitude:
         told = f"drifts by {drift:.3g} {channel.unit}, {100 * drift / amplitude:.2g} % of its driven line"
         yield Finding("look", where, " ".join(told.split()))
-    steps = np.diff(np.unique(channel.samples[:LOOKED_AT]))
-    if driven and 0 < len(steps) < LOOKED_AT // 8 and amplitude < FEWEST_STEPS * float(steps.min()):
+    steps = np.diff(np.unique(channel.samples[:LOOKED_AT])) if driven else np.empty(0)
+    if 0 < len(steps) < LOOKED_AT // 8 and amplitude < FEWEST_STEPS * float(steps.min()):
         yield Finding("look", where, f"its driven line is only {amplitude / float(steps.min()):.2g} converter steps")
 
 
