@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from importlib.metadata import version
 from typing import Any, Literal
 
@@ -19,7 +20,67 @@ LONGEST_SHOWN = 60
 """Characters of a value that a result shows when it is printed in Python."""
 
 
-def check_shape(name: str, array: NDArray[Any], shape: tuple[int | None, ...]) -> None:
+@dataclass(frozen=True, eq=False)
+class Stacked:
+    """Channels side by side, (S, C), put together where rows are asked for instead of held twice.
+
+    Each is a column times its factor; of the columns only `rows` (S,) where these are given.
+    """
+
+    columns: tuple[FloatArray, ...]
+    factors: tuple[float, ...]
+    rows: IntArray | None = None
+    ndim = 2
+
+    @staticmethod
+    def of(values: FloatArray | Stacked) -> Stacked:
+        """Return the columns of an array (S, C)."""
+        return values if isinstance(values, Stacked) else Stacked(tuple(values.T), (1.0,) * values.shape[1])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of samples and of channels."""
+        every = len(self.columns[0]) if self.columns else 0
+        return every if self.rows is None else len(self.rows), len(self.columns)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, rows: slice) -> FloatArray:
+        """Return rows (R, C) of all channels."""
+        own = rows if self.rows is None else self.rows[rows]
+        values = np.empty((len(range(*rows.indices(len(self)))), len(self.columns)))
+        for c, (column, factor) in enumerate(zip(self.columns, self.factors, strict=True)):
+            np.multiply(column[own], factor, out=values[:, c])
+        return values
+
+    def each(self) -> Iterator[FloatArray]:
+        """Yield the channels (S,) one by one."""
+        for column, factor in zip(self.columns, self.factors, strict=True):
+            yield np.asarray((column if self.rows is None else column[self.rows]) * factor)
+
+    def parts(self) -> Iterator[FloatArray]:
+        """Yield all rows (R, C), some at a time."""
+        for first in range(0, len(self), _ROWS):
+            yield self[first : first + _ROWS]
+
+    def select(self, chosen: Sequence[int]) -> Stacked:
+        """Return some of the channels."""
+        columns, factors = zip(*((self.columns[c], self.factors[c]) for c in chosen), strict=True)
+        return replace(self, columns=columns, factors=factors)
+
+    def kept(self, rows: BoolArray | None) -> Stacked:
+        """Return the rows (S,) that are true, None for all."""
+        if rows is None:
+            return self
+        chosen = np.flatnonzero(rows)
+        return replace(self, rows=chosen if self.rows is None else self.rows[chosen])
+
+
+_ROWS = 1 << 14  # rows looked through at a time
+
+
+def check_shape(name: str, array: NDArray[Any] | Stacked, shape: tuple[int | None, ...]) -> None:
     """Raise `ValueError` unless `array` has `shape`; `None` stands for any length."""
     fits = array.ndim == len(shape) and all(
         want is None or want == have for want, have in zip(shape, array.shape, strict=True)

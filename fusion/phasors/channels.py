@@ -14,7 +14,7 @@ from fusion.instruments.channel import NOISE_REACH, ChainUncertainty, Reading, a
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.timing import Lateness, TimeBase, together
 from fusion.recording.response import read_response
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, Stacked, brief
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.lines.spectrum import amplitude_spectrum
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from shaker.frf.chain import ChainResponse
 
 EXCERPT_PERIODS = 4
+MOST_BINS = 1 << 18
+"""Of a spectrum that is kept."""
 DRIVEN = 0.05
 """Of the strongest line: what a line of a multisine without stated frequencies must reach."""
 APART_PERIODS = 2.0
@@ -54,7 +56,8 @@ class ChannelResult:
     """One DAQ channel: phasors in SI at the recording's lines, and what the figures need.
 
     `excerpt_s`, `excerpt`, `excerpt_fit` (S,): a short stretch with its fit. `spectrum_hz`, `spectrum` (B,):
-    amplitude spectrum of the signal; `residual_rms`: of what the lines leave, in the channel's SI unit.
+    amplitude spectrum of the signal, of long records the highest of neighbouring bins; `residual_rms`: of what the
+    lines leave, in the channel's SI unit.
     `stationarity`: phasors over blocks of whole periods, delay and response not corrected. `notices`: what its fit
     wants the user to know. `harmonics`: fundamentals and their harmonics up to the fifth, whether or not they are lines
     of the recording, as far as this channel samples them; None where there are many fundamentals.
@@ -91,7 +94,7 @@ class LineRecord:
     record: DaqRecord
     channels: tuple[ChannelEntry, ...]
     time_s: FloatArray
-    values: FloatArray
+    values: Stacked
 
 
 def line_clock(base: TimeBase) -> tuple[Lateness, ...]:
@@ -122,8 +125,7 @@ def line_record(base: TimeBase) -> LineRecord | None:
     record, channel = fastest
     time_s = base.to_base_s(record.entry.name, record.time_s(channel.name))
     group = next(group for group in _same_times(record) if channel in group)
-    values = np.stack([record.values(member) for member in group], axis=1)
-    return LineRecord(record, tuple(group), time_s, values)
+    return LineRecord(record, tuple(group), time_s, record.stacked(group))
 
 
 def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
@@ -184,7 +186,7 @@ def _stretch(base: TimeBase, name: str, lines: Lines) -> dict[str, tuple[float, 
         rate_hz = record.raw[group[0].name].sample_rate_hz
         frequency_hz = lines.frequency_hz[lines.frequency_hz < rate_hz / 2.0]
         time_s = base.to_base_s(name, record.time_s(group[0].name))
-        values, names = np.stack([record.values(member) for member in group], axis=1), [member.name for member in group]
+        values, names = record.stacked(group), [member.name for member in group]
         with suppress(ValueError):
             free = SineModel(free=(0,) * len(frequency_hz))
             fit = fit_sines(time_s, values, frequency_hz, names, names, model=free)
@@ -216,7 +218,7 @@ def lines_in(manifest: Manifest, chosen: LineRecord) -> Lines:
 
 
 def _driven_lines(
-    manifest: Manifest, time_s: FloatArray, values: FloatArray, names: Sequence[str]
+    manifest: Manifest, time_s: FloatArray, values: Stacked, names: Sequence[str]
 ) -> tuple[Sequence[float], Notice]:
     """Return the lines in the band of a multisine that states no frequencies, and a notice that lists them.
 
@@ -226,7 +228,7 @@ def _driven_lines(
     excitation = manifest.excitation
     chosen = [c for c, name in enumerate(names) if name in excitation.reference] or list(range(len(names)))
     rate_hz = (len(time_s) - 1) / float(time_s[-1] - time_s[0])
-    lines = survey_lines(values[:, chosen], rate_hz)
+    lines = survey_lines(values.select(chosen)[:], rate_hz)
     low, high = excitation.band or (0.0, rate_hz / 2.0)
     in_band = lines.select((lines.frequency_hz >= low) & (lines.frequency_hz <= high))
     kept = in_band.select(relative_strength(in_band.amplitude) >= DRIVEN) if len(in_band.frequency_hz) else in_band
@@ -294,7 +296,7 @@ def _fit_group(
     lines, seen, errors = wanted_lines
     time_s = base.to_base_s(record.entry.name, record.time_s(group[0].name))
     rate_hz = record.raw[group[0].name].sample_rate_hz
-    values = np.stack([record.values(channel) for channel in group], axis=1)
+    values = record.stacked(group)
     names = [channel.name for channel in group]
     apart = np.abs(np.subtract.outer(lines.nuisance_hz, alias_frequency(lines.frequency_hz, rate_hz)))
     clear = np.all(apart * float(time_s[-1] - time_s[0]) >= APART_PERIODS, axis=1)
@@ -307,15 +309,15 @@ def _fit_group(
         every = np.concatenate([frequency_hz, added])
         fit = fit_sines(time_s, values, every, names, units, model=SineModel(robust=True))
     wanted = spread_lines(fit.phasors.at_lines(np.arange(np.count_nonzero(seen))), seen, lines.frequency_hz)
-    whole = values
+    kept = None
     if len(fit.spikes):
-        values = values.copy()
-        values[fit.spikes] = np.nan
-    steady = stationarity(time_s, values, frequency_hz, names)
+        kept = np.ones(len(values), dtype=np.bool_)
+        kept[fit.spikes] = False
+    steady = stationarity(time_s if kept is None else time_s[kept], values.kept(kept), frequency_hz, names)
     fitted: list[tuple[ChannelResult, Reading]] = []
     for c, channel in enumerate(group):
         own = wanted.select([channel.name])
-        result, reading = _result(record, channel, time_s, whole[:, c], fit, own)
+        result, reading = _result(record, channel, time_s, fit, own)
         order = -TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
         late = [error.through(fit, seen, order).of_channel(c).relative_to(own) for error in errors]
         steady_here = steady and steady.select(channel.name)
@@ -364,12 +366,11 @@ def _result(
     record: DaqRecord,
     channel: ChannelEntry,
     time_s: FloatArray,
-    values: FloatArray,
     fit: SineFit,
     phasors: Phasors,
 ) -> tuple[ChannelResult, Reading]:
     """Correct one channel's phasors for delay and response, and keep what its figures need."""
-    block, rate_hz = record.entry.name, record.raw[channel.name].sample_rate_hz
+    block, rate_hz, values = record.entry.name, record.raw[channel.name].sample_rate_hz, record.stacked([channel])
     chain = ChainUncertainty(clock=block)
     correction, response = _correction(channel, phasors.frequency_hz)
     if response is not None:
@@ -377,7 +378,7 @@ def _result(
     phasors = phasors.scaled(correction[:, None])
     place = fit.phasors.channels.index(channel.name)
     shown = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
-    spectrum = amplitude_spectrum(values, rate_hz)
+    spectrum = amplitude_spectrum(values, rate_hz, MOST_BINS)
     result = ChannelResult(
         name=channel.name,
         daq=block,
@@ -389,10 +390,10 @@ def _result(
         phasors=phasors,
         residual_rms=float(fit.residual_rms[place]),
         excerpt_s=time_s[shown].copy(),  # a view would hold the whole record
-        excerpt=values[shown].copy(),
+        excerpt=values[shown][:, 0],
         excerpt_fit=fit.model(time_s[shown])[:, place],
         spectrum_hz=spectrum.frequency_hz,
-        spectrum=spectrum.amplitude,
+        spectrum=spectrum.amplitude[:, 0],
         notices=tuple(Notice(n.severity, f"{block}, {n.where}: {n.text}", block) for n in fit.notices),
     )
     return result, Reading(channel, phasors, chain)

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import K2, AnyNotice, InputError, rounded, stdout_console
-from fusion.phasors.channels import line_record, lines_in
+from fusion.phasors.channels import MOST_BINS, line_record, lines_in
 from fusion.phasors.timing import tie_daqs
 from fusion.recording.files import read_set_ups, told_in
 from fusion.recording.load import Manifest
-from shaker.arrays import FloatArray
+from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
 from shaker.lines.detection import Survey, decibel, survey_lines
@@ -125,7 +125,7 @@ def lines_of_recording(manifest: Manifest, *, drawn: bool = False) -> LineList:
             for entry in sorted(entries, key=lambda entry: entry.frequency_hz)
         ),
         cameras,
-        amplitude_spectrum(chosen.values, rate_hz) if drawn else None,
+        amplitude_spectrum(chosen.values, rate_hz, MOST_BINS) if drawn else None,
         lines.others,
         lines.notices,
     )
@@ -153,8 +153,7 @@ def _file_group(
 ) -> LineList:
     """Survey channels that were sampled alike."""
     rate_hz = next(iter(group.values())).sample_rate_hz
-    columns = [channel.samples for channel in group.values()]
-    values = columns[0][:, None] if len(columns) == 1 else np.stack(columns, axis=1)
+    values = Stacked(tuple(channel.samples for channel in group.values()), (1.0,) * len(group))
     for name, channel in group.items():
         missing = int(np.count_nonzero(~np.isfinite(channel.samples)))
         if missing:
@@ -173,13 +172,13 @@ def _file_group(
         len(values),
         tuple(_others(survey, None)),
         (),
-        amplitude_spectrum(values, rate_hz) if drawn else None,
+        amplitude_spectrum(values, rate_hz, MOST_BINS) if drawn else None,
         survey,
         survey.notices,
     )
 
 
-def _fitted(time_s: FloatArray, values: FloatArray, lines: Lines, rate_hz: float) -> list[Entry]:
+def _fitted(time_s: FloatArray, values: Stacked, lines: Lines, rate_hz: float) -> list[Entry]:
     """Return the lines that a run fits."""
     names = [str(c) for c in range(values.shape[1])]
     both = np.concatenate([lines.frequency_hz, lines.nuisance_hz])

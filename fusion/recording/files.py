@@ -13,7 +13,7 @@ import numpy as np
 from fusion.base import ComputeError, InputError, as_input_error
 from fusion.instruments.transducer import TRANSDUCERS, wrong_aim
 from fusion.recording.manifest import SCAN, ChannelEntry, Daq, Frames
-from shaker.arrays import FloatArray
+from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
 from shaker.io.text import Scan, read_scan_asc
@@ -45,6 +45,11 @@ class DaqRecord:
     def values(self, channel: ChannelEntry) -> FloatArray:
         """Return the samples (S,) of a channel times its scale: SI of its quantity."""
         return np.asarray(self.raw[channel.name].samples * channel.scale)
+
+    def stacked(self, channels: Sequence[ChannelEntry]) -> Stacked:
+        """Return channels sampled alike side by side, (S, C), in SI of their quantities."""
+        columns = tuple(self.raw[channel.name].samples for channel in channels)
+        return Stacked(columns, tuple(channel.scale for channel in channels))
 
     def pulse_width(self, trigger: str) -> PulseWidth:
         """Measure the width of the pulses of a trigger channel; a `ValueError` says why it cannot be."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, Notice, check_shape, check_shapes
+from shaker.arrays import BoolArray, FloatArray, Notice, Stacked, check_shape, check_shapes
 from shaker.lines.spectrum import MOST_LINES, Peaks, find_peaks
 from shaker.sine.aliasing import CAPTURE, alias_frequency, unfolded
 
@@ -364,7 +364,7 @@ def decibel(power_ratio: float) -> float:
 
 
 def survey_lines(
-    values: FloatArray,
+    values: FloatArray | Stacked,
     rate_hz: float,
     nominal_hz: Sequence[float] = (),
     false_alarm: float = FALSE_ALARM,
@@ -384,46 +384,48 @@ def survey_lines(
     >>> [origin.kind for origin in lines.origin]
     ['fundamental', 'harmonic']
     """
-    data = values[:, None] if values.ndim == 1 else values
+    data = Stacked.of(values[:, None] if not isinstance(values, Stacked) and values.ndim == 1 else values)
     check_shape("values", data, (None, None))
     if len(data) < _FEWEST:
         raise ValueError(f"values: expected at least {_FEWEST} samples, found {len(data)}")
-    if not np.isfinite(data).all():
-        raise ValueError(f"values: expected finite samples, found {int(np.sum(~np.isfinite(data)))} that are not")
+    missing = sum(int(np.count_nonzero(~np.isfinite(part))) for part in data.parts())
+    if missing:
+        raise ValueError(f"values: expected finite samples, found {missing} that are not")
     if not rate_hz > 0.0:
         raise ValueError(f"rate_hz: expected a positive number, found {rate_hz}")
-    first = look(data, rate_hz, false_alarm)
+    first = look(data.each(), data.shape, rate_hz, false_alarm)
     given, notices = _nominal(first, nominal_hz, rate_hz, len(data))
     seen = given
     if not len(nominal_hz):
         named = with_origins(first, rate_hz, len(data))
         seen = np.array([o.fundamental_hz for o in named.origin if o.kind == "fundamental"])
-    second = look(data, rate_hz, false_alarm, expected_places(seen, rate_hz))
+    second = look(data.each(), data.shape, rate_hz, false_alarm, expected_places(seen, rate_hz))
     named = with_origins(second, rate_hz, len(data), given if len(nominal_hz) else None)
     return replace(named, notices=named.notices + notices)
 
 
 def look(
-    data: FloatArray,
+    columns: Iterable[FloatArray],
+    shape: tuple[int, ...],
     rate_hz: float,
     false_alarm: float,
     expected_hz: FloatArray | None = None,
     taken_hz: FloatArray | None = None,
     smallest: FloatArray | None = None,
 ) -> Survey:
-    """Return the lines of uniform samples (S, C), not yet named.
+    """Return the lines of C columns of uniform samples (S,), `shape` (S, C), not yet named.
 
     `expected_hz`: where less height is enough. `taken_hz`: lines whose fit left these samples as residual. `smallest`
     (C,): amplitude below which a peak is rounding.
     """
-    samples, channels = data.shape
+    samples, channels = shape
     to_bins = samples / rate_hz
     expected = np.empty(0) if expected_hz is None else expected_hz * to_bins
     taken = np.empty(0) if taken_hz is None else alias_frequency(taken_hz, rate_hz) * to_bins
     least = np.zeros(channels) if smallest is None else smallest
     peaks = [
-        find_peaks(np.ascontiguousarray(data[:, c]), false_alarm / channels, expected, taken, float(least[c]))
-        for c in range(channels)
+        find_peaks(np.ascontiguousarray(column), false_alarm / channels, expected, taken, float(smallest_here))
+        for column, smallest_here in zip(columns, least, strict=True)
     ]
     return _merged(peaks, rate_hz / samples)
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, check_shape, check_shapes
+from shaker.arrays import BoolArray, FloatArray, IntArray, Notice, Stacked, check_shape, check_shapes
 from shaker.lines.detection import (
     FALSE_ALARM,
     LineList,
@@ -29,7 +29,7 @@ from shaker.sine.aliasing import (
     unfolded,
     usable_lines,
 )
-from shaker.sine.fit import fit_sines
+from shaker.sine.fit import fit_sines, rows_present
 from shaker.sine.solve import SineFit, SineModel
 
 MAX_MULTIPLE = 20  # harmonics looked for
@@ -71,7 +71,7 @@ class Lines:
 
 def find_lines(
     time_s: FloatArray,
-    values: FloatArray,
+    values: FloatArray | Stacked,
     nominal_hz: Sequence[float],
     harmonics: Literal["auto"] | Sequence[int] = "auto",
 ) -> Lines:
@@ -144,7 +144,7 @@ class _Record:
     """Complete samples (S, C) on a grid."""
 
     time_s: FloatArray
-    data: FloatArray
+    data: Stacked
     grid: SamplingGrid
 
     @property
@@ -163,8 +163,7 @@ class _Record:
         capture = np.minimum(CAPTURE * nominal + 2.0 * self.resolution_hz, apart.min(axis=1) / 2.0)
         capture = np.maximum(capture, self.resolution_hz)
         intervals = np.stack([alias - capture, alias + capture], axis=1) / self.resolution_hz
-        filled = self.grid.filled(self.data - self.data.mean(axis=0))
-        peaks = [excess_power(np.ascontiguousarray(column), intervals) for column in filled.T]
+        peaks = [excess_power(self.grid.filled(own - own.mean()), intervals) for own in self.data.each()]
         height = np.stack([ratio for ratio, _ in peaks], axis=1)
         for q in np.flatnonzero(~(height.max(axis=1) > _PROMINENT)):
             raise ValueError(
@@ -195,9 +194,13 @@ class _Record:
         """Return the lines in what a fit leaves, and its nuisances, named."""
         lines, fit = fitted.chosen.lines, fitted.fit
         amplitude = np.abs(fit.phasors.value)
-        residual = self.grid.filled(fit.residual_of(self.time_s, self.data))
+        residuals = (
+            self.grid.filled(own - fit.model(self.time_s, slice(c, c + 1))[:, 0])
+            for c, own in enumerate(self.data.each())
+        )
         others = look(
-            residual,
+            residuals,
+            (self.grid.length, self.data.shape[1]),
             self.grid.rate_hz,
             FALSE_ALARM,
             expected_places(fitted.chosen.fundamental, self.grid.rate_hz),
@@ -241,16 +244,17 @@ def _near(frequency_hz: FloatArray, lines: FloatArray, resolution_hz: float) -> 
     return np.asarray(np.any(np.abs(np.subtract.outer(frequency_hz, lines)) < 1.5 * resolution_hz, axis=1))
 
 
-def _complete(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _complete(time_s: FloatArray, values: FloatArray | Stacked) -> tuple[FloatArray, Stacked]:
     """Return times and values (S, C) of the samples without NaN, channels that never change left out."""
     check_shape("time_s", time_s, (None,))
-    data = values[:, None] if values.ndim == 1 else values
+    data = Stacked.of(values[:, None] if not isinstance(values, Stacked) and values.ndim == 1 else values)
     check_shape("values", data, (len(time_s), None))
-    present = np.isfinite(data).all(axis=1)
-    moving = np.ptp(data[present], axis=0) > 0.0 if present.any() else np.zeros(data.shape[1], dtype=np.bool_)
-    if not moving.any():
+    present = rows_present(data)
+    time_s, data = time_s if present is None else time_s[present], data.kept(present)
+    moving = [c for c, own in enumerate(data.each()) if len(own) and np.ptp(own) > 0.0]
+    if not moving:
         raise ValueError(f"values: expected a channel that changes, found {data.shape[1]} without any change")
-    return time_s[present], data[present][:, moving]
+    return time_s, data.select(moving)
 
 
 def _unfiltered(nominal: FloatArray, all_nominal: FloatArray, grid: SamplingGrid) -> tuple[Notice, ...]:

@@ -16,7 +16,7 @@ from math import lgamma
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape, check_shapes
+from shaker.arrays import ComplexArray, FloatArray, IntArray, Stacked, check_shape, check_shapes
 
 
 @dataclass(frozen=True)
@@ -39,25 +39,32 @@ def hann_window(samples: int) -> FloatArray:
     return np.asarray(1.0 - np.cos(2.0 * np.pi * np.arange(samples) / samples))
 
 
-def amplitude_spectrum(samples: FloatArray, sample_rate_hz: float) -> Spectrum:
+def amplitude_spectrum(samples: FloatArray | Stacked, sample_rate_hz: float, most_bins: int | None = None) -> Spectrum:
     """Return the one-sided amplitude spectrum of samples (S,) or (S, C) under a Hann window, their mean removed.
 
-    A sine on a bin shows its peak amplitude, one between two bins up to 15 % less.
+    A sine on a bin shows its peak amplitude, one between two bins up to 15 % less. Of more than `most_bins` bins the
+    highest of each few neighbours is kept, at their mean frequency.
     """
     count = len(samples)
     if count < 2:
         raise ValueError(f"samples: expected at least 2 samples, found {count}")
-    columns = samples.reshape(count, -1)
-    amplitude = np.empty((count // 2 + 1, columns.shape[1]))
-    for c in range(columns.shape[1]):
-        spectrum = _hann_rfft(columns[:, c], count / 2.0)
-        for part in _parts(len(spectrum)):
-            amplitude[part, c] = np.abs(spectrum[part]) * (2.0 / count)
-    amplitude = amplitude.reshape(-1, *samples.shape[1:])
-    amplitude[0] /= 2.0
-    if count % 2 == 0:
-        amplitude[-1] /= 2.0
-    return Spectrum(np.asarray(np.fft.rfftfreq(count, 1.0 / sample_rate_hz), dtype=np.float64), np.asarray(amplitude))
+    stacked = Stacked.of(samples if isinstance(samples, Stacked) else samples.reshape(count, -1))
+    bins = count // 2 + 1
+    merged = 1 if most_bins is None else -(-bins // most_bins)
+    first = np.arange(0, bins, merged)
+    amplitude = np.empty((len(first), stacked.shape[1]))
+    for c, column in enumerate(stacked.each()):
+        spectrum = _hann_rfft(column, count / 2.0)
+        spectrum[0] /= 2.0
+        if count % 2 == 0:
+            spectrum[-1] /= 2.0
+        own = np.empty(bins)
+        for part in _parts(bins):
+            own[part] = np.abs(spectrum[part]) * (2.0 / count)
+        amplitude[:, c] = np.maximum.reduceat(own, first)
+    last = np.minimum(first + merged, bins) - 1
+    frequency = (first + last) / 2.0 * (1.0 / (count * (1.0 / sample_rate_hz)))
+    return Spectrum(frequency, amplitude.reshape(-1, *samples.shape[1:]))
 
 
 # Hann spectra whose lines can be fitted and taken out bin by bin.

@@ -41,10 +41,10 @@ class SamplingGrid:
         return int(self.index[-1]) + 1
 
     def filled(self, values: FloatArray) -> FloatArray:
-        """Return values (S, C) on all places of the grid, zero in the gaps."""
+        """Return values (S,) or (S, C) on all places of the grid, zero in the gaps."""
         if len(values) == self.length:
             return values
-        full = np.zeros((self.length, values.shape[1]))
+        full = np.zeros((self.length, *values.shape[1:]))
         full[self.index] = values
         return full
 
@@ -70,16 +70,23 @@ def exposure_gain(frequency_hz: FloatArray, exposure_s: float) -> FloatArray:
 def sampling_grid(time_s: FloatArray) -> SamplingGrid | None:
     """Return the uniform grid (with gaps) on which ascending times lie within 1 % of an interval, or None."""
     check_shape("time_s", time_s, (None,))
-    if len(time_s) < 3 or not np.all(np.diff(time_s) > 0.0):
+    steps = np.diff(time_s)
+    if len(time_s) < 3 or not np.all(steps > 0.0):
         return None
-    interval = float(np.median(np.diff(time_s)))
-    index = np.concatenate([[0], np.cumsum(np.round(np.diff(time_s) / interval))]).astype(np.int64)
-    if index[-1] < len(time_s) - 1 or np.any(np.diff(index) < 1):
+    interval = float(np.median(steps))
+    steps /= interval
+    np.round(steps, out=steps)
+    if np.any(steps < 1.0):
         return None
+    index = np.zeros(len(time_s), dtype=np.int64)
+    index[1:] = np.cumsum(steps, out=steps)
+    del steps  # of long records each array counts
     centred = index - index.mean()
     interval = float(centred @ time_s / (centred @ centred))
     start = float(np.mean(time_s) - interval * index.mean())
-    deviation = float(np.max(np.abs(time_s - start - interval * index)))
+    np.multiply(index, interval, out=centred)
+    centred -= time_s - start
+    deviation = float(np.max(np.abs(centred, out=centred)))
     return SamplingGrid(start, 1.0 / interval, index) if deviation <= GRID_TOLERANCE * interval else None
 
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, check_shape, check_shapes
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, Stacked, check_shape, check_shapes
 from shaker.sine.aliasing import MAX_CONDITION, alias_frequency, sampling_grid, separation_bins, sine_columns
 from shaker.sine.noise import LineNoise, line_noise
 from shaker.sine.normal_equations import (
@@ -37,12 +37,11 @@ from shaker.sine.solve import (
 
 _PLAIN = SineModel()
 _ROUNDING = 1e-15  # of a channel's lines: no residual is known better
-_SCAN = 1 << 14  # rows looked through at a time
 
 
 def fit_sines(
     time_s: Times,
-    values: FloatArray,
+    values: FloatArray | Stacked,
     frequency_hz: FloatArray,
     channels: Sequence[str],
     unit: Sequence[str],
@@ -75,7 +74,7 @@ def fit_sines(
     2.00e-06 m, 0.50 rad
     """
     _check_arguments(time_s, values, frequency_hz, channels, unit)
-    present = _present(values)
+    present = rows_present(values)
     samples = Samples(timeline(time_s, present), values, _root(values, variance, present))
     names = (tuple(channels), tuple(unit))
     where = ", ".join(channels)
@@ -152,17 +151,17 @@ def _fitted(
     )
 
 
-def _present(values: FloatArray) -> BoolArray | None:
+def rows_present(values: FloatArray | Stacked) -> BoolArray | None:
     """Return which rows (S,) have finite values in all channels, None where all have."""
-    parts = [slice(first, first + _SCAN) for first in range(0, len(values), _SCAN)]
+    stacked = Stacked.of(values)
     with np.errstate(over="ignore", invalid="ignore"):
-        if all(np.isfinite(np.sum(values[part])) for part in parts):
+        if all(np.isfinite(np.sum(part)) for part in stacked.parts()):
             return None
-    present = np.concatenate([np.isfinite(values[part]).all(axis=1) for part in parts])
+    present = np.concatenate([np.isfinite(part).all(axis=1) for part in stacked.parts()])
     return None if present.all() else present
 
 
-def _root(values: FloatArray, variance: FloatArray | None, present: BoolArray | None) -> FloatArray | None:
+def _root(values: FloatArray | Stacked, variance: FloatArray | None, present: BoolArray | None) -> FloatArray | None:
     """Return weights 1/σ (S,) or (S, C) with mean square one over the rows present, zero elsewhere; None for ones."""
     if variance is None:
         return None if present is None else present.astype(np.float64)
@@ -182,7 +181,7 @@ def _written_out(time_s: Times) -> FloatArray:
 
 
 def _check_arguments(
-    time_s: Times, values: FloatArray, frequency_hz: FloatArray, channels: Sequence[str], unit: Sequence[str]
+    time_s: Times, values: FloatArray | Stacked, frequency_hz: FloatArray, channels: Sequence[str], unit: Sequence[str]
 ) -> None:
     if not isinstance(time_s, UniformTimes):
         check_shape("time_s", time_s, (None,))
@@ -293,7 +292,7 @@ class Stationarity:
 
 
 def stationarity(
-    time_s: FloatArray, values: FloatArray, frequency_hz: FloatArray, channels: Sequence[str]
+    time_s: FloatArray, values: FloatArray | Stacked, frequency_hz: FloatArray, channels: Sequence[str]
 ) -> Stationarity | None:
     """Fit the lines (K,) to blocks of `values` (S, C) at ascending times (S,), the blocks holding whole periods.
 
@@ -308,8 +307,8 @@ def stationarity(
     tiny = np.finfo(np.float64).tiny
     check_shape("time_s", time_s, (None,))
     check_shape("values", values, (len(time_s), len(channels)))
-    present = np.isfinite(values).all(axis=1)
-    time, data = (time_s, values) if present.all() else (time_s[present], values[present])
+    present = rows_present(values)
+    time, data = time_s if present is None else time_s[present], Stacked.of(values).kept(present)
     block_s, periods, whole = _block_length(time, frequency_hz)
     interval = float(time[-1] - time[0]) / (len(time) - 1)
     length = float(time[-1] - time[0]) + interval
@@ -317,15 +316,16 @@ def stationarity(
     start = float(time[0]) - interval / 2.0 + (length - count * block_s) / 2.0  # the blocks lie in the record's middle
     blocks = [slice(low, high) for low, high in pairwise(np.searchsorted(time, start + block_s * np.arange(count + 1)))]
     try:
-        solutions = [solve_sines(sine_columns(time[rows], frequency_hz), data[rows]) for rows in blocks]
+        every = (solve_sines(sine_columns(time[rows], frequency_hz), data[rows]) for rows in blocks)
+        found = [(one.condition, *one.phasors(len(frequency_hz))) for one in every]  # the residuals are not held
     except ValueError:
         return None
-    if max(solution.condition for solution in solutions) > MAX_CONDITION:
+    condition, value, spread = (np.stack(part) for part in zip(*found, strict=True))
+    if condition.max() > MAX_CONDITION:
         return None
-    value, spread = (
-        np.stack(part) for part in zip(*(one.phasors(len(frequency_hz)) for one in solutions), strict=True)
-    )
-    variance, dof = _noise(time, data, frequency_hz)
+    first = max(0, (len(time) - _NOISE_SAMPLES) // 2)
+    inner = slice(first, first + _NOISE_SAMPLES)
+    variance, dof = _noise(time[inner], data[inner], frequency_hz)
     u = np.sqrt(spread[:, :, None] * variance[None])
     middle = np.array([time[rows].mean() for rows in blocks])
     weight = 1.0 / np.maximum(u**2, _NO_NOISE)
@@ -375,9 +375,7 @@ def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, fl
 
 
 def _noise(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the noise variance (K, C) around the lines, and its degrees of freedom (K,), from the record's middle."""
-    first = max(0, (len(time) - _NOISE_SAMPLES) // 2)
-    time, data = time[first : first + _NOISE_SAMPLES], data[first : first + _NOISE_SAMPLES]
+    """Return the noise variance (K, C) around the lines, and its degrees of freedom (K,)."""
     columns, lines, grid = sine_columns(time, frequency_hz), len(frequency_hz), sampling_grid(time)
     if grid is not None and separation_bins(frequency_hz, grid.rate_hz, grid.length) >= _APART:
         # A drift of amplitude and phase makes skirts around each line that would count as noise.

@@ -17,7 +17,7 @@ from math import factorial
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Stacked, check_shape
 from shaker.sine.aliasing import condition_number, sine_columns
 
 # Sampling times of a record, cut into blocks whose phases are exact however long the record is.
@@ -233,7 +233,7 @@ class Samples:
     """
 
     timeline: Timeline
-    values: FloatArray
+    values: FloatArray | Stacked
     root: FloatArray | None
 
     @property

@@ -204,6 +204,7 @@ def estimate(
 # Result of a sine approximation, with the covariance that frequencies and decay rates share with the phasors.
 
 _CHUNK = 1 << 16  # samples for which the curve is worked out at a time
+_SAME_TURN = 1e-9  # rad, by which the phases of lines in two parts may differ and count as alike
 
 
 @dataclass(frozen=True)
@@ -242,15 +243,20 @@ class SineFit:
     def __repr__(self) -> str:
         return f"SineFit({self.phasors}, condition {self.condition:.3g}, {len(self.spikes)} spikes)"
 
-    def model(self, time_s: FloatArray) -> FloatArray:
-        """Return the fitted curve (T, C) at times (T,): offset + drift + Σ Re{X exp((jω - δ)t)}."""
-        curve = np.empty((len(time_s), len(self.offset)))
+    def model(self, time_s: FloatArray, channels: slice = slice(None)) -> FloatArray:
+        """Return the fitted curve (T, C) at times (T,): offset + drift + Σ Re{X exp((jω - δ)t)}; of some channels."""
+        offset, drift_per_s, value = self.offset[channels], self.drift_per_s[channels], self.phasors.value[:, channels]
+        curve = np.empty((len(time_s), len(offset)))
         exponent = 2j * np.pi * self.phasors.frequency_hz - self.decay_per_s
+        alike, turns = np.empty(0), np.empty((0, len(exponent)), np.complex128)
         for first in range(0, len(time_s), _CHUNK):
             time = time_s[first : first + _CHUNK]
-            turns = np.exp(np.multiply.outer(time, exponent))
-            drift = np.multiply.outer(time - self.middle_s, self.drift_per_s)
-            curve[first : first + _CHUNK] = self.offset + drift + (turns @ self.phasors.value).real
+            local = time - time[0]
+            off = np.max(np.abs(local - alike[: len(local)])) if len(alike) >= len(local) else np.inf
+            if off * np.max(np.abs(exponent)) > _SAME_TURN:
+                alike, turns = local, np.exp(np.multiply.outer(local, exponent))
+            lines = (turns[: len(time)] @ (np.exp(exponent * time[0])[:, None] * value)).real
+            curve[first : first + _CHUNK] = offset + np.multiply.outer(time - self.middle_s, drift_per_s) + lines
         return curve
 
     def of_slopes(self, change: ComplexArray) -> ComplexArray:

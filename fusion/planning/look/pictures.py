@@ -162,7 +162,7 @@ def _matches(left: GreyImage, right: GreyImage) -> tuple[FloatArray, FloatArray]
     if factor > 1.0:
         size = (round(left.shape[1] / factor), round(left.shape[0] / factor))
         small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (left, right)]
-        first, second = match_features(*small, most=FEATURES)
+        first, second = match_features(small[0], small[1], FEATURES)
     else:
-        first, second = match_features(left, right, most=FEATURES)
+        first, second = match_features(left, right, FEATURES)
     return (first + 0.5) * factor - 0.5, (second + 0.5) * factor - 0.5

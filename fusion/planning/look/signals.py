@@ -88,8 +88,8 @@ def _clipping(where: str, channel: RawChannel) -> Iterator[Finding]:
     Of a sine read in steps the outermost level holds about as many samples as the next three together, (1 : 0.41 + 0.32
     + 0.27); one that is cut off holds far more.
     """
-    ends = (np.count_nonzero(channel.samples == limit) for limit in (channel.samples.max(), channel.samples.min()))
-    if max(ends) < FEWEST_CLIPPED:
+    limits = channel.samples.max(), channel.samples.min()
+    if max(np.count_nonzero(channel.samples == limit) for limit in limits) < FEWEST_CLIPPED:
         return
     levels, counts = np.unique(channel.samples, return_counts=True)
     if len(levels) < 8:
