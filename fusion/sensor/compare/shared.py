@@ -1,0 +1,160 @@
+"""What results share: inputs that the same certificate or the same file states, and the covariance that they make."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from fusion.sensitivity.evidence import Evidence
+from fusion.sensor.compare.read import Result, Value
+from shaker.arrays import FloatArray
+
+ALIKE = 1e-6
+"""Relative, between values and standard uncertainties that are stated to be the same."""
+
+
+@dataclass(frozen=True)
+class Shared:
+    """An input that results share: what it is `of`, the evidence in words, the name of its unknown by result."""
+
+    of: str
+    evidence: str
+    unknowns: Mapping[str, str]
+
+    @property
+    def title(self) -> str:
+        """Return what it is of, and the evidence; components that are only numbered are one in words."""
+        return f"{re.sub(r' [0-9]+$', '', self.of)} ({self.evidence})"
+
+
+def listed(shared: Iterable[Shared]) -> list[str]:
+    """Return inputs in words, each once."""
+    return list(dict.fromkeys(item.title for item in shared))
+
+
+def shared_inputs(results: Sequence[Result]) -> tuple[Shared, ...]:
+    """Return every input that two results or more share by evidence, of each result no more than once.
+
+    Unknowns are one where they are of the same, as uncertain, of the same value (unless they are relative), and every
+    certificate or file behind the one is behind the other. Of several that fit, that of the same name counts, then
+    that of the same value, then the only one; equal names alone say nothing.
+    """
+    groups: list[dict[str, tuple[Evidence, ...]]] = []
+    for result in results:
+        own = _unknowns(result)
+        for name, group in _paired(own, groups):
+            group[result.name] = own.pop(name)
+        groups += [{result.name: rows} for rows in own.values()]
+    return tuple(_told(group) for group in groups if len(group) > 1)
+
+
+def claims_apart(one: Result, other: Result, shared: Sequence[Shared]) -> Iterator[str]:
+    """Yield inputs for which two results name the same certificate, but which are not taken as shared."""
+    taken = {(name, unknown) for found in shared for name, unknown in found.unknowns.items()}
+    mine, theirs = _unknowns(one), _unknowns(other)
+    for (a, rows), (b, others) in ((x, y) for x in mine.items() for y in theirs.items()):
+        if rows[0].of == others[0].of and rows[0].certificate and _same_source(rows, others):
+            left = (one.name, a) not in taken and (other.name, b) not in taken
+            if left and not _alike(rows, others):
+                yield f"{rows[0].of} (certificate {rows[0].certificate})"
+
+
+def _unknowns(result: Result) -> dict[str, tuple[Evidence, ...]]:
+    """Everything that a result says of each of its unknowns."""
+    found: dict[str, tuple[Evidence, ...]] = {}
+    for row in result.evidence:
+        found[row.unknown] = (*found.get(row.unknown, ()), row)
+    return found
+
+
+def _paired(
+    own: Mapping[str, tuple[Evidence, ...]], groups: Sequence[dict[str, tuple[Evidence, ...]]]
+) -> list[tuple[str, dict[str, tuple[Evidence, ...]]]]:
+    """Return the unknowns of a result with the group of other results' unknowns that each of them is one with."""
+    fitting = {
+        name: [n for n, group in enumerate(groups) if all(_alike(rows, other) for other in group.values())]
+        for name, rows in own.items()
+    }
+    found: list[tuple[str, int]] = []
+
+    def take(better: Callable[[tuple[Evidence, ...], tuple[Evidence, ...]], bool]) -> None:
+        """Take what fits and is `better` where it is the only such pair on either side."""
+        free = {name: places for name, places in fitting.items() if name not in {known for known, _ in found}}
+        gone = {place for _, place in found}
+        best = {
+            name: [n for n in places if n not in gone and any(better(own[name], o) for o in groups[n].values())]
+            for name, places in free.items()
+        }
+        every = [place for places in best.values() for place in places]
+        found.extend((name, p[0]) for name, p in best.items() if len(p) == 1 and every.count(p[0]) == 1)
+
+    take(lambda rows, other: rows[0].unknown == other[0].unknown)
+    take(lambda rows, other: _close(rows[0].value, other[0].value))
+    take(lambda rows, other: True)
+    return [(name, groups[place]) for name, place in found]
+
+
+def _alike(rows: Sequence[Evidence], others: Sequence[Evidence]) -> bool:
+    """Whether two unknowns may be one: of one kind, as uncertain, of one value unless relative, from one source."""
+    one, other = rows[0], others[0]
+    what = (one.of, one.unit) == (other.of, other.unit) and _close(one.u, other.u)
+    return what and (one.unit == "1" or _close(one.value, other.value)) and _same_source(rows, others)
+
+
+def _same_source(rows: Sequence[Evidence], others: Sequence[Evidence]) -> bool:
+    """Whether everything that states the one states the other, too."""
+
+    def behind(row: Evidence, those: Sequence[Evidence]) -> bool:
+        return any(
+            (row.certificate != "" and row.certificate == that.certificate)
+            or (row.sha256 != "" and row.sha256 == that.sha256)
+            for that in those
+        )
+
+    return all(behind(row, others) for row in rows) and all(behind(row, rows) for row in others)
+
+
+def _close(one: float, other: float) -> bool:
+    return bool(np.isclose(one, other, rtol=ALIKE, atol=0.0, equal_nan=True))
+
+
+def _told(group: Mapping[str, tuple[Evidence, ...]]) -> Shared:
+    """Return a shared input in words."""
+    rows = [row for own in group.values() for row in own]
+    numbers = dict.fromkeys(f"certificate {row.certificate}" for row in rows if row.certificate)
+    files = dict.fromkeys(f"file {row.sha256[:12]}" for row in rows if row.sha256)
+    return Shared(rows[0].of, ", ".join(numbers or files), {name: own[0].unknown for name, own in group.items()})
+
+
+# What shared inputs do to values that are compared: covariances of magnitudes and phases.
+
+
+def acting_on(entries: Sequence[tuple[str, Value]], shared: Sequence[Shared]) -> list[tuple[Shared, FloatArray]]:
+    """Return the inputs that two values or more share, each with its effects (N, 2) on magnitudes and phases.
+
+    For one standard uncertainty: of magnitudes in their unit, of phases in rad; 0 of what does not rest on it.
+    """
+    found = []
+    for item in shared:
+        effect = np.zeros((len(entries), 2))
+        for place, (name, value) in enumerate(entries):
+            along, across = value.effects.get(item.unknowns.get(name, ""), (0.0, 0.0))
+            effect[place] = along * value.magnitude, across
+        if np.count_nonzero(effect.any(axis=1)) > 1:
+            found.append((item, effect))
+    return found
+
+
+def covariance_of(effects: Sequence[FloatArray], u: FloatArray) -> FloatArray:
+    """Return the covariance (N, N) of results of standard uncertainties `u` (N,) with shared `effects` (N,) each.
+
+    Beside the diagonal it is Σ cᵢcⱼ over what they share.
+    """
+    total = np.diag(u**2)
+    for i, j in combinations(range(len(u)), 2):
+        total[i, j] = total[j, i] = sum(float(effect[i] * effect[j]) for effect in effects)
+    return np.asarray(total)
