@@ -100,7 +100,7 @@ def evaluate_comparison(
     acting = [item for found in compared for item in found.shared]
     return ComparisonEvaluation(
         name=f"Comparison of {', '.join(result.name for result in results)}",
-        notices=tuple(_notices(results, alone, shared, sum(item in acting for item in shared))),
+        notices=tuple(_notices(results, alone, shared, acting=bool(acting))),
         settings={"tolerance": tolerance} | {f"date of {name}": str(day) for name, day in dates.items()},
         input_hashes=hashes,
         duration_s=time.perf_counter() - begun,
@@ -196,10 +196,10 @@ def _of_both(own: Sequence[Value], acting: Sequence[tuple[Shared, FloatArray]]) 
 
 
 def _notices(
-    results: Sequence[Result], alone: Sequence[tuple[str, Value]], shared: Sequence[Shared], acting: int
+    results: Sequence[Result], alone: Sequence[tuple[str, Value]], shared: Sequence[Shared], *, acting: bool
 ) -> list[Notice]:
     """What a reader has to know of the comparison."""
-    beside = f", but for the {acting} inputs that certificates or files show as shared" if acting else ""
+    beside = ", but for the inputs that certificates or files show as shared" if acting else ""
     text = (
         f"results are taken as independent{beside}: what two share without saying so, such as the mass of the same "
         "load or the same accelerometer, cancels in their difference, so that E_n comes out too small"

@@ -245,7 +245,9 @@ def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> Value:
     return Value(
         frequency_hz=number("frequency_hz", 0.0),
         ratio=ratio,
-        **texts,
+        channel=texts["channel"],
+        component=texts["component"],
+        unit=texts["unit"],
         magnitude=number("magnitude", 0.0),
         u_magnitude=uncertainty("magnitude", "k"),
         phase_rad=number("phase_rad") if phase else None,

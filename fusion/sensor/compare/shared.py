@@ -54,13 +54,14 @@ def shared_inputs(results: Sequence[Result]) -> tuple[Shared, ...]:
 
 def claims_apart(one: Result, other: Result, shared: Sequence[Shared]) -> Iterator[str]:
     """Yield inputs for which two results name the same certificate, but which are not taken as shared."""
-    taken = {(name, unknown) for found in shared for name, unknown in found.unknowns.items()}
+    both = [found.unknowns for found in shared if {one.name, other.name} <= set(found.unknowns)]
+    taken = [own[one.name] for own in both], [own[other.name] for own in both]
     mine, theirs = _unknowns(one), _unknowns(other)
-    for (a, rows), (b, others) in ((x, y) for x in mine.items() for y in theirs.items()):
-        if rows[0].of == others[0].of and rows[0].certificate and _same_source(rows, others):
-            left = (one.name, a) not in taken and (other.name, b) not in taken
-            if left and not _alike(rows, others):
-                yield f"{rows[0].of} (certificate {rows[0].certificate})"
+    left = ((x, y) for x in mine if x not in taken[0] for y in theirs if y not in taken[1])
+    for rows, others in ((mine[x], theirs[y]) for x, y in left):
+        number = rows[0].certificate if rows[0].of == others[0].of and not _alike(rows, others) else ""
+        if number and _same_source(rows, others):
+            yield f"{rows[0].of} (certificate {number})"
 
 
 def _unknowns(result: Result) -> dict[str, tuple[Evidence, ...]]:
