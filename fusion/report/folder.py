@@ -25,7 +25,7 @@ from fusion.base import PROGRAM, AnyNotice, CommandEvaluation, Identity, InputEr
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
 from fusion.report.files import claimed, is_own, write_files, write_together
-from fusion.report.h5 import h5_content, opened_results
+from fusion.report.h5 import h5_content, opened_results, write_value
 from fusion.report.table import Table
 
 # What was run on what: hashes of the input files, versions, and whether a folder still answers to them.
@@ -343,6 +343,8 @@ class Command(Generic[E]):
                 write_provenance(file, evaluation, names)
                 file.attrs["format"] = FORMAT
                 self.fill(file, evaluation)
+                if "notices" not in file:
+                    write_value(file, "notices", evaluation.notices)
 
             return write_files(temporary, {**texts, self.h5_file: h5_content(fill)})
 
