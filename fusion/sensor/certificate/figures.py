@@ -16,6 +16,7 @@ from fusion.recording.toml import read_text
 from fusion.report.folder import Provenance, provenance_of
 from fusion.report.h5 import opened_results
 from shaker.arrays import Notice
+from shaker.identification.sensitivity import LABELS as CHAIN_LABELS
 from shaker.lti.indices import LABELS
 
 LARGEST_TABLE = 20_000_000  # bytes
@@ -73,14 +74,17 @@ KINDS = {
     "frequency": "Natural or resonance frequency, or limit of a frequency band",
     "staticSensitivity": "Output per force or moment that does not change",
     "duration": "Rise or settling time of the step response",
-    "index": "Index of a dynamic response without unit of its own",
+    "inertia": "Moment of inertia",
+    "index": "Another index of a dynamic response, or parameter of its model",
 }
 """Types of quantities and what they are, without their prefix."""
 BEGINNINGS = {
     "stiffness": "stiffness", "damping_ratio": "dampingRatio", "damping": "dampingCoefficient",
     "internal_mass": "mass", "load_mass": "mass", "internal_centre_of_mass": "centreOfMass",
     "load_centre_of_mass": "centreOfMass", "lag": "timeConstant", "frequency": "frequency",
-    "usable_band": "frequency", "static_gain": "staticSensitivity", "read_static_gain": "staticSensitivity",
+    "usable_band": "frequency", "internal_inertia": "inertia", "sensitivity": "staticSensitivity",
+    "spring_time": "timeConstant", "delay": "timeConstant", "static_gain": "staticSensitivity",
+    "read_static_gain": "staticSensitivity",
 }  # fmt: skip
 """How names of numbers begin, longer ones before those that they begin with, and their types."""
 CERTIFIED_BY_ROTATION = ("internal_mass", "internal_centre_of_mass", "load_mass", "load_centre_of_mass")
@@ -122,7 +126,9 @@ def read_figures(folder: Path, command: str, *, k: float | None) -> tuple[Figure
             expected = f"the table of shakercal {command}"
             raise InputError(file, f"line {line}", found=f"damaged ({error})", expected=expected) from error
         if np.isfinite([value, u, factor]).all() and u > 0.0:
-            lists.setdefault(where, []).append(Figure(_words(name), _kind(name, unit), value, factor * u, factor, unit))
+            lists.setdefault(where, []).append(
+                Figure(_words(name, command), _kind(name, unit), value, factor * u, factor, unit)
+            )
     if not lists:
         raise InputError(file, "", found="no number with an uncertainty", expected=f"results of shakercal {command}")
     return tuple(FigureList(where, tuple(found)) for where, found in lists.items())
@@ -141,10 +147,11 @@ def _place(command: str, row: Mapping[str, str]) -> tuple[str, str]:
     return f"Response of {row['channel']} to a step of {component}", name if own else ""
 
 
-def _words(name: str) -> str:
+def _words(name: str, command: str) -> str:
     """Return the name of a number in words."""
-    text = LABELS.get(name, name.replace("read_static_gain", "static gain as read from the records"))
-    text = re.sub("^lag_", "damping over stiffness ", text).replace("usable_band", "usable up to").replace("_", " ")
+    known = {"step": LABELS, "identify": CHAIN_LABELS}.get(command, {})
+    text = known.get(name, name.replace("read_static_gain", "static gain as read from the records"))
+    text = re.sub("^lag_", "b/k, ", text).replace("usable_band", "usable up to").replace("_", " ")
     return f"{text[:1].upper()}{text[1:]}"
 
 

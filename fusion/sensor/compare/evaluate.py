@@ -20,6 +20,7 @@ from fusion.sensor.compare.consistency import (
     drift,
     normalised_error,
     reference_value,
+    weighted_mean,
 )
 from fusion.sensor.compare.read import Result, Value, year_of
 from fusion.sensor.compare.shared import Shared, acting_on, claims_apart, covariance_of, shared_inputs
@@ -58,6 +59,12 @@ class Compared:
     def largest(self) -> float:
         """Return the largest E_n of all pairs, in size."""
         return float(np.abs(self.normalised).max())
+
+    @property
+    def centre(self) -> float:
+        """Return the reference value, the weighted mean of all where results contradict each other."""
+        used = bool(self.reference.used.any())
+        return self.reference.value if used else weighted_mean(self.value, self.covariance)[0]
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ def draw_charts(evaluation: ComparisonEvaluation) -> list[Picture]:
     """Control charts, element by element: deviations from the reference values over the years, with U."""
     dated: dict[tuple[str, str], list[Compared]] = {}
     for found in _main(evaluation):
-        if len(np.unique(found.year[np.isfinite(found.year)])) > 1 and found.reference.used.any():
+        if len(np.unique(found.year[np.isfinite(found.year)])) > 1:
             dated.setdefault((found.channel, found.component), []).append(found)
     return [_chart(element, own) for element, own in list(dated.items())[:MOST_CHARTS]]
 
@@ -120,15 +120,16 @@ def _chart(element: tuple[str, str], own: Sequence[Compared]) -> Picture:
             lines = [found for found in own if found.quantity == quantity]
             chosen = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), MOST_LINES)).astype(int))
             for place, line in enumerate([lines[n] for n in chosen]):
-                factor = 100.0 / abs(line.reference.value) if quantity == "magnitude" else 1e3
+                factor = 100.0 / abs(line.centre) if quantity == "magnitude" else 1e3
                 colour, dates = COLOURS[place % len(COLOURS)], line.year + 0.006 * place * span
-                deviation, expanded = factor * line.reference.deviation, 2.0 * factor * line.u
+                deviation, expanded = factor * (line.value - line.centre), 2.0 * factor * line.u
                 axes.errorbar(
                     dates, deviation, expanded, fmt="o", color=colour, markersize=4, capsize=2,
                     label=f"{line.frequency_hz:.5g} Hz",
                 )  # fmt: skip
-                band = 2.0 * factor * line.reference.u
-                axes.axhspan(-band, band, color=colour, alpha=0.08, linewidth=0)
+                if line.reference.used.any():
+                    band = 2.0 * factor * line.reference.u
+                    axes.axhspan(-band, band, color=colour, alpha=0.08, linewidth=0)
             axes.axhline(0.0, color=GREY, linewidth=0.8)
             axes.set_ylabel("magnitude / %" if quantity == "magnitude" else "phase / mrad")
         low, high = drawn.panels[0].get_ylim()
@@ -138,7 +139,8 @@ def _chart(element: tuple[str, str], own: Sequence[Compared]) -> Picture:
         drawn.panels[-1].xaxis.get_major_formatter().set_useOffset(False)  # type: ignore[attr-defined]
         text = (
             "Deviation of every dated result from the reference value with its U (k = 2), in relative terms of the "
-            "magnitude; the bands are U of the reference values. Frequencies stand side by side for legibility."
+            "magnitude; the bands are U of the reference values. Where there is none, since results contradict each "
+            "other, deviations are from their weighted mean. Frequencies stand side by side for legibility."
         )
         return drawn.picture(f"Control chart of {channel} per {component}", text)
 
