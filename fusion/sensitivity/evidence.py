@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Evidence:
-    """An unknown of the rig, and what states it: a certificate by its number, a file by its SHA-256, or both.
+    """An unknown of the rig, and what states it: a certificate by its number, a file by its SHA-256, both or neither.
 
     `unknown`: its name; `of`: what it is of, whatever its part or channel is called, such as `mass`; `value` as
     stated, NaN where no one number is; `u` in `unit`: its standard uncertainty; `certificate`, `laboratory`, `sha256`:
@@ -38,31 +38,38 @@ class Evidence:
     sha256: str
     input: str
 
+    @property
+    def proven(self) -> bool:
+        """Whether anything but a name says which input it is."""
+        return bool(self.certificate or self.sha256)
+
 
 def find_evidence(
     manifest: Manifest, influences: Iterable[Influence], hashes: Mapping[str, str]
 ) -> tuple[Evidence, ...]:
-    """Return what the manifests say of the unknowns that hold as long as the rig; `hashes`: of all input files.
+    """Return what the manifests say of the inputs that hold as long as the rig; `hashes`: of all input files.
 
-    What is mounted or recorded anew is no other result's, whatever certificate it has.
+    What is mounted or recorded anew is no other result's, whatever certificate it has. An input without any evidence
+    has a row that says so.
     """
     unknowns = {influence.name: influence for influence in influences if influence.scope == "rig"}
-    stated = {item.key.removesuffix("_uncertainty"): item for item in manifest.inputs if item.stated is not None}
+    inputs = {item.key.removesuffix("_uncertainty"): item for item in manifest.inputs}
     found: dict[tuple[str, ...], Evidence] = {}
     for key, stem, what, path in _stems(manifest):
-        item = stated.get(key)
+        item = inputs.get(key)
+        if item is None and path is None:
+            continue
         number, laboratory = _source(item)
         digest = "" if path is None else _digest(manifest, path, hashes)
-        if not number and not digest:
-            continue
         value = item.value if item is not None and is_number(item.value) else np.nan
-        file = manifest.rig_path if item is None else item.file
+        file = path if item is None else item.file
         for name in (name for name in unknowns if name == stem or name.startswith(f"{stem} ")):
             own = unknowns[name]
-            of, where = what + name[len(stem) :], f"{file.name}: {key}"
+            of, where = what + name[len(stem) :], f"{file.name if file else ''}: {key}"
             row = Evidence(name, of, float(value), own.u, own.unit, number, laboratory, digest, where)
             found.setdefault((name, number, laboratory, digest), row)
-    return tuple(found.values())
+    proven = {row.unknown for row in found.values() if row.proven}
+    return tuple(row for row in found.values() if row.proven or row.unknown not in proven)
 
 
 def _source(item: UncertainInput | None) -> tuple[str, str]:

@@ -181,6 +181,20 @@ def test_page_table_and_terminal_say_what_is_shared(tmp_path, capsys) -> None:
         assert file["comparison/0/covariance"].shape == (3, 3)
 
 
+@pytest.mark.usefixtures("heavy")
+def test_equal_names_without_evidence_are_a_remark(tmp_path, capsys) -> None:
+    """Two results of one rig whose mass nobody names a certificate of: independent, but said so."""
+    bare = replace(MASS, certificate="")
+    light = replace(bare, unknown="bridge: scale", of="scale of output", u=1e-4, unit="1")
+    for n, name in enumerate("ab"):
+        results_of(tmp_path / name, laboratory(n, 0.3, (bare, light))[0], name)
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b"), "-o", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr()
+    assert "a and b both rest on load: mass with the same u, and name no certificate for it" in told.err
+    assert "bridge: scale" not in told.err, "2 % of a variance"
+    assert "taken as shared" not in told.out
+
+
 def test_files_without_evidence_stay_readable(tmp_path) -> None:
     result = results_of(tmp_path, laboratory(0, 0.0, ())[0], "old")
     with h5py.File(tmp_path / "campaign.h5", "r+") as file:
@@ -225,6 +239,7 @@ def test_a_recording_tells_date_and_evidence_of_its_unknowns(tmp_path, demo_reco
     assert (mass.of, mass.value, mass.u, mass.unit, mass.certificate) == ("mass", 2.4063, 2e-4, "kg", "M-1")
     assert (laser.of, laser.certificate) == ("scale of velocity", "L-7")
     assert not [name for name in found if "centre of mass" in name]
+    assert not found["amplifier: delay"].proven, "it has a row, without evidence"
     assert {name for name in found if name in load} >= {"load 2.4063 kg: mass", "laser: scale"}
     (table,) = {row.sha256 for name, row in found.items() if name.startswith("amplifier: response")}
     assert table in files.hashes.values()

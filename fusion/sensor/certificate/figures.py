@@ -151,7 +151,11 @@ def _words(name: str, command: str) -> str:
     """Return the name of a number in words."""
     known = {"step": LABELS, "identify": CHAIN_LABELS}.get(command, {})
     text = known.get(name, name.replace("read_static_gain", "static gain as read from the records"))
-    text = re.sub("^lag_", "b/k, ", text).replace("usable_band", "usable up to").replace("_", " ")
+    text = (
+        re.sub("^(?=b/k)", "ratio ", re.sub("^lag_", "b/k, ", text))
+        .replace("usable_band", "usable up to")
+        .replace("_", " ")
+    )
     return f"{text[:1].upper()}{text[1:]}"
 
 

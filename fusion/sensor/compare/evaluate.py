@@ -23,7 +23,7 @@ from fusion.sensor.compare.consistency import (
     weighted_mean,
 )
 from fusion.sensor.compare.read import Result, Value, year_of
-from fusion.sensor.compare.shared import Shared, acting_on, claims_apart, covariance_of, shared_inputs
+from fusion.sensor.compare.shared import Shared, acting_on, claims_apart, covariance_of, shared_inputs, unproven
 from shaker.arrays import FloatArray, Notice
 
 
@@ -218,6 +218,11 @@ def _notices(
             what = f"{', '.join(apart[:4])}{f' and {len(apart) - 4} more' if len(apart) > 4 else ''}"
             text = f"{one.name} and {other.name} name the same certificate for {what}, but state different values or U"
             found.append(Notice("warning", f"{text}: not taken as shared", "comparison"))
+        alike = list(unproven(one, other))
+        if alike:
+            what = f"{', '.join(alike[:4])}{f' and {len(alike) - 4} more' if len(alike) > 4 else ''}"
+            text = f"{one.name} and {other.name} both rest on {what} with the same u, and name no certificate for it"
+            found.append(Notice("info", f"{text}: taken as independent; a certificate would tell", "comparison"))
         if Path(one.file).resolve() == Path(other.file).resolve():
             found.append(Notice("warning", f"{one.name} and {other.name} are the same file", "comparison"))
     if any(value.ratio for result in results for value in result.values):

@@ -15,6 +15,8 @@ from shaker.arrays import FloatArray
 
 ALIKE = 1e-6
 """Relative, between values and standard uncertainties that are stated to be the same."""
+NOTABLE = 0.1
+"""Share of a variance from which an input that may be shared is worth a remark."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +67,32 @@ def claims_apart(one: Result, other: Result, shared: Sequence[Shared]) -> Iterat
 
 
 def _unknowns(result: Result) -> dict[str, tuple[Evidence, ...]]:
-    """Everything that a result says of each of its unknowns."""
+    """Everything that a result says of each of its unknowns, of several recordings what those with evidence say."""
     found: dict[str, tuple[Evidence, ...]] = {}
-    for row in result.evidence:
-        found[row.unknown] = (*found.get(row.unknown, ()), row)
+    for row in sorted(result.evidence, key=lambda row: not row.proven):
+        if row.proven or row.unknown not in found:
+            found[row.unknown] = (*found.get(row.unknown, ()), row)
     return found
+
+
+def unproven(one: Result, other: Result) -> Iterator[str]:
+    """Yield inputs that may be the same, by name, kind and u, where no result says by what they are stated.
+
+    Those that make a notable share of a variance alone.
+    """
+    mine, theirs = _unknowns(one), _unknowns(other)
+    for name in (name for name in mine if name in theirs):
+        row, that = mine[name][0], theirs[name][0]
+        alike = (row.of, row.unit) == (that.of, that.unit) and _close(row.u, that.u)
+        if alike and not row.proven and not that.proven and _largest_share(one, name) > NOTABLE:
+            yield name
+
+
+def _largest_share(result: Result, unknown: str) -> float:
+    """Largest share of a variance that an unknown has of any value of a result."""
+    acting = ((value, *value.effects[unknown]) for value in result.values if unknown in value.effects)
+    shares = ((along * v.magnitude / v.u_magnitude, across / v.u_phase_rad) for v, along, across in acting)
+    return float(max((np.nanmax(np.square(pair)) for pair in shares), default=0.0))
 
 
 def _paired(
