@@ -204,10 +204,18 @@ def test_files_without_evidence_stay_readable(tmp_path) -> None:
     assert all(np.isnan(value.year) for value in result.values)
 
 
-def test_a_damaged_file_beside_the_table_is_one_sentence(tmp_path, capsys) -> None:
+@pytest.mark.parametrize("damage", ["evidence/of", "recordings/name", "date", "whole"])
+def test_a_damaged_file_beside_the_table_is_one_sentence(damage, tmp_path, capsys) -> None:
     for name in "ab":
         results_of(tmp_path / name, laboratory(0, 0.0)[0], name)
-    (tmp_path / "b" / "campaign.h5").write_bytes(b"no results")
+    if damage == "whole":
+        (tmp_path / "b" / "campaign.h5").write_bytes(b"no results")
+    else:
+        with h5py.File(tmp_path / "b" / "campaign.h5", "r+") as file:
+            if damage == "date":
+                file["recordings/date"][0] = "March"
+            else:
+                del file[damage]
     assert "campaign.h5" in refusals(capsys)("compare", tmp_path / "a", tmp_path / "b", "-o", tmp_path / "out")
 
 
