@@ -23,9 +23,10 @@ from fusion.recording.load import load_manifest
 from fusion.report.folder import Provenance, hash_files
 from fusion.report.recording import write_results
 from fusion.sensitivity.evidence import Evidence
+from fusion.sensor.compare.consistency import weighted_mean
 from fusion.sensor.compare.evaluate import ComparisonEvaluation, evaluate_comparison
 from fusion.sensor.compare.read import Result, Value, read_result
-from fusion.sensor.compare.shared import shared_inputs
+from fusion.sensor.compare.shared import covariance_of, shared_inputs
 from shaker.labels import LOAD_COMPONENTS
 
 MASS = Evidence("load: mass", "mass", 9.73, 6e-3, "kg", "M-1", "", "", "rig.toml: load.mass")
@@ -119,6 +120,18 @@ def test_a_shared_mass_is_the_covariance_of_two_results(tmp_path) -> None:
     assert found.reference.u**2 > common, "no mean is better than what all share"
     assert found.year == pytest.approx([2020.5, 2021.5], abs=0.01)
     assert found.u_per_year == pytest.approx(spread**0.5, rel=2e-3), "of two results one year apart"
+
+
+def test_a_shared_relative_error_pulls_no_mean_below_its_values() -> None:
+    """Peelle's puzzle: 1.5 and 1.0, 10 % of their own and 20 % in common, are 0.88 if readings scale what is common."""
+    value, own = np.array([1.5, 1.0]), np.array([0.15, 0.10])
+    u = np.hypot(own, 0.2 * value)
+    mean, u_mean, _, _ = weighted_mean(value, covariance_of(np.array([[0.2, 0.2]]), u, value)[0])
+    naive = np.diag(u**2) + 0.04 * np.outer(value, value) * (1.0 - np.eye(2))
+    assert weighted_mean(value, naive)[0] == pytest.approx(0.882, abs=1e-3), "as published"
+    weights = own**-2 / np.sum(own**-2)
+    assert mean == pytest.approx(weights @ value)
+    assert u_mean == pytest.approx(np.hypot(np.sum(own**-2) ** -0.5, 0.2 * mean), rel=1e-9)
 
 
 @pytest.mark.parametrize(

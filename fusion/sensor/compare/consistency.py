@@ -59,14 +59,12 @@ def complex_normalised_error(
 
     sqrt(d' V^-1 d / 5.99) of the difference d, real and imaginary part, and its covariance V = V_i + V_j - C_ij - C_ji;
     5.99 is the 95 % quantile of chi-square with two degrees of freedom (JCGM 102, 6.5). 0 on the diagonal, NaN where a
-    value is. `shared`: effects (N, 2) of every shared input on magnitudes and phases, which make C.
+    value is. `shared`: effects (N, 2) of every shared input on magnitudes, relative to them, and phases, which make C.
     """
     found, frame = np.zeros((len(value), len(value))), along_and_across(value)
     roots = frame * np.stack([u_magnitude, np.abs(value) * u_phase_rad], axis=-1)[:, None, :]
     own = roots @ roots.swapaxes(-1, -2)
-    common = [
-        np.einsum("nij,nj->ni", frame, effect * np.stack([np.ones(len(value)), np.abs(value)], 1)) for effect in shared
-    ]
+    common = [np.einsum("nij,nj->ni", frame, effect * np.abs(value)[:, None]) for effect in shared]
     for i, j in combinations(range(len(value)), 2):
         both = np.array([(value[i] - value[j]).real, (value[i] - value[j]).imag])
         spread = own[i] + own[j]

@@ -166,10 +166,11 @@ def _compared(
         phase = np.array([v.phase_rad for v in own], dtype=np.float64)
         value = phase[0] + np.angle(np.exp(1j * (phase - phase[0])))
         u = np.array([v.u_phase_rad for v in own])
-    column = 0 if quantity == "magnitude" else 1
+    column, size = (0, value) if quantity == "magnitude" else (1, None)
     acting = acting_on(group, shared)
     acting = [(item, effect) for item, effect in acting if np.count_nonzero(effect[:, column]) > 1]
-    covariance, change = covariance_of([effect[:, column] for _, effect in acting], u), None
+    relative = np.array([effect[:, column] for _, effect in acting]).reshape(-1, len(u))
+    (covariance, effects), change = covariance_of(relative, u, size), None
     year = np.array([year_of(dates[name]) if name in dates else v.year for name, v in group])
     if np.isfinite(year).all() and len(np.unique(year)) > 1:
         change = drift(year, value, covariance)
@@ -184,7 +185,7 @@ def _compared(
         u=u,
         covariance=covariance,
         shared=tuple(item for item, _ in acting),
-        effects=np.array([effect[:, column] for _, effect in acting]).reshape(-1, len(u)),
+        effects=effects,
         reference=reference_value(value, covariance),
         normalised=normalised_error(value, covariance),
         complex_normalised=_of_both(own, acting_on(group, shared)) if quantity == "magnitude" else None,

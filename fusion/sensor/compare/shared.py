@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -160,25 +159,26 @@ def _told(group: Mapping[str, tuple[Evidence, ...]]) -> Shared:
 def acting_on(entries: Sequence[tuple[str, Value]], shared: Sequence[Shared]) -> list[tuple[Shared, FloatArray]]:
     """Return the inputs that two values or more share, each with its effects (N, 2) on magnitudes and phases.
 
-    For one standard uncertainty: of magnitudes in their unit, of phases in rad; 0 of what does not rest on it.
+    For one standard uncertainty: of magnitudes relative to them, of phases in rad; 0 of what does not rest on it.
     """
     found = []
     for item in shared:
-        effect = np.zeros((len(entries), 2))
-        for place, (name, value) in enumerate(entries):
-            along, across = value.effects.get(item.unknowns.get(name, ""), (0.0, 0.0))
-            effect[place] = along * value.magnitude, across
-        if np.count_nonzero(effect.any(axis=1)) > 1:
-            found.append((item, effect))
+        own = [value.effects.get(item.unknowns.get(name, ""), (0.0, 0.0)) for name, value in entries]
+        if sum(any(pair) for pair in own) > 1:
+            found.append((item, np.array(own)))
     return found
 
 
-def covariance_of(effects: Sequence[FloatArray], u: FloatArray) -> FloatArray:
-    """Return the covariance (N, N) of results of standard uncertainties `u` (N,) with shared `effects` (N,) each.
+def covariance_of(effects: FloatArray, u: FloatArray, size: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance (N, N) of results of standard uncertainties `u` (N,), and the effects (S, N) that make it.
 
-    Beside the diagonal it is Σ cᵢcⱼ over what they share.
+    `effects` (S, N) of shared inputs are relative to the values `size` (N,), absolute where None. Relative ones act on
+    the weighted mean of the values, also in each variance: taken of every value by itself, the same relative error
+    would seem smaller in the smaller values and pull the mean below all of them (Peelle's puzzle).
     """
-    total = np.diag(u**2)
-    for i, j in combinations(range(len(u)), 2):
-        total[i, j] = total[j, i] = sum(float(effect[i] * effect[j]) for effect in effects)
-    return np.asarray(total)
+    at = np.ones(len(u)) if size is None else np.full(len(u), np.average(size, weights=u**-2))
+    own = at if size is None else size
+    absolute = effects * at
+    variance = u**2 + np.sum(absolute**2 - (effects * own) ** 2, axis=0)
+    common = absolute.T @ absolute
+    return np.asarray(common - np.diag(np.diag(common)) + np.diag(variance)), absolute
