@@ -250,7 +250,7 @@ def matrix() -> Case:
 
 
 def certificate() -> Case:
-    """What a certificate states: coverage factors, magnitude and phase with U, rounding."""
+    """What a certificate states: coverage factors, magnitude and phase with U, rounding, and the same in its XML."""
     quantities = {}
     degrees = [3.0, 10.0, 57.5]
     for dof in degrees:
@@ -278,7 +278,19 @@ def certificate() -> Case:
         "covariance": [[float(var_re), float(mixed)], [float(mixed), float(var_im)]],
         "rounding": [[80.00019, 0.0034, "(80.0002 ± 0.0034)"], [-3.1204, 0.0734, "(−3.120 ± 0.073)"],
                      [1234.4, 56.0, "(1234 ± 56)"]],
+        "mass": [0.7689, 2.9e-4],
     }  # fmt: skip
+    k, (kg, u_kg) = mp.sqrt(2) * mp.erfinv(mp.mpf("0.95")), (mp.mpf(v) for v in inputs["mass"])
+    sensitivity, squared = "(V/V)/N", "((V/V)/N)^2"
+    in_xml = {
+        "frequency": (80, "Hz"), "magnitude": (mp.sqrt(size2), sensitivity),
+        "U of the magnitude": (k * mp.sqrt(along), sensitivity), "k": (k, "1"), "phase": (mp.atan2(im, re), "rad"),
+        "U of the phase": (k * mp.sqrt(across / size2), "rad"), "real part": (re, sensitivity),
+        "imaginary part": (im, sensitivity), "variance, re": (var_re, squared), "covariance": (mixed, squared),
+        "covariance again": (mixed, squared), "variance, im": (var_im, squared),
+        "factor": (mp.sqrt(-2 * mp.log(mp.mpf("0.05"))), "1"), "mass": (kg, "kg"), "U of the mass": (k * u_kg, "kg"),
+    }  # fmt: skip
+    quantities |= {f"XML: {name}": relative(mp.mpf(value), 1e-9, unit) for name, (value, unit) in in_xml.items()}
     quantities["texts rounded as JCGM 100, 7.2.6 asks"] = expected(3, 0, "1")
     return case("figures of a certificate", MPMATH, inputs, quantities)
 

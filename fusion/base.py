@@ -137,6 +137,10 @@ def told(error: Exception) -> InputError | ComputeError:
 # What a command reads and writes: files that stay what they were, places for new ones.
 
 
+JUST_NOW_S = 2.0
+"""Resolution of the times of files, the coarsest there is."""
+
+
 class Identity(NamedTuple):
     """What tells that a file is no longer what it was: its size and time of change, and where it lies."""
 

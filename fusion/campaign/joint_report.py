@@ -46,7 +46,7 @@ from fusion.report.folder import (
     render_page,
     write_provenance,
 )
-from fusion.report.h5 import h5_content, write_fields, write_value
+from fusion.report.h5 import EVIDENCE, h5_content, write_fields, write_value
 from fusion.report.labelled import CAMPAIGN_FILE
 from fusion.report.recording import (
     CAMPAIGN_FILES,
@@ -161,10 +161,14 @@ def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
         recordings = file.create_group("recordings")
         for name in ("folder", "name", "mounting", "rig", "kind"):
             write_value(recordings, name, [getattr(entry, name) for entry in evaluation.recorded])
+        write_value(recordings, "date", ["" if e.date is None else e.date.isoformat() for e in evaluation.recorded])
         write_value(recordings, "failed", list(evaluation.failed))
         write_value(recordings, "reason", list(evaluation.failed.values()))
         if evaluation.sensor is not None:
             write_fields(file.create_group("sensor", track_order=True), evaluation.sensor)
+        evidence = tuple(dict.fromkeys(row for entry in evaluation.recorded for row in entry.evidence))
+        if evidence:
+            write_value(file, EVIDENCE, evidence)
         for name in JOINT_FIELDS:
             write_value(file, name, getattr(evaluation, name))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from datetime import date as Date
 from pathlib import Path
 
 import h5py
@@ -14,7 +15,8 @@ from fusion.campaign.drive import Drive, line_drives
 from fusion.instruments.channel import Outputs
 from fusion.phasors.timing import Grid
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT, Provenance, provenance_of
-from fusion.report.h5 import opened_results, read_uncertainty
+from fusion.report.h5 import opened_results, read_evidence, read_uncertainty
+from fusion.sensitivity.evidence import Evidence
 from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import StatedMatrix
 from shaker.arrays import FloatArray, Notice
@@ -57,7 +59,8 @@ class Recorded:
     """One recording's results, read from its folder.
 
     `kind`, `direction`, `frequencies` of the excitation as they were stated; `drives`: its driven lines with load and
-    outputs, none where there was no load, no output or no stated direction; `notices` of its own report.
+    outputs, none where there was no load, no output or no stated direction; `notices` of its own report; `date`: as
+    the recording states it; `evidence`: which of its unknowns certificates and files state.
     """
 
     folder: str
@@ -71,6 +74,8 @@ class Recorded:
     drives: tuple[Drive, ...]
     notices: tuple[Notice, ...]
     origin: Provenance
+    date: Date | None = None
+    evidence: tuple[Evidence, ...] = ()
 
 
 def read_recorded(folder: str | Path) -> Recorded:
@@ -100,6 +105,8 @@ def read_recorded(folder: str | Path) -> Recorded:
             drives=_drives(file),
             notices=tuple(Notice(*row) for row in notices),
             origin=provenance_of(file),
+            date=Date.fromisoformat(file.attrs["date"]) if "date" in file.attrs else None,
+            evidence=read_evidence(file),
         )
 
 

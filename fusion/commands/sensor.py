@@ -240,7 +240,12 @@ def elastomer(options: argparse.Namespace) -> None:
 def _certificate_options(parser: Parser) -> None:
     parser.recording()
     parser.value("--form", path, "FILE", "what the results do not tell (default: certificate.toml beside them)")
-    parser.value("--results", path, "RESULTS", "where run left them (default: results in the folder)")
+    parser.value(
+        "--results",
+        path,
+        "RESULTS",
+        "where run, rotate, identify or step left them (default: results in the folder, else that of a command)",
+    )
     parser.switch("--draft", "write a certificate.toml to fill in, and nothing else")
     parser.results("folder certificate in the recording or campaign")
 
@@ -251,7 +256,7 @@ def certificate(options: argparse.Namespace) -> None:
     from fusion.sensor.certificate.report import run_certificate, write_form
 
     if options.draft:
-        write_form(options.form or options.recording)
+        write_form(options.form or options.recording, options.results)
         return
     run_certificate(
         options.recording,

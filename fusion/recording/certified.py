@@ -71,7 +71,6 @@ class CertifiedInputs:
     files: dict[Path, Identity | None] = field(default_factory=dict)
     curves: list[UncertainInput] = field(default_factory=list)
     wrong: list[InputError] = field(default_factory=list)
-    _read: dict[Path, CalibrationCertificate] = field(default_factory=dict)
 
     def replaced(self, value: Any, whole: dict[str, Any], place: list[int | str]) -> Any:
         """Return a part of a manifest, tables with `dcc` replaced by what the certificate states."""
@@ -130,7 +129,7 @@ class CertifiedInputs:
         return {name: {"value": value, **stated, "k": k, **source}}
 
     def _certificate(self, name: str, key: str) -> CalibrationCertificate:
-        """Read the certificate that a path leads to, each once."""
+        """Read the certificate that a path leads to, and keep what it was before."""
         try:
             path = self.scope.file(name)
         except PydanticCustomError as error:
@@ -138,10 +137,8 @@ class CertifiedInputs:
             raise InputError(self.path, key, str(told.get("found")), str(told.get("expected"))) from error
         except OSError as error:
             raise InputError(self.path, key, error.strerror or str(error), "a path that can be read") from error
-        if path not in self._read:
-            self.files[path] = Identity.of(path)
-            self._read[path] = read_dcc(path)
-        return self._read[path]
+        self.files.setdefault(path, Identity.of(path))
+        return read_dcc(path)
 
     def _dimension(self, beside: Mapping[str, Any]) -> Dimension | None:
         """Return of what a channel's scale or response makes electrical quantities; None where that is no SI unit."""

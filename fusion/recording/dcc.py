@@ -6,16 +6,18 @@ DCC (PTB's schema, versions 2.4 to 3.3) with the D-SI in it. Everything is turne
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date as Date
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from lxml import etree
 
-from fusion.base import InputError
+from fusion.base import JUST_NOW_S, Identity, InputError
 from fusion.recording.dsi import CELSIUS_AT_0_K, NONE, Unit, parse_unit
 from fusion.recording.toml import read_text
 from fusion.recording.values import describe, wrong_size
@@ -24,7 +26,7 @@ from shaker.arrays import ComplexArray, FloatArray
 SUFFIX = ".xml"
 ROOT = "{https://ptb.de/dcc}digitalCalibrationCertificate"
 LARGEST = 20_000_000  # bytes
-MOST_QUANTITIES = 10_000
+MOST_QUANTITIES, MOST_KEPT = 10_000, 32
 HERTZ = parse_unit(r"\hertz").dimension
 KINDS = ("real", "realListXMLList", "complex", "complexListXMLList", "hybrid", "list", "constant")
 """Elements of the D-SI that hold the values of a quantity."""
@@ -103,7 +105,19 @@ class CalibrationCertificate:
 
 
 def read_dcc(path: Path) -> CalibrationCertificate:
-    """Read a Digital Calibration Certificate; `InputError` naming file and element for what cannot be used."""
+    """Read a Digital Calibration Certificate; `InputError` naming file and element for what cannot be used.
+
+    A file that is what it was is parsed once, however many channels and recordings name it; one that was changed so
+    shortly before that another change may not show, every time.
+    """
+    now = Identity.of(path)
+    settled = now is not None and now.mtime_ns * 1e-9 < time.time() - JUST_NOW_S
+    return _parsed(path, now) if settled else _parsed.__wrapped__(path, now)
+
+
+@lru_cache(maxsize=MOST_KEPT)
+def _parsed(path: Path, _: Identity | None) -> CalibrationCertificate:
+    """Parse a certificate."""
     root = _root(path)
     administrative = root.find("{*}administrativeData")
     if administrative is None:

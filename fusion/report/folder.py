@@ -21,11 +21,20 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from fusion.base import PROGRAM, AnyNotice, CommandEvaluation, Identity, InputError, __version__, warnings_first
+from fusion.base import (
+    JUST_NOW_S,
+    PROGRAM,
+    AnyNotice,
+    CommandEvaluation,
+    Identity,
+    InputError,
+    __version__,
+    warnings_first,
+)
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
 from fusion.report.files import claimed, is_own, write_files, write_together
-from fusion.report.h5 import h5_content, opened_results
+from fusion.report.h5 import h5_content, opened_results, write_value
 from fusion.report.table import Table
 
 # What was run on what: hashes of the input files, versions, and whether a folder still answers to them.
@@ -101,10 +110,6 @@ def sha256(path: Path) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputError(path, "", found=error.strerror or str(error), expected="a file that can be read") from error
-
-
-JUST_NOW_S = 2.0
-"""Resolution of the times of files, the coarsest there is."""
 
 
 def hash_files(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] | None = None) -> InputFiles:
@@ -343,6 +348,8 @@ class Command(Generic[E]):
                 write_provenance(file, evaluation, names)
                 file.attrs["format"] = FORMAT
                 self.fill(file, evaluation)
+                if "notices" not in file:
+                    write_value(file, "notices", evaluation.notices)
 
             return write_files(temporary, {**texts, self.h5_file: h5_content(fill)})
 

@@ -17,11 +17,14 @@ import numpy as np
 from fusion.base import InputError
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
 from fusion.report.quantities import describe
+from fusion.sensitivity.evidence import Evidence
 from shaker.io.channel import check_inside, opened_hdf5
 
 COMPRESS_ABOVE = 512
 LEFT_OUT = {"manifest", "reference_image", "surface", "settings", "versions", "input_hashes"}
 """Fields that are in the inputs, or stand in the group `provenance`."""
+EVIDENCE = "evidence"
+"""Group of the unknowns that certificates and files state."""
 INFLUENCE_TEXTS = ("name", "label", "unit", "scope", "type", "distribution")
 INFLUENCE_NUMBERS = ("u", "dof")
 
@@ -174,6 +177,19 @@ def read_uncertainty(group: h5py.Group) -> Uncertainty:
         own = *known, float(dof), _known("distribution", shape, Distribution)
         influences.append(Influence(name, label, float(u), unit, effect, *own))
     return Uncertainty(tuple(random), tuple(influences))
+
+
+def read_evidence(file: h5py.File) -> tuple[Evidence, ...]:
+    """Return which unknowns of open results certificates and files state; none where results do not say."""
+    if EVIDENCE not in file:
+        return ()
+    group = file[EVIDENCE]
+    numbers = ("value", "u")
+    columns = (
+        group[field.name][()].tolist() if field.name in numbers else group[field.name].asstr()[()].tolist()
+        for field in fields(Evidence)
+    )
+    return tuple(Evidence(*row) for row in zip(*columns, strict=True))
 
 
 def _known(what: str, text: object, choices: Any) -> Any:

@@ -82,6 +82,9 @@ TOLD = {
     "unnoticed/*": Told("case"),
     "unnoticed/shift": Told("case", "1", "shift of the component over its U"),
     "notices/*": Told("notice"),
+    "evidence/*": Told("input"),
+    "evidence/value": Told("input", ".", "value of the input as it is stated"),
+    "evidence/u": Told("input", ".", "standard uncertainty of the unknown"),
     "scatter/*/amplitude": Told(K, "1", "scatter in phase with the reading, relative to the motion"),
     "scatter/*/phase": Told(K, "rad", "scatter at right angles to the reading, relative to the motion"),
     "budget/*/coefficient": Told(

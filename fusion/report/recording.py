@@ -31,7 +31,7 @@ from fusion.report.folder import (
     write_folder,
     write_provenance,
 )
-from fusion.report.h5 import h5_content, write_fields, write_value
+from fusion.report.h5 import EVIDENCE, h5_content, write_fields, write_value
 from fusion.report.labelled import CAMPAIGN_FILE
 from fusion.report.motion_figures import motion_pictures, subset_pictures
 from fusion.report.points import save_points
@@ -40,6 +40,7 @@ from fusion.report.style import Picture
 from fusion.report.table import Column, csv_text, measured, polar_columns, sensitivity_unit, word
 from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
 from fusion.sensitivity.body import moving_parts
+from fusion.sensitivity.evidence import find_evidence
 from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.arrays import FloatArray
@@ -320,6 +321,13 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
         file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
         write_provenance(file, evaluation, files)
         file.attrs["mounting"] = manifest.mounting
+        if manifest.date is not None:
+            file.attrs["date"] = manifest.date.isoformat()
+        parts = (evaluation.load, evaluation.outputs, evaluation.sensitivity, evaluation.element)
+        influences = [influence for part in parts if part is not None for influence in part.uncertainty.influences]
+        evidence = find_evidence(manifest, influences, evaluation.input_hashes)
+        if evidence:
+            write_value(file, EVIDENCE, evidence)
         driven = file.create_group("excitation")
         for name in ("kind", "direction", "frequencies"):
             write_value(driven, name, getattr(manifest.excitation, name))

@@ -49,13 +49,16 @@ class SpringPrior:
 
 # The sensor's damper and one shape of the chain fitted to a measured sensitivity.
 
-_LABELS = {
+LABELS = {
     "sensitivity": "static sensitivity",
     "spring_time_s": "b/k of the sensor",
     "delay_s": "delay of the chain",
     "lag_s": "lag of the chain",
     "square_s2": "square term of the chain",
+    "corner_hz": "corner frequency of the chain",
+    "damping_ratio": "damping ratio of the chain",
 }
+"""The parameters of a `SensitivityFit` in words."""
 _RULES = Rules(foretold=1e-12, foretold_share=1e-12, steps=200)
 _SMALLEST_TURN = 0.01  # rad at the highest line with which a lag starts, lest it be the same as a delay
 
@@ -107,15 +110,15 @@ class SensitivityFit(Brief):
         values |= dict(zip(self.chain.names, self.chain.parameters.tolist(), strict=True))
         units = {"sensitivity": self.unit, "square_s2": "s²"}
         estimates = [
-            ParameterEstimate(name, _LABELS[name], values[name], self.u(name), units.get(name, "s"))
+            ParameterEstimate(name, LABELS[name], values[name], self.u(name), units.get(name, "s"))
             for name in self.parameters
         ]
         count = len(self.chain.names)
         corner = self.chain.corner(self.covariance[-count:, -count:]) if count else None
         if corner is not None:
-            estimates.append(ParameterEstimate("corner_hz", "corner frequency of the chain", *corner[0], "Hz"))
+            estimates.append(ParameterEstimate("corner_hz", LABELS["corner_hz"], *corner[0], "Hz"))
             if self.chain.kind == "second_order":
-                estimates.append(ParameterEstimate("damping_ratio", "damping ratio of the chain", *corner[1], "1"))
+                estimates.append(ParameterEstimate("damping_ratio", LABELS["damping_ratio"], *corner[1], "1"))
         return tuple(estimates)
 
 

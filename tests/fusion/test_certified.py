@@ -12,6 +12,7 @@ from support import DOCS, examples
 
 from fusion.base import InputError
 from fusion.cli import main
+from fusion.recording import dcc
 from fusion.recording.certified import certified_inputs
 from fusion.recording.load import load_manifest
 from fusion.recording.response import read_response
@@ -200,6 +201,20 @@ def test_a_response_from_a_certificate_is_the_table_of_its_numbers(campaign, tmp
     assert (channel.response.name, channel.response_result) == ("a.xml", "axis x")
     assert manifest.inputs[-1].key == "daq.bridge.channel.Fz.response"
     assert manifest.inputs[-1].source == "K 7, Lab, 2026-03-01, valid until 2027-01-01"
+
+
+def test_a_certificate_is_parsed_once_until_it_changes(tmp_path, monkeypatch):
+    parsed, root = [], dcc._root
+    monkeypatch.setattr(dcc, "_root", lambda path: parsed.append(path.name) or root(path))
+    file, at = tmp_path / "b.xml", np.array([1.5])
+    file.write_text(certificate(*(curve(f"axis {n}", "1 2", f"{n} {n}", "0 0") for n in "123")))
+    os.utime(file, (1.7e9, 1.7e9))
+    assert [read_response(file, at, f"axis {n}").value[0].real for n in "123"] == pytest.approx([1.0, 2.0, 3.0])
+    assert parsed == ["b.xml"]
+    file.write_text(certificate(curve("axis 1", "1 2", "5 5", "0 0")))
+    for _ in range(2):  # just now: it might change again unseen
+        assert read_response(file, at, "axis 1").value[0] == pytest.approx(5.0)
+    assert len(parsed) == 3
 
 
 def test_ten_thousand_frequencies_are_read(tmp_path):

@@ -50,6 +50,25 @@ def test_honest_laboratories_agree_in_95_percent(shared: float) -> None:
         assert alone > share, "what is shared cancels in the difference; without that E_n is too small"
 
 
+def test_three_laboratories_of_which_two_share_an_input_are_covered() -> None:
+    """Generalised least squares against its closed form; 2000 draws of errors, the mean, deviations and chi-square."""
+    rng, draws, own = np.random.default_rng(8), 2000, np.array([0.10, 0.15, 0.12])
+    common = np.array([0.12, 0.12, 0.0])
+    covariance = np.diag(own**2) + np.outer(common, common)
+    values = 5.0 + common * rng.standard_normal((draws, 1)) + own * rng.standard_normal((draws, 3))
+    found = [reference_value(row, covariance) for row in values]
+    inverse = np.linalg.inv(covariance)
+    assert found[0].u == pytest.approx(inverse.sum() ** -0.5)
+    whole = [one for one in found if one.used.all()]
+    assert 0.93 < len(whole) / draws < 0.97, "chi-square refutes one in twenty"
+    weights = inverse.sum(axis=0) / inverse.sum()
+    means, of_whole = values @ weights, np.array([one.used.all() for one in found])
+    np.testing.assert_allclose([one.value for one in whole], means[of_whole], rtol=1e-12)
+    assert 0.93 < np.mean(np.abs(means - 5.0) <= 2.0 * found[0].u) < 0.97
+    deviations = (values - means[:, None]) / whole[0].expanded
+    assert np.all(np.abs(np.mean(np.abs(deviations) <= 1.0, axis=0) - 0.9545) < 0.02)
+
+
 def test_a_deviation_of_three_u_is_found() -> None:
     expanded = 0.2 * 2**0.5
     assert abs(normalised_error(np.array([1.0, 1.0 + 3 * expanded]), 0.01 * np.eye(2))[0, 1]) == pytest.approx(3.0)

@@ -5,12 +5,19 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Callable, Mapping
-from typing import Any
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fusion.base import rounded
 from shaker.arrays import ComplexArray, FloatArray
+
+if TYPE_CHECKING:
+    from lxml import etree
+
+    from fusion.estimation.coverage import Polar
 
 Inputs = Mapping[str, Any]
 
@@ -147,7 +154,7 @@ def matrix(inputs: Inputs) -> dict[str, float]:
 
 
 def certificate(inputs: Inputs) -> dict[str, float]:
-    """Coverage factors, magnitude and phase with their uncertainties, rounding."""
+    """Coverage factors, magnitude and phase with their uncertainties, rounding, and the numbers in the XML."""
     from fusion.estimation.coverage import coverage_factor, polar, region_factor
 
     found = {"k of infinite degrees of freedom": coverage_factor(np.inf)}
@@ -164,7 +171,46 @@ def certificate(inputs: Inputs) -> dict[str, float]:
         "u of the magnitude": stated.u_magnitude,
         "u of the phase": stated.u_phase_rad,
         "texts rounded as JCGM 100, 7.2.6 asks": float(texts),
+        **_in_xml(stated, inputs),
     }
+
+
+def _in_xml(stated: Polar, inputs: Inputs) -> dict[str, float]:
+    """Numbers that a certificate's XML holds, of one sensitivity and of one mass, by their place in the document."""
+    from lxml import etree
+
+    from fusion.campaign.recorded import SensorFacts
+    from fusion.sensor.certificate.dcc import DCC, SI, certificate_xml
+    from fusion.sensor.certificate.evaluate import Certificate, Element, Stated
+    from fusion.sensor.certificate.figures import Figure, FigureList
+    from fusion.sensor.certificate.form import Form
+
+    k, mass = stated.k, inputs["mass"]
+    value = Stated(80.0, stated, k * stated.u_magnitude, stated.k_phase * stated.u_phase_rad, k, stated.k_phase, True)
+    named = ("", "", ("Fz",), "V/V", "on_load", None, None, 0.0)
+    found = Certificate(
+        form=Form(format=1), title="", rig_path=Path("rig.toml"), sensor=SensorFacts(*named), recordings=(),
+        begin=date(2026, 1, 1), end=date(2026, 1, 1), procedure="", conditions=(), sources=(),
+        elements=(Element("Fz", "Fz", "V/V", "element", True, (value,)),),
+        figures=(FigureList("masses", (Figure("mass", "mass", mass[0], k * mass[1], k, "kg"),)),),
+        warnings=(), not_assessed=(), versions={},
+    )  # fmt: skip
+    result = etree.fromstring(certificate_xml(found)).iterfind(f".//{{{DCC}}}quantity")
+    frequency, size, turn, complex_value, single = (list(quantity.iter(f"{{{SI}}}*")) for quantity in result)
+
+    def numbers(quantity: list[etree._Element], *ends: str) -> list[float]:
+        """Texts of elements whose names begin so, in the order of the document."""
+        own = [e for e in quantity if any(etree.QName(e).localname.startswith(end) for end in ends) and not len(e)]
+        return [float(str(e.text)) for e in own]
+
+    names = ["frequency", "magnitude", "U of the magnitude", "k", "phase", "U of the phase", "real part"]
+    names += ["imaginary part", "variance, re", "covariance", "covariance again", "variance, im", "factor"]
+    names += ["mass", "U of the mass"]
+    told = [
+        *numbers(frequency, "value"), *numbers(size, "value", "coverageFactor"), *numbers(turn, "value"),
+        *numbers(complex_value, "value", "coverageFactor"), *numbers(single, "value"),
+    ]  # fmt: skip
+    return {f"XML: {name}": number for name, number in zip(names, told, strict=True)}
 
 
 CASES: dict[str, Callable[[Inputs], dict[str, float]]] = {

@@ -243,7 +243,7 @@ def render_validation(found: Validation) -> str:
     context = {
         "name": f"{PROGRAM} {__version__}",
         "program": f"{PROGRAM} {__version__}",
-        "facts": facts,
+        "subject": facts,
         "changed": own.changed,
         "cases": table("Cases", COLUMNS, found.cases),
         "quantities": table("Every quantity", QUANTITIES, quantities),

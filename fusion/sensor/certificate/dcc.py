@@ -12,6 +12,7 @@ from lxml.builder import ElementMaker
 from fusion.base import PROGRAM, InputError, __version__
 from fusion.estimation.coverage import COVERAGE
 from fusion.recording.dsi import Powers, dsi_unit
+from fusion.sensor.certificate.figures import FigureList, names_of
 from fusion.sensor.certificate.form import Party
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ REF_TYPES = {
 }
 """Types of quantities that no published list has: the certificate declares them itself."""
 
+PREFIX = "force_"
 PER_LOAD: Mapping[str, Powers] = {"F": ((r"\newton", -1),), "M": ((r"\newton", -1), (r"\metre", -1))}
 
 
@@ -80,7 +82,7 @@ def _administrative(found: Certificate) -> etree._Element:
     persons = [("Operator", own.operator, "false"), ("Responsible for the certificate", own.authoriser, "true")]
     return D.administrativeData(
         D.dccSoftware(_software()),
-        D.refTypeDefinitions(*(_declared(name, about) for name, about in REF_TYPES.items())),
+        D.refTypeDefinitions(*(_declared(name, about) for name, about in _types(found).items())),
         D.coreData(*core),
         D.items(item),
         D.calibrationLaboratory(*laboratory, _party("contact", form.laboratory)),
@@ -93,6 +95,12 @@ def _administrative(found: Certificate) -> etree._Element:
         _party("customer", form.customer),
         D.statements(*told),
     )
+
+
+def _types(found: Certificate) -> dict[str, str]:
+    """Return the types of quantities that a certificate declares."""
+    own = {f"{PREFIX}{kind}": about for kind, about in names_of(found.figures).items()}
+    return {**(REF_TYPES if found.elements else {}), **own}
 
 
 def _declared(name: str, about: str) -> etree._Element:
@@ -134,7 +142,9 @@ def _measured(found: Certificate) -> etree._Element:
         D.usedSoftware(_software()),
         *equipment,
         D.influenceConditions(*_conditions(found)),
-        D.results(*(_result(found, element) for element in found.elements)),
+        D.results(
+            *(_result(found, element) for element in found.elements), *(_listed(found, f) for f in found.figures)
+        ),
     )
 
 
@@ -180,6 +190,27 @@ def _result(found: Certificate, element: Element) -> etree._Element:
         ]
     quantities.append(_complex(element, unit, squared))
     return D.result(_text("name", element.name), D.data(D.list({"refType": "basic_1IndexTable"}, *quantities)))
+
+
+def _listed(found: Certificate, own: FigureList) -> etree._Element:
+    """One result: a list of single numbers, each with its U."""
+    quantities = []
+    for figure in own.figures:
+        try:
+            unit = dsi_unit(figure.unit).replace(r"\kilo\gram", r"\kilogram")
+        except ValueError as error:
+            key, expected = "sensor.unit", "a unit made of V, A, C, N, m and their like, such as mV/V"
+            raise InputError(found.rig_path, key, found=f'"{figure.unit}"', expected=expected) from error
+        stated = S.expandedMU(
+            S.valueExpandedMU(repr(figure.expanded)),
+            S.coverageFactor(repr(figure.k)),
+            S.coverageProbability(repr(COVERAGE)),
+        )
+        number = S.real(S.value(repr(figure.value)), S.unit(unit), S.measurementUncertaintyUnivariate(stated))
+        quantities.append(
+            D.quantity({"refType": f"basic_measuredValue {PREFIX}{figure.kind}"}, _text("name", figure.name), number)
+        )
+    return D.result(_text("name", own.name), D.data(D.list(*quantities)))
 
 
 def _numbers(values: Iterable[float]) -> str:

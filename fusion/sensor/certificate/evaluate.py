@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date as Date
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from fusion.base import InputError
 from fusion.campaign.curve import CurvePoint
@@ -17,8 +17,17 @@ from fusion.estimation.coverage import COVERAGE, Polar
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, for_kinds, load_manifest
 from fusion.recording.toml import UncertainInput
-from fusion.report.folder import hash_files
+from fusion.report.folder import hash_files, sha256
 from fusion.report.table import has_phase
+from fusion.sensor.certificate.figures import (
+    SOURCES,
+    FigureList,
+    figures_folder,
+    read_figures,
+    read_told,
+    recordings_behind,
+    source_of,
+)
 from fusion.sensor.certificate.form import FORM_FILE, Conformity, Form, read_form
 from shaker.arrays import Notice
 from shaker.labels import LOAD_COMPONENTS
@@ -91,9 +100,9 @@ class Source:
 class Certificate:
     """Everything that a certificate states, for XML and page alike.
 
-    `begin`, `end`: days of the calibration; `conditions`: name, D-SI unit, least and largest value; `warnings`: of the
-    evaluation, which the authoriser has reviewed; `not_assessed`: what no U holds; `versions`: of what computed
-    the results.
+    `elements`: of the sensitivity, or `figures`: lists of single numbers; `begin`, `end`: days of the calibration;
+    `conditions`: name, D-SI unit, least and largest value; `warnings`: of the evaluation, which the authoriser has
+    reviewed; `not_assessed`: what no U holds; `versions`: of what computed the results.
     """
 
     form: Form
@@ -107,6 +116,7 @@ class Certificate:
     conditions: tuple[tuple[str, str, float, float], ...]
     sources: tuple[Source, ...]
     elements: tuple[Element, ...]
+    figures: tuple[FigureList, ...]
     warnings: tuple[str, ...]
     not_assessed: tuple[str, ...]
     versions: dict[str, str]
@@ -119,14 +129,14 @@ class Certificate:
             "Uncertainty",
             UNCERTAINTY + ("that of the effective degrees of freedom." if self.form.k == "effective" else "2."),
         )
-        if least.magnitude or least.phase:
+        if self.elements and (least.magnitude or least.phase):
             sizes = f"{100 * least.magnitude:g} % of the magnitude and {least.phase:g} rad of the phase"
             yield "Capability", f"No U is stated below {sizes}."
         if self.sources:
             yield "Traceability", "To the SI through the certificates listed with the inputs that they were stated for."
         if own.traceability:
             yield "Traceability", own.traceability
-        if limit is not None:
+        if self.elements and limit is not None:
             rule = "|deviation| + U" if limit.rule == "guarded" else "|deviation|"
             yield (
                 "Decision rule",
@@ -136,7 +146,8 @@ class Certificate:
         if self.not_assessed:
             yield "Not in U", "; ".join(self.not_assessed)
         if self.warnings:
-            yield "Warnings", f"The evaluation gave {len(self.warnings)} warnings, which {own.authoriser} has reviewed."
+            count = f"{len(self.warnings)} warning{'s' * (len(self.warnings) > 1)}"
+            yield "Warnings", f"The evaluation gave {count}, which {own.authoriser} has reviewed."
         if own.remarks:
             yield "Remarks", own.remarks
 
@@ -146,26 +157,73 @@ def evaluate_certificate(
 ) -> Certificate:
     """Gather what a certificate of a campaign, or of a recording, states.
 
-    `results`: where `run` left them, by default in the folder itself; `form_path`: certificate.toml, by default
-    beside them. Refused, each with all that is wrong of its kind at once: results that are not there or not of these
-    inputs, empty keys, recordings without a date, inputs whose certificates had expired, warnings nobody has reviewed.
+    `results`: where `run`, `rotate`, `identify` or `step` left them, by default in the folder itself
+    (`figures_folder`); `form_path`: certificate.toml, by default beside them. Refused, each with all that is wrong of
+    its kind at once: results that are not there or not of these inputs, empty keys, recordings without a date, inputs
+    whose certificates had expired, warnings nobody has reviewed.
     """
     recordings = find_recordings(path)
     alone = not path.is_dir() or (path / RECORDING_NAME).is_file()
-    recordings = recordings if alone else for_kinds(recordings, kinds_of("run"))
     own = recordings[0].parent if alone else path
+    top = figures_folder(own, results)
+    command = source_of(top)
+    if command is not None:
+        recordings = recordings_behind(recordings, top, command)
+    elif not alone:
+        recordings = for_kinds(recordings, kinds_of("run"))
     form_path = own / FORM_FILE if form_path is None else form_path
     manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in recordings]
     form = _named(read_form(form_path), manifests[0])
     _refuse_gaps(form, form_path, manifests)
-    top = own / "results" if results is None else results
-    folders = [top] if alone else [top / manifest.folder.name for manifest in manifests]
+    if command is None:
+        folders = [top] if alone else [top / manifest.folder.name for manifest in manifests]
+        found = _sensitivities(own.resolve().name, manifests, folders, top, form)
+    else:
+        found = _figures(command, manifests, top, form)
+    warnings = list(dict.fromkeys(found.warnings))
+    if warnings and not form.administration.warnings_reviewed:
+        expected = "true, once the authoriser has reviewed them, or results without warnings"
+        told = f"{len(warnings)} warnings, the first: {warnings[0]}"
+        raise InputError(form_path, "administration.warnings_reviewed", found=told, expected=expected)
+    days = _days(form, manifests)
+    return Certificate(
+        form=form,
+        title=found.title,
+        rig_path=manifests[0].rig_path,
+        sensor=found.sensor,
+        recordings=tuple(manifest.name for manifest in manifests),
+        begin=min(days),
+        end=max(days),
+        procedure=form.administration.procedure or ", ".join(sorted({m.procedure or "" for m in manifests} - {""})),
+        conditions=tuple(_conditions(manifests)),
+        sources=_sources([item for manifest in manifests for item in manifest.inputs]),
+        elements=found.elements,
+        figures=found.figures,
+        warnings=tuple(warnings),
+        not_assessed=tuple(found.not_assessed),
+        versions=found.versions,
+    )
+
+
+class Found(NamedTuple):
+    """What results say: the title of their certificate, what was calibrated, values, warnings, what no U holds."""
+
+    title: str
+    sensor: SensorFacts
+    elements: tuple[Element, ...]
+    figures: tuple[FigureList, ...]
+    warnings: list[str]
+    not_assessed: list[str]
+    versions: dict[str, str]
+
+
+def _sensitivities(name: str, manifests: Sequence[Manifest], folders: Sequence[Path], top: Path, form: Form) -> Found:
+    """Return the sensitivities of a campaign `name`, or of a recording, that `run` left in some folders."""
     recorded = [_results_of(manifest, folder) for manifest, folder in zip(manifests, folders, strict=True)]
-    evaluation = evaluate_campaign(own.resolve().name, recorded, {})
+    evaluation = evaluate_campaign(name, recorded, {})
     sensor = evaluation.sensor
     if sensor is None:
-        found = "no sensor, or several" if manifests[0].rig.sensor else "no sensor"
-        raise InputError(manifests[0].rig_path, "sensor", found=found, expected="the one sensor that was calibrated")
+        raise _no_sensor(manifests)
     points = curve_points(evaluation)
     mains = {
         component: sensor.channels[main_channel(evaluation, sensor.channels, place)]
@@ -174,29 +232,45 @@ def evaluate_certificate(
     elements = tuple(_elements(points, mains, sensor.unit, form))
     if not elements:
         raise InputError(top, "", found="no sensitivity", expected="results with outputs over a driven load")
-    warnings = list(dict.fromkeys(_warnings(recorded, evaluation.notices)))
-    if warnings and not form.administration.warnings_reviewed:
-        expected = "true, once the authoriser has reviewed them, or results without warnings"
-        found = f"{len(warnings)} warnings, the first: {warnings[0]}"
-        raise InputError(form_path, "administration.warnings_reviewed", found=found, expected=expected)
-    days = _days(form, manifests)
     ratios = all(element.kind == "ratio" for element in elements)
-    return Certificate(
-        form=form,
+    return Found(
         title="Output over driven load" if ratios else "Dynamic sensitivity",
-        rig_path=manifests[0].rig_path,
         sensor=sensor,
-        recordings=tuple(entry.name for entry in recorded),
-        begin=min(days),
-        end=max(days),
-        procedure=form.administration.procedure or ", ".join(sorted({m.procedure or "" for m in manifests} - {""})),
-        conditions=tuple(_conditions(manifests)),
-        sources=_sources([item for manifest in manifests for item in manifest.inputs]),
         elements=elements,
-        warnings=tuple(warnings),
-        not_assessed=tuple(_not_assessed(recorded, evaluation.notices)),
+        figures=(),
+        warnings=list(_warnings(recorded, evaluation.notices)),
+        not_assessed=_not_assessed([*(notice for entry in recorded for notice in entry.notices), *evaluation.notices]),
         versions=recorded[0].origin.versions,
     )
+
+
+def _figures(command: str, manifests: Sequence[Manifest], folder: Path, form: Form) -> Found:
+    """Return the numbers that another command left in a folder, which must be those of the files as they are now."""
+    origin, notices, scopes = read_told(folder, command)
+    for name, digest in origin.input_hashes.items():
+        path = manifests[0].root / name
+        if not path.is_file() or sha256(path) != digest:
+            found = f"results of other input files ({name} is not what it was)"
+            raise InputError(folder, "", found=found, expected=f"the results of these files (shakercal {command})")
+    tested = {(m.rig.sensor.name, m.rig.sensor.serial) for m in manifests if m.rig.sensor is not None}
+    sensor = manifests[0].rig.sensor
+    if len(tested) != 1 or sensor is None:
+        raise _no_sensor(manifests)
+    own = SensorFacts(sensor.name, sensor.serial, sensor.channels, sensor.unit, sensor.sense, None, None, 0.0)
+    return Found(
+        title=SOURCES[command].title,
+        sensor=own,
+        elements=(),
+        figures=read_figures(folder, command, k=None if form.k == "effective" else 2.0),
+        warnings=[f"{n.where}: {n.text}" if n.where else n.text for n in notices if n.severity == "warning"],
+        not_assessed=[*scopes, *_not_assessed(notices)],
+        versions=origin.versions,
+    )
+
+
+def _no_sensor(manifests: Sequence[Manifest]) -> InputError:
+    found = "no sensor, or several" if manifests[0].rig.sensor else "no sensor"
+    return InputError(manifests[0].rig_path, "sensor", found=found, expected="the one sensor that was calibrated")
 
 
 def _named(form: Form, manifest: Manifest) -> Form:
@@ -214,6 +288,8 @@ def _refuse_gaps(form: Form, path: Path, manifests: Sequence[Manifest]) -> None:
         gaps.append("administration.begun, or the date of every recording")
     if not form.administration.traceability and not any(_sources(m.inputs) for m in manifests):
         gaps.append("administration.traceability, or the certificate of an input in rig.toml or recording.toml")
+    if not form.item.customer_number and not any(m.rig.sensor and m.rig.sensor.serial for m in manifests):
+        gaps.append("item.customer_number, or the serial number of the sensor in rig.toml")
     if gaps:
         raise InputError(path, ", ".join(gaps), found="nothing", expected="what a certificate has to state")
     expired = [(manifest.path, notice) for manifest in manifests for notice in manifest.expired]
@@ -301,11 +377,10 @@ def _warnings(recorded: Iterable[Recorded], joint: Iterable[Notice]) -> Iterator
     yield from (notice.text for notice in joint if notice.severity == "warning")
 
 
-def _not_assessed(recorded: Iterable[Recorded], joint: Iterable[Notice]) -> list[str]:
+def _not_assessed(notices: Iterable[Notice]) -> list[str]:
     """Return what evaluations say is in no U: of several that differ in numbers alone the first."""
-    told = [notice.text for entry in recorded for notice in entry.notices] + [notice.text for notice in joint]
     found: dict[str, str] = {}
-    for text in (text for text in told if "not assessed" in text):
+    for text in (notice.text for notice in notices if "not assessed" in notice.text or "not in U" in notice.text):
         found.setdefault(re.sub(r"[\d.]+", "#", text), text)
     return list(found.values())
 

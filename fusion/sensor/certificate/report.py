@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from fusion.report.table import (
 )
 from fusion.sensor.certificate.dcc import certificate_xml
 from fusion.sensor.certificate.evaluate import Certificate, Element, Stated, evaluate_certificate
+from fusion.sensor.certificate.figures import SOURCES, Figure, FigureList, figures_folder, source_of
 from fusion.sensor.certificate.form import FORM_FILE, NEW_FORM, Party
 
 XML_FILE, PAGE_FILE = "certificate.xml", "certificate.html"
@@ -60,6 +62,8 @@ def run_certificate(
         judged = "" if not element.verdicts else ", conforms" if not failed else f", does not conform at {failed}"
         if element.main:
             print(f"{element.name}: {where}{judged}")
+    for own in found.figures:
+        print(f"{own.name}: {len(own.figures)} numbers")
     beside = sum(not element.main for element in found.elements)
     if beside:
         print(f"and {beside} elements beside the main ones")
@@ -67,11 +71,17 @@ def run_certificate(
     return found
 
 
-def write_form(path: Path) -> None:
+def write_form(path: Path, results: Path | None = None) -> None:
     """Write a new certificate.toml beside the recordings, its values still to be filled in."""
     file = path / FORM_FILE if path.is_dir() else path
     check_new_file(file, force=False)
-    write_whole(file, NEW_FORM)
+    command = source_of(figures_folder(file.parent, results))
+    text = (
+        NEW_FORM
+        if command is None
+        else re.sub(r'(?m)^method = ".*"$', f'method = "{SOURCES[command].method}"', NEW_FORM)
+    )
+    write_whole(file, text)
     print(f"{file}: fill in what is empty, then run shakercal certificate again")
 
 
@@ -87,7 +97,7 @@ def certificate_page(found: Certificate) -> str:
         "period": f"{found.begin}" if found.begin == found.end else f"{found.begin} to {found.end}",
         "conditions": [_condition(*row) for row in found.conditions],
         "sources": _sources_table(found),
-        "results": [_element_table(element) for element in found.elements],
+        "results": [*map(_element_table, found.elements), *map(_figures_table, found.figures)],
         "statements": list(found.statements()),
         "software": ", ".join(f"{name} {version}" for name, version in found.versions.items()),
     }
@@ -113,6 +123,19 @@ def _sources_table(found: Certificate) -> Table | None:
         ("; ".join(s.inputs), s.certificate or DASH, s.laboratory or DASH, s.day or DASH) for s in found.sources
     )
     return Table("Certificates that the results rest on", head, "llll", rows) if rows else None
+
+
+def _figures_table(own: FigureList) -> Table | None:
+    """One list of single numbers."""
+    columns: list[Column[Figure]] = [
+        on_page("quantity", lambda figure: figure.name, "l"),
+        on_page(
+            "value ± U",
+            lambda figure: measured(figure.value, figure.expanded, "" if figure.unit == "1" else figure.unit),
+        ),
+        on_page("k", lambda figure: factor(figure.k)),
+    ]
+    return table(own.name, columns, own.figures)
 
 
 def _element_table(element: Element) -> Table | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -51,19 +52,26 @@ def normalised_error(value: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(np.where(u > 0.0, difference / (COVERAGE_FACTOR * np.where(u > 0.0, u, 1.0)), 0.0))
 
 
-def complex_normalised_error(value: ComplexArray, u_magnitude: FloatArray, u_phase_rad: FloatArray) -> FloatArray:
-    """Return E_n (N, N) of independent complex values by magnitude and phase: 1 at the edge of the 95 % region.
+def complex_normalised_error(
+    value: ComplexArray, u_magnitude: FloatArray, u_phase_rad: FloatArray, shared: Sequence[FloatArray] = ()
+) -> FloatArray:
+    """Return E_n (N, N) of complex values by magnitude and phase: 1 at the edge of the 95 % region.
 
-    sqrt(d' V^-1 d / 5.99) of the difference d, real and imaginary part, and its covariance V = V_i + V_j; 5.99 is the
-    95 % quantile of chi-square with two degrees of freedom (JCGM 102, 6.5). 0 on the diagonal, NaN where a value is.
+    sqrt(d' V^-1 d / 5.99) of the difference d, real and imaginary part, and its covariance V = V_i + V_j - C_ij - C_ji;
+    5.99 is the 95 % quantile of chi-square with two degrees of freedom (JCGM 102, 6.5). 0 on the diagonal, NaN where a
+    value is. `shared`: effects (N, 2) of every shared input on magnitudes, relative to them, and phases, which make C.
     """
     found, frame = np.zeros((len(value), len(value))), along_and_across(value)
     roots = frame * np.stack([u_magnitude, np.abs(value) * u_phase_rad], axis=-1)[:, None, :]
     own = roots @ roots.swapaxes(-1, -2)
+    common = [np.einsum("nij,nj->ni", frame, effect * np.abs(value)[:, None]) for effect in shared]
     for i, j in combinations(range(len(value)), 2):
         both = np.array([(value[i] - value[j]).real, (value[i] - value[j]).imag])
-        known = bool(np.isfinite(own[i] + own[j]).all()) and np.linalg.det(own[i] + own[j]) > 0.0
-        squared = float(both @ np.linalg.solve(own[i] + own[j], both)) if known else np.nan
+        spread = own[i] + own[j]
+        for effect in common:
+            spread = spread - np.outer(effect[i], effect[j]) - np.outer(effect[j], effect[i])
+        known = bool(np.isfinite(spread).all()) and np.linalg.det(spread) > 0.0
+        squared = float(both @ np.linalg.solve(spread, both)) if known else np.nan
         found[i, j] = found[j, i] = np.sqrt(squared) / region_factor(np.inf)
     return found
 

@@ -20,17 +20,18 @@ from fusion.sensor.compare.consistency import (
     drift,
     normalised_error,
     reference_value,
+    weighted_mean,
 )
-from fusion.sensor.compare.read import Result, Value
+from fusion.sensor.compare.read import Result, Value, year_of
+from fusion.sensor.compare.shared import Shared, acting_on, claims_apart, covariance_of, shared_inputs, unproven
 from shaker.arrays import FloatArray, Notice
-
-DAYS = 365.2425
 
 
 @dataclass(frozen=True)
 class Compared:
     """One quantity (magnitude or phase) of an element at a frequency: of the results `names`, value, u and reference.
 
+    `covariance` (N, N) of the values; `shared`: the S inputs that correlate them, `effects` (S, N) for one u of each.
     `normalised` (N, N): E_n of every pair; `complex_normalised` (N, N): of magnitudes, that of magnitude and phase
     together, NaN where one has no phase. `year` (N,): when, NaN where not stated; `per_year` with `u_per_year`: drift,
     None where a date is not stated.
@@ -44,6 +45,9 @@ class Compared:
     names: tuple[str, ...]
     value: FloatArray
     u: FloatArray
+    covariance: FloatArray
+    shared: tuple[Shared, ...]
+    effects: FloatArray
     reference: Reference
     normalised: FloatArray
     complex_normalised: FloatArray | None
@@ -56,12 +60,19 @@ class Compared:
         """Return the largest E_n of all pairs, in size."""
         return float(np.abs(self.normalised).max())
 
+    @property
+    def centre(self) -> float:
+        """Return the reference value, the weighted mean of all where results contradict each other."""
+        used = bool(self.reference.used.any())
+        return self.reference.value if used else weighted_mean(self.value, self.covariance)[0]
+
 
 @dataclass(frozen=True)
 class ComparisonEvaluation(CommandEvaluation):
     """A comparison: what was compared, and values that no other result has a partner for."""
 
     results: tuple[Result, ...]
+    shared: tuple[Shared, ...]
     compared: tuple[Compared, ...]
     alone: tuple[tuple[str, Value], ...]
 
@@ -71,12 +82,14 @@ def evaluate_comparison(
 ) -> ComparisonEvaluation:
     """Compare results by name; frequencies belong together within `tolerance`, relative, of the lowest of them.
 
-    Independence of the results is assumed. Raises `InputError` where nothing can be compared, or units differ.
+    Results are taken as independent but for what evidence shows as shared (`shared_inputs`). Raises `InputError` where
+    nothing can be compared, or units differ.
     """
     begun = time.perf_counter()
     if not 2 <= len(results) <= MOST_RESULTS:
         found = "one result" if len(results) == 1 else f"{len(results)} results"
         raise InputError(results[0].file, "", found=found, expected=f"2 to {MOST_RESULTS} results to compare")
+    shared = shared_inputs(results)
     compared: list[Compared] = []
     alone: list[tuple[str, Value]] = []
     for own in _groups(results, tolerance):
@@ -84,20 +97,22 @@ def evaluate_comparison(
             alone += own
             continue
         group = _in_one_unit(own, results)
-        compared.append(_compared(group, "magnitude", dates))
+        compared.append(_compared(group, "magnitude", dates, shared))
         turned = [entry for entry in group if entry[1].phase_rad is not None]
         if len(turned) > 1:
-            compared.append(_compared(turned, "phase", dates))
+            compared.append(_compared(turned, "phase", dates, shared))
     if not compared:
         expected = f"an element whose frequencies agree within {tolerance:g}, relative"
         raise InputError(results[1].file, "frequency_hz", found="nothing in common", expected=expected)
+    acting = [item for found in compared for item in found.shared]
     return ComparisonEvaluation(
         name=f"Comparison of {', '.join(result.name for result in results)}",
-        notices=tuple(_notices(results, alone)),
+        notices=tuple(_notices(results, alone, shared, acting=bool(acting))),
         settings={"tolerance": tolerance} | {f"date of {name}": str(day) for name, day in dates.items()},
         input_hashes=hashes,
         duration_s=time.perf_counter() - begun,
         results=tuple(results),
+        shared=tuple(item for item in shared if item in acting),
         compared=tuple(compared),
         alone=tuple(alone),
     )
@@ -140,7 +155,9 @@ def _in_one_unit(group: list[tuple[str, Value]], results: Sequence[Result]) -> l
     return converted
 
 
-def _compared(group: Sequence[tuple[str, Value]], quantity: str, dates: Mapping[str, Date]) -> Compared:
+def _compared(
+    group: Sequence[tuple[str, Value]], quantity: str, dates: Mapping[str, Date], shared: Sequence[Shared]
+) -> Compared:
     """Reference value, E_n and drift of one quantity; phases are taken on the branch of the first."""
     names, own = tuple(name for name, _ in group), [value for _, value in group]
     if quantity == "magnitude":
@@ -149,10 +166,13 @@ def _compared(group: Sequence[tuple[str, Value]], quantity: str, dates: Mapping[
         phase = np.array([v.phase_rad for v in own], dtype=np.float64)
         value = phase[0] + np.angle(np.exp(1j * (phase - phase[0])))
         u = np.array([v.u_phase_rad for v in own])
-    covariance, change = np.diag(u**2), None
-    days = [dates.get(name) for name in names]
-    year = 1.0 + np.array([np.nan if day is None else (day.toordinal() - 1) / DAYS for day in days])
-    if all(name in dates for name in names) and len({dates[name] for name in names}) > 1:
+    column, size = (0, value) if quantity == "magnitude" else (1, None)
+    acting = acting_on(group, shared)
+    acting = [(item, effect) for item, effect in acting if np.count_nonzero(effect[:, column]) > 1]
+    relative = np.array([effect[:, column] for _, effect in acting]).reshape(-1, len(u))
+    (covariance, effects), change = covariance_of(relative, u, size), None
+    year = np.array([year_of(dates[name]) if name in dates else v.year for name, v in group])
+    if np.isfinite(year).all() and len(np.unique(year)) > 1:
         change = drift(year, value, covariance)
     return Compared(
         frequency_hz=float(np.mean([v.frequency_hz for v in own])),
@@ -163,30 +183,47 @@ def _compared(group: Sequence[tuple[str, Value]], quantity: str, dates: Mapping[
         names=names,
         value=value,
         u=u,
+        covariance=covariance,
+        shared=tuple(item for item, _ in acting),
+        effects=effects,
         reference=reference_value(value, covariance),
         normalised=normalised_error(value, covariance),
-        complex_normalised=_of_both(own) if quantity == "magnitude" else None,
+        complex_normalised=_of_both(own, acting_on(group, shared)) if quantity == "magnitude" else None,
         year=year,
         per_year=None if change is None else change[0],
         u_per_year=None if change is None else change[1],
     )
 
 
-def _of_both(own: Sequence[Value]) -> FloatArray:
+def _of_both(own: Sequence[Value], acting: Sequence[tuple[Shared, FloatArray]]) -> FloatArray:
     """Return E_n (N, N) of the complex values, NaN where one has no phase."""
     phase = np.array([np.nan if v.phase_rad is None else v.phase_rad for v in own])
     size, u_size = np.array([v.magnitude for v in own]), np.array([v.u_magnitude for v in own])
-    return complex_normalised_error(size * np.exp(1j * phase), u_size, np.array([v.u_phase_rad for v in own]))
+    u_phase, effects = np.array([v.u_phase_rad for v in own]), [effect for _, effect in acting]
+    return complex_normalised_error(size * np.exp(1j * phase), u_size, u_phase, effects)
 
 
-def _notices(results: Sequence[Result], alone: Sequence[tuple[str, Value]]) -> list[Notice]:
+def _notices(
+    results: Sequence[Result], alone: Sequence[tuple[str, Value]], shared: Sequence[Shared], *, acting: bool
+) -> list[Notice]:
     """What a reader has to know of the comparison."""
+    beside = ", but for the inputs that certificates or files show as shared" if acting else ""
     text = (
-        "independence of the results is assumed: what two share, such as the mass of the same load or the same "
-        "accelerometer, cancels in their difference, so that E_n comes out too small"
+        f"results are taken as independent{beside}: what two share without saying so, such as the mass of the same "
+        "load or the same accelerometer, cancels in their difference, so that E_n comes out too small"
     )
     found = [Notice("info", text, "comparison")]
     for one, other in combinations(results, 2):
+        apart = list(dict.fromkeys(claims_apart(one, other, shared)))
+        if apart:
+            what = f"{', '.join(apart[:4])}{f' and {len(apart) - 4} more' if len(apart) > 4 else ''}"
+            text = f"{one.name} and {other.name} name the same certificate for {what}, but state different values or U"
+            found.append(Notice("warning", f"{text}: not taken as shared", "comparison"))
+        alike = list(unproven(one, other))
+        if alike:
+            what = f"{', '.join(alike[:4])}{f' and {len(alike) - 4} more' if len(alike) > 4 else ''}"
+            text = f"{one.name} and {other.name} both rest on {what} with the same u, and name no certificate for it"
+            found.append(Notice("info", f"{text}: taken as independent; a certificate would tell", "comparison"))
         if Path(one.file).resolve() == Path(other.file).resolve():
             found.append(Notice("warning", f"{one.name} and {other.name} are the same file", "comparison"))
     if any(value.ratio for result in results for value in result.values):

@@ -4,22 +4,31 @@ from __future__ import annotations
 
 import csv
 import re
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from datetime import date as Date
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 from fusion.base import InputError
 from fusion.recording.dcc import SUFFIX, curves, read_dcc
 from fusion.recording.toml import read_text
 from fusion.recording.values import describe, wrong_size
-from fusion.report.folder import CURVE_FILE, SENSITIVITY_FILE
+from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE
+from fusion.report.h5 import opened_results, read_evidence
+from fusion.report.labelled import CAMPAIGN_FILE, LabelledPhasors, read_results
+from fusion.sensitivity.evidence import Evidence
+from shaker.arrays import FloatArray
 
 LARGEST_TABLE = 50_000_000  # bytes
 NEEDED = ("frequency_hz", "channel", "component", "magnitude", "unit")
 KINDS = ("matrix", "element", "ratio")
 """Of the rows of a table: those that are results of a driven load, the one that tells most of the sensor first."""
+DAYS = 365.2425
+BESIDE = {CURVE_FILE: CAMPAIGN_FILE, SENSITIVITY_FILE: RESULT_FILE}
+"""Beside a table of results: what the values rest on, and when they were recorded."""
 ELEMENT = re.compile(r"(\S+) per (\S+)$")
 """How the name of a certificate's result ends."""
 
@@ -29,7 +38,9 @@ class Value:
     """One value of one result: magnitude and phase (rad, None where not determined) with u, of which 2·u is U.
 
     `ratio`: of one recording's output and driven load, not the sensor's own element. u = U/k, with k no larger than 2:
-    where few degrees of freedom make k larger, 2·u stays the stated U.
+    where few degrees of freedom make k larger, 2·u stays the stated U. `effects`: by name of the unknowns that
+    certificates and files state, relative change of the magnitude and change of the phase (rad) for one standard
+    uncertainty. `year`: mean day of the recordings behind it, NaN where one states none.
     """
 
     frequency_hz: float
@@ -41,16 +52,19 @@ class Value:
     u_magnitude: float
     phase_rad: float | None
     u_phase_rad: float
+    effects: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    year: float = np.nan
 
 
 @dataclass(frozen=True)
 class Result:
-    """What is compared: its name, file and values, and the day that its certificate states."""
+    """What is compared: name, file and values, the day that its certificate states, what states its inputs."""
 
     name: str
     file: Path
     values: tuple[Value, ...]
     date: Date | None = None
+    evidence: tuple[Evidence, ...] = ()
 
 
 def result_file(path: Path) -> Path:
@@ -62,6 +76,13 @@ def result_file(path: Path) -> Path:
             if (folder / name).is_file():
                 return folder / name
     raise InputError(path, "", found=f"no {CURVE_FILE} and no {SENSITIVITY_FILE}", expected="a folder of results")
+
+
+def result_files(path: Path) -> list[Path]:
+    """Return everything that `read_result` reads of a path."""
+    file = result_file(path)
+    beside = file.with_name(BESIDE.get(file.name, file.name))
+    return [file, beside] if beside != file and beside.is_file() else [file]
 
 
 def read_result(name: str, path: Path) -> Result:
@@ -100,7 +121,65 @@ def read_result(name: str, path: Path) -> Result:
             found[key] = rank, value
     if not found:
         raise InputError(file, "", found="no values", expected="a table with results")
-    return Result(name, file, tuple(value for _, value in found.values()))
+    beside = result_files(path)[1:]
+    known, evidence = _origin(beside[0]) if beside else ({}, ())
+    values = []
+    for key, (rank, value) in found.items():
+        effects, year = known.get((*key, KINDS[rank]), ({}, np.nan))
+        values.append(replace(value, effects=effects, year=year))
+    return Result(name, file, tuple(values), evidence=evidence)
+
+
+def year_of(day: Date) -> float:
+    """Return a day as a number of years."""
+    return 1.0 + (day.toordinal() - 1) / DAYS
+
+
+Known = dict[tuple[float, str, str, str], tuple[dict[str, tuple[float, float]], float]]
+"""By frequency, channel, component and kind: effects and year of a value."""
+
+
+def _origin(path: Path) -> tuple[Known, tuple[Evidence, ...]]:
+    """Return what results say of the inputs that their values rest on, and of when they were recorded."""
+    found = read_results(path)
+    parts = [part for part in (*found.curve, found.sensitivity, found.element) if part is not None]
+    with opened_results(path) as file:
+        evidence = read_evidence(file)
+        if "curves" in file:
+            years = list(_years_of_curves(file))
+        else:
+            year = year_of(Date.fromisoformat(file.attrs["date"])) if "date" in file.attrs else np.nan
+            years = [np.full(len(part.frequency_hz), year) for part in parts]
+    named, known = {row.unknown for row in evidence}, Known()
+    for part, own in zip(parts, years, strict=True):
+        known |= _effects(part, named, own)
+    return known, evidence
+
+
+def _years_of_curves(file: h5py.File) -> Iterator[FloatArray]:
+    """Yield for every curve of a campaign the mean day of the recordings behind each frequency, NaN without one."""
+    told = file["recordings"]
+    names = told["name"].asstr()[()].tolist() if len(told["name"]) else []
+    days = told["date"].asstr()[()].tolist() if "date" in told and names else [""] * len(names)
+    of = {name: year_of(Date.fromisoformat(day)) if day else np.nan for name, day in zip(names, days, strict=True)}
+    for curve in file["curves"].values():
+        behind = curve.get("recordings", {})
+        own = [behind.get(f"{k:03d}", ()) for k in range(len(curve["frequency_hz"]))]
+        yield np.array([np.mean([of[n] for n in each.asstr()[()]]) if len(each) else np.nan for each in own])
+
+
+def _effects(part: LabelledPhasors, named: Collection[str], year: FloatArray) -> Known:
+    """Return effects of the unknowns `named`, and years (K,), of every value of a curve or recording."""
+    size, known = len(part.unit), Known()
+    acting = [i for i in part.uncertainty.influences if i.name in named and i.scope == "rig"]
+    for k, e in np.ndindex(part.value.shape):
+        value = complex(part.value[k, e])
+        if np.isfinite(value) and value != 0.0:
+            changes = {i.name: complex(i.effect[k, e], i.effect[k, e + size]) / value for i in acting}
+            effects = {name: (change.real, change.imag) for name, change in changes.items() if change != 0.0}
+            key = float(part.frequency_hz[k]), part.channel[e], part.component[e], part.kind[k]
+            known[key] = effects, float(year[k])
+    return known
 
 
 def _certified(name: str, file: Path) -> Result:
@@ -166,7 +245,9 @@ def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> Value:
     return Value(
         frequency_hz=number("frequency_hz", 0.0),
         ratio=ratio,
-        **texts,
+        channel=texts["channel"],
+        component=texts["component"],
+        unit=texts["unit"],
         magnitude=number("magnitude", 0.0),
         u_magnitude=uncertainty("magnitude", "k"),
         phase_rad=number("phase_rad") if phase else None,

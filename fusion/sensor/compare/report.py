@@ -15,9 +15,10 @@ from fusion.base import InputError
 from fusion.report.folder import Command, hash_files
 from fusion.report.h5 import write_value
 from fusion.report.style import COLOURS, GREY, Picture, frequency_axis, sheet
-from fusion.report.table import Column, csv_text, known, measured, on_page, signed, table, word
+from fusion.report.table import Column, csv_text, known, measured, on_page, signed, small, table, word
 from fusion.sensor.compare.evaluate import Compared, ComparisonEvaluation, evaluate_comparison
-from fusion.sensor.compare.read import read_result, result_file
+from fusion.sensor.compare.read import read_result, result_files
+from fusion.sensor.compare.shared import Shared, listed
 
 
 class Row(NamedTuple):
@@ -60,6 +61,7 @@ COMPARISON: list[Column[Row]] = [
     Column("per_year", lambda row: row.of.per_year),
     Column("u_per_year", lambda row: row.of.u_per_year),
     Column("E_n_complex_largest_pair", lambda row: _complex_largest(row.of, row.place)),
+    word("shared", lambda row: "; ".join(listed(s for s in row.of.shared if row.of.names[row.place] in s.unknowns))),
 ]
 
 
@@ -95,6 +97,7 @@ def _largest_text(found: Compared) -> str:
     return signed(max(every)) if every else "–"
 
 
+IN_FILE = ("frequency_hz", "channel", "component", "quantity", "unit", "names", "value", "u")
 MOST_CHARTS, MOST_LINES = 6, 6
 """Elements of which the page has a chart, and frequencies in one of them."""
 
@@ -103,7 +106,7 @@ def draw_charts(evaluation: ComparisonEvaluation) -> list[Picture]:
     """Control charts, element by element: deviations from the reference values over the years, with U."""
     dated: dict[tuple[str, str], list[Compared]] = {}
     for found in _main(evaluation):
-        if len(np.unique(found.year[np.isfinite(found.year)])) > 1 and found.reference.used.any():
+        if len(np.unique(found.year[np.isfinite(found.year)])) > 1:
             dated.setdefault((found.channel, found.component), []).append(found)
     return [_chart(element, own) for element, own in list(dated.items())[:MOST_CHARTS]]
 
@@ -117,15 +120,16 @@ def _chart(element: tuple[str, str], own: Sequence[Compared]) -> Picture:
             lines = [found for found in own if found.quantity == quantity]
             chosen = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), MOST_LINES)).astype(int))
             for place, line in enumerate([lines[n] for n in chosen]):
-                factor = 100.0 / abs(line.reference.value) if quantity == "magnitude" else 1e3
+                factor = 100.0 / abs(line.centre) if quantity == "magnitude" else 1e3
                 colour, dates = COLOURS[place % len(COLOURS)], line.year + 0.006 * place * span
-                deviation, expanded = factor * line.reference.deviation, 2.0 * factor * line.u
+                deviation, expanded = factor * (line.value - line.centre), 2.0 * factor * line.u
                 axes.errorbar(
                     dates, deviation, expanded, fmt="o", color=colour, markersize=4, capsize=2,
                     label=f"{line.frequency_hz:.5g} Hz",
                 )  # fmt: skip
-                band = 2.0 * factor * line.reference.u
-                axes.axhspan(-band, band, color=colour, alpha=0.08, linewidth=0)
+                if line.reference.used.any():
+                    band = 2.0 * factor * line.reference.u
+                    axes.axhspan(-band, band, color=colour, alpha=0.08, linewidth=0)
             axes.axhline(0.0, color=GREY, linewidth=0.8)
             axes.set_ylabel("magnitude / %" if quantity == "magnitude" else "phase / mrad")
         low, high = drawn.panels[0].get_ylim()
@@ -135,9 +139,24 @@ def _chart(element: tuple[str, str], own: Sequence[Compared]) -> Picture:
         drawn.panels[-1].xaxis.get_major_formatter().set_useOffset(False)  # type: ignore[attr-defined]
         text = (
             "Deviation of every dated result from the reference value with its U (k = 2), in relative terms of the "
-            "magnitude; the bands are U of the reference values. Frequencies stand side by side for legibility."
+            "magnitude; the bands are U of the reference values. Where there is none, since results contradict each "
+            "other, deviations are from their weighted mean. Frequencies stand side by side for legibility."
         )
         return drawn.picture(f"Control chart of {channel} per {component}", text)
+
+
+def largest_share(evaluation: ComparisonEvaluation, title: str) -> float:
+    """Return the largest share of a variance that shared inputs of a title have, of any value that is compared."""
+    shares = [
+        (found.effects[[item.title == title for item in found.shared]] / found.u) ** 2 for found in evaluation.compared
+    ]
+    return float(max(share.sum(axis=0).max() for share in shares))
+
+
+def _named(items: Sequence[Shared]) -> str:
+    """Return what results call an input, the first of several components and how many there are."""
+    told = "; ".join(f"{name}: {unknown}" for name, unknown in items[0].unknowns.items())
+    return told if len(items) == 1 else f"{told} and {len(items) - 1} more"
 
 
 def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
@@ -167,6 +186,12 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
         *columns[:3],
         on_page("drift per year ± U", lambda f: measured(f.per_year or 0.0, 2.0 * (f.u_per_year or 0.0), f.unit)),
     ]
+    titles = {title: [item for item in evaluation.shared if item.title == title] for title in listed(evaluation.shared)}
+    common: list[Column[str]] = [
+        on_page("input (evidence)", lambda title: title, "l"),
+        on_page("unknown in each result", lambda title: _named(titles[title]), "l"),
+        on_page("largest share of a variance / %", lambda title: small(100.0 * largest_share(evaluation, title))),
+    ]
     single: list[Column[Any]] = [
         on_page("result", lambda entry: entry[0], "l"),
         on_page("element", lambda entry: f"{entry[1].channel} per {entry[1].component}", "l"),
@@ -178,6 +203,7 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
         "reference": table("Reference values, U: k = 2", columns, evaluation.compared),
         "figures": [draw_normalised(evaluation)],
         "charts": draw_charts(evaluation),
+        "shared": table("Inputs taken as shared", common, list(titles)),
         "drift": table("Drift, U: k = 2", changes, dated),
         "alone": table("Not compared", single, evaluation.alone),
     }
@@ -192,6 +218,8 @@ def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
             left = sum(not found.reference.used.all() for found in own)
             counts = f"|E_n| of a pair above 1 at {above}, not consistent at {left}"
             yield f"{quantity}: {len(own)} values compared, {counts}"
+    if evaluation.shared:
+        yield f"taken as shared: {'; '.join(listed(evaluation.shared))}"
     if evaluation.alone:
         yield f"{len(evaluation.alone)} values without a partner"
 
@@ -200,8 +228,9 @@ def _fill(file: h5py.File, evaluation: ComparisonEvaluation) -> None:
     """Every comparison with E_n of every pair."""
     for number, found in enumerate(evaluation.compared):
         group = file.create_group(f"comparison/{number}")
-        for name in ("frequency_hz", "channel", "component", "quantity", "unit", "names", "value", "u", "normalised"):
+        for name in (*IN_FILE, "covariance", "normalised", "year"):
             write_value(group, name, getattr(found, name))
+        write_value(group, "shared", listed(found.shared))
         if found.complex_normalised is not None:
             write_value(group, "complex_normalised", found.complex_normalised)
 
@@ -246,6 +275,6 @@ def run_compare(
     results = [read_result(name, path) for name, path in named.items()]
     days = {result.name: result.date for result in results if result.date is not None} | days
     root = Path(os.path.commonpath([result.file.resolve().parent for result in results]))
-    files = hash_files([result_file(path) for path in named.values()], root)
+    files = hash_files([file for path in named.values() for file in result_files(path)], root)
     folder = Path("comparison") if output is None else output
     COMPARE.run(files, folder, lambda hashes: evaluate_comparison(results, days, tolerance, hashes), force=force)

@@ -1,0 +1,90 @@
+"""A filled certificate.toml, and what tests of certificates read: texts of the XML, rules of a Schematron file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from lxml import etree
+from support import DOCS
+
+SCHEMA = Path(os.environ.get("SHAKERCAL_DATA", DOCS.parent.parent / "shared" / "data")) / "dcc" / "dcc-3.3.0.xsd"
+NAMES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
+FORM = """
+format = 1
+[administration]
+number = "2026-0815"
+issued = 2026-11-23
+received = 2026-11-15
+begun = 2026-11-19
+ended = 2026-11-20
+operator = "Æsa 王"
+authoriser = "B. Leader"
+method = "Sinusoidal calibration on a shaker"
+traceability = "Mass by certificate M-1"
+warnings_reviewed = true
+[laboratory]
+name = "Söhne <&\\"'> </script>"
+city = "Braunschweig"
+country = "DE"
+[customer]
+name = "Example & Co"
+city = "Oslo"
+country = "NO"
+[item]
+manufacturer = "Maker"
+model = "W6"
+condition = "without visible damage"
+[conformity]
+tolerance = 0.02
+"""
+SCH = {"sch": "http://purl.oclc.org/dsdl/schematron"}
+
+
+def texts(root: etree._Element, path: str) -> list[str]:
+    return [element.text for element in root.findall(path, NAMES)]
+
+
+def broken_rules(document: Path, rules: Path) -> Iterator[tuple[str, str]]:
+    """Yield role and words of every assertion of the rules that fails in a document, and of every report that fires.
+
+    The rules are of XPath 2, which elementpath evaluates: no XSLT processor is needed.
+
+    Of the rules of one pattern the first whose context a node matches counts (ISO/IEC 19757-3, 6.5); variables of a
+    pattern are those of the document, variables of a rule those of the node.
+    """
+    import elementpath
+
+    tree, schema = etree.parse(document), etree.parse(rules).getroot()
+    names = {ns.get("prefix"): ns.get("uri") for ns in schema.findall("sch:ns", SCH)}
+    names |= {"xs": "http://www.w3.org/2001/XMLSchema", "fn": "http://www.w3.org/2005/xpath-functions"}
+
+    whole = elementpath.build_lxml_node_tree(tree)
+
+    def value(path: str, item: Any, known: dict[str, Any]) -> Any:
+        parser = elementpath.XPath2Parser(names, variable_types=dict.fromkeys(known, "item()*"))
+        context = elementpath.XPathContext(whole, item=item, variables=known)
+        return list(parser.parse(path).select(context))
+
+    for pattern in schema.iterfind(".//sch:pattern", SCH):
+        of_pattern = {}
+        for let in pattern.findall("sch:let", SCH):
+            of_pattern[let.get("name")] = value(let.get("value"), None, of_pattern)
+        seen: set[int] = set()
+        for rule in pattern.findall("sch:rule", SCH):
+            context = rule.get("context")
+            path = context if context.startswith("/") else f"//({context})"
+            for node in value(path, None, of_pattern):
+                if id(node) in seen:
+                    continue
+                seen.add(id(node))
+                known = dict(of_pattern)
+                for child in rule:
+                    if child.tag == f"{{{SCH['sch']}}}let":
+                        known[child.get("name")] = value(child.get("value"), node, known)
+                    elif child.tag in (f"{{{SCH['sch']}}}assert", f"{{{SCH['sch']}}}report"):
+                        (holds,) = value(f"boolean({child.get('test')})", node, known)
+                        if holds == child.tag.endswith("report"):
+                            yield child.get("role", "error"), " ".join("".join(child.itertext()).split())
