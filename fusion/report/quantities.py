@@ -208,33 +208,61 @@ PHASORS = {"frequency_hz", "value", "covariance", "channels", "unit"}
 """What a group of phasors holds, in whatever file."""
 
 
+OTHERS = {
+    **dict.fromkeys(("value", "u", "stated", "u_stated", "reading"), Told(unit=".")),
+    **dict.fromkeys(("damping_ratio", "u_damping_ratio", "share", "u_share"), Told(unit="1")),
+    "load": Told(unit="load"),
+    "dof": Told(unit="1", text="degrees of freedom"),
+    "averages": Told(unit="1", text="number of averages"),
+    "coherence": Told(unit="1", text="coherence with the reference"),
+    "line_correlation": Told(unit="1", text="correlation of the noise of lines so many bins apart"),
+    "relative": Told(unit="1", text="relative change for one u of the error"),
+    "correlation": Told(unit="1", text="correlation of the estimates"),
+    "direction": Told(unit="1", text="direction in the sensor frame"),
+    "shares": Told(unit="1", text="share of each release in the mean"),
+    "estimate": Told(unit="1", text="estimate of the unknown over its u"),
+    "remaining": Told(unit="1", text="u after the estimate over u before"),
+}
+"""What is told of the data sets of other commands, by their names alone; `.` where `unit` beside it has as many."""
+OVER = ("frequency_hz", "time_s")
+"""Axes of these, where they stand beside a data set as long."""
+
+
 def describe(file: h5py.File) -> None:
     """Give every data set `units` and `long_name` as far as they are known, and its axes names as dimension scales.
 
     `units` is ASCII: one unit, `[a, b]` where they differ along the last axis (for Re and again for Im where that is
     twice as long), `[a, b]^2` for products of the units of row and column, `[unit]` where `unit` beside it has them.
-    Files of other commands say so of their phasors, and of what names with a unit say by themselves.
+    Files of other commands say so of their phasors, and of what names say by themselves.
     """
     whole = "mounting" in file.attrs or "curves" in file
     found: list[h5py.Dataset] = []
     file.visititems(lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
     for data in sorted(found, key=lambda data: (data.name.count("/"), len(data.shape), data.name)):
         known = whole or set(data.parent) >= PHASORS
-        told = _told(data.name) if known else Told()
+        own = data.name.rpartition("/")[2]
+        told = _told(data.name) if known else OTHERS.get(own, Told())
         if data.dtype.kind in "biufc":
             unit = _unit(data, told)
             if unit:
                 data.attrs["units"] = unit
         data.attrs["long_name"] = told.text or _words(data.name)
-        if not known:
+        names = told.axes.split() if known else [name for name in OVER if _along(data, name)]
+        if not known and not names:
             continue
-        own, names = data.name.rpartition("/")[2], told.axes.split()
         if len(names) != data.ndim:
-            names = [own] if data.ndim == 1 else [f"{own}_{axis + 1}" for axis in range(data.ndim)]
+            rest = [own] if data.ndim == 1 else [f"{own}_{axis + 1}" for axis in range(data.ndim)]
+            names = rest if known else [*names[:1], *rest[1:]]
         for axis, name in enumerate(names):
             scale = _scale(data, name, data.shape[axis])
             if scale != data:
                 data.dims[axis].attach_scale(scale)
+
+
+def _along(data: h5py.Dataset, name: str) -> bool:
+    """Whether the first axis of a data set is what a data set of this name beside it says."""
+    beside = data.parent.get(name)
+    return isinstance(beside, h5py.Dataset) and beside != data and data.ndim > 0 and beside.shape == data.shape[:1]
 
 
 def _told(path: str) -> Told:
@@ -265,8 +293,8 @@ def _unit(data: h5py.Dataset, told: Told) -> str:
     group, name = data.parent, data.name.rpartition("/")[2]
     rules: dict[str, Callable[[], str]] = {
         "": lambda: next((unit for suffix, unit in SUFFIXES.items() if name.endswith(suffix)), ""),
-        ".": lambda: _listed(group["unit"].asstr()[()], "[unit]"),
-        "load": lambda: _listed(LOAD_UNITS),
+        ".": lambda: _listed(group["unit"].asstr()[()], "[unit]") if len(group["unit"]) == data.shape[-1] else "",
+        "load": lambda: _listed(LOAD_UNITS) if data.shape[-1:] == (6,) else "",
         "per": lambda: f"[1, rad]/({group.attrs['unit'] or '1'})",
         "static": lambda: _listed(_sensitivity_units(group)),
         "driven": lambda: LOAD_UNITS[int(group.attrs["component"])],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib
+import io
 from pathlib import Path
 
 import h5py
@@ -14,6 +15,7 @@ from recordings import once
 
 from fusion import InputError, read_results
 from fusion.campaign.joint_report import write_campaign
+from fusion.report.h5 import h5_content
 from fusion.report.recording import result_tables, write_h5
 from fusion.sensitivity.analyse import Evaluation
 
@@ -102,3 +104,24 @@ def test_a_campaign_has_curves_and_the_rest_is_refused(folder, tmp_path):
     with h5py.File(tmp_path / "result.h5", "w") as file:
         file.attrs["format"] = 1
     refused("expected results of format 2", read_results, tmp_path / "result.h5", error=InputError)
+
+
+def test_files_of_other_commands_say_units_and_axes_as_far_as_names_tell():
+    def fill(file):
+        figures = file.create_group("figures")
+        figures["value"], figures["u"], figures["dof"] = [1.0, 2.0], [0.1, 0.2], [9.0, np.inf]
+        figures["unit"] = ["Hz", "1"]
+        turned = file.create_group("turned")
+        turned["reading"], turned["unit"] = np.ones((5, 2)), ["V/V", "V/V"]
+        turned["load"], turned["loads"] = np.ones((5, 6)), np.ones(3)
+        fit = file.create_group("fit")
+        fit["time_s"], fit["fitted"], fit["value"] = np.arange(4.0), np.arange(4.0), np.ones(3)
+
+    with h5py.File(io.BytesIO(h5_content(fill))) as file:
+        told = {name: file[name].attrs.get("units") for name in ("figures/value", "figures/u", "figures/dof")}
+        assert told == {"figures/value": "[unit]", "figures/u": "[unit]", "figures/dof": "1"}
+        assert file["turned/reading"].attrs["units"] == "V/V"
+        assert file["turned/load"].attrs["units"] == "[N, N, N, N.m, N.m, N.m]"
+        assert "units" not in file["turned/loads"].attrs
+        assert "units" not in file["fit/value"].attrs  # nothing says of which
+        assert file["fit/fitted"].dims[0][0].name == "/fit/time_s"
