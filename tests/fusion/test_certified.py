@@ -122,7 +122,7 @@ def test_a_certificate_counts_as_the_table_that_is_typed_from_it(campaign):
 
 
 def test_the_example_of_the_document_is_read(tmp_path):
-    text = tomllib.loads(examples((DOCS / "recording-format.md").read_text(encoding="utf-8"))[4])
+    text = tomllib.loads(examples((DOCS / "recording-format.md").read_text(encoding="utf-8"))[5])
     (tmp_path / "certificates").mkdir()
     mass = result("Mass of the load", real("6.9605", r"\kilogram", "0.002"))
     (tmp_path / "certificates" / "M-2026-117.xml").write_text(certificate(mass))

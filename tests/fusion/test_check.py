@@ -180,7 +180,7 @@ DOC = (DOCS / "recording-format.md").read_text(encoding="utf-8")
 
 def test_the_example_of_the_format_is_a_chain_and_every_key_of_an_element_is_listed(tmp_path):
     path = tmp_path / "chain.toml"
-    path.write_text(examples(DOC)[2], encoding="utf-8")
+    path.write_text(examples(DOC)[3], encoding="utf-8")
     response = read_response(path, FREQUENCY)
     assert len(read_chain(path).element) == 3
     b, a = signal.butter(4, 2.0 * np.pi * 10e3, analog=True)

@@ -18,7 +18,7 @@ from support import DOCS, examples, key_tables, told_keys
 from fusion.base import InputError
 from fusion.recording.excitation import KINDS, Excitation
 from fusion.recording.load import find_recordings, load_manifest
-from fusion.recording.manifest import ChannelEntry, Daq, Images, PointFiles, RecordingFile, Take
+from fusion.recording.manifest import ChannelEntry, Daq, Images, PointFiles, RecordingFile, ResponseColumns, Take
 from fusion.recording.rig import (
     Administration,
     Change,
@@ -187,6 +187,7 @@ MODELS: dict[str, type[BaseModel]] = {
     "`[excitation]`": Excitation,
     "`[[daq]]`": Daq,
     "`[[daq.channel]]`": ChannelEntry,
+    "`response_columns` of a channel": ResponseColumns,
     "`[[images]]`": Images,
     "`[[points]]`": PointFiles,
     "`[[take]]`": Take,
@@ -200,8 +201,10 @@ def test_every_block_has_a_table_that_is_its_model():
 
 
 def test_every_toml_example_is_toml_that_loads(make_campaign):
-    rig, recording, chain, certified, _ = (tomllib.loads(text) for text in examples(DOC))  # the last: test_certified.py
+    every = [tomllib.loads(text) for text in examples(DOC)]
+    rig, recording, columns, chain, certified, _ = every  # the last: test_certified.py
     assert len(chain["element"]) == 3  # tests/fusion/test_check.py reads it
+    assert ResponseColumns(**columns["daq"]["channel"][0]["response_columns"]).k == 2.0
     manifest = load_manifest(make_campaign())
     pair = manifest.rig.stereo["top"]
     given = {key: value for key, value in rig["stereo"]["top"].items() if key != "calibration"}
