@@ -1,10 +1,11 @@
 """Whether the program asks back where a manifest has a mistake that a laboratory plausibly makes.
 
-    python benchmarks/mistakes.py [--only NAME ...] [--rig demo|uniaxial] [--write docs/assumptions.md]
+    python benchmarks/mistakes.py [--blind] [--only NAME ...] [--rig demo|uniaxial] [--write docs/assumptions.md]
 
 Each mistake is put into the manifests of the demo and of a light uniaxial recording of the simulator, which are right
 otherwise; `check` and `run` see them as a user's. What either says that it does not say of the right manifests counts
-if it has the words that name the suspicion. Some three minutes on one core.
+if it has the words that name the suspicion. `--blind`: a list whose words were written down before it was tried; where
+nothing is said of one, by how much of its U the main sensitivity is off. Some three minutes on one core each.
 """
 
 from __future__ import annotations
@@ -433,20 +434,37 @@ def right(rig: str, folder: Path) -> Path:
     return folder / rig
 
 
-def said(campaign: Path) -> list[str]:
+@dataclass(frozen=True)
+class Told:
+    """What `check` and `run` say of a recording, and its main sensitivity (magnitude, U), None where there is none."""
+
+    texts: tuple[str, ...]
+    main: tuple[float, float] | None = None
+
+
+def said(campaign: Path) -> Told:
     """Return what `check` and `run` say of a campaign's only recording."""
     recording = next(campaign.glob("*/recording.toml")).parent
     try:
         manifest = load_manifest(recording)
         report = check(manifest)
         told = [*report.remarks, *report.problems]
-        return told + [f"{n.where}: {n.text}" for n in evaluate_recording(manifest, Settings()).notices]
+        found = evaluate_recording(manifest, Settings())
+        told += [f"{n.where}: {n.text}" for n in found.notices]
     except (InputError, ComputeError) as error:
-        return [str(error)]
+        return Told((str(error),))
+    own, place = found.sensitivity, (2, 2)
+    if own is None or place not in own.elements:
+        return Told(tuple(told))
+    n, value = own.elements.index(place), complex(own.value[0, 2, 2])
+    turn = np.array([value.real, value.imag]) / abs(value)
+    both = [n, n + len(own.elements)]
+    u = float(np.sqrt(turn @ own.uncertainty.covariance[0][np.ix_(both, both)] @ turn))
+    return Told(tuple(told), (abs(value), 2 * u))
 
 
-def asked(mistake: Mistake, campaign: Path, usual: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return what is said of a campaign with a mistake, and what of that is none of `usual`; the first question."""
+def asked(mistake: Mistake, campaign: Path, usual: Sequence[str]) -> tuple[list[str], list[str], Told]:
+    """Return the questions asked of a campaign with a mistake, all that is said and none of `usual`, and all."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(shutil.copytree(campaign, Path(scratch) / "campaign"))
         files = folder / "rig.toml", next(folder.glob("*/recording.toml"))
@@ -456,8 +474,17 @@ def asked(mistake: Mistake, campaign: Path, usual: Sequence[str]) -> tuple[list[
         for file, text in zip(files, own, strict=True):
             file.write_text(to_toml(text))
         known = {opening(text) for text in usual}
-        new = [text.replace(f"{folder}/", "") for text in said(folder) if opening(text) not in known]
-    return [text for text in new if any(word in text for word in mistake.words)], new
+        told = said(folder)
+        new = [text.replace(f"{folder}/", "") for text in told.texts if opening(text) not in known]
+    return [text for text in new if any(word in text for word in mistake.words)], new, told
+
+
+def silent(told: Told, usual: Told) -> str:
+    """Say what a mistake of which nothing is said does to the main sensitivity."""
+    if told.main is None or usual.main is None:
+        return "silent, no result"
+    off = (told.main[0] - usual.main[0]) / usual.main[1]
+    return f"silent, {off:+.1f} U" if abs(off) <= 1 else f"**silent, {off:+.1f} U**"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -465,21 +492,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="*")
     parser.add_argument("--rig", choices=RIG_NAMES)
+    parser.add_argument("--blind", action="store_true", help="the second list, whose words were chosen beforehand")
     parser.add_argument("--write", type=Path)
     options = parser.parse_args(argv)
     lines = [HEAD]
     with tempfile.TemporaryDirectory() as scratch:
         rigs = {rig: right(rig, Path(scratch)) for rig in RIG_NAMES if options.rig in (None, rig)}
         usual = {rig: said(campaign) for rig, campaign in rigs.items()}
-        for mistake in (m for m in MISTAKES if not options.only or m.name in options.only):
+        for mistake in (
+            m for m in (BLIND if options.blind else MISTAKES) if not options.only or m.name in options.only
+        ):
             cells, quoted = [], ""
             for rig in RIG_NAMES:
                 if rig not in rigs or rig not in mistake.rigs:
                     cells.append("–")
                     continue
-                found, new = asked(mistake, rigs[rig], usual[rig])
+                found, new, told = asked(mistake, rigs[rig], usual[rig].texts)
                 named = any(word in text for text in new for word in NAMED)
-                cells.append("asked" if found else "noticed" if named else "**silent**")
+                cells.append("asked" if found else "noticed" if named else silent(told, usual[rig]))
                 quoted = quoted or next(iter(found), "")
                 if not found:
                     print(f"{mistake.name} ({rig}): " + " ## ".join(text[:230] for text in new), file=sys.stderr)
@@ -487,12 +517,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             lines.append(f"| {mistake.name} | {' | '.join(cells)} | {quoted[:200]} |")
             print(lines[-1], flush=True)
     if options.write is not None:
-        text = options.write.read_text(encoding="utf-8")
-        table = "\n".join(lines)
-        head, _, rest = text.partition("<!-- mistakes -->")
-        text = (
-            f"{head}<!-- mistakes -->\n{table}\n<!-- end of mistakes -->{rest.partition('<!-- end of mistakes -->')[2]}"
-        )
+        text, table = options.write.read_text(encoding="utf-8"), "\n".join(lines)
+        name = "blind mistakes" if options.blind else "mistakes"
+        (head, _, rest), end = text.partition(f"<!-- {name} -->"), f"<!-- end of {name} -->"
+        text = f"{head}<!-- {name} -->\n{table}\n{end}{rest.partition(end)[2]}"
         options.write.write_text(text, encoding="utf-8")
     return 0
 
