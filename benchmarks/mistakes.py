@@ -1,10 +1,11 @@
 """Whether the program asks back where a manifest has a mistake that a laboratory plausibly makes.
 
-    python benchmarks/mistakes.py [--only NAME ...] [--rig demo|uniaxial] [--write docs/assumptions.md]
+    python benchmarks/mistakes.py [--blind] [--only NAME ...] [--rig demo|uniaxial] [--write docs/assumptions.md]
 
 Each mistake is put into the manifests of the demo and of a light uniaxial recording of the simulator, which are right
 otherwise; `check` and `run` see them as a user's. What either says that it does not say of the right manifests counts
-if it has the words that name the suspicion. Some three minutes on one core.
+if it has the words that name the suspicion. `--blind`: a list whose words were written down before it was tried; where
+nothing is said of one, by how much of its U the main sensitivity is off. Some three minutes on one core each.
 """
 
 from __future__ import annotations
@@ -239,6 +240,186 @@ MISTAKES = (
 )
 
 
+# A second list, written down before any of it was tried.
+
+
+def _every_channel(change: Callable[[Text], object], quantity: str, most: int | None = None) -> Any:
+    """Do something to all channels of a quantity, or to the first ones."""
+
+    def make(_: Text, recording: Text, __: Path) -> None:
+        own = [c for daq in recording["daq"] for c in daq["channel"] if c["quantity"] == quantity]
+        for channel in own[:most]:
+            change(channel)
+
+    return make
+
+
+def _part_forgotten(rig: Text, _: Text, __: Path) -> None:
+    del rig["part"]
+
+
+def _part_twice(rig: Text, _: Text, __: Path) -> None:
+    rig["load"]["mass"] += rig["part"][0]["mass"]
+
+
+def _about_the_origin(rig: Text, _: Text, __: Path) -> None:
+    """State the load's inertia about the sensor's origin."""
+    load = rig["load"]
+    centre = np.array(load["centre_of_mass"])
+    steiner = load["mass"] * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    load["inertia"] = (np.array(load["inertia"]) + steiner).tolist()
+
+
+def _axes_of_inertia(rig: Text, _: Text, __: Path) -> None:
+    rig["load"]["inertia"] = np.array(rig["load"]["inertia"])[::-1, ::-1].tolist()
+
+
+def _moved(table: str, key: str, shift: Sequence[float]) -> Callable[[Text, Text, Path], None]:
+    def make(rig: Text, _: Text, __: Path) -> None:
+        rig[table][key] = (np.array(rig[table][key]) + shift).tolist()
+
+    return make
+
+
+def _calibrations_exchanged(rig: Text, _: Text, __: Path) -> None:
+    top, base = rig["stereo"]["top"], rig["stereo"]["base"]
+    top["calibration"], base["calibration"] = base["calibration"], top["calibration"]
+
+
+def _cameras_exchanged(_: Text, recording: Text, __: Path) -> None:
+    for pair in recording["images"]:
+        pair["left"], pair["right"] = pair["right"], pair["left"]
+
+
+def _bodies_of_pairs(_: Text, recording: Text, __: Path) -> None:
+    first, second = recording["images"]
+    for side in ("left", "right"):
+        first[side], second[side] = second[side], first[side]
+
+
+def _falling(_: Text, recording: Text, __: Path) -> None:
+    for daq in recording["daq"]:
+        for channel in daq["channel"]:
+            if channel["quantity"] == "trigger":
+                channel["edge"] = "falling"
+
+
+def _at_the_end(rig: Text, _: Text, __: Path) -> None:
+    """Take the trigger for the end of the exposure."""
+    for pair in rig["stereo"].values():
+        pair["delay"] = -pair["exposure"]
+
+
+def _quarter_turn(rig: Text, _: Text, __: Path) -> None:
+    pair = rig["stereo"]["top"]
+    pair["rotation"] = (np.array(pair["rotation"]) @ [[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).tolist()
+
+
+def _place_in_sensor_frame(rig: Text, _: Text, __: Path) -> None:
+    pair = rig["stereo"]["top"]
+    pair["translation"] = (-np.array(pair["rotation"]).T @ pair["translation"]).tolist()
+
+
+def _frames_gone(side: str, first: bool) -> Callable[[Text, Text, Path], None]:
+    """Lose the first (or last) frame of one camera, and the last (first) one of the other, or five of both."""
+
+    def make(_: Text, __: Text, folder: Path) -> None:
+        place = next(folder.glob("*/recording.toml")).parent
+        for name in ("top-left", "top-right"):
+            files = sorted((place / name).glob("*.tif"))
+            gone = files[:5] if side == "both" else files[:1] if (name == side) == first else files[-1:]
+            for file in gone:
+                file.unlink()
+
+    return make
+
+
+def _per_millimetre(rig: Text, _: Text, __: Path) -> None:
+    matrix = np.array(rig["sensor"]["static_sensitivity"])
+    matrix[:, 3:] /= 1e3
+    rig["sensor"]["static_sensitivity"] = matrix.tolist()
+
+
+def _transposed(rig: Text, _: Text, __: Path) -> None:
+    rig["sensor"]["static_sensitivity"] = np.array(rig["sensor"]["static_sensitivity"]).T.tolist()
+
+
+def _decimal_comma(_: Text, __: Text, folder: Path) -> None:
+    file = next(folder.glob("*/bridge-response.csv"))
+    file.write_text(file.read_text().replace(".", ","))
+
+
+BLIND = (
+    Mistake("adapter plate forgotten", _part_forgotten, ("mass", "part"), ("demo",)),
+    Mistake("adapter plate weighed with the load, and stated again", _part_twice, ("mass", "part"), ("demo",)),
+    Mistake("mass of another load, 5 % more", _rig("load", "mass", 1.05), ("mass",)),
+    Mistake("centre of mass from the load's lower face", _moved("load", "centre_of_mass", [0, 0, -0.012]), ("centre",)),
+    Mistake("centre of mass of opposite sign", _rig("load", "centre_of_mass", -1.0), ("centre", "gravity"), ("demo",)),
+    Mistake("inertia about the sensor's origin", _about_the_origin, ("inertia",)),
+    Mistake("axes of the inertia exchanged", _axes_of_inertia, ("inertia",)),
+    Mistake("mass inside the sensor left at 0", _set("sensor", "internal_mass", 0.0), ("internal_mass",)),
+    Mistake(
+        "x and y of laser points exchanged", _channels("point", lambda p: [p[1], p[0], p[2]], "velocity"), ("point",)
+    ),
+    Mistake(
+        "height of laser points from the table",
+        _channels("point", lambda p: [*p[:2], p[2] + 0.04], "velocity"),
+        ("point",),
+    ),
+    Mistake("all lasers reversed", _channels("direction", _negative, "velocity"), ("direction", "sign")),
+    Mistake(
+        "all lasers in the next range",
+        _channels("scale", lambda v: 2 * v, "velocity"),
+        ("scale", "range", "twice", "factor"),
+    ),
+    Mistake(
+        "velocity taken for displacement",
+        _every_channel(lambda c: c.update(quantity="displacement"), "velocity"),
+        ("quantity", "displacement"),
+    ),
+    Mistake(
+        "one laser said to look at the base",
+        _every_channel(lambda c: c.update(body="base"), "velocity", 1),
+        ("velocity_1",),
+    ),
+    Mistake(
+        "accelerometer of the base said to be on the load",
+        _every_channel(lambda c: c.update(body="load"), "acceleration"),
+        ("base_acceleration",),
+    ),
+    Mistake(
+        "scale of the accelerometer upside down",
+        _channels("scale", lambda v: 1 / v, "acceleration"),
+        ("scale", "base_acceleration"),
+    ),
+    Mistake(
+        "rms for peak in the accelerometer's scale",
+        _channels("scale", lambda v: v / np.sqrt(2), "acceleration"),
+        ("scale", "rms"),
+    ),
+    Mistake("calibrations of two pairs exchanged", _calibrations_exchanged, ("calibration",), ("demo",)),
+    Mistake("left and right cameras exchanged", _cameras_exchanged, ("exchanged", "left and right"), ("demo",)),
+    Mistake("pictures of the two pairs exchanged", _bodies_of_pairs, ("images", "top", "body"), ("demo",)),
+    Mistake("other edge of the camera trigger", _falling, ("edge", "trigger"), ("demo",)),
+    Mistake("trigger taken for the end of the exposure", _at_the_end, ("delay", "exposure"), ("demo",)),
+    Mistake("pair turned by a right angle about z", _quarter_turn, ("rotation",), ("demo",)),
+    Mistake("place of the cameras for that of the sensor", _place_in_sensor_frame, ("translation",), ("demo",)),
+    Mistake("five frames of a pair not copied", _frames_gone("both", True), ("frames", "edges"), ("demo",)),
+    Mistake("one camera a frame late", _frames_gone("top-left", True), ("frame",), ("demo",)),
+    Mistake("gravity along y", _set("environment", "gravity", [0.0, -9.8113, 0.0]), ("gravity",)),
+    Mistake("outputs Fx and Fy exchanged", _exchanged("output", ("Fx", "Fy")), ("exchanged",)),
+    Mistake("moments of the static sensitivity per N mm", _per_millimetre, ("static_sensitivity",)),
+    Mistake("static sensitivity transposed", _transposed, ("static",)),
+    Mistake(
+        "outputs in V, supply of 5 V forgotten", _channels("scale", lambda v: 5 * v, "output"), ("static", "scale")
+    ),
+    Mistake("12 bits of 10", _pairs("bit_depth", lambda _: 12), ("bit",), ("demo",)),
+    Mistake("half the driven frequency", _set("excitation", "frequencies", [40.0]), ("frequenc",)),
+    Mistake("axis of the shaker along x", _set("excitation", "direction", [1.0, 0.0, 0.0]), ("direction",)),
+    Mistake("commas in the response table", _decimal_comma, ("bridge-response.csv",), ("demo",)),
+)
+
+
 def right(rig: str, folder: Path) -> Path:
     """Write a recording without mistakes; return its campaign."""
     if rig == "demo":
@@ -253,20 +434,37 @@ def right(rig: str, folder: Path) -> Path:
     return folder / rig
 
 
-def said(campaign: Path) -> list[str]:
+@dataclass(frozen=True)
+class Told:
+    """What `check` and `run` say of a recording, and its main sensitivity (magnitude, U), None where there is none."""
+
+    texts: tuple[str, ...]
+    main: tuple[float, float] | None = None
+
+
+def said(campaign: Path) -> Told:
     """Return what `check` and `run` say of a campaign's only recording."""
     recording = next(campaign.glob("*/recording.toml")).parent
     try:
         manifest = load_manifest(recording)
         report = check(manifest)
         told = [*report.remarks, *report.problems]
-        return told + [f"{n.where}: {n.text}" for n in evaluate_recording(manifest, Settings()).notices]
+        found = evaluate_recording(manifest, Settings())
+        told += [f"{n.where}: {n.text}" for n in found.notices]
     except (InputError, ComputeError) as error:
-        return [str(error)]
+        return Told((str(error),))
+    own, place = found.sensitivity, (2, 2)
+    if own is None or place not in own.elements:
+        return Told(tuple(told))
+    n, value = own.elements.index(place), complex(own.value[0, 2, 2])
+    turn = np.array([value.real, value.imag]) / abs(value)
+    both = [n, n + len(own.elements)]
+    u = float(np.sqrt(turn @ own.uncertainty.covariance[0][np.ix_(both, both)] @ turn))
+    return Told(tuple(told), (abs(value), 2 * u))
 
 
-def asked(mistake: Mistake, campaign: Path, usual: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return what is said of a campaign with a mistake, and what of that is none of `usual`; the first question."""
+def asked(mistake: Mistake, campaign: Path, usual: Sequence[str]) -> tuple[list[str], list[str], Told]:
+    """Return the questions asked of a campaign with a mistake, all that is said and none of `usual`, and all."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(shutil.copytree(campaign, Path(scratch) / "campaign"))
         files = folder / "rig.toml", next(folder.glob("*/recording.toml"))
@@ -276,8 +474,17 @@ def asked(mistake: Mistake, campaign: Path, usual: Sequence[str]) -> tuple[list[
         for file, text in zip(files, own, strict=True):
             file.write_text(to_toml(text))
         known = {opening(text) for text in usual}
-        new = [text.replace(f"{folder}/", "") for text in said(folder) if opening(text) not in known]
-    return [text for text in new if any(word in text for word in mistake.words)], new
+        told = said(folder)
+        new = [text.replace(f"{folder}/", "") for text in told.texts if opening(text) not in known]
+    return [text for text in new if any(word in text for word in mistake.words)], new, told
+
+
+def silent(told: Told, usual: Told) -> str:
+    """Say what a mistake of which nothing is said does to the main sensitivity."""
+    if told.main is None or usual.main is None:
+        return "silent, no result"
+    off = (told.main[0] - usual.main[0]) / usual.main[1]
+    return f"silent, {off:+.1f} U" if abs(off) <= 1 else f"**silent, {off:+.1f} U**"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -285,21 +492,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="*")
     parser.add_argument("--rig", choices=RIG_NAMES)
+    parser.add_argument("--blind", action="store_true", help="the second list, whose words were chosen beforehand")
     parser.add_argument("--write", type=Path)
     options = parser.parse_args(argv)
     lines = [HEAD]
     with tempfile.TemporaryDirectory() as scratch:
         rigs = {rig: right(rig, Path(scratch)) for rig in RIG_NAMES if options.rig in (None, rig)}
         usual = {rig: said(campaign) for rig, campaign in rigs.items()}
-        for mistake in (m for m in MISTAKES if not options.only or m.name in options.only):
+        for mistake in (
+            m for m in (BLIND if options.blind else MISTAKES) if not options.only or m.name in options.only
+        ):
             cells, quoted = [], ""
             for rig in RIG_NAMES:
                 if rig not in rigs or rig not in mistake.rigs:
                     cells.append("–")
                     continue
-                found, new = asked(mistake, rigs[rig], usual[rig])
+                found, new, told = asked(mistake, rigs[rig], usual[rig].texts)
                 named = any(word in text for text in new for word in NAMED)
-                cells.append("asked" if found else "noticed" if named else "**silent**")
+                cells.append("asked" if found else "noticed" if named else silent(told, usual[rig]))
                 quoted = quoted or next(iter(found), "")
                 if not found:
                     print(f"{mistake.name} ({rig}): " + " ## ".join(text[:230] for text in new), file=sys.stderr)
@@ -307,12 +517,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             lines.append(f"| {mistake.name} | {' | '.join(cells)} | {quoted[:200]} |")
             print(lines[-1], flush=True)
     if options.write is not None:
-        text = options.write.read_text(encoding="utf-8")
-        table = "\n".join(lines)
-        head, _, rest = text.partition("<!-- mistakes -->")
-        text = (
-            f"{head}<!-- mistakes -->\n{table}\n<!-- end of mistakes -->{rest.partition('<!-- end of mistakes -->')[2]}"
-        )
+        text, table = options.write.read_text(encoding="utf-8"), "\n".join(lines)
+        name = "blind mistakes" if options.blind else "mistakes"
+        (head, _, rest), end = text.partition(f"<!-- {name} -->"), f"<!-- end of {name} -->"
+        text = f"{head}<!-- {name} -->\n{table}\n{end}{rest.partition(end)[2]}"
         options.write.write_text(text, encoding="utf-8")
     return 0
 

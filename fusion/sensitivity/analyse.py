@@ -28,6 +28,7 @@ from fusion.sensitivity.ratio import (
     contradicting_outputs,
     driven_component,
     known_matrix,
+    mass_doubted,
     parasitic_loads,
     quotient,
     sensitivity_ratio,
@@ -294,6 +295,7 @@ def _element_notices(
     predicted = load.value[line] @ known.value[known.main]
     course = complex(quotient(outputs.phasors.value[line, known.main], np.asarray(predicted)))
     doubt = list(contradicting_outputs(outputs, load, known, StatedMatrix.of(sensor).rated, line))
+    doubt += mass_doubted(element, course, float(outputs.phasors.frequency_hz[line]))
     if abs(course - 1.0) > CHANGED:
         text = (
             f"the {element} is {abs(course):.3g} times its static value at {hertz}, turned by "

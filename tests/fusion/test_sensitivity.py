@@ -27,6 +27,7 @@ from fusion.sensitivity.ratio import (
     StatedMatrix,
     driven_component,
     known_matrix,
+    mass_doubted,
     parasitic_loads,
     sensitivity_ratio,
     sensor_element,
@@ -450,3 +451,24 @@ def test_what_one_recording_lacks_is_said_and_nothing_called_an_element():
     (element,) = [r for r in propagate(replace(known, sensor=rated), bounded, 4000, 1).results if r.name == "element"]
     spread = element.covariance
     np.testing.assert_allclose(spread, element.first_covariance, rtol=0.1, atol=0.05 * spread.max())
+
+
+@pytest.mark.parametrize(
+    ("size", "told"),
+    [
+        (1 / (1 - (80 / 300) ** 2), "as a resonance at 300 Hz would make it"),
+        (1 / (1 - (80 / 700) ** 2), None),  # 1.3 % above rest
+        (1 / (1 - (2000 / 9000) ** 2), None),  # 5 % above, but at a frequency near the resonance
+        (0.95, "which no resonance above that does"),
+        (0.98, None),
+        (1.5, None),  # told by the outputs that contradict the matrix
+        (1.1 * np.exp(0.5j), None),
+    ],
+)
+def test_an_element_unlike_rest_and_unlike_a_resonance_asks_for_the_masses(size, told):
+    frequency_hz = 2000.0 if size == 1 / (1 - (2000 / 9000) ** 2) else 80.0
+    notices = list(mass_doubted("Fz per Fz", complex(size), frequency_hz))
+    assert len(notices) == (told is not None)
+    for notice in notices:
+        assert told in notice.text
+        assert "load.mass" in notice.text
