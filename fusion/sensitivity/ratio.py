@@ -535,10 +535,8 @@ def contradicting_outputs(
     yield Notice("warning", text, "sensitivity")
 
 
-UNLIKE_REST = 0.03
-"""Relative change of the driven element since rest that something has to explain."""
-SOFTEST_HZ = 500.0
-"""Natural frequency above which a loaded sensor's resonance is taken for the explanation."""
+UNLIKE_REST, SOFTEST_HZ = 0.03, 500.0
+"""Relative change of the driven element since rest that a resonance has to explain, and where it is to be expected."""
 
 
 def mass_doubted(element: str, course: complex, frequency_hz: float) -> Iterator[Notice]:
@@ -547,21 +545,19 @@ def mass_doubted(element: str, course: complex, frequency_hz: float) -> Iterator
     `course`: the element over its static value at one frequency. Below its resonance f₀ an oscillator's is
     1/(1 - (f/f₀)²), never below one, in phase.
     """
-    size = abs(course)
+    size, told = abs(course), "which no resonance above that does"
     if not UNLIKE_REST < abs(size - 1.0) <= CHANGED or abs(np.angle(course)) > CHANGED:
         return
-    told = "which no resonance above that does"
     if size > 1.0:
         natural_hz = frequency_hz / np.sqrt(1.0 - 1.0 / size)
         if natural_hz > SOFTEST_HZ:
             return
         told = f"as a resonance at {natural_hz:.3g} Hz would make it"
+    masses = "load.mass, every part that moves with the load and sensor.internal_mass stated, each once"
     text = (
-        f"the {element} is {size:.3g} times its static value at {frequency_hz:.6g} Hz, {told}: are load.mass, every "
-        "part that moves with the load and sensor.internal_mass stated, each once, and scale and response of the "
-        "output right?"
+        f"the {element} is {size:.3g} times its static value at {frequency_hz:.6g} Hz, {told}: are {masses}, and scale"
     )
-    yield Notice("info", text, "sensitivity")
+    yield Notice("info", f"{text} and response of the output right?", "sensitivity")
 
 
 # The ratio point by point, where several vibrometer points look along the force that was driven.
