@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from fusion.campaign.curve import LEAST_POINTS, Curve, CurvePoint, curve_elements, interpolate, single_points
@@ -45,6 +46,9 @@ BESIDE_SHARE = 0.012
 """How far ratios stand to the left of elements of matrices, as a share of the axis."""
 SPREAD_SHARE = 0.008
 """Distance of the mountings from each other beside their frequency, as a share of the axis."""
+SPREAD_OVER = 0.06
+"""What all of them take of it, at most."""
+IN_LEGEND = 14
 BETWEEN_POINTS = 121
 """Number of places at which the interpolated curve is drawn."""
 LARGEST_MAPS = 6
@@ -258,9 +262,11 @@ def _draw_bars(
 def _draw_mountings(axes: Axes, recorded: Sequence[tuple[float, str]], off: FloatArray, right: float) -> None:
     """Single recordings of given frequency and mounting, off the curve (R,), each mounting beside its frequency."""
     mountings, all_hz = (np.array(column) for column in ([m for _, m in recorded], [f for f, _ in recorded]))
-    for place, mounting in enumerate(np.unique(mountings)):
+    names = np.unique(mountings)
+    step = right * min(SPREAD_SHARE, SPREAD_OVER / len(names))
+    for place, mounting in enumerate(names):
         own = mountings == mounting
-        frequency = all_hz[own] + SPREAD_SHARE * right * (place + 1)
+        frequency = all_hz[own] + step * (place + 1)
         look: dict[str, Any] = {"markerfacecolor": "none", "markersize": 3.8, "markeredgewidth": 0.8, "linestyle": ""}
         marker = MOUNTING_MARKERS[place % len(MOUNTING_MARKERS)]
         axes.plot(frequency, off[own], marker, color=BLACK, label=f"mounting {mounting}", **look)
@@ -269,11 +275,14 @@ def _draw_mountings(axes: Axes, recorded: Sequence[tuple[float, str]], off: Floa
 
 
 def _picture_with_legend(drawn: Sheet, title: str, caption: str, **layout: Any) -> Picture:
-    """Turn a figure into a picture with one legend for all panels in a row above the first."""
+    """Turn a figure into a picture with one legend for all panels above the first, of many entries the first ones."""
     distinct: dict[str, Any] = {}
     for axes in drawn.panels:
         handles, labels = axes.get_legend_handles_labels()
         distinct |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in distinct}
+    if len(distinct) > IN_LEGEND:
+        kept = dict(list(distinct.items())[: IN_LEGEND - 1])
+        distinct = {**kept, f"and {len(distinct) - len(kept)} more": Line2D([], [], linestyle="none")}
     drawn.figure.legend(distinct.values(), distinct.keys(), loc="upper left", ncols=7, bbox_to_anchor=(0.085, 1.0))
     return drawn.picture(title, caption, **{"top": 0.3, "left": 0.8, "label": 0.62, **layout})
 
