@@ -104,7 +104,10 @@ def mistakes() -> ModuleType:
 def test_plausible_mistakes_are_asked_about(mistakes: ModuleType, tmp_path: Path) -> None:
     """The whole path, `check` and `run`, of the light recording: as the document's table says."""
     campaign = mistakes.right("uniaxial", tmp_path)
-    usual = mistakes.said(campaign)
+    usual = mistakes.said(campaign).texts
     own = [mistake for mistake in mistakes.MISTAKES if "uniaxial" in mistake.rigs]
     silent = {mistake.name for mistake in own if not mistakes.asked(mistake, campaign, usual)[0]}
     assert silent <= NOTICED
+    masses = [mistake for mistake in mistakes.BLIND if mistake.name.startswith("mass") and "uniaxial" in mistake.rigs]
+    assert len(masses) == 2
+    assert all(mistakes.asked(mistake, campaign, usual)[0] for mistake in masses)
