@@ -67,15 +67,20 @@ def _rig(table: str, key: str, factor: float) -> Callable[[Text, Text, Path], No
     return make
 
 
-def _channels(key: str, change: Callable[[Any], Any], quantity: str, first: bool = False) -> Any:
-    """Change a key of all channels of a quantity, or of the first."""
+def _every_channel(change: Callable[[Text], object], quantity: str, most: int | None = None) -> Any:
+    """Do something to all channels of a quantity, or to the first ones."""
 
     def make(_: Text, recording: Text, __: Path) -> None:
         own = [c for daq in recording["daq"] for c in daq["channel"] if c["quantity"] == quantity]
-        for channel in own[: 1 if first else None]:
-            channel[key] = change(channel.get(key))
+        for channel in own[:most]:
+            change(channel)
 
     return make
+
+
+def _channels(key: str, change: Callable[[Any], Any], quantity: str, first: bool = False) -> Any:
+    """Change a key of all channels of a quantity, or of the first."""
+    return _every_channel(lambda c: c.update({key: change(c.get(key))}), quantity, 1 if first else None)
 
 
 def _exchanged(quantity: str, names: tuple[str, str]) -> Callable[[Text, Text, Path], None]:
@@ -241,17 +246,6 @@ MISTAKES = (
 
 
 # A second list, written down before any of it was tried.
-
-
-def _every_channel(change: Callable[[Text], object], quantity: str, most: int | None = None) -> Any:
-    """Do something to all channels of a quantity, or to the first ones."""
-
-    def make(_: Text, recording: Text, __: Path) -> None:
-        own = [c for daq in recording["daq"] for c in daq["channel"] if c["quantity"] == quantity]
-        for channel in own[:most]:
-            change(channel)
-
-    return make
 
 
 def _part_forgotten(rig: Text, _: Text, __: Path) -> None:

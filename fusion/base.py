@@ -13,6 +13,7 @@ import platform
 import re
 import signal
 import sys
+import time
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -157,6 +158,11 @@ class Identity(NamedTuple):
         except OSError:
             return None
         return cls(found.st_size, found.st_mtime_ns, found.st_ino, found.st_dev)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the file was changed so long ago that a further change would show in its time."""
+        return self.mtime_ns * 1e-9 <= time.time() - JUST_NOW_S
 
 
 def check_new_file(path: Path, *, force: bool) -> None:

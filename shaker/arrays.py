@@ -34,8 +34,12 @@ class Stacked:
 
     @staticmethod
     def of(values: FloatArray | Stacked) -> Stacked:
-        """Return the columns of an array (S, C)."""
-        return values if isinstance(values, Stacked) else Stacked(tuple(values.T), (1.0,) * values.shape[1])
+        """Return the columns of an array (S,) or (S, C); `ValueError` for any other."""
+        if isinstance(values, Stacked):
+            return values
+        array = values[:, None] if values.ndim == 1 else values
+        check_shape("values", array, (None, None))
+        return Stacked(tuple(array.T), (1.0,) * array.shape[1])
 
     @property
     def shape(self) -> tuple[int, int]:

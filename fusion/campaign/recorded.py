@@ -15,7 +15,7 @@ from fusion.campaign.drive import Drive, line_drives
 from fusion.instruments.channel import Outputs
 from fusion.phasors.timing import Grid
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT, Provenance, provenance_of
-from fusion.report.h5 import opened_results, read_evidence, read_uncertainty
+from fusion.report.h5 import opened_results, read_evidence, read_notices, read_uncertainty
 from fusion.sensitivity.evidence import Evidence
 from fusion.sensitivity.load import LoadResult
 from fusion.sensitivity.ratio import StatedMatrix
@@ -91,8 +91,7 @@ def read_recorded(folder: str | Path) -> Recorded:
         if file.attrs["format"] != RESULT_FORMAT:
             expected = f"format {RESULT_FORMAT}; --force evaluates the recording anew"
             raise InputError(folder / RESULT_FILE, "", found=f"format {file.attrs['format']}", expected=expected)
-        driven, told = file["excitation"], file["notices"]
-        notices = zip(*(_texts(told, name) for name in ("severity", "text", "where")), strict=True) if len(told) else ()
+        driven = file["excitation"]
         return Recorded(
             folder=folder.name,
             name=str(file.attrs["recording"]),
@@ -103,7 +102,7 @@ def read_recorded(folder: str | Path) -> Recorded:
             frequencies=_numbers(driven, "frequencies"),
             sensor=_sensor(file["sensor"]) if "sensor" in file else None,
             drives=_drives(file),
-            notices=tuple(Notice(*row) for row in notices),
+            notices=read_notices(file),
             origin=provenance_of(file),
             date=Date.fromisoformat(file.attrs["date"]) if "date" in file.attrs else None,
             evidence=read_evidence(file),

@@ -228,7 +228,7 @@ def _driven_lines(
     excitation = manifest.excitation
     chosen = [c for c, name in enumerate(names) if name in excitation.reference] or list(range(len(names)))
     rate_hz = (len(time_s) - 1) / float(time_s[-1] - time_s[0])
-    lines = survey_lines(values.select(chosen)[:], rate_hz)
+    lines = survey_lines(values.select(chosen), rate_hz)
     low, high = excitation.band or (0.0, rate_hz / 2.0)
     in_band = lines.select((lines.frequency_hz >= low) & (lines.frequency_hz <= high))
     kept = in_band.select(relative_strength(in_band.amplitude) >= DRIVEN) if len(in_band.frequency_hz) else in_band

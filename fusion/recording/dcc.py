@@ -6,7 +6,6 @@ DCC (PTB's schema, versions 2.4 to 3.3) with the D-SI in it. Everything is turne
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date as Date
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
-from fusion.base import JUST_NOW_S, Identity, InputError
+from fusion.base import Identity, InputError
 from fusion.recording.dsi import CELSIUS_AT_0_K, NONE, Unit, parse_unit
 from fusion.recording.toml import read_text
 from fusion.recording.values import describe, wrong_size
@@ -111,8 +110,7 @@ def read_dcc(path: Path) -> CalibrationCertificate:
     shortly before that another change may not show, every time.
     """
     now = Identity.of(path)
-    settled = now is not None and now.mtime_ns * 1e-9 < time.time() - JUST_NOW_S
-    return _parsed(path, now) if settled else _parsed.__wrapped__(path, now)
+    return _parsed(path, now) if now is not None and now.settled else _parsed.__wrapped__(path, now)
 
 
 @lru_cache(maxsize=MOST_KEPT)

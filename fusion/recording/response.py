@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -15,7 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from fusion.base import InputError, as_input_error
 from fusion.recording.dcc import SUFFIX, CalibrationCertificate, curve_named, read_dcc
 from fusion.recording.dsi import parse_unit
-from fusion.recording.toml import read_text, read_toml, validate
+from fusion.recording.toml import read_rows, read_toml, validate
 from fusion.recording.values import (
     Block,
     NotNegative,
@@ -209,11 +208,7 @@ def read_table(path: Path, columns: ResponseColumns | None = None) -> ResponseTa
 
 def _typed_columns(path: Path) -> list[FloatArray]:
     """Return the columns of a table that has those of the format."""
-    try:
-        reader = csv.DictReader(read_text(path, LARGEST_TABLE, "a table").splitlines())
-        names, rows = tuple(reader.fieldnames or ()), list(reader)
-    except csv.Error as error:
-        raise InputError(path, "", found=str(error), expected="a table in UTF-8 text") from error
+    names, rows = read_rows(path, LARGEST_TABLE)
     missing = [name for name in COLUMNS if name not in names]
     if missing:
         found = f"columns {describe(', '.join(map(str, names)), plain=True) or 'none'}"

@@ -5,6 +5,7 @@ Inputs may be stated as certificates do, a table with U and k in the place of a 
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import stat
@@ -54,6 +55,17 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(path, "", describe(str(error), plain=True), "TOML") from error
     check_values(values, path)
     return values
+
+
+def read_rows(
+    path: Path, largest: int, expected: str = "a table in UTF-8 text"
+) -> tuple[tuple[str, ...], list[dict[str, str]]]:
+    """Return the columns and rows of a table of at most `largest` bytes; `InputError` for what is none."""
+    try:
+        reader = csv.DictReader(read_text(path, largest, "a table").splitlines())
+        return tuple(reader.fieldnames or ()), list(reader)
+    except csv.Error as error:
+        raise InputError(path, "", found=str(error), expected=expected) from error
 
 
 def read_text(path: Path, largest: int, what: str) -> str:

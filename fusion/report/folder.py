@@ -8,7 +8,6 @@ import logging
 import os
 import re
 import sys
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -22,7 +21,6 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from fusion.base import (
-    JUST_NOW_S,
     PROGRAM,
     AnyNotice,
     CommandEvaluation,
@@ -127,7 +125,7 @@ def hash_files(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] 
         if before is None or now is None or now[:2] != before[:2]:
             raise _changed(path, now)
         hashes[key.as_posix()], seen[path] = digest, (now, digest)
-        if now != before or now.mtime_ns * 1e-9 > time.time() - JUST_NOW_S:
+        if now != before or not now.settled:
             again.add(path)
     return InputFiles(dict(sorted(hashes.items())), seen, frozenset(again))
 

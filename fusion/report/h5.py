@@ -18,6 +18,7 @@ from fusion.base import InputError
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
 from fusion.report.quantities import describe
 from fusion.sensitivity.evidence import Evidence
+from shaker.arrays import Notice
 from shaker.io.channel import check_inside, opened_hdf5
 
 COMPRESS_ABOVE = 512
@@ -177,6 +178,13 @@ def read_uncertainty(group: h5py.Group) -> Uncertainty:
         own = *known, float(dof), _known("distribution", shape, Distribution)
         influences.append(Influence(name, label, float(u), unit, effect, *own))
     return Uncertainty(tuple(random), tuple(influences))
+
+
+def read_notices(file: h5py.File) -> tuple[Notice, ...]:
+    """Return the notices of open results; none where they hold none."""
+    told = file.get("notices", {})
+    columns = [told[name].asstr()[()].tolist() for name in ("severity", "text", "where")] if len(told) else []
+    return tuple(Notice(*row) for row in zip(*columns, strict=True))
 
 
 def read_evidence(file: h5py.File) -> tuple[Evidence, ...]:

@@ -116,17 +116,16 @@ class _Side:
         seen = see_views(camera, relative, bundle.poses, self.view, points, self.radius_m)
         if bundle.drift is None:
             return seen
-        return grown(seen, camera, bundle.drift.value[self.side] * bundle.drift.place[self.view])
+        return grown(seen, camera, bundle.drift.growth(self.side, self.view))
 
     def by_drift(self, bundle: Bundle, seen: Seen) -> FloatArray:
         """Return the derivatives (N, 2, D) of what is seen by the drift of either camera's focal lengths."""
         if bundle.drift is None:
             return np.empty((*seen.pixel.shape, 0))
-        camera, place = (bundle.rig.right if self.side else bundle.rig.left), bundle.drift.place[self.view, None]
+        camera = bundle.rig.right if self.side else bundle.rig.left
+        by_growth = bundle.drift.place[self.view, None] * (seen.pixel - camera.matrix[:2, 2])
         slope = np.zeros((*seen.pixel.shape, 2))
-        slope[..., self.side] = (
-            place * (seen.pixel - camera.matrix[:2, 2]) / (1 + bundle.drift.value[self.side] * place)
-        )
+        slope[..., self.side] = by_growth / (1 + bundle.drift.growth(self.side, self.view))[:, None]
         return slope
 
 

@@ -290,6 +290,10 @@ class Drift:
         """Return that of so many views before anything is known of it."""
         return Drift(np.zeros(2), np.linspace(-0.5, 0.5, views))
 
+    def growth(self, side: int, view: IntArray) -> FloatArray:
+        """Return how much larger (N,), relative, the focal lengths of a side are in views (N,)."""
+        return np.asarray(self.value[side] * self.place[view])
+
 
 DRIFT_SPREAD = 5e-3  # standard deviation of what is known of a drift beforehand
 
@@ -363,9 +367,7 @@ class Bundle:
         seen = see(camera, relative, self.poses[picture.view], points, picture.radius_m)
         if self.drift is None:
             return seen
-        return grown(
-            seen, camera, np.full(len(points), self.drift.value[picture.side] * self.drift.place[picture.view])
-        )
+        return grown(seen, camera, self.drift.growth(picture.side, np.full(len(points), picture.view)))
 
 
 def moved_pose(middle_m: FloatArray, pose: RigidTransform, step: FloatArray, growth: FloatArray) -> RigidTransform:

@@ -33,8 +33,8 @@ class LeftOut:
     away: tuple[FloatArray, ...]
 
 
-def leave_out(adjusted: Adjusted, pictures: Sequence[Picture]) -> LeftOut:
-    """Return the fit without each of its views in turn; `pictures` with the weights of the fit."""
+def leave_out(adjusted: Adjusted, pictures: Sequence[Picture] = ()) -> LeftOut:
+    """Return the fit without each of its views in turn; `pictures` to be predicted, with the weights of the fit."""
     normal, bundle = adjusted.normal, adjusted.bundle
     places, common, free = np.ix_(normal.places, normal.places), len(normal.prior), len(normal.places)
     steps, drifts, expected = [], [], np.zeros_like(adjusted.covariance)
@@ -50,9 +50,10 @@ def leave_out(adjusted: Adjusted, pictures: Sequence[Picture]) -> LeftOut:
         drifts.append(step[len(step) - normal.drifts :])
         expected[places] += reduced.covariance()[:free, :free] - adjusted.covariance[places]
         own = [n for n, picture in enumerate(pictures) if picture.view == view]
-        there = predicted(bundle.moved(step, np.insert(pose_steps, view, 0.0, axis=0)), [pictures[n] for n in own])
-        for n, residual in zip(own, there, strict=True):
-            away[n] = residual
+        if own:
+            others = bundle.moved(step, np.insert(pose_steps, view, 0.0, axis=0))
+            for n, residual in zip(own, predicted(others, [pictures[n] for n in own]), strict=True):
+                away[n] = residual
     return LeftOut(np.array(steps), np.array(drifts), expected, tuple(away))
 
 

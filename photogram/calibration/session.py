@@ -141,7 +141,7 @@ def _drifting(fit: _Fit) -> bool:
     start = replace(fit.adjusted.bundle, drift=Drift.over(len(fit.adjusted.bundle.poses)))
     adjusted = adjust(start, fit.session.weighted(), fit.model.prior(start.rig))
     assert adjusted.bundle.drift is not None
-    u = drift_u(adjusted, leave_out(adjusted, fit.session.weighted()), fit.factor)
+    u = drift_u(adjusted, leave_out(adjusted), fit.factor)
     return bool((np.abs(adjusted.bundle.drift.value) > stdtrit(len(start.poses) - 1, 1 - _CHANCE / 4) * u).any())
 
 
@@ -242,9 +242,7 @@ class _Fit:
         assert self.left_out is not None
         stated = stated_covariance(self.adjusted.covariance, self.left_out, self.factor)
         drift = self.adjusted.bundle.drift
-        if (
-            drift is not None
-        ):  # at the time of use the focal lengths lie anywhere between the first view's and the last's
+        if drift is not None:  # whenever the pair is used, it lies anywhere between the first view's and the last's
             change = np.zeros(len(stated))
             for camera, places, value in zip((self.rig.left, self.rig.right), (LEFT, RIGHT), drift.value, strict=True):
                 change[places[:2]] = camera.parameters[:2] * value
@@ -337,9 +335,10 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
     """Collect everything that the calibration tells."""
     bundle, session, factor = fit.adjusted.bundle, fit.session, fit.factor
     prior = fit.model.prior(bundle.rig)
-    baseline = np.zeros(len(fit.covariance))
+    covariance = fit.covariance
+    baseline = np.zeros(len(covariance))
     baseline[TRANSLATION] = bundle.rig.right_from_left.translation_m
-    rig = replace(bundle.rig, covariance=fit.covariance + scale_u**2 * np.outer(baseline, baseline))
+    rig = replace(bundle.rig, covariance=covariance + scale_u**2 * np.outer(baseline, baseline))
     pictures = [
         CalibratedPicture(view.name, view.index, view.position_px, residual, np.sqrt(squares / factor), used)
         for view, residual, squares, used in zip(session.views, fit.residuals, fit.squares, session.used, strict=True)

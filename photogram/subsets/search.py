@@ -186,14 +186,15 @@ def _mutual_nearest(left: NDArray[np.float32], right: NDArray[np.float32]) -> li
 
     All squared distances |l|² − 2·l·r + |r|² of a part at once, as one product of matrices.
     """
-    ones = np.ones((len(right), 1), np.float32)
-    columns = np.hstack([-2 * right, ones, np.sum(right**2, axis=1, keepdims=True)]).T
+    squares = np.sum(right**2, axis=1, keepdims=True)
+    columns = np.hstack([-2 * right, np.ones_like(squares), squares]).T
     every = np.arange(len(right))
     least, back = np.full(len(right), np.inf), np.zeros(len(right), dtype=np.int64)
     candidates: list[tuple[int, int]] = []
     for start in range(0, len(left), CHUNK):
         part = left[start : start + CHUNK]
-        square = np.hstack([part, np.sum(part**2, axis=1, keepdims=True), ones[:1].repeat(len(part), axis=0)]) @ columns
+        squares = np.sum(part**2, axis=1, keepdims=True)
+        square = np.hstack([part, squares, np.ones_like(squares)]) @ columns
         closer = np.argmin(square, axis=0)
         found = square[closer, every]
         better = found < least

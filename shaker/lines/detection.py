@@ -384,8 +384,7 @@ def survey_lines(
     >>> [origin.kind for origin in lines.origin]
     ['fundamental', 'harmonic']
     """
-    data = Stacked.of(values[:, None] if not isinstance(values, Stacked) and values.ndim == 1 else values)
-    check_shape("values", data, (None, None))
+    data = Stacked.of(values)
     if len(data) < _FEWEST:
         raise ValueError(f"values: expected at least {_FEWEST} samples, found {len(data)}")
     missing = sum(int(np.count_nonzero(~np.isfinite(part))) for part in data.parts())

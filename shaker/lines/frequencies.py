@@ -247,7 +247,7 @@ def _near(frequency_hz: FloatArray, lines: FloatArray, resolution_hz: float) -> 
 def _complete(time_s: FloatArray, values: FloatArray | Stacked) -> tuple[FloatArray, Stacked]:
     """Return times and values (S, C) of the samples without NaN, channels that never change left out."""
     check_shape("time_s", time_s, (None,))
-    data = Stacked.of(values[:, None] if not isinstance(values, Stacked) and values.ndim == 1 else values)
+    data = Stacked.of(values)
     check_shape("values", data, (len(time_s), None))
     present = rows_present(data)
     time_s, data = time_s if present is None else time_s[present], data.kept(present)

@@ -48,7 +48,7 @@ def amplitude_spectrum(samples: FloatArray | Stacked, sample_rate_hz: float, mos
     count = len(samples)
     if count < 2:
         raise ValueError(f"samples: expected at least 2 samples, found {count}")
-    stacked = Stacked.of(samples if isinstance(samples, Stacked) else samples.reshape(count, -1))
+    stacked = Stacked.of(samples)
     bins = count // 2 + 1
     merged = 1 if most_bins is None else -(-bins // most_bins)
     first = np.arange(0, bins, merged)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,10 +160,9 @@ def _matches(left: GreyImage, right: GreyImage) -> tuple[FloatArray, FloatArray]
     import cv2
 
     factor = max(1.0, max(left.shape) / LARGEST_PX)
+    seen: list[NDArray[Any]] = [left, right]
     if factor > 1.0:
         size = (round(left.shape[1] / factor), round(left.shape[0] / factor))
-        small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (left, right)]
-        first, second = match_features(small[0], small[1], FEATURES)
-    else:
-        first, second = match_features(left, right, FEATURES)
+        seen = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in seen]
+    first, second = match_features(seen[0], seen[1], FEATURES)
     return (first + 0.5) * factor - 0.5, (second + 0.5) * factor - 0.5

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,9 +11,9 @@ import h5py
 import numpy as np
 
 from fusion.base import InputError
-from fusion.recording.toml import read_text
+from fusion.recording.toml import read_rows
 from fusion.report.folder import Provenance, provenance_of
-from fusion.report.h5 import opened_results
+from fusion.report.h5 import opened_results, read_notices
 from shaker.arrays import Notice
 from shaker.identification.sensitivity import LABELS as CHAIN_LABELS
 from shaker.lti.indices import LABELS
@@ -110,10 +109,7 @@ def read_figures(folder: Path, command: str, *, k: float | None) -> tuple[Figure
     Raises `InputError` for a table that is not what the command wrote.
     """
     file = folder / SOURCES[command].table
-    try:
-        rows = list(csv.DictReader(read_text(file, LARGEST_TABLE, "a table").splitlines()))
-    except csv.Error as error:
-        raise InputError(file, "", found=str(error), expected=f"the table of shakercal {command}") from error
+    _, rows = read_rows(file, LARGEST_TABLE, f"the table of shakercal {command}")
     lists: dict[str, list[Figure]] = {}
     for line, row in enumerate(rows, 2):
         try:
@@ -176,10 +172,7 @@ def recordings_behind(recordings: Sequence[Path], folder: Path, command: str) ->
 def read_told(folder: Path, command: str) -> tuple[Provenance, tuple[Notice, ...], tuple[str, ...]]:
     """Return where results come from, what they told, and what no U of them holds."""
     with opened_results(folder / SOURCES[command].file) as file:
-        told = file.get("notices", {})
-        columns = [told[name].asstr()[()].tolist() for name in ("severity", "text", "where")] if len(told) else []
-        notices = tuple(Notice(*row) for row in zip(*columns, strict=True))
-        return provenance_of(file), notices, tuple(_scopes(file))
+        return provenance_of(file), read_notices(file), tuple(_scopes(file))
 
 
 def _scopes(file: h5py.File) -> Iterator[str]:

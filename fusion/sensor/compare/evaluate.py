@@ -26,6 +26,9 @@ from fusion.sensor.compare.read import Result, Value, year_of
 from fusion.sensor.compare.shared import Shared, acting_on, claims_apart, covariance_of, shared_inputs, unproven
 from shaker.arrays import FloatArray, Notice
 
+NAMED = 4
+"""Inputs that a notice names."""
+
 
 @dataclass(frozen=True)
 class Compared:
@@ -167,8 +170,8 @@ def _compared(
         value = phase[0] + np.angle(np.exp(1j * (phase - phase[0])))
         u = np.array([v.u_phase_rad for v in own])
     column, size = (0, value) if quantity == "magnitude" else (1, None)
-    acting = acting_on(group, shared)
-    acting = [(item, effect) for item, effect in acting if np.count_nonzero(effect[:, column]) > 1]
+    every = acting_on(group, shared)
+    acting = [(item, effect) for item, effect in every if np.count_nonzero(effect[:, column]) > 1]
     relative = np.array([effect[:, column] for _, effect in acting]).reshape(-1, len(u))
     (covariance, effects), change = covariance_of(relative, u, size), None
     year = np.array([year_of(dates[name]) if name in dates else v.year for name, v in group])
@@ -188,7 +191,7 @@ def _compared(
         effects=effects,
         reference=reference_value(value, covariance),
         normalised=normalised_error(value, covariance),
-        complex_normalised=_of_both(own, acting_on(group, shared)) if quantity == "magnitude" else None,
+        complex_normalised=_of_both(own, every) if quantity == "magnitude" else None,
         year=year,
         per_year=None if change is None else change[0],
         u_per_year=None if change is None else change[1],
@@ -201,6 +204,11 @@ def _of_both(own: Sequence[Value], acting: Sequence[tuple[Shared, FloatArray]]) 
     size, u_size = np.array([v.magnitude for v in own]), np.array([v.u_magnitude for v in own])
     u_phase, effects = np.array([v.u_phase_rad for v in own]), [effect for _, effect in acting]
     return complex_normalised_error(size * np.exp(1j * phase), u_size, u_phase, effects)
+
+
+def _first(texts: Sequence[str]) -> str:
+    """List the first texts, and how many more there are."""
+    return ", ".join(texts[:NAMED]) + (f" and {len(texts) - NAMED} more" if len(texts) > NAMED else "")
 
 
 def _notices(
@@ -216,13 +224,13 @@ def _notices(
     for one, other in combinations(results, 2):
         apart = list(dict.fromkeys(claims_apart(one, other, shared)))
         if apart:
-            what = f"{', '.join(apart[:4])}{f' and {len(apart) - 4} more' if len(apart) > 4 else ''}"
-            text = f"{one.name} and {other.name} name the same certificate for {what}, but state different values or U"
+            both = f"{one.name} and {other.name} name the same certificate for {_first(apart)}"
+            text = f"{both}, but state different values or U"
             found.append(Notice("warning", f"{text}: not taken as shared", "comparison"))
         alike = list(unproven(one, other))
         if alike:
-            what = f"{', '.join(alike[:4])}{f' and {len(alike) - 4} more' if len(alike) > 4 else ''}"
-            text = f"{one.name} and {other.name} both rest on {what} with the same u, and name no certificate for it"
+            both = f"{one.name} and {other.name} both rest on {_first(alike)} with the same u"
+            text = f"{both}, and name no certificate for it"
             found.append(Notice("info", f"{text}: taken as independent; a certificate would tell", "comparison"))
         if Path(one.file).resolve() == Path(other.file).resolve():
             found.append(Notice("warning", f"{one.name} and {other.name} are the same file", "comparison"))

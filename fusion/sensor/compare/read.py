@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -14,7 +13,7 @@ import numpy as np
 
 from fusion.base import InputError
 from fusion.recording.dcc import SUFFIX, curves, read_dcc
-from fusion.recording.toml import read_text
+from fusion.recording.toml import read_rows
 from fusion.recording.values import describe, wrong_size
 from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE
 from fusion.report.h5 import opened_results, read_evidence
@@ -97,11 +96,7 @@ def read_result(name: str, path: Path) -> Result:
     file = result_file(path)
     if file.suffix.lower() == SUFFIX:
         return _certified(name, file)
-    try:
-        reader = csv.DictReader(read_text(file, LARGEST_TABLE, "a table").splitlines())
-        columns, rows = tuple(reader.fieldnames or ()), list(reader)
-    except csv.Error as error:
-        raise InputError(file, "", found=str(error), expected="a table in UTF-8 text") from error
+    columns, rows = read_rows(file, LARGEST_TABLE)
     missing = [column for column in NEEDED if column not in columns]
     if missing:
         raise InputError(file, missing[0], found="no such column", expected="this column")
