@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import hashlib
 import json
 import logging
@@ -11,6 +13,8 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 from urllib.parse import quote
@@ -24,6 +28,7 @@ from fusion.base import (
     PROGRAM,
     AnyNotice,
     CommandEvaluation,
+    ComputeError,
     Identity,
     InputError,
     __version__,
@@ -31,6 +36,7 @@ from fusion.base import (
 )
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
+from fusion.report.figure import Figure
 from fusion.report.files import claimed, is_own, write_files, write_together
 from fusion.report.h5 import h5_content, opened_results, write_value
 from fusion.report.table import Table
@@ -40,6 +46,7 @@ from fusion.report.table import Table
 
 RESULT_FILE, RESULT_FORMAT = "result.h5", 2
 SENSITIVITY_FILE, CURVE_FILE = "sensitivity.csv", "curve.csv"
+TEMPLATES = Path(__file__).with_name("templates")
 Setting = str | float | int
 
 
@@ -206,15 +213,55 @@ SECTION = re.compile(r'<section id="(.*?)" aria-label="(.*?)">')
 
 def render_page(template: str, context: Mapping[str, Any]) -> str:
     """HTML text of a template of this package; style and figures are inside, nothing is fetched from elsewhere."""
+    shown: list[Figure] = []
+
+    def live(figure: Figure) -> str:
+        """Have a figure drawn in the browser; the name under which its data stand."""
+        shown.append(figure)
+        return figure.name
+
     environment = Environment(
-        loader=FileSystemLoader(Path(__file__).with_name("templates")),
+        loader=FileSystemLoader(TEMPLATES),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"data_uri": data_uri, "sections": sections}
+    environment.filters |= {"data_uri": data_uri, "sections": sections, "live": live, "printed": printed_svg}
+    environment.globals |= {
+        "shown": shown,
+        "figures_library": library,
+        "figures_data": lambda: packed(_json([figure.data() for figure in shown])),
+        "figures_program": lambda: Markup((TEMPLATES / "figures.js").read_text(encoding="utf-8")),
+    }
     return environment.get_template(template).render(context) + "\n"
+
+
+def _json(data: object) -> bytes:
+    """Return JSON without blanks."""
+    return json.dumps(data, separators=(",", ":"), allow_nan=False).encode()
+
+
+def printed_svg(figure: Figure) -> str:
+    """Return a figure as SVG text."""
+    from fusion.report.printed import printed
+
+    return printed(figure).decode()
+
+
+def packed(data: bytes) -> Markup:
+    """Compress what a page unpacks itself, in characters that HTML leaves alone."""
+    return Markup(base64.b64encode(gzip.compress(data, 9, mtime=0)).decode("ascii"))
+
+
+@cache
+def library() -> Markup:
+    """Return BokehJS, packed: the files of the installed package, which is not imported for that."""
+    spec = find_spec("bokeh")
+    if spec is None or not spec.submodule_search_locations:
+        raise ComputeError("the package bokeh, whose program draws the figures of the page, is not installed")
+    scripts = Path(spec.submodule_search_locations[0]) / "server/static/js"
+    return packed(b"\n".join((scripts / name).read_bytes() for name in ("bokeh.min.js", "bokeh-api.min.js")))
 
 
 def sections(page: str) -> list[tuple[Markup, Markup]]:

@@ -7,30 +7,23 @@ from typing import Any
 
 import cv2
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
-from matplotlib.colors import Colormap, LinearSegmentedColormap
 from numpy.typing import NDArray
 
 from fusion.base import prefix
 from fusion.phasors.stereo_phasors import DeflectionShape, StereoResult
-from fusion.report.style import (
+from fusion.report.figure import (
     BLACK,
     BLUE,
     COLOURS,
-    GREEN,
     GREY,
     LIGHT,
     ORANGE,
-    PURPLE,
-    RASTER_ABOVE,
+    PHASE_COLOURS,
     RED,
-    WIDTH_IN,
-    Picture,
-    panel_label,
+    Figure,
+    Panel,
+    Scale,
     sheet,
-    square_corners,
 )
 from fusion.sensitivity.analyse import Evaluation
 from photogram.epipolar import COVERAGE, EpipolarCheck
@@ -45,10 +38,8 @@ OUT_QUANTILE, INSIDE_QUANTILE = 2.448, 3.080
 """Amplitude of one and of two components, in standard uncertainties of their parts, that noise exceeds at 5 % of the
 points: square roots of the 95 % quantiles of chi-square with 2 and 4 degrees of freedom."""
 LONGEST_ARROW = 1.6  # distances between neighbours
-PHASE_COLOURS = (BLUE, GREEN, ORANGE, PURPLE, BLUE)
-"""Colours of -180, -90, 0, 90 and 180 degrees, distinct from the grey of points without a phase."""
 PANEL_IN, TALLEST_IN, FLATTEST_IN = 2.2, 3.2, 0.8
-BELOW_IN, ABOVE_IN, BAR_IN, BAR_HEIGHT_IN = 1.15, 0.3, 0.68, 0.11
+AROUND_IN = 1.45
 MARGIN_SHARE = 0.03
 
 
@@ -83,7 +74,7 @@ class _View:
         return float(np.clip(PANEL_IN * (high[1] - low[1]) / (high[0] - low[0]), FLATTEST_IN, TALLEST_IN))
 
 
-def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name: str, body: str) -> Picture | None:
+def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name: str, body: str) -> Figure | None:
     """Amplitude and phase of the deflection out of the plane of the points, and the deflection in that plane.
 
     `rigid` (6,): displacement phasors of the body at this line; phases are counted from its largest translation. None
@@ -95,29 +86,26 @@ def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name
     view = _view(shape.reference_m[known], shape.value[line][known], shape.u[line][known])
     leader = int(np.argmax(np.abs(rigid[:3])))
     above = np.abs(view.out) > view.out_level
-    with sheet(f"deflection-{name}", view.height_in + BELOW_IN + ABOVE_IN, 1, 3) as drawn:
-        panels = drawn.panels
-        _draw_amplitude(panels[0], view)
-        _draw_phase(panels[1], view, above, (float(np.angle(rigid[leader])), AXES[leader]))
-        _draw_in_plane(panels[2], view)
-        low, high = view.limits_mm
-        for axes in panels:
-            axes.set_xlim(low[0], high[0])
-            axes.set_ylim(low[1], high[1])
-            axes.set_aspect("equal")
-            axes.set_xlabel(f"{AXES[view.across[0]]} / mm")
-            axes.grid(visible=False)
-        panels[0].set_ylabel(f"{AXES[view.across[1]]} / mm")
-        caption = (
-            f"What the {body} does beside its rigid motion at {shape.frequency_hz[line]:.4f} Hz, seen by stereo pair "
-            f"“{name}” (peak values). Left: amplitude along {AXES[view.normal]}, out of the plane of the points; "
-            f"{above.sum()} of {len(above)} points are above the noise level, which noise alone exceeds at one point "
-            f"in twenty. Middle: phase against the rigid translation along {AXES[leader]}, grey where the amplitude "
-            "is below that level. Right: deflection in the plane at the instant of its largest extent, grey below "
-            "the noise level. Bending appears smaller by the rigid motion that fits it best."
-        )
-        layout: dict[str, Any] = {"left": 0.6, "bottom": BELOW_IN, "top": ABOVE_IN, "gap": (0.5, 0.1), "label": 0.42}
-        return drawn.picture(f"Operating deflection shape seen by {name}", caption, **layout)
+    drawn = sheet(f"deflection-{name}", view.height_in + AROUND_IN, 1, 3)
+    panels = drawn.panels
+    _draw_amplitude(panels[0], view)
+    _draw_phase(panels[1], view, above, (float(np.angle(rigid[leader])), AXES[leader]))
+    _draw_in_plane(panels[2], view)
+    low, high = view.limits_mm
+    for panel in panels:
+        panel.x.limits, panel.y.limits = (low[0], high[0]), (low[1], high[1])
+        panel.equal, panel.x.grid, panel.y.grid = True, False, False
+        panel.x.label = f"{AXES[view.across[0]]} / mm"
+    panels[0].y.label = f"{AXES[view.across[1]]} / mm"
+    caption = (
+        f"What the {body} does beside its rigid motion at {shape.frequency_hz[line]:.4f} Hz, seen by stereo pair "
+        f"“{name}” (peak values). Left: amplitude along {AXES[view.normal]}, out of the plane of the points; "
+        f"{above.sum()} of {len(above)} points are above the noise level, which noise alone exceeds at one point "
+        f"in twenty. Middle: phase against the rigid translation along {AXES[leader]}, grey where the amplitude "
+        "is below that level. Right: deflection in the plane at the instant of its largest extent, grey below "
+        "the noise level. Bending appears smaller by the rigid motion that fits it best."
+    )
+    return drawn.figure(f"Operating deflection shape seen by {name}", caption)
 
 
 def _view(reference_m: FloatArray, value: ComplexArray, u: FloatArray) -> _View:
@@ -140,95 +128,53 @@ def _view(reference_m: FloatArray, value: ComplexArray, u: FloatArray) -> _View:
     )
 
 
-def _draw_amplitude(axes: Axes, view: _View) -> None:
-    """Squares coloured by the amplitude out of the plane; the colour bar shows the noise level."""
+def _draw_amplitude(panel: Panel, view: _View) -> None:
+    """Squares coloured by the amplitude out of the plane."""
     factor, letter = prefix(np.abs(view.out))
     largest = float(np.abs(view.out).max()) / factor
     level = float(np.median(view.out_level)) / factor
-    squares = _squares(view, np.abs(view.out) / factor, colormaps["viridis"], (0.0, max(largest, level)))
-    axes.add_collection(squares)
-    bar = _colour_bar(axes, view, squares, f"amplitude / {letter}m")
-    bar.axvline(level, color="white", linewidth=2.6)
-    bar.axvline(level, color=BLACK, linewidth=1.2)
-    panel_label(axes, f"out of plane ({AXES[view.normal]}), noise level {float(f'{level:.2g}'):g} {letter}m")
+    scale = Scale("viridis", 0.0, max(largest, level), f"amplitude / {letter}m")
+    panel.squares(view.plan_mm, 0.94 * view.side_mm, values=np.abs(view.out) / factor, scale=scale)
+    panel.title = f"out of plane ({AXES[view.normal]}), noise {level:#.2g} {letter}m"
 
 
-def _draw_phase(axes: Axes, view: _View, above: NDArray[np.bool_], leader: tuple[float, str]) -> None:
+def _draw_phase(panel: Panel, view: _View, above: NDArray[np.bool_], leader: tuple[float, str]) -> None:
     """Squares coloured by the phase out of the plane, against the leader's, where the amplitude is above the noise."""
     phase = np.degrees(np.angle(view.out * np.exp(-1j * leader[0])))
-    colours = LinearSegmentedColormap.from_list("phase", PHASE_COLOURS)
-    squares = _squares(view, np.where(above, phase, np.nan), colours, (-180.0, 180.0))
-    axes.add_collection(squares)
-    bar = _colour_bar(axes, view, squares, f"phase against {leader[1]} / °")
-    bar.set_xticks([-180, -90, 0, 90, 180])
-    panel_label(axes, f"out of plane ({AXES[view.normal]}), phase")
+    scale = Scale(PHASE_COLOURS, -180.0, 180.0, f"phase against {leader[1]} / °")
+    panel.squares(view.plan_mm, 0.94 * view.side_mm, values=np.where(above, phase, np.nan), scale=scale)
+    panel.title = f"out of plane ({AXES[view.normal]}), phase"
 
 
-def _draw_in_plane(axes: Axes, view: _View) -> None:
+def _draw_in_plane(panel: Panel, view: _View) -> None:
     """Arrows at the instant at which the deflection in the plane is largest."""
     instant = np.exp(-0.5j * np.angle(np.sum(view.inside**2)))
-    arrows = (view.inside * instant).real
+    vector = (view.inside * instant).real
     length = np.sqrt(np.sum(np.abs(view.inside) ** 2, axis=1))
-    factor, letter = prefix(arrows)
-    colour = np.where(length > view.inside_level, BLUE, GREY)
-    longest = float(np.quantile(np.hypot(arrows[:, 0], arrows[:, 1]), 0.98)) / factor
-    scale = max(longest, 1e-12) / (LONGEST_ARROW * view.side_mm)
-    quiver = axes.quiver(
-        *view.plan_mm.T,
-        *(arrows / factor).T,
-        color=list(colour),
-        angles="xy",
-        scale_units="xy",
-        scale=scale,
-        width=0.006,
-        headwidth=3.5,
-        rasterized=len(arrows) > RASTER_ABOVE,
-    )
-    key = float(f"{longest:.1g}")
-    axes.quiverkey(
-        quiver,
-        0.5,
-        -(BAR_IN - BAR_HEIGHT_IN) / view.height_in,
-        key,
-        f"{key:g} {letter}m",
-        labelpos="S",
-        labelsep=0.06,
-        color=BLACK,
-    )
+    factor, letter = prefix(vector)
+    longest = max(float(np.quantile(np.hypot(vector[:, 0], vector[:, 1]), 0.98)), 1e-12 * factor)
+    shown = vector * (LONGEST_ARROW * view.side_mm / longest)
+    weak = length <= view.inside_level
+    for own, colour in ((~weak, BLUE), (weak, GREY)):
+        if own.any():
+            panel.arrows(view.plan_mm[own], shown[own], colour=colour)
     level = float(np.median(view.inside_level)) / factor
     names = ", ".join(AXES[axis] for axis in view.across)
-    panel_label(axes, f"in plane ({names}), noise level {float(f'{level:.2g}'):g} {letter}m")
-
-
-def _squares(view: _View, values: FloatArray, colours: Colormap, limits: tuple[float, float]) -> PolyCollection:
-    """Squares about the points, coloured by values (N,), light grey where they are NaN."""
-    corners = square_corners(view.plan_mm, 0.94 * view.side_mm)
-    squares = PolyCollection(list(corners), linewidth=0.0, edgecolor="none")
-    squares.set_array(np.ma.masked_invalid(values))
-    squares.set_cmap(colours.with_extremes(bad=LIGHT))
-    squares.set_clim(*limits)
-    squares.set_rasterized(len(values) > RASTER_ABOVE)
-    return squares
-
-
-def _colour_bar(axes: Axes, view: _View, squares: PolyCollection, label: str) -> Axes:
-    """Horizontal colour bar under a panel."""
-    place = axes.inset_axes((0.0, -BAR_IN / view.height_in, 1.0, BAR_HEIGHT_IN / view.height_in))
-    axes.figure.colorbar(squares, cax=place, orientation="horizontal")
-    place.set_xlabel(label)
-    place.grid(visible=False)
-    return place
+    panel.title = f"in plane ({names}): longest {longest / factor:#.2g}, noise {level:#.2g} {letter}m"
 
 
 # Figures of one stereo pair: motion over time and folded, what the fit leaves, and the image it was seen in.
 
 
-POINT: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2.6, "markeredgewidth": 0}
+MEASURED: dict[str, Any] = {"label": "measured", "colour": BLUE, "size": 2.6}
+FITTED: dict[str, Any] = {"label": "sine approximation", "colour": RED}
 CURVE_POINTS = 600
 LARGEST_IMAGE_PX = 520
+MOST_PERCENT = 45.0
+"""Right end of the histograms: a class of a normal distribution in eight holds up to 35 %."""
 
 
-def motion_pictures(stereo: StereoResult) -> list[Picture]:
+def motion_pictures(stereo: StereoResult) -> list[Figure]:
     """All figures of one stereo pair."""
     pictures = [draw_motion(stereo), draw_residuals(stereo)]
     if len(stereo.time_s) >= 8:
@@ -243,91 +189,86 @@ def motion_pictures(stereo: StereoResult) -> list[Picture]:
     return pictures if bent is None else [*pictures, bent]
 
 
-def draw_motion(stereo: StereoResult) -> Picture:
+def draw_motion(stereo: StereoResult) -> Figure:
     """Six components over time with the fitted lines as this camera rate sees them, and folded over one period."""
     frequency, rate = main_frequency(stereo), camera_rate_hz(stereo)
     start, end = stereo.time_s[0], stereo.time_s[-1]
     phase = np.mod(stereo.time_s * frequency, 1.0)
-    look = {**POINT, "color": BLUE, "rasterized": len(stereo.time_s) > RASTER_ABOVE}
-    fitted: dict[str, Any] = {"color": RED, "linewidth": 1.1, "zorder": 3}
     fine, fine_phase = np.linspace(start, end, CURVE_POINTS), np.linspace(0.0, 1.0, 241)
     # Folded: other lines, offset and drift taken off.
     folded = folded_curve(stereo, frequency, phase) + stereo.residual
     curve, folded_fit = beat_curve(stereo, fine), folded_curve(stereo, frequency, fine_phase)
-    with sheet(f"motion-{stereo.name}", 8.4, 6, 2, widths=(1.9, 1.0)) as drawn:
-        for component, (left, right) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
-            pose = stereo.motion_from_mean.pose[:, component]
-            factor, letter = prefix(pose)
-            left.plot(fine, curve[:, component] / factor, **fitted)
-            left.plot(stereo.time_s, pose / factor, **look)
-            left.set_ylabel(f"{MOTION_COMPONENTS[component]} / {letter}{component_units(0)[component]}")
-            right.plot(phase, folded[:, component] / factor, **look)
-            right.plot(fine_phase, folded_fit[:, component] / factor, **fitted)
-            right.set_xlim(0.0, 1.0)
-        drawn.panels[0].set_title("at the exposure times")
-        drawn.panels[1].set_title("folded over one period")
-        drawn.panels[-2].set_xlabel("time / s")
-        drawn.panels[-1].set_xlabel(f"phase of {frequency:.4f} Hz / periods")
-        beat = float(alias_frequency(frequency, rate))
-        caption = (
-            f"Motion of the {stereo.body} seen by stereo pair “{stereo.name}”, about its mean pose: "
-            f"{len(stereo.time_s)} frames at {rate:.4f} Hz. Points: measured; curves: sine approximation. Left, the "
-            f"curve is drawn at the beat frequency of {beat:.4f} Hz, to which this camera rate folds "
-            f"{frequency:.4f} Hz; it passes through the fit at every frame. Right, the frames are ordered by phase."
-        )
-        title = f"Motion seen by {stereo.name}"
-        return drawn.picture(title, caption, left=0.72, top=0.25, gap=(0.5, 0.14), label=0.52)
+    drawn = sheet(f"motion-{stereo.name}", 8.4, 6, 2, widths=(1.9, 1.0))
+    for component, (left, right) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
+        pose = stereo.motion_from_mean.pose[:, component]
+        factor, letter = prefix(pose)
+        left.line(fine, curve[:, component] / factor, **FITTED)
+        left.points(stereo.time_s, pose / factor, **MEASURED)
+        left.y.label = f"{MOTION_COMPONENTS[component]} / {letter}{component_units(0)[component]}"
+        left.x.link = f"time of {stereo.name}"
+        right.points(phase, folded[:, component] / factor, **MEASURED)
+        right.line(fine_phase, folded_fit[:, component] / factor, **FITTED)
+        right.x.limits = (0.0, 1.0)
+    drawn.panels[0].title = "at the exposure times"
+    drawn.panels[1].title = "folded over one period"
+    drawn.panels[-2].x.label = "time / s"
+    drawn.panels[-1].x.label = f"phase of {frequency:.4f} Hz / periods"
+    beat = float(alias_frequency(frequency, rate))
+    caption = (
+        f"Motion of the {stereo.body} seen by stereo pair “{stereo.name}”, about its mean pose: "
+        f"{len(stereo.time_s)} frames at {rate:.4f} Hz. Points: measured; curves: sine approximation. Left, the "
+        f"curve is drawn at the beat frequency of {beat:.4f} Hz, to which this camera rate folds "
+        f"{frequency:.4f} Hz; it passes through the fit at every frame. Right, the frames are ordered by phase."
+    )
+    return drawn.figure(f"Motion seen by {stereo.name}", caption)
 
 
-def draw_residuals(stereo: StereoResult) -> Picture:
+def draw_residuals(stereo: StereoResult) -> Figure:
     """What the sine approximation leaves of each component, over time and as a histogram."""
     residual = stereo.residual
-    with sheet(f"residuals-{stereo.name}", 6.4, 6, 2, widths=(3.4, 1.0), sharey="row") as drawn:
-        for component, (over_time, histogram) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
-            factor, letter = prefix(residual[:, :3] if component < 3 else residual[:, 3:])
-            scaled = residual[:, component] / factor
-            over_time.plot(stereo.time_s, scaled, color=BLUE, rasterized=len(stereo.time_s) > RASTER_ABOVE, **POINT)
-            over_time.axhline(0.0, color=BLACK, linewidth=0.6)
-            over_time.set_ylabel(f"{MOTION_COMPONENTS[component]} / {letter}{component_units(0)[component]}")
-            _draw_histogram(histogram, scaled[np.isfinite(scaled)])
-        drawn.panels[-2].set_xlabel("time / s")
-        drawn.panels[-1].set_xlabel("frames")
-        caption = (
-            "Measured motion minus sine approximation, frame by frame, and its distribution beside the normal "
-            "distribution of the same standard deviation s."
-        )
-        title = f"Residuals of {stereo.name}"
-        return drawn.picture(title, caption, left=0.72, top=0.12, gap=(0.12, 0.14), label=0.52)
+    drawn = sheet(f"residuals-{stereo.name}", 6.4, 6, 2, widths=(3.4, 1.0), shared_y=True)
+    for component, (over_time, histogram) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
+        factor, letter = prefix(residual[:, :3] if component < 3 else residual[:, 3:])
+        scaled = residual[:, component] / factor
+        over_time.points(stereo.time_s, scaled, colour=BLUE, size=2.6)
+        over_time.rule(0.0, width=0.6)
+        over_time.y.label = f"{MOTION_COMPONENTS[component]} / {letter}{component_units(0)[component]}"
+        over_time.x.link = f"time of {stereo.name}"
+        _draw_histogram(histogram, scaled[np.isfinite(scaled)])
+    drawn.panels[-2].x.label = "time / s"
+    drawn.panels[-1].x.label = "frames / %"
+    caption = (
+        "Measured motion minus sine approximation, frame by frame, and its distribution beside the normal "
+        "distribution of the same standard deviation s."
+    )
+    return drawn.figure(f"Residuals of {stereo.name}", caption)
 
 
-def draw_residual_spectrum(stereo: StereoResult) -> Picture:
+def draw_residual_spectrum(stereo: StereoResult) -> Figure:
     """Amplitude spectrum of the residuals up to half the camera rate, with the places to which the lines fold."""
     rate = camera_rate_hz(stereo)
     spectrum_hz, amplitude = residual_spectrum(stereo)
     alias = alias_frequency(stereo.fit.phasors.frequency_hz, rate)
-    with sheet(f"residual-spectrum-{stereo.name}", 3.1, 1, 2, sharex=True) as drawn:
-        for axes, components, unit in zip(drawn.panels, ((0, 1, 2), (3, 4, 5)), ("m", "rad"), strict=True):
-            factor, letter = prefix(amplitude[1:, components], coarse=True)
-            for component, colour in zip(components, COLOURS, strict=False):
-                line = amplitude[1:, component] / factor
-                axes.plot(spectrum_hz[1:], line, color=colour, linewidth=0.9, label=MOTION_COMPONENTS[component])
-            axes.set_ylim(0.0, 1.25 * float(np.nanmax(amplitude[1:, components])) / factor)
-            axes.set_xlim(0.0, rate / 2.0)
-            axes.set_xlabel("frequency at the camera / Hz")
-            axes.set_ylabel(f"amplitude / {letter}{unit}")
-            look: dict[str, Any] = {"marker": "^", "linestyle": "none", "color": BLACK, "markersize": 4.5}
-            axes.plot(alias, np.zeros_like(alias), clip_on=False, **look)
-            axes.legend(ncols=3, loc="upper right")
-        caption = (
-            "Amplitude spectrum of the residuals over the frequency at which the camera sees them. Triangles: where "
-            "the fitted lines fold to. White noise alone gives a level spectrum; a peak elsewhere is a disturbance "
-            "or a line that was not fitted."
-        )
-        title = f"Residual spectrum of {stereo.name}"
-        return drawn.picture(title, caption, left=0.72, top=0.12, gap=(0.75, 0.14), label=0.52)
+    drawn = sheet(f"residual-spectrum-{stereo.name}", 3.1, 1, 2)
+    for panel, components, unit in zip(drawn.panels, ((0, 1, 2), (3, 4, 5)), ("m", "rad"), strict=True):
+        factor, letter = prefix(amplitude[1:, components], coarse=True)
+        for component, colour in zip(components, COLOURS, strict=False):
+            line = amplitude[1:, component] / factor
+            panel.line(spectrum_hz[1:], line, MOTION_COMPONENTS[component], colour=colour, width=0.9)
+        panel.y.limits = (0.0, 1.25 * float(np.nanmax(amplitude[1:, components])) / factor)
+        panel.x.limits = (0.0, rate / 2.0)
+        panel.x.label, panel.y.label = "frequency at the camera / Hz", f"amplitude / {letter}{unit}"
+        names = tuple(f"{line:.4f} Hz" for line in stereo.fit.phasors.frequency_hz)
+        panel.points(alias, np.zeros_like(alias), "fitted lines", marker="triangle", colour=BLACK, names=names)
+    caption = (
+        "Amplitude spectrum of the residuals over the frequency at which the camera sees them. Triangles: where "
+        "the fitted lines fold to. White noise alone gives a level spectrum; a peak elsewhere is a disturbance "
+        "or a line that was not fitted."
+    )
+    return drawn.figure(f"Residual spectrum of {stereo.name}", caption)
 
 
-def subset_pictures(evaluation: Evaluation) -> list[Picture]:
+def subset_pictures(evaluation: Evaluation) -> list[Figure]:
     """First left image of every stereo pair with the subsets that were tracked in it, where there are images."""
     seen = [
         (item.name, item.reference_image, item.subsets_px)
@@ -338,19 +279,16 @@ def subset_pictures(evaluation: Evaluation) -> list[Picture]:
         return []
     columns = max(2, len(seen))
     tallest = max(image.shape[0] / image.shape[1] for _, image, _ in seen)
-    with sheet("subsets", 0.75 + (WIDTH_IN - 1.2) / columns * tallest, 1, columns) as drawn:
-        for axes, (name, image, points) in zip(drawn.panels, seen, strict=False):
-            _draw_image(axes, image)
-            squares = square_corners(points, 0.92 * (21.0 if len(points) < 2 else neighbour_distance(points, 0.5)))
-            axes.add_collection(PolyCollection(list(squares), facecolor="none", edgecolor=ORANGE, linewidth=0.5))
-            axes.set_xlabel("x / px")
-            axes.grid(visible=False)
-            panel_label(axes, f"{name}: {len(points)} subsets")
-        for axes in drawn.panels[len(seen) :]:
-            axes.set_axis_off()
-        drawn.panels[0].set_ylabel("y / px")
-        caption = "First left images, contrast stretched, with the subsets tracked in them."
-        return [drawn.picture("Subsets", caption, left=0.6, top=0.25, gap=(0.45, 0.1), label=0.45)]
+    drawn = sheet("subsets", 0.75 + 7.2 / columns * tallest, 1, columns)
+    for panel, (name, image, points) in zip(drawn.panels, seen, strict=False):
+        _draw_image(panel, image)
+        side = 0.92 * (21.0 if len(points) < 2 else neighbour_distance(points, 0.5))
+        panel.squares(points, side, "subsets", colour=ORANGE, filled=False)
+        panel.x.label, panel.title = "x / px", f"{name}: {len(points)} subsets"
+    for panel in drawn.panels[len(seen) :]:
+        panel.blank = True
+    drawn.panels[0].y.label = "y / px"
+    return [drawn.figure("Subsets", "First left images, contrast stretched, with the subsets tracked in them.")]
 
 
 def main_frequency(stereo: StereoResult) -> float:
@@ -399,32 +337,32 @@ def residual_spectrum(stereo: StereoResult) -> tuple[FloatArray, FloatArray]:
     return np.asarray(frequency, dtype=np.float64), np.abs(np.fft.rfft(filled, axis=0)) * 2.0 / max(present, 1)
 
 
-def _draw_histogram(axes: Axes, values: FloatArray) -> None:
-    """Horizontal histogram with the normal distribution of the same standard deviation."""
+def _draw_histogram(panel: Panel, values: FloatArray) -> None:
+    """Horizontal histogram in per cent, with the normal distribution of the same standard deviation."""
+    panel.x.limits = (0.0, MOST_PERCENT)
     if len(values) < 3:
         return
     deviation = float(np.std(values, ddof=1))
     counts, edges = np.histogram(values, bins=min(max(8, int(np.sqrt(len(values)))), 30))
-    axes.stairs(counts, edges, orientation="horizontal", fill=True, color=BLUE, alpha=0.45)
+    share = 100.0 / len(values)
+    panel.boxes((np.zeros(len(counts)), share * counts), (edges[:-1], edges[1:]), colour=BLUE)
     level = np.linspace(edges[0], edges[-1], 121)
     if deviation > 0.0:
         density = np.exp(-0.5 * (level / deviation) ** 2) / (np.sqrt(2.0 * np.pi) * deviation)
-        axes.plot(density * len(values) * (edges[1] - edges[0]), level, color=BLACK, linewidth=0.9)
-    axes.set_xlim(0.0, 1.75 * float(counts.max()))
-    axes.text(
-        0.97, 0.97, f"s = {float(f'{deviation:.2g}'):g}", transform=axes.transAxes, ha="right", va="top", fontsize=7.5
-    )
+        panel.line(100.0 * density * (edges[1] - edges[0]), level, colour=BLACK, width=0.9)
+    panel.text(0.97 * MOST_PERCENT, edges[-1], f"s = {float(f'{deviation:.2g}'):g}", align="right")
 
 
-def _draw_image(axes: Axes, image: NDArray[Any]) -> None:
+def _draw_image(panel: Panel, image: NDArray[Any]) -> None:
     """One reference image, reduced to the size at which it is shown."""
     height, width = image.shape
     low, high = np.percentile(image, (0.5, 99.5))
     grey = np.clip((image - low) / max(float(high - low), 1.0), 0.0, 1.0).astype(np.float32)
     scale = min(1.0, LARGEST_IMAGE_PX / max(height, width))
     shown = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    extent = (-0.5, width - 0.5, height - 0.5, -0.5)
-    axes.imshow(shown, cmap="gray", vmin=0.0, vmax=1.0, extent=extent, interpolation="none")
+    panel.image((255.0 * shown).astype(np.uint8), (-0.5, width - 0.5), (-0.5, height - 0.5))
+    panel.x.limits, panel.y.limits = (-0.5, width - 0.5), (height - 0.5, -0.5)
+    panel.equal, panel.x.grid, panel.y.grid = True, False, False
 
 
 def neighbour_distance(points: FloatArray, least: float) -> float:
@@ -442,60 +380,49 @@ MPX = 1e3
 SMALLEST_PX = 1e-3  # range of the colours where residuals are smaller
 
 
-def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Picture:
+def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Figure:
     """Mean epipolar residual over time with what the calibration explains, and its mean over time over the picture."""
-    with sheet(f"epipolar-{name}", 2.7, 1, 2, widths=(1.5, 1.0)) as drawn:
-        _draw_course(drawn.panels[0], check, time_s)
-        _draw_residuals(drawn.panels[1], check)
-        explained = (
-            "Grey band: what calibration and matching explain, k = 2. "
-            if check.pattern_covariance is not None
-            else "The calibration states no uncertainty to compare with. "
-        )
-        caption = (
-            "How far the points of the right picture are off the epipolar lines of their left ones. Left: mean over "
-            f"the points, frame by frame, bars: image noise, k = 2. {explained}A camera that moves makes a step or a "
-            "drift. Right: mean over the frames, over the left picture."
-        )
-        layout: dict[str, Any] = {"left": 0.72, "right": 0.75, "top": 0.12, "gap": (0.75, 0.14), "label": 0.52}
-        return drawn.picture(f"Epipolar residuals of {name}", caption, **layout)
+    drawn = sheet(f"epipolar-{name}", 3.0, 1, 2, widths=(1.5, 1.0))
+    _draw_course(drawn.panels[0], check, time_s)
+    drawn.panels[0].x.link = f"time of {name}"
+    _draw_residuals(drawn.panels[1], check)
+    explained = (
+        "Grey band: what calibration and matching explain, k = 2. "
+        if check.pattern_covariance is not None
+        else "The calibration states no uncertainty to compare with. "
+    )
+    caption = (
+        "How far the points of the right picture are off the epipolar lines of their left ones. Left: mean over "
+        f"the points, frame by frame, bars: image noise, k = 2. {explained}A camera that moves makes a step or a "
+        "drift. Right: mean over the frames, over the left picture."
+    )
+    return drawn.figure(f"Epipolar residuals of {name}", caption)
 
 
-def _draw_course(axes: Axes, check: EpipolarCheck, time_s: FloatArray) -> None:
+def _draw_course(panel: Panel, check: EpipolarCheck, time_s: FloatArray) -> None:
     """The mean residual over time."""
     if check.pattern_covariance is not None:
         explained = MPX * COVERAGE * float(np.sqrt(check.pattern_covariance[0, 0]))
-        axes.axhspan(-explained, explained, color=LIGHT, linewidth=0)
-    axes.axhline(0.0, color=BLACK, linewidth=0.6)
-    look: dict[str, Any] = {
-        "markersize": 2.6,
-        "elinewidth": 0.7,
-        "capsize": 0.0,
-        "rasterized": len(time_s) > RASTER_ABOVE,
-    }
+        panel.span(-explained, explained, colour=LIGHT)
+    panel.rule(0.0, width=0.6)
     half = MPX * COVERAGE * check.u_course_px[:, 0]
-    axes.errorbar(time_s, MPX * check.mean_px, yerr=half, color=BLUE, fmt="o", **look)
-    axes.set_xlabel("time / s")
-    axes.set_ylabel("mean residual / mpx")
+    panel.points(time_s, MPX * check.mean_px, half_y=half, colour=BLUE, size=2.6)
+    panel.x.label, panel.y.label = "time / s", "mean residual / mpx"
 
 
-def _draw_residuals(axes: Axes, check: EpipolarCheck) -> None:
+def _draw_residuals(panel: Panel, check: EpipolarCheck) -> None:
     """The mean residual of every point at its place in the left picture; outliers as crosses."""
     known = np.isfinite(check.residual_px)
     if not known.any():
-        axes.set_axis_off()
+        panel.blank = True
         return
     limit = MPX * max(SMALLEST_PX, float(np.abs(check.residual_px[known]).max()))
     x, y = check.position_px.T
-    points = axes.scatter(
-        x[known], y[known], c=MPX * check.residual_px[known], cmap="RdBu_r", vmin=-limit, vmax=limit, s=14, linewidths=0
-    )
-    points.set_rasterized(int(known.sum()) > RASTER_ABOVE)
-    axes.plot(x[~known], y[~known], "x", color=RED, markersize=4)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.invert_yaxis()
-    axes.set_xlabel("x / px")
-    axes.set_ylabel("y / px")
-    bar = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
-    axes.figure.colorbar(points, cax=bar)
-    bar.set_ylabel("residual / mpx")
+    scale = Scale("RdBu", -limit, limit, "residual / mpx")
+    panel.points(x[known], y[known], values=MPX * check.residual_px[known], scale=scale, size=3.8)
+    if not known.all():
+        panel.points(x[~known], y[~known], "left out", marker="x", colour=RED, size=4.0)
+    panel.equal = True
+    panel.x.limits = (float(x.min()) - 20.0, float(x.max()) + 20.0)
+    panel.y.limits = (float(y.max()) + 20.0, float(y.min()) - 20.0)
+    panel.x.label, panel.y.label = "x / px", "y / px"

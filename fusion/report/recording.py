@@ -16,7 +16,7 @@ from fusion.estimation.coverage import Polar
 from fusion.estimation.fuse import Acceleration
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report import tables, uncertainty_tables
-from fusion.report.figures import acceleration_pictures, draw_budget, sensitivity_pictures
+from fusion.report.figure import Figure
 from fusion.report.files import write_file, write_files
 from fusion.report.folder import (
     CURVE_FILE,
@@ -35,8 +35,8 @@ from fusion.report.h5 import EVIDENCE, h5_content, write_fields, write_value
 from fusion.report.labelled import CAMPAIGN_FILE
 from fusion.report.motion_figures import motion_pictures, subset_pictures
 from fusion.report.points import save_points
+from fusion.report.result_figures import acceleration_pictures, draw_budget, sensitivity_pictures
 from fusion.report.signal_figures import channel_pictures, point_pictures, trigger_pictures
-from fusion.report.style import Picture
 from fusion.report.table import Column, csv_text, measured, polar_columns, sensitivity_unit, word
 from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
 from fusion.sensitivity.body import moving_parts
@@ -174,7 +174,7 @@ def merged_table(name: str, folders: Sequence[Path]) -> Iterator[str]:
 # Which figures the report of one recording holds.
 
 
-def draw_all(evaluation: Evaluation) -> dict[str, list[Picture]]:
+def draw_all(evaluation: Evaluation) -> dict[str, list[Figure]]:
     """All figures of a recording, by the section of the report that shows them."""
     return {
         "sensitivity": sensitivity_pictures(evaluation),

@@ -21,9 +21,9 @@ from fusion.campaign.curve import (
     relative_curve,
 )
 from fusion.campaign.drive import Drive
-from fusion.campaign.figures import IN_LEGEND, SPREAD_OVER, _draw_mountings, _picture_with_legend
+from fusion.campaign.figures import IN_LEGEND, SPREAD_OVER, _draw_mountings
 from fusion.campaign.matrix import fit_matrix
-from fusion.report.style import sheet
+from fusion.report.figure import Panel, Points
 from fusion.sensitivity.ratio import StatedMatrix
 from shaker.labels import LOAD_COMPONENTS
 
@@ -208,13 +208,13 @@ def test_interpolated_values_are_covered():
 
 
 def test_a_legend_of_many_mountings_says_how_many_more():
-    with sheet("many", 2.0) as drawn:
-        mountings = [f"{number:03d}" for number in range(300)]
-        _draw_mountings(drawn.panels[0], [(80.0, mounting) for mounting in mountings], np.zeros(300), 1000.0)
-        right = max(line.get_xdata()[0] for line in drawn.panels[0].lines if len(line.get_xdata()) == 1)
-        _picture_with_legend(drawn, "many", "many")
-        texts = [text.get_text() for text in drawn.figure.legends[0].get_texts()]
-    assert texts[0] == "mounting 000"
-    assert len(texts) == IN_LEGEND
-    assert texts[-1] == f"and {300 - IN_LEGEND + 1} more"
+    panel, mountings = Panel(), [f"{number:03d}" for number in range(300)]
+    _draw_mountings(panel, [(80.0, mounting) for mounting in mountings], np.zeros(300), 1000.0)
+    drawn = [mark for mark in panel.marks if isinstance(mark, Points)]
+    right = max(mark.x.max() for mark in drawn)
+    labels = list(dict.fromkeys(mark.label for mark in drawn))
+    assert labels[0] == "mounting 000"
+    assert labels[-1] == f"{300 - IN_LEGEND} more mountings"
+    assert len(labels) == IN_LEGEND + 1
+    assert drawn[-1].names == ("mounting 299",)
     assert 80.0 < right <= 80.0 + SPREAD_OVER * 1000.0 + 1e-9

@@ -1,0 +1,478 @@
+"""A figure as data: panels with axes and marks. `figures.js` draws it in the browser, `fusion.report.printed` on paper.
+
+What a figure shows is said here once; nothing of how either of them draws it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fusion.estimation.coverage import Polar
+from shaker.arrays import ComplexArray, FloatArray
+
+BLACK, GREY, LIGHT = "#222222", "#7a7a7a", "#d9d9d9"
+"""On dark pages their opposites."""
+WHITE, DARK = "#ffffff", "#111111"
+"""On coloured ground, the same on every page."""
+BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9"
+"""Okabe and Ito's, distinct to colour-blind readers."""
+COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
+"""Of what stands side by side in one figure, in this order."""
+SOURCE_COLOUR = {"fused": BLACK, "photogrammetry": BLUE, "vibrometer": RED, "accelerometer": GREEN}
+SOURCE_MARKER = {"fused": "circle", "photogrammetry": "square", "vibrometer": "diamond", "accelerometer": "triangle"}
+PHASE_COLOURS = (BLUE, GREEN, ORANGE, PURPLE, BLUE)
+"""Colours of -180, -90, 0, 90 and 180 degrees."""
+FEW = 200
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+Marker = Literal["circle", "square", "diamond", "triangle", "inverted_triangle", "cross", "x", "plus"]
+Along = Literal["x", "y"]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Colours of values between two limits: a name (viridis, Blues, RdBu) or colours at equal steps, and its label."""
+
+    colours: str | tuple[str, ...]
+    low: float
+    high: float
+    label: str = ""
+    log: bool = False
+
+
+@dataclass(frozen=True)
+class Mark:
+    """What all marks have: the legend's name, by which it is shown and hidden, and a colour."""
+
+    label: str = ""
+    colour: str = BLUE
+
+
+@dataclass(frozen=True)
+class Line(Mark):
+    """A line through points (N,); NaN interrupts it. `step`: level from each point to the next."""
+
+    x: FloatArray = field(default_factory=lambda: np.empty(0))
+    y: FloatArray = field(default_factory=lambda: np.empty(0))
+    width: float = 1.1
+    dashed: bool = False
+    step: bool = False
+
+
+@dataclass(frozen=True)
+class Points(Mark):
+    """Markers at (N,), with bars of half lengths `half_x`, `half_y` (U), names to hover, and colours by `values`."""
+
+    x: FloatArray = field(default_factory=lambda: np.empty(0))
+    y: FloatArray = field(default_factory=lambda: np.empty(0))
+    half_x: FloatArray | None = None
+    half_y: FloatArray | None = None
+    marker: str = "circle"
+    size: float = 4.5
+    open: bool = False
+    names: tuple[str, ...] = ()
+    values: FloatArray | None = None
+    scale: Scale | None = None
+
+
+@dataclass(frozen=True)
+class Bounds(Mark):
+    """Upper bounds at (N,): an arrow from each towards smaller values of x or y."""
+
+    x: FloatArray = field(default_factory=lambda: np.empty(0))
+    y: FloatArray = field(default_factory=lambda: np.empty(0))
+    along: Along = "y"
+
+
+@dataclass(frozen=True)
+class Band(Mark):
+    """Area between two curves over x (N,)."""
+
+    x: FloatArray = field(default_factory=lambda: np.empty(0))
+    low: FloatArray = field(default_factory=lambda: np.empty(0))
+    high: FloatArray = field(default_factory=lambda: np.empty(0))
+
+
+@dataclass(frozen=True)
+class Span(Mark):
+    """Area between two values of x or y, across the whole panel."""
+
+    low: float = 0.0
+    high: float = 0.0
+    along: Along = "y"
+
+
+@dataclass(frozen=True)
+class Rule(Mark):
+    """Lines at values (N,) of x or y, across the whole panel."""
+
+    at: FloatArray = field(default_factory=lambda: np.empty(0))
+    along: Along = "y"
+    dashed: bool = False
+    width: float = 0.8
+
+
+@dataclass(frozen=True)
+class Ellipses(Mark):
+    """Ellipses about (N,) with whole axes and the angle of the first one from x."""
+
+    x: FloatArray = field(default_factory=lambda: np.empty(0))
+    y: FloatArray = field(default_factory=lambda: np.empty(0))
+    width: FloatArray = field(default_factory=lambda: np.empty(0))
+    height: FloatArray = field(default_factory=lambda: np.empty(0))
+    angle_rad: FloatArray = field(default_factory=lambda: np.empty(0))
+
+
+@dataclass(frozen=True)
+class Boxes(Mark):
+    """Rectangles (N,): bars, classes of a histogram, cells of a map; filled, in one colour or by `values`, or open."""
+
+    left: FloatArray = field(default_factory=lambda: np.empty(0))
+    right: FloatArray = field(default_factory=lambda: np.empty(0))
+    low: FloatArray = field(default_factory=lambda: np.empty(0))
+    high: FloatArray = field(default_factory=lambda: np.empty(0))
+    filled: bool = True
+    names: tuple[str, ...] = ()
+    values: FloatArray | None = None
+    scale: Scale | None = None
+
+
+@dataclass(frozen=True)
+class Arrows(Mark):
+    """Arrows from (N,) by (dx, dy) in the units of the axes, drawn `scale` times as long; `told`: the key's text."""
+
+    x: FloatArray = field(default_factory=lambda: np.empty(0))
+    y: FloatArray = field(default_factory=lambda: np.empty(0))
+    dx: FloatArray = field(default_factory=lambda: np.empty(0))
+    dy: FloatArray = field(default_factory=lambda: np.empty(0))
+
+
+@dataclass(frozen=True)
+class Texts(Mark):
+    """Texts at (N,), `align` left, center or right of it, `offset_px` (across, up) away."""
+
+    x: FloatArray = field(default_factory=lambda: np.empty(0))
+    y: FloatArray = field(default_factory=lambda: np.empty(0))
+    texts: tuple[str, ...] = ()
+    align: Literal["left", "center", "right"] = "center"
+    offset_px: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Image(Mark):
+    """A grey picture (rows, columns) of bytes that fills x from `left` to `right` and y from `top` to `bottom`."""
+
+    grey: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, 0), np.uint8))
+    left: float = 0.0
+    right: float = 1.0
+    top: float = 0.0
+    bottom: float = 1.0
+
+
+@dataclass
+class Axis:
+    """One axis of a panel.
+
+    `limits`: of what is shown, the first at the left or below; without them all marks. `names`: of the places 0, 1, …;
+    `ticks`: where numbers stand. `second`: label, zero and factor of a second scale, factor·(value - zero). `link`:
+    axes of this name move together, over all figures of a page.
+    """
+
+    label: str = ""
+    limits: tuple[float, float] | None = None
+    log: bool = False
+    names: tuple[str, ...] = ()
+    ticks: tuple[float, ...] = ()
+    second: tuple[str, float, float] | None = None
+    link: str = ""
+    grid: bool = True
+
+
+@dataclass
+class Panel:
+    """One pair of axes and the marks in it, drawn in their order. `blank`: nothing but its texts."""
+
+    title: str = ""
+    x: Axis = field(default_factory=Axis)
+    y: Axis = field(default_factory=Axis)
+    marks: list[Mark] = field(default_factory=list)
+    equal: bool = False
+    blank: bool = False
+
+    def line(self, x: ArrayLike, y: ArrayLike, label: str = "", **look: Any) -> None:
+        """Add a `Line`."""
+        self.marks.append(Line(label, x=_row(x), y=_row(y), **look))
+
+    def points(self, x: ArrayLike, y: ArrayLike, label: str = "", **look: Any) -> None:
+        """Add `Points`; a bar of one length for all may be a number."""
+        x, y = _row(x), _row(y)
+        for name in ("half_x", "half_y", "values"):
+            if look.get(name) is not None:
+                look[name] = np.broadcast_to(_row(look[name]), x.shape)
+        self.marks.append(Points(label, x=x, y=y, **look))
+
+    def bounds(self, x: ArrayLike, y: ArrayLike, label: str = "", **look: Any) -> None:
+        """Add `Bounds`."""
+        self.marks.append(Bounds(label, x=_row(x), y=_row(y), **look))
+
+    def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, label: str = "", **look: Any) -> None:
+        """Add a `Band`."""
+        x = _row(x)
+        ends: Any = {"low": np.broadcast_to(_row(low), x.shape), "high": np.broadcast_to(_row(high), x.shape)}
+        self.marks.append(Band(label, x=x, **ends, **look))
+
+    def span(self, low: float, high: float, label: str = "", **look: Any) -> None:
+        """Add a `Span`, light grey without a colour."""
+        self.marks.append(Span(label, low=float(low), high=float(high), **{"colour": LIGHT, **look}))
+
+    def rule(self, at: ArrayLike, label: str = "", **look: Any) -> None:
+        """Add a `Rule`, black without a colour."""
+        self.marks.append(Rule(label, at=_row(at), **{"colour": BLACK, **look}))
+
+    def ellipse(
+        self, centre: complex, axes: tuple[float, float], angle_rad: float, label: str = "", **look: Any
+    ) -> None:
+        """Add one ellipse about a complex value with its half-axes."""
+        width, height = (_row(2.0 * axis) for axis in axes)
+        place: Any = {"x": _row(centre.real), "y": _row(centre.imag), "angle_rad": _row(angle_rad)}
+        self.marks.append(Ellipses(label, **place, width=width, height=height, **look))
+
+    def boxes(
+        self, x: tuple[ArrayLike, ArrayLike], y: tuple[ArrayLike, ArrayLike], label: str = "", **look: Any
+    ) -> None:
+        """Add `Boxes` between pairs of x and of y."""
+        if look.get("values") is not None:
+            look["values"] = _row(look["values"])
+        left, right, low, high = np.broadcast_arrays(*(_row(end) for end in (*x, *y)))
+        self.marks.append(Boxes(label, left=left, right=right, low=low, high=high, **look))
+
+    def squares(self, middle: FloatArray, side: float, label: str = "", **look: Any) -> None:
+        """Add `Boxes` of one side about places (N, 2)."""
+        half = 0.5 * side
+        x, y = middle.T
+        self.boxes((x - half, x + half), (y - half, y + half), label, **look)
+
+    def arrows(self, place: FloatArray, vector: FloatArray, label: str = "", **look: Any) -> None:
+        """Add `Arrows` from places (N, 2) by vectors (N, 2)."""
+        (x, y), (dx, dy) = np.asarray(place, np.float64).T, np.asarray(vector, np.float64).T
+        self.marks.append(Arrows(label, x=x, y=y, dx=dx, dy=dy, **look))
+
+    def text(self, x: ArrayLike, y: ArrayLike, texts: Sequence[str] | str, **look: Any) -> None:
+        """Add `Texts`, black without a colour."""
+        told = (texts,) if isinstance(texts, str) else tuple(texts)
+        self.marks.append(Texts(x=_row(x), y=_row(y), texts=told, **{"colour": BLACK, **look}))
+
+    def image(self, grey: NDArray[np.uint8], across: tuple[float, float], down: tuple[float, float]) -> None:
+        """Add an `Image` from `across` to `down` ends in the units of the axes."""
+        self.marks.append(Image(grey=grey, left=across[0], right=across[1], top=down[0], bottom=down[1]))
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Panels row by row with a title and a caption of one or two sentences.
+
+    `height_in`: of the printed one, at the page's width; `heights` and `widths`: shares of rows and columns; `main`:
+    printed, and shown where the page may run no programs.
+    """
+
+    name: str
+    title: str
+    caption: str
+    panels: tuple[Panel, ...]
+    height_in: float
+    heights: tuple[float, ...] = (1.0,)
+    widths: tuple[float, ...] = (1.0,)
+    shared_x: bool = True
+    shared_y: bool = False
+    main: bool = False
+
+    def data(self) -> dict[str, Any]:
+        """Return the figure for `figures.js`: what JSON knows, without what is at its default."""
+        return {
+            "name": self.name,
+            "title": self.title,
+            "height_in": self.height_in,
+            "heights": self.heights,
+            "widths": self.widths,
+            "shared_x": self.shared_x,
+            "shared_y": self.shared_y,
+            "panels": [
+                {
+                    "title": panel.title,
+                    "x": _plain(panel.x),
+                    "y": _plain(panel.y),
+                    "equal": panel.equal,
+                    "blank": panel.blank,
+                    "marks": [{"kind": type(mark).__name__, **_plain(mark)} for mark in panel.marks],
+                }
+                for panel in self.panels
+            ],
+        }
+
+
+@dataclass
+class Sheet:
+    """A figure in the making: its panels from the upper left on, row by row."""
+
+    name: str
+    height_in: float
+    heights: tuple[float, ...]
+    widths: tuple[float, ...]
+    shared_x: bool
+    shared_y: bool
+    panels: tuple[Panel, ...]
+
+    def figure(self, title: str, caption: str, *, main: bool = False) -> Figure:
+        """Name what has been drawn."""
+        layout = (self.height_in, self.heights, self.widths, self.shared_x, self.shared_y)
+        return Figure(self.name, title, caption, self.panels, *layout, main=main)
+
+
+def sheet(
+    name: str,
+    height_in: float,
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    heights: Sequence[float] = (),
+    widths: Sequence[float] = (),
+    shared_x: bool = True,
+    shared_y: bool = False,
+) -> Sheet:
+    """Give empty panels that share their horizontal axis down a column, or their vertical one along a row."""
+    shares = tuple(heights) or (1.0,) * rows, tuple(widths) or (1.0,) * columns
+    return Sheet(name, height_in, *shares, shared_x, shared_y, tuple(Panel() for _ in range(rows * columns)))
+
+
+def _row(values: ArrayLike) -> FloatArray:
+    """Return numbers as an array (N,)."""
+    return np.atleast_1d(np.asarray(values, dtype=np.float64)).ravel()
+
+
+def _plain(part: Any) -> dict[str, Any]:
+    """Return the fields of an axis or mark that are not at their defaults."""
+    plain: dict[str, Any] = {}
+    for entry in fields(part):
+        value = getattr(part, entry.name)
+        if isinstance(value, np.ndarray):
+            plain[entry.name] = encoded(value) if value.dtype == np.uint8 else numbers(value)
+        elif isinstance(value, Scale):
+            plain[entry.name] = _plain(value)
+        elif value is not None and value != entry.default:
+            plain[entry.name] = value
+    return plain
+
+
+def numbers(values: FloatArray) -> list[float | None]:
+    """Return few numbers to ten digits and many to seven, None for what is none."""
+    digits = 10 if len(values) <= FEW else 7
+    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values.tolist()]
+
+
+def encoded(grey: NDArray[np.uint8]) -> str:
+    """Return a grey picture as the source of an image element."""
+    import base64
+
+    import cv2
+
+    _, data = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 75])
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+
+
+# What several figures draw alike.
+
+
+def padded(low: float, high: float, share: float = 0.15) -> tuple[float, float]:
+    """Axis limits with some room on both sides."""
+    room = share * (high - low) if high > low else share * max(abs(high), 1e-300)
+    return low - room, high + room
+
+
+def power_text(exponent: int) -> str:
+    """Power of ten in plain characters."""
+    return "10" + str(exponent).translate(SUPERSCRIPT)
+
+
+def power_of_ten(values: FloatArray) -> tuple[float, str]:
+    """Return a factor to take off values, and its text before their unit: none where they are readable as they are."""
+    largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+    power = int(np.floor(np.log10(largest))) if largest > 0.0 else 0
+    return (1.0, "") if -2 <= power < 4 else (10.0**power, f"{power_text(power)} ")
+
+
+def thin_out(x: FloatArray, y: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Largest `y` of each interval between `edges`, with its own `x`: peaks survive, the file stays small."""
+    order = np.searchsorted(edges, x, side="right")
+    starts = np.flatnonzero(np.diff(order, prepend=-1))
+    best = [start + int(np.argmax(y[start:stop])) for start, stop in zip(starts, [*starts[1:], len(x)], strict=True)]
+    return x[best], y[best]
+
+
+def frequency_axis(axis: Axis, frequency_hz: FloatArray, wide_band: float = 8.0) -> None:
+    """Frequency over the whole of `frequency_hz`, logarithmic where its ends are further apart than `wide_band`."""
+    axis.limits = (float(frequency_hz[0]), float(frequency_hz[-1]))
+    axis.log = bool(frequency_hz[-1] > wide_band * frequency_hz[0])
+    axis.label, axis.link = "frequency / Hz", "frequency"
+
+
+def draw_response(
+    upper: Panel,
+    lower: Panel,
+    frequency_hz: FloatArray,
+    value: ComplexArray,
+    u: tuple[FloatArray, FloatArray] | None = None,
+    *,
+    unwrapped: bool = False,
+    **style: Any,
+) -> None:
+    """Draw magnitude (logarithmic) and phase in degrees of a curve over frequency, with bands of U (k = 2).
+
+    `u`: relative standard uncertainty of the magnitude and that of the phase in rad, (K,) each. A phase that is not
+    `unwrapped` lies within ±180° and has no strokes across that.
+    """
+    look = {"width": 0.9, **style}
+    size, phase = np.abs(value), np.degrees(np.angle(value))
+    if unwrapped:
+        phase = np.degrees(np.unwrap(np.angle(value)))
+    else:
+        phase = np.where(np.abs(np.diff(phase, prepend=phase[:1])) > 180.0, np.nan, phase)
+        lower.y.limits, lower.y.ticks = (-190.0, 190.0), (-180.0, -90.0, 0.0, 90.0, 180.0)
+    if u is not None:
+        band = {key: look[key] for key in ("colour", "label") if key in look}
+        upper.band(frequency_hz, size * np.maximum(1.0 - 2.0 * u[0], 1e-3), size * (1.0 + 2.0 * u[0]), **band)
+        turn = 2.0 * np.degrees(np.minimum(u[1], np.pi / 4.0))
+        lower.band(frequency_hz, phase - turn, phase + turn, **band)
+    upper.line(frequency_hz, size, **look)
+    lower.line(frequency_hz, phase, **look)
+    upper.y.log, lower.y.label = True, "phase / °"
+
+
+def polar_bars(values: Sequence[Polar], factor: float) -> tuple[FloatArray, FloatArray]:
+    """Return magnitude over `factor` and phase in rad of values as rows (2, N), and their expanded uncertainties."""
+    rows = [(v.magnitude / factor, v.phase_rad, v.expanded_magnitude / factor, v.expanded_phase_rad) for v in values]
+    level, half = np.asarray(rows, dtype=np.float64).reshape(len(rows), 2, 2).transpose(1, 2, 0)
+    return level, half
+
+
+def frame_bars(
+    upper: Panel, lower: Panel, bars: tuple[FloatArray, FloatArray], magnitude: str, static: tuple[float, str] | None
+) -> None:
+    """Label `polar_bars` over frequency, in limits that hold all of them and what they are compared with.
+
+    `magnitude`: unit of the magnitude; `static`: value at rest, with what it is called in the legend.
+    """
+    references = [] if static is None else [static[0]], [0.0]
+    for panel, level, half, reference in zip((upper, lower), *bars, references, strict=True):
+        ends = np.concatenate([level - half, level + half, reference])
+        known = ends[np.isfinite(ends)]
+        if len(known):
+            panel.y.limits = padded(float(known.min()), float(known.max()))
+    upper.y.label, lower.y.label = f"magnitude / {magnitude}", "phase / rad"
+    lower.rule(0.0, colour=GREY)
+    if static is not None:
+        upper.rule(static[0], static[1], colour=RED, dashed=True, width=1.0)
+        upper.y.second = ("from static / %", static[0], 100.0 / static[0])

@@ -1,0 +1,303 @@
+"""Figures of acceleration and sensitivity over frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.base import prefix
+from fusion.estimation.coverage import Polar
+from fusion.estimation.fuse import Acceleration, Source
+from fusion.report.figure import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    SOURCE_COLOUR,
+    SOURCE_MARKER,
+    Figure,
+    Panel,
+    frame_bars,
+    polar_bars,
+    power_of_ten,
+    sheet,
+)
+from fusion.report.table import sensitivity_unit
+from fusion.report.tables import (
+    acceleration,
+    bodies,
+    by_source,
+    driven_channel,
+    driven_component,
+    main_line,
+    main_result,
+    result_elements,
+    result_name,
+    sensitivity_element,
+    static_sensitivity,
+    static_value,
+)
+from fusion.sensitivity.analyse import Evaluation
+from fusion.sensitivity.ratio import Sensitivity
+from shaker.arrays import BoolArray, FloatArray
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, typeset
+
+BUDGET_ENTRIES = 14
+SHOWN_BELOW = 0.2
+"""Share of a magnitude that its U must be below to be drawn."""
+
+# Figures of the acceleration: sources side by side, and weak components in the complex plane.
+
+
+def acceleration_pictures(evaluation: Evaluation) -> list[Figure]:
+    """All figures of the accelerations."""
+    compared = [body for body in bodies(evaluation) if _has_reference(evaluation, body)]
+    pictures = [draw_sources(evaluation, compared)] if compared else []
+    return pictures + [draw_components(evaluation, body) for body in bodies(evaluation)]
+
+
+def draw_sources(evaluation: Evaluation, compared: list[str]) -> Figure:
+    """Driven component at the strongest line: each source's deviation from the fused value, in % and mrad."""
+    component, line = driven_component(evaluation), main_line(evaluation)
+    counts = [len(by_source(evaluation, body)) for body in compared]
+    drawn = sheet("sources", 0.95 + 0.33 * sum(counts) + 0.25 * len(compared), len(compared), 2, heights=counts)
+    for place, body in enumerate(compared):
+        left, right = drawn.panels[2 * place : 2 * place + 2]
+        _draw_deviations(left, right, by_source(evaluation, body), line, component)
+        left.title = f"{body}, {MOTION_COMPONENTS[component]}"
+    drawn.panels[-2].x.label = "deviation of the amplitude / %"
+    drawn.panels[-1].x.label = "deviation of the phase / mrad"
+    frequency = float(evaluation.accelerations[0].phasors.frequency_hz[line])
+    caption = (
+        f"Driven acceleration at {frequency:.4f} Hz from each kind of instrument alone, relative to the fused "
+        f"value; bars: U (95 %) of each; band: U of the fused value, to which all of them contribute."
+    )
+    return drawn.figure("Acceleration by source", caption, main=True)
+
+
+def draw_components(evaluation: Evaluation, body: str) -> Figure:
+    """Six components at the strongest line in the complex plane, with 95 % ellipses of every source."""
+    line, results = main_line(evaluation), by_source(evaluation, body)
+    found = {result.source: result_elements(result)[line] for result in results}
+    drawn = sheet(f"components-{body}", 5.9, 2, 3, shared_x=False)
+    for component, panel in enumerate(drawn.panels):
+        panel.title = MOTION_COMPONENTS[component]
+        known = {source: element for source, row in found.items() if (element := row[component]) is not None}
+        _draw_plane(panel, known, typeset(results[0].phasors.unit[component]))
+    frequency = float(results[0].phasors.frequency_hz[line])
+    caption = (
+        f"Acceleration phasors of the {body} at the sensor origin, {frequency:.4f} Hz, with 95 % regions. A "
+        f"component whose region holds the origin (cross) is not told apart from zero; its amplitude and phase "
+        f"alone would mislead."
+    )
+    return drawn.figure(f"Components of the {body} in the complex plane", caption)
+
+
+def _has_reference(evaluation: Evaluation, body: str) -> bool:
+    """Whether several instruments were fused, and the driven component stands out of its uncertainty."""
+    fused = acceleration(evaluation, body, "fused")
+    if fused is None or len(fused.instruments) < 2 or len(by_source(evaluation, body)) < 2:
+        return False
+    element = result_elements(fused)[main_line(evaluation)][driven_component(evaluation)]
+    return element is not None and element.region.half_axes[0] < 0.5 * element.magnitude
+
+
+def _draw_deviations(left: Panel, right: Panel, results: list[Acceleration], line: int, component: int) -> None:
+    """Relative amplitude and phase differences from the first result, the fused one."""
+    names: list[str] = []
+    reference = complex(results[0].phasors.value[line, component])
+    for result in results:
+        element = result_elements(result)[line][component]
+        if element is None:
+            continue
+        amplitude = 100.0 * (element.magnitude / abs(reference) - 1.0)
+        u_amplitude = 100.0 * element.expanded_magnitude / abs(reference)
+        phase = 1e3 * float(np.angle(complex(element.re, element.im) / reference))
+        u_phase = 1e3 * element.expanded_phase_rad
+        look = {"colour": SOURCE_COLOUR[result.source], "marker": SOURCE_MARKER[result.source]}
+        for panel, middle, half in ((left, amplitude, u_amplitude), (right, phase, u_phase)):
+            if result.source == "fused":
+                panel.span(-half, half, along="x")
+            panel.points(middle, len(names), result.source, half_x=half, **look)
+        names.append(result.source)
+    for panel in (left, right):
+        panel.rule(0.0, along="x", width=0.7)
+        panel.y.names = tuple(names) if panel is left else ("",) * len(names)
+
+
+def _draw_plane(panel: Panel, known: Mapping[Source, Polar], unit: str) -> None:
+    """One component in the complex plane from every source that determines it, each with its 95 % region."""
+    if not known:
+        panel.text(0.5, 0.5, "not observed", colour=GREY)
+        panel.x.limits = panel.y.limits = (0.0, 1.0)
+        panel.blank = True
+        return
+    factor, letter = prefix([element.magnitude for element in known.values()])
+    low, high = _frame(list(known.values()), factor)
+    for source, element in known.items():
+        look = {"label": source, "colour": SOURCE_COLOUR[source]}
+        centre = complex(element.re, element.im) / factor
+        first, second = (axis / factor for axis in element.region.half_axes)
+        panel.points(centre.real, centre.imag, marker=SOURCE_MARKER[source], size=3.5, **look)
+        panel.ellipse(centre, (first, second), float(element.region.angle_rad), **look)
+    panel.points(0.0, 0.0, colour=BLACK, marker="plus", size=7.0, names=("origin",))
+    panel.equal = True
+    panel.x.limits, panel.y.limits = (low.real, high.real), (low.imag, high.imag)
+    panel.x.label, panel.y.label = f"Re / {letter}{unit}", f"Im / {letter}{unit}"
+
+
+def _frame(known: list[Polar], factor: float) -> tuple[complex, complex]:
+    """Corners of a square that holds the regions, and the origin where it is not far outside."""
+
+    def square(points: NDArray[Any]) -> tuple[complex, float]:
+        """Middle and half a side, with some room."""
+        middle = complex(points.real.max() + points.real.min(), points.imag.max() + points.imag.min()) / 2.0
+        return middle, 0.6 * float(max(np.ptp(points.real), np.ptp(points.imag), 1e-300))
+
+    centres = np.array([complex(element.re, element.im) for element in known], dtype=np.complex128)
+    reach = np.array([element.region.half_axes[0] for element in known]) * (1 + 1j)
+    points = np.concatenate([centres - reach, centres + reach]) / factor
+    middle, half = square(points)
+    if abs(middle) < 8.0 * half:
+        middle, half = square(np.append(points, 0.0))
+    half = max(half, 1e-6 * abs(middle), 1e-12)
+    return middle - half * (1 + 1j), middle + half * (1 + 1j)
+
+
+# Figures of the result: sensitivity over frequency, cross outputs, uncertainty budget.
+
+
+def sensitivity_pictures(evaluation: Evaluation) -> list[Figure]:
+    """All figures of the sensitivity of one recording."""
+    sensitivity, main = evaluation.sensitivity, main_result(evaluation)
+    if sensitivity is None or main is None:
+        return []
+    component = driven_component(evaluation)
+    known = np.isfinite(main[0].value[:, driven_channel(evaluation), component])
+    pictures = [draw_curve(evaluation, main[0])] if known.any() else []
+    ratio = sensitivity.value[main_line(evaluation)]
+    if len(ratio) > 1 and np.isfinite(ratio[:, component]).all():
+        pictures.append(draw_outputs(evaluation, sensitivity))
+    return pictures
+
+
+def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
+    """Magnitude and phase of the driven element over frequency with U (95 %), and the static value."""
+    component, channel = driven_component(evaluation), driven_channel(evaluation)
+    what = "Sensitivity" if "element" in sensitivity.kind else "Ratio"
+    label = f"output {sensitivity.channels[channel]} per load {LOAD_COMPONENTS[component]}"
+    label = f"{what}, {label}" + (", with what other loads put into it" if what == "Ratio" else "")
+    lines = np.flatnonzero(np.isfinite(sensitivity.value[:, channel, component])).tolist()
+    points = [sensitivity_element(sensitivity, k, channel, component) for k in lines]
+    shown = np.array([point.expanded_magnitude < SHOWN_BELOW * point.magnitude for point in points])
+    harmonic = np.array([sensitivity.kind[k] == "harmonic" for k in lines])
+    static = static_value(evaluation, channel, component)
+    sizes = [point.magnitude for point in points] + ([] if static is None else [abs(static)])
+    factor, power = power_of_ten(np.array(sizes))
+    value, expanded = polar_bars(points, factor)
+    frequency = sensitivity.frequency_hz[lines]
+    drawn = sheet("sensitivity", 4.4, 2, heights=(1.5, 1.0))
+    upper, lower = drawn.panels
+    unit = f"{power}{typeset(sensitivity_unit(sensitivity.unit, LOAD_COMPONENTS[component]))}"
+    rest = None if static is None else (abs(static) / factor, "static sensitivity")
+    frame_bars(upper, lower, (value[:, shown], expanded[:, shown]), unit, rest)
+    for panel, level, half in zip(drawn.panels, value, expanded, strict=True):
+        for own, told in (
+            (shown & ~harmonic, "driven frequency"),
+            (shown & harmonic, "harmonic, no part of the curve"),
+        ):
+            if own.any():
+                look = {"half_y": half[own], "open": bool(harmonic[own].any())}
+                panel.points(frequency[own], level[own], told, **look)
+        panel.x.limits, panel.x.link = (0.0, 1.12 * float(frequency.max(initial=1.0))), "frequency"
+    lower.x.label = "frequency / Hz"
+    hidden = len(points) - int(shown.sum())
+    omitted = f" {hidden} line(s) with U above {SHOWN_BELOW:.0%} are in the table only." if hidden else ""
+    return drawn.figure(f"{what} over frequency", f"{label}: magnitude and phase; bars: U (95 %).{omitted}", main=True)
+
+
+def draw_outputs(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
+    """All outputs at the strongest line, relative to the driven one or to each output's rated signal."""
+    component, driven, line = driven_component(evaluation), driven_channel(evaluation), main_line(evaluation)
+    scale, what = _output_scale(evaluation, sensitivity, driven, component)
+    elements = [sensitivity_element(sensitivity, line, c, component) for c in range(len(sensitivity.channels))]
+    bound = np.array([element.region.holds_zero for element in elements])
+    size = 100.0 * np.array([element.magnitude for element in elements]) / scale
+    # Where a value may be zero: how far its region reaches beyond it.
+    reach = [e.region.half_axes[0] if e.region.holds_zero else e.expanded_magnitude for e in elements]
+    drawn = sheet("outputs", 0.9 + 0.3 * len(size))
+    (panel,) = drawn.panels
+    _draw_levels(panel, size, 100.0 * np.array(reach) / scale, driven, bound)
+    panel.y.names = tuple(f"output {name}" for name in sensitivity.channels)
+    panel.x.label = f"{what} / %"
+    load = LOAD_COMPONENTS[component]
+    caption = (
+        f"Responses of all outputs to the driven load {load} at {sensitivity.frequency_hz[line]:.4f} Hz, {what}; "
+        f"bars: U (95 %). An arrow is an upper bound where the output is not distinguishable from 0. A cross "
+        "output of one recording holds both the sensor's cross-talk and its answer to loads that were not meant to "
+        "act."
+    )
+    return drawn.figure(f"All outputs under {load}", caption)
+
+
+def draw_budget(evaluation: Evaluation) -> Figure | None:
+    """Budget of sensitivity or ratio at the strongest line, largest first, with each one's share of the variance."""
+    main, line = main_result(evaluation), main_line(evaluation)
+    if main is None:
+        return None
+    sensitivity, element = main
+    u_relative = np.array([entry.u_relative[line, element] for entry in sensitivity.budget])
+    if not np.isfinite(u_relative).all() or not u_relative.any():
+        return None
+    order = np.argsort(u_relative)[::-1]
+    order = order[u_relative[order] > 1e-3 * u_relative.max()][:BUDGET_ENTRIES]
+    share = 100.0 * u_relative**2 / np.sum(u_relative**2)
+    drawn = sheet("budget", 0.85 + 0.24 * len(order))
+    (panel,) = drawn.panels
+    entries = [sensitivity.budget[entry] for entry in order]
+    for kind, colour in (("A", BLUE), ("B", ORANGE)):
+        own = np.flatnonzero([entry.type == kind for entry in entries])
+        names = tuple(f"{entries[place].label}, {share[order[place]]:.2g} % of the variance" for place in own)
+        ends = (np.zeros(len(own)), 100.0 * u_relative[order[own]])
+        panel.boxes(ends, (own - 0.33, own + 0.33), f"type {kind}", colour=colour, names=names)
+    texts = [f"{share[entry]:.1f} %" if share[entry] >= 0.05 else "< 0.1 %" for entry in order]
+    panel.text(100.0 * u_relative[order], np.arange(len(order)), texts, align="left", offset_px=(4.0, 0.0))
+    panel.y.names = tuple(entry.label for entry in entries)
+    panel.x.label = "relative standard uncertainty (k = 1) / %"
+    panel.x.limits = (0.0, 115.0 * float(u_relative.max()))
+    channel, load = sensitivity.channels[driven_channel(evaluation)], LOAD_COMPONENTS[driven_component(evaluation)]
+    what = f"{result_name(sensitivity.kind[line], channel, load, main=True)}, {sensitivity.frequency_hz[line]:.4f} Hz"
+    caption = f"Uncertainty budget of the magnitude of {what}; beside each bar its share of the variance."
+    return drawn.figure("Uncertainty budget", caption, main=True)
+
+
+def _output_scale(
+    evaluation: Evaluation, sensitivity: Sensitivity, driven: int, component: int
+) -> tuple[FloatArray, str]:
+    """What 100 % is for each output (C,), and its name."""
+    sensor, static = evaluation.manifest.rig.sensor, static_sensitivity(evaluation)
+    if static is not None and sensor is not None and sensor.capacity is not None:
+        own = [LOAD_COMPONENTS.index(name) if name in LOAD_COMPONENTS else -1 for name in sensitivity.channels]
+        capacity = np.asarray(sensor.capacity, dtype=np.float64)
+        rated = np.array([abs(static[c, j]) * capacity[j] if j >= 0 else 0.0 for c, j in enumerate(own)])
+        if np.all(rated > 0.0):
+            return rated / capacity[component], f"share of the rated output at rated {LOAD_COMPONENTS[component]}"
+    size = abs(sensitivity.value[main_line(evaluation), driven, component])
+    return np.full(len(sensitivity.channels), size), f"ratio to output {sensitivity.channels[driven]}"
+
+
+def _draw_levels(panel: Panel, size: FloatArray, expanded: FloatArray, driven: int, bound: BoolArray) -> None:
+    """Points on a logarithmic axis; where a value may be zero (`bound`), an arrow from the end of its region."""
+    place = np.arange(len(size), dtype=np.float64)
+    panel.x.log = True
+    main = place == driven
+    for own, colour, told in ((main & ~bound, BLACK, "driven"), (~main & ~bound, BLUE, "other outputs")):
+        if own.any():
+            panel.points(size[own], place[own], told, half_x=expanded[own], colour=colour)
+    if bound.any():
+        panel.bounds((size + expanded)[bound], place[bound], "upper bound", along="x", colour=GREY)
+    ends = np.concatenate([(size + expanded), (size - expanded)[~bound], 0.3 * (size + expanded)[bound]])
+    panel.x.limits = (0.5 * float(ends.min()), 2.0 * float(ends.max()))

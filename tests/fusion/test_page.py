@@ -1,0 +1,222 @@
+"""Pages in a real browser: what is drawn, told, hidden, kept and printed; and that nothing is asked of anybody."""
+
+from __future__ import annotations
+
+import csv
+import io
+import shutil
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from evaluation_factory import make_evaluation
+
+from fusion.report.figure import RED, Figure, Scale, sheet
+from fusion.report.recording import render_report, write_results
+
+NASTY = "</script><b>\"'&\u2028 <!-- name"
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Headless Chromium of the system."""
+    api = pytest.importorskip("playwright.sync_api", reason="the package playwright is not installed")
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no Chromium on this system")
+    with api.sync_playwright() as started:
+        chromium = started.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+class Page:
+    """A page that is open, what its console said and what it asked for."""
+
+    def __init__(self, browser: Any, path: Path, **settings: Any) -> None:
+        self.context = browser.new_context(viewport={"width": 1400, "height": 1000}, **settings)
+        self.page = self.context.new_page()
+        self.page.set_default_timeout(8000)
+        self.said: list[str] = []
+        self.asked: list[str] = []
+        self.page.on("console", lambda message: self.said.append(message.text) if message.type != "info" else None)
+        self.page.on("pageerror", lambda error: self.said.append(str(error)))
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.goto(path.as_uri())
+
+    def draw(self, name: str) -> Any:
+        """Bring a figure into view and wait for it."""
+        figure = self.page.locator(f"figure[data-figure='{name}']")
+        for _ in range(2):  # others that come into view with it move it
+            figure.evaluate("one => one.scrollIntoView({ block: 'center', behavior: 'instant' })")
+            self.page.wait_for_selector(f"figure[data-figure='{name}'][data-drawn]")
+            self.page.wait_for_timeout(200)
+        return figure
+
+    def close(self) -> None:
+        """Close the page, which has had nothing to complain of and asked for nothing."""
+        self.context.close()
+        assert self.said == []
+        assert all(address.startswith(("file:", "data:", "blob:")) for address in self.asked)
+
+
+PLOTS = """const plots = [], host = document.querySelector(`figure[data-figure='${name}'] .plot`);
+  const walk = (view) => {
+    if (view.model.type === "Figure") plots.push(view);
+    (view.child_views ?? []).forEach(walk);
+  };
+  [...Bokeh.index].filter((view) => host.contains(view.el)).forEach(walk);"""
+PLACE = f"""([name, panel, x, y]) => {{ {PLOTS}
+  const plot = plots[panel], box = plot.canvas_view.el.getBoundingClientRect();
+  return [box.x + plot.frame.x_scale.compute(x), box.y + plot.frame.y_scale.compute(y)];
+}}"""
+"""Where on the screen a point of a panel is."""
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of results with a report."""
+    folder = tmp_path_factory.mktemp("results")
+    write_results(make_evaluation(tmp_path_factory.mktemp("Fz")), folder, force=True)
+    return folder
+
+
+@pytest.fixture
+def drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A page whose figures hold one mark of every kind, with names that are no markup."""
+    monkeypatch.setattr("fusion.report.recording.draw_all", lambda _: defaultdict(list, channels=[every_mark()]))
+    path = tmp_path / "page.html"
+    path.write_text(render_report(make_evaluation(tmp_path / "recording")), encoding="utf-8")
+    return path
+
+
+def every_mark() -> Figure:
+    """One mark of every kind."""
+    made = sheet("every", 6.0, 2, 2, shared_x=False)
+    first, second, third, fourth = made.panels
+    x, y = np.array([1.0, 2.0, 3.0]), np.array([10.0, 100.0, 1000.0])
+    first.line(x, y, "line", dashed=True)
+    first.points(x, y, NASTY, half_y=0.1 * y, colour=RED, names=(NASTY, "b", "c"))
+    first.band(x, 0.5 * y, [20.0, np.nan, 2000.0], "band")
+    first.bounds(x, 2.0 * y, "bound")
+    first.y.log, first.title, first.x.label, first.y.label = True, NASTY, "x / m", "y / m"
+    first.x.limits, first.y.limits = (0.0, 4.0), (1.0, 1e4)
+    second.boxes((np.zeros(2), [3.0, 4.0]), ([-0.3, 0.7], [0.3, 1.3]), "boxes", names=("p", "q"))
+    second.rule([1.0, 2.0], "rule", along="x")
+    second.span(0.5, 1.5, "span", along="x")
+    second.y.names = ("p", NASTY)
+    third.ellipse(1.0 + 2.0j, (0.5, 0.2), 0.3, label="ellipse")
+    third.arrows(np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([[0.5, 0.5], [0.2, -0.2]]), "arrows")
+    third.text(0.0, 1.0, NASTY)
+    third.equal = True
+    fourth.image(np.repeat(np.uint8([[0], [255]]), 8, axis=1).repeat(4, axis=0), (-0.5, 7.5), (-0.5, 7.5))
+    fourth.squares(np.array([[2.0, 2.0], [5.0, 5.0]]), 1.0, values=[1.0, np.nan], scale=Scale("RdBu", -1.0, 1.0, "v"))
+    fourth.points(4.0, 4.0, values=[0.5], scale=Scale("viridis", 0.1, 1.0, "w", log=True))
+    fourth.x.limits, fourth.y.limits = (-0.5, 7.5), (7.5, -0.5)
+    fourth.y.second = ("other", 1.0, 2.0)
+    return made.figure("Every mark", "All of them.")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_figure_of_a_report_is_drawn(browser, results, scheme):
+    opened = Page(browser, results / "report.html", color_scheme=scheme)
+    names = opened.page.eval_on_selector_all("figure[data-figure]", "all => all.map((one) => one.dataset.figure)")
+    assert len(names) >= 13
+    for name in names:
+        figure = opened.draw(name)
+        assert figure.locator("canvas").count() > 0
+    ink = opened.page.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert ink == ("rgb(255, 255, 255)" if scheme == "light" else "rgb(22, 22, 22)")
+    opened.close()
+
+
+def test_hovering_tells_the_number_of_the_table(browser, results):
+    """The curve's first point against the row of sensitivity.csv it stands for."""
+    opened = Page(browser, results / "report.html")
+    figure = opened.draw("sensitivity")
+    rows = csv.DictReader((results / "sensitivity.csv").read_text(encoding="utf-8").splitlines())
+    row = next(row for row in rows if (row["channel"], row["component"]) == ("Fz", "Fz") and row["kind"] != "harmonic")
+    value, half = float(row["magnitude"]), float(row["u_magnitude"]) * float(row["k_magnitude"])
+    place = (float(row["frequency_hz"]), 1e7 * value)
+    opened.page.mouse.move(*opened.page.evaluate(PLACE, ["sensitivity", 0, *place]))
+    told = opened.page.locator(".tip").first.inner_text()
+    assert told.splitlines()[0] == "driven frequency"
+    label, number = told.splitlines()[2].rsplit(": ", 1)
+    assert label == "magnitude / 10⁻⁷ (V/V)/N"
+    shown, u = (float(part) for part in number.split(" ± "))
+    assert shown == pytest.approx(1e7 * value, abs=0.006e7 * half)
+    assert u == pytest.approx(1e7 * half, rel=0.05)
+    opened.close()
+
+
+def test_every_kind_of_mark_and_no_name_is_markup(browser, drawn):
+    opened = Page(browser, drawn)
+    figure = opened.draw("every")
+    buttons = figure.locator(".legend button")
+    assert buttons.nth(1).text_content() == NASTY
+    opened.page.mouse.move(*opened.page.evaluate(PLACE, ["every", 0, 1.0, 10.0]))
+    tips = opened.page.locator(".tip")
+    told = "\n".join(tips.all_inner_texts())
+    assert "10.0 ± 1.0" in told
+    assert "</script><b>" in told
+    assert tips.locator("b").count() == 0
+    buttons.nth(1).click()
+    assert buttons.nth(1).get_attribute("aria-pressed") == "false"
+    opened.page.mouse.move(5.0, 5.0)
+    opened.page.mouse.move(*opened.page.evaluate(PLACE, ["every", 0, 1.0, 10.0]))
+    opened.page.wait_for_timeout(200)
+    assert "± 1.0" not in "".join(tips.all_inner_texts())
+    opened.close()
+
+
+def test_zooming_by_keyboard_moves_what_is_linked(browser, results):
+    opened = Page(browser, results / "report.html")
+    opened.draw("motion-top")
+    opened.draw("residuals-top")
+    span = f"(name) => {{ {PLOTS} return plots[0].model.x_range.end - plots[0].model.x_range.start; }}"
+    before = opened.page.evaluate(span, "residuals-top")
+    opened.page.locator("figure[data-figure='motion-top'] button[aria-label='zoom in']").press("Enter")
+    for name in ("motion-top", "residuals-top"):
+        assert opened.page.evaluate(span, name) == pytest.approx(before / 1.5, rel=0.05)
+    opened.close()
+
+
+def test_a_figure_is_kept_as_svg_and_its_data_as_csv(browser, drawn):
+    opened = Page(browser, drawn, accept_downloads=True)
+    figure = opened.draw("every")
+    with opened.page.expect_download() as kept:
+        figure.get_by_role("button", name="as a vector graphic").click()
+    root = ElementTree.fromstring(Path(kept.value.path()).read_bytes())
+    assert root.tag.endswith("svg")
+    assert len(list(root.iter())) > 100
+    with opened.page.expect_download() as kept:
+        figure.get_by_role("button", name="as a table").click()
+    text = Path(kept.value.path()).read_text(encoding="utf-8-sig")
+    rows = [row for row in csv.DictReader(io.StringIO(text, newline="")) if row["kind"] == "Points"]
+    assert [(float(row["x"]), float(row["y"]), float(row["U_y"])) for row in rows[:2]] == [(1, 10, 1), (2, 100, 10)]
+    assert rows[0]["name"] == NASTY
+    opened.close()
+
+
+def test_without_programs_and_on_paper_the_main_figures_remain(browser, results, tmp_path):
+    plain = browser.new_context(java_script_enabled=False)
+    page = plain.new_page()
+    page.goto((results / "report.html").as_uri())
+    shown = page.locator("figure img.static")
+    assert shown.count() >= 3
+    assert all(shown.nth(k).is_visible() for k in range(shown.count()))
+    plain.close()
+    opened = Page(browser, results / "report.html", color_scheme="dark")
+    opened.draw("trigger")
+    opened.page.emulate_media(media="print")
+    images = opened.page.locator("figure:not(.screen) img.static")
+    assert all(images.nth(k).is_visible() for k in range(images.count()))
+    assert opened.page.locator("figure[data-figure='trigger'] .plot").is_visible()
+    assert not opened.page.locator("figure[data-figure='motion-top'] .plot").is_visible()
+    opened.page.pdf(path=tmp_path / "report.pdf")
+    assert (tmp_path / "report.pdf").stat().st_size > 50_000
+    opened.close()
