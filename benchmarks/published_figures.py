@@ -12,20 +12,8 @@ from numpy.typing import NDArray
 from published_paper import DAMPING_KG_PER_S, INTERNAL_KG, LAG_S, LOADS_KG, RESONANCE_HZ
 
 from fusion.phasors.stereo_phasors import StereoResult
-from fusion.report.style import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    RED,
-    SKY,
-    as_file,
-    drawing,
-    lay_out,
-    new_figure,
-)
+from fusion.report.figure import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
+from fusion.report.style import as_file, drawing, lay_out, new_figure
 from fusion.sensitivity.analyse import Evaluation
 from shaker.mechanics import required_stiffness
 from shaker.sine.phasor import Phasors

@@ -36,21 +36,15 @@ from fusion.cameras.quantities import (
     turns_rad,
     used_points,
 )
+from fusion.report.figure import BLACK, BLUE, GREY, LIGHT, ORANGE, RED, padded
 from fusion.report.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    LIGHT,
-    ORANGE,
     RASTER_ABOVE,
-    RED,
     WIDTH_IN,
     Picture,
     Sheet,
     decades,
     finish,
     lay_out,
-    padded,
     panel_label,
     sheet,
     square_corners,

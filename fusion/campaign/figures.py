@@ -83,7 +83,7 @@ def draw_curve(
     what = "Ratio" if set(kinds) == {"ratio"} else "Sensitivity"
     text = f"{what}, {title}: magnitude and phase over frequency; bars and band: U."
     name = f"curve-{first.channel}-{first.component}"
-    drawn = sheet(name, 6.9 if repeated else 4.6, len(heights), heights=heights)
+    drawn = sheet(name, 6.9 if repeated else 4.6, heights)
     upper, lower = drawn.panels[0], drawn.panels[len(heights) // 2]
     _draw_between((upper, lower), behind, factor)
     for panel, level, half in zip((upper, lower), value, expanded, strict=True):

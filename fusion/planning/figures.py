@@ -13,7 +13,8 @@ from matplotlib.patches import Patch
 
 from fusion.planning.lines import LineList
 from fusion.planning.plan import Plan
-from fusion.report.style import BLACK, BLUE, GREY, ORANGE, RED, decades, panel_label, sheet, thin_out
+from fusion.report.figure import BLACK, BLUE, GREY, ORANGE, RED, thin_out
+from fusion.report.style import decades, panel_label, sheet
 from shaker.arrays import FloatArray
 from shaker.lines.rate_planner import condition_over_rate, scan_rates
 from shaker.lines.spectrum import FIRST_BIN

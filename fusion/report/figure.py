@@ -335,17 +335,19 @@ class Sheet:
 def sheet(
     name: str,
     height_in: float,
-    rows: int = 1,
-    columns: int = 1,
+    rows: int | Sequence[float] = 1,
+    columns: int | Sequence[float] = 1,
     *,
-    heights: Sequence[float] = (),
-    widths: Sequence[float] = (),
     shared_x: bool = True,
     shared_y: bool = False,
 ) -> Sheet:
-    """Give empty panels that share their horizontal axis down a column, or their vertical one along a row."""
-    shares = tuple(heights) or (1.0,) * rows, tuple(widths) or (1.0,) * columns
-    return Sheet(name, height_in, *shares, shared_x, shared_y, tuple(Panel() for _ in range(rows * columns)))
+    """Give empty panels that share their horizontal axis down a column, or their vertical one along a row.
+
+    `rows` and `columns`: how many, or their shares of height and width.
+    """
+    heights, widths = ((1.0,) * part if isinstance(part, int) else tuple(part) for part in (rows, columns))
+    panels = tuple(Panel() for _ in range(len(heights) * len(widths)))
+    return Sheet(name, height_in, heights, widths, shared_x, shared_y, panels)
 
 
 def _row(values: ArrayLike) -> FloatArray:
@@ -427,14 +429,15 @@ def draw_response(
     u: tuple[FloatArray, FloatArray] | None = None,
     *,
     unwrapped: bool = False,
+    dots: bool = False,
     **style: Any,
 ) -> None:
     """Draw magnitude (logarithmic) and phase in degrees of a curve over frequency, with bands of U (k = 2).
 
     `u`: relative standard uncertainty of the magnitude and that of the phase in rad, (K,) each. A phase that is not
-    `unwrapped` lies within ±180° and has no strokes across that.
+    `unwrapped` lies within ±180° and has no strokes across that. `dots`: a dot for each value instead of a line.
     """
-    look = {"width": 0.9, **style}
+    look = {"size": 2.0, **style} if dots else {"width": 0.9, **style}
     size, phase = np.abs(value), np.degrees(np.angle(value))
     if unwrapped:
         phase = np.degrees(np.unwrap(np.angle(value)))
@@ -446,8 +449,8 @@ def draw_response(
         upper.band(frequency_hz, size * np.maximum(1.0 - 2.0 * u[0], 1e-3), size * (1.0 + 2.0 * u[0]), **band)
         turn = 2.0 * np.degrees(np.minimum(u[1], np.pi / 4.0))
         lower.band(frequency_hz, phase - turn, phase + turn, **band)
-    upper.line(frequency_hz, size, **look)
-    lower.line(frequency_hz, phase, **look)
+    for panel, values in ((upper, size), (lower, phase)):
+        (panel.points if dots else panel.line)(frequency_hz, values, **look)
     upper.y.log, lower.y.label = True, "phase / °"
 
 

@@ -198,7 +198,7 @@ def draw_motion(stereo: StereoResult) -> Figure:
     # Folded: other lines, offset and drift taken off.
     folded = folded_curve(stereo, frequency, phase) + stereo.residual
     curve, folded_fit = beat_curve(stereo, fine), folded_curve(stereo, frequency, fine_phase)
-    drawn = sheet(f"motion-{stereo.name}", 8.4, 6, 2, widths=(1.9, 1.0))
+    drawn = sheet(f"motion-{stereo.name}", 8.4, 6, (1.9, 1.0))
     for component, (left, right) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
         pose = stereo.motion_from_mean.pose[:, component]
         factor, letter = prefix(pose)
@@ -226,7 +226,7 @@ def draw_motion(stereo: StereoResult) -> Figure:
 def draw_residuals(stereo: StereoResult) -> Figure:
     """What the sine approximation leaves of each component, over time and as a histogram."""
     residual = stereo.residual
-    drawn = sheet(f"residuals-{stereo.name}", 6.4, 6, 2, widths=(3.4, 1.0), shared_y=True)
+    drawn = sheet(f"residuals-{stereo.name}", 6.4, 6, (3.4, 1.0), shared_y=True)
     for component, (over_time, histogram) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
         factor, letter = prefix(residual[:, :3] if component < 3 else residual[:, 3:])
         scaled = residual[:, component] / factor
@@ -382,7 +382,7 @@ SMALLEST_PX = 1e-3  # range of the colours where residuals are smaller
 
 def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Figure:
     """Mean epipolar residual over time with what the calibration explains, and its mean over time over the picture."""
-    drawn = sheet(f"epipolar-{name}", 3.0, 1, 2, widths=(1.5, 1.0))
+    drawn = sheet(f"epipolar-{name}", 3.0, 1, (1.5, 1.0))
     _draw_course(drawn.panels[0], check, time_s)
     drawn.panels[0].x.link = f"time of {name}"
     _draw_residuals(drawn.panels[1], check)

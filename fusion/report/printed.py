@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -36,15 +34,10 @@ from fusion.report.figure import (
     Texts,
     power_text,
 )
+from fusion.report.style import RASTER_ABOVE, WIDTH_IN, as_file, drawing, new_figure
 
-WIDTH_IN = 8.4
-RASTER_DPI = 200
-RASTER_ABOVE = 500
-"""Number of points above which they are drawn as an image inside the vector graphics."""
 LINE_RASTER_ABOVE = 20_000
 CHARACTER_IN, LEGEND_COLUMNS = 0.066, 6
-UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}, "png": {}}
-STYLE = mpl.rc_params_from_file(Path(__file__).with_name("templates") / "figures.mplstyle", use_default_template=False)
 SHAPES = {
     "circle": "o", "square": "s", "diamond": "D", "triangle": "^", "inverted_triangle": "v", "cross": "P", "x": "x",
     "plus": "+",
@@ -53,18 +46,14 @@ SHAPES = {
 
 def printed(figure: Figure, kind: str = "svg") -> bytes:
     """Draw a figure as the bytes of a `kind` of file: svg, png or pdf; the same from run to run."""
-    settings: Any = {**STYLE, "svg.hashsalt": figure.name}
-    with mpl.rc_context(settings):
-        canvas = _canvas(figure)
-        stream = io.BytesIO()
-        canvas.savefig(stream, format=kind, dpi=RASTER_DPI, metadata=UNDATED[kind])
-        return stream.getvalue()
+    with drawing(figure.name):
+        return as_file(_canvas(figure), kind)
 
 
 def _canvas(figure: Figure) -> Canvas:
     """All panels of a figure in the page's width."""
     rows, columns = len(figure.heights), len(figure.widths)
-    canvas = Canvas(figsize=(WIDTH_IN, figure.height_in))
+    canvas = new_figure(figure.height_in)
     shared: Any = {"sharex": "col" if figure.shared_x else False, "sharey": "row" if figure.shared_y else False}
     shares = {"height_ratios": figure.heights, "width_ratios": figure.widths}
     every = canvas.subplots(rows, columns, squeeze=False, gridspec_kw=shares, **shared)

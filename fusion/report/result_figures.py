@@ -63,7 +63,7 @@ def draw_sources(evaluation: Evaluation, compared: list[str]) -> Figure:
     """Driven component at the strongest line: each source's deviation from the fused value, in % and mrad."""
     component, line = driven_component(evaluation), main_line(evaluation)
     counts = [len(by_source(evaluation, body)) for body in compared]
-    drawn = sheet("sources", 0.95 + 0.33 * sum(counts) + 0.25 * len(compared), len(compared), 2, heights=counts)
+    drawn = sheet("sources", 0.95 + 0.33 * sum(counts) + 0.25 * len(compared), counts, 2)
     for place, body in enumerate(compared):
         left, right = drawn.panels[2 * place : 2 * place + 2]
         _draw_deviations(left, right, by_source(evaluation, body), line, component)
@@ -199,7 +199,7 @@ def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
     factor, power = power_of_ten(np.array(sizes))
     value, expanded = polar_bars(points, factor)
     frequency = sensitivity.frequency_hz[lines]
-    drawn = sheet("sensitivity", 4.4, 2, heights=(1.5, 1.0))
+    drawn = sheet("sensitivity", 4.4, (1.5, 1.0))
     upper, lower = drawn.panels
     unit = f"{power}{typeset(sensitivity_unit(sensitivity.unit, LOAD_COMPONENTS[component]))}"
     rest = None if static is None else (abs(static) / factor, "static sensitivity")

@@ -41,7 +41,7 @@ def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> 
     """An excerpt of every channel with its fit and the exposures, and its amplitude spectrum with the lines found."""
     exposures = evaluation.stereo[0].time_s if evaluation.stereo and not evaluation.set_ups else np.empty(0)
     # Blocks have clocks of their own: no common axis.
-    drawn = sheet("channels", 0.3 + 1.7 * len(channels), len(channels), 2, widths=(1.15, 1.0), shared_x=False)
+    drawn = sheet("channels", 0.3 + 1.7 * len(channels), len(channels), (1.15, 1.0), shared_x=False)
     for place, channel in enumerate(channels):
         _draw_excerpt(drawn.panels[2 * place], channel, exposures)
         _draw_spectrum(drawn.panels[2 * place + 1], channel, evaluation.lines.frequency_hz)
@@ -131,7 +131,7 @@ def point_pictures(evaluation: Evaluation) -> list[Figure]:
 def draw_points(spread: PointSpread, line: int, place: int) -> Figure:
     """Map of the points, and deviations of their amplitude and phase from the mean with the best plane's."""
     height = max(2.9, 0.8 + 0.24 * len(spread.channels))
-    drawn = sheet(f"points-{place}", height, 1, 3, widths=(1.15, 1.0, 1.0))
+    drawn = sheet(f"points-{place}", height, 1, (1.15, 1.0, 1.0))
     chart, amplitude, phase = drawn.panels
     _draw_map(chart, spread, line)
     along, across, u_along, u_across = _deviations(spread, line)

@@ -15,7 +15,6 @@ from support import told_columns
 
 from fusion.base import InputError
 from fusion.cli import main
-from fusion.report.style import Sheet
 from fusion.sensor.decouple.evaluate import DecoupleEvaluation, evaluate_decoupling, read_decoupling_filter
 from fusion.sensor.decouple.report import DECOUPLE, draw_step
 from fusion.simulate.preset import read_preset
@@ -109,14 +108,12 @@ def test_crosstalk_table_holds_every_stage(results):
     assert worst("static") <= worst("raw") * 1.5
 
 
-def test_without_rated_loads_only_loads_of_one_unit_are_compared(evaluation, monkeypatch):
-    sheets: list[Sheet] = []
-    monkeypatch.setattr(Sheet, "picture", lambda sheet, *_, **__: sheets.append(sheet))
+def test_without_rated_loads_only_loads_of_one_unit_are_compared(evaluation):
     for capacity, count in ((evaluation.capacity, 5), (None, 2)):
-        draw_step(replace(evaluation, capacity=capacity))
-        assert [len(axes.get_lines()) for axes in sheets[-1].panels] == [count] * 3
-    shown = [line.get_label() for line in sheets[-1].panels[0].get_lines()]
-    stepped = sheets[-1].name.removeprefix("decouple-step-")
+        drawn = draw_step(replace(evaluation, capacity=capacity))
+        assert [len(panel.marks) for panel in drawn.panels] == [count] * 3
+    shown = [mark.label for mark in drawn.panels[0].marks]
+    stepped = drawn.name.removeprefix("decouple-step-")
     assert {*shown, stepped} in ({"Fx", "Fy", "Fz"}, {"Mx", "My", "Mz"})
 
 

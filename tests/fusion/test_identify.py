@@ -21,7 +21,7 @@ from fusion.campaign.run import run_path
 from fusion.cli import main
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import find_recordings, for_kinds
-from fusion.report.style import Sheet
+from fusion.report.figure import Line
 from fusion.sensor.identify.evaluate import ComponentResult, IdentifyEvaluation, evaluate_identification
 from fusion.sensor.identify.figures import POINTS, draw_explained
 from fusion.sensor.identify.fit import modelled
@@ -125,15 +125,12 @@ def test_what_is_to_be_doubted_of_the_chain_is_told(evaluation, component):
     assert doubts[0].text.startswith("the output leads by (")
 
 
-def test_curves_of_the_sensitivity_are_in_view(component, monkeypatch):
-    sheets: list[Sheet] = []
-    monkeypatch.setattr(Sheet, "picture", lambda sheet, *_, **__: sheets.append(sheet))
+def test_curves_of_the_sensitivity_are_in_view(component):
     stiff = replace(component.model, damping=20.0 * component.model.damping)
-    draw_explained(replace(component, model=stiff), component.sensitivity)
-    for axes in sheets[0].panels:
-        low, high = axes.get_ylim()
-        curves = [line.get_ydata() for line in axes.get_lines() if len(line.get_ydata()) == POINTS]
-        assert len(curves) == 3
+    for panel in draw_explained(replace(component, model=stiff), component.sensitivity).panels:
+        low, high = panel.y.limits
+        curves = [mark.y for mark in panel.marks if isinstance(mark, Line)]
+        assert [len(curve) for curve in curves] == [POINTS] * 3
         assert low < np.min(curves) < np.max(curves) < high
 
 

@@ -137,7 +137,7 @@ def test_every_figure_of_a_report_is_drawn(browser, results, scheme):
 def test_hovering_tells_the_number_of_the_table(browser, results):
     """The curve's first point against the row of sensitivity.csv it stands for."""
     opened = Page(browser, results / "report.html")
-    figure = opened.draw("sensitivity")
+    opened.draw("sensitivity")
     rows = csv.DictReader((results / "sensitivity.csv").read_text(encoding="utf-8").splitlines())
     row = next(row for row in rows if (row["channel"], row["component"]) == ("Fz", "Fz") and row["kind"] != "harmonic")
     value, half = float(row["magnitude"]), float(row["u_magnitude"]) * float(row["k_magnitude"])

@@ -12,9 +12,9 @@ import h5py
 import numpy as np
 
 from fusion.base import InputError
+from fusion.report.figure import COLOURS, GREY, Figure, frequency_axis, padded, sheet
 from fusion.report.folder import Command, hash_files
 from fusion.report.h5 import write_value
-from fusion.report.style import COLOURS, GREY, Picture, frequency_axis, sheet
 from fusion.report.table import Column, csv_text, known, measured, on_page, signed, small, table, word
 from fusion.sensor.compare.evaluate import Compared, ComparisonEvaluation, evaluate_comparison
 from fusion.sensor.compare.read import read_result, result_files
@@ -69,27 +69,27 @@ def _main(evaluation: ComparisonEvaluation) -> list[Compared]:
     return [found for found in evaluation.compared if found.channel == found.component] or list(evaluation.compared)
 
 
-def draw_normalised(evaluation: ComparisonEvaluation) -> Picture:
+def draw_normalised(evaluation: ComparisonEvaluation) -> Figure:
     """E_n against the reference value over frequency, of every result."""
-    with sheet("normalised", 4.6, 2) as drawn:
-        for axes, quantity in zip(drawn.panels, ("magnitude", "phase"), strict=True):
-            own = [found for found in _main(evaluation) if found.quantity == quantity]
-            for place, result in enumerate(evaluation.results):
-                shown = [
-                    (f.frequency_hz, f.reference.normalised[f.names.index(result.name)])
-                    for f in own
-                    if result.name in f.names
-                ]
-                if shown:
-                    x, y = np.array(shown).T
-                    axes.plot(x, y, "o", color=COLOURS[place % len(COLOURS)], label=result.name, markersize=4)
-            axes.axhspan(-1.0, 1.0, color=GREY, alpha=0.15, linewidth=0)
-            axes.set_ylabel(f"$E_n$ of {quantity}")
-        drawn.panels[0].legend()
-        ends = np.array([found.frequency_hz for found in _main(evaluation)])
-        frequency_axis(drawn.panels[-1], np.array([0.95 * ends.min(), 1.05 * ends.max()]))
-        text = "Deviation from the reference value over its expanded uncertainty; within the band it is covered."
-        return drawn.picture("Deviations from the reference value", text)
+    drawn = sheet("normalised", 4.6, 2)
+    ends = np.array([found.frequency_hz for found in _main(evaluation)])
+    for panel, quantity in zip(drawn.panels, ("magnitude", "phase"), strict=True):
+        own = [found for found in _main(evaluation) if found.quantity == quantity]
+        panel.span(-1.0, 1.0, "covered by U", colour=GREY)
+        for place, result in enumerate(evaluation.results):
+            shown = [
+                (f.frequency_hz, f.reference.normalised[f.names.index(result.name)])
+                for f in own
+                if result.name in f.names
+            ]
+            if shown:
+                x, y = np.array(shown).T
+                panel.points(x, y, result.name, colour=COLOURS[place % len(COLOURS)], size=4.0)
+        panel.y.label = f"E_n of {quantity}"
+        frequency_axis(panel.x, np.array([0.95 * ends.min(), 1.05 * ends.max()]))
+    drawn.panels[0].x.label = ""
+    text = "Deviation from the reference value over its expanded uncertainty; within the band it is covered."
+    return drawn.figure("Deviations from the reference value", text, main=True)
 
 
 def _largest_text(found: Compared) -> str:
@@ -102,7 +102,7 @@ MOST_CHARTS, MOST_LINES = 6, 6
 """Elements of which the page has a chart, and frequencies in one of them."""
 
 
-def draw_charts(evaluation: ComparisonEvaluation) -> list[Picture]:
+def draw_charts(evaluation: ComparisonEvaluation) -> list[Figure]:
     """Control charts, element by element: deviations from the reference values over the years, with U."""
     dated: dict[tuple[str, str], list[Compared]] = {}
     for found in _main(evaluation):
@@ -111,38 +111,36 @@ def draw_charts(evaluation: ComparisonEvaluation) -> list[Picture]:
     return [_chart(element, own) for element, own in list(dated.items())[:MOST_CHARTS]]
 
 
-def _chart(element: tuple[str, str], own: Sequence[Compared]) -> Picture:
+def _chart(element: tuple[str, str], own: Sequence[Compared]) -> Figure:
     """Magnitude and phase of one element over the years."""
     channel, component = element
     span = float(np.ptp([year for found in own for year in found.year[np.isfinite(found.year)]]))
-    with sheet(f"chart-{channel}-{component}", 4.6, 2) as drawn:
-        for axes, quantity in zip(drawn.panels, ("magnitude", "phase"), strict=True):
-            lines = [found for found in own if found.quantity == quantity]
-            chosen = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), MOST_LINES)).astype(int))
-            for place, line in enumerate([lines[n] for n in chosen]):
-                factor = 100.0 / abs(line.centre) if quantity == "magnitude" else 1e3
-                colour, dates = COLOURS[place % len(COLOURS)], line.year + 0.006 * place * span
-                deviation, expanded = factor * (line.value - line.centre), 2.0 * factor * line.u
-                axes.errorbar(
-                    dates, deviation, expanded, fmt="o", color=colour, markersize=4, capsize=2,
-                    label=f"{line.frequency_hz:.5g} Hz",
-                )  # fmt: skip
-                if line.reference.used.any():
-                    band = 2.0 * factor * line.reference.u
-                    axes.axhspan(-band, band, color=colour, alpha=0.08, linewidth=0)
-            axes.axhline(0.0, color=GREY, linewidth=0.8)
-            axes.set_ylabel("magnitude / %" if quantity == "magnitude" else "phase / mrad")
-        low, high = drawn.panels[0].get_ylim()
-        drawn.panels[0].set_ylim(low, high + 0.25 * (high - low))  # room for the legend
-        drawn.panels[0].legend(loc="upper center", ncols=MOST_LINES)
-        drawn.panels[-1].set_xlabel("year")
-        drawn.panels[-1].xaxis.get_major_formatter().set_useOffset(False)  # type: ignore[attr-defined]
-        text = (
-            "Deviation of every dated result from the reference value with its U (k = 2), in relative terms of the "
-            "magnitude; the bands are U of the reference values. Where there is none, since results contradict each "
-            "other, deviations are from their weighted mean. Frequencies stand side by side for legibility."
-        )
-        return drawn.picture(f"Control chart of {channel} per {component}", text)
+    drawn = sheet(f"chart-{channel}-{component}", 4.6, 2)
+    for panel, quantity in zip(drawn.panels, ("magnitude", "phase"), strict=True):
+        lines = [found for found in own if found.quantity == quantity]
+        chosen = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), MOST_LINES)).astype(int))
+        reach = []
+        for place, line in enumerate([lines[n] for n in chosen]):
+            factor = 100.0 / abs(line.centre) if quantity == "magnitude" else 1e3
+            label, colour = f"{line.frequency_hz:.5g} Hz", COLOURS[place % len(COLOURS)]
+            dates = line.year + 0.006 * place * span
+            deviation, expanded = factor * (line.value - line.centre), 2.0 * factor * line.u
+            if line.reference.used.any():
+                band = 2.0 * factor * line.reference.u
+                panel.span(-band, band, label, colour=colour)
+            panel.points(dates, deviation, label, half_y=expanded, colour=colour, size=4.0, names=tuple(line.names))
+            reach += [deviation + expanded, deviation - expanded]
+        panel.rule(0.0, colour=GREY)
+        panel.y.label = "magnitude / %" if quantity == "magnitude" else "phase / mrad"
+        if reach:
+            panel.y.limits = padded(float(np.nanmin(np.concatenate(reach))), float(np.nanmax(np.concatenate(reach))))
+    drawn.panels[-1].x.label = "year"
+    text = (
+        "Deviation of every dated result from the reference value with its U (k = 2), in relative terms of the "
+        "magnitude; the bands are U of the reference values. Where there is none, since results contradict each "
+        "other, deviations are from their weighted mean. Frequencies stand side by side for legibility."
+    )
+    return drawn.figure(f"Control chart of {channel} per {component}", text, main=True)
 
 
 def largest_share(evaluation: ComparisonEvaluation, title: str) -> float:

@@ -14,18 +14,9 @@ from markupsafe import Markup
 from fusion.base import DASH, K2
 from fusion.campaign.executor import one_blas_thread
 from fusion.recording.load import load_for_command
+from fusion.report.figure import BLUE, COLOURS, GREY, ORANGE, Figure, sheet
 from fusion.report.folder import Command, subject_of
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.style import (
-    BLUE,
-    COLOURS,
-    GREY,
-    ORANGE,
-    Picture,
-    decades,
-    panel_label,
-    sheet,
-)
 from fusion.report.table import (
     Column,
     Headline,
@@ -271,50 +262,44 @@ TRIALS: list[Column[Trial]] = [
 # Figures: cross-talk over frequency, and readings while a load makes a step.
 
 
-def draw_crosstalk(evaluation: DecoupleEvaluation) -> Picture:
+def draw_crosstalk(evaluation: DecoupleEvaluation) -> Figure:
     """The largest reading of any other load while one oscillates, over frequency, before and after."""
     names, ratio = evaluation.fit.model.components, 100 * evaluation.ratio
     others = {j: [i for i in range(len(names)) if i != j and np.isfinite(ratio[i, j])] for j in range(len(names))}
     loads = [j for j in others if others[j]]
     rows, frequency = -(-len(loads) // COLUMNS), evaluation.frequency_hz
-    with sheet("decouple-crosstalk", 1.9 * rows + 0.6, rows, COLUMNS, sharex=True, sharey=True) as drawn:
-        used = drawn.panels[: len(loads)]
-        for axes, j in zip(used, loads, strict=True):
-            for stage in evaluation.stages:
-                size = np.abs(stage.value[:, others[j], j]) * ratio[others[j], j]
-                worst, u = np.argmax(size, axis=1)[:, None], stage.u[:, others[j], j] * ratio[others[j], j]
-                value = np.take_along_axis(size, worst, axis=1)[:, 0]
-                expanded, colour = K2 * np.take_along_axis(u, worst, axis=1)[:, 0], STAGE_COLOURS[stage.stage]
-                axes.plot(frequency, np.maximum(value, LEAST), color=colour, label=STAGE_NAMES[stage.stage])
-                low, high = np.maximum(value - expanded, LEAST), np.maximum(value + expanded, LEAST)
-                axes.fill_between(frequency, low, high, color=colour, alpha=0.2, linewidth=0)
-            for mode in evaluation.fit.model.frequency_hz:
-                axes.axvline(mode, color=GREY, linewidth=0.6, linestyle=":")
-            axes.axvline(float(evaluation.decoupler.target_hz[0]), color=GREY, linewidth=0.8, linestyle=(0, (5, 3)))
-            axes.set(xscale="log", yscale="log", xlim=(frequency[0], frequency[-1]), ylim=(1e-3, 1e3))
-            decades(axes.yaxis)
-            panel_label(axes, f"{names[j]} oscillates")
-        for axes in drawn.panels[len(loads) :]:
-            axes.set_visible(False)
-        for axes in used[max(0, len(loads) - COLUMNS) :]:
-            axes.set_xlabel("frequency / Hz")
-            axes.tick_params(labelbottom=True)
-        for axes in used[::COLUMNS]:
-            axes.set_ylabel("cross-talk / %")
-        used[0].legend(loc="lower right", ncols=3, bbox_to_anchor=(2.1, 1.08), borderaxespad=0.0)
-        rated, bare = (
-            "load while one oscillates, in rated loads",
-            "load of its unit while one oscillates, over that one",
-        )
-        caption = (
-            f"Largest reading of any other {rated if evaluation.capacity is not None else bare}. Shaded: U (k = 2) by "
-            "the uncertainty of the model. Dotted: modes; dashed: frequency of the wanted dynamics."
-        )
-        layout: dict[str, Any] = {"top": 0.42, "gap": (0.25, 0.3), "left": 0.7, "label": 0.52}
-        return drawn.picture("Cross-talk over frequency", caption, **layout)
+    drawn = sheet("decouple-crosstalk", 1.9 * rows + 0.8, rows, COLUMNS, shared_y=True)
+    for place, (panel, j) in enumerate(zip(drawn.panels, loads, strict=False)):
+        for stage in evaluation.stages:
+            size = np.abs(stage.value[:, others[j], j]) * ratio[others[j], j]
+            worst, u = np.argmax(size, axis=1)[:, None], stage.u[:, others[j], j] * ratio[others[j], j]
+            value = np.take_along_axis(size, worst, axis=1)[:, 0]
+            expanded = K2 * np.take_along_axis(u, worst, axis=1)[:, 0]
+            label, colour = STAGE_NAMES[stage.stage], STAGE_COLOURS[stage.stage]
+            panel.line(frequency, np.maximum(value, LEAST), label, colour=colour)
+            low, high = np.maximum(value - expanded, LEAST), np.maximum(value + expanded, LEAST)
+            panel.band(frequency, low, high, label, colour=colour)
+        panel.rule(evaluation.fit.model.frequency_hz, "modes", along="x", colour=GREY, width=0.6)
+        panel.rule(evaluation.decoupler.target_hz[0], "wanted", along="x", colour=GREY, dashed=True)
+        panel.x.log = panel.y.log = True
+        panel.x.limits, panel.y.limits = (float(frequency[0]), float(frequency[-1])), (1e-3, 1e3)
+        panel.x.label, panel.title = "frequency / Hz", f"{names[j]} oscillates"
+        if place % COLUMNS == 0:
+            panel.y.label = "cross-talk / %"
+    for panel in drawn.panels[len(loads) :]:
+        panel.blank = True
+    rated, bare = (
+        "load while one oscillates, in rated loads",
+        "load of its unit while one oscillates, over that one",
+    )
+    caption = (
+        f"Largest reading of any other {rated if evaluation.capacity is not None else bare}. Shaded: U (k = 2) by "
+        "the uncertainty of the model. Uprights: modes; dashed: frequency of the wanted dynamics."
+    )
+    return drawn.figure("Cross-talk over frequency", caption, main=True)
 
 
-def draw_step(evaluation: DecoupleEvaluation) -> Picture:
+def draw_step(evaluation: DecoupleEvaluation) -> Figure:
     """Readings of the other loads while the load steps that shows most with the static matrix alone, by stage.
 
     Without rated loads only those of the unit of the load that steps can be compared with it.
@@ -329,21 +314,18 @@ def draw_step(evaluation: DecoupleEvaluation) -> Picture:
     readers = stage_readers(model, evaluation.decoupler, evaluation.fit.noise)
     readings = {stage: step_readings(model, reader, time_s) for stage, reader in readers.items()}
     name = model.components[load]
-    with sheet(f"decouple-step-{name}", 1.5 * len(readings) + 0.6, len(readings)) as drawn:
-        for axes, (stage, value) in zip(drawn.panels, readings.items(), strict=True):
-            for d, reading in enumerate(model.components):
-                if d != load and np.isfinite(ratio[d, load]):
-                    share = value[:, d, load] * ratio[d, load]
-                    axes.plot(1e3 * time_s, share, color=COLOURS[d], label=reading, linewidth=0.8)
-            axes.set_ylabel("reading / %")
-            panel_label(axes, f"step of {name}: {STAGE_NAMES[stage]}")
-        drawn.panels[-1].set_xlabel("time after the step / ms")
-        drawn.panels[0].legend(loc="lower right", ncols=6, bbox_to_anchor=(1.0, 1.02), borderaxespad=0.0)
-        rated = "all other loads by the model, in per cent of their rated loads for a step of the rated one"
-        bare = "the other loads of its unit by the model, in per cent of the step"
-        caption = f"Readings of {rated if evaluation.capacity is not None else bare}."
-        title = f"Other loads while {name} makes a step"
-        return drawn.picture(title, caption, top=0.3, gap=(0.5, 0.3), label=0.52)
+    drawn = sheet(f"decouple-step-{name}", 1.5 * len(readings) + 0.6, len(readings))
+    for panel, (stage, value) in zip(drawn.panels, readings.items(), strict=True):
+        for d, reading in enumerate(model.components):
+            if d != load and np.isfinite(ratio[d, load]):
+                share = value[:, d, load] * ratio[d, load]
+                panel.line(1e3 * time_s, share, reading, colour=COLOURS[d], width=0.8)
+        panel.y.label, panel.title = "reading / %", f"step of {name}: {STAGE_NAMES[stage]}"
+    drawn.panels[-1].x.label = "time after the step / ms"
+    rated = "all other loads by the model, in per cent of their rated loads for a step of the rated one"
+    bare = "the other loads of its unit by the model, in per cent of the step"
+    caption = f"Readings of {rated if evaluation.capacity is not None else bare}."
+    return drawn.figure(f"Other loads while {name} makes a step", caption)
 
 
 # What stands on the page, in the files and on the terminal.

@@ -12,22 +12,11 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from fusion.base import DASH, MILLI, PERCENT, Identity, ProgressCallback, no_progress, rounded
+from fusion.report.figure import BLACK, BLUE, COLOURS, GREY, RED, sheet
+from fusion.report.figure import Figure as Drawing
 from fusion.report.folder import Command, hash_files
 from fusion.report.h5 import write_value
-from fusion.report.style import (
-    BLACK,
-    BLUE,
-    COLOURS,
-    GREY,
-    RED,
-    Picture,
-    as_file,
-    drawing,
-    finish,
-    new_figure,
-    panel_label,
-    sheet,
-)
+from fusion.report.style import Picture, as_file, drawing, finish, new_figure
 from fusion.report.table import Column, Headline, Table, columns_of, csv_text, measured, on_page, signed, table, word
 from fusion.sensor.elastomer.definition import read_definition
 from fusion.sensor.elastomer.evaluate import (
@@ -260,7 +249,7 @@ ENLARGED = 0.08
 """Largest displacement drawn, over the size of the element."""
 VIEW = {"elev": 26.0, "azim": -58.0}
 METHOD_COLOURS = (BLACK, *COLOURS, GREY)
-MARKERS = ("o", "s", "D", "^", "v", "P", "X", "*")
+MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "cross", "x", "plus")
 
 
 def draw_shapes(name: str, title: str, shapes: Sequence[Shape]) -> tuple[Picture, bytes]:
@@ -277,48 +266,43 @@ def draw_shapes(name: str, title: str, shapes: Sequence[Shape]) -> tuple[Picture
         return finish(figure, name, title, caption), as_file(figure, "png")
 
 
-def draw_compared(evaluation: ElementEvaluation) -> Picture:
+def draw_compared(evaluation: ElementEvaluation) -> Drawing:
     """Every column's frequencies as departure from those of the frame."""
     columns = evaluation.columns
     frame = next(column for column in columns if column.kind == "frame")
     places, width = np.arange(len(NAMES)), 0.7 / len(columns)
-    with sheet("elastomer-comparison", 3.0) as drawn:
-        (axes,) = drawn.panels
-        for c, column in enumerate(columns):
-            departure = 100.0 * (column.frequency_hz / frame.frequency_hz - 1.0)
-            expanded = np.nan_to_num(200.0 * column.u_hz / frame.frequency_hz)
-            look: dict[str, Any] = {"fmt": MARKERS[c % len(MARKERS)], "color": METHOD_COLOURS[c % len(METHOD_COLOURS)]}
-            known, shift = np.isfinite(departure), (c - 0.5 * (len(columns) - 1)) * width
-            if known.any():
-                axes.errorbar(places[known] + shift, departure[known], expanded[known], label=column.name, **look)
-        axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=1)
-        axes.set_xticks(places, NAMES)
-        axes.set(xlim=(-0.5, len(places) - 0.5), ylabel=f"less {frame.name} / %")
-        panel_label(axes, "natural frequencies")
-        axes.legend(loc="lower right", ncols=4, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-        caption = "Departure of every column from the frame. Bars: expanded uncertainty U (k = 2) where there is one."
-        return drawn.picture("Models against one another", caption, top=0.5, bottom=0.3)
+    drawn = sheet("elastomer-comparison", 3.0)
+    (panel,) = drawn.panels
+    panel.rule(0.0, colour=GREY)
+    for c, column in enumerate(columns):
+        departure = 100.0 * (column.frequency_hz / frame.frequency_hz - 1.0)
+        expanded = np.nan_to_num(200.0 * column.u_hz / frame.frequency_hz)
+        look = {"marker": MARKERS[c % len(MARKERS)], "colour": METHOD_COLOURS[c % len(METHOD_COLOURS)]}
+        known, shift = np.isfinite(departure), (c - 0.5 * (len(columns) - 1)) * width
+        if known.any():
+            panel.points(places[known] + shift, departure[known], column.name, half_y=expanded[known], **look)
+    panel.x.names, panel.y.label, panel.title = tuple(NAMES), f"less {frame.name} / %", "natural frequencies"
+    caption = "Departure of every column from the frame. Bars: expanded uncertainty U (k = 2) where there is one."
+    return drawn.figure("Models against one another", caption, main=True)
 
 
-def draw_hand(evaluation: ElementEvaluation) -> Picture | None:
+def draw_hand(evaluation: ElementEvaluation) -> Drawing | None:
     """The resonance over the mass of a hand joined without a spring, and the modes of the chain with springs."""
     mounted, stated = evaluation.mounted, evaluation.definition.file.mounting
     if mounted is None or stated is None:
         return None
     scale, unit = (1e3, "g") if mounted.direction.startswith("T") else (1e6, "kg·mm²")
-    with sheet("elastomer-mounted", 2.8) as drawn:
-        (axes,) = drawn.panels
-        label = "hand joined without a spring (eq. 17)"
-        axes.plot(scale * mounted.hand_mass, mounted.mounted_hz, color=BLUE, label=label)
-        places = np.full(len(mounted.frequency_hz), scale * stated.hand_mass)
-        axes.plot(places, mounted.frequency_hz, "o", color=RED, label="hand, sensor and pedestal on springs")
-        highest = 1.1 * float(max(mounted.frequency_hz.max(), mounted.mounted_hz.max()))
-        quantity = f"{'mass' if unit == 'g' else 'moment of inertia'} of the hand / {unit}"
-        axes.set(ylim=(0.0, highest), xlabel=quantity, ylabel="natural frequency / Hz")
-        panel_label(axes, f"mounted sensor, {mounted.direction}")
-        axes.legend(loc="lower right", ncols=2, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-        caption = "What a hand or gripper leaves of the element's own frequency."
-        return drawn.picture(f"Resonance of the mounted sensor, {mounted.direction}", caption, top=0.3)
+    drawn = sheet("elastomer-mounted", 2.8)
+    (panel,) = drawn.panels
+    label = "hand joined without a spring (eq. 17)"
+    panel.line(scale * mounted.hand_mass, mounted.mounted_hz, label, colour=BLUE)
+    places = np.full(len(mounted.frequency_hz), scale * stated.hand_mass)
+    panel.points(places, mounted.frequency_hz, "hand, sensor and pedestal on springs", colour=RED)
+    panel.y.limits = (0.0, 1.1 * float(max(mounted.frequency_hz.max(), mounted.mounted_hz.max())))
+    panel.x.label = f"{'mass' if unit == 'g' else 'moment of inertia'} of the hand / {unit}"
+    panel.y.label, panel.title = "natural frequency / Hz", f"mounted sensor, {mounted.direction}"
+    caption = "What a hand or gripper leaves of the element's own frequency."
+    return drawn.figure(f"Resonance of the mounted sensor, {mounted.direction}", caption)
 
 
 def _panel(figure: Figure, place: int, shape: Shape) -> None:

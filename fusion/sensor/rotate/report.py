@@ -8,14 +8,13 @@ from typing import Any
 
 import h5py
 import numpy as np
-from matplotlib.axes import Axes
 
 from fusion.base import DASH, GRAM, MILLI, prefix
 from fusion.campaign.repeats import BETWEEN, WITHIN
 from fusion.recording.load import load_for_command
+from fusion.report.figure import BLACK, COLOURS, GREY, LIGHT, Figure, Panel, sheet
 from fusion.report.folder import Command, subject_of
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.style import BLACK, COLOURS, GREY, LIGHT, Picture, panel_label, sheet
 from fusion.report.table import (
     Column,
     Headline,
@@ -111,74 +110,64 @@ def _terms(recording: RotationRecording) -> Iterator[RotationQuantity]:
 # Figures: readings over the angle with fit and residuals, masses against what was weighed.
 
 
-LOOKS = tuple(zip(COLOURS, "os^", strict=False))
+LOOKS = tuple(zip(COLOURS, ("circle", "square", "triangle"), strict=False))
 """Colours and markers of the three components."""
 
 
-def draw_readings(recording: RotationRecording, places: Sequence[int], kind: str) -> Picture:
+def draw_readings(recording: RotationRecording, places: Sequence[int], kind: str) -> Figure:
     """Readings of some load components over the angle with the harmonics fitted, and what these leave."""
     fit, calibration, unit = recording.fit, recording.inverse[places], typeset(LOAD_UNITS[places[0]])
     sense, angle = turning_sense(fit.angle_rad), np.radians(np.linspace(0.0, 360.0, 361))
     residual, fitted = fit.residual @ calibration.T, fit.curve(angle) @ calibration.T
     scale, letter = prefix(residual, coarse=False)
-    with sheet(f"rotation-{recording.name}-{kind}", 4.6, 2, heights=(2.0, 1.0)) as drawn:
-        upper, lower = drawn.panels
-        for c, place in enumerate(places):
-            upper.plot(np.degrees(angle), fitted[:, c], color=LOOKS[c][0], linewidth=0.9, zorder=2)
-            _draw_points(upper, fit.angle_rad, sense, recording.load[:, place], LOOKS[c], LOAD_COMPONENTS[place])
-            _draw_points(lower, fit.angle_rad, sense, residual[:, c] / scale, LOOKS[c], "")
-        lower.axhline(0.0, color=LIGHT, linewidth=0.8, zorder=1)
-        upper.set_ylabel(_over("load", unit))
-        lower.set_ylabel(_over("residual", f"{letter}{unit}"))
-        panel_label(upper, f"{recording.name}: {kind}, readings and fit")
-        panel_label(lower, "readings less fit")
-        upper.legend(loc="lower right", ncols=3, bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
-        lower.set_xlim(-8.0, 368.0)
-        lower.set_xticks(np.arange(0.0, 361.0, 45.0))
-        lower.set_xlabel("angle of the head / °")
-        caption = "Curves: offset and harmonics fitted to all channels in one solve."
-        if np.ptp(sense) > 0.0:
-            caption += " Filled: come to with the angle growing; open: with the angle falling."
-        title = f"{recording.name}, {kind} over the angle of the head"
-        return drawn.picture(title, caption, top=0.3, gap=(0.5, 0.3))
+    drawn = sheet(f"rotation-{recording.name}-{kind}", 4.6, (2.0, 1.0))
+    upper, lower = drawn.panels
+    for c, place in enumerate(places):
+        name = LOAD_COMPONENTS[place]
+        upper.line(np.degrees(angle), fitted[:, c], name, colour=LOOKS[c][0], width=0.9)
+        _draw_points(upper, fit.angle_rad, sense, recording.load[:, place], LOOKS[c], name)
+        _draw_points(lower, fit.angle_rad, sense, residual[:, c] / scale, LOOKS[c], name)
+    lower.rule(0.0, colour=LIGHT)
+    upper.y.label, lower.y.label = _over("load", unit), _over("residual", f"{letter}{unit}")
+    upper.title, lower.title = f"{recording.name}: {kind}, readings and fit", "readings less fit"
+    for panel in drawn.panels:
+        panel.x.limits, panel.x.ticks = (-8.0, 368.0), tuple(np.arange(0.0, 361.0, 45.0).tolist())
+    lower.x.label = "angle of the head / °"
+    caption = "Curves: offset and harmonics fitted to all channels in one solve."
+    if np.ptp(sense) > 0.0:
+        caption += " Filled: come to with the angle growing; open: with the angle falling."
+    return drawn.figure(f"{recording.name}, {kind} over the angle of the head", caption, main=True)
 
 
 def _draw_points(
-    axes: Axes, angle_rad: FloatArray, sense: FloatArray, values: FloatArray, look: tuple[str, str], label: str
+    panel: Panel, angle_rad: FloatArray, sense: FloatArray, values: FloatArray, look: tuple[str, str], label: str
 ) -> None:
     """Readings (N,) of one component within a turn, filled where the angle grew and open where it fell."""
-    degrees, rose, (colour, marker) = np.degrees(angle_rad), sense >= 0.0, look
+    degrees, (colour, marker) = np.degrees(angle_rad), look
     inside = (degrees >= 0.0) & (degrees <= 360.0 + 1e-6)
     degrees = np.where(inside, degrees, np.mod(degrees, 360.0))
-    points: dict[str, Any] = {"linestyle": "none", "marker": marker, "color": colour, "markersize": 4.0}
-    points |= {"markeredgewidth": 0.9, "zorder": 3}
-    if rose.any():
-        axes.plot(degrees[rose], values[rose], markerfacecolor=colour, label=label, **points)
-    if not rose.all():
-        own = None if rose.any() else label
-        axes.plot(degrees[~rose], values[~rose], markerfacecolor="white", label=own, **points)
+    for own, is_open in ((sense >= 0.0, False), (sense < 0.0, True)):
+        if own.any():
+            panel.points(degrees[own], values[own], label, colour=colour, marker=marker, size=4.0, open=is_open)
 
 
-def draw_deviations(evaluation: RotationEvaluation) -> Picture | None:
+def draw_deviations(evaluation: RotationEvaluation) -> Figure | None:
     """Load mass by each axis and by all less the weighed mass in %, with U; None without both."""
     deviations = _named(evaluation, "load_mass_relative_deviation")
     weighed = evaluation.find("weighed_mass", "stated")
     if not deviations or weighed is None:
         return None
     own = 100.0 * weighed.expanded / weighed.value
-    with sheet("rotation-deviations", 2.5) as drawn:
-        (axes,) = drawn.panels
-        places = np.arange(len(deviations))
-        axes.axhspan(-own, own, color=GREY, alpha=0.3, linewidth=0, zorder=1)
-        axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=1.5)
-        expanded = [q.expanded for q in deviations]
-        axes.errorbar(places, [q.value for q in deviations], expanded, fmt="o", color=BLACK, zorder=2)
-        axes.set_xticks(places, [q.component for q in deviations])
-        axes.set_xlim(-0.6, len(places) - 0.4)
-        axes.set_ylabel("deviation / %")
-        panel_label(axes, "load mass less weighed mass, with U")
-        caption = "Bars: expanded uncertainty U of the difference. Grey: U of the weighed mass."
-        return drawn.picture("Load mass against the weighed mass", caption, top=0.3)
+    drawn = sheet("rotation-deviations", 2.5)
+    (panel,) = drawn.panels
+    panel.span(-own, own, "weighed mass, U", colour=GREY)
+    panel.rule(0.0, colour=GREY)
+    values, expanded = ([getattr(q, name) for q in deviations] for name in ("value", "expanded"))
+    panel.points(np.arange(len(deviations)), values, half_y=expanded, colour=BLACK)
+    panel.x.names = tuple(q.component for q in deviations)
+    panel.y.label, panel.title = "deviation / %", "load mass less weighed mass, with U"
+    caption = "Bars: expanded uncertainty U of the difference. Grey: U of the weighed mass."
+    return drawn.figure("Load mass against the weighed mass", caption)
 
 
 # The page, and the lines of the terminal.

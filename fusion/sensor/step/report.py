@@ -15,9 +15,9 @@ from fusion.base import DASH, K2, MILLI, PERCENT, rounded
 from fusion.campaign.executor import one_blas_thread
 from fusion.estimation.coverage import NamedQuantity, Quantity, coverage_factor
 from fusion.recording.load import load_for_command
+from fusion.report.figure import power_text
 from fusion.report.folder import Command, subject_of
 from fusion.report.h5 import write_fields, write_value
-from fusion.report.style import power_text
 from fusion.report.table import (
     Column,
     Headline,

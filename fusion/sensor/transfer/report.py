@@ -10,31 +10,26 @@ from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
-from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from fusion.base import K2
 from fusion.estimation.coverage import Polar, coverage_factor, polar
 from fusion.estimation.uncertainty import Contribution, Uncertainty, element_covariance
 from fusion.recording.load import load_for_command
 from fusion.recording.manifest import ChannelEntry
-from fusion.report.folder import Command
-from fusion.report.h5 import write_value
-from fusion.report.style import (
+from fusion.report.figure import (
     BLACK,
     BLUE,
     GREY,
     LIGHT,
     ORANGE,
     RED,
-    Picture,
-    decades,
+    Figure,
     draw_response,
     frequency_axis,
-    panel_label,
-    plain_logarithm,
-    power_text,
     sheet,
 )
+from fusion.report.folder import Command
+from fusion.report.h5 import write_value
 from fusion.report.table import (
     Column,
     Headline,
@@ -265,7 +260,7 @@ CHANNELS: list[Column[tuple[str, ChannelEntry]]] = [
 ]
 
 
-def draw_transfer(result: ReferenceResult, channel: int) -> Picture:
+def draw_transfer(result: ReferenceResult, channel: int) -> Figure:
     """Magnitude and phase of one response with U, relative uncertainty with its random part, and coherence."""
     response, coherence = result.transfer.ratio.channels[channel], result.transfer.coherence[:, channel]
     curve, both = result.transfer.ratio.select([response]), [channel, channel + len(result.transfer.ratio.channels)]
@@ -274,56 +269,37 @@ def draw_transfer(result: ReferenceResult, channel: int) -> Picture:
     modes = [resonance for resonance in result.resonances if resonance.response == response]
     alone = [replace(resonance.fit, residual=np.zeros(2, dtype=np.complex128)) for resonance in modes]
     title, size = f"{response} over {result.name}", np.abs(value)
-    with sheet(f"transfer-{response}-{result.name}", 7.4, 4, heights=(2.3, 1.5, 1.2, 0.9)) as drawn:
-        magnitude, phase, relative, linear = drawn.panels
-        wide, turn = expanded(result, channel)
-        draw_response(magnitude, phase, frequency, value, (wide / K2, turn / K2), color=BLUE)
-        for place, resonance in enumerate(modes):
-            inside = np.linspace(*resonance.band_hz, 400)
-            others = [other.model(inside) for other in (*alone[:place], *alone[place + 1 :])]
-            fitted = np.abs(np.sum([resonance.fit.model(inside), *others], axis=0))
-            magnitude.plot(inside, fitted, color=RED, linewidth=0.9, linestyle=DASHED, zorder=2.5)
-            phase.axvline(resonance.fit.frequency_hz, color=RED, linewidth=0.7, linestyle=DASHED, zorder=1.5)
-        magnitude.set_ylim(0.7 * float(size.min()), 1.6 * float(size.max()))
-        if size.max() > 100.0 * size.min():
-            decades(magnitude.yaxis)
-        else:
-            plain_logarithm(magnitude.yaxis)
-            magnitude.yaxis.set_major_formatter(FuncFormatter(_one_digit))
-        magnitude.set_ylabel("|H|" if unit == "1" else f"|H| / ({unit})")
-        alone_wide = _factor(curve.dof) * uncertainty(value, noise)[0]
-        for part, colour, label in ((wide, BLACK, "all"), (alone_wide, ORANGE, "noise alone")):
-            percent = np.minimum(100.0 * part, LARGEST_PERCENT)
-            relative.plot(frequency, percent, color=colour, linewidth=0.8, label=label, zorder=2)
-        relative.set_yscale("log")
-        decades(relative.yaxis)
-        low, high = relative.get_ylim()
-        relative.set_ylim(10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high)))
-        relative.set_ylabel("U(|H|) / %")
-        relative.legend(loc="lower right", ncols=2, bbox_to_anchor=(1.0, 0.97), borderaxespad=0.0)
-        linear.plot(frequency, coherence, color=GREY, linewidth=0.8, zorder=2)
-        lowest = min(0.9, np.floor(10.0 * float(np.nanmin(coherence))) / 10.0)
-        linear.axhline(1.0, color=LIGHT, linewidth=0.7, zorder=1)
-        linear.set_ylim(lowest, 1.0 + 0.06 * (1.0 - lowest))
-        linear.yaxis.set_major_locator(MaxNLocator(3))
-        linear.set_ylabel("γ²")
-        labels = (f"{title}: magnitude", "phase", "relative uncertainty of the magnitude", "coherence")
-        for axes, text in zip(drawn.panels, labels, strict=True):
-            axes.set_rasterization_zorder(3 if len(value) > RASTER_ABOVE else -1)
-            panel_label(axes, text)
-        frequency_axis(linear, frequency)
-        told = " Red: the oscillators fitted, over the lines that were used." if modes else ""
-        caption = (
-            f"Bands: expanded uncertainty U (95 %), which the third panel shows by itself.{told} A coherence below "
-            "one tells of noise, of other sources or of a structure that is not linear."
-        )
-        return drawn.picture(title, caption, gap=(0.5, 0.3))
-
-
-def _one_digit(value: float, _: float) -> str:
-    """A value of one digit as a plain number, or with a power of ten where it is far from one."""
-    exponent = int(np.floor(np.log10(value) + 1e-9))
-    return f"{value:g}" if abs(exponent) <= 3 else f"{value / 10.0**exponent:.0f}·{power_text(exponent)}"
+    drawn = sheet(f"transfer-{response}-{result.name}", 7.4, (2.3, 1.5, 1.2, 0.9))
+    magnitude, phase, relative, linear = drawn.panels
+    wide, turn = expanded(result, channel)
+    draw_response(magnitude, phase, frequency, value, (wide / K2, turn / K2), colour=BLUE, label="measured, U")
+    for place, resonance in enumerate(modes):
+        inside = np.linspace(*resonance.band_hz, 400)
+        others = [other.model(inside) for other in (*alone[:place], *alone[place + 1 :])]
+        fitted = np.abs(np.sum([resonance.fit.model(inside), *others], axis=0))
+        magnitude.line(inside, fitted, "oscillators fitted", colour=RED, width=0.9, dashed=True)
+        look = {"colour": RED, "width": 0.7, "dashed": True}
+        phase.rule(resonance.fit.frequency_hz, "oscillators fitted", along="x", **look)
+    magnitude.y.limits = (0.7 * float(size.min()), 1.6 * float(size.max()))
+    magnitude.y.label = "|H|" if unit == "1" else f"|H| / ({unit})"
+    alone_wide = _factor(curve.dof) * uncertainty(value, noise)[0]
+    for part, colour, label in ((wide, BLACK, "U"), (alone_wide, ORANGE, "U by noise alone")):
+        relative.line(frequency, np.minimum(100.0 * part, LARGEST_PERCENT), label, colour=colour, width=0.8)
+    relative.y.log, relative.y.label = True, "U(|H|) / %"
+    linear.line(frequency, coherence, colour=GREY, width=0.8)
+    lowest = min(0.9, np.floor(10.0 * float(np.nanmin(coherence))) / 10.0)
+    linear.rule(1.0, colour=LIGHT, width=0.7)
+    linear.y.limits, linear.y.label = (float(lowest), 1.0 + 0.06 * (1.0 - float(lowest))), "γ²"
+    labels = (f"{title}: magnitude", "phase", "relative uncertainty of the magnitude", "coherence")
+    for panel, text in zip(drawn.panels, labels, strict=True):
+        frequency_axis(panel.x, frequency)
+        panel.title, panel.x.label = text, panel.x.label if panel is linear else ""
+    told = " Red: the oscillators fitted, over the lines that were used." if modes else ""
+    caption = (
+        f"Bands: expanded uncertainty U (95 %), which the third panel shows by itself.{told} A coherence below "
+        "one tells of noise, of other sources or of a structure that is not linear."
+    )
+    return drawn.figure(title, caption, main=channel == 0)
 
 
 def _fill(file: h5py.File, evaluation: TransferEvaluation) -> None:
