@@ -27,7 +27,8 @@ SOURCE_COLOUR = {"fused": BLACK, "photogrammetry": BLUE, "vibrometer": RED, "acc
 SOURCE_MARKER = {"fused": "circle", "photogrammetry": "square", "vibrometer": "diamond", "accelerometer": "triangle"}
 PHASE_COLOURS = (BLUE, GREEN, ORANGE, PURPLE, BLUE)
 """Colours of -180, -90, 0, 90 and 180 degrees."""
-FEW = 200
+FEW, STRETCHES = 200, 1500
+"""Numbers up to which there are ten digits; stretches of a line of which smallest and largest value are drawn."""
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 Marker = Literal["circle", "square", "diamond", "triangle", "inverted_triangle", "cross", "x", "plus"]
 Along = Literal["x", "y"]
@@ -204,8 +205,9 @@ class Panel:
     blank: bool = False
 
     def line(self, x: ArrayLike, y: ArrayLike, label: str = "", **look: Any) -> None:
-        """Add a `Line`."""
-        self.marks.append(Line(label, x=_row(x), y=_row(y), **look))
+        """Add a `Line`; of one with very many points the extremes of each of its stretches."""
+        x, y = extremes(_row(x), _row(y))
+        self.marks.append(Line(label, x=x, y=y, **look))
 
     def points(self, x: ArrayLike, y: ArrayLike, label: str = "", **look: Any) -> None:
         """Add `Points`; a bar of one length for all may be a number."""
@@ -404,6 +406,18 @@ def power_of_ten(values: FloatArray) -> tuple[float, str]:
     largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
     power = int(np.floor(np.log10(largest))) if largest > 0.0 else 0
     return (1.0, "") if -2 <= power < 4 else (10.0**power, f"{power_text(power)} ")
+
+
+def extremes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Smallest and largest `y` of each of `STRETCHES` stretches of a long line, in their order, with their own `x`."""
+    each = -(-len(y) // STRETCHES)
+    if each <= 4:
+        return x, y
+    whole = np.concatenate([y, np.full(-len(y) % each, np.nan)]).reshape(-1, each)
+    unknown = np.isnan(whole)
+    ends = np.where(unknown, np.inf, whole).argmin(axis=1), np.where(unknown, -np.inf, whole).argmax(axis=1)
+    kept = np.unique(np.concatenate(ends).reshape(2, -1) + each * np.arange(len(whole)))
+    return x[kept], y[kept]
 
 
 def thin_out(x: FloatArray, y: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:

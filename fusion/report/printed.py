@@ -36,7 +36,7 @@ from fusion.report.figure import (
 )
 from fusion.report.style import RASTER_ABOVE, WIDTH_IN, as_file, drawing, new_figure
 
-LINE_RASTER_ABOVE = 20_000
+LINE_RASTER_ABOVE = 2_000
 CHARACTER_IN, LEGEND_COLUMNS = 0.066, 6
 SHAPES = {
     "circle": "o", "square": "s", "diamond": "D", "triangle": "^", "inverted_triangle": "v", "cross": "P", "x": "x",
@@ -74,7 +74,7 @@ def _lay_out(figure: Figure, every: Any, legend_rows: int) -> None:
     rows, columns = len(figure.heights), len(figure.widths)
     grid = [figure.panels[r * columns : (r + 1) * columns] for r in range(rows)]
     longest = [max(len(name) for row in grid for name in ("", *row[c].y.names)) for c in range(columns)]
-    beside = [0.72 if not n else 0.3 + CHARACTER_IN * n for n in longest]
+    beside = [0.82 if not n else 0.3 + CHARACTER_IN * n for n in longest]
     right = [0.72 if any(row[c].y.second for row in grid) else 0.12 for c in range(columns)]
     legend = 0.2 * legend_rows
     above = [0.2 if any(panel.title for panel in row) else 0.08 for row in grid]
@@ -202,7 +202,7 @@ def _draw_points(axes: Axes, mark: Points) -> Any:
         shape = SHAPES[mark.marker]
         return axes.scatter(mark.x, mark.y, s=mark.size**2, c=mark.values, marker=shape, zorder=3, **look)
     look = {"markersize": mark.size, "markerfacecolor": "none" if mark.open else mark.colour, "color": mark.colour}
-    look |= {"elinewidth": 1.0, "capsize": 0.0 if many else 2.5, "rasterized": many, "zorder": 3}
+    look |= {"elinewidth": 1.0, "capthick": 1.0, "capsize": 0.0 if many else 2.5, "rasterized": many, "zorder": 3}
     if not mark.open and mark.marker in ("circle", "square", "diamond"):
         look["markeredgewidth"] = 0
     return axes.errorbar(mark.x, mark.y, mark.half_y, mark.half_x, fmt=SHAPES[mark.marker], **look)

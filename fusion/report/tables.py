@@ -217,15 +217,16 @@ def sensitivity_table(evaluation: Evaluation) -> Table | None:
 
 
 def source_tables(evaluation: Evaluation) -> list[Table]:
-    """Per body: six components at the strongest line in one unit each, one column per source."""
+    """Per body: six components at the strongest line in one unit of length and one of angle, one column per source."""
     line = main_line(evaluation)
     tables = []
     for body in bodies(evaluation):
         results = by_source(evaluation, body)
         found = [result_elements(result)[line] for result in results]
         rows = []
+        sizes = np.abs([result.phasors.value[line] for result in results])
         for component, name in enumerate(MOTION_COMPONENTS):
-            scale, letter = prefix(np.array([abs(result.phasors.value[line, component]) for result in results]))
+            scale, letter = prefix(sizes[:, :3] if component < 3 else sizes[:, 3:])
             unit = letter + typeset(results[0].phasors.unit[component])
             rows.append((name, unit, *(_source_cell(own[component], round(np.log10(scale))) for own in found)))
         head = ("", "unit", *(result.source for result in results))

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from evaluation_factory import make_evaluation
 
+from fusion.cli import main
 from fusion.report.figure import RED, Figure, Scale, sheet
 from fusion.report.recording import render_report, write_results
 
@@ -131,6 +132,31 @@ def test_every_figure_of_a_report_is_drawn(browser, results, scheme):
         assert figure.locator("canvas").count() > 0
     ink = opened.page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert ink == ("rgb(255, 255, 255)" if scheme == "light" else "rgb(22, 22, 22)")
+    opened.close()
+
+
+COMMANDS = {
+    "steps": ("step", "step.html"),
+    "rotation": ("rotate", "rotation.html"),
+    "loads": ("load", "load.html"),
+    "chirp": ("transfer", "transfer.html"),
+    "masses": ("identify", "identify.html"),
+    "elastomer": ("elastomer", "elastomer.html"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", COMMANDS)
+def test_every_figure_of_every_command_is_drawn(browser, preset, tmp_path):
+    command, name = COMMANDS[preset]
+    assert main(["simulate", str(tmp_path / "made"), "--preset", preset, "-q"]) == 0
+    source = tmp_path / "made" / ("elastomer.toml" if preset == "elastomer" else "")
+    assert main([command, str(source), "-o", str(tmp_path / "out"), "-q"]) == 0
+    opened = Page(browser, tmp_path / "out" / name)
+    names = opened.page.eval_on_selector_all("figure[data-figure]", "all => all.map((one) => one.dataset.figure)")
+    assert names or opened.page.locator("figure img").count()
+    for figure in names:
+        assert opened.draw(figure).locator("canvas").count() > 0
     opened.close()
 
 

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from page_outline import outline, self_contained
 
 from fusion.phasors.stereo_phasors import DeflectionShape, deflection_shape
-from fusion.report.figure import Figure, padded, power_text, thin_out
+from fusion.report.figure import Figure, extremes, padded, power_text, thin_out
 from fusion.report.motion_figures import (
     beat_curve,
     camera_rate_hz,
@@ -184,6 +184,23 @@ def test_residual_spectrum_shows_the_amplitude_of_what_was_not_fitted(evaluation
     peak = int(np.argmax(amplitude[:, 0]))
     assert frequency[peak] == pytest.approx(bins)
     assert amplitude[peak, 0] == pytest.approx(2e-6, rel=0.05)
+
+
+def test_a_long_line_keeps_its_extremes():
+    rng = np.random.default_rng(1)
+    x, y = np.arange(100_003.0), rng.standard_normal(100_003)
+    y[[777, 50_000]], y[1234] = (60.0, -60.0), np.nan
+    few_x, few_y = extremes(x, y)
+    assert len(few_x) < 4000
+    assert np.all(np.diff(few_x) > 0.0)
+    np.testing.assert_array_equal(few_y, y[few_x.astype(int)])
+    for start in range(0, 99_000, 333):  # the envelope of every stretch is that of the line
+        part = (few_x >= start) & (few_x < start + 333)
+        around = y[start + 66 : start + 267]
+        assert few_y[part].max() >= np.nanmax(around)
+        assert few_y[part].min() <= np.nanmin(around)
+    short = extremes(x[:5000], y[:5000])
+    assert len(short[0]) == 5000
 
 
 def test_thinning_keeps_peaks_and_axes_have_room():

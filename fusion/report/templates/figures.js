@@ -88,9 +88,9 @@
   function dress(axis, said, labelled, room) {
     const colour = css("--ink");
     Object.assign(axis, {
-      axis_label: labelled ? said.label ?? "" : "", axis_label_text_color: colour, major_label_text_color: colour,
+      axis_label: labelled ? said.label ?? "" : "", axis_label_text_color: colour, major_label_text_color: labelled ? colour : null,
       axis_line_color: colour, major_tick_line_color: colour, minor_tick_line_color: null, axis_label_text_font_style: "normal",
-      axis_label_text_font_size: "12px", major_label_text_font_size: labelled ? "11px" : "0px", major_tick_in: 0,
+      axis_label_text_font_size: "12px", major_label_text_font_size: "11px", major_tick_in: 0,
     });
     if (said.names?.length) {
       axis.ticker = new Bokeh.FixedTicker({ ticks: said.names.map((_, k) => k) });
@@ -426,15 +426,17 @@
     document.head.append(script);
     const redraws = new Map();
     const figures = new Map(JSON.parse(data).map((figure) => [figure.name, figure]));
-    const seen = new IntersectionObserver((entries) => {
-      for (const { isIntersecting, target } of entries) {
-        if (!isIntersecting || redraws.has(target)) continue;
-        const redraw = prepare(target, figures.get(target.dataset.figure));
-        redraws.set(target, redraw);
-        redraw().then(() => { document.documentElement.dataset.interactive ??= String(Math.round(performance.now() - begun)); });
-      }
-    }, { rootMargin: "300px" });
-    document.querySelectorAll("figure[data-figure]").forEach((element) => seen.observe(element));
+    const elements = [...document.querySelectorAll("figure[data-figure]")];
+    const show = async (element) => {
+      if (redraws.has(element)) return;
+      const redraw = prepare(element, figures.get(element.dataset.figure));
+      redraws.set(element, redraw);
+      await redraw();
+      document.documentElement.dataset.interactive ??= String(Math.round(performance.now() - begun));
+    };
+    const seen = new IntersectionObserver((entries) => entries.filter((entry) => entry.isIntersecting).forEach((entry) => show(entry.target)),
+      { rootMargin: "300px" });
+    elements.forEach((element) => seen.observe(element));
     const again = () => redraws.forEach((redraw) => redraw());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
     let width = innerWidth, waiting = 0;
@@ -444,6 +446,10 @@
       clearTimeout(waiting);
       waiting = setTimeout(again, 200);
     });
+    document.querySelector("nav")?.append(button("Print all", "draw every figure and print the page", async () => {
+      for (const element of elements) await show(element);
+      print();
+    }));
   }
 
   document.documentElement.classList.add("js");

@@ -93,7 +93,7 @@ def draw_release(name: str, release: Release) -> Figure:
         "Record (blue) and fit (red, dashed); grey: while the load changes, by the fit. Below: the residual over "
         "the output's change; where the model is right it is noise alone."
     )
-    return drawn.figure(f"{release.name}: record, fit and residual", caption, main=True)
+    return drawn.figure(f"{release.name}: record, fit and residual", caption)
 
 
 def draw_devices(name: str, component: ComponentResult) -> Figure:
