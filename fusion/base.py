@@ -17,6 +17,7 @@ import time
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
@@ -406,9 +407,14 @@ class Keeper(Protocol):
 # A progress bar on a terminal, nothing in a pipe.
 
 
+_DRAWN: ContextVar[bool] = ContextVar("drawn", default=False)
+"""Whether a command draws a bar of its own."""
+
+
 @contextmanager
 def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
     """Yield a callback that draws one bar per stage on stderr when it is a terminal and `enabled`."""
+    _DRAWN.set(True)
     if not (enabled and sys.stderr.isatty()):
         yield no_progress
         return
@@ -426,6 +432,22 @@ def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
             bars.update(tasks[stage], completed=done, total=total)
 
         yield update
+
+
+@contextmanager
+def working(what: str) -> Iterator[None]:
+    """Say on stderr, where it is a terminal and the program may be heard, that something goes on and for how long."""
+    loud = sys.stderr.isatty() and logging.getLogger("shakercal").isEnabledFor(logging.INFO)
+    if not loud or _DRAWN.get():
+        yield
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(file=_behind(sys.stderr)), transient=True) as bar, undone(bar.stop):
+        bar.add_task(printable(what), total=None)
+        yield
 
 
 # How numbers and units are printed: to two digits of their uncertainty, with powers of ten or SI prefixes.

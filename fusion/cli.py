@@ -24,7 +24,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Every failure becomes one sentence on stderr.
     """
     with _ended_by_signals(), _terminals():
-        options = _parser().parse_args(arguments)
+        parser = _parser()
+        if "_ARGCOMPLETE" in os.environ:  # the shell asks what could come next
+            import argcomplete
+
+            argcomplete.autocomplete(parser)
+        options = parser.parse_args(arguments)
         _set_up_log(options)
         return _act(options)
 
@@ -44,6 +49,10 @@ def _act(options: argparse.Namespace) -> int:
     from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
 
     log = logging.getLogger("shakercal")
+    if getattr(options, "json", False):
+        from fusion.report.folder import AS_JSON
+
+        AS_JSON.set(True)
     try:
         status: int = options.act(options) or EXIT_DONE
         sys.stdout.flush()
@@ -154,7 +163,9 @@ def _parser() -> Parser:
     loudness.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only, no progress bar")
     parsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for command in commands():
-        own = parsers.add_parser(command.name, parents=[common], help=command.help)
+        summary = f"{command.help[0].upper()}{command.help[1:]}."
+        epilog = f"example: {command.example}"
+        own = parsers.add_parser(command.name, parents=[common], help=command.help, description=summary, epilog=epilog)
         command.options(own)
         own.set_defaults(act=command.act)
     return parser

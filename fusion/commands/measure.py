@@ -101,7 +101,7 @@ def _range(text: str) -> list[float]:
     return [round(first + (last - first) * share, DECIMALS) for share in shares]
 
 
-@command(_plan_options)
+@command(_plan_options, "--frequencies 53.7:1020.3:12 --frames 844 --max-rate 60 --exposure 100e-6")
 def plan(options: argparse.Namespace) -> None:
     """Find camera rates at which excitation and harmonics fold to separate places."""
     from fusion.base import InputError, check_new_file
@@ -155,7 +155,7 @@ def _simulate_options(parser: Parser) -> None:
     parser.switch("--force", "overwrite a simulation that is there")
 
 
-@command(_simulate_options)
+@command(_simulate_options, "rope --preset steps")
 def simulate(options: argparse.Namespace) -> None:
     """Write a simulated recording with its truth."""
     from fusion.base import InputError, progress_bar
@@ -200,7 +200,10 @@ def _cameras_options(parser: Parser) -> None:
     parser.switch("--force", "replace a calibration that is there")
 
 
-@command(_cameras_options)
+@command(
+    _cameras_options,
+    "left right --target chessboard --size 9x6 --spacing 0.005 --scale-uncertainty 1e-4 -o top.json",
+)
 def cameras(options: argparse.Namespace) -> None:
     """Calibrate a stereo pair from target pictures."""
     from fusion.base import InputError, progress_bar
@@ -236,7 +239,7 @@ def _import_calibration_options(parser: Parser) -> None:
     parser.switch("--force", "overwrite a calibration file that is there")
 
 
-@command(_import_calibration_options)
+@command(_import_calibration_options, "calibration.xml -o top.json")
 def import_calibration(options: argparse.Namespace) -> None:
     """Take over a calibration of OpenCV, DICe, VIC-3D, MatchID, MATLAB, ROS or Kalibr."""
     from fusion.cameras.calibrate import convert_calibration
@@ -253,7 +256,7 @@ def _export_calibration_options(parser: Parser) -> None:
     parser.switch("--force", "overwrite a file that is there")
 
 
-@command(_export_calibration_options)
+@command(_export_calibration_options, "top.json -o top.xml")
 def export_calibration(options: argparse.Namespace) -> None:
     """Write a calibration for OpenCV, VIC-3D or MATLAB."""
     from fusion.cameras.calibrate import write_for_another_program
@@ -270,7 +273,7 @@ def _align_options(parser: Parser) -> None:
     parser.device("where subsets are tracked")
 
 
-@command(_align_options)
+@command(_align_options, "alignment.toml -o pose.toml")
 def align(options: argparse.Namespace) -> None:
     """Find where a stereo pair's camera stands in the sensor frame."""
     from fusion.base import Settings, progress_bar
@@ -297,7 +300,7 @@ def _init_options(parser: Parser) -> None:
     how.add_argument("--example", action="store_true", help="write a commented example instead, with every block")
 
 
-@command(_init_options)
+@command(_init_options, "recordings/Fz-0080 --from recordings/Fz-0106")
 def init(options: argparse.Namespace) -> None:
     """Draft recording.toml and rig.toml from the files of a folder."""
     from fusion.planning.draft.init import run_init
@@ -311,7 +314,7 @@ def init(options: argparse.Namespace) -> None:
         print(f'{made.asked} values are left to fill in, "?"; shakercal check {options.folder} lists them')
 
 
-@command(Parser.recording)
+@command(Parser.recording, "recordings/Fz-0080")
 def check(options: argparse.Namespace) -> int:
     """Say what a recording holds and everything that its command would refuse; no image is followed."""
     from fusion.base import InputError
@@ -344,7 +347,7 @@ def _look_options(parser: Parser) -> None:
     parser.switch("--watch", "look again whenever files change, until Ctrl-C; the page loads itself again")
 
 
-@command(_look_options)
+@command(_look_options, "recordings/Fz-0080 --aim 0.1")
 def look(options: argparse.Namespace) -> int:
     """Look at a recording within seconds: is it worth keeping, and which uncertainty can it have."""
     from fusion.planning.look.look import run_look
@@ -366,7 +369,7 @@ def _lines_options(parser: Parser) -> None:
     parser.allow_outside()
 
 
-@command(_lines_options)
+@command(_lines_options, "recordings/Fz-0080/bridge.tdms --channel Fz --band 50:2000 --figure lines.png")
 def lines(options: argparse.Namespace) -> None:
     """List every line of a file or recording, and why."""
     from fusion.base import check_new_file
@@ -419,6 +422,7 @@ def _run_options(parser: Parser) -> None:
     )
     parser.value("--monte-carlo", draws, "N", text, default=0)
     parser.value("--seed", seed, "S", f"of these draws (default: {DEFAULT_SEED})", default=DEFAULT_SEED)
+    parser.json()
     parser.switch("--save-points", "write every point of every frame too, as a table and for ParaView (.pvd)")
     where = parser.add_mutually_exclusive_group()
     text = "processes that share the work on this machine (default: 1); results are the same to the last digit"
@@ -430,11 +434,12 @@ def _run_options(parser: Parser) -> None:
     where.add_argument("--scheduler", metavar="ADDRESS", help=text)
 
 
-@command(_run_options)
+@command(_run_options, "sample_images/demo -o results")
 def run(options: argparse.Namespace) -> int:
     """Evaluate one recording or a campaign of several."""
     from fusion.base import Settings, progress_bar
-    from fusion.campaign.run import exit_status, is_campaign, print_campaign, print_recording, run_path
+    from fusion.campaign.run import exit_status, is_campaign, run_path
+    from fusion.campaign.terminal import as_json, print_outcomes
     from photogram.subsets.track import resolve_device
 
     settings = Settings(
@@ -454,10 +459,11 @@ def run(options: argparse.Namespace) -> int:
             workers=options.workers if options.scheduler is None else options.scheduler,
             progress=progress,
         )
-    if is_campaign(options.recording):
-        print_campaign(outcomes)
+    campaign = is_campaign(options.recording)
+    if options.json:
+        print(as_json(outcomes, campaign=campaign))
     else:
-        print_recording(outcomes[0])
+        print_outcomes(outcomes, campaign=campaign)
     return exit_status(outcomes)
 
 
@@ -473,9 +479,10 @@ def _transfer_options(parser: Parser) -> None:
     text = "turn every motion into this quantity (default: as it was measured)"
     parser.add_argument("--quantity", choices=("displacement", "velocity", "acceleration"), help=text)
     parser.results("RECORDING/transfer")
+    parser.json()
 
 
-@command(_transfer_options)
+@command(_transfer_options, "recordings/chirp")
 def transfer(options: argparse.Namespace) -> None:
     """Transfer functions and resonances from a chirp, multisine, noise or blows."""
     from fusion.sensor.transfer.records import TransferSettings
@@ -493,7 +500,7 @@ def _export_options(parser: Parser) -> None:
     parser.switch("--force", "overwrite a file that is there")
 
 
-@command(_export_options)
+@command(_export_options, "results/Fz-0080 -o Fz-0080.uff")
 def export(options: argparse.Namespace) -> None:
     """Write results or the channels of a recording as a universal file (UFF 58, 58b, 55, 2411)."""
     from fusion.report.universal import export_universal
@@ -509,7 +516,7 @@ def _validate_options(parser: Parser) -> None:
     parser.switch("--force", "replace those of an earlier validation")
 
 
-@command(_validate_options)
+@command(_validate_options, "-o validation")
 def validate(options: argparse.Namespace) -> int:
     """Compare what this installation computes with results of other means (software validation)."""
     from fusion.planning.validation import run as validation

@@ -63,6 +63,10 @@ class Parser(argparse.ArgumentParser):
         self.value("--csv", path, "FILE", table_text)
         self.switch("--force", "overwrite files that are there")
 
+    def json(self) -> None:
+        """Add the answer for programs."""
+        self.switch("--json", "print the main results, notices and paths as JSON instead, and nothing else on stdout")
+
     def device(self, text: str) -> None:
         """Add the processor that tracks."""
         self.value("--device", device, "{auto,cpu,cuda}", text, default="auto")
@@ -70,20 +74,29 @@ class Parser(argparse.ArgumentParser):
 
 @dataclass(frozen=True)
 class Command:
-    """A sub-command: what the help says of it, what adds its options, and what it does (None: it is done)."""
+    """A sub-command: what the help says of it, an example of its use, what adds its options, and what it does.
+
+    What it does returns the exit status, None: it is done.
+    """
 
     name: str
     help: str
+    example: str
     options: Callable[[Parser], None]
     act: Callable[[argparse.Namespace], int | None]
 
 
-def command(options: Callable[[Parser], None]) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:
-    """Make a command of a function, by its name and docstring; `options` adds what it takes."""
+def command(
+    options: Callable[[Parser], None], example: str
+) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:
+    """Make a command of a function, by its name and docstring; `options` adds what it takes.
+
+    `example`: what to write behind `shakercal` and its name.
+    """
 
     def made(act: Callable[[argparse.Namespace], int | None]) -> Command:
-        text = str(act.__doc__)
-        return Command(act.__name__.replace("_", "-"), text[0].lower() + text[1:].rstrip("."), options, act)
+        text, name = str(act.__doc__), act.__name__.replace("_", "-")
+        return Command(name, text[0].lower() + text[1:].rstrip("."), f"shakercal {name} {example}", options, act)
 
     return made
 

@@ -24,9 +24,10 @@ from fusion.commands.options import (
 def _rotate_options(parser: Parser) -> None:
     parser.recordings()
     parser.results("folder rotate in the campaign or in the only recording, else beside rig.toml")
+    parser.json()
 
 
-@command(_rotate_options)
+@command(_rotate_options, "turned/bare turned/loaded")
 def rotate(options: argparse.Namespace) -> None:
     """Internal mass and load mass from the sensor turned about a horizontal axis."""
     from fusion.sensor.rotate.report import run_rotate
@@ -48,9 +49,10 @@ def _identify_options(parser: Parser) -> None:
     text = "error of the magnitude up to which a band is usable (default: 0.05)"
     parser.value("--permitted", between_0_and_1, "SHARE", text, default=0.05)
     parser.results("CAMPAIGN/identify")
+    parser.json()
 
 
-@command(_identify_options)
+@command(_identify_options, "campaign --load-mass 0.5 2 7")
 def identify(options: argparse.Namespace) -> None:
     """Stiffness, damping and internal mass of the sensor from a whole campaign."""
     from fusion.base import InputError
@@ -81,9 +83,10 @@ def _step_options(parser: Parser) -> None:
     text = "how the load changes (default: auto, the force channel where one is named, else by rule)"
     parser.choice("--release", ("auto", "step", "ramp", "smooth", "measured"), text)
     parser.results("folder step in the campaign or in the only recording, else beside rig.toml")
+    parser.json()
 
 
-@command(_step_options)
+@command(_step_options, "releases --method pencil")
 def step(options: argparse.Namespace) -> None:
     """Models of the sensor's outputs from releases of a load: modes, bands, settling."""
     from fusion.sensor.step.records import StepSettings
@@ -108,10 +111,11 @@ def _load_options(parser: Parser) -> None:
     parser.value("--permitted", percent, "PERCENT", "error up to which loads are permitted (5)", default=0.05)
     parser.value("--wanted", hertz, "HZ", "largest load for these resonances", nargs="+", default=[])
     parser.results("folder load in the campaign, in the only recording, or beside rig.toml or TABLE")
+    parser.json()
     parser.set_defaults(refuse=parser.error)
 
 
-@command(_load_options)
+@command(_load_options, "releases --wanted 500")
 def load(options: argparse.Namespace) -> None:
     """Stiffness, resonance over load mass and load limits from releases with loads."""
     from fusion.sensor.load.evaluate import LoadSettings
@@ -158,9 +162,10 @@ def _compensate_options(parser: Parser) -> None:
     parser.value("--ball", positive, "N_PER_M", "check force feedback against a virtual ball of this stiffness")
     parser.allow_outside()
     parser.results("folder compensate beside the first model, or in the working folder")
+    parser.json()
 
 
-@command(_compensate_options)
+@command(_compensate_options, "releases/step --frequency 2000 --damping 0.7")
 def compensate(options: argparse.Namespace) -> None:
     """Filters that give a sensor the resonance, damping or bandwidth one wants."""
     from fusion.sensor.compensate.report import run_compensate
@@ -200,9 +205,10 @@ def _decouple_options(parser: Parser) -> None:
     parser.value("--damping", between_0_and_1, "Z", text, default=0.6)
     parser.value("--seed", seed, "N", "of the models drawn for U (default: 1)", default=1)
     parser.results("folder decouple in the campaign")
+    parser.json()
 
 
-@command(_decouple_options)
+@command(_decouple_options, "releases --frequency 800")
 def decouple(options: argparse.Namespace) -> None:
     """Model of all outputs over all loads from releases; filter against cross-talk."""
     from fusion.sensor.decouple.evaluate import DecoupleSettings
@@ -218,9 +224,10 @@ def _elastomer_options(parser: Parser) -> None:
     parser.switch("--solid", text)
     parser.switch("--allow-outside", "accept files outside the folder above that of GEOMETRY.toml")
     parser.results("folder elastomer beside the file")
+    parser.json()
 
 
-@command(_elastomer_options)
+@command(_elastomer_options, "elastomer.toml --solid")
 def elastomer(options: argparse.Namespace) -> None:
     """Stiffness and modes of a cross-beam element from its geometry."""
     from fusion.base import progress_bar
@@ -250,7 +257,7 @@ def _certificate_options(parser: Parser) -> None:
     parser.results("folder certificate in the recording or campaign")
 
 
-@command(_certificate_options)
+@command(_certificate_options, "campaign --form certificate.toml")
 def certificate(options: argparse.Namespace) -> None:
     """Calibration certificate of a recording or campaign, as XML (DCC) and as a page."""
     from fusion.sensor.certificate.report import run_certificate, write_form
@@ -278,9 +285,10 @@ def _compare_options(parser: Parser) -> None:
         "--tolerance", percent, "PERCENT", "by which frequencies of one value may differ (default: 0.1)", default=1e-3
     )
     parser.results("folder comparison here")
+    parser.json()
 
 
-@command(_compare_options)
+@command(_compare_options, "2024=results-2024 2026=results-2026 --date 2024=2024-05-02 --date 2026=2026-03-09")
 def compare(options: argparse.Namespace) -> None:
     """Results of laboratories, campaigns or dates: E_n, reference value, consistency, drift."""
     from fusion.sensor.compare.report import run_compare

@@ -12,6 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.util import find_spec
@@ -33,13 +34,14 @@ from fusion.base import (
     InputError,
     __version__,
     warnings_first,
+    working,
 )
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
 from fusion.report.figure import Figure
 from fusion.report.files import claimed, is_own, write_files, write_together
 from fusion.report.h5 import h5_content, opened_results, write_value
-from fusion.report.table import Table
+from fusion.report.table import Headline, Table, csv_rows, plain_text
 
 # What was run on what: hashes of the input files, versions, and whether a folder still answers to them.
 
@@ -301,10 +303,18 @@ def data_uri(svg: str) -> Markup:
 
 FORMAT = 1
 """Of the HDF5 files of commands."""
+MOST_ROWS = 500
+"""Of a table that is printed as JSON; longer ones stand in their files."""
+AS_JSON: ContextVar[bool] = ContextVar("as_json", default=False)
+"""Whether commands print their answer for programs."""
 log = logging.getLogger("shakercal")
 
 
 E = TypeVar("E", bound=CommandEvaluation)
+
+
+def _no_headlines(_: object) -> Iterable[Headline]:
+    return ()
 
 
 @dataclass(frozen=True)
@@ -314,7 +324,7 @@ class Command(Generic[E]):
     `name`: of the command and of the folder. `stem`: of page and HDF5 file, which are STEM.html and STEM.h5; the page's
     template is NAME.html. `texts`: the other files by name, texts or pictures; `files`: all names that they may have.
     `fill` puts the evaluation into the HDF5 file. `context`: what the template shows beside name, notices and origin;
-    `lines`: of the terminal.
+    `lines`: of the terminal. `headlines`: the main results, which page and JSON begin with.
     """
 
     name: str
@@ -324,6 +334,7 @@ class Command(Generic[E]):
     fill: Callable[[h5py.File, E], None]
     context: Callable[[E], Mapping[str, Any]]
     lines: Callable[[E], Iterable[str]]
+    headlines: Callable[[E], Iterable[Headline]] = _no_headlines
 
     @property
     def h5_file(self) -> str:
@@ -349,15 +360,36 @@ class Command(Generic[E]):
         before anything is written.
         """
         check_folder(folder, inputs.hashes, force=force, marker=self.h5_file)
-        with claimed(folder):
+        with claimed(folder), working(self.name):
             evaluation = evaluate(inputs.hashes)
-            for notice in evaluation.notices:
-                level = logging.WARNING if notice.severity == "warning" else logging.INFO
-                log.log(level, "%s: %s", notice.where, notice.text)
-            self.write(evaluation, folder, inputs, force=force)
+            files = self.write(evaluation, folder, inputs, force=force)
+        if AS_JSON.get():
+            print(self.json(evaluation, files))
+            return evaluation
         for line in (evaluation.name, *self.lines(evaluation), f"report: {folder / self.page_file}"):
             print(line)
+        for notice in dict.fromkeys(warnings_first(evaluation.notices)):
+            level = logging.WARNING if notice.severity == "warning" else logging.INFO
+            log.log(level, "%s: %s", notice.where, notice.text)
         return evaluation
+
+    def json(self, evaluation: E, files: Sequence[Path]) -> str:
+        """Return what the terminal tells for programs: headlines as texts, short tables as numbers, notices, paths."""
+        tables = {name: text for name, text in self.texts(evaluation).items() if name.endswith(".csv")}
+        content = {
+            "program": PROGRAM,
+            "version": __version__,
+            "command": self.name,
+            "name": evaluation.name,
+            "headlines": [
+                {"label": one.label, "value": plain_text(one.value), "remark": plain_text(one.remark)}
+                for one in self.headlines(evaluation)
+            ],
+            "tables": {name: rows for name, text in tables.items() if len(rows := csv_rows(str(text))) <= MOST_ROWS},
+            "notices": [dict(vars(notice)) for notice in warnings_first(evaluation.notices)],
+            "files": [str(path) for path in files],
+        }
+        return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
 
     def run_recordings(
         self,
@@ -404,7 +436,8 @@ class Command(Generic[E]):
     def page(self, evaluation: E) -> str:
         """Return the HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
         frame = {**origin_frame(evaluation, evaluation.notices), "duration_s": evaluation.duration_s}
-        return render_page(f"{self.name}.html", {"name": evaluation.name, **self.context(evaluation), **frame})
+        told = {"name": evaluation.name, "headlines": list(self.headlines(evaluation))}
+        return render_page(f"{self.name}.html", {**told, **self.context(evaluation), **frame})
 
 
 # Folders.

@@ -112,6 +112,24 @@ class Headline:
     remark: str
 
 
+def plain_text(marked: str) -> str:
+    """Return what a page shows as plain text, powers with a caret."""
+    return Markup(re.sub(r"<sup>(.*?)</sup>", r"^\1", str(marked))).striptags()
+
+
+def csv_rows(text: str) -> list[dict[str, str | float | None]]:
+    """Return the rows of a table in a file, numbers as such, None for those that are not known."""
+
+    def cell(value: str) -> str | float | None:
+        try:
+            number = float(value)
+        except ValueError:
+            return value
+        return number if np.isfinite(number) else None
+
+    return [{name: cell(value) for name, value in row.items()} for row in csv.DictReader(io.StringIO(text))]
+
+
 def table(caption: str, columns: Sequence[Column[R]], rows: Iterable[R]) -> Table | None:
     """Return rows as pages show them, under the columns that have a head; None where there are none."""
     shown = [column for column in columns if column.head is not None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import shutil
 from collections.abc import Callable
@@ -18,13 +19,16 @@ from support import edit, rows, state
 
 from fusion.base import ComputeError, InputError, Settings
 from fusion.campaign import run as under_test
-from fusion.campaign.run import Outcome, curve_table, exit_status, print_campaign, run_path, sensitivity_table
+from fusion.campaign.run import Outcome, exit_status, run_path
+from fusion.campaign.terminal import main_curve, notices_of, print_outcomes, sensitivity_table
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.estimation.coverage import coverage_factor
 from fusion.report.folder import CURVE_FILE, SENSITIVITY_FILE
+from fusion.report.h5 import write_value
 from fusion.report.recording import CAMPAIGN_FILES, result_tables, row_element
 from fusion.report.tables import sensitivity_element
+from shaker.arrays import Notice
 
 NAMES = ["Fz-0106.25", "Fz-0375.90"]
 TITLES = ["Fz 106.25 Hz", "Fz 375.90 Hz"]
@@ -82,7 +86,7 @@ def test_one_folder_each_and_merged_tables_at_the_top(campaign, evaluated, tmp_p
         assert _recordings(top / table) == TITLES
         parts = [(top / name / table).read_text().splitlines() for name in NAMES]
         assert (top / table).read_text().splitlines() == [*parts[0], *parts[1][1:]]
-    assert capsys.readouterr().out.count("report (written)") == 2
+    assert "2 recordings: 2 evaluated\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("named", ["folder", "file", "here"])
@@ -102,8 +106,8 @@ def test_a_campaign_of_one_recording_is_a_campaign_and_prints_its_sensitivity(ma
     assert names_in(top / "results") == {NAMES[0], *JOINT}
     assert len(evaluated) == 1
     told = capsys.readouterr().out.splitlines()
-    assert any(line.startswith("Output over load, Fz 106.25 Hz (U = k·u, 95 %)") for line in told)
-    assert told[-2].startswith("└")  # the table is the last but for the path of the report
+    assert told[0].startswith("Output over load (ratio), Fz 106.25 Hz (U = k·u, 95 %)")  # the answer first
+    assert told[-2] == "1 recording: 1 evaluated"
     assert told[-1] == f"report of all: {top / 'results' / 'report.html'}"
 
 
@@ -130,7 +134,6 @@ def test_a_recording_that_fails_does_not_stop_the_other(
     assert f"shakercal: {sentence}\n" in told.err
     assert f"{failing}: failed, {sentence}\n" in told.out
     assert "2 recordings: 1 evaluated, 1 failed" in told.out
-    assert told.out.count("report (written)") == 1
 
 
 @pytest.mark.usefixtures("evaluated")
@@ -158,7 +161,7 @@ def test_a_second_run_computes_only_what_is_damaged_or_has_other_settings(campai
     assert state(campaign / "results") == first
     again = _times(campaign / "results")
     assert all(again[name] == times[name] for name in first if "/" in name)  # not even written again
-    assert capsys.readouterr().out.count("report (unchanged since the last run)") == 2
+    assert "2 recordings: 2 unchanged since the last run\n" in capsys.readouterr().out
     (campaign / "results" / NAMES[0] / "report.html").unlink()
     assert main(["run", str(campaign)]) == EXIT_DONE
     assert evaluated == [*NAMES, NAMES[0]]
@@ -186,7 +189,7 @@ def test_results_of_changed_input_are_refused_and_force_replaces_them(campaign, 
     assert main(["run", str(campaign), "-q"]) == EXIT_INPUT
     told = capsys.readouterr().err
     assert told.startswith(f"shakercal: {campaign / 'results' / NAMES[1]}: expected an empty folder")
-    assert told.endswith("found results of other input files\n")
+    assert told.splitlines()[0].endswith("found results of other input files")
     assert evaluated == NAMES
     assert state(campaign / "results" / NAMES[1]) == before
     assert main(["run", str(campaign), "--force"]) == EXIT_DONE
@@ -258,14 +261,44 @@ def test_outcomes_are_in_the_order_of_the_recordings_whoever_was_first(campaign,
     told = capsys.readouterr()
     assert evaluated == NAMES[::-1]
     lines = told.out.splitlines()
-    assert [line.split(":")[0] for line in (*lines[:3], lines[-1])] == [*NAMES, "2 recordings", "report of all"]
-    assert lines[2] == "2 recordings: 2 evaluated"
-    assert lines[3].startswith("Output over load, means of all recordings")
-    assert any("ratio Fz" in line and "ratio" in line and "2 (" in line for line in lines[4:])  # one mean of both
-    assert [f"shakercal: {name}: 318.75 Hz" in told.err for name in NAMES] == [True, True]
+    assert lines[0].startswith("Output over load (ratio), means of all recordings")
+    assert any("ratio Fz" in line and "2 (" in line for line in lines)  # one mean of both
+    assert [line.split(":")[0] for line in lines[-2:]] == ["2 recordings", "report of all"]
+    assert lines[-2] == "2 recordings: 2 evaluated"
+    assert told.err.count("318.75 Hz is left out") == 1
+    assert "(2 recordings)" in told.err
     assert main(["run", str(campaign), "--workers", "2"]) == EXIT_DONE
     assert "2 recordings: 2 unchanged since the last run" in capsys.readouterr().out
     assert _recordings(campaign / "results" / "load.csv") == TITLES
+
+
+def test_a_notice_of_many_recordings_is_told_once_the_worst_first(tmp_path):
+    outcomes = []
+    for number, text in enumerate(("2.1 % at 80 Hz", "3 % at 160 Hz", "other")):
+        folder = tmp_path / f"{number}"
+        folder.mkdir()
+        outcomes.append(Outcome(folder / "recording.toml", folder))
+        told = (Notice("info", "all alike", "load"), Notice("warning", text, "laser"))
+        with h5py.File(folder / "result.h5", "w") as file:
+            write_value(file, "notices", told)
+    found = notices_of(outcomes, campaign=False)
+    assert [(one.notice.text, len(one.recordings)) for one in found] == [
+        ("2.1 % at 80 Hz", 2), ("other", 1), ("all alike", 3)
+    ]  # fmt: skip
+    assert found[0].line == "laser: 2.1 % at 80 Hz (2 recordings)"
+
+
+def test_the_answer_for_programs(campaign, evaluated, capsys):
+    assert main(["run", str(campaign), "--json", "-q"]) == EXIT_DONE
+    told = json.loads(capsys.readouterr().out)
+    row = next(row for row in rows(campaign / "results" / CURVE_FILE) if row["channel"] == row["component"] == "Fz")
+    (entry,) = (e for e in told["sensitivity"] if e["frequency_hz"] == float(row["frequency_hz"]))
+    assert entry["magnitude"] == float(row["magnitude"])
+    assert entry["U_magnitude"] == pytest.approx(float(row["u_magnitude"]) * float(row["k_magnitude"]))
+    assert [one["state"] for one in told["recordings"]] == ["evaluated"] * 2
+    assert all(Path(file).is_file() for file in told["files"])
+    assert {"severity", "where", "text", "recordings"} == set(told["notices"][0])
+    assert len(evaluated) == 2
 
 
 def test_printed_values_have_u_with_its_own_factor_and_no_phase_where_zero_may_be(tmp_path):
@@ -292,8 +325,7 @@ def test_printed_values_have_u_with_its_own_factor_and_no_phase_where_zero_may_b
     assert "\N{EN DASH}" in row
 
 
-def test_a_campaign_prints_its_curve_and_of_many_recordings_the_first(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("fusion.campaign.run.MOST_LINES", 2)
+def test_a_campaign_prints_its_curve_and_what_failed(tmp_path, capsys):
     table = result_tables(make_evaluation(tmp_path))[SENSITIVITY_FILE]
     (tmp_path / SENSITIVITY_FILE).write_text(table, encoding="utf-8")
     one = rows(tmp_path / SENSITIVITY_FILE)[2] | {"recordings": "4", "mountings": "2"}
@@ -311,10 +343,10 @@ def test_a_campaign_prints_its_curve_and_of_many_recordings_the_first(tmp_path, 
     (tmp_path / CURVE_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
     outcomes = [Outcome(tmp_path / f"{k}" / "recording.toml", tmp_path / f"{k}") for k in range(9)]
     outcomes[7] = replace(outcomes[7], error=ComputeError("no light"))
-    print_campaign(outcomes)
+    print_outcomes(outcomes, campaign=True)
     said = capsys.readouterr().out
     console = Console(width=160, file=io.StringIO(), record=True)
-    console.print(curve_table(told))
+    console.print(sensitivity_table(main_curve(told)))
     lines = [line for line in console.export_text().splitlines() if line.startswith("│")]
     cells = [[cell.strip() for cell in line.split("│")[1:-1]] for line in lines]
     assert [(row[0], row[1], row[2][:5], row[6], row[7]) for row in cells] == [
@@ -322,7 +354,6 @@ def test_a_campaign_prints_its_curve_and_of_many_recordings_the_first(tmp_path, 
         ("80.0000", "Fz per Fz", "(1.98", "element", "4 (2)"),
         ("160.0000", "Fz per Fz", "(1.99", "element", "4 (2)"),
     ]
-    assert f"all elements: {tmp_path / CURVE_FILE}; of every recording: {tmp_path / SENSITIVITY_FILE}" in said
     assert "7: failed, no light" in said
-    assert "and 6 more" in said
+    assert "8: " not in said
     assert "9 recordings: 8 evaluated, 1 failed" in said

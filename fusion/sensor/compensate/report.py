@@ -409,7 +409,6 @@ def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
     mismatches = [draw_mismatch(f"mismatch-{n}", result) for n, result in enumerate(evaluation.subjects)]
     return {
         "subject": [("Wanted", aim), ("For samples", kind), *models, *recording],
-        "headlines": headlines(evaluation),
         "filters": table("Filters, with U (95 %) where it is known", FILTERS, evaluation.filters),
         "damping": damping_table(evaluation),
         "parts": [
@@ -485,7 +484,7 @@ def _texts(evaluation: CompensateEvaluation) -> dict[str, str | bytes]:
 
 
 FILES = (JSON_FILE, HEADER_FILE, "compensate.csv", "compensated.csv")
-COMPENSATE = Command("compensate", "compensate", FILES, _texts, _fill, _context, printed)
+COMPENSATE = Command("compensate", "compensate", FILES, _texts, _fill, _context, printed, headlines)
 
 
 def run_compensate(

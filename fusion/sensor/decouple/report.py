@@ -363,7 +363,6 @@ def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
             ("Outputs", outputs),
         ],
         "rated": evaluation.capacity is not None,
-        "headlines": headlines(evaluation),
         "crosstalk": [draw_crosstalk(evaluation)] if comparable else [],
         "peaks": peak_tables(evaluation),
         "steps": [draw_step(evaluation)] if comparable else [],
@@ -415,6 +414,7 @@ DECOUPLE = Command(
     _fill,
     _context,
     printed,
+    headlines,
 )
 
 

@@ -377,7 +377,6 @@ def _context(evaluation: ElementEvaluation) -> dict[str, Any]:
     """Everything the template shows."""
     return {
         "subject": _subject(evaluation),
-        "headlines": headlines(evaluation),
         "comparison": comparison_table(evaluation),
         "compared": [draw_compared(evaluation)],
         "shapes": [picture for picture, _ in shape_pictures(evaluation).values()],
@@ -475,6 +474,7 @@ ELASTOMER = Command(
     _fill,
     _context,
     printed,
+    headlines,
 )
 
 

@@ -279,7 +279,7 @@ def page_context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
     subject.append(("Rigs", "; ".join(dict.fromkeys(item.manifest.rig.name for item in prepared))))
     subject.append(("Recordings", f"{len(prepared)} with load over base"))
     components = [_component_context(component) for component in evaluation.components]
-    return {"subject": subject, "headlines": headlines(evaluation), "components": components}
+    return {"subject": subject, "components": components}
 
 
 def _component_context(component: ComponentResult) -> dict[str, Any]:
@@ -461,7 +461,14 @@ def _texts(evaluation: IdentifyEvaluation) -> dict[str, str | bytes]:
 
 
 IDENTIFY = Command(
-    "identify", "identify", ("parameters.csv", "readings.csv", MODEL_FILE), _texts, _fill, page_context, printed
+    "identify",
+    "identify",
+    ("parameters.csv", "readings.csv", MODEL_FILE),
+    _texts,
+    _fill,
+    page_context,
+    printed,
+    headlines,
 )
 
 

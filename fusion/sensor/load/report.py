@@ -463,7 +463,16 @@ def _percent(share: float) -> str:
 
 # The command
 
-LOAD = Command("load", "load", ("load.csv", "parameters.csv", LOAD_MODEL_FILE), texts, fill, page_context, printed)
+LOAD = Command(
+    "load",
+    "load",
+    ("load.csv", "parameters.csv", LOAD_MODEL_FILE),
+    texts,
+    fill,
+    page_context,
+    printed,
+    lambda evaluation: [line for component in evaluation.components for line in headlines(component)],
+)
 
 
 def run_loads(

@@ -382,7 +382,6 @@ def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
     ]
     return {
         "subject": [*subject_of(recordings[0].manifest.rig), ("Recordings", ", ".join(told))],
-        "headlines": headlines(evaluation),
         "masses": masses_table(evaluation),
         "differences": differences_table(evaluation),
         "centres": centres_table(evaluation),
@@ -448,7 +447,7 @@ def _texts(evaluation: RotationEvaluation) -> dict[str, str | bytes]:
     return {"rotation.csv": csv_text(QUANTITIES, [*evaluation.quantities, *terms])}
 
 
-ROTATE = Command("rotate", "rotation", ("rotation.csv",), _texts, _fill, _context, printed)
+ROTATE = Command("rotate", "rotation", ("rotation.csv",), _texts, _fill, _context, printed, headlines)
 
 
 def run_rotate(paths: Sequence[Path], output: Path | None, *, force: bool = False, allow_outside: bool = False) -> None:

@@ -304,7 +304,6 @@ def page_context(evaluation: StepEvaluation) -> dict[str, Any]:
     count, names = sum(len(c.releases) for c in components), ", ".join(c.component for c in components)
     return {
         "subject": [*subject_of(evaluation.rig), ("Recordings", f"{count} of {names}")],
-        "headlines": headlines(evaluation),
         "summary": summary_table(evaluation),
         "components": [
             {
@@ -541,7 +540,7 @@ def _gain_scale(component: ComponentResult) -> tuple[float, str]:
 # The command
 
 FILES = ("releases.csv", "models.csv", "indices.csv", "budget.csv", "methods.csv", MODELS_FILE)
-STEP = Command("step", "step", FILES, texts, fill, page_context, printed)
+STEP = Command("step", "step", FILES, texts, fill, page_context, printed, headlines)
 
 
 def run_step(

@@ -234,7 +234,6 @@ def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
     ]
     return {
         "subject": [("Rig", evaluation.manifest.rig.name), ("Excitation", ", ".join(excited))],
-        "headlines": headlines(evaluation),
         "pictures": [
             draw_transfer(result, channel)
             for result in evaluation.references
@@ -320,6 +319,7 @@ TRANSFER: Command[TransferEvaluation] = Command(
     _fill,
     _context,
     printed,
+    headlines,
 )
 
 

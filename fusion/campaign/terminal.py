@@ -1,0 +1,243 @@
+"""What `shakercal run` tells when it is done: the answer first, what is to be known of it once, where the files lie."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+from fusion.base import DASH, PROGRAM, __version__, rounded, stdout_console
+from fusion.campaign.joint import best_kind
+from fusion.estimation.coverage import Polar
+from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE
+from fusion.report.h5 import opened_results, read_notices
+from fusion.report.labelled import CAMPAIGN_FILE
+from fusion.report.recording import REPORT_FILE, row_element
+from fusion.report.table import both, factor, has_phase, read_rows
+from fusion.report.tables import result_name
+from shaker.arrays import Notice
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from fusion.campaign.run import Outcome
+
+MOST_ROWS, MOST_CHARACTERS = 300, 150  # that the terminal shows: of the sensitivity, of one notice
+NO_SENSITIVITY = "no sensitivity: see the report for what was observed"
+NUMBER = re.compile(r"[-+−]?\d[\d.,]*(e[-+]?\d+)?")
+Row = dict[str, str]
+log = logging.getLogger("shakercal")
+
+
+@dataclass(frozen=True)
+class Told:
+    """A notice of some recordings; those that differ in their numbers alone are one, with the first one's text."""
+
+    notice: Notice
+    recordings: tuple[str, ...]
+
+    @property
+    def line(self) -> str:
+        """The notice in one line; the page has it whole."""
+        where, text = self.notice.where, self.notice.text
+        text = text if not where or text.startswith(f"{where}:") else f"{where}: {text}"
+        short = text if len(text) <= MOST_CHARACTERS else f"{text[:MOST_CHARACTERS].rsplit(' ', 1)[0]} …"
+        several = f" ({len(self.recordings)} recordings)" if len(self.recordings) > 1 else ""
+        return f"{short}{several}"
+
+
+def notices_of(done: Sequence[Outcome], *, campaign: bool) -> list[Told]:
+    """Return the notices of what is done, each once, warnings first, then those of most recordings."""
+    found: dict[tuple[str, str, str], tuple[Notice, list[str]]] = {}
+    files = [(outcome.name, outcome.folder / RESULT_FILE) for outcome in done]
+    if campaign and done:
+        files.insert(0, ("campaign", done[0].folder.parent / CAMPAIGN_FILE))
+    for name, path in files:
+        if path.is_file():
+            with opened_results(path) as file:
+                for notice in read_notices(file):
+                    key = (notice.severity, notice.where, NUMBER.sub("#", notice.text))
+                    found.setdefault(key, (notice, []))[1].append(name)
+    every = [Told(notice, tuple(dict.fromkeys(names))) for notice, names in found.values()]
+    return sorted(every, key=lambda told: (told.notice.severity != "warning", -len(told.recordings)))
+
+
+def main_rows(rows: Sequence[Row]) -> list[Row]:
+    """Return of the rows of a recording's sensitivity.csv those of the main outputs at driven frequencies.
+
+    A ratio is left out where the recording gives the sensor's element. Harmonics stand in where there is nothing else.
+    """
+
+    def of(row: Row, *keys: str) -> tuple[str, ...]:
+        return tuple(row[key] for key in ("frequency_hz", "component", *keys))
+
+    own = {of(row, "channel") for row in rows if row["kind"] == "element"}
+    shown = [row for row in rows if row["kind"] != "ratio" or of(row, "channel") not in own]
+    mains = _main_channels(shown, of)
+    shown = [row for row in shown if mains[of(row)] == row["channel"]]
+    driven = [row for row in shown if row["kind"] != "harmonic"]
+    return sorted(driven or shown, key=lambda row: float(row["frequency_hz"]))
+
+
+def main_curve(rows: Sequence[Row]) -> list[Row]:
+    """Return of the rows of a curve.csv the best statement (`best_kind`) of every main element over frequency."""
+    mains = _main_channels(rows, lambda row: (row["component"],))
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        if mains[(row["component"],)] == row["channel"]:
+            found.setdefault(row["component"], []).append(row)
+    best = [row for of_one in found.values() for row in best_kind(of_one, lambda row: row["kind"])]
+    return sorted(best, key=lambda row: (row["component"], float(row["frequency_hz"])))
+
+
+def sensitivity_table(rows: Sequence[Row]) -> Table:
+    """Return `main_rows` or `main_curve` as a table with U = k·u for 95 %, two significant digits of it.
+
+    Of a value that is not distinguishable from 0 the half-axes of its region stand in place of magnitude and phase.
+    """
+    from rich.table import Table
+
+    curve = "recordings" in rows[0]
+    kinds = {row["kind"] for row in rows}
+    head = "Sensitivity" if kinds & {"element", "matrix"} else "Output over load"
+    head += f" ({', '.join(kinds)})" if len(kinds) == 1 else ""
+    whose = "means of all recordings" if curve else rows[0]["recording"]
+    table = Table(title=f"{head}, {whose} (U = k·u, 95 %)", title_justify="left")
+    columns = ("frequency / Hz", "quantity", "magnitude ± U", "unit", "phase ± U / rad", "k", "kind")
+    for name in columns[: len(columns) - (len(kinds) == 1)]:
+        left = name in ("quantity", "unit", "kind")
+        table.add_column(name, justify="left" if left else "right", no_wrap=name == "quantity")
+    if curve:
+        table.add_column("recordings (mountings)", justify="right", max_width=12)
+    for row in rows[:MOST_ROWS]:
+        counts = [f"{row['recordings']} ({row['mountings']})"] if curve else []
+        table.add_row(*_row(row)[: len(columns) - (len(kinds) == 1)], *counts)
+    return table
+
+
+def _main_channels(rows: Sequence[Row], of: Callable[[Row], tuple[str, ...]]) -> dict[tuple[str, ...], str]:
+    """Return for rows that are alike by `of` the output of the load's name, else the largest one."""
+    mains: dict[tuple[str, ...], str] = {}
+    for row in sorted(rows, key=lambda row: (row["channel"] != row["component"], -float(row["magnitude"]))):
+        mains.setdefault(of(row), row["channel"])
+    return mains
+
+
+def _row(row: Row) -> tuple[str, ...]:
+    """Return the cells of a sensitivity."""
+    name = result_name(row["kind"], row["channel"], row["component"], main=True)
+    magnitude, phase, k_factor = _cells(row_element(row))
+    return f"{float(row['frequency_hz']):.4f}", name, magnitude, row["unit"], phase, k_factor, row["kind"]
+
+
+def _cells(element: Polar) -> tuple[str, str, str]:
+    """Magnitude and phase with U, and k; both with the power of ten that value and U share."""
+
+    def with_u(value: float, expanded: float) -> str:
+        text = rounded(value, expanded)
+        pair = f"{text.value} ± {text.expanded}"
+        return f"({pair})e{text.exponent:d}" if text.exponent else pair
+
+    if not element.region.holds_zero:
+        magnitude = with_u(element.magnitude, element.expanded_magnitude)
+        k_factors = both(factor(element.k), factor(element.k_phase))
+        turned = with_u(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else DASH
+        return magnitude, turned, k_factors
+    large, small = element.region.half_axes
+    first = rounded(large, large)
+    second = rounded(small, large, first.exponent)
+    pair = f"(region ± {first.value}, ± {second.value})" + (f"e{first.exponent:d}" if first.exponent else "")
+    return pair, "not distinguishable from 0", f"{element.region_factor:.2f}"
+
+
+def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
+    """Print the main sensitivities, where everything else stands, and every failure; notices go to stderr."""
+    console = stdout_console()
+    done, failed = _parted(outcomes)
+    if done:
+        rows = _answer(done, campaign=campaign)
+        console.print(sensitivity_table(rows) if rows else NO_SENSITIVITY)
+    if not campaign:
+        console.print(outcomes[0].told, soft_wrap=True)
+    else:
+        console.print(tally(outcomes))
+        for outcome in failed:
+            console.print(f"{outcome.name}: {outcome.told}", soft_wrap=True)
+        if done:
+            console.print(f"report of all: {done[0].folder.parent / REPORT_FILE}", soft_wrap=True)
+    for told in notices_of(done, campaign=campaign):
+        log.log(logging.WARNING if told.notice.severity == "warning" else logging.DEBUG, "%s", told.line)
+
+
+def as_json(outcomes: Sequence[Outcome], *, campaign: bool) -> str:
+    """Return what `print_outcomes` tells for programs: numbers in full, notices whole, paths of the files."""
+    done, _ = _parted(outcomes)
+    notices = notices_of(done, campaign=campaign)
+    top = outcomes[0].folder.parent if campaign else outcomes[0].folder
+    files = [REPORT_FILE, SENSITIVITY_FILE, *([CURVE_FILE, CAMPAIGN_FILE] if campaign else [RESULT_FILE])]
+    content = {
+        "program": PROGRAM,
+        "version": __version__,
+        "command": "run",
+        "sensitivity": [_entry(row) for row in (_answer(done, campaign=campaign) if done else [])],
+        "notices": [{**vars(told.notice), "recordings": told.recordings} for told in notices],
+        "recordings": [
+            {
+                "name": outcome.name,
+                "state": "failed" if outcome.error else "unchanged" if outcome.resumed else "evaluated",
+                "error": None if outcome.error is None else str(outcome.error),
+                "results": None if outcome.error else str(outcome.folder),
+            }
+            for outcome in outcomes
+        ],
+        "files": [str(top / name) for name in files if (top / name).is_file()],
+    }
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+
+
+def _parted(outcomes: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
+    """Return what is done, and what failed."""
+    return [one for one in outcomes if one.error is None], [one for one in outcomes if one.error is not None]
+
+
+def _answer(done: Sequence[Outcome], *, campaign: bool) -> list[Row]:
+    """Return the main rows of a recording, or of a campaign's curve; of a campaign of one recording those of it."""
+    top = done[0].folder.parent if campaign else done[0].folder
+    curve = campaign and len(done) > 1
+    rows = read_rows(top / (CURVE_FILE if curve else SENSITIVITY_FILE))
+    return main_curve(rows) if curve else main_rows(rows)
+
+
+def _entry(row: Row) -> dict[str, Any]:
+    """Return one sensitivity as numbers; None where a magnitude or phase would mislead."""
+    element, zero = row_element(row), row_element(row).region.holds_zero
+    numbers = {
+        "frequency_hz": float(row["frequency_hz"]),
+        "magnitude": None if zero else element.magnitude,
+        "U_magnitude": None if zero else element.expanded_magnitude,
+        "k_magnitude": None if zero else element.k,
+        "phase_rad": element.phase_rad if has_phase(element) and not zero else None,
+        "U_phase_rad": element.expanded_phase_rad if has_phase(element) and not zero else None,
+        "k_phase": None if zero else element.k_phase,
+        "re": element.re,
+        "im": element.im,
+        "u_re": element.u_re,
+        "u_im": element.u_im,
+        "r": element.r,
+    }
+    finite = {name: value if value is not None and isfinite(value) else None for name, value in numbers.items()}
+    words = {name: row[name] for name in ("channel", "component", "kind", "unit")}
+    return {**words, **finite, "distinguishable_from_0": not zero}
+
+
+def tally(outcomes: Sequence[Outcome]) -> str:
+    """Return how many recordings were finished, were done before, and failed."""
+    failed = sum(outcome.error is not None for outcome in outcomes)
+    resumed = sum(outcome.resumed for outcome in outcomes)
+    parts = [(len(outcomes) - failed - resumed, "evaluated"), (resumed, "unchanged since the last run")]
+    told = ", ".join(f"{count} {what}" for count, what in (*parts, (failed, "failed")) if count)
+    return f"{len(outcomes)} recording{'' if len(outcomes) == 1 else 's'}: {told}"
