@@ -6,7 +6,7 @@ export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OMP_WAIT_POLICY := passive
 
-.PHONY: demo test validate lint types platforms sample-images benchmark wheel clean
+.PHONY: demo test validate lint types platforms docs docs-pictures sample-images benchmark wheel clean
 
 demo: .venv/installed
 	$(BIN)/shakercal run sample_images/demo -o demo-results --force
@@ -31,6 +31,19 @@ types: .venv/dev
 platforms: .venv/dev
 	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32
 	$(BIN)/mypy --platform darwin --cache-dir .mypy_cache/darwin
+
+# Pages as a site that opens without a network; every warning is an error.
+docs: .venv/docs
+	$(BIN)/sphinx-build -q -W --keep-going -E -b html docs build/docs
+	@echo build/docs/index.html
+
+.venv/docs: .venv/installed
+	$(BIN)/python -m pip install --quiet --editable ".[docs]"
+	touch $@
+
+# Every picture of the docs, in a browser where they show pages.
+docs-pictures: .venv/dev
+	$(BIN)/python docs/pictures.py
 
 sample-images: .venv/installed
 	$(BIN)/shakercal simulate sample_images/demo --preset demo --seed 1 --force

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,7 +15,7 @@ from fusion.cli import commands
 ROOT = Path(__file__).resolve().parent.parent
 INSIDE = {"architecture.md", "papers.md"}
 """Documents of the inside: what each room is for, and which of them computes a published number."""
-DOCUMENTS = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").glob("*.md") if path.name not in INSIDE)]
+DOCUMENTS = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.md") if path.name not in INSIDE)]
 PACKAGES = ("photogram", "shaker", "fusion")
 IMPORT = re.compile(rf"^ *from ({'|'.join(PACKAGES)})(\.[\w.]+)? import (.+)$", re.MULTILINE)
 NAME = re.compile(rf"\b({'|'.join(PACKAGES)})\.([A-Za-z_]\w*)(\.\w+)*")
@@ -36,9 +38,51 @@ def test_links_of_documents_lead_somewhere(document: Path) -> None:
         assert "://" in target or (document.parent / target).exists(), f"{document.name}: {target}"
 
 
-def test_the_readme_lists_every_command() -> None:
-    told = re.findall(r"^shakercal ([a-z][a-z-]*)", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+def test_the_overview_lists_every_command() -> None:
+    told = re.findall(
+        r"^shakercal ([a-z][a-z-]*)", (ROOT / "docs/overview.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
     assert {command.name for command in commands()} <= set(told)
+
+
+def test_every_page_stands_in_the_contents() -> None:
+    index = (ROOT / "docs/index.md").read_text(encoding="utf-8")
+    listed = set(
+        re.findall(r"^([\w/-]+)$", "".join(re.findall(r"```\{toctree\}(.*?)```", index, re.DOTALL)), re.MULTILINE)
+    )
+    pages = {path.relative_to(ROOT / "docs").with_suffix("").as_posix() for path in (ROOT / "docs").rglob("*.md")}
+    assert pages - {"index"} <= listed
+
+
+@pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.stem)
+def test_examples_run(example: Path) -> None:
+    told = subprocess.run([sys.executable, str(example)], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert told.stderr == ""
+    assert len(told.stdout.splitlines()) >= 5
+
+
+@pytest.mark.slow
+def test_the_site_is_made_without_a_warning_and_asks_for_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("sphinx", reason="the extra docs is not installed")
+    build = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-q",
+        "-W",
+        "--keep-going",
+        "-E",
+        "-b",
+        "html",
+        str(ROOT / "docs"),
+        str(tmp_path),
+    ]
+    told = subprocess.run(build, capture_output=True, text=True, check=False)
+    assert (told.returncode, told.stderr) == (0, "")
+    for page in tmp_path.rglob("*.html"):
+        addresses = re.findall(r'(?:src|href)="(https?://[^"]*)"', page.read_text(encoding="utf-8"))
+        loaded = [a for a in addresses if re.search(r"\.(js|css|woff2?|png)(\?|$)", a)]
+        assert loaded == [], page.name
 
 
 def test_the_published_comparison_has_its_tables_filled_and_its_pictures():

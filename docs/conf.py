@@ -1,0 +1,78 @@
+"""How `make docs` makes the pages of this folder a site: order and look; commands and Python names from the program."""
+
+from __future__ import annotations
+
+import sys
+from argparse import _SubParsersAction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from fusion.base import __version__  # noqa: E402
+from fusion.cli import _parser  # noqa: E402
+
+if TYPE_CHECKING:
+    from docutils import nodes
+    from sphinx.application import Sphinx
+
+project, author, release = "shakercal", "the authors of shakercal", __version__
+copyright = author
+extensions = ["myst_parser", "sphinx.ext.autodoc"]
+source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+exclude_patterns = ["_build"]
+default_role = "code"
+autodoc_typehints = "signature"
+autodoc_member_order = "bysource"
+autodoc_default_options = {
+    "members": True,
+    "imported-members": True,
+    "undoc-members": False,
+    "ignore-module-all": False,
+}
+autodoc_preserve_defaults = True
+myst_heading_anchors = 4
+myst_enable_extensions = ["attrs_inline"]
+html_theme, html_title = "furo", f"shakercal {release}"
+html_show_copyright, html_show_sphinx, html_copy_source = False, False, False
+highlight_language = "none"
+nitpicky = False
+
+
+def commands() -> str:
+    """Return the page of all commands: what each says when it is asked for help."""
+    lines = ["# Commands", "", "What `shakercal COMMAND --help` tells; options of all commands stand at the end.", ""]
+    (all_of_them,) = (a for a in _parser()._actions if isinstance(a, _SubParsersAction))
+    for name, parser in all_of_them.choices.items():
+        parser.prog = f"shakercal {name}"
+        text = parser.format_help()
+        lines += [f"## {name}", "", "```text", text.rstrip(), "```", ""]
+    return "\n".join(lines)
+
+
+def links_outside(app: Sphinx, tree: nodes.document, name: str) -> None:
+    """Show what links lead out of this folder to, as files of the repository, without a link."""
+    from docutils import nodes
+    from sphinx import addnodes
+
+    for reference in list(tree.findall(addnodes.pending_xref)) + list(tree.findall(addnodes.download_reference)):
+        target = str(reference.get("reftarget", ""))
+        if target.startswith("../"):
+            reference.replace_self(nodes.literal(text=target.removeprefix("../")))
+
+
+def plain_bars(app: Sphinx, kind: str, name: str, thing: object, options: object, lines: list[str]) -> None:
+    """Have bars of docstrings be bars, as in |H|, not names of substitutions."""
+    lines[:] = [line if "`" in line else line.replace("|", "\\|") for line in lines]
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Write what is generated, and have links that lead outside shown as names."""
+    path = Path(__file__).with_name("reference") / "commands.md"
+    text = commands()
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+    app.connect("autodoc-process-docstring", plain_bars)
+    app.connect("doctree-read", lambda app, tree: links_outside(app, tree, ""))
+    return {"parallel_read_safe": True}
