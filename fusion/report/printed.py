@@ -61,6 +61,8 @@ def _canvas(figure: Figure) -> Canvas:
     for place, panel in enumerate(figure.panels):
         row, column = divmod(place, columns)
         inner = (figure.shared_x and row < rows - 1, figure.shared_y and column > 0)
+        if _crowded(figure):
+            every[row, column].tick_params(axis="x", labelrotation=90)
         handles = _draw_panel(every[row, column], panel, inner) | handles
     _lay_out(figure, every, -(-len(handles) // LEGEND_COLUMNS))
     if handles:
@@ -78,7 +80,10 @@ def _lay_out(figure: Figure, every: Any, legend_rows: int) -> None:
     right = [0.72 if any(row[c].y.second for row in grid) else 0.12 for c in range(columns)]
     legend = 0.2 * legend_rows
     above = [0.2 if any(panel.title for panel in row) else 0.08 for row in grid]
-    numbers = [0.45 if r == rows - 1 or not figure.shared_x else 0.06 for r in range(rows)]
+    names = max(len(name) for panel in figure.panels for name in ("", *panel.x.names)) if _crowded(figure) else 0
+    numbers = [
+        max(0.45, 0.1 + CHARACTER_IN * names) if r == rows - 1 or not figure.shared_x else 0.06 for r in range(rows)
+    ]
     below = [n + (0.42 if any(map(_scaled, grid[r])) else 0.0) for r, n in enumerate(numbers)]
     if figure.shared_y:
         beside = [beside[0], *([0.12] * (columns - 1))]
@@ -94,6 +99,12 @@ def _lay_out(figure: Figure, every: Any, legend_rows: int) -> None:
         axes.yaxis.set_label_coords(-(beside[c] - 0.16) / (size[0] * WIDTH_IN), 0.5)
         for scale in filter(None, [_scaled(grid[r][c])]):
             _colour_bar(axes, scale, -numbers[r] / (size[1] * figure.height_in), 0.1 / (size[1] * figure.height_in))
+
+
+def _crowded(figure: Figure) -> bool:
+    """Whether names below a panel stand upright, for they have no room beside each other."""
+    room = WIDTH_IN / len(figure.widths) / CHARACTER_IN
+    return any(sum(len(name) + 1 for name in panel.x.names) > 0.8 * room for panel in figure.panels)
 
 
 def _scaled(panel: Panel) -> Scale | None:

@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from fusion.report.figure import power_text
-from shaker.arrays import FloatArray
 
 WIDTH_IN = 8.4
 RASTER_DPI = 200
@@ -139,12 +138,6 @@ def decades(axis: Axis) -> None:
         FuncFormatter(lambda value, _: power_text(round(float(np.log10(value)))) if value > 0 else "")
     )
     axis.set_minor_locator(NullLocator())
-
-
-def square_corners(points: FloatArray, side: float) -> FloatArray:
-    """Corners (N, 4, 2) of squares about points (N, 2)."""
-    corner = 0.5 * side * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    return np.asarray(points[:, None, :] + corner)
 
 
 def panel_label(axes: Axes, text: str) -> None:

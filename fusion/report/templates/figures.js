@@ -75,7 +75,7 @@
     plot.title.text_font_size = "12px";
     plot.title.text_font_style = "normal";
     [[plot.below[0], panel.x, size.labels_x], [plot.left[0], panel.y, size.labels_y]].forEach(
-      ([axis, said, labelled], k) => dress(axis, said, labelled && !panel.blank, k ? size.height / 30 : size.width / 75));
+      ([axis, said, labelled], k) => dress(axis, said, labelled && !panel.blank, k ? size.height / 30 : size.width / 75, k ? 0 : size.width - size.left));
     plot.center.filter((part) => part instanceof B.Grid).forEach((grid, k) => {
       grid.grid_line_color = (k === 0 ? panel.x : panel.y).grid === false || panel.blank ? null : css("--grid");
     });
@@ -85,7 +85,7 @@
     return plot;
   }
 
-  function dress(axis, said, labelled, room) {
+  function dress(axis, said, labelled, room, across = 0) {
     const colour = css("--ink");
     Object.assign(axis, {
       axis_label: labelled ? said.label ?? "" : "", axis_label_text_color: colour, major_label_text_color: labelled ? colour : null,
@@ -95,6 +95,7 @@
     if (said.names?.length) {
       axis.ticker = new Bokeh.FixedTicker({ ticks: said.names.map((_, k) => k) });
       axis.major_label_overrides = new Map(said.names.map((name, k) => [k, name]));
+      if (across && said.names.join("").length * 7 > across) axis.major_label_orientation = "vertical";
     } else if (!said.log && !said.ticks?.length) axis.ticker.desired_num_ticks = Math.max(2, Math.min(6, Math.floor(room)));
     else if (said.ticks?.length) axis.ticker = new Bokeh.FixedTicker({ ticks: said.ticks });
   }
