@@ -154,13 +154,14 @@ class Arrows(Mark):
 
 @dataclass(frozen=True)
 class Texts(Mark):
-    """Texts at (N,), `align` left, center or right of it, `offset_px` (across, up) away."""
+    """Texts at (N,), `align` left, center or right of it, `offset_px` (across, up) away; `upright`: read upwards."""
 
     x: FloatArray = field(default_factory=lambda: np.empty(0))
     y: FloatArray = field(default_factory=lambda: np.empty(0))
     texts: tuple[str, ...] = ()
     align: Literal["left", "center", "right"] = "center"
     offset_px: tuple[float, float] = (0.0, 0.0)
+    upright: bool = False
 
 
 @dataclass(frozen=True)

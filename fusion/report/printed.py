@@ -280,6 +280,8 @@ def _draw_arrows(axes: Axes, mark: Arrows) -> Any:
 
 def _draw_texts(axes: Axes, mark: Texts) -> None:
     look: dict[str, Any] = {"textcoords": "offset points", "ha": mark.align, "va": "center", "fontsize": 7.5}
+    if mark.upright:
+        look |= {"rotation": 90, "va": "bottom", "fontsize": 5.5}
     for x, y, text in zip(mark.x, mark.y, mark.texts, strict=True):
         axes.annotate(text, (x, y), mark.offset_px, color=mark.colour, annotation_clip=True, **look)
 

@@ -233,7 +233,7 @@
     } else if (mark.kind === "Texts") {
       const [across, up] = mark.offset_px ?? [0, 0];
       parts.push(plot.text({ x, y, text: mark.texts, text_align: mark.align ?? "center", text_baseline: "middle", text_color: colour,
-        text_font_size: "11px", x_offset: across, y_offset: -up }));
+        text_font_size: "11px", x_offset: across, y_offset: -up, ...(mark.upright ? { angle: Math.PI / 2, text_align: "left" } : {}) }));
     } else if (mark.kind === "Image") {
       const [left, right, top, bottom] = [mark.left ?? 0, mark.right ?? 1, mark.top ?? 0, mark.bottom ?? 1];
       parts.push(plot.image_url({ url: [mark.grey], x: [left], y: [top], w: [Math.abs(right - left)], h: [Math.abs(bottom - top)],
