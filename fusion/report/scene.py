@@ -65,6 +65,7 @@ class Motion:
     (N, 3) in m, beside the rigid motion. `told`: amplitudes with U.
     """
 
+    name: str
     frequency_hz: float
     told: tuple[str, ...] = ()
     rigid: Mapping[str, ComplexArray] = field(default_factory=dict)
@@ -91,11 +92,8 @@ class Scene:
 
     def data(self) -> dict[str, Any]:
         """Return what the script draws, as JSON takes it: mm, and µm and µrad of the phasors."""
-        bodies = [shape for shape in self.shapes if shape.body]
         return {
             "up": _numbers(self.up, 6),
-            "all": _ball(self.shapes),
-            "near": _ball(bodies or self.shapes),
             "shapes": [_shape_data(shape) for shape in self.shapes],
             "motions": [_motion_data(motion, self.shapes) for motion in self.motions],
         }
@@ -125,7 +123,7 @@ def scene_page(scene: Scene) -> ScenePage:
         legend=[(kind, KINDS[kind][0]) for kind in scene.kinds],
         colours=[(kind, "var(--s-ink)" if colour == BLACK else colour) for kind, (_, colour) in KINDS.items()],
         places=[(shape.name, shape.told) for shape in scene.shapes],
-        lines=[f"{motion.frequency_hz:.4f} Hz" for motion in scene.motions],
+        lines=[motion.name for motion in scene.motions],
         remarks=scene.remarks,
         deflects=any(motion.deflection for motion in scene.motions),
     )
@@ -135,13 +133,6 @@ def _numbers(values: FloatArray, digits: int) -> list[float]:
     """Return numbers flat and short, whole ones without a point."""
     rounded = np.round(np.asarray(values, dtype=np.float64).ravel(), digits) + 0.0
     return [int(value) if value == int(value) else value for value in rounded.tolist()]
-
-
-def _ball(shapes: Sequence[Shape]) -> list[float]:
-    """Return centre and radius in mm of a ball about some shapes."""
-    points = 1e3 * np.concatenate([shape.points_m for shape in shapes])
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2.0
-    return _numbers(np.append(centre, np.linalg.norm(points - centre, axis=1).max()), 1)
 
 
 def _shape_data(shape: Shape) -> dict[str, Any]:
@@ -166,10 +157,9 @@ def _shape_data(shape: Shape) -> dict[str, Any]:
 
 def _motion_data(motion: Motion, shapes: Sequence[Shape]) -> dict[str, Any]:
     """Return a motion with the magnifications at which it is first shown, one for all bodies, one for deflections."""
-    reach = 1e-3 * _ball([shape for shape in shapes if shape.body] or shapes)[3]
-    rigid = [
-        moved_by(motion.rigid[shape.body], shape.points_m) for shape in shapes if shape.body in motion.rigid
-    ]
+    points = np.concatenate([shape.points_m for shape in shapes if shape.body] or [np.zeros((1, 3))])
+    reach = 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
+    rigid = [moved_by(motion.rigid[shape.body], shape.points_m) for shape in shapes if shape.body in motion.rigid]
     bent = list(motion.deflection.values())
     return {
         "f": round(motion.frequency_hz, 6),
@@ -217,11 +207,12 @@ def rig_scene(manifest: Manifest, surfaces: Mapping[str, FloatArray] | None = No
     middle["load"] = middle["load"] / max(sum(p.mass_kg for p in parts), 1e-30)
     shapes = [*solids, *_axes(0.9 * reach)]
     targets: dict[str, FloatArray] = {}
+    said: dict[str, list[str]] = {}
     for name, pair in rig.stereo.items():
-        drawn, aims, told = _pair(name, pair, surfaces.get(name))
+        drawn, targets[name], told = _pair(name, pair, surfaces.get(name))
         shapes += drawn
-        remarks += told
-        targets[name] = aims
+        said.setdefault(told, []).append(name)
+    remarks += [f"Stereo {', '.join(names)}: {told}." for told, names in said.items()]
     for name, own in surfaces.items():
         shapes.append(_surface(name, rig.stereo[name].body, own))
     base = [entry.point for entry in channels if entry.body == "base" and entry.point is not None]
@@ -319,42 +310,47 @@ def _table(points: FloatArray) -> Shape:
 
 
 def _surface(name: str, body: str, points: FloatArray) -> Shape:
-    told = f"{len(points)} of the points on the {body} that stereo pair {name} tracks, about {place(points.mean(axis=0))}"
+    told = (
+        f"{len(points)} of the points on the {body} that stereo pair {name} tracks, about {place(points.mean(axis=0))}"
+    )
     return Shape("surface", f"points of {name}", told, points, body=body, dots="many", surface=name)
 
 
 # Cameras.
 
 
-def _pair(name: str, pair: Stereo, surface: FloatArray | None) -> tuple[list[Shape], FloatArray, list[str]]:
-    """Return the cameras of a pair, where they look, and what cannot be drawn."""
+def _pair(name: str, pair: Stereo, surface: FloatArray | None) -> tuple[list[Shape], FloatArray, str]:
+    """Return the cameras of a pair, where they look, and what is to be said of that."""
     pose = sensor_from_camera(pair)
     origin, aside = pose.translation_m, float(np.linalg.norm(pose.translation_m))
     middle = None if surface is None else surface.mean(axis=0)
     if pair.calibration is None:
         shape = Shape("camera", f"frame of {name}", f"origin {place(origin)}", origin[None], label=name, dots="one")
-        told = f"Stereo pair {name} has no calibration: of its cameras only the origin of their frame is known."
-        return [shape], origin[None] if middle is None else middle, [told]
+        told = "without a calibration only the origin of its frame is known, not where its cameras are"
+        return [shape], np.zeros((0, 3)) if surface is None else surface, told
     try:
         rig = read_rig(pair, ())
     except InputError:
-        return [], np.zeros((0, 3)), [f"The calibration of stereo pair {name} cannot be read: it is not drawn."]
+        return [], np.zeros((0, 3)), "not drawn, for its calibration cannot be read"
     poses = {"left": (rig.left, pose), "right": (rig.right, pose @ rig.right_from_left.inverse())}
-    told = f"The frusta of {name} end at the points that it tracks."
+    told = "the frusta end at the tracked points"
     if middle is None:
         middle = _fixation(poses["left"][1], poses["right"][1])
-        told = f"The frusta of {name} end where the axes of its cameras come nearest to each other."
+        told = "the frusta end where the axes of both cameras come nearest to each other"
     if middle is None:
         middle = pose.apply(np.array([0.0, 0.0, max(-(pose.rotation.T @ origin)[2], 0.5 * aside)]))
-        told = f"The axes of {name} do not meet: its frusta end abreast of the sensor origin."
+        told = "the axes of the cameras do not meet, and the frusta end abreast of the sensor origin"
     shapes = [_camera(f"{name} {side}", pair.body, *own, middle) for side, own in poses.items()]
     seen = surface if surface is not None else middle
-    return shapes, seen, [told]
+    return shapes, seen, told
 
 
 def _fixation(left: RigidTransform, right: RigidTransform) -> FloatArray | None:
     """Return the point nearest to both optical axes, None unless it is before both cameras."""
-    place, axis = np.stack([left.translation_m, right.translation_m]), np.stack([left.rotation[:, 2], right.rotation[:, 2]])
+    place, axis = (
+        np.stack([left.translation_m, right.translation_m]),
+        np.stack([left.rotation[:, 2], right.rotation[:, 2]]),
+    )
     if np.linalg.norm(np.cross(*axis)) < NEAR_PARALLEL:
         return None
     across = np.eye(3) - axis[:, :, None] * axis[:, None, :]
@@ -398,7 +394,9 @@ def _instruments(channels: Sequence[ChannelEntry], middle: Mapping[str, FloatArr
     for kind, entry in zip(kinds, channels, strict=True):
         at = placed_at(entry)
         if entry.direction is None and not aimed(entry):
-            yield Shape(kind, entry.name, f"at {place(at)}", at[None], body=entry.body or "", dots="one", label=entry.name)
+            yield Shape(
+                kind, entry.name, f"at {place(at)}", at[None], body=entry.body or "", dots="one", label=entry.name
+            )
             continue
         direction, label = unit_direction(entry), entry.name if kinds.count(kind) <= MOST_LABELS else ""
         turns = entry.quantity in TRANSDUCERS and TRANSDUCERS[entry.quantity].turning
@@ -411,11 +409,15 @@ def _instruments(channels: Sequence[ChannelEntry], middle: Mapping[str, FloatArr
             start, head = _beam_start(entry, direction, middle.get(entry.body or "", np.zeros(3)), beams, reach)
             told = f"from {place(start)}" if head else "where it comes from is not stated"
             both = np.stack([start, at])
-            yield Shape(kind, f"beam of {entry.name}", f"{told} to {place(at)}", both, strokes=((0, 1),), dashed=not head)
+            yield Shape(
+                kind, f"beam of {entry.name}", f"{told} to {place(at)}", both, strokes=((0, 1),), dashed=not head
+            )
             if head:
                 mirrors[head] = start
     for name, mirror in mirrors.items():
-        yield Shape("vibrometer", f"head {name}", f"its beams leave {place(mirror)}", mirror[None], label=name, dots="one")
+        yield Shape(
+            "vibrometer", f"head {name}", f"its beams leave {place(mirror)}", mirror[None], label=name, dots="one"
+        )
 
 
 def _beam_start(
@@ -454,7 +456,9 @@ def evaluation_scene(evaluation: Evaluation) -> Scene:
             if found is not None:
                 deflection[item.name] = found
         rigid = {body: np.nan_to_num(value) for body, value in rigid.items()}
-        motions.append(Motion(f, tuple(filter(None, told)), rigid, deflection))
+        multiple = int(evaluation.lines.multiple[k]) if k < len(evaluation.lines.multiple) else 1
+        title = f"{f:.4f} Hz" + (f", harmonic {multiple}" if multiple > 1 else "")
+        motions.append(Motion(title, f, tuple(filter(None, told)), rigid, deflection))
     return replace(scene, motions=tuple(motions), remarks=tuple(remarks))
 
 
@@ -484,7 +488,9 @@ def _amplitude_told(body: str, result: Acceleration, line: int) -> str:
     factor, letter = prefix(value.magnitude / square)
     size = measured(value.magnitude / square / factor, value.expanded_magnitude / square / factor, f"{letter}m")
     phase = np.degrees(np.angle(-complex(value.re, value.im)))
-    return f"{body} {axis}: {size.striptags()} at {phase:.1f}°, U with k = {value.k_magnitude:.2f}"
+    return f"{body} {axis}: {size.striptags()} at {phase:.1f}° (k = {value.k_magnitude:.2f})".replace(
+        "-", "\N{MINUS SIGN}"
+    )
 
 
 def _bent(evaluation: Evaluation, kept: Mapping[str, Any]) -> Iterator[Any]:

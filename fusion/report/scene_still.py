@@ -16,8 +16,8 @@ from shaker.arrays import FloatArray
 
 ROUND, SIDES = 0.05, 24  # moments of inertia that differ less are those of a round body; sides that it is drawn with
 THINNEST = 0.02  # of the largest length: thickness of a body whose inertia leaves it none
-WIDTH_PX, TALLEST_PX, LEFT_PX, BELOW_PX, ABOVE_PX, RIGHT_PX = 940.0, 420.0, 46.0, 34.0, 24.0, 12.0
-MARGIN, LETTER_PX, LINE_PX = 0.06, 5.6, 12.0
+WIDTH_PX, TALLEST_PX, LEFT_PX, BELOW_PX, ABOVE_PX, RIGHT_PX = 940.0, 420.0, 52.0, 36.0, 24.0, 12.0
+MARGIN, LETTER_PX, LINE_PX, CLOSEST_PX = 0.06, 6.2, 13.0, 48.0
 VIEWS = (("front, seen along +y", 0, 2, -1.0), ("side, seen along −x", 1, 2, 1.0), ("from above", 0, 1, 1.0))
 """Title, axis to the right, axis upwards, and the sign of the third axis that points at the viewer."""
 
@@ -159,10 +159,10 @@ def _frame(panel: _Panel) -> Iterator[Markup]:
     yield box.format(x, y - size[1], *size)
     yield _text(x, y - size[1] - 7.0, panel.title, "title")
     letters = ["xyz"[axis] for axis in panel.axes]
-    yield _text(x + size[0] / 2.0, y + 28.0, f"{letters[0]} / mm", "middle")
+    yield _text(x + size[0] / 2.0, y + 30.0, f"{letters[0]} / mm", "middle")
     turned = Markup('<text class="middle" transform="translate({:.1f} {:.1f}) rotate(-90)">{} / mm</text>')
-    yield turned.format(x - 33.0, y - size[1] / 2.0, letters[1])
-    step = _step(float(max(panel.high_m - panel.low_m)))
+    yield turned.format(x - 38.0, y - size[1] / 2.0, letters[1])
+    step = _step(CLOSEST_PX / panel.scale)
     for axis, marks in enumerate(zip(panel.low_m, panel.high_m, strict=True)):
         for k in range(int(np.ceil(marks[0] / step)), int(np.floor(marks[1] / step)) + 1):
             at = (k * step - marks[0]) * panel.scale
@@ -175,10 +175,10 @@ def _frame(panel: _Panel) -> Iterator[Markup]:
                 yield _text(x - 5.0, y - at + 3.5, text, "end")
 
 
-def _step(length: float) -> float:
-    """Return a distance of ticks, 1, 2 or 5 times a power of ten, at most six of them."""
-    power = 10.0 ** np.floor(np.log10(length / 6.0))
-    return float(power * next(factor for factor in (1.0, 2.0, 5.0, 10.0) if 6.0 * factor * power >= length))
+def _step(least: float) -> float:
+    """Return a distance of ticks, 1, 2 or 5 times a power of ten, no less than the least."""
+    power = 10.0 ** np.floor(np.log10(least))
+    return float(power * next(factor for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least))
 
 
 def _text(x: float, y: float, text: str, kind: str) -> Markup:

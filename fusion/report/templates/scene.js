@@ -10,6 +10,17 @@
   const short = x => x >= 1000 ? String(Math.round(x / 10 ** (Math.floor(Math.log10(x)) - 1)) * 10 ** (Math.floor(Math.log10(x)) - 1))
     .replace(/\B(?=(\d{3})+$)/g, "\u202f") : String(+x.toPrecision(2));
 
+  function edges(shape) { // of a closed shape: its ends, the faces on both sides, and whether it is a stroke of its own
+    const found = new Map(), of = (i, j) => Math.min(i, j) + " " + Math.max(i, j), sharp = new Set();
+    for (const stroke of shape.s) for (let i = 1; i < stroke.length; i++) sharp.add(of(stroke[i - 1], stroke[i]));
+    shape.f.forEach((face, number) => face.forEach((i, at) => {
+      const j = face[(at + 1) % face.length], key = of(i, j);
+      if (!found.has(key)) found.set(key, { ends: [i, j], faces: [], sharp: sharp.has(key) });
+      found.get(key).faces.push(number);
+    }));
+    return [...found.values()];
+  }
+
   function start(figure) {
     const data = JSON.parse(figure.querySelector("script[type='application/json']").textContent);
     const part = name => figure.querySelector(`[data-part="${name}"]`);
@@ -18,11 +29,11 @@
     const calm = matchMedia("(prefers-reduced-motion: reduce)"), moving = data.motions.length > 0;
     const up = unit(data.up), flat = Math.abs(up[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0];
     const first = unit(plus(flat, up, -dot(flat, up))), second = cross(up, first);
-    const view = { yaw: -58 * DEG, pitch: 20 * DEG, centre: [0, 0, 0], radius: 1 };
-    const state = { phase: 0, playing: moving && !calm.matches, seen: false, line: 0, stretch: 0, mode: 0, hover: null };
+    const view = { yaw: -58 * DEG, pitch: 26 * DEG, centre: [0, 0, 0], radius: 1 };
+    const state = { phase: 0, playing: moving && !calm.matches, seen: false, line: 0, stretch: 0, mode: 0, hover: null, fit: "all" };
     const hidden = new Set();
-    let colours = {}, primitives = [], width = 0, height = 0, basis = null, asked = 0, before = 0;
-    for (const shape of data.shapes) shape.points = triples(shape.p);
+    let colours = {}, primitives = [], width = 0, height = 0, basis = null, asked = 0, before = 0, largest = 1;
+    for (const shape of data.shapes) { shape.points = triples(shape.p); shape.edges = shape.c ? edges(shape) : []; }
     figure.classList.add("live");
 
     // The view: from where, and where a point is seen.
@@ -45,12 +56,26 @@
       const at = (a, b, p, q) => seen(plus(a, plus(b, a, -1), (p[2] - near) / (p[2] - q[2])));
       return [before_us(p) ? p : at(b, a, q, p), before_us(q) ? q : at(a, b, p, q)];
     }
-    function fit(ball) { view.centre = ball.slice(0, 3); view.radius = 1.04 * ball[3]; draw(); }
+    function fit(which) { state.fit = which; view.radius = 0; draw(); }
+    function fitted() { // the view that just holds all points of what is to be seen
+      const bodies = data.shapes.filter(shape => shape.b), shapes = state.fit === "near" && bodies.length ? bodies : data.shapes;
+      const points = shapes.flatMap(shape => shape.points);
+      const ends = points[0].map((_, i) => [Math.min, Math.max].map(f => f(...points.map(p => p[i]))));
+      view.centre = ends.map(([low, high]) => (low + high) / 2);
+      view.radius = largest = Math.max(...points.map(p => Math.hypot(...plus(p, view.centre, -1)))) || 1;
+      for (let i = 0; i < 8; i++) {
+        look();
+        const at = points.map(seen), [x, y] = [0, 1].map(k => [Math.min, Math.max].map(f => f(...at.map(p => p[k]))));
+        const size = basis.distance / basis.scale;
+        view.centre = plus(plus(view.centre, basis.right, ((x[0] + x[1]) - width) / 2 * size), basis.above, -((y[0] + y[1]) - height) / 2 * size);
+        view.radius *= Math.max((x[1] - x[0]) / Math.max(width - 150, 60), (y[1] - y[0]) / Math.max(height - 90, 60));
+      }
+    }
     function from(direction) {
       const aside = [dot(direction, first), dot(direction, second)];
       view.pitch = Math.asin(Math.max(-1, Math.min(1, dot(direction, up))));
       view.yaw = Math.hypot(...aside) > 1e-6 ? Math.atan2(aside[1], aside[0]) : -90 * DEG;
-      draw();
+      fit(state.fit);
     }
 
     // The motion: rigid with its rotation vector, and what is beside it.
@@ -84,15 +109,20 @@
       data.shapes.forEach(shape => {
         if (hidden.has(shape.k)) return;
         const points = placed(shape), at = points.map(seen), base = { shape, colour: colours[shape.k] };
-        for (const face of shape.f || []) {
-          if (!face.every(i => before_us(at[i]))) continue;
+        const front = (shape.f || []).map(face => {
+          if (!face.every(i => before_us(at[i]))) return false;
           const [a, b, c] = face.map(i => points[i]), normal = unit(cross(plus(b, a, -1), plus(c, b, -1)));
           const eye = plus(plus(view.centre, basis.towards, basis.distance), a, -1);
-          if (shape.c && dot(normal, eye) <= 0) continue;
+          if (shape.c && dot(normal, eye) <= 0) return false;
           const shade = shape.c ? 0.55 + 0.45 * Math.max(0, dot(normal, light)) : 1;
           add({ ...base, kind: "face", at: face.map(i => at[i]), alpha: shape.o * shade });
+          return true;
+        });
+        for (const edge of shape.edges) {
+          const sides = edge.faces.filter(number => front[number]).length;
+          if (sides === 1 || (sides && edge.sharp)) add({ ...base, kind: "line", at: edge.ends.map(i => at[i]), dashed: shape.h });
         }
-        for (const stroke of shape.s || []) for (let i = 1; i < stroke.length; i++) {
+        if (!shape.c) for (const stroke of shape.s || []) for (let i = 1; i < stroke.length; i++) {
           const ends = clipped(points[stroke[i - 1]], points[stroke[i]]);
           const last = shape.a && i === stroke.length - 1;
           if (ends) add({ ...base, kind: "line", at: ends, head: last, dashed: shape.h });
@@ -123,7 +153,7 @@
     function paint(primitive) {
       const chosen = primitive.shape === state.hover && !primitive.thin;
       pen.strokeStyle = pen.fillStyle = primitive.colour;
-      pen.lineWidth = (primitive.thin ? 0.7 : 1.5) + (chosen ? 1.3 : 0);
+      pen.lineWidth = (primitive.thin ? 0.7 : primitive.shape.k === "camera" ? 1 : 1.5) + (chosen ? 1.3 : 0);
       pen.setLineDash(primitive.dashed ? [4, 4] : []);
       path(primitive.at);
       if (primitive.kind === "face") {
@@ -174,6 +204,7 @@
         before = now; draw();
       } else before = 0;
       if (!width) return;
+      if (!view.radius) fitted();
       look();
       pen.clearRect(0, 0, width, height);
       const labels = collect();
@@ -247,7 +278,7 @@
       const size = basis.distance / basis.scale;
       view.centre = plus(plus(view.centre, basis.right, -dx * size), basis.above, dy * size); draw();
     }
-    function zoom(by) { view.radius = Math.max(0.02 * data.near[3], Math.min(6 * data.all[3], view.radius * by)); draw(); }
+    function zoom(by) { view.radius = Math.max(0.01 * largest, Math.min(6 * largest, view.radius * by)); draw(); }
     const keys = {
       ArrowLeft: [-5, 0], ArrowRight: [5, 0], ArrowUp: [0, 5], ArrowDown: [0, -5],
     };
@@ -256,11 +287,11 @@
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       if (way && event.shiftKey) shift(-4 * way[0], 4 * way[1]); else if (way) turn(...way);
       else if (key === "+" || key === "=") zoom(0.9); else if (key === "-") zoom(1 / 0.9);
-      else if (key === " " && moving) play(!state.playing); else if (key === "0") fit(data.all); else return;
+      else if (key === " " && moving) play(!state.playing); else if (key === "0") fit("all"); else return;
       event.preventDefault();
     });
     const act = {
-      all: () => fit(data.all), near: () => fit(data.near), in: () => zoom(0.8), out: () => zoom(1.25),
+      all: () => fit("all"), near: () => fit("near"), in: () => zoom(0.8), out: () => zoom(1.25),
       left: () => turn(-15, 0), right: () => turn(15, 0), up: () => turn(0, 15), down: () => turn(0, -15),
       front: () => from([0, -1, 0]), side: () => from([1, 0, 0]), top: () => from([0, 0, 1]),
       back: () => step(-15), on: () => step(15),
@@ -299,7 +330,7 @@
     }).observe(canvas);
     new IntersectionObserver(entries => { state.seen = entries[entries.length - 1].isIntersecting; draw(); }).observe(canvas);
     paintbox();
-    fit(data.all);
+    fit(moving ? "near" : "all");
   }
   document.addEventListener("DOMContentLoaded", () => document.querySelectorAll("figure.scene").forEach(start));
 })();
