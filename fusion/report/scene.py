@@ -15,6 +15,7 @@ from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 
 from fusion.base import PROGRAM, InputError, __version__, prefix
+from fusion.estimation.coverage import Polar
 from fusion.estimation.fuse import Acceleration
 from fusion.instruments.transducer import TRANSDUCERS, Beams, aimed, mirror_of, placed_at, unit_direction
 from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
@@ -32,7 +33,7 @@ from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.body import Part, make_part, moving_parts
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform
-from shaker.arrays import ComplexArray, FloatArray
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.labels import MOTION_COMPONENTS
 from shaker.sine.phasor import derivative_factor
 
@@ -279,6 +280,10 @@ def _arrow(kind: str, name: str, told: str, ends_m: tuple[FloatArray, FloatArray
     return Shape(kind, name, told, np.stack(ends_m), strokes=((0, 1),), arrow=True, **more)
 
 
+def _dot(kind: str, name: str, told: str, at: FloatArray, **more: Any) -> Shape:
+    return Shape(kind, name, told, at[None], dots="one", **more)
+
+
 def _axes(length: float) -> Iterator[Shape]:
     for letter, axis in zip("xyz", np.eye(3), strict=True):
         told = f"{letter} axis of the sensor frame, from its origin"
@@ -310,9 +315,7 @@ def _table(points: FloatArray) -> Shape:
 
 
 def _surface(name: str, body: str, points: FloatArray) -> Shape:
-    told = (
-        f"{len(points)} of the points on the {body} that stereo pair {name} tracks, about {place(points.mean(axis=0))}"
-    )
+    told = f"{len(points)} points on the {body} that the pair tracks, about {place(points.mean(axis=0))}"
     return Shape("surface", f"points of {name}", told, points, body=body, dots="many", surface=name)
 
 
@@ -325,7 +328,7 @@ def _pair(name: str, pair: Stereo, surface: FloatArray | None) -> tuple[list[Sha
     origin, aside = pose.translation_m, float(np.linalg.norm(pose.translation_m))
     middle = None if surface is None else surface.mean(axis=0)
     if pair.calibration is None:
-        shape = Shape("camera", f"frame of {name}", f"origin {place(origin)}", origin[None], label=name, dots="one")
+        shape = _dot("camera", f"frame of {name}", f"origin {place(origin)}", origin, label=name)
         told = "without a calibration only the origin of its frame is known, not where its cameras are"
         return [shape], np.zeros((0, 3)) if surface is None else surface, told
     try:
@@ -347,19 +350,17 @@ def _pair(name: str, pair: Stereo, surface: FloatArray | None) -> tuple[list[Sha
 
 def _fixation(left: RigidTransform, right: RigidTransform) -> FloatArray | None:
     """Return the point nearest to both optical axes, None unless it is before both cameras."""
-    place, axis = (
-        np.stack([left.translation_m, right.translation_m]),
-        np.stack([left.rotation[:, 2], right.rotation[:, 2]]),
-    )
+    centre = np.stack([left.translation_m, right.translation_m])
+    axis = np.stack([left.rotation[:, 2], right.rotation[:, 2]])
     if np.linalg.norm(np.cross(*axis)) < NEAR_PARALLEL:
         return None
     across = np.eye(3) - axis[:, :, None] * axis[:, None, :]
-    point = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, place))
-    return point if np.all(np.einsum("nj,nj->n", axis, point - place) > 0.0) else None
+    point = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centre))
+    return point if np.all(np.einsum("nj,nj->n", axis, point - centre) > 0.0) else None
 
 
 def _camera(name: str, body: str, camera: Camera, pose: RigidTransform, target: FloatArray) -> Shape:
-    """Return a camera with its frustum to the depth of a target: apex, far corners, near corners, and its upper edge."""
+    """Return a camera and its frustum to the depth of a target: apex, far and near corners, mark of the upper edge."""
     depth = float(pose.inverse().apply(target)[2])
     depth = depth if depth > 0.0 else max(float(np.linalg.norm(pose.translation_m)), SMALLEST_REACH_M)
     far, near = frustum(camera, pose, depth), frustum(camera, pose, 0.1 * depth)
@@ -369,12 +370,13 @@ def _camera(name: str, body: str, camera: Camera, pose: RigidTransform, target: 
     strokes = [(0, k) for k in range(1, 5)] + [(1, 2, 3, 4, 1), (5, 6, 7, 8, 5), (5, 9, 6)]
     faces = ((1, 2, 3, 4), (5, 6, 7, 8), (5, 9, 6))
     width, height = (int(length) for length in camera.size_px)
-    told = f"centre {place(pose.translation_m)}, looks along {along(pose.rotation[:, 2])} at the {body}, {width} × {height} px"
+    told = f"centre {place(pose.translation_m)}, looks along {along(pose.rotation[:, 2])} at the {body}"
+    told += f", {width} × {height} px"
     return Shape("camera", f"camera {name}", told, points, faces, tuple(strokes), label=name, fill=0.1)
 
 
 def frustum(camera: Camera, pose: RigidTransform, depth_m: float) -> FloatArray:
-    """Return the corners (4, 3) of what a camera sees at a depth, from the image's upper left, clockwise in the image."""
+    """Return the corners (4, 3) of what a camera sees at a depth, clockwise from the image's upper left."""
     width, height = camera.size_px.astype(np.float64) - 0.5
     corners = np.array([[-0.5, -0.5], [width, -0.5], [width, height], [-0.5, height]])
     rays = camera.undistort(corners)
@@ -394,9 +396,7 @@ def _instruments(channels: Sequence[ChannelEntry], middle: Mapping[str, FloatArr
     for kind, entry in zip(kinds, channels, strict=True):
         at = placed_at(entry)
         if entry.direction is None and not aimed(entry):
-            yield Shape(
-                kind, entry.name, f"at {place(at)}", at[None], body=entry.body or "", dots="one", label=entry.name
-            )
+            yield _dot(kind, entry.name, f"at {place(at)}", at, label=entry.name, body=entry.body or "")
             continue
         direction, label = unit_direction(entry), entry.name if kinds.count(kind) <= MOST_LABELS else ""
         turns = entry.quantity in TRANSDUCERS and TRANSDUCERS[entry.quantity].turning
@@ -407,17 +407,13 @@ def _instruments(channels: Sequence[ChannelEntry], middle: Mapping[str, FloatArr
         yield _arrow(kind, entry.name, told, ends, body=entry.body or "", label=label, dots="one")
         if kind == "vibrometer":
             start, head = _beam_start(entry, direction, middle.get(entry.body or "", np.zeros(3)), beams, reach)
-            told = f"from {place(start)}" if head else "where it comes from is not stated"
-            both = np.stack([start, at])
-            yield Shape(
-                kind, f"beam of {entry.name}", f"{told} to {place(at)}", both, strokes=((0, 1),), dashed=not head
-            )
+            told = f"from {place(start)}" if head else "from an unstated place"
+            name, both = f"beam of {entry.name}", np.stack([start, at])
+            yield Shape(kind, name, f"{told} to {place(at)}", both, strokes=((0, 1),), dashed=not head)
             if head:
                 mirrors[head] = start
     for name, mirror in mirrors.items():
-        yield Shape(
-            "vibrometer", f"head {name}", f"its beams leave {place(mirror)}", mirror[None], label=name, dots="one"
-        )
+        yield _dot("vibrometer", f"head {name}", f"its beams leave {place(mirror)}", mirror, label=name)
 
 
 def _beam_start(
@@ -438,27 +434,23 @@ def _beam_start(
 
 def evaluation_scene(evaluation: Evaluation) -> Scene:
     """Return the rig of a recording with the motion of load and base and the deflections that stand out."""
-    kept = {item.name: _thinned(item.deflection) for item in evaluation.stereo if item.deflection is not None}
-    surfaces = {item.name: item.deflection.reference_m[kept[item.name]] for item in _bent(evaluation, kept)}
-    scene = rig_scene(evaluation.manifest, surfaces)
+    seen = [own for item in evaluation.stereo if item.name in evaluation.manifest.rig.stereo for own in _tracked(item)]
+    scene = rig_scene(evaluation.manifest, {own.name: own.points_m for own in seen})
     moved = {body: result for body in BODIES if (result := _result(evaluation.accelerations, body)) is not None}
     remarks = list(scene.remarks)
     remarks += [text for body, result in moved.items() if (text := _unobserved(body, result))]
     frequency = next((result.phasors.frequency_hz for result in moved.values()), np.zeros(0))
-    motions = []
+    motions = list[Motion]()
+    elements = {body: result_elements(result) for body, result in moved.items()}
+    displaced = {body: np.nan_to_num(displacement(result)) for body, result in moved.items()}
     for k, f in enumerate(frequency.tolist()):
-        told = [_amplitude_told(body, result, k) for body, result in moved.items()]
-        rigid = {body: displacement(result)[k] for body, result in moved.items()}
-        deflection = {}
-        for item in _bent(evaluation, kept):
-            found, text = _deflection(item, kept[item.name], k)
-            told += [text] if text else []
-            if found is not None:
-                deflection[item.name] = found
-        rigid = {body: np.nan_to_num(value) for body, value in rigid.items()}
+        told = [_amplitude_told(body, own[k], f) for body, own in elements.items()]
+        told += [text for surface in seen if (text := surface.told(k))]
+        bent = {surface.name: value for surface in seen if (value := surface.deflection(k)) is not None}
+        rigid = {body: own[k] for body, own in displaced.items()}
         multiple = int(evaluation.lines.multiple[k]) if k < len(evaluation.lines.multiple) else 1
         title = f"{f:.4f} Hz" + (f", harmonic {multiple}" if multiple > 1 else "")
-        motions.append(Motion(title, f, tuple(filter(None, told)), rigid, deflection))
+        motions.append(Motion(title, f, tuple(told), rigid, bent))
     return replace(scene, motions=tuple(motions), remarks=tuple(remarks))
 
 
@@ -474,47 +466,72 @@ def _result(accelerations: Sequence[Acceleration], body: str) -> Acceleration | 
 
 
 def _unobserved(body: str, result: Acceleration) -> str:
-    missing = [name for name, seen in zip(MOTION_COMPONENTS, result.observed.any(axis=0), strict=True) if not seen]
+    missing = [name for k, name in enumerate(MOTION_COMPONENTS) if not result.observed[:, k].any()]
     return f"{body.capitalize()}: no instrument observes {' '.join(missing)}, drawn as 0." if missing else ""
 
 
-def _amplitude_told(body: str, result: Acceleration, line: int) -> str:
-    """Return the largest translation of a body at a line with U and phase."""
-    square = (2.0 * np.pi * float(result.phasors.frequency_hz[line])) ** 2
-    found = [(axis, value) for axis, value in zip("xyz", result_elements(result)[line], strict=False) if value]
+def _amplitude_told(body: str, elements: Sequence[Polar | None], frequency_hz: float) -> str:
+    """Return the largest translation of a body at a line, of its acceleration, with U and phase."""
+    square = (2.0 * np.pi * frequency_hz) ** 2
+    found = [(axis, value) for axis, value in zip("xyz", elements, strict=False) if value is not None]
     if not found:
         return f"{body}: no translation is observed"
     axis, value = max(found, key=lambda pair: pair[1].magnitude)
     factor, letter = prefix(value.magnitude / square)
     size = measured(value.magnitude / square / factor, value.expanded_magnitude / square / factor, f"{letter}m")
     phase = np.degrees(np.angle(-complex(value.re, value.im)))
-    return f"{body} {axis}: {size.striptags()} at {phase:.1f}° (k = {value.k_magnitude:.2f})".replace(
-        "-", "\N{MINUS SIGN}"
-    )
+    told = f"{body} {axis}: {size.striptags()} at {phase:.1f}° (k = {value.k_magnitude:.2f})"
+    return told.replace("-", "\N{MINUS SIGN}")
 
 
-def _bent(evaluation: Evaluation, kept: Mapping[str, Any]) -> Iterator[Any]:
-    return (item for item in evaluation.stereo if item.name in kept and len(kept[item.name]) >= 3)
+@dataclass(frozen=True)
+class _Tracked:
+    """The surface that a pair tracks: which lines of the recording it tells, and which of its points are shown."""
+
+    name: str
+    usable: BoolArray
+    shape: DeflectionShape
+    kept: IntArray
+
+    @property
+    def points_m(self) -> FloatArray:
+        return np.asarray(self.shape.reference_m[self.kept])
+
+    def _sizes(self, line: int) -> tuple[float, float] | None:
+        """Return the rms of the deflection of all points at a line of the recording, and that of noise alone."""
+        if not self.usable[line]:
+            return None
+        k = int(np.count_nonzero(self.usable[:line]))
+        value, u = self.shape.value[k], self.shape.u[k]
+        return float(np.sqrt(3.0 * np.nanmean(np.abs(value) ** 2))), float(np.sqrt(6.0 * np.nanmean(u**2)))
+
+    def deflection(self, line: int) -> ComplexArray | None:
+        """Return the deflection (N, 3) of the points shown at a line, None where it does not stand out of the noise."""
+        sizes = self._sizes(line)
+        if sizes is None or not sizes[0] > STANDS_OUT * sizes[1]:
+            return None
+        return np.asarray(self.shape.value[int(np.count_nonzero(self.usable[:line]))][self.kept])
+
+    def told(self, line: int) -> str:
+        """Return the size of the deflection in words."""
+        sizes = self._sizes(line)
+        if sizes is None:
+            return ""
+        factor, letter = prefix(max(sizes))
+        size, noise = (f"{value / factor:.2g} {letter}m" for value in sizes)
+        end = f"of it noise {noise}" if self.deflection(line) is not None else f"as of noise ({noise}), not drawn"
+        return f"points of {self.name} beside the rigid motion: rms {size}, {end}"
 
 
-def _thinned(shape: DeflectionShape) -> Any:
-    """Return which points of a surface are shown: known at every line, and not too many."""
+def _tracked(item: StereoResult) -> Iterator[_Tracked]:
+    """Yield the surface of a pair with the points that are shown: known at every line, and not too many."""
+    shape = item.deflection
+    if shape is None:
+        return
     known = np.flatnonzero(np.isfinite(shape.value).all(axis=(0, 2)) & np.isfinite(shape.reference_m).all(axis=1))
-    return known[np.unique(np.linspace(0, max(len(known) - 1, 0), min(MOST_POINTS, len(known))).round().astype(int))]
-
-
-def _deflection(item: StereoResult, kept: Any, line: int) -> tuple[ComplexArray | None, str]:
-    """Return the deflection (N, 3) that a pair saw at a line of the recording where it stands out, and its size."""
-    if item.deflection is None or not item.usable[line]:
-        return None, ""
-    k = int(np.count_nonzero(item.usable[:line]))
-    value, u = item.deflection.value[k], item.deflection.u[k]
-    size, noise = float(np.sqrt(3.0 * np.nanmean(np.abs(value) ** 2))), float(np.sqrt(6.0 * np.nanmean(u**2)))
-    stands_out = size > STANDS_OUT * noise
-    factor, letter = prefix(max(size, noise))
-    text = f"points of {item.name} beside that: rms {size / factor:.2g} {letter}m"
-    text += f", of it noise {noise / factor:.2g} {letter}m" if stands_out else ", no more than noise: not drawn"
-    return (np.asarray(value[kept]) if stands_out else None), text
+    if len(known) >= 3:
+        chosen = np.unique(np.linspace(0, len(known) - 1, min(MOST_POINTS, len(known))).round().astype(int))
+        yield _Tracked(item.name, item.usable, shape, known[chosen])
 
 
 # A page of its own, without any data.

@@ -28,7 +28,8 @@ class Shape:
 
     `kind`: entry of the legend; `name`, `told`: what it is, with places and units; `label`: written beside it. `body`:
     with which it moves. `faces` of a `closed` shape run counter-clockwise seen from outside; `fill`: their opacity.
-    `arrow`: the first stroke ends in a head. `dots`: at the first point, or at each. `surface`: whose deflection it has.
+    `arrow`: the first stroke ends in a head. `dots`: at the first point, or at each. `surface`: whose deflection it
+    has.
     """
 
     kind: str
@@ -48,7 +49,7 @@ class Shape:
 
     @property
     def anchor(self) -> int:
-        """Return which point the label stands beside: an arrow's head, where its foot has no dot, else the first one."""
+        """Return beside which point the label stands: an arrow's head, where its foot has no dot, else the first."""
         return -1 if self.arrow and not self.dots else 0
 
 
@@ -122,7 +123,7 @@ class _Panel:
     def place(self, points_m: FloatArray) -> FloatArray:
         """Return points (N, 3) in px (N, 2), downwards positive."""
         flat = (points_m[:, list(self.axes)] - self.low_m) * self.scale
-        return np.array([self.corner_px[0], self.corner_px[1]]) + flat * np.array([1.0, -1.0])
+        return np.asarray(np.array(self.corner_px) + flat * np.array([1.0, -1.0]))
 
     def depth(self, points_m: FloatArray) -> float:
         """Return how near the viewer points are, on average."""
@@ -211,7 +212,8 @@ def _strokes(panel: _Panel, shape: Shape) -> Iterator[Markup]:
     if shape.strokes:
         yield _path([flat[list(stroke)] for stroke in shape.strokes], kind + (" dash" if shape.dashed else ""))
     if shape.arrow:
-        yield _head(*flat[list(shape.strokes[0][-2:])], kind)
+        foot, tip = shape.strokes[0][-2:]
+        yield _head(flat[foot], flat[tip], kind)
     if shape.dots == "one":
         yield Markup('<circle class="fill {}" cx="{:.1f}" cy="{:.1f}" r="2.6"/>').format(kind, *flat[0])
 
