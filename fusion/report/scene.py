@@ -24,9 +24,9 @@ from fusion.recording.files import split_scan
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import SCAN, ChannelEntry
 from fusion.recording.rig import Stereo
+from fusion.report.figure import BLACK, GREY, ORANGE, PURPLE, SKY, SOURCE_COLOUR
 from fusion.report.folder import render_page
 from fusion.report.scene_still import Shape, make_box, solid, still_views
-from fusion.report.style import BLACK, GREY, ORANGE, PURPLE, SKY, SOURCE_COLOUR
 from fusion.report.table import measured
 from fusion.report.tables import result_elements
 from fusion.sensitivity.analyse import Evaluation
@@ -122,7 +122,7 @@ def scene_page(scene: Scene) -> ScenePage:
         json=htmlsafe_json_dumps(data, separators=(",", ":"), allow_nan=False),
         still=still_views(scene.shapes),
         legend=[(kind, KINDS[kind][0]) for kind in scene.kinds],
-        colours=[(kind, "var(--s-ink)" if colour == BLACK else colour) for kind, (_, colour) in KINDS.items()],
+        colours=[(kind, "var(--ink)" if colour == BLACK else colour) for kind, (_, colour) in KINDS.items()],
         places=[(shape.name, shape.told) for shape in scene.shapes],
         lines=[motion.name for motion in scene.motions],
         remarks=scene.remarks,

@@ -316,8 +316,8 @@
     // Size, colours, and whether anyone can see it.
     function paintbox() {
       const style = getComputedStyle(figure), of = name => style.getPropertyValue(name).trim();
-      colours = { back: of("--s-back"), soft: of("--s-soft"), font: style.fontFamily };
-      for (const swatch of parts("swatch")) colours[swatch.dataset.kind] = getComputedStyle(swatch).color;
+      colours = { back: of("--paper"), soft: of("--soft"), font: style.fontFamily };
+      for (const chip of parts("chip")) colours[chip.dataset.kind] = getComputedStyle(chip).color;
       draw();
     }
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", paintbox);
