@@ -51,6 +51,7 @@ KINDS = {
 """What is drawn: its word in the legend and its colour."""
 BODIES = ("load", "base")
 SMALLEST_REACH_M = 0.03
+CENTRED_M = 5e-3  # a centre of mass nearer to the origin tells no direction
 NEAR_PARALLEL = 1e-3  # of two optical axes: the sine of their angle
 MOST_POINTS = 120  # of one tracked surface that a page shows
 MOST_LABELS = 12  # of channels of one kind
@@ -195,42 +196,35 @@ def rig_scene(manifest: Manifest, surfaces: Mapping[str, FloatArray] | None = No
 
     `surfaces`: points (N, 3) of the sensor frame that stereo pairs have tracked, by the name of the pair.
     """
-    surfaces = {} if surfaces is None else surfaces
-    rig, remarks = manifest.rig, list[str]()
-    channels = list(_channels(manifest))
-    parts = moving_parts(rig, manifest.part)
-    solids = [_solid(part, "load") for part in parts]
-    solids += [_solid(part, "base") for part in _base_parts(manifest)]
+    rig, remarks, shapes = manifest.rig, list[str](), list[Shape]()
+    channels, parts = list(_channels(manifest)), moving_parts(rig, manifest.part)
+    if parts:
+        remarks.append("Load and parts are drawn as the solids that have their mass and moments of inertia.")
+    shapes += [_solid(part, "load") for part in parts] + [_solid(part, "base") for part in _base_parts(manifest)]
+    middle = sum((part.mass_kg * part.centre_of_mass_m for part in parts), np.zeros(3))
+    middle = middle / max(sum(part.mass_kg for part in parts), 1e-30)
     points = [entry.point for entry in channels if entry.point is not None]
-    known = np.concatenate([np.zeros((1, 3)), *(s.points_m for s in solids), np.array(points).reshape(-1, 3)])
+    known = np.concatenate([np.array([(0.0, 0.0, 0.0), *points]), *(shape.points_m for shape in shapes)])
     reach = max(SMALLEST_REACH_M, float(np.linalg.norm(known, axis=1).max()))
-    middle = {"load": sum((p.mass_kg * p.centre_of_mass_m for p in parts), np.zeros(3))}
-    middle["load"] = middle["load"] / max(sum(p.mass_kg for p in parts), 1e-30)
-    shapes = [*solids, *_axes(0.9 * reach)]
-    targets: dict[str, FloatArray] = {}
+    base = [np.array([entry.point]) for entry in channels if entry.body == "base" and entry.point is not None]
     said: dict[str, list[str]] = {}
     for name, pair in rig.stereo.items():
-        drawn, targets[name], told = _pair(name, pair, surfaces.get(name))
-        shapes += drawn
+        surface = None if surfaces is None else surfaces.get(name)
+        cameras, seen, told = _pair(name, pair, surface)
+        shapes += cameras if surface is None else [*cameras, _surface(name, pair.body, surface)]
+        base += [seen] if pair.body == "base" and len(seen) else []
         said.setdefault(told, []).append(name)
     remarks += [f"Stereo {', '.join(names)}: {told}." for told, names in said.items()]
-    for name, own in surfaces.items():
-        shapes.append(_surface(name, rig.stereo[name].body, own))
-    base = [entry.point for entry in channels if entry.body == "base" and entry.point is not None]
-    base += [tuple(p) for name, pair in rig.stereo.items() if pair.body == "base" for p in np.atleast_2d(targets[name])]
     if base and not any(shape.body == "base" and shape.closed for shape in shapes):
-        shapes.append(_table(np.array(base)))
-        remarks.append("The base has no stated shape: the box about the z axis holds its points.")
-    shapes += _instruments(channels, middle, reach)
-    gravity = rig.surroundings.free_fall_mps2[0]
-    up = np.array([0.0, 0.0, 1.0])
+        shapes.append(_table(np.concatenate(base), middle))
+        remarks.append(f"The base has no stated shape: {shapes[-1].told}.")
+    shapes += [*_axes(0.9 * reach), *_instruments(channels, middle, reach)]
+    gravity, up = rig.surroundings.free_fall_mps2[0], np.array([0.0, 0.0, 1.0])
     if gravity is None:
         remarks.append("Gravity is not stated; the sensor's z axis points up.")
     else:
         up = -np.array(gravity) / np.linalg.norm(gravity)
         shapes.append(_gravity(np.array(gravity), reach, shapes))
-    if parts:
-        remarks.insert(0, "Load and parts are drawn as the solids that have their mass and moments of inertia.")
     return Scene(manifest.name, tuple(shapes), (), tuple(remarks), up)
 
 
@@ -297,21 +291,31 @@ def _gravity(gravity: FloatArray, reach: float, shapes: Sequence[Shape]) -> Shap
     away = -np.mean(seen, axis=0) if seen else np.array([1.0, 0.0, 0.0])
     across = [v - (v @ down) * down for v in (away, np.eye(3)[int(np.argmin(np.abs(down)))])]
     aside = next(v for v in across if np.linalg.norm(v) > NEAR_PARALLEL * reach)
-    start = 1.6 * reach * aside / np.linalg.norm(aside) - 0.45 * reach * down
+    start = 1.3 * reach * aside / np.linalg.norm(aside) - 0.45 * reach * down
     told = f"{np.linalg.norm(gravity):.4f} m/s² along {along(down)}"
     return _arrow("gravity", "gravity", told, (start, start + 0.9 * reach * down), label="g")
 
 
-def _table(points: FloatArray) -> Shape:
-    """Return a box about the z axis that holds points (N, 3) of the base."""
-    half = np.abs(points[:, :2]).max(axis=0)
-    half = np.maximum(half, max(SMALLEST_REACH_M, 0.5 * float(half.max())))
-    low, high = float(points[:, 2].min()), float(points[:, 2].max())
-    low = min(low, high - 0.2 * float(half.max()))
-    box, faces, edges = make_box(np.array([*(2.0 * half), high - low]))
-    box = box + np.array([0.0, 0.0, 0.5 * (low + high)])
-    told = "no stated shape; the box about the z axis that holds its points"
-    return Shape("base", "base", told, box, faces, edges, body="base", closed=True, fill=0.3, dashed=True)
+def _table(points: FloatArray, middle: FloatArray) -> Shape:
+    """Return a box about an axis on one side of which all points (N, 3) of the base lie, if possible not the load's."""
+    side = np.sign(points).sum(axis=0) / len(points)
+    beyond = np.where(np.abs(side) == 1.0, np.abs(points).min(axis=0), 0.0)
+    opposite = np.where(-side * middle > CENTRED_M, beyond, 0.0)
+    size = opposite if opposite.any() else beyond
+    axis = int(np.argmax(size)) if size.any() else 2
+    half = np.abs(points).max(axis=0)
+    half = np.maximum(half, max(SMALLEST_REACH_M, 0.5 * float(np.delete(half, axis).max())))
+    low, high = -half, half
+    low[axis], high[axis] = points[:, axis].min(), points[:, axis].max()
+    thin = 0.2 * float(np.delete(half, axis).max()) - (high[axis] - low[axis])
+    if thin > 0.0:  # outwards, as seen from the load
+        end = low if low[axis] + high[axis] <= 0.0 else high
+        end[axis] += np.copysign(thin, low[axis] + high[axis] - 1e-12)
+    corners, faces, edges = make_box(high - low)
+    told = f"drawn as a box about the {'xyz'[axis]} axis that holds its points"
+    return Shape(
+        "base", "base", told, corners + (low + high) / 2.0, faces, edges, "base", closed=True, fill=0.3, dashed=True
+    )
 
 
 def _surface(name: str, body: str, points: FloatArray) -> Shape:
@@ -344,8 +348,7 @@ def _pair(name: str, pair: Stereo, surface: FloatArray | None) -> tuple[list[Sha
         middle = pose.apply(np.array([0.0, 0.0, max(-(pose.rotation.T @ origin)[2], 0.5 * aside)]))
         told = "the axes of the cameras do not meet, and the frusta end abreast of the sensor origin"
     shapes = [_camera(f"{name} {side}", pair.body, *own, middle) for side, own in poses.items()]
-    seen = surface if surface is not None else middle
-    return shapes, seen, told
+    return shapes, middle[None] if surface is None else surface, told
 
 
 def _fixation(left: RigidTransform, right: RigidTransform) -> FloatArray | None:
@@ -388,7 +391,7 @@ def frustum(camera: Camera, pose: RigidTransform, depth_m: float) -> FloatArray:
 # Channels.
 
 
-def _instruments(channels: Sequence[ChannelEntry], middle: Mapping[str, FloatArray], reach: float) -> Iterator[Shape]:
+def _instruments(channels: Sequence[ChannelEntry], middle: FloatArray, reach: float) -> Iterator[Shape]:
     """Yield beams, points and senses of all channels that have a place, and the mirrors of heads."""
     beams = Beams.of(channels)
     kinds = [TRANSDUCERS[e.quantity].kind if e.quantity in TRANSDUCERS else "force" for e in channels]
@@ -406,7 +409,7 @@ def _instruments(channels: Sequence[ChannelEntry], middle: Mapping[str, FloatArr
         ends = at, at + length * direction
         yield _arrow(kind, entry.name, told, ends, body=entry.body or "", label=label, dots="one")
         if kind == "vibrometer":
-            start, head = _beam_start(entry, direction, middle.get(entry.body or "", np.zeros(3)), beams, reach)
+            start, head = _beam_start(entry, direction, middle if entry.body == "load" else np.zeros(3), beams, reach)
             told = f"from {place(start)}" if head else "from an unstated place"
             name, both = f"beam of {entry.name}", np.stack([start, at])
             yield Shape(kind, name, f"{told} to {place(at)}", both, strokes=((0, 1),), dashed=not head)
@@ -518,7 +521,7 @@ class _Tracked:
         if sizes is None:
             return ""
         factor, letter = prefix(max(sizes))
-        size, noise = (f"{value / factor:.2g} {letter}m" for value in sizes)
+        size, noise = (f"{value / factor:.3g} {letter}m" for value in sizes)
         end = f"of it noise {noise}" if self.deflection(line) is not None else f"as of noise ({noise}), not drawn"
         return f"points of {self.name} beside the rigid motion: rms {size}, {end}"
 
