@@ -347,7 +347,8 @@ def test_pointing_at_something_names_it_with_its_place(opened):
     seen, box, found = pixels(opened), opened.page.locator("canvas").bounding_box(), set()
     red = np.argwhere(np.abs(seen[..., :3].astype(int) - (0xD5, 0x5E, 0x00)).sum(axis=2) + 255 - seen[..., 3] < 8)
     middle = np.array(seen.shape[:2]) / 2.0
-    for y, x in [*red[:: max(len(red) // 60, 1)], middle, *(middle + (k, 40) for k in range(-90, 90, 15))]:
+    beside = middle + np.stack([np.arange(-90.0, 90.0, 15.0), np.full(12, 40.0)], axis=1)
+    for y, x in np.concatenate([red[:: max(len(red) // 60, 1)], middle[None], beside]).tolist():
         opened.page.mouse.move(box["x"] + x, box["y"] + y)
         found.add(opened.page.locator("[data-part=tip]").inner_text())
     told = "\n".join(found)
