@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
+from scipy.spatial import Delaunay
 
 from fusion.base import PROGRAM, InputError, __version__, prefix
 from fusion.estimation.coverage import Polar
@@ -54,6 +55,7 @@ SMALLEST_REACH_M = 0.03
 CENTRED_M = 5e-3  # a centre of mass nearer to the origin tells no direction
 NEAR_PARALLEL = 1e-3  # of two optical axes: the sine of their angle
 MOST_POINTS = 120  # of one tracked surface that a page shows
+GAP = 2.0  # longest side of a triangle over their median: beyond, nothing was tracked between its points
 MOST_LABELS = 12  # of channels of one kind
 STANDS_OUT = 1.5  # rms of a deflection over what its noise makes of it
 SHOWN_SHARE = 0.08  # of the size of the bodies: largest displacement at the first magnification
@@ -320,7 +322,18 @@ def _table(points: FloatArray, middle: FloatArray) -> Shape:
 
 def _surface(name: str, body: str, points: FloatArray) -> Shape:
     told = f"{len(points)} points on the {body} that the pair tracks, about {place(points.mean(axis=0))}"
-    return Shape("surface", f"points of {name}", told, points, body=body, dots="many", surface=name)
+    faces = _triangles(points)
+    return Shape("surface", f"points of {name}", told, points, faces, body=body, dots="many", fill=0.5, surface=name)
+
+
+def _triangles(points: FloatArray) -> tuple[tuple[int, ...], ...]:
+    """Return the triangles between neighbours among points (N, 3) of a surface that has no folds."""
+    _, size, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    if size[1] <= NEAR_PARALLEL * size[0]:
+        return ()
+    found = Delaunay(points @ axes[:2].T).simplices
+    longest = np.linalg.norm(points[found] - points[np.roll(found, 1, axis=1)], axis=2).max(axis=1)
+    return tuple(map(tuple, found[longest <= GAP * np.median(longest)].tolist()))
 
 
 # Cameras.

@@ -209,7 +209,10 @@ def _strokes(panel: _Panel, shape: Shape) -> Iterator[Markup]:
         yield _path([_hull(flat)], kind, fill=shape.fill or 0.35, closed=True)
     elif shape.faces:
         yield _path([flat[list(face)] for face in shape.faces], kind, fill=shape.fill, closed=True)
-    if shape.strokes:
+    if shape.closed:
+        edges = [_hull(flat[list(stroke)]) for stroke in shape.strokes]
+        yield _path(edges, kind + (" dash" if shape.dashed else ""), closed=True)
+    elif shape.strokes:
         yield _path([flat[list(stroke)] for stroke in shape.strokes], kind + (" dash" if shape.dashed else ""))
     if shape.arrow:
         foot, tip = shape.strokes[0][-2:]
@@ -236,7 +239,7 @@ def _head(foot: FloatArray, tip: FloatArray, kind: str) -> Markup:
 
 def _hull(points: FloatArray) -> FloatArray:
     """Return the corners of the convex hull of points (N, 2)."""
-    ordered = sorted(set(map(tuple, np.round(points, 2).tolist())))
+    ordered = sorted(set(map(tuple, np.round(points, 1).tolist())))
     halves: list[list[tuple[float, ...]]] = []
     for run in (ordered, ordered[::-1]):
         half: list[tuple[float, ...]] = []

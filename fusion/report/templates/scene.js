@@ -58,7 +58,8 @@
     }
     function fit(which) { state.fit = which; view.radius = 0; draw(); }
     function fitted() { // the view that just holds all points of what is to be seen
-      const bodies = data.shapes.filter(shape => shape.b), shapes = state.fit === "near" && bodies.length ? bodies : data.shapes;
+      const bodies = data.shapes.filter(shape => shape.b), bent = bodies.filter(shape => state.mode && shape.u in data.motions[state.line].d);
+      const near = bent.length ? bent : bodies, shapes = state.fit === "near" && near.length ? near : data.shapes;
       const points = shapes.flatMap(shape => shape.points);
       const ends = points[0].map((_, i) => [Math.min, Math.max].map(f => f(...points.map(p => p[i]))));
       view.centre = ends.map(([low, high]) => (low + high) / 2);
@@ -114,8 +115,8 @@
           const [a, b, c] = face.map(i => points[i]), normal = unit(cross(plus(b, a, -1), plus(c, b, -1)));
           const eye = plus(plus(view.centre, basis.towards, basis.distance), a, -1);
           if (shape.c && dot(normal, eye) <= 0) return false;
-          const shade = shape.c ? 0.55 + 0.45 * Math.max(0, dot(normal, light)) : 1;
-          add({ ...base, kind: "face", at: face.map(i => at[i]), alpha: shape.o * shade });
+          const lit = dot(normal, light), shade = shape.c ? 0.55 + 0.45 * Math.max(0, lit) : shape.u ? 0.2 + 0.8 * Math.abs(lit) : 1;
+          add({ ...base, kind: "face", at: face.map(i => at[i]), alpha: shape.o * shade * (state.mode && !shape.u ? 0.3 : 1) });
           return true;
         });
         for (const edge of shape.edges) {
@@ -134,7 +135,7 @@
         });
         const anchor = at[shape.a && !shape.d ? at.length - 1 : 0];
         if (shape.l && before_us(anchor)) labels.push({ text: shape.l, at: anchor, colour: base.colour });
-        if (state.playing || state.phase) if (shape.c && factor()) rest(shape);
+        if (shape.c && moving && !state.mode) rest(shape);
       });
       primitives.sort((a, b) => b.depth - a.depth);
       return labels;
@@ -308,7 +309,7 @@
       part("phase").addEventListener("input", event => { play(false); state.phase = event.target.value * DEG; });
       part("line").addEventListener("change", event => { state.line = +event.target.value; choose(); });
       part("size").addEventListener("input", event => { state.stretch = +event.target.value; draw(); });
-      part("mode")?.addEventListener("change", event => { state.mode = +event.target.value; draw(); });
+      part("mode")?.addEventListener("change", event => { state.mode = +event.target.value; fit("near"); });
       calm.addEventListener("change", () => { if (calm.matches) play(false); });
       choose();
     }
