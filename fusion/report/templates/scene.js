@@ -71,6 +71,7 @@
         view.centre = plus(plus(view.centre, basis.right, ((x[0] + x[1]) - width) / 2 * size), basis.above, -((y[0] + y[1]) - height) / 2 * size);
         view.radius *= Math.max((x[1] - x[0]) / Math.max(width - 150, 60), (y[1] - y[0]) / Math.max(height - 90, 60));
       }
+      if (bent.length) view.radius *= 1.3;
     }
     function from(direction) {
       const aside = [dot(direction, first), dot(direction, second)];
