@@ -53,6 +53,7 @@ KINDS = {
 BODIES = ("load", "base")
 SMALLEST_REACH_M = 0.03
 CENTRED_M = 5e-3  # a centre of mass nearer to the origin tells no direction
+FARTHEST = 10.0  # of what cameras look at, over the distance of the left one from the sensor
 NEAR_PARALLEL = 1e-3  # of two optical axes: the sine of their angle
 MOST_POINTS = 120  # of one tracked surface that a page shows
 GAP = 2.0  # longest side of a triangle over their median: beyond, nothing was tracked between its points
@@ -205,9 +206,9 @@ def rig_scene(manifest: Manifest, surfaces: Mapping[str, FloatArray] | None = No
     shapes += [_solid(part, "load") for part in parts] + [_solid(part, "base") for part in _base_parts(manifest)]
     middle = sum((part.mass_kg * part.centre_of_mass_m for part in parts), np.zeros(3))
     middle = middle / max(sum(part.mass_kg for part in parts), 1e-30)
-    points = [entry.point for entry in channels if entry.point is not None]
-    known = np.concatenate([np.array([(0.0, 0.0, 0.0), *points]), *(shape.points_m for shape in shapes)])
-    reach = max(SMALLEST_REACH_M, float(np.linalg.norm(known, axis=1).max()))
+    sizes = [float(np.linalg.norm(shape.points_m, axis=1).max()) for shape in shapes]
+    sizes = [max(sizes)] if sizes else [float(np.linalg.norm(placed_at(entry))) for entry in channels]
+    reach = max(SMALLEST_REACH_M, float(np.median(sizes or [0.0])))  # of one point far away arrows know nothing
     base = [np.array([entry.point]) for entry in channels if entry.body == "base" and entry.point is not None]
     said: dict[str, list[str]] = {}
     for name, pair in rig.stereo.items():
@@ -372,7 +373,8 @@ def _fixation(left: RigidTransform, right: RigidTransform) -> FloatArray | None:
         return None
     across = np.eye(3) - axis[:, :, None] * axis[:, None, :]
     point = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centre))
-    return point if np.all(np.einsum("nj,nj->n", axis, point - centre) > 0.0) else None
+    depth = np.einsum("nj,nj->n", axis, point - centre)
+    return point if depth.min() > 0.0 and depth.max() < FARTHEST * np.linalg.norm(centre[0]) else None
 
 
 def _camera(name: str, body: str, camera: Camera, pose: RigidTransform, target: FloatArray) -> Shape:
