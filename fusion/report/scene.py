@@ -57,6 +57,7 @@ FARTHEST = 10.0  # of what cameras look at, over the distance of the left one fr
 NEAR_PARALLEL = 1e-3  # of two optical axes: the sine of their angle
 MOST_POINTS = 120  # of one tracked surface that a page shows
 GAP = 2.0  # longest side of a triangle over their median: beyond, nothing was tracked between its points
+MOST_NAMES = 3  # of recordings that have one rig
 MOST_LABELS = 12  # of channels of one kind
 STANDS_OUT = 1.5  # rms of a deflection over what its noise makes of it
 SHOWN_SHARE = 0.08  # of the size of the bodies: largest displacement at the first magnification
@@ -201,6 +202,8 @@ def rig_scene(manifest: Manifest, surfaces: Mapping[str, FloatArray] | None = No
     """
     rig, remarks, shapes = manifest.rig, list[str](), list[Shape]()
     channels, parts = list(_channels(manifest)), moving_parts(rig, manifest.part)
+    if not (channels or parts or rig.stereo):
+        remarks.append("The manifests place no camera, no instrument and no load.")
     if parts:
         remarks.append("Load and parts are drawn as the solids that have their mass and moments of inertia.")
     shapes += [_solid(part, "load") for part in parts] + [_solid(part, "base") for part in _base_parts(manifest)]
@@ -221,7 +224,7 @@ def rig_scene(manifest: Manifest, surfaces: Mapping[str, FloatArray] | None = No
     if base and not any(shape.body == "base" and shape.closed for shape in shapes):
         shapes.append(_table(np.concatenate(base), middle))
         remarks.append(f"The base has no stated shape: {shapes[-1].told}.")
-    shapes += [*_axes(0.9 * reach), *_instruments(channels, middle, reach)]
+    shapes += [*_axes(1.15 * reach), *_instruments(channels, middle, reach)]
     gravity, up = rig.surroundings.free_fall_mps2[0], np.array([0.0, 0.0, 1.0])
     if gravity is None:
         remarks.append("Gravity is not stated; the sensor's z axis points up.")
@@ -294,7 +297,7 @@ def _gravity(gravity: FloatArray, reach: float, shapes: Sequence[Shape]) -> Shap
     away = -np.mean(seen, axis=0) if seen else np.array([1.0, 0.0, 0.0])
     across = [v - (v @ down) * down for v in (away, np.eye(3)[int(np.argmin(np.abs(down)))])]
     aside = next(v for v in across if np.linalg.norm(v) > NEAR_PARALLEL * reach)
-    start = 1.3 * reach * aside / np.linalg.norm(aside) - 0.45 * reach * down
+    start = 1.7 * reach * aside / np.linalg.norm(aside) - 0.45 * reach * down
     told = f"{np.linalg.norm(gravity):.4f} m/s² along {along(down)}"
     return _arrow("gravity", "gravity", told, (start, start + 0.9 * reach * down), label="g")
 
@@ -561,5 +564,12 @@ def rig_page(manifests: Sequence[Manifest]) -> str:
     for manifest in manifests:
         page = scene_page(rig_scene(manifest))
         scenes.setdefault(page.json, ([], page))[0].append(manifest.name)
-    context = {"rig": manifests[0].rig.name, "scenes": list(scenes.values()), "program": f"{PROGRAM} {__version__}"}
+    shown = [(_listed(names), page) for names, page in scenes.values()]
+    context = {"rig": manifests[0].rig.name, "scenes": shown, "program": f"{PROGRAM} {__version__}"}
     return render_page("rig.html", context)
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return the names of recordings that have the same rig, the first few of many."""
+    more = len(names) - MOST_NAMES
+    return ", ".join(names[:MOST_NAMES]) + (f" and {more} more" if more > 0 else "")

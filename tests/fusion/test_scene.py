@@ -276,7 +276,7 @@ def test_check_draws_the_rig_and_replaces_nothing_unasked(demo_recording, tmp_pa
 
 def written(path: Path, scene: Scene) -> Path:
     """A page with one scene."""
-    context = {"rig": "rig", "scenes": [(["recording"], scene_page(scene))], "program": "shakercal"}
+    context = {"rig": "rig", "scenes": [("recording", scene_page(scene))], "program": "shakercal"}
     path.write_text(render_page("rig.html", context), encoding="utf-8")
     return path
 

@@ -161,7 +161,7 @@
       if (primitive.kind === "face") {
         pen.closePath(); pen.globalAlpha = Math.min(1, primitive.alpha * (chosen ? 1.5 : 1)); pen.fill(); pen.globalAlpha = 1;
       } else if (primitive.kind === "line") {
-        pen.stroke();
+        pen.globalAlpha = primitive.thin ? 0.5 : 1; pen.stroke(); pen.globalAlpha = 1;
         if (primitive.head) head(...primitive.at);
       } else {
         pen.beginPath(); pen.arc(primitive.at[0][0], primitive.at[0][1], primitive.size + (chosen ? 1 : 0), 0, 7); pen.fill();
