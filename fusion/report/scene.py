@@ -413,13 +413,15 @@ def _instruments(channels: Sequence[ChannelEntry], middle: FloatArray, reach: fl
     """Yield beams, points and senses of all channels that have a place, and the mirrors of heads."""
     beams = Beams.of(channels)
     kinds = [TRANSDUCERS[e.quantity].kind if e.quantity in TRANSDUCERS else "force" for e in channels]
-    mirrors: dict[str, FloatArray] = {}
+    mirrors, named = dict[str, FloatArray](), set[str]()
     for kind, entry in zip(kinds, channels, strict=True):
         at = placed_at(entry)
         if entry.direction is None and not aimed(entry):
             yield _dot(kind, entry.name, f"at {place(at)}", at, label=entry.name, body=entry.body or "")
             continue
-        direction, label = unit_direction(entry), entry.name if kinds.count(kind) <= MOST_LABELS else ""
+        direction = unit_direction(entry)
+        label = entry.name if kinds.count(kind) <= MOST_LABELS and entry.name not in named else ""
+        named.add(entry.name)
         turns = entry.quantity in TRANSDUCERS and TRANSDUCERS[entry.quantity].turning
         sense = "positive about" if turns else "positive along"
         told = f"{entry.quantity} of the {entry.body}, at {place(at)}, {sense} {along(direction)}"

@@ -18,6 +18,7 @@ import pytest
 from browsing import Page
 from page_outline import self_contained
 from scipy.spatial.transform import Rotation
+from take_factory import POINTS, Shot, write_takes
 
 from fusion.cli import main
 from fusion.phasors.stereo_phasors import DeflectionShape
@@ -141,6 +142,14 @@ def test_beams_end_on_their_points_and_come_from_the_mirror_or_the_free_side(man
     np.testing.assert_allclose(np.cross(step, np.array([0.1, 0.2, 0.9]) - point), 0.0, atol=1e-12)
     assert not beam.dashed
     assert "head scanner" in [shape.name for shape in aimed.shapes]
+
+
+def test_every_take_has_its_own_points(tmp_path):
+    folder = write_takes(tmp_path, [Shot([point]) for point in POINTS], np.random.default_rng(1))
+    scene = rig_scene(load_manifest(folder / "recording.toml"))
+    seen = [shape for shape in scene.shapes if shape.name == "velocity_1"]
+    np.testing.assert_allclose([shape.points_m[0] for shape in seen], POINTS)
+    assert [shape.label for shape in seen] == ["velocity_1", *[""] * 7]
 
 
 def test_gravity_points_down_and_up_is_against_it(manifest):
