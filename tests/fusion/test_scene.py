@@ -342,6 +342,10 @@ def test_whoever_wants_no_motion_starts_paused_and_turns_it_by_keys(opened):
     assert np.count_nonzero(np.abs(first.astype(int) - pixels(opened)) > 16) < 50
     canvas.press("+")
     assert np.count_nonzero(first != pixels(opened)) > 1000
+    nearer, box = pixels(opened), canvas.bounding_box()
+    opened.page.mouse.move(box["x"] + 20, box["y"] + 20)
+    opened.page.mouse.wheel(0, -200)
+    assert np.count_nonzero(nearer != pixels(opened)) > 1000
     opened.page.get_by_role("button", name="Seen from above").focus()
     opened.page.keyboard.press("Enter")
     assert np.count_nonzero(turned != pixels(opened)) > 1000

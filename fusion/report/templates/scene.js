@@ -272,7 +272,10 @@
       held = [event.clientX, event.clientY];
       if (event.shiftKey) shift(dx, dy); else turn(-0.4 * dx, 0.4 * dy);
     });
-    canvas.addEventListener("wheel", event => { event.preventDefault(); zoom(Math.exp(0.0012 * event.deltaY)); }, { passive: false });
+    canvas.addEventListener("wheel", event => { // of who has chosen the picture; the page scrolls for everybody else
+      if (document.activeElement !== canvas && !event.ctrlKey) return;
+      event.preventDefault(); zoom(Math.exp(0.0012 * event.deltaY));
+    }, { passive: false });
     function turn(dx, dy) {
       view.yaw += dx * DEG; view.pitch = Math.max(-90 * DEG, Math.min(90 * DEG, view.pitch + dy * DEG)); draw();
     }
