@@ -86,6 +86,9 @@ def test_cameras_look_at_the_faces_that_the_simulation_placed(manifest):
             camera = shape_of(scene, f"camera {name} {side}")
             np.testing.assert_allclose(camera.points_m[1:5].mean(axis=0), face, atol=tilt * 0.05)
             assert camera.body == ""
+        # The preset's cameras stand on both sides of the plane x = 0.
+        left, right = (shape_of(scene, f"camera {name} {side}").points_m[0] for side in ("left", "right"))
+        np.testing.assert_allclose(right, left * [-1.0, 1.0, 1.0], atol=1e-6)
     assert any("frusta end where the axes of both cameras come nearest" in remark for remark in scene.remarks)
 
 
