@@ -21,6 +21,7 @@ from fusion.commands.options import (
     draws,
     hertz,
     not_negative,
+    page,
     path,
     percent,
     positive,
@@ -314,13 +315,22 @@ def init(options: argparse.Namespace) -> None:
         print(f'{made.asked} values are left to fill in, "?"; shakercal check {options.folder} lists them')
 
 
-@command(Parser.recording, "recordings/Fz-0080")
+def _check_options(parser: Parser) -> None:
+    parser.recording()
+    text = "draw cameras, beams, sensors, bodies, axes and gravity as the manifests place them: a page to turn by hand"
+    parser.value("--rig", page, "FILE.html", text)
+    parser.switch("--force", "overwrite a page that is there")
+
+
+@command(_check_options, "recordings/Fz-0080 --rig rig.html")
 def check(options: argparse.Namespace) -> int:
     """Say what a recording holds and everything that its command would refuse; no image is followed."""
-    from fusion.base import InputError
+    from fusion.base import InputError, check_new_file
     from fusion.planning.check import check, check_together
     from fusion.recording.load import find_recordings, load_manifest
 
+    if options.rig:
+        check_new_file(options.rig, force=options.force)
     status, manifests = EXIT_DONE, []
     for recording in find_recordings(options.recording):
         try:
@@ -336,6 +346,12 @@ def check(options: argparse.Namespace) -> int:
     for contradiction in check_together(manifests):
         log.error("%s", contradiction)
         status = EXIT_INPUT
+    if options.rig and manifests:
+        from fusion.report.files import write_whole
+        from fusion.report.scene import rig_page
+
+        write_whole(options.rig, rig_page(manifests))
+        print(f"rig drawn: {options.rig}")
     return status
 
 

@@ -191,6 +191,14 @@ def figure(text: str) -> Path:
     return file
 
 
+def page(text: str) -> Path:
+    """Return the path of a page."""
+    file = path(text)
+    if file.suffix.lower() != ".html":
+        raise argparse.ArgumentTypeError(f"expected a name that ends in .html, found {text}")
+    return file
+
+
 def device(choice: str) -> str:
     """Return the processor chosen, checked to be there; "auto" is left for when there is something to track."""
     if choice == "auto":

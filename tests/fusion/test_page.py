@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-import shutil
 from collections import defaultdict
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from browsing import Page
 from evaluation_factory import make_evaluation
 
 from fusion.cli import main
@@ -20,49 +18,6 @@ from fusion.report.figure import RED, Figure, Scale, sheet
 from fusion.report.recording import render_report, write_results
 
 NASTY = "</script><b>\"'&\u2028 <!-- name"
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    """Headless Chromium of the system."""
-    api = pytest.importorskip("playwright.sync_api", reason="the package playwright is not installed")
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if program is None:
-        pytest.skip("no Chromium on this system")
-    with api.sync_playwright() as started:
-        chromium = started.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        yield chromium
-        chromium.close()
-
-
-class Page:
-    """A page that is open, what its console said and what it asked for."""
-
-    def __init__(self, browser: Any, path: Path, **settings: Any) -> None:
-        self.context = browser.new_context(viewport={"width": 1400, "height": 1000}, **settings)
-        self.page = self.context.new_page()
-        self.page.set_default_timeout(8000)
-        self.said: list[str] = []
-        self.asked: list[str] = []
-        self.page.on("console", lambda message: self.said.append(message.text) if message.type != "info" else None)
-        self.page.on("pageerror", lambda error: self.said.append(str(error)))
-        self.page.on("request", lambda request: self.asked.append(request.url))
-        self.page.goto(path.as_uri())
-
-    def draw(self, name: str) -> Any:
-        """Bring a figure into view and wait for it."""
-        figure = self.page.locator(f"figure[data-figure='{name}']")
-        for _ in range(2):  # others that come into view with it move it
-            figure.evaluate("one => one.scrollIntoView({ block: 'center', behavior: 'instant' })")
-            self.page.wait_for_selector(f"figure[data-figure='{name}'][data-drawn]")
-            self.page.wait_for_timeout(200)
-        return figure
-
-    def close(self) -> None:
-        """Close the page, which has had nothing to complain of and asked for nothing."""
-        self.context.close()
-        assert self.said == []
-        assert all(address.startswith(("file:", "data:", "blob:")) for address in self.asked)
 
 
 PLOTS = """const plots = [], host = document.querySelector(`figure[data-figure='${name}'] .plot`);
