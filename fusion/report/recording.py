@@ -36,6 +36,7 @@ from fusion.report.labelled import CAMPAIGN_FILE
 from fusion.report.motion_figures import motion_pictures, subset_pictures
 from fusion.report.points import save_points
 from fusion.report.result_figures import acceleration_pictures, draw_budget, sensitivity_pictures
+from fusion.report.scene import evaluation_scene, scene_page
 from fusion.report.signal_figures import channel_pictures, point_pictures, trigger_pictures
 from fusion.report.table import Column, csv_text, measured, polar_columns, sensitivity_unit, word
 from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
@@ -200,6 +201,7 @@ def render_report(evaluation: Evaluation) -> str:
         "name": evaluation.manifest.name,
         "subject": _subject(evaluation),
         "headlines": tables.headlines(evaluation),
+        "rig": scene_page(evaluation_scene(evaluation)),
         "pictures": draw_all(evaluation),
         "sensitivity": tables.sensitivity_table(evaluation),
         "sources": tables.source_tables(evaluation),
