@@ -18,7 +18,7 @@ import unicodedata
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
@@ -35,9 +35,15 @@ AnyNotice: TypeAlias = "Notice | ImageNotice"
 
 
 def warnings_first(notices: Iterable[AnyNotice]) -> list[AnyNotice]:
-    """Return all distinct notices, warnings first."""
-    distinct = {(notice.severity, notice.where, notice.text): notice for notice in notices}
-    return sorted(distinct.values(), key=lambda notice: notice.severity != "warning")
+    """Return every notice once, warnings first; what is said of several places in one text is one notice of all."""
+    alike: dict[tuple[str, str], list[AnyNotice]] = {}
+    for notice in notices:
+        alike.setdefault((notice.severity, notice.text), []).append(notice)
+    once = [
+        replace(first, where=", ".join(dict.fromkeys(notice.where for notice in (first, *others) if notice.where)))
+        for first, *others in alike.values()
+    ]
+    return sorted(once, key=lambda notice: notice.severity != "warning")
 
 
 # The two ways a run can fail: the user's input is wrong, or something could not be computed.
@@ -413,10 +419,13 @@ _DRAWN: ContextVar[bool] = ContextVar("drawn", default=False)
 
 @contextmanager
 def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
-    """Yield a callback that draws one bar per stage on stderr when it is a terminal and `enabled`."""
+    """Yield a callback that draws one bar per stage on stderr when it is a terminal and `enabled`.
+
+    With -v the log has how long each stage took.
+    """
     _DRAWN.set(True)
     if not (enabled and sys.stderr.isatty()):
-        yield no_progress
+        yield _timed(no_progress)
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
@@ -431,7 +440,21 @@ def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
                 tasks[stage] = bars.add_task(printable(stage), total=total)
             bars.update(tasks[stage], completed=done, total=total)
 
-        yield update
+        yield _timed(update)
+
+
+def _timed(update: ProgressCallback) -> ProgressCallback:
+    """Have a callback log how long a stage took that is complete."""
+    begun: dict[str, float] = {}
+
+    def timed(stage: str, done: int, total: int) -> None:
+        start = begun.setdefault(stage, time.monotonic())
+        update(stage, done, total)
+        if done >= total:
+            logging.getLogger("shakercal").debug("%s: %.1f s", stage, time.monotonic() - start)
+            del begun[stage]
+
+    return timed
 
 
 @contextmanager

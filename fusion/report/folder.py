@@ -368,7 +368,7 @@ class Command(Generic[E]):
             return evaluation
         for line in (evaluation.name, *self.lines(evaluation), f"report: {folder / self.page_file}"):
             print(line)
-        for notice in dict.fromkeys(warnings_first(evaluation.notices)):
+        for notice in warnings_first(evaluation.notices):
             level = logging.WARNING if notice.severity == "warning" else logging.INFO
             log.log(level, "%s: %s", notice.where, notice.text)
         return evaluation

@@ -20,9 +20,10 @@ import pytest
 from support import Refused, state
 
 from fusion import simulate as simulation
-from fusion.base import ComputeError, progress_bar
+from fusion.base import ComputeError, progress_bar, warnings_first
 from fusion.cli import _parser, commands, main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
+from shaker.arrays import Notice
 
 HEAVY = ("torch", "kornia", "cv2", "numba", "matplotlib", "scipy", "skimage", "h5py", "rich", "pydantic", "numpy")
 
@@ -100,6 +101,23 @@ def test_quiet_and_verbose(flags, warned, informed, make_campaign, capsys):
     again = capsys.readouterr()
     assert ("318.75 Hz is left out" in again.err) is warned  # what is to be known of results stays so
     assert "report (unchanged since the last run)" in again.out
+
+
+def test_what_is_said_of_several_places_in_one_text_is_one_notice():
+    said = [
+        Notice("info", "a", "Fx"),
+        Notice("warning", "b", "Fz"),
+        Notice("info", "a", "Fy"),
+        Notice("info", "a", "Fx"),
+    ]
+    assert warnings_first(said) == [Notice("warning", "b", "Fz"), Notice("info", "a", "Fx, Fy")]
+
+
+def test_the_log_has_how_long_a_stage_took(caplog):
+    with caplog.at_level(logging.DEBUG, "shakercal"), progress_bar(enabled=False) as progress:
+        for done in range(4):
+            progress("follow", done, 3)
+    assert re.fullmatch(r"follow: \d+\.\d s", caplog.messages[-1])
 
 
 def test_libraries_are_heard_with_v_only(make_campaign, evaluated, monkeypatch, capsys):

@@ -1,0 +1,84 @@
+"""Pages: their size, the CPU time that makes them, and until they answer in the system's Chromium.
+
+`python benchmarks/pages.py [--docs docs]`; with --docs the table goes to performance.md there. The demo is
+evaluated, and a simulated campaign of 48 recordings, which takes two minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import sync_playwright
+
+from fusion.campaign import joint_report
+from fusion.cli import main
+from fusion.report import recording
+from fusion.report.files import write_whole
+
+MARKS = ("<!-- pages -->\n", "<!-- end of pages -->")
+PRESETS = {
+    "demo": ("Fz-0080/report.html", recording, "render_report"),
+    "sweep": ("report.html", joint_report, "render_campaign"),
+}
+NAMES = {"demo": "recording of the demo, 21 figures", "sweep": "campaign of 48 recordings"}
+
+
+def measure(folder: Path, browser: Any) -> list[str]:
+    rows = []
+    for preset, (page, module, function) in PRESETS.items():
+        seconds: list[float] = []
+        timed(module, function, seconds)
+        main(["simulate", str(folder / preset), "--preset", preset, "-q"])
+        main(["run", str(folder / preset), "-o", str(folder / "out" / preset), "-q"])
+        path = folder / "out" / preset / page
+        size, answer = path.stat().st_size / 1e6, min(answers(browser, path) for _ in range(5))
+        rows.append(f"| {NAMES[preset]} | {size:.2f} | {seconds[-1]:.2f} | {answer:.2f} |")
+    return rows
+
+
+def timed(module: Any, function: str, seconds: list[float]) -> None:
+    """Have a function note the CPU time of its calls."""
+    inner: Callable[..., Any] = getattr(module, function)
+
+    def outer(*arguments: Any) -> Any:
+        start = time.process_time()
+        made = inner(*arguments)
+        seconds.append(time.process_time() - start)
+        return made
+
+    setattr(module, function, outer)
+
+
+def answers(browser: Any, path: Path) -> float:
+    """Time in s from opening a page until its first figure can be used."""
+    page = browser.new_page(viewport={"width": 1280, "height": 1024})
+    page.goto(path.as_uri())
+    page.locator("figure[data-figure]").first.scroll_into_view_if_needed()
+    page.wait_for_selector("figure[data-drawn]")
+    found = float(page.evaluate("document.documentElement.dataset.interactive")) / 1e3
+    page.close()
+    return found
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--docs", type=Path)
+    options = parser.parse_args()
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    with tempfile.TemporaryDirectory() as name, sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        rows = measure(Path(name), browser)
+        browser.close()
+    table = "\n".join(["| page | MB | CPU s | answers after s |", "|---|---|---|---|", *rows, ""])
+    print(table)
+    if options.docs:
+        file = options.docs / "performance.md"
+        before, _, rest = file.read_text(encoding="utf-8").partition(MARKS[0])
+        _, end, after = rest.partition(MARKS[1])
+        write_whole(file, f"{before}{MARKS[0]}{table}{end}{after}")
