@@ -166,6 +166,18 @@ def test_zooming_by_keyboard_moves_what_is_linked(browser, results):
     opened.close()
 
 
+def test_a_logarithmic_axis_zooms_about_its_geometric_middle(browser, results):
+    opened = Page(browser, results / "report.html")
+    figure = opened.draw("channels")
+    ends = f"(name) => {{ {PLOTS} const range = plots[1].model.x_range; return [range.start, range.end]; }}"
+    low, high = opened.page.evaluate(ends, "channels")
+    figure.get_by_role("button", name="zoom in").click()
+    nearer, farther = opened.page.evaluate(ends, "channels")
+    assert nearer * farther == pytest.approx(low * high)
+    assert np.log(farther / nearer) == pytest.approx(np.log(high / low) / 1.5)
+    opened.close()
+
+
 def test_a_figure_is_kept_as_svg_and_its_data_as_csv(browser, drawn):
     opened = Page(browser, drawn, accept_downloads=True)
     figure = opened.draw("every")

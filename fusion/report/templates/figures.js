@@ -5,6 +5,7 @@
   const HOVERED = 20000; // points of a panel up to which each tells its numbers
   const PX_PER_IN = 108;
   const links = new Map(); // ranges that move together, by the name of their link
+  const linked = new WeakMap(); // the link of a range
   const PALETTES = { viridis: "Viridis256", Blues: "Blues9", RdBu: "RdBu11", cividis: "Cividis256" };
 
   async function unpacked(id) {
@@ -300,6 +301,7 @@
   function tie(link, range) {
     const all = links.get(link) ?? new Set();
     links.set(link, all.add(range));
+    linked.set(range, link);
     const follow = () => {
       for (const other of all) if (other !== range && (other.start !== range.start || other.end !== range.end)) other.setv({ start: range.start, end: range.end });
     };
@@ -380,11 +382,15 @@
 
   /* Zoom (factor below 1: in) or move (share of the span) all horizontal axes: what the mouse does, for the keyboard. */
   function move(plots, factor, share) {
-    for (const range of new Set(plots.map((plot) => plot.x_range))) {
-      const middle = (range.start + range.end) / 2 + share * (range.end - range.start);
-      const half = factor * (range.end - range.start) / 2;
-      range.setv({ start: middle - half, end: middle + half });
-    }
+    const alone = new Map([...plots].reverse().map((plot) => [linked.get(plot.x_range) ?? plot.x_range, plot])); // of a link the first
+    alone.forEach((plot) => {
+      const range = plot.x_range;
+      const log = plot.x_scale instanceof Bokeh.LogScale;
+      const [start, end] = [range.start, range.end].map((value) => (log ? Math.log(value) : value));
+      const middle = (start + end) / 2 + share * (end - start), half = factor * (end - start) / 2;
+      const [low, high] = [middle - half, middle + half].map((value) => (log ? Math.exp(value) : value));
+      range.setv({ start: low, end: high });
+    });
   }
 
   function prepare(element, figure) {
