@@ -413,8 +413,10 @@ class Keeper(Protocol):
 # A progress bar on a terminal, nothing in a pipe.
 
 
+AS_JSON: ContextVar[bool] = ContextVar("as_json", default=False)
+"""Whether commands print their answer for programs."""
 _DRAWN: ContextVar[bool] = ContextVar("drawn", default=False)
-"""Whether a command draws a bar of its own."""
+"""Whether a bar is drawn."""
 
 
 @contextmanager
@@ -423,7 +425,6 @@ def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
 
     With -v the log has how long each stage took.
     """
-    _DRAWN.set(True)
     if not (enabled and sys.stderr.isatty()):
         yield _timed(no_progress)
         return
@@ -433,7 +434,7 @@ def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
     tasks: dict[str, TaskID] = {}
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     console = Console(file=_behind(sys.stderr))
-    with Progress(*columns, console=console, transient=True) as bars, undone(bars.stop):
+    with Progress(*columns, console=console, transient=True) as bars, undone(bars.stop), _drawn():
 
         def update(stage: str, done: int, total: int) -> None:
             if stage not in tasks:
@@ -441,6 +442,16 @@ def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
             bars.update(tasks[stage], completed=done, total=total)
 
         yield _timed(update)
+
+
+@contextmanager
+def _drawn() -> Iterator[None]:
+    """Know of a bar that is drawn."""
+    token = _DRAWN.set(True)
+    try:
+        yield
+    finally:
+        _DRAWN.reset(token)
 
 
 def _timed(update: ProgressCallback) -> ProgressCallback:

@@ -45,14 +45,11 @@ def _act(options: argparse.Namespace) -> int:
     """Do what a sub-command does and tell what goes wrong."""
     import logging
 
-    from fusion.base import ComputeError, InputError, is_interruption, told
+    from fusion.base import AS_JSON, ComputeError, InputError, is_interruption, told
     from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
 
     log = logging.getLogger("shakercal")
-    if getattr(options, "json", False):
-        from fusion.report.folder import AS_JSON
-
-        AS_JSON.set(True)
+    AS_JSON.set(getattr(options, "json", False))
     try:
         status: int = options.act(options) or EXIT_DONE
         sys.stdout.flush()

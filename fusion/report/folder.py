@@ -12,7 +12,6 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.util import find_spec
@@ -26,6 +25,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from fusion.base import (
+    AS_JSON,
     PROGRAM,
     AnyNotice,
     CommandEvaluation,
@@ -305,8 +305,6 @@ FORMAT = 1
 """Of the HDF5 files of commands."""
 MOST_ROWS = 500
 """Of a table that is printed as JSON; longer ones stand in their files."""
-AS_JSON: ContextVar[bool] = ContextVar("as_json", default=False)
-"""Whether commands print their answer for programs."""
 log = logging.getLogger("shakercal")
 
 
