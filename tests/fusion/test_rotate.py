@@ -330,4 +330,4 @@ def test_a_channel_that_stands_still_or_is_missing_is_left_out(campaign, capsys)
     assert main(["rotate", str(campaign)]) == 0
     told = capsys.readouterr().err
     assert "Mz: every reading is the same, left out" in told
-    assert "without-load: readings.csv has no column of Fz" in told
+    assert "without-load, with-load: readings.csv has no column of Fz" in told
