@@ -124,7 +124,7 @@ class Opened:
             Pair(f"{where}{entry.stereo}", block, entry) for where, block in self.manifest.set_ups for entry in block.images
         ]
         self.channels = [
-            Channel(daq, entry, block.rig.unit_of(entry))
+            Channel(daq, entry, "" if entry.quantity == "trigger" else block.rig.unit_of(entry))
             for _, block in self.manifest.set_ups
             for daq in block.daq
             for entry in daq.channel
