@@ -19,8 +19,9 @@ LOOPBACK = "127.0.0.1"
 PAGE = Path(__file__).with_name("page")
 KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
 LIBRARY = ("bokeh.min.js", "bokeh-api.min.js")
+# BokehJS puts its styles into the page as text; programs come from files only.
 POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 LONGEST = 8192  # characters of an address

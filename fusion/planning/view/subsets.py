@@ -19,7 +19,7 @@ from fusion.planning.view.server import table
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import opened_results
 from fusion.report.points import HEAD
-from photogram.geometry import invert, rotation_from_vector
+from photogram.geometry import rotation_from_vector
 from shaker.arrays import FloatArray
 from shaker.lines.spectrum import amplitude_spectrum
 from shaker.timebase.trigger import TriggerFit
@@ -148,7 +148,7 @@ class Subsets:
     def _seen(self, number: int, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the pixels (N, 2) at which both cameras see points (N, 3) of the sensor frame."""
         pair = self.opened.pairs[number]
-        camera = invert(sensor_from_camera(pair.manifest.rig.stereo[pair.entry.stereo]))
+        camera = sensor_from_camera(pair.manifest.rig.stereo[pair.entry.stereo]).inverse()
         return pair.rig.project(camera.apply(points_m))
 
     def epipolar(self, number: int, side: int, place: tuple[float, float]) -> Mapping[str, Any]:
@@ -156,7 +156,7 @@ class Subsets:
         pair = self.opened.pairs[number]
         rig = pair.rig
         cameras = (rig.left, rig.right)
-        other_from_own = rig.right_from_left if side == 0 else invert(rig.right_from_left)
+        other_from_own = rig.right_from_left if side == 0 else rig.right_from_left.inverse()
         ray = np.append(cameras[side].undistort(np.array([place]))[0], 1.0)
         apart = float(np.linalg.norm(rig.right_from_left.translation_m))
         depth = apart / np.linspace(1 / FARTHEST, NEAREST, STEPS)
