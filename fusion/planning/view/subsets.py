@@ -111,7 +111,7 @@ class Subsets:
         """Return times of the frames and phases (F) of each line, and what is missing."""
         kept, pair = self.kept[number], self.opened.pairs[number]
         entry = pair.entry
-        more = {"region": getattr(entry, "region", None), "mask": getattr(entry, "mask", None)}
+        more = {"region": entry.region, "mask": entry.mask}
         if kept is not None:
             kind = EVERY_FRAME if kept.table.is_file() else LINES_ONLY
             found = {"missing": f"{kind} {NO_RESIDUALS}"} | _beat(kept.time_s, kept.line_hz)

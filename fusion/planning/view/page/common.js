@@ -66,5 +66,9 @@ view.show = async (id, plots) => {
     host.append(place);
     host.bokeh.push({ clear: ((shown) => () => shown.then((one) => one.remove?.()))(Bokeh.Plotting.show(plot, place)) });
   }
+  const ink = view.css("--ink");
+  for (const legend of plots.flatMap((plot) => plot.legend?.items ? [plot.legend] : [])) {
+    Object.assign(legend, { background_fill_color: view.css("--back"), background_fill_alpha: 0.7, label_text_color: ink, border_line_color: null });
+  }
   host.dataset.drawn = String(plots.length);
 };

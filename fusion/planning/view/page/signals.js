@@ -124,7 +124,12 @@
     view.get("phasors-told").textContent = found.told;
     const colours = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
     const plots = found.panels.map((panel) => {
-      const plot = view.panel({ title: `${panel.name} / ${panel.unit}`, height: 360, match_aspect: true, tools: "pan,wheel_zoom,box_zoom,reset,save",
+      const reach = (way) => panel.values.flatMap((one) => [one[way] - one.axes[0], one[way] + one.axes[0]]);
+      const middle = (all) => (Math.min(...all) + Math.max(...all)) / 2, half = (all) => (Math.max(...all) - Math.min(...all)) / 2;
+      const size = 1.1 * Math.max(half(reach("re")), half(reach("im")), 1e-30);
+      const range = (way) => new Bokeh.Range1d({ start: middle(reach(way)) - size, end: middle(reach(way)) + size });
+      const plot = view.panel({ title: `${panel.name} / ${panel.unit}`, sizing_mode: "fixed", frame_width: 320, frame_height: 320, width: null, height: null,
+        x_range: range("re"), y_range: range("im"), tools: "pan,wheel_zoom,box_zoom,reset,save", toolbar_location: "above",
         x_axis_label: "real part", y_axis_label: "imaginary part" });
       panel.values.forEach((one, i) => {
         const colour = colours[i % colours.length], source = new Bokeh.ColumnDataSource({ data: { x: [one.re], y: [one.im], width: [2 * one.axes[0]],
