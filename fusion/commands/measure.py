@@ -376,7 +376,9 @@ def look(options: argparse.Namespace) -> int:
 
 def _view_options(parser: Parser) -> None:
     parser.value("source", path, "SOURCE", "folder of results, of a recording or of a campaign")
-    parser.value("--recording", path, "RECORDING", "recording or campaign that the results are of, where they lie apart")
+    parser.value(
+        "--recording", path, "RECORDING", "recording or campaign that the results are of, where they lie apart"
+    )
     parser.value("--port", whole(0, 65535), "PORT", "of this machine (default: 0, any that is free)", default=0)
     parser.switch("--no-browser", "print the address only")
     parser.allow_outside()

@@ -121,7 +121,9 @@ class Opened:
         self.source = source
         self.manifest = load_manifest(source.recording, allow_outside)
         self.pairs = [
-            Pair(f"{where}{entry.stereo}", block, entry) for where, block in self.manifest.set_ups for entry in block.images
+            Pair(f"{where}{entry.stereo}", block, entry)
+            for where, block in self.manifest.set_ups
+            for entry in block.images
         ]
         self.channels = [
             Channel(daq, entry, "" if entry.quantity == "trigger" else block.rig.unit_of(entry))
@@ -184,4 +186,3 @@ class Viewed:
             raise ValueError(f"recording: expected 0 to {len(self.sources) - 1}, found {number}")
         with self.lock:
             return self._open(number)
-

@@ -97,11 +97,14 @@ class Handler(BaseHTTPRequestHandler):
         status, kind = 200, "application/json"
         try:
             found = self.server.answers[what](asked)
-        except (InputError, ComputeError, OSError, ValueError, KeyError, IndexError) as error:
-            found, status = {"error": " ".join(str(error).split())}, 400
-        if isinstance(found, bytes):
-            return self._say(status, "application/octet-stream", found)
-        return self._say(status, kind, json.dumps(found, allow_nan=False, separators=(",", ":")).encode())
+            if isinstance(found, bytes):
+                kind, text = "application/octet-stream", found
+            else:
+                text = json.dumps(found, allow_nan=False, separators=(",", ":")).encode()
+        except (InputError, ComputeError, OSError, ValueError, ArithmeticError, LookupError) as error:
+            told = f"expected {error} in the address" if isinstance(error, KeyError) else " ".join(str(error).split())
+            status, text = 400, json.dumps({"error": told}).encode()
+        return self._say(status, kind, text)
 
     def _say(self, status: int, kind: str, body: bytes) -> None:
         self.send_response(status)

@@ -57,7 +57,9 @@ class Kept:
             if group is None or "subsets_px" not in group or "deflection" not in group:
                 return None
             inner = group["deflection"]
-            residual = group["epipolar/residual_px"][()] if "epipolar" in group else np.full(len(group["subsets_px"]), np.nan)
+            residual = (
+                group["epipolar/residual_px"][()] if "epipolar" in group else np.full(len(group["subsets_px"]), np.nan)
+            )
             return cls(
                 group["time_s"][()],
                 group["subsets_px"][()],
@@ -72,7 +74,7 @@ class Kept:
 
     @cached_property
     def rest_m(self) -> FloatArray:
-        """What is not rigid (F, N, 3): measured in every frame where the points were saved, else its part at the lines."""
+        """What is not rigid (F, N, 3): of every frame where the points were saved, else its part at the lines."""
         if self.table.is_file():
             found = np.full((len(self.time_s), len(self.reference_m), 3), np.nan)
             known = np.flatnonzero(np.isfinite(self.reference_m).all(axis=1))

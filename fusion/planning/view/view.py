@@ -81,7 +81,11 @@ def overview(source: Source) -> Mapping[str, str]:
     excitation = text.get("excitation")
     stated = excitation if isinstance(excitation, dict) else {}
     listed = stated.get("frequencies")
-    hz = ", ".join(f"{value:g}" for value in listed if isinstance(value, int | float)) if isinstance(listed, list) else ""
+    hz = (
+        ", ".join(f"{value:g}" for value in listed if isinstance(value, int | float))
+        if isinstance(listed, list)
+        else ""
+    )
     blocks = text.get("daq") if isinstance(text.get("daq"), list) else []
     channels = sum(len(block.get("channel", ())) for block in blocks or () if isinstance(block, dict))
     pairs = text.get("images")
@@ -145,7 +149,9 @@ def spectrum(opened: Opened, number: int) -> bytes:
     """Return the amplitude spectrum of a channel in its unit, peaks of neighbouring bins kept."""
     raw = opened.raw(number)
     found = amplitude_spectrum(raw.samples, raw.sample_rate_hz, MOST_BINS)
-    told = f"{len(raw.samples)} samples at {raw.sample_rate_hz:g} samples/s, Hann window; the highest of neighbouring bins"
+    told = (
+        f"{len(raw.samples)} samples at {raw.sample_rate_hz:g} samples/s, Hann window; the highest of neighbouring bins"
+    )
     scale = abs(opened.channels[number].entry.scale)
     return table({"told": told}, found.frequency_hz, scale * found.amplitude)
 
