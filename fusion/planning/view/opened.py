@@ -26,6 +26,7 @@ from shaker.io.channel import RawChannel
 
 DEFAULT_RESULTS = "results"
 DARKEST, BRIGHTEST = 0.001, 0.999  # quantiles of the first picture that are shown black and white
+ALONE = (".h5", ".hdf5", ".tdms")  # files of which one channel is read without the others
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def _shades(images: ImageSequence) -> np.typing.NDArray[np.uint8]:
     """Return the shade (G,) of every grey value that files can hold, stretched to what the first picture has."""
     low, high = np.quantile(images.read(0), (DARKEST, BRIGHTEST))
     grey = np.arange(1 << (8 if images.full_scale < 256 else 16))
-    return np.clip((grey - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip((grey - low) * (255.0 / max(high - low, 1.0)), 0, 255), dtype=np.uint8)
 
 
 @dataclass(frozen=True)
@@ -136,12 +137,15 @@ class Opened:
         self._lock = RLock()
 
     def raw(self, number: int) -> RawChannel:
-        """Return the samples of a channel as they stand in its file."""
+        """Return the samples of a channel as they stand in its file; with it others that are read in one go."""
         channel = self.channels[number]
+        daq, name = channel.daq, channel.entry.name
         with self._lock:
-            if id(channel.daq) not in self._raw:
-                self._raw[id(channel.daq)] = recorded_channels(channel.daq)
-            return self._raw[id(channel.daq)][channel.entry.name]
+            known = self._raw.setdefault(id(daq), {})
+            if name not in known:
+                alone = daq.file.suffix.lower() in ALONE
+                known |= recorded_channels(daq.model_copy(update={"channel": (channel.entry,)}) if alone else daq)
+            return known[name]
 
     def extremes(self, number: int) -> Extremes:
         """Return the extremes of a channel, made once."""

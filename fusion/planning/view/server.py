@@ -1,4 +1,4 @@
-"""The server of `shakercal view`: this machine only, by an address that nobody can guess, and only asked by its page."""
+"""The server of `shakercal view`: this machine only, by an address that nobody can guess, asked by its page only."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
 LIBRARY = ("bokeh.min.js", "bokeh-api.min.js")
 # BokehJS puts its styles into the page as text; programs come from files only.
 POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; connect-src 'self'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 LONGEST = 8192  # characters of an address
 Answer = bytes | Mapping[str, Any]

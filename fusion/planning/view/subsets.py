@@ -176,7 +176,7 @@ class Subsets:
         if not 0 <= point < len(kept.reference_m):
             raise ValueError(f"point: expected 0 to {len(kept.reference_m) - 1}, found {point}")
         frames = np.flatnonzero(np.isfinite(kept.pose).all(axis=1))
-        moved = np.array([kept.moved_m(frame)[point] for frame in frames]) - kept.reference_m[point]
+        moved = np.array([kept.moved_m(frame)[point] for frame in frames.tolist()]) - kept.reference_m[point]
         rest = kept.rest_m[frames, point]
         fine = np.isfinite(moved).all(axis=1)
         time, moved, rest = kept.time_s[frames][fine], 1e6 * moved[fine], 1e6 * rest[fine]
