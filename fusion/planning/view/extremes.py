@@ -51,8 +51,8 @@ class Extremes:
 
         Columns end where blocks do: the outermost ones may reach beyond, by less than a column.
         """
-        first, last = max(first, 0), min(max(last, first + 1), len(self.samples))
-        first = min(first, last - 1)
+        first = min(max(first, 0), len(self.samples) - 1)
+        last = min(max(last, first + 1), len(self.samples))
         width = (last - first) / most
         if width <= PLAIN:
             plain = self.samples[first:last]
