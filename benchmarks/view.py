@@ -4,7 +4,7 @@ Usage: python benchmarks/view.py [--seconds 60] [--channels 16] [--draws 40]
 
 Makes a recording of noise in a temporary folder: pictures of 1280 x 1024 px at 10 bit of a stereo pair, and channels
 at 51.2 kHz in HDF5. Its server is asked over HTTP as the page asks it: both pictures and subsets of a frame at once;
-all channels between two random times, in 1200 columns. Printed: median and largest answer in ms, the first answer (which
+all channels between two random times, in 1200 columns. Printed: median and largest answer in ms, the first one (which
 reads the files and makes the extremes), and the memory of the extremes over that of the samples as float64.
 """
 

@@ -179,7 +179,4 @@ def run_view(path: Path, recording: Path | None, port: int, *, browser: bool, al
         print(f"{server.address}\nCtrl-C ends it", flush=True)
         if browser:
             webbrowser.open(server.address)
-        try:
-            server.serve_forever()
-        except KeyboardInterrupt:
-            print()
+        server.serve_forever()
