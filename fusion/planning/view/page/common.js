@@ -55,13 +55,13 @@ view.panel = (settings) => {
   return plot;
 };
 
-/* Show plots in an element, one below the other. */
-view.show = async (id, plots) => {
+/* Show plots in an element; together: as one document, as plots with an axis in common have to be. */
+view.show = async (id, plots, together = false) => {
   const host = view.get(id);
   for (const shown of host.bokeh ?? []) shown.clear();
   host.replaceChildren();
   host.bokeh = [];
-  for (const plot of plots) {
+  for (const plot of together && plots.length ? [new Bokeh.Column({ children: plots, sizing_mode: "stretch_width" })] : plots) {
     const place = document.createElement("div");
     host.append(place);
     host.bokeh.push({ clear: ((shown) => () => shown.then((one) => one.remove?.()))(Bokeh.Plotting.show(plot, place)) });

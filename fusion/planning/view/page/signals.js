@@ -55,7 +55,7 @@
     state.range.properties.end.change.connect(later);
     state.whole = () => state.range.setv({ start: 0, end: last });
     view.signals = { range: state.range, plots: state.plots };
-    await view.show("signals-drawn", state.plots.map((one) => one.plot));
+    await view.show("signals-drawn", state.plots.map((one) => one.plot), true);
     view.get("signals-told").textContent = "smallest and largest sample of every column; drag or wheel to zoom";
   }
 
