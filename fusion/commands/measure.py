@@ -374,6 +374,30 @@ def look(options: argparse.Namespace) -> int:
     return EXIT_FAILED if level == "wrong" else EXIT_DONE
 
 
+def _view_options(parser: Parser) -> None:
+    parser.value("source", path, "SOURCE", "folder of results, of a recording or of a campaign")
+    parser.value(
+        "--recording", path, "RECORDING", "recording or campaign that the results are of, where they lie apart"
+    )
+    parser.value("--port", whole(0, 65535), "PORT", "of this machine (default: 0, any that is free)", default=0)
+    parser.switch("--no-browser", "print the address only")
+    parser.allow_outside()
+
+
+@command(_view_options, "recordings/Fz-0080/results")
+def view(options: argparse.Namespace) -> None:
+    """View images, channels, spectra and phasors on a page of this machine, until Ctrl-C."""
+    from fusion.planning.view.view import run_view
+
+    run_view(
+        options.source,
+        options.recording,
+        options.port,
+        browser=not options.no_browser,
+        allow_outside=options.allow_outside,
+    )
+
+
 def _lines_options(parser: Parser) -> None:
     text = "DAQ file, a recording (its folder or recording.toml), or a campaign of several"
     parser.value("source", path, "SOURCE", text)
@@ -551,6 +575,7 @@ COMMANDS = (
     init,
     check,
     look,
+    view,
     cameras,
     import_calibration,
     export_calibration,

@@ -77,6 +77,7 @@ class OpenImages:
 
     `notices`: what the files do to the grey values, and what they say against the manifest.
     `depth_m`: nearest and farthest depth in the left camera where its body can be (`known_depth`), None if not known.
+    `entry`: as the manifest states them.
     """
 
     sight: Sight
@@ -86,6 +87,7 @@ class OpenImages:
     first: GreyImage
     notices: tuple[AnyNotice, ...]
     depth_m: tuple[float, float] | None
+    entry: Images
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,12 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages
     told: list[AnyNotice] = []
     for images in sequences:
         told += [*images.notices, *_contradictions(sight, images)]
-    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0], tuple(told), known_depth(manifest, pair))
+    x, y, *_ = entry.region or (0, 0)
+    if x >= left.size_px[0] or y >= left.size_px[1]:
+        expected = f"a part of pictures of {left.size_px[0]} x {left.size_px[1]} px"
+        raise InputError(manifest.path, f"{key}.region", found=str(list(entry.region or ())), expected=expected)
+    depth_m = known_depth(manifest, pair)
+    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0], tuple(told), depth_m, entry)
 
 
 def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> float:
@@ -424,7 +431,8 @@ def unpacked(content: bytes, frames: int) -> FollowedBlock | None:
 def body_inputs(images: OpenImages, settings: Settings) -> BodyInputs:
     """Return what `photogram.measure` has to know of a stereo pair: its images, rig, pose, and how to track."""
     radius = settings.subset_radius_px or suggested_radius_px(images.first)
-    options = TrackSettings(radius_px=radius, degree=settings.spline_degree)
+    entry = images.entry
+    options = TrackSettings(radius, degree=settings.spline_degree, region=entry.region, mask=entry.mask)
     return (images.left, images.right), images.rig, sensor_from_camera(images.sight.pair), options
 
 

@@ -25,10 +25,12 @@ from fusion.recording.values import (
     ExistingFile,
     ExistingFiles,
     Exposure,
+    Mask,
     NotNegative,
     Number,
     Place,
     Positive,
+    Region,
     Share,
     Spread3,
     Text,
@@ -258,11 +260,16 @@ class Frames(Block):
 
 
 class Images(Frames):
-    """Image sequences of the left and right camera of a stereo pair, frame by frame in natural order."""
+    """Image sequences of the left and right camera of a stereo pair, frame by frame in natural order.
+
+    Subsets lie in the `region` of the first left picture alone, and in no `mask`: x, y, width, height in px.
+    """
 
     left: ExistingFiles
     right: ExistingFiles
     bit_depth: Annotated[int, Field(ge=1, le=16)] | None
+    region: Region | None = None
+    mask: Mask = ()
 
     INHERITED: ClassVar[tuple[str, ...]] = (*Frames.INHERITED, "bit_depth")
 

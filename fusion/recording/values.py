@@ -124,6 +124,8 @@ class PathScope:
 Vector3 = tuple[float, float, float]
 Vector6 = tuple[float, float, float, float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
+Box = tuple[int, int, int, int]
+MOST_PIXELS, MOST_BOXES = 100_000, 1000
 BodyName = Literal["load", "base"]
 Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
 
@@ -233,6 +235,24 @@ def rows_of(rows: int, columns: int, fewer: int | None = None) -> Callable[[Any]
 
 
 _matrix3 = rows_of(3, 3)
+
+
+def box(value: Any) -> Box:
+    """Return a rectangle of whole pixels: left, top, width, height."""
+    whole = isinstance(value, list | tuple) and len(value) == 4 and all(type(part) is int for part in value)
+    if not (whole and min(value) >= 0 and min(value[2:]) >= 1 and max(value) <= MOST_PIXELS):
+        raise refusal("[x, y, width, height] of the left picture in whole px, the latter two above 0", describe(value))
+    x, y, width, height = value
+    return x, y, width, height
+
+
+def boxes(value: Any) -> tuple[Box, ...]:
+    """Return rectangles of whole pixels."""
+    if not isinstance(value, list | tuple) or any(not isinstance(one, list | tuple) for one in value):
+        raise refusal("a list of [x, y, width, height]", describe(value))
+    if len(value) > MOST_BOXES:
+        raise refusal(f"at most {MOST_BOXES} rectangles", str(len(value)))
+    return tuple(map(box, value))
 
 
 def unit_vector(value: Any) -> tuple[float, ...]:
@@ -463,6 +483,8 @@ Delay = Annotated[Number, SECONDS]
 Direction = Annotated[Vector3, BeforeValidator(unit_vector)]
 Spread3 = Annotated[Vector3, BeforeValidator(spread(3))]
 PoseSpread = Annotated[Vector6, BeforeValidator(spread(6, "3 in m, 3 in rad"))]
+Region = Annotated[Box, BeforeValidator(box)]
+Mask = Annotated[tuple[Box, ...], BeforeValidator(boxes)]
 Rotation = Annotated[Matrix3, BeforeValidator(rotation)]
 Inertia = Annotated[Matrix3, BeforeValidator(inertia)]
 InertiaSpread = Annotated[Matrix3, BeforeValidator(inertia_spread)]

@@ -34,6 +34,9 @@ LARGEST_UNRESOLVED_PX = 0.15
 TRUNCATED = 0.15
 
 
+Box = tuple[int, int, int, int]
+
+
 @dataclass(frozen=True)
 class TrackSettings:
     """How subsets are compared.
@@ -41,7 +44,8 @@ class TrackSettings:
     radius_px: subsets have (2·radius+1)² pixels; step_px: distance in the grid, by default just without overlap, so
     that their noise is independent; degree: of the spline, 3 or 5; convergence_px: movement below which a subset stands
     still; min_zncc: correlation below which it is lost; reach_px: how far it is looked for when prediction fails,
-    before it is looked for in the whole image; shape_order: of the shape function, 0 (translation), 1 (affine) or 2.
+    before it is looked for in the whole image; shape_order: of the shape function, 0 (translation), 1 (affine) or 2;
+    region: x, y, width, height of the part of the first left image that has subsets; mask: parts that have none.
 
     >>> TrackSettings(radius_px=12).grid_step_px
     25
@@ -55,6 +59,8 @@ class TrackSettings:
     min_zncc: float = 0.75
     reach_px: int = 32
     shape_order: int = 1
+    region: Box | None = None
+    mask: tuple[Box, ...] = ()
 
     def __post_init__(self) -> None:
         if self.shape_order not in PARAMETERS:

@@ -253,6 +253,9 @@ def lay_stereo_grid(
         raise ValueError(f"right: expected {len(left)} frames as in left, found {len(right)}")
     images = left.read(0), right.read(0)
     areas = _inner_area(images[0]), _inner_area(images[1])
+    chosen = _chosen_part(areas[0].shape, settings)
+    if chosen is not None:
+        areas = areas[0] & chosen, areas[1]
     points = lay_grid(areas[0], settings.radius_px, settings.grid_step_px)
     if len(points) < 3:
         raise BodyNotFound(f"left: expected a speckled body, found room for {len(points)} subsets in {left.names[0]}")
@@ -284,6 +287,8 @@ def lay_stereo_grid(
             f"right: expected the body of {left.names[0]}, found {kept.sum()} of its {len(points)} subsets "
             f"in {right.names[0]}"
         )
+    if chosen is not None:
+        areas = areas[0], areas[1] & _covered(areas[1].shape, right_px[kept], settings.radius_px)
     return StereoGrid(points[kept], right_px[kept], areas, tuple(notices))
 
 
@@ -508,6 +513,26 @@ def _inner_area(image: Image) -> BoolArray:
     """Textured pixels that can move by a few pixels without leaving the image."""
     inside = slice(BORDER_PX, -BORDER_PX)
     return np.pad(textured_area(image)[inside, inside], BORDER_PX)
+
+
+def _chosen_part(shape: tuple[int, ...], settings: TrackSettings) -> BoolArray | None:
+    """Pixels (H,W) of the first left image that are in the region and in no mask; None where neither is set."""
+    if settings.region is None and not settings.mask:
+        return None
+    x, y, width, height = settings.region or (0, 0, shape[1], shape[0])
+    chosen = np.zeros(shape, dtype=bool)
+    chosen[y : y + height, x : x + width] = True
+    for x, y, width, height in settings.mask:
+        chosen[y : y + height, x : x + width] = False
+    return chosen
+
+
+def _covered(shape: tuple[int, ...], centre_px: FloatArray, radius_px: int) -> BoolArray:
+    """Pixels (H,W) that subsets about centres (N,2) cover."""
+    covered = np.zeros(shape, dtype=bool)
+    for x, y in np.rint(centre_px).astype(int).tolist():
+        covered[max(y - radius_px, 0) : y + radius_px + 1, max(x - radius_px, 0) : x + radius_px + 1] = True
+    return covered
 
 
 def _middle(values: FloatArray) -> float:

@@ -1,0 +1,123 @@
+"""How soon `shakercal view` answers: a step of the slider, and a zoom into long channels.
+
+Usage: python benchmarks/view.py [--seconds 60] [--channels 16] [--draws 40]
+
+Makes a recording of noise in a temporary folder: pictures of 1280 x 1024 px at 10 bit of a stereo pair, and channels
+at 51.2 kHz in HDF5. Its server is asked over HTTP as the page asks it: both pictures and subsets of a frame at once;
+all channels between two random times, in 1200 columns. Printed: median and largest answer in ms, the first one (which
+reads the files and makes the extremes), and the memory of the extremes over that of the samples as float64.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from http.client import HTTPConnection
+from pathlib import Path
+from urllib.parse import urlencode, urlsplit
+
+import h5py
+import numpy as np
+import tifffile
+
+from fusion.planning.view.opened import Viewed, find_sources
+from fusion.planning.view.server import Server
+from fusion.planning.view.view import answers
+
+DEMO = Path(__file__).resolve().parents[1] / "sample_images/demo"
+RATE_HZ, SIZE_PX, FRAMES = 51_200.0, (1280, 1024), 24
+
+
+def make_recording(folder: Path, seconds: float, channels: int) -> None:
+    """Write a campaign of one recording: the demo's rig with larger pictures, and channels of noise."""
+    rng = np.random.default_rng(1)
+    shutil.copy(DEMO / "rig.toml", folder)
+    shutil.copytree(DEMO / "calibration", folder / "calibration")
+    for file in (folder / "calibration").iterdir():
+        content = json.loads(file.read_text(encoding="utf-8"))
+        file.write_text(json.dumps(content | {"image_size": list(SIZE_PX)}), encoding="utf-8")
+    own = folder / "Fz-0080"
+    for side in ("left", "right"):
+        (own / side).mkdir(parents=True)
+        for frame in range(FRAMES):
+            picture = rng.integers(0, 1024, SIZE_PX[::-1], dtype=np.uint16)
+            tifffile.imwrite(own / side / f"{frame:04d}.tif", picture)
+    text = ['format = 1\nname = "long"\nrig = "../rig.toml"\n[excitation]\nkind = "sine"\ndirection = [0.0, 0.0, 1.0]']
+    text.append('frequencies = [80.0]\n[[daq]]\nname = "long"\nfile = "long.h5"')
+    with h5py.File(own / "long.h5", "w") as file:
+        for channel in range(channels):
+            samples = rng.standard_normal(int(seconds * RATE_HZ)).astype(np.float32)
+            data = file.create_dataset(f"c{channel}", data=samples)
+            data.attrs["sample_rate"] = RATE_HZ
+            text.append(f'[[daq.channel]]\nname = "c{channel}"\nquantity = "voltage"')
+        trigger = (np.arange(int(seconds * RATE_HZ)) % 1280 < 64) * np.float32(5)
+        file.create_dataset("camera_trigger", data=trigger).attrs["sample_rate"] = RATE_HZ
+    text.append('[[daq.channel]]\nname = "camera_trigger"\nquantity = "trigger"')
+    text.append('[[images]]\nstereo = "top"\nleft = "left/*.tif"\nright = "right/*.tif"\ntrigger = "camera_trigger"')
+    (own / "recording.toml").write_text("\n".join(text), encoding="utf-8")
+
+
+def timed(ask: Callable[[], object]) -> float:
+    """Return how long an answer takes in ms."""
+    begin = time.perf_counter()
+    ask()
+    return 1e3 * (time.perf_counter() - begin)
+
+
+def told(times_ms: list[float], first_ms: float) -> str:
+    """Return what the answers took in words."""
+    middle, most = np.median(times_ms), max(times_ms)
+    return f"median {middle:.1f} ms, largest {most:.1f} ms of {len(times_ms)}; first {first_ms:.0f} ms"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--channels", type=int, default=16)
+    parser.add_argument("--draws", type=int, default=40)
+    options = parser.parse_args()
+    rng = np.random.default_rng(2)
+    with tempfile.TemporaryDirectory() as folder:
+        make_recording(Path(folder), options.seconds, options.channels)
+        viewed = Viewed(find_sources(Path(folder)))
+        with Server(answers(viewed)) as server:
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            connection = HTTPConnection("127.0.0.1", server.server_port)
+
+            def ask(what: str, **asked: object) -> None:
+                connection.request("GET", f"{urlsplit(server.address).path}api/{what}?{urlencode(asked)}")
+                answer = connection.getresponse()
+                body = answer.read()
+                assert answer.status == 200, body
+
+            def step(frame: int) -> None:
+                ask("frame", pair=0, side=0, frame=frame)
+                ask("frame", pair=0, side=1, frame=frame)
+                ask("subsets", pair=0, frame=frame)
+
+            def zoom(begin: float, end: float) -> None:
+                numbers = ",".join(map(str, range(options.channels)))
+                ask("signal", channels=numbers, columns=1200, **{"from": begin, "to": end})
+
+            print(f"opening: {timed(lambda: ask('recording')):.0f} ms")
+            first = timed(lambda: step(0))
+            steps = [timed(lambda f=frame: step(f)) for frame in rng.integers(1, FRAMES, options.draws).tolist()]
+            print(f"slider, both pictures of {SIZE_PX[0]} x {SIZE_PX[1]} px: {told(steps, first)}")
+            first = timed(lambda: zoom(0.0, options.seconds))
+            spans = np.exp(rng.uniform(np.log(1e-3), np.log(options.seconds), options.draws))
+            begins = rng.uniform(0.0, np.maximum(options.seconds - spans, 0.0))
+            zooms = [timed(lambda b=b, s=s: zoom(b, b + s)) for b, s in zip(begins, spans, strict=True)]
+            print(f"zoom, {options.channels} channels of {options.seconds:g} s: {told(zooms, first)}")
+            made = viewed.recording({}).extremes(0)
+            share = sum(low.nbytes + high.nbytes for _, low, high in made.levels) / made.samples.nbytes
+            print(f"memory of the extremes over that of the samples: {share:.4f}")
+            server.shutdown()
+
+
+if __name__ == "__main__":
+    main()

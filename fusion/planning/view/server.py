@@ -1,0 +1,126 @@
+"""The server of `shakercal view`: this machine only, by an address that nobody can guess, asked by its page only."""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Callable, Mapping
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, unquote, urlsplit
+
+import numpy as np
+
+from fusion.base import ComputeError, InputError
+
+LOOPBACK = "127.0.0.1"
+PAGE = Path(__file__).with_name("page")
+KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
+LIBRARY = ("bokeh.min.js", "bokeh-api.min.js")
+# BokehJS puts its styles into the page as text; programs come from files only.
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+LONGEST = 8192  # characters of an address
+Answer = bytes | Mapping[str, Any]
+Answers = Mapping[str, Callable[[Mapping[str, str]], Answer]]
+
+
+def page_files() -> dict[str, Path]:
+    """Return every file of the page by its name, the drawing library from the installed package among them."""
+    files = {path.name: path for path in PAGE.iterdir() if path.suffix in KINDS}
+    spec = find_spec("bokeh")
+    if spec is None or not spec.submodule_search_locations:
+        raise ComputeError("the package bokeh, whose program draws the page's curves, is not installed")
+    scripts = Path(spec.submodule_search_locations[0]) / "server/static/js"
+    return files | {name: scripts / name for name in LIBRARY}
+
+
+def table(head: Mapping[str, Any], *arrays: np.typing.NDArray[Any]) -> bytes:
+    """Return numbers as a page reads them fastest: length of a head, JSON, arrays of doubles, on 8-byte places."""
+    text = json.dumps({**head, "lengths": [array.size for array in arrays]}, allow_nan=False).encode()
+    text += b" " * (-(len(text) + 8) % 8)
+    body = b"".join(np.ascontiguousarray(array, dtype="<f8").tobytes() for array in arrays)
+    return len(text).to_bytes(8, "little") + text + body
+
+
+class Server(ThreadingHTTPServer):
+    """A server on the loopback address; `address` is where its page is, with a token that every request repeats."""
+
+    daemon_threads = True
+
+    def __init__(self, answers: Answers, port: int = 0) -> None:
+        self.answers, self.token, self.files = answers, secrets.token_urlsafe(24), page_files()
+        try:
+            super().__init__((LOOPBACK, port), Handler)
+        except OSError as error:
+            found = error.strerror or str(error)
+            raise InputError("--port", "", found=f"{port} ({found})", expected="a port that is free") from error
+        self.hosts = {f"{name}:{self.server_port}" for name in (LOOPBACK, "localhost")}
+
+    @property
+    def address(self) -> str:
+        """Where the page is."""
+        return f"http://{LOOPBACK}:{self.server_port}/{self.token}/"
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Answers to GET: files of the page, and `api/NAME` with what was asked."""
+
+    server: Server
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "shakercal", ""
+    timeout = 60
+
+    def do_GET(self) -> None:
+        """Answer one request."""
+        if self.headers.get("Host") not in self.server.hosts:
+            return self._say(403, "text/plain", b"expected this machine's own address")
+        where = urlsplit(self.path)
+        _, _, token_and_name = where.path.partition("/")
+        token, _, name = token_and_name.partition("/")
+        if len(self.path) > LONGEST or not secrets.compare_digest(token.encode(), self.server.token.encode()):
+            return self._say(403, "text/plain", b"expected the address that shakercal view has printed")
+        kind, _, what = name.partition("/")
+        if kind == "api" and what in self.server.answers:
+            return self._answer(what, {key: values[-1] for key, values in parse_qs(where.query).items()})
+        file = self.server.files.get(unquote(name) or "index.html")
+        if file is None:
+            return self._say(404, "text/plain", b"nothing is here")
+        return self._say(200, f"{KINDS[file.suffix]}; charset=utf-8", file.read_bytes())
+
+    def _answer(self, what: str, asked: Mapping[str, str]) -> None:
+        """Answer with numbers or JSON; what is wrong with a file or a request in a sentence."""
+        status, kind = 200, "application/json"
+        try:
+            found = self.server.answers[what](asked)
+            if isinstance(found, bytes):
+                kind, text = "application/octet-stream", found
+            else:
+                text = json.dumps(found, allow_nan=False, separators=(",", ":")).encode()
+        except (InputError, ComputeError, OSError, ValueError, ArithmeticError, LookupError) as error:
+            told = f"expected {error} in the address" if isinstance(error, KeyError) else " ".join(str(error).split())
+            status, text = 400, json.dumps({"error": told}).encode()
+        return self._say(status, kind, text)
+
+    def _say(self, status: int, kind: str, body: bytes) -> None:
+        self.send_response(status)
+        heads = {
+            "Content-Type": kind,
+            "Content-Length": str(len(body)),
+            "Content-Security-Policy": POLICY,
+            "Cache-Control": "no-store",
+            "Cross-Origin-Resource-Policy": "same-origin",
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+        }
+        for name, value in heads.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing on the terminal: an address is a token."""
