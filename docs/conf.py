@@ -37,7 +37,8 @@ myst_enable_extensions = ["attrs_inline"]
 html_theme, html_title = "furo", f"shakercal {release}"
 html_show_copyright, html_show_sphinx, html_copy_source = False, False, False
 highlight_language = "none"
-nitpicky = False
+nitpicky = True
+nitpick_ignore_regex = [("py:class", ".*")]  # annotations name types of NumPy and of Python, whose pages are not here
 
 
 def commands() -> str:
