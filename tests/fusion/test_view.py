@@ -16,6 +16,7 @@ from typing import Any
 from urllib.parse import urlencode, urlsplit
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -406,3 +407,13 @@ def test_names_are_shown_as_text_and_campaigns_open_their_recordings(tmp_path, d
         page.wait_for_selector("body[data-opened='1']")
         assert page.text_content("#name") == NASTY.replace("\u2028", " ")
         assert page.locator("h1 b").count() == 0
+
+
+def test_results_of_another_recording_are_refused(demo_recording, tmp_path, refused):
+    folder = tmp_path / "results"
+    folder.mkdir()
+    with h5py.File(folder / "result.h5", "w") as file:
+        file.attrs["format"], file.attrs["recording"] = 2, "Fz 160 Hz"
+    told = refused("view", folder, "--recording", demo_recording / "Fz-0080", "--no-browser")
+    assert "expected those of “Fz 80.0 Hz, simulated”" in told
+    assert "found results of “Fz 160 Hz”" in told

@@ -18,6 +18,7 @@ from fusion.recording.files import recorded_channels
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Images
 from fusion.report.folder import RESULT_FILE
+from fusion.report.h5 import opened_results
 from fusion.report.labelled import CAMPAIGN_FILE
 from photogram.camera import StereoRig
 from photogram.images.files import open_sequence
@@ -121,6 +122,12 @@ class Opened:
     def __init__(self, source: Source, *, allow_outside: bool = False) -> None:
         self.source = source
         self.manifest = load_manifest(source.recording, allow_outside)
+        if source.results is not None:
+            with opened_results(source.results / RESULT_FILE) as file:
+                name = str(file.attrs.get("recording", ""))
+            if name != self.manifest.name:
+                expected = f"those of “{self.manifest.name}” ({source.recording})"
+                raise InputError(source.results, "", found=f"results of “{name}”", expected=expected)
         self.pairs = [
             Pair(f"{where}{entry.stereo}", block, entry)
             for where, block in self.manifest.set_ups
