@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import defaultdict
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -213,4 +214,27 @@ def test_without_programs_and_on_paper_the_main_figures_remain(browser, results,
     assert not opened.page.locator("figure[data-figure='motion-top'] .plot").is_visible()
     opened.page.pdf(path=tmp_path / "report.pdf")
     assert (tmp_path / "report.pdf").stat().st_size > 50_000
+    opened.close()
+
+
+@pytest.mark.parametrize("width", [800, 1400])
+def test_pages_fit_their_window_and_have_names_for_everything(browser, results, width):
+    opened = Page(browser, results / "report.html")
+    opened.page.set_viewport_size({"width": width, "height": 900})
+    for name in ("sensitivity", "budget", "motion-top"):
+        opened.draw(name)
+    found = opened.page.evaluate("""() => ({
+      wide: document.documentElement.scrollWidth - innerWidth,
+      images: document.querySelectorAll("img:not([alt])").length,
+      plots: document.querySelectorAll(".plot:not([aria-label])").length,
+      tables: [...document.querySelectorAll("table")].filter((one) => !one.caption).length,
+      heads: document.querySelectorAll("thead th:not([scope])").length,
+      buttons: [...document.querySelectorAll("button")].filter((b) => !(b.ariaLabel || b.textContent.trim())).length,
+      levels: [...document.querySelectorAll("h1, h2, h3")].map((one) => Number(one.tagName[1])),
+      language: document.documentElement.lang,
+    })""")
+    levels = found.pop("levels")
+    assert levels[0] == 1
+    assert all(after - before <= 1 for before, after in pairwise(levels))
+    assert found == {"wide": 0, "images": 0, "plots": 0, "tables": 0, "heads": 0, "buttons": 0, "language": "en"}
     opened.close()
