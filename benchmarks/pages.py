@@ -1,4 +1,4 @@
-"""Pages: their size, the CPU time that makes them, and until they answer in the system's Chromium.
+"""Pages: their size, the CPU time that makes them, and how soon they answer in the system's Chromium.
 
 `python benchmarks/pages.py [--docs docs]`; with --docs the table goes to performance.md there. The demo is
 evaluated, and a simulated campaign of 48 recordings, which takes two minutes.
@@ -56,7 +56,7 @@ def timed(module: Any, function: str, seconds: list[float]) -> None:
 
 
 def answers(browser: Any, path: Path) -> float:
-    """Time in s from opening a page until its first figure can be used."""
+    """Time in s from the start of a page's program until its first figure can be used."""
     page = browser.new_page(viewport={"width": 1280, "height": 1024})
     page.goto(path.as_uri())
     page.locator("figure[data-figure]").first.scroll_into_view_if_needed()
