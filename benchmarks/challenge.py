@@ -204,7 +204,7 @@ def robust(values: Array) -> float:
 def draw(lines: list[Line], shares: dict[str, tuple[Array, Array]]) -> bytes:
     """Noise over resolution of every row, and the amplitude over the period of 19 × 19 px."""
     from fusion.report.figure import BLUE, GREEN, GREY, ORANGE, RED
-    from fusion.report.style import as_file, drawing, new_figure
+    from fusion.report.printed import as_file, drawing, new_figure
 
     colours = {"shakercal 1": BLUE, "shakercal 2": RED, "pyvale 1": GREEN, "pyvale 2": ORANGE}
     with drawing("challenge"):

@@ -13,7 +13,7 @@ from published_paper import DAMPING_KG_PER_S, INTERNAL_KG, LAG_S, LOADS_KG, RESO
 
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report.figure import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
-from fusion.report.style import as_file, drawing, lay_out, new_figure
+from fusion.report.printed import as_file, drawing, new_figure
 from fusion.sensitivity.analyse import Evaluation
 from shaker.mechanics import required_stiffness
 from shaker.sine.phasor import Phasors
@@ -42,6 +42,36 @@ class SweepPoint:
     expanded: float
     expanded_phase_rad: float
     true: complex
+
+
+def lay_out(
+    panels: Sequence[Axes],
+    *,
+    left: float = 0.72,
+    right: float = 0.12,
+    bottom: float = 0.45,
+    top: float = 0.12,
+    gap: tuple[float, float] = (0.6, 0.14),
+    label: float = 0.52,
+) -> None:
+    """Margins, gaps (across, down) and the distance of the y labels from their panel, all in inches."""
+    figure, grid = panels[0].get_figure(root=True), panels[0].get_gridspec()
+    if figure is None:
+        raise ValueError("panels: expected those of a figure, found others")
+    width, height = figure.get_size_inches()
+    across, down = (grid.ncols, grid.nrows) if grid is not None else (1, 1)
+    panel_width = (width - left - right - (across - 1) * gap[0]) / across
+    panel_height = (height - bottom - top - (down - 1) * gap[1]) / down
+    figure.subplots_adjust(
+        left=left / width,
+        right=1.0 - right / width,
+        bottom=bottom / height,
+        top=1.0 - top / height,
+        wspace=gap[0] / panel_width,
+        hspace=gap[1] / panel_height,
+    )
+    for axes in panels:
+        axes.yaxis.set_label_coords(-label / (axes.get_position().width * width), 0.5)
 
 
 def draw_trigger(evaluation: Evaluation) -> bytes:

@@ -144,7 +144,7 @@ class Boxes(Mark):
 
 @dataclass(frozen=True)
 class Arrows(Mark):
-    """Arrows from (N,) by (dx, dy) in the units of the axes, drawn `scale` times as long; `told`: the key's text."""
+    """Arrows from (N,) by (dx, dy) in the units of the axes."""
 
     x: FloatArray = field(default_factory=lambda: np.empty(0))
     y: FloatArray = field(default_factory=lambda: np.empty(0))

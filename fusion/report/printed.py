@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import io
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -34,14 +38,54 @@ from fusion.report.figure import (
     Texts,
     power_text,
 )
-from fusion.report.style import RASTER_ABOVE, WIDTH_IN, as_file, drawing, new_figure
 
+WIDTH_IN = 8.4
+RASTER_DPI = 200
+RASTER_ABOVE = 500
+"""Number of points above which they are drawn as an image inside the vector graphics."""
+UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}, "png": {}}
+STYLE = mpl.rc_params_from_file(Path(__file__).with_name("templates") / "figures.mplstyle", use_default_template=False)
 LINE_RASTER_ABOVE = 2_000
 CHARACTER_IN, LEGEND_COLUMNS = 0.066, 6
 SHAPES = {
     "circle": "o", "square": "s", "diamond": "D", "triangle": "^", "inverted_triangle": "v", "cross": "P", "x": "x",
     "plus": "+",
 }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One figure: an identifier, a title, a caption of one or two sentences, and the SVG text."""
+
+    name: str
+    title: str
+    caption: str
+    svg: str
+
+
+@contextmanager
+def drawing(name: str) -> Iterator[None]:
+    """Apply the style, and make identifiers inside the SVG depend on the figure's name only."""
+    settings: Any = {**STYLE, "svg.hashsalt": name}
+    with mpl.rc_context(settings):
+        yield
+
+
+def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Canvas:
+    """Empty figure of the page's width."""
+    return Canvas(figsize=(width_in, height_in))
+
+
+def as_file(figure: Canvas, kind: str) -> bytes:
+    """Turn a figure into a png, svg or pdf file without a date."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format=kind, dpi=RASTER_DPI, metadata=UNDATED[kind])
+    return stream.getvalue()
+
+
+def finish(figure: Canvas, name: str, title: str, caption: str) -> Picture:
+    """Turn a figure into SVG text without date or other metadata that would change from run to run."""
+    return Picture(name, title, caption, as_file(figure, "svg").decode())
 
 
 def printed(figure: Figure, kind: str = "svg") -> bytes:

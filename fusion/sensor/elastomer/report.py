@@ -16,7 +16,7 @@ from fusion.report.figure import BLACK, BLUE, COLOURS, GREY, RED, sheet
 from fusion.report.figure import Figure as Drawing
 from fusion.report.folder import Command, hash_files
 from fusion.report.h5 import write_value
-from fusion.report.style import Picture, as_file, drawing, finish, new_figure
+from fusion.report.printed import Picture, as_file, drawing, finish, new_figure
 from fusion.report.table import Column, Headline, Table, columns_of, csv_text, measured, on_page, signed, table, word
 from fusion.sensor.elastomer.definition import read_definition
 from fusion.sensor.elastomer.evaluate import (
