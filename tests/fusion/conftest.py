@@ -44,7 +44,11 @@ def browser() -> Iterator[Any]:
     if program is None:
         pytest.skip("no Chromium on this system")
     with api.sync_playwright() as started:
-        chromium = started.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        try:
+            arguments = ["--no-sandbox", "--disable-dev-shm-usage"]
+            chromium = started.chromium.launch(executable_path=program, args=arguments, timeout=60_000)
+        except api.Error as error:
+            pytest.skip(f"Chromium does not start here: {str(error).splitlines()[0]}")
         yield chromium
         chromium.close()
 
