@@ -54,6 +54,9 @@ def opened_results(path: Path) -> Iterator[h5py.File]:
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         told = " ".join(str(error).split()).removeprefix(f"{path}: ")
         raise InputError(path, "", expected="results of an earlier run", found=f"damaged ones ({told})") from error
+    except (AttributeError, TypeError, IndexError) as error:  # a group where numbers should be, or the other way round
+        found = "a file whose groups and numbers are not those that a run writes"
+        raise InputError(path, "", expected="results of an earlier run", found=found) from error
 
 
 def write_fields(group: h5py.Group, item: Any) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib
 import io
+import shutil
 from pathlib import Path
 
 import h5py
@@ -125,3 +126,27 @@ def test_files_of_other_commands_say_units_and_axes_as_far_as_names_tell():
         assert "units" not in file["turned/loads"].attrs
         assert "units" not in file["fit/value"].attrs  # nothing says of which
         assert file["fit/fitted"].dims[0][0].name == "/fit/time_s"
+
+
+@pytest.mark.parametrize("other", ["a text", 3, np.zeros((2, 0, 5)), None])
+def test_a_file_with_one_thing_changed_opens_or_is_refused_in_one_sentence(folder, tmp_path, other):
+    """Some groups and data sets in turn are replaced, by a text, a number, an empty array or an empty group."""
+    names: list[str] = []
+    with h5py.File(folder / "result.h5") as file:
+        file.visit(names.append)
+    path = tmp_path / "result.h5"
+    told = []
+    for name in names[::53]:
+        shutil.copyfile(folder / "result.h5", path)
+        with h5py.File(path, "a") as file:
+            del file[name]
+            if other is None:
+                file.create_group(name)
+            else:
+                file[name] = other
+        try:
+            assert read_results(path).name
+        except InputError as error:
+            told.append(str(error))
+    assert told
+    assert all(sentence.startswith(f"{path}: ") and "\n" not in sentence for sentence in told)
