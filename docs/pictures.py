@@ -7,6 +7,7 @@ Those of measured data come from benchmarks/nitsche2018.py and benchmarks/challe
 from __future__ import annotations
 
 import shutil
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -36,6 +37,7 @@ PICTURES = {
     ),
 }
 """Preset, command, page in its results, and the first elements that a picture begins and ends with."""
+EXAMPLES = ("motion_from_images", "compensated_release")
 PLAN = "plan --frequencies 53.7:1020.3:12 --max-rate 82 --exposure 40e-6 --frames 211 --force --figure"
 
 
@@ -47,13 +49,18 @@ def make_pictures(chosen: list[str]) -> None:
     with tempfile.TemporaryDirectory() as name, sync_playwright() as started:
         browser = started.chromium.launch(executable_path=program, args=["--no-sandbox"])
         for picture in chosen or PICTURES:
-            if picture == "plan":
+            if picture not in PICTURES:
                 continue
             path = _evaluated(Path(name), picture)
             _keep(browser, path, IMAGES / f"{picture}.png", *PICTURES[picture][3:])
         browser.close()
     if not chosen or "plan" in chosen:
         main([*PLAN.split(), str(IMAGES / "plan.png"), "-q"])
+    for example in EXAMPLES:
+        if not chosen or example in chosen:
+            script = IMAGES.parents[1] / "examples" / f"{example}.py"
+            words = [sys.executable, str(script), str(IMAGES / f"{example}.png")]
+            subprocess.run(words, cwd=IMAGES.parents[1], check=True)
 
 
 def _evaluated(top: Path, picture: str) -> Path:

@@ -1,4 +1,7 @@
-"""A sensor that rings after a release, block by block through the filter that `shakercal compensate` makes for it."""
+"""A sensor that rings after a release, block by block through the filter that `shakercal compensate` makes for it.
+
+With the name of a file, both are drawn into it.
+"""
 
 from __future__ import annotations
 
@@ -30,3 +33,14 @@ for name, output in (("as it comes", ringing), ("compensated", quiet)):
     outside = np.flatnonzero(np.abs(output - 1) > 0.02)
     print(f"{name}: overshoot {100 * (output.max() - 1):.1f} %")
     print(f"{name}: within 2 % after {1e3 * time_s[outside[-1] + 1]:.2f} ms")
+
+for file in sys.argv[1:]:
+    from matplotlib.figure import Figure
+
+    drawing = Figure(figsize=(7.0, 3.0), layout="constrained")
+    axes = drawing.subplots()
+    for name, output in (("as it comes", ringing), ("compensated", quiet)):
+        axes.plot(1e3 * time_s, output, label=name, linewidth=1.0)
+    axes.set(xlabel="time after the release / ms", ylabel="output / final value", xlim=(0.0, 50.0))
+    axes.legend()
+    drawing.savefig(file, dpi=130)

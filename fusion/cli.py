@@ -36,9 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def commands() -> tuple[Command, ...]:
     """Return the sub-commands in the order in which the help lists them."""
-    from fusion.commands import measure, sensor
+    from fusion.commands import cameras, measure, sensor
 
-    return (*measure.COMMANDS, *sensor.COMMANDS)
+    return (*measure.COMMANDS, *cameras.COMMANDS, *sensor.COMMANDS)
 
 
 def _act(options: argparse.Namespace) -> int:

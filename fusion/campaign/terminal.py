@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import re
 from collections.abc import Callable, Sequence
@@ -10,10 +9,10 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-from fusion.base import DASH, PROGRAM, __version__, rounded, stdout_console
+from fusion.base import DASH, rounded, stdout_console
 from fusion.campaign.joint import best_kind
 from fusion.estimation.coverage import Polar
-from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE
+from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE, as_answer
 from fusion.report.h5 import opened_results, read_notices
 from fusion.report.labelled import CAMPAIGN_FILE
 from fusion.report.recording import REPORT_FILE, row_element
@@ -179,13 +178,11 @@ def as_json(outcomes: Sequence[Outcome], *, campaign: bool) -> str:
     notices = notices_of(done, campaign=campaign)
     top = outcomes[0].folder.parent if campaign else outcomes[0].folder
     files = [REPORT_FILE, SENSITIVITY_FILE, *([CURVE_FILE, CAMPAIGN_FILE] if campaign else [RESULT_FILE])]
-    content = {
-        "program": PROGRAM,
-        "version": __version__,
-        "command": "run",
-        "sensitivity": [_entry(row) for row in (_answer(done, campaign=campaign) if done else [])],
-        "notices": [{**vars(told.notice), "recordings": told.recordings} for told in notices],
-        "recordings": [
+    return as_answer(
+        "run",
+        sensitivity=[_entry(row) for row in (_answer(done, campaign=campaign) if done else [])],
+        notices=[{**vars(told.notice), "recordings": told.recordings} for told in notices],
+        recordings=[
             {
                 "name": outcome.name,
                 "state": "failed" if outcome.error else "unchanged" if outcome.resumed else "evaluated",
@@ -194,9 +191,8 @@ def as_json(outcomes: Sequence[Outcome], *, campaign: bool) -> str:
             }
             for outcome in outcomes
         ],
-        "files": [str(top / name) for name in files if (top / name).is_file()],
-    }
-    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        files=[str(top / name) for name in files if (top / name).is_file()],
+    )
 
 
 def _parted(outcomes: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:

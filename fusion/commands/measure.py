@@ -27,7 +27,6 @@ from fusion.commands.options import (
     positive,
     radius,
     seed,
-    size,
     whole,
 )
 
@@ -133,7 +132,10 @@ def plan(options: argparse.Namespace) -> None:
         from fusion.planning.figures import draw_plan
 
         write_whole(options.figure, draw_plan(made, options.figure.suffix.lower().removeprefix(".")))
-    print_plan(made)
+    if options.json:
+        _print_rows("plan", plan_csv(made))
+    else:
+        print_plan(made)
 
 
 def _simulate_options(parser: Parser) -> None:
@@ -178,121 +180,6 @@ def simulate(options: argparse.Namespace) -> None:
     print(f"simulated {kind}: {written}" + (f", {number} recordings" if kind == "campaign" else ""))
 
 
-def _cameras_options(parser: Parser) -> None:
-    text = "left pictures, then the right ones in the same order; or two folders"
-    parser.add_argument("pictures", nargs="+", metavar="PICTURES", help=text)
-    kinds = ("chessboard", "charuco", "dots", "asymmetric-dots")
-    parser.add_argument("--target", required=True, choices=kinds, help="dots: with three ring markers, or give --size")
-    parser.value("--spacing", positive, "M", "side of a square, or centre to centre of dots, in m", required=True)
-    parser.value("--size", size, "9x6", "inner corners (chessboard), squares (charuco) or dots: columns x rows")
-    parser.value("--dictionary", str, "NAME", "ArUco dictionary such as DICT_4X4_50 (default: found)")
-    text = "relative standard uncertainty of the spacing, part of the covariance (default: 0, with a warning)"
-    parser.value("--scale-uncertainty", not_negative, "U", text, default=0.0)
-    text = "target taken as flat, bowed, or with every point's offset estimated (default: auto, flat where it fits)"
-    parser.choice("--shape", ("auto", "flat", "bowed", "free"), text)
-    text = "OpenCV's five coefficients, or the rational model with k4 k5 k6 (default: auto, five where they do)"
-    parser.choice("--lens", ("auto", "polynomial", "rational"), text)
-    parser.switch("--mono", "one camera: all pictures are its own; parameters and covariance, without a page")
-    text = "a length measured otherwise: two points column,row of the target or two pictures, m, standard uncertainty"
-    parser.add_argument("--known-length", nargs=4, metavar=("FROM", "TO", "M", "U"), help=text)
-    parser.add_argument(
-        "-o", "--output", required=True, type=path, metavar="CALIBRATION", help="file NAME.json to write"
-    )
-    parser.switch("--force", "replace a calibration that is there")
-
-
-@command(
-    _cameras_options,
-    "left right --target chessboard --size 9x6 --spacing 0.005 --scale-uncertainty 1e-4 -o top.json",
-)
-def cameras(options: argparse.Namespace) -> None:
-    """Calibrate a stereo pair from target pictures."""
-    from fusion.base import InputError, progress_bar
-    from fusion.cameras.calibrate import CameraSettings, run_camera, run_cameras
-    from photogram.calibration.scale import KnownLength
-    from photogram.targets.view import Target
-
-    try:
-        target = Target(options.target, options.spacing, options.size, options.dictionary)
-    except ValueError as error:
-        raise InputError("shakercal cameras", "--" + str(error).partition(":")[0], str(error), "") from error
-    known = None
-    if options.known_length is not None:
-        try:
-            known = KnownLength.from_words(*options.known_length)
-        except ValueError as error:
-            raise InputError("shakercal cameras", "--known-length", str(error), "") from error
-    settings = CameraSettings(target, options.shape, options.scale_uncertainty, options.lens, known)
-    with progress_bar(enabled=not options.quiet) as progress:
-        run = run_camera if options.mono else run_cameras
-        run(options.pictures, settings, options.output, options.force, progress)
-
-
-def _import_calibration_options(parser: Parser) -> None:
-    parser.value("calibration", path, "FILE", "the other program's file")
-    parser.add_argument("-o", "--output", type=path, required=True, metavar="JSON", help="calibration file to write")
-    parser.value("--extrinsics", path, "FILE", "second file: OpenCV's R and T where apart, ROS's right camera")
-    parser.value("--image-size", size, "2448x2048", "width x height, if the file has none")
-    text = "of the file's lengths, where it does not say it"
-    parser.add_argument("--length-unit", choices=("m", "mm"), help=text)
-    text = "k1 k2 k3 of DICe's text belong to r^2, r^4, r^6, as OpenCV and VIC-3D write them"
-    parser.switch("--even-radial", text)
-    parser.switch("--force", "overwrite a calibration file that is there")
-
-
-@command(_import_calibration_options, "calibration.xml -o top.json")
-def import_calibration(options: argparse.Namespace) -> None:
-    """Take over a calibration of OpenCV, DICe, VIC-3D, MatchID, MATLAB, ROS or Kalibr."""
-    from fusion.cameras.calibrate import convert_calibration
-
-    stated = {name: getattr(options, name) for name in ("image_size", "length_unit", "extrinsics", "even_radial")}
-    kind = convert_calibration(options.calibration, options.output, options.force, **stated)
-    print(f"calibration of {kind} written: {options.output}")
-
-
-def _export_calibration_options(parser: Parser) -> None:
-    parser.value("calibration", path, "CALIBRATION", "file NAME.json of this program")
-    text = "file to write: .yml for OpenCV, .xml for VIC-3D, .json for MATLAB"
-    parser.add_argument("-o", "--output", type=path, required=True, metavar="FILE", help=text)
-    parser.switch("--force", "overwrite a file that is there")
-
-
-@command(_export_calibration_options, "top.json -o top.xml")
-def export_calibration(options: argparse.Namespace) -> None:
-    """Write a calibration for OpenCV, VIC-3D or MATLAB."""
-    from fusion.cameras.calibrate import write_for_another_program
-
-    program = write_for_another_program(options.calibration, options.output, options.force)
-    print(f"calibration for {program} written: {options.output}")
-
-
-def _align_options(parser: Parser) -> None:
-    parser.value("alignment", path, "ALIGNMENT.toml", "file that names the evidence")
-    parser.add_argument("-o", "--output", type=path, metavar="POSE.toml", help="file for the block of rig.toml")
-    parser.switch("--force", "overwrite the output that is there")
-    parser.allow_outside("ALIGNMENT.toml")
-    parser.device("where subsets are tracked")
-
-
-@command(_align_options, "alignment.toml -o pose.toml")
-def align(options: argparse.Namespace) -> None:
-    """Find where a stereo pair's camera stands in the sensor frame."""
-    from fusion.base import Settings, progress_bar
-    from fusion.cameras.align import align_file
-    from photogram.subsets.track import resolve_device
-
-    with progress_bar(enabled=not options.quiet) as progress:
-        text = align_file(
-            options.alignment,
-            options.output,
-            Settings(device=resolve_device(options.device)),
-            force=options.force,
-            allow_outside=options.allow_outside,
-            progress=progress,
-        )
-    print(text, end="")
-
-
 def _init_options(parser: Parser) -> None:
     parser.value("folder", path, "FOLDER", "folder of a recording's files, or of several such folders")
     how = parser.add_mutually_exclusive_group()
@@ -320,6 +207,7 @@ def _check_options(parser: Parser) -> None:
     text = "draw cameras, beams, sensors, bodies, axes and gravity as the manifests place them: a page to turn by hand"
     parser.value("--rig", page, "FILE.html", text)
     parser.switch("--force", "overwrite a page that is there")
+    parser.json()
 
 
 @command(_check_options, "recordings/Fz-0080 --rig rig.html")
@@ -331,28 +219,31 @@ def check(options: argparse.Namespace) -> int:
 
     if options.rig:
         check_new_file(options.rig, force=options.force)
-    status, manifests = EXIT_DONE, []
+    manifests, reports, wrong = [], [], []
     for recording in find_recordings(options.recording):
         try:
             manifests.append(load_manifest(recording, allow_outside=options.allow_outside))
-            report = check(manifests[-1])
+            reports.append(check(manifests[-1]))
         except InputError as error:
-            for mistake in error.each:
-                log.error("%s", mistake)
-            status = EXIT_INPUT
-            continue
-        print(report)
-        status = EXIT_INPUT if report.problems else status
-    for contradiction in check_together(manifests):
-        log.error("%s", contradiction)
-        status = EXIT_INPUT
+            wrong += [str(mistake) for mistake in error.each]
+        else:
+            if not options.json:
+                print(reports[-1])
+    wrong += [str(contradiction) for contradiction in check_together(manifests)]
+    for sentence in wrong:
+        log.error("%s", sentence)
     if options.rig and manifests:
         from fusion.report.files import write_whole
         from fusion.report.scene import rig_page
 
         write_whole(options.rig, rig_page(manifests))
-        print(f"rig drawn: {options.rig}")
-    return status
+        if not options.json:
+            print(f"rig drawn: {options.rig}")
+    if options.json:
+        from fusion.report.folder import as_answer
+
+        print(as_answer("check", recordings=[report.parts() for report in reports], wrong=wrong))
+    return EXIT_INPUT if wrong or any(report.problems for report in reports) else EXIT_DONE
 
 
 def _look_options(parser: Parser) -> None:
@@ -429,7 +320,18 @@ def lines(options: argparse.Namespace) -> None:
         from fusion.planning.figures import draw_lines
 
         write_whole(options.figure, draw_lines(lists, options.figure.suffix.lower().removeprefix(".")))
-    print_lines(lists)
+    if options.json:
+        _print_rows("lines", lines_csv(lists))
+    else:
+        print_lines(lists)
+
+
+def _print_rows(name: str, text: str) -> None:
+    """Print a table for programs."""
+    from fusion.report.folder import as_answer
+    from fusion.report.table import csv_rows
+
+    print(as_answer(name, rows=csv_rows(text)))
 
 
 def _manifests(options: argparse.Namespace) -> list[Manifest]:
@@ -576,10 +478,6 @@ COMMANDS = (
     check,
     look,
     view,
-    cameras,
-    import_calibration,
-    export_calibration,
-    align,
     simulate,
     plan,
     lines,

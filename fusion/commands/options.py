@@ -62,6 +62,7 @@ class Parser(argparse.ArgumentParser):
         self.value("--figure", figure, "FILE", f"{figure_text} (.png, .svg, .pdf)")
         self.value("--csv", path, "FILE", table_text)
         self.switch("--force", "overwrite files that are there")
+        self.json()
 
     def json(self) -> None:
         """Add the answer for programs."""

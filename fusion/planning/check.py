@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,6 +67,14 @@ class CheckReport:
     observed: tuple[Observability, ...]
     remarks: tuple[str, ...]
     problems: tuple[str, ...]
+
+    def parts(self) -> dict[str, Any]:
+        """Return everything that is told by its name, as JSON knows it."""
+        observed = [
+            {"body": one.body, "instrument": one.instrument, "components": one.components} for one in self.observed
+        ]
+        texts = {name: list(getattr(self, name)) for name in ("contents", "remarks", "problems")}
+        return {"name": self.name, "path": str(self.path), "observed": observed, **texts}
 
     def __str__(self) -> str:
         sections = (

@@ -315,6 +315,12 @@ def _no_headlines(_: object) -> Iterable[Headline]:
     return ()
 
 
+def as_answer(command: str, **parts: Any) -> str:
+    """Return the answer of a command for programs: JSON that begins with what computed it."""
+    content = {"program": PROGRAM, "version": __version__, "command": command, **parts}
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+
+
 @dataclass(frozen=True)
 class Command(Generic[E]):
     """What a command leaves of an evaluation: a folder of files with a page, and lines on the terminal.
@@ -374,20 +380,17 @@ class Command(Generic[E]):
     def json(self, evaluation: E, files: Sequence[Path]) -> str:
         """Return what the terminal tells for programs: headlines as texts, short tables as numbers, notices, paths."""
         tables = {name: text for name, text in self.texts(evaluation).items() if name.endswith(".csv")}
-        content = {
-            "program": PROGRAM,
-            "version": __version__,
-            "command": self.name,
-            "name": evaluation.name,
-            "headlines": [
+        return as_answer(
+            self.name,
+            name=evaluation.name,
+            headlines=[
                 {"label": one.label, "value": plain_text(one.value), "remark": plain_text(one.remark)}
                 for one in self.headlines(evaluation)
             ],
-            "tables": {name: rows for name, text in tables.items() if len(rows := csv_rows(str(text))) <= MOST_ROWS},
-            "notices": [dict(vars(notice)) for notice in warnings_first(evaluation.notices)],
-            "files": [str(path) for path in files],
-        }
-        return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+            tables={name: rows for name, text in tables.items() if len(rows := csv_rows(str(text))) <= MOST_ROWS},
+            notices=[dict(vars(notice)) for notice in warnings_first(evaluation.notices)],
+            files=[str(path) for path in files],
+        )
 
     def run_recordings(
         self,

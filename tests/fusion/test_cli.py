@@ -103,6 +103,28 @@ def test_quiet_and_verbose(flags, warned, informed, make_campaign, capsys):
     assert "report (unchanged since the last run)" in again.out
 
 
+@pytest.mark.parametrize(
+    ("words", "key"),
+    [
+        ("plan --frequencies 80 --max-rate 50 --frames 48 --json", "rows"),
+        ("lines sample_images/demo/Fz-0080/bridge.h5 --channel Fz --json", "rows"),
+        ("check sample_images/demo --json", "recordings"),
+    ],
+)
+def test_answers_for_programs_are_one_document(words, key, capsys, monkeypatch):
+    monkeypatch.chdir(Path(__file__).resolve().parents[2])
+    assert main(words.split()) == EXIT_DONE
+    told = json.loads(capsys.readouterr().out)
+    assert told["command"] == words.split()[0]
+    first = told[key][0]
+    if key == "rows":
+        assert any(isinstance(value, float) for value in first.values())
+    else:
+        assert {"body": "load", "instrument": "stereo top", "components": ["x", "y", "z", "rx", "ry", "rz"]} in first[
+            "observed"
+        ]
+
+
 def test_what_is_said_of_several_places_in_one_text_is_one_notice():
     said = [
         Notice("info", "a", "Fx"),
