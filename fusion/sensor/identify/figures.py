@@ -213,12 +213,14 @@ def draw_outputs_over_load(component: ComponentResult) -> Figure:
         panel.line(hertz, away, f"{kg:.4g} {unit}", colour=colour)
         if np.isfinite(band.upper_hz):
             panel.rule(band.upper_hz, f"{kg:.4g} {unit}", along="x", colour=colour, dashed=True)
+            ends = (band.upper_hz - K2 * band.u_upper_hz, band.upper_hz + K2 * band.u_upper_hz)
+            panel.span(*ends, f"{kg:.4g} {unit}", along="x", colour=colour)
     widest = max((band.upper_hz for band in component.bands if np.isfinite(band.upper_hz)), default=highest)
     panel.x.limits, panel.y.limits = (0.0, min(1.6 * widest, highest)), (-300.0 * permitted, 300.0 * permitted)
     panel.x.label, panel.y.label = "frequency / Hz", "output over force − 1 / %"
     panel.title = "uncorrected output, force applied to a load on a rigid base"
     caption = (
         "By how much the magnitude of the output departs from the force that acts on a load of the mass given, and "
-        f"where it leaves ±{100.0 * permitted:g} % (dashed): the usable band without correction."
+        f"where it leaves ±{100.0 * permitted:g} % (dashed, U with k = 2 shaded): the usable band without correction."
     )
     return drawn.figure("Usable band by load mass", caption)
