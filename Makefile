@@ -41,9 +41,10 @@ docs: .venv/docs
 	$(BIN)/python -m pip install --quiet --editable ".[docs]"
 	touch $@
 
-# Every picture of the docs, in a browser where they show pages.
+# Every picture of the docs, in a browser where they show pages; the published set-up is rendered, which takes minutes.
 docs-pictures: .venv/dev
 	$(BIN)/python docs/pictures.py
+	$(BIN)/python benchmarks/published.py --docs docs
 
 sample-images: .venv/installed
 	$(BIN)/shakercal simulate sample_images/demo --preset demo --seed 1 --force
