@@ -1,8 +1,7 @@
 """Every picture of the docs that shows a page or a figure of a command: `make docs-pictures`.
 
 Simulated recordings are evaluated, their pages opened in the system's Chromium, and parts of them kept in docs/images.
-Those
-of the published set-up come from benchmarks/published.py, that of the challenge, which wants its pictures, from
+Those of the published set-up come from benchmarks/published.py, that of the challenge, which wants its pictures, from
 benchmarks/challenge.py.
 """
 
