@@ -320,7 +320,7 @@
   }
 
   /* Legend: a button per name that shows and hides what has it. */
-  function legend(figure, state, drawn, redraw) {
+  function legend(figure, state, drawn) {
     const list = document.createElement("div");
     list.className = "legend";
     list.setAttribute("aria-label", "Legend");
@@ -402,7 +402,7 @@
       view?.model.document?.clear();
       host.replaceChildren();
       drawn = assemble(figure, host.clientWidth, state, "canvas");
-      bars.querySelector(".legend")?.replaceWith(legend(figure, state, drawn, redraw));
+      bars.querySelector(".legend")?.replaceWith(legend(figure, state, drawn));
       view = await Bokeh.Plotting.show(drawn.grid, host);
       host.style.minHeight = "";
       element.dataset.drawn = "true";
