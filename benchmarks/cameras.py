@@ -25,6 +25,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from marked import write_marked
 from numpy.typing import NDArray
 
 from photogram.calibration.bundle import see
@@ -78,11 +79,7 @@ def main() -> None:
         if name == "faults":
             lines = faulty_rows(range(options.first, options.first + options.rigs))
             if options.write is not None:
-                text = options.write.read_text(encoding="utf-8")
-                start, end = "<!-- faults -->\n", "<!-- end of faults -->"
-                before, after = text.split(start)[0], text.split(end)[1]
-                table = "\n".join(lines)
-                options.write.write_text(f"{before}{start}{table}\n{end}{after}", encoding="utf-8", newline="\n")
+                write_marked(options.write, {"faults": "\n".join(lines)})
             continue
         if name == "real":
             real_dot_grid()

@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from marked import markdown_table, write_marked
 
 Array = np.ndarray
 STAR = "data/dic/challenge/DIC_Challenge_Star_Noise_{}.tiff"
@@ -40,7 +41,6 @@ HEAD = (
     "| program | order | subset in px | resolution in px | noise in mpx "
     "| refused | off | off, resolved | beyond 5 u | sd/u |"
 )
-MARKS = ("<!-- challenge -->", "<!-- end of challenge -->")
 
 
 @dataclass(frozen=True)
@@ -258,11 +258,7 @@ def main() -> None:
                 shares.setdefault(f"{program} {order}", amplitude(here))
                 print(lines[-1], flush=True)
     if options.docs:
-        page = options.docs / "tracking.md"
-        before, rest = page.read_text(encoding="utf-8").split(MARKS[0])
-        table = "\n".join([HEAD, "|---" * HEAD.count(" | ") + "|---|", *map(str, lines)])
-        text = f"{before}{MARKS[0]}\n{table}\n{MARKS[1]}{rest.split(MARKS[1])[1]}"
-        page.write_text(text, encoding="utf-8", newline="\n")
+        write_marked(options.docs / "tracking.md", {"challenge": markdown_table(HEAD, list(map(str, lines)))})
         (options.docs / "images" / "challenge.png").write_bytes(draw(lines, shares))
 
 

@@ -25,6 +25,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from marked import write_marked
 from violations import RIGS, opening, preset_of
 
 from fusion.base import ComputeError, InputError, Settings
@@ -511,11 +512,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             lines.append(f"| {mistake.name} | {' | '.join(cells)} | {quoted[:200]} |")
             print(lines[-1], flush=True)
     if options.write is not None:
-        text, table = options.write.read_text(encoding="utf-8"), "\n".join(lines)
-        name = "blind mistakes" if options.blind else "mistakes"
-        (head, _, rest), end = text.partition(f"<!-- {name} -->"), f"<!-- end of {name} -->"
-        text = f"{head}<!-- {name} -->\n{table}\n{end}{rest.partition(end)[2]}"
-        options.write.write_text(text, encoding="utf-8")
+        write_marked(options.write, {"blind mistakes" if options.blind else "mistakes": "\n".join(lines)})
     return 0
 
 

@@ -14,14 +14,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from marked import markdown_table, write_marked
 from playwright.sync_api import sync_playwright
 
 from fusion.campaign import joint_report
 from fusion.cli import main
 from fusion.report import recording
-from fusion.report.files import write_whole
 
-MARKS = ("<!-- pages -->\n", "<!-- end of pages -->")
 PRESETS = {
     "demo": ("Fz-0080/report.html", recording, "render_report"),
     "sweep": ("report.html", joint_report, "render_campaign"),
@@ -75,10 +74,7 @@ if __name__ == "__main__":
         browser = started.chromium.launch(executable_path=program, args=["--no-sandbox"])
         rows = measure(Path(name), browser)
         browser.close()
-    table = "\n".join(["| page | MB | CPU s | answers after s |", "|---|---|---|---|", *rows, ""])
+    table = markdown_table("| page | MB | CPU s | answers after s |", rows)
     print(table)
     if options.docs:
-        file = options.docs / "performance.md"
-        before, _, rest = file.read_text(encoding="utf-8").partition(MARKS[0])
-        _, end, after = rest.partition(MARKS[1])
-        write_whole(file, f"{before}{MARKS[0]}{table}{end}{after}")
+        write_marked(options.docs / "performance.md", {"pages": table})

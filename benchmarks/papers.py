@@ -17,6 +17,7 @@ import numpy as np
 import papers_rows_load as loads
 import papers_rows_wrist as wrist
 import published_paper as paper
+from marked import write_marked
 from papers_rows import Row, motion, oscillator, resonance, rotation, sensitivity, table_2
 
 from shaker.identification.oscillator import PeakReadings
@@ -84,17 +85,6 @@ def _table(head: tuple[str, ...], rows: list[Row] | list[tuple[str, ...]]) -> li
     return [sub(r"(?<![\w.)⁻])-(?=\d)", "\N{MINUS SIGN}", line) if "---" not in line else line for line in lines]
 
 
-def write_page(page: Path, parts: dict[str, list[str]]) -> None:
-    """Replace the tables between their marks."""
-    text = page.read_text(encoding="utf-8")
-    for name, lines in parts.items():
-        begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-        before, rest = text.split(begin)
-        content = "\n".join(lines)
-        text = f"{before}{begin}\n\n{content}\n\n{end}{rest.split(end)[1]}"
-    page.write_text(text, encoding="utf-8", newline="\n")
-
-
 def main() -> None:
     """Print the tables, and write them where asked to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -103,7 +93,7 @@ def main() -> None:
     parts = tables()
     print("\n\n".join("\n".join((name, "", *lines)) for name, lines in parts.items()))
     if options.docs is not None:
-        write_page(options.docs / "papers.md", parts)
+        write_marked(options.docs / "papers.md", {name: "\n".join(lines) for name, lines in parts.items()})
 
 
 if __name__ == "__main__":

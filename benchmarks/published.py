@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import published_figures as figures
 import published_paper as paper
+from marked import write_marked
 from numpy.typing import NDArray
 from published_figures import SweepPoint
 from scipy.optimize import least_squares
@@ -256,13 +257,7 @@ def figure_14(points: list[SweepPoint], static: float) -> str:
 
 def write_page(docs: Path, tables: dict[str, str], pictures: dict[str, bytes]) -> None:
     """Replace the tables between their marks in nitsche2018.md, and the pictures."""
-    page = docs / "nitsche2018.md"
-    text = page.read_text(encoding="utf-8")
-    for name, content in tables.items():
-        begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-        before, rest = text.split(begin)
-        text = f"{before}{begin}\n\n{content}\n\n{end}{rest.split(end)[1]}"
-    page.write_text(text, encoding="utf-8", newline="\n")
+    write_marked(docs / "nitsche2018.md", tables)
     for name, picture in pictures.items():
         (docs / "images" / f"nitsche2018-{name}.png").write_bytes(picture)
 

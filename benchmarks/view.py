@@ -1,11 +1,12 @@
 """How soon `shakercal view` answers: a step of the slider, and a zoom into long channels.
 
-Usage: python benchmarks/view.py [--seconds 60] [--channels 16] [--draws 40]
+Usage: python benchmarks/view.py [--seconds 60] [--channels 16] [--draws 40] [--docs docs]
 
 Makes a recording of noise in a temporary folder: pictures of 1280 x 1024 px at 10 bit of a stereo pair, and channels
 at 51.2 kHz in HDF5. Its server is asked over HTTP as the page asks it: both pictures and subsets of a frame at once;
-all channels between two random times, in 1200 columns. Printed: median and largest answer in ms, the first one (which
-reads the files and makes the extremes), and the memory of the extremes over that of the samples as float64.
+all channels between two random times, in 1200 columns. Printed: median and largest answer in ms and the first one
+(which reads the files and makes the extremes), with --docs into performance.md there; and the memory of the extremes
+over that of the samples as float64.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from urllib.parse import urlencode, urlsplit
 import h5py
 import numpy as np
 import tifffile
+from marked import markdown_table, write_marked
 
 from fusion.planning.view.opened import Viewed, find_sources
 from fusion.planning.view.server import Server
@@ -69,10 +71,9 @@ def timed(ask: Callable[[], object]) -> float:
     return 1e3 * (time.perf_counter() - begin)
 
 
-def told(times_ms: list[float], first_ms: float) -> str:
-    """Return what the answers took in words."""
-    middle, most = np.median(times_ms), max(times_ms)
-    return f"median {middle:.1f} ms, largest {most:.1f} ms of {len(times_ms)}; first {first_ms:.0f} ms"
+def told(what: str, times_ms: list[float], first_ms: float) -> str:
+    """Return a row of the table."""
+    return f"| {what} | {np.median(times_ms):.1f} | {max(times_ms):.1f} | {first_ms:.0f} |"
 
 
 def main() -> None:
@@ -80,6 +81,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--channels", type=int, default=16)
     parser.add_argument("--draws", type=int, default=40)
+    parser.add_argument("--docs", type=Path, help="folder of performance.md, whose table is replaced")
     options = parser.parse_args()
     rng = np.random.default_rng(2)
     with tempfile.TemporaryDirectory() as folder:
@@ -107,16 +109,20 @@ def main() -> None:
             print(f"opening: {timed(lambda: ask('recording')):.0f} ms")
             first = timed(lambda: step(0))
             steps = [timed(lambda f=frame: step(f)) for frame in rng.integers(1, FRAMES, options.draws).tolist()]
-            print(f"slider, both pictures of {SIZE_PX[0]} x {SIZE_PX[1]} px: {told(steps, first)}")
+            rows = [told(f"slider: both pictures of {SIZE_PX[0]} x {SIZE_PX[1]} px", steps, first)]
             first = timed(lambda: zoom(0.0, options.seconds))
             spans = np.exp(rng.uniform(np.log(1e-3), np.log(options.seconds), options.draws))
             begins = rng.uniform(0.0, np.maximum(options.seconds - spans, 0.0))
             zooms = [timed(lambda b=b, s=s: zoom(b, b + s)) for b, s in zip(begins, spans, strict=True)]
-            print(f"zoom, {options.channels} channels of {options.seconds:g} s: {told(zooms, first)}")
+            rows += [told(f"zoom: {options.channels} channels of {options.seconds:g} s at 51.2 kHz", zooms, first)]
             made = viewed.recording({}).extremes(0)
             share = sum(low.nbytes + high.nbytes for _, low, high in made.levels) / made.samples.nbytes
             print(f"memory of the extremes over that of the samples: {share:.4f}")
             server.shutdown()
+    table = markdown_table("| request | median ms | largest ms | first ms |", rows)
+    print(table)
+    if options.docs:
+        write_marked(options.docs / "performance.md", {"view": table})
 
 
 if __name__ == "__main__":

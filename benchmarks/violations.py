@@ -21,6 +21,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from marked import write_marked
 from numpy.typing import NDArray
 from scipy.stats import binom
 
@@ -352,12 +353,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     print(HEAD)
     table = "\n".join([HEAD, *(row.cells() for row in rows(options.draws, chosen))])
     if options.write:
-        text = options.write.read_text(encoding="utf-8")
-        for name, lines in (("violations", table), ("catalogue", catalogue())):
-            start, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-            before, rest = text.split(start)
-            text = f"{before}{start}{lines}\n{end}{rest.partition(end)[2]}"
-        options.write.write_text(text, encoding="utf-8", newline="\n")
+        write_marked(options.write, {"violations": table, "catalogue": catalogue()})
 
 
 if __name__ == "__main__":

@@ -1,0 +1,23 @@
+"""Where benchmarks write their tables: between two marks of a page, `<!-- NAME -->` and `<!-- end of NAME -->`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+
+def write_marked(page: Path, parts: Mapping[str, str]) -> None:
+    """Replace what stands between the marks of each name; KeyError for one that the page does not hold once."""
+    text = page.read_text(encoding="utf-8")
+    for name, content in parts.items():
+        begin, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->\n"
+        if text.count(begin) != 1 or text.count(end) != 1:
+            raise KeyError(f"{page}: expected {begin.strip()} and {end.strip()} once each")
+        (before, rest), inside = text.split(begin), content.strip("\n")
+        text = f"{before}{begin}{inside}\n{end}{rest.split(end)[1]}"
+    page.write_text(text, encoding="utf-8", newline="\n")
+
+
+def markdown_table(head: str, rows: list[str]) -> str:
+    """Return a table of its head and rows, each `| a | b |`."""
+    return "\n".join([head, "|---" * (head.count("|") - 1) + "|", *rows])
