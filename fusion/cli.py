@@ -45,8 +45,9 @@ def _act(options: argparse.Namespace) -> int:
     """Do what a sub-command does and tell what goes wrong."""
     import logging
 
-    from fusion.base import AS_JSON, ComputeError, InputError, is_interruption, told
+    from fusion.base import ComputeError, InputError, is_interruption, told
     from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
+    from fusion.report.terminal import AS_JSON
 
     log = logging.getLogger("shakercal")
     AS_JSON.set(getattr(options, "json", False))
@@ -113,7 +114,7 @@ def _end(number: int, _: object) -> None:
 @contextmanager
 def _terminals() -> Iterator[None]:
     """Have stdout and stderr take every text, and be there where the process was started without."""
-    from fusion.base import Terminal
+    from fusion.report.terminal import Terminal
 
     before = sys.stdout, sys.stderr
     nowhere = open(os.devnull, "w")  # noqa: SIM115  (for as long as the process may print)
@@ -129,7 +130,7 @@ def _set_up_log(options: argparse.Namespace) -> None:
     """Send the program's own messages to stderr; those of libraries, warnings included, only with -v."""
     import logging
 
-    from fusion.base import printable
+    from fusion.report.terminal import printable
 
     class ToStderr(logging.Handler):
         """Writes to what stderr is at the moment: a progress bar redirects it while it is drawn."""
@@ -145,6 +146,20 @@ def _set_up_log(options: argparse.Namespace) -> None:
     logging.captureWarnings(True)
 
 
+def _completion() -> type[argparse.Action]:
+    """Return the option that prints the code of a shell and ends."""
+    import argparse
+
+    class Completion(argparse.Action):
+        def __call__(self, parser: argparse.ArgumentParser, _: object, shell: object, option: object = None) -> None:
+            import argcomplete
+
+            print(argcomplete.shellcode([parser.prog], shell=str(shell)))
+            parser.exit()
+
+    return Completion
+
+
 def _parser() -> Parser:
     from fusion.base import PROGRAM, __version__
     from fusion.commands.options import Parser
@@ -154,6 +169,8 @@ def _parser() -> Parser:
         description="From a shaker recording to the dynamic sensitivity of a multi-component force and moment sensor.",
     )
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
+    text = "print what a shell's start-up file evaluates to complete commands and options"
+    parser.add_argument("--completion", choices=("bash", "zsh", "fish"), action=_completion(), help=text)
     common = Parser(add_help=False)
     loudness = common.add_mutually_exclusive_group()
     loudness.add_argument("-v", "--verbose", action="store_true", help="tell more on stderr")

@@ -402,13 +402,21 @@ def write_campaign(top: Path, name: str, folders: Sequence[Path], failed: Mappin
     read from them, so that equal results give equal files. `failed`: folders of the others, by name, and why there is
     no result. The files appear together, or not at all where results are replaced while they are read.
     """
+    return join_campaign(top, name, folders, failed)[1]
+
+
+def join_campaign(
+    top: Path, name: str, folders: Sequence[Path], failed: Mapping[str, str]
+) -> tuple[CampaignEvaluation, list[Path]]:
+    """Write the joint files as `write_campaign` does, and return what they tell, too."""
     inputs = InputFiles.watched(folder / file for folder in folders for file in (*MERGED_FILES, RESULT_FILE))
     with ExitStack() as stack:
         with writing(top):
             shelf = Shelf(stack.enter_context(TemporaryFile(dir=workshop(top))))
             entries = (read_recorded(folder) for folder in folders)
             recorded = [replace(entry, drives=tuple(map(shelf.put, entry.drives))) for entry in entries]
-        return _write(top, evaluate_campaign(name, recorded, failed), folders, inputs)
+        evaluation = evaluate_campaign(name, recorded, failed)
+        return evaluation, _write(top, evaluation, folders, inputs)
 
 
 def _write(top: Path, evaluation: CampaignEvaluation, folders: Sequence[Path], inputs: InputFiles) -> list[Path]:

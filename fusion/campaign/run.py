@@ -24,15 +24,16 @@ from fusion.base import (
     versions,
 )
 from fusion.campaign.executor import Workers, connected, one_blas_thread
-from fusion.campaign.joint_report import write_campaign
+from fusion.campaign.joint_report import join_campaign
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, load_manifest
 from fusion.report.files import Kept, claimed, remove_abandoned, workshop
 from fusion.report.folder import check_folder, hash_files, is_current, origin_key
 from fusion.report.recording import REPORT_FILE, check_campaign_folder, write_results
 from fusion.sensitivity.evaluate import evaluate_recording
+from shaker.arrays import Notice
 
-RECORDINGS = "recordings"
+RECORDINGS, JOIN = "recordings", "join recordings"
 LISTEN_S = 0.5  # between looks for an interruption
 SHARED_FRAMES = 2  # workers per recording from which on they share its frames instead of the recordings
 log = logging.getLogger("shakercal")
@@ -64,13 +65,15 @@ class Job:
 class Outcome:
     """What became of one recording: its results folder, or the reason why there is none.
 
-    `resumed`: the results of the same inputs, settings and program version were there already.
+    `resumed`: the results of the same inputs, settings and program version were there already. `notices`: of the
+    results, where they have been read for the campaign.
     """
 
     recording: Path
     folder: Path
     resumed: bool = False
     error: InputError | ComputeError | None = None
+    notices: tuple[Notice, ...] | None = None
 
     @property
     def name(self) -> str:
@@ -98,8 +101,6 @@ def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Execut
             return Outcome(job.recording, job.folder)
         kept = Kept(job.folder, origin_key(inputs.hashes, job.settings.as_dict(), versions()))
         evaluation = evaluate_recording(manifest, job.settings, inputs.hashes, progress, executor, kept)
-        for notice in evaluation.notices:
-            log.debug("%s: %s", notice.where, notice.text)
         write_results(evaluation, job.folder, inputs, force=job.force)
         kept.remove()
     return Outcome(job.recording, job.folder)
@@ -157,8 +158,12 @@ def run_path(
         finished = [outcome.folder for outcome in outcomes if outcome.error is None]
         failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
         if finished:
+            progress(JOIN, 0, 1)
             with one_blas_thread():
-                write_campaign(top, path.resolve().name, finished, failed)
+                joint, _ = join_campaign(top, path.resolve().name, finished, failed)
+            progress(JOIN, 1, 1)
+            notices = {entry.folder: entry.notices for entry in joint.recorded}
+            outcomes = tuple(replace(outcome, notices=notices.get(outcome.folder.name)) for outcome in outcomes)
     return outcomes
 
 
@@ -195,6 +200,7 @@ def _run_here(jobs: Sequence[Job], executor: Executor | None, progress: Progress
     for done, job in enumerate(jobs):
         progress(RECORDINGS, done, len(jobs))
         outcomes.append(_outcome(job, partial(_run_one, job, executor, progress)))
+    progress(RECORDINGS, len(jobs), len(jobs))
     return tuple(outcomes)
 
 
@@ -215,6 +221,7 @@ def _run_elsewhere(jobs: Sequence[Job], executor: Executor, progress: ProgressCa
             with suppress(Empty):
                 done = answered.get(timeout=LISTEN_S)
         outcomes[done] = _outcome(jobs[done], partial(_received, jobs[done], pending[done]))
+    progress(RECORDINGS, len(jobs), len(jobs))
     return tuple(outcomes[rank] for rank in range(len(jobs)))
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import logging
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.base import DASH, rounded, stdout_console
+from fusion.base import DASH, rounded
 from fusion.campaign.joint import best_kind
 from fusion.estimation.coverage import Polar
 from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE, as_answer
@@ -18,6 +18,7 @@ from fusion.report.labelled import CAMPAIGN_FILE
 from fusion.report.recording import REPORT_FILE, row_element
 from fusion.report.table import both, factor, has_phase, read_rows
 from fusion.report.tables import result_name
+from fusion.report.terminal import stdout_console, tell
 from shaker.arrays import Notice
 
 if TYPE_CHECKING:
@@ -25,11 +26,11 @@ if TYPE_CHECKING:
 
     from fusion.campaign.run import Outcome
 
-MOST_ROWS, MOST_CHARACTERS = 300, 150  # that the terminal shows: of the sensitivity, of one notice
+MOST_ROWS = 300  # of the sensitivity that the terminal shows
+COUNTS = "recordings (mountings)"
 NO_SENSITIVITY = "no sensitivity: see the report for what was observed"
 NUMBER = re.compile(r"[-+−]?\d[\d.,]*(e[-+]?\d+)?")
 Row = dict[str, str]
-log = logging.getLogger("shakercal")
 
 
 @dataclass(frozen=True)
@@ -40,29 +41,31 @@ class Told:
     recordings: tuple[str, ...]
 
     @property
-    def line(self) -> str:
-        """The notice in one line; the page has it whole."""
-        where, text = self.notice.where, self.notice.text
-        text = text if not where or text.startswith(f"{where}:") else f"{where}: {text}"
-        short = text if len(text) <= MOST_CHARACTERS else f"{text[:MOST_CHARACTERS].rsplit(' ', 1)[0]} …"
-        several = f" ({len(self.recordings)} recordings)" if len(self.recordings) > 1 else ""
-        return f"{short}{several}"
+    def remark(self) -> str:
+        """Of how many recordings it is, where of several."""
+        return f" ({len(self.recordings)} recordings)" if len(self.recordings) > 1 else ""
 
 
 def notices_of(done: Sequence[Outcome], *, campaign: bool) -> list[Told]:
     """Return the notices of what is done, each once, warnings first, then those of most recordings."""
     found: dict[tuple[str, str, str], tuple[Notice, list[str]]] = {}
-    files = [(outcome.name, outcome.folder / RESULT_FILE) for outcome in done]
+    groups = [(one.name, _notices_in(one.folder / RESULT_FILE) if one.notices is None else one.notices) for one in done]
     if campaign and done:
-        files.insert(0, ("campaign", done[0].folder.parent / CAMPAIGN_FILE))
-    for name, path in files:
-        if path.is_file():
-            with opened_results(path) as file:
-                for notice in read_notices(file):
-                    key = (notice.severity, notice.where, NUMBER.sub("#", notice.text))
-                    found.setdefault(key, (notice, []))[1].append(name)
+        groups.insert(0, ("campaign", _notices_in(done[0].folder.parent / CAMPAIGN_FILE)))
+    for name, notices in groups:
+        for notice in notices:
+            key = (notice.severity, notice.where, NUMBER.sub("#", notice.text))
+            found.setdefault(key, (notice, []))[1].append(name)
     every = [Told(notice, tuple(dict.fromkeys(names))) for notice, names in found.values()]
     return sorted(every, key=lambda told: (told.notice.severity != "warning", -len(told.recordings)))
+
+
+def _notices_in(path: Path) -> tuple[Notice, ...]:
+    """Return the notices of a file of results; none where it is missing."""
+    if not path.is_file():
+        return ()
+    with opened_results(path) as file:
+        return read_notices(file)
 
 
 def main_rows(rows: Sequence[Row]) -> list[Row]:
@@ -93,28 +96,33 @@ def main_curve(rows: Sequence[Row]) -> list[Row]:
     return sorted(best, key=lambda row: (row["component"], float(row["frequency_hz"])))
 
 
-def sensitivity_table(rows: Sequence[Row]) -> Table:
+def sensitivity_table(rows: Sequence[Row], width: int | None = None) -> Table:
     """Return `main_rows` or `main_curve` as a table with U = k·u for 95 %, two significant digits of it.
 
     Of a value that is not distinguishable from 0 the half-axes of its region stand in place of magnitude and phase.
+    Where the table is wider than `width` characters, columns that explain the values are left to the file.
     """
     from rich.table import Table
 
     curve = "recordings" in rows[0]
-    kinds = {row["kind"] for row in rows}
+    kinds, units = {row["kind"] for row in rows}, {row["unit"] for row in rows}
     head = "Sensitivity" if kinds & {"element", "matrix"} else "Output over load"
     head += f" ({', '.join(kinds)})" if len(kinds) == 1 else ""
     whose = "means of all recordings" if curve else rows[0]["recording"]
-    table = Table(title=f"{head}, {whose} (U = k·u, 95 %)", title_justify="left")
-    columns = ("frequency / Hz", "quantity", "magnitude ± U", "unit", "phase ± U / rad", "k", "kind")
-    for name in columns[: len(columns) - (len(kinds) == 1)]:
-        left = name in ("quantity", "unit", "kind")
-        table.add_column(name, justify="left" if left else "right", no_wrap=name == "quantity")
-    if curve:
-        table.add_column("recordings (mountings)", justify="right", max_width=12)
-    for row in rows[:MOST_ROWS]:
-        counts = [f"{row['recordings']} ({row['mountings']})"] if curve else []
-        table.add_row(*_row(row)[: len(columns) - (len(kinds) == 1)], *counts)
+    told = [_cells_of(row) for row in rows[:MOST_ROWS]]
+    left_out = {"kind"} if len(kinds) == 1 else set()  # a kind that all share is in the title
+    for name in ("k", COUNTS, "kind", "unit" if len(units) == 1 else None, None):
+        shown = [column for column in told[0] if column not in left_out]
+        needed = sum(max(len(cells[column]) for cells in (*told, {column: column})) + 3 for column in shown) + 1
+        if width is None or needed <= width or name is None:
+            break
+        left_out.add(name)
+    unit = f" in {units.pop()}" if "unit" in left_out else ""
+    table = Table(title=f"{head}{unit}, {whose} (U = k·u, 95 %)", title_justify="left")
+    for column in shown:
+        table.add_column(column, justify="left" if column in ("quantity", "unit", "kind") else "right")
+    for cells in told:
+        table.add_row(*(cells[column] for column in shown))
     return table
 
 
@@ -126,14 +134,22 @@ def _main_channels(rows: Sequence[Row], of: Callable[[Row], tuple[str, ...]]) ->
     return mains
 
 
-def _row(row: Row) -> tuple[str, ...]:
-    """Return the cells of a sensitivity."""
-    name = result_name(row["kind"], row["channel"], row["component"], main=True)
-    magnitude, phase, k_factor = _cells(row_element(row))
-    return f"{float(row['frequency_hz']):.4f}", name, magnitude, row["unit"], phase, k_factor, row["kind"]
+def _cells_of(row: Row) -> dict[str, str]:
+    """Return the cells of a sensitivity by the heads of their columns."""
+    magnitude, phase, k_factor = _values(row_element(row))
+    cells = {
+        "f / Hz": f"{float(row['frequency_hz']):.4f}",
+        "quantity": result_name(row["kind"], row["channel"], row["component"], main=True),
+        "magnitude ± U": magnitude,
+        "unit": row["unit"],
+        "phase ± U / rad": phase,
+        "k": k_factor,
+        "kind": row["kind"],
+    }
+    return {**cells, COUNTS: f"{row['recordings']} ({row['mountings']})"} if "recordings" in row else cells
 
 
-def _cells(element: Polar) -> tuple[str, str, str]:
+def _values(element: Polar) -> tuple[str, str, str]:
     """Magnitude and phase with U, and k; both with the power of ten that value and U share."""
 
     def with_u(value: float, expanded: float) -> str:
@@ -159,7 +175,10 @@ def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
     done, failed = _parted(outcomes)
     if done:
         rows = _answer(done, campaign=campaign)
-        console.print(sensitivity_table(rows) if rows else NO_SENSITIVITY)
+        console.print(sensitivity_table(rows, console.width) if rows else NO_SENSITIVITY)
+        if rows:
+            file = _table_file(done, campaign=campaign)
+            console.print(f"other outputs, harmonics, numbers in full: {file}", soft_wrap=True)
     if not campaign:
         console.print(outcomes[0].told, soft_wrap=True)
     else:
@@ -168,8 +187,7 @@ def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
             console.print(f"{outcome.name}: {outcome.told}", soft_wrap=True)
         if done:
             console.print(f"report of all: {done[0].folder.parent / REPORT_FILE}", soft_wrap=True)
-    for told in notices_of(done, campaign=campaign):
-        log.log(logging.WARNING if told.notice.severity == "warning" else logging.DEBUG, "%s", told.line)
+    tell((told.notice, told.remark) for told in notices_of(done, campaign=campaign))
 
 
 def as_json(outcomes: Sequence[Outcome], *, campaign: bool) -> str:
@@ -200,12 +218,17 @@ def _parted(outcomes: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
     return [one for one in outcomes if one.error is None], [one for one in outcomes if one.error is not None]
 
 
-def _answer(done: Sequence[Outcome], *, campaign: bool) -> list[Row]:
-    """Return the main rows of a recording, or of a campaign's curve; of a campaign of one recording those of it."""
+def _table_file(done: Sequence[Outcome], *, campaign: bool) -> Path:
+    """Return the table of a recording, or of a campaign's curve; of a campaign of one recording that of it."""
     top = done[0].folder.parent if campaign else done[0].folder
-    curve = campaign and len(done) > 1
-    rows = read_rows(top / (CURVE_FILE if curve else SENSITIVITY_FILE))
-    return main_curve(rows) if curve else main_rows(rows)
+    return top / (CURVE_FILE if campaign and len(done) > 1 else SENSITIVITY_FILE)
+
+
+def _answer(done: Sequence[Outcome], *, campaign: bool) -> list[Row]:
+    """Return the main rows of that table."""
+    file = _table_file(done, campaign=campaign)
+    rows = read_rows(file)
+    return main_curve(rows) if file.name == CURVE_FILE else main_rows(rows)
 
 
 def _entry(row: Row) -> dict[str, Any]:

@@ -39,8 +39,9 @@ def _cameras_options(parser: Parser) -> None:
 )
 def cameras(options: argparse.Namespace) -> None:
     """Calibrate a stereo pair from target pictures."""
-    from fusion.base import InputError, progress_bar
+    from fusion.base import InputError
     from fusion.cameras.calibrate import CameraSettings, run_camera, run_cameras
+    from fusion.report.terminal import progress_bar
     from photogram.calibration.scale import KnownLength
     from photogram.targets.view import Target
 
@@ -109,8 +110,9 @@ def _align_options(parser: Parser) -> None:
 @command(_align_options, "alignment.toml -o pose.toml")
 def align(options: argparse.Namespace) -> None:
     """Find where a stereo pair's camera stands in the sensor frame."""
-    from fusion.base import Settings, progress_bar
+    from fusion.base import Settings
     from fusion.cameras.align import align_file
+    from fusion.report.terminal import progress_bar
     from photogram.subsets.track import resolve_device
 
     with progress_bar(enabled=not options.quiet) as progress:

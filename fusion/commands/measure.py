@@ -161,7 +161,8 @@ def _simulate_options(parser: Parser) -> None:
 @command(_simulate_options, "rope --preset steps")
 def simulate(options: argparse.Namespace) -> None:
     """Write a simulated recording with its truth."""
-    from fusion.base import InputError, progress_bar
+    from fusion.base import InputError
+    from fusion.report.terminal import progress_bar
     from fusion.simulate import simulate
 
     if options.out.exists() and not options.force:
@@ -379,9 +380,10 @@ def _run_options(parser: Parser) -> None:
 @command(_run_options, "sample_images/demo -o results")
 def run(options: argparse.Namespace) -> int:
     """Evaluate one recording or a campaign of several."""
-    from fusion.base import Settings, progress_bar
+    from fusion.base import Settings
     from fusion.campaign.run import exit_status, is_campaign, run_path
     from fusion.campaign.terminal import as_json, print_outcomes
+    from fusion.report.terminal import progress_bar
     from photogram.subsets.track import resolve_device
 
     settings = Settings(

@@ -230,7 +230,7 @@ def _elastomer_options(parser: Parser) -> None:
 @command(_elastomer_options, "elastomer.toml --solid")
 def elastomer(options: argparse.Namespace) -> None:
     """Stiffness and modes of a cross-beam element from its geometry."""
-    from fusion.base import progress_bar
+    from fusion.report.terminal import progress_bar
     from fusion.sensor.elastomer.report import run_elastomer
 
     with progress_bar(enabled=not options.quiet) as progress:

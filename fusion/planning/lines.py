@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.base import K2, AnyNotice, InputError, rounded, stdout_console
+from fusion.base import K2, AnyNotice, InputError, rounded
 from fusion.phasors.channels import MOST_BINS, line_record, lines_in
 from fusion.phasors.timing import tie_daqs
 from fusion.recording.files import read_set_ups, told_in
 from fusion.recording.load import Manifest
+from fusion.report.terminal import stdout_console
 from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from fusion.base import DASH, InputError, prefix, stdout_console
+from fusion.base import DASH, InputError, prefix
 from fusion.report.table import Column, R, csv_text, on_page
+from fusion.report.terminal import stdout_console
 from shaker.arrays import FloatArray
 from shaker.lines.rate_planner import (
     PREFERRED,

@@ -25,7 +25,6 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from fusion.base import (
-    AS_JSON,
     PROGRAM,
     AnyNotice,
     CommandEvaluation,
@@ -34,7 +33,6 @@ from fusion.base import (
     InputError,
     __version__,
     warnings_first,
-    working,
 )
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
@@ -42,6 +40,7 @@ from fusion.report.figure import Figure
 from fusion.report.files import claimed, is_own, write_files, write_together
 from fusion.report.h5 import h5_content, opened_results, write_value
 from fusion.report.table import Headline, Table, csv_rows, plain_text
+from fusion.report.terminal import AS_JSON, tell, working
 
 # What was run on what: hashes of the input files, versions, and whether a folder still answers to them.
 
@@ -372,14 +371,12 @@ class Command(Generic[E]):
             return evaluation
         for line in (evaluation.name, *self.lines(evaluation), f"report: {folder / self.page_file}"):
             print(line)
-        for notice in warnings_first(evaluation.notices):
-            level = logging.WARNING if notice.severity == "warning" else logging.INFO
-            log.log(level, "%s: %s", notice.where, notice.text)
+        tell((notice, "") for notice in warnings_first(evaluation.notices))
         return evaluation
 
     def json(self, evaluation: E, files: Sequence[Path]) -> str:
         """Return what the terminal tells for programs: headlines as texts, short tables as numbers, notices, paths."""
-        tables = {name: text for name, text in self.texts(evaluation).items() if name.endswith(".csv")}
+        tables = {path.name: csv_rows(path.read_text(encoding="utf-8")) for path in files if path.suffix == ".csv"}
         return as_answer(
             self.name,
             name=evaluation.name,
@@ -387,7 +384,7 @@ class Command(Generic[E]):
                 {"label": one.label, "value": plain_text(one.value), "remark": plain_text(one.remark)}
                 for one in self.headlines(evaluation)
             ],
-            tables={name: rows for name, text in tables.items() if len(rows := csv_rows(str(text))) <= MOST_ROWS},
+            tables={name: rows for name, rows in tables.items() if len(rows) <= MOST_ROWS},
             notices=[dict(vars(notice)) for notice in warnings_first(evaluation.notices)],
             files=[str(path) for path in files],
         )

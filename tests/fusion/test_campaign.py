@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -285,7 +286,7 @@ def test_a_notice_of_many_recordings_is_told_once_the_worst_first(tmp_path):
     assert [(one.notice.text, len(one.recordings)) for one in found] == [
         ("2.1 % at 80 Hz", 2), ("other", 1), ("all alike", 3)
     ]  # fmt: skip
-    assert found[0].line == "laser: 2.1 % at 80 Hz (2 recordings)"
+    assert [one.remark for one in found] == [" (2 recordings)", "", " (3 recordings)"]
 
 
 def test_the_answer_for_programs(campaign, evaluated, capsys):
@@ -347,6 +348,14 @@ def test_a_campaign_prints_its_curve_and_what_failed(tmp_path, capsys):
     said = capsys.readouterr().out
     console = Console(width=160, file=io.StringIO(), record=True)
     console.print(sensitivity_table(main_curve(told)))
+    narrow = Console(width=80, file=io.StringIO(), record=True)
+    narrow.print(sensitivity_table(main_curve(told), 80))
+    text = narrow.export_text()
+    assert text.startswith("Sensitivity in (V/V)/N, means of all recordings")
+    assert max(map(len, text.splitlines())) <= 80
+    assert all(
+        re.search(rf"│ +{value} │ Fz per Fz +│ +\(1\.9[89].* ± .*\)e-7 │", text) for value in ("80.0000", "160.0000")
+    )
     lines = [line for line in console.export_text().splitlines() if line.startswith("│")]
     cells = [[cell.strip() for cell in line.split("│")[1:-1]] for line in lines]
     assert [(row[0], row[1], row[2][:5], row[6], row[7]) for row in cells] == [

@@ -20,9 +20,10 @@ import pytest
 from support import Refused, state
 
 from fusion import simulate as simulation
-from fusion.base import ComputeError, progress_bar, warnings_first
+from fusion.base import ComputeError, warnings_first
 from fusion.cli import _parser, commands, main
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
+from fusion.report.terminal import LONGEST_LINE, MOST_NOTES, progress_bar, tell
 from shaker.arrays import Notice
 
 HEAVY = ("torch", "kornia", "cv2", "numba", "matplotlib", "scipy", "skimage", "h5py", "rich", "pydantic", "numpy")
@@ -68,14 +69,22 @@ def test_the_example_of_every_command_is_one(made, capsys):
     assert f"example: {made.example}" in " ".join(capsys.readouterr().out.split())
 
 
-def test_a_shell_completes_commands_and_options(tmp_path):
-    pytest.importorskip("argcomplete")
-    for line, expected in (("shakercal ru", "run"), ("shakercal run --jso", "--json")):
-        asked = {"COMP_LINE": line, "COMP_POINT": str(len(line)), "COMP_TYPE": "9", "_ARGCOMPLETE": "1",
-                 "_ARGCOMPLETE_SUPPRESS_SPACE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(tmp_path / "out")}  # fmt: skip
-        program = [sys.executable, "-c", "from fusion.cli import main; main()"]
-        subprocess.run(program, env={**os.environ, **asked}, check=True)
-        assert expected in (tmp_path / "out").read_text().split("\013")
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+def test_bash_completes_commands_and_options(tmp_path):
+    program = tmp_path / "shakercal"
+    program.write_text(f"#!{sys.executable}\nfrom fusion.cli import main\n\nraise SystemExit(main())\n")
+    program.chmod(0o755)
+    for words, expected in (("shakercal ru", "run"), ("shakercal run --jso", "--json")):
+        typed = words.split()
+        script = (
+            'eval "$(shakercal --completion bash)"; '
+            f"COMP_WORDS=({words}); COMP_CWORD={len(typed) - 1}; COMP_LINE='{words}'; COMP_POINT={len(words)}; "
+            "COMP_TYPE=9; _python_argcomplete shakercal; echo ${COMPREPLY[@]}"
+        )
+        path = f"{tmp_path}{os.pathsep}{os.environ['PATH']}"
+        place = {**os.environ, "PATH": path, "PYTHONPATH": str(Path(__file__).parents[2])}
+        shell = subprocess.run(["bash", "-c", script], env=place, capture_output=True, text=True, check=True)
+        assert shell.stdout.split() == [expected]
 
 
 def test_run_prints_the_sensitivity_and_where_the_report_lies(make_campaign, evaluated, capsys):
@@ -89,7 +98,7 @@ def test_run_prints_the_sensitivity_and_where_the_report_lies(make_campaign, eva
 
 @pytest.mark.usefixtures("evaluated")
 @pytest.mark.parametrize(
-    ("flags", "warned", "informed"), [(["-q"], True, False), ([], True, False), (["-v"], True, True)]
+    ("flags", "warned", "informed"), [(["-q"], True, False), ([], True, True), (["-v"], True, True)]
 )
 def test_quiet_and_verbose(flags, warned, informed, make_campaign, capsys):
     folder = make_campaign()
@@ -133,6 +142,24 @@ def test_what_is_said_of_several_places_in_one_text_is_one_notice():
         Notice("info", "a", "Fx"),
     ]
     assert warnings_first(said) == [Notice("warning", "b", "Fz"), Notice("info", "a", "Fx, Fy")]
+
+
+@pytest.mark.parametrize("level", [logging.INFO, logging.DEBUG])
+@pytest.mark.parametrize("notes", [1, MOST_NOTES + 1])
+def test_a_notice_is_one_line_and_many_notes_are_counted_unless_all_is_asked_for(level, notes, caplog):
+    long = "word " * LONGEST_LINE
+    many = [(Notice("info", f"load: light {n}", "load"), "") for n in range(notes)]
+    with caplog.at_level(level, "shakercal"):
+        tell([(Notice("warning", long, "laser"), " (2 recordings)"), *many])
+    warning, *rest = caplog.messages
+    if level == logging.DEBUG:
+        assert warning == f"laser: {long} (2 recordings)"
+    else:
+        assert warning.startswith("laser: word word")
+        assert warning.endswith("word … (2 recordings)")
+        assert len(warning) <= LONGEST_LINE + len(" … (2 recordings)")
+    counted = level == logging.INFO and notes > MOST_NOTES
+    assert rest == ([f"{notes} notes on the page, or here with -v"] if counted else [note.text for note, _ in many])
 
 
 def test_the_log_has_how_long_a_stage_took(caplog):

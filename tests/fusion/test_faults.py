@@ -23,13 +23,14 @@ import pytest
 from crews import environment, wait_until
 from support import without_pages
 
-from fusion.base import ComputeError, InputError, Terminal, printable
+from fusion.base import ComputeError, InputError
 from fusion.cli import main
 from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fusion.report import files
 from fusion.report.files import claimed, remove_abandoned, write_files, write_together, write_whole
 from fusion.report.folder import hash_files, read_provenance
 from fusion.report.table import Column, csv_text, read_rows
+from fusion.report.terminal import Terminal, printable
 from fusion.simulate import simulate
 
 REFUSALS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.ESTALE)

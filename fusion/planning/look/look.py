@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.base import Identity, InputError, stdout_console
+from fusion.base import Identity, InputError
 from fusion.instruments.transducer import TRANSDUCERS, main_direction
 from fusion.phasors.stereo_motion import read_rig
 from fusion.planning.look.pictures import PairLook, look_at_camera, look_at_pair
@@ -28,6 +28,7 @@ from fusion.recording.files import recorded_channels
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import Images
 from fusion.report.files import write_whole
+from fusion.report.terminal import stdout_console
 from photogram.images.files import open_sequence
 from shaker.timebase.trigger import TriggerFit
 

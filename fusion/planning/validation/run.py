@@ -14,11 +14,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from fusion.base import PROGRAM, InputError, __version__, stdout_console, versions
+from fusion.base import PROGRAM, InputError, __version__, versions
 from fusion.planning.validation.cases import CASES
 from fusion.report.files import write_files, write_together
 from fusion.report.folder import render_page
 from fusion.report.table import Column, on_page, table
+from fusion.report.terminal import stdout_console
 
 PACKAGES = ("photogram", "shaker", "fusion")
 REFERENCES = Path(__file__).with_name("references.json")

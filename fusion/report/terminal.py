@@ -1,0 +1,205 @@
+"""What the terminal shows: text of every encoding, tables, notices in one line, progress."""
+
+from __future__ import annotations
+
+import codecs
+import errno
+import logging
+import os
+import re
+import sys
+import time
+import unicodedata
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any
+
+from fusion.base import PROGRAM, AnyNotice, ProgressCallback, no_progress, undone
+
+if TYPE_CHECKING:
+    from rich.console import Console, ConsoleOptions
+    from rich.segment import Segment
+
+LONGEST_LINE, MOST_NOTES = 150, 3  # characters of a notice; notes told one by one beside warnings
+
+# Where tables and sentences for the user go: a terminal of its own width, a pipe of 120 columns.
+
+
+PIPE_WIDTH = 120
+SPELLED = str.maketrans(
+    {"\N{MINUS SIGN}": "-", "±": "+-", "·": "*", "×": "x", "²": "^2", "³": "^3", "°": " deg", "µ": "u", "μ": "u"}
+    | {"–": "-", "—": "-", "…": "...", "“": '"', "”": '"', "‘": "'", "’": "'", "→": "->", "≤": "<=", "≥": ">="}
+    | {"≈": "~", "√": "sqrt", "∞": "inf", "Ω": "Ohm", "✓": "yes"}
+)
+"""How signs are spelled where the encoding of the output lacks them."""
+UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+"""Characters that steer a terminal instead of being shown: escape sequences, and changes of the writing direction."""
+
+
+def printable(text: str) -> str:
+    """Return a text with what would steer a terminal spelled as escapes; names come from files of others."""
+    return UNPRINTABLE.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
+def _spelled(error: UnicodeError) -> tuple[str, int]:
+    """Return what stands for characters that an encoding lacks, and where to go on."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    parts = []
+    for sign in error.object[error.start : error.end]:
+        text = sign.translate(SPELLED)
+        if text == sign and unicodedata.name(sign, "").startswith("GREEK "):
+            text = unicodedata.name(sign).rpartition("LETTER ")[2].lower()
+        elif text == sign:
+            text = unicodedata.normalize("NFKD", sign)
+        parts.append("".join(part if part.isascii() else "?" for part in text if not unicodedata.combining(part)))
+    return "".join(parts), error.end
+
+
+class Terminal:
+    """A stream of the process that takes every text: signs that its encoding lacks are spelled, none steers it."""
+
+    def __init__(self, stream: Any) -> None:
+        self.stream = stream
+        codecs.register_error("spelled", _spelled)
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="spelled")
+
+    def write(self, text: str) -> int:
+        """Write a text; its own line feeds and tabs stay."""
+        return int(self.stream.write(printable(text)))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+
+def _behind(stream: Any) -> Any:
+    """Return what a terminal writes to: consoles put their own colours there."""
+    return stream.stream if isinstance(stream, Terminal) else stream
+
+
+def stdout_console() -> Console:
+    """Return a console on stdout that prints text as it is, but for what would steer the terminal."""
+    from rich.console import Console
+
+    class Stdout(Console):
+        def render(self, renderable: Any, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+            for segment in super().render(renderable, options):
+                yield segment if segment.control else segment._replace(text=printable(segment.text))
+
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+    width = None if sys.stdout.isatty() else PIPE_WIDTH
+    return Stdout(file=_behind(sys.stdout), width=width, highlight=False, markup=False)
+
+
+# Notices: the page has them whole.
+
+
+def tell(notices: Iterable[tuple[AnyNotice, str]]) -> None:
+    """Log notices with a remark each, in one line, and of more notes than a few only how many; with -v all, whole."""
+    log, told = logging.getLogger(PROGRAM), list(notices)
+    verbose = log.isEnabledFor(logging.DEBUG)
+    notes = sum(notice.severity != "warning" for notice, _ in told)
+    for notice, remark in told:
+        level = logging.WARNING if notice.severity == "warning" else logging.INFO
+        if level == logging.WARNING or verbose or notes <= MOST_NOTES:
+            text = _named(notice)
+            short = text if verbose or len(text) <= LONGEST_LINE else f"{text[:LONGEST_LINE].rsplit(' ', 1)[0]} …"
+            log.log(level, "%s", f"{short}{remark}")
+    if notes > MOST_NOTES and not verbose:
+        log.info("%d notes on the page, or here with -v", notes)
+
+
+def _named(notice: AnyNotice) -> str:
+    """Return the text of a notice behind the place it speaks of, unless it begins with that."""
+    where, text = notice.where, notice.text
+    return text if not where or text.startswith(f"{where}:") else f"{where}: {text}"
+
+
+# A progress bar on a terminal, nothing in a pipe.
+
+
+AS_JSON: ContextVar[bool] = ContextVar("as_json", default=False)
+"""Whether commands print their answer for programs."""
+_DRAWN: ContextVar[bool] = ContextVar("drawn", default=False)
+"""Whether a bar is drawn."""
+
+
+@contextmanager
+def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
+    """Yield a callback that draws one bar per stage on stderr when it is a terminal and `enabled`.
+
+    With -v the log has how long each stage took.
+    """
+    if not (enabled and sys.stderr.isatty()):
+        yield _timed(no_progress)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+    tasks: dict[str, TaskID] = {}
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(file=_behind(sys.stderr))
+    with Progress(*columns, console=console, transient=True) as bars, undone(bars.stop), _drawn():
+
+        def update(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(printable(stage), total=total)
+            bars.update(tasks[stage], completed=done, total=total)
+
+        yield _timed(update)
+
+
+@contextmanager
+def _drawn() -> Iterator[None]:
+    """Know of a bar that is drawn."""
+    token = _DRAWN.set(True)
+    try:
+        yield
+    finally:
+        _DRAWN.reset(token)
+
+
+def _timed(update: ProgressCallback) -> ProgressCallback:
+    """Have a callback log how long a stage took that is complete."""
+    begun: dict[str, float] = {}
+
+    def timed(stage: str, done: int, total: int) -> None:
+        start = begun.setdefault(stage, time.monotonic())
+        update(stage, done, total)
+        if done >= total:
+            logging.getLogger("shakercal").debug("%s: %.1f s", stage, time.monotonic() - start)
+            del begun[stage]
+
+    return timed
+
+
+@contextmanager
+def working(what: str) -> Iterator[None]:
+    """Say on stderr, where it is a terminal and the program may be heard, that something goes on and for how long.
+
+    With -v the log has how long it took.
+    """
+    started = time.monotonic()
+    with _spinner(what):
+        yield
+    logging.getLogger("shakercal").debug("%s: %.1f s", what, time.monotonic() - started)
+
+
+@contextmanager
+def _spinner(what: str) -> Iterator[None]:
+    """Show on a terminal that something goes on."""
+    loud = sys.stderr.isatty() and logging.getLogger("shakercal").isEnabledFor(logging.INFO)
+    if not loud or _DRAWN.get():
+        yield
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(file=_behind(sys.stderr)), transient=True) as bar, undone(bar.stop):
+        bar.add_task(printable(what), total=None)
+        yield
