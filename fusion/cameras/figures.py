@@ -23,7 +23,7 @@ from fusion.cameras.quantities import (
     turns_rad,
     used_points,
 )
-from fusion.report.figure import BLACK, BLUE, GREY, LIGHT, ORANGE, RED, Figure, Panel, Scale, Sheet, padded, sheet
+from fusion.report.figure import BLACK, BLUE, GREY, LIGHT, ORANGE, RED, Figure, Panel, Scale, padded, sheet
 from fusion.report.table import signed
 from photogram.calibration.result import Calibration
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera
@@ -49,7 +49,7 @@ LEAST_TURN_DEG, LEAST_DISTANCE_SHARE = 40.0, 0.2
 NAMED_VIEWS = 60  # numbers that stand beside their places
 
 
-def picture_sheet(name: str, count: int, size_px: FloatArray, below_in: float = 0.0) -> Sheet:
+def picture_sheet(name: str, count: int, size_px: FloatArray, below_in: float = 0.0) -> Figure:
     """Give panels side by side that show one picture area each, to scale."""
     height = float(np.clip(WIDTH_IN / count * 0.85 * size_px[1] / size_px[0], FLATTEST_IN, TALLEST_IN))
     drawn = sheet(name, height + AROUND_IN + below_in, 1, count)
@@ -107,7 +107,7 @@ def draw_coverage(calibration: Calibration) -> Figure:
         "crosses are points left out. Grey cells hold no point: there the lens distortion is extrapolated. A good "
         "session reaches all corners."
     )
-    return drawn.figure("Where the target was seen", caption, main=True)
+    return drawn.entitled("Where the target was seen", caption, main=True)
 
 
 def draw_views(calibration: Calibration) -> Figure:
@@ -131,7 +131,7 @@ def draw_views(calibration: Calibration) -> Figure:
         "scene in the plane of the baseline and the left camera's axis, with the optical axes dashed and the "
         "target's outline."
     )
-    return drawn.figure("How the target was held", caption)
+    return drawn.entitled("How the target was held", caption)
 
 
 def _draw_tilts(panel: Panel, largest: float) -> None:
@@ -228,7 +228,7 @@ def draw_distortion(calibration: Calibration, side: Side) -> Figure:
         "seen and the distortion is extrapolated. Right: the principal point, against the middle of the picture, "
         "with the ellipse that holds it with 95 %."
     )
-    return drawn.figure(f"Lens distortion of the {side} camera", caption)
+    return drawn.entitled(f"Lens distortion of the {side} camera", caption)
 
 
 def _draw_field(panel: Panel, field: Distortion, values: FloatArray, scale: Scale) -> None:
@@ -285,7 +285,7 @@ def draw_correlation(calibration: Calibration) -> Figure:
         "as k1, k2 and k3, or principal point and tangential distortion, are each less certain than what they do "
         "together: judge them by the uncertainty of the distortion. Grey: held fixed."
     )
-    return drawn.figure("Correlation of the parameters", caption)
+    return drawn.entitled("Correlation of the parameters", caption)
 
 
 def draw_shape(calibration: Calibration) -> Figure | None:
@@ -314,7 +314,7 @@ def draw_shape(calibration: Calibration) -> Figure | None:
         "a rigid body, in the target's frame. Left: out of the plane; right: in it, strongly enlarged. "
         "A bow tells a bent plate, a gradient in the plane a print with unequal scales."
     )
-    return drawn.figure("Shape of the target", caption)
+    return drawn.entitled("Shape of the target", caption)
 
 
 def draw_residuals(calibration: Calibration, side: Side) -> Figure:
@@ -339,7 +339,7 @@ def draw_residuals(calibration: Calibration, side: Side) -> Figure:
         "of the cells' means, their noise taken off: what lens model and target leave, beside a scatter of "
         f"{two_digits(cells.within_px)} px within the cells."
     )
-    return drawn.figure(f"Residuals of the {side} camera", caption)
+    return drawn.entitled(f"Residuals of the {side} camera", caption)
 
 
 def draw_distribution(calibration: Calibration) -> Figure:
@@ -379,7 +379,7 @@ def draw_distribution(calibration: Calibration) -> Figure:
         f"line, exp(−d²/2); dashed: the same for {scale:.2f} times the noise, the size found. Points above the "
         "lines on the right are outliers that the rule for dropping them has kept, or a systematic part."
     )
-    return drawn.figure("Distribution of the residuals", caption)
+    return drawn.entitled("Distribution of the residuals", caption)
 
 
 def draw_pictures(calibration: Calibration) -> Figure:
@@ -404,7 +404,7 @@ def draw_pictures(calibration: Calibration) -> Figure:
             panel.text(np.array(at) + offset, np.zeros(len(at)), [str(n) for n in counts], offset_px=(0.0, 7.0))
     start = len(calibration.views) + 1.0
     if whole:
-        panel.span(start - 0.4, start + len(whole) - 0.6, along="x", colour=LIGHT)
+        panel.span(start - 0.4, start + len(whole) - 0.6, along="x")
         names = tuple(item.name for item in whole)
         place = start + np.arange(len(whole))
         panel.points(place, np.full(len(whole), 0.06 * highest), "dropped", marker="x", colour=RED, names=names)
@@ -417,4 +417,4 @@ def draw_pictures(calibration: Calibration) -> Figure:
         "pictures dropped as a whole. Lines: rms over all pictures of the camera. A picture that stands out was "
         "blurred, or the target moved between the exposures of the two cameras."
     )
-    return drawn.figure("Residuals picture by picture", caption)
+    return drawn.entitled("Residuals picture by picture", caption)

@@ -113,7 +113,7 @@ def draw_curve(
         text += " Ratios contain what the other loads do."
     if repeated:
         text += " Below each: single recordings (open, by mounting, beside their frequency) about the curve with its U."
-    return drawn.figure(f"{what}, {title}", text, main=True)
+    return drawn.entitled(f"{what}, {title}", text, main=True)
 
 
 def draw_outputs(curve: Curve, main: int) -> Figure:
@@ -151,7 +151,7 @@ def draw_outputs(curve: Curve, main: int) -> Figure:
         f"Magnitude of the responses of all outputs to the driven load {load}, {reference}; bars: U. An arrow is "
         f"an upper bound where the signal is below its U."
     )
-    return drawn.figure(f"All outputs under {load}", caption)
+    return drawn.entitled(f"All outputs under {load}", caption)
 
 
 def draw_crosstalk(cross_talks: Sequence[CrossTalk]) -> Figure | None:
@@ -176,7 +176,7 @@ def draw_crosstalk(cross_talks: Sequence[CrossTalk]) -> Figure | None:
         "Cross-talk S_ij·capacity_j / (S_ii·capacity_i) in per cent: output i under the rated load j, as a share "
         "of its rated output. “<”: 95 % upper bound of an element that cannot be told from zero. 1: main elements."
     )
-    return drawn.figure("Cross-talk", caption, main=True)
+    return drawn.entitled("Cross-talk", caption, main=True)
 
 
 def draw_excitation(fits: Sequence[MatrixFit]) -> Figure | None:
@@ -202,7 +202,7 @@ def draw_excitation(fits: Sequence[MatrixFit]) -> Figure | None:
         "Singular values of the loads of all recordings: amplitude of each independent load in its standard "
         "uncertainties. Six above the line determine the whole matrix."
     )
-    return drawn.figure("Independent excitations", caption)
+    return drawn.entitled("Independent excitations", caption)
 
 
 def _right_end(frequency_hz: FloatArray) -> float:

@@ -34,7 +34,7 @@ def draw_plan(plan: Plan, kind: str) -> bytes:
     for index, panel in enumerate(drawn.panels):
         _draw_point(panel, plan, index, rates)
     drawn.panels[-1].x.label = "camera rate / Hz"
-    return printed(drawn.figure("Plan", "Condition and uncertainty over the camera rate."), kind)
+    return printed(drawn.entitled("Plan", "Condition and uncertainty over the camera rate."), kind)
 
 
 def _draw_point(panel: Panel, plan: Plan, index: int, rates: FloatArray) -> None:
@@ -76,7 +76,7 @@ def draw_lines(lists: Sequence[LineList], kind: str) -> bytes:
     for panel, (item, c) in zip(drawn.panels, panels, strict=True):
         _draw_channel(panel, item, c)
     drawn.panels[-1].x.label = "frequency / Hz"
-    return printed(drawn.figure("Lines", "Spectrum, noise floor and lines of every channel."), kind)
+    return printed(drawn.entitled("Lines", "Spectrum, noise floor and lines of every channel."), kind)
 
 
 def _draw_channel(panel: Panel, item: LineList, c: int) -> None:

@@ -5,8 +5,9 @@ What a figure shows is said here once; nothing of how either of them draws it.
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -30,7 +31,6 @@ PHASE_COLOURS = (BLUE, GREEN, ORANGE, PURPLE, BLUE)
 FEW, STRETCHES = 200, 1500
 """Numbers up to which there are ten digits; stretches of a line of which smallest and largest value are drawn."""
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-Marker = Literal["circle", "square", "diamond", "triangle", "inverted_triangle", "cross", "x", "plus"]
 Along = Literal["x", "y"]
 
 
@@ -45,7 +45,7 @@ class Scale:
     log: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Mark:
     """What all marks have: the legend's name, by which it is shown and hidden, and a colour."""
 
@@ -53,23 +53,23 @@ class Mark:
     colour: str = BLUE
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Line(Mark):
     """A line through points (N,); NaN interrupts it. `step`: level from each point to the next."""
 
-    x: FloatArray = field(default_factory=lambda: np.empty(0))
-    y: FloatArray = field(default_factory=lambda: np.empty(0))
+    x: FloatArray
+    y: FloatArray
     width: float = 1.1
     dashed: bool = False
     step: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Points(Mark):
     """Markers at (N,), with bars of half lengths `half_x`, `half_y` (U), names to hover, and colours by `values`."""
 
-    x: FloatArray = field(default_factory=lambda: np.empty(0))
-    y: FloatArray = field(default_factory=lambda: np.empty(0))
+    x: FloatArray
+    y: FloatArray
     half_x: FloatArray | None = None
     half_y: FloatArray | None = None
     marker: str = "circle"
@@ -80,99 +80,100 @@ class Points(Mark):
     scale: Scale | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Bounds(Mark):
     """Upper bounds at (N,): an arrow from each towards smaller values of x or y."""
 
-    x: FloatArray = field(default_factory=lambda: np.empty(0))
-    y: FloatArray = field(default_factory=lambda: np.empty(0))
+    x: FloatArray
+    y: FloatArray
     along: Along = "y"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Band(Mark):
     """Area between two curves over x (N,)."""
 
-    x: FloatArray = field(default_factory=lambda: np.empty(0))
-    low: FloatArray = field(default_factory=lambda: np.empty(0))
-    high: FloatArray = field(default_factory=lambda: np.empty(0))
+    x: FloatArray
+    low: FloatArray
+    high: FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Span(Mark):
     """Area between two values of x or y, across the whole panel."""
 
-    low: float = 0.0
-    high: float = 0.0
+    low: float
+    high: float
+    opacity: float
     along: Along = "y"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Rule(Mark):
     """Lines at values (N,) of x or y, across the whole panel."""
 
-    at: FloatArray = field(default_factory=lambda: np.empty(0))
+    at: FloatArray
     along: Along = "y"
     dashed: bool = False
     width: float = 0.8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Ellipses(Mark):
     """Ellipses about (N,) with whole axes and the angle of the first one from x."""
 
-    x: FloatArray = field(default_factory=lambda: np.empty(0))
-    y: FloatArray = field(default_factory=lambda: np.empty(0))
-    width: FloatArray = field(default_factory=lambda: np.empty(0))
-    height: FloatArray = field(default_factory=lambda: np.empty(0))
-    angle_rad: FloatArray = field(default_factory=lambda: np.empty(0))
+    x: FloatArray
+    y: FloatArray
+    width: FloatArray
+    height: FloatArray
+    angle_rad: FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Boxes(Mark):
     """Rectangles (N,): bars, classes of a histogram, cells of a map; filled, in one colour or by `values`, or open."""
 
-    left: FloatArray = field(default_factory=lambda: np.empty(0))
-    right: FloatArray = field(default_factory=lambda: np.empty(0))
-    low: FloatArray = field(default_factory=lambda: np.empty(0))
-    high: FloatArray = field(default_factory=lambda: np.empty(0))
+    left: FloatArray
+    right: FloatArray
+    low: FloatArray
+    high: FloatArray
     filled: bool = True
     names: tuple[str, ...] = ()
     values: FloatArray | None = None
     scale: Scale | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Arrows(Mark):
     """Arrows from (N,) by (dx, dy) in the units of the axes."""
 
-    x: FloatArray = field(default_factory=lambda: np.empty(0))
-    y: FloatArray = field(default_factory=lambda: np.empty(0))
-    dx: FloatArray = field(default_factory=lambda: np.empty(0))
-    dy: FloatArray = field(default_factory=lambda: np.empty(0))
+    x: FloatArray
+    y: FloatArray
+    dx: FloatArray
+    dy: FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Texts(Mark):
     """Texts at (N,), `align` left, center or right of it, `offset_px` (across, up) away; `upright`: read upwards."""
 
-    x: FloatArray = field(default_factory=lambda: np.empty(0))
-    y: FloatArray = field(default_factory=lambda: np.empty(0))
-    texts: tuple[str, ...] = ()
+    x: FloatArray
+    y: FloatArray
+    texts: tuple[str, ...]
     align: Literal["left", "center", "right"] = "center"
     offset_px: tuple[float, float] = (0.0, 0.0)
     upright: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Image(Mark):
     """A grey picture (rows, columns) of bytes that fills x from `left` to `right` and y from `top` to `bottom`."""
 
-    grey: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, 0), np.uint8))
-    left: float = 0.0
-    right: float = 1.0
-    top: float = 0.0
-    bottom: float = 1.0
+    grey: NDArray[np.uint8]
+    left: float
+    right: float
+    top: float
+    bottom: float
 
 
 @dataclass
@@ -208,7 +209,7 @@ class Panel:
     def line(self, x: ArrayLike, y: ArrayLike, label: str = "", **look: Any) -> None:
         """Add a `Line`; of one with very many points the extremes of each of its stretches."""
         x, y = extremes(_row(x), _row(y))
-        self.marks.append(Line(label, x=x, y=y, **look))
+        self.marks.append(Line(label=label, x=x, y=y, **look))
 
     def points(self, x: ArrayLike, y: ArrayLike, label: str = "", **look: Any) -> None:
         """Add `Points`; a bar of one length for all may be a number."""
@@ -216,25 +217,28 @@ class Panel:
         for name in ("half_x", "half_y", "values"):
             if look.get(name) is not None:
                 look[name] = np.broadcast_to(_row(look[name]), x.shape)
-        self.marks.append(Points(label, x=x, y=y, **look))
+        self.marks.append(Points(label=label, x=x, y=y, **look))
 
     def bounds(self, x: ArrayLike, y: ArrayLike, label: str = "", **look: Any) -> None:
         """Add `Bounds`."""
-        self.marks.append(Bounds(label, x=_row(x), y=_row(y), **look))
+        self.marks.append(Bounds(label=label, x=_row(x), y=_row(y), **look))
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, label: str = "", **look: Any) -> None:
         """Add a `Band`."""
         x = _row(x)
         ends: Any = {"low": np.broadcast_to(_row(low), x.shape), "high": np.broadcast_to(_row(high), x.shape)}
-        self.marks.append(Band(label, x=x, **ends, **look))
+        self.marks.append(Band(label=label, x=x, **ends, **look))
 
     def span(self, low: float, high: float, label: str = "", **look: Any) -> None:
-        """Add a `Span`, light grey without a colour."""
-        self.marks.append(Span(label, low=float(low), high=float(high), **{"colour": LIGHT, **look}))
+        """Add a `Span`, light grey without a colour, faint in one."""
+        plain: dict[str, Any] = {"colour": LIGHT, "opacity": 0.15 if "colour" in look else 0.5}
+        self.marks.append(Span(label=label, low=float(low), high=float(high), **(plain | look)))
 
     def rule(self, at: ArrayLike, label: str = "", **look: Any) -> None:
-        """Add a `Rule`, black without a colour."""
-        self.marks.append(Rule(label, at=_row(at), **{"colour": BLACK, **look}))
+        """Add a `Rule`, black without a colour; none without values."""
+        at = _row(at)
+        if len(at):
+            self.marks.append(Rule(label=label, at=at, **{"colour": BLACK, **look}))
 
     def ellipse(
         self, centre: complex, axes: tuple[float, float], angle_rad: float, label: str = "", **look: Any
@@ -242,7 +246,7 @@ class Panel:
         """Add one ellipse about a complex value with its half-axes."""
         width, height = (_row(2.0 * axis) for axis in axes)
         place: Any = {"x": _row(centre.real), "y": _row(centre.imag), "angle_rad": _row(angle_rad)}
-        self.marks.append(Ellipses(label, **place, width=width, height=height, **look))
+        self.marks.append(Ellipses(label=label, **place, width=width, height=height, **look))
 
     def boxes(
         self, x: tuple[ArrayLike, ArrayLike], y: tuple[ArrayLike, ArrayLike], label: str = "", **look: Any
@@ -251,7 +255,7 @@ class Panel:
         if look.get("values") is not None:
             look["values"] = _row(look["values"])
         left, right, low, high = np.broadcast_arrays(*(_row(end) for end in (*x, *y)))
-        self.marks.append(Boxes(label, left=left, right=right, low=low, high=high, **look))
+        self.marks.append(Boxes(label=label, left=left, right=right, low=low, high=high, **look))
 
     def squares(self, middle: FloatArray, side: float, label: str = "", **look: Any) -> None:
         """Add `Boxes` of one side about places (N, 2)."""
@@ -262,7 +266,7 @@ class Panel:
     def arrows(self, place: FloatArray, vector: FloatArray, label: str = "", **look: Any) -> None:
         """Add `Arrows` from places (N, 2) by vectors (N, 2)."""
         (x, y), (dx, dy) = np.asarray(place, np.float64).T, np.asarray(vector, np.float64).T
-        self.marks.append(Arrows(label, x=x, y=y, dx=dx, dy=dy, **look))
+        self.marks.append(Arrows(label=label, x=x, y=y, dx=dx, dy=dy, **look))
 
     def text(self, x: ArrayLike, y: ArrayLike, texts: Sequence[str] | str, **look: Any) -> None:
         """Add `Texts`, black without a colour."""
@@ -283,15 +287,19 @@ class Figure:
     """
 
     name: str
-    title: str
-    caption: str
     panels: tuple[Panel, ...]
     height_in: float
-    heights: tuple[float, ...] = (1.0,)
-    widths: tuple[float, ...] = (1.0,)
-    shared_x: bool = True
-    shared_y: bool = False
+    heights: tuple[float, ...]
+    widths: tuple[float, ...]
+    shared_x: bool
+    shared_y: bool
+    title: str = ""
+    caption: str = ""
     main: bool = False
+
+    def entitled(self, title: str, caption: str, *, main: bool = False) -> Figure:
+        """Return the figure, once its panels are drawn, with what stands beside it."""
+        return replace(self, title=title, caption=caption, main=main)
 
     def data(self) -> dict[str, Any]:
         """Return the figure for `figures.js`: what JSON knows, without what is at its default."""
@@ -317,24 +325,6 @@ class Figure:
         }
 
 
-@dataclass
-class Sheet:
-    """A figure in the making: its panels from the upper left on, row by row."""
-
-    name: str
-    height_in: float
-    heights: tuple[float, ...]
-    widths: tuple[float, ...]
-    shared_x: bool
-    shared_y: bool
-    panels: tuple[Panel, ...]
-
-    def figure(self, title: str, caption: str, *, main: bool = False) -> Figure:
-        """Name what has been drawn."""
-        layout = (self.height_in, self.heights, self.widths, self.shared_x, self.shared_y)
-        return Figure(self.name, title, caption, self.panels, *layout, main=main)
-
-
 def sheet(
     name: str,
     height_in: float,
@@ -343,14 +333,14 @@ def sheet(
     *,
     shared_x: bool = True,
     shared_y: bool = False,
-) -> Sheet:
-    """Give empty panels that share their horizontal axis down a column, or their vertical one along a row.
+) -> Figure:
+    """Give a figure of empty panels that share their horizontal axis down a column, or their vertical one along a row.
 
     `rows` and `columns`: how many, or their shares of height and width.
     """
     heights, widths = ((1.0,) * part if isinstance(part, int) else tuple(part) for part in (rows, columns))
     panels = tuple(Panel() for _ in range(len(heights) * len(widths)))
-    return Sheet(name, height_in, heights, widths, shared_x, shared_y, panels)
+    return Figure(name, panels, height_in, heights, widths, shared_x, shared_y)
 
 
 def _row(values: ArrayLike) -> FloatArray:
@@ -380,8 +370,6 @@ def numbers(values: FloatArray) -> list[float | None]:
 
 def encoded(grey: NDArray[np.uint8]) -> str:
     """Return a grey picture as the source of an image element."""
-    import base64
-
     import cv2
 
     _, data = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 75])

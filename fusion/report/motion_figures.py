@@ -16,7 +16,6 @@ from fusion.report.figure import (
     BLUE,
     COLOURS,
     GREY,
-    LIGHT,
     ORANGE,
     PHASE_COLOURS,
     RED,
@@ -105,7 +104,7 @@ def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name
         "is below that level. Right: deflection in the plane at the instant of its largest extent, grey below "
         "the noise level. Bending appears smaller by the rigid motion that fits it best."
     )
-    return drawn.figure(f"Operating deflection shape seen by {name}", caption)
+    return drawn.entitled(f"Operating deflection shape seen by {name}", caption)
 
 
 def _view(reference_m: FloatArray, value: ComplexArray, u: FloatArray) -> _View:
@@ -220,7 +219,7 @@ def draw_motion(stereo: StereoResult) -> Figure:
         f"curve is drawn at the beat frequency of {beat:.4f} Hz, to which this camera rate folds "
         f"{frequency:.4f} Hz; it passes through the fit at every frame. Right, the frames are ordered by phase."
     )
-    return drawn.figure(f"Motion seen by {stereo.name}", caption)
+    return drawn.entitled(f"Motion seen by {stereo.name}", caption)
 
 
 def draw_residuals(stereo: StereoResult) -> Figure:
@@ -241,7 +240,7 @@ def draw_residuals(stereo: StereoResult) -> Figure:
         "Measured motion minus sine approximation, frame by frame, and its distribution beside the normal "
         "distribution of the same standard deviation s."
     )
-    return drawn.figure(f"Residuals of {stereo.name}", caption)
+    return drawn.entitled(f"Residuals of {stereo.name}", caption)
 
 
 def draw_residual_spectrum(stereo: StereoResult) -> Figure:
@@ -265,7 +264,7 @@ def draw_residual_spectrum(stereo: StereoResult) -> Figure:
         "the fitted lines fold to. White noise alone gives a level spectrum; a peak elsewhere is a disturbance "
         "or a line that was not fitted."
     )
-    return drawn.figure(f"Residual spectrum of {stereo.name}", caption)
+    return drawn.entitled(f"Residual spectrum of {stereo.name}", caption)
 
 
 def subset_pictures(evaluation: Evaluation) -> list[Figure]:
@@ -288,7 +287,7 @@ def subset_pictures(evaluation: Evaluation) -> list[Figure]:
     for panel in drawn.panels[len(seen) :]:
         panel.blank = True
     drawn.panels[0].y.label = "y / px"
-    return [drawn.figure("Subsets", "First left images, contrast stretched, with the subsets tracked in them.")]
+    return [drawn.entitled("Subsets", "First left images, contrast stretched, with the subsets tracked in them.")]
 
 
 def main_frequency(stereo: StereoResult) -> float:
@@ -396,14 +395,14 @@ def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Figure
         f"the points, frame by frame, bars: image noise, k = 2. {explained}A camera that moves makes a step or a "
         "drift. Right: mean over the frames, over the left picture."
     )
-    return drawn.figure(f"Epipolar residuals of {name}", caption)
+    return drawn.entitled(f"Epipolar residuals of {name}", caption)
 
 
 def _draw_course(panel: Panel, check: EpipolarCheck, time_s: FloatArray) -> None:
     """The mean residual over time."""
     if check.pattern_covariance is not None:
         explained = MPX * COVERAGE * float(np.sqrt(check.pattern_covariance[0, 0]))
-        panel.span(-explained, explained, colour=LIGHT)
+        panel.span(-explained, explained)
     panel.rule(0.0, width=0.6)
     half = MPX * COVERAGE * check.u_course_px[:, 0]
     panel.points(time_s, MPX * check.mean_px, half_y=half, colour=BLUE, size=2.6)

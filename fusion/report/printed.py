@@ -101,11 +101,11 @@ def _canvas(figure: Figure) -> Canvas:
     shared: Any = {"sharex": "col" if figure.shared_x else False, "sharey": "row" if figure.shared_y else False}
     shares = {"height_ratios": figure.heights, "width_ratios": figure.widths}
     every = canvas.subplots(rows, columns, squeeze=False, gridspec_kw=shares, **shared)
-    handles: dict[str, Any] = {}
+    handles, crowded = dict[str, Any](), _crowded(figure)
     for place, panel in enumerate(figure.panels):
         row, column = divmod(place, columns)
         inner = (figure.shared_x and row < rows - 1, figure.shared_y and column > 0)
-        if _crowded(figure):
+        if crowded:
             every[row, column].tick_params(axis="x", labelrotation=90)
         handles = _draw_panel(every[row, column], panel, inner) | handles
     _lay_out(figure, every, -(-len(handles) // LEGEND_COLUMNS))
@@ -141,7 +141,7 @@ def _lay_out(figure: Figure, every: Any, legend_rows: int) -> None:
         axes: Axes = every[r, c]
         axes.set_position((x / WIDTH_IN, y / figure.height_in, *size))
         axes.yaxis.set_label_coords(-(beside[c] - 0.16) / (size[0] * WIDTH_IN), 0.5)
-        for scale in filter(None, [_scaled(grid[r][c])]):
+        if (scale := _scaled(grid[r][c])) is not None:
             _colour_bar(axes, scale, -numbers[r] / (size[1] * figure.height_in), 0.1 / (size[1] * figure.height_in))
 
 
@@ -220,21 +220,24 @@ def _logarithm(axes: Axes, way: str) -> None:
     low, high = sorted(axis.get_view_interval())
     narrow = low > 0.0 and high < 100.0 * low and high < 1e5
     axis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0) if narrow else (1.0,), numticks=8))
-    text: Callable[[float, Any], str] = lambda v, _: f"{v:g}" if narrow else power_text(round(float(np.log10(v))))  # noqa: E731
-    axis.set_major_formatter(FuncFormatter(lambda v, _: text(v, _) if v > 0 else ""))
+
+    def text(value: float, _: Any) -> str:
+        if value <= 0.0:
+            return ""
+        return f"{value:g}" if narrow else power_text(round(float(np.log10(value))))
+
+    axis.set_major_formatter(FuncFormatter(text))
     axis.set_minor_locator(NullLocator())
     axis.set_minor_formatter(NullFormatter())
 
 
 def _colours(scale: Scale) -> tuple[Colormap, Normalize]:
     """Colours of a scale and how values are spread over them."""
-    blended = isinstance(scale.colours, tuple)
-    colours = LinearSegmentedColormap.from_list("own", scale.colours) if blended else _named(str(scale.colours))
+    if isinstance(scale.colours, str):
+        colours = mpl.colormaps["RdBu_r" if scale.colours == "RdBu" else scale.colours]
+    else:
+        colours = LinearSegmentedColormap.from_list("own", scale.colours)
     return colours.with_extremes(bad=LIGHT), (LogNorm if scale.log else Normalize)(scale.low, scale.high)
-
-
-def _named(name: str) -> Colormap:
-    return mpl.colormaps["RdBu_r" if name == "RdBu" else name]
 
 
 # One function per kind of mark; it returns what stands for it in the legend.
@@ -276,7 +279,7 @@ def _draw_band(axes: Axes, mark: Band) -> Any:
 
 def _draw_span(axes: Axes, mark: Span) -> Any:
     draw = axes.axvspan if mark.along == "x" else axes.axhspan
-    return draw(mark.low, mark.high, color=mark.colour, alpha=0.35, linewidth=0, zorder=0.5)
+    return draw(mark.low, mark.high, color=mark.colour, alpha=mark.opacity, linewidth=0, zorder=0.5)
 
 
 def _draw_rule(axes: Axes, mark: Rule) -> Any:

@@ -75,7 +75,7 @@ def draw_sources(evaluation: Evaluation, compared: list[str]) -> Figure:
         f"Driven acceleration at {frequency:.4f} Hz from each kind of instrument alone, relative to the fused "
         f"value; bars: U (95 %) of each; band: U of the fused value, to which all of them contribute."
     )
-    return drawn.figure("Acceleration by source", caption, main=True)
+    return drawn.entitled("Acceleration by source", caption, main=True)
 
 
 def draw_components(evaluation: Evaluation, body: str) -> Figure:
@@ -93,7 +93,7 @@ def draw_components(evaluation: Evaluation, body: str) -> Figure:
         f"component whose region holds the origin (cross) is not told apart from zero; its amplitude and phase "
         f"alone would mislead."
     )
-    return drawn.figure(f"Components of the {body} in the complex plane", caption)
+    return drawn.entitled(f"Components of the {body} in the complex plane", caption)
 
 
 def _has_reference(evaluation: Evaluation, body: str) -> bool:
@@ -216,7 +216,9 @@ def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
     lower.x.label = "frequency / Hz"
     hidden = len(points) - int(shown.sum())
     omitted = f" {hidden} line(s) with U above {SHOWN_BELOW:.0%} are in the table only." if hidden else ""
-    return drawn.figure(f"{what} over frequency", f"{label}: magnitude and phase; bars: U (95 %).{omitted}", main=True)
+    return drawn.entitled(
+        f"{what} over frequency", f"{label}: magnitude and phase; bars: U (95 %).{omitted}", main=True
+    )
 
 
 def draw_outputs(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
@@ -240,7 +242,7 @@ def draw_outputs(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
         "output of one recording holds both the sensor's cross-talk and its answer to loads that were not meant to "
         "act."
     )
-    return drawn.figure(f"All outputs under {load}", caption)
+    return drawn.entitled(f"All outputs under {load}", caption)
 
 
 def draw_budget(evaluation: Evaluation) -> Figure | None:
@@ -271,7 +273,7 @@ def draw_budget(evaluation: Evaluation) -> Figure | None:
     channel, load = sensitivity.channels[driven_channel(evaluation)], LOAD_COMPONENTS[driven_component(evaluation)]
     what = f"{result_name(sensitivity.kind[line], channel, load, main=True)}, {sensitivity.frequency_hz[line]:.4f} Hz"
     caption = f"Uncertainty budget of the magnitude of {what}; beside each bar its share of the variance."
-    return drawn.figure("Uncertainty budget", caption, main=True)
+    return drawn.entitled("Uncertainty budget", caption, main=True)
 
 
 def _output_scale(

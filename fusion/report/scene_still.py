@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import cv2
 import numpy as np
 from markupsafe import Markup
 
@@ -239,20 +240,7 @@ def _head(foot: FloatArray, tip: FloatArray, kind: str) -> Markup:
 
 def _hull(points: FloatArray) -> FloatArray:
     """Return the corners of the convex hull of points (N, 2)."""
-    ordered = sorted(set(map(tuple, np.round(points, 1).tolist())))
-    halves: list[list[tuple[float, ...]]] = []
-    for run in (ordered, ordered[::-1]):
-        half: list[tuple[float, ...]] = []
-        for p in run:
-            while len(half) > 1 and _turn(half[-2], half[-1], p) <= 0.0:
-                half.pop()
-            half.append(p)
-        halves.append(half[:-1])
-    return np.array(halves[0] + halves[1] or ordered, dtype=np.float64).reshape(-1, 2)
-
-
-def _turn(a: tuple[float, ...], b: tuple[float, ...], c: tuple[float, ...]) -> float:
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    return np.asarray(cv2.convexHull(points.astype(np.float32)).reshape(-1, 2), dtype=np.float64)
 
 
 def _room(

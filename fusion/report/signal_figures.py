@@ -50,7 +50,7 @@ def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> 
     more = len(evaluation.channels) - len(channels)
     caption = f"Left: samples (points) and fitted lines (curve).{marks} Right: triangles mark the lines fitted."
     caption += f" {more} more channels are not drawn." if more else ""
-    return drawn.figure("Channels", caption)
+    return drawn.entitled("Channels", caption)
 
 
 def draw_trigger(clocks: Sequence[ClockResult]) -> Figure:
@@ -71,7 +71,7 @@ def draw_trigger(clocks: Sequence[ClockResult]) -> Figure:
         panel.y.limits = padded(float(ends.min()), float(ends.max()))
     drawn.panels[-1].x.label = "number of the edge"
     caption = "Camera trigger edges minus the fitted periodic model. Band: the interval that sampling leaves open."
-    return drawn.figure("Trigger", caption)
+    return drawn.entitled("Trigger", caption)
 
 
 def _draw_excerpt(panel: Panel, channel: ChannelResult, exposures: FloatArray) -> None:
@@ -146,7 +146,7 @@ def draw_points(spread: PointSpread, line: int, place: int) -> Figure:
         f"{spread.frequency_hz[line]:.4f} Hz: where they are (red: amplitude above the mean, blue: below), and "
         f"deviation from the mean; bars: U of the deviation; open: the best rigid plane, mean and rocking, there."
     )
-    return drawn.figure("Vibrometer points and rocking", caption)
+    return drawn.entitled("Vibrometer points and rocking", caption)
 
 
 def _deviations(spread: PointSpread, line: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

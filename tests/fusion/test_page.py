@@ -75,7 +75,7 @@ def every_mark() -> Figure:
     fourth.points(4.0, 4.0, values=[0.5], scale=Scale("viridis", 0.1, 1.0, "w", log=True))
     fourth.x.limits, fourth.y.limits = (-0.5, 7.5), (7.5, -0.5)
     fourth.y.second = ("other", 1.0, 2.0)
-    return made.figure("Every mark", "All of them.")
+    return made.entitled("Every mark", "All of them.")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

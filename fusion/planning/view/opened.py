@@ -19,7 +19,7 @@ from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Images
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import opened_results
-from fusion.report.labelled import CAMPAIGN_FILE
+from fusion.report.labelled import CAMPAIGN_FILE, LabelledPhasors, read_results
 from photogram.camera import StereoRig
 from photogram.images.files import open_sequence
 from photogram.images.sequence import ImageSequence
@@ -153,6 +153,14 @@ class Opened:
                 alone = daq.file.suffix.lower() in ALONE
                 known |= recorded_channels(daq.model_copy(update={"channel": (channel.entry,)}) if alone else daq)
             return known[name]
+
+    @cached_property
+    def accelerations(self) -> Mapping[str, LabelledPhasors]:
+        """The accelerations by body and source that results have, and the load."""
+        if self.source.results is None:
+            return {}
+        found = read_results(self.source.results)
+        return found.acceleration | ({} if found.load is None else {"load": found.load})
 
     def extremes(self, number: int) -> Extremes:
         """Return the extremes of a channel, made once."""

@@ -18,9 +18,11 @@ from fusion.planning.view.opened import Opened, Pair
 from fusion.planning.view.server import table
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import opened_results
+from fusion.report.motion_figures import neighbour_distance
 from fusion.report.points import HEAD
 from photogram.geometry import rotation_from_vector
 from shaker.arrays import FloatArray
+from shaker.labels import AXES
 from shaker.lines.spectrum import amplitude_spectrum
 from shaker.timebase.trigger import TriggerFit
 
@@ -31,7 +33,6 @@ LINES_ONLY = (
 )
 EVERY_FRAME = "Subsets and what is not rigid of them as measured in every frame (points-NAME.csv)."
 NO_RESIDUALS = "Of epipolar residuals results keep the mean of each subset over the frames, not every frame's."
-AXES = ("x", "y", "z")
 FARTHEST, NEAREST, STEPS = 1e3, 2.0, 400  # of an epipolar line, in distances of the cameras
 
 
@@ -97,8 +98,7 @@ class Kept:
     @property
     def radius_px(self) -> float:
         """Half-width of the subsets, which lie side by side."""
-        far = np.abs(self.subsets_px[:, None] - self.subsets_px).max(axis=2)
-        return float((np.median(np.where(far > 0, far, np.inf).min(axis=1)) - 1) / 2)
+        return (neighbour_distance(self.subsets_px, 0.5) - 1) / 2
 
 
 class Subsets:

@@ -16,7 +16,6 @@ from fusion.planning.view.opened import Opened, Source, Viewed, find_sources
 from fusion.planning.view.server import Answer, Answers, Server, table
 from fusion.planning.view.subsets import Subsets
 from fusion.recording.toml import read_toml
-from fusion.report.labelled import LabelledPhasors, read_results
 from shaker.lines.spectrum import amplitude_spectrum
 
 MOST_COLUMNS, MOST_BINS = 4000, 4000
@@ -98,23 +97,15 @@ def overview(source: Source) -> Mapping[str, str]:
     }
 
 
-def _accelerations(opened: Opened) -> Mapping[str, LabelledPhasors]:
-    """Return the accelerations by body and source that results have, and the load."""
-    if opened.source.results is None:
-        return {}
-    found = read_results(opened.source.results)
-    return found.acceleration | ({} if found.load is None else {"load": found.load})
-
-
 def result_lines(opened: Opened) -> list[float]:
     """Return the lines of the results."""
-    return next((found.frequency_hz.tolist() for found in _accelerations(opened).values()), [])
+    return next((found.frequency_hz.tolist() for found in opened.accelerations.values()), [])
 
 
 def phasors(opened: Opened, line: int) -> Answer:
     """Return a panel for each component: the value of every instrument at a line with its 95 % region."""
     panels: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for name, found in _accelerations(opened).items():
+    for name, found in opened.accelerations.items():
         row = polar_elements(found.value, found.uncertainty)[line]
         for e, element in enumerate(row):
             if element is None or not np.isfinite(element.region.half_axes).all():

@@ -24,7 +24,7 @@
   /* Value and U to the second digit of U, else to six digits. */
   function told(value, half) {
     if (!Number.isFinite(value)) return "–";
-    if (!Number.isFinite(half) || half === undefined || half <= 0) return String(Number(value.toPrecision(6)));
+    if (!Number.isFinite(half) || half <= 0) return String(Number(value.toPrecision(6)));
     const places = Math.min(12, Math.max(0, 1 - Math.floor(Math.log10(half))));
     return Math.abs(value) >= 1e7 || places > 8 ? `${value.toPrecision(6)} ± ${half.toPrecision(2)}`
       : `${value.toFixed(places)} ± ${half.toFixed(places)}`;
@@ -44,20 +44,20 @@
         ends.push(...at.map((v, i) => v - (half[i] ?? 0)), ...at.map((v, i) => v + (half[i] ?? 0)));
       } else ends = ends.concat(at);
       if (mark.kind === "Boxes" || mark.kind === "Band") ends = ends.concat(row(mark[low]), row(mark[high]));
-      if (mark.kind === "Image") ends.push(...(way === "x" ? [mark.left ?? 0, mark.right ?? 1] : [mark.top ?? 0, mark.bottom ?? 1]));
+      if (mark.kind === "Image") ends.push(...(way === "x" ? [mark.left, mark.right] : [mark.top, mark.bottom]));
       if (mark.kind === "Rule" && (mark.along ?? "y") === way && mark.at.length < 4) ends.push(...row(mark.at));
     }
     ends = ends.filter((v) => Number.isFinite(v) && (!panel[way].log || v > 0));
     const rows = panel[way].names?.length;
     if (rows) return way === "x" ? [-0.6, rows - 0.4] : [rows - 0.4, -0.6];
     if (!ends.length) return panel[way].log ? [0.1, 1] : [0, 1];
-    let [least, most] = ends.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
+    const [least, most] = ends.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
     if (panel[way].log) return [least / 1.3, most * 1.3];
     const room = most > least ? 0.05 * (most - least) : 0.05 * Math.max(Math.abs(most), 1e-30);
     return [least - room, most + room];
   }
 
-  /* Texts, frame and hovering of one panel with its axes; x and y: ranges that it shares with others, if any. */
+  /* A panel with its axes and no marks. shared: ranges that it has from others, if any; beside: the panels on its axes. */
   function empty(panel, size, shared, beside, backend) {
     const B = Bokeh;
     const ranges = ["x", "y"].map((way) => {
@@ -80,7 +80,7 @@
     plot.center.filter((part) => part instanceof B.Grid).forEach((grid, k) => {
       grid.grid_line_color = (k === 0 ? panel.x : panel.y).grid === false || panel.blank ? null : css("--grid");
     });
-    if (panel.y.second) second(plot, panel.y, "y");
+    if (panel.y.second) second(plot, panel.y);
     if (panel.equal) even(plot, size);
     plot.add_tools(new B.BoxZoomTool(), new B.WheelZoomTool({ modifiers: { ctrl: true } }), new B.ResetTool());
     return plot;
@@ -102,9 +102,8 @@
   }
 
   /* A second scale at the right: factor · (value - zero). */
-  function second(plot, axis, way) {
-    const [label, zero, factor] = axis.second;
-    const range = plot[`${way}_range`];
+  function second(plot, axis) {
+    const [label, zero, factor] = axis.second, range = plot.y_range;
     const other = new Bokeh.Range1d({ start: factor * (range.start - zero), end: factor * (range.end - zero) });
     const follow = () => other.setv({ start: factor * (range.start - zero), end: factor * (range.end - zero) });
     range.properties.start.change.connect(follow);
@@ -131,7 +130,7 @@
     const given = Array.isArray(scale.colours) ? scale.colours : Array.from(Bokeh.Palettes[PALETTES[scale.colours] ?? "Viridis256"],
       (c) => "#" + (c >>> 8).toString(16).padStart(6, "0"));
     const palette = blend(scale.colours === "Blues" ? given.reverse() : given);
-    const settings = { palette, low: scale.low ?? 0, high: scale.high ?? 1, nan_color: css("--line") };
+    const settings = { palette, low: scale.low, high: scale.high, nan_color: css("--line") };
     return scale.log ? new Bokeh.LogColorMapper(settings) : new Bokeh.LinearColorMapper(settings);
   }
 
@@ -150,9 +149,9 @@
     const [x, y] = [row(mark.x), row(mark.y)];
     const parts = [], hovered = [];
     const tips = (count, text) => (count <= HOVERED ? Array.from({ length: count }, (_, k) => text(k)) : []);
-    const place = (k, halves = true) => [
-      `${panel.x.names?.length ? "" : `${panel.x.label || "x"}: ${told(x[k], halves ? mark.half_x?.[k] : undefined)}`}`,
-      `${panel.y.names?.length ? panel.y.names[Math.round(y[k])] ?? "" : `${panel.y.label || panel.title || "y"}: ${told(y[k], halves ? mark.half_y?.[k] : undefined)}`}`,
+    const place = (k) => [
+      `${panel.x.names?.length ? "" : `${panel.x.label || "x"}: ${told(x[k], mark.half_x?.[k])}`}`,
+      `${panel.y.names?.length ? panel.y.names[Math.round(y[k])] ?? "" : `${panel.y.label || panel.title || "y"}: ${told(y[k], mark.half_y?.[k])}`}`,
     ].filter(Boolean).join("\n");
     const source = (data, tip) => new B.ColumnDataSource({ data: tip.length ? { ...data, tip } : data });
     const named = (text, k) => [mark.names?.[k] ?? mark.label, text].filter(Boolean).join("\n");
@@ -197,8 +196,8 @@
         from = to + 1;
       }
     } else if (mark.kind === "Span") {
-      const ends = mark.along === "x" ? { left: mark.low ?? 0, right: mark.high ?? 0 } : { bottom: mark.low ?? 0, top: mark.high ?? 0 };
-      const span = new B.BoxAnnotation({ ...ends, fill_color: colour, fill_alpha: 0.35, line_color: null, level: "underlay" });
+      const ends = mark.along === "x" ? { left: mark.low, right: mark.high } : { bottom: mark.low, top: mark.high };
+      const span = new B.BoxAnnotation({ ...ends, fill_color: colour, fill_alpha: mark.opacity, line_color: null, level: "underlay" });
       plot.add_layout(span);
       parts.push(span);
     } else if (mark.kind === "Rule") {
@@ -236,7 +235,7 @@
       parts.push(plot.text({ x, y, text: mark.texts, text_align: mark.align ?? "center", text_baseline: "middle", text_color: colour,
         text_font_size: "11px", x_offset: across, y_offset: -up, ...(mark.upright ? { angle: Math.PI / 2, text_align: "left" } : {}) }));
     } else if (mark.kind === "Image") {
-      const [left, right, top, bottom] = [mark.left ?? 0, mark.right ?? 1, mark.top ?? 0, mark.bottom ?? 1];
+      const { left, right, top, bottom } = mark;
       parts.push(plot.image_url({ url: [mark.grey], x: [left], y: [top], w: [Math.abs(right - left)], h: [Math.abs(bottom - top)],
         anchor: "top_left" }));
     }
@@ -295,6 +294,11 @@
       else (grid[r] ??= []).push(plot);
     });
     return { grid: Bokeh.Plotting.gridplot(grid, { toolbar_location: null }), plots, named };
+  }
+
+  /* Let the ranges of plots go that are drawn no more. */
+  function untie(plots) {
+    for (const range of plots.flatMap((plot) => [plot.x_range, plot.y_range])) links.get(linked.get(range))?.delete(range);
   }
 
   /* Let a range move with all others of its link. */
@@ -372,9 +376,10 @@
     const away = document.createElement("div");
     away.style.cssText = "position:absolute;left:-10000px;top:0";
     document.body.append(away);
-    const view = await Bokeh.Plotting.show(assemble(figure, width, state, "svg").grid, away);
+    const drawn = assemble(figure, width, state, "svg"), view = await Bokeh.Plotting.show(drawn.grid, away);
     await new Promise((ready) => setTimeout(ready, 50));
     const blob = await view.export("svg").to_blob();
+    untie(drawn.plots);
     view.model.document?.clear();
     away.remove();
     return blob;
@@ -400,6 +405,7 @@
     let drawn = null, view = null, running = Promise.resolve();
     const redraw = () => (running = running.then(async () => {
       view?.model.document?.clear();
+      untie(drawn?.plots ?? []);
       host.replaceChildren();
       drawn = assemble(figure, host.clientWidth, state, "canvas");
       bars.querySelector(".legend")?.replaceWith(legend(figure, state, drawn));

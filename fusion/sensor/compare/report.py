@@ -89,7 +89,7 @@ def draw_normalised(evaluation: ComparisonEvaluation) -> Figure:
         frequency_axis(panel.x, np.array([0.95 * ends.min(), 1.05 * ends.max()]))
     drawn.panels[0].x.label = ""
     text = "Deviation from the reference value over its expanded uncertainty; within the band it is covered."
-    return drawn.figure("Deviations from the reference value", text, main=True)
+    return drawn.entitled("Deviations from the reference value", text, main=True)
 
 
 def _largest_text(found: Compared) -> str:
@@ -127,7 +127,7 @@ def _chart(element: tuple[str, str], own: Sequence[Compared]) -> Figure:
             deviation, expanded = factor * (line.value - line.centre), 2.0 * factor * line.u
             if line.reference.used.any():
                 band = 2.0 * factor * line.reference.u
-                panel.span(-band, band, label, colour=colour)
+                panel.span(-band, band, label, colour=colour, opacity=0.08)  # they lie over each other
             panel.points(dates, deviation, label, half_y=expanded, colour=colour, size=4.0, names=tuple(line.names))
             reach += [deviation + expanded, deviation - expanded]
         panel.rule(0.0, colour=GREY)
@@ -140,7 +140,7 @@ def _chart(element: tuple[str, str], own: Sequence[Compared]) -> Figure:
         "magnitude; the bands are U of the reference values. Where there is none, since results contradict each "
         "other, deviations are from their weighted mean. Frequencies stand side by side for legibility."
     )
-    return drawn.figure(f"Control chart of {channel} per {component}", text, main=True)
+    return drawn.entitled(f"Control chart of {channel} per {component}", text, main=True)
 
 
 def largest_share(evaluation: ComparisonEvaluation, title: str) -> float:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fusion.base import MILLI, PERCENT, prefix
-from fusion.report.figure import BLACK, BLUE, COLOURS, GREY, LIGHT, RED, Figure, draw_response, sheet
+from fusion.report.figure import BLACK, BLUE, COLOURS, GREY, RED, Figure, draw_response, sheet
 from fusion.sensor.compensate.evaluate import CompensateEvaluation
 from fusion.sensor.compensate.source import CompensatedChannel, CompensatedRecording, LoadFilter, SubjectResult
 from shaker.arrays import FloatArray
@@ -46,7 +46,7 @@ def draw_bode(name: str, made: LoadFilter, permitted_error: float) -> Figure:
     sampled = sensor * made.sections.response(hertz) / made.sections.gain
     drawn = sheet(name, 4.6, (1.8, 1.0))
     upper, lower = drawn.panels
-    upper.span(1.0 - permitted_error, 1.0 + permitted_error, colour=LIGHT)
+    upper.span(1.0 - permitted_error, 1.0 + permitted_error)
     draw_response(upper, lower, hertz, sensor, unwrapped=True, width=1.1, colour=GREY, label="sensor")
     draw_response(upper, lower, hertz, after, unwrapped=True, width=1.1, colour=BLUE, label="compensated")
     draw_response(upper, lower, hertz, sampled, unwrapped=True, colour=RED, dashed=True, label="for samples")
@@ -66,7 +66,7 @@ def draw_bode(name: str, made: LoadFilter, permitted_error: float) -> Figure:
         f"Grey: ±{PERCENT * permitted_error:g} % of the static gain; dashed uprights: where sensor and compensated "
         "sensor leave ±10 %. Red: the filter for samples behind the sensor."
     )
-    return drawn.figure(f"{title}: gain and phase before and after", caption, main=True)
+    return drawn.entitled(f"{title}: gain and phase before and after", caption, main=True)
 
 
 def draw_step(name: str, made: LoadFilter) -> Figure:
@@ -82,7 +82,7 @@ def draw_step(name: str, made: LoadFilter) -> Figure:
     panel.line(MILLI * time, after, "compensated", colour=BLUE)
     panel.x.label, panel.y.label, panel.title = "time after the step / ms", "output / final value", title
     panel.x.limits = (0.0, MILLI * float(time[-1]))
-    return drawn.figure(f"{title}: a step before and after", "Grey: ±2 % of the final value.")
+    return drawn.entitled(f"{title}: a step before and after", "Grey: ±2 % of the final value.")
 
 
 def draw_noise(evaluation: CompensateEvaluation) -> Figure:
@@ -97,7 +97,7 @@ def draw_noise(evaluation: CompensateEvaluation) -> Figure:
     panel.x.log = panel.y.log = True
     panel.x.label, panel.y.label, panel.x.link = "frequency / Hz", "gain of the filter", "frequency"
     caption = "Gain of the filters over their static gain: the density of the noise is raised by this factor."
-    return drawn.figure("What the filters do to noise", caption)
+    return drawn.entitled("What the filters do to noise", caption)
 
 
 def draw_mismatch(name: str, result: SubjectResult) -> Figure | None:
@@ -125,7 +125,7 @@ def draw_mismatch(name: str, result: SubjectResult) -> Figure | None:
     panel.x.label, panel.y.label, panel.y.limits = axis, "ringing / % of the step", (0.0, 1.1 * highest or 1.0)
     panel.title = "another sensor than the filter is for"
     after = f"Largest deviation from the final value from {MILLI * first.after_s:.3g} ms after a step on."
-    return drawn.figure("Residual ringing", after)
+    return drawn.entitled("Residual ringing", after)
 
 
 def draw_force_feedback(evaluation: CompensateEvaluation) -> Figure | None:
@@ -142,7 +142,7 @@ def draw_force_feedback(evaluation: CompensateEvaluation) -> Figure | None:
         panel.x.label, panel.y.limits = "time / s", (-0.3 * top, top)
         panel.title = f"{case.name}, K = {check.gain:.3g}"
     drawn.panels[0].y.label = "force / N"
-    return drawn.figure("Applied and fed-back force", "Curves end where the loop has run away.")
+    return drawn.entitled("Applied and fed-back force", "Curves end where the loop has run away.")
 
 
 def draw_channel(recording: CompensatedRecording, channel: CompensatedChannel) -> Figure:
@@ -161,7 +161,7 @@ def draw_channel(recording: CompensatedRecording, channel: CompensatedChannel) -
     lower.y.limits = (0.0, 1.1 * float(np.max(u)) / small or 1.0)
     caption = "Both less their first value, the output times the static gain of the filter. "
     caption += "Below: U (95 %) of every sample, from model and noise."
-    return drawn.figure(f"{channel.channel}: recording before and after", caption)
+    return drawn.entitled(f"{channel.channel}: recording before and after", caption)
 
 
 def _unit(letter: str, unit: str) -> str:

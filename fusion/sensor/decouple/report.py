@@ -296,7 +296,7 @@ def draw_crosstalk(evaluation: DecoupleEvaluation) -> Figure:
         f"Largest reading of any other {rated if evaluation.capacity is not None else bare}. Shaded: U (k = 2) by "
         "the uncertainty of the model. Uprights: modes; dashed: frequency of the wanted dynamics."
     )
-    return drawn.figure("Cross-talk over frequency", caption, main=True)
+    return drawn.entitled("Cross-talk over frequency", caption, main=True)
 
 
 def draw_step(evaluation: DecoupleEvaluation) -> Figure:
@@ -325,7 +325,7 @@ def draw_step(evaluation: DecoupleEvaluation) -> Figure:
     rated = "all other loads by the model, in per cent of their rated loads for a step of the rated one"
     bare = "the other loads of its unit by the model, in per cent of the step"
     caption = f"Readings of {rated if evaluation.capacity is not None else bare}."
-    return drawn.figure(f"Other loads while {name} makes a step", caption)
+    return drawn.entitled(f"Other loads while {name} makes a step", caption)
 
 
 # What stands on the page, in the files and on the terminal.

@@ -283,7 +283,7 @@ def draw_compared(evaluation: ElementEvaluation) -> Drawing:
             panel.points(places[known] + shift, departure[known], column.name, half_y=expanded[known], **look)
     panel.x.names, panel.y.label, panel.title = tuple(NAMES), f"less {frame.name} / %", "natural frequencies"
     caption = "Departure of every column from the frame. Bars: expanded uncertainty U (k = 2) where there is one."
-    return drawn.figure("Models against one another", caption, main=True)
+    return drawn.entitled("Models against one another", caption, main=True)
 
 
 def draw_hand(evaluation: ElementEvaluation) -> Drawing | None:
@@ -302,7 +302,7 @@ def draw_hand(evaluation: ElementEvaluation) -> Drawing | None:
     panel.x.label = f"{'mass' if unit == 'g' else 'moment of inertia'} of the hand / {unit}"
     panel.y.label, panel.title = "natural frequency / Hz", f"mounted sensor, {mounted.direction}"
     caption = "What a hand or gripper leaves of the element's own frequency."
-    return drawn.figure(f"Resonance of the mounted sensor, {mounted.direction}", caption)
+    return drawn.entitled(f"Resonance of the mounted sensor, {mounted.direction}", caption)
 
 
 def _panel(figure: Figure, place: int, shape: Shape) -> None:

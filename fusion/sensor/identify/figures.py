@@ -115,7 +115,7 @@ def draw_fit(name: str, curves: Sequence[FittedCurve]) -> Figure:
         "the whole band left, the resonance right. Below: |measured − model| over the radius that holds "
         "the noise 95 times in 100, the common errors found taken off: 5 % of the lines are expected above one."
     )
-    return drawn.figure(f"{curves[0].recording}: curve, model and residual", caption, main=True)
+    return drawn.entitled(f"{curves[0].recording}: curve, model and residual", caption, main=True)
 
 
 def draw_circles(name: str, curves: Sequence[FittedCurve]) -> Figure:
@@ -131,7 +131,7 @@ def draw_circles(name: str, curves: Sequence[FittedCurve]) -> Figure:
         f"Lines within {CIRCLE_WIDTHS:g} half-power widths of the resonances in the complex plane (dots), the "
         "joint model (line), and the frequencies of its modes (crosses)."
     )
-    return drawn.figure("Nyquist circles", caption)
+    return drawn.entitled("Nyquist circles", caption)
 
 
 def _draw_circle(panel: Panel, curve: FittedCurve) -> None:
@@ -197,7 +197,7 @@ def draw_explained(component: ComponentResult, item: SensitivityResult) -> Figur
         f"Complex sensitivity, {label}, and what would make it fall: the sensor's spring and damper alone "
         "with k and b of the resonance (equations 1 and 2), the measuring chain alone, and both together."
     )
-    return drawn.figure(f"Sensitivity with model curves, {label}", caption, main=True)
+    return drawn.entitled(f"Sensitivity with model curves, {label}", caption, main=True)
 
 
 def draw_outputs_over_load(component: ComponentResult) -> Figure:
@@ -223,4 +223,4 @@ def draw_outputs_over_load(component: ComponentResult) -> Figure:
         "By how much the magnitude of the output departs from the force that acts on a load of the mass given, and "
         f"where it leaves ±{100.0 * permitted:g} % (dashed, U with k = 2 shaded): the usable band without correction."
     )
-    return drawn.figure("Usable band by load mass", caption)
+    return drawn.entitled("Usable band by load mass", caption)

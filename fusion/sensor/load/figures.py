@@ -63,7 +63,7 @@ def draw_characteristics(component: ComponentLoads, permitted: float) -> Figure:
         "Lines: models with 95 % bands; points: measured, with U. Below left: models less measured, the permitted "
         f"{PERCENT * permitted:g} % grey."
     )
-    return drawn.figure("Resonances and damping over the load", caption, main=True)
+    return drawn.entitled("Resonances and damping over the load", caption, main=True)
 
 
 def draw_spectra(component: ComponentLoads) -> Figure | None:
@@ -93,7 +93,7 @@ def draw_spectra(component: ComponentLoads) -> Figure | None:
         "Amplitude of the output after the release over its largest line; grey: what the model leaves, whose free "
         "amplitudes and level are fitted to each record; dashed: modes of the model."
     )
-    return drawn.figure("Spectra of the free oscillations", caption)
+    return drawn.entitled("Spectra of the free oscillations", caption)
 
 
 def _band(panel: Panel, load: FloatArray, value: FloatArray, expanded: FloatArray, colour: str, label: str) -> None:

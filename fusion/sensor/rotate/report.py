@@ -136,7 +136,7 @@ def draw_readings(recording: RotationRecording, places: Sequence[int], kind: str
     caption = "Curves: offset and harmonics fitted to all channels in one solve."
     if np.ptp(sense) > 0.0:
         caption += " Filled: come to with the angle growing; open: with the angle falling."
-    return drawn.figure(f"{recording.name}, {kind} over the angle of the head", caption, main=True)
+    return drawn.entitled(f"{recording.name}, {kind} over the angle of the head", caption, main=True)
 
 
 def _draw_points(
@@ -167,7 +167,7 @@ def draw_deviations(evaluation: RotationEvaluation) -> Figure | None:
     panel.x.names = tuple(q.component for q in deviations)
     panel.y.label, panel.title = "deviation / %", "load mass less weighed mass, with U"
     caption = "Bars: expanded uncertainty U of the difference. Grey: U of the weighed mass."
-    return drawn.figure("Load mass against the weighed mass", caption)
+    return drawn.entitled("Load mass against the weighed mass", caption)
 
 
 # The page, and the lines of the terminal.

@@ -93,7 +93,7 @@ def draw_release(name: str, release: Release) -> Figure:
         "Record (blue) and fit (red, dashed); grey: while the load changes, by the fit. Below: the residual over "
         "the output's change; where the model is right it is noise alone."
     )
-    return drawn.figure(f"{release.name}: record, fit and residual", caption)
+    return drawn.entitled(f"{release.name}: record, fit and residual", caption)
 
 
 def draw_devices(name: str, component: ComponentResult) -> Figure:
@@ -119,7 +119,7 @@ def draw_devices(name: str, component: ComponentResult) -> Figure:
         "One release by each, over the output's change, with how long the load changed. What lets go at once makes "
         "the sensor ring; what takes longer than a period of the mode hardly does."
     )
-    return drawn.figure("What let go", caption)
+    return drawn.entitled("What let go", caption)
 
 
 def draw_model(name: str, component: ComponentResult, pooled: Pooled) -> Figure:
@@ -177,7 +177,7 @@ def draw_model(name: str, component: ComponentResult, pooled: Pooled) -> Figure:
         "of the output's derivative over that of the load's. Green and orange: where |H| is within 5 and 10 % of "
         "the static gain. Below: their difference over the static gain, and what noise alone makes of it (grey)."
     )
-    return drawn.figure(f"Output {component.channel} over load {component.component}", caption, main=True)
+    return drawn.entitled(f"Output {component.channel} over load {component.component}", caption, main=True)
 
 
 def draw_convergence(name: str, losses: list[tuple[str, str, FloatArray, int | None]]) -> Figure:
@@ -198,7 +198,7 @@ def draw_convergence(name: str, losses: list[tuple[str, str, FloatArray, int | N
         "Loss as each method defines it. SIM: of the equation error over the order, where it stops to fall the "
         "order is enough for that error, which is not yet the mode's. Differential evolution: of the best member."
     )
-    return drawn.figure("How the methods came to their models", caption)
+    return drawn.entitled("How the methods came to their models", caption)
 
 
 def _modes_hz(model: ModalModel) -> FloatArray:

@@ -298,7 +298,7 @@ def draw_transfer(result: ReferenceResult, channel: int) -> Figure:
         f"Bands: expanded uncertainty U (95 %), which the third panel shows by itself.{told} A coherence below "
         "one tells of noise, of other sources or of a structure that is not linear."
     )
-    return drawn.figure(title, caption, main=channel == 0)
+    return drawn.entitled(title, caption, main=channel == 0)
 
 
 def _fill(file: h5py.File, evaluation: TransferEvaluation) -> None:
