@@ -42,9 +42,12 @@ docs: .venv/docs
 	touch $@
 
 # Every picture of the docs, in a browser where they show pages; the published set-up is rendered, which takes minutes.
+# That of the DIC Challenge needs the pictures and the interpreter of an installed pyvale.
 docs-pictures: .venv/dev
 	$(BIN)/python docs/pictures.py
 	$(BIN)/python benchmarks/published.py --docs docs
+	$(if $(and $(PYVALE_DATA),$(PYVALE_PYTHON)),$(BIN)/python benchmarks/challenge.py --package $(PYVALE_DATA) \
+		--peer-python $(PYVALE_PYTHON) --docs docs,@echo "challenge.png stays: it needs PYVALE_DATA and PYVALE_PYTHON")
 
 sample-images: .venv/installed
 	$(BIN)/shakercal simulate sample_images/demo --preset demo --seed 1 --force
