@@ -123,7 +123,28 @@ def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArr
     """
     deformation = np.eye(2) + warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
     points = (centre_px + warp[:, [0, 3]])[:, None, :] + offset_px @ np.swapaxes(deformation, 1, 2)
-    return np.asarray(np.mean(noise_gain(points[..., 0], degree) * noise_gain(points[..., 1], degree), axis=1))
+    return np.asarray(_mean_gains(points, _noise_gain_table(degree)))
+
+
+@njit()
+def _mean_gains(points, table):  # type: ignore[no-untyped-def]
+    """Mean over points (N,P,2) of the gains of x times y, linear in a table over one pixel; NaN for none."""
+    gains, steps = np.empty(points.shape[0]), table.shape[0] - 1
+    for n in range(points.shape[0]):
+        total = 0.0
+        for p in range(points.shape[1]):
+            product = 1.0
+            for axis in range(2):
+                place = points[n, p, axis]
+                if not np.isfinite(place):
+                    product = np.nan
+                    break
+                place = (place - np.floor(place)) * steps
+                k = min(int(place), steps - 1)
+                product *= table[k] + (place - k) * (table[k + 1] - table[k])
+            total += product
+        gains[n] = total / points.shape[1]
+    return gains
 
 
 @cache

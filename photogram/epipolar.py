@@ -232,7 +232,7 @@ def _turned(rig: StereoRig, vector_rad: FloatArray) -> StereoRig:
 
 def _unexplained(pattern: FloatArray, covariance: FloatArray | None) -> str | None:
     """Return what is wrong where the pattern over the recording is more than calibration and matching explain."""
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     size = float(np.linalg.norm(pattern))
     if covariance is None:
@@ -241,7 +241,7 @@ def _unexplained(pattern: FloatArray, covariance: FloatArray | None) -> str | No
         explained = f"a calibration without uncertainties is trusted within {UNCALIBRATED_PX} px"
     else:
         square = float(pattern @ np.linalg.pinv(covariance, hermitian=True) @ pattern)
-        if size <= REMARKABLE_PX or square <= chi2.isf(RARE, 3):
+        if size <= REMARKABLE_PX or square <= chdtri(3, RARE):
             return None
         explained = f"the calibration explains {COVERAGE * np.sqrt(np.trace(covariance)):.3f} px (k = 2)"
     return f"the cameras no longer are what was calibrated: the epipolar residual is {size:.3f} px, {explained}"
@@ -249,7 +249,7 @@ def _unexplained(pattern: FloatArray, covariance: FloatArray | None) -> str | No
 
 def _course_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> Notice | None:
     """A warning where the pattern changes within the recording by more than noise, u, and other errors of a frame."""
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     frames = np.flatnonzero(np.isfinite(change).all(axis=1))
     if len(frames) < FEWEST_FRAMES:
@@ -266,7 +266,7 @@ def _course_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> N
     squares = (steps**2 / (1.0 / before + 1.0 / after)).sum(axis=1)
     place = int(np.argmax(squares))
     split, step, square = place + 2, steps[place], float(squares[place])
-    if square <= chi2.isf(RARE / len(frames), 3):
+    if square <= chdtri(3, RARE / len(frames)):
         return None
     parts = (slice(None, split), slice(split, None))
     time = np.broadcast_to(np.linspace(-0.5, 0.5, len(values))[:, None], values.shape)

@@ -11,6 +11,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from fusion.base import (
+    AnyNotice,
     ComputeError,
     Executor,
     InputError,
@@ -31,7 +32,6 @@ from fusion.report.files import Kept, claimed, remove_abandoned, workshop
 from fusion.report.folder import check_folder, hash_files, is_current, origin_key
 from fusion.report.recording import REPORT_FILE, check_campaign_folder, write_results
 from fusion.sensitivity.evaluate import evaluate_recording
-from shaker.arrays import Notice
 
 RECORDINGS, JOIN = "recordings", "join recordings"
 LISTEN_S = 0.5  # between looks for an interruption
@@ -66,14 +66,14 @@ class Outcome:
     """What became of one recording: its results folder, or the reason why there is none.
 
     `resumed`: the results of the same inputs, settings and program version were there already. `notices`: of the
-    results, where they have been read for the campaign.
+    results, where they are known without reading them again.
     """
 
     recording: Path
     folder: Path
     resumed: bool = False
     error: InputError | ComputeError | None = None
-    notices: tuple[Notice, ...] | None = None
+    notices: tuple[AnyNotice, ...] | None = None
 
     @property
     def name(self) -> str:
@@ -103,7 +103,7 @@ def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Execut
         evaluation = evaluate_recording(manifest, job.settings, inputs.hashes, progress, executor, kept)
         write_results(evaluation, job.folder, inputs, force=job.force)
         kept.remove()
-    return Outcome(job.recording, job.folder)
+    return Outcome(job.recording, job.folder, notices=evaluation.notices)
 
 
 # One recording or a folder of several: evaluate here, by several processes or on a cluster; resume, merge.

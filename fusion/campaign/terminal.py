@@ -9,7 +9,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion.base import DASH, rounded
+from fusion.base import DASH, AnyNotice, rounded
 from fusion.campaign.joint import best_kind
 from fusion.estimation.coverage import Polar
 from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE, as_answer
@@ -19,7 +19,6 @@ from fusion.report.recording import REPORT_FILE, row_element
 from fusion.report.table import both, factor, has_phase, read_rows
 from fusion.report.tables import result_name
 from fusion.report.terminal import stdout_console, tell
-from shaker.arrays import Notice
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -37,7 +36,7 @@ Row = dict[str, str]
 class Told:
     """A notice of some recordings; those that differ in their numbers alone are one, with the first one's text."""
 
-    notice: Notice
+    notice: AnyNotice
     recordings: tuple[str, ...]
 
     @property
@@ -48,7 +47,7 @@ class Told:
 
 def notices_of(done: Sequence[Outcome], *, campaign: bool) -> list[Told]:
     """Return the notices of what is done, each once, warnings first, then those of most recordings."""
-    found: dict[tuple[str, str, str], tuple[Notice, list[str]]] = {}
+    found: dict[tuple[str, str, str], tuple[AnyNotice, list[str]]] = {}
     groups = [(one.name, _notices_in(one.folder / RESULT_FILE) if one.notices is None else one.notices) for one in done]
     if campaign and done:
         groups.insert(0, ("campaign", _notices_in(done[0].folder.parent / CAMPAIGN_FILE)))
@@ -60,7 +59,7 @@ def notices_of(done: Sequence[Outcome], *, campaign: bool) -> list[Told]:
     return sorted(every, key=lambda told: (told.notice.severity != "warning", -len(told.recordings)))
 
 
-def _notices_in(path: Path) -> tuple[Notice, ...]:
+def _notices_in(path: Path) -> tuple[AnyNotice, ...]:
     """Return the notices of a file of results; none where it is missing."""
     if not path.is_file():
         return ()

@@ -330,13 +330,13 @@ def estimate_scatter(system: System, solution: Solution) -> tuple[Scatter, ...]:
 
 def _scatter(observation: Observation, groups: dict[int, Contrasts], lines: int) -> Scatter:
     """Components of one instrument, pooled over its lines unless a likelihood ratio says that these differ."""
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     components, dof = np.zeros((lines, 2)), np.zeros((lines, 2))
     pooled = variance_components(list(groups.values()))
     own = {k: variance_components([group]) for k, group in groups.items()}
     gain = sum(group.deviance(pooled[0]) - group.deviance(own[k][0]) for k, group in groups.items())
-    together = gain <= chi2.ppf(TEST_LEVEL, 2 * len(groups) - 2) if len(groups) > 1 else True
+    together = gain <= chdtri(2 * len(groups) - 2, 1.0 - TEST_LEVEL) if len(groups) > 1 else True
     for k in groups:
         components[k], dof[k] = pooled if together else own[k]
     return Scatter(observation.title, np.sqrt(components[:, 0]), np.sqrt(components[:, 1]), _joint_dof(components, dof))

@@ -525,7 +525,7 @@ def _distortion(
     theirs: Sequence[_Share],
 ) -> Iterator[Distortion]:
     """Yield what is left of one harmonic of an output beside that of the channels that see the motion."""
-    from scipy.stats import f
+    from scipy.special import fdtri
 
     share = np.array([one.value for one in theirs])
     weight = 1.0 / np.maximum([one.u for one in theirs], np.finfo(np.float64).tiny) ** 2
@@ -534,7 +534,7 @@ def _distortion(
     u = float(np.sqrt(own.u**2 + 1.0 / np.sum(weight) + spread**2 / len(share)))
     excess = own.value - motion
     size, dof = abs(excess), max(own.dof, 1.0)
-    sure = float(np.sqrt(2.0 * f.isf(SURE / len(HARMONICS), 2.0, dof))) * u + CHANGED * abs(motion)
+    sure = float(np.sqrt(2.0 * fdtri(2.0, dof, 1.0 - SURE / len(HARMONICS)))) * u + CHANGED * abs(motion)
     cubic = 3.0 if m == 3 else 1.0
     # Less harmonic in the output than in the motion is a distortion of what measures the motion.
     if size <= sure or cubic * size <= MATTERS or abs(own.value) < size / 2.0:

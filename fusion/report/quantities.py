@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import h5py
@@ -235,34 +235,70 @@ def describe(file: h5py.File) -> None:
     twice as long), `[a, b]^2` for products of the units of row and column, `[unit]` where `unit` beside it has them.
     Files of other commands say so of their phasors, and of what names say by themselves.
     """
+    top = _Opened(file, None)
     whole = "mounting" in file.attrs or "curves" in file
-    found: list[h5py.Dataset] = []
-    file.visititems(lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
-    for data in sorted(found, key=lambda data: (data.name.count("/"), len(data.shape), data.name)):
-        known = whole or set(data.parent) >= PHASORS
-        own = data.name.rpartition("/")[2]
-        told = _told(data.name) if known else OTHERS.get(own, Told())
+    found = [(group.depth, len(data.shape), f"{group.name}/{own}", group, data) for group, own, data in top.datasets()]
+    for _, _, path, group, data in sorted(found, key=lambda one: one[:3]):
+        own, shape = path.rpartition("/")[2], data.shape
+        known = whole or set(group.inside) >= PHASORS
+        told = _told(path) if known else OTHERS.get(own, Told())
         if data.dtype.kind in "biufc":
-            unit = _unit(data, told)
+            unit = _unit(group, own, shape, told)
             if unit:
                 data.attrs["units"] = unit
-        data.attrs["long_name"] = told.text or _words(data.name)
-        names = told.axes.split() if known else [name for name in OVER if _along(data, name)]
+        data.attrs["long_name"] = told.text or _words(path)
+        names = told.axes.split() if known else [name for name in OVER if _along(group, own, shape, name)]
         if not known and not names:
             continue
-        if len(names) != data.ndim:
-            rest = [own] if data.ndim == 1 else [f"{own}_{axis + 1}" for axis in range(data.ndim)]
+        if len(names) != len(shape):
+            rest = [own] if len(shape) == 1 else [f"{own}_{axis + 1}" for axis in range(len(shape))]
             names = rest if known else [*names[:1], *rest[1:]]
         for axis, name in enumerate(names):
-            scale = _scale(data, name, data.shape[axis])
-            if scale != data:
+            scale = _scale(group, name, shape[axis])
+            if scale is not data:
                 data.dims[axis].attach_scale(scale)
 
 
-def _along(data: h5py.Dataset, name: str) -> bool:
+class _Opened:
+    """A group with all that stands below it, each opened once: that takes HDF5 as long as everything asked of it."""
+
+    def __init__(self, group: h5py.Group, parent: _Opened | None) -> None:
+        self.group, self.name, self.attrs = group, group.name, group.attrs
+        self.parent = parent if parent is not None else self
+        self.top: _Opened = parent.top if parent is not None else self
+        self.depth: int = 0 if parent is None else parent.depth + 1
+        self.inside: dict[str, h5py.Dataset | _Opened] = {}
+        for name, item in group.items():
+            self.inside[name] = item if isinstance(item, h5py.Dataset) else _Opened(item, self)
+
+    def get(self, path: str) -> Any:
+        """Return what stands at a path below this group, None where nothing does."""
+        first, _, rest = path.partition("/")
+        found = self.inside.get(first)
+        return found.get(rest) if rest and isinstance(found, _Opened) else None if rest else found
+
+    def __contains__(self, path: str) -> bool:
+        return self.get(path) is not None
+
+    def __getitem__(self, path: str) -> Any:
+        found = self.get(path)
+        if found is None:
+            raise KeyError(path)
+        return found
+
+    def datasets(self) -> Iterator[tuple[_Opened, str, h5py.Dataset]]:
+        """Yield every data set with its group and name."""
+        for name, item in self.inside.items():
+            if isinstance(item, _Opened):
+                yield from item.datasets()
+            else:
+                yield self, name, item
+
+
+def _along(group: _Opened, own: str, shape: tuple[int, ...], name: str) -> bool:
     """Whether the first axis of a data set is what a data set of this name beside it says."""
-    beside = data.parent.get(name)
-    return isinstance(beside, h5py.Dataset) and beside != data and data.ndim > 0 and beside.shape == data.shape[:1]
+    beside = group.get(name)
+    return isinstance(beside, h5py.Dataset) and own != name and len(shape) > 0 and beside.shape == shape[:1]
 
 
 def _told(path: str) -> Told:
@@ -288,18 +324,17 @@ def _words(path: str) -> str:
 # Units: those of the values of a group, from what it says of itself.
 
 
-def _unit(data: h5py.Dataset, told: Told) -> str:
+def _unit(group: _Opened, name: str, shape: tuple[int, ...], told: Told) -> str:
     """Return the unit of a data set, empty where nothing tells it."""
-    group, name = data.parent, data.name.rpartition("/")[2]
     rules: dict[str, Callable[[], str]] = {
         "": lambda: next((unit for suffix, unit in SUFFIXES.items() if name.endswith(suffix)), ""),
-        ".": lambda: _listed(group["unit"].asstr()[()], "[unit]") if len(group["unit"]) == data.shape[-1] else "",
-        "load": lambda: _listed(LOAD_UNITS) if data.shape[-1:] == (6,) else "",
+        ".": lambda: _listed(group["unit"].asstr()[()], "[unit]") if len(group["unit"]) == shape[-1] else "",
+        "load": lambda: _listed(LOAD_UNITS) if shape[-1:] == (6,) else "",
         "per": lambda: f"[1, rad]/({group.attrs['unit'] or '1'})",
         "static": lambda: _listed(_sensitivity_units(group)),
         "driven": lambda: LOAD_UNITS[int(group.attrs["component"])],
         "1/driven": lambda: f"1/({LOAD_UNITS[int(group.attrs['component'])]})",
-        "value": lambda: _listed(_sensitivity_units(group) if data.ndim > 1 and _is_matrix(group) else units()),
+        "value": lambda: _listed(_sensitivity_units(group) if len(shape) > 1 and _is_matrix(group) else units()),
         "value/s": lambda: _listed(f"({unit})/s" if "/" in unit else f"{unit}/s" for unit in units()),
         "squared": lambda: _squared(_listed(units())),
     }
@@ -318,13 +353,13 @@ def _squared(listed: str) -> str:
     return listed if listed in ("", "1") else f"{listed}^2" if listed[0] == "[" else f"({listed})^2"
 
 
-def _is_matrix(group: h5py.Group) -> bool:
+def _is_matrix(group: _Opened) -> bool:
     """Whether the values of a group stand over channels and load components."""
     top = group.name.split("/")
     return "uncertainty" not in top and (top[1:2] == ["matrices"] or top[1:] in (["sensitivity"], ["element"]))
 
 
-def _sensitivity_units(group: h5py.Group) -> list[str]:
+def _sensitivity_units(group: _Opened) -> list[str]:
     """Return the units of sensitivities to the six load components."""
     return [sensitivity_unit(_output_unit(group), component) for component in LOAD_COMPONENTS]
 
@@ -335,18 +370,18 @@ def _listed(units: Iterable[str], several: str = "") -> str:
     return units[0] if len(set(units)) == 1 else (several or f"[{', '.join(units)}]") if units else ""
 
 
-def _output_unit(group: h5py.Group) -> str:
+def _output_unit(group: _Opened) -> str:
     """Return the unit of the outputs that sensitivities of a group are of."""
-    return str(group.attrs.get("unit", group.file["sensor"].attrs["unit"] if "sensor" in group.file else ""))
+    return str(group.attrs.get("unit", group.top["sensor"].attrs["unit"] if "sensor" in group.top else ""))
 
 
-def _owner(group: h5py.Group) -> tuple[h5py.Group, str]:
+def _owner(group: _Opened) -> tuple[_Opened, str]:
     """Return the group whose values an uncertainty is of, and which of its values (`plane`, `residual`)."""
     found = re.match(r"(.*)/(?:(\w+)_)?uncertainty(/.*)?$", group.name)
-    return (group.file[found[1]], found[2] or "") if found else (group, "")
+    return (group.top[found[1].strip("/")], found[2] or "") if found else (group, "")
 
 
-def _units_of_values(group: h5py.Group) -> list[str]:
+def _units_of_values(group: _Opened) -> list[str]:
     """Return the unit of each value of a group, or of what an uncertainty or a group of details belongs to."""
     owner, which = _owner(group)
     top = owner.name.split("/")[1:]
@@ -380,26 +415,26 @@ def _units_of_values(group: h5py.Group) -> list[str]:
 # Axes: coordinates of the group or of those above it, labels, or a length alone.
 
 
-def _scale(data: h5py.Dataset, name: str, length: int) -> h5py.Dataset:
+def _scale(own: _Opened, name: str, length: int) -> h5py.Dataset:
     """Return the dimension scale of an axis: of the data set's group, or of one above it, made where there is none."""
-    own, group = data.parent, data.parent
+    group = own
     while True:
         near = group.get(name)
         if isinstance(near, h5py.Dataset) and near.shape == (length,):
             if not near.is_scale:
                 near.make_scale(name)
             return near
-        if group.name == "/":
+        if group is group.top:
             break
         group = group.parent
     free = next(text for text in (name, *(f"{name}_{number}" for number in range(2, 99))) if text not in own)
     values = _coordinate(own, name, length)
     if values is None:
-        scale = own.create_dataset(free, shape=(length,), dtype=">f4")
+        scale = own.inside[free] = own.group.create_dataset(free, shape=(length,), dtype=">f4")
         scale.make_scale(f"This is a netCDF dimension but not a netCDF variable. {length:9d}")
         return scale
     text = not isinstance(values, np.ndarray)
-    scale = own.create_dataset(free, data=values, dtype=h5py.string_dtype() if text else None)
+    scale = own.inside[free] = own.group.create_dataset(free, data=values, dtype=h5py.string_dtype() if text else None)
     scale.make_scale(free)
     scale.attrs["long_name"] = "real parts, then imaginary parts" if name in ("row", "column") else _words(f"/{name}")
     if not text:
@@ -407,7 +442,7 @@ def _scale(data: h5py.Dataset, name: str, length: int) -> h5py.Dataset:
     return scale
 
 
-def _coordinate(group: h5py.Group, name: str, length: int) -> Any:
+def _coordinate(group: _Opened, name: str, length: int) -> Any:
     """Return what an axis says at each place, None where nothing does."""
     owner, which = _owner(group)
     labels = _labels(owner, which) if name in ("row", "column", "element") else []
@@ -430,7 +465,7 @@ def _coordinate(group: h5py.Group, name: str, length: int) -> Any:
     return values if len(values) == length > 0 else None
 
 
-def _labels(owner: h5py.Group, which: str) -> list[str]:
+def _labels(owner: _Opened, which: str) -> list[str]:
     """Return the label of each value of a group."""
     if which == "plane":
         return ["mean", "rotation 1", "rotation 2"]

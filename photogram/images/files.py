@@ -187,15 +187,26 @@ def _stored(page: Any) -> tuple[int, int]:
     return max((int(end) for end in ends), default=1 << 62), sum(int(count) for count in page.databytecounts)
 
 
-def _check_inflated(path: Path, tiff: Any, page: Any) -> None:
-    """Refuse deflated parts of a page that are not as long as its pixels need, before they fill the memory."""
-    each = math.prod(page.chunks) * page.dtype.itemsize
+def _inflated(path: Path, tiff: Any, page: Any) -> GreyImage | None:
+    """Return a page whose strips are deflated as they are, None where tifffile has more to undo than that.
+
+    Parts that are not as long as their pixels need are refused, before they fill the memory.
+    """
+    each, parts = math.prod(page.chunks) * page.dtype.itemsize, []
+    plain = page.predictor == 1 and not page.is_tiled and page.bitspersample in (8, 16) and page.fillorder == 1
     for start, size in zip(page.dataoffsets, page.databytecounts, strict=True):
         tiff.filehandle.seek(start)
-        found = len(zlib.decompressobj().decompress(tiff.filehandle.read(size), each + 1))
+        part = zlib.decompressobj().decompress(tiff.filehandle.read(size), each + 1)
         # The last strip of a page may be shorter than the others, or filled up.
-        if found > each or (found < each and (page.is_tiled or start != page.dataoffsets[-1])):
+        if len(part) > each or (len(part) < each and (page.is_tiled or start != page.dataoffsets[-1])):
             raise ValueError(f"{path}: expected {each} bytes of pixels in every part, found others")
+        if plain:
+            parts.append(part)
+    pixels = math.prod(page.shape)
+    if not plain or sum(map(len, parts)) < pixels * page.dtype.itemsize:
+        return None
+    stored = np.frombuffer(b"".join(parts), page.dtype.newbyteorder(tiff.byteorder), pixels)
+    return cast(GreyImage, stored.astype(page.dtype, copy=False).reshape(page.shape))
 
 
 def _read_tiff(path: Path, bits: int, page: int) -> GreyImage:
@@ -206,9 +217,8 @@ def _read_tiff(path: Path, bits: int, page: int) -> GreyImage:
         try:
             with tifffile.TiffFile(path) as tiff:
                 own = tiff.pages[page]
-                if "DEFLATE" in own.compression.name:
-                    _check_inflated(path, tiff, own)
-                image = np.asarray(own.asarray())
+                inflated = _inflated(path, tiff, own) if "DEFLATE" in own.compression.name else None
+                image = inflated if inflated is not None else np.asarray(own.asarray())
                 return cast(GreyImage, image.astype(image.dtype.newbyteorder("="), copy=False))
         except (NotImplementedError, ImportError):
             return _read_tiff_opencv(path, bits, page)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +17,7 @@ from photogram.arrays import FloatArray, Notice, check_shape
 
 GreyImage = NDArray[np.uint8 | np.uint16]
 MOST_PIXELS = 1 << 28  # of a picture
+AHEAD = 2  # pictures that are read before they are asked for
 
 
 def check_file(path: Path) -> None:
@@ -95,6 +98,21 @@ class ImageSequence:
                 f"{name}: expected grey values up to {self.full_scale} (bit depth {bits}), found {brightest}"
             )
         return image
+
+
+    def read_ahead(self, frames: Iterable[int]) -> Iterator[GreyImage]:
+        """Yield frames in turn; the next ones are read from the disk while the last one is worked on."""
+        waiting: deque[Future[GreyImage]] = deque()
+        with ThreadPoolExecutor(1) as reader:
+            try:
+                for number in frames:
+                    waiting.append(reader.submit(self.read, number))
+                    if len(waiting) > AHEAD:
+                        yield waiting.popleft().result()
+                while waiting:
+                    yield waiting.popleft().result()
+            finally:
+                reader.shutdown(cancel_futures=True)
 
 
 def full_scale_of(path: Path, stored_bits: int, bit_depth: int | None) -> int:

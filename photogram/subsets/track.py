@@ -211,8 +211,7 @@ def follow_sequence(
     else:
         from photogram.subsets.icgn_stream import follow_frames
 
-        images = (sequence.read(number) for number in later)
-        batched = follow_frames(reference, first, images, settings, device)
+        batched = follow_frames(reference, first, sequence.read_ahead(later), settings, device)
         followed = (FollowedFrame(image, None, found) for image, found in batched)
     for frame in followed:
         centres = reference.centre_px + frame.found.warp[:, [0, 3]]
@@ -492,8 +491,7 @@ def _follow_one_by_one(
     history: list[Registration] = []
     usable = reference.status == TrackStatus.OK
     steps: FloatArray | None = None
-    for number in frames:
-        image = sequence.read(number)
+    for number, image in zip(frames, sequence.read_ahead(frames), strict=True):
         target = spline_of_image(image, settings.degree)
         if history:
             start = predict_warp([past.warp for past in history])

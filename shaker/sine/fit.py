@@ -245,10 +245,10 @@ class Stationarity:
         that χ² falls, to first order by that of the slope times the share of this variance in that of the slope
         (Sherman & Morrison).
         """
-        from scipy.stats import f
+        from scipy.special import fdtrc
 
         free = 2.0 * (len(self.time_s) - 1)
-        return np.asarray(f.sf(self._chi_square(u_phase_rad_per_s) / free, free, self.dof[:, None]))
+        return np.asarray(fdtrc(free, self.dof[:, None], self._chi_square(u_phase_rad_per_s) / free))
 
     def scatter_beside(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
         """Return the variance (K, C) of the blocks beyond noise and such a rate (`p_value_beside`), both parts."""
@@ -302,7 +302,7 @@ def stationarity(
     fit leaves, without the sidebands that a drift makes. The test is that of Fisher for 2(B - 1) real residuals about
     the weighted mean. None where the blocks are too short to tell the lines apart. Rows with a NaN are left out.
     """
-    from scipy.stats import f
+    from scipy.special import fdtrc
 
     tiny = np.finfo(np.float64).tiny
     check_shape("time_s", time_s, (None,))
@@ -351,7 +351,7 @@ def stationarity(
         u_amplitude_per_s=u_slope,
         phase_rad_per_s=slope.imag / size,
         u_phase_rad_per_s=u_slope / size,
-        p_value=np.asarray(f.sf(chi2 / free, free, dof[:, None])),
+        p_value=np.asarray(fdtrc(free, dof[:, None], chi2 / free)),
         dof=dof,
     )
 
