@@ -44,7 +44,7 @@ POLES = {
     7: (-0.53528043079643816554, -0.12255461519232669052, -0.0091486948096082769286),
 }
 SMALLEST_TERM = 1e-17
-BLOCK = 16
+ROWS, COLUMNS, TILE = 16, 64, 8  # of an image that are filtered at once; pixels of a row that change places at once
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,8 +75,11 @@ def spline_of_image(image: NDArray[np.generic], degree: int = 5) -> Spline:
     check_shape("image", image, (None, None))
     if min(image.shape) < 2 * PADDING_PX:
         raise ValueError(f"image: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {image.shape}")
-    inside = np.ascontiguousarray(image, dtype=np.float64)
-    coefficients = _prefilter(inside, np.array(poles_of(degree)), PADDING_PX)
+    poles = np.array(poles_of(degree))
+    gain = float(np.prod((1.0 - poles) * (1.0 - 1.0 / poles)) ** 2)
+    kept = image.dtype in (np.uint8, np.uint16) and image.flags.c_contiguous and image.flags.writeable
+    inside = image if kept else np.array(image, np.float64)  # a kernel is compiled for each kind of array
+    coefficients = _prefilter(inside, poles, gain, PADDING_PX)
     # Fill the frame of PADDING_PX around an image with its mirror image
     for lines in (coefficients, coefficients.T):
         for k in range(1, PADDING_PX + 1):
@@ -121,29 +124,27 @@ def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArr
 
     The points lie where the affine warps (N,6) [u, u_x, u_y, v, v_x, v_y] take them.
     """
-    deformation = np.eye(2) + warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
-    points = (centre_px + warp[:, [0, 3]])[:, None, :] + offset_px @ np.swapaxes(deformation, 1, 2)
-    return np.asarray(_mean_gains(points, _noise_gain_table(degree)))
+    return np.asarray(_mean_gains(centre_px, np.ascontiguousarray(warp), offset_px, _noise_gain_table(degree)))
 
 
 @njit()
-def _mean_gains(points, table):  # type: ignore[no-untyped-def]
-    """Mean over points (N,P,2) of the gains of x times y, linear in a table over one pixel; NaN for none."""
-    gains, steps = np.empty(points.shape[0]), table.shape[0] - 1
-    for n in range(points.shape[0]):
+def _mean_gains(centres, warps, offsets, table):  # type: ignore[no-untyped-def]
+    """Means (N,) of gains of x times those of y, linear in a table over one pixel; NaN for a warp that is none."""
+    gains, steps = np.full(centres.shape[0], np.nan), table.shape[0] - 1
+    for n in range(centres.shape[0]):
+        u, u_x, u_y, v, v_x, v_y = warps[n, 0], warps[n, 1], warps[n, 2], warps[n, 3], warps[n, 4], warps[n, 5]
+        if not np.isfinite(u + u_x + u_y + v + v_x + v_y):
+            continue
         total = 0.0
-        for p in range(points.shape[1]):
-            product = 1.0
-            for axis in range(2):
-                place = points[n, p, axis]
-                if not np.isfinite(place):
-                    product = np.nan
-                    break
-                place = (place - np.floor(place)) * steps
-                k = min(int(place), steps - 1)
-                product *= table[k] + (place - k) * (table[k + 1] - table[k])
-            total += product
-        gains[n] = total / points.shape[1]
+        for p in range(offsets.shape[0]):
+            dx, dy = offsets[p, 0], offsets[p, 1]
+            x = centres[n, 0] + u + (1.0 + u_x) * dx + u_y * dy
+            y = centres[n, 1] + v + v_x * dx + (1.0 + v_y) * dy
+            x, y = (x - np.floor(x)) * steps, (y - np.floor(y)) * steps
+            i, j = min(int(x), steps - 1), min(int(y), steps - 1)
+            along = table[i] + (x - i) * (table[i + 1] - table[i])
+            total += along * (table[j] + (y - j) * (table[j + 1] - table[j]))
+        gains[n] = total / offsets.shape[0]
     return gains
 
 
@@ -169,59 +170,86 @@ def _cardinal(x: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
 
 
 @njit(parallel=True)
-def _prefilter(image, poles, padding):  # type: ignore[no-untyped-def]
-    """Spline coefficients of an image inside a frame of `padding` zeros: blocks of rows, then of columns.
+def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
+    """Spline coefficients of an image inside a frame of `padding` pixels that are still open, for a gain of all poles.
 
-    A block is copied with its lines side by side, so that each step of the recursion is one for all of them at once.
+    Several rows, brought side by side, or columns, as they lie, make each step of the recursion at once.
     """
     height, width = image.shape
-    rows, out = np.empty((height, width)), np.zeros((height + 2 * padding, width + 2 * padding))
-    for block in prange((height + BLOCK - 1) // BLOCK):
-        first = block * BLOCK
-        count = min(BLOCK, height - first)
-        lines = np.zeros((width, BLOCK))
-        for i in range(count):
-            for k in range(width):
-                lines[k, i] = image[first + i, k]
+    whole = width - width % TILE
+    out = np.empty((height + 2 * padding, width + 2 * padding))
+    for block in prange((height + ROWS - 1) // ROWS):
+        first = block * ROWS
+        count = min(ROWS, height - first)
+        lines = np.zeros((width, ROWS))
+        for begin in range(0, whole, TILE):
+            for i in range(count):
+                for k in range(TILE):
+                    lines[begin + k, i] = gain * image[first + i, begin + k]
+        for k in range(whole, width):
+            for i in range(count):
+                lines[k, i] = gain * image[first + i, k]
         for pole in poles:
-            _filter_lines(lines, pole)
-        for i in range(count):
-            for k in range(width):
-                rows[first + i, k] = lines[k, i]
-    for block in prange((width + BLOCK - 1) // BLOCK):
-        first = block * BLOCK
-        count = min(BLOCK, width - first)
-        lines = np.zeros((height, BLOCK))
-        lines[:, :count] = rows[:, first : first + count]
+            _filter_rows(lines, pole)
+        for begin in range(0, whole, TILE):
+            for i in range(count):
+                for k in range(TILE):
+                    out[padding + first + i, padding + begin + k] = lines[begin + k, i]
+        for k in range(whole, width):
+            for i in range(count):
+                out[padding + first + i, padding + k] = lines[k, i]
+    for block in prange((width + COLUMNS - 1) // COLUMNS):
+        first = block * COLUMNS
         for pole in poles:
-            _filter_lines(lines, pole)
-        out[padding : padding + height, padding + first : padding + first + count] = lines[:, :count]
+            _filter_columns(out, padding, height, padding + first, min(COLUMNS, width - first), pole)
     return out
 
 
 @njit()
-def _filter_lines(lines, pole):  # type: ignore[no-untyped-def]
-    """Both recursions of one pole along the first axis of lines (n,BLOCK), mirrored at their ends."""
-    count = lines.shape[0]
-    gain = (1.0 - pole) * (1.0 - 1.0 / pole)
-    total, power = lines[0].copy(), pole
+def _filter_rows(lines, pole):  # type: ignore[no-untyped-def]
+    """Both recursions of one pole along the first axis of lines (n,ROWS), mirrored at their ends, without its gain."""
+    last = lines.shape[0] - 1
+    _begin(lines, 0, last + 1, 0, ROWS, pole)
+    for k in range(1, last + 1):
+        for i in range(ROWS):
+            lines[k, i] += pole * lines[k - 1, i]
+    turn = pole / (pole * pole - 1.0)
+    for i in range(ROWS):
+        lines[last, i] = turn * (pole * lines[last - 1, i] + lines[last, i])
+    for k in range(last - 1, -1, -1):
+        for i in range(ROWS):
+            lines[k, i] = pole * (lines[k + 1, i] - lines[k, i])
+
+
+@njit()
+def _filter_columns(lines, row, count, column, width, pole):  # type: ignore[no-untyped-def]
+    """The same down `count` rows of an image, from `row` on, for `width` columns of it."""
+    last = row + count - 1
+    _begin(lines, row, count, column, width, pole)
+    for k in range(row + 1, last + 1):
+        for i in range(column, column + width):
+            lines[k, i] += pole * lines[k - 1, i]
+    turn = pole / (pole * pole - 1.0)
+    for i in range(column, column + width):
+        lines[last, i] = turn * (pole * lines[last - 1, i] + lines[last, i])
+    for k in range(last - 1, row - 1, -1):
+        for i in range(column, column + width):
+            lines[k, i] = pole * (lines[k + 1, i] - lines[k, i])
+
+
+@njit()
+def _begin(lines, row, count, column, width, pole):  # type: ignore[no-untyped-def]
+    """First value of the causal recursion: the sum over the line and its mirror images before it."""
+    total, power = lines[row, column : column + width].copy(), pole
     for k in range(1, 2 * count - 2):
         if abs(power) < SMALLEST_TERM:
             break
-        source = k if k < count else 2 * count - 2 - k
-        for i in range(BLOCK):
-            total[i] += power * lines[source, i]
+        source = row + (k if k < count else 2 * count - 2 - k)
+        for i in range(width):
+            total[i] += power * lines[source, column + i]
         power *= pole
-    for i in range(BLOCK):
-        lines[0, i] = gain * total[i] / (1.0 - power)
-    for k in range(1, count):
-        for i in range(BLOCK):
-            lines[k, i] = gain * lines[k, i] + pole * lines[k - 1, i]
-    for i in range(BLOCK):
-        lines[-1, i] = pole / (pole * pole - 1.0) * (pole * lines[-2, i] + lines[-1, i])
-    for k in range(count - 2, -1, -1):
-        for i in range(BLOCK):
-            lines[k, i] = pole * (lines[k + 1, i] - lines[k, i])
+    for i in range(width):
+        lines[row, column + i] = total[i] / (1.0 - power)
 
 
 def weights_cubic(t: Lanes) -> tuple[Lanes, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import chain
 
@@ -52,6 +52,7 @@ BLOCK_FRAMES = 32
 """A constant, so that results do not depend on who computes them; few enough to share, many enough to start seldom."""
 GPU_BLOCK_FRAMES = 1024
 """On a GPU, which follows frames in batches: more than most series have, few enough to hold."""
+MOST_HELD = 500_000  # subsets times frames of a series that is held with its points: some 100 MB
 LARGEST_BENDING = 4.0  # rms, in standard deviations of the points; the reference's noise makes it 1.4
 LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the points
 
@@ -99,7 +100,7 @@ class BodyMotion(Arrays):
     @cached_property
     def points(self) -> Points:
         """Points of all frames, in the body's frame, 100 bytes for each in every frame."""
-        parts = [self.tracked.points(block) for block in self.tracked]
+        parts = [points for _, points in self.tracked.with_points()]
         return Points(
             np.concatenate([part.position_m for part in parts]),
             np.concatenate([part.covariance_m2 for part in parts]),
@@ -225,8 +226,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     if settings.grid_step_px <= 2 * settings.radius_px:
         shared = overlap_correlation(scene.grid.left_px, settings.radius_px)
     sums = _Sums()
-    for block in tracked:
-        points = tracked.points(block)
+    for block, points in tracked.with_points():
         if sums.mean is None:
             seen = int(np.count_nonzero(np.isfinite(points.position_m[0]).all(axis=1)))  # in some later frame as well
             if seen < 3:
@@ -261,7 +261,7 @@ class Tracked(Arrays):
     """Tracked subsets of a body, some frames at a time from the first one on, as often as they are asked for.
 
     noise_grey: image noise (N,) at the subsets of the left and the right camera, over all frames. `told`: what these
-    say of both cameras.
+    say of both cameras. `held`: all of a short series with its points, once these have been gone through.
     """
 
     scene: BodyScene
@@ -269,8 +269,26 @@ class Tracked(Arrays):
     noise_grey: tuple[FloatArray, FloatArray]
     course: StereoCourse
     told: Told
+    held: list[tuple[StereoTracks, Points]] = field(default_factory=list)
 
     def __iter__(self) -> Iterator[StereoTracks]:
+        return (tracks for tracks, _ in self.held) if self.held else self._computed()
+
+    def with_points(self) -> Iterator[tuple[StereoTracks, Points]]:
+        """Yield some frames at a time with the points of their subsets, in the body's frame."""
+        if self.held:
+            yield from self.held
+            return
+        short = len(self.scene.images[0]) * len(self.scene.grid.left_px) <= MOST_HELD
+        seen = []
+        for tracks in self._computed():
+            both = tracks, self._points(tracks)
+            if short:
+                seen.append(both)
+            yield both
+        self.held.extend(seen)
+
+    def _computed(self) -> Iterator[StereoTracks]:
         for found in _in_turn(self.scene, self.blocks):
             left, right = (
                 tracks_of(
@@ -281,8 +299,7 @@ class Tracked(Arrays):
             aside = self.course.aside((left.position_px, right.position_px))
             yield self.told.of(without_aside((left, right), aside))
 
-    def points(self, tracks: StereoTracks) -> Points:
-        """The points of some frames, in the body's frame."""
+    def _points(self, tracks: StereoTracks) -> Points:
         left, right = tracks.left, tracks.right
         pixels = left.position_px, right.position_px, left.covariance_px2, right.covariance_px2
         return triangulate(self.scene.rig, *pixels).transformed(self.scene.body_from_left)
@@ -298,9 +315,9 @@ class Surface(Arrays):
 
     def __iter__(self) -> Iterator[Deformation]:
         start = 0
-        for block in self.tracked:
+        for block, points in self.tracked.with_points():
             stop = start + len(block.left.position_px)
-            yield self.mean.of(self.tracked.points(block), _of_frames(self.motion, slice(start, stop)))
+            yield self.mean.of(points, _of_frames(self.motion, slice(start, stop)))
             start = stop
 
 
@@ -434,8 +451,7 @@ def _found_in(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[Fo
     for left, right in zip(*sides, strict=True):
         found = left.found, right.found
         splines = tuple(side.spline or spline_of_image(side.image, scene.settings.degree) for side in (left, right))
-        start = fit_motion(_place(scene, found), scene.rest_m, np.zeros(3)).pose[0]
-        yield found, (splines[0], splines[1]), start
+        yield found, (splines[0], splines[1]), fit_motion(_place(scene, found), scene.rest_m, np.zeros(3)).pose[0]
 
 
 def _tell(progress: Progress | None, frames: int) -> None:

@@ -205,7 +205,7 @@ def _inflated(path: Path, tiff: Any, page: Any) -> GreyImage | None:
     pixels = math.prod(page.shape)
     if not plain or sum(map(len, parts)) < pixels * page.dtype.itemsize:
         return None
-    stored = np.frombuffer(b"".join(parts), page.dtype.newbyteorder(tiff.byteorder), pixels)
+    stored = np.frombuffer(bytearray().join(parts), page.dtype.newbyteorder(tiff.byteorder), pixels)
     return cast(GreyImage, stored.astype(page.dtype, copy=False).reshape(page.shape))
 
 
