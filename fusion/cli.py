@@ -27,6 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Every failure becomes one sentence on stderr.
     """
     gc.set_threshold(GARBAGE, 50, 100)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices here are small: more threads wait for each other
     with _ended_by_signals(), _terminals():
         parser = _parser()
         if "_ARGCOMPLETE" in os.environ:  # the shell asks what could come next

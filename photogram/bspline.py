@@ -176,33 +176,46 @@ def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
     Several rows, brought side by side, or columns, as they lie, make each step of the recursion at once.
     """
     height, width = image.shape
-    whole = width - width % TILE
     out = np.empty((height + 2 * padding, width + 2 * padding))
     for block in prange((height + ROWS - 1) // ROWS):
         first = block * ROWS
         count = min(ROWS, height - first)
         lines = np.zeros((width, ROWS))
-        for begin in range(0, whole, TILE):
-            for i in range(count):
-                for k in range(TILE):
-                    lines[begin + k, i] = gain * image[first + i, begin + k]
-        for k in range(whole, width):
-            for i in range(count):
-                lines[k, i] = gain * image[first + i, k]
+        _rows_side_by_side(image, first, count, gain, lines)
         for pole in poles:
             _filter_rows(lines, pole)
-        for begin in range(0, whole, TILE):
-            for i in range(count):
-                for k in range(TILE):
-                    out[padding + first + i, padding + begin + k] = lines[begin + k, i]
-        for k in range(whole, width):
-            for i in range(count):
-                out[padding + first + i, padding + k] = lines[k, i]
+        _rows_again(lines, count, padding + first, padding, out)
     for block in prange((width + COLUMNS - 1) // COLUMNS):
         first = block * COLUMNS
         for pole in poles:
             _filter_columns(out, padding, height, padding + first, min(COLUMNS, width - first), pole)
     return out
+
+
+@njit()
+def _rows_side_by_side(image, first, count, gain, lines):  # type: ignore[no-untyped-def]
+    """Copy `count` rows of an image times a gain into lines (W,ROWS), tile by tile: neighbours stay near each other."""
+    whole = lines.shape[0] - lines.shape[0] % TILE
+    for begin in range(0, whole, TILE):
+        for i in range(count):
+            for k in range(TILE):
+                lines[begin + k, i] = gain * image[first + i, begin + k]
+    for k in range(whole, lines.shape[0]):
+        for i in range(count):
+            lines[k, i] = gain * image[first + i, k]
+
+
+@njit()
+def _rows_again(lines, count, row, column, out):  # type: ignore[no-untyped-def]
+    """Copy lines (W,ROWS) into `count` rows of an image, from a row and column on."""
+    whole = lines.shape[0] - lines.shape[0] % TILE
+    for begin in range(0, whole, TILE):
+        for i in range(count):
+            for k in range(TILE):
+                out[row + i, column + begin + k] = lines[begin + k, i]
+    for k in range(whole, lines.shape[0]):
+        for i in range(count):
+            out[row + i, column + k] = lines[k, i]
 
 
 @njit()

@@ -90,7 +90,8 @@ def fit_motion(
 
     Minimises Σ dᵢ², dᵢ² = eᵢᵀ·Cᵢ⁻¹·eᵢ, eᵢ = x'ᵢ − R·(xᵢ − o) − o − t, with the points' own covariances Cᵢ by
     Gauss-Newton. The start is Arun's fit (`rigid.nearest_rotation`) with Cauchy weights 1/(1 + eᵢ²/median e²),
-    reweighted eight times (with more than 400 points of evenly chosen 200 to 400), so that up to a third of outliers do not carry it away. In each round the frame's scale is
+    reweighted eight times, so that up to a third of outliers do not carry it away; of 400 points or more every second,
+    third … is enough for that, at least 200. In each round the frame's scale is
     s² = (1 + 5/(n − 2))²·median(dᵢ²)/2.366, the median of χ² with 3 degrees of freedom and the correction for few
     points of Rousseeuw and Leroy (1987, Robust Regression and Outlier Detection, p. 202; two points are used up by
     the six components); points with dᵢ² > 25·s² (1.5·10⁻⁵ of normal ones) are left out, and may come back during the

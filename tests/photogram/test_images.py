@@ -13,7 +13,7 @@ from contracts import refused
 
 from photogram.images.files import open_sequence
 from photogram.images.noise import NoiseModel, fit_noise_model
-from photogram.images.sequence import ImageSequence, saturated_fraction
+from photogram.images.sequence import AHEAD, ImageSequence, saturated_fraction
 from photogram.point_tables import read_point_tables
 from photogram.synthetic.scene import ImageSensor
 
@@ -69,6 +69,41 @@ def test_twelve_bits_survive_every_container(tmp_path, grey12):
 
 def frames_of(sequence: ImageSequence) -> np.ndarray:
     return np.stack([sequence.read(frame) for frame in range(len(sequence))])
+
+
+@pytest.mark.parametrize("byteorder", ["<", ">"])
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+@pytest.mark.parametrize("options", [{"rowsperstrip": 7}, {"predictor": True}, {"tile": (16, 16)}])
+def test_deflated_parts_of_every_kind_are_the_picture(byteorder, kind, options, tmp_path):
+    """Strips of which the last is shorter, differences instead of values, tiles, either order of bytes."""
+    picture = np.random.default_rng(5).integers(0, np.iinfo(kind).max, (45, 64)).astype(kind)
+    tifffile.imwrite(tmp_path / "image.tif", picture, byteorder=byteorder, compression="zlib", **options)
+    read = open_sequence([tmp_path / "image.tif"]).read(0)
+    np.testing.assert_array_equal(read, picture)
+    assert (read.dtype, read.flags.writeable) == (np.dtype(kind), True)  # kernels are compiled for such arrays
+
+
+def test_pictures_are_read_ahead_in_turn_until_nobody_asks():
+    asked = []
+
+    def read(index):
+        asked.append(index)
+        if index == 6:
+            raise ValueError("frame 6: damaged")
+        return np.full((4, 5), index, np.uint8)
+
+    images = ImageSequence(tuple(f"frame {k}" for k in range(50)), (5, 4), 255, read)
+    ahead = images.read_ahead(range(2, 50))
+    assert [int(next(ahead)[0, 0]) for _ in range(3)] == [2, 3, 4]
+    ahead.close()
+    assert asked == list(range(2, 2 + len(asked)))
+    assert len(asked) <= 3 + AHEAD
+    seen = []
+    with pytest.raises(ValueError, match="frame 6: damaged"):
+        seen.extend(int(image[0, 0]) for image in images.read_ahead(range(4, 50)))
+    assert seen == [4, 5]
+    assert [int(image[0, 0]) for image in images.read_ahead((9, 3, 30))] == [9, 3, 30]
+    assert list(images.read_ahead(())) == []
 
 
 @pytest.mark.parametrize("options", [{}, {"compression": "zlib"}])

@@ -1,0 +1,126 @@
+"""Whole commands from start to end: wall time, CPU time and memory, alone or beside those of another checkout.
+
+Usage: python benchmarks/commands.py [--before FOLDER] [--repeats 3] [--keep FOLDER] [--docs docs]
+
+Each command is a process of its own; of the repeats, taken in turn with those of the other checkout, the smallest
+times count. Kernels are compiled and modules read once before. The recordings are the demo in the repository and a
+simulated `nitsche2018` (844 pictures of 640 x 512 px, 12 bit, deflated), which takes two minutes to render and is
+kept in --keep; `lines` reads 30 million samples. With --docs the table goes to performance.md there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from marked import markdown_table, write_marked
+
+from fusion.cli import main as shakercal
+
+ROOT = Path(__file__).resolve().parents[1]
+DEMO = ROOT / "sample_images" / "demo"
+SAMPLES, RATE_HZ = 30_000_000, 51_200.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command, what the table calls it, what was asked of its wall or CPU time, and its arguments."""
+
+    name: str
+    asked: str
+    arguments: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What a process took."""
+
+    wall_s: float
+    cpu_s: float
+    peak_mb: float
+
+
+def cases(kept: Path, results: Path) -> list[Case]:
+    """Commands, from the shortest to the longest."""
+    recording, run = kept / "nitsche2018" / "Fz-0106.25", ("-o", str(results), "--force", "-q")
+    return [
+        Case("`--help`", "0.15 s of CPU", ("--help",)),
+        Case("`check` of the demo", "0.6 s of CPU", ("check", str(DEMO), "-q")),
+        Case("`run` of the demo's recording, 96 pictures", "4 s", ("run", str(DEMO / "Fz-0080"), *run)),
+        Case("`lines`, 30 million samples", "5 s", ("lines", str(kept / "long.h5"), "-q")),
+        Case("`run`, 844 pictures of 640 × 512 px", "10 s", ("run", str(recording), *run)),
+        Case("the same, `--workers 2`", "10 s", ("run", str(recording), *run, "--workers", "2")),
+    ]
+
+
+def make_inputs(kept: Path) -> None:
+    """Write what is not there yet."""
+    if not (kept / "nitsche2018").is_dir():
+        shakercal(["simulate", str(kept / "nitsche2018"), "--preset", "nitsche2018", "-q"])
+    if not (kept / "long.h5").is_file():
+        time_s, rng = np.arange(SAMPLES) / RATE_HZ, np.random.default_rng(1)
+        samples = np.sin(2.0 * np.pi * 106.25 * time_s) + 1e-3 * rng.standard_normal(SAMPLES)
+        with h5py.File(kept / "long.h5", "w") as file:
+            file.create_dataset("Fz", data=samples.astype(np.float32)).attrs["sample_rate"] = RATE_HZ
+
+
+def spent(checkout: Path, arguments: tuple[str, ...]) -> Spent:
+    """Run a command of a checkout and return what it took; its own message where it fails."""
+    program = [sys.executable, "-c", "from fusion.cli import main; raise SystemExit(main())", *arguments]
+    with tempfile.TemporaryFile() as told:
+        started = time.perf_counter()
+        process = subprocess.Popen(program, cwd=checkout, env=os.environ | {"PYTHONPATH": str(checkout)}, stdout=told)
+        _, status, used = os.wait4(process.pid, 0)
+        wall_s = time.perf_counter() - started
+    if status:
+        raise SystemExit(f"shakercal {' '.join(arguments)}: ended with status {status >> 8}")
+    return Spent(wall_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+
+
+def row(case: Case, checkouts: list[Path], repeats: int) -> str:
+    """Measure a case and return its row."""
+    taken: list[list[Spent]] = [[] for _ in checkouts]
+    for number in range(repeats + 1):
+        for checkout, all_of_it in zip(checkouts, taken, strict=True):
+            found = spent(checkout, case.arguments)
+            if number > 0:  # the first one compiles
+                all_of_it.append(found)
+    wall, cpu = ([min(getattr(one, name) for one in each) for each in taken] for name in ("wall_s", "cpu_s"))
+    before = f" {wall[1]:.2f} ({wall[1] / wall[0]:.2f}×) | {cpu[1]:.2f} ({cpu[1] / cpu[0]:.2f}×) |" if wall[1:] else ""
+    peak = max(one.peak_mb for one in taken[0])
+    return f"| {case.name} | {case.asked} | {wall[0]:.2f} | {cpu[0]:.2f} | {peak:.0f} |{before}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--before", type=Path, help="another checkout, measured in turn with this one")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--keep", type=Path, help="folder for what is simulated")
+    parser.add_argument("--docs", type=Path, help="folder of performance.md, whose table is replaced")
+    options = parser.parse_args()
+    checkouts = [ROOT, *([options.before.resolve()] if options.before else [])]
+    with tempfile.TemporaryDirectory() as scratch:
+        kept = Path(scratch) if options.keep is None else options.keep.resolve()
+        make_inputs(kept)
+        rows = [row(case, checkouts, options.repeats) for case in cases(kept, Path(scratch) / "results")]
+        shutil.rmtree(Path(scratch) / "results", ignore_errors=True)
+    head = "| command | asked | wall s | CPU s | peak MB |" + (
+        " wall s before | CPU s before |" if options.before else ""
+    )
+    table = markdown_table(head, rows)
+    print(table)
+    if options.docs:
+        write_marked(options.docs / "performance.md", {"commands": table})
+
+
+if __name__ == "__main__":
+    main()
