@@ -99,11 +99,18 @@ def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Execut
     with claimed(job.folder, job.patience_s), one_blas_thread():
         if job.patience_s and not job.force and there():  # whoever had it has finished it meanwhile
             return Outcome(job.recording, job.folder)
+        if executor is not None:
+            for _ in range(executor.size):  # workers begin while the files are opened here
+                executor.submit(0, _ready)
         kept = Kept(job.folder, origin_key(inputs.hashes, job.settings.as_dict(), versions()))
         evaluation = evaluate_recording(manifest, job.settings, inputs.hashes, progress, executor, kept)
         write_results(evaluation, job.folder, inputs, force=job.force)
         kept.remove()
     return Outcome(job.recording, job.folder, notices=evaluation.notices)
+
+
+def _ready() -> None:  # a task, hence a function of this module, whose imports are what a worker needs
+    """Do nothing."""
 
 
 # One recording or a folder of several: evaluate here, by several processes or on a cluster; resume, merge.
