@@ -1,0 +1,75 @@
+"""What the evaluation of the demo costs, counted: nothing here is a time, so that it is the same on every machine."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fusion import Settings, run_path
+from fusion.report import folder
+from photogram import bspline, direct
+from photogram.images import files
+from photogram.subsets import find
+from photogram.subsets.reference import TrackStatus
+
+DEMO = Path(__file__).resolve().parents[2] / "sample_images" / "demo" / "Fz-0080"
+PICTURES, CAMERAS = 96, 4
+
+
+@pytest.fixture(scope="module")
+def costs(tmp_path_factory):
+    """Calls of what takes the time of a run, and the iterations of every subset that was found."""
+    calls, iterations = Counter[str](), list[int]()
+
+    def counted(patch, module, name):
+        inner = getattr(module, name)
+
+        def outer(*arguments, **named):
+            calls[name] += 1
+            return inner(*arguments, **named)
+
+        patch.setattr(module, name, outer)
+
+    register = find.register
+
+    def registered(*arguments):
+        found = register(*arguments)
+        iterations.extend(found.iterations[found.status == TrackStatus.OK])
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name in (
+            (files, "_tiff_header"), (files, "_read_tiff"), (files, "_inflated"), (bspline, "_prefilter"),
+            (direct, "_sum_cells"), (folder, "printed_svg"),
+        ):  # fmt: skip
+            counted(patch, module, name)
+        patch.setattr(find, "register", registered)
+        run_path(DEMO, tmp_path_factory.mktemp("results"), Settings(), force=True)
+    return calls, iterations
+
+
+def test_a_picture_is_read_and_prepared_once_but_for_the_first_of_a_camera(costs):
+    calls, _ = costs
+    assert calls["_tiff_header"] == PICTURES
+    assert PICTURES <= calls["_read_tiff"] <= PICTURES + 7 * CAMERAS
+    assert calls["_inflated"] == calls["_read_tiff"]
+    assert PICTURES <= calls["_prefilter"] <= PICTURES + 3 * CAMERAS
+
+
+def test_a_subset_needs_fewer_than_two_steps(costs):
+    _, iterations = costs
+    assert len(iterations) > 50 * PICTURES
+    assert np.mean(iterations) < 2.0
+
+
+def test_most_frames_are_compared_with_the_body_once(costs):
+    calls, _ = costs
+    assert calls["_sum_cells"] <= 1.5 * PICTURES
+
+
+def test_only_the_main_figures_are_drawn_as_pictures(costs):
+    calls, _ = costs
+    assert 0 < calls["printed_svg"] <= 4
