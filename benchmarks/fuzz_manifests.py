@@ -6,7 +6,7 @@ Valid inputs of every kind are simulated. Of each, one or two keys are changed: 
 (another unit, another sign, a neighbour's value, keys of the model that the file lacks) or to one that nobody means
 (1e300, NaN, a path out of the folder, control characters, deep nesting). Every one is given to the command that
 evaluates it, in this process, without its page. A run may end with 0, with 2 and one sentence, or with 1 and a sentence
-that is no internal error, within 10 s of processor time, and leaves nothing temporary and no results where it failed.
+that is no internal error, within a minute of the processor, and leaves nothing temporary and no results in failing.
 Printed: a row for each kind with the exits, what broke these rules, and the share of the inputs that `run` refuses and
 `check` does too. Exit status 1 where a rule was broken.
 """
@@ -47,7 +47,7 @@ from fusion.recording.rig import Rig
 from fusion.sensor.elastomer.definition import ElementFile
 from fusion.simulate import simulate
 
-SECONDS = 10.0
+SECONDS = 60.0  # of the processor: what options ask for may take 12 s of a slow one
 PAGES = (
     "fusion.report.recording.render_report",
     "fusion.campaign.joint_report.render_campaign",
@@ -280,7 +280,7 @@ def limited(seconds: float) -> Iterator[None]:
     for name in (signal.SIGPROF, signal.SIGALRM):
         signal.signal(name, _took_long)
     signal.setitimer(signal.ITIMER_PROF, seconds)
-    signal.setitimer(signal.ITIMER_REAL, 30 * seconds)
+    signal.setitimer(signal.ITIMER_REAL, 10 * seconds)
     try:
         yield
     finally:
@@ -302,7 +302,7 @@ def ended(arguments: Sequence[str]) -> tuple[int, str]:
         except SystemExit as error:
             return int(error.code or 0), err.getvalue()
         except TookLong:
-            return -1, "more than 10 s"
+            return -1, f"more than {SECONDS:g} s"
         except BaseException as error:
             return -2, f"{type(error).__name__}: {error}"
 

@@ -183,12 +183,12 @@ def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
         lines = np.zeros((width, ROWS))
         _rows_side_by_side(image, first, count, gain, lines)
         for pole in poles:
-            _filter_rows(lines, pole)
+            _filter(lines, 0, width, 0, ROWS, pole)
         _rows_again(lines, count, padding + first, padding, out)
     for block in prange((width + COLUMNS - 1) // COLUMNS):
         first = block * COLUMNS
         for pole in poles:
-            _filter_columns(out, padding, height, padding + first, min(COLUMNS, width - first), pole)
+            _filter(out, padding, height, padding + first, min(COLUMNS, width - first), pole)
     return out
 
 
@@ -219,24 +219,8 @@ def _rows_again(lines, count, row, column, out):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _filter_rows(lines, pole):  # type: ignore[no-untyped-def]
-    """Both recursions of one pole along the first axis of lines (n,ROWS), mirrored at their ends, without its gain."""
-    last = lines.shape[0] - 1
-    _begin(lines, 0, last + 1, 0, ROWS, pole)
-    for k in range(1, last + 1):
-        for i in range(ROWS):
-            lines[k, i] += pole * lines[k - 1, i]
-    turn = pole / (pole * pole - 1.0)
-    for i in range(ROWS):
-        lines[last, i] = turn * (pole * lines[last - 1, i] + lines[last, i])
-    for k in range(last - 1, -1, -1):
-        for i in range(ROWS):
-            lines[k, i] = pole * (lines[k + 1, i] - lines[k, i])
-
-
-@njit()
-def _filter_columns(lines, row, count, column, width, pole):  # type: ignore[no-untyped-def]
-    """The same down `count` rows of an image, from `row` on, for `width` columns of it."""
+def _filter(lines, row, count, column, width, pole):  # type: ignore[no-untyped-def]
+    """Both recursions of one pole, without its gain, down `count` rows from `row` on, for `width` columns, mirrored."""
     last = row + count - 1
     _begin(lines, row, count, column, width, pole)
     for k in range(row + 1, last + 1):

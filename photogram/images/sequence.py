@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import stat
-import sys
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +17,7 @@ from photogram.arrays import FloatArray, Notice, check_shape
 
 GreyImage = NDArray[np.uint8 | np.uint16]
 MOST_PIXELS = 1 << 28  # of a picture
-AHEAD, LOWEST = 2, 19  # pictures that are read before they are asked for, and the priority of whoever reads them
+AHEAD = 2  # pictures that are read before they are asked for
 
 
 def check_file(path: Path) -> None:
@@ -56,13 +53,6 @@ def check_pixels(path: Path, size_px: tuple[int, int]) -> None:
     """Raise `ValueError` for a picture without pixels or with more than any camera has."""
     if not (min(size_px) > 0 and size_px[0] * size_px[1] <= MOST_PIXELS):
         raise ValueError(f"{path}: expected at most {MOST_PIXELS} pixels, found {size_px[0]} x {size_px[1]}")
-
-
-def _give_way() -> None:
-    """Have a thread run where the others leave a core idle: those that compute wait for each other."""
-    with suppress(AttributeError, OSError):  # a system whose threads have no priorities of their own
-        if sys.platform == "linux":
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST)
 
 
 @dataclass(frozen=True)
@@ -112,7 +102,7 @@ class ImageSequence:
     def read_ahead(self, frames: Iterable[int]) -> Iterator[GreyImage]:
         """Yield frames in turn; the next ones are read from the disk while the last one is worked on."""
         waiting: deque[Future[GreyImage]] = deque()
-        with ThreadPoolExecutor(1, initializer=_give_way) as reader:
+        with ThreadPoolExecutor(1) as reader:
             try:
                 for number in frames:
                     waiting.append(reader.submit(self.read, number))
