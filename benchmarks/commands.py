@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -112,11 +111,8 @@ def main() -> None:
         kept = Path(scratch) if options.keep is None else options.keep.resolve()
         make_inputs(kept)
         rows = [row(case, checkouts, options.repeats) for case in cases(kept, Path(scratch) / "results")]
-        shutil.rmtree(Path(scratch) / "results", ignore_errors=True)
-    head = "| command | asked | wall s | CPU s | peak MB |" + (
-        " wall s before | CPU s before |" if options.before else ""
-    )
-    table = markdown_table(head, rows)
+    before = " wall s before | CPU s before |" if options.before else ""
+    table = markdown_table(f"| command | asked | wall s | CPU s | peak MB |{before}", rows)
     print(table)
     if options.docs:
         write_marked(options.docs / "performance.md", {"commands": table})

@@ -130,7 +130,7 @@ def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArr
 @njit()
 def _mean_gains(centres, warps, offsets, table):  # type: ignore[no-untyped-def]
     """Means (N,) of gains of x times those of y, linear in a table over one pixel; NaN for a warp that is none."""
-    gains, steps = np.full(centres.shape[0], np.nan), table.shape[0] - 1
+    gains = np.full(centres.shape[0], np.nan)
     for n in range(centres.shape[0]):
         u, u_x, u_y, v, v_x, v_y = warps[n, 0], warps[n, 1], warps[n, 2], warps[n, 3], warps[n, 4], warps[n, 5]
         if not np.isfinite(u + u_x + u_y + v + v_x + v_y):
@@ -140,12 +140,17 @@ def _mean_gains(centres, warps, offsets, table):  # type: ignore[no-untyped-def]
             dx, dy = offsets[p, 0], offsets[p, 1]
             x = centres[n, 0] + u + (1.0 + u_x) * dx + u_y * dy
             y = centres[n, 1] + v + v_x * dx + (1.0 + v_y) * dy
-            x, y = (x - np.floor(x)) * steps, (y - np.floor(y)) * steps
-            i, j = min(int(x), steps - 1), min(int(y), steps - 1)
-            along = table[i] + (x - i) * (table[i + 1] - table[i])
-            total += along * (table[j] + (y - j) * (table[j + 1] - table[j]))
+            total += _gain(table, x) * _gain(table, y)
         gains[n] = total / offsets.shape[0]
     return gains
+
+
+@njit()
+def _gain(table, place):  # type: ignore[no-untyped-def]
+    """Value at a place of a function that has the period of a pixel, linear between those of the table."""
+    place = (place - np.floor(place)) * (table.shape[0] - 1)
+    k = min(int(place), table.shape[0] - 2)
+    return table[k] + (place - k) * (table[k + 1] - table[k])
 
 
 @cache
@@ -181,10 +186,10 @@ def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
         first = block * ROWS
         count = min(ROWS, height - first)
         lines = np.zeros((width, ROWS))
-        _rows_side_by_side(image, first, count, gain, lines)
+        _copy(image[first : first + count], lines.T, gain)
         for pole in poles:
             _filter(lines, 0, width, 0, ROWS, pole)
-        _rows_again(lines, count, padding + first, padding, out)
+        _copy(lines.T[:count], out[padding + first :, padding:], 1.0)
     for block in prange((width + COLUMNS - 1) // COLUMNS):
         first = block * COLUMNS
         for pole in poles:
@@ -193,29 +198,16 @@ def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _rows_side_by_side(image, first, count, gain, lines):  # type: ignore[no-untyped-def]
-    """Copy `count` rows of an image times a gain into lines (W,ROWS), tile by tile: neighbours stay near each other."""
-    whole = lines.shape[0] - lines.shape[0] % TILE
+def _copy(source, target, gain):  # type: ignore[no-untyped-def]
+    """Copy rows (n,W) times a gain, tile by tile: pixels near each other in either array stay in reach."""
+    whole = source.shape[1] - source.shape[1] % TILE
     for begin in range(0, whole, TILE):
-        for i in range(count):
+        for i in range(source.shape[0]):
             for k in range(TILE):
-                lines[begin + k, i] = gain * image[first + i, begin + k]
-    for k in range(whole, lines.shape[0]):
-        for i in range(count):
-            lines[k, i] = gain * image[first + i, k]
-
-
-@njit()
-def _rows_again(lines, count, row, column, out):  # type: ignore[no-untyped-def]
-    """Copy lines (W,ROWS) into `count` rows of an image, from a row and column on."""
-    whole = lines.shape[0] - lines.shape[0] % TILE
-    for begin in range(0, whole, TILE):
-        for i in range(count):
-            for k in range(TILE):
-                out[row + i, column + begin + k] = lines[begin + k, i]
-    for k in range(whole, lines.shape[0]):
-        for i in range(count):
-            out[row + i, column + k] = lines[k, i]
+                target[i, begin + k] = gain * source[i, begin + k]
+    for i in range(source.shape[0]):
+        for k in range(whole, source.shape[1]):
+            target[i, k] = gain * source[i, k]
 
 
 @njit()

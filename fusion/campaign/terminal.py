@@ -109,14 +109,12 @@ def sensitivity_table(rows: Sequence[Row], width: int | None = None) -> Table:
     head += f" ({', '.join(kinds)})" if len(kinds) == 1 else ""
     whose = "means of all recordings" if curve else rows[0]["recording"]
     told = [_cells_of(row) for row in rows[:MOST_ROWS]]
-    left_out = {"kind"} if len(kinds) == 1 else set()  # a kind that all share is in the title
-    for name in ("k", COUNTS, "kind", "unit" if len(units) == 1 else None, None):
-        shown = [column for column in told[0] if column not in left_out]
-        needed = sum(max(len(cells[column]) for cells in (*told, {column: column})) + 3 for column in shown) + 1
-        if width is None or needed <= width or name is None:
+    shown = [column for column in told[0] if column != "kind" or len(kinds) > 1]  # one that all share is in the title
+    for name in ("k", COUNTS, "kind", *(("unit",) if len(units) == 1 else ())):
+        if width is None or _width(told, shown) <= width:
             break
-        left_out.add(name)
-    unit = f" in {units.pop()}" if "unit" in left_out else ""
+        shown = [column for column in shown if column != name]
+    unit = "" if "unit" in shown else f" in {units.pop()}"
     table = Table(title=f"{head}{unit}, {whose} (U = k·u, 95 %)", title_justify="left")
     for column in shown:
         table.add_column(column, justify="left" if column in ("quantity", "unit", "kind") else "right")
@@ -131,6 +129,11 @@ def _main_channels(rows: Sequence[Row], of: Callable[[Row], tuple[str, ...]]) ->
     for row in sorted(rows, key=lambda row: (row["channel"] != row["component"], -float(row["magnitude"]))):
         mains.setdefault(of(row), row["channel"])
     return mains
+
+
+def _width(rows: Sequence[Row], columns: Sequence[str]) -> int:
+    """Return how many characters a table of these columns takes with its lines."""
+    return 1 + sum(max(len(column), *(len(cells[column]) for cells in rows)) + 3 for column in columns)
 
 
 def _cells_of(row: Row) -> dict[str, str]:

@@ -237,8 +237,7 @@ def describe(file: h5py.File) -> None:
     """
     top = _Opened(file, None)
     whole = "mounting" in file.attrs or "curves" in file
-    found = [(group.depth, len(data.shape), f"{group.name}/{own}", group, data) for group, own, data in top.datasets()]
-    for _, _, path, group, data in sorted(found, key=lambda one: one[:3]):
+    for path, group, data in sorted(top.datasets(), key=lambda one: (one[0].count("/"), len(one[2].shape), one[0])):
         own, shape = path.rpartition("/")[2], data.shape
         known = whole or set(group.inside) >= PHASORS
         told = _told(path) if known else OTHERS.get(own, Told())
@@ -266,16 +265,16 @@ class _Opened:
         self.group, self.name, self.attrs = group, group.name, group.attrs
         self.parent = parent if parent is not None else self
         self.top: _Opened = parent.top if parent is not None else self
-        self.depth: int = 0 if parent is None else parent.depth + 1
         self.inside: dict[str, h5py.Dataset | _Opened] = {}
         for name, item in group.items():
             self.inside[name] = item if isinstance(item, h5py.Dataset) else _Opened(item, self)
 
     def get(self, path: str) -> Any:
         """Return what stands at a path below this group, None where nothing does."""
-        first, _, rest = path.partition("/")
-        found = self.inside.get(first)
-        return found.get(rest) if rest and isinstance(found, _Opened) else None if rest else found
+        found: Any = self
+        for name in path.split("/"):
+            found = found.inside.get(name) if isinstance(found, _Opened) else None
+        return found
 
     def __contains__(self, path: str) -> bool:
         return self.get(path) is not None
@@ -286,13 +285,13 @@ class _Opened:
             raise KeyError(path)
         return found
 
-    def datasets(self) -> Iterator[tuple[_Opened, str, h5py.Dataset]]:
-        """Yield every data set with its group and name."""
+    def datasets(self) -> Iterator[tuple[str, _Opened, h5py.Dataset]]:
+        """Yield every data set with its path and its group."""
         for name, item in self.inside.items():
             if isinstance(item, _Opened):
                 yield from item.datasets()
             else:
-                yield self, name, item
+                yield f"{self.name.rstrip('/')}/{name}", self, item
 
 
 def _along(group: _Opened, own: str, shape: tuple[int, ...], name: str) -> bool:

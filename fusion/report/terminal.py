@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rich.segment import Segment
 
 LONGEST_LINE, MOST_NOTES = 150, 3  # characters of a notice; notes told one by one beside warnings
+log = logging.getLogger(PROGRAM)
 
 # Where tables and sentences for the user go: a terminal of its own width, a pipe of 120 columns.
 
@@ -100,7 +101,7 @@ def stdout_console() -> Console:
 
 def tell(notices: Iterable[tuple[AnyNotice, str]]) -> None:
     """Log notices with a remark each, in one line, and of more notes than a few only how many; with -v all, whole."""
-    log, told = logging.getLogger(PROGRAM), list(notices)
+    told = list(notices)
     verbose = log.isEnabledFor(logging.DEBUG)
     notes = sum(notice.severity != "warning" for notice, _ in told)
     for notice, remark in told:
@@ -171,7 +172,7 @@ def _timed(update: ProgressCallback) -> ProgressCallback:
         start = begun.setdefault(stage, time.monotonic())
         update(stage, done, total)
         if done >= total:
-            logging.getLogger("shakercal").debug("%s: %.1f s", stage, time.monotonic() - start)
+            log.debug("%s: %.1f s", stage, time.monotonic() - start)
             del begun[stage]
 
     return timed
@@ -183,16 +184,17 @@ def working(what: str) -> Iterator[None]:
 
     With -v the log has how long it took.
     """
-    started = time.monotonic()
+    timed = _timed(no_progress)
+    timed(what, 0, 1)
     with _spinner(what):
         yield
-    logging.getLogger("shakercal").debug("%s: %.1f s", what, time.monotonic() - started)
+    timed(what, 1, 1)
 
 
 @contextmanager
 def _spinner(what: str) -> Iterator[None]:
     """Show on a terminal that something goes on."""
-    loud = sys.stderr.isatty() and logging.getLogger("shakercal").isEnabledFor(logging.INFO)
+    loud = sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
     if not loud or _DRAWN.get():
         yield
         return
