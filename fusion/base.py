@@ -12,8 +12,10 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
@@ -316,6 +318,75 @@ class Executor(Protocol):
 
         Answers that are there may be arguments: the function receives what they hold.
         """
+
+
+class Threads:
+    """Threads of this process that compute tasks, one each at a time, in their turn; at the end of `with` all end.
+
+    `size`: how many, by default as many as there are cores to use, which OMP_NUM_THREADS may limit.
+    """
+
+    patience_s = 0.0  # no other process computes what these do
+
+    def __init__(self, size: int | None = None) -> None:
+        self.size = usable_cores() if size is None else size
+        self._pool = ThreadPoolExecutor(self.size)
+
+    def __enter__(self) -> Threads:
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+    def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[Returned]:
+        """Have a function called as soon as a thread is free, whatever its rank; answers that are there are opened."""
+        held = [argument.result().opened() if isinstance(argument, Future) else argument for argument in arguments]
+        return self._pool.submit(Returned.by, function, held)
+
+
+@dataclass(frozen=True, eq=False)
+class Returned:
+    """What a task of this process returned or raised; what it logged is told already."""
+
+    value: Any
+    error: Exception | None = None
+
+    @staticmethod
+    def by(function: Callable[..., Any], arguments: Sequence[Any]) -> Returned:
+        """Call a function and return what became of it."""
+        try:
+            return Returned(function(*arguments))
+        except Exception as error:
+            return Returned(None, error)
+
+    def opened(self) -> Any:
+        """Return or raise what the task did."""
+        if self.error is not None:
+            raise self.error
+        return self.value
+
+    def log(self, name: str) -> None:
+        """Nothing is left to be told."""
+
+
+_MOST_THREADS: ContextVar[int | None] = ContextVar("most threads", default=None)
+
+
+@contextmanager
+def most_threads(count: int) -> Iterator[None]:
+    """Let `Threads` that are made inside, by this thread, be no more than `count`."""
+    token = _MOST_THREADS.set(count)
+    try:
+        yield
+    finally:
+        _MOST_THREADS.reset(token)
+
+
+def usable_cores() -> int:
+    """Return how many cores this process, or this thread of it, may keep busy."""
+    there = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    limit = os.environ.get("OMP_NUM_THREADS", "")
+    return min(there, int(limit) if limit.isdecimal() and int(limit) else there, _MOST_THREADS.get() or there)
 
 
 class Keeper(Protocol):

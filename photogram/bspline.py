@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import prange
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
@@ -174,7 +173,7 @@ def _cardinal(x: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
     return values, gradients[:, 0]
 
 
-@njit(parallel=True)
+@njit()
 def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
     """Spline coefficients of an image inside a frame of `padding` pixels that are still open, for a gain of all poles.
 
@@ -182,7 +181,7 @@ def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
     """
     height, width = image.shape
     out = np.empty((height + 2 * padding, width + 2 * padding))
-    for block in prange((height + ROWS - 1) // ROWS):
+    for block in range((height + ROWS - 1) // ROWS):
         first = block * ROWS
         count = min(ROWS, height - first)
         lines = np.zeros((width, ROWS))
@@ -190,7 +189,7 @@ def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
         for pole in poles:
             _filter(lines, 0, width, 0, ROWS, pole)
         _copy(lines.T[:count], out[padding + first :, padding:], 1.0)
-    for block in prange((width + COLUMNS - 1) // COLUMNS):
+    for block in range((width + COLUMNS - 1) // COLUMNS):
         first = block * COLUMNS
         for pole in poles:
             _filter(out, padding, height, padding + first, min(COLUMNS, width - first), pole)
@@ -310,12 +309,12 @@ def basis(t, degree, values, slopes):  # type: ignore[no-untyped-def]
             values[j] = (left + right) / n
 
 
-@njit(parallel=True)
+@njit()
 def _evaluate(coefficients, degree, points, values, gradients):  # type: ignore[no-untyped-def]
     """Value and gradient at every point."""
     width, height = coefficients.shape[1] - 2 * PADDING_PX, coefficients.shape[0] - 2 * PADDING_PX
     first = PADDING_PX - degree // 2
-    for m in prange(points.shape[0]):
+    for m in range(points.shape[0]):
         x, y = points[m, 0], points[m, 1]
         values[m] = np.nan
         gradients[m] = np.nan
@@ -403,11 +402,11 @@ def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untype
     return min(count, start + 1 + int(steps))
 
 
-@njit(parallel=True)
+@njit()
 def _sample_squares(c, degree, centres, radius, squares):  # type: ignore[no-untyped-def]
     """Every square that lies in the image."""
     right, bottom = c.shape[1] - 2 * PADDING_PX - 1, c.shape[0] - 2 * PADDING_PX - 1
-    for n in prange(centres.shape[0]):
+    for n in range(centres.shape[0]):
         x, y = centres[n, 0] - radius, centres[n, 1] - radius
         if x >= 0.0 and y >= 0.0 and x + 2 * radius <= right and y + 2 * radius <= bottom:
             _sample_square(c, degree, x, y, 2 * radius + 1, squares[n])

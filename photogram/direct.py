@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.bspline import Spline, evaluate, mean_noise_gain, sample_line, slope_noise_gain, warp_inside
@@ -175,10 +174,10 @@ def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArr
     return mean_noise_gain(cells.centre_px, warp, np.column_stack([dx, dy]), degree)
 
 
-@njit(parallel=True)
+@njit()
 def _prepare(centre, runs, first, pixels, scalars, moments, extent):  # type: ignore[no-untyped-def]
     """Weight the pixels in place; mean, Σw, Σw·f̃² and count, moments of [1 f̃ SD…], Σ(w·variance)·(1, dx², dy²)."""
-    for c in prange(centre.shape[0]):
+    for c in range(centre.shape[0]):
         total, level = 0.0, 0.0
         for r in range(first[c], first[c + 1]):
             for p in range(runs[r, 3], runs[r, 3] + runs[r, 2]):
@@ -218,11 +217,11 @@ def _sample_run(run, centre_x, centre_y, target, warp, grey):  # type: ignore[no
     sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], grey)
 
 
-@njit(parallel=True)
+@njit()
 def _sum_cells(shape, pixels, means, target, warps, sums):  # type: ignore[no-untyped-def]
     """Per cell Σw·g, Σw·g², Σw·f̃·g and the six Σw·SD·g, g without the mean of f; NaN where a cell leaves the image."""
     centres, runs, first, reach = shape
-    for c in prange(centres.shape[0]):
+    for c in range(centres.shape[0]):
         centre_x, centre_y, warp = centres[c, 0], centres[c, 1], warps[c]
         if not warp_inside(target[0], centre_x, centre_y, reach, warp):
             continue
@@ -243,11 +242,11 @@ def _sum_cells(shape, pixels, means, target, warps, sums):  # type: ignore[no-un
         sums[c] = found
 
 
-@njit(parallel=True)
+@njit()
 def _sample_cells(shape, target, warps, grey):  # type: ignore[no-untyped-def]
     """Grey values of the target at all warped pixels."""
     centres, runs, first, reach = shape
-    for c in prange(centres.shape[0]):
+    for c in range(centres.shape[0]):
         if warp_inside(target[0], centres[c, 0], centres[c, 1], reach, warps[c]):
             for r in range(first[c], first[c + 1]):
                 piece = grey[runs[r, 3] : runs[r, 3] + runs[r, 2]]

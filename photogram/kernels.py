@@ -40,15 +40,16 @@ class _Cache(IndexDataCacheFile):  # type: ignore[misc]
             super().save(key, data)
 
 
-def njit(
-    *, parallel: bool = False, nogil: bool = False, error_model: str = "python", inline: str = "never"
-) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit` with these options and no others, cached for the user until a source of this package changes."""
+def njit(*, error_model: str = "python", inline: str = "never") -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` with these options and no others, cached for the user until a source of this package changes.
+
+    A kernel computes in the thread that calls it, and lets other threads of Python go on meanwhile: several bodies, or
+    blocks of frames, at once use all cores, and no digit depends on their number.
+    """
 
     def compiled(function: Callable[..., Any]) -> Any:
-        dispatcher = numba.njit(parallel=parallel, nogil=nogil, error_model=error_model, inline=inline, fastmath=False)(
-            function
-        )
+        options = {"parallel": False, "nogil": True, "error_model": error_model, "inline": inline, "fastmath": False}
+        dispatcher = numba.njit(**options)(function)
         if numba.config.DISABLE_JIT:
             return dispatcher
         dispatcher.enable_caching()

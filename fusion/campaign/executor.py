@@ -26,7 +26,7 @@ from queue import PriorityQueue
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
-from fusion.base import PROGRAM, ComputeError, InputError, __version__, undone
+from fusion.base import PROGRAM, ComputeError, InputError, __version__, most_threads, undone
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -37,14 +37,14 @@ log = logging.getLogger("shakercal")
 # How many threads the libraries of one task use.
 
 
-LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "NUMBA_NUM_THREADS")
+LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 ONE_THREAD = dict.fromkeys((*LIMITS, "OPENCV_FOR_THREADS_NUM"), "1")
 """What a process has to be started with for its libraries to use one thread each."""
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Let linear algebra compute with one thread; loops over subsets, whose result does not depend on it, keep all."""
+    """Let linear algebra compute with one thread."""
     import scipy.linalg  # noqa: F401  (brings a linear algebra of its own, which is to be limited too)
     from threadpoolctl import threadpool_limits
 
@@ -55,21 +55,18 @@ def one_blas_thread() -> Iterator[None]:
 def with_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
     """Call a function while every library computes with one thread."""
     import cv2
-    import numba
     from threadpoolctl import threadpool_limits
 
-    threads = numba.get_num_threads(), cv2.getNumThreads()
+    threads = cv2.getNumThreads()
     torch = sys.modules.get("torch")
     if torch is not None:
         torch.set_num_threads(1)
-    numba.set_num_threads(1)
     cv2.setNumThreads(1)
     try:
-        with one_blas_thread(), threadpool_limits(1):
+        with one_blas_thread(), threadpool_limits(1), most_threads(1):
             return function(*arguments)
     finally:
-        numba.set_num_threads(threads[0])
-        cv2.setNumThreads(threads[1])
+        cv2.setNumThreads(threads)
 
 
 # A task that another process computes: what it returns, raises and logs comes back as one answer.

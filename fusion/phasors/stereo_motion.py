@@ -1,6 +1,6 @@
 """From the image pairs, or points, of a stereo pair to the rigid motion of the body that it sees.
 
-Images are followed here one pair after another, or by an executor's processes, pair by pair and block by block.
+Images are followed pair by pair and block by block, by threads of this process or by an executor's processes.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from fusion.base import (
     Pending,
     ProgressCallback,
     Settings,
+    Threads,
     as_input_error,
 )
 from fusion.phasors.timing import Sight, TimeBase, see
@@ -232,32 +233,36 @@ def measure_pairs(
 ) -> tuple[StereoMotion | LeftOut, ...]:
     """Track the images of stereo pairs and fit the rigid motion of the body that each sees, or say why there is none.
 
-    Files that cannot be read are refused. An executor opens the images itself, by the same paths, and its motions are
-    those found without one to the last bit. Blocks of frames that were `kept` are not followed again.
+    Files that cannot be read are refused. An executor opens the images itself, by the same paths; without one, threads
+    of this process follow them, and whoever does finds the same to the last bit. Blocks of frames that were `kept` are
+    not followed again.
     """
-    if executor is None:
-        return tuple(_attempted(item, partial(measure_images, item, settings, progress, kept)) for item in images)
     device, begun = settings.device, []
-    prepared = [executor.submit(0, _prepared, body_inputs(item, settings), device, item.depth_m) for item in images]
-    for item, pending in zip(images, prepared, strict=True):
-        scene: BodyScene | LeftOut = _attempted(item, partial(_answer, item, pending))
-        followed = scene if isinstance(scene, LeftOut) else Followed(item, scene, device, kept)
-        shares = () if isinstance(followed, LeftOut) else followed.missing()
-        asked = {share: executor.submit(1, _followed, pending, share, device) for share in shares}
-        begun.append((item, followed, asked))
-    for item, followed, asked in begun:  # of all pairs, so that no block waits in memory for the motion of another pair
-        if isinstance(followed, LeftOut):
-            continue
-        stage, total = f"track {item.sight.name}", 2 * len(item.left)
-        for frames in followed.scene.blocks:
-            progress(stage, 2 * frames.start, total)
-            if frames in asked:
-                followed.add(frames, _answer(item, asked.pop(frames)))
-        progress(stage, total, total)
-    return tuple(
-        followed if isinstance(followed, LeftOut) else _attempted(item, partial(_moved, item, followed))
-        for item, followed, _ in begun
-    )
+    with Threads() as here:
+        crew = here if executor is None else executor
+        prepared = [crew.submit(0, _prepared, body_inputs(item, settings), device, item.depth_m) for item in images]
+        for item, pending in zip(images, prepared, strict=True):
+            scene: BodyScene | LeftOut = _attempted(item, partial(_answer, item, pending))
+            followed = scene if isinstance(scene, LeftOut) else Followed(item, scene, device, kept)
+            shares = () if isinstance(followed, LeftOut) else followed.missing()
+            asked = {share: crew.submit(1, _followed, pending, share, device) for share in shares}
+            begun.append((item, followed, asked))
+        moved = list[LeftOut | Pending]()
+        for item, followed, asked in begun:  # so that no block waits in memory for the motion of another pair
+            if isinstance(followed, LeftOut):
+                moved.append(followed)
+                continue
+            stage, total = f"track {item.sight.name}", 2 * len(item.left)
+            for frames in followed.scene.blocks:
+                progress(stage, 2 * frames.start, total)
+                if frames in asked:
+                    followed.add(frames, _answer(item, asked.pop(frames)))
+            progress(stage, total, total)
+            moved.append(here.submit(2, _moved, item, followed))
+        return tuple(
+            pending if isinstance(pending, LeftOut) else _attempted(item, partial(_answer, item, pending))
+            for item, pending in zip(images, moved, strict=True)
+        )
 
 
 def _attempted(images: OpenImages, act: Callable[[], T]) -> T | LeftOut:
@@ -293,23 +298,12 @@ def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  #
     return follow_block(scene, frames, resolve_device(device))
 
 
-def measure_images(
-    images: OpenImages, settings: Settings, progress: ProgressCallback, kept: Keeper | None = None
-) -> StereoMotion:
+def measure_images(images: OpenImages, settings: Settings, progress: ProgressCallback) -> StereoMotion:
     """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
-    stage, total = f"track {images.sight.name}", 2 * len(images.left)
-    device = resolve_device(settings.device)
-
-    def tell(done: int) -> None:
-        progress(stage, done, total)
-
-    with as_input_error(*images.sight.where):
-        scene = prepare_body(*body_inputs(images, settings), device, tell, images.depth_m)
-        followed = Followed(images, scene, device, kept)
-        for frames in followed.missing():
-            followed.add(frames, follow_block(scene, frames, device, tell))
-        body = body_motion(scene, followed)
-    return seen_motion(images, body)
+    (found,) = measure_pairs((images,), settings, progress)
+    if isinstance(found, LeftOut):
+        raise found.error
+    return found
 
 
 # Blocks of frames on a disk: a motion is computed from them one at a time, and a run that was ended goes on from them.

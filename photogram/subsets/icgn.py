@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
@@ -250,12 +249,12 @@ def after_inverse(warp: Any, step: Any) -> tuple[Any, ...]:
 _after_inverse = njit()(after_inverse)
 
 
-@njit(parallel=True)
+@njit()
 def _register(subsets, solved, target, limits, warp, scores, outcome):  # type: ignore[no-untyped-def]
     """Every usable subset on its own; outcome (N,2) receives status and iterations."""
     centres, radius, pixels, means, energies, offsets = subsets
     removed, inverse = solved
-    for n in prange(centres.shape[0]):
+    for n in range(centres.shape[0]):
         if outcome[n, 0] != 0:
             continue
         outcome[n, 0], outcome[n, 1] = _register_one(

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import prange
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
@@ -272,10 +271,10 @@ def _pixel_noise(spline: Spline, centre_px: FloatArray, radius_px: int) -> Float
     return middle / (0.6745 * 20.0)
 
 
-@njit(parallel=True)
+@njit()
 def _medians(values, corner, side, middle):  # type: ignore[no-untyped-def]
     """Median of every square of values (H,W) whose first column and row are corner (N,2); 0 where it is not inside."""
-    for n in prange(corner.shape[0]):
+    for n in range(corner.shape[0]):
         x, y = corner[n, 0], corner[n, 1]
         if x >= 0 and y >= 0 and x + side <= values.shape[1] and y + side <= values.shape[0]:
             middle[n] = np.median(values[y : y + side, x : x + side])

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, derivatives
@@ -253,13 +252,13 @@ def _subset(left, x, y, offsets):  # type: ignore[no-untyped-def]
     return grey, np.sum(grey * grey), offsets, offsets[-1, 0]
 
 
-@njit(parallel=True, error_model="numpy")
+@njit(error_model="numpy")
 def _correlate(left, right, points, offsets, curves, beside, outcome):  # type: ignore[no-untyped-def]
     """Fill outcome: the best correlation (S,K) at each place over tilts and lines, and which tilt and line it is."""
     right_px, across, affine, along, slope = curves
     score, tilt, line = outcome
     reach = offsets[-1, 0]
-    for n in prange(points.shape[0]):
+    for n in range(points.shape[0]):
         x, y = points[n, 0], points[n, 1]
         if not (reach <= x < left.shape[1] - 1 - reach and reach <= y < left.shape[0] - 1 - reach):
             continue
@@ -286,11 +285,11 @@ def _correlate(left, right, points, offsets, curves, beside, outcome):  # type: 
                         score[n, k], tilt[n, k], line[n, k] = found, t, j
 
 
-@njit(parallel=True, error_model="numpy")
+@njit(error_model="numpy")
 def _climb(left, right, points, offsets, starts):  # type: ignore[no-untyped-def]
     """Move starts (C,S,6) uphill, one part of the warp after another, by ever shorter steps."""
     reach = offsets[-1, 0]
-    for n in prange(points.shape[0]):
+    for n in range(points.shape[0]):
         x, y = points[n, 0], points[n, 1]
         if not (reach <= x < left.shape[1] - 1 - reach and reach <= y < left.shape[0] - 1 - reach):
             continue

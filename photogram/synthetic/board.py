@@ -94,7 +94,7 @@ def _shares(edges: FloatArray, value: float, sigma: float, first: int, last: int
         lower = upper
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def render_tiles(camera, homography, edges_x, edges_y, tiles, sigma, image):  # type: ignore[no-untyped-def]
     """Fill image (H, W) with a pattern that is constant on the tiles (Y + 1, X + 1) between edges (X,) and (Y,)."""
     rays = np.empty((image.shape[1], 6))
@@ -162,7 +162,7 @@ def _plain(spots: FloatArray, first: FloatArray, sheet: FloatArray, u: float, v:
     return True
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def render_dots(camera, homography, spots, first, sheet, sigma, image):  # type: ignore[no-untyped-def]
     """Fill image (H, W, 2) with the shares of black and of sheet in every pixel; lengths in lattice spacings.
 

@@ -286,7 +286,7 @@ def _gauss_legendre(nodes: int, length: float) -> tuple[FloatArray, FloatArray]:
     return points * length / 2, weights / 2
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _integrate(rays, motion, aperture, texture, size, tone, image):  # type: ignore[no-untyped-def]
     """Fill the image with the mean over aperture and exposure, in one pass over the pixels."""
     (ray, ray_x, ray_y), (maps, weights) = rays, motion

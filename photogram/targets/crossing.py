@@ -283,7 +283,7 @@ def _correlate(patch, out):  # type: ignore[no-untyped-def]
         out[1, lag], out[2, lag], out[3, lag] = both * xx, both * 0.5 * xy, both * yy
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-untyped-def]
     """Fill fitted (N, 13) and lags (N, 4, 28) for corners expected at start (N, 2).
 
