@@ -21,8 +21,11 @@ from photogram.motion import (
     DeformationMean,
     PlacedCamera,
     RigidMotion,
+    SeenPoints,
     fit_motion,
+    motion_of_places,
     overlap_correlation,
+    see_points,
 )
 from photogram.subsets.find import BodyNotFound, DepthRange, identity
 from photogram.subsets.icgn import Registration, TrackSettings
@@ -116,7 +119,8 @@ FollowedBlock = tuple[tuple[Found, DirectFit | None], ...]
 class BodyScene(Arrays, shapes="rest_m N 3"):
     """What stays the same through a series, whoever follows which of its frames.
 
-    views: the body at rest, whose points are rest_m (N, 3), weighted by the `noise` of the images. lead: the frames
+    views: the body at rest, whose points are rest_m (N, 3), weighted by the `noise` of the images; seen: those points
+    in each camera. lead: the frames
     after the first, mostly one, that were followed to find that noise; None where no frame tells it. blocks: the other
     frames, each block of which is followed from the reference on, by itself.
     """
@@ -129,6 +133,7 @@ class BodyScene(Arrays, shapes="rest_m N 3"):
     references: tuple[Reference, Reference]
     rest_m: FloatArray
     views: tuple[BodyView, ...]
+    seen: tuple[SeenPoints, ...]
     noise: Noise | None
     lead: FollowedBlock
     blocks: tuple[range, ...]
@@ -185,10 +190,13 @@ def prepare_body(
     left, right = (
         prepare_sequence(side, px, settings) for side, px in zip(images, (grid.left_px, grid.right_px), strict=True)
     )
-    scene = BodyScene(images, rig, body_from_left, settings, grid, (left, right), np.empty((0, 3)), (), None, (), ())
+    scene = BodyScene(
+        images, rig, body_from_left, settings, grid, (left, right), np.empty((0, 3)), (), (), None, (), ()
+    )
     rest_m = _place(scene, (identity(left), identity(right))).position_m[0]
     first = spline_of_image(images[0].read(0), settings.degree), spline_of_image(images[1].read(0), settings.degree)
-    scene = replace(scene, rest_m=rest_m, views=_views(scene, first, rest_m, (UNIFORM, UNIFORM)))
+    seen = tuple(see_points(camera, rest_m) for camera in _cameras(scene, rest_m))
+    scene = replace(scene, rest_m=rest_m, seen=seen, views=_views(scene, first, seen, (UNIFORM, UNIFORM)))
     _tell(progress, 1)
     scene = _with_noise(scene, first, device, progress)
     rest = range(1 + len(scene.lead), len(images[0]))
@@ -201,8 +209,8 @@ def follow_block(
 ) -> FollowedBlock:
     """Follow the body through a block of later frames; the first of them is found from the reference alone."""
     followed = []
-    for number, (found, splines, start) in zip(frames, _found_in(scene, frames, device), strict=True):
-        followed.append((found, _fit(scene.views, splines, start)))
+    for number, (found, splines) in zip(frames, _found_in(scene, frames, device), strict=True):
+        followed.append((found, _fit(scene, found, splines)))
         _tell(progress, number + 1)
     return tuple(followed)
 
@@ -429,12 +437,12 @@ def _joined(parts: Sequence[RigidMotion]) -> RigidMotion:
 def _with_noise(scene: BodyScene, first: Splines, device: str, progress: Progress | None) -> BodyScene:
     """The scene with the noise models of the first frame that can be fitted, and what was found up to it."""
     for number in range(1, len(scene.images[0])):
-        ((found, splines, start),) = _found_in(scene, range(number, number + 1), device)
-        fit = _fit(scene.views, splines, start)
+        ((found, splines),) = _found_in(scene, range(number, number + 1), device)
+        fit = _fit(scene, found, splines)
         if fit is not None:
             left, right = map(partial(image_noise, moved=fit.moved), scene.views, splines)
-            scene = replace(scene, noise=(left, right), views=_views(scene, first, scene.rest_m, (left, right)))
-            fit = _fit(scene.views, splines, start)
+            scene = replace(scene, noise=(left, right), views=_views(scene, first, scene.seen, (left, right)))
+            fit = _fit(scene, found, splines)
         scene = replace(scene, lead=(*scene.lead, (found, fit)))
         _tell(progress, number + 1)
         if scene.noise is not None:
@@ -442,8 +450,8 @@ def _with_noise(scene: BodyScene, first: Splines, device: str, progress: Progres
     return scene
 
 
-def _found_in(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[Found, Splines, FloatArray]]:
-    """Some frames in turn: where the subsets are in both cameras, both splines, and the pose (6,) of the points."""
+def _found_in(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[Found, Splines]]:
+    """Some frames in turn: where the subsets are in both cameras, and both splines."""
     sides = (
         follow_sequence(images, reference, scene.settings, device, frames)
         for images, reference in zip(scene.images, scene.references, strict=True)
@@ -451,7 +459,7 @@ def _found_in(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[Fo
     for left, right in zip(*sides, strict=True):
         found = left.found, right.found
         splines = tuple(side.spline or spline_of_image(side.image, scene.settings.degree) for side in (left, right))
-        yield found, (splines[0], splines[1]), fit_motion(_place(scene, found), scene.rest_m, np.zeros(3)).pose[0]
+        yield found, (splines[0], splines[1])
 
 
 def _tell(progress: Progress | None, frames: int) -> None:
@@ -460,38 +468,50 @@ def _tell(progress: Progress | None, frames: int) -> None:
         progress(2 * frames)
 
 
+def _places(scene: BodyScene, found: Found) -> tuple[FloatArray, FloatArray]:
+    """Where the subsets (N, 2) of one frame are in both cameras, NaN where they are not found."""
+    left, right = (
+        reference.centre_px + here.warp[:, [0, 3]] for reference, here in zip(scene.references, found, strict=True)
+    )
+    return left, right
+
+
 def _place(scene: BodyScene, found: Found) -> Points:
     """Points (1, N) of one frame in the body's frame, all subsets equally trusted."""
-    left, right = (
-        (reference.centre_px + here.warp[:, [0, 3]])[None]
-        for reference, here in zip(scene.references, found, strict=True)
-    )
-    return triangulate(scene.rig, left, right).transformed(scene.body_from_left)
+    left, right = _places(scene, found)
+    return triangulate(scene.rig, left[None], right[None]).transformed(scene.body_from_left)
 
 
-def _views(scene: BodyScene, splines: Splines, rest_m: FloatArray, noise: Noise) -> tuple[BodyView, ...]:
-    """The body at rest in both cameras; `BodyNotFound` where the calibration places no points of it."""
+def _cameras(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, PlacedCamera]:
+    """Both cameras about the body; `BodyNotFound` where the calibration places no points of it."""
     placed = int(np.count_nonzero(np.isfinite(rest_m).all(axis=1)))
     if placed < 3:
         text = f"at least 3 points that both cameras see in one place, found {placed} of {len(rest_m)}"
         raise BodyNotFound(f"rig: expected {text}; the calibration does not belong to these images")
     left_from_body = scene.body_from_left.inverse()
-    cameras = (
+    return (
         PlacedCamera(scene.rig.left, left_from_body),
         PlacedCamera(scene.rig.right, scene.rig.right_from_left @ left_from_body),
     )
+
+
+def _views(scene: BodyScene, splines: Splines, seen: Sequence[SeenPoints], noise: Noise) -> tuple[BodyView, ...]:
+    """The body at rest in both cameras."""
     side_px = 2 * scene.settings.radius_px + 1
     return tuple(
-        view_body(camera, (spline, area, float(images.full_scale)), rest_m, side_px, model)
-        for camera, spline, area, images, model in zip(
-            cameras, splines, scene.grid.areas, scene.images, noise, strict=True
-        )
+        view_body(one.camera, (spline, area, float(images.full_scale)), one.points_m, side_px, model)
+        for one, spline, area, images, model in zip(seen, splines, scene.grid.areas, scene.images, noise, strict=True)
     )
 
 
-def _fit(views: tuple[BodyView, ...], splines: Splines, start: FloatArray) -> DirectFit | None:
-    """The direct fit of one frame, None where its points have no motion to start from."""
-    return fit_direct(views, splines, RigidTransform.from_pose(start)) if np.isfinite(start).all() else None
+def _fit(scene: BodyScene, found: Found, splines: Splines) -> DirectFit | None:
+    """The direct fit of one frame, begun where its subsets are; None where it has none."""
+    start = motion_of_places(scene.seen, _places(scene, found))
+    fit = None if start is None else fit_direct(scene.views, splines, start)
+    if fit is None:  # from all that the points tell, whatever it costs
+        pose = fit_motion(_place(scene, found), scene.rest_m, np.zeros(3)).pose[0]
+        fit = fit_direct(scene.views, splines, RigidTransform.from_pose(pose)) if np.isfinite(pose).all() else None
+    return fit
 
 
 def _rigid_notices(sums: _Sums, motion: RigidMotion, of_points: RigidMotion, fits: _Fits) -> list[Notice]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -416,6 +417,7 @@ def deformation(points: Points, motion: RigidMotion, reference_m: FloatArray | N
 NEIGHBOURS = 24
 OUTLIER = 4.0  # robust standard deviations from the local plane
 RATE_STEP = 1e-6  # m and rad, of the derivative by the six components
+NEAR_PX = 0.02  # by which the last step of a motion that is only a start may move a point
 
 
 @dataclass(frozen=True, eq=False)
@@ -431,16 +433,18 @@ class PlacedCamera:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Patches(Arrays, shapes="centre_px C 2; points_m C 5 3"):
+class Patches(Arrays, shapes="centre_px C 2; points_m C 5 3; rest_px C 5 2"):
     """Small plane patches of a body as one camera sees them at rest.
 
     centre_px (C, 2); arm_px: half the length over which derivatives are taken; points_m (C, 5, 3): the surface, in the
-    body's frame, at the centre and `arm_px` to its right, left, below and above; NaN where the surface is unknown.
+    body's frame, at the centre and `arm_px` to its right, left, below and above, and rest_px (C, 5, 2) where it is;
+    NaN where the surface is unknown.
     """
 
     centre_px: FloatArray
     arm_px: float
     points_m: FloatArray
+    rest_px: FloatArray
 
 
 def body_patches(
@@ -469,13 +473,13 @@ def body_patches(
     depth = 1.0 / (plane[:, None, 0] + np.einsum("cki,ci->ck", from_centre, plane[:, 1:]))
     depth[(distance[:, 0] > reach_px)[:, None] | (depth <= 0.0)] = np.nan
     seen = np.concatenate([rays * depth[..., None], depth[..., None]], axis=2)
-    return Patches(centre_px, arm_px, camera.camera_from_body.inverse().apply(seen))
+    points = camera.camera_from_body.inverse().apply(seen)
+    return Patches(centre_px, arm_px, points, camera.project(points))
 
 
 def patch_warps(camera: PlacedCamera, patches: Patches, moved: RigidTransform) -> FloatArray:
     """Return the affine warps (C, 6) [u u_x u_y v v_x v_y] of the patches when the body moves by `moved`, in px."""
-    rest = camera.project(patches.points_m)
-    shift = camera.project(moved.apply(patches.points_m)) - rest
+    shift = camera.project(moved.apply(patches.points_m)) - patches.rest_px
     warp = np.empty((len(shift), 6))
     warp[:, [0, 3]] = shift[:, 0]
     warp[:, [1, 4]] = (shift[:, 1] - shift[:, 2]) / (2 * patches.arm_px)
@@ -486,6 +490,53 @@ def patch_warps(camera: PlacedCamera, patches: Patches, moved: RigidTransform) -
 def patch_rates(camera: PlacedCamera, patches: Patches) -> FloatArray:
     """Return the derivatives (C, 6, 6) of the patches' affine warps by x y z (m) and rx ry rz (rad) at rest."""
     return derivatives(lambda pose: patch_warps(camera, patches, RigidTransform.from_pose(pose)), np.full(6, RATE_STEP))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SeenPoints(Arrays, shapes="points_m N 3; rates N 2 6"):
+    """Points of a body at rest (N, 3), and how their pixels in one camera answer to its six components, (N, 2, 6)."""
+
+    camera: PlacedCamera
+    points_m: FloatArray
+    rates: FloatArray
+
+
+def see_points(camera: PlacedCamera, points_m: FloatArray) -> SeenPoints:
+    """Return points (N, 3) of a body at rest, in its frame, as a camera sees them; NaN for one that is not known."""
+    rates = derivatives(
+        lambda pose: camera.project(RigidTransform.from_pose(pose).apply(points_m)), np.full(6, RATE_STEP)
+    )
+    return SeenPoints(camera, points_m, rates)
+
+
+def motion_of_places(seen: Sequence[SeenPoints], places_px: Sequence[FloatArray]) -> RigidTransform | None:
+    """Return the motion from rest that brings points to the places (N, 2) where each camera shows them in one frame.
+
+    Gauss-Newton with the rates at rest, as in `direct.fit_direct`, of distances in px with Cauchy weights
+    1/(1 + d²/median d²): a start that a third of wrong places does not carry away, without a covariance. None where
+    fewer than six places are known, or they do not fix all six components.
+    """
+    rates = np.concatenate([one.rates for one in seen])
+    places = np.concatenate(places_px)
+    known = np.isfinite(places).all(axis=1) & np.isfinite(rates[:, 0, 0])
+    if np.count_nonzero(known) < _FEWEST:
+        return None
+    rates, places = rates[known], places[known]
+    design, weight, moved = rates.reshape(-1, 6), np.ones(2 * len(rates)), RigidTransform.identity()
+    for _ in range(_START_ROUNDS):
+        found = np.concatenate([one.camera.project(moved.apply(one.points_m)) for one in seen])[known]
+        error = places - found
+        normal = design.T @ (weight[:, None] * design)
+        scale = np.sqrt(np.diagonal(normal))
+        if not (scale > 0.0).all() or np.linalg.eigvalsh(normal / np.outer(scale, scale))[0] <= _SINGULAR:
+            return None
+        step = np.linalg.solve(normal, design.T @ (weight * error.ravel()))
+        moved = moved @ RigidTransform.from_pose(step)
+        squares = ((error - rates @ step) ** 2).sum(axis=1)
+        weight = np.repeat(1.0 / (1.0 + squares / max(float(np.median(squares)), 1e-300)), 2)
+        if np.abs(design @ step).max() < NEAR_PX:
+            break
+    return moved
 
 
 def _inverse_depth(ray: FloatArray, inverse: FloatArray, nearest: FloatArray, centre: FloatArray) -> FloatArray:
