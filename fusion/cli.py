@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import signal
@@ -27,6 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Every failure becomes one sentence on stderr.
     """
     gc.set_threshold(GARBAGE, 50, 100)
+    atexit.unregister(gc.freeze)
+    atexit.register(gc.freeze)  # what is left at the end is not searched for cycles, which takes a third of a second
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices here are small: more threads wait for each other
     with _ended_by_signals(), _terminals():
         parser = _parser()

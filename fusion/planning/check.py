@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -144,24 +144,10 @@ def check(manifest: Manifest) -> CheckReport:
 
 def _refused(manifest: Manifest) -> list[str]:
     """What the command that evaluates a recording refuses of its files; an image beyond the first is not looked at."""
-    from fusion.phasors.setup import open_set_ups
-    from fusion.sensor.rotate.readings import read_rotation
-    from fusion.sensor.step.releases import read_recording
-    from fusion.sensor.transfer.evaluate import estimated
-    from fusion.sensor.transfer.records import TransferSettings, read_together
-
     command = KINDS[manifest.excitation.kind].commands[0]
-    readers: dict[str, Callable[[Manifest], object]] = {
-        "run": open_set_ups,
-        "transfer": lambda manifest: [
-            estimated(manifest, together, TransferSettings()) for together in read_together(manifest)
-        ],
-        "step": read_recording,
-        "rotate": read_rotation,
-    }
     try:
         manifest.check_command(command)
-        readers[command](manifest)
+        _read_as(command, manifest)
     except InputError as error:
         return [str(error)]
     except ComputeError:  # the files are as they should be
@@ -169,20 +155,47 @@ def _refused(manifest: Manifest) -> list[str]:
     return []
 
 
+def _read_as(command: str, manifest: Manifest) -> None:
+    """Read what a command reads; its modules are imported for it alone."""
+    if command == "run":
+        from fusion.phasors.setup import open_set_ups
+
+        open_set_ups(manifest)
+    elif command == "transfer":
+        from fusion.sensor.transfer.evaluate import estimated
+        from fusion.sensor.transfer.records import TransferSettings, read_together
+
+        for together in read_together(manifest):
+            estimated(manifest, together, TransferSettings())
+    elif command == "step":
+        from fusion.sensor.step.releases import read_recording
+
+        read_recording(manifest)
+    else:
+        from fusion.sensor.rotate.readings import read_rotation
+
+        read_rotation(manifest)
+
+
 def check_together(manifests: Sequence[Manifest]) -> list[str]:
     """Return what recordings of a campaign that are evaluated together say otherwise of their sensor."""
-    from fusion.sensor.identify.measured import check_sensor
-    from fusion.sensor.load.evaluate import check_one_sensor
-
     loads = [manifest for manifest in manifests if "load" in KINDS[manifest.excitation.kind].commands]
     transfers = [manifest for manifest in manifests if "transfer" in KINDS[manifest.excitation.kind].commands]
     told = []
-    for own, check_them in ((loads, check_one_sensor), (transfers, check_sensor)):
-        try:
-            if len(own) > 1:
-                check_them(own)
-        except InputError as error:
-            told.append(str(error))
+    try:
+        if len(loads) > 1:
+            from fusion.sensor.load.evaluate import check_one_sensor
+
+            check_one_sensor(loads)
+    except InputError as error:
+        told.append(str(error))
+    try:
+        if len(transfers) > 1:
+            from fusion.sensor.identify.measured import check_sensor
+
+            check_sensor(transfers)
+    except InputError as error:
+        told.append(str(error))
     return told
 
 
