@@ -12,7 +12,7 @@ from photogram.bspline import Spline, evaluate, mean_noise_gain, sample_line, sl
 from photogram.geometry import RigidTransform, pose_rate
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
 from photogram.kernels import njit
-from photogram.motion import Patches, PlacedCamera, body_patches, patch_rates, patch_warps
+from photogram.motion import MEDIAN_CHI2_OF_TWO, Patches, PlacedCamera, body_patches, patch_rates, patch_warps
 from photogram.subsets.reference import RUN_SUMS, run_sums
 
 SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell shows nothing
@@ -52,6 +52,11 @@ class Cells(
         """Where the pixels are, for kernels: centres, runs, first runs, half the side less half a pixel."""
         return self.centre_px, self.runs, self.first, (self.side_px - 1) / 2
 
+    @property
+    def of_pixels(self) -> IntArray:
+        """The cell of every pixel (P,)."""
+        return np.repeat(np.repeat(np.arange(len(self.centre_px)), np.diff(self.first)), self.runs[:, 2])
+
 
 @dataclass(frozen=True, eq=False)
 class CellSums:
@@ -82,7 +87,7 @@ def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntA
             tile = area[top : top + side_px, left : left + side_px]
             if np.count_nonzero(tile) < LEAST_FILLED * side_px**2:
                 continue
-            edges = np.diff(np.pad(tile.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+            edges = np.diff(tile.astype(np.int8), axis=1, prepend=0, append=0)
             (rows_in_tile, starts), stops = np.nonzero(edges == 1), np.nonzero(edges == -1)[1]
             for row, start, length in zip(rows_in_tile, starts, stops - starts, strict=True):
                 runs.append((top + row, left + start, length, place))
@@ -108,8 +113,28 @@ def prepare_cells(spline: Spline, area: BoolArray, side_px: int, noise: NoiseMod
     along = np.arange(int(length.sum())) - np.repeat(runs[:, 3], length)
     where = np.column_stack([np.repeat(runs[:, 1], length) + along, np.repeat(runs[:, 0], length)]).astype(np.float64)
     value, gradient = evaluate(spline, where)
-    weight = np.where((value < full_scale - 0.5) & np.isfinite(value), 1.0 / noise.variance(value), 0.0)
-    pixels = np.stack([weight, value, gradient[:, 0], gradient[:, 1]])
+    known = (value < full_scale - 0.5) & np.isfinite(value)
+    pixels = np.stack([known, value, gradient[:, 0], gradient[:, 1]]).astype(np.float64)
+    return _weighted((side_px, centre, runs, first), pixels, noise, spline.degree)
+
+
+def reweighted(cells: Cells, noise: NoiseModel, degree: int) -> Cells:
+    """Return the cells, of a spline of that degree, with the weights of another noise model."""
+    weight = np.where(cells.pixels[0] > 0.0, cells.pixels[0], 1.0)
+    pixels = np.concatenate([cells.pixels[:1] > 0.0, cells.pixels[1:] / weight])
+    pixels[1] += cells.mean[cells.of_pixels]
+    return _weighted((cells.side_px, cells.centre_px, cells.runs, cells.first), pixels, noise, degree)
+
+
+def _weighted(
+    layout: tuple[int, FloatArray, IntArray, IntArray], pixels: FloatArray, noise: NoiseModel, degree: int
+) -> Cells:
+    """Return cells whose pixels (4, P) are 1 or 0 for those without weight, grey value and gradient; overwrites them.
+
+    layout: side, centres, runs and first runs.
+    """
+    _, centre, runs, first = layout
+    pixels[0] = np.where(pixels[0] > 0.0, 1.0 / noise.variance(pixels[1]), 0.0)
     scalars, moments = np.zeros((len(centre), 4)), np.zeros((len(centre), 8, 8))
     extent = np.zeros((len(centre), 3))
     _prepare(centre, runs, first, pixels, scalars, moments, extent)
@@ -119,10 +144,10 @@ def prepare_cells(spline: Spline, area: BoolArray, side_px: int, noise: NoiseMod
     removed = np.stack([moments[:, 0, 2:] / safe_total[:, None], moments[:, 1, 2:] / safe_energy[:, None]], axis=1)
     hessian = moments[:, 2:, 2:] - np.einsum("c,ci,cj->cij", safe_total, removed[:, 0], removed[:, 0])
     hessian -= np.einsum("c,ci,cj->cij", safe_energy, removed[:, 1], removed[:, 1])
-    gradient_noise = slope_noise_gain(spline.degree) * np.concatenate([extent, extent], axis=1)[:, :, None] * np.eye(6)
+    gradient_noise = slope_noise_gain(degree) * np.concatenate([extent, extent], axis=1)[:, :, None] * np.eye(6)
     hessian[~solid], energy[~solid] = 0.0, np.nan
     return Cells(
-        side_px, centre, runs, first, pixels, mean, total, energy, count.astype(np.int64), removed, hessian,
+        *layout, pixels, mean, total, energy, count.astype(np.int64), removed, hessian,
         np.where(solid[:, None, None], gradient_noise, 0.0),
     )  # fmt: skip
 
@@ -152,7 +177,7 @@ def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[Flo
     grey = np.full(cells.pixels.shape[1], np.nan)
     _sample_cells(cells.layout, (target.coefficients, target.degree), np.ascontiguousarray(warp), grey)
     count = len(cells.centre_px)
-    cell = np.repeat(np.repeat(np.arange(count), np.diff(cells.first)), cells.runs[:, 2])
+    cell = cells.of_pixels
     weight = cells.pixels[0]
     centred = np.where(weight > 0.0, cells.pixels[1] / np.where(weight > 0.0, weight, 1.0), 0.0)
     known = np.isfinite(grey) & (weight > 0.0)
@@ -261,7 +286,6 @@ LEFT_OVER = 0.02  # standard uncertainties that may remain between the motion an
 LARGEST_STEP = 10.0  # standard uncertainties of a step that may be the last one
 MISFIT = 3.0  # times the median misfit per pixel, beyond which a cell shows something else than the body
 REJECTED = 25.0  # squared standard deviations by which a cell may move unlike the body
-MEDIAN_CHI2 = 1.3862943611198906  # median of χ² with two degrees of freedom
 FEWEST_CELLS = 4
 SMALLEST_EXCESS = 1e-2
 SMALLEST_MISFIT = 1e-12  # of the expected one: images without noise
@@ -308,7 +332,16 @@ def view_body(
     spline, area, full_scale = image
     cells = prepare_cells(spline, area, side_px, noise, full_scale)
     patches = body_patches(camera, known_m, cells.centre_px, side_px / 4, REACH_CELLS * side_px)
-    rates = patch_rates(camera, patches)
+    return _answering(camera, cells, patches, patch_rates(camera, patches))
+
+
+def reweighted_view(view: BodyView, noise: NoiseModel, degree: int) -> BodyView:
+    """Return the body at rest, seen as a spline of that degree, with the weights of another noise model."""
+    return _answering(view.camera, reweighted(view.cells, noise, degree), view.patches, view.rates)
+
+
+def _answering(camera: PlacedCamera, cells: Cells, patches: Patches, rates: FloatArray) -> BodyView:
+    """Return a view whose rates are zero where they or the cell are not known, with what these tell."""
     known = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(cells.energy)
     rates = np.where(known[:, None, None], rates, 0.0)
     turned = np.swapaxes(rates, 1, 2)
@@ -389,7 +422,7 @@ def _rigid_cells(view: BodyView, sums: CellSums) -> BoolArray:
     known &= np.where(known, ratio, np.inf) <= MISFIT * typical
     slope = sums.slope[:, [0, 3]]
     squares = np.einsum("ci,cij,cj->c", slope, view.translation, slope) / typical
-    limit = REJECTED * max(1.0, float(np.median(squares[known])) / MEDIAN_CHI2)
+    limit = REJECTED * max(1.0, float(np.median(squares[known])) / MEDIAN_CHI2_OF_TWO)
     return np.asarray(known & (np.where(known, squares, np.inf) <= limit))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from photogram.arrays import Arrays, FloatArray, Notice, RunningMean, Sample
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import Points, StereoRig, triangulate
-from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_covariance, view_body
+from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_covariance, reweighted_view, view_body
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
@@ -196,9 +196,9 @@ def prepare_body(
     rest_m = _place(scene, (identity(left), identity(right))).position_m[0]
     first = spline_of_image(images[0].read(0), settings.degree), spline_of_image(images[1].read(0), settings.degree)
     seen = tuple(see_points(camera, rest_m) for camera in _cameras(scene, rest_m))
-    scene = replace(scene, rest_m=rest_m, seen=seen, views=_views(scene, first, seen, (UNIFORM, UNIFORM)))
+    scene = replace(scene, rest_m=rest_m, seen=seen, views=_views(scene, first, seen))
     _tell(progress, 1)
-    scene = _with_noise(scene, first, device, progress)
+    scene = _with_noise(scene, device, progress)
     rest = range(1 + len(scene.lead), len(images[0]))
     length = BLOCK_FRAMES if device == "cpu" else GPU_BLOCK_FRAMES
     return replace(scene, blocks=tuple(rest[start : start + length] for start in range(0, len(rest), length)))
@@ -434,14 +434,16 @@ def _joined(parts: Sequence[RigidMotion]) -> RigidMotion:
     return RigidMotion(pose, covariance, residual_m, points, parts[0].origin_m)
 
 
-def _with_noise(scene: BodyScene, first: Splines, device: str, progress: Progress | None) -> BodyScene:
+def _with_noise(scene: BodyScene, device: str, progress: Progress | None) -> BodyScene:
     """The scene with the noise models of the first frame that can be fitted, and what was found up to it."""
     for number in range(1, len(scene.images[0])):
         ((found, splines),) = _found_in(scene, range(number, number + 1), device)
         fit = _fit(scene, found, splines)
         if fit is not None:
             left, right = map(partial(image_noise, moved=fit.moved), scene.views, splines)
-            scene = replace(scene, noise=(left, right), views=_views(scene, first, scene.seen, (left, right)))
+            same = zip(scene.views, (left, right), strict=True)
+            views = tuple(reweighted_view(view, model, scene.settings.degree) for view, model in same)
+            scene = replace(scene, noise=(left, right), views=views)
             fit = _fit(scene, found, splines)
         scene = replace(scene, lead=(*scene.lead, (found, fit)))
         _tell(progress, number + 1)
@@ -495,12 +497,12 @@ def _cameras(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, Placed
     )
 
 
-def _views(scene: BodyScene, splines: Splines, seen: Sequence[SeenPoints], noise: Noise) -> tuple[BodyView, ...]:
-    """The body at rest in both cameras."""
+def _views(scene: BodyScene, splines: Splines, seen: Sequence[SeenPoints]) -> tuple[BodyView, ...]:
+    """The body at rest in both cameras, all pixels equally trusted."""
     side_px = 2 * scene.settings.radius_px + 1
     return tuple(
-        view_body(one.camera, (spline, area, float(images.full_scale)), one.points_m, side_px, model)
-        for one, spline, area, images, model in zip(seen, splines, scene.grid.areas, scene.images, noise, strict=True)
+        view_body(one.camera, (spline, area, float(images.full_scale)), one.points_m, side_px, UNIFORM)
+        for one, spline, area, images in zip(seen, splines, scene.grid.areas, scene.images, strict=True)
     )
 
 

@@ -62,6 +62,7 @@ _CHOICE_ROUNDS = 8  # rounds in which points may be rejected and come back
 _ROUNDS = 16  # rounds altogether; two or three are the rule
 _REJECTED = 25.0  # squared distance, in scaled standard deviations, beyond which a point is an outlier
 _MEDIAN_CHI2 = 2.3659738843753377  # median of χ² with three degrees of freedom
+MEDIAN_CHI2_OF_TWO = 1.3862943611198906  # with two degrees of freedom
 _BENT = 25.0  # reduced χ² beyond which points depart from a rigid motion by more than their noise
 _FEWEST = 6  # with fewer points nobody is rejected
 _ROUNDING = 1e-12  # of the coordinates: errors below it are rounding, never outliers
@@ -513,30 +514,42 @@ def motion_of_places(seen: Sequence[SeenPoints], places_px: Sequence[FloatArray]
     """Return the motion from rest that brings points to the places (N, 2) where each camera shows them in one frame.
 
     Gauss-Newton with the rates at rest, as in `direct.fit_direct`, of distances in px with Cauchy weights
-    1/(1 + d²/median d²): a start that a third of wrong places does not carry away, without a covariance. None where
-    fewer than six places are known, or they do not fix all six components.
+    1/(1 + d²/median d²), which a third of wrong places does not carry away; a last step weighs those within five robust
+    standard deviations alike. A start, without a covariance. None where fewer than six places are known, or they do not
+    fix all six components.
     """
-    rates = np.concatenate([one.rates for one in seen])
-    places = np.concatenate(places_px)
+    rates, places = np.concatenate([one.rates for one in seen]), np.concatenate(places_px)
     known = np.isfinite(places).all(axis=1) & np.isfinite(rates[:, 0, 0])
     if np.count_nonzero(known) < _FEWEST:
         return None
     rates, places = rates[known], places[known]
-    design, weight, moved = rates.reshape(-1, 6), np.ones(2 * len(rates)), RigidTransform.identity()
+    weight, moved = np.ones(len(rates)), RigidTransform.identity()
     for _ in range(_START_ROUNDS):
         found = np.concatenate([one.camera.project(moved.apply(one.points_m)) for one in seen])[known]
-        error = places - found
-        normal = design.T @ (weight[:, None] * design)
-        scale = np.sqrt(np.diagonal(normal))
-        if not (scale > 0.0).all() or np.linalg.eigvalsh(normal / np.outer(scale, scale))[0] <= _SINGULAR:
+        step = _weighted_step(rates, places - found, weight)
+        if step is None:
             return None
-        step = np.linalg.solve(normal, design.T @ (weight * error.ravel()))
         moved = moved @ RigidTransform.from_pose(step)
-        squares = ((error - rates @ step) ** 2).sum(axis=1)
-        weight = np.repeat(1.0 / (1.0 + squares / max(float(np.median(squares)), 1e-300)), 2)
-        if np.abs(design @ step).max() < NEAR_PX:
+        answer = rates @ step
+        left = places - found - answer
+        squares = (left**2).sum(axis=1)
+        median = max(float(np.median(squares)), 1e-300)
+        weight = 1.0 / (1.0 + squares / median)
+        if np.abs(answer).max() < NEAR_PX:
             break
-    return moved
+    step = _weighted_step(rates, left, (squares <= _REJECTED * median / MEDIAN_CHI2_OF_TWO).astype(np.float64))
+    return None if step is None else moved @ RigidTransform.from_pose(step)
+
+
+def _weighted_step(rates: FloatArray, error_px: FloatArray, weight: FloatArray) -> FloatArray | None:
+    """Return the pose (6,) that explains errors (N, 2) by rates (N, 2, 6); None where these do not fix it."""
+    design = rates.reshape(-1, 6)
+    weighted = np.repeat(weight, 2)[:, None] * design
+    normal = weighted.T @ design
+    scale = np.sqrt(np.diagonal(normal))
+    if not (scale > 0.0).all() or np.linalg.eigvalsh(normal / np.outer(scale, scale))[0] <= _SINGULAR:
+        return None
+    return np.asarray(np.linalg.solve(normal, weighted.T @ error_px.ravel()))
 
 
 def _inverse_depth(ray: FloatArray, inverse: FloatArray, nearest: FloatArray, centre: FloatArray) -> FloatArray:

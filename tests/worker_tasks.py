@@ -73,11 +73,12 @@ def sum_of_products() -> bytes:
 def threads() -> dict[str, int]:
     """How many threads the libraries may use."""
     import cv2
-    import numba
     import threadpoolctl
 
+    from fusion.base import usable_cores
+
     found = {pool["prefix"]: pool["num_threads"] for pool in threadpoolctl.threadpool_info()}
-    return {**found, "numba": numba.get_num_threads(), "cv2": cv2.getNumThreads()}
+    return {**found, "own": usable_cores(), "cv2": cv2.getNumThreads()}
 
 
 def wait_for_ever(begun: Path) -> None:

@@ -25,6 +25,7 @@ MOST_LINES = 4  # to either side
 STRAINS = np.array([-0.36, -0.24, -0.12, 0.0, 0.12, 0.24, 0.36])
 STEEPEST = 1.43  # tan 55°: tilt of the surface against what faces both cameras
 LEAST_ZNCC = 0.4
+PROMISING = 0.1  # correlation of a quarter of the pixels, below which that of all is taken to be below the least
 CLIMBED_PX = 0.05
 PEAKS = 8
 APART_PX = 4.0
@@ -56,7 +57,8 @@ def line_starts(
 
     Zero-normalised cross-correlation at places 1.5 px apart on each line and on lines beside it within the band that is
     returned too: 2 px and three standard uncertainties of the calibration to either side, at most 8 px. There
-    every second pixel of the subset warped as a plane moves it that is tilted by so much: strains of 0 to ±0.36 along
+    every second pixel of the subset (every fourth, where these correlate by less than 0.1) warped as a plane moves it
+    that is tilted by so much: strains of 0 to ±0.36 along
     and across the line, as far as that is a tilt below 55° against what faces both cameras (plane sweep: Collins 1996,
     Proc. CVPR, 358; tilts: Gallup et al. 2007, Proc. CVPR).
     Up to C = 8 peaks, from the highest, climbed to within 0.05 px; NaN where there are fewer.
@@ -72,10 +74,13 @@ def line_starts(
     soft = [cv2.GaussianBlur(image.astype(np.float32), (0, 0), BLUR_PX) for image in images]
     steps = np.arange(-radius_px, radius_px + 1, 2, dtype=np.float64)
     offsets = np.stack([grid.ravel() for grid in np.meshgrid(steps, steps)], axis=1)
+    quarter = np.add.outer(np.arange(len(steps)) % 2, np.arange(len(steps)) % 2).ravel() == 0
+    offsets = np.concatenate([offsets[quarter], offsets[~quarter]])
     shape = lines.right_px.shape[:2]
     score, tilt, line = np.full(shape, -1.0), np.zeros(shape, np.int64), np.zeros(shape, np.int64)
     curves = lines.right_px, lines.across, lines.affine, lines.along, lines.slope
-    _correlate(soft[0], soft[1], points_px, offsets, curves, beside, (score, tilt, line))
+    count = int(np.count_nonzero(quarter))
+    _correlate(soft[0], soft[1], points_px, (offsets, count), curves, beside, (score, tilt, line))
     starts = np.full((PEAKS, len(points_px), 6), np.nan)
     for n in range(len(points_px)):
         for c, k in enumerate(_peaks(score[n])):
@@ -83,7 +88,7 @@ def line_starts(
             affine = lines.affine[n, k] + np.outer(lines.along[n, k], slope)
             u, v = lines.right_px[n, k] + beside[line[n, k]] * lines.across[n, k] - points_px[n]
             starts[c, n] = u, affine[0, 0] - 1.0, affine[0, 1], v, affine[1, 0], affine[1, 1] - 1.0
-    _climb(soft[0], soft[1], points_px, offsets, starts)
+    _climb(soft[0], soft[1], points_px, (offsets, count), starts)
     return starts, band_px
 
 
@@ -243,26 +248,30 @@ def _slopes(rig: StereoRig, rays: FloatArray, inverse: FloatArray, change: Float
 
 
 @njit(error_model="numpy")
-def _subset(left, x, y, offsets):  # type: ignore[no-untyped-def]
-    """A subset's grey values without their mean, their sum of squares, its offsets and how far they reach."""
+def _subset(left, x, y, places):  # type: ignore[no-untyped-def]
+    """A subset's grey values without their mean, their sum of squares, its offsets, and of its first quarter how many
+    these are, their sum and their sum of squares without their mean."""
+    offsets, quarter = places
     grey = np.empty(offsets.shape[0])
     for p in range(offsets.shape[0]):
         grey[p] = _bilinear(left, x + offsets[p, 0], y + offsets[p, 1])
     grey -= grey.mean()
-    return grey, np.sum(grey * grey), offsets, offsets[-1, 0]
+    total = np.sum(grey[:quarter])
+    own = np.sum(grey[:quarter] * grey[:quarter]) - total * total / quarter
+    return grey, np.sum(grey * grey), offsets, (quarter, total, own)
 
 
 @njit(error_model="numpy")
-def _correlate(left, right, points, offsets, curves, beside, outcome):  # type: ignore[no-untyped-def]
+def _correlate(left, right, points, places, curves, beside, outcome):  # type: ignore[no-untyped-def]
     """Fill outcome: the best correlation (S,K) at each place over tilts and lines, and which tilt and line it is."""
     right_px, across, affine, along, slope = curves
     score, tilt, line = outcome
-    reach = offsets[-1, 0]
+    reach = -places[0][0, 0]
     for n in range(points.shape[0]):
         x, y = points[n, 0], points[n, 1]
         if not (reach <= x < left.shape[1] - 1 - reach and reach <= y < left.shape[0] - 1 - reach):
             continue
-        subset = _subset(left, x, y, offsets)
+        subset = _subset(left, x, y, places)
         for k in range(right_px.shape[1]):
             if not np.isfinite(right_px[n, k, 0]):
                 continue
@@ -280,25 +289,28 @@ def _correlate(left, right, points, offsets, curves, beside, outcome):  # type: 
                         right_px[n, k, 1] + beside[j] * across[n, k, 1],
                         (a, b, c, d),
                         subset,
+                        PROMISING,
                     )
                     if found > score[n, k]:
                         score[n, k], tilt[n, k], line[n, k] = found, t, j
 
 
 @njit(error_model="numpy")
-def _climb(left, right, points, offsets, starts):  # type: ignore[no-untyped-def]
+def _climb(left, right, points, places, starts):  # type: ignore[no-untyped-def]
     """Move starts (C,S,6) uphill, one part of the warp after another, by ever shorter steps."""
-    reach = offsets[-1, 0]
+    reach = -places[0][0, 0]
     for n in range(points.shape[0]):
         x, y = points[n, 0], points[n, 1]
         if not (reach <= x < left.shape[1] - 1 - reach and reach <= y < left.shape[0] - 1 - reach):
             continue
-        subset = _subset(left, x, y, offsets)
+        subset = _subset(left, x, y, places)
         for c in range(starts.shape[0]):
             if not np.isfinite(starts[c, n, 0]):
                 continue
             here = starts[c, n].copy()
-            best = _zncc(right, x + here[0], y + here[3], (1.0 + here[1], here[2], here[4], 1.0 + here[5]), subset)
+            best = _zncc(
+                right, x + here[0], y + here[3], (1.0 + here[1], here[2], here[4], 1.0 + here[5]), subset, -1.0
+            )
             step = LINE_PX / 2.0
             while step > CLIMBED_PX:
                 higher = False
@@ -307,7 +319,7 @@ def _climb(left, right, points, offsets, starts):  # type: ignore[no-untyped-def
                         tried = here.copy()
                         tried[part] += sign * (step if part % 3 == 0 else step / reach)
                         affine = (1.0 + tried[1], tried[2], tried[4], 1.0 + tried[5])
-                        found = _zncc(right, x + tried[0], y + tried[3], affine, subset)
+                        found = _zncc(right, x + tried[0], y + tried[3], affine, subset, -1.0)
                         if found > best:
                             best, here, higher = found, tried, True
                 if not higher:
@@ -316,15 +328,24 @@ def _climb(left, right, points, offsets, starts):  # type: ignore[no-untyped-def
 
 
 @njit(error_model="numpy")
-def _zncc(image, x, y, affine, subset):  # type: ignore[no-untyped-def]
-    """Zero-normalised correlation of a subset with its affine image around (x, y); −1 beyond the image."""
+def _zncc(image, x, y, affine, subset, promising):  # type: ignore[no-untyped-def]
+    """Zero-normalised correlation of a subset with its affine image around (x, y); −1 beyond the image.
+
+    −1 too where the first quarter correlates by less than `promising`.
+    """
     a, b, c, d = affine
-    grey, energy, offsets, reach = subset
+    grey, energy, offsets, (quarter, first_total, first_energy) = subset
+    reach = -offsets[0, 0]
     wide, high = reach * (abs(a) + abs(b)), reach * (abs(c) + abs(d))
     if not (wide <= x < image.shape[1] - 1 - wide and high <= y < image.shape[0] - 1 - high):
         return -1.0
     total, square, product = 0.0, 0.0, 0.0
     for p in range(offsets.shape[0]):
+        if p == quarter:
+            shared = product - total * first_total / quarter
+            spread = (square - total * total / quarter) * first_energy
+            if shared < promising * math.sqrt(max(spread, 0.0)):
+                return -1.0
         dx, dy = offsets[p, 0], offsets[p, 1]
         value = _bilinear(image, x + a * dx + b * dy, y + c * dx + d * dy)
         total += value

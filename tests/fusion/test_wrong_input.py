@@ -300,7 +300,7 @@ def test_check_refuses_what_a_run_refuses(file, what, campaign, capsys):
 def test_images_that_are_wrong_later_in_the_series(change, sentence, campaign, untouched, monkeypatch):
     """Pixels are seen when the tracker reads them, hence a tracker that does nothing else."""
 
-    def read_all(images: tuple[Any, Any], *_: object) -> None:
+    def read_all(images: tuple[Any, Any], *_: object, **__: object) -> None:
         for frame in range(len(images[0])):
             for side in images:
                 side.read(frame)
