@@ -113,7 +113,7 @@ def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
 
     Σ_k h(t−k)² of the cardinal spline h; in two dimensions the gains of x and y multiply.
     """
-    table = _noise_gain_table(degree)
+    table = noise_gain_table(degree)
     position = np.mod(fraction_px, 1.0) * (len(table) - 1)
     return np.asarray(np.interp(position, np.arange(len(table)), table))
 
@@ -123,7 +123,7 @@ def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArr
 
     The points lie where the affine warps (N,6) [u, u_x, u_y, v, v_x, v_y] take them.
     """
-    return np.asarray(_mean_gains(centre_px, np.ascontiguousarray(warp), offset_px, _noise_gain_table(degree)))
+    return np.asarray(_mean_gains(centre_px, np.ascontiguousarray(warp), offset_px, noise_gain_table(degree)))
 
 
 @njit()
@@ -153,7 +153,7 @@ def _gain(table, place):  # type: ignore[no-untyped-def]
 
 
 @cache
-def _noise_gain_table(degree: int) -> FloatArray:
+def noise_gain_table(degree: int) -> FloatArray:
     """`noise_gain` at 33 offsets from 0 to 1."""
     values, _ = _cardinal(np.add.outer(np.arange(-31.0, 31), np.linspace(0.0, 1.0, 33)).ravel(), degree)
     return np.asarray(np.sum(values.reshape(62, 33) ** 2, axis=0))

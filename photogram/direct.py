@@ -287,6 +287,7 @@ LARGEST_STEP = 10.0  # standard uncertainties of a step that may be the last one
 MISFIT = 3.0  # times the median misfit per pixel, beyond which a cell shows something else than the body
 REJECTED = 25.0  # squared standard deviations by which a cell may move unlike the body
 FEWEST_CELLS = 4
+SINGULAR = 1e-12  # smallest eigenvalue of solvable information, scaled to a unit diagonal
 SMALLEST_EXCESS = 1e-2
 SMALLEST_MISFIT = 1e-12  # of the expected one: images without noise
 
@@ -391,7 +392,7 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
             expected += float(sums.misfit_noise[used].sum())
             rounding += float(np.sum((QUANTISATION * sums.misfit_noise * view.cells.weight / view.cells.count)[used]))
             count += int(np.count_nonzero(used))
-        if count < FEWEST_CELLS or not np.linalg.eigvalsh(_scaled(information))[0] > 1e-12:
+        if count < FEWEST_CELLS or not np.linalg.eigvalsh(_scaled(information))[0] > SINGULAR:
             return None
         scale = max(misfit, rounding) / expected
         step = np.asarray(np.linalg.solve(information, slope), dtype=np.float64)
@@ -399,7 +400,7 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
         size = float(np.sqrt(step @ information @ step / scale))
         share = scale * float(np.trace(np.linalg.solve(information, noise_part))) / 6.0
         if size < LARGEST_STEP and share * size < LEFT_OVER:
-            covariance = scale * _pose_covariance(information, scale * noise_part, moved)
+            covariance = scale * pose_covariance(information, scale * noise_part, moved)
             return DirectFit(moved, covariance, scale, count)
     return None
 
@@ -408,7 +409,7 @@ def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:
     """Return the covariance (6, 6) of a frame like the reference with `noise` times the models' noise variance."""
     information = np.sum([view.information.sum(axis=0) for view in views], axis=0)
     noise_part = np.sum([view.information_noise.sum(axis=0) for view in views], axis=0)
-    return noise * _pose_covariance(information, noise * noise_part, RigidTransform.identity())
+    return noise * pose_covariance(information, noise * noise_part, RigidTransform.identity())
 
 
 def _rigid_cells(view: BodyView, sums: CellSums) -> BoolArray:
@@ -433,7 +434,7 @@ def _scaled(matrix: FloatArray) -> FloatArray:
     return np.asarray(matrix * np.outer(scale, scale))
 
 
-def _pose_covariance(information: FloatArray, noise_part: FloatArray, moved: RigidTransform) -> FloatArray:
+def pose_covariance(information: FloatArray, noise_part: FloatArray, moved: RigidTransform) -> FloatArray:
     """Return H′⁻¹·H·H′⁻¹ of a right-multiplied δ as that (6, 6) of translation and rotation vector of `moved`."""
     clean = information - noise_part
     if not np.linalg.eigvalsh(_scaled(clean))[0] > SMALLEST_EXCESS * np.linalg.eigvalsh(_scaled(information))[0]:

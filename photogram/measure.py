@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import chain
+from itertools import chain, groupby
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.reference import Reference
 from photogram.subsets.texture import SubsetQuality, assess
 from photogram.subsets.track import (
+    FollowedFrame,
     StereoCourse,
     StereoGrid,
     StereoTracks,
@@ -208,11 +209,44 @@ def follow_block(
     scene: BodyScene, frames: range, device: str = "cpu", progress: Progress | None = None
 ) -> FollowedBlock:
     """Follow the body through a block of later frames; the first of them is found from the reference alone."""
-    followed = []
-    for number, (found, splines) in zip(frames, _found_in(scene, frames, device), strict=True):
-        followed.append((found, _fit(scene, found, splines)))
+    followed, fitted = [], _fitted_here if device == "cpu" else _fitted_there
+    for number, one in zip(frames, fitted(scene, frames, device), strict=True):
+        followed.append(one)
         _tell(progress, number + 1)
     return tuple(followed)
+
+
+def _fitted_here(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[Found, DirectFit | None]]:
+    """Some frames in turn, one by one."""
+    for found, splines in _found_in(scene, frames, device):
+        yield found, _fit(scene, found, splines)
+
+
+def _fitted_there(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[Found, DirectFit | None]]:
+    """Some frames in turn, fitted together as far as their splines lie together on the device."""
+    from photogram.direct_torch import fit_frames, torch_view
+    from photogram.subsets.icgn_stream import PRECISION, OnDevice
+
+    views = [torch_view(view, device, PRECISION) for view in scene.views]
+
+    def together(pair: tuple[FollowedFrame, FollowedFrame]) -> tuple[int, ...]:
+        return tuple(id(side.spline.frames) for side in pair if isinstance(side.spline, OnDevice))
+
+    for _, group in groupby(_sides(scene, frames, device), together):
+        pairs = list(group)
+        starts = [motion_of_places(scene.seen, _places(scene, (left.found, right.found))) for left, right in pairs]
+        known = [k for k, start in enumerate(starts) if start is not None]
+        targets = []
+        for side in zip(*pairs, strict=True):
+            there = [frame.spline for frame in side if isinstance(frame.spline, OnDevice)]
+            targets.append((there[0].frames, [there[k].number for k in known]))
+        begun = [start for start in starts if start is not None]
+        fits = dict(zip(known, fit_frames(views, targets, begun) if begun else [], strict=True))
+        for k, (left, right) in enumerate(pairs):
+            found, fit = (left.found, right.found), fits.get(k)
+            if fit is None:  # one that is lost is tried again as the CPU would
+                fit = _fit(scene, found, _splines(scene, (left, right)))
+            yield found, fit
 
 
 def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion:
@@ -453,15 +487,27 @@ def _with_noise(scene: BodyScene, device: str, progress: Progress | None) -> Bod
 
 
 def _found_in(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[Found, Splines]]:
-    """Some frames in turn: where the subsets are in both cameras, and both splines."""
-    sides = (
+    """Some frames in turn: where the subsets are in both cameras, and both splines in memory."""
+    for pair in _sides(scene, frames, device):
+        yield (pair[0].found, pair[1].found), _splines(scene, pair)
+
+
+def _sides(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[FollowedFrame, FollowedFrame]]:
+    """Some frames of both cameras in turn."""
+    left, right = (
         follow_sequence(images, reference, scene.settings, device, frames)
         for images, reference in zip(scene.images, scene.references, strict=True)
     )
-    for left, right in zip(*sides, strict=True):
-        found = left.found, right.found
-        splines = tuple(side.spline or spline_of_image(side.image, scene.settings.degree) for side in (left, right))
-        yield found, (splines[0], splines[1])
+    return zip(left, right, strict=True)
+
+
+def _splines(scene: BodyScene, pair: tuple[FollowedFrame, FollowedFrame]) -> Splines:
+    """The splines of a frame in memory."""
+    left, right = (
+        side.spline if isinstance(side.spline, Spline) else spline_of_image(side.image, scene.settings.degree)
+        for side in pair
+    )
+    return left, right
 
 
 def _tell(progress: Progress | None, frames: int) -> None:

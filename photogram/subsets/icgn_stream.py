@@ -22,6 +22,16 @@ from photogram.subsets.search import neighbour_starts, predict_warp
 Image = NDArray[Any]
 HISTORY = 64
 ENOUGH = 0.5
+PRECISION = "float32"
+"""Of pixels and coefficients; sums over them are float64."""
+
+
+@dataclass(frozen=True)
+class OnDevice:
+    """The spline of an image on a device: one of a batch of `frames`."""
+
+    frames: TorchSplines
+    number: int
 
 
 @dataclass(frozen=True)
@@ -45,9 +55,9 @@ def follow_frames(
     settings: TrackSettings,
     device: str,
     batch_frames: int = 32,
-    precision: str = "float64",
-) -> Iterator[tuple[Image, Registration]]:
-    """Every image after the `first` in turn, with where the subsets of `reference` are in it.
+    precision: str = PRECISION,
+) -> Iterator[tuple[Image, Registration, OnDevice]]:
+    """Every image after the `first` in turn, with where the subsets of `reference` are in it, and its spline.
 
     Images are read in batches, the next one by a thread meanwhile, so at most two are in memory. A batch is done at
     once as far as its starts can be foretold. Frames of which half is not found start again from the nearest frame
@@ -66,13 +76,13 @@ def follow_frames(
             batch = _Batch(reference, prepared, frames, settings)
             found = _from_nearest_frames(batch, list(batch.find(start)), history[-1])
             found = _from_neighbours(batch, found)
-            for image, seen in zip(stack, found, strict=True):
+            for number, (image, seen) in enumerate(zip(stack, found, strict=True)):
                 here = seen
                 if not _is_found(reference.status, seen):
                     target = spline_of_image(image, settings.degree)
                     here = follow(reference, first, (image, target), history[-1], settings)
                 history = [*history[1 - HISTORY :], here.warp]
-                yield image, here
+                yield image, here, OnDevice(frames, number)
 
 
 def _read_ahead(images: Iterable[Image], batch_frames: int) -> Iterator[list[Image]]:

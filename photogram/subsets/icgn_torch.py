@@ -128,6 +128,23 @@ def sample(frames: TorchSplines, corner: Tensor, place_px: Tensor, polynomials: 
     return summed.mul_(along).sum(dim=1).view(place_px.shape[1:])
 
 
+def warped(frames: TorchSplines, squares: tuple[Tensor, Tensor, Tensor], shape: Tensor, basis: Tensor) -> Tensor:
+    """Grey values (n,P) at squares that are warped: squares are frames (n,), centres in px (n,2), warps (n,6 or 12).
+
+    shape (s,P) of their points, as in `TorchReference`. Points are placed relative to the pixel under the square's
+    centre, so that float32 resolves them to 1e-6 px; `basis`: `basis_polynomials` on the device.
+    """
+    import torch
+
+    frame, centre_px, warp = squares
+    places = _polynomials(warp)
+    places[:, :, 0] += centre_px
+    pixel = places[:, :, 0].floor()
+    places[:, :, 0] -= pixel
+    placed = torch.matmul(places.transpose(0, 1).to(shape.dtype).contiguous(), shape)
+    return sample(frames, corner_of(frames, frame, pixel.to(torch.int64)), placed, basis)
+
+
 def corner_of(frames: TorchSplines, frame: Tensor, pixel: Tensor) -> Tensor:
     """Flat indices (n,) of the first coefficients that reach the whole pixels (n,2) of the frames (n,)."""
     import torch
@@ -330,19 +347,13 @@ def _correlate(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Sums (n,) of g and of g², sums (n,3,s) of f̃g, f_x g, f_y g times the shape functions; g without the mean of f.
 
-    Pairs are frame, subset, warp and gone; those that are gone shrink to the first pixel. Points are placed relative to
-    the pixel under the subset's centre, so that float32 resolves them to 1e-6 px.
+    Pairs are frame, subset, warp and gone; those that are gone are looked at where they were at rest.
     """
     import torch
 
     frame, subset, warp, gone = pair
-    places = _polynomials(warp)
-    places[:, :, 0] += reference.centre_px[subset]
-    places.masked_fill_((gone != RUNNING)[:, None, None], 0.0)
-    pixel = places[:, :, 0].floor()
-    places[:, :, 0] -= pixel
-    placed = torch.matmul(places.transpose(0, 1).to(reference.shape.dtype).contiguous(), reference.shape)
-    grey = sample(frames, corner_of(frames, frame, pixel.to(torch.int64)), placed, basis)
+    within = warp.masked_fill((gone != RUNNING)[:, None], 0.0)
+    grey = warped(frames, (frame, reference.centre_px[subset], within), reference.shape, basis)
     grey -= reference.mean[subset, None].to(grey.dtype)
     products = reference.pixels[subset].mul_(grey[:, None])
     moments = torch.matmul(products, reference.shape.T).to(torch.float64)

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,9 @@ from photogram.subsets.texture import (
     textured_area,
     without_saturated,
 )
+
+if TYPE_CHECKING:
+    from photogram.subsets.icgn_stream import OnDevice
 
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -131,10 +134,10 @@ class StereoTracks(Arrays, shapes="speckle_px 2; noise_grey 2; bias_px 2"):
 
 @dataclass(frozen=True)
 class FollowedFrame:
-    """One frame, its spline where tracking made one, and where the subsets are in it."""
+    """One frame, its spline, in memory or on a device, and where the subsets are in it."""
 
     image: GreyImage
-    spline: Spline | None
+    spline: Spline | OnDevice
     found: Registration
 
 
@@ -212,7 +215,7 @@ def follow_sequence(
         from photogram.subsets.icgn_stream import follow_frames
 
         batched = follow_frames(reference, first, sequence.read_ahead(later), settings, device)
-        followed = (FollowedFrame(image, None, found) for image, found in batched)
+        followed = (FollowedFrame(image, spline, found) for image, found, spline in batched)
     for frame in followed:
         centres = reference.centre_px + frame.found.warp[:, [0, 3]]
         full = saturated(frame.image, sequence.full_scale, centres, settings.radius_px)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+import torch
 from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,7 +17,7 @@ from speckle import PIXEL_M, SENSOR, Stereo, camera, face, rendered, sequence, t
 
 from photogram import arrays, measure
 from photogram.bspline import Spline, evaluate, spline_of_image
-from photogram.camera import StereoRig
+from photogram.camera import Camera, StereoRig
 from photogram.direct import (
     LEAST_FILLED,
     BodyView,
@@ -29,6 +30,7 @@ from photogram.direct import (
     rest_covariance,
     view_body,
 )
+from photogram.direct_torch import fit_frames, torch_project, torch_view
 from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
@@ -37,6 +39,7 @@ from photogram.measure import BodyMotion, FollowedBlock, body_motion, follow_blo
 from photogram.motion import PlacedCamera, body_patches, deformation, patch_rates, patch_warps
 from photogram.subsets.find import dropped
 from photogram.subsets.icgn import TrackSettings
+from photogram.subsets.icgn_torch import spline_frames
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.texture import textured_area
 from photogram.subsets.track import follow_sequence, prepare_sequence
@@ -421,6 +424,65 @@ def test_a_body_that_is_not_there_has_no_motion(plate):
     assert fit_direct(views, blank, RigidTransform.identity()) is None
     far = RigidTransform.from_pose(np.array([0.2, 0, 0, 0, 0, 0]))
     assert fit_direct(views, splines(plate.moved, None), far) is None
+
+
+# The same batched over frames by torch, here on its CPU device.
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_frames_fitted_together_on_a_device_are_those_fitted_one_by_one(plate, precision):
+    """A clean frame, one behind a cable, one of a dark room, one whose start lies elsewhere, one with a dim lamp."""
+    rng = np.random.default_rng(16)
+    views = body_views(plate, rng, MODEL)
+    cable, dim = plate.moved[0].copy(), [0.8 * image + 0.01 for image in plate.moved]
+    cable[90:104] = 0.6
+    dark = [np.full_like(image, 0.2) for image in plate.moved]
+    shown = [plate.moved, (cable, plate.moved[1]), dark, plate.moved, dim]
+    stored = [[SENSOR.digitise(image, rng) for image in pair] for pair in shown]
+    near, far = RigidTransform.from_pose(0.9 * POSE), RigidTransform.from_pose(np.array([0.2, 0, 0, 0, 0, 0]))
+    starts = [near, near, near, far, RigidTransform.identity()]
+    alone = [
+        fit_direct(views, [spline_of_image(image) for image in pair], start)
+        for pair, start in zip(stored, starts, strict=True)
+    ]
+    targets = [(spline_frames(np.stack(side), 5, "cpu", precision), range(5)) for side in zip(*stored, strict=True)]
+    together = fit_frames([torch_view(view, "cpu", precision) for view in views], targets, starts)
+    assert [fit is None for fit in together] == [False, False, True, True, False] == [fit is None for fit in alone]
+    for one, other in zip(alone, together, strict=True):
+        if one is not None:
+            assert other.cells == one.cells
+            assert np.max(np.abs(other.moved.pose - one.moved.pose) / sigma(one.covariance)) < 0.01
+            np.testing.assert_allclose(sigma(other.covariance), sigma(one.covariance), rtol=1e-3)
+            assert other.noise == pytest.approx(one.noise, rel=1e-3)
+    assert alone[1].cells < alone[0].cells
+
+
+def test_a_device_projects_as_the_camera_does():
+    """All eight coefficients of the lens and a skew; what lies behind the camera is nowhere."""
+    lens = Camera.from_parameters(
+        np.array([900.0, 950, 310, 250, -0.2, 0.1, 1e-3, -2e-3, 0.03, 0.02, -0.01, 0.004, 1.5]), np.array([640, 480])
+    )
+    place = PlacedCamera(lens, RigidTransform.from_pose(np.array([0.01, -0.02, 0.5, 0.1, -0.2, 0.3])))
+    points = np.column_stack([np.random.default_rng(17).uniform(-0.1, 0.1, (40, 2)), np.zeros(40)])
+    points[0, 2] = -2.0
+    moved = RigidTransform.from_pose(10 * POSE)
+    seen = torch_project(lens, torch.from_numpy(place.camera_from_body.apply(moved.apply(points)))).numpy()
+    np.testing.assert_allclose(seen, place.project(moved.apply(points)), rtol=1e-12)
+    assert np.isnan(seen[0]).all()
+    assert np.isfinite(seen[1:]).all()
+
+
+def test_a_body_followed_on_a_device_moves_as_on_the_cpu(series):
+    """Batches of both cameras, one frame dark: motion within 0.01 of its uncertainty, the same frames lost."""
+    (left, right), *others = series
+    pairs = tuple(chosen(side, 0, 1, 2, None, 3) for side in (left, right))
+    here, there = (measure_body(pairs, *others, device=device) for device in ("cpu", "cpu:0"))
+    assert np.array_equal(np.isfinite(there.motion.pose), np.isfinite(here.motion.pose))
+    assert not np.isfinite(here.motion.pose[3]).any()
+    u = np.sqrt(np.diagonal(here.motion.covariance, axis1=1, axis2=2))
+    assert np.nanmax(np.abs(there.motion.pose - here.motion.pose) / u) < 0.01
+    np.testing.assert_allclose(there.motion.covariance, here.motion.covariance, rtol=0.01, atol=1e-25)
+    assert np.array_equal(there.tracks.left.status, here.tracks.left.status)
 
 
 # Cells of an area: every pixel once, sums against plain numpy, and the surface they lie on.

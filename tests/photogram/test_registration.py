@@ -443,7 +443,7 @@ def in_batches(images: list[np.ndarray], batch_frames: int) -> tuple[Registratio
     """The same by the engine of a device; the images come back one by one."""
     reference = prepare_reference(spline_of_image(images[0]), OFF_PIXEL, SETTINGS.radius_px)
     later = iter(images[1:])
-    back, found = zip(*follow_frames(reference, images[0], later, SETTINGS, "cpu", batch_frames), strict=True)
+    back, found, _ = zip(*follow_frames(reference, images[0], later, SETTINGS, "cpu", batch_frames), strict=True)
     assert [id(image) for image in back] == [id(image) for image in images[1:]]
     return found
 

@@ -1,0 +1,308 @@
+"""Rigid motion fitted to the grey values of all pixels, batched over frames, for a GPU: `direct.fit_direct` by torch.
+
+Pixels are of the splines' precision, float32 as a rule; sums over them, motions and what is solved for are float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from photogram.bspline import noise_gain_table
+from photogram.camera import Camera
+from photogram.direct import (
+    EVALUATIONS,
+    FEWEST_CELLS,
+    LARGEST_STEP,
+    LEFT_OVER,
+    MISFIT,
+    REJECTED,
+    SINGULAR,
+    SMALLEST_GAIN,
+    SMALLEST_MISFIT,
+    BodyView,
+    DirectFit,
+    pose_covariance,
+)
+from photogram.geometry import RigidTransform
+from photogram.images.noise import QUANTISATION
+from photogram.motion import MEDIAN_CHI2_OF_TWO
+from photogram.subsets.icgn_torch import (
+    NUMBERS_PER_PIXEL,
+    WORKING_BYTES,
+    TorchSplines,
+    basis_polynomials,
+    torch_type,
+    warped,
+)
+from photogram.subsets.reference import shape_values
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+NINE = np.array([(dx, dy) for dx in (-1.0, 0.0, 1.0) for dy in (-1.0, 0.0, 1.0)]) / 3.0
+"""Where in a cell the noise that interpolation leaves is looked at, in sides."""
+
+
+@dataclass(frozen=True)
+class TorchView:
+    """A `BodyView` on a device: C cells of side² = S pixels, those outside the body with weight 0.
+
+    pixels (C, 4, S): w, w·f̃, w·f_x, w·f_y; shape (3, S): [1, dx, dy], both of the precision of sampling. All else
+    float64: what `Cells`, `BodyView` and `Patches` call so; points_m (5·C, 3) in the camera's frame, turn (3, 3)
+    and origin_m (3,) from the body's frame to it; steady (C,): whether a cell can tell a motion.
+    """
+
+    source: BodyView
+    pixels: Tensor
+    shape: Tensor
+    centre_px: Tensor
+    mean: Tensor
+    weight: Tensor
+    energy: Tensor
+    count: Tensor
+    removed: Tensor
+    rates: Tensor
+    information: Tensor
+    information_noise: Tensor
+    translation: Tensor
+    steady: Tensor
+    points_m: Tensor
+    rest_px: Tensor
+    turn: Tensor
+    origin_m: Tensor
+
+
+class _Told(NamedTuple):
+    """What one camera tells of frames (A,): as in `fit_direct`, summed over the cells that show the body."""
+
+    information: Tensor
+    noise_part: Tensor
+    slope: Tensor
+    misfit: Tensor
+    expected: Tensor
+    rounding: Tensor
+    count: Tensor
+
+
+def torch_view(view: BodyView, device: str, precision: str) -> TorchView:
+    """Return the view on a device, its pixels of `precision` 'float64' or 'float32'."""
+    import torch
+
+    cells, camera_from_body = view.cells, view.camera.camera_from_body
+    side, kind = cells.side_px, torch_type(precision)
+    length, reach = cells.runs[:, 2], (cells.side_px - 1) / 2
+    along = np.arange(int(length.sum())) - np.repeat(cells.runs[:, 3], length)
+    corner = cells.centre_px[cells.of_pixels] - reach
+    place = (np.repeat(cells.runs[:, 0], length) - corner[:, 1]) * side
+    place += np.repeat(cells.runs[:, 1], length) + along - corner[:, 0]
+    pixels = np.zeros((len(cells.centre_px), 4, side * side))
+    pixels[cells.of_pixels, :, np.rint(place).astype(np.int64)] = cells.pixels.T
+    down, across = (grid.ravel() - reach for grid in np.mgrid[:side, :side])
+    shape = shape_values(np.column_stack([across, down]), 1)
+    steady = np.isfinite(view.translation[:, 0, 0]) & view.rates.any(axis=(1, 2))
+
+    from_cells = ("centre_px", "mean", "weight", "energy", "count", "removed")
+    from_view = ("rates", "information", "information_noise", "translation")
+    placed = camera_from_body.apply(view.patches.points_m).reshape(-1, 3)
+    whole = {
+        **{name: getattr(cells, name) for name in from_cells},
+        **{name: getattr(view, name) for name in from_view},
+        **{"points_m": placed, "rest_px": view.patches.rest_px, "turn": camera_from_body.rotation},
+        **{"origin_m": camera_from_body.translation_m},
+    }
+    return TorchView(
+        source=view,
+        pixels=torch.from_numpy(pixels).to(device, kind),
+        shape=torch.from_numpy(shape).to(device, kind),
+        steady=torch.from_numpy(steady).to(device),
+        **{name: torch.from_numpy(np.array(array, dtype=np.float64)).to(device) for name, array in whole.items()},
+    )
+
+
+def fit_frames(
+    views: Sequence[TorchView],
+    targets: Sequence[tuple[TorchSplines, Sequence[int]]],
+    starts: Sequence[RigidTransform],
+) -> list[DirectFit | None]:
+    """Return what `direct.fit_direct` returns for each of F frames from its start, all of them at once.
+
+    targets: for each view the splines on its device, and which F of them are the frames. Frames leave the iteration as
+    they converge; only motions, covariances and sums come back.
+    """
+    import torch
+
+    device = views[0].centre_px.device
+    rotation = torch.from_numpy(np.array([start.rotation for start in starts])).to(device)
+    shift = torch.from_numpy(np.array([start.translation_m for start in starts])).to(device)
+    numbers = [torch.tensor(list(which), device=device) for _, which in targets]
+    matrices = torch.zeros((2, len(starts), 6, 6), dtype=torch.float64, device=device)
+    scales, counts = torch.full((2, len(starts)), torch.nan, dtype=torch.float64, device=device)
+    active = torch.arange(len(starts), device=device)
+    for _ in range(EVALUATIONS):
+        parts = [
+            _told(view, frames, number[active], rotation[active], shift[active])
+            for view, (frames, _), number in zip(views, targets, numbers, strict=True)
+        ]
+        told = _Told(*(torch.stack(values).sum(dim=0) for values in zip(*parts, strict=True)))
+        lowest = torch.linalg.eigvalsh(_scaled(told.information))[:, 0]
+        solvable = (told.count >= FEWEST_CELLS) & (lowest > SINGULAR)
+        information = torch.where(solvable[:, None, None], told.information, torch.eye(6).to(told.information))
+        scale = torch.maximum(told.misfit, told.rounding) / told.expected
+        step = torch.linalg.solve(information, told.slope)
+        turned, moved = _moved_back(rotation[active], shift[active], step)
+        size = torch.sqrt(torch.einsum("ai,aij,aj->a", step, information, step) / scale)
+        noise = torch.linalg.solve(information, told.noise_part).diagonal(dim1=1, dim2=2).sum(dim=1)
+        found = solvable & (size < LARGEST_STEP) & (scale * noise / 6.0 * size < LEFT_OVER)
+        rotation[active], shift[active] = turned, moved
+        matrices[0, active], matrices[1, active] = information, told.noise_part
+        scales[active], counts[active] = torch.where(found, scale, torch.nan), told.count.to(scales)
+        active = active[solvable & ~found]
+        if len(active) == 0:
+            break
+    turns, shifts, both, levels, cells = (part.cpu().numpy() for part in (rotation, shift, matrices, scales, counts))
+    fits: list[DirectFit | None] = []
+    for f, level in enumerate(levels):
+        if not np.isfinite(level):
+            fits.append(None)
+            continue
+        moved_by = RigidTransform(turns[f], shifts[f])
+        covariance = level * pose_covariance(both[0, f], level * both[1, f], moved_by)
+        fits.append(DirectFit(moved_by, covariance, float(level), int(cells[f])))
+    return fits
+
+
+def _moved_back(rotation: Tensor, shift: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
+    """Return T·δ⁻¹ of motions (A, 3, 3), (A, 3) and steps (A, 6) of shift and rotation vector."""
+    from kornia.geometry.liegroup import So3
+
+    turned = rotation @ So3.exp(step[:, 3:]).matrix().transpose(1, 2)
+    return turned, shift - (turned @ step[:, :3, None])[..., 0]
+
+
+def torch_project(camera: Camera, points_m: Tensor) -> Tensor:
+    """Return `camera.project` of points (..., 3) in the camera frame, float64, on their device."""
+    import torch
+    from kornia.geometry.calibration import distort_points
+
+    plain = torch.eye(3).to(points_m)
+    matrix, lens = (torch.from_numpy(part).to(points_m) for part in (camera.matrix, camera.distortion))
+    depth = torch.where(points_m[..., 2:] > 0.0, points_m[..., 2:], torch.nan)
+    normal = (points_m[..., :2] / depth).reshape(1, -1, 2)
+    distorted = distort_points(normal, plain[None], lens[None], plain[None]).reshape(*points_m.shape[:-1], 2)
+    return distorted @ matrix[:2, :2].T + matrix[:2, 2]
+
+
+def _warps(view: TorchView, rotation: Tensor, shift: Tensor) -> Tensor:
+    """Affine warps (A, C, 6) of the cells by motions of the body (A, 3, 3), (A, 3): `motion.patch_warps`."""
+    import torch
+
+    turned = view.turn @ rotation @ view.turn.T  # in the camera's frame the body moves by C·T·C⁻¹, C its pose
+    moved = shift @ view.turn.T + view.origin_m - (turned @ view.origin_m[:, None])[..., 0]
+    seen = torch_project(view.source.camera.camera, view.points_m @ turned.transpose(1, 2) + moved[:, None])
+    apart = seen.reshape(len(shift), -1, 5, 2) - view.rest_px
+    arm = 2.0 * view.source.patches.arm_px
+    along, down = (apart[:, :, 1] - apart[:, :, 2]) / arm, (apart[:, :, 3] - apart[:, :, 4]) / arm
+    return torch.stack([apart[:, :, 0], along, down], dim=3).flatten(2)
+
+
+def _told(view: TorchView, frames: TorchSplines, number: Tensor, rotation: Tensor, shift: Tensor) -> _Told:
+    """Return what a camera's frames `number` (A,) tell of motions (A, 3, 3), (A, 3): `direct.compare_cells`, summed."""
+    import torch
+
+    warp = _warps(view, rotation, shift)
+    sums = _cell_sums(view, frames, number, warp)
+    gain = sums[..., 2] / view.energy
+    misfit = (sums[..., 1] - sums[..., 0] ** 2 / view.weight - gain**2 * view.energy).clamp(min=0.0)
+    slope = sums[..., 3:] - view.removed[:, 0] * sums[..., :1] - view.removed[:, 1] * sums[..., 2:3]
+    gain = torch.where(gain > SMALLEST_GAIN, gain, torch.nan)
+    expected = (view.count - 2.0) * (_interpolated_noise(view, warp, frames.degree) + gain**2)
+    used = _rigid_cells(view, misfit / expected, torch.where(gain[..., None].isfinite(), slope, torch.nan))
+
+    def over_cells(values: Tensor) -> Tensor:
+        return torch.where(used, values, 0.0).sum(dim=1)
+
+    share = torch.where(used, gain, 0.0)
+    return _Told(
+        torch.einsum("ac,cij->aij", share**2, view.information),
+        torch.einsum("ac,cij->aij", share**2, view.information_noise),
+        torch.einsum("ac,cij,aci->aj", share, view.rates, torch.where(used[..., None], slope, 0.0)),
+        over_cells(misfit),
+        over_cells(expected),
+        over_cells(QUANTISATION * expected * view.weight / view.count),
+        used.sum(dim=1),
+    )
+
+
+def _cell_sums(view: TorchView, frames: TorchSplines, number: Tensor, warp: Tensor) -> Tensor:
+    """Sums (A, C, 9) of `direct._sum_cells` over frames `number` (A,) at warps (A, C, 6); NaN outside the image."""
+    import torch
+
+    count, size = len(view.centre_px), view.shape.shape[1]
+    flat, cell = warp.reshape(-1, 6), torch.arange(warp.shape[0] * count, device=warp.device) % count
+    frame = number.repeat_interleave(count)
+    middle = view.centre_px[cell] + flat[:, [0, 3]]
+    reach = flat.reshape(-1, 2, 3)[:, :, 1:] + torch.eye(2).to(flat)
+    room = reach.abs().sum(dim=2) * (view.source.cells.side_px - 1) / 2
+    last = torch.tensor(frames.size_px).to(flat) - 1.0
+    inside = ((middle >= room) & (middle + room <= last)).all(dim=1)
+    sums = torch.full((len(flat), 9), torch.nan, dtype=torch.float64, device=warp.device)
+    basis = torch.from_numpy(basis_polynomials(frames.degree)).to(view.pixels)
+    portion = max(1, WORKING_BYTES[warp.device.type] // (NUMBERS_PER_PIXEL * size * view.pixels.element_size()))
+    for pairs in torch.nonzero(inside)[:, 0].split(portion):
+        own = cell[pairs]
+        grey = warped(frames, (frame[pairs], view.centre_px[own], flat[pairs]), view.shape, basis)
+        grey -= view.mean[own, None].to(grey.dtype)
+        products = view.pixels[own].mul_(grey[:, None])
+        sums[pairs, 0] = products[:, 0].sum(dim=1, dtype=torch.float64)
+        sums[pairs, 1] = products[:, 0].mul_(grey).sum(dim=1, dtype=torch.float64)
+        sums[pairs, 2] = products[:, 1].sum(dim=1, dtype=torch.float64)
+        sums[pairs, 3:] = torch.matmul(products[:, 2:], view.shape.T).flatten(1).to(torch.float64)
+    return sums.reshape(*warp.shape[:2], 9)
+
+
+def _interpolated_noise(view: TorchView, warp: Tensor, degree: int) -> Tensor:
+    """Variance (A, C) of interpolated white noise at warps (A, C, 6): `bspline.mean_noise_gain` at nine points."""
+    import torch
+
+    table = torch.from_numpy(noise_gain_table(degree)).to(warp)
+    offset = torch.from_numpy(NINE).to(warp) * view.source.cells.side_px
+    turned = warp.reshape(*warp.shape[:2], 2, 3)[..., 1:] + torch.eye(2).to(warp)
+    middle = view.centre_px + warp[..., [0, 3]]
+    place = torch.einsum("acij,pj->acpi", turned, offset) + middle[:, :, None]
+    place = torch.nan_to_num(place - place.floor()) * (len(table) - 1)
+    low = place.floor().to(torch.int64).clamp(0, len(table) - 2)
+    gains = table[low] + (place - low) * (table[low + 1] - table[low])
+    return torch.where(warp.isfinite().all(dim=2), gains.prod(dim=3).mean(dim=2), torch.nan)
+
+
+def _rigid_cells(view: TorchView, ratio: Tensor, slope: Tensor) -> Tensor:
+    """Which cells (A, C) show the body, by their misfit over the expected one (A, C) and their slope (A, C, 6)."""
+    known = ratio.isfinite() & slope.isfinite().all(dim=2) & view.steady
+    typical = _median(ratio, known).clamp(min=SMALLEST_MISFIT)[:, None]
+    known &= ratio <= MISFIT * typical
+    own = slope[..., [0, 3]]
+    squares = (own[..., None] * own[..., None, :] * view.translation).sum(dim=(2, 3)) / typical
+    limit = REJECTED * (_median(squares, known) / MEDIAN_CHI2_OF_TWO).clamp(min=1.0)
+    return known & (squares <= limit[:, None])
+
+
+def _median(values: Tensor, known: Tensor) -> Tensor:
+    """Median (A,) of the known ones of values (A, C), infinite where there is none."""
+    import torch
+
+    ordered = torch.where(known, values, torch.inf).sort(dim=1).values
+    count = known.sum(dim=1, keepdim=True).clamp(min=1)
+    return 0.5 * (ordered.gather(1, (count - 1) // 2) + ordered.gather(1, count // 2))[:, 0]
+
+
+def _scaled(matrices: Tensor) -> Tensor:
+    """Symmetric matrices (A, 6, 6) scaled to unit diagonals; zeros where a diagonal is not positive."""
+    import torch
+
+    diagonal = matrices.diagonal(dim1=1, dim2=2)
+    scale = torch.where(diagonal > 0.0, diagonal, torch.inf).rsqrt()
+    return matrices * scale[:, :, None] * scale[:, None, :]
