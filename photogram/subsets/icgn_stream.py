@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice, pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,19 @@ from photogram.arrays import FloatArray
 from photogram.bspline import spline_of_image
 from photogram.subsets.find import NEIGHBOUR_ROUNDS, follow, identity, merged
 from photogram.subsets.icgn import Registration, TrackSettings, resolved
-from photogram.subsets.icgn_torch import TorchReference, TorchSplines, register_frames, spline_frames, torch_reference
+from photogram.subsets.icgn_torch import (
+    TorchReference,
+    TorchSplines,
+    register_frames,
+    splines_of,
+    torch_reference,
+    uploaded,
+)
 from photogram.subsets.reference import Reference, TrackStatus
 from photogram.subsets.search import neighbour_starts, predict_warp
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 Image = NDArray[Any]
 HISTORY = 64
@@ -59,20 +69,20 @@ def follow_frames(
 ) -> Iterator[tuple[Image, Registration, OnDevice]]:
     """Every image after the `first` in turn, with where the subsets of `reference` are in it, and its spline.
 
-    Images are read in batches, the next one by a thread meanwhile, so at most two are in memory. A batch is done at
-    once as far as its starts can be foretold. Frames of which half is not found start again from the nearest frame
-    found, then single subsets from their neighbours; a frame still lost is searched on the CPU.
+    Images are read and uploaded in batches, the next one by a thread meanwhile, so at most two are held. A batch is
+    done at once as far as its starts can be foretold. Frames of which half is not found start again from the nearest
+    frame found, then single subsets from their neighbours; a frame still lost is searched on the CPU.
     """
     if batch_frames < 1:
         raise ValueError(f"batch_frames: expected at least 1, found {batch_frames}")
     prepared = torch_reference(reference, device, precision)
     history = [identity(reference).warp]
-    for images_read in _read_ahead(images, batch_frames):
-        left = images_read
-        while left:
-            start = forecast_warps(history, len(left))
-            stack, left = left[: len(start)], left[len(start) :]
-            frames = spline_frames(np.stack(stack), settings.degree, device, precision)
+    for images_read, raw in _read_ahead(images, batch_frames, device):
+        done = 0
+        while done < len(images_read):
+            start = forecast_warps(history, len(images_read) - done)
+            own = slice(done, done + len(start))
+            stack, frames, done = images_read[own], splines_of(raw[own], settings.degree, precision), own.stop
             batch = _Batch(reference, prepared, frames, settings)
             found = _from_nearest_frames(batch, list(batch.find(start)), history[-1])
             found = _from_neighbours(batch, found)
@@ -85,16 +95,17 @@ def follow_frames(
                 yield image, here, OnDevice(frames, number)
 
 
-def _read_ahead(images: Iterable[Image], batch_frames: int) -> Iterator[list[Image]]:
-    """Images in batches, of which a thread reads the next one in advance."""
+def _read_ahead(images: Iterable[Image], batch_frames: int, device: str) -> Iterator[tuple[list[Image], Tensor]]:
+    """Images in batches, in memory and on the device; a thread reads and uploads the next one in advance."""
     source = iter(images)
 
-    def read() -> list[Image]:
-        return list(islice(source, batch_frames))
+    def read() -> tuple[list[Image], Tensor] | None:
+        batch = list(islice(source, batch_frames))
+        return (batch, uploaded(np.stack(batch), device)) if batch else None
 
     with ThreadPoolExecutor(max_workers=1) as reader:
         coming = reader.submit(read)
-        while batch := coming.result():
+        while (batch := coming.result()) is not None:
             coming = reader.submit(read)
             yield batch
 

@@ -59,20 +59,36 @@ class TorchSplines:
 
 
 def spline_frames(images: NDArray[np.generic], degree: int, device: str, precision: str = "float64") -> TorchSplines:
-    """The splines through the grey values of images (B,H,W), mirrored at the outermost pixels, on the device.
+    """The splines through the grey values of images (B,H,W), mirrored at the outermost pixels, on the device."""
+    check_shape("images", images, (None, None, None))
+    if min(images.shape[1:]) < 2 * PADDING_PX:
+        raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
+    return splines_of(uploaded(images, device), degree, precision)
+
+
+def uploaded(images: NDArray[np.generic], device: str) -> Tensor:
+    """Images (B,H,W) on the device; to a GPU from pinned memory by a stream of its own, beside what it computes."""
+    import torch
+
+    native = torch.from_numpy(np.ascontiguousarray(images, dtype=images.dtype.newbyteorder("=")))
+    if torch.device(device).type != "cuda":
+        return native.to(device)
+    stream = torch.cuda.Stream(device)
+    with torch.cuda.stream(stream):
+        there = native.pin_memory().to(device, non_blocking=True)
+    stream.synchronize()
+    there.record_stream(torch.cuda.default_stream(device))
+    return there
+
+
+def splines_of(raw: Tensor, degree: int, precision: str) -> TorchSplines:
+    """The splines through the grey values of images (B,H,W) that are on a device.
 
     C = A_H · image · A_Wᵀ with A the exact inverse of the B-spline sampled at whole pixels, its mirrored borders
     included: the recursion of `spline_of_image` as matrix products, which suit a GPU better. Blocks of A are multiplied
     with what reaches them by more than 1e-17.
     """
-    import torch
-
-    check_shape("images", images, (None, None, None))
-    if min(images.shape[1:]) < 2 * PADDING_PX:
-        raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
-    native = np.ascontiguousarray(images, dtype=images.dtype.newbyteorder("="))
-    raw = torch.from_numpy(native).to(device).to(torch_type(precision))
-    down = _filtered(raw.transpose(1, 2).contiguous(), degree)
+    down = _filtered(raw.to(torch_type(precision)).transpose(1, 2).contiguous(), degree)
     return TorchSplines(_filtered(down.transpose(1, 2).contiguous(), degree), degree)
 
 
