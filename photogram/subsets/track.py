@@ -5,8 +5,11 @@ from __future__ import annotations
 import ctypes
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from itertools import count
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -468,9 +471,9 @@ def track_stereo(
     settings: TrackSettings,
     progress: Progress | None = None,
 ) -> StereoTracks:
-    """Follow the subsets of `lay_stereo_grid` through both cameras' images.
+    """Follow the subsets of `lay_stereo_grid` through both cameras' images, each by a thread.
 
-    `progress` is called with the number of finished frames, first of the left, then of the right camera: 1…2F.
+    `progress` is called with the number of finished frames of both cameras: 1…2F.
 
     >>> from scipy.ndimage import gaussian_filter
     >>> noise = gaussian_filter(np.random.default_rng(1).standard_normal((96, 96)), 2.0, mode="wrap")
@@ -481,10 +484,23 @@ def track_stereo(
     array([2., 0.])
     """
     grid = lay_stereo_grid(left, right, rig, settings)
-    left_tracks = track_sequence(left, grid.left_px, settings, progress)
-    after = None if progress is None else lambda done: progress(len(left) + done)
-    right_tracks = track_sequence(right, grid.right_px, settings, after)
-    return stereo_tracks((left.read(0), right.read(0)), grid, (left_tracks, right_tracks), settings, rig)
+    counted = None if progress is None else _together(progress)
+    with ThreadPoolExecutor(2) as cameras:
+        of_left = cameras.submit(track_sequence, left, grid.left_px, settings, counted)
+        of_right = cameras.submit(track_sequence, right, grid.right_px, settings, counted)
+        tracks = of_left.result(), of_right.result()
+    return stereo_tracks((left.read(0), right.read(0)), grid, tracks, settings, rig)
+
+
+def _together(progress: Progress) -> Progress:
+    """A progress that counts the calls of two threads."""
+    counting, done = Lock(), count(1)
+
+    def tell(_: int) -> None:
+        with counting:
+            progress(next(done))
+
+    return tell
 
 
 def _follow_one_by_one(
