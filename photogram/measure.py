@@ -120,10 +120,10 @@ FollowedBlock = tuple[tuple[Found, DirectFit | None], ...]
 class BodyScene(Arrays, shapes="rest_m N 3"):
     """What stays the same through a series, whoever follows which of its frames.
 
-    views: the body at rest, whose points are rest_m (N, 3), weighted by the `noise` of the images; seen: those points
-    in each camera. lead: the frames
-    after the first, mostly one, that were followed to find that noise; None where no frame tells it. blocks: the other
-    frames, each block of which is followed from the reference on, by itself.
+    views: the body at rest, whose points are rest_m (N, 3), weighted by the `noise` of the images, which is None where
+    no frame tells it; seen: those points in each camera. lead: the frames after the first, mostly one, that were
+    followed to find that noise. blocks: the other frames, each block of which is followed from the reference on, by
+    itself.
     """
 
     images: tuple[ImageSequence, ImageSequence]

@@ -238,7 +238,8 @@ def measure_pairs(
     not followed again.
     """
     device, begun = settings.device, []
-    with Threads() as here:
+    alone = resolve_device(device) == "cpu"  # a GPU holds one block of each body at a time
+    with Threads() if alone else Threads(max(1, len(images))) as here:
         crew = here if executor is None else executor
         prepared = [crew.submit(0, _prepared, body_inputs(item, settings), device, item.depth_m) for item in images]
         for item, pending in zip(images, prepared, strict=True):
