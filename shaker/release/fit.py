@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -338,6 +339,7 @@ def modal_form(system: LinearSystem) -> ModalModel | None:
 MUTATION, CROSSOVER, POPULATION, GENERATIONS, BOUND = 0.8, 0.7, 100, 500, 5.0  # the published settings
 _FEWER = (30, 40)  # members and generations that three bounded parameters take
 _DAMPING = (1e-4, 0.5)
+_FIRST_PART = 8  # of what follows the onset is looked at first
 _HUGE = 1e100  # loss from which a member counts as grown without bound
 _BLOCKS = 1000  # blocks of the record that the evolution looks at
 
@@ -375,7 +377,7 @@ def fit_evolution(
     # ln ω from two periods in the record to a tenth of the blocks' rate, ζ, ln a up to 0.4 of the samples' rate
     bounds = [(slow, fast), _DAMPING, *[(slow, edge)] * structure.reals]
 
-    def loss(part: FloatArray) -> float:
+    def loss(part: FloatArray, _: float) -> float:
         return float(squares(problem, np.append(part, onset_s))[-1])
 
     best, path = _evolved(loss, bounds, rng, _FEWER)
@@ -392,15 +394,26 @@ def _published(record: StepRecord, reading: Reading, rng: np.random.Generator, o
 
     signals = constructed(record, reading, 1)
     load, output = signals[:2]
+    begin = int(np.argmax(load != 0.0))  # until then no model answers
+    cuts = (begin, begin + (len(load) - begin) // _FIRST_PART, len(load))
+    quiet = float(output[:begin] @ output[:begin])
 
-    def loss(part: FloatArray) -> float:
-        with np.errstate(over="ignore", invalid="ignore"):
-            rest = output - lfilter(np.append(0.0, part[-2::-2]), np.append(1.0, part[::-2]), load)
-            square = float(rest @ rest)
-        return square if square < _HUGE else np.inf
+    top, bottom, still = np.zeros(order + 1), np.ones(order + 1), np.zeros(order)
+
+    def loss(part: FloatArray, most: float) -> float:
+        top[1:], bottom[1:] = part[-2::-2], part[::-2]
+        square, state = quiet, still
+        for first, last in pairwise(cuts):
+            answer, state = lfilter(top, bottom, load[first:last], zi=state)
+            rest = output[first:last] - answer
+            square += float(rest @ rest)
+            if not square <= min(most, _HUGE):
+                return np.inf
+        return square
 
     bounds = [(-BOUND, BOUND)] * (2 * order)
-    best, path = _evolved(loss, bounds, rng, (POPULATION, GENERATIONS))
+    with np.errstate(over="ignore", invalid="ignore"):
+        best, path = _evolved(loss, bounds, rng, (POPULATION, GENERATIONS))
     top, bottom = np.append(0.0, best[-2::-2]), np.append(1.0, best[::-2])
     sampled = LinearSystem.from_coefficients(top, bottom, record.sample_rate_hz)
     fit = difference_fit(record, reading, sampled, "zoh", signals, np.array(path))
@@ -408,23 +421,31 @@ def _published(record: StepRecord, reading: Reading, rng: np.random.Generator, o
 
 
 def _evolved(
-    loss: Callable[[FloatArray], float],
+    loss: Callable[[FloatArray, float], float],
     bounds: list[tuple[float, float]],
     rng: np.random.Generator,
     effort: tuple[int, int],
 ) -> tuple[FloatArray, tuple[float, ...]]:
-    """Return the best vector and the best loss of every generation; `effort`: members and generations."""
+    """Return the best vector and the best loss of every generation; `effort`: members and generations.
+
+    loss(vector, most) may stop as soon as it is beyond `most`, the parent's own: such a vector is not taken over.
+    """
     from scipy.optimize import differential_evolution
 
     low, high = np.array(bounds).T
     first = low + (high - low) * rng.random((effort[0], len(bounds)))
     path: list[float] = []
+    parents = [np.inf] * effort[0]
 
     def keep(intermediate_result: Any) -> None:
         path.append(float(intermediate_result.fun))
+        parents[:] = intermediate_result.population_energies
+
+    def of_all(_: Any, members: Iterable[FloatArray]) -> list[float]:
+        return [loss(member, most) for member, most in zip(members, parents, strict=True)]
 
     end = differential_evolution(
-        loss,
+        lambda member: loss(member, np.inf),
         bounds,
         strategy="rand1bin",
         maxiter=effort[1],
@@ -436,6 +457,7 @@ def _evolved(
         callback=keep,
         polish=False,
         updating="deferred",
+        workers=of_all,
     )
     return np.asarray(end.x), tuple(path)
 
