@@ -35,7 +35,7 @@ from large_recording import POSES, SIDES, _sequence, camera_folder, cameras_from
 from marked import markdown_table, write_marked
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from photogram.direct_torch import fit_frames, torch_view
+from photogram.direct.fit_torch import fit_frames, torch_view
 from photogram.geometry import RigidTransform
 from photogram.images.sequence import ImageSequence
 from photogram.measure import BodyScene, follow_block, prepare_body

@@ -12,7 +12,15 @@ import numpy as np
 from photogram.arrays import Arrays, FloatArray, Notice, RunningMean, Sample
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import Points, StereoRig, triangulate
-from photogram.direct import BodyView, DirectFit, fit_direct, image_noise, rest_covariance, reweighted_view, view_body
+from photogram.direct.fit import (
+    BodyView,
+    DirectFit,
+    fit_direct,
+    image_noise,
+    rest_covariance,
+    reweighted_view,
+    view_body,
+)
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
@@ -151,10 +159,11 @@ def measure_body(
 ) -> BodyMotion:
     """Follow a body through the left and right `images` and fit its six components, about the origin of its frame.
 
-    Subsets are tracked, triangulated and fitted by a rigid motion (`motion.fit_motion`); from that start the motion is
-    fitted to the grey values (`direct.fit_direct`), weighted by the noise that the first frame so fitted shows. A frame
-    in which this fails keeps the motion of its points. `progress` is called with the number of finished images, 1…2F.
-    `prepare_body`, `follow_block` for each of the blocks and `body_motion` are the same in parts.
+    Subsets are tracked; from the motion that brings the body to where they are (`motion.motion_of_places`) it is fitted
+    to the grey values (`direct.fit.fit_direct`), weighted by the noise that the first frame so fitted shows. A frame in
+    which this fails has the motion of its triangulated points (`motion.fit_motion`). `progress` is called with the
+    number of finished images, 1…2F. `prepare_body`, `follow_block` for each of the blocks and `body_motion` are the
+    same in parts, for several threads.
 
     >>> from scipy.ndimage import gaussian_filter
     >>> rng = np.random.default_rng(1)
@@ -224,7 +233,7 @@ def _fitted_here(scene: BodyScene, frames: range, device: str) -> Iterator[tuple
 
 def _fitted_there(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[Found, DirectFit | None]]:
     """Some frames in turn, fitted together as far as their splines lie together on the device."""
-    from photogram.direct_torch import fit_frames, torch_view
+    from photogram.direct.fit_torch import fit_frames, torch_view
     from photogram.subsets.icgn_stream import PRECISION, OnDevice
 
     views = [torch_view(view, device, PRECISION) for view in scene.views]

@@ -513,7 +513,7 @@ def see_points(camera: PlacedCamera, points_m: FloatArray) -> SeenPoints:
 def motion_of_places(seen: Sequence[SeenPoints], places_px: Sequence[FloatArray]) -> RigidTransform | None:
     """Return the motion from rest that brings points to the places (N, 2) where each camera shows them in one frame.
 
-    Gauss-Newton with the rates at rest, as in `direct.fit_direct`, of distances in px with Cauchy weights
+    Gauss-Newton with the rates at rest, as in `direct.fit.fit_direct`, of distances in px with Cauchy weights
     1/(1 + d²/median d²), which a third of wrong places does not carry away; a last step weighs those within five robust
     standard deviations alike. A start, without a covariance. None where fewer than six places are known, or they do not
     fix all six components.

@@ -36,7 +36,7 @@ from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE
 from photogram.calibration.file import read_calibration
 from photogram.camera import StereoRig
-from photogram.direct import DirectFit
+from photogram.direct.fit import DirectFit
 from photogram.epipolar import EpipolarCheck, check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence

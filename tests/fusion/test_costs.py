@@ -10,7 +10,8 @@ import pytest
 
 from fusion import Settings, run_path
 from fusion.report import folder
-from photogram import bspline, direct
+from photogram import bspline
+from photogram.direct import cells
 from photogram.images import files
 from photogram.subsets import find
 from photogram.subsets.reference import TrackStatus
@@ -43,7 +44,7 @@ def costs(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for module, name in (
             (files, "_tiff_header"), (files, "_read_tiff"), (files, "_inflated"), (bspline, "_prefilter"),
-            (direct, "_sum_cells"), (folder, "printed_svg"),
+            (cells, "_sum_cells"), (folder, "printed_svg"),
         ):  # fmt: skip
             counted(patch, module, name)
         patch.setattr(find, "register", registered)

@@ -21,7 +21,7 @@ from fusion.phasors.stereo_motion import Followed
 from fusion.report.files import Kept, remove_abandoned
 from fusion.report.folder import check_folder
 from photogram import measure
-from photogram.direct import DirectFit
+from photogram.direct.fit import DirectFit
 from photogram.geometry import RigidTransform
 from photogram.images.sequence import ImageSequence
 from photogram.measure import FollowedBlock

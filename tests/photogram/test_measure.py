@@ -18,19 +18,9 @@ from speckle import PIXEL_M, SENSOR, Stereo, camera, face, rendered, sequence, t
 from photogram import arrays, measure
 from photogram.bspline import Spline, evaluate, spline_of_image
 from photogram.camera import Camera, StereoRig
-from photogram.direct import (
-    LEAST_FILLED,
-    BodyView,
-    compare_cells,
-    fit_direct,
-    image_noise,
-    lay_cells,
-    pixel_residuals,
-    prepare_cells,
-    rest_covariance,
-    view_body,
-)
-from photogram.direct_torch import fit_frames, torch_project, torch_view
+from photogram.direct.cells import LEAST_FILLED, compare_cells, lay_cells, pixel_residuals, prepare_cells
+from photogram.direct.fit import BodyView, fit_direct, image_noise, rest_covariance, view_body
+from photogram.direct.fit_torch import fit_frames, torch_project, torch_view
 from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel

@@ -1,4 +1,4 @@
-"""Rigid motion fitted to the grey values of all pixels, batched over frames, for a GPU: `direct.fit_direct` by torch.
+"""The fit of six components batched over frames, for a GPU: `fit_direct` by torch.
 
 Pixels are of the splines' precision, float32 as a rule; sums over them, motions and what is solved for are float64.
 """
@@ -13,7 +13,8 @@ import numpy as np
 
 from photogram.bspline import noise_gain_table
 from photogram.camera import Camera
-from photogram.direct import (
+from photogram.direct.cells import SMALLEST_GAIN
+from photogram.direct.fit import (
     EVALUATIONS,
     FEWEST_CELLS,
     LARGEST_STEP,
@@ -21,7 +22,6 @@ from photogram.direct import (
     MISFIT,
     REJECTED,
     SINGULAR,
-    SMALLEST_GAIN,
     SMALLEST_MISFIT,
     BodyView,
     DirectFit,
@@ -128,7 +128,7 @@ def fit_frames(
     targets: Sequence[tuple[TorchSplines, Sequence[int]]],
     starts: Sequence[RigidTransform],
 ) -> list[DirectFit | None]:
-    """Return what `direct.fit_direct` returns for each of F frames from its start, all of them at once.
+    """Return what `fit_direct` returns for each of F frames from its start, all of them at once.
 
     targets: for each view the splines on its device, and which F of them are the frames. Frames leave the iteration as
     they converge; only motions, covariances and sums come back.
@@ -210,7 +210,7 @@ def _warps(view: TorchView, rotation: Tensor, shift: Tensor) -> Tensor:
 
 
 def _told(view: TorchView, frames: TorchSplines, number: Tensor, rotation: Tensor, shift: Tensor) -> _Told:
-    """Return what a camera's frames `number` (A,) tell of motions (A, 3, 3), (A, 3): `direct.compare_cells`, summed."""
+    """Return what a camera's frames `number` (A,) tell of motions (A, 3, 3), (A, 3): `cells.compare_cells`, summed."""
     import torch
 
     warp = _warps(view, rotation, shift)
@@ -238,7 +238,7 @@ def _told(view: TorchView, frames: TorchSplines, number: Tensor, rotation: Tenso
 
 
 def _cell_sums(view: TorchView, frames: TorchSplines, number: Tensor, warp: Tensor) -> Tensor:
-    """Sums (A, C, 9) of `direct._sum_cells` over frames `number` (A,) at warps (A, C, 6); NaN outside the image."""
+    """Sums (A, C, 9) of `cells._sum_cells` over frames `number` (A,) at warps (A, C, 6); NaN outside the image."""
     import torch
 
     count, size = len(view.centre_px), view.shape.shape[1]
