@@ -32,6 +32,7 @@ from fusion.report.files import remove_abandoned
 from fusion.report.recording import result_tables
 from fusion.sensitivity.analyse import Evaluation
 from fusion.simulate import simulate
+from photogram.measure import follow_block
 
 
 @pytest.fixture(scope="module")
@@ -176,6 +177,20 @@ def test_shared_frames_give_the_tables_of_the_serial_run(demo_recording, serial_
     assert names[:4] == ["_prepared", "_prepared", "_followed", "_followed"]
     assert ("track base", 48, 48) in told
     assert tables == serial_demo
+
+
+def test_threads_give_the_tables_of_one(demo_recording, serial_demo, tmp_path, monkeypatch):
+    """Both bodies at once, in more threads than this machine may have cores; those of the fixture are one."""
+    seen = set[str]()
+
+    def noted(*arguments: Any) -> Any:
+        seen.add(threading.current_thread().name)
+        return follow_block(*arguments)
+
+    monkeypatch.setattr("fusion.base.usable_cores", lambda: 3)
+    monkeypatch.setattr("fusion.phasors.stereo_motion.follow_block", noted)
+    assert _demo_tables(demo_recording, tmp_path) == serial_demo
+    assert len(seen) == 2
 
 
 @pytest.mark.slow
