@@ -119,7 +119,8 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
     """Return the transform (B,) of samples (S,), their mean removed, times 1 + cos(2π/S·(n - middle)).
 
     Of long records every r-th sample is transformed for itself, r a divisor of S, and the r transforms F_q are put
-    together (decimation in time, Cooley and Tukey 1965): X(jM + m) = Σ_q exp(-2πi·qj/r)·exp(-2πi·qm/S)·F_q(m), M = S/r.
+    together (decimation in time, Cooley and Tukey 1965): X(jM + m) = Σ_q exp(-2πi·qj/r)·exp(-2πi·qm/S)·F_q(m), M = S/r,
+    a transform of r numbers for each m. m up to M/2 are enough: X(jM + M - m) is the conjugate of X((r - 1 - j)M + m).
     """
     count, mean = len(samples), samples.mean()
     pieces = next((r for r in range(_FEWEST_PARTS, _MOST_PARTS + 1) if count % r == 0), 1) if count >= _LONG else 1
@@ -127,7 +128,7 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
     if pieces == 1:
         return np.asarray(np.fft.rfft((samples - mean) * (1.0 + np.cos(turn * (np.arange(count) - middle)))))
     length, bins = count // pieces, count // 2 + 1
-    result = np.zeros(bins, dtype=np.complex128)
+    halves = []
     for q in range(pieces):
         window = np.arange(q, count, pieces, dtype=np.float64)
         window -= middle
@@ -135,21 +136,28 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
         np.cos(window, out=window)
         window += 1.0
         window *= samples[q::pieces] - mean
-        half = np.fft.rfft(window)
-        del window
-        for part in _parts(length):
-            own = _whole(half, length, part) * np.exp(np.arange(part.start, part.stop) * (-1j * turn * q))
-            for j in range((bins - 1 - part.start) // length + 1):
-                target = result[j * length + part.start : j * length + part.stop]
-                target += own[: len(target)] * np.exp(-2j * np.pi * ((q * j) % pieces) / pieces)
+        halves.append(np.fft.rfft(window))
+    del window
+    for part in _parts(length // 2 + 1):
+        step = np.exp(np.arange(part.start, part.stop) * (-1j * turn))
+        twist = np.ones(len(step), dtype=np.complex128)
+        together = np.empty((pieces, len(step)), dtype=np.complex128)
+        for row, half in zip(together, halves, strict=True):
+            np.multiply(half[part], twist, out=row)
+            twist *= step
+        for half, row in zip(halves, np.fft.fft(together, axis=0), strict=True):
+            half[part] = row
+    result = np.empty(bins, dtype=np.complex128)
+    last = (bins - 1) // length
+    for j in range(last + 1):
+        target = result[j * length : (j + 1) * length]
+        low, high = halves[j][: len(target)], halves[pieces - 1 - j][length - length // 2 - 1 : 0 : -1]
+        target[: len(low)] = low
+        np.conjugate(high[: len(target) - len(low)], out=target[len(low) :])
+        done = (j, pieces - 1 - j) if pieces - 1 - j > last else (j,)
+        for number in done:  # whose memory is that of the result now
+            halves[number] = np.empty(0, dtype=np.complex128)
     return result
-
-
-def _whole(half: ComplexArray, length: int, part: slice) -> ComplexArray:
-    """Return bins of a transform of `length` real samples from its first half."""
-    stop = min(part.stop, len(half))
-    mirrored = np.arange(max(part.start, stop), part.stop)
-    return np.concatenate([half[part.start : stop], np.conj(half[length - mirrored])])
 
 
 def kernel(place: float, low: int, high: int, samples: int) -> tuple[FloatArray, FloatArray]:
