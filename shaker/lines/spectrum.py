@@ -108,6 +108,7 @@ def centred_spectrum(samples: FloatArray) -> ComplexArray:
 _LONG = 1 << 22  # samples from which a transform is put together from shorter ones, in little more than its own memory
 _PART = 1 << 18  # bins worked on at a time
 _FEWEST_PARTS, _MOST_PARTS = 16, 64
+_RETURNED = 1 << 26  # bytes of an array whose memory the system has back at once
 
 
 def _parts(bins: int) -> list[slice]:
@@ -126,27 +127,27 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
     pieces = next((r for r in range(_FEWEST_PARTS, _MOST_PARTS + 1) if count % r == 0), 1) if count >= _LONG else 1
     turn = 2.0 * np.pi / count
     if pieces == 1:
-        return np.asarray(np.fft.rfft((samples - mean) * (1.0 + np.cos(turn * (np.arange(count) - middle)))))
+        return np.asarray(np.fft.rfft(_windowed(samples, mean, middle, slice(0, count))))
     length, bins = count // pieces, count // 2 + 1
-    halves = []
-    for q in range(pieces):
-        window = np.arange(q, count, pieces, dtype=np.float64)
-        window -= middle
-        window *= turn
-        np.cos(window, out=window)
-        window += 1.0
-        window *= samples[q::pieces] - mean
-        halves.append(np.fft.rfft(window))
-    del window
+    halves = [np.empty(0, dtype=np.complex128)] * pieces
+    order = sorted(range(pieces), key=lambda q: min(q, pieces - 1 - q))  # in which they are done with
+    each = max(1, _RETURNED // (8 * length))
+    for some in (order[first : first + each] for first in range(0, pieces, each)):
+        block = np.empty((len(some), length // 2 + 1), dtype=np.complex128)
+        for q, row in zip(some, block, strict=True):
+            row[:] = np.fft.rfft(_windowed(samples, mean, middle, slice(q, count, pieces)))
+            halves[q] = row
+    del block, row
     for part in _parts(length // 2 + 1):
         step = np.exp(np.arange(part.start, part.stop) * (-1j * turn))
         twist = np.ones(len(step), dtype=np.complex128)
-        together = np.empty((pieces, len(step)), dtype=np.complex128)
-        for row, half in zip(together, halves, strict=True):
-            np.multiply(half[part], twist, out=row)
+        twisted = np.empty((pieces, len(step)), dtype=np.complex128)
+        for half, own in zip(halves, twisted, strict=True):
+            np.multiply(half[part], twist, out=own)
             twist *= step
-        for half, row in zip(halves, np.fft.fft(together, axis=0), strict=True):
-            half[part] = row
+        for half, own in zip(halves, np.fft.fft(twisted, axis=0), strict=True):
+            half[part] = own
+    del half
     result = np.empty(bins, dtype=np.complex128)
     last = (bins - 1) // length
     for j in range(last + 1):
@@ -158,6 +159,17 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
         for number in done:  # whose memory is that of the result now
             halves[number] = np.empty(0, dtype=np.complex128)
     return result
+
+
+def _windowed(samples: FloatArray, mean: float, middle: float, which: slice) -> FloatArray:
+    """Return some of the samples (S,) less their mean, times 1 + cos(2π/S·(n - middle)), in little more memory."""
+    window = np.arange(which.start, which.stop, which.step, dtype=np.float64)
+    window -= middle
+    window *= 2.0 * np.pi / len(samples)
+    np.cos(window, out=window)
+    window += 1.0
+    window *= samples[which] - mean
+    return window
 
 
 def kernel(place: float, low: int, high: int, samples: int) -> tuple[FloatArray, FloatArray]:
