@@ -52,10 +52,12 @@ docs-pictures: .venv/dev
 sample-images: .venv/installed
 	$(BIN)/shakercal simulate sample_images/demo --preset demo --seed 1 --force
 
-# The published set-up; times of commands, pages and the viewer, which go into the pages of the docs.
+# The published set-up; times of commands, of a GPU (without one what it would have to do), of pages and the viewer, which
+# go into the pages of the docs.
 benchmark: .venv/dev
 	$(BIN)/python benchmarks/nitsche2018.py
 	$(BIN)/python benchmarks/commands.py --docs docs
+	$(BIN)/python benchmarks/gpu.py --docs docs
 	$(BIN)/python benchmarks/pages.py --docs docs
 	$(BIN)/python benchmarks/view.py --docs docs
 
