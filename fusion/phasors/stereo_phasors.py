@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import AnyNotice, ComputeError, InputError
+from fusion.base import AnyNotice, ComputeError, InputError, Threads
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading
@@ -121,17 +121,22 @@ def pairs_phasors(
     fitted: list[StereoPhasors] = []
     unfitted: list[LeftOut] = []
     notices: list[AnyNotice] = []
+    told_apart = []
     for measured in motions:
         name = measured.sight.name
         usable, aliased = _usable(measured, lines)
         notices += [Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in aliased]
-        if not usable.any():
+        if usable.any():
+            told_apart.append(measured)
+        else:
             notices.append(Notice("warning", f"stereo pair {name} is left out: {NO_LINE}", name))
-            continue
-        try:
-            fitted.append(stereo_phasors(base, measured, lines, line_errors, strength))
-        except ComputeError as error:
-            unfitted.append(LeftOut(name, error))
+    with Threads() as crew:
+        pending = [crew.submit(0, stereo_phasors, base, one, lines, line_errors, strength) for one in told_apart]
+        for measured, answer in zip(told_apart, pending, strict=True):
+            try:
+                fitted.append(answer.result().opened())
+            except ComputeError as error:
+                unfitted.append(LeftOut(measured.sight.name, error))
     return tuple(fitted), tuple(notices), tuple(unfitted)
 
 
