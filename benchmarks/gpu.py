@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from large_recording import POSES, SIDES, _sequence, camera_folder, cameras_from_world, setups, write_recording
+from large_recording import POSES, SIDES, camera_folder, cameras_from_world, sequence_of, setups, write_recording
 from marked import markdown_table, write_marked
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -65,7 +65,7 @@ def bodies(folder: Path, frames: int) -> list[Body]:
     found = []
     for setup in setups():
         rig, (left_from_world, _) = cameras_from_world(setup)
-        files = [_sequence(folder / camera_folder(setup, side), setup, POSES + 1) for side in SIDES]
+        files = [sequence_of(folder / camera_folder(setup, side), setup, POSES + 1) for side in SIDES]
         pictures = tuple(np.stack([one.read(k) for k in range(POSES + 1)]) for one in files)
         images = tuple(repeated(stack, one, frames) for stack, one in zip(pictures, files, strict=True))
         scene = prepare_body((images[0], images[1]), rig, left_from_world.inverse(), SETTINGS)
@@ -133,7 +133,7 @@ def timed(some: list[Body], folder: Path, device: str) -> str:
     side = 2 * RADIUS_PX + 1
     rows.append(f"| subsets of {side} × {side} px, from a start of 0.3 px | {found / took:.3g} /s | ≥ 2·10⁶ |")
     setup = next(setups())
-    files = _sequence(folder / camera_folder(setup, SIDES[0]), setup, POSES + 1)
+    files = sequence_of(folder / camera_folder(setup, SIDES[0]), setup, POSES + 1)
     begun = time.perf_counter()
     for k in range(POSES + 1):
         files.read(k)

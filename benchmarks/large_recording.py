@@ -202,13 +202,13 @@ def track(folder: Path, frames: int) -> tuple[list[StereoTracks], Cost]:
     wall_s, user_s = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF).ru_utime
     tracks = []
     for setup in setups():
-        left, right = (_sequence(folder / camera_folder(setup, side), setup, frames) for side in SIDES)
+        left, right = (sequence_of(folder / camera_folder(setup, side), setup, frames) for side in SIDES)
         tracks.append(track_stereo(left, right, cameras_from_world(setup)[0], TrackSettings()))
     user_s = resource.getrusage(resource.RUSAGE_SELF).ru_utime - user_s
     return tracks, Cost(time.perf_counter() - wall_s, user_s, peak_bytes())
 
 
-def _sequence(folder: Path, setup: StereoSetup, frames: int) -> ImageSequence:
+def sequence_of(folder: Path, setup: StereoSetup, frames: int) -> ImageSequence:
     """The first frames of one camera."""
     return open_sequence(sorted(folder.glob("*.tif"))[:frames], setup.bit_depth)
 

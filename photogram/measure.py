@@ -218,20 +218,19 @@ def follow_block(
     scene: BodyScene, frames: range, device: str = "cpu", progress: Progress | None = None
 ) -> FollowedBlock:
     """Follow the body through a block of later frames; the first of them is found from the reference alone."""
-    followed, fitted = [], _fitted_here if device == "cpu" else _fitted_there
-    for number, one in zip(frames, fitted(scene, frames, device), strict=True):
+    fitted: Iterator[tuple[Found, DirectFit | None]]
+    if device == "cpu":
+        fitted = ((found, _fit(scene, found, splines)) for found, splines in _found_in(scene, frames, device))
+    else:
+        fitted = _fitted_together(scene, frames, device)
+    followed = []
+    for number, one in zip(frames, fitted, strict=True):
         followed.append(one)
         _tell(progress, number + 1)
     return tuple(followed)
 
 
-def _fitted_here(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[Found, DirectFit | None]]:
-    """Some frames in turn, one by one."""
-    for found, splines in _found_in(scene, frames, device):
-        yield found, _fit(scene, found, splines)
-
-
-def _fitted_there(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[Found, DirectFit | None]]:
+def _fitted_together(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[Found, DirectFit | None]]:
     """Some frames in turn, fitted together as far as their splines lie together on the device."""
     from photogram.direct.fit_torch import fit_frames, torch_view
     from photogram.subsets.icgn_stream import PRECISION, OnDevice
@@ -484,8 +483,8 @@ def _with_noise(scene: BodyScene, device: str, progress: Progress | None) -> Bod
         fit = _fit(scene, found, splines)
         if fit is not None:
             left, right = map(partial(image_noise, moved=fit.moved), scene.views, splines)
-            same = zip(scene.views, (left, right), strict=True)
-            views = tuple(reweighted_view(view, model, scene.settings.degree) for view, model in same)
+            weighed = zip(scene.views, (left, right), strict=True)
+            views = tuple(reweighted_view(view, model, scene.settings.degree) for view, model in weighed)
             scene = replace(scene, noise=(left, right), views=views)
             fit = _fit(scene, found, splines)
         scene = replace(scene, lead=(*scene.lead, (found, fit)))

@@ -26,7 +26,7 @@ from queue import PriorityQueue
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
-from fusion.base import PROGRAM, ComputeError, InputError, __version__, most_threads, undone
+from fusion.base import PROGRAM, ComputeError, InputError, Returned, __version__, most_threads, undone
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -76,12 +76,10 @@ _ALONE = threading.Lock()  # threads of one process share the logger and what th
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class Answer(Returned):
     """What a task returned or raised, and what it logged."""
 
-    value: Any
-    error: Exception | None
-    told: tuple[logging.LogRecord, ...]
+    told: tuple[logging.LogRecord, ...] = ()
 
     def __reduce__(self) -> tuple[Callable[..., Answer], tuple[bytes]]:
         """Travel in one piece: a cluster hands over large arrays apart, read where they lie in a message.
@@ -89,12 +87,6 @@ class Answer:
         There they begin at any byte, and kernels and sums over such an array are others than over one that numpy made.
         """
         return _arrived, (pickle.dumps((self.value, self.error, self.told)),)
-
-    def opened(self) -> Any:
-        """Return or raise what the task did."""
-        if self.error is not None:
-            raise self.error
-        return self.value
 
     def log(self, name: str) -> None:
         """Log what the task logged, behind the name of what it was about."""

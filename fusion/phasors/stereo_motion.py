@@ -238,8 +238,8 @@ def measure_pairs(
     not followed again.
     """
     device, begun = settings.device, []
-    alone = resolve_device(device) == "cpu"  # a GPU holds one block of each body at a time
-    with Threads() if alone else Threads(max(1, len(images))) as here:
+    on_gpu = executor is None and resolve_device(device) != "cpu"
+    with Threads(max(1, len(images)) if on_gpu else None) as here:  # a GPU holds one block of each body at a time
         crew = here if executor is None else executor
         prepared = [crew.submit(0, _prepared, body_inputs(item, settings), device, item.depth_m) for item in images]
         for item, pending in zip(images, prepared, strict=True):

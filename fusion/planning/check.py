@@ -181,21 +181,18 @@ def check_together(manifests: Sequence[Manifest]) -> list[str]:
     """Return what recordings of a campaign that are evaluated together say otherwise of their sensor."""
     loads = [manifest for manifest in manifests if "load" in KINDS[manifest.excitation.kind].commands]
     transfers = [manifest for manifest in manifests if "transfer" in KINDS[manifest.excitation.kind].commands]
-    told = []
-    try:
-        if len(loads) > 1:
-            from fusion.sensor.load.evaluate import check_one_sensor
+    told = list[str]()
+    if max(len(loads), len(transfers)) < 2:
+        return told
+    from fusion.sensor.identify.measured import check_sensor
+    from fusion.sensor.load.evaluate import check_one_sensor
 
-            check_one_sensor(loads)
-    except InputError as error:
-        told.append(str(error))
-    try:
-        if len(transfers) > 1:
-            from fusion.sensor.identify.measured import check_sensor
-
-            check_sensor(transfers)
-    except InputError as error:
-        told.append(str(error))
+    for own, check_them in ((loads, check_one_sensor), (transfers, check_sensor)):
+        try:
+            if len(own) > 1:
+                check_them(own)
+        except InputError as error:
+            told.append(str(error))
     return told
 
 

@@ -98,6 +98,14 @@ def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntA
     )
 
 
+def pixel_places(runs: IntArray) -> FloatArray:
+    """Return column and row (P, 2) of every pixel of runs (R, 4) (`Cells`)."""
+    length = runs[:, 2]
+    along = np.arange(int(length.sum())) - np.repeat(runs[:, 3], length)
+    places = np.column_stack([np.repeat(runs[:, 1], length) + along, np.repeat(runs[:, 0], length)])
+    return places.astype(np.float64)
+
+
 def prepare_cells(spline: Spline, area: BoolArray, side_px: int, noise: NoiseModel, full_scale: float) -> Cells:
     """Return the cells of `area` (H, W) (`lay_cells`) in the image `spline`; pixels at full scale have no weight.
 
@@ -106,10 +114,7 @@ def prepare_cells(spline: Spline, area: BoolArray, side_px: int, noise: NoiseMod
     to the Hessian in each direction.
     """
     centre, runs, first = lay_cells(area, side_px)
-    length = runs[:, 2]
-    along = np.arange(int(length.sum())) - np.repeat(runs[:, 3], length)
-    where = np.column_stack([np.repeat(runs[:, 1], length) + along, np.repeat(runs[:, 0], length)]).astype(np.float64)
-    value, gradient = evaluate(spline, where)
+    value, gradient = evaluate(spline, pixel_places(runs))
     known = (value < full_scale - 0.5) & np.isfinite(value)
     pixels = np.stack([known, value, gradient[:, 0], gradient[:, 1]]).astype(np.float64)
     return _weighted((side_px, centre, runs, first), pixels, noise, spline.degree)
@@ -190,10 +195,15 @@ def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[Flo
 
 def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArray:
     """Return the variance (C,) of interpolated white noise, averaged over nine points of each cell."""
-    third = cells.side_px / 3.0
+    return mean_noise_gain(cells.centre_px, warp, nine_points(cells.side_px), degree)
+
+
+def nine_points(side_px: int) -> FloatArray:
+    """Return offsets (9, 2) from a cell's centre at which the noise that interpolation leaves is looked at."""
+    third = side_px / 3.0
     line = np.array([-third, 0.0, third])
     dx, dy = (grid.ravel() for grid in np.meshgrid(line, line))
-    return mean_noise_gain(cells.centre_px, warp, np.column_stack([dx, dy]), degree)
+    return np.column_stack([dx, dy])
 
 
 @njit()

@@ -13,7 +13,7 @@ import numpy as np
 
 from photogram.bspline import noise_gain_table
 from photogram.camera import Camera
-from photogram.direct.cells import SMALLEST_GAIN
+from photogram.direct.cells import SMALLEST_GAIN, nine_points, pixel_places
 from photogram.direct.fit import (
     EVALUATIONS,
     FEWEST_CELLS,
@@ -42,9 +42,6 @@ from photogram.subsets.reference import shape_values
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-NINE = np.array([(dx, dy) for dx in (-1.0, 0.0, 1.0) for dy in (-1.0, 0.0, 1.0)]) / 3.0
-"""Where in a cell the noise that interpolation leaves is looked at, in sides."""
 
 
 @dataclass(frozen=True)
@@ -94,13 +91,10 @@ def torch_view(view: BodyView, device: str, precision: str) -> TorchView:
 
     cells, camera_from_body = view.cells, view.camera.camera_from_body
     side, kind = cells.side_px, torch_type(precision)
-    length, reach = cells.runs[:, 2], (cells.side_px - 1) / 2
-    along = np.arange(int(length.sum())) - np.repeat(cells.runs[:, 3], length)
-    corner = cells.centre_px[cells.of_pixels] - reach
-    place = (np.repeat(cells.runs[:, 0], length) - corner[:, 1]) * side
-    place += np.repeat(cells.runs[:, 1], length) + along - corner[:, 0]
+    own, reach = cells.of_pixels, (side - 1) / 2
+    column, row = np.rint(pixel_places(cells.runs) - cells.centre_px[own] + reach).astype(np.int64).T
     pixels = np.zeros((len(cells.centre_px), 4, side * side))
-    pixels[cells.of_pixels, :, np.rint(place).astype(np.int64)] = cells.pixels.T
+    pixels[own, :, row * side + column] = cells.pixels.T
     down, across = (grid.ravel() - reach for grid in np.mgrid[:side, :side])
     shape = shape_values(np.column_stack([across, down]), 1)
     steady = np.isfinite(view.translation[:, 0, 0]) & view.rates.any(axis=(1, 2))
@@ -269,7 +263,7 @@ def _interpolated_noise(view: TorchView, warp: Tensor, degree: int) -> Tensor:
     import torch
 
     table = torch.from_numpy(noise_gain_table(degree)).to(warp)
-    offset = torch.from_numpy(NINE).to(warp) * view.source.cells.side_px
+    offset = torch.from_numpy(nine_points(view.source.cells.side_px)).to(warp)
     turned = warp.reshape(*warp.shape[:2], 2, 3)[..., 1:] + torch.eye(2).to(warp)
     middle = view.centre_px + warp[..., [0, 3]]
     place = torch.einsum("acij,pj->acpi", turned, offset) + middle[:, :, None]

@@ -58,9 +58,8 @@ def line_starts(
     Zero-normalised cross-correlation at places 1.5 px apart on each line and on lines beside it within the band that is
     returned too: 2 px and three standard uncertainties of the calibration to either side, at most 8 px. There
     every second pixel of the subset (every fourth, where these correlate by less than 0.1) warped as a plane moves it
-    that is tilted by so much: strains of 0 to ±0.36 along
-    and across the line, as far as that is a tilt below 55° against what faces both cameras (plane sweep: Collins 1996,
-    Proc. CVPR, 358; tilts: Gallup et al. 2007, Proc. CVPR).
+    that is tilted by so much: strains of 0 to ±0.36 along and across the line, as far as that is a tilt below 55°
+    against what faces both cameras (plane sweep: Collins 1996, Proc. CVPR, 358; tilts: Gallup et al. 2007, Proc. CVPR).
     Up to C = 8 peaks, from the highest, climbed to within 0.05 px; NaN where there are fewer.
     """
     import cv2
@@ -75,12 +74,11 @@ def line_starts(
     steps = np.arange(-radius_px, radius_px + 1, 2, dtype=np.float64)
     offsets = np.stack([grid.ravel() for grid in np.meshgrid(steps, steps)], axis=1)
     quarter = np.add.outer(np.arange(len(steps)) % 2, np.arange(len(steps)) % 2).ravel() == 0
-    offsets = np.concatenate([offsets[quarter], offsets[~quarter]])
+    places = np.concatenate([offsets[quarter], offsets[~quarter]]), int(np.count_nonzero(quarter))
     shape = lines.right_px.shape[:2]
     score, tilt, line = np.full(shape, -1.0), np.zeros(shape, np.int64), np.zeros(shape, np.int64)
     curves = lines.right_px, lines.across, lines.affine, lines.along, lines.slope
-    count = int(np.count_nonzero(quarter))
-    _correlate(soft[0], soft[1], points_px, (offsets, count), curves, beside, (score, tilt, line))
+    _correlate(soft[0], soft[1], points_px, places, curves, beside, (score, tilt, line))
     starts = np.full((PEAKS, len(points_px), 6), np.nan)
     for n in range(len(points_px)):
         for c, k in enumerate(_peaks(score[n])):
@@ -88,7 +86,7 @@ def line_starts(
             affine = lines.affine[n, k] + np.outer(lines.along[n, k], slope)
             u, v = lines.right_px[n, k] + beside[line[n, k]] * lines.across[n, k] - points_px[n]
             starts[c, n] = u, affine[0, 0] - 1.0, affine[0, 1], v, affine[1, 0], affine[1, 1] - 1.0
-    _climb(soft[0], soft[1], points_px, (offsets, count), starts)
+    _climb(soft[0], soft[1], points_px, places, starts)
     return starts, band_px
 
 

@@ -397,7 +397,6 @@ def _published(record: StepRecord, reading: Reading, rng: np.random.Generator, o
     begin = int(np.argmax(load != 0.0))  # until then no model answers
     cuts = (begin, begin + (len(load) - begin) // _FIRST_PART, len(load))
     quiet = float(output[:begin] @ output[:begin])
-
     top, bottom, still = np.zeros(order + 1), np.ones(order + 1), np.zeros(order)
 
     def loss(part: FloatArray, most: float) -> float:
@@ -414,7 +413,7 @@ def _published(record: StepRecord, reading: Reading, rng: np.random.Generator, o
     bounds = [(-BOUND, BOUND)] * (2 * order)
     with np.errstate(over="ignore", invalid="ignore"):
         best, path = _evolved(loss, bounds, rng, (POPULATION, GENERATIONS))
-    top, bottom = np.append(0.0, best[-2::-2]), np.append(1.0, best[::-2])
+    top[1:], bottom[1:] = best[-2::-2], best[::-2]
     sampled = LinearSystem.from_coefficients(top, bottom, record.sample_rate_hz)
     fit = difference_fit(record, reading, sampled, "zoh", signals, np.array(path))
     return replace(fit, order=order, duration_s=time.perf_counter() - began)
@@ -445,7 +444,7 @@ def _evolved(
         return [loss(member, most) for member, most in zip(members, parents, strict=True)]
 
     end = differential_evolution(
-        lambda member: loss(member, np.inf),
+        loss,  # which `of_all` calls in its place
         bounds,
         strategy="rand1bin",
         maxiter=effort[1],
