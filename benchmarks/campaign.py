@@ -49,10 +49,10 @@ def cluster(folder: Path) -> Iterator[str]:
             process.wait()
 
 
-def timed(campaign: Path, out: Path, **where: int | str) -> float:
+def timed(campaign: Path, out: Path, workers: int | str = 1) -> float:
     """Run the campaign and return the time it took, in seconds."""
     started = time.perf_counter()
-    for outcome in run_path(campaign, out, Settings(), **where):
+    for outcome in run_path(campaign, out, Settings(), workers=workers):
         if outcome.error is not None:
             raise outcome.error
     return time.perf_counter() - started
@@ -73,10 +73,10 @@ def main(recordings: int, folder: Path) -> None:
     expected = tables(folder / "serial")
     print(f"| this process | {serial:.0f} | 1 | {len(expected)} |", flush=True)
     with cluster(folder) as address:
-        ways = {f"{WORKERS} processes": {"workers": WORKERS}, f"Dask, {WORKERS} workers": {"scheduler": address}}
-        for number, (name, where) in enumerate(ways.items()):
+        ways = {f"{WORKERS} processes": WORKERS, f"Dask, {WORKERS} workers": address}
+        for number, (name, workers) in enumerate(ways.items()):
             out = folder / f"way-{number}"
-            seconds = timed(campaign, out, **where)
+            seconds = timed(campaign, out, workers)
             found = tables(out)
             equal = sum(found.get(table) == content for table, content in expected.items())
             print(f"| {name} | {seconds:.0f} | {seconds / serial:.2f} | {equal} of {len(expected)} |", flush=True)
