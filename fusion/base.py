@@ -384,7 +384,10 @@ def most_threads(count: int) -> Iterator[None]:
 
 def usable_cores() -> int:
     """Return how many cores this process, or this thread of it, may keep busy."""
-    there = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    if sys.platform == "linux":
+        there = len(os.sched_getaffinity(0))
+    else:
+        there = os.cpu_count() or 1
     limit = os.environ.get("OMP_NUM_THREADS", "")
     return min(there, int(limit) if limit.isdecimal() and int(limit) else there, _MOST_THREADS.get() or there)
 
