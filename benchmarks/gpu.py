@@ -38,7 +38,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from photogram.direct.fit_torch import fit_frames, torch_view
 from photogram.geometry import RigidTransform
 from photogram.images.sequence import ImageSequence
-from photogram.measure import BodyScene, follow_block, prepare_body
+from photogram.measure.follow import BodyScene, follow_block, prepare_body
 from photogram.subsets import icgn_torch
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.icgn_stream import PRECISION

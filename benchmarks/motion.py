@@ -24,7 +24,7 @@ from fusion.recording.files import read_daqs
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.simulate import simulate
 from fusion.simulate.world import frame_bounds
-from photogram.measure import measure_body
+from photogram.measure.body import measure_body
 from photogram.motion import RigidMotion
 from photogram.subsets.icgn import TrackSettings
 from shaker.sine.fit import fit_sines

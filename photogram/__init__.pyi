@@ -16,7 +16,7 @@ from .geometry import RigidTransform as RigidTransform
 from .images.files import open_sequence as open_sequence
 from .images.files import read_picture as read_picture
 from .images.sequence import ImageSequence as ImageSequence
-from .measure import measure_body as measure_body
+from .measure.body import measure_body as measure_body
 from .motion import fit_motion as fit_motion
 from .point_tables import read_point_tables as read_point_tables
 from .subsets.icgn import TrackSettings as TrackSettings

@@ -97,15 +97,34 @@ def evaluate(spline: Spline, points_px: FloatArray) -> tuple[FloatArray, FloatAr
 
 def grey_values(spline: Spline) -> FloatArray:
     """The image (H,W) that the spline passes through: the coefficients weighted by the B-spline at whole pixels."""
-    weights, slopes = np.empty(8), np.empty(8)
-    basis(0.0, spline.degree, weights, slopes)
-    reach = spline.degree // 2
-    height, width = (length - 2 * PADDING_PX for length in spline.coefficients.shape)
-    first = PADDING_PX - reach
-    c = spline.coefficients[first : first + height + 2 * reach, first : first + width + 2 * reach]
-    taps = range(2 * reach + 1)
-    down = np.sum([weights[k] * c[k : k + height] for k in taps], axis=0)
-    return np.asarray(np.sum([weights[k] * down[:, k : k + width] for k in taps], axis=0))
+    values, _ = _at_pixels(spline.degree)
+    return _weighted(_weighted(spline.coefficients.T, values).T, values)
+
+
+def grey_gradients(spline: Spline) -> tuple[FloatArray, FloatArray]:
+    """∂/∂x and ∂/∂y (H,W) of the spline at whole pixels."""
+    values, slopes = _at_pixels(spline.degree)
+    return (
+        _weighted(_weighted(spline.coefficients.T, slopes).T, values),
+        _weighted(_weighted(spline.coefficients.T, values).T, slopes),
+    )
+
+
+def _at_pixels(degree: int) -> tuple[FloatArray, FloatArray]:
+    """Values and slopes of the B-splines that reach a whole pixel, without the last one, which is zero there."""
+    values, slopes = np.empty(8), np.empty(8)
+    basis(0.0, degree, values, slopes)
+    return values[:degree], slopes[:degree]
+
+
+def _weighted(rows: FloatArray, weights: FloatArray) -> FloatArray:
+    """Weighted sums of as many neighbouring rows as there are weights, without the frame around the image."""
+    first, height = PADDING_PX - len(weights) // 2, len(rows) - 2 * PADDING_PX
+    total = weights[0] * rows[first : first + height]
+    for k, weight in enumerate(weights[1:], 1):
+        if weight != 0.0:
+            total += weight * rows[first + k : first + k + height]
+    return np.asarray(total)
 
 
 def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:

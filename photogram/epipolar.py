@@ -74,10 +74,13 @@ class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3
         return told if times > UNUSABLE else ""
 
 
-def check_epipolar(tracks: StereoTracks | Iterable[StereoTracks], rig: StereoRig) -> EpipolarCheck:
+def check_epipolar(
+    tracks: StereoTracks | Iterable[StereoTracks], rig: StereoRig, sought: BoolArray | None = None
+) -> EpipolarCheck:
     """Return the epipolar residuals of a recording, with warnings where the cameras are not what was calibrated.
 
-    `tracks` of all frames, or of some after the other, which are gone through twice.
+    `tracks` of all frames, or of some after the other, which are gone through twice. `sought` (F,): which frames of the
+    recording they are; None for all.
 
     Two tests, each with a chance of 10⁻⁴ to warn without cause. The pattern (mean and slopes) over all frames against
     the covariance that the calibration and the matching give it, or against 0.1 px where the calibration has none. And
@@ -106,14 +109,15 @@ def check_epipolar(tracks: StereoTracks | Iterable[StereoTracks], rig: StereoRig
             running.add(values)
         bias_px, frames = float(np.sqrt(np.nansum(block.bias_px**2))), frames + len(residual)
     mean, position, other = (running.mean for running in means)
+    sought = np.ones(frames, dtype=np.bool_) if sought is None else sought
     good = _good(mean, position)
     if np.count_nonzero(good) < FEWEST_POINTS:
-        course = np.full((frames, 3), np.nan)
+        course = np.full((len(sought), 3), np.nan)
         return EpipolarCheck(course, course, np.full(3, np.nan), None, position, np.full(len(mean), np.nan), ())
     basis = _basis(position[good])
-    change, u_course, path = (
-        np.concatenate(parts) for parts in zip(*_courses(blocks, rig, good, mean, position), strict=True)
-    )
+    changes, u_changes, paths = zip(*_courses(blocks, rig, good, mean, position), strict=True)
+    path, (change, u_course) = np.concatenate(paths), np.full((2, len(sought), 3), np.nan)
+    change[sought], u_course[sought] = np.concatenate(changes), np.concatenate(u_changes)
     solver = np.linalg.pinv(basis)
     pattern = solver @ mean[good]
     matches = position[good], other[good]

@@ -145,9 +145,10 @@ def measure_set_up(
     """Follow the images of a set-up, here or by an executor, and fit the lines to the motion of every stereo pair."""
     manifest, base = opened.manifest, opened.base
     with told_in(manifest.path, opened.where, opened.name):
+        known = None if opened.lines is None else len(opened.lines.frequency_hz)
         seen = [
             item if isinstance(item, LeftOut) else still_calibrated(item)
-            for item in measure_pairs(opened.images, settings, progress, executor, kept)
+            for item in measure_pairs(opened.images, settings, progress, executor, kept, known)
         ]
         left_out = [item for item in seen if isinstance(item, LeftOut)]
         motions = (*(item for item in seen if isinstance(item, StereoMotion)), *opened.points)

@@ -9,6 +9,7 @@ import hashlib
 import io
 import weakref
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -42,21 +43,15 @@ from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage, ImageSequence, saturated_fraction
-from photogram.measure import (
-    BodyMotion,
-    BodyScene,
-    FollowedBlock,
-    body_motion,
-    follow_block,
-    prepare_body,
-)
+from photogram.measure.body import BodyMotion, body_motion
+from photogram.measure.follow import BodyScene, FollowedBlock, follow_block, prepare_body
 from photogram.motion import Deformation, RigidMotion, deformation, fit_motion, points_with_estimated_noise
 from photogram.point_tables import read_point_tables
 from photogram.subsets.find import BodyNotFound
 from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.texture import SubsetQuality, suggested_radius_px
 from photogram.subsets.track import StereoTracks, resolve_device
-from shaker.arrays import Notice
+from shaker.arrays import BoolArray, FloatArray, Notice
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.sine.aliasing import usable_lines
 
@@ -66,6 +61,7 @@ BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransfor
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
 SAME_EXPOSURE = 0.02  # relative difference of exposures that are told apart
 SAME_RATE = 0.01  # of frames on the camera's clock and of edges on that of a DAQ
+FEWEST_SOUGHT, SPARED, TIMES_UNKNOWNS = 48, 4, 3  # frames with subsets, at least: so many, a share, and by the lines
 FEWEST_PLACES = 3  # on a body that tell where it is
 REGISTRATION = tuple(field.name for field in fields(Registration))
 HELD = 1 << 26
@@ -112,7 +108,8 @@ class StereoMotion:
     """Motion of one body in the sensor frame before any line is known.
 
     `motion` from the first frame's pose about the sensor origin; `deformation` what the points do beside it, of some
-    frames at a time; `view` is None for points of another program.
+    frames at a time; `view` is None for points of another program. `sought` (F,): the frames in which points were
+    looked for, which `deformation` and the view's tracks are of; None for all.
     """
 
     sight: Sight
@@ -121,6 +118,12 @@ class StereoMotion:
     reprojection_px: float
     view: ImageView | None
     notices: tuple[AnyNotice, ...]
+    sought: BoolArray | None = None
+
+    @property
+    def points_time_s(self) -> FloatArray:
+        """When the frames in which points were looked for were exposed."""
+        return self.sight.time_s if self.sought is None else self.sight.time_s[self.sought]
 
 
 @dataclass(frozen=True)
@@ -230,8 +233,11 @@ def measure_pairs(
     progress: ProgressCallback,
     executor: Executor | None = None,
     kept: Keeper | None = None,
+    lines: int | None = None,
 ) -> tuple[StereoMotion | LeftOut, ...]:
     """Track the images of stereo pairs and fit the rigid motion of the body that each sees, or say why there is none.
+
+    Subsets are looked for in as many frames as tell so many `lines` apart, None for all frames.
 
     Files that cannot be read are refused. An executor opens the images itself, by the same paths; without one, threads
     of this process follow them, and whoever does finds the same to the last bit. Blocks of frames that were `kept` are
@@ -241,7 +247,9 @@ def measure_pairs(
     on_gpu = executor is None and resolve_device(device) != "cpu"
     with Threads(max(1, len(images)) if on_gpu else None) as here:  # a GPU holds one block of each body at a time
         crew = here if executor is None else executor
-        prepared = [crew.submit(0, _prepared, body_inputs(item, settings), device, item.depth_m) for item in images]
+        prepared = [
+            crew.submit(0, _prepared, body_inputs(item, settings, lines), device, item.depth_m) for item in images
+        ]
         for item, pending in zip(images, prepared, strict=True):
             scene: BodyScene | LeftOut = _attempted(item, partial(_answer, item, pending))
             followed = scene if isinstance(scene, LeftOut) else Followed(item, scene, device, kept)
@@ -390,9 +398,11 @@ class Followed:
 def packed(block: FollowedBlock) -> bytes:
     """Return a block of frames as a file."""
     arrays: dict[str, Any] = {}
+    sought = [(number, found) for number, (found, _) in enumerate(block) if found is not None]
+    arrays["sought"] = np.array([number for number, _ in sought], dtype=np.int64)
     for side in range(2):
         for name in REGISTRATION:
-            arrays[f"{name}-{side}"] = np.stack([getattr(found[side], name) for found, _ in block])
+            arrays[f"{name}-{side}"] = np.array([getattr(found[side], name) for _, found in sought])
     fits = [(number, fit) for number, (_, fit) in enumerate(block) if fit is not None]
     arrays["fitted"] = np.array([number for number, _ in fits], dtype=np.int64)
     arrays["rotation"] = np.array([fit.moved.rotation for _, fit in fits]).reshape(-1, 3, 3)
@@ -402,11 +412,14 @@ def packed(block: FollowedBlock) -> bytes:
     arrays["cells"] = np.array([fit.cells for _, fit in fits], dtype=np.int64)
     content = io.BytesIO()
     np.savez(content, **arrays)
-    return content.getvalue()
+    return content.getvalue() + zlib.crc32(content.getbuffer()).to_bytes(4, "big")
 
 
 def unpacked(content: bytes, frames: int) -> FollowedBlock | None:
     """Return a block of frames that was `packed`, to the last bit; None for a damaged one."""
+    content, check = content[:-4], content[-4:]
+    if zlib.crc32(content).to_bytes(4, "big") != check:
+        return None
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -414,20 +427,28 @@ def unpacked(content: bytes, frames: int) -> FollowedBlock | None:
         of_fits = (arrays[name] for name in ("fitted", "rotation", "translation", "covariance", "noise", "cells"))
         for number, rotation, translation, covariance, noise, cells in zip(*of_fits, strict=True):
             fits[number] = DirectFit(RigidTransform(rotation, translation), covariance, float(noise), int(cells))
-        sides = [
-            [Registration(*(arrays[f"{name}-{side}"][k].copy() for name in REGISTRATION)) for k in range(frames)]
-            for side in range(2)
-        ]
+        found: list[tuple[Registration, Registration] | None] = [None] * frames
+        for k, number in enumerate(arrays["sought"].tolist()):
+            left, right = (
+                Registration(*(arrays[f"{name}-{side}"][k].copy() for name in REGISTRATION)) for side in range(2)
+            )
+            found[number] = left, right
     except (ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile):
         return None
-    return tuple(((left, right), fit) for left, right, fit in zip(*sides, fits, strict=True))
+    return tuple(zip(found, fits, strict=True))
 
 
-def body_inputs(images: OpenImages, settings: Settings) -> BodyInputs:
-    """Return what `photogram.measure` has to know of a stereo pair: its images, rig, pose, and how to track."""
+def body_inputs(images: OpenImages, settings: Settings, lines: int | None = None) -> BodyInputs:
+    """Return what `photogram.measure` has to know of a stereo pair: its images, rig, pose, and how to track.
+
+    Where so many `lines` are known, and points are not saved, a part of the frames tells what subsets are for beside
+    the motion: deformation, and whether the calibration holds.
+    """
     radius = settings.subset_radius_px or suggested_radius_px(images.first)
-    entry = images.entry
-    options = TrackSettings(radius, degree=settings.spline_degree, region=entry.region, mask=entry.mask)
+    entry, frames = images.entry, None
+    if lines is not None and not settings.save_points:
+        frames = max(FEWEST_SOUGHT, len(images.left) // SPARED, TIMES_UNKNOWNS * (2 * lines + 1))
+    options = TrackSettings(radius, degree=settings.spline_degree, region=entry.region, mask=entry.mask, frames=frames)
     return (images.left, images.right), images.rig, sensor_from_camera(images.sight.pair), options
 
 
@@ -436,7 +457,7 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
     if not np.isfinite(body.motion.pose).all(axis=1).any():
         with as_input_error(*images.sight.where):
             raise BodyNotFound(f"{NO_MOTION}; look at the images")
-    epipolar = check_epipolar(body.tracked, images.rig)
+    epipolar = check_epipolar(body.tracked, images.rig, body.sought)
     return StereoMotion(
         images.sight,
         body.motion,
@@ -444,6 +465,7 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
         body.reprojection_px,
         ImageView(body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, body.sigma_px, body.zncc),
         (*images.notices, *body.notices, *epipolar.notices),
+        body.sought,
     )
 
 

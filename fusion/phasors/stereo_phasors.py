@@ -208,7 +208,7 @@ def stereo_phasors(
         usable=usable,
         reprojection_px=measured.reprojection_px,
         surface=measured.deformation,
-        deflection=deflection_shape(time_s, frequency_hz, measured.deformation, exposure.length_s),
+        deflection=deflection_shape(measured.points_time_s, frequency_hz, measured.deformation, exposure.length_s),
         stationarity=stationarity(time_s, pose, frequency_hz, MOTION_COMPONENTS),
     )
     return StereoPhasors(result if view is None else _with_view(result, view), reading, notices)
@@ -223,7 +223,7 @@ def _image_effects(
         positions = block.left.position_px, block.right.position_px
         both = np.concatenate(positions, axis=2)
         if sums is None:
-            sums, bias_px = SineSums(measured.sight.time_s, frequency_hz, np.nan_to_num(both[0])), block.bias_px
+            sums, bias_px = SineSums(measured.points_time_s, frequency_hz, np.nan_to_num(both[0])), block.bias_px
         sums.add(both)
         for running, position in zip(means, positions, strict=True):
             running.add(position)
@@ -451,7 +451,7 @@ def _calibration_effects(measured: StereoMotion, view: ImageView, sums: SineSums
     covariance = view.rig.covariance
     if covariance is None:
         return np.empty((0, lines, 6), dtype=np.complex128)
-    frames = _phasor_frames(sums, len(measured.sight.time_s))
+    frames = _phasor_frames(sums, len(measured.points_time_s))
     change, pose = measured.sight.pair.pose_by_calibration, sensor_from_camera(measured.sight.pair)
     answer = np.zeros((6, len(covariance))) if change is None else np.array(change)  # the pose was found with this rig
     nominal = _phasor_motion(view.rig, pose, frames)

@@ -290,7 +290,7 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
         "first exposure / s": lambda pair: f"{pair.time_s[0]:.6f}",
         "exposure / µs": exposure,
         "subsets": lambda pair: DASH if pair.subsets_px is None else str(len(pair.subsets_px)),
-        "points per frame, median": lambda pair: f"{np.median(pair.motion.points):.0f}",
+        "points per frame, median": lambda pair: f"{np.median(pair.motion.points[pair.motion.points > 0]):.0f}",
         "reprojection rms / px": lambda pair: number(pair.reprojection_px),
         "rigid residual, median / µm": lambda pair: number(1e6 * float(np.nanmedian(pair.motion.residual_m))),
         "correlation ZNCC, median": lambda pair: number(pair.median_zncc),

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
-from photogram.bspline import Spline, evaluate, mean_noise_gain, sample_line, slope_noise_gain, warp_inside
+from photogram.bspline import (
+    Spline,
+    grey_gradients,
+    grey_values,
+    mean_noise_gain,
+    sample_line,
+    slope_noise_gain,
+    warp_inside,
+)
 from photogram.images.noise import NoiseModel
 from photogram.kernels import njit
 from photogram.subsets.reference import RUN_SUMS, run_sums
@@ -114,9 +122,9 @@ def prepare_cells(spline: Spline, area: BoolArray, side_px: int, noise: NoiseMod
     to the Hessian in each direction.
     """
     centre, runs, first = lay_cells(area, side_px)
-    value, gradient = evaluate(spline, pixel_places(runs))
-    known = (value < full_scale - 0.5) & np.isfinite(value)
-    pixels = np.stack([known, value, gradient[:, 0], gradient[:, 1]]).astype(np.float64)
+    column, row = pixel_places(runs).T.astype(np.intp)
+    value, *gradient = (part[row, column] for part in (grey_values(spline), *grey_gradients(spline)))
+    pixels = np.stack([value < full_scale - 0.5, value, *gradient]).astype(np.float64)
     return _weighted((side_px, centre, runs, first), pixels, noise, spline.degree)
 
 
@@ -126,6 +134,18 @@ def reweighted(cells: Cells, noise: NoiseModel, degree: int) -> Cells:
     pixels = np.concatenate([cells.pixels[:1] > 0.0, cells.pixels[1:] / weight])
     pixels[1] += cells.mean[cells.of_pixels]
     return _weighted((cells.side_px, cells.centre_px, cells.runs, cells.first), pixels, noise, degree)
+
+
+def chosen(cells: Cells, which: IntArray) -> Cells:
+    """Return some of the cells, in the order of `which`."""
+    runs = [cells.runs[cells.first[cell] : cells.first[cell + 1]] for cell in which.tolist()]
+    own = np.concatenate(runs)
+    pixels = np.concatenate([np.arange(start, start + length) for start, length in own[:, [3, 2]].tolist()])
+    own[:, 3] = np.cumsum(own[:, 2]) - own[:, 2]
+    first = np.cumsum([0, *map(len, runs)])
+    names = ("centre_px", "mean", "weight", "energy", "count", "removed", "hessian", "hessian_noise")
+    parts = {name: getattr(cells, name)[which] for name in names}
+    return replace(cells, runs=own, first=first, pixels=np.ascontiguousarray(cells.pixels[:, pixels]), **parts)
 
 
 def _weighted(

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray
 from photogram.bspline import Spline
-from photogram.direct.cells import Cells, CellSums, compare_cells, pixel_residuals, prepare_cells, reweighted
+from photogram.direct.cells import Cells, CellSums, chosen, compare_cells, pixel_residuals, prepare_cells, reweighted
 from photogram.geometry import RigidTransform, pose_rate
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
 from photogram.motion import MEDIAN_CHI2_OF_TWO, Patches, PlacedCamera, body_patches, patch_rates, patch_warps
 
 REACH_CELLS = 4.0  # how far from the nearest known point a cell's surface may lie
 EVALUATIONS = 12
+CORRECTED = 0.3  # of the share by which noise makes a step too short, that may be left once it is corrected
+THINNED, FEWEST_THINNED = 3, 24  # one cell of so many makes an approach, and how many that has to leave in a view
+APPROACHES, LARGEST_APPROACH = 4, 100.0  # steps of it, and standard uncertainties of one that may be the last
+GOLDEN = (5.0**0.5 - 1.0) / 2.0
 LEFT_OVER = 0.02  # standard uncertainties that may remain between the motion and the converged one
-LARGEST_STEP = 10.0  # standard uncertainties of a step that may be the last one
+LARGEST_STEP = 20.0  # standard uncertainties of a step that may be the last one
 MISFIT = 3.0  # times the median misfit per pixel, beyond which a cell shows something else than the body
 REJECTED = 25.0  # squared standard deviations by which a cell may move unlike the body
 FEWEST_CELLS = 4
@@ -101,9 +105,9 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
 
     Minimises Σ w·(g(W(p)) − a − b·f)² over all pixels of all cells, W(p) the cells' warps by the motion p, w = 1/noise
     variance, with an offset a and a gain b of each cell eliminated. Inverse-compositional Gauss-Newton (Baker, Matthews
-    2004) on the rigid motions: T ← T·δ⁻¹ with (Σ b²·Bᵀ·H·B)·δ = Σ b·Bᵀ·slope, B the rates of the warps. The
-    reference's noise makes Σ b²·Bᵀ·H·B too large by a known share, and every step too short by that share: iteration
-    ends when the share of the step is below 0.02 standard uncertainties. Cells with more than three times the median
+    2004) on the rigid motions: T ← T·δ⁻¹ with H′·δ = Σ b·Bᵀ·slope, B the rates of the warps. The reference's noise
+    makes H = Σ b²·Bᵀ·H·B too large by a known share, which H′ is without. A third of that share of a step may be left,
+    and iteration ends when this is below 0.02 standard uncertainties. Cells with more than three times the median
     misfit, and cells whose own remaining shift is beyond five scaled standard deviations, are left out.
 
     The covariance is s²·H′⁻¹·H·H′⁻¹ with H′ = H less what the reference's noise adds to it, and s² the misfit per
@@ -112,31 +116,105 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
     """
     moved = start
     for _ in range(EVALUATIONS):
-        information, noise_part, slope = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
-        misfit = expected = rounding = 0.0
-        count = 0
-        for view, target in zip(views, targets, strict=True):
-            sums = compare_cells(view.cells, target, patch_warps(view.camera, view.patches, moved))
-            used = _rigid_cells(view, sums)
-            gain = sums.gain[used]
-            information += np.einsum("c,cij->ij", gain**2, view.information[used])
-            noise_part += np.einsum("c,cij->ij", gain**2, view.information_noise[used])
-            slope += np.einsum("c,cij,ci->j", gain, view.rates[used], sums.slope[used])
-            misfit += float(sums.misfit[used].sum())
-            expected += float(sums.misfit_noise[used].sum())
-            rounding += float(np.sum((QUANTISATION * sums.misfit_noise * view.cells.weight / view.cells.count)[used]))
-            count += int(np.count_nonzero(used))
-        if count < FEWEST_CELLS or not np.linalg.eigvalsh(_scaled(information))[0] > SINGULAR:
+        step = _step(views, targets, moved)
+        if step is None:
             return None
-        scale = max(misfit, rounding) / expected
-        step = np.asarray(np.linalg.solve(information, slope), dtype=np.float64)
-        moved = moved @ RigidTransform.from_pose(step).inverse()
-        size = float(np.sqrt(step @ information @ step / scale))
-        share = scale * float(np.trace(np.linalg.solve(information, noise_part))) / 6.0
-        if size < LARGEST_STEP and share * size < LEFT_OVER:
-            covariance = scale * pose_covariance(information, scale * noise_part, moved)
-            return DirectFit(moved, covariance, scale, count)
+        moved = moved @ RigidTransform.from_pose(step.pose).inverse()
+        if step.size < LARGEST_STEP and step.left * step.size < LEFT_OVER:
+            covariance = step.scale * pose_covariance(step.information, step.scale * step.noise_part, moved)
+            return DirectFit(moved, covariance, step.scale, step.cells)
     return None
+
+
+def approach(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidTransform) -> RigidTransform | None:
+    """Return a motion near that of `fit_direct` by views with some of their cells (`thinned`); None if there is none.
+
+    From there all cells, whose uncertainty is that much smaller, mostly need to be compared once.
+    """
+    moved = start
+    for _ in range(APPROACHES):
+        step = _step(views, targets, moved)
+        if step is None:
+            return None
+        moved = moved @ RigidTransform.from_pose(step.pose).inverse()
+        if step.size < LARGEST_APPROACH:
+            return moved
+    return None
+
+
+def thinned(views: Sequence[BodyView]) -> tuple[BodyView, ...]:
+    """Return the views with every eighth of their cells, for `approach`; none where that leaves too few."""
+    some = []
+    for view in views:
+        count = len(view.rates)
+        which = np.flatnonzero(np.arange(count) * GOLDEN % 1.0 < 1.0 / THINNED)
+        if len(which) < FEWEST_THINNED:
+            return ()
+        patches = view.patches
+        some.append(
+            BodyView(
+                view.camera,
+                chosen(view.cells, which),
+                replace(
+                    patches,
+                    centre_px=patches.centre_px[which],
+                    points_m=patches.points_m[which],
+                    rest_px=patches.rest_px[which],
+                ),
+                *(getattr(view, name)[which] for name in ("rates", "information", "information_noise", "translation")),
+            )
+        )
+    return tuple(some)
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """One step of the fit: pose (6,) of δ, its size in standard uncertainties, and the share of it that may be left.
+
+    scale: variance of the grey values over that of the noise models; information and noise_part (6, 6): of all cells.
+    """
+
+    pose: FloatArray
+    size: float
+    left: float
+    scale: float
+    information: FloatArray
+    noise_part: FloatArray
+    cells: int
+
+
+def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTransform) -> _Step | None:
+    """Return the step from a motion; None where too few cells are seen or they do not fix all six components.
+
+    Which cells count is judged where the step that all of them ask for would take them, so that it does not hang on the
+    start.
+    """
+    compared = [
+        compare_cells(view.cells, target, patch_warps(view.camera, view.patches, moved))
+        for view, target in zip(views, targets, strict=True)
+    ]
+    pose = np.zeros(6)
+    for _ in range(2):
+        both, slope, sums = np.zeros((2, 36)), np.zeros(6), np.zeros(4)
+        for view, told in zip(views, compared, strict=True):
+            used = _rigid_cells(view, told, pose)
+            gain = np.where(used, told.gain, 0.0)
+            both += gain**2 @ np.stack([view.information, view.information_noise]).reshape(2, -1, 36)
+            slope += (np.where(used[:, None], told.slope, 0.0) * gain[:, None]).ravel() @ view.rates.reshape(-1, 6)
+            expected = told.misfit_noise[used]
+            rounding = QUANTISATION * expected * (view.cells.weight / view.cells.count)[used]
+            sums += told.misfit[used].sum(), expected.sum(), rounding.sum(), len(expected)
+        information, noise_part = both.reshape(2, 6, 6)
+        misfit, noise, least, cells = sums.tolist()
+        if cells < FEWEST_CELLS or not np.linalg.eigvalsh(_scaled(information))[0] > SINGULAR:
+            return None
+        scale = max(misfit, least) / noise
+        clean = without_noise(information, scale * noise_part)
+        pose = np.asarray(np.linalg.solve(clean, slope), dtype=np.float64)
+    size = float(np.sqrt(pose @ information @ pose / scale))
+    share = scale * float(np.trace(np.linalg.solve(information, noise_part))) / 6.0
+    left = share if clean is information else CORRECTED * share
+    return _Step(pose, size, left, scale, information, noise_part, int(cells))
 
 
 def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:
@@ -146,8 +224,11 @@ def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:
     return noise * pose_covariance(information, noise * noise_part, RigidTransform.identity())
 
 
-def _rigid_cells(view: BodyView, sums: CellSums) -> BoolArray:
-    """Return which cells (C,) show the body: their misfit and their own remaining shift are like the others'."""
+def _rigid_cells(view: BodyView, sums: CellSums, step: FloatArray) -> BoolArray:
+    """Return which cells (C,) show the body: their misfit and their own remaining shift are like the others'.
+
+    step (6,): of the body, after which the shift is what counts.
+    """
     ratio = sums.misfit / sums.misfit_noise
     known = np.isfinite(ratio) & np.isfinite(sums.slope).all(axis=1) & np.isfinite(view.translation[:, 0, 0])
     known &= view.rates.any(axis=(1, 2))
@@ -155,7 +236,8 @@ def _rigid_cells(view: BodyView, sums: CellSums) -> BoolArray:
         return known
     typical = max(float(np.median(ratio[known])), SMALLEST_MISFIT)
     known &= np.where(known, ratio, np.inf) <= MISFIT * typical
-    slope = sums.slope[:, [0, 3]]
+    carried = np.einsum("cij,cj->ci", view.cells.hessian[:, [0, 3]], view.rates @ step)
+    slope = sums.slope[:, [0, 3]] - sums.gain[:, None] * carried
     squares = np.einsum("ci,cij,cj->c", slope, view.translation, slope) / typical
     limit = REJECTED * max(1.0, float(np.median(squares[known])) / MEDIAN_CHI2_OF_TWO)
     return np.asarray(known & (np.where(known, squares, np.inf) <= limit))
@@ -168,11 +250,15 @@ def _scaled(matrix: FloatArray) -> FloatArray:
     return np.asarray(matrix * np.outer(scale, scale))
 
 
+def without_noise(information: FloatArray, noise_part: FloatArray) -> FloatArray:
+    """Return `information` without the part of it that is noise; as it is where too little would remain."""
+    clean = information - noise_part
+    enough = SMALLEST_EXCESS * np.linalg.eigvalsh(_scaled(information))[0]
+    return clean if np.linalg.eigvalsh(_scaled(clean))[0] > enough else information
+
+
 def pose_covariance(information: FloatArray, noise_part: FloatArray, moved: RigidTransform) -> FloatArray:
     """Return H′⁻¹·H·H′⁻¹ of a right-multiplied δ as that (6, 6) of translation and rotation vector of `moved`."""
-    clean = information - noise_part
-    if not np.linalg.eigvalsh(_scaled(clean))[0] > SMALLEST_EXCESS * np.linalg.eigvalsh(_scaled(information))[0]:
-        clean = information
-    inverse = np.linalg.inv(clean)
+    inverse = np.linalg.inv(without_noise(information, noise_part))
     turn = pose_rate(moved.pose) @ np.kron(np.eye(2), moved.rotation)
     return np.asarray(turn @ inverse @ information @ inverse @ turn.T)

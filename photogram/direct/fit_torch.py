@@ -15,6 +15,7 @@ from photogram.bspline import noise_gain_table
 from photogram.camera import Camera
 from photogram.direct.cells import SMALLEST_GAIN, nine_points, pixel_places
 from photogram.direct.fit import (
+    CORRECTED,
     EVALUATIONS,
     FEWEST_CELLS,
     LARGEST_STEP,
@@ -22,6 +23,7 @@ from photogram.direct.fit import (
     MISFIT,
     REJECTED,
     SINGULAR,
+    SMALLEST_EXCESS,
     SMALLEST_MISFIT,
     BodyView,
     DirectFit,
@@ -62,6 +64,7 @@ class TorchView:
     energy: Tensor
     count: Tensor
     removed: Tensor
+    hessian: Tensor
     rates: Tensor
     information: Tensor
     information_noise: Tensor
@@ -71,6 +74,15 @@ class TorchView:
     rest_px: Tensor
     turn: Tensor
     origin_m: Tensor
+
+
+class _Compared(NamedTuple):
+    """What one camera's cells say of frames: gain, misfit and expected misfit (A, C), slope (A, C, 6); NaN for none."""
+
+    gain: Tensor
+    misfit: Tensor
+    expected: Tensor
+    slope: Tensor
 
 
 class _Told(NamedTuple):
@@ -99,7 +111,7 @@ def torch_view(view: BodyView, device: str, precision: str) -> TorchView:
     shape = shape_values(np.column_stack([across, down]), 1)
     steady = np.isfinite(view.translation[:, 0, 0]) & view.rates.any(axis=(1, 2))
 
-    from_cells = ("centre_px", "mean", "weight", "energy", "count", "removed")
+    from_cells = ("centre_px", "mean", "weight", "energy", "count", "removed", "hessian")
     from_view = ("rates", "information", "information_noise", "translation")
     placed = camera_from_body.apply(view.patches.points_m).reshape(-1, 3)
     whole = {
@@ -137,20 +149,26 @@ def fit_frames(
     scales, counts = torch.full((2, len(starts)), torch.nan, dtype=torch.float64, device=device)
     active = torch.arange(len(starts), device=device)
     for _ in range(EVALUATIONS):
-        parts = [
-            _told(view, frames, number[active], rotation[active], shift[active])
+        compared = [
+            _compared(view, frames, number[active], rotation[active], shift[active])
             for view, (frames, _), number in zip(views, targets, numbers, strict=True)
         ]
-        told = _Told(*(torch.stack(values).sum(dim=0) for values in zip(*parts, strict=True)))
-        lowest = torch.linalg.eigvalsh(_scaled(told.information))[:, 0]
-        solvable = (told.count >= FEWEST_CELLS) & (lowest > SINGULAR)
-        information = torch.where(solvable[:, None, None], told.information, torch.eye(6).to(told.information))
-        scale = torch.maximum(told.misfit, told.rounding) / told.expected
-        step = torch.linalg.solve(information, told.slope)
+        step = torch.zeros((len(active), 6), dtype=torch.float64, device=device)
+        for _ in range(2):  # which cells count is judged where the step of all of them leads
+            parts = [_told(view, cells, step) for view, cells in zip(views, compared, strict=True)]
+            told = _Told(*(torch.stack(values).sum(dim=0) for values in zip(*parts, strict=True)))
+            lowest = torch.linalg.eigvalsh(_scaled(told.information))[:, 0]
+            solvable = (told.count >= FEWEST_CELLS) & (lowest > SINGULAR)
+            information = torch.where(solvable[:, None, None], told.information, torch.eye(6).to(told.information))
+            scale = torch.maximum(told.misfit, told.rounding) / told.expected
+            clean = information - torch.where(solvable, scale, 0.0)[:, None, None] * told.noise_part
+            enough = solvable & (torch.linalg.eigvalsh(_scaled(clean))[:, 0] > SMALLEST_EXCESS * lowest)
+            step = torch.linalg.solve(torch.where(enough[:, None, None], clean, information), told.slope)
         turned, moved = _moved_back(rotation[active], shift[active], step)
         size = torch.sqrt(torch.einsum("ai,aij,aj->a", step, information, step) / scale)
         noise = torch.linalg.solve(information, told.noise_part).diagonal(dim1=1, dim2=2).sum(dim=1)
-        found = solvable & (size < LARGEST_STEP) & (scale * noise / 6.0 * size < LEFT_OVER)
+        left = scale * noise / 6.0 * torch.where(enough, CORRECTED, 1.0)
+        found = solvable & (size < LARGEST_STEP) & (left * size < LEFT_OVER)
         rotation[active], shift[active] = turned, moved
         matrices[0, active], matrices[1, active] = information, told.noise_part
         scales[active], counts[active] = torch.where(found, scale, torch.nan), told.count.to(scales)
@@ -203,8 +221,8 @@ def _warps(view: TorchView, rotation: Tensor, shift: Tensor) -> Tensor:
     return torch.stack([apart[:, :, 0], along, down], dim=3).flatten(2)
 
 
-def _told(view: TorchView, frames: TorchSplines, number: Tensor, rotation: Tensor, shift: Tensor) -> _Told:
-    """Return what a camera's frames `number` (A,) tell of motions (A, 3, 3), (A, 3): `cells.compare_cells`, summed."""
+def _compared(view: TorchView, frames: TorchSplines, number: Tensor, rotation: Tensor, shift: Tensor) -> _Compared:
+    """Return what a camera's frames `number` (A,) say of motions (A, 3, 3), (A, 3): `cells.compare_cells`."""
     import torch
 
     warp = _warps(view, rotation, shift)
@@ -214,7 +232,16 @@ def _told(view: TorchView, frames: TorchSplines, number: Tensor, rotation: Tenso
     slope = sums[..., 3:] - view.removed[:, 0] * sums[..., :1] - view.removed[:, 1] * sums[..., 2:3]
     gain = torch.where(gain > SMALLEST_GAIN, gain, torch.nan)
     expected = (view.count - 2.0) * (_interpolated_noise(view, warp, frames.degree) + gain**2)
-    used = _rigid_cells(view, misfit / expected, torch.where(gain[..., None].isfinite(), slope, torch.nan))
+    return _Compared(gain, misfit, expected, torch.where(gain[..., None].isfinite(), slope, torch.nan))
+
+
+def _told(view: TorchView, cells: _Compared, step: Tensor) -> _Told:
+    """Return the sums over the cells that show the body, as it is after a step (A, 6) of its own."""
+    import torch
+
+    gain, misfit, expected, slope = cells
+    carried = torch.einsum("cij,acj->aci", view.hessian, torch.einsum("cij,aj->aci", view.rates, step))
+    used = _rigid_cells(view, misfit / expected, slope - gain[..., None] * carried)
 
     def over_cells(values: Tensor) -> Tensor:
         return torch.where(used, values, 0.0).sum(dim=1)

@@ -22,6 +22,7 @@ from photogram.subsets.search import (
     template_shifts,
 )
 from photogram.subsets.sweep import line_starts, line_uncertainty_px, surfaces
+from photogram.subsets.texture import repeat_steps_px, saturated
 
 Image = NDArray[Any]
 
@@ -36,6 +37,38 @@ MORE_LOST = 0.05  # share of missing subsets by which a body beside another copy
 MOST_COPIES = 3
 EDGE = 1.5  # subset radii from the edge of a picture within which a subset need not be found
 LEAST_AGREEING = 0.2  # share of its neighbours that have to foretell a subset
+
+
+class Follower:
+    """Finds the subsets of a reference in the later images of its series, one image after the other.
+
+    `first`: the image of the reference; subsets with pixels at `full_scale` are lost.
+    """
+
+    def __init__(self, reference: Reference, first: Image, full_scale: int, settings: TrackSettings) -> None:
+        self._reference, self._first = reference, first
+        self._full_scale, self._settings = full_scale, settings
+        self._steps: FloatArray | None = None  # by which the pattern repeats, once that matters
+
+    def find(self, frame: tuple[Image, Spline], start: FloatArray | None) -> Registration:
+        """Return where they are in a picture and its spline, from warps (N,p), or for None from the reference alone."""
+        reference, settings = self._reference, self._settings
+        if start is None:
+            found = find_anew(reference, self._first, frame, settings)
+        else:
+            found = follow(reference, self._first, frame, start, settings)
+        usable = reference.status == TrackStatus.OK
+        if np.count_nonzero(found.status != TrackStatus.OK) > MORE_LOST * len(usable) + np.count_nonzero(~usable):
+            if self._steps is None:
+                self._steps = repeat_steps_px(self._first, reference.centre_px[usable], settings.radius_px)
+            found = find_off_copies(reference, self._first, frame, found, self._steps, settings)
+        return self.unsaturated(frame[0], found)
+
+    def unsaturated(self, image: Image, found: Registration) -> Registration:
+        """Return what was found in an image, less the subsets with pixels at full scale."""
+        centres = self._reference.centre_px + found.warp[:, [0, 3]]
+        full = saturated(image, self._full_scale, centres, self._settings.radius_px)
+        return dropped(found, full, TrackStatus.SATURATED)
 
 
 def find_anew(reference: Reference, first: Image, frame: tuple[Image, Spline], settings: TrackSettings) -> Registration:

@@ -45,6 +45,8 @@ class TrackSettings:
     still; min_zncc: correlation below which it is lost; reach_px: how far it is looked for when prediction fails,
     before it is looked for in the whole image; shape_order: of the shape function, 0 (translation), 1 (affine) or 2;
     region: x, y, width, height of the part of the first left image that has subsets; mask: parts that have none.
+    frames: about how many frames subsets are looked for in where a body's motion, fitted to the grey values, tells the
+    others (`measure.follow`); None for all.
 
     >>> TrackSettings(radius_px=12).grid_step_px
     25
@@ -60,6 +62,7 @@ class TrackSettings:
     shape_order: int = 1
     region: Box | None = None
     mask: tuple[Box, ...] = ()
+    frames: int | None = None
 
     def __post_init__(self) -> None:
         if self.shape_order not in PARAMETERS:

@@ -221,31 +221,42 @@ def _cut(image: NDArray[np.float32], x: int, y: int, radius: int) -> tuple[NDArr
 
 
 LARGEST_COEFFICIENT = 3.0
+HISTORY = 6  # frames that foretell the next one
 
 
 def predict_warp(history: Sequence[FloatArray]) -> FloatArray:
-    """The next warps (N,6) after those in `history` (oldest first): by the rule that would have foretold the last best.
+    """The next warps (N,p) after those in `history`, oldest first, by the displacements of all subsets (`foretold`)."""
+    weights = np.zeros(history[-1].shape[-1])
+    weights[[0, 3]] = 1.0
+    return foretold(history, weights)
+
+
+def foretold(history: Sequence[FloatArray], weights: FloatArray) -> FloatArray:
+    """The next of a series of arrays (...,p), oldest first: by the rule that would have foretold the last best.
 
     Rules: stay; go on evenly, 2x₋₁ − x₋₂; one sine about any mean, x₋₃ + c(x₋₁ − x₋₂) with c = 1 + 2cos(ωΔt) fitted
-    over all subsets, which holds for a vibration sampled below its frequency as well.
+    to all rows, which holds for a vibration sampled below its frequency as well. `weights` (p,): how much the parts of
+    a row count against each other; those of weight 0 do not.
     """
-    before = _predictions(history[:-1]) if len(history) > 1 else []
+    before = _predictions(history[:-1], weights) if len(history) > 1 else []
+    counted = np.flatnonzero(weights)
     errors = []
     for guess in before:
-        distance = np.hypot(guess[:, 0] - history[-1][:, 0], guess[:, 3] - history[-1][:, 3])
+        distance = np.linalg.norm((guess - history[-1])[..., counted] * weights[counted], axis=-1).ravel()
         finite = distance[np.isfinite(distance)]
         errors.append(float(np.median(finite)) if len(finite) else np.inf)
-    guess = _predictions(history)[int(np.argmin(errors)) if errors else 0]
+    guess = _predictions(history, weights)[int(np.argmin(errors)) if errors else 0]
     return np.where(np.isfinite(guess), guess, history[-1])
 
 
-def _predictions(history: Sequence[FloatArray]) -> list[FloatArray]:
-    """The next warps by each rule: the last ones, one step more, one sine with offset; rules need 1, 2 and 4 frames."""
+def _predictions(history: Sequence[FloatArray], weights: FloatArray) -> list[FloatArray]:
+    """The next array by each rule: the last one, one step more, one sine with offset; rules need 1, 2 and 4 frames."""
     guesses = [history[-1]]
     if len(history) > 1:
         guesses.append(2.0 * history[-1] - history[-2])
     if len(history) > 3:
-        before, third, second, last = (warp[:, [0, 3]] for warp in history[-4:])
+        counted = np.flatnonzero(weights)
+        before, third, second, last = (here[..., counted] * weights[counted] for here in history[-4:])
         slope, change = (second - third).ravel(), (last - before).ravel()
         known = np.isfinite(slope) & np.isfinite(change)
         power = float(np.sum(slope[known] ** 2))

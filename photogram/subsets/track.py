@@ -20,29 +20,24 @@ from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
 from photogram.images.sequence import GreyImage, ImageSequence
 from photogram.subsets.find import (
-    MORE_LOST,
     BodyNotFound,
     DepthRange,
-    dropped,
-    find_anew,
+    Follower,
     find_by_search,
     find_from_features,
     find_from_neighbours,
-    find_off_copies,
     find_on_lines,
-    follow,
     identity,
 )
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance
 from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
-from photogram.subsets.search import predict_warp
+from photogram.subsets.search import HISTORY, predict_warp
 from photogram.subsets.sweep import TOLERANCE_PX
 from photogram.subsets.texture import (
     aliasing_bias,
     aliasing_notice,
     lay_grid,
     repeat_px,
-    repeat_steps_px,
     saturated,
     speckle_size,
     subset_mean,
@@ -94,7 +89,6 @@ Image = NDArray[Any]
 Progress = Callable[[int], None]
 OVERLAP = 0.95
 BORDER_PX = 5
-HISTORY = 6
 LARGEST_LOST_SHARE = 0.1
 
 
@@ -136,8 +130,8 @@ class StereoTracks(Arrays, shapes="speckle_px 2; noise_grey 2; bias_px 2"):
 
 
 @dataclass(frozen=True)
-class FollowedFrame:
-    """One frame, its spline, in memory or on a device, and where the subsets are in it."""
+class FollowedImage:
+    """One image, its spline, in memory or on a device, and where the subsets are in it."""
 
     image: GreyImage
     spline: Spline | OnDevice
@@ -200,7 +194,7 @@ def follow_sequence(
     settings: TrackSettings,
     device: str = "cpu",
     frames: range | None = None,
-) -> Iterator[FollowedFrame]:
+) -> Iterator[FollowedImage]:
     """Every frame, or only some, in turn with where the subsets of `reference` (`prepare_sequence`) are in it.
 
     On the `device` "cpu" frames are read and held one at a time, and each starts from where the last ones foretell the
@@ -210,19 +204,23 @@ def follow_sequence(
     wanted = range(len(sequence)) if frames is None else frames
     first = sequence.read(0)
     if wanted.start == 0:
-        yield FollowedFrame(first, spline_of_image(first, settings.degree), identity(reference))
+        yield FollowedImage(first, spline_of_image(first, settings.degree), identity(reference))
     later = range(max(1, wanted.start), wanted.stop)
-    if device == "cpu":
-        followed = _follow_one_by_one(sequence, first, reference, settings, later)
-    else:
+    follower = Follower(reference, first, sequence.full_scale, settings)
+    if device != "cpu":
         from photogram.subsets.icgn_stream import follow_frames
 
-        batched = follow_frames(reference, first, sequence.read_ahead(later), settings, device)
-        followed = (FollowedFrame(image, spline, found) for image, found, spline in batched)
-    for frame in followed:
-        centres = reference.centre_px + frame.found.warp[:, [0, 3]]
-        full = saturated(frame.image, sequence.full_scale, centres, settings.radius_px)
-        yield replace(frame, found=dropped(frame.found, full, TrackStatus.SATURATED))
+        for image, found, spline in follow_frames(reference, first, sequence.read_ahead(later), settings, device):
+            yield FollowedImage(image, spline, follower.unsaturated(image, found))
+        return
+    history = [identity(reference)] if later.start == 1 else []
+    for number, image in zip(later, sequence.read_ahead(later), strict=True):
+        target = spline_of_image(image, settings.degree)
+        alone = number == later.start  # nothing foretells what the reference alone does not
+        start = None if alone else predict_warp([past.warp for past in history])
+        found = follower.find((image, target), start)
+        history = [*history[1 - HISTORY :], found]
+        yield FollowedImage(image, target, found)
 
 
 def track_sequence(
@@ -363,6 +361,12 @@ class StereoCourse:
             self._statuses[side] += np.bincount(counted.ravel(), minlength=len(TrackStatus))
         return aside
 
+    def carry(self, moved_px: tuple[FloatArray, FloatArray]) -> None:
+        """Take in a frame without subsets, from how far the body has moved in both cameras, (2,) each."""
+        self._common.append(np.full(1, np.nan))
+        for side, moved in enumerate(moved_px):
+            self._moved[side].append(moved[None])
+
     def aside(self, positions_px: tuple[FloatArray, FloatArray]) -> BoolArray:
         """Which places (F,N) of frames that were added are none."""
         return self._apart(positions_px)[1]
@@ -501,29 +505,6 @@ def _together(progress: Progress) -> Progress:
             progress(next(done))
 
     return tell
-
-
-def _follow_one_by_one(
-    sequence: ImageSequence, first: Image, reference: Reference, settings: TrackSettings, frames: range
-) -> Iterator[FollowedFrame]:
-    """Later frames, one by one on the CPU."""
-    history: list[Registration] = []
-    usable = reference.status == TrackStatus.OK
-    steps: FloatArray | None = None
-    for number, image in zip(frames, sequence.read_ahead(frames), strict=True):
-        target = spline_of_image(image, settings.degree)
-        if history:
-            start = predict_warp([past.warp for past in history])
-            found = follow(reference, first, (image, target), start, settings)
-        else:
-            found = find_anew(reference, first, (image, target), settings)
-            history = [identity(reference)] if number == 1 else []
-        if np.count_nonzero(found.status != TrackStatus.OK) > MORE_LOST * len(usable) + np.count_nonzero(~usable):
-            if steps is None:
-                steps = repeat_steps_px(first, reference.centre_px[usable], settings.radius_px)
-            found = find_off_copies(reference, first, (image, target), found, steps, settings)
-        history = [*history[1 - HISTORY :], found]
-        yield FollowedFrame(image, target, found)
 
 
 def _inner_area(image: Image) -> BoolArray:

@@ -20,11 +20,11 @@ from fusion.phasors import stereo_motion
 from fusion.phasors.stereo_motion import Followed
 from fusion.report.files import Kept, remove_abandoned
 from fusion.report.folder import check_folder
-from photogram import measure
 from photogram.direct.fit import DirectFit
 from photogram.geometry import RigidTransform
 from photogram.images.sequence import ImageSequence
-from photogram.measure import FollowedBlock
+from photogram.measure import body, follow
+from photogram.measure.follow import FollowedBlock
 from photogram.subsets.icgn import Registration, TrackSettings
 
 BLOCKS_OF_THREE = range(2, 5), range(5, 8)
@@ -147,16 +147,16 @@ def test_a_disk_without_room_for_the_subsets_is_one_sentence(tmp_path, monkeypat
 
 
 def test_a_run_that_ended_behind_its_first_block_goes_on_to_the_same_bits(tmp_path, monkeypatch):
-    monkeypatch.setattr(measure, "BLOCK_FRAMES", 2)
+    monkeypatch.setattr(follow, "BLOCK_FRAMES", 2)
     poses = np.sin(2.1 * np.arange(6))[:, None] * np.array([6e-4, 9e-4, 2e-4, 2e-3, -2e-3, 3e-3])
     series = (*rendered(poses, (0.013, 0.012), (100, 90), 41), TrackSettings(radius_px=8, degree=5))
-    whole = measure.measure_body(*series)
+    whole = body.measure_body(*series)
 
     def run() -> tuple[Followed, int]:
-        found = Followed(IMAGES, measure.prepare_body(*series), "cpu", Kept(tmp_path / "results", "key"))
+        found = Followed(IMAGES, follow.prepare_body(*series), "cpu", Kept(tmp_path / "results", "key"))
         missing = found.missing()
         for frames in missing:
-            found.add(frames, measure.follow_block(found.scene, frames))
+            found.add(frames, follow.follow_block(found.scene, frames))
             if len(missing) == 2:
                 raise KeyboardInterrupt
         return found, len(missing)
@@ -165,7 +165,7 @@ def test_a_run_that_ended_behind_its_first_block_goes_on_to_the_same_bits(tmp_pa
         run()
     found, missing = run()
     assert missing == 1
-    again = measure.body_motion(found.scene, found)
+    again = body.body_motion(found.scene, found)
     for name in ("pose", "covariance", "residual_m"):
         assert getattr(again.motion, name).tobytes() == getattr(whole.motion, name).tobytes()
     for one, other in zip(again.surface, whole.surface, strict=True):

@@ -32,7 +32,7 @@ from fusion.report.files import remove_abandoned
 from fusion.report.recording import result_tables
 from fusion.sensitivity.analyse import Evaluation
 from fusion.simulate import simulate
-from photogram.measure import follow_block
+from photogram.measure.follow import follow_block
 
 
 @pytest.fixture(scope="module")
@@ -435,10 +435,10 @@ def test_killed_workers_and_a_scheduler_that_starts_anew_change_no_digit(sweep, 
 
 BLOCKS = """
 import sys
-import photogram.measure
+import photogram.measure.follow
 from unittest.mock import patch
 from fusion.cli import main
-photogram.measure.BLOCK_FRAMES = 3
+photogram.measure.follow.BLOCK_FRAMES = 3
 if __name__ == "__main__":
     with patch("fusion.report.recording.render_report", lambda _: "<!doctype html>"):
         sys.exit(main(sys.argv[1:]))

@@ -9,11 +9,12 @@ import pytest
 from contracts import refused
 from speckle import FOCAL, PIXEL_M, SENSOR, camera, face, sequence
 
-from photogram import measure
 from photogram.bspline import spline_of_image
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig, epipolar_residual
 from photogram.geometry import RigidTransform
 from photogram.images.sequence import ImageSequence
+from photogram.measure import body as measure
+from photogram.measure import follow
 from photogram.subsets.find import DepthRange, held_together, identity
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus, prepare_reference
@@ -264,7 +265,7 @@ STEPS = [(-1.2, 0.0), (-0.9, 0.02), (0.85, 0.1), (1.0, 0.0), (1.25, -0.1)]
 
 def test_a_jump_by_a_period_is_refused_where_no_end_of_the_foil_tells_the_body_from_its_copy(monkeypatch):
     """Copies 49 px apart in the left picture: a block that begins at 29 px finds the copy at −20 px, next to rest."""
-    monkeypatch.setattr(measure, "BLOCK_FRAMES", 3)
+    monkeypatch.setattr(follow, "BLOCK_FRAMES", 3)
     for half_m, depth_m in ((ENDS_IN_VIEW, None), (BEYOND, (0.25, 0.33))):
         pair = Pair(foil(half_m, 3.5, 0.01))
         shifts = PIXEL_M * 40.0 * np.sin(0.4 * np.arange(4))

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from speckle import PIXEL_M, SENSOR, Stereo, camera, face, rendered, sequence, two_places
 
-from photogram import arrays, measure
+from photogram import arrays
 from photogram.bspline import Spline, evaluate, spline_of_image
 from photogram.camera import Camera, StereoRig
 from photogram.direct.cells import LEAST_FILLED, compare_cells, lay_cells, pixel_residuals, prepare_cells
@@ -25,7 +25,9 @@ from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
-from photogram.measure import BodyMotion, FollowedBlock, body_motion, follow_block, measure_body, prepare_body
+from photogram.measure import follow
+from photogram.measure.body import BodyMotion, body_motion, measure_body
+from photogram.measure.follow import FollowedBlock, follow_block, prepare_body
 from photogram.motion import PlacedCamera, body_patches, deformation, patch_rates, patch_warps
 from photogram.subsets.find import dropped
 from photogram.subsets.icgn import TrackSettings
@@ -150,7 +152,7 @@ def measured(series, monkeypatch: pytest.MonkeyPatch) -> Callable[[int], BodyMot
     """The motion by blocks of so many frames."""
 
     def measured(length: int) -> BodyMotion:
-        monkeypatch.setattr(measure, "BLOCK_FRAMES", length)
+        monkeypatch.setattr(follow, "BLOCK_FRAMES", length)
         return measure_body(*series)
 
     return measured
@@ -191,7 +193,7 @@ def test_what_was_followed_gives_the_same_however_much_of_it_is_read_at_a_time(s
     lost = block[2][0][1]
     block[2] = ((block[2][0][0], dropped(lost, np.arange(len(lost.status)) % 5 == 0, TrackStatus.LEFT_IMAGE)), None)
     whole = body_motion(prepared, [tuple(block)])
-    monkeypatch.setattr(measure, "BLOCK_FRAMES", length)
+    monkeypatch.setattr(follow, "BLOCK_FRAMES", length)
     parts = body_motion(prepared, [tuple(block)])
     assert max(len(tracks.left.zncc) for tracks in parts.tracked) == length
 

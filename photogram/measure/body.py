@@ -1,0 +1,404 @@
+"""The rigid motion of a body, and what its points do beside it, from its frames as they were followed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import groupby
+
+import numpy as np
+
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, Notice, RunningMean, Sample
+from photogram.camera import Points, StereoRig, triangulate
+from photogram.direct.fit import rest_covariance
+from photogram.geometry import RigidTransform
+from photogram.images.noise import NoiseModel
+from photogram.images.sequence import ImageSequence
+from photogram.measure.follow import (
+    BodyScene,
+    FollowedBlock,
+    Found,
+    Progress,
+    carried_px,
+    follow_block,
+    in_turn,
+    prepare_body,
+)
+from photogram.motion import Deformation, DeformationMean, RigidMotion, fit_motion, overlap_correlation
+from photogram.subsets.find import BodyNotFound, DepthRange
+from photogram.subsets.icgn import TrackSettings
+from photogram.subsets.texture import SubsetQuality, assess
+from photogram.subsets.track import (
+    StereoCourse,
+    StereoTracks,
+    Told,
+    Tracks,
+    noise_of,
+    places_of,
+    tracks_of,
+    without_aside,
+)
+
+MOST_HELD = 500_000  # subsets times frames of a series that is held with its points: some 100 MB
+LARGEST_BENDING = 4.0  # rms, in standard deviations of the points; the reference's noise makes it 1.4
+LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the points
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BodyMotion(Arrays):
+    """The motion of a body seen by a stereo pair, and what the user should know.
+
+    motion: fitted to the grey values of all pixels, `motion_of_points` to the points alone, in the frames `sought` (F,)
+    in which subsets were looked for; the others have a motion with residual NaN and no points. Of the left and the
+    right camera: noise models, and quality, what the subsets promised before they were tracked; None when no frame
+    could be fitted to the grey values. subsets_px: where the left camera sees the subsets first; medians over subsets
+    and frames: sigma_px, standard deviation that the noise gives to their positions, and `zncc` in the left camera.
+    `tracked` and `surface` go through the subsets and points, and what these do beside the motion, some frames at a
+    time, made anew from what was followed; `tracks` and `points` are those of all frames at once.
+    """
+
+    motion: RigidMotion
+    motion_of_points: RigidMotion
+    sought: BoolArray
+    reprojection_px: float
+    subsets_px: FloatArray
+    sigma_px: float
+    zncc: float
+    noise: tuple[NoiseModel, NoiseModel] | None
+    quality: tuple[SubsetQuality, SubsetQuality] | None
+    notices: tuple[Notice, ...]
+    tracked: Tracked
+    surface: Surface
+
+    @cached_property
+    def tracks(self) -> StereoTracks:
+        """Subsets of all frames in which they were looked for, some 500 bytes for each in every frame."""
+        blocks = list(self.tracked)
+        left, right = (
+            Tracks(
+                np.concatenate([track.position_px for track in side]),
+                np.concatenate([track.covariance_px2 for track in side]),
+                np.concatenate([track.zncc for track in side]),
+                np.concatenate([track.status for track in side]),
+                side[0].noise_grey,
+            )
+            for side in ([block.left for block in blocks], [block.right for block in blocks])
+        )
+        return self.tracked.told.of((left, right))
+
+    @cached_property
+    def points(self) -> Points:
+        """Points of these frames, in the body's frame, 100 bytes for each in every frame."""
+        parts = [points for _, points in self.tracked.with_points()]
+        return Points(
+            np.concatenate([part.position_m for part in parts]),
+            np.concatenate([part.covariance_m2 for part in parts]),
+            np.concatenate([part.reprojection_px for part in parts]),
+        )
+
+
+def measure_body(
+    images: tuple[ImageSequence, ImageSequence],
+    rig: StereoRig,
+    body_from_left: RigidTransform,
+    settings: TrackSettings,
+    progress: Progress | None = None,
+    device: str = "cpu",
+    depth_m: DepthRange | None = None,
+) -> BodyMotion:
+    """Follow a body through the left and right `images` and fit its six components, about the origin of its frame.
+
+    Subsets are tracked; from the motion that brings the body to where they are (`motion.motion_of_places`) it is fitted
+    to the grey values (`direct.fit.fit_direct`), weighted by the noise that the first frame so fitted shows. A frame in
+    which this fails has the motion of its triangulated points (`motion.fit_motion`). `progress` is called with the
+    number of finished images, 1…2F. `prepare_body`, `follow_block` for each of the blocks and `body_motion` are the
+    same in parts, for several threads.
+
+    >>> from scipy.ndimage import gaussian_filter
+    >>> rng = np.random.default_rng(1)
+    >>> picture = np.rint(128 + 300 * gaussian_filter(rng.standard_normal((96, 96)), 2.0, mode="wrap")).astype(np.uint8)
+    >>> def camera_images(shift_px):  # a body that goes one pixel to the right between two noisy frames
+    ...     frames = [np.roll(picture, shift_px + k, axis=1) + rng.integers(0, 3, (96, 96), np.uint8) for k in (0, 1)]
+    ...     return ImageSequence(("before", "after"), (96, 96), 255, lambda k: frames[k])
+    >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 48, 48, 0, 0, 0, 0, 0]), np.array([96, 96]))
+    >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.005, 0.0, 0.0])))
+    >>> images, body_from_left = (camera_images(0), camera_images(-5)), RigidTransform(np.eye(3), -np.eye(3)[2])
+    >>> body = measure_body(images, rig, body_from_left, TrackSettings(radius_px=7))
+    >>> f"{1e3 * body.motion.pose[1, 0]:.1f} mm"
+    '1.0 mm'
+    """
+    scene = prepare_body(images, rig, body_from_left, settings, device, progress, depth_m)
+    return body_motion(scene, [follow_block(scene, block, device, progress) for block in scene.blocks])
+
+
+def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion:
+    """Return the motion of the body from what was found in the scene's blocks, in their order.
+
+    The blocks, a list or what reads them from a disk, are gone through twice, one at a time, and again whenever subsets
+    or points are asked for.
+    """
+    tracked, fits = _tracked(scene, blocks)
+    settings, references, noise = scene.settings, scene.references, scene.noise
+    full_scales = [images.full_scale for images in scene.images]
+    quality, remarks = None, list[Notice]()
+    if noise is not None:
+        quality = (
+            assess(references[0], scene.first[0], noise[0], full_scales[0]),
+            assess(references[1], scene.first[1], noise[1], full_scales[1]),
+        )
+        remarks = [*quality[0].notices("left camera"), *quality[1].notices("right camera")]
+    shared = None
+    if settings.grid_step_px <= 2 * settings.radius_px:
+        shared = overlap_correlation(scene.grid.left_px, settings.radius_px)
+    sums = _Sums()
+    for block, points in tracked.with_points():
+        if sums.mean is None:
+            seen = int(np.count_nonzero(np.isfinite(points.position_m[0]).all(axis=1)))  # in some later frame as well
+            if seen < 3:
+                text = f"at least 3 points that both cameras see in a later frame too, found {seen}"
+                raise BodyNotFound(f"rig: expected {text}")
+            sums.mean, sums.subsets_px = DeformationMean(points.position_m[0]), block.left.position_px[0]
+        of_points = fit_motion(points, sums.mean.reference_m, np.zeros(3), shared)
+        numbers = tracked.frames[sums.frames : sums.frames + len(of_points.pose)]
+        sums.add(block, points, of_points, fits.merged(of_points, numbers))
+    assert sums.mean is not None
+    of_points = _joined(sums.of_points)
+    motion = fits.of_all(of_points, tracked.frames)
+    notices = (
+        *tracked.told.notices,
+        *remarks,
+        *_rigid_notices(sums, _of_frames(motion, tracked.frames), of_points, fits),
+    )
+    return BodyMotion(
+        motion=motion,
+        motion_of_points=of_points,
+        sought=np.isin(np.arange(len(motion.pose)), tracked.frames),
+        reprojection_px=float(np.sqrt(sums.reprojection[0] / max(sums.reprojection[1], 1))),
+        subsets_px=sums.subsets_px,
+        sigma_px=float(np.sqrt(sums.variance_px2.median)),
+        zncc=sums.zncc.median,
+        noise=noise,
+        quality=quality,
+        notices=notices,
+        tracked=tracked,
+        surface=Surface(sums.mean, motion, tracked),
+    )
+
+
+# What was followed, gone through some frames at a time.
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracked(Arrays, shapes="frames S"):
+    """Tracked subsets of a body, some frames at a time from the first one on, as often as they are asked for.
+
+    frames (S,): in which they were looked for. noise_grey: image noise (N,) at the subsets of the left and the right
+    camera, over these. `told`: what they say of both cameras. `held`: all of a short series with its points, once these
+    have been gone through.
+    """
+
+    scene: BodyScene
+    blocks: Iterable[FollowedBlock]
+    frames: IntArray
+    noise_grey: tuple[FloatArray, FloatArray]
+    course: StereoCourse
+    told: Told
+    held: list[tuple[StereoTracks, Points]] = field(default_factory=list)
+
+    def __iter__(self) -> Iterator[StereoTracks]:
+        return (tracks for tracks, _ in self.held) if self.held else self._computed()
+
+    def with_points(self) -> Iterator[tuple[StereoTracks, Points]]:
+        """Yield some frames at a time with the points of their subsets, in the body's frame."""
+        if self.held:
+            yield from self.held
+            return
+        short = len(self.frames) * len(self.scene.grid.left_px) <= MOST_HELD
+        seen = []
+        for tracks in self._computed():
+            both = tracks, self._points(tracks)
+            if short:
+                seen.append(both)
+            yield both
+        self.held.extend(seen)
+
+    def _computed(self) -> Iterator[StereoTracks]:
+        for block in in_turn(self.scene, self.blocks):
+            found = [both for both, _ in block if both is not None]
+            if not found:
+                continue
+            left, right = (
+                tracks_of(
+                    [both[side] for both in found], self.scene.references[side], self.scene.settings.degree, noise
+                )
+                for side, noise in enumerate(self.noise_grey)
+            )
+            aside = self.course.aside((left.position_px, right.position_px))
+            yield self.told.of(without_aside((left, right), aside))
+
+    def _points(self, tracks: StereoTracks) -> Points:
+        left, right = tracks.left, tracks.right
+        pixels = left.position_px, right.position_px, left.covariance_px2, right.covariance_px2
+        return triangulate(self.scene.rig, *pixels).transformed(self.scene.body_from_left)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Surface(Arrays):
+    """What the points of a body do beside its motion, some frames at a time, as often as it is asked for."""
+
+    mean: DeformationMean
+    motion: RigidMotion
+    tracked: Tracked
+
+    def __iter__(self) -> Iterator[Deformation]:
+        start = 0
+        for block, points in self.tracked.with_points():
+            stop = start + len(block.left.position_px)
+            yield self.mean.of(points, _of_frames(self.motion, self.tracked.frames[start:stop]))
+            start = stop
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Fits(Arrays, shapes="pose F 6; covariance F 6 6"):
+    """The direct fits of all frames, NaN for none; the first frame has the covariance of a typical one."""
+
+    pose: FloatArray
+    covariance: FloatArray
+
+    @property
+    def missed(self) -> int:
+        """How many later frames have none."""
+        return int(np.count_nonzero(~np.isfinite(self.pose[1:, 0])))
+
+    def merged(self, of_points: RigidMotion, frames: IntArray) -> RigidMotion:
+        """The motion of points in some frames, replaced where there is a direct fit."""
+        pose, covariance = self.pose[frames], self.covariance[frames]
+        known = np.asarray(np.isfinite(pose).all(axis=1))
+        typical = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
+        return replace(
+            of_points,
+            pose=np.where(known[:, None], pose, of_points.pose),
+            covariance=np.where(typical[:, None, None], covariance, of_points.covariance),
+        )
+
+    def of_all(self, of_points: RigidMotion, frames: IntArray) -> RigidMotion:
+        """The motion of all frames, that of points in some of them replaced where there is a direct fit."""
+        merged = self.merged(of_points, frames)
+        pose, covariance = self.pose.copy(), self.covariance.copy()
+        residual_m, points = np.full(len(pose), np.nan), np.zeros(len(pose), np.int64)
+        pose[frames], covariance[frames] = merged.pose, merged.covariance
+        residual_m[frames], points[frames] = merged.residual_m, merged.points
+        return RigidMotion(pose, covariance, residual_m, points, merged.origin_m)
+
+
+class _Sums:
+    """What is left of the subsets and points of a body when they have been gone through once."""
+
+    def __init__(self) -> None:
+        self.mean: DeformationMean | None = None
+        self.subsets_px: FloatArray = np.empty((0, 2))
+        self.frames, self.reprojection = 0, (0.0, 0)
+        self.of_points: list[RigidMotion] = []
+        self.variance_px2, self.variance_m2, self.zncc = Sample(), Sample(), Sample()
+
+    def add(self, tracks: StereoTracks, points: Points, of_points: RigidMotion, motion: RigidMotion) -> None:
+        """Take in further frames."""
+        assert self.mean is not None
+        self.mean.add(points, motion)
+        squares = points.reprojection_px**2
+        total, count = self.reprojection
+        self.reprojection = total + float(np.nansum(squares)), count + int(np.count_nonzero(np.isfinite(squares)))
+        sides = [np.diagonal(side.covariance_px2, axis1=2, axis2=3) for side in (tracks.left, tracks.right)]
+        self.variance_px2.add(np.stack(sides, axis=1))
+        self.zncc.add(tracks.left.zncc)
+        variance = np.trace(points.covariance_m2, axis1=2, axis2=3) / 3.0
+        first = 1 if self.frames == 0 else 0
+        self.variance_m2.add(np.where(np.isfinite(of_points.residual_m)[:, None], variance, np.nan)[first:])
+        self.frames += len(squares)
+        self.of_points.append(of_points)
+
+
+def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked, _Fits]:
+    """Go through what was followed for what it takes all frames to know: noise, remarks, and the direct fits."""
+    course, noise = StereoCourse(scene.rig), (RunningMean(), RunningMean())
+    poses, covariances, levels, frames = list[FloatArray](), list[FloatArray](), list[float](), list[int]()
+    nothing = np.full(6, np.nan), np.full((6, 6), np.nan)
+    for block in in_turn(scene, blocks):
+        for sought, group in groupby(block, lambda one: one[0] is not None):
+            run = list(group)
+            if sought:
+                frames += range(len(poses), len(poses) + len(run))
+                _take_in(scene, [both for both, _ in run if both is not None], course, noise)
+            for _, fit in run:
+                pose, covariance = nothing if fit is None else (fit.moved.pose, fit.covariance)
+                poses.append(pose)
+                covariances.append(covariance)
+                levels += [] if fit is None else [fit.noise]
+                if fit is not None and not sought:
+                    left, right = (np.nanmedian(carried_px(seen, fit.moved), axis=0) for seen in scene.seen)
+                    course.carry((left, right))
+    if levels:
+        covariances[0] = rest_covariance(scene.views, float(np.median(levels)))
+    grey = np.sqrt(noise[0].mean), np.sqrt(noise[1].mean)
+    told = course.told(scene.first, scene.grid, scene.settings, grey)
+    return Tracked(scene, blocks, np.array(frames), grey, course, told), _Fits(np.array(poses), np.array(covariances))
+
+
+def _take_in(
+    scene: BodyScene, found: Sequence[Found], course: StereoCourse, noise: tuple[RunningMean, RunningMean]
+) -> None:
+    """Add the subsets of successive frames to what all frames say."""
+    sides = [[both[side] for both in found] for side in range(2)]
+    left, right = (places_of(*both) for both in zip(sides, scene.references, strict=True))
+    course.add((left[0], right[0]), (left[1], right[1]))
+    for running, side, reference in zip(noise, sides, scene.references, strict=True):
+        running.add(noise_of(side, reference, scene.settings.degree) ** 2)
+
+
+def _of_frames(motion: RigidMotion, frames: IntArray) -> RigidMotion:
+    """The motion in some frames."""
+    return RigidMotion(
+        motion.pose[frames],
+        motion.covariance[frames],
+        motion.residual_m[frames],
+        motion.points[frames],
+        motion.origin_m,
+    )
+
+
+def _joined(parts: Sequence[RigidMotion]) -> RigidMotion:
+    """The motion of all frames."""
+    pose, covariance, residual_m, points = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("pose", "covariance", "residual_m", "points")
+    )
+    return RigidMotion(pose, covariance, residual_m, points, parts[0].origin_m)
+
+
+def _rigid_notices(sums: _Sums, motion: RigidMotion, of_points: RigidMotion, fits: _Fits) -> list[Notice]:
+    """Warnings about points that move unlike a rigid body, frames without a direct fit, and one against the points."""
+    texts = []
+    known = np.isfinite(of_points.residual_m[1:])
+    if known.any():
+        misfit, noise = np.median(of_points.residual_m[1:][known]), np.sqrt(sums.variance_m2.median)
+        if misfit >= LARGEST_BENDING * noise:
+            texts.append(
+                f"the points depart from a rigid motion by {1e6 * misfit:.1f} µm rms, {misfit / noise:.0f} times their "
+                "noise: the body bends, or parts of it move on their own"
+            )
+    if fits.missed:
+        texts.append(
+            f"in {fits.missed} of {len(fits.pose) - 1} frames the motion could not be fitted to the grey values; "
+            "its points count"
+        )
+    difference = (motion.pose - of_points.pose)[1:]
+    both = np.isfinite(difference).all(axis=1)
+    squares = difference[both] ** 2 / np.diagonal(of_points.covariance[1:], axis1=1, axis2=2)[both]
+    ratio = float(np.sqrt(np.mean(squares))) if both.any() else 0.0
+    if ratio > LARGEST_DIFFERENCE:
+        texts.append(
+            f"the motion fitted to the grey values is {ratio:.1f} standard uncertainties off that of the tracked "
+            "points: the body bends, something in front of it moves, or its texture is not resolved"
+        )
+    return [Notice("warning", text, "rigid motion") for text in texts]
