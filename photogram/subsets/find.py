@@ -229,7 +229,7 @@ def identity(reference: Reference) -> Registration:
 # Subsets of a calibrated pair's left picture found in the right one: on the surface that its epipolar lines allow.
 
 DepthRange = tuple[float, float]
-LINE_SEEDS = 40
+LINE_SEEDS = 24
 PART_SHARE = 0.3  # of a surface's seeds that may lie on another one as well if both are parts of one body
 RIVAL_SHARE = 0.25  # of the subsets that have to fit elsewhere as well for a solution to be in doubt
 FEWEST_SHARE = 0.1
