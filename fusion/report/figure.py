@@ -1,4 +1,6 @@
-"""A figure as data: panels with axes and marks. `figures.js` draws it in the browser, `fusion.report.printed` on paper.
+"""A figure as data: panels with axes and marks.
+
+`figures.js` draws it in the browser, `fusion.report.still` as SVG, `fusion.report.printed` as other files.
 
 What a figure shows is said here once; nothing of how either of them draws it.
 """

@@ -39,6 +39,7 @@ from fusion.recording.rig import Rig
 from fusion.report.figure import Figure
 from fusion.report.files import claimed, is_own, write_files, write_together
 from fusion.report.h5 import h5_content, opened_results, write_value
+from fusion.report.still import still_svg
 from fusion.report.table import Headline, Table, csv_rows, plain_text
 from fusion.report.terminal import AS_JSON, tell, working
 
@@ -228,7 +229,7 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"data_uri": data_uri, "sections": sections, "live": live, "printed": printed_svg}
+    environment.filters |= {"data_uri": data_uri, "sections": sections, "live": live, "still": still_svg}
     environment.globals |= {
         "shown": shown,
         "figures_library": library,
@@ -241,13 +242,6 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
 def _json(data: object) -> bytes:
     """Return JSON without blanks."""
     return json.dumps(data, separators=(",", ":"), allow_nan=False).encode()
-
-
-def printed_svg(figure: Figure) -> str:
-    """Return a figure as SVG text."""
-    from fusion.report.printed import printed
-
-    return printed(figure).decode()
 
 
 def packed(data: bytes) -> Markup:
