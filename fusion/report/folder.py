@@ -40,6 +40,7 @@ from fusion.report.figure import Figure
 from fusion.report.files import claimed, is_own, write_files, write_together
 from fusion.report.h5 import h5_content, opened_results, write_value
 from fusion.report.still import still_svg
+from fusion.report.stored import put_texts
 from fusion.report.table import Headline, Table, csv_rows, plain_text
 from fusion.report.terminal import AS_JSON, tell, working
 
@@ -174,12 +175,15 @@ def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker
         raise InputError(folder, "", found=what, expected=expected)
 
 
-def read_provenance(folder: Path, marker: str = RESULT_FILE) -> Provenance | None:
-    """Provenance of the results in a folder; None where there are none, or where their file cannot be read."""
+def read_provenance(folder: Path, marker: str = RESULT_FILE, *, alone: bool = False) -> Provenance | None:
+    """Provenance of the results in a folder; None where there are none, or where their file cannot be read.
+
+    `alone`: of results that nobody reads any more, so that nothing else in their file counts.
+    """
     path = folder / marker
     if not path.is_file() or not h5py.is_hdf5(path):
         return None
-    with suppress(InputError), opened_results(path) as file:
+    with suppress(InputError), opened_results(path, "provenance" if alone else "") as file:
         return provenance_of(file)
     return None
 
@@ -202,7 +206,7 @@ def write_provenance(file: h5py.File, origin: Origin, files: Sequence[str]) -> N
     group = file.create_group("provenance")
     hashes = origin.input_hashes
     for name, texts in (("input_file", list(hashes)), ("input_sha256", list(hashes.values())), ("files", files)):
-        group.create_dataset(name, data=np.array(texts, dtype=object), dtype=h5py.string_dtype())
+        put_texts(group, name, texts)
     group.create_group("settings").attrs.update(origin.settings)
     group.create_group("versions").attrs.update(origin.versions)
 
@@ -456,7 +460,7 @@ def write_folder(
         return sorted(fill(temporary), key=lambda name: name == marker)
 
     def earlier() -> list[str]:
-        before = read_provenance(folder, marker)
+        before = read_provenance(folder, marker, alone=True)
         named = before.files if before is not None else ()
         return [name for name in named if own.fullmatch(name) and ".." not in Path(name).parts]
 
