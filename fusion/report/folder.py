@@ -39,6 +39,7 @@ from fusion.recording.rig import Rig
 from fusion.report.figure import Figure
 from fusion.report.files import claimed, is_own, write_files, write_together
 from fusion.report.h5 import h5_content, opened_results, write_value
+from fusion.report.kept import CompiledTemplates, kept
 from fusion.report.still import still_svg
 from fusion.report.stored import put_texts
 from fusion.report.table import Headline, Table, csv_rows, plain_text
@@ -232,6 +233,7 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        bytecode_cache=CompiledTemplates(),
     )
     environment.filters |= {"data_uri": data_uri, "sections": sections, "live": live, "still": still_svg}
     environment.globals |= {
@@ -248,9 +250,9 @@ def _json(data: object) -> bytes:
     return json.dumps(data, separators=(",", ":"), allow_nan=False).encode()
 
 
-def packed(data: bytes) -> Markup:
+def packed(data: bytes, level: int = 6) -> Markup:
     """Compress what a page unpacks itself, in characters that HTML leaves alone."""
-    return Markup(base64.b64encode(gzip.compress(data, 9, mtime=0)).decode("ascii"))
+    return Markup(base64.b64encode(gzip.compress(data, level, mtime=0)).decode("ascii"))
 
 
 @cache
@@ -260,7 +262,13 @@ def library() -> Markup:
     if spec is None or not spec.submodule_search_locations:
         raise ComputeError("the package bokeh, whose program draws the figures of the page, is not installed")
     scripts = Path(spec.submodule_search_locations[0]) / "server/static/js"
-    return packed(b"\n".join((scripts / name).read_bytes() for name in ("bokeh.min.js", "bokeh-api.min.js")))
+    files = [scripts / name for name in ("bokeh.min.js", "bokeh-api.min.js")]
+    key = json.dumps([(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files])
+
+    def make() -> bytes:
+        return packed(b"\n".join(file.read_bytes() for file in files), 9).encode()
+
+    return Markup(kept("bokeh", key, make).decode("ascii"))
 
 
 def sections(page: str) -> list[tuple[Markup, Markup]]:
