@@ -1,4 +1,6 @@
-"""A figure as data: panels with axes and marks. `figures.js` draws it in the browser, `fusion.report.printed` on paper.
+"""A figure as data: panels with axes and marks.
+
+`figures.js` draws it in the browser, `fusion.report.still` as SVG, `fusion.report.printed` as other files.
 
 What a figure shows is said here once; nothing of how either of them draws it.
 """
@@ -364,8 +366,9 @@ def _plain(part: Any) -> dict[str, Any]:
 
 def numbers(values: FloatArray) -> list[float | None]:
     """Return few numbers to ten digits and many to seven, None for what is none."""
-    digits = 10 if len(values) <= FEW else 7
-    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values.tolist()]
+    written = "%.10g" if len(values) <= FEW else "%.7g"
+    known = np.isfinite(values).tolist()
+    return [float(written % value) if sure else None for value, sure in zip(values.tolist(), known, strict=True)]
 
 
 def encoded(grey: NDArray[np.uint8]) -> str:

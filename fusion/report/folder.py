@@ -39,6 +39,9 @@ from fusion.recording.rig import Rig
 from fusion.report.figure import Figure
 from fusion.report.files import claimed, is_own, write_files, write_together
 from fusion.report.h5 import h5_content, opened_results, write_value
+from fusion.report.kept import CompiledTemplates, kept
+from fusion.report.still import still_svg
+from fusion.report.stored import put_texts
 from fusion.report.table import Headline, Table, csv_rows, plain_text
 from fusion.report.terminal import AS_JSON, tell, working
 
@@ -173,12 +176,15 @@ def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker
         raise InputError(folder, "", found=what, expected=expected)
 
 
-def read_provenance(folder: Path, marker: str = RESULT_FILE) -> Provenance | None:
-    """Provenance of the results in a folder; None where there are none, or where their file cannot be read."""
+def read_provenance(folder: Path, marker: str = RESULT_FILE, *, alone: bool = False) -> Provenance | None:
+    """Provenance of the results in a folder; None where there are none, or where their file cannot be read.
+
+    `alone`: of results that nobody reads any more, so that nothing else in their file counts.
+    """
     path = folder / marker
     if not path.is_file() or not h5py.is_hdf5(path):
         return None
-    with suppress(InputError), opened_results(path) as file:
+    with suppress(InputError), opened_results(path, "provenance" if alone else "") as file:
         return provenance_of(file)
     return None
 
@@ -201,7 +207,7 @@ def write_provenance(file: h5py.File, origin: Origin, files: Sequence[str]) -> N
     group = file.create_group("provenance")
     hashes = origin.input_hashes
     for name, texts in (("input_file", list(hashes)), ("input_sha256", list(hashes.values())), ("files", files)):
-        group.create_dataset(name, data=np.array(texts, dtype=object), dtype=h5py.string_dtype())
+        put_texts(group, name, texts)
     group.create_group("settings").attrs.update(origin.settings)
     group.create_group("versions").attrs.update(origin.versions)
 
@@ -227,8 +233,9 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        bytecode_cache=CompiledTemplates(),
     )
-    environment.filters |= {"data_uri": data_uri, "sections": sections, "live": live, "printed": printed_svg}
+    environment.filters |= {"data_uri": data_uri, "sections": sections, "live": live, "still": still_svg}
     environment.globals |= {
         "shown": shown,
         "figures_library": library,
@@ -243,16 +250,9 @@ def _json(data: object) -> bytes:
     return json.dumps(data, separators=(",", ":"), allow_nan=False).encode()
 
 
-def printed_svg(figure: Figure) -> str:
-    """Return a figure as SVG text."""
-    from fusion.report.printed import printed
-
-    return printed(figure).decode()
-
-
-def packed(data: bytes) -> Markup:
+def packed(data: bytes, level: int = 6) -> Markup:
     """Compress what a page unpacks itself, in characters that HTML leaves alone."""
-    return Markup(base64.b64encode(gzip.compress(data, 9, mtime=0)).decode("ascii"))
+    return Markup(base64.b64encode(gzip.compress(data, level, mtime=0)).decode("ascii"))
 
 
 @cache
@@ -262,7 +262,13 @@ def library() -> Markup:
     if spec is None or not spec.submodule_search_locations:
         raise ComputeError("the package bokeh, whose program draws the figures of the page, is not installed")
     scripts = Path(spec.submodule_search_locations[0]) / "server/static/js"
-    return packed(b"\n".join((scripts / name).read_bytes() for name in ("bokeh.min.js", "bokeh-api.min.js")))
+    files = [scripts / name for name in ("bokeh.min.js", "bokeh-api.min.js")]
+    key = json.dumps([(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files])
+
+    def make() -> bytes:
+        return packed(b"\n".join(file.read_bytes() for file in files), 9).encode()
+
+    return Markup(kept("bokeh", key, make).decode("ascii"))
 
 
 def sections(page: str) -> list[tuple[Markup, Markup]]:
@@ -462,7 +468,7 @@ def write_folder(
         return sorted(fill(temporary), key=lambda name: name == marker)
 
     def earlier() -> list[str]:
-        before = read_provenance(folder, marker)
+        before = read_provenance(folder, marker, alone=True)
         named = before.files if before is not None else ()
         return [name for name in named if own.fullmatch(name) and ".." not in Path(name).parts]
 

@@ -6,17 +6,18 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
-from functools import partial
 from itertools import count
 from pathlib import Path, PurePath
 from typing import Any, get_args
 
 import h5py
 import numpy as np
+from h5py import h5d, h5o
 
 from fusion.base import InputError
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
 from fusion.report.quantities import describe
+from fusion.report.stored import put_array, put_text, put_texts
 from fusion.sensitivity.evidence import Evidence
 from shaker.arrays import Notice
 from shaker.io.channel import check_inside, opened_hdf5
@@ -45,11 +46,14 @@ def h5_content(fill: Callable[[h5py.File], None], *, in_order: bool = True) -> b
 
 
 @contextmanager
-def opened_results(path: Path) -> Iterator[h5py.File]:
-    """Open the results of an earlier run; `InputError` where they are damaged or lead to other files."""
+def opened_results(path: Path, only: str = "") -> Iterator[h5py.File]:
+    """Open the results of an earlier run; `InputError` where they are damaged or lead to other files.
+
+    `only`: the group of which something is read, and which alone is looked through then, with what stands in it.
+    """
     try:
-        with opened_hdf5(path) as file:
-            file.visititems(partial(check_inside, path))
+        with opened_hdf5(path, links=bool(only)) as file:
+            _check_group(path, file, only) if only else _check_all(path, file)
             yield file
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         told = " ".join(str(error).split()).removeprefix(f"{path}: ")
@@ -57,6 +61,27 @@ def opened_results(path: Path) -> Iterator[h5py.File]:
     except (AttributeError, TypeError, IndexError) as error:  # a group where numbers should be, or the other way round
         found = "a file whose groups and numbers are not those that a run writes"
         raise InputError(path, "", expected="results of an earlier run", found=found) from error
+
+
+def _check_all(path: Path, file: h5py.File) -> None:
+    """Refuse results with data sets whose samples stand in other files, each asked as little as that takes."""
+
+    def check(name: bytes, what: Any) -> None:
+        if what.type == h5o.TYPE_DATASET:
+            made = h5o.open(file.id, name).get_create_plist()
+            if made.get_layout() == h5d.VIRTUAL or made.get_external_count():
+                check_inside(path, name.decode("utf-8", "replace"), file[name])
+
+    h5o.visit(file.id, check, info=True)
+
+
+def _check_group(path: Path, file: h5py.File, name: str) -> None:
+    """Refuse results of which a group, or what stands in it, is in other files."""
+    links = [(file, name), *((file[name], inner) for inner in file.get(name, ()))]
+    for group, inner in links:
+        if not isinstance(group.get(inner, getlink=True), h5py.HardLink):
+            raise ValueError(f'{path}: "{inner}": expected samples in this file, found a link')
+        check_inside(path, inner, group[inner])
 
 
 def write_fields(group: h5py.Group, item: Any) -> None:
@@ -83,7 +108,11 @@ def write_value(group: h5py.Group, name: str, value: Any) -> None:
     elif isinstance(value, tuple | list):
         _write_sequence(group, name, value)
     else:
-        group.attrs[name] = value.as_posix() if isinstance(value, PurePath) else value
+        value = value.as_posix() if isinstance(value, PurePath) else value
+        if isinstance(value, str) and name not in group.attrs:
+            put_text(group.id, name, value)
+        else:
+            group.attrs[name] = value
 
 
 def _write_sequence(group: h5py.Group, name: str, items: Sequence[Any]) -> None:
@@ -101,7 +130,7 @@ def _write_sequence(group: h5py.Group, name: str, items: Sequence[Any]) -> None:
         for number, item in enumerate(items):
             _write_sequence(inner, f"{number:03d}", item)
     elif all(isinstance(item, str) for item in items):
-        group.create_dataset(name, data=np.array(items, dtype=object), dtype=h5py.string_dtype())
+        put_texts(group, name, items)
     else:
         _write_array(group, name, np.asarray(items))
 
@@ -136,13 +165,13 @@ def write_uncertainty(group: h5py.Group, uncertainty: Uncertainty) -> None:
         own.attrs["type"] = part.type
         _write_array(own, "covariance", part.covariance)
         if part.dof is not None:
-            own.create_dataset("dof", data=part.dof)
+            put_array(own, "dof", part.dof)
     for field in INFLUENCE_TEXTS:
         texts = [getattr(influence, field) for influence in uncertainty.influences]
-        group.create_dataset(field, data=np.array(texts, dtype=object), dtype=h5py.string_dtype())
+        put_texts(group, field, texts)
     for field in INFLUENCE_NUMBERS:
         numbers = [getattr(influence, field) for influence in uncertainty.influences]
-        group.create_dataset(field, data=np.array(numbers, dtype=np.float64))
+        put_array(group, field, np.array(numbers, dtype=np.float64))
     shape = (0, *uncertainty.random[0].covariance.shape[:2])
     effects = [influence.effect for influence in uncertainty.influences]
     _write_array(group, "effect", np.stack(effects) if effects else np.zeros(shape))
@@ -161,7 +190,7 @@ def _write_array(group: h5py.Group, name: str, array: np.typing.NDArray[Any]) ->
     if array.size > COMPRESS_ABOVE:
         group.create_dataset(name, data=array, compression="gzip", compression_opts=4, shuffle=True)
     else:
-        group.create_dataset(name, data=array)
+        put_array(group, name, array)
 
 
 def read_uncertainty(group: h5py.Group) -> Uncertainty:

@@ -1,4 +1,4 @@
-"""Figures on paper: what `fusion.report.figure` describes, as SVG, PNG or PDF."""
+"""Figures as files: what `fusion.report.figure` describes, as PNG or PDF by matplotlib, as SVG by `still`."""
 
 from __future__ import annotations
 
@@ -38,15 +38,16 @@ from fusion.report.figure import (
     Texts,
     power_text,
 )
+from fusion.report.layout import WIDTH_IN, crowded, frames, scale_below
+from fusion.report.still import still_svg
 
-WIDTH_IN = 8.4
 RASTER_DPI = 200
 RASTER_ABOVE = 500
 """Number of points above which they are drawn as an image inside the vector graphics."""
 UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}, "png": {}}
 STYLE = mpl.rc_params_from_file(Path(__file__).with_name("templates") / "figures.mplstyle", use_default_template=False)
 LINE_RASTER_ABOVE = 2_000
-CHARACTER_IN, LEGEND_COLUMNS = 0.066, 6
+LEGEND_COLUMNS = 6
 SHAPES = {
     "circle": "o", "square": "s", "diamond": "D", "triangle": "^", "inverted_triangle": "v", "cross": "P", "x": "x",
     "plus": "+",
@@ -90,6 +91,8 @@ def finish(figure: Canvas, name: str, title: str, caption: str) -> Picture:
 
 def printed(figure: Figure, kind: str = "svg") -> bytes:
     """Draw a figure as the bytes of a `kind` of file: svg, png or pdf; the same from run to run."""
+    if kind == "svg":
+        return still_svg(figure).encode()
     with drawing(figure.name):
         return as_file(_canvas(figure), kind)
 
@@ -101,60 +104,30 @@ def _canvas(figure: Figure) -> Canvas:
     shared: Any = {"sharex": "col" if figure.shared_x else False, "sharey": "row" if figure.shared_y else False}
     shares = {"height_ratios": figure.heights, "width_ratios": figure.widths}
     every = canvas.subplots(rows, columns, squeeze=False, gridspec_kw=shares, **shared)
-    handles, crowded = dict[str, Any](), _crowded(figure)
+    handles, upright = dict[str, Any](), crowded(figure)
     for place, panel in enumerate(figure.panels):
         row, column = divmod(place, columns)
         inner = (figure.shared_x and row < rows - 1, figure.shared_y and column > 0)
-        if crowded:
+        if upright:
             every[row, column].tick_params(axis="x", labelrotation=90)
         handles = _draw_panel(every[row, column], panel, inner) | handles
-    _lay_out(figure, every, -(-len(handles) // LEGEND_COLUMNS))
+    _lay_out(figure, every, 0.2 * -(-len(handles) // LEGEND_COLUMNS))
     if handles:
         look: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (0.05, 1.0), "borderaxespad": 0.2}
         canvas.legend(handles.values(), handles.keys(), ncols=LEGEND_COLUMNS, **look)
     return canvas
 
 
-def _lay_out(figure: Figure, every: Any, legend_rows: int) -> None:
-    """Margins and gaps from what stands in them: titles, numbers, names, second scales, bars of colours, legend."""
-    rows, columns = len(figure.heights), len(figure.widths)
-    grid = [figure.panels[r * columns : (r + 1) * columns] for r in range(rows)]
-    longest = [max(len(name) for row in grid for name in ("", *row[c].y.names)) for c in range(columns)]
-    beside = [0.82 if not n else 0.3 + CHARACTER_IN * n for n in longest]
-    right = [0.72 if any(row[c].y.second for row in grid) else 0.12 for c in range(columns)]
-    legend = 0.2 * legend_rows
-    above = [0.2 if any(panel.title for panel in row) else 0.08 for row in grid]
-    names = max(len(name) for panel in figure.panels for name in ("", *panel.x.names)) if _crowded(figure) else 0
-    numbers = [
-        max(0.45, 0.1 + CHARACTER_IN * names) if r == rows - 1 or not figure.shared_x else 0.06 for r in range(rows)
-    ]
-    below = [n + (0.42 if any(map(_scaled, grid[r])) else 0.0) for r, n in enumerate(numbers)]
-    if figure.shared_y:
-        beside = [beside[0], *([0.12] * (columns - 1))]
-    width, height = WIDTH_IN - sum(beside) - sum(right), figure.height_in - legend - sum(above) - sum(below)
-    lefts = np.cumsum([0.0, *(width * w / sum(figure.widths) for w in figure.widths)])
-    tops = np.cumsum([0.0, *(height * h / sum(figure.heights) for h in figure.heights)])
-    for r, c in np.ndindex(rows, columns):
-        x = float(lefts[c]) + sum(beside[: c + 1]) + sum(right[:c])
-        y = figure.height_in - legend - float(tops[r + 1]) - sum(above[: r + 1]) - sum(below[:r])
-        size = float(lefts[c + 1] - lefts[c]) / WIDTH_IN, float(tops[r + 1] - tops[r]) / figure.height_in
-        axes: Axes = every[r, c]
-        axes.set_position((x / WIDTH_IN, y / figure.height_in, *size))
-        axes.yaxis.set_label_coords(-(beside[c] - 0.16) / (size[0] * WIDTH_IN), 0.5)
-        if (scale := _scaled(grid[r][c])) is not None:
-            _colour_bar(axes, scale, -numbers[r] / (size[1] * figure.height_in), 0.1 / (size[1] * figure.height_in))
-
-
-def _crowded(figure: Figure) -> bool:
-    """Whether names below a panel stand upright, for they have no room beside each other."""
-    room = WIDTH_IN / len(figure.widths) / CHARACTER_IN
-    return any(sum(len(name) + 1 for name in panel.x.names) > 0.8 * room for panel in figure.panels)
-
-
-def _scaled(panel: Panel) -> Scale | None:
-    """Return the labelled scale of colours of a panel, if it has one."""
-    scales = (mark.scale for mark in panel.marks if isinstance(mark, Points | Boxes) and mark.scale is not None)
-    return next((scale for scale in scales if scale.label), None)
+def _lay_out(figure: Figure, every: Any, legend_in: float) -> None:
+    """Put axes into their frames, labels beside them, bars of colours below."""
+    for axes, panel, frame in zip(every.flat, figure.panels, frames(figure, legend_in), strict=True):
+        place = frame.left, figure.height_in - frame.top - frame.height, frame.width, frame.height
+        axes.set_position(
+            tuple(part / whole for part, whole in zip(place, 2 * (WIDTH_IN, figure.height_in), strict=True))
+        )
+        axes.yaxis.set_label_coords(-(frame.beside - 0.16) / frame.width, 0.5)
+        if (scale := scale_below(panel)) is not None:
+            _colour_bar(axes, scale, -frame.below / frame.height, 0.1 / frame.height)
 
 
 def _colour_bar(axes: Axes, scale: Scale, below: float, height: float) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
+from h5py import h5d, h5ds, h5o
 
+from fusion.report.stored import put_array, put_axis, put_text, put_texts
 from fusion.report.table import sensitivity_unit
 from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units
 
@@ -241,11 +244,11 @@ def describe(file: h5py.File) -> None:
         own, shape = path.rpartition("/")[2], data.shape
         known = whole or set(group.inside) >= PHASORS
         told = _told(path) if known else OTHERS.get(own, Told())
-        if data.dtype.kind in "biufc":
+        if data.numbers:
             unit = _unit(group, own, shape, told)
             if unit:
-                data.attrs["units"] = unit
-        data.attrs["long_name"] = told.text or _words(path)
+                put_text(data.id, "units", unit)
+        put_text(data.id, "long_name", told.text or _words(path))
         names = told.axes.split() if known else [name for name in OVER if _along(group, own, shape, name)]
         if not known and not names:
             continue
@@ -255,19 +258,57 @@ def describe(file: h5py.File) -> None:
         for axis, name in enumerate(names):
             scale = _scale(group, name, shape[axis])
             if scale is not data:
-                data.dims[axis].attach_scale(scale)
+                h5ds.attach_scale(data.id, scale.id, axis)
+
+
+class _Data:
+    """A data set that was opened once, and what was asked of it: each answer takes HDF5 as long as the first."""
+
+    def __init__(self, identifier: Any) -> None:
+        self.id = identifier
+        self.scale = False
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """Lengths of its axes."""
+        return tuple(self.id.shape)
+
+    @cached_property
+    def numbers(self) -> bool:
+        """Whether it holds numbers, or truths."""
+        return self.id.dtype.kind in "biufc"
+
+    @cached_property
+    def values(self) -> Any:
+        """All that it holds: an array of numbers, or a list of texts."""
+        data = h5py.Dataset(self.id)
+        return data[()] if self.numbers else data.asstr()[()].tolist()
+
+    def make_scale(self, name: str) -> None:
+        """Make it the scale of axes."""
+        h5ds.set_scale(self.id, name.encode())
+        self.scale = True
 
 
 class _Opened:
     """A group with all that stands below it, each opened once: that takes HDF5 as long as everything asked of it."""
 
-    def __init__(self, group: h5py.Group, parent: _Opened | None) -> None:
-        self.group, self.name, self.attrs = group, group.name, group.attrs
+    def __init__(self, group: h5py.Group, parent: _Opened | None, name: str = "/") -> None:
+        self.group, self.name = group, name
         self.parent = parent if parent is not None else self
         self.top: _Opened = parent.top if parent is not None else self
-        self.inside: dict[str, h5py.Dataset | _Opened] = {}
-        for name, item in group.items():
-            self.inside[name] = item if isinstance(item, h5py.Dataset) else _Opened(item, self)
+        self.inside: dict[str, _Data | _Opened] = {}
+        for inner in group:
+            item = h5o.open(group.id, inner.encode())
+            if isinstance(item, h5d.DatasetID):
+                self.inside[inner] = _Data(item)
+            else:
+                self.inside[inner] = _Opened(h5py.Group(item), self, f"{name.rstrip('/')}/{inner}")
+
+    @cached_property
+    def attrs(self) -> dict[str, Any]:
+        """Its attributes."""
+        return dict(self.group.attrs)
 
     def get(self, path: str) -> Any:
         """Return what stands at a path below this group, None where nothing does."""
@@ -285,7 +326,7 @@ class _Opened:
             raise KeyError(path)
         return found
 
-    def datasets(self) -> Iterator[tuple[str, _Opened, h5py.Dataset]]:
+    def datasets(self) -> Iterator[tuple[str, _Opened, _Data]]:
         """Yield every data set with its path and its group."""
         for name, item in self.inside.items():
             if isinstance(item, _Opened):
@@ -297,7 +338,7 @@ class _Opened:
 def _along(group: _Opened, own: str, shape: tuple[int, ...], name: str) -> bool:
     """Whether the first axis of a data set is what a data set of this name beside it says."""
     beside = group.get(name)
-    return isinstance(beside, h5py.Dataset) and own != name and len(shape) > 0 and beside.shape == shape[:1]
+    return isinstance(beside, _Data) and own != name and len(shape) > 0 and beside.shape == shape[:1]
 
 
 def _told(path: str) -> Told:
@@ -327,7 +368,7 @@ def _unit(group: _Opened, name: str, shape: tuple[int, ...], told: Told) -> str:
     """Return the unit of a data set, empty where nothing tells it."""
     rules: dict[str, Callable[[], str]] = {
         "": lambda: next((unit for suffix, unit in SUFFIXES.items() if name.endswith(suffix)), ""),
-        ".": lambda: _listed(group["unit"].asstr()[()], "[unit]") if len(group["unit"]) == shape[-1] else "",
+        ".": lambda: _listed(group["unit"].values, "[unit]") if group["unit"].shape[0] == shape[-1] else "",
         "load": lambda: _listed(LOAD_UNITS) if shape[-1:] == (6,) else "",
         "per": lambda: f"[1, rad]/({group.attrs['unit'] or '1'})",
         "static": lambda: _listed(_sensitivity_units(group)),
@@ -392,7 +433,7 @@ def _units_of_values(group: _Opened) -> list[str]:
         "points": ["m/s^2", "rad/s^2", "rad/s^2"] if which == "plane" else ["m/s^2"],
     }
     if stated is not None:
-        units = list(owner[stated].asstr()[()])
+        units = list(owner[stated].values)
     elif top[0] in fixed and top[-1] != "ratios":
         units = fixed[top[0]]
     elif "components" not in owner and "component" in owner.attrs:
@@ -401,9 +442,9 @@ def _units_of_values(group: _Opened) -> list[str]:
             sensitivity_unit(_output_unit(owner), LOAD_COMPONENTS[component] if component in range(6) else component)
         ]
     elif "elements" in owner:
-        units = [_sensitivity_units(owner)[j] for j in owner["elements"][:, 1]]
+        units = [_sensitivity_units(owner)[j] for j in owner["elements"].values[:, 1]]
     elif top[0] == "matrices":
-        units = _sensitivity_units(owner) * len(owner["channels"])
+        units = _sensitivity_units(owner) * owner["channels"].shape[0]
     elif "unit" in owner.attrs:
         units = [str(owner.attrs["unit"])]
     else:
@@ -414,13 +455,13 @@ def _units_of_values(group: _Opened) -> list[str]:
 # Axes: coordinates of the group or of those above it, labels, or a length alone.
 
 
-def _scale(own: _Opened, name: str, length: int) -> h5py.Dataset:
+def _scale(own: _Opened, name: str, length: int) -> _Data:
     """Return the dimension scale of an axis: of the data set's group, or of one above it, made where there is none."""
     group = own
     while True:
         near = group.get(name)
-        if isinstance(near, h5py.Dataset) and near.shape == (length,):
-            if not near.is_scale:
+        if isinstance(near, _Data) and near.shape == (length,):
+            if not near.scale:
                 near.make_scale(name)
             return near
         if group is group.top:
@@ -429,15 +470,16 @@ def _scale(own: _Opened, name: str, length: int) -> h5py.Dataset:
     free = next(text for text in (name, *(f"{name}_{number}" for number in range(2, 99))) if text not in own)
     values = _coordinate(own, name, length)
     if values is None:
-        scale = own.inside[free] = own.group.create_dataset(free, shape=(length,), dtype=">f4")
+        scale = own.inside[free] = _Data(put_axis(own.group, free, length))
         scale.make_scale(f"This is a netCDF dimension but not a netCDF variable. {length:9d}")
         return scale
     text = not isinstance(values, np.ndarray)
-    scale = own.inside[free] = own.group.create_dataset(free, data=values, dtype=h5py.string_dtype() if text else None)
+    scale = own.inside[free] = _Data((put_texts if text else put_array)(own.group, free, values))
     scale.make_scale(free)
-    scale.attrs["long_name"] = "real parts, then imaginary parts" if name in ("row", "column") else _words(f"/{name}")
+    words = "real parts, then imaginary parts" if name in ("row", "column") else _words(f"/{name}")
+    put_text(scale.id, "long_name", words)
     if not text:
-        scale.attrs["units"] = "Hz"
+        put_text(scale.id, "units", "Hz")
     return scale
 
 
@@ -458,7 +500,7 @@ def _coordinate(group: _Opened, name: str, length: int) -> Any:
     elif name == "axis":
         values = AXES
     elif found is not None:
-        values = found.asstr()[()].tolist() if found.dtype.kind == "O" else found[()]
+        values = found.values
     else:
         values = np.array([owner.attrs["frequency_hz"]]) if name == K and K in owner.attrs else ()
     return values if len(values) == length > 0 else None
@@ -469,15 +511,15 @@ def _labels(owner: _Opened, which: str) -> list[str]:
     if which == "plane":
         return ["mean", "rotation 1", "rotation 2"]
     if "elements" in owner:
-        channels = owner["channels"].asstr()[()]
-        return [f"{channels[c]}/{LOAD_COMPONENTS[j]}" for c, j in owner["elements"][()]]
+        channels = owner["channels"].values
+        return [f"{channels[c]}/{LOAD_COMPONENTS[j]}" for c, j in owner["elements"].values]
     top = owner.name.split("/")[1]
     if top == "load":
         return list(LOAD_COMPONENTS)
     inner = next((inner for inner in ("channels", "phasors/channels") if inner in owner), None)
     if inner is None:
         return _labels(owner.parent, which) if owner.name != "/" else []
-    channels = list(owner[inner].asstr()[()])
+    channels = list(owner[inner].values)
     if top in ("matrices", "cross_talks"):
         return [f"{channel}/{component}" for channel in channels for component in LOAD_COMPONENTS]
     return channels

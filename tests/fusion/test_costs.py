@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -50,7 +52,7 @@ def costs(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for module, name in (
             (files, "_tiff_header"), (files, "_read_tiff"), (files, "_inflated"), (bspline, "_prefilter"),
-            (folder, "printed_svg"),
+            (folder, "still_svg"),
         ):  # fmt: skip
             counted(patch, module, name)
         patch.setattr(find, "register", registered)
@@ -81,4 +83,15 @@ def test_most_frames_are_compared_with_the_body_once(costs):
 
 def test_only_the_main_figures_are_drawn_as_pictures(costs):
     calls, _ = costs
-    assert 0 < calls["printed_svg"] <= 4
+    assert 0 < calls["still_svg"] <= 4
+
+
+def test_a_run_does_not_import_matplotlib(tmp_path):
+    """Which takes as long as all that a page of results holds: its pictures are written out without it."""
+    run = (
+        f"import sys; from fusion.cli import main; main(['run', {str(DEMO)!r}, '-o', {str(tmp_path / 'out')!r}, '-q'])"
+    )
+    told = "; print(sorted(name for name in ('matplotlib', 'numba') if name in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", run + told], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "['numba']"
+    assert "data:image/svg+xml" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")

@@ -255,6 +255,43 @@ def test_results_that_lead_to_other_files_are_none(write, tmp_path, change, foun
     refused("--force", check_folder, folder, {}, force=False, error=InputError)
 
 
+def _group_elsewhere(file: h5py.File, other: Path) -> None:
+    with h5py.File(other, "r+") as target:
+        file.copy("provenance", target)
+    del file["provenance"]
+    file["provenance"] = h5py.ExternalLink(str(other), "/provenance")
+
+
+def _names_elsewhere(file: h5py.File, other: Path) -> None:
+    del file["provenance/files"]
+    file["provenance/files"] = h5py.ExternalLink(str(other), "/a")
+
+
+def _names_outside(file: h5py.File, other: Path) -> None:
+    del file["provenance/files"]
+    file.create_dataset("provenance/files", (10,), "f8", external=[(str(other), 0, 80)])
+
+
+@pytest.mark.usefixtures("no_pages")
+@pytest.mark.parametrize("change", [_group_elsewhere, _names_elsewhere, _names_outside])
+def test_files_that_make_way_are_named_by_the_results_themselves(tmp_path, change):
+    """What stands elsewhere in the file that is replaced counts no more; the list of files must be its own."""
+    evaluation = make_evaluation(tmp_path, Choice(images=False))
+    folder = tmp_path / "own"
+    write_results(evaluation, folder)
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["a"] = np.arange(10.0)
+    with h5py.File(folder / "result.h5", "r+") as file:
+        file["notices/more"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "/a")
+    assert read_provenance(folder) is None
+    before = read_provenance(folder, alone=True)
+    assert before is not None
+    assert "result.h5" in before.files
+    with h5py.File(folder / "result.h5", "r+") as file:
+        change(file, tmp_path / "other.h5")
+    assert read_provenance(folder, alone=True) is None
+
+
 @pytest.mark.usefixtures("no_pages")
 def test_campaign_tables_are_the_recordings_rows_in_order(tmp_path):
     folders = []

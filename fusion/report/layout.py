@@ -1,0 +1,187 @@
+"""Where the parts of a figure stand on paper: frames of its panels, limits of its axes, their ticks and numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fusion.report.figure import (
+    Along,
+    Arrows,
+    Axis,
+    Band,
+    Bounds,
+    Boxes,
+    Ellipses,
+    Figure,
+    Image,
+    Line,
+    Mark,
+    Panel,
+    Points,
+    Rule,
+    Scale,
+    Span,
+    padded,
+    power_text,
+)
+from shaker.arrays import FloatArray
+
+WIDTH_IN, CHARACTER_IN = 8.4, 0.066
+MARGIN = 0.05  # beyond the outermost mark, of what all marks span
+STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
+MOST_DECADES = 8
+"""Powers of ten that a logarithmic axis names."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Rectangle of a panel on the sheet in inches from its upper left corner, and room for names beside and below."""
+
+    left: float
+    top: float
+    width: float
+    height: float
+    beside: float
+    below: float
+
+
+def frames(figure: Figure, legend_in: float) -> list[Frame]:
+    """Frame of every panel: margins and gaps follow from titles, numbers, names, second scales and bars of colours.
+
+    `legend_in`: height of the legend above all of them.
+    """
+    rows, columns = len(figure.heights), len(figure.widths)
+    grid = [figure.panels[r * columns : (r + 1) * columns] for r in range(rows)]
+    longest = [max(len(name) for row in grid for name in ("", *row[c].y.names)) for c in range(columns)]
+    beside = [0.82 if not n else 0.3 + CHARACTER_IN * n for n in longest]
+    right = [0.72 if any(row[c].y.second for row in grid) else 0.12 for c in range(columns)]
+    above = [0.2 if any(panel.title for panel in row) else 0.08 for row in grid]
+    names = max(len(name) for panel in figure.panels for name in ("", *panel.x.names)) if crowded(figure) else 0
+    numbers = [
+        max(0.45, 0.1 + CHARACTER_IN * names) if r == rows - 1 or not figure.shared_x else 0.06 for r in range(rows)
+    ]
+    below = [n + (0.52 if any(map(scale_below, grid[r])) else 0.0) for r, n in enumerate(numbers)]
+    if figure.shared_y:
+        beside = [beside[0], *([0.12] * (columns - 1))]
+    width, height = WIDTH_IN - sum(beside) - sum(right), figure.height_in - legend_in - sum(above) - sum(below)
+    lefts = np.cumsum([0.0, *(width * w / sum(figure.widths) for w in figure.widths)]).tolist()
+    tops = np.cumsum([0.0, *(height * h / sum(figure.heights) for h in figure.heights)]).tolist()
+    return [
+        Frame(
+            lefts[c] + sum(beside[: c + 1]) + sum(right[:c]),
+            legend_in + tops[r] + sum(above[: r + 1]) + sum(below[:r]),
+            lefts[c + 1] - lefts[c],
+            tops[r + 1] - tops[r],
+            beside[c],
+            numbers[r],
+        )
+        for r, c in np.ndindex(rows, columns)
+    ]
+
+
+def crowded(figure: Figure) -> bool:
+    """Whether names below a panel stand upright, for they have no room beside each other."""
+    room = WIDTH_IN / len(figure.widths) / CHARACTER_IN
+    return any(sum(len(name) + 1 for name in panel.x.names) > 0.8 * room for panel in figure.panels)
+
+
+def scale_below(panel: Panel) -> Scale | None:
+    """Return the labelled scale of colours of a panel, which stands below it, if it has one."""
+    scales = (mark.scale for mark in panel.marks if isinstance(mark, Points | Boxes) and mark.scale is not None)
+    return next((scale for scale in scales if scale.label), None)
+
+
+# Limits.
+
+
+def limits(panels: Sequence[Panel], way: Along) -> tuple[float, float]:
+    """Ends of an axis that some panels share: those stated, of its names, or of all marks with room beside them."""
+    axes: list[Axis] = [getattr(panel, way) for panel in panels]
+    log = any(axis.log for axis in axes)
+    names = max(len(axis.names) for axis in axes)
+    stated = next((axis.limits for axis in reversed(axes) if axis.limits is not None), None)
+    if stated is not None and (min(stated) > 0.0 or not log):
+        return stated
+    if names:
+        return (-0.6, names - 0.4) if way == "x" else (names - 0.4, -0.6)
+    marks = [mark for panel in panels for mark in panel.marks]
+    values = np.concatenate([np.empty(0), *(np.ravel(part) for mark in marks for part in _reach(mark, way))])
+    values = values[np.isfinite(values) & ((values > 0.0) | (not log))]
+    ends = (float(values.min()), float(values.max())) if len(values) else (1.0, 10.0) if log else (0.0, 1.0)
+    if log:
+        low, high = (float(np.log10(end)) for end in ends)
+        low, high = padded(low, high, MARGIN) if low < high else (low - 0.5, high + 0.5)
+        return 10.0**low, 10.0**high
+    if all(isinstance(mark, Image) for mark in marks) and len(values):
+        return ends
+    return padded(*ends, MARGIN) if ends != (0.0, 0.0) else (-MARGIN, MARGIN)
+
+
+def _reach(mark: Mark, way: Along) -> Iterator[Any]:
+    """Yield values of x or y that a mark reaches."""
+    along_x = way == "x"
+    if isinstance(mark, Points):
+        half, place = (mark.half_x, mark.x) if along_x else (mark.half_y, mark.y)
+        yield place
+        yield from () if half is None else (place - half, place + half)
+    elif isinstance(mark, Bounds):
+        place = mark.x if along_x else mark.y
+        yield from (place, 0.5 * place) if mark.along == way else (place,)
+    elif isinstance(mark, Band):
+        yield from (mark.x,) if along_x else (mark.low, mark.high)
+    elif isinstance(mark, Span):
+        yield from (mark.low, mark.high) if mark.along == way else ()
+    elif isinstance(mark, Rule):
+        yield from (mark.at,) if mark.along == way else ()
+    elif isinstance(mark, Ellipses):
+        place, reach = mark.x if along_x else mark.y, 0.5 * np.maximum(mark.width, mark.height)
+        yield from (place - reach, place + reach)
+    elif isinstance(mark, Boxes):
+        yield from (mark.left, mark.right) if along_x else (mark.low, mark.high)
+    elif isinstance(mark, Arrows):
+        yield from (mark.x, mark.x + mark.dx) if along_x else (mark.y, mark.y + mark.dy)
+    elif isinstance(mark, Image):
+        yield from (mark.left, mark.right) if along_x else (mark.bottom, mark.top)
+    elif isinstance(mark, Line):
+        yield mark.x if along_x else mark.y
+
+
+# Ticks.
+
+
+def round_ticks(low: float, high: float, most: int) -> FloatArray:
+    """Multiples of 1, 2, 2.5 or 5 times a power of ten between two ends, with at most so many steps from end to end."""
+    low, high = min(low, high), max(low, high)
+    least = (high - low) / max(most, 1)
+    if not least > 1e-14 * max(abs(low), abs(high)):
+        return np.array([low])
+    power = 10.0 ** np.floor(np.log10(least))
+    step = power * next(factor for factor in STEPS if factor * power >= least * (1.0 - 1e-9))
+    first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
+    return np.asarray(step * np.arange(first, last + 0.5))
+
+
+def decade_ticks(low: float, high: float) -> tuple[FloatArray, list[str]]:
+    """Powers of ten between two ends with their texts, or 1, 2, 5 times those where they span less than two decades."""
+    low, high = min(low, high), max(low, high)
+    first, last = int(np.ceil(np.log10(low) - 1e-9)), int(np.floor(np.log10(high) + 1e-9))
+    if high < 100.0 * low and high < 1e5:
+        values = np.ravel(10.0 ** np.arange(first - 1.0, last + 1.0)[:, None] * [1.0, 2.0, 5.0])
+        values = values[(values >= low * (1.0 - 1e-9)) & (values <= high * (1.0 + 1e-9))]
+        return values, [f"{value:g}" for value in values]
+    stride = -(-(last - first + 1) // MOST_DECADES)
+    powers = range(first + (-first) % stride, last + 1, stride)
+    return 10.0 ** np.array(powers, dtype=np.float64), [power_text(power) for power in powers]
+
+
+def number_texts(values: FloatArray) -> list[str]:
+    """Texts of ticks, all with as many decimals as tell them apart."""
+    spread = float(np.min(np.diff(np.sort(values)))) if len(values) > 1 else float(np.max(np.abs(values), initial=1.0))
+    for places in range(12):
+        if np.all(np.abs(np.round(values, places) - values) <= 1e-3 * spread):
+            break
+    return [f"{value:.{places}f}".replace("-", "\N{MINUS SIGN}") for value in (np.round(values, places) + 0.0).tolist()]

@@ -1,0 +1,369 @@
+"""Marks of a figure as SVG: places on a sheet in pt, strokes, areas, letters as outlines, and each kind of mark."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from fusion.report import glyphs
+from fusion.report.figure import (
+    BLACK,
+    LIGHT,
+    Arrows,
+    Band,
+    Bounds,
+    Boxes,
+    Ellipses,
+    Image,
+    Line,
+    Mark,
+    Points,
+    Rule,
+    Scale,
+    Span,
+    Texts,
+)
+from shaker.arrays import FloatArray
+
+NUMBER_PT, TEXT_PT, SMALL_PT, CAP_PT = 8.0, 7.5, 5.5, 2.5
+MANY = 200
+"""Number of points above which a line is written in less detail than can be seen."""
+CAPPED = 500
+"""Number of points up to which bars end in strokes, those of open markers and of triangles."""
+FAR_PT = 1e4
+"""Places further off the sheet than this are drawn there."""
+LEVELS = 64
+"""Colours of a scale that are told apart."""
+COLOURS = {
+    "viridis": (
+        "#440154", "#48186a", "#472d7b", "#424086", "#3b528b", "#33638d", "#2c728e", "#26828e", "#21918c", "#1fa088",
+        "#28ae80", "#3fbc73", "#5ec962", "#84d44b", "#addc30", "#d8e219", "#fde725",
+    ),
+    "Blues": (
+        "#f7fbff", "#deebf7", "#c6dbef", "#9dcae1", "#6aaed6", "#4191c6", "#2070b4", "#08509b", "#08306b",
+    ),
+    "RdBu": (
+        "#053061", "#2065ab", "#4393c3", "#90c4dd", "#d1e5f0", "#f7f6f6", "#fddbc7", "#f3a481", "#d6604d", "#b1182b",
+        "#67001f",
+    ),
+}  # fmt: skip
+"""Colours of the named scales at equal steps."""
+OUTLINES: dict[str, tuple[tuple[float, float], ...]] = {
+    "square": ((-1, -1), (1, -1), (1, 1), (-1, 1)),
+    "diamond": ((0, -1.414), (1.414, 0), (0, 1.414), (-1.414, 0)),
+    "triangle": ((0, -1), (1, 1), (-1, 1)),
+    "inverted_triangle": ((0, 1), (1, -1), (-1, -1)),
+    "cross": (
+        (-0.33, -1), (0.33, -1), (0.33, -0.33), (1, -0.33), (1, 0.33), (0.33, 0.33), (0.33, 1), (-0.33, 1),
+        (-0.33, 0.33), (-1, 0.33), (-1, -0.33), (-0.33, -0.33),
+    ),
+}  # fmt: skip
+"""Corners of markers in halves of their size, y downwards."""
+STROKES = {"x": ((-1, -1, 1, 1), (-1, 1, 1, -1)), "plus": ((-1, 0, 1, 0), (0, -1, 0, 1))}
+
+
+@dataclass(frozen=True)
+class Way:
+    """How values of one axis become places on the sheet in pt: its ends, and where they stand."""
+
+    low: float
+    high: float
+    start: float
+    end: float
+    log: bool = False
+
+    def __call__(self, values: Any) -> FloatArray:
+        """Places of values; of those that a logarithm does not have, far beyond the smaller end."""
+        values, low, high = np.asarray(values, dtype=np.float64), self.low, self.high
+        if self.log:
+            low, high = float(np.log10(low)), float(np.log10(high))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                values = np.where(values > 0.0, np.log10(values), np.where(np.isnan(values), np.nan, -np.inf))
+        with np.errstate(over="ignore"):
+            share = (values - low) / (high - low)
+        return np.asarray(np.clip(self.start + (self.end - self.start) * share, -FAR_PT, FAR_PT))
+
+
+@dataclass(frozen=True)
+class Room:
+    """A panel's rectangle on the sheet in pt, both of its axes, what its frame leaves beside and below, for a title."""
+
+    x: Way
+    y: Way
+    beside: float = 0.0
+    below: float = 0.0
+    title: float = 0.0
+
+    @property
+    def right(self) -> float:
+        """Right end."""
+        return self.x.end
+
+    def places(self, x: Any, y: Any) -> FloatArray:
+        """Places (N, 2) of values (N,)."""
+        return np.column_stack([self.x(x), self.y(y)])
+
+    def holds(self, places: FloatArray, reach: float = 0.0) -> Any:
+        """Whether places lie in the panel, or no further off than `reach`."""
+        (x, y), (a, b, c, d) = places.T, (self.x.start, self.x.end, self.y.end, self.y.start)
+        return (x >= a - reach) & (x <= b + reach) & (y >= c - reach) & (y <= d + reach)
+
+
+# Parts of a picture.
+
+
+def words(x: float, y: float, text: str, size: float = NUMBER_PT, align: str = "center", **look: Any) -> str:
+    """Text whose base line is at `y`, or at `x` where it is `turned` to be read upwards."""
+    units, scale = glyphs.em(), size / glyphs.em()
+    start = -{"left": 0.0, "center": 0.5, "right": 1.0}[align] * glyphs.width(text) * units
+    parts, at = [], start
+    for letter in text:
+        known = glyphs.glyph(letter)
+        if known.path:
+            parts.append(f'<use x="{at:.0f}" xlink:href="#u{ord(letter):x}"/>')
+        at += known.advance
+    turn = " rotate(-90)" if look.get("turned") else ""
+    colour, place = look.get("colour", BLACK), f"translate({x:.2f} {y:.2f}){turn} scale({scale:.5f} {-scale:.5f})"
+    return f'<g fill="{colour}" transform="{place}">{"".join(parts)}</g>'
+
+
+def half_height(size: float) -> float:
+    """How far the base line of a text stands below the middle of its digits."""
+    return 0.365 * size
+
+
+def stroke(colour: str, width: float, *, dashed: bool = False) -> str:
+    """Look of a line, its dashes as long as it is wide five times."""
+    dash = f' stroke-dasharray="{5.0 * width:.3g} {3.0 * width:.3g}"' if dashed else ""
+    return f'stroke="{colour}" stroke-width="{width:.3g}"{dash}'
+
+
+def path(d: str, look: str) -> str:
+    """Element of a path with its look; nothing of an empty one."""
+    return f'<path d="{d}" {look}/>' if d else ""
+
+
+def strokes(ends: FloatArray) -> str:
+    """Path of straight strokes (N, 4) from x, y to x, y."""
+    rows = ends[np.isfinite(ends).all(axis=1)].tolist()
+    return "".join(f"M{a:.2f} {b:.2f}L{c:.2f} {d:.2f}" for a, b, c, d in rows)
+
+
+def _chain(places: FloatArray) -> str:
+    """Path through places (N, 2), interrupted where there are none; of many points in steps of a tenth of a pt."""
+    parts, many = [], len(places) > MANY
+    for known, run in groupby(places.tolist(), lambda place: place[0] == place[0] and place[1] == place[1]):
+        if known:
+            points = list(run)
+            parts.append(_steps(points) if many else "M" + "L".join(f"{x:.2f} {y:.2f}" for x, y in points))
+            parts.append("h0" if len(points) == 1 else "")
+    return "".join(parts)
+
+
+def _steps(points: Sequence[Sequence[float]]) -> str:
+    """Path through points by steps from each to the next."""
+    x, y = round(10.0 * points[0][0]), round(10.0 * points[0][1])
+    parts = [f"M{x / 10:g} {y / 10:g}l"]
+    for point in points[1:]:
+        new_x, new_y = round(10.0 * point[0]), round(10.0 * point[1])
+        if (new_x, new_y) != (x, y):
+            parts.append(f"{(new_x - x) / 10:g} {(new_y - y) / 10:g} ")
+        x, y = new_x, new_y
+    return "".join(parts).rstrip(" l")
+
+
+def polygons(corners: FloatArray) -> str:
+    """Path of polygons (N, C, 2)."""
+    kept = corners[np.isfinite(corners).all(axis=(1, 2))].tolist()
+    return "".join("M" + "L".join(f"{x:.2f} {y:.2f}" for x, y in polygon) + "Z" for polygon in kept)
+
+
+def _signs(places: FloatArray, marker: str, size: float, colour: str, *, edge: float, empty: bool = False) -> str:
+    """Markers at places (N, 2): filled unless `empty`, with an edge of some width; strokes have no filling."""
+    half = 0.5 * size
+    if marker in STROKES:
+        own = half * np.array(STROKES[marker], dtype=np.float64)
+        ends = (np.tile(places, 2)[:, None, :] + own).reshape(-1, 4)
+        return path(strokes(ends), stroke(colour, edge or 1.0))
+    border, filling = f" {stroke(colour, edge)}" if edge else "", "none" if empty else colour
+    if marker == "circle":
+        rows = places[np.isfinite(places).all(axis=1)].tolist()
+        if not empty:
+            return path(
+                "".join(f"M{x:.1f} {y:.1f}h0" for x, y in rows), f'{stroke(colour, size)} stroke-linecap="round"'
+            )
+        arc = f"a{half:.3g} {half:.3g} 0 1 0"
+        round_ = (f"M{x - half:.2f} {y:.2f}{arc} {size:.3g} 0{arc} {-size:.3g} 0Z" for x, y in rows)
+        return path("".join(round_), f'fill="{filling}"{border}')
+    outline = half * np.array(OUTLINES[marker])
+    return path(polygons(places[:, None, :] + outline), f'fill="{filling}"{border}')
+
+
+# Colours of values.
+
+
+def scale_colours(scale: Scale) -> FloatArray:
+    """Red, green and blue (N, 3) of a scale at equal steps."""
+    names = COLOURS[scale.colours] if isinstance(scale.colours, str) else scale.colours
+    return np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names], dtype=np.float64)
+
+
+def shade(scale: Scale, share: float) -> str:
+    """Colour at a share of a scale."""
+    stops = scale_colours(scale)
+    at = share * (len(stops) - 1)
+    return "#" + "".join(f"{round(float(np.interp(at, range(len(stops)), part))):02x}" for part in stops.T)
+
+
+def _shaded(scale: Scale, values: FloatArray) -> Iterator[tuple[str, Any]]:
+    """Yield every colour that values have, with which of them have it; unknown ones are grey."""
+    way = Way(scale.low, scale.high, 0.0, 1.0, scale.log)
+    share = np.clip(way(values), 0.0, 1.0)
+    level = np.where(np.isnan(share), -1.0, np.round(share * (LEVELS - 1)))
+    for one in np.unique(level).tolist():
+        yield (LIGHT if one < 0.0 else shade(scale, one / (LEVELS - 1))), level == one
+
+
+# One function per kind of mark.
+
+
+def _line(room: Room, mark: Line) -> Iterator[str]:
+    places = room.places(mark.x, mark.y)
+    if mark.step and len(places):
+        places = np.repeat(places, 2, axis=0)
+        places = np.column_stack([places[1:, 0], places[:-1, 1]])
+    yield path(_chain(places), stroke(mark.colour, mark.width, dashed=mark.dashed))
+
+
+def _points(room: Room, mark: Points) -> Iterator[str]:
+    places = room.places(mark.x, mark.y)
+    seen = room.holds(places, mark.size)
+    if mark.values is not None and mark.scale is not None:
+        for colour, which in _shaded(mark.scale, mark.values):
+            yield _signs(places[which & seen], mark.marker, mark.size, colour, edge=0.0)
+        return
+    bars, caps = [np.empty((0, 4))], [np.empty((0, 4))]
+    for half, cap, along in ((mark.half_x, (0.0, CAP_PT), "x"), (mark.half_y, (CAP_PT, 0.0), "y")):
+        if half is not None:
+            shift = (half, 0.0) if along == "x" else (0.0, half)
+            low, high = (room.places(mark.x + sign * shift[0], mark.y + sign * shift[1]) for sign in (-1.0, 1.0))
+            bars.append(np.hstack([low, high]))
+            caps += [np.hstack([end - cap, end + cap]) for end in (low, high)]
+    look = stroke(mark.colour, 1.0)
+    yield path(strokes(np.concatenate(bars)), look)
+    edge = 0.0 if not mark.open and mark.marker in ("circle", "square", "diamond") else 1.0
+    yield path(strokes(np.concatenate(caps)), look) if edge and len(places) <= CAPPED else ""
+    yield _signs(places[seen], mark.marker, mark.size, mark.colour, edge=edge, empty=mark.open)
+
+
+def _bounds(room: Room, mark: Bounds) -> Iterator[str]:
+    share = (0.5, 1.0) if mark.along == "x" else (1.0, 0.5)
+    start, end = room.places(mark.x, mark.y), room.places(share[0] * mark.x, share[1] * mark.y)
+    yield path(strokes(np.hstack([start, end])), stroke(mark.colour, 1.0))
+    yield _heads(start, end, 5.0, mark.colour)
+
+
+def _heads(start: FloatArray, end: FloatArray, size: float, colour: str) -> str:
+    """Heads of arrows between places (N, 2), of short ones half as long as they are."""
+    along = end - start
+    length = np.hypot(*along.T)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ahead = along / length * np.minimum(size, 0.5 * length)
+    across = 0.4 * ahead[:, ::-1] * [-1.0, 1.0]
+    return path(polygons(np.stack([end, end - ahead + across, end - ahead - across], 1)), f'fill="{colour}"')
+
+
+def _band(room: Room, mark: Band) -> Iterator[str]:
+    low, high = room.places(mark.x, mark.low), room.places(mark.x, mark.high)
+    known = np.isfinite(low).all(axis=1) & np.isfinite(high[:, 1])
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int))).reshape(-1, 2)
+    areas = [np.concatenate([low[a:b], high[a:b][::-1]]) for a, b in ends]
+    yield path("".join(polygons(area[None]) for area in areas), f'fill="{mark.colour}" fill-opacity="0.25"')
+
+
+def strokes_across(room: Room, values: Any, along: str) -> FloatArray:
+    """Strokes (N, 4) across the whole panel at values of x or y."""
+    at = (room.x if along == "x" else room.y)(values)
+    way = room.y if along == "x" else room.x
+    start, end = np.full_like(at, way.start), np.full_like(at, way.end)
+    return np.column_stack([at, start, at, end] if along == "x" else [start, at, end, at])
+
+
+def _span(room: Room, mark: Span) -> Iterator[str]:
+    (a, b, c, d), (e, f, g, h) = strokes_across(room, [mark.low, mark.high], mark.along).tolist()
+    opacity = f'fill="{mark.colour}" fill-opacity="{mark.opacity:.3g}"'
+    yield path(polygons(np.array([[[a, b], [c, d], [g, h], [e, f]]])), opacity)
+
+
+def _rule(room: Room, mark: Rule) -> Iterator[str]:
+    yield path(strokes(strokes_across(room, mark.at, mark.along)), stroke(mark.colour, mark.width, dashed=mark.dashed))
+
+
+def _ellipses(room: Room, mark: Ellipses) -> Iterator[str]:
+    turn = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
+    a, b = 0.5 * mark.width[:, None] * np.cos(turn), 0.5 * mark.height[:, None] * np.sin(turn)
+    cos, sin = np.cos(mark.angle_rad)[:, None], np.sin(mark.angle_rad)[:, None]
+    x, y = mark.x[:, None] + cos * a - sin * b, mark.y[:, None] + sin * a + cos * b
+    yield path(polygons(np.stack([room.x(x), room.y(y)], 2)), stroke(mark.colour, 1.1))
+
+
+def _boxes(room: Room, mark: Boxes) -> Iterator[str]:
+    x, y = [mark.left, mark.left, mark.right, mark.right], [mark.low, mark.high, mark.high, mark.low]
+    corners = np.stack([room.x(np.stack(x, 1)), room.y(np.stack(y, 1))], 2)
+    if mark.values is not None and mark.scale is not None:
+        for colour, which in _shaded(mark.scale, mark.values):
+            yield path(polygons(corners[which]), f'fill="{colour}" {stroke(colour, 0.2)}')
+    else:
+        yield path(polygons(corners), f'fill="{mark.colour}"' if mark.filled else stroke(mark.colour, 0.5))
+
+
+def _arrows(room: Room, mark: Arrows) -> Iterator[str]:
+    width = 0.005 * (room.x.end - room.x.start)
+    start, end = room.places(mark.x, mark.y), room.places(mark.x + mark.dx, mark.y + mark.dy)
+    yield path(strokes(np.hstack([start, 0.4 * start + 0.6 * end])), stroke(mark.colour, width))
+    yield _heads(start, end, 6.0 * width, mark.colour)
+
+
+def _texts(room: Room, mark: Texts) -> Iterator[str]:
+    places = room.places(mark.x, mark.y)
+    seen = room.holds(places, 0.5)
+    places += np.array([mark.offset_px[0], -mark.offset_px[1]])
+    for (x, y), shown, text in zip(places.tolist(), seen, mark.texts, strict=True):
+        if shown and mark.upright:
+            side = {"left": 0.73, "center": 0.365, "right": 0.0}[mark.align] * SMALL_PT
+            yield words(x + side, y, text, SMALL_PT, "left", turned=True, colour=mark.colour)
+        elif shown:
+            yield words(x, y + half_height(TEXT_PT), text, TEXT_PT, mark.align, colour=mark.colour)
+
+
+def _image(room: Room, mark: Image) -> Iterator[str]:
+    import cv2
+
+    _, data = cv2.imencode(".png", mark.grey)
+    source = "data:image/png;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+    (a, b), (c, d) = room.x([mark.left, mark.right]).tolist(), room.y([mark.top, mark.bottom]).tolist()
+    turn = f"matrix({(b - a):.6g} 0 0 {(d - c):.6g} {a:.2f} {c:.2f})"
+    look = 'width="1" height="1" preserveAspectRatio="none"'
+    yield f'<image transform="{turn}" {look} xlink:href="{source}"/>'
+
+
+DRAWN: dict[type[Mark], Callable[[Room, Any], Iterator[str]]] = {
+    Line: _line,
+    Points: _points,
+    Bounds: _bounds,
+    Band: _band,
+    Span: _span,
+    Rule: _rule,
+    Ellipses: _ellipses,
+    Boxes: _boxes,
+    Arrows: _arrows,
+    Texts: _texts,
+    Image: _image,
+}
+HEIGHTS = ((Image,), (Span,), (), (Band, Boxes, Ellipses), (Line, Rule, Bounds, Arrows), (Points,), (Texts,))
+"""What lies below what; the grid is the third."""

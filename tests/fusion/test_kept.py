@@ -1,0 +1,106 @@
+"""What is kept for later runs: found again, made anew where it is not what was written, and never in the way."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from pathlib import Path
+
+import jinja2
+import pytest
+
+from fusion.report.folder import TEMPLATES
+from fusion.report.kept import UNUSED_S, CompiledTemplates, kept
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for name in ("XDG_CACHE_HOME", "LOCALAPPDATA"):
+        monkeypatch.setenv(name, str(tmp_path))
+    return tmp_path / "shakercal" / "pages"
+
+
+def made(calls: list[str], content: bytes = b"content"):
+    def make() -> bytes:
+        calls.append("made")
+        return content
+
+    return make
+
+
+def test_what_is_kept_is_made_once_for_each_key(folder):
+    calls: list[str] = []
+    assert kept("a", "1", made(calls)) == kept("a", "1", made(calls)) == b"content"
+    assert calls == ["made"]
+    assert kept("a", "2", made(calls, b"other")) == b"other"
+    assert kept("b", "1", made(calls, b"third")) == b"third"
+    assert kept("a", "1", made(calls)) == b"content"
+    assert len(calls) == len(list(folder.iterdir())) == 3
+
+
+@pytest.mark.parametrize("damage", [b"", b"short", None])
+def test_what_is_not_as_it_was_written_is_made_anew(folder, damage):
+    calls: list[str] = []
+    kept("a", "1", made(calls))
+    (file,) = folder.iterdir()
+    file.write_bytes(file.read_bytes()[:-1] + b"?" if damage is None else damage)
+    assert kept("a", "1", made(calls)) == b"content"
+    assert kept("a", "1", made(calls)) == b"content"
+    assert calls == ["made", "made"]
+
+
+def test_what_is_old_is_made_anew_and_goes(folder):
+    calls: list[str] = []
+    kept("a", "1", made(calls))
+    kept("b", "1", made(calls))
+    for file in folder.iterdir():
+        os.utime(file, (0.0, time.time() - UNUSED_S - 10.0))
+    kept("a", "1", made(calls))
+    assert len(calls) == 3
+    assert len(list(folder.iterdir())) == 1
+
+
+def test_without_a_folder_everything_is_made(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("no folder")
+    calls: list[str] = []
+    for place in (tmp_path / "file", Path("/proc/none")):
+        for name in ("XDG_CACHE_HOME", "LOCALAPPDATA"):
+            monkeypatch.setenv(name, str(place))
+        assert kept("a", "1", made(calls)) == kept("a", "1", made(calls)) == b"content"
+    assert len(calls) == 4
+
+
+def test_several_at_once_find_it_whole(folder):
+    content, found = os.urandom(1 << 20), list[bool]()
+
+    def run() -> None:
+        found.extend(kept("a", "1", lambda: content) == content for _ in range(20))
+
+    threads = [threading.Thread(target=run) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert found == [True] * 80
+    assert len(list(folder.iterdir())) == 1
+
+
+def test_templates_that_are_kept_are_read_as_the_others(folder):
+    def environment(**more: object) -> jinja2.Environment:
+        return jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, **more)
+
+    rows = {"headlines": [{"label": "<a>", "value": 1, "remark": "&"}]}
+
+    def text(own: jinja2.Environment) -> str:
+        return own.from_string('{% from "macros.html" import headline_row %}{{ headline_row(headlines) }}').render(rows)
+
+    plain = text(environment())
+    assert "&lt;a&gt;" in plain
+    assert text(environment(bytecode_cache=CompiledTemplates())) == plain  # compiled, then kept
+    assert text(environment(bytecode_cache=CompiledTemplates())) == plain
+    assert len(list(folder.iterdir())) == 1
+    assert text(environment(bytecode_cache=CompiledTemplates(), trim_blocks=True)) == text(
+        environment(trim_blocks=True)
+    )
+    assert len(list(folder.iterdir())) == 2

@@ -1,0 +1,283 @@
+"""Still pictures of figures: marks stand where the data say, letters are those of the font, nothing is cut off."""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from base64 import b64decode
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
+from matplotlib.ticker import MaxNLocator
+
+from fusion.report import glyphs
+from fusion.report.figure import BLUE, GREEN, ORANGE, RED, Scale, sheet
+from fusion.report.layout import decade_ticks, limits, number_texts, round_ticks
+from fusion.report.printed import printed
+from fusion.report.still import still_svg
+from fusion.report.svg_marks import shade
+
+SVG, LINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}href"
+NUMBER = re.compile(r"-?(?:\d+\.?\d*|\.\d+)(?:e-?\d+)?")
+FONT = FontProperties(fname=str(Path(mpl.get_data_path()) / "fonts/ttf/DejaVuSans.ttf"))
+
+
+def one_panel(height_in=3.0):
+    drawn = sheet("one", height_in)
+    return drawn, drawn.panels[0]
+
+
+def read(figure):
+    return ElementTree.fromstring(still_svg(figure).encode())
+
+
+def window(root, place=0):
+    """Left, top, right and bottom of a panel."""
+    box = root.findall(f".//{SVG}clipPath/{SVG}rect")[place].attrib
+    x, y, wide, tall = (float(box[key]) for key in ("x", "y", "width", "height"))
+    return x, y, x + wide, y + tall
+
+
+def corners(path):
+    """Numbers of an absolute path, (N, 2)."""
+    return np.array([float(text) for text in NUMBER.findall(path)]).reshape(-1, 2)
+
+
+def strokes_of(root, colour):
+    return [e for e in root.iter(f"{SVG}path") if e.attrib.get("stroke") == colour]
+
+
+def texts_of(root):
+    """Every text of a picture with left and right end, base line and size in pt; those read upwards without places."""
+    found = []
+    for group in root.iter(f"{SVG}g"):
+        uses = group.findall(f"{SVG}use")
+        if not uses:
+            continue
+        turn = group.attrib["transform"]
+        x, y = (float(text) for text in NUMBER.findall(turn)[:2])
+        scale = float(re.search(r"scale\(([-\d.]+)", turn)[1])
+        letters = [chr(int(use.attrib[LINK][2:], 16)) for use in uses]
+        ends = [float(uses[0].attrib["x"]), float(uses[-1].attrib["x"]) + glyphs.glyph(letters[-1]).advance]
+        place = None if "rotate" in turn else (x + scale * ends[0], x + scale * ends[1], y)
+        found.append(("".join(letters), place, scale * glyphs.em()))
+    return found
+
+
+def test_widths_and_outlines_are_those_that_freetype_reads():
+    for text in ("magnitude / 10⁻⁷ (V/V)/N", "−7.8 ± 1.7 µrad", "Ångström, é, ñ, ß, Ž", "f(x) = ∫|∂y|·½"):
+        outline = TextPath((0, 0), text, size=100, prop=FONT)
+        # FreeType kerns pairs of letters, by up to a tenth of their size, and shifts outlines to whole pixels.
+        assert 100 * glyphs.width(text) == pytest.approx(outline.vertices[:, 0].max(), abs=15)
+    for letter in "aÅ8é⁻½&∂i":
+        own = corners(glyphs.glyph(letter).path) * 100 / glyphs.em()
+        other = TextPath((0, 0), letter, size=100, prop=FONT).vertices
+        other = other[(other != 0.0).any(axis=1)]
+        np.testing.assert_allclose([own.min(0), own.max(0)], [other.min(0), other.max(0)], atol=1.5)
+
+
+def test_a_letter_that_the_font_lacks_is_its_box():
+    assert glyphs.glyph("\N{CJK UNIFIED IDEOGRAPH-6E2C}") == glyphs.glyph("\U000f0000")
+    assert glyphs.glyph("\N{CJK UNIFIED IDEOGRAPH-6E2C}").path
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_marks_stand_where_the_data_say(log):
+    drawn, panel = one_panel()
+    x, y = np.array([1.0, 2.0, 5.0, 10.0]), np.array([3.0, 1.0, np.nan, 30.0])
+    panel.x.limits, panel.y.limits, panel.y.log = (0.0, 10.0), (0.5, 50.0), log
+    panel.line(x, y, colour=RED)
+    panel.points(x, y, colour=BLUE, half_y=0.5)
+    root = read(drawn)
+    left, top, right, bottom = window(root)
+    share = np.log(y / 0.5) / np.log(100.0) if log else (y - 0.5) / 49.5
+    expected = np.column_stack([left + x / 10.0 * (right - left), bottom - share * (bottom - top)])
+    (line,) = strokes_of(root, RED)
+    np.testing.assert_allclose(corners(line.attrib["d"].replace("h0", "")), expected[[0, 1, 3]], atol=0.01)
+    assert line.attrib["d"].count("M") == 2  # interrupted where nothing is known
+    bars, dots = strokes_of(root, BLUE)
+    middles = corners(bars.attrib["d"]).reshape(-1, 2, 2)
+    np.testing.assert_allclose(middles[:, 0, 0], expected[[0, 1, 3], 0], atol=0.01)
+    np.testing.assert_allclose(corners(dots.attrib["d"].replace("h0", "")), expected[[0, 1, 3]], atol=0.06)
+
+
+def test_a_line_of_many_points_keeps_its_course():
+    drawn, panel = one_panel()
+    x = np.linspace(0.0, 1.0, 1000)
+    y = np.sin(40.0 * x)
+    panel.x.limits, panel.y.limits = (0.0, 1.0), (-2.0, 2.0)
+    panel.line(x, y, colour=RED)
+    root = read(drawn)
+    left, top, right, bottom = window(root)
+    (line,) = strokes_of(root, RED)
+    places = np.cumsum(corners(line.attrib["d"]), axis=0)
+    across = (places[:, 0] - left) / (right - left)
+    up = 2.0 - 4.0 * (places[:, 1] - top) / (bottom - top)
+    assert len(places) > 900
+    assert np.abs(up - np.sin(40.0 * across)).max() < 40.0 * 0.06 / (right - left) + 4.0 * 0.06 / (bottom - top)
+
+
+def test_areas_boxes_ellipses_arrows_and_rules_stand_where_the_data_say():
+    drawn, panel = one_panel()
+    panel.x.limits, panel.y.limits = (0.0, 10.0), (0.0, 10.0)
+    panel.span(2.0, 3.0, colour=GREEN)
+    panel.band([1.0, 2.0], [1.0, 1.0], [4.0, 5.0], colour=RED)
+    panel.boxes((6.0, 7.0), (1.0, 8.0), colour=ORANGE)
+    panel.rule(5.0, along="x", colour=BLUE)
+    panel.ellipse(3.0 + 4.0j, (2.0, 1.0), 0.0, colour="#123456")
+    panel.arrows(np.array([[1.0, 1.0]]), np.array([[4.0, 2.0]]), colour="#654321")
+    root = read(drawn)
+    left, top, right, bottom = window(root)
+
+    def back(path):
+        places = corners(path.attrib["d"])
+        return (places - [left, bottom]) / [right - left, top - bottom] * 10.0
+
+    def filled(colour):
+        return [back(e) for e in root.iter(f"{SVG}path") if e.attrib.get("fill") == colour]
+
+    for colour, low, high in ((GREEN, (0, 2), (10, 3)), (RED, (1, 1), (2, 5)), (ORANGE, (6, 1), (7, 8))):
+        (area,) = filled(colour)
+        np.testing.assert_allclose([area.min(0), area.max(0)], [low, high], atol=1e-3)
+    np.testing.assert_allclose(back(strokes_of(root, BLUE)[0]), [[5, 0], [5, 10]], atol=1e-3)
+    ring = back(strokes_of(root, "#123456")[0])
+    np.testing.assert_allclose((((ring - [3.0, 4.0]) / [2.0, 1.0]) ** 2).sum(axis=1), 1.0, atol=5e-3)
+    np.testing.assert_allclose(filled("#654321")[0][0], [5.0, 3.0], atol=1e-3)  # the tip
+
+
+def test_a_picture_fills_its_place_with_its_own_grey_values():
+    drawn, panel = one_panel()
+    grey = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
+    panel.image(grey, (0.0, 4.0), (0.0, 3.0))
+    panel.x.limits, panel.y.limits = (0.0, 8.0), (6.0, 0.0)
+    root = read(drawn)
+    left, top, right, bottom = window(root)
+    (image,) = root.iter(f"{SVG}image")
+    a, _, _, d, e, f = (float(text) for text in NUMBER.findall(image.attrib["transform"]))
+    np.testing.assert_allclose([e, f, a, d], [left, top, (right - left) / 2, (bottom - top) / 2], atol=0.01)
+    data = b64decode(image.attrib[LINK].partition("base64,")[2])
+    chunks, at = b"", 8
+    while at < len(data):
+        (length,) = struct.unpack_from(">I", data, at)
+        chunks += data[at + 8 : at + 8 + length] if data[at + 4 : at + 8] == b"IDAT" else b""
+        at += 12 + length
+    assert len(zlib.decompress(chunks)) == 3 * (4 + 1)  # one byte a pixel, one a row: lossless
+
+
+def test_names_of_users_are_letters_and_never_markup():
+    drawn, panel = one_panel()
+    name = '<script>alert("1")</script> & \N{MICRO SIGN}'
+    panel.line([0.0, 1.0], [0.0, 1.0], name)
+    panel.title, panel.x.label, panel.y.names = name, name, (name, "b")
+    panel.text(0.5, 0.5, name)
+    text = still_svg(drawn)
+    assert "script" not in text
+    shown = {told for told, _, _ in texts_of(ElementTree.fromstring(text.encode()))}
+    assert name.replace(" ", "") in shown
+
+
+def crowd():
+    """A figure with long names and numbers, two columns, a legend of several rows, a second scale, a bar of colours."""
+    drawn = sheet("crowd", 4.0, 2, 2, shared_x=False)
+    rng = np.random.default_rng(1)
+    for place, panel in enumerate(drawn.panels):
+        panel.title = "a title that is rather long for the place that it has, a very long one"
+        panel.x.label, panel.y.label = "time since the beginning of the record / s", "y / m"
+        for k in range(5):
+            panel.line(rng.normal(size=3), 1.234567e-9 * rng.normal(size=3), f"series number {k} of panel {place}")
+    drawn.panels[1].y.second = ("from static / %", 1e-9, 1e13)
+    drawn.panels[2].x.limits, drawn.panels[2].y.limits = (123456.7, 123456.9), (9.99991e5, 9.99992e5)
+    values = np.array([0.1, np.nan])
+    drawn.panels[3].points(
+        [0.0, 1.0], [0.0, 1.0], values=values, scale=Scale("viridis", 0.01, 5.0, "size / m", log=True)
+    )
+    return drawn
+
+
+def test_no_text_is_cut_off_and_numbers_do_not_overlap():
+    drawn = crowd()
+    told = [entry for entry in texts_of(read(drawn)) if entry[1] is not None]
+    assert len(told) > 40
+    for text, (left, right, base), size in told:
+        assert left >= 0.0, text
+        assert right <= 72.0 * 8.4, text
+        assert size <= base + 0.5, text
+        assert base <= 72.0 * drawn.height_in - 1.0, text
+    for k, (text, (left, right, base), size) in enumerate(told):
+        for other, (first, last, line), _ in told[:k]:
+            apart = right <= first or last <= left or abs(line - base) >= 0.7 * size
+            assert apart, (text, other)
+
+
+def test_equal_figures_give_equal_text_and_the_file_is_that_text():
+    assert still_svg(crowd()) == still_svg(crowd()) == printed(crowd()).decode()
+    assert printed(crowd(), "png").startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("stated", [False, True])
+def test_equal_scales_are_equal(stated):
+    drawn, panel = one_panel()
+    panel.equal = True
+    panel.line([0.0, 10.0], [0.0, 2.0], colour=RED)
+    if stated:
+        panel.x.limits, panel.y.limits = (0.0, 10.0), (-1.0, 3.0)
+    root = read(drawn)
+    (start, end) = corners(strokes_of(root, RED)[0].attrib["d"])
+    assert abs(end[1] - start[1]) / abs(end[0] - start[0]) == pytest.approx(0.2, rel=2e-3)
+    if stated:
+        left, top, right, bottom = window(root)
+        assert (bottom - top) / (right - left) == pytest.approx(0.4, rel=1e-3)
+
+
+def test_shared_axes_have_one_pair_of_limits():
+    drawn = sheet("shared", 4.0, 2)
+    drawn.panels[0].line([0.0, 1.0], [0.0, 1.0], colour=RED)
+    drawn.panels[1].line([2.0, 3.0], [0.0, 1.0], colour=RED)
+    root = read(drawn)
+    first, second = (corners(line.attrib["d"]) for line in strokes_of(root, RED))
+    assert second[0, 0] - first[0, 0] == pytest.approx(2.0 * (first[1, 0] - first[0, 0]), rel=1e-3)
+    assert limits(drawn.panels, "x") == pytest.approx((-0.15, 3.15))  # a twentieth of all on either side
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-3.7e-8, 2.2e-8), (99.3, 101.2), (-1e6, 5e6), (7.0, 7.0)])
+def test_ticks_are_round_and_as_many_as_have_room(low, high):
+    ticks = round_ticks(low, high, 6)
+    assert np.all((ticks >= low - 1e-9 * abs(low)) & (ticks <= high + 1e-9 * abs(high)))
+    if low < high:
+        locator = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+        step = np.diff(ticks)[0]
+        assert 2 <= len(ticks) <= 7
+        assert step <= 2.6 * np.diff(locator)[0]
+        assert [float(text.replace("\N{MINUS SIGN}", "-")) for text in number_texts(ticks)] == pytest.approx(
+            ticks.tolist(), abs=1e-3 * step
+        )
+
+
+def test_ticks_of_a_logarithm_are_powers_or_few_round_numbers():
+    assert decade_ticks(0.5, 2e3)[1] == ["10⁰", "10¹", "10²", "10³"]
+    assert decade_ticks(1e-12, 1e12)[0][1] / decade_ticks(1e-12, 1e12)[0][0] == pytest.approx(1e4)
+    assert decade_ticks(0.15, 7.0)[1] == ["0.2", "0.5", "1", "2", "5"]
+
+
+@pytest.mark.parametrize("name", ["viridis", "Blues", "RdBu"])
+def test_colours_of_values_are_those_of_matplotlib(name):
+    theirs = mpl.colormaps["RdBu_r" if name == "RdBu" else name]
+    for share in np.linspace(0.0, 1.0, 33):
+        own = np.array([int(shade(Scale(name, 0.0, 1.0), share)[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+        np.testing.assert_allclose(own, theirs(share)[:3], atol=0.02)
+
+
+def test_a_figure_without_any_data_is_a_picture_with_axes():
+    drawn, panel = one_panel()
+    panel.y.log = True
+    panel.line([], [], "nothing")
+    panel.points([np.nan], [np.nan])
+    assert len(texts_of(read(drawn))) > 3
+    assert texts_of(read(replace(drawn, height_in=1.0)))
