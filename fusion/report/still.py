@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fusion.report import glyphs
 from fusion.report.figure import (
     BLACK,
     Axis,
@@ -41,6 +39,7 @@ from fusion.report.layout import (
 )
 from fusion.report.svg_marks import (
     DRAWN,
+    FONT,
     HEIGHTS,
     NUMBER_PT,
     Room,
@@ -53,6 +52,7 @@ from fusion.report.svg_marks import (
     stroke,
     strokes,
     strokes_across,
+    width,
     words,
 )
 from shaker.arrays import FloatArray
@@ -84,12 +84,10 @@ def still_svg(figure: Figure) -> str:
         room = replace(_room(figure, place, frame), title=PT * (until - frame.left) - 4.0)
         parts += _panel(figure.panels[place], room, f"c{place}", inner, turned=turned)
     body = "".join(parts)
-    codes = sorted(set(re.findall(r'"#u([0-9a-f]+)"', body)))
-    letters = "".join(f'<path id="u{code}" d="{glyphs.glyph(chr(int(code, 16))).path}"/>' for code in codes)
     wide, tall = f"{PT * WIDTH_IN:g}", f"{PT * figure.height_in:g}"
     head = f'width="{wide}pt" height="{tall}pt" viewBox="0 0 {wide} {tall}" fill="none" stroke-linejoin="round"'
-    names = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
-    return f'<?xml version="1.0" encoding="utf-8"?>\n<svg {names} {head}>\n<defs>{letters}</defs>\n{body}\n</svg>\n'
+    names = f'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" font-family="{FONT}"'
+    return f'<?xml version="1.0" encoding="utf-8"?>\n<svg {names} {head}>\n{body}\n</svg>\n'
 
 
 def _room(figure: Figure, place: int, frame: Frame) -> Room:
@@ -138,7 +136,7 @@ def _panel(panel: Panel, room: Room, name: str, inner: tuple[bool, bool], *, tur
         window = "" if kinds == (Texts,) else f' clip-path="url(#{name})"'
         yield f"<g{window}>{drawn}</g>\n" if drawn else ""
     if panel.title:
-        fitting = min(TITLE_PT, room.title / glyphs.width(panel.title))
+        fitting = min(TITLE_PT, room.title / width(panel.title))
         yield words(x.start, y.end - 3.0, panel.title, fitting, "left")
     if panel.blank:
         return
@@ -176,7 +174,7 @@ class _Ticks(NamedTuple):
         steps = max(1, min(MOST_STEPS, int(length / CLOSEST_PT)))
         while True:
             ticks = cls._numbers(round_ticks(low, high, steps), wide)
-            widest = NUMBER_PT * max(map(glyphs.width, ticks.texts), default=0.0)
+            widest = NUMBER_PT * max(map(width, ticks.texts), default=0.0)
             if wide or steps == 1 or len(ticks.values) * (widest + NUMBER_PT) <= length + widest:
                 break
             steps -= 1
@@ -190,7 +188,7 @@ class _Ticks(NamedTuple):
         texts = number_texts(values)
         largest = float(np.max(np.abs(values), initial=0.0))
         power = int(np.floor(np.log10(largest))) if largest > 0.0 else 0
-        long = wide > 0.0 and any(NUMBER_PT * glyphs.width(text) > wide for text in texts)
+        long = wide > 0.0 and any(NUMBER_PT * width(text) > wide for text in texts)
         if power in (-1, 0, 1) or not (long or not -5 < power < 6):
             return cls(values, texts)
         return cls(values, number_texts(values / 10.0**power), f"×{power_text(power)}")
@@ -219,7 +217,7 @@ def _left(said: Axis, room: Room, ticks: _Ticks, *, hidden: bool) -> Iterator[st
     yield path(strokes(np.column_stack([0 * at + x - TICK_PT, at, 0 * at + x, at])), stroke(BLACK, AXIS_PT))
     if hidden:
         return
-    free, widest = room.beside - (8.5 if said.names else 25.0), max(map(glyphs.width, ticks.texts), default=0.0)
+    free, widest = room.beside - (8.5 if said.names else 25.0), max(map(width, ticks.texts), default=0.0)
     size = min(NUMBER_PT, max(4.0, free / widest)) if widest else NUMBER_PT
     for y, text in zip(at.tolist(), ticks.texts, strict=True):
         yield words(x - 7.0, y + half_height(size), text, size, "right")
@@ -267,7 +265,7 @@ def _legend(entries: dict[str, Mark]) -> tuple[str, float]:
     left, end = 0.05 * PT * WIDTH_IN, PT * (WIDTH_IN - 0.1)
     parts, x, rows = [], left, 1 if entries else 0
     for name, mark in entries.items():
-        wide = SIGN_PT + 6.4 + NUMBER_PT * glyphs.width(name)
+        wide = SIGN_PT + 6.4 + NUMBER_PT * width(name)
         if x > left and x + wide > end:
             x, rows = left, rows + 1
         y = ROW_PT * (rows - 0.5)
