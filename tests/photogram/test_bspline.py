@@ -261,10 +261,10 @@ def in_another_process(folder: Path) -> list[str]:
 
 def checkout(folder: Path) -> Path:
     package = folder / "small"
-    package.mkdir(parents=True)
+    (package / "_kernel").mkdir(parents=True)
     source = Path(photogram.kernels.__file__).read_text(encoding="utf-8")
     called = CALLED.format(offset=1)
-    for name, text in (("__init__", ""), ("_kernel", source), ("calls", KERNEL), ("called", called)):
+    for name, text in (("__init__", ""), ("_kernel/__init__", source), ("calls", KERNEL), ("called", called)):
         (package / f"{name}.py").write_text(text, encoding="utf-8")
     return package / "called.py"
 
@@ -286,7 +286,7 @@ def test_a_disk_that_takes_no_cache_ends_nothing(monkeypatch):
         tried.append(None)
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(photogram.kernels.IndexDataCacheFile, "save", refuse)
+    monkeypatch.setattr(numba.core.caching.IndexDataCacheFile, "save", refuse)
 
     @njit()
     def twice(x):
