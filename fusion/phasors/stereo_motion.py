@@ -1,6 +1,7 @@
 """From the image pairs, or points, of a stereo pair to the rigid motion of the body that it sees.
 
-Images are followed pair by pair and block by block, by threads of this process or by an executor's processes.
+Images are followed pair by pair and block by block, by threads of this process or by an executor's processes. What
+follows them brings numba, which opening them does without: it is imported by the functions that need it.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from tempfile import SpooledTemporaryFile
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -36,38 +37,31 @@ from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE
 from photogram.calibration.file import read_calibration
 from photogram.camera import StereoRig
-from photogram.direct.fit import DirectFit
-from photogram.epipolar import EpipolarCheck, check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence
-from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage, ImageSequence, saturated_fraction
-from photogram.measure import (
-    BodyMotion,
-    BodyScene,
-    FollowedBlock,
-    body_motion,
-    follow_block,
-    prepare_body,
-)
 from photogram.motion import Deformation, RigidMotion, deformation, fit_motion, points_with_estimated_noise
 from photogram.point_tables import read_point_tables
-from photogram.subsets.find import BodyNotFound
-from photogram.subsets.icgn import Registration, TrackSettings
-from photogram.subsets.texture import SubsetQuality, suggested_radius_px
-from photogram.subsets.track import StereoTracks, resolve_device
 from shaker.arrays import Notice
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.sine.aliasing import usable_lines
 
+if TYPE_CHECKING:
+    from photogram.epipolar import EpipolarCheck
+    from photogram.images.noise import NoiseModel
+    from photogram.measure import BodyMotion, BodyScene, FollowedBlock
+    from photogram.subsets.icgn import TrackSettings
+    from photogram.subsets.texture import SubsetQuality
+    from photogram.subsets.track import StereoTracks
+
+    BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform, TrackSettings]
+
 T = TypeVar("T")
-BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform, TrackSettings]
 
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
 SAME_EXPOSURE = 0.02  # relative difference of exposures that are told apart
 SAME_RATE = 0.01  # of frames on the camera's clock and of edges on that of a DAQ
 FEWEST_PLACES = 3  # on a body that tell where it is
-REGISTRATION = tuple(field.name for field in fields(Registration))
 HELD = 1 << 26
 NO_MOTION = "no frame has enough points for a rigid motion"
 
@@ -237,6 +231,8 @@ def measure_pairs(
     of this process follow them, and whoever does finds the same to the last bit. Blocks of frames that were `kept` are
     not followed again.
     """
+    from photogram.subsets.track import resolve_device
+
     device, begun = settings.device, []
     on_gpu = executor is None and resolve_device(device) != "cpu"
     with Threads(max(1, len(images)) if on_gpu else None) as here:  # a GPU holds one block of each body at a time
@@ -268,6 +264,8 @@ def measure_pairs(
 
 def _attempted(images: OpenImages, act: Callable[[], T]) -> T | LeftOut:
     """What an action on a pair returns, or that the pair is left out since its body is not found."""
+    from photogram.subsets.find import BodyNotFound
+
     try:
         return act()
     except InputError as error:
@@ -277,6 +275,8 @@ def _attempted(images: OpenImages, act: Callable[[], T]) -> T | LeftOut:
 
 
 def _moved(images: OpenImages, followed: Followed) -> StereoMotion:
+    from photogram.measure import body_motion
+
     with as_input_error(*images.sight.where):
         body = body_motion(followed.scene, followed)
     return seen_motion(images, body)
@@ -292,10 +292,16 @@ def _answer(images: OpenImages, pending: Pending) -> Any:
 def _prepared(  # a task, hence a function of this module
     inputs: BodyInputs, device: str, depth_m: tuple[float, float] | None
 ) -> BodyScene:
+    from photogram.measure import prepare_body
+    from photogram.subsets.track import resolve_device
+
     return prepare_body(*inputs, resolve_device(device), depth_m=depth_m)
 
 
 def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, as above
+    from photogram.measure import follow_block
+    from photogram.subsets.track import resolve_device
+
     return follow_block(scene, frames, resolve_device(device))
 
 
@@ -369,7 +375,7 @@ class Followed:
         for frames in self.scene.blocks:
             block = self._found(frames)
             if block is None:
-                block = follow_block(self.scene, frames, resolve_device(self._device))
+                block = _followed(self.scene, frames, self._device)
                 self.add(frames, block)
             yield block
 
@@ -389,9 +395,11 @@ class Followed:
 
 def packed(block: FollowedBlock) -> bytes:
     """Return a block of frames as a file."""
+    from photogram.subsets.icgn import Registration
+
     arrays: dict[str, Any] = {}
     for side in range(2):
-        for name in REGISTRATION:
+        for name in (field.name for field in fields(Registration)):
             arrays[f"{name}-{side}"] = np.stack([getattr(found[side], name) for found, _ in block])
     fits = [(number, fit) for number, (_, fit) in enumerate(block) if fit is not None]
     arrays["fitted"] = np.array([number for number, _ in fits], dtype=np.int64)
@@ -407,6 +415,10 @@ def packed(block: FollowedBlock) -> bytes:
 
 def unpacked(content: bytes, frames: int) -> FollowedBlock | None:
     """Return a block of frames that was `packed`, to the last bit; None for a damaged one."""
+    from photogram.direct.fit import DirectFit
+    from photogram.subsets.icgn import Registration
+
+    names = [field.name for field in fields(Registration)]
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -415,7 +427,7 @@ def unpacked(content: bytes, frames: int) -> FollowedBlock | None:
         for number, rotation, translation, covariance, noise, cells in zip(*of_fits, strict=True):
             fits[number] = DirectFit(RigidTransform(rotation, translation), covariance, float(noise), int(cells))
         sides = [
-            [Registration(*(arrays[f"{name}-{side}"][k].copy() for name in REGISTRATION)) for k in range(frames)]
+            [Registration(*(arrays[f"{name}-{side}"][k].copy() for name in names)) for k in range(frames)]
             for side in range(2)
         ]
     except (ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile):
@@ -425,6 +437,9 @@ def unpacked(content: bytes, frames: int) -> FollowedBlock | None:
 
 def body_inputs(images: OpenImages, settings: Settings) -> BodyInputs:
     """Return what `photogram.measure` has to know of a stereo pair: its images, rig, pose, and how to track."""
+    from photogram.subsets.icgn import TrackSettings
+    from photogram.subsets.texture import suggested_radius_px
+
     radius = settings.subset_radius_px or suggested_radius_px(images.first)
     entry = images.entry
     options = TrackSettings(radius, degree=settings.spline_degree, region=entry.region, mask=entry.mask)
@@ -433,6 +448,9 @@ def body_inputs(images: OpenImages, settings: Settings) -> BodyInputs:
 
 def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
     """Return the motion of the body that a stereo pair sees, with what its images tell of the pair itself."""
+    from photogram.epipolar import check_epipolar
+    from photogram.subsets.find import BodyNotFound
+
     if not np.isfinite(body.motion.pose).all(axis=1).any():
         with as_input_error(*images.sight.where):
             raise BodyNotFound(f"{NO_MOTION}; look at the images")

@@ -45,6 +45,7 @@ class Kernel:
         self.py_func, self._options = function, options
 
     def __call__(self, *arguments: Any) -> Any:
+        """Call what numba made of the function."""
         return self._made(*arguments)
 
     def __getattr__(self, name: str) -> Any:
