@@ -31,6 +31,7 @@ from fusion.base import (
     as_input_error,
 )
 from fusion.phasors.timing import Sight, TimeBase, see
+from fusion.recording.files import AlreadyRead
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles
 from fusion.recording.rig import Stereo
@@ -137,15 +138,15 @@ def sensor_from_camera(stereo: Stereo) -> RigidTransform:
     return RigidTransform(np.array(stereo.rotation), np.array(stereo.translation))
 
 
-def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages:
+def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: AlreadyRead | None = None) -> OpenImages:
     """Open the images of one stereo pair and check all that can be checked before the work begins.
 
     A saturated image is refused when it is read; the first ones are read here.
     """
-    key, sequences = f"images.{entry.stereo}", []
+    key, sequences, opened = f"images.{entry.stereo}", [], {} if already is None else already.images
     for side, paths in (("left", entry.left), ("right", entry.right)):
         with as_input_error(manifest.path, f"{key}.{side}"):
-            sequence = open_sequence(paths, entry.bit_depth)
+            sequence = opened.get((paths, entry.bit_depth)) or open_sequence(paths, entry.bit_depth)
             sequences.append(replace(sequence, reader=partial(_read_unsaturated, sequence)))
     left, right = sequences
     if len(left) != len(right):
