@@ -290,11 +290,10 @@ def _spline(knots: FloatArray, values: ComplexArray, wanted: FloatArray) -> Comp
     rise = np.diff(values) / step
     slope = _slopes(knots, step, rise)
     bend = (slope[:-1] + slope[1:] - 2.0 * rise) / step
-    cubic = values[:-1], slope[:-1], (rise - slope[:-1]) / step - bend, bend / step
+    curve = (rise - slope[:-1]) / step - bend
     piece = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, len(step) - 1)
     x = wanted - knots[piece]
-    powers = 1.0, x, x * x, x * x * x
-    return np.asarray(sum(power * factor[piece] for power, factor in zip(powers, cubic, strict=True)))
+    return np.asarray(values[piece] + slope[piece] * x + curve[piece] * (x * x) + (bend / step)[piece] * (x * x * x))
 
 
 def _slopes(knots: FloatArray, step: FloatArray, rise: ComplexArray) -> ComplexArray:

@@ -294,3 +294,30 @@ def test_a_disk_that_takes_no_cache_ends_nothing(monkeypatch):
 
     assert twice(1.5) == 3.0
     assert len(tried) == 1
+
+
+FIRST_CALLS = """
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+from photogram.camera import undistort, undistort_all
+import numpy as np
+assert "numba" not in sys.modules
+lens, start = np.array([900.0, 910, 320, 240, -0.2, 0.1, 1e-3, -1e-3, 0, 0, 0, 0, 0.5]), Barrier(4)
+plain = undistort.plain(20.0, 30.0, lens.tolist())
+assert "numba" not in sys.modules
+
+def call(_):
+    start.wait()
+    return undistort_all(np.array([[20.0, 30.0]]), lens)[0]
+
+with ThreadPoolExecutor(4) as threads:
+    found = list(threads.map(call, range(4)))
+assert "numba" in sys.modules and len({one.tobytes() for one in found}) == 1
+assert np.allclose(found[0], plain, rtol=1e-14, atol=0.0)
+assert len(undistort_all.signatures) == len(undistort_all.nopython_signatures) == 1
+"""
+
+
+def test_kernels_are_compiled_when_threads_first_call_them_and_python_computes_the_same():
+    subprocess.run([sys.executable, "-c", FIRST_CALLS], check=True, cwd=Path(photogram.kernels.__file__).parents[2])
