@@ -21,7 +21,8 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, FloatArray, check_shape
-from photogram.kernels import (
+from photogram.kernels import njit
+from photogram.kernels.lanes import (
     INDEX,
     REAL,
     Lanes,
@@ -31,7 +32,6 @@ from photogram.kernels import (
     filling,
     in_blocks,
     load,
-    njit,
     spread,
     store,
 )

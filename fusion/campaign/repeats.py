@@ -11,7 +11,7 @@ import numpy as np
 
 from fusion.campaign.drive import Drive, Stored
 from fusion.estimation.coverage import coverage_factor
-from fusion.estimation.least_squares import BODY_SIZE_M
+from fusion.estimation.measurement_model import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
     Uncertainty,

@@ -25,7 +25,6 @@ from fusion.base import (
     versions,
 )
 from fusion.campaign.executor import Workers, connected, one_blas_thread
-from fusion.campaign.joint_report import join_campaign
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, find_recordings, for_kinds, load_manifest
 from fusion.report.files import Kept, claimed, remove_abandoned, workshop
@@ -165,6 +164,8 @@ def run_path(
         finished = [outcome.folder for outcome in outcomes if outcome.error is None]
         failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
         if finished:
+            from fusion.campaign.joint_report import join_campaign  # a recording by itself needs no campaign's models
+
             progress(JOIN, 0, 1)
             with one_blas_thread():
                 joint, _ = join_campaign(top, path.resolve().name, finished, failed)

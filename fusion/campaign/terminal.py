@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fusion.base import DASH, AnyNotice, rounded
-from fusion.campaign.joint import best_kind
 from fusion.estimation.coverage import Polar
 from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE, as_answer
 from fusion.report.h5 import opened_results, read_notices
@@ -86,6 +85,8 @@ def main_rows(rows: Sequence[Row]) -> list[Row]:
 
 def main_curve(rows: Sequence[Row]) -> list[Row]:
     """Return of the rows of a curve.csv the best statement (`best_kind`) of every main element over frequency."""
+    from fusion.campaign.joint import best_kind
+
     mains = _main_channels(rows, lambda row: (row["component"],))
     found: dict[str, list[Row]] = {}
     for row in rows:

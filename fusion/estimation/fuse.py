@@ -32,16 +32,14 @@ from fusion.estimation.consistency import (
 )
 from fusion.estimation.coverage import polar, region_factor
 from fusion.estimation.least_squares import (
-    SCALE,
     UNOBSERVED,
     UNOBSERVED_ITSELF,
     Solution,
     System,
-    UnseenMotion,
     build_system,
     solve,
 )
-from fusion.estimation.measurement_model import Observation
+from fusion.estimation.measurement_model import SCALE, Observation, UnseenMotion
 from fusion.estimation.uncertainty import (
     Contribution,
     Influence,

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 from scipy.sparse import csr_array, diags_array
 
+from fusion.estimation.measurement_model import SCALE, UnseenMotion
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.labels import MOTION_COMPONENTS
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 # The linear system behind the fusion: readings of all lines as real rows, and what their common errors do to them.
 
 
-BODY_SIZE_M = 0.1
-"""Length that compares rotations with translations where ranks are decided: a body of the size of a hand."""
 RANK_TOLERANCE = 1e-6
 RESOLUTION_TOLERANCE = 1e-6
 ROUNDING = 1e-9
@@ -29,32 +28,6 @@ UNOBSERVED = "unobserved motion"
 """Label of what components that nobody observes do to observed ones, through uncertain directions and places."""
 UNOBSERVED_ITSELF = tuple(f"unobserved {name}" for name in MOTION_COMPONENTS)
 """Labels of what such a component does by itself: to readings whose rows have it, and to the load."""
-SCALE = np.array([1.0, 1.0, 1.0, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M])
-
-
-@dataclass(frozen=True)
-class UnseenMotion:
-    """Limits of what nobody observes: amplitude of a component over that of the observed motion.
-
-    `transverse`: of translations; `rocking`: of rotations times 0.1 m. 10 % is what ISO 16063-21 lets a shaker move
-    aside. An amplitude at its limit with a phase of which nothing is known has the standard uncertainty limit/√2 in
-    each part (arc-sine distribution), in each component that is not observed. Motion in phase with the drive needs all
-    of it; amplitudes spread evenly over the disc up to the limit would need limit/2, amplitudes spread evenly up to the
-    limit in an even direction, as ISO 16063-21 counts them (1/√18 with the transverse sensitivity), less still.
-    """
-
-    transverse: float = 0.1
-    rocking: float = 0.1
-
-    def amplitude(self, acceleration: ComplexArray, observed: BoolArray) -> FloatArray:
-        """Return the amplitudes (K, 6) assumed of what is not `observed` (K, 6) beside A (K, 6); zero for the rest."""
-        size = np.max(np.where(observed, np.abs(acceleration / SCALE), 0.0), axis=1, keepdims=True)
-        limit = np.repeat([self.transverse, self.rocking], 3) * SCALE
-        return np.asarray(np.where(observed, 0.0, limit * size))
-
-    def __str__(self) -> str:
-        """Return the limits in words."""
-        return f"{self.transverse:.3g} of the driven motion (rotations over {BODY_SIZE_M} m: {self.rocking:.3g})"
 
 
 def row_space(observations: Sequence[Observation], line: int) -> ComplexArray:

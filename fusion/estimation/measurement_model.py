@@ -13,11 +13,14 @@ import numpy as np
 
 from fusion.estimation.uncertainty import Kind as ErrorType
 from fusion.estimation.uncertainty import Scope
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.sine.phasor import Phasors
 
 Kind = Literal["photogrammetry", "vibrometer", "accelerometer"]
 MULTIPLE_TOLERANCE = 1e-9
+BODY_SIZE_M = 0.1
+"""Length that compares rotations with translations where ranks are decided: a body of the size of a hand."""
+SCALE = np.array([1.0, 1.0, 1.0, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M])
 
 
 @dataclass(frozen=True)
@@ -193,3 +196,28 @@ class Deviates:
         freedom = np.where(finite, np.maximum(np.nan_to_num(dof, posinf=1.0), 1.0), 1.0)
         square = self.stream(f"{name}, squares").chisquare(freedom, (self.count, len(dof)))
         return np.asarray(drawn * np.where(finite, np.sqrt(freedom / square), 1.0)[:, :, None])
+
+
+@dataclass(frozen=True)
+class UnseenMotion:
+    """Limits of what nobody observes: amplitude of a component over that of the observed motion.
+
+    `transverse`: of translations; `rocking`: of rotations times 0.1 m. 10 % is what ISO 16063-21 lets a shaker move
+    aside. An amplitude at its limit with a phase of which nothing is known has the standard uncertainty limit/√2 in
+    each part (arc-sine distribution), in each component that is not observed. Motion in phase with the drive needs all
+    of it; amplitudes spread evenly over the disc up to the limit would need limit/2, amplitudes spread evenly up to the
+    limit in an even direction, as ISO 16063-21 counts them (1/√18 with the transverse sensitivity), less still.
+    """
+
+    transverse: float = 0.1
+    rocking: float = 0.1
+
+    def amplitude(self, acceleration: ComplexArray, observed: BoolArray) -> FloatArray:
+        """Return the amplitudes (K, 6) assumed of what is not `observed` (K, 6) beside A (K, 6); zero for the rest."""
+        size = np.max(np.where(observed, np.abs(acceleration / SCALE), 0.0), axis=1, keepdims=True)
+        limit = np.repeat([self.transverse, self.rocking], 3) * SCALE
+        return np.asarray(np.where(observed, 0.0, limit * size))
+
+    def __str__(self) -> str:
+        """Return the limits in words."""
+        return f"{self.transverse:.3g} of the driven motion (rotations over {BODY_SIZE_M} m: {self.rocking:.3g})"

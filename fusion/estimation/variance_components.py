@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fusion.estimation.least_squares import BODY_SIZE_M, SCALE, Places, Solution, System
-from fusion.estimation.measurement_model import Observation
+from fusion.estimation.least_squares import Places, Solution, System
+from fusion.estimation.measurement_model import BODY_SIZE_M, SCALE, Observation
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 
 TEST_LEVEL = 0.99

@@ -41,7 +41,7 @@ from fusion.phasors.stereo_motion import (
 )
 from fusion.phasors.stereo_phasors import StereoPhasors, StereoResult, pairs_phasors
 from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
-from fusion.recording.files import read_set_ups, told_in
+from fusion.recording.files import AlreadyRead, read_set_ups, told_in
 from fusion.recording.load import Manifest
 from shaker.arrays import Notice
 from shaker.lines.frequencies import Lines
@@ -110,12 +110,12 @@ class SetUp:
         return tuple(told)
 
 
-def open_set_ups(manifest: Manifest) -> tuple[OpenSetUp, ...]:
+def open_set_ups(manifest: Manifest, already: AlreadyRead | None = None) -> tuple[OpenSetUp, ...]:
     """Read everything that was recorded, set-up by set-up, and fit the lines to the channels; no image is followed yet.
 
-    Clocks are tied, images opened, points read.
+    Clocks are tied, images opened, points read; what was `already` read of the files is not read again.
     """
-    parts = read_set_ups(manifest)
+    parts = read_set_ups(manifest, already)
     tied = []
     for number, recorded in enumerate(parts, 1):
         name, part = f"take {number}" if len(parts) > 1 else "", recorded.manifest
@@ -125,7 +125,7 @@ def open_set_ups(manifest: Manifest) -> tuple[OpenSetUp, ...]:
     for one, found in zip(tied, _lines(tied), strict=True):
         with told_in(one.manifest.path, one.where, one.name):
             base, lines = (one.base, None) if found is None else refine_ties(one.base, found)
-            images = tuple(open_images(one.manifest, base, entry) for entry in one.manifest.images)
+            images = tuple(open_images(one.manifest, base, entry, already) for entry in one.manifest.images)
             points = tuple(measure_points(one.manifest, base, entry) for entry in one.manifest.points)
             opened = replace(one, base=base, images=images, points=points, lines=lines)
             if lines is not None:

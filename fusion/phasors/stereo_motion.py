@@ -1,6 +1,7 @@
 """From the image pairs, or points, of a stereo pair to the rigid motion of the body that it sees.
 
-Images are followed pair by pair and block by block, by threads of this process or by an executor's processes.
+Images are followed pair by pair and block by block, by threads of this process or by an executor's processes. What
+follows them brings numba, which opening them does without: it is imported by the functions that need it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from tempfile import SpooledTemporaryFile
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -31,39 +32,40 @@ from fusion.base import (
     as_input_error,
 )
 from fusion.phasors.timing import Sight, TimeBase, see
+from fusion.recording.files import AlreadyRead
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE
 from photogram.calibration.file import read_calibration
 from photogram.camera import StereoRig
-from photogram.direct.fit import DirectFit
-from photogram.epipolar import EpipolarCheck, check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence
-from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage, ImageSequence, saturated_fraction
-from photogram.measure.body import BodyMotion, body_motion
-from photogram.measure.follow import BodyScene, FollowedBlock, follow_block, prepare_body
 from photogram.motion import Deformation, RigidMotion, deformation, fit_motion, points_with_estimated_noise
 from photogram.point_tables import read_point_tables
-from photogram.subsets.find import BodyNotFound
-from photogram.subsets.icgn import Registration, TrackSettings
-from photogram.subsets.texture import SubsetQuality, suggested_radius_px
-from photogram.subsets.track import StereoTracks, resolve_device
 from shaker.arrays import BoolArray, FloatArray, Notice
 from shaker.lines.frequencies import Lines, find_lines
 from shaker.sine.aliasing import usable_lines
 
+if TYPE_CHECKING:
+    from photogram.epipolar import EpipolarCheck
+    from photogram.images.noise import NoiseModel
+    from photogram.measure.body import BodyMotion
+    from photogram.measure.follow import BodyScene, FollowedBlock
+    from photogram.subsets.icgn import TrackSettings
+    from photogram.subsets.texture import SubsetQuality
+    from photogram.subsets.track import StereoTracks
+
+    BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform, TrackSettings]
+
 T = TypeVar("T")
-BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform, TrackSettings]
 
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
 SAME_EXPOSURE = 0.02  # relative difference of exposures that are told apart
 SAME_RATE = 0.01  # of frames on the camera's clock and of edges on that of a DAQ
 FEWEST_SOUGHT, SPARED, TIMES_UNKNOWNS = 48, 4, 3  # frames with subsets, at least: so many, a share, and by the lines
 FEWEST_PLACES = 3  # on a body that tell where it is
-REGISTRATION = tuple(field.name for field in fields(Registration))
 HELD = 1 << 26
 NO_MOTION = "no frame has enough points for a rigid motion"
 
@@ -146,15 +148,15 @@ def sensor_from_camera(stereo: Stereo) -> RigidTransform:
     return RigidTransform(np.array(stereo.rotation), np.array(stereo.translation))
 
 
-def open_images(manifest: Manifest, base: TimeBase, entry: Images) -> OpenImages:
+def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: AlreadyRead | None = None) -> OpenImages:
     """Open the images of one stereo pair and check all that can be checked before the work begins.
 
     A saturated image is refused when it is read; the first ones are read here.
     """
-    key, sequences = f"images.{entry.stereo}", []
+    key, sequences, opened = f"images.{entry.stereo}", [], {} if already is None else already.images
     for side, paths in (("left", entry.left), ("right", entry.right)):
         with as_input_error(manifest.path, f"{key}.{side}"):
-            sequence = open_sequence(paths, entry.bit_depth)
+            sequence = opened.get((paths, entry.bit_depth)) or open_sequence(paths, entry.bit_depth)
             sequences.append(replace(sequence, reader=partial(_read_unsaturated, sequence)))
     left, right = sequences
     if len(left) != len(right):
@@ -243,6 +245,8 @@ def measure_pairs(
     of this process follow them, and whoever does finds the same to the last bit. Blocks of frames that were `kept` are
     not followed again.
     """
+    from photogram.subsets.track import resolve_device
+
     device, begun = settings.device, []
     on_gpu = executor is None and resolve_device(device) != "cpu"
     with Threads(max(1, len(images)) if on_gpu else None) as here:  # a GPU holds one block of each body at a time
@@ -276,6 +280,8 @@ def measure_pairs(
 
 def _attempted(images: OpenImages, act: Callable[[], T]) -> T | LeftOut:
     """What an action on a pair returns, or that the pair is left out since its body is not found."""
+    from photogram.subsets.find import BodyNotFound
+
     try:
         return act()
     except InputError as error:
@@ -285,6 +291,8 @@ def _attempted(images: OpenImages, act: Callable[[], T]) -> T | LeftOut:
 
 
 def _moved(images: OpenImages, followed: Followed) -> StereoMotion:
+    from photogram.measure.body import body_motion
+
     with as_input_error(*images.sight.where):
         body = body_motion(followed.scene, followed)
     return seen_motion(images, body)
@@ -300,10 +308,16 @@ def _answer(images: OpenImages, pending: Pending) -> Any:
 def _prepared(  # a task, hence a function of this module
     inputs: BodyInputs, device: str, depth_m: tuple[float, float] | None
 ) -> BodyScene:
+    from photogram.measure.follow import prepare_body
+    from photogram.subsets.track import resolve_device
+
     return prepare_body(*inputs, resolve_device(device), depth_m=depth_m)
 
 
 def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, as above
+    from photogram.measure.follow import follow_block
+    from photogram.subsets.track import resolve_device
+
     return follow_block(scene, frames, resolve_device(device))
 
 
@@ -377,7 +391,7 @@ class Followed:
         for frames in self.scene.blocks:
             block = self._found(frames)
             if block is None:
-                block = follow_block(self.scene, frames, resolve_device(self._device))
+                block = _followed(self.scene, frames, self._device)
                 self.add(frames, block)
             yield block
 
@@ -397,11 +411,13 @@ class Followed:
 
 def packed(block: FollowedBlock) -> bytes:
     """Return a block of frames as a file."""
+    from photogram.subsets.icgn import Registration
+
     arrays: dict[str, Any] = {}
     sought = [(number, found) for number, (found, _) in enumerate(block) if found is not None]
     arrays["sought"] = np.array([number for number, _ in sought], dtype=np.int64)
     for side in range(2):
-        for name in REGISTRATION:
+        for name in (field.name for field in fields(Registration)):
             arrays[f"{name}-{side}"] = np.array([getattr(found[side], name) for _, found in sought])
     fits = [(number, fit) for number, (_, fit) in enumerate(block) if fit is not None]
     arrays["fitted"] = np.array([number for number, _ in fits], dtype=np.int64)
@@ -417,9 +433,13 @@ def packed(block: FollowedBlock) -> bytes:
 
 def unpacked(content: bytes, frames: int) -> FollowedBlock | None:
     """Return a block of frames that was `packed`, to the last bit; None for a damaged one."""
+    from photogram.direct.fit import DirectFit
+    from photogram.subsets.icgn import Registration
+
     content, check = content[:-4], content[-4:]
     if zlib.crc32(content).to_bytes(4, "big") != check:
         return None
+    names = [field.name for field in fields(Registration)]
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -429,9 +449,7 @@ def unpacked(content: bytes, frames: int) -> FollowedBlock | None:
             fits[number] = DirectFit(RigidTransform(rotation, translation), covariance, float(noise), int(cells))
         found: list[tuple[Registration, Registration] | None] = [None] * frames
         for k, number in enumerate(arrays["sought"].tolist()):
-            left, right = (
-                Registration(*(arrays[f"{name}-{side}"][k].copy() for name in REGISTRATION)) for side in range(2)
-            )
+            left, right = (Registration(*(arrays[f"{name}-{side}"][k].copy() for name in names)) for side in range(2))
             found[number] = left, right
     except (ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile):
         return None
@@ -444,6 +462,9 @@ def body_inputs(images: OpenImages, settings: Settings, lines: int | None = None
     Where so many `lines` are known, and points are not saved, a part of the frames tells what subsets are for beside
     the motion: deformation, and whether the calibration holds.
     """
+    from photogram.subsets.icgn import TrackSettings
+    from photogram.subsets.texture import suggested_radius_px
+
     radius = settings.subset_radius_px or suggested_radius_px(images.first)
     entry, frames = images.entry, None
     if lines is not None and not settings.save_points:
@@ -454,6 +475,9 @@ def body_inputs(images: OpenImages, settings: Settings, lines: int | None = None
 
 def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
     """Return the motion of the body that a stereo pair sees, with what its images tell of the pair itself."""
+    from photogram.epipolar import check_epipolar
+    from photogram.subsets.find import BodyNotFound
+
     if not np.isfinite(body.motion.pose).all(axis=1).any():
         with as_input_error(*images.sight.where):
             raise BodyNotFound(f"{NO_MOTION}; look at the images")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,6 @@ from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, senso
 from fusion.phasors.timing import Lateness, Sight, TimeBase, together
 from photogram.arrays import RunningMean
 from photogram.camera import StereoRig, principal_components, triangulate
-from photogram.epipolar import EpipolarCheck
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage
@@ -35,6 +35,9 @@ from shaker.sine.aliasing import (
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.normal_equations import SineSums, sine_amplitudes
 from shaker.sine.solve import SineFit, SineModel
+
+if TYPE_CHECKING:
+    from photogram.epipolar import EpipolarCheck
 
 MIN_SUBSETS, SEEN_SHARE = 6, 0.5
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel

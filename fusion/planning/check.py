@@ -16,7 +16,7 @@ from fusion.instruments.vibrometer import beam_notices
 from fusion.phasors.channels import folding, folds_told
 from fusion.phasors.timing import no_pulse_width
 from fusion.recording.excitation import KINDS, Recorded
-from fusion.recording.files import read_set_ups, recorded_channels, scanned_points, split_scan
+from fusion.recording.files import AlreadyRead, read_set_ups, recorded_channels, scanned_points, split_scan
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images
 from fusion.recording.plausible import doubts
@@ -120,10 +120,11 @@ def check(manifest: Manifest) -> CheckReport:
     ]
     if kind.tabled and excitation.file is not None:
         contents, problems = _table(manifest, excitation.file)
-        problems += _refused(manifest) if not problems else []
+        problems += _refused(manifest, AlreadyRead()) if not problems else []
         return CheckReport(manifest.name, manifest.path, tuple(contents), (), tuple(remarks), tuple(problems))
+    already = AlreadyRead()
     takes = [take for _, block in manifest.set_ups for take in _takes(block)]
-    contents, problems = _contents(manifest, takes)
+    contents, problems = _contents(manifest, takes, already)
     observed = _observed(manifest.rig, takes)
     # Every channel once by its name.
     placed = [entry for take in takes for daq in take.daq for entry in daq.channel]
@@ -138,16 +139,16 @@ def check(manifest: Manifest) -> CheckReport:
         outputs = tuple(entry.channel for entry in entries if entry.quantity == "output")
         forces = tuple(entry.name for entry in entries if entry.quantity == "force")
         remarks += kind.remarks(excitation, Recorded(outputs, forces, len(takes)))
-    problems += _refused(manifest) if not problems else []
+    problems += _refused(manifest, already) if not problems else []
     return CheckReport(manifest.name, manifest.path, tuple(contents), tuple(observed), tuple(remarks), tuple(problems))
 
 
-def _refused(manifest: Manifest) -> list[str]:
+def _refused(manifest: Manifest, already: AlreadyRead) -> list[str]:
     """What the command that evaluates a recording refuses of its files; an image beyond the first is not looked at."""
     command = KINDS[manifest.excitation.kind].commands[0]
     try:
         manifest.check_command(command)
-        _read_as(command, manifest)
+        _read_as(command, manifest, already)
     except InputError as error:
         return [str(error)]
     except ComputeError:  # the files are as they should be
@@ -155,12 +156,12 @@ def _refused(manifest: Manifest) -> list[str]:
     return []
 
 
-def _read_as(command: str, manifest: Manifest) -> None:
+def _read_as(command: str, manifest: Manifest, already: AlreadyRead) -> None:
     """Read what a command reads; its modules are imported for it alone."""
     if command == "run":
         from fusion.phasors.setup import open_set_ups
 
-        open_set_ups(manifest)
+        open_set_ups(manifest, already)
     elif command == "transfer":
         from fusion.sensor.transfer.evaluate import estimated
         from fusion.sensor.transfer.records import TransferSettings, read_together
@@ -221,8 +222,8 @@ def _takes(block: Manifest) -> list[Manifest]:
         return [block]
 
 
-def _contents(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list[str], list[str]]:
-    """One line for each file group, and what is wrong with it."""
+def _contents(manifest: Manifest, takes: Sequence[Manifest], already: AlreadyRead) -> tuple[list[str], list[str]]:
+    """One line for each file group, and what is wrong with it; what is read for it is `already` there."""
     excitation = manifest.excitation
     lines = ", ".join(f"{line:g} Hz" for line in excitation.frequencies or ())
     contents, problems = [f"excitation: {excitation.kind}" + (f" at {lines}" if lines else "")], []
@@ -231,8 +232,8 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list[str],
     if len(takes) > 1:
         contents.append(f"takes: {len(takes)}, tied by {reference}")
     for where, block in manifest.set_ups:
-        told = [_read_daq(block, daq) for daq in block.daq]
-        told += [_read_images(images, manifest.rig.stereo[images.stereo]) for images in block.images]
+        told = [_read_daq(block, daq, where, already) for daq in block.daq]
+        told += [_read_images(images, manifest.rig.stereo[images.stereo], already) for images in block.images]
         for points in block.points:
             empty = [path.name for path in points.files if path.stat().st_size == 0]
             wrong = [f"points {points.stereo}: {empty[0]} is empty ({len(empty)} such files)"] if empty else []
@@ -287,17 +288,16 @@ def _heads(entries: Sequence[ChannelEntry]) -> list[str]:
     return told
 
 
-def _read_daq(block: Manifest, daq: Daq) -> tuple[str, list[str]]:
+def _read_daq(block: Manifest, daq: Daq, where: str, already: AlreadyRead) -> tuple[str, list[str]]:
     """Channels of a DAQ file, with samples and rate as the file has them."""
     listed = ", ".join(f"{entry.name} ({entry.quantity})" for entry in daq.channel)
     told = f"daq {daq.name}: {daq.file.name}, {_size([daq.file])}: {listed}"
     try:
         points = scanned_points(block, daq)
-        channels = (
-            recorded_channels(daq)
-            if points is None
-            else {f"{name}/{point.number}": channel for point in points for name, channel in point.raw.items()}
-        )
+        if points is None:
+            channels = already.channels[where, daq.name] = recorded_channels(daq)
+        else:
+            channels = {f"{name}/{point.number}": channel for point in points for name, channel in point.raw.items()}
     except (OSError, ValueError, KeyError, InputError) as error:
         return told, [f"daq {daq.name}: {' '.join(str(error).split())}"]
     first = next(iter(channels.values()))
@@ -309,15 +309,17 @@ def _read_daq(block: Manifest, daq: Daq) -> tuple[str, list[str]]:
     return told, [f"daq {daq.name}: channel {name} holds values that are no finite numbers" for name in holes]
 
 
-def _read_images(images: Images, pair: Stereo) -> tuple[str, list[str]]:
+def _read_images(images: Images, pair: Stereo, already: AlreadyRead) -> tuple[str, list[str]]:
     """Frames of both cameras, with their size as the files have it, and whether the pair's calibration is one of it."""
     from photogram.images.files import open_sequence
 
     told = f"images {images.stereo}: {_size([*images.left, *images.right])}"
     try:
-        left, right = (open_sequence(paths, images.bit_depth) for paths in (images.left, images.right))
+        for paths in (images.left, images.right):
+            already.images[paths, images.bit_depth] = open_sequence(paths, images.bit_depth)
     except (OSError, ValueError) as error:
         return told, [f"images {images.stereo}: {' '.join(str(error).split())}", *_no_rig(pair, ())]
+    left, right = (already.images[paths, images.bit_depth] for paths in (images.left, images.right))
     told += f", {len(left)} frames of {left.size_px[0]} x {left.size_px[1]} px, grey values up to {left.full_scale:g}"
     told += f", exposure {1e6 * left.exposure_s:.4g} µs by the file" if left.exposure_s is not None else ""
     wrong = _no_rig(pair, (left, right))

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lxml import etree
 
 from fusion.base import Identity, InputError
 from fusion.recording.dsi import CELSIUS_AT_0_K, NONE, Unit, parse_unit
@@ -142,6 +141,8 @@ def _parsed(path: Path, _: Identity | None) -> CalibrationCertificate:
 
 def _root(path: Path) -> Any:
     """Return the root of a file of XML, in which no entity is defined and nothing is fetched from elsewhere."""
+    from lxml import etree
+
     text = read_text(path, LARGEST, "a Digital Calibration Certificate")
     if re.search(r"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE):
         raise InputError(path, "", "a document type declaration", "XML without one, as a certificate has")
@@ -173,7 +174,8 @@ def _name(element: Any) -> str:
 
 
 def _tag(element: Any) -> str:
-    return str(etree.QName(element).localname)
+    """Return the name of an element without its namespace."""
+    return str(element.tag).rpartition("}")[2]
 
 
 def _day(path: Path, element: Any) -> Date | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -21,6 +21,7 @@ from shaker.timebase.trigger import PulseWidth, pulse_width
 
 if TYPE_CHECKING:
     from fusion.recording.load import Manifest
+    from photogram.images.sequence import ImageSequence
 
 # DAQ blocks as read from their files, one set-up after another, checked for what a user can get wrong.
 
@@ -165,6 +166,15 @@ def _point(daq: Daq, scan: Scan, place: int) -> ScannedPoint:
 
 
 @dataclass(frozen=True)
+class AlreadyRead:
+    """What was read of a recording's files, to be used again where they are read on: channels by set-up and block,
+    images of a camera by their paths and the bit depth that is stated."""
+
+    channels: dict[tuple[str, str], dict[str, RawChannel]] = field(default_factory=dict)
+    images: dict[tuple[tuple[Path, ...], int | None], ImageSequence] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class SetUpRecords:
     """What was recorded at once: its share of the manifest, its DAQ blocks, and its place in recording.toml."""
 
@@ -178,13 +188,13 @@ def read_daqs(manifest: Manifest) -> tuple[DaqRecord, ...]:
     return tuple(_read_daq(manifest, daq) for daq in manifest.daq)
 
 
-def read_set_ups(manifest: Manifest) -> tuple[SetUpRecords, ...]:
+def read_set_ups(manifest: Manifest, already: AlreadyRead | None = None) -> tuple[SetUpRecords, ...]:
     """Read a recording set-up by set-up: its top level, then every `[[take]]`, of a scan point by point."""
-    set_ups = []
+    set_ups, read = [], {} if already is None else already.channels
     for where, block in manifest.set_ups:
         with told_in(manifest.path, where):
             for part, point in split_scan(block):
-                records = tuple(_read_daq(part, daq, point) for daq in part.daq)
+                records = tuple(_read_daq(part, daq, point, read.get((where, daq.name))) for daq in part.daq)
                 set_ups.append(SetUpRecords(part, records, where))
     return tuple(set_ups)
 
@@ -208,13 +218,15 @@ def recorded_channels(daq: Daq) -> dict[str, RawChannel]:
     return {entry.name: stored[entry.stored_name] for entry in daq.channel}
 
 
-def _read_daq(manifest: Manifest, daq: Daq, point: ScannedPoint | None = None) -> DaqRecord:
-    """Read and check a block; the point of a scan has been read and is checked only."""
+def _read_daq(
+    manifest: Manifest, daq: Daq, point: ScannedPoint | None = None, raw: dict[str, RawChannel] | None = None
+) -> DaqRecord:
+    """Read and check a block; what has been read, the point of a scan or `raw` channels, is checked only."""
     if point is not None and point.entry is daq:
         record: DaqRecord = point
     else:
         with as_input_error(manifest.path, f"daq.{daq.name}.file"):
-            raw = recorded_channels(daq)
+            raw = recorded_channels(daq) if raw is None else raw
         record = DaqRecord(daq, raw, min(channel.start_s for channel in raw.values()))
     for entry in daq.channel:
         _check_samples(daq, entry, record.raw[entry.name])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from fusion.estimation.least_squares import UnseenMotion
+from fusion.estimation.measurement_model import UnseenMotion
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.values import (
     DENSITY,

@@ -146,9 +146,12 @@ class Context:
 
 
 class Block(BaseModel):
-    """A TOML table: its keys are the attributes, unknown ones are refused, nothing is converted, nothing changes."""
+    """A TOML table: its keys are the attributes, unknown ones are refused, nothing is converted, nothing changes.
 
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+    Its validator is built when it is first used: a table within another needs none of its own.
+    """
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", defer_build=True)
 
 
 def refusal(expected: str, found: str, key: str = "") -> PydanticCustomError:

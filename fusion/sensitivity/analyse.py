@@ -10,8 +10,8 @@ import numpy as np
 
 from fusion.base import AnyNotice, ComputeError
 from fusion.estimation.fuse import Acceleration, fuse_sources
-from fusion.estimation.least_squares import UnseenMotion, observed_components, row_space
-from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
+from fusion.estimation.least_squares import observed_components, row_space
+from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation, UnseenMotion
 from fusion.instruments.channel import ChannelGeometry, Outputs
 from fusion.instruments.stereo import StereoReading
 from fusion.instruments.transducer import placed_at, placement_name

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.base import AnyNotice
-from fusion.estimation.least_squares import BODY_SIZE_M, UNOBSERVED, UNOBSERVED_ITSELF
+from fusion.estimation.least_squares import UNOBSERVED, UNOBSERVED_ITSELF
+from fusion.estimation.measurement_model import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
     Influence,

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from fusion.base import AnyNotice, rounded
 from fusion.estimation.consistency import OUTPUT_MISTAKES, likely_mistake
 from fusion.estimation.coverage import Polar, coverage_factor, polar
-from fusion.estimation.least_squares import BODY_SIZE_M
+from fusion.estimation.measurement_model import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
     Influence,

@@ -12,7 +12,7 @@ import numpy as np
 
 from photogram.arrays import FloatArray, check_shape
 from photogram.calibration.result import Calibration
-from photogram.camera import CAMERA_PARAMETERS, LEFT, RIG_PARAMETERS, Camera, StereoRig
+from photogram.camera import CAMERA_PARAMETERS, LEFT, RIG_PARAMETERS, Camera, StereoRig, undistort
 from photogram.geometry import RigidTransform, nearest_rotation
 
 _LARGEST_FILE = 2**22  # bytes; a file of this program has some 20 kB
@@ -63,7 +63,8 @@ def plausible(rig: StereoRig) -> StereoRig:
             told = f"expected focal lengths in px of at least {_SHORTEST:g} of the picture's {camera.size_px.max()} px"
             raise ValueError(f"{side}.matrix: {told}, found {focal.tolist()}, as if in mm")
         middle = (camera.size_px - 1) / 2
-        if not np.isfinite(camera.undistort(middle)).all():
+        # So that reading a calibration does not import numba, Python computes this one point.
+        if not np.isfinite(undistort.plain(*middle.tolist(), camera.parameters.tolist())).all():
             found = f"none: principal point {camera.matrix[:2, 2].tolist()}, distortion {camera.distortion.tolist()}"
             raise ValueError(f"{side}: expected a ray to the middle of the picture, found {found}")
     distance = float(np.linalg.norm(rig.right_from_left.translation_m))

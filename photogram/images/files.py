@@ -142,11 +142,11 @@ def _read_header(path: Path) -> _Header:
 
 def _read_file(paths: tuple[Path, ...], bits: int, index: int) -> GreyImage:
     """The only image of file `index`."""
-    import cv2
-
     path = paths[index]
     if path.suffix.lower() in TIFF_SUFFIXES:
         return _read_tiff(path, bits, 0)
+    import cv2
+
     with reading(path):
         image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
 from photogram.bspline import Spline, grey_values, noise_gain, sample_squares, slope_noise_gain
-from photogram.kernels import (
+from photogram.kernels import njit
+from photogram.kernels.lanes import (
     INDEX,
     NOTHING,
     REAL,
@@ -28,7 +29,6 @@ from photogram.kernels import (
     filling,
     in_blocks,
     load,
-    njit,
     spread,
 )
 

@@ -279,9 +279,38 @@ def _halves(count: int) -> tuple[BoolArray, BoolArray]:
 
 
 def _spline(knots: FloatArray, values: ComplexArray, wanted: FloatArray) -> ComplexArray:
-    """Return the not-a-knot cubic spline through values (N,) at wanted places; a constant for one knot."""
+    """Return the not-a-knot cubic spline through values (N,) at wanted places; a constant for one knot.
+
+    The digits are those of `scipy.interpolate.CubicSpline`, whose package takes as long to import as everything else
+    that checking a recording needs of SciPy.
+    """
     if len(knots) == 1:
         return np.full(len(wanted), values[0])
-    from scipy.interpolate import CubicSpline
+    step = np.diff(knots)
+    rise = np.diff(values) / step
+    slope = _slopes(knots, step, rise)
+    bend = (slope[:-1] + slope[1:] - 2.0 * rise) / step
+    curve = (rise - slope[:-1]) / step - bend
+    piece = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, len(step) - 1)
+    x = wanted - knots[piece]
+    return np.asarray(values[piece] + slope[piece] * x + curve[piece] * (x * x) + (bend / step)[piece] * (x * x * x))
 
-    return np.asarray(CubicSpline(knots, values)(wanted))
+
+def _slopes(knots: FloatArray, step: FloatArray, rise: ComplexArray) -> ComplexArray:
+    """Return the spline's slopes (N,) at the knots, which make its second derivative continuous there, and the third
+    one at the second and the last but one (de Boor 2001, A Practical Guide to Splines, chapter IV)."""
+    if len(knots) == 2:
+        return np.repeat(rise, 2)
+    from scipy.linalg import solve, solve_banded
+
+    inner = 2.0 * (step[:-1] + step[1:])
+    right = np.empty(len(knots), dtype=np.complex128)
+    right[1:-1] = 3.0 * (step[1:] * rise[:-1] + step[:-1] * rise[1:])
+    if len(knots) == 3:  # both ends state the same: a parabola
+        right[0], right[2] = 2.0 * rise
+        return np.asarray(solve([[1.0, 1.0, 0.0], [step[1], inner[0], step[0]], [0.0, 1.0, 1.0]], right))
+    first, last = knots[2] - knots[0], knots[-1] - knots[-3]
+    right[0] = ((step[0] + 2.0 * first) * step[1] * rise[0] + step[0] ** 2 * rise[1]) / first
+    right[-1] = (step[-1] ** 2 * rise[-2] + (2.0 * last + step[-1]) * step[-2] * rise[-1]) / last
+    bands = [[0.0, first, *step[:-1]], [step[1], *inner, step[-2]], [*step[1:], last, 0.0]]
+    return np.asarray(solve_banded((1, 1), bands, right))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import product
 from typing import Literal
 
@@ -188,6 +189,7 @@ def _log_likelihood(
     return np.asarray(np.log(share).sum(axis=1))
 
 
+@cache
 def _normal_points(dimensions: int) -> FloatArray:
     """Return standard normal points (N, D) from the additive recurrence with the generalised golden ratio."""
     from scipy.special import ndtri
@@ -196,7 +198,9 @@ def _normal_points(dimensions: int) -> FloatArray:
     for _ in range(50):  # ratio^(D + 1) = ratio + 1
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
     step = ratio ** -np.arange(1.0, dimensions + 1)
-    return np.asarray(ndtri((0.5 + np.arange(1.0, _LAST_POINTS + 1)[:, None] * step) % 1.0))
+    points = np.asarray(ndtri((0.5 + np.arange(1.0, _LAST_POINTS + 1)[:, None] * step) % 1.0))
+    points.flags.writeable = False
+    return points
 
 
 # Crossings of a resolved rise: what its shape adds to the reconstruction, learnt from all edges.

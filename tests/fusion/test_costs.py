@@ -20,6 +20,11 @@ from photogram.subsets.reference import TrackStatus
 
 DEMO = Path(__file__).resolve().parents[2] / "sample_images" / "demo" / "Fz-0080"
 PICTURES, CAMERAS = 96, 4
+DRAWING = ("matplotlib", "jinja2", "PIL")
+FOLLOWING = ("numba", "llvmlite", "torch", "skimage", "photogram.bspline", "photogram.measure")
+SELDOM = ("scipy.interpolate", "scipy.stats", "scipy.signal", "lxml")
+OF_CAMPAIGNS = ("fusion.campaign.joint", "fusion.campaign.curve", "fusion.campaign.matrix", "scipy.sparse.csgraph")
+SOLVING = ("scipy.optimize", "scipy.fft", "scipy.ndimage", "scipy.spatial", "scipy.sparse")
 
 
 @pytest.fixture(scope="module")
@@ -95,3 +100,31 @@ def test_a_run_does_not_import_matplotlib(tmp_path):
     done = subprocess.run([sys.executable, "-c", run + told], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "['numba']"
     assert "data:image/svg+xml" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def imported(program: str, *arguments: str) -> set[str]:
+    """Modules that a process has imported after a program, which prints nothing else in its last line."""
+    program += "\nimport sys; print(); print(*sys.modules)"
+    command = [sys.executable, "-c", program, *arguments]
+    done = subprocess.run(command, cwd=DEMO.parents[2], capture_output=True, text=True, check=True)
+    return set(done.stdout.splitlines()[-1].split())
+
+
+COMMAND = "import sys\nfrom fusion.cli import main\nassert main(sys.argv[1:]) == 0"
+
+
+def test_check_imports_neither_what_follows_images_nor_what_draws():
+    found = imported(COMMAND, "check", str(DEMO), "-q")
+    assert not found & {*DRAWING, *FOLLOWING, *SELDOM, *OF_CAMPAIGNS, *SOLVING, "rich", "multiprocessing"}
+
+
+def test_lines_need_no_images():
+    found = imported(COMMAND, "lines", str(DEMO), "-q")
+    assert not found & {*DRAWING, *FOLLOWING, *SELDOM, *OF_CAMPAIGNS, *SOLVING, "cv2"}
+
+
+def test_a_recording_by_itself_is_run_without_what_joins_a_campaign():
+    """Everything that a run imports before it computes, and a table that is printed afterwards."""
+    modules = "fusion.campaign.run", "fusion.campaign.terminal", "photogram.measure.body", "photogram.epipolar"
+    found = imported("\n".join(f"import {name}" for name in modules))
+    assert not found & {*SELDOM, *OF_CAMPAIGNS, "torch", "scipy.optimize"}

@@ -7,6 +7,7 @@ import os
 import pickle
 import sys
 import tempfile
+from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -27,6 +28,7 @@ from photogram.measure import body, follow
 from photogram.measure.follow import FollowedBlock
 from photogram.subsets.icgn import Registration, TrackSettings
 
+REGISTRATION = [field.name for field in fields(Registration)]
 BLOCKS_OF_THREE = range(2, 5), range(5, 8)
 IMAGES = SimpleNamespace(sight=SimpleNamespace(name="top"), left=ImageSequence(("a",) * 9, (1, 1), 255, None))
 
@@ -53,7 +55,7 @@ def bits(block: FollowedBlock) -> list[bytes]:
     """All numbers of a block."""
     numbers = []
     for sides, fit in block:
-        numbers += [np.asarray(getattr(side, name)).tobytes() for side in sides for name in stereo_motion.REGISTRATION]
+        numbers += [np.asarray(getattr(side, name)).tobytes() for side in sides for name in REGISTRATION]
         if fit is not None:
             parts = fit.moved.rotation, fit.moved.translation_m, fit.covariance, np.array([fit.noise, fit.cells])
             numbers += [part.tobytes() for part in parts]

@@ -19,8 +19,7 @@ from support import channel
 from fusion.base import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.estimation.fuse import fuse
-from fusion.estimation.least_squares import UnseenMotion
-from fusion.estimation.measurement_model import Deviates, Observation
+from fusion.estimation.measurement_model import Deviates, Observation, UnseenMotion
 from fusion.instruments.channel import ChainUncertainty, Reading, geometry_errors, observe_channels
 from fusion.instruments.transducer import TRANSDUCERS, Beams
 from fusion.instruments.vibrometer import beam_notices

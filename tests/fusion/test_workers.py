@@ -188,7 +188,7 @@ def test_threads_give_the_tables_of_one(demo_recording, serial_demo, tmp_path, m
         return follow_block(*arguments)
 
     monkeypatch.setattr("fusion.base.usable_cores", lambda: 3)
-    monkeypatch.setattr("fusion.phasors.stereo_motion.follow_block", noted)
+    monkeypatch.setattr("photogram.measure.follow.follow_block", noted)
     assert _demo_tables(demo_recording, tmp_path) == serial_demo
     assert len(seen) == 2
 

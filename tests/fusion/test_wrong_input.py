@@ -21,10 +21,10 @@ from support import Refused, evaluated
 from fusion.base import ComputeError, InputError
 from fusion.cli import main
 from fusion.commands.options import EXIT_INPUT
-from fusion.phasors import stereo_motion
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.simulate import simulate
+from photogram.measure import follow
 
 NAME = "Fz-0080"
 RIG, RECORDING = "rig.toml", f"{NAME}/recording.toml"
@@ -247,7 +247,7 @@ WRONG: dict[str, dict[str, tuple[Break, *tuple[str, ...]]]] = {
 @pytest.fixture
 def no_tracking(monkeypatch: pytest.MonkeyPatch) -> None:
     """A mistake that can be seen in the files must not cost the user the time of tracking."""
-    monkeypatch.delattr(stereo_motion, "prepare_body")
+    monkeypatch.delattr(follow, "prepare_body")
 
 
 @pytest.fixture
@@ -305,7 +305,7 @@ def test_images_that_are_wrong_later_in_the_series(change, sentence, campaign, u
             for side in images:
                 side.read(frame)
 
-    monkeypatch.setattr(stereo_motion, "prepare_body", read_all)
+    monkeypatch.setattr(follow, "prepare_body", read_all)
     _pixels("top-right/0002.tif", change)(campaign)
     told = untouched("run", campaign / NAME)
     assert told.startswith(f"shakercal: {campaign / RECORDING}: images.top: top-right/0002.tif: {sentence}")

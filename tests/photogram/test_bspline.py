@@ -261,10 +261,10 @@ def in_another_process(folder: Path) -> list[str]:
 
 def checkout(folder: Path) -> Path:
     package = folder / "small"
-    package.mkdir(parents=True)
+    (package / "_kernel").mkdir(parents=True)
     source = Path(photogram.kernels.__file__).read_text(encoding="utf-8")
     called = CALLED.format(offset=1)
-    for name, text in (("__init__", ""), ("_kernel", source), ("calls", KERNEL), ("called", called)):
+    for name, text in (("__init__", ""), ("_kernel/__init__", source), ("calls", KERNEL), ("called", called)):
         (package / f"{name}.py").write_text(text, encoding="utf-8")
     return package / "called.py"
 
@@ -286,7 +286,7 @@ def test_a_disk_that_takes_no_cache_ends_nothing(monkeypatch):
         tried.append(None)
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(photogram.kernels.IndexDataCacheFile, "save", refuse)
+    monkeypatch.setattr(numba.core.caching.IndexDataCacheFile, "save", refuse)
 
     @njit()
     def twice(x):
@@ -294,3 +294,30 @@ def test_a_disk_that_takes_no_cache_ends_nothing(monkeypatch):
 
     assert twice(1.5) == 3.0
     assert len(tried) == 1
+
+
+FIRST_CALLS = """
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+from photogram.camera import undistort, undistort_all
+import numpy as np
+assert "numba" not in sys.modules
+lens, start = np.array([900.0, 910, 320, 240, -0.2, 0.1, 1e-3, -1e-3, 0, 0, 0, 0, 0.5]), Barrier(4)
+plain = undistort.plain(20.0, 30.0, lens.tolist())
+assert "numba" not in sys.modules
+
+def call(_):
+    start.wait()
+    return undistort_all(np.array([[20.0, 30.0]]), lens)[0]
+
+with ThreadPoolExecutor(4) as threads:
+    found = list(threads.map(call, range(4)))
+assert "numba" in sys.modules and len({one.tobytes() for one in found}) == 1
+assert np.allclose(found[0], plain, rtol=1e-14, atol=0.0)
+assert len(undistort_all.signatures) == len(undistort_all.nopython_signatures) == 1
+"""
+
+
+def test_kernels_are_compiled_when_threads_first_call_them_and_python_computes_the_same():
+    subprocess.run([sys.executable, "-c", FIRST_CALLS], check=True, cwd=Path(photogram.kernels.__file__).parents[2])

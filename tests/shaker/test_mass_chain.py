@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from identification_factory import recording
 from scipy import linalg, signal
+from scipy.interpolate import CubicSpline
 
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.frf.chain import (
@@ -289,6 +290,15 @@ def test_a_table_is_met_at_its_points_a_delay_exact_between_them_and_scatter_an_
     error = np.abs(said.value - 1.0)
     assert np.mean(error > 2.0 * np.hypot(said.u_magnitude, said.u_phase_rad)) < 0.15
     assert 0.5e-3 < np.median(said.u_magnitude) < 4e-3
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 40])
+def test_the_spline_of_a_table_is_that_of_scipy(count):
+    rng = np.random.default_rng(count)
+    knots = 25.0 * np.arange(count) + np.append(0.0, rng.uniform(0.0, 10.0, count - 1))  # from 0 Hz: no logarithm of f
+    level, wanted = rng.normal(size=count), np.append(knots, rng.uniform(0.0, knots[-1], 100))
+    found = np.log(table_response(_table(knots, np.exp(level) + 0j), wanted).value)
+    np.testing.assert_allclose(found, CubicSpline(knots, level)(wanted), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])

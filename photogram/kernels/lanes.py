@@ -1,107 +1,17 @@
-"""Compiled kernels: numba with a cache that knows its sources, and vectors of eight doubles in generated code.
+"""Eight doubles at a time in code that is being generated, with arithmetic that leaves a compiler no choice.
 
-Numba keeps a compiled function as long as its own file is unchanged, though it holds code and constants of functions in
-other files. Here the cache is the user's, one for all checkouts, and a change in any source of the package makes all
-kernels new.
-
-A kernel computes the same digits in every process. Numba compiles a function with the options of the one that calls it
-where it states none itself; which of the copies runs hangs on what was compiled or loaded before. So all options are
-stated, and fast-math, by which every copy may round in another way, is none of them: `Lanes` writes out the arithmetic
-that needs it. A product that goes into a sum is fused with it, and lanes are added in pairs.
+A product that goes into a sum is fused with it, and lanes are added in pairs.
 """
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import os
-import shutil
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any
 
-import numba
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.caching import IndexDataCacheFile
-
-UNUSED_S = 30 * 86400.0
-
-
-class _Cache(IndexDataCacheFile):  # type: ignore[misc]
-    """A cache that a full or read-only disk leaves as it is: the kernel is compiled again next time."""
-
-    def save(self, key: Any, data: Any) -> None:
-        with contextlib.suppress(OSError):
-            super().save(key, data)
-
-
-def njit(*, error_model: str = "python", inline: str = "never") -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit` with these options and no others, cached for the user until a source of this package changes.
-
-    A kernel computes in the thread that calls it, and lets other threads of Python go on meanwhile: several bodies, or
-    blocks of frames, at once use all cores, and no digit depends on their number.
-    """
-
-    def compiled(function: Callable[..., Any]) -> Any:
-        options = {"parallel": False, "nogil": True, "error_model": error_model, "inline": inline, "fastmath": False}
-        dispatcher = numba.njit(**options)(function)
-        if numba.config.DISABLE_JIT:
-            return dispatcher
-        dispatcher.enable_caching()
-        cache, folder = dispatcher._cache, _cache_folder()  # numba offers no public way to say where and until when
-        if folder is not None:
-            cache._cache_path = str(folder)
-            cache._cache_file = _Cache(str(folder), cache._impl.filename_base, _sources_digest())
-        return dispatcher
-
-    return compiled
-
-
-def filling(*kinds: Any) -> Any:
-    """Type of generated code that fills arrays: these must be contiguous doubles; whole numbers stay whole."""
-    for kind in kinds:
-        if isinstance(kind, types.Array) and (kind.layout, kind.dtype) != ("C", types.float64):
-            raise TypeError(f"expected contiguous float64 arrays, found {kind}")
-    kept = types.Array | types.Integer | types.UniTuple
-    return types.void(*(kind if isinstance(kind, kept) else types.float64 for kind in kinds))
-
-
-@cache
-def _sources_digest() -> str:
-    """Hash of the sources of the package, whatever folder they stand in and whenever they were written."""
-    folder, digest = Path(__file__).parent, hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
-        digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
-
-
-@cache
-def _cache_folder() -> Path | None:
-    """The user's folder of kernels compiled from these sources, shared by all checkouts; None where it cannot be.
-
-    Kernels of other versions that nobody has used for a month are removed.
-    """
-    home = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else os.environ.get("XDG_CACHE_HOME")
-    kernels = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(home or Path.home() / ".cache") / "shakercal" / "kernels")
-    folder = kernels / _sources_digest()[:16]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        os.utime(folder)
-    except OSError:
-        return None
-    for other in kernels.iterdir():
-        with contextlib.suppress(OSError):
-            if other.stat().st_mtime < folder.stat().st_mtime - UNUSED_S:
-                shutil.rmtree(other, ignore_errors=True)
-    return folder
-
-
-# Eight doubles at a time in code that is being generated, with arithmetic that leaves a compiler no choice.
 
 LANES = 8
 REAL = ir.DoubleType()
@@ -228,3 +138,12 @@ def _spread(builder: Any, scalar: Any, kind: Any) -> Any:
     """A vector that holds the scalar eight times."""
     single = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar, ir.Constant(_WORD, 0))
     return builder.shuffle_vector(single, single, ir.Constant(ir.VectorType(_WORD, LANES), [0] * LANES))
+
+
+def filling(*kinds: Any) -> Any:
+    """Type of generated code that fills arrays: these must be contiguous doubles; whole numbers stay whole."""
+    for kind in kinds:
+        if isinstance(kind, types.Array) and (kind.layout, kind.dtype) != ("C", types.float64):
+            raise TypeError(f"expected contiguous float64 arrays, found {kind}")
+    kept = types.Array | types.Integer | types.UniTuple
+    return types.void(*(kind if isinstance(kind, kept) else types.float64 for kind in kinds))
