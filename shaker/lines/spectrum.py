@@ -303,7 +303,7 @@ class NoiseLevel:
             first, last = np.searchsorted(centres, (bins.start, bins.stop - 1))
             lowest = max(lowest, float(log_level[max(first - 1, 0) : last + 1].min()))
         trend = min(1.0, float(self.trend[bins].min(initial=1.0)))
-        return max(np.exp(lowest) * trend * (1.0 - _ROUNDING), self.least)
+        return max(float(np.exp(lowest)) * trend * (1.0 - _ROUNDING), self.least)
 
     @property
     def lowest(self) -> float:

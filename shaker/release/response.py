@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.release.record import Shape
 
 _SMALL = 1e-2  # |x| below which factors are taken from their series
+_FINE = 32  # times between which what decays is made of steps
+_ROUNDING = 8.0  # units in the last place by which times of a grid may be off
 _RESTS = 40  # blocks of what comes before the release
 MOMENTS: dict[Shape, float] = {"step": 0.0, "ramp": 1.0 / 12.0, "smooth": 0.25 - 2.0 / np.pi**2}
 """Second moment of a release about its middle over its squared length: what 1/a² of a lag adds to."""
@@ -47,6 +50,15 @@ class Samples(Brief):
         """Lengths (L,) that occur, and which of them every block has (B,)."""
         sizes, place = np.unique(self.length, return_inverse=True)
         return sizes, place
+
+    @cached_property
+    def runs(self) -> tuple[slice, ...]:
+        """Stretches of blocks of one length, one directly after the other."""
+        rounding = _ROUNDING * np.spacing(np.abs(self.time_s).max(initial=0.0))
+        follows = np.abs(np.diff(self.time_s) - self.length[:-1] * self.step_s) <= rounding
+        breaks = np.flatnonzero(~follows | (np.diff(self.length) != 0)) + 1
+        edges = [0, *breaks.tolist(), len(self.length)]
+        return tuple(slice(first, stop) for first, stop in pairwise(edges))
 
     @cached_property
     def weight(self) -> FloatArray:
@@ -175,33 +187,49 @@ def answers(load: Load, poles: ComplexArray, samples: Samples, middle_s: float, 
     """Return what poles (P,) in rad/s answer to a load whose release of `length_s` has its middle at `middle_s`."""
     if load.shape == "measured":
         return _to_force(load, poles, samples)
-    length = length_s if load.lasting else 0.0
-    tau = samples.time_s - (middle_s - 0.5 * length)
-    whole = np.zeros((4, len(tau), len(poles)), dtype=np.complex128)
-    after = (tau > 0) & (tau >= length)
-    mean, mean_slope = (part[samples.lengths[1][after]] for part in _block_factors(poles * samples.step_s, samples))
-    whole[:, after] = _after(load.shape, poles, tau[after] - length, length, mean, mean_slope * samples.step_s)
-    touched = ~after & (tau + (samples.length - 1) * samples.step_s > 0)
-    if np.any(touched):
-        size = samples.length[touched]
-        ends = np.cumsum(size)
-        inside = np.arange(ends[-1]) - np.repeat(ends - size, size)
-        single = _at_times(load.shape, poles, np.repeat(tau[touched], size) + inside * samples.step_s, length)
-        whole[:, touched] = np.add.reduceat(single, ends - size, axis=1) / size[:, None]
-    return Answers(*(load.amplitude * whole))
+    return Answers(*_answered(load, poles, samples, (middle_s, length_s), 4))
 
 
 def responses(load: Load, poles: ComplexArray, samples: Samples, middle_s: float, length_s: float) -> ComplexArray:
     """Return the responses (B, P) of `answers` alone, for half the work."""
-    length = length_s if load.lasting else 0.0
-    tau = samples.time_s - (middle_s - 0.5 * length)
-    last = tau + (samples.length - 1) * samples.step_s
-    if load.shape == "measured" or np.any((last > 0) & (tau < length)):
-        return answers(load, poles, samples, middle_s, length_s).value
-    factor = release_factor(load.shape, poles * length)[0] if length > 0 else 1.0
-    mean = _block_factors(poles * samples.step_s, samples)[0][samples.lengths[1]]
-    value = (mean * factor * np.exp(poles * np.maximum(tau - length, 0.0)[:, None]) - 1.0) * (load.amplitude / poles)
-    return np.asarray(np.where(tau[:, None] > 0, value, 0.0))
+    if load.shape == "measured":
+        return _to_force(load, poles, samples).value
+    return np.asarray(_answered(load, poles, samples, (middle_s, length_s), 1)[0])
+
+
+def _answered(
+    load: Load, poles: ComplexArray, samples: Samples, release: tuple[float, float], rows: int
+) -> ComplexArray:
+    """Return the first rows of `Answers` (R, B, P), one or all four, to a release of a middle and a length."""
+    length = release[1] if load.lasting else 0.0
+    tau = samples.time_s - (release[0] - 0.5 * length)
+    whole = np.zeros((rows, len(tau), len(poles)), dtype=np.complex128)
+    first = int(np.searchsorted(tau, length, "left" if length > 0.0 else "right"))
+    mean, mean_slope = _block_factors(poles * samples.step_s, samples)
+    for run in samples.runs:
+        later = slice(max(run.start, first), run.stop)
+        if later.start < later.stop:
+            place = samples.lengths[1][later.start]
+            step_s = int(samples.length[later.start]) * samples.step_s
+            swing = _decays(poles, tau[later.start] - length, step_s, later.stop - later.start)
+            means = mean[place], mean_slope[place] * samples.step_s
+            _after(load, poles, swing, tau[later] - length, length, means, whole[:, later])
+    touched = slice(int(np.searchsorted(tau + (samples.length - 1) * samples.step_s, 0.0, "right")), first)
+    if touched.start < touched.stop:
+        size = samples.length[touched]
+        ends = np.cumsum(size)
+        inside = np.arange(ends[-1]) - np.repeat(ends - size, size)
+        single = _at_times(load, poles, np.repeat(tau[touched], size) + inside * samples.step_s, length, rows)
+        whole[:, touched] = np.add.reduceat(single, ends - size, axis=1) / size[:, None]
+    return whole
+
+
+def _decays(p: ComplexArray, first_s: float, step_s: float, count: int) -> ComplexArray:
+    """Return exp(pt) (N, P) at evenly spaced times: of few of them, times those of the steps between."""
+    fine = min(count, _FINE)
+    ahead = np.exp(p * (first_s + step_s * np.arange(0, count, fine))[:, None])
+    between = np.exp(p * (step_s * np.arange(fine))[:, None])
+    return np.asarray((ahead[:, None] * between).reshape(-1, len(p))[:count])
 
 
 def release_factor(shape: Shape, x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -218,42 +246,56 @@ def release_factor(shape: Shape, x: ComplexArray) -> tuple[ComplexArray, Complex
 
 
 def _after(
-    shape: Shape, p: ComplexArray, sigma: FloatArray, length: float, mean: ComplexArray, mean_slope: ComplexArray
-) -> ComplexArray:
-    """Return what blocks show (4, B, P), as `Answers`, whose first sample is `sigma` (B,) after the end of the release.
+    load: Load,
+    p: ComplexArray,
+    swing: ComplexArray,
+    sigma: FloatArray,
+    length: float,
+    means: tuple[ComplexArray | float, ComplexArray | float],
+    out: ComplexArray,
+) -> None:
+    """Write what blocks show (R, B, P), as `Answers`, whose first sample is `sigma` (B,) after the end of the release.
 
-    `mean`, `mean_slope` (B, P): of exp(pt) over the block's samples, and its derivative to p.
+    `swing` (B, P): exp(pσ); `means`, (P,) each: of exp(pt) over a block's samples, and its derivative to p.
     """
-    late, ones = sigma[:, None], np.ones_like(p)
-    factor, slope = release_factor(shape, p * length) if length > 0 else (ones, 0.5 * ones)
-    swing = np.exp(p * late)
-    decay = mean * factor * swing
-    value = (decay - 1.0) / p
-    change = mean_slope * factor + mean * (late * factor + length * slope)
-    return np.stack([value, (change * swing - value) / p, -decay, mean * (slope - 0.5 * factor) * swing])
+    mean, mean_slope = means
+    factor, slope = release_factor(load.shape, p * length) if length > 0 else (1.0, 0.5)
+    scale = load.amplitude / p
+    decay = (mean * factor) * swing
+    np.multiply(decay - 1.0, scale, out=out[0])
+    if len(out) > 1:
+        change = (mean_slope * factor + mean * length * slope) * swing + sigma[:, None] * decay
+        np.subtract(change * scale, out[0] * (1.0 / p), out=out[1])
+        np.multiply(decay, -load.amplitude, out=out[2])
+        np.multiply(swing, load.amplitude * mean * (slope - 0.5 * factor), out=out[3])
 
 
-def _at_times(shape: Shape, p: ComplexArray, tau: FloatArray, length: float) -> ComplexArray:
-    """Return what single samples show (4, B, P), as `Answers`, `tau` (B,) after the onset; zero before it."""
-    whole = np.zeros((4, len(tau), len(p)), dtype=np.complex128)
+def _at_times(load: Load, p: ComplexArray, tau: FloatArray, length: float, rows: int) -> ComplexArray:
+    """Return what single samples show (R, B, P), as `Answers`, `tau` (B,) after the onset; zero before it."""
+    whole = np.zeros((rows, len(tau), len(p)), dtype=np.complex128)
     after, during = (tau > 0) & (tau >= length), (tau > 0) & (tau < length)
-    one = np.ones((1, len(p)), dtype=np.complex128)
-    whole[:, after] = _after(shape, p, tau[after] - length, length, one, 0 * one)
+    sigma = tau[after] - length
+    late = np.empty((rows, len(sigma), len(p)), dtype=np.complex128)
+    _after(load, p, np.exp(p * sigma[:, None]), sigma, length, (1.0, 0.0), late)
+    whole[:, after] = late
     if np.any(during):
         early = tau[during][:, None]
-        share, value, by_pole = (_along_line if shape == "ramp" else _along_cosine)(p, early, length)
-        by_onset = -(p * value + share)
-        # the answer is T·f(τ/T, pT), so that the derivative to the length follows from those to time and to the pole
-        by_length = (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset
-        whole[:, during] = value, by_pole, by_onset, by_length
+        share, value, by_pole = (_along_line if load.shape == "ramp" else _along_cosine)(p, early, length)
+        found = [value]
+        if rows > 1:
+            by_onset = -(p * value + share)
+            # the answer is T·f(τ/T, pT), so that the derivative to the length follows from those to time and pole
+            found += [by_pole, by_onset, (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset]
+        whole[:, during] = load.amplitude * np.array(found)
     return whole
 
 
 def _along_line(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
     """Return a ramp's load, its response [(exp(pτ) - 1)/p - τ]/(pT) and the derivative to the pole."""
-    rise = np.expm1(p * tau) / p
+    grown = np.expm1(p * tau)
+    rise = grown / p
     value = (rise - tau) / (p * length)
-    slope = (tau * np.exp(p * tau) - rise) / p
+    slope = (tau * (grown + 1.0) - rise) / p
     return tau / length, value, slope / (p * length) - value / p
 
 
@@ -261,10 +303,11 @@ def _along_cosine(p: ComplexArray, tau: FloatArray, length: float) -> tuple[Floa
     """Return the load of half a cosine, its response and the derivative to the pole; with ω = π/T the response is
     [(exp(pτ) - 1)/p - (p(exp(pτ) - cos ωτ) + ω sin ωτ)/(p² + ω²)]/2."""
     omega = np.pi / length
-    swing, cosine, sine = np.exp(p * tau), np.cos(omega * tau), np.sin(omega * tau)
+    grown, cosine, sine = np.expm1(p * tau), np.cos(omega * tau), np.sin(omega * tau)
+    swing = grown + 1.0
     below, top = p**2 + omega**2, p * (swing - cosine) + omega * sine
-    value = 0.5 * (np.expm1(p * tau) / p - top / below)
-    slope = tau * swing / p - np.expm1(p * tau) / p**2 - (swing - cosine + p * tau * swing) / below
+    value = 0.5 * (grown / p - top / below)
+    slope = tau * swing / p - grown / p**2 - (swing - cosine + p * tau * swing) / below
     return 0.5 * (1.0 - cosine), value, 0.5 * (slope + 2 * p * top / below**2)
 
 
