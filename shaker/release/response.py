@@ -18,8 +18,6 @@ from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.release.record import Shape
 
 _SMALL = 1e-2  # |x| below which factors are taken from their series
-_FINE = 32  # times between which what decays is made of steps
-_ROUNDING = 8.0  # units in the last place by which times of a grid may be off
 _RESTS = 40  # blocks of what comes before the release
 MOMENTS: dict[Shape, float] = {"step": 0.0, "ramp": 1.0 / 12.0, "smooth": 0.25 - 2.0 / np.pi**2}
 """Second moment of a release about its middle over its squared length: what 1/a² of a lag adds to."""
@@ -46,18 +44,9 @@ class Samples(Brief):
         check_shape("value", self.value, (*self.time_s.shape, *self.value.shape[1:]))
 
     @cached_property
-    def lengths(self) -> tuple[IntArray, IntArray]:
-        """Lengths (L,) that occur, and which of them every block has (B,)."""
-        sizes, place = np.unique(self.length, return_inverse=True)
-        return sizes, place
-
-    @cached_property
     def runs(self) -> tuple[slice, ...]:
-        """Stretches of blocks of one length, one directly after the other."""
-        rounding = _ROUNDING * np.spacing(np.abs(self.time_s).max(initial=0.0))
-        follows = np.abs(np.diff(self.time_s) - self.length[:-1] * self.step_s) <= rounding
-        breaks = np.flatnonzero(~follows | (np.diff(self.length) != 0)) + 1
-        edges = [0, *breaks.tolist(), len(self.length)]
+        """Stretches of blocks of one length."""
+        edges = [0, *(np.flatnonzero(np.diff(self.length)) + 1).tolist(), len(self.length)]
         return tuple(slice(first, stop) for first, stop in pairwise(edges))
 
     @cached_property
@@ -205,31 +194,20 @@ def _answered(
     tau = samples.time_s - (release[0] - 0.5 * length)
     whole = np.zeros((rows, len(tau), len(poles)), dtype=np.complex128)
     first = int(np.searchsorted(tau, length, "left" if length > 0.0 else "right"))
-    mean, mean_slope = _block_factors(poles * samples.step_s, samples)
     for run in samples.runs:
         later = slice(max(run.start, first), run.stop)
         if later.start < later.stop:
-            place = samples.lengths[1][later.start]
-            step_s = int(samples.length[later.start]) * samples.step_s
-            swing = _decays(poles, tau[later.start] - length, step_s, later.stop - later.start)
-            means = mean[place], mean_slope[place] * samples.step_s
-            _after(load, poles, swing, tau[later] - length, length, means, whole[:, later])
+            means = _means(poles, int(samples.length[later.start]), samples.step_s)
+            whole[:, later] = _after(load.shape, poles, tau[later] - length, length, means, rows)
     touched = slice(int(np.searchsorted(tau + (samples.length - 1) * samples.step_s, 0.0, "right")), first)
     if touched.start < touched.stop:
         size = samples.length[touched]
         ends = np.cumsum(size)
         inside = np.arange(ends[-1]) - np.repeat(ends - size, size)
-        single = _at_times(load, poles, np.repeat(tau[touched], size) + inside * samples.step_s, length, rows)
+        single = _at_times(load.shape, poles, np.repeat(tau[touched], size) + inside * samples.step_s, length, rows)
         whole[:, touched] = np.add.reduceat(single, ends - size, axis=1) / size[:, None]
+    whole *= load.amplitude
     return whole
-
-
-def _decays(p: ComplexArray, first_s: float, step_s: float, count: int) -> ComplexArray:
-    """Return exp(pt) (N, P) at evenly spaced times: of few of them, times those of the steps between."""
-    fine = min(count, _FINE)
-    ahead = np.exp(p * (first_s + step_s * np.arange(0, count, fine))[:, None])
-    between = np.exp(p * (step_s * np.arange(fine))[:, None])
-    return np.asarray((ahead[:, None] * between).reshape(-1, len(p))[:count])
 
 
 def release_factor(shape: Shape, x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -246,56 +224,46 @@ def release_factor(shape: Shape, x: ComplexArray) -> tuple[ComplexArray, Complex
 
 
 def _after(
-    load: Load,
-    p: ComplexArray,
-    swing: ComplexArray,
-    sigma: FloatArray,
-    length: float,
-    means: tuple[ComplexArray | float, ComplexArray | float],
-    out: ComplexArray,
-) -> None:
-    """Write what blocks show (R, B, P), as `Answers`, whose first sample is `sigma` (B,) after the end of the release.
+    shape: Shape, p: ComplexArray, sigma: FloatArray, length: float, means: tuple[ComplexArray, ComplexArray], rows: int
+) -> list[ComplexArray]:
+    """Return what blocks show (R of B, P), as `Answers`, whose first sample is `sigma` (B,) after the release's end.
 
-    `swing` (B, P): exp(pσ); `means`, (P,) each: of exp(pt) over a block's samples, and its derivative to p.
+    `means`, (P,) each: of exp(pt) over a block's samples, and its derivative to p.
     """
     mean, mean_slope = means
-    factor, slope = release_factor(load.shape, p * length) if length > 0 else (1.0, 0.5)
-    scale = load.amplitude / p
-    decay = (mean * factor) * swing
-    np.multiply(decay - 1.0, scale, out=out[0])
-    if len(out) > 1:
-        change = (mean_slope * factor + mean * length * slope) * swing + sigma[:, None] * decay
-        np.subtract(change * scale, out[0] * (1.0 / p), out=out[1])
-        np.multiply(decay, -load.amplitude, out=out[2])
-        np.multiply(swing, load.amplitude * mean * (slope - 0.5 * factor), out=out[3])
+    late, ones = sigma[:, None], np.ones_like(p)
+    factor, slope = release_factor(shape, p * length) if length > 0 else (ones, 0.5 * ones)
+    swing = np.exp(p * late)
+    decay = mean * factor * swing
+    value = (decay - 1.0) / p
+    if rows == 1:
+        return [value]
+    change = mean_slope * factor + mean * (late * factor + length * slope)
+    return [value, (change * swing - value) / p, -decay, mean * (slope - 0.5 * factor) * swing]
 
 
-def _at_times(load: Load, p: ComplexArray, tau: FloatArray, length: float, rows: int) -> ComplexArray:
+def _at_times(shape: Shape, p: ComplexArray, tau: FloatArray, length: float, rows: int) -> ComplexArray:
     """Return what single samples show (R, B, P), as `Answers`, `tau` (B,) after the onset; zero before it."""
     whole = np.zeros((rows, len(tau), len(p)), dtype=np.complex128)
     after, during = (tau > 0) & (tau >= length), (tau > 0) & (tau < length)
-    sigma = tau[after] - length
-    late = np.empty((rows, len(sigma), len(p)), dtype=np.complex128)
-    _after(load, p, np.exp(p * sigma[:, None]), sigma, length, (1.0, 0.0), late)
-    whole[:, after] = late
+    whole[:, after] = _after(shape, p, tau[after] - length, length, _means(p, 1, 0.0), rows)
     if np.any(during):
         early = tau[during][:, None]
-        share, value, by_pole = (_along_line if load.shape == "ramp" else _along_cosine)(p, early, length)
+        share, value, by_pole = (_along_line if shape == "ramp" else _along_cosine)(p, early, length)
         found = [value]
         if rows > 1:
             by_onset = -(p * value + share)
             # the answer is T·f(τ/T, pT), so that the derivative to the length follows from those to time and pole
             found += [by_pole, by_onset, (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset]
-        whole[:, during] = load.amplitude * np.array(found)
+        whole[:, during] = found
     return whole
 
 
 def _along_line(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
     """Return a ramp's load, its response [(exp(pτ) - 1)/p - τ]/(pT) and the derivative to the pole."""
-    grown = np.expm1(p * tau)
-    rise = grown / p
+    rise = np.expm1(p * tau) / p
     value = (rise - tau) / (p * length)
-    slope = (tau * (grown + 1.0) - rise) / p
+    slope = (tau * np.exp(p * tau) - rise) / p
     return tau / length, value, slope / (p * length) - value / p
 
 
@@ -303,23 +271,20 @@ def _along_cosine(p: ComplexArray, tau: FloatArray, length: float) -> tuple[Floa
     """Return the load of half a cosine, its response and the derivative to the pole; with ω = π/T the response is
     [(exp(pτ) - 1)/p - (p(exp(pτ) - cos ωτ) + ω sin ωτ)/(p² + ω²)]/2."""
     omega = np.pi / length
-    grown, cosine, sine = np.expm1(p * tau), np.cos(omega * tau), np.sin(omega * tau)
-    swing = grown + 1.0
+    swing, cosine, sine = np.exp(p * tau), np.cos(omega * tau), np.sin(omega * tau)
     below, top = p**2 + omega**2, p * (swing - cosine) + omega * sine
-    value = 0.5 * (grown / p - top / below)
-    slope = tau * swing / p - grown / p**2 - (swing - cosine + p * tau * swing) / below
+    value = 0.5 * (np.expm1(p * tau) / p - top / below)
+    slope = tau * swing / p - np.expm1(p * tau) / p**2 - (swing - cosine + p * tau * swing) / below
     return 0.5 * (1.0 - cosine), value, 0.5 * (slope + 2 * p * top / below**2)
 
 
-def _block_factors(x: ComplexArray, samples: Samples) -> tuple[ComplexArray, ComplexArray]:
-    """Return means (L, P) of exp(kx), k = 0 … length - 1, for x = p·step and all lengths, and derivatives to x."""
-    sizes = samples.lengths[0]
-    values, slopes = np.ones((len(sizes), len(x)), complex), np.zeros((len(sizes), len(x)), complex)
-    for place in np.flatnonzero(sizes > 1):
-        k = np.arange(int(sizes[place]))[:, None]
-        powers = np.exp(k * x)
-        values[place], slopes[place] = powers.mean(axis=0), (k * powers).mean(axis=0)
-    return values, slopes
+def _means(p: ComplexArray, size: int, step_s: float) -> tuple[ComplexArray, ComplexArray]:
+    """Return the mean of exp(pt) (P,) over so many samples from t = 0 on, and its derivative to the pole."""
+    if size == 1:
+        return np.ones_like(p), np.zeros_like(p)
+    k = np.arange(size)[:, None]
+    powers = np.exp(k * (p * step_s))
+    return powers.mean(axis=0), (k * powers).mean(axis=0) * step_s
 
 
 def _to_force(load: Load, poles: ComplexArray, samples: Samples) -> Answers:
