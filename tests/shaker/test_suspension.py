@@ -219,11 +219,12 @@ def test_what_bends_and_its_unknowns_have_the_derivatives_they_say():
     problem = build([replace(record, bending=bending)], PITCHING, {}, (), (), ())
     (curve,) = problem.curves
     start = np.array([K_X, K_RY, B_X, B_RY, M_I, J_I, *rng.standard_normal(len(problem.names) - 6)])
-    value, slopes = curve.modelled(start)
+    found = curve.modelled(start)
+    value, slopes = found.value, found.by_place
     assert problem.names[-2:] == ("error: modulus", "error: length")
     for column, place in enumerate(curve.places.tolist()):
         step = np.eye(len(start))[place] * 1e-5 * max(abs(start[place]), 1.0)
-        ahead, behind = (curve.modelled(start + sign * step)[0] for sign in (1.0, -1.0))
+        ahead, behind = (curve.modelled(start + sign * step).value for sign in (1.0, -1.0))
         slope = (ahead - behind) / (2.0 * step[place])
         np.testing.assert_allclose(slopes[:, :, column], slope, rtol=1e-4, atol=1e-6 * np.abs(slope).max())
     # By its definition: the load's wrench and readings with what is not rigid, solved line by line.
