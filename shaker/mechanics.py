@@ -165,15 +165,17 @@ def poles(mechanics: Mechanics, weights: FloatArray) -> tuple[ComplexArray, Comp
     (mass, damping, stiffness), _ = mechanics.at(weights)
     size = len(mass)
     unit = np.sqrt(np.trace(stiffness) / np.trace(mass))  # 1/s, so that the companion matrix is balanced
-    lower = np.linalg.solve(mass, np.hstack([stiffness / unit**2, damping / unit]))
-    companion = np.block([[np.zeros((size, size)), np.eye(size)], [-lower]])
+    companion = np.eye(2 * size, k=size)
+    companion[size:, :size], companion[size:, size:] = stiffness / -(unit**2), damping / -unit
+    companion[size:] = np.linalg.solve(mass, companion[size:])
     roots, vectors = np.linalg.eig(companion)
     order = np.lexsort((np.abs(roots), roots.imag < -1e-12 * np.abs(roots)))[:size]
     root = unit * roots[order].astype(np.complex128)
     shape = vectors[:size, order].T
-    square = np.einsum("mi,qtij,mj->mqt", shape, mechanics.matrices[1:], shape)
-    norm = 2.0 * root * np.einsum("mi,ij,mj->m", shape, mass, shape)
-    norm = norm + np.einsum("mi,ij,mj->m", shape, damping, shape)
+    pairs = (shape[:, :, None] * shape[:, None]).reshape(size, -1)
+    terms = mechanics.matrices[1:].reshape(-1, size * size)
+    square = (pairs @ terms.T).reshape(size, -1, 3)
+    norm = 2.0 * root * (pairs @ mass.ravel()) + pairs @ damping.ravel()
     change = (square[:, :, 0] * root[:, None] + square[:, :, 1]) * root[:, None] + square[:, :, 2]
     return root, -change / norm[:, None]
 
