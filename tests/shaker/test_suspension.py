@@ -23,7 +23,8 @@ from identification_factory import (
 from identification_factory import pitching as shifted
 from scipy.spatial.transform import Rotation
 
-from shaker.identification.fit import Identification, identify
+from shaker.identification import fit
+from shaker.identification.fit import Identification, State, evaluate, identify
 from shaker.identification.measured import Bending, InertiaError, Placement
 from shaker.identification.problem import build
 from shaker.identification.structures import Suspension
@@ -85,6 +86,20 @@ def test_the_translational_stiffness_comes_out_of_two_modes(height, k_ry, b_x, b
     for mode, pole in zip(found.modes, root, strict=False):
         assert abs(mode.frequency_hz - abs(pole) / (2.0 * np.pi)) < 5.0 * mode.u_frequency_hz
         assert abs(mode.damping_ratio + pole.real / abs(pole)) < 5.0 * mode.u_damping_ratio
+
+
+def test_derivatives_are_worked_out_where_a_step_begins(monkeypatch):
+    """Starts that are not taken, steps that are refused, and how a valley bends need residuals alone."""
+    evaluated: list[State] = []
+
+    def counted(*arguments):
+        evaluated.append(evaluate(*arguments))
+        return evaluated[-1]
+
+    monkeypatch.setattr(fit, "evaluate", counted)
+    identify([pitching((4.236, 0.035, 0.012)), pitching((6.962, -0.01, 0.02))], PITCHING)
+    derived = [state for state in evaluated if state is not None and "jacobians" in vars(state)]
+    assert 0 < len(derived) <= len(evaluated) - 3  # of four starts one is taken
 
 
 def test_a_rotation_that_the_band_does_not_show_is_named():
