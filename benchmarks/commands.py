@@ -5,7 +5,8 @@ Usage: python benchmarks/commands.py [--before FOLDER] [--repeats 3] [--keep FOL
 Each command is a process of its own; of the repeats, taken in turn with those of the other checkout, the smallest
 times count. Kernels are compiled and modules read once before. The recordings are the demo in the repository and a
 simulated `nitsche2018` (844 pictures of 640 x 512 px, 12 bit, deflated), which takes two minutes to render and is
-kept in --keep; `lines` reads 30 million samples. With --docs the table goes to performance.md there.
+kept in --keep; `lines` reads 30 million samples; `step` and `decouple` fit the 19 releases of preset `steps`, `cameras`
+the pictures of preset `targets`. With --docs the table goes to performance.md there.
 """
 
 from __future__ import annotations
@@ -51,11 +52,16 @@ class Spent:
 def cases(kept: Path, results: Path) -> list[Case]:
     """Commands, from the shortest to the longest."""
     recording, run = kept / "nitsche2018" / "Fz-0106.25", ("-o", str(results), "--force", "-q")
+    pictures, charuco = (str(kept / "targets" / side) for side in ("left", "right")), ("--target", "charuco")
+    free = (*charuco, "--size", "11x8", "--spacing", "9e-3", "--shape", "free", "-o", f"{results}.json", *run[2:])
     return [
         Case("`--help`", "0.15 s of CPU", ("--help",)),
         Case("`check` of the demo", "0.6 s of CPU", ("check", str(DEMO), "-q")),
         Case("`run` of the demo's recording, 96 pictures", "4 s", ("run", str(DEMO / "Fz-0080"), *run)),
         Case("`lines`, 30 million samples", "5 s", ("lines", str(kept / "long.h5"), "-q")),
+        Case("`decouple`, 19 releases", "a third", ("decouple", str(kept / "steps"), *run)),
+        Case("`step --method all`, 19 releases", "a third", ("step", str(kept / "steps"), "--method", "all", *run)),
+        Case("`cameras --shape free`, 2 × 10 pictures", "a third", ("cameras", *pictures, *free)),
         Case("`run`, 844 pictures of 640 × 512 px", "10 s", ("run", str(recording), *run)),
         Case("the same, `--workers 2`", "10 s", ("run", str(recording), *run, "--workers", "2")),
     ]
@@ -63,8 +69,9 @@ def cases(kept: Path, results: Path) -> list[Case]:
 
 def make_inputs(kept: Path) -> None:
     """Write what is not there yet."""
-    if not (kept / "nitsche2018").is_dir():
-        shakercal(["simulate", str(kept / "nitsche2018"), "--preset", "nitsche2018", "-q"])
+    for preset in ("nitsche2018", "steps", "targets"):
+        if not (kept / preset).is_dir():
+            shakercal(["simulate", str(kept / preset), "--preset", preset, "-q"])
     if not (kept / "long.h5").is_file():
         time_s, rng = np.arange(SAMPLES) / RATE_HZ, np.random.default_rng(1)
         samples = np.sin(2.0 * np.pi * 106.25 * time_s) + 1e-3 * rng.standard_normal(SAMPLES)

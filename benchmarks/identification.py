@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,18 @@ SPREAD = {"stiffness": 0.01, "damping": 0.2, "internal": 0.05}  # of the truth f
 LOADS_KG = (4.236, 8.798)
 PITCHING = ((4.236, 0.012, 0.0182), (6.962, -0.002, 0.0118))  # kg, m, kg·m²
 TOPS_M = (0.06, -0.03)
+SIX_TOPS = (  # m, axis
+    ((0.05, 0.0, 0.06), 1),
+    ((0.05, 0.0, 0.06), 2),
+    ((-0.05, 0.02, 0.06), 2),
+    ((0.0, 0.05, -0.03), 0),
+    ((0.0, 0.05, 0.06), 0),
+    ((-0.05, 0.02, -0.03), 1),
+)
+SIX = (  # kg, m, kg·m²
+    (4.236, (0.002, -0.003, 0.012), (0.018, 0.017, 0.02)),
+    (6.962, (-0.003, 0.001, -0.004), (0.012, 0.014, 0.016)),
+)
 PAPER_HZ = 0.78125
 NOISE = 1e-3  # of a line of 0.78125 Hz, in parts of the base's motion
 U_MASS, U_SCALE, U_DELAY, U_CLOCK, U_HEIGHT, U_INERTIA = 3e-4, 2e-3, 0.2e-6, 1e-6, 5e-5, 2e-5
@@ -201,6 +213,39 @@ def _load_errors(number: int, mass: float, height: float, inertia: float) -> tup
     )
 
 
+def six_components(rng: np.random.Generator) -> tuple[list[MeasuredTransfer], FloatArray]:
+    """Return two loads, each moved along two directions, on springs of all six components, with the true parameters."""
+    inertia = np.array([5.2, 5.2, 5.2, 0.02, 0.02, 0.024])
+    omega = 2.0 * np.pi * 400.0 * 1.4 ** np.arange(6)
+    springs, dampers, internal = omega**2 * inertia, 0.02 * omega * inertia, np.array([0.9, 2e-3, 2e-3, 3e-3])
+    moving, frequency_hz, records = np.diag([*internal[[0, 0, 0]], *internal[1:]]), np.linspace(250.0, 3200.0, 300), []
+    tops = tuple(Placement(np.array(point), np.eye(3)[axis]) for point, axis in SIX_TOPS)
+    for mass, centre, about in SIX:
+        cross = np.cross(np.eye(3), centre)
+        load = np.block([[mass * np.eye(3), mass * cross.T], [mass * cross, np.diag(about) + mass * cross @ cross.T]])
+        for along in (np.array([1.0, 0.3, 0.2]), np.array([0.2, 0.4, 1.0])):
+            drive = np.concatenate([along, np.zeros(3)])
+            base = Placement(np.array([-0.12, 0.0, 0.0]), np.eye(3)[np.argmax(along)])
+
+            def ratio(
+                frequency_hz: FloatArray,
+                whole: FloatArray = load + moving,
+                forced: FloatArray = (load + moving) @ drive,
+                drive: FloatArray = drive,
+                base: Placement = base,
+            ) -> ComplexArray:
+                s = 2j * np.pi * frequency_hz[:, None, None]
+                dynamic = s * s * whole + s * np.diag(dampers) + np.diag(springs)
+                motion = drive - (s * s * np.linalg.solve(dynamic, forced[:, None]))[:, :, 0]
+                return np.asarray(motion @ np.stack([top.row for top in tops]).T / float(base.row @ drive))
+
+            facts = {"tops": tops, "base": base, "drive": drive, "mass_matrix": load}
+            errors = Drawn(np.zeros(7), np.zeros(7), 0.0)
+            measured = curve(rng, f"{mass} kg along {along}", ratio, frequency_hz, errors, **facts)
+            records.append(replace(measured, errors=(), u_clock=0.0))
+    return records, np.concatenate([springs, dampers, internal])
+
+
 @dataclass
 class Counted:
     """Relative errors and errors over u of every trial, by parameter."""
@@ -335,6 +380,12 @@ def main() -> None:
     )
     print("|---|---|---|---|")
     print("\n".join(bins))
+    six, true = six_components(rng)
+    started = time.process_time()
+    found = identify(six, Suspension(tuple(range(6))))
+    time_s = time.process_time() - started
+    off = np.abs([(found.value(name) - value) / found.u(name) for name, value in zip(found.names, true, strict=True)])
+    print(f"\nsix free components, four recordings: {time_s:.1f} s of CPU time, largest error {off.max():.1f} u")
     print("\n| sensitivity at twelve frequencies | |")
     print("|---|---|")
     print("\n".join(chain_rows(rng, trials // 4)))

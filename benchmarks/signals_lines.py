@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 
 from shaker.lines.detection import survey_lines
 from shaker.lines.frequencies import find_lines
-from shaker.lines.spectrum import find_peaks
+from shaker.lines.peaks import find_peaks
 from shaker.sine.fit import fit_sines
 
 FloatArray = NDArray[np.float64]

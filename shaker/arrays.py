@@ -61,7 +61,8 @@ class Stacked:
     def each(self) -> Iterator[FloatArray]:
         """Yield the channels (S,) one by one."""
         for column, factor in zip(self.columns, self.factors, strict=True):
-            yield np.asarray((column if self.rows is None else column[self.rows]) * factor)
+            own = column if self.rows is None else column[self.rows]
+            yield np.ascontiguousarray(own if factor == 1.0 else own * factor, dtype=np.float64)
 
     def parts(self) -> Iterator[FloatArray]:
         """Yield all rows (R, C), some at a time."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -85,31 +85,64 @@ class Beside:
 
 @dataclass(frozen=True)
 class Response:
-    """Ratios `value` (K, C) with derivatives `by_term` (K, C, P+E) and `by_log_s` (K, C).
+    """Ratios `value` (K, C) of responses to reference at s (K,), and on demand their derivatives.
 
-    `motion` (K, n): p, `below` (K,): what the reference reads, both per unit of the base's motion; `adjoint` (K, C, n):
-    change of the ratios for one of a force on p.
+    `motion` (K, n): p, `below` (K,): what the reference reads, both per unit of the base's motion. `inverse` (K, n, n)
+    of D = M s² + B s + K; `rows`, `mass`, `push`: rows of the responses, M and f with what is beside the mechanics.
     """
 
+    mechanics: Mechanics
+    s: ComplexArray
     value: ComplexArray
-    by_term: ComplexArray
-    by_log_s: ComplexArray
     motion: ComplexArray
     below: ComplexArray
-    adjoint: ComplexArray
+    inverse: ComplexArray
+    rows: FloatArray | ComplexArray
+    mass: FloatArray | ComplexArray
+    damping: FloatArray
+    push: ComplexArray
+
+    @cached_property
+    def adjoint(self) -> ComplexArray:
+        """Change (K, C, n) of the ratios for one of a force on p: y = D⁻¹ (rows - H · reference) / what that reads."""
+        readings = (self.rows - self.value[:, :, None] * self.mechanics.reference) / self.below[:, None, None]
+        return np.asarray(readings @ self.inverse)
+
+    @property
+    def by_term(self) -> ComplexArray:
+        """Derivatives (K, C, P+E) by the terms: dH = -y · (s² df + dD p).
+
+        D is symmetric; dD and df are linear in the terms, so that all derivatives are one product of s² yp, s yp, yp
+        and s² y with the entries of the terms' matrices; where all of them are 0 nothing is multiplied.
+        """
+        matrices, forcing = self.mechanics.matrices[1:], self.mechanics.forcing[1:]
+        parts, terms = [], []
+        for power, own in zip((2, 1, 0), matrices.swapaxes(0, 1), strict=True):
+            row, column = np.nonzero(np.any(own, axis=0))
+            pushed = self.s[:, None] ** power * self.motion[:, column]
+            parts.append(self.adjoint[:, :, row] * pushed[:, None])
+            terms.append(own[:, row, column])
+        (ahead,) = np.nonzero(np.any(forcing, axis=0))
+        parts.append(self.adjoint[:, :, ahead] * (self.s * self.s)[:, None, None])
+        terms.append(forcing[:, ahead])
+        together = np.concatenate(parts, axis=2)
+        found = together.reshape(-1, together.shape[2]) @ -np.concatenate(terms, axis=1).T
+        return np.asarray(found.reshape(*self.value.shape, len(forcing)))
+
+    @property
+    def by_log_s(self) -> ComplexArray:
+        """Derivatives (K, C) by the logarithm of s; what is beside the mechanics is taken as constant."""
+        s1 = self.s[:, None]
+        faster = 2.0 * s1 * s1 * (self.push + (self.mass @ self.motion[:, :, None])[:, :, 0])
+        return np.asarray(-np.sum(self.adjoint * (faster + s1 * (self.motion @ self.damping))[:, None], axis=2))
 
 
 def respond(mechanics: Mechanics, weights: FloatArray, s: ComplexArray, beside: Beside | None = None) -> Response:
-    """Return the ratios of responses to reference at s (K,) for weights (1+P+E,), with their derivatives.
-
-    With D = M s² + B s + K and y = D⁻¹ (rows - H · reference) / reference reading: dH = -y · (s² df + dD p). D is
-    symmetric; dD and df are linear in the terms, so that all derivatives are one product of [s² yp, s yp, yp, s² y]
-    with the entries of the terms' matrices. What is `beside` them is taken as constant in the derivative by s.
-    """
+    """Return the ratios of responses to reference at s (K,) for weights (1+P+E,)."""
     (mass, damping, stiffness), forcing = mechanics.at(weights)
     rows: FloatArray | ComplexArray = mechanics.rows[None]
     whole: FloatArray | ComplexArray = mass[None]
-    offset, push = mechanics.offset + 0.0j, forcing[None] + 0.0j
+    offset, push = mechanics.offset + 0.0j, np.asarray(forcing[None], np.complex128)
     if beside is not None:
         rows, offset = rows + beside.rows, offset + beside.offset
         whole, push = whole + beside.mass, push + beside.forcing
@@ -120,24 +153,7 @@ def respond(mechanics: Mechanics, weights: FloatArray, s: ComplexArray, beside: 
     motion = -s2 * (inverse @ push[:, :, None])[:, :, 0]
     below = mechanics.reference_offset + motion @ mechanics.reference
     value = (offset + (rows @ motion[:, :, None])[:, :, 0]) / below[:, None]
-    readings = (rows - value[:, :, None] * mechanics.reference) / below[:, None, None]
-    adjoint = readings @ inverse
-    size = len(forcing)
-    pairs = (adjoint[:, :, :, None] * motion[:, None, None, :]).reshape(*value.shape, size * size)
-    s3 = s[:, None, None]
-    pairs1 = s3 * pairs
-    parts = np.concatenate([s3 * pairs1, pairs1, pairs, (s3 * s3) * adjoint], axis=2)
-    terms = np.concatenate([mechanics.matrices[1:].reshape(-1, 3 * size * size), mechanics.forcing[1:]], axis=1)
-    by_term = parts.reshape(-1, parts.shape[2]) @ -terms.T
-    faster = 2.0 * s2 * (push + (whole @ motion[:, :, None])[:, :, 0]) + s1 * (motion @ damping)
-    return Response(
-        value=value,
-        by_term=by_term.reshape(*value.shape, len(terms)),
-        by_log_s=-np.sum(adjoint * faster[:, None], axis=2),
-        motion=motion,
-        below=below,
-        adjoint=adjoint,
-    )
+    return Response(mechanics, s, value, motion, below, inverse, rows, whole, damping, push)
 
 
 def poles(mechanics: Mechanics, weights: FloatArray) -> tuple[ComplexArray, ComplexArray]:
@@ -149,15 +165,17 @@ def poles(mechanics: Mechanics, weights: FloatArray) -> tuple[ComplexArray, Comp
     (mass, damping, stiffness), _ = mechanics.at(weights)
     size = len(mass)
     unit = np.sqrt(np.trace(stiffness) / np.trace(mass))  # 1/s, so that the companion matrix is balanced
-    lower = np.linalg.solve(mass, np.hstack([stiffness / unit**2, damping / unit]))
-    companion = np.block([[np.zeros((size, size)), np.eye(size)], [-lower]])
+    companion = np.eye(2 * size, k=size)
+    companion[size:, :size], companion[size:, size:] = stiffness / -(unit**2), damping / -unit
+    companion[size:] = np.linalg.solve(mass, companion[size:])
     roots, vectors = np.linalg.eig(companion)
     order = np.lexsort((np.abs(roots), roots.imag < -1e-12 * np.abs(roots)))[:size]
     root = unit * roots[order].astype(np.complex128)
     shape = vectors[:size, order].T
-    square = np.einsum("mi,qtij,mj->mqt", shape, mechanics.matrices[1:], shape)
-    norm = 2.0 * root * np.einsum("mi,ij,mj->m", shape, mass, shape)
-    norm = norm + np.einsum("mi,ij,mj->m", shape, damping, shape)
+    pairs = (shape[:, :, None] * shape[:, None]).reshape(size, -1)
+    terms = mechanics.matrices[1:].reshape(-1, size * size)
+    square = (pairs @ terms.T).reshape(size, -1, 3)
+    norm = 2.0 * root * (pairs @ mass.ravel()) + pairs @ damping.ravel()
     change = (square[:, :, 0] * root[:, None] + square[:, :, 1]) * root[:, None] + square[:, :, 2]
     return root, -change / norm[:, None]
 

@@ -93,6 +93,15 @@ class DecouplingFilter(Brief):
                 loads[d] += weight.real * real - weight.imag * imag
         return loads.T.copy(), FilterState(whole[:, count:].T.copy(), held)
 
+    def impulse_response(self, count: int) -> FloatArray:
+        """Return the loads (N, D, C) of N samples from one on in which each output alone is 1, before and after 0."""
+        rings = np.zeros((count, len(self.poles)), dtype=np.complex128)
+        rings[self.delay + 1 :] = self.poles ** np.arange(max(0, count - self.delay - 1))[:, None]
+        pairs = self.shown.T[:, :, None] * self.driven[:, None, :]
+        loads = np.tensordot(rings.real, pairs.real, 1) - np.tensordot(rings.imag, pairs.imag, 1)
+        loads[: len(self.taps)] += self.taps[:count]
+        return np.asarray(loads)
+
     def apply(self, outputs: FloatArray) -> FloatArray:
         """Return the loads (N, D) of a whole record (N, C) that begins at rest at its first sample."""
         return self.process(outputs, self.rest(np.asarray(outputs)[0]))[0]
@@ -354,7 +363,8 @@ def crosstalks(
         raise ValueError("model: expected one with covariance, found none")
     time_s, response, stages = step_times(model, decoupler), model.response(frequency_hz), []
     changes = rng.standard_normal((draws, len(model.vector))) @ _root(model.covariance).T
-    near = [model.with_vector(model.vector + _SHORTENED * change) for change in changes]
+    near = [model.with_vector(model.vector + _SHORTENED * change).step(time_s) for change in changes]
+    steps = model.step(time_s)
     for stage, reader in stage_readers(model, decoupler, noise).items():
         shown = (
             reader.response(frequency_hz)
@@ -362,9 +372,9 @@ def crosstalks(
             else reader[None].astype(np.complex128)
         )
         kernel = _kernel(reader, len(time_s))
-        here = _convolved(kernel, model.step(time_s))
+        here = _convolved(kernel, steps)
         peak = np.max(np.abs(here), axis=0)
-        moved = [here + (_convolved(kernel, one.step(time_s)) - here) / _SHORTENED for one in near]
+        moved = [here + (_convolved(kernel, one) - here) / _SHORTENED for one in near]
         spread = np.mean([(np.max(np.abs(other), axis=0) - peak) ** 2 for other in moved], axis=0)
         value, u = shown @ response, _u(model, shown, frequency_hz)
         stages.append(Crosstalk(stage, model.components, frequency_hz, value, u, peak, np.asarray(np.sqrt(spread))))
@@ -402,12 +412,7 @@ def _root(covariance: FloatArray) -> FloatArray:
 
 def _kernel(reader: Reader, count: int) -> FloatArray:
     """What a filter reads (N, D, C) after a unit impulse of every output; a matrix reads at once: (1, D, C)."""
-    if not isinstance(reader, DecouplingFilter):
-        return reader[None]
-    impulse = np.zeros((count, len(reader.channels)))
-    impulse[0, 0] = 1.0
-    answers = [reader.process(np.roll(impulse, c, axis=1), reader.rest())[0] for c in range(impulse.shape[1])]
-    return np.stack(answers, axis=2)
+    return reader.impulse_response(count) if isinstance(reader, DecouplingFilter) else reader[None]
 
 
 def _convolved(kernel: FloatArray, outputs: FloatArray) -> FloatArray:

@@ -272,7 +272,8 @@ def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], plac
         columns = np.concatenate([2 * upper.real, -2 * upper.imag, real.real], axis=1)
         designs.append(columns - columns.mean(axis=0))
     design = np.concatenate(designs)
-    moved = np.concatenate([np.arange(poles.count), *(poles.count + 2 * i + np.arange(2) for i in places)])
+    free = poles.count if held < poles.count else 0  # parameters of the poles that move
+    moved = np.concatenate([np.arange(free), *(poles.count + 2 * i + np.arange(2) for i in places)])
 
     def changes(own: FloatArray) -> tuple[IntArray, FloatArray]:
         """Poles move the responses and turn the basis; middle and duration move those of their own record."""
@@ -281,14 +282,18 @@ def _block(problem: StepProblem, poles: Poles, releases: Sequence[Release], plac
         re, im, real = np.split(smooth @ own, [modes, 2 * modes])
         residues = np.concatenate([2 * (re + 1j * im), real])  # those of modes twice, for their conjugates
         which, slope = poles.slopes
+        by_pole = slope[:, None] * residues[which]
         for k, (i, record) in enumerate(zip(places, records, strict=True)):
             rows, here = slice(edges[k], edges[k + 1]), record.answers(poles.values, releases[i])
-            along = here.by_pole[:, which, None] * (slope[:, None] * residues[which])
-            change[rows, : poles.count] = along.real + np.tensordot(designs[k], turned, axes=1)
-            change[rows, poles.count + 2 * k] = (here.by_onset @ residues).real
-            change[rows, poles.count + 2 * k + 1] = releases[i].duration_s * (here.by_length @ residues).real
+            if free:
+                along = here.by_pole[:, which]
+                change[rows, :free] = along.real[:, :, None] * by_pole.real - along.imag[:, :, None] * by_pole.imag
+                change[rows, :free] += np.tensordot(designs[k], turned, axes=1)
+            change[rows, free + 2 * k] = (here.by_onset @ residues).real
+            change[rows, free + 2 * k + 1] = releases[i].duration_s * (here.by_length @ residues).real
             change[rows] -= change[rows].mean(axis=0)
-        return moved[held:] - held, change[:, held:]
+        chosen = moved >= held
+        return moved[chosen] - held, change if np.all(chosen) else change[:, chosen]
 
     return Block(design @ smooth, np.concatenate([record.samples.value for record in records]), changes)
 

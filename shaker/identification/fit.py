@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -18,7 +19,15 @@ from shaker.identification.measured import (
     between_lines,
     seen_noise,
 )
-from shaker.identification.problem import DELAY_UNIT_S, Problem, build, factor_name, starting_vectors, whole_inertia
+from shaker.identification.problem import (
+    DELAY_UNIT_S,
+    Modelled,
+    Problem,
+    build,
+    factor_name,
+    starting_vectors,
+    whole_inertia,
+)
 from shaker.identification.structures import Structure
 from shaker.labels import typeset
 
@@ -126,16 +135,15 @@ _OPEN = 1e-10  # singular value, columns of unit length, below which a direction
 
 @dataclass(frozen=True, repr=False)
 class State(Brief):
-    """Unknowns `parameters` (N,) with the whitened residuals (K, 2C) and derivatives (K, 2C, L) of every curve.
+    """Unknowns `parameters` (N,) with what they make of every curve, and the whitened residuals (K, 2C).
 
-    Derivatives are by the curve's own unknowns. `loss`: χ² of lines and of what was known beforehand together;
-    `normal`: its half second derivatives (N, N) and what goes downhill (N,), zero for unknowns that are fixed.
+    `loss`: χ² of lines and of what was known beforehand together. Derivatives are worked out where they are asked for.
     """
 
+    problem: Problem
     parameters: FloatArray
+    modelled: tuple[Modelled, ...]
     residuals: tuple[FloatArray, ...]
-    jacobians: tuple[FloatArray, ...]
-    normal: tuple[FloatArray, FloatArray]
     loss: float
 
     @property
@@ -143,31 +151,37 @@ class State(Brief):
         """Number of real readings less that of unknowns, at least 1."""
         return max(1, sum(residual.size for residual in self.residuals) - len(self.parameters))
 
+    @cached_property
+    def jacobians(self) -> tuple[FloatArray, ...]:
+        """Derivatives (K, 2C, L) of the model's whitened readings by each curve's own unknowns."""
+        return tuple(part.curve.whitened(part.by_place) for part in self.modelled)
+
+    @cached_property
+    def normal(self) -> tuple[FloatArray, FloatArray]:
+        """Half second derivatives (N, N) of the loss, and what goes downhill (N,), zero for unknowns that are fixed."""
+        problem = self.problem
+        normal, downhill = np.diag(problem.precision), problem.precision * (problem.expected - self.parameters)
+        for curve, residual, jacobian in zip(problem.curves, self.residuals, self.jacobians, strict=True):
+            flat = jacobian.reshape(-1, jacobian.shape[2])
+            np.add.at(normal, (curve.places[:, None], curve.places), flat.T @ flat)
+            np.add.at(downhill, curve.places, flat.T @ residual.ravel())
+        normal[problem.fixed] = 0.0
+        normal[:, problem.fixed] = 0.0
+        downhill[problem.fixed] = 0.0
+        return normal, downhill
+
 
 def evaluate(problem: Problem, vector: FloatArray) -> State | None:
-    """Return residuals and derivatives at a vector of unknowns, None where a mass or a stiffness is not positive."""
+    """Return a vector of unknowns with its residuals, None where a mass or a stiffness is not positive."""
     if not all(curve.possible(vector) for curve in problem.curves):
         return None
-    off = problem.expected - vector
-    normal, downhill = np.diag(problem.precision), problem.precision * off
-    loss = float(problem.precision @ off**2)
-    residuals, jacobians = [], []
-    for curve in problem.curves:
-        value, by_place = curve.modelled(vector)
-        deviation = (curve.record.ratio.value - value)[:, :, None]
-        both = curve.whitened(np.concatenate([deviation, by_place], axis=2))
-        flat = both.reshape(-1, both.shape[2])
-        product = flat.T @ flat
-        np.add.at(normal, (curve.places[:, None], curve.places), product[1:, 1:])
-        np.add.at(downhill, curve.places, product[1:, 0])
-        loss += float(product[0, 0])
-        residuals.append(both[:, :, 0])
-        jacobians.append(both[:, :, 1:])
-    normal[problem.fixed] = 0.0
-    normal[:, problem.fixed] = 0.0
-    downhill[problem.fixed] = 0.0
-    loss = loss if np.isfinite(loss) else np.inf
-    return State(vector, tuple(residuals), tuple(jacobians), (normal, downhill), loss)
+    modelled = tuple(curve.modelled(vector) for curve in problem.curves)
+    residuals = tuple(
+        part.curve.whitened((part.curve.record.ratio.value - part.value)[:, :, None])[:, :, 0] for part in modelled
+    )
+    loss = float(problem.precision @ (problem.expected - vector) ** 2)
+    loss += sum(float(np.vdot(residual, residual)) for residual in residuals)
+    return State(problem, vector, modelled, residuals, loss if np.isfinite(loss) else np.inf)
 
 
 def solve(problem: Problem, state: State) -> State:
@@ -411,7 +425,7 @@ def _result(problem: Problem, state: State, found: Spread, noise: SeenNoise) -> 
         ParameterEstimate(p.name, p.label, float(state.parameters[place]), found.u(unit[place]), p.unit)
         for place, p in enumerate(problem.parameters)
     )
-    model = tuple(curve.modelled(state.parameters)[0] for curve in problem.curves)
+    model = tuple(part.value for part in state.modelled)
     unknowns, causes = [], {}
     for place, name in enumerate(problem.names):
         cause = name.removeprefix("error: ")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -33,6 +34,8 @@ class Displacements(Brief):
 
     def moved(self, mechanics: Mechanics, vector: FloatArray) -> Mechanics:
         """Return mechanics as seen from where the unknowns say that the transducers are."""
+        if not len(self.places):
+            return mechanics
         off = vector[self.places]
         return replace(
             mechanics,
@@ -154,6 +157,11 @@ class Curve(Brief):
         np.add.at(by_unknown.T, self.terms, by_term.T)
         return roots, by_unknown
 
+    def rings_as(self, other: Curve) -> bool:
+        """Return whether another recording has the same poles whatever the unknowns: the load is the same."""
+        own, its = self.mechanics.matrices, other.mechanics.matrices
+        return np.array_equal(self.terms, other.terms) and np.array_equal(own, its)
+
     @property
     def places(self) -> IntArray:
         """Places of the columns of `modelled` among the unknowns."""
@@ -161,25 +169,43 @@ class Curve(Brief):
         last += [np.array([self.clock])] if self.clock >= 0 else []
         return np.concatenate([self.terms, self.factors, self.displacements.places, *last])
 
-    def modelled(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the ratios (K, C) that unknowns lead to, and their derivatives (K, C, L) by those at `places`."""
+    def modelled(self, vector: FloatArray) -> Modelled:
+        """Return the ratios that unknowns lead to."""
         u_clock = self.record.u_clock if self.clock >= 0 else 0.0
         s = self.record.s * (1.0 + u_clock * vector[self.clock])
         beside = None if self.bends is None else self.bends.at(vector)
         response = respond(self.displacements.moved(self.mechanics, vector), self.weights(vector), s, beside)
-        factor = np.exp(self.relative @ vector[self.factors])
-        value = response.value * factor
-        moved = self.displacements.derivatives(response) * factor[:, :, None]
-        columns = [response.by_term * factor[:, :, None], value[:, :, None] * self.relative, moved]
-        if self.bends is not None:
-            columns.append(self.bends.derivatives(response, s) * factor[:, :, None])
-        if self.clock >= 0:
-            columns.append((u_clock * response.by_log_s * factor)[:, :, None])
-        return value, np.concatenate(columns, axis=2)
+        return Modelled(self, response, np.exp(self.relative @ vector[self.factors]))
 
     def whitened(self, deviation: ComplexArray) -> FloatArray:
         """Return complex deviations (K, C, L) as independent real ones of variance one, (K, 2C, L)."""
         return np.asarray(self.whitening @ np.concatenate([deviation.real, deviation.imag], axis=1))
+
+
+@dataclass(frozen=True, repr=False)
+class Modelled(Brief):
+    """What unknowns make of a curve: its mechanics' `response` times `factor` (K, C)."""
+
+    curve: Curve
+    response: Response
+    factor: ComplexArray
+
+    @cached_property
+    def value(self) -> ComplexArray:
+        """Ratios (K, C)."""
+        return np.asarray(self.response.value * self.factor)
+
+    @property
+    def by_place(self) -> ComplexArray:
+        """Derivatives (K, C, L) of the ratios by the unknowns at the curve's `places`."""
+        curve, response, factor = self.curve, self.response, self.factor[:, :, None]
+        moved = curve.displacements.derivatives(response) * factor
+        columns = [response.by_term * factor, self.value[:, :, None] * curve.relative, moved]
+        if curve.bends is not None:
+            columns.append(curve.bends.derivatives(response, response.s) * factor)
+        if curve.clock >= 0:
+            columns.append((curve.record.u_clock * response.by_log_s)[:, :, None] * factor)
+        return np.concatenate(columns, axis=2)
 
 
 @dataclass(frozen=True, repr=False)
@@ -407,6 +433,7 @@ def _matched(problem: Problem, start: FloatArray, measured: Sequence[ComplexArra
     """Return unknowns whose modes have the measured poles, near where they start: springs and dampers by factors."""
     whole = whole_inertia(problem, start)[free]
     factors = np.isnan(whole)
+    alike = [next(k for k, other in enumerate(problem.curves) if other.rings_as(curve)) for curve in problem.curves]
 
     def moved(x: FloatArray) -> FloatArray:
         vector = start.copy()
@@ -418,10 +445,11 @@ def _matched(problem: Problem, start: FloatArray, measured: Sequence[ComplexArra
         vector = moved(x)
         scale = np.where(factors, _FACTOR_RANGE * vector[free], _INERTIA_RANGE * whole)
         residuals, slopes = [x], [np.eye(len(x))]
-        for curve, roots in zip(problem.curves, measured, strict=True):
-            if not curve.possible(vector):
-                return None
-            modes, by_unknown = curve.poles(vector)
+        if not all(problem.curves[k].possible(vector) for k in set(alike)):
+            return None
+        every = {k: problem.curves[k].poles(vector) for k in set(alike)}
+        for k, roots in zip(alike, measured, strict=True):
+            modes, by_unknown = every[k]
             for place, pole in enumerate(roots):  # in order, or of the nearest where some lack
                 whose = place if len(roots) == len(modes) else int(np.argmin(np.abs(np.log(np.abs(pole / modes)))))
                 off, slope = np.log(modes[whose] / pole), by_unknown[whose, free] * scale / modes[whose]
@@ -439,7 +467,7 @@ def _gained(problem: Problem, vector: FloatArray) -> FloatArray:
     places = {name: place for place, name in enumerate(problem.names)}
     for curve in problem.curves:
         record = curve.record
-        value = curve.modelled(vector)[0]
+        value = curve.modelled(vector).value
         noise = record.ratio.u_re**2 + record.ratio.u_im**2
         for c, channel in enumerate(record.ratio.channels):
             place = places.get(factor_name("ln gain", record, channel))

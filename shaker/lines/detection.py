@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Literal
@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, FloatArray, Notice, Stacked, check_shape, check_shapes
-from shaker.lines.spectrum import MOST_LINES, Peaks, find_peaks
+from shaker.lines.peaks import MOST_LINES, Floored, Peaks, find_peaks
 from shaker.sine.aliasing import CAPTURE, alias_frequency, unfolded
 
 # What a line most likely is: fundamental, multiple or part of one, combination, mains, side band, or unexplained.
@@ -289,6 +289,7 @@ _EXPECTED_MAINS = 7
 _FEWEST = 32  # samples
 _MOST_COMBINED = 6  # fundamentals whose sums and differences are expected
 _FLOOR_POINTS = 400
+_KEPT = 1 << 24  # bins of spectra that are kept from the first look for the second
 _PER_LINE = ("frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "snr")
 _HANN_NOISE = 3.0  # noise power in a Hann bin over the variance of a fitted quadrature: 6 σ²/N over 2 σ²/N
 
@@ -392,19 +393,36 @@ def survey_lines(
         raise ValueError(f"values: expected finite samples, found {missing} that are not")
     if not rate_hz > 0.0:
         raise ValueError(f"rate_hz: expected a positive number, found {rate_hz}")
-    first = look(data.each(), data.shape, rate_hz, false_alarm)
+    spectra = _Spectra(data)
+    first = look(spectra, data.shape, rate_hz, false_alarm)
     given, notices = _nominal(first, nominal_hz, rate_hz, len(data))
     seen = given
     if not len(nominal_hz):
         named = with_origins(first, rate_hz, len(data))
         seen = np.array([o.fundamental_hz for o in named.origin if o.kind == "fundamental"])
-    second = look(data.each(), data.shape, rate_hz, false_alarm, expected_places(seen, rate_hz))
+    second = look(spectra, data.shape, rate_hz, false_alarm, expected_places(seen, rate_hz))
     named = with_origins(second, rate_hz, len(data), given if len(nominal_hz) else None)
     return replace(named, notices=named.notices + notices)
 
 
+class _Spectra:
+    """The spectra of channels one by one, each time anew but for those first ones that together take little memory."""
+
+    def __init__(self, data: Stacked) -> None:
+        self._data, self._kept = data, list[Floored]()
+
+    def __iter__(self) -> Iterator[Floored]:
+        yield from self._kept
+        bins = len(self._data) // 2 + 1
+        for c in range(len(self._kept), self._data.shape[1]):
+            floored = Floored(next(self._data.select([c]).each()))
+            if len(self._kept) == c and (c + 1) * bins <= _KEPT:
+                self._kept.append(floored)
+            yield floored
+
+
 def look(
-    columns: Iterable[FloatArray],
+    spectra: Iterable[Floored],
     shape: tuple[int, ...],
     rate_hz: float,
     false_alarm: float,
@@ -412,7 +430,7 @@ def look(
     taken_hz: FloatArray | None = None,
     smallest: FloatArray | None = None,
 ) -> Survey:
-    """Return the lines of C columns of uniform samples (S,), `shape` (S, C), not yet named.
+    """Return the lines of the spectra of C columns of uniform samples (S,), `shape` (S, C), not yet named.
 
     `expected_hz`: where less height is enough. `taken_hz`: lines whose fit left these samples as residual. `smallest`
     (C,): amplitude below which a peak is rounding.
@@ -423,8 +441,8 @@ def look(
     taken = np.empty(0) if taken_hz is None else alias_frequency(taken_hz, rate_hz) * to_bins
     least = np.zeros(channels) if smallest is None else smallest
     peaks = [
-        find_peaks(np.ascontiguousarray(column), false_alarm / channels, expected, taken, float(smallest_here))
-        for column, smallest_here in zip(columns, least, strict=True)
+        find_peaks(spectrum, false_alarm / channels, expected, taken, float(smallest_here))
+        for spectrum, smallest_here in zip(spectra, least, strict=True)
     ]
     return _merged(peaks, rate_hz / samples)
 

@@ -19,7 +19,7 @@ from shaker.lines.detection import (
     no_lines,
     relative_strength,
 )
-from shaker.lines.spectrum import excess_power
+from shaker.lines.peaks import Floored, excess_power
 from shaker.sine.aliasing import (
     CAPTURE,
     SamplingGrid,
@@ -195,7 +195,7 @@ class _Record:
         lines, fit = fitted.chosen.lines, fitted.fit
         amplitude = np.abs(fit.phasors.value)
         residuals = (
-            self.grid.filled(own - fit.model(self.time_s, slice(c, c + 1))[:, 0])
+            Floored(self.grid.filled(own - fit.model(self.time_s, slice(c, c + 1))[:, 0]))
             for c, own in enumerate(self.data.each())
         )
         others = look(

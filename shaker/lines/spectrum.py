@@ -1,4 +1,4 @@
-"""Amplitude spectra, their noise floor, and the peaks above it.
+"""Amplitude spectra, and their noise floor.
 
 Hann spectra whose lines can be fitted and taken out bin by bin.
 
@@ -8,15 +8,14 @@ falls as the cube of the distance: a line touches the bins around it only.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from math import lgamma
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, Stacked, check_shape, check_shapes
+from shaker.arrays import ComplexArray, FloatArray, IntArray, Stacked, check_shape
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ def amplitude_spectrum(samples: FloatArray | Stacked, sample_rate_hz: float, mos
         if count % 2 == 0:
             spectrum[-1] /= 2.0
         own = np.empty(bins)
-        for part in _parts(bins):
+        for part in parts_of(bins):
             own[part] = np.abs(spectrum[part]) * (2.0 / count)
         amplitude[:, c] = np.maximum.reduceat(own, first)
     last = np.minimum(first + merged, bins) - 1
@@ -76,7 +75,6 @@ _BIN_CORRELATION = (1.0, 2.0 / 3.0, 1.0 / 6.0)  # of white noise in Hann bins 0,
 _DRIFT_FROM = 1e4  # power over noise from which a line's own slow change of amplitude is taken out with it
 _NEGLIGIBLE = 0.05  # of the noise amplitude: what a line leaves beyond the bins it is taken out of
 _WIDEST = 20_000
-_RAMP_BINS = 256
 _SERIES_BELOW = 1e-5  # bins: nearer to its centre the kernel is taken from its series
 
 
@@ -98,7 +96,7 @@ def centred_spectrum(samples: FloatArray) -> ComplexArray:
     """
     count = len(samples)
     spectrum = _hann_rfft(samples, (count - 1) / 2.0)
-    for part in _parts(len(spectrum)):
+    for part in parts_of(len(spectrum)):
         turn = np.exp(np.arange(part.start, part.stop) * (-1j * np.pi / count))
         turn[1::2] *= -1.0  # parts begin at even bins
         spectrum[part] *= turn * (2.0 / count)
@@ -111,9 +109,9 @@ _FEWEST_PARTS, _MOST_PARTS = 16, 64
 _RETURNED = 1 << 26  # bytes of an array whose memory the system has back at once
 
 
-def _parts(bins: int) -> list[slice]:
-    """Return slices that cover so many bins."""
-    return [slice(first, min(first + _PART, bins)) for first in range(0, bins, _PART)]
+def parts_of(bins: int, most: int = _PART) -> list[slice]:
+    """Return slices, of at most so many, that cover bins."""
+    return [slice(first, min(first + most, bins)) for first in range(0, bins, most)]
 
 
 def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
@@ -138,7 +136,7 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
             row[:] = np.fft.rfft(_windowed(samples, mean, middle, slice(q, count, pieces)))
             halves[q] = row
     del block, row
-    for part in _parts(length // 2 + 1):
+    for part in parts_of(length // 2 + 1):
         step = np.exp(np.arange(part.start, part.stop) * (-1j * turn))
         twist = np.ones(len(step), dtype=np.complex128)
         twisted = np.empty((pieces, len(step)), dtype=np.complex128)
@@ -221,11 +219,16 @@ def fit_line(spectrum: ComplexArray, samples: int, start: float, noise: float) -
     return BinLine(place, value, change if tame else 0j, u_place, float(np.sqrt(quadrature[0])))
 
 
-def add_line(spectrum: ComplexArray, samples: int, line: BinLine, noise: float, sign: float) -> None:
-    """Add a line times `sign` to the bins of a spectrum in which it can be told from a noise power, in place."""
+def bins_of(line: BinLine, bins: int, noise: float) -> tuple[int, int]:
+    """Return the first of the bins of a spectrum in which a line can be told from a noise power, and the one behind."""
     reach = (abs(line.value) / (_NEGLIGIBLE * np.sqrt(noise) * np.pi)) ** (1.0 / 3.0)
     width = int(min(max(reach, 4.0), _WIDEST)) + 2
-    low, high = max(0, round(line.place) - width), min(len(spectrum), round(line.place) + width + 1)
+    return max(0, round(line.place) - width), min(bins, round(line.place) + width + 1)
+
+
+def add_line(spectrum: ComplexArray, samples: int, line: BinLine, bins: tuple[int, int], sign: float) -> None:
+    """Add a line times `sign` to the bins of a spectrum from the first to below the second, in place."""
+    low, high = bins
     shape, slope = kernel(line.place, low, high, samples)
     part = line.value * shape + np.conj(line.value) * kernel(-line.place, low, high, samples)[0]
     spectrum[low:high] += sign * (part + line.slope * slope)
@@ -245,6 +248,7 @@ _BLOCKS = (64, 256)  # bins per median, narrow and wide
 _LOW_BINS = 256  # in which a slope of the noise towards zero is taken off first
 _CAPPED = 4.0  # times the floor: what stands higher does not pull at the slope
 _FIT_STEPS = 60
+_ROUNDING = 1e-9  # by which an interpolated level may fall short of its neighbours, with a wide margin
 BINS_PER_INDEPENDENT = 1.94  # 1 + 2·(4/9 + 1/36): Hann bins share their noise
 
 
@@ -264,7 +268,7 @@ class Power:
     @property
     def highest(self) -> float:
         """The power of the strongest bin."""
-        return max((float(self[part].max()) for part in _parts(len(self))), default=0.0)
+        return max((float(self[part].max()) for part in parts_of(len(self))), default=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,19 +296,33 @@ class NoiseLevel:
             level = level * np.where(at < len(self.trend), self.trend[np.minimum(at, len(self.trend) - 1)], 1.0)
         return np.asarray(np.maximum(level, self.least))
 
+    def below(self, bins: slice) -> float:
+        """Return a power that none of these bins falls short of."""
+        lowest = -np.inf
+        for centres, log_level in self.curves:
+            first, last = np.searchsorted(centres, (bins.start, bins.stop - 1))
+            lowest = max(lowest, float(log_level[max(first - 1, 0) : last + 1].min()))
+        trend = min(1.0, float(self.trend[bins].min(initial=1.0)))
+        return max(float(np.exp(lowest)) * trend * (1.0 - _ROUNDING), self.least)
+
     @property
     def lowest(self) -> float:
         """The noise power of the quietest bin."""
-        return min(float(self[part].min()) for part in _parts(self.bins))
+        return min(float(self[part].min()) for part in parts_of(self.bins))
 
 
-def noise_level(power: FloatArray | Power) -> NoiseLevel:
+def noise_level(
+    power: FloatArray | Power, before: NoiseLevel | None = None, changed: Sequence[tuple[int, int]] = ()
+) -> NoiseLevel:
     """Return the noise power of every bin (B,).
 
     Medians of blocks of bins, which pass over lines, divided by ln 2 (a bin's power has an exponential distribution)
     and interpolated; of narrow and wide blocks the higher value. Towards zero frequency, where drift and 1/f noise
     rise faster than a block sees, a parabola in log power over log frequency is taken off first, by maximum Whittle
     likelihood of the power capped at four times the floor.
+
+    `before`: the level as it was before the power of some bins `changed`, from the first to below the second, and of
+    the lowest; the medians of all other blocks are its own.
     """
     usable = len(power) - FIRST_BIN
     if usable < 1:
@@ -317,9 +335,16 @@ def noise_level(power: FloatArray | Power) -> NoiseLevel:
         if blocks == 1 and counts:
             break
         edges = FIRST_BIN + np.round(np.linspace(0.0, usable, blocks + 1)).astype(np.int64)
-        medians = _medians(power, trend, edges[:-1], int(np.min(np.diff(edges))))
-        centres = (edges[:-1] + edges[1:] - 1) / 2.0
-        curves.append((centres, np.log(np.maximum(medians / np.log(2.0), np.finfo(np.float64).tiny))))
+        own = np.ones(blocks, dtype=np.bool_)
+        log_level = np.empty(blocks)
+        if before is not None:
+            own[:] = False
+            log_level[:] = before.curves[len(curves)][1]
+            for low, high in (*changed, (0, len(trend))):
+                own[max(0, np.searchsorted(edges, low, "right") - 1) : np.searchsorted(edges, high)] = True
+        medians = _medians(power, trend, edges[:-1][own], int(np.min(np.diff(edges))))
+        log_level[own] = np.log(np.maximum(medians / np.log(2.0), np.finfo(np.float64).tiny))
+        curves.append(((edges[:-1] + edges[1:] - 1) / 2.0, log_level))
         counts.append(usable / blocks)
     return NoiseLevel(len(power), tuple(curves), trend, max(counts) / BINS_PER_INDEPENDENT)
 
@@ -329,11 +354,11 @@ def _medians(power: FloatArray | Power, trend: FloatArray, first: IntArray, leng
     medians = np.empty(len(first))
     step = max(1, _PART // length)
     for k in range(0, len(first), step):
-        own = first[k : k + step]
-        flat = power[own[0] : own[-1] + length].copy()
-        low = trend[own[0] :]
-        flat[: len(low)] /= low[: len(flat)]
-        medians[k : k + step] = np.median(np.lib.stride_tricks.sliding_window_view(flat, length)[own - own[0]], axis=1)
+        bins = first[k : k + step, None] + np.arange(length)
+        flat = power[bins]
+        low = np.flatnonzero(bins[:, 0] < len(trend))
+        flat[low] /= np.append(trend, 1.0)[np.minimum(bins[low], len(trend))]
+        medians[k : k + step] = np.median(flat, axis=1, overwrite_input=True)
     return medians
 
 
@@ -372,206 +397,3 @@ def chance_height(chance: float, independent: float) -> float:
         if high - low < 1e-9 * high:
             break
     return float(high * np.log(2.0))
-
-
-# Significant peaks of one record's spectrum: lines found, fitted and taken out until noise is left.
-
-MOST_LINES = 200
-APART_BINS = 2.5  # two lines closer than this pass for one, and a line's own change stands within it
-_ROUNDS = 12
-_SWEEPS = 3
-_INTERACT = 12.0  # bins within which lines are fitted again when another is found
-_LEAKAGE = 2.0  # times what a stronger line may leave in a bin: below it, a peak waits until that line is out
-_SMALLEST = 1e-9  # of the strongest line: below it, rounding looks like lines
-_NEIGHBOURHOOD = 16  # bins on either side that a line must stand out of as well, fewer beside a stronger one
-_EXPECTED_BINS = 1.0  # how far from an expected place a line may lie
-
-
-@dataclass(frozen=True)
-class Peaks:
-    """Lines of one record in ascending frequency, with standard uncertainties.
-
-    `place`, `u_place` (L,) in bins, 1 / length of the record; `value` (L,) phasors at the middle of the record,
-    `u_value` (L,) of their real or imaginary part; `noise` (L,) noise power in a bin about the line; `level` (B,) noise
-    floor of the whole spectrum; `cut` the number of lines left out because there were too many.
-    """
-
-    place: FloatArray
-    u_place: FloatArray
-    value: ComplexArray
-    u_value: FloatArray
-    noise: FloatArray
-    level: NoiseLevel
-    cut: int
-
-    def __post_init__(self) -> None:
-        check_shapes(self, self.place.shape, "u_place", "value", "u_value", "noise")
-
-
-def find_peaks(
-    samples: FloatArray,
-    chance: float,
-    expected: FloatArray,
-    taken: FloatArray,
-    smallest: float = 0.0,
-) -> Peaks:
-    """Find the lines of samples (S,): noise alone adds one with probability `chance` in the whole spectrum.
-
-    Half of the chance is for peaks anywhere, half for those at the `expected` places (E,), where less height is enough.
-    Each line is fitted and taken out of the spectrum with its leakage before the floor is looked at again; a line must
-    stand out of what is left next to it just as well (and by no less than the square root of its chance allows for so
-    few bins), which the skirts of a stronger line and a resonance do not. `taken` (T,): bins of lines fitted already,
-    whose samples these are the residual of; `smallest`: amplitude below which a peak is rounding.
-    """
-    state = _Search(centred_spectrum(samples), len(samples), taken, expected, chance, smallest**2)
-    for _ in range(_ROUNDS):
-        if not state.grow() and not state.grow_expected():
-            break
-    return state.result()
-
-
-def excess_power(samples: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the highest power over the noise floor within each of the intervals `place` (Q, 2) in bins, and where.
-
-    Samples (S,) → ratio (Q,) and fitted place of the peak (Q,).
-    """
-    spectrum = centred_spectrum(samples)
-    power = Power(spectrum)
-    level = replace(noise_level(power), least=np.finfo(np.float64).tiny)
-    ratio, where = np.empty(len(place)), np.empty(len(place))
-    for q, (low, high) in enumerate(place):
-        first = min(max(math.ceil(low), 1), len(power) - 2)
-        last = min(max(math.floor(high), first), len(power) - 2)
-        top = first + int(np.argmax(power[first : last + 1] / level[first : last + 1]))
-        ratio[q] = float(power[top]) / float(level[top])
-        where[q] = fit_line(spectrum, len(samples), float(top), float(level[top])).place
-    return ratio, where
-
-
-class _Search:
-    """A spectrum from which the lines found so far are taken out."""
-
-    def __init__(
-        self,
-        spectrum: ComplexArray,
-        samples: int,
-        taken: FloatArray,
-        expected: FloatArray,
-        chance: float,
-        smallest: float,
-    ) -> None:
-        self.rest, self.power, self.samples, self.smallest = spectrum, Power(spectrum), samples, smallest
-        self.taken, self.expected = taken, expected
-        self.lines: list[BinLine] = []
-        self.last = len(spectrum) - (2 if samples % 2 == 0 else 1)
-        share = 0.5 if len(expected) else 1.0
-        self.chance_anywhere = share * chance / max(self.last - FIRST_BIN, 1)
-        self.chance_expected = share * chance / max(3 * len(expected), 1)
-        self.look()
-        self.least = self.level.lowest
-
-    def look(self) -> None:
-        """Take the power of what is left, and its noise floor."""
-        # The straight line that the lowest bins show is taken out.
-        _, ramp = kernel(0.0, 0, min(len(self.rest), _RAMP_BINS), self.samples)
-        lowest = self.rest.imag[: len(ramp)]
-        lowest -= float(ramp @ lowest) / float(ramp @ ramp) * ramp
-        level = noise_level(self.power)
-        strongest = max((abs(line.value) ** 2 for line in self.lines), default=self.power.highest)
-        rounding = max(self.smallest, _SMALLEST**2 * strongest, np.finfo(np.float64).tiny)
-        self.level = replace(level, least=rounding)
-
-    def grow(self) -> bool:
-        """Add all peaks that stand out anywhere and are no leakage of stronger ones; tell whether there were any."""
-        height = chance_height(self.chance_anywhere, self.level.independent)
-        found = []
-        for part in _parts(self.last):
-            first, stop = max(part.start, FIRST_BIN), part.stop
-            power = self.power[first - 1 : stop + 1]
-            inner, beside = power[1:-1], np.maximum(power[:-2], power[2:])
-            found.append(first + np.flatnonzero((inner > height * self.level[first:stop]) & (inner >= beside)))
-        bins = np.concatenate([np.empty(0, dtype=np.int64), *found])
-        return self._add(self._clear(bins[np.argsort(-self.power[bins], kind="stable")]))
-
-    def grow_expected(self) -> bool:
-        """Add the peaks that stand out at expected places; tell whether there were any."""
-        height = chance_height(self.chance_expected, self.level.independent)
-        around = [np.arange(max(FIRST_BIN, round(p) - 1), min(self.last, round(p) + 2)) for p in self.expected]
-        best = {int(bins[np.argmax(self.power[bins])]) for bins in around if len(bins)}
-        high = sorted((k for k in best if self.power[k] > height * self.level[k]), key=lambda k: -self.power[k])
-        return self._add(self._clear(np.array(high, dtype=np.int64)))
-
-    def _clear(self, bins: IntArray) -> list[int]:
-        """Return, strongest first, the bins away from known lines that no stronger one of them can have filled."""
-        known = np.concatenate([self.taken, [line.place for line in self.lines]])
-        clear: list[int] = []
-        for k in bins.tolist():
-            if len(known) and np.min(np.abs(known - k)) < APART_BINS:
-                continue
-            distance = np.abs(np.array(clear, dtype=np.float64) - k)
-            leak = self.power[np.array(clear, dtype=np.int64)] / (np.pi * np.maximum(distance - 1.0, 0.3) ** 3) ** 2
-            if not np.any(_LEAKAGE**2 * leak > self.power[k]):
-                clear.append(k)
-            if len(clear) + len(self.lines) >= 2 * MOST_LINES:
-                break
-        return clear
-
-    def _add(self, bins: Sequence[int]) -> bool:
-        """Fit lines at these bins, take them out, and fit them and their neighbours again in turn."""
-        for k in bins:
-            self._take(fit_line(self.rest, self.samples, float(k), float(self.level[k])))
-        near = np.array(bins, dtype=np.float64)
-        for _ in range(_SWEEPS if bins else 0):
-            for line in [line for line in self.lines if np.min(np.abs(near - line.place)) < _INTERACT]:
-                self.lines.remove(line)
-                noise = float(self.level[round(line.place)])
-                add_line(self.rest, self.samples, line, self.least, 1.0)
-                self._take(fit_line(self.rest, self.samples, line.place, noise))
-        if bins:
-            self.look()
-        return bool(bins)
-
-    def _take(self, line: BinLine) -> None:
-        add_line(self.rest, self.samples, line, self.least, -1.0)
-        self.lines.append(line)
-
-    def result(self) -> Peaks:
-        """Return the lines that stand out of their neighbourhood too, the strongest where there are too many."""
-        self.lines.sort(key=lambda line: -abs(line.value))
-        kept: list[tuple[BinLine, float]] = []
-        for line in self.lines:
-            around = self._stands_out(line, [other.place for other, _ in kept])
-            if around is not None:
-                kept.append((line, around))
-        cut = max(0, len(kept) - MOST_LINES)
-        kept = sorted(kept[:MOST_LINES], key=lambda item: item[0].place)
-        noise = np.array([item[1] for item in kept])
-        wider = np.sqrt(noise / np.array([self.level[round(line.place)] for line, _ in kept]))
-        return Peaks(
-            place=np.array([line.place for line, _ in kept]),
-            u_place=np.array([line.u_place for line, _ in kept]) * wider,
-            value=np.array([line.value for line, _ in kept], dtype=np.complex128),
-            u_value=np.array([line.u_value for line, _ in kept]) * wider,
-            noise=noise,
-            level=self.level,
-            cut=cut,
-        )
-
-    def _stands_out(self, line: BinLine, stronger: Sequence[float]) -> float | None:
-        """Return the noise next to a line, None where the line is no more than a part of it."""
-        centres = np.concatenate([[0.0, self.samples / 2.0], self.taken, stronger])
-        distance = float(np.min(np.abs(centres - line.place)))
-        half = int(np.clip(distance / 2.0, 3.0, _NEIGHBOURHOOD))
-        centre = round(line.place)
-        bins = np.arange(max(1, centre - half), min(self.last, centre + half) + 1)
-        fitted = np.concatenate([[line.place], self.taken, stronger])
-        free = bins[np.min(np.abs(np.subtract.outer(bins, fitted)), axis=1) > 1.0]
-        floor = float(self.level[centre])
-        expected = np.any(np.abs(self.expected - line.place) <= _EXPECTED_BINS)
-        if distance < APART_BINS or len(free) < 3:
-            return None
-        local = float(np.median(self.power[free])) / np.log(2.0)
-        chance = self.chance_expected if expected else self.chance_anywhere
-        height = chance_height(float(np.sqrt(chance)), len(free) / BINS_PER_INDEPENDENT)
-        height = max(height, chance_height(chance, self.level.independent))
-        return max(local, floor) if abs(line.value) ** 2 > height * local else None

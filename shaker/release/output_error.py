@@ -62,22 +62,29 @@ class Structure:
         slopes[real, real + self.modes] = poles[self.modes :]
         return slopes
 
-    def shares(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return residues (M + Q, terms) of every numerator term, and their derivatives (M + Q, terms, 2M + Q).
+    def shares(self, vector: FloatArray) -> ComplexArray:
+        """Return residues (M + Q, terms) of every numerator term.
 
         Residue of term k at p_i: ω0^n (p_i/ω0)^k/Π_{j≠i}(p_i - p_j) over all n poles.
         """
+        poles = self.poles(vector)
+        first = self.scale * np.prod(self.scale / self._gaps(poles), axis=1)
+        return np.asarray(first[:, None] * (poles[:, None] / self.scale) ** np.arange(self.terms))
+
+    def share_slopes(self, vector: FloatArray) -> ComplexArray:
+        """Return derivatives (M + Q, terms, 2M + Q) of `shares` to the parameters."""
         poles, slopes = self.poles(vector), self.pole_slopes(vector)
-        every = np.concatenate([poles, poles[: self.modes].conj()])
         moves = np.concatenate([slopes, slopes[: self.modes].conj()])
-        size = len(poles)
-        gaps = poles[:, None] - every
-        gaps[np.arange(size), np.arange(size)] = self.scale
-        power = np.arange(self.terms)
-        values = self.scale * np.prod(self.scale / gaps, axis=1)[:, None] * (poles[:, None] / self.scale) ** power
         spread = slopes[:, None, :] - moves[None, :, :]
-        rate = power[:, None] * (slopes / poles[:, None])[:, None, :] - (spread / gaps[:, :, None]).sum(axis=1)[:, None]
-        return values, values[:, :, None] * rate
+        own = np.arange(self.terms)[:, None] * (slopes / poles[:, None])[:, None, :]
+        rate = own - (spread / self._gaps(poles)[:, :, None]).sum(axis=1)[:, None]
+        return np.asarray(self.shares(vector)[:, :, None] * rate)
+
+    def _gaps(self, poles: ComplexArray) -> ComplexArray:
+        """Return how far all poles, conjugates last, lie from each (M + Q, 2M + Q); `scale` from itself."""
+        gaps = poles[:, None] - np.concatenate([poles, poles[: self.modes].conj()])
+        np.fill_diagonal(gaps, self.scale)
+        return np.asarray(gaps)
 
 
 # Output-error least squares: linear parameters projected out, the others by Levenberg-Marquardt.
@@ -148,17 +155,16 @@ def design(problem: Problem, vector: FloatArray, samples: Samples) -> FloatArray
 
 def _design(problem: Problem, vector: FloatArray, value: ComplexArray) -> FloatArray:
     """Return the design of the poles' responses (B, P)."""
-    shares, _ = problem.structure.shares(vector)
-    parts = np.real(value @ (_twice(problem.structure)[:, None] * shares))
+    parts = np.real(value @ (_twice(problem.structure)[:, None] * problem.structure.shares(vector)))
     return np.concatenate([np.ones((len(parts), 1)), parts], axis=1)
 
 
 def slopes(problem: Problem, vector: FloatArray, linear: FloatArray, answered: Answers) -> FloatArray:
     """Return derivatives (B, K) of the fitted output to the nonlinear parameters, unweighted."""
     structure = problem.structure
-    shares, by_vector = structure.shares(vector)
     twice = _twice(structure)
-    residues, moved = twice * (shares @ linear[1:]), twice[:, None] * np.einsum("pkm,k->pm", by_vector, linear[1:])
+    residues = twice * (structure.shares(vector) @ linear[1:])
+    moved = twice[:, None] * np.einsum("pkm,k->pm", structure.share_slopes(vector), linear[1:])
     poles = structure.pole_slopes(vector) * residues[:, None]
     out = [np.real(answered.by_pole @ poles + answered.value @ moved)]
     if problem.load.timed:
@@ -175,7 +181,7 @@ def squares(problem: Problem, vector: FloatArray) -> FloatArray:
     whole = np.concatenate([columns_, problem.samples.value[:, None]], axis=1) * problem.samples.weight[:, None]
     if not np.all(np.isfinite(whole)):
         return np.full(problem.structure.terms, np.inf)
-    last = np.asarray(np.linalg.qr(whole)[1])[:, -1]
+    last = np.asarray(np.linalg.qr(whole, mode="r"))[:, -1]
     return np.asarray(np.cumsum(last[::-1] ** 2)[::-1][2:])
 
 
@@ -304,7 +310,7 @@ def modal_model(solution: Solution, covariance: FloatArray, u_amplitude: float) 
     """Return a fit as a model; the load's relative uncertainty joins the residues."""
     structure = solution.problem.structure
     poles, m = structure.poles(solution.vector), structure.modes
-    residues = structure.shares(solution.vector)[0] @ solution.linear[1:]
+    residues = structure.shares(solution.vector) @ solution.linear[1:]
     omega = np.abs(poles[:m])
     hz = -poles[m:].real / (2 * np.pi)
     common = np.concatenate([np.zeros(2 * m), residues[:m].real, residues[:m].imag, 0 * hz, residues[m:].real])
@@ -368,7 +374,7 @@ def _converter(whole: Samples, residual: FloatArray, gain: FloatArray, fitted: F
 def _model_slopes(structure: Structure, vector: FloatArray, linear: FloatArray) -> FloatArray:
     """Return derivatives (P, K + 1 + terms) of a modal model's vector to the fit's parameters."""
     m, n, count = structure.modes, structure.order, len(vector)
-    shares, by_vector = structure.shares(vector)
+    shares, by_vector = structure.shares(vector), structure.share_slopes(vector)
     out = np.zeros((4 * m + 2 * structure.reals, count + len(linear)))
     frequency, hz = np.exp(vector[:m]) / (2 * np.pi), np.exp(vector[2 * m : n]) / (2 * np.pi)
     out[np.arange(m), np.arange(m)] = frequency

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -43,10 +44,10 @@ class Samples(Brief):
         check_shape("value", self.value, (*self.time_s.shape, *self.value.shape[1:]))
 
     @cached_property
-    def lengths(self) -> tuple[IntArray, IntArray]:
-        """Lengths (L,) that occur, and which of them every block has (B,)."""
-        sizes, place = np.unique(self.length, return_inverse=True)
-        return sizes, place
+    def runs(self) -> tuple[slice, ...]:
+        """Stretches of blocks of one length."""
+        edges = [0, *(np.flatnonzero(np.diff(self.length)) + 1).tolist(), len(self.length)]
+        return tuple(slice(first, stop) for first, stop in pairwise(edges))
 
     @cached_property
     def weight(self) -> FloatArray:
@@ -175,33 +176,38 @@ def answers(load: Load, poles: ComplexArray, samples: Samples, middle_s: float, 
     """Return what poles (P,) in rad/s answer to a load whose release of `length_s` has its middle at `middle_s`."""
     if load.shape == "measured":
         return _to_force(load, poles, samples)
-    length = length_s if load.lasting else 0.0
-    tau = samples.time_s - (middle_s - 0.5 * length)
-    whole = np.zeros((4, len(tau), len(poles)), dtype=np.complex128)
-    after = (tau > 0) & (tau >= length)
-    mean, mean_slope = (part[samples.lengths[1][after]] for part in _block_factors(poles * samples.step_s, samples))
-    whole[:, after] = _after(load.shape, poles, tau[after] - length, length, mean, mean_slope * samples.step_s)
-    touched = ~after & (tau + (samples.length - 1) * samples.step_s > 0)
-    if np.any(touched):
-        size = samples.length[touched]
-        ends = np.cumsum(size)
-        inside = np.arange(ends[-1]) - np.repeat(ends - size, size)
-        single = _at_times(load.shape, poles, np.repeat(tau[touched], size) + inside * samples.step_s, length)
-        whole[:, touched] = np.add.reduceat(single, ends - size, axis=1) / size[:, None]
-    return Answers(*(load.amplitude * whole))
+    return Answers(*_answered(load, poles, samples, (middle_s, length_s), 4))
 
 
 def responses(load: Load, poles: ComplexArray, samples: Samples, middle_s: float, length_s: float) -> ComplexArray:
     """Return the responses (B, P) of `answers` alone, for half the work."""
-    length = length_s if load.lasting else 0.0
-    tau = samples.time_s - (middle_s - 0.5 * length)
-    last = tau + (samples.length - 1) * samples.step_s
-    if load.shape == "measured" or np.any((last > 0) & (tau < length)):
-        return answers(load, poles, samples, middle_s, length_s).value
-    factor = release_factor(load.shape, poles * length)[0] if length > 0 else 1.0
-    mean = _block_factors(poles * samples.step_s, samples)[0][samples.lengths[1]]
-    value = (mean * factor * np.exp(poles * np.maximum(tau - length, 0.0)[:, None]) - 1.0) * (load.amplitude / poles)
-    return np.asarray(np.where(tau[:, None] > 0, value, 0.0))
+    if load.shape == "measured":
+        return _to_force(load, poles, samples).value
+    return np.asarray(_answered(load, poles, samples, (middle_s, length_s), 1)[0])
+
+
+def _answered(
+    load: Load, poles: ComplexArray, samples: Samples, release: tuple[float, float], rows: int
+) -> ComplexArray:
+    """Return the first rows of `Answers` (R, B, P), one or all four, to a release of a middle and a length."""
+    length = release[1] if load.lasting else 0.0
+    tau = samples.time_s - (release[0] - 0.5 * length)
+    whole = np.zeros((rows, len(tau), len(poles)), dtype=np.complex128)
+    first = int(np.searchsorted(tau, length, "left" if length > 0.0 else "right"))
+    for run in samples.runs:
+        later = slice(max(run.start, first), run.stop)
+        if later.start < later.stop:
+            means = _means(poles, int(samples.length[later.start]), samples.step_s)
+            whole[:, later] = _after(load.shape, poles, tau[later] - length, length, means, rows)
+    touched = slice(int(np.searchsorted(tau + (samples.length - 1) * samples.step_s, 0.0, "right")), first)
+    if touched.start < touched.stop:
+        size = samples.length[touched]
+        ends = np.cumsum(size)
+        inside = np.arange(ends[-1]) - np.repeat(ends - size, size)
+        single = _at_times(load.shape, poles, np.repeat(tau[touched], size) + inside * samples.step_s, length, rows)
+        whole[:, touched] = np.add.reduceat(single, ends - size, axis=1) / size[:, None]
+    whole *= load.amplitude
+    return whole
 
 
 def release_factor(shape: Shape, x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -218,34 +224,38 @@ def release_factor(shape: Shape, x: ComplexArray) -> tuple[ComplexArray, Complex
 
 
 def _after(
-    shape: Shape, p: ComplexArray, sigma: FloatArray, length: float, mean: ComplexArray, mean_slope: ComplexArray
-) -> ComplexArray:
-    """Return what blocks show (4, B, P), as `Answers`, whose first sample is `sigma` (B,) after the end of the release.
+    shape: Shape, p: ComplexArray, sigma: FloatArray, length: float, means: tuple[ComplexArray, ComplexArray], rows: int
+) -> list[ComplexArray]:
+    """Return what blocks show (R of B, P), as `Answers`, whose first sample is `sigma` (B,) after the release's end.
 
-    `mean`, `mean_slope` (B, P): of exp(pt) over the block's samples, and its derivative to p.
+    `means`, (P,) each: of exp(pt) over a block's samples, and its derivative to p.
     """
+    mean, mean_slope = means
     late, ones = sigma[:, None], np.ones_like(p)
     factor, slope = release_factor(shape, p * length) if length > 0 else (ones, 0.5 * ones)
     swing = np.exp(p * late)
     decay = mean * factor * swing
     value = (decay - 1.0) / p
+    if rows == 1:
+        return [value]
     change = mean_slope * factor + mean * (late * factor + length * slope)
-    return np.stack([value, (change * swing - value) / p, -decay, mean * (slope - 0.5 * factor) * swing])
+    return [value, (change * swing - value) / p, -decay, mean * (slope - 0.5 * factor) * swing]
 
 
-def _at_times(shape: Shape, p: ComplexArray, tau: FloatArray, length: float) -> ComplexArray:
-    """Return what single samples show (4, B, P), as `Answers`, `tau` (B,) after the onset; zero before it."""
-    whole = np.zeros((4, len(tau), len(p)), dtype=np.complex128)
+def _at_times(shape: Shape, p: ComplexArray, tau: FloatArray, length: float, rows: int) -> ComplexArray:
+    """Return what single samples show (R, B, P), as `Answers`, `tau` (B,) after the onset; zero before it."""
+    whole = np.zeros((rows, len(tau), len(p)), dtype=np.complex128)
     after, during = (tau > 0) & (tau >= length), (tau > 0) & (tau < length)
-    one = np.ones((1, len(p)), dtype=np.complex128)
-    whole[:, after] = _after(shape, p, tau[after] - length, length, one, 0 * one)
+    whole[:, after] = _after(shape, p, tau[after] - length, length, _means(p, 1, 0.0), rows)
     if np.any(during):
         early = tau[during][:, None]
         share, value, by_pole = (_along_line if shape == "ramp" else _along_cosine)(p, early, length)
-        by_onset = -(p * value + share)
-        # the answer is T·f(τ/T, pT), so that the derivative to the length follows from those to time and to the pole
-        by_length = (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset
-        whole[:, during] = value, by_pole, by_onset, by_length
+        found = [value]
+        if rows > 1:
+            by_onset = -(p * value + share)
+            # the answer is T·f(τ/T, pT), so that the derivative to the length follows from those to time and pole
+            found += [by_pole, by_onset, (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset]
+        whole[:, during] = found
     return whole
 
 
@@ -268,15 +278,13 @@ def _along_cosine(p: ComplexArray, tau: FloatArray, length: float) -> tuple[Floa
     return 0.5 * (1.0 - cosine), value, 0.5 * (slope + 2 * p * top / below**2)
 
 
-def _block_factors(x: ComplexArray, samples: Samples) -> tuple[ComplexArray, ComplexArray]:
-    """Return means (L, P) of exp(kx), k = 0 … length - 1, for x = p·step and all lengths, and derivatives to x."""
-    sizes = samples.lengths[0]
-    values, slopes = np.ones((len(sizes), len(x)), complex), np.zeros((len(sizes), len(x)), complex)
-    for place in np.flatnonzero(sizes > 1):
-        k = np.arange(int(sizes[place]))[:, None]
-        powers = np.exp(k * x)
-        values[place], slopes[place] = powers.mean(axis=0), (k * powers).mean(axis=0)
-    return values, slopes
+def _means(p: ComplexArray, size: int, step_s: float) -> tuple[ComplexArray, ComplexArray]:
+    """Return the mean of exp(pt) (P,) over so many samples from t = 0 on, and its derivative to the pole."""
+    if size == 1:
+        return np.ones_like(p), np.zeros_like(p)
+    k = np.arange(size)[:, None]
+    powers = np.exp(k * (p * step_s))
+    return powers.mean(axis=0), (k * powers).mean(axis=0) * step_s
 
 
 def _to_force(load: Load, poles: ComplexArray, samples: Samples) -> Answers:

@@ -10,13 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shaker.io import read_channels
+from shaker.lines import detection, peaks
 from shaker.lines.detection import survey_lines
 from shaker.lines.frequencies import find_lines
+from shaker.lines.peaks import find_peaks
 from shaker.lines.spectrum import (
+    Power,
     amplitude_spectrum,
     centred_spectrum,
     chance_height,
-    find_peaks,
     fit_line,
     hann_window,
     noise_level,
@@ -57,6 +59,37 @@ def test_noise_level_is_the_power_of_the_noise_and_passes_over_lines():
     # A Hann bin of amplitude scaling holds 4 σ²/N · 1.5.
     assert np.median(level[:]) == pytest.approx(6.0 * 4.0 / len(values), rel=0.1)
     assert level.independent > 60
+
+
+def test_noise_level_after_a_change_is_that_of_the_whole_anew():
+    rng = np.random.default_rng(3)
+    spectrum = centred_spectrum(_pink(rng, 40_000, 1.0))
+    before, changed = noise_level(Power(spectrum)), [(0, 40), (7000, 7003), (9990, 10_400), (19_900, 20_001)]
+    for low, high in changed:
+        spectrum[low:high] *= rng.uniform(2.0, 9.0, size=len(spectrum[low:high]))
+    after, anew = noise_level(Power(spectrum), before, changed), noise_level(Power(spectrum))
+    np.testing.assert_array_equal(after[:], anew[:])
+    assert not np.array_equal(after[:], before[:])
+    for low, high in [(3, 50), (3, 20_001), (6000, 6001), (9990, 12_000), (19_000, 20_001)]:
+        assert after.below(slice(low, high)) <= after[low:high].min()
+
+
+def test_a_record_is_transformed_once_for_both_looks(monkeypatch):
+    values = np.stack([_tones(2.0, {80.0: 10.0, 160.0: 0.05, 50.0: 0.3}, 0.2, seed) for seed in range(3)], axis=1)
+    transformed: list[int] = []
+
+    def counted(samples):
+        transformed.append(len(samples))
+        return centred_spectrum(samples)
+
+    monkeypatch.setattr(peaks, "centred_spectrum", counted)
+    kept = survey_lines(values, RATE)
+    assert len(transformed) == 3
+    monkeypatch.setattr(detection, "_KEPT", 2 * (len(values) // 2 + 1))  # room for two of the three
+    some = survey_lines(values, RATE)
+    assert len(transformed) == 3 + 4
+    for name in ("frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "snr", "floor"):
+        np.testing.assert_array_equal(getattr(some, name), getattr(kept, name))
 
 
 def test_chance_height_is_that_of_exponential_values():
@@ -102,7 +135,7 @@ EXPECTED = np.array([17.3, 34.6, 51.9])
 def test_noise_alone_makes_no_more_lines_than_stated(samples, expected, chance, trials, most, exponent):
     rng = np.random.default_rng(2)
     found = (find_peaks(_pink(rng, samples, exponent), chance, expected, NOTHING) for _ in range(trials))
-    assert sum(len(peaks.place) > 0 for peaks in found) <= most
+    assert sum(len(own.place) > 0 for own in found) <= most
 
 
 def test_noise_through_a_resonance_is_no_line():

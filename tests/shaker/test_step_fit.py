@@ -299,7 +299,7 @@ def test_numerator_terms_are_partial_fractions(modes, low_pass):
     structure = Structure(len(modes), len(low_pass), 1, 1e4)
     upper = system.poles[system.poles.imag > 0]
     poles = np.concatenate([upper, system.poles[system.poles.imag == 0]])
-    shares, _ = structure.shares(structure.vector(poles))
+    shares = structure.shares(structure.vector(poles))
     s = 2j * np.pi * np.array([0.0, 700.0, 3000.0])[:, None]
     both = np.sum(shares[:, 0] / (s - poles), axis=1)
     both += np.sum(shares[: len(upper), 0].conj() / (s - upper.conj()), axis=1)

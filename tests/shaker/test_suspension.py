@@ -23,7 +23,8 @@ from identification_factory import (
 from identification_factory import pitching as shifted
 from scipy.spatial.transform import Rotation
 
-from shaker.identification.fit import Identification, identify
+from shaker.identification import fit
+from shaker.identification.fit import Identification, State, evaluate, identify
 from shaker.identification.measured import Bending, InertiaError, Placement
 from shaker.identification.problem import build
 from shaker.identification.structures import Suspension
@@ -85,6 +86,20 @@ def test_the_translational_stiffness_comes_out_of_two_modes(height, k_ry, b_x, b
     for mode, pole in zip(found.modes, root, strict=False):
         assert abs(mode.frequency_hz - abs(pole) / (2.0 * np.pi)) < 5.0 * mode.u_frequency_hz
         assert abs(mode.damping_ratio + pole.real / abs(pole)) < 5.0 * mode.u_damping_ratio
+
+
+def test_derivatives_are_worked_out_where_a_step_begins(monkeypatch):
+    """Starts that are not taken, steps that are refused, and how a valley bends need residuals alone."""
+    evaluated: list[State] = []
+
+    def counted(*arguments):
+        evaluated.append(evaluate(*arguments))
+        return evaluated[-1]
+
+    monkeypatch.setattr(fit, "evaluate", counted)
+    identify([pitching((4.236, 0.035, 0.012)), pitching((6.962, -0.01, 0.02))], PITCHING)
+    derived = [state for state in evaluated if state is not None and "jacobians" in vars(state)]
+    assert 0 < len(derived) <= len(evaluated) - 3  # of four starts one is taken
 
 
 def test_a_rotation_that_the_band_does_not_show_is_named():
@@ -219,11 +234,12 @@ def test_what_bends_and_its_unknowns_have_the_derivatives_they_say():
     problem = build([replace(record, bending=bending)], PITCHING, {}, (), (), ())
     (curve,) = problem.curves
     start = np.array([K_X, K_RY, B_X, B_RY, M_I, J_I, *rng.standard_normal(len(problem.names) - 6)])
-    value, slopes = curve.modelled(start)
+    found = curve.modelled(start)
+    value, slopes = found.value, found.by_place
     assert problem.names[-2:] == ("error: modulus", "error: length")
     for column, place in enumerate(curve.places.tolist()):
         step = np.eye(len(start))[place] * 1e-5 * max(abs(start[place]), 1.0)
-        ahead, behind = (curve.modelled(start + sign * step)[0] for sign in (1.0, -1.0))
+        ahead, behind = (curve.modelled(start + sign * step).value for sign in (1.0, -1.0))
         slope = (ahead - behind) / (2.0 * step[place])
         np.testing.assert_allclose(slopes[:, :, column], slope, rtol=1e-4, atol=1e-6 * np.abs(slope).max())
     # By its definition: the load's wrench and readings with what is not rigid, solved line by line.
