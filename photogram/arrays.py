@@ -17,6 +17,14 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
+GOLDEN = (5.0**0.5 - 1.0) / 2.0
+
+
+def spread_choice(numbers: IntArray, share: float) -> BoolArray:
+    """Which of some numbers are taken so that `share` of them are, by the golden ratio: evenly, and in no period."""
+    return np.asarray(numbers * GOLDEN % 1.0 < share)
+
+
 def check_shape(name: str, array: NDArray[Any], shape: tuple[int | None, ...]) -> None:
     """Raise `ValueError` unless `array` has `shape`; `None` stands for any length."""
     fits = array.ndim == len(shape) and all(

@@ -251,9 +251,7 @@ def measure_pairs(
     on_gpu = executor is None and resolve_device(device) != "cpu"
     with Threads(max(1, len(images)) if on_gpu else None) as here:  # a GPU holds one block of each body at a time
         crew = here if executor is None else executor
-        prepared = [
-            crew.submit(0, _prepared, body_inputs(item, settings, lines), device, item.depth_m) for item in images
-        ]
+        prepared = [crew.submit(0, _prepared, item, settings, lines) for item in images]
         for item, pending in zip(images, prepared, strict=True):
             scene: BodyScene | LeftOut = _attempted(item, partial(_answer, item, pending))
             followed = scene if isinstance(scene, LeftOut) else Followed(item, scene, device, kept)
@@ -305,13 +303,12 @@ def _answer(images: OpenImages, pending: Pending) -> Any:
         return answer.opened()
 
 
-def _prepared(  # a task, hence a function of this module
-    inputs: BodyInputs, device: str, depth_m: tuple[float, float] | None
-) -> BodyScene:
+def _prepared(images: OpenImages, settings: Settings, lines: int | None) -> BodyScene:  # a task, so of this module
     from photogram.measure.follow import prepare_body
     from photogram.subsets.track import resolve_device
 
-    return prepare_body(*inputs, resolve_device(device), depth_m=depth_m)
+    inputs = body_inputs(images, settings, lines)
+    return prepare_body(*inputs, resolve_device(settings.device), depth_m=images.depth_m)
 
 
 def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, as above

@@ -11,6 +11,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
@@ -32,6 +33,7 @@ from fusion.base import (
     Identity,
     InputError,
     __version__,
+    usable_cores,
     warnings_first,
 )
 from fusion.recording.load import Manifest
@@ -128,16 +130,20 @@ def hash_files(files: Iterable[Path], root: Path, read: Mapping[Path, Identity] 
     while it is hashed, is refused.
     """
     hashes, seen, again, base = {}, {}, set(), root.resolve()
-    for path in set(files):
+
+    def hashed(path: Path) -> tuple[Path, Path, Identity | None, str, Identity | None]:
         resolved = path.resolve()
-        key = resolved.relative_to(base) if resolved.is_relative_to(base) else resolved
         before = (read or {}).get(resolved) or Identity.of(path)
-        digest, now = sha256(path), Identity.of(path)
-        if before is None or now is None or now[:2] != before[:2]:
-            raise _changed(path, now)
-        hashes[key.as_posix()], seen[path] = digest, (now, digest)
-        if now != before or not now.settled:
-            again.add(path)
+        return path, resolved, before, sha256(path), Identity.of(path)
+
+    with ThreadPoolExecutor(usable_cores()) as readers:  # a hash is computed without Python's lock
+        for path, resolved, before, digest, now in readers.map(hashed, set(files)):
+            key = resolved.relative_to(base) if resolved.is_relative_to(base) else resolved
+            if before is None or now is None or now[:2] != before[:2]:
+                raise _changed(path, now)
+            hashes[key.as_posix()], seen[path] = digest, (now, digest)
+            if now != before or not now.settled:
+                again.add(path)
     return InputFiles(dict(sorted(hashes.items())), seen, frozenset(again))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray
+from photogram.arrays import Arrays, BoolArray, FloatArray, spread_choice
 from photogram.bspline import Spline
 from photogram.direct.cells import Cells, CellSums, chosen, compare_cells, pixel_residuals, prepare_cells, reweighted
 from photogram.geometry import RigidTransform, pose_rate
@@ -19,7 +19,6 @@ EVALUATIONS = 12
 CORRECTED = 0.3  # of the share by which noise makes a step too short, that may be left once it is corrected
 THINNED, FEWEST_THINNED = 3, 24  # one cell of so many makes an approach, and how many that has to leave in a view
 APPROACHES, LARGEST_APPROACH = 4, 100.0  # steps of it, and standard uncertainties of one that may be the last
-GOLDEN = (5.0**0.5 - 1.0) / 2.0
 LEFT_OVER = 0.02  # standard uncertainties that may remain between the motion and the converged one
 LARGEST_STEP = 20.0  # standard uncertainties of a step that may be the last one
 MISFIT = 3.0  # times the median misfit per pixel, beyond which a cell shows something else than the body
@@ -143,11 +142,10 @@ def approach(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidT
 
 
 def thinned(views: Sequence[BodyView]) -> tuple[BodyView, ...]:
-    """Return the views with every eighth of their cells, for `approach`; none where that leaves too few."""
+    """Return the views with a third of their cells, for `approach`; none where that leaves too few."""
     some = []
     for view in views:
-        count = len(view.rates)
-        which = np.flatnonzero(np.arange(count) * GOLDEN % 1.0 < 1.0 / THINNED)
+        which = np.flatnonzero(spread_choice(np.arange(len(view.rates)), 1.0 / THINNED))
         if len(which) < FEWEST_THINNED:
             return ()
         patches = view.patches

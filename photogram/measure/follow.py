@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,7 +9,7 @@ from itertools import chain, groupby
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray
+from photogram.arrays import Arrays, BoolArray, FloatArray, spread_choice
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import Points, StereoRig, triangulate
 from photogram.direct.fit import (
@@ -44,7 +43,7 @@ GPU_BLOCK_FRAMES = 1024
 """On a GPU, which follows frames in batches: more than most series have, few enough to hold."""
 FORETELLING = 4
 """Frames in a row that foretell the next: as many as the rule of one sine about any mean takes."""
-GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+FEW_MORE = 1.25  # times the frames wanted, below which subsets are looked for in all
 LOUDER = 4.0
 """Times the noise of the frames before, beyond which a foretold fit is not believed without subsets."""
 ELSEWHERE_PX = 0.5
@@ -115,25 +114,22 @@ def prepare_body(
     rest = range(1 + len(scene.lead), len(images[0]))
     length = BLOCK_FRAMES if device == "cpu" else GPU_BLOCK_FRAMES
     blocks = tuple(rest[start : start + length] for start in range(0, len(rest), length))
-    sought = every if settings.frames is None else _sought(len(every), blocks, settings.frames)
+    sought = every if settings.frames is None else _sought(rest, settings.frames)
     return replace(scene, near=thinned(scene.views), blocks=blocks, sought=sought)
 
 
-def _sought(count: int, blocks: Sequence[range], wanted: int) -> BoolArray:
-    """In which of `count` frames subsets are looked for, about `wanted` of them; in all where that spares few.
+def _sought(rest: range, wanted: int) -> BoolArray:
+    """In which frames subsets are looked for, about `wanted` of them, `rest` being the later ones; in all if few more.
 
-    In those before the blocks and those that foretell the others of a block; and spread over the rest by the golden
-    ratio, so that no two lines that all frames tell apart fold onto each other.
+    In the first ones, in those that foretell the others of a block, whoever follows how many at once, and in a part of
+    the others that has no period, so that no two lines that all frames tell apart fold onto each other.
     """
-    if count < 1.25 * wanted or not blocks:
-        return np.ones(count, dtype=np.bool_)
-    sought = np.arange(count) < blocks[0].start
-    for block in blocks:
-        sought[block[:FORETELLING]] = True
-    rest = np.flatnonzero(~sought)
-    share = max(0.0, (wanted - np.count_nonzero(sought)) / max(len(rest), 1))
-    sought[rest] = rest * GOLDEN % 1.0 < share
-    return sought
+    numbers = np.arange(rest.stop)
+    sought = (numbers < rest.start) | ((numbers - rest.start) % BLOCK_FRAMES < FORETELLING)
+    others = int(np.count_nonzero(~sought))
+    if len(sought) < FEW_MORE * wanted or others == 0:
+        return np.ones(len(sought), dtype=np.bool_)
+    return np.asarray(sought | spread_choice(numbers, max(0.0, (wanted - len(sought) + others) / others)))
 
 
 def follow_block(
@@ -163,9 +159,8 @@ def _fitted_in_turn(scene: BodyScene, frames: range) -> Iterator[FollowedFrame]:
     """
     sides = _followers(scene)
     fits, history, last = list[DirectFit](), list[Found](), list[Found]()
-    for number, images in zip(
-        frames, zip(*(each.read_ahead(frames) for each in scene.images), strict=True), strict=True
-    ):
+    read = zip(*(images.read_ahead(frames) for images in scene.images), strict=True)
+    for number, images in zip(frames, read, strict=True):
         left, right = (spline_of_image(image, scene.settings.degree) for image in images)
         fit = _foretold_fit(scene, fits, (left, right))
         here: Found | None = None
@@ -208,10 +203,9 @@ def _foretold_fit(scene: BodyScene, fits: Sequence[DirectFit], splines: Splines)
     if len(fits) < FORETELLING:
         return None
     pose = foretold([fit.moved.pose for fit in fits], 1.0 / np.sqrt(np.diagonal(fits[-1].covariance)))
-    start: RigidTransform | None = RigidTransform.from_pose(pose)
-    if scene.near and start is not None:
-        start = approach(scene.near, splines, start)
-    fit = None if start is None else fit_direct(scene.views, splines, start)
+    start = RigidTransform.from_pose(pose)
+    near = approach(scene.near, splines, start) if scene.near else start
+    fit = None if near is None else fit_direct(scene.views, splines, near)
     return None if fit is None or fit.noise > LOUDER * np.median([before.noise for before in fits]) else fit
 
 
@@ -219,8 +213,9 @@ def _elsewhere(found: Registration, start: FloatArray | None) -> bool:
     """Whether most of the subsets are not where they were looked for."""
     if start is None:
         return True
-    away = np.hypot(*(found.warp - start)[:, [0, 3]].T)
-    return not np.nanmedian(np.where(np.isfinite(start[:, 0]) & np.isnan(away), np.inf, away)) < ELSEWHERE_PX
+    looked_for = np.isfinite(start).all(axis=1)
+    away = np.hypot(*(found.warp - start)[looked_for][:, [0, 3]].T)
+    return not (len(away) and np.median(np.where(np.isnan(away), np.inf, away)) < ELSEWHERE_PX)
 
 
 def _followers(scene: BodyScene) -> tuple[Follower, Follower]:

@@ -39,7 +39,7 @@ def followed(kept: Any) -> Followed:
 
 
 def drawn_block(seed: int) -> FollowedBlock:
-    """Three frames of five subsets, one of them with a direct fit."""
+    """Three frames, two of them with five subsets, one with a direct fit alone."""
     rng = np.random.default_rng(seed)
 
     def found() -> Registration:
@@ -48,14 +48,14 @@ def drawn_block(seed: int) -> FollowedBlock:
 
     moved = RigidTransform.from_pose(rng.normal(size=6))
     fits = [None, DirectFit(moved, rng.normal(size=(6, 6)), 1.1, 7), None]
-    return tuple(((found(), found()), fit) for fit in fits)
+    return tuple(((found(), found()) if fit is None else None, fit) for fit in fits)
 
 
 def bits(block: FollowedBlock) -> list[bytes]:
     """All numbers of a block."""
     numbers = []
     for sides, fit in block:
-        numbers += [np.asarray(getattr(side, name)).tobytes() for side in sides for name in REGISTRATION]
+        numbers += [np.asarray(getattr(side, name)).tobytes() for side in sides or () for name in REGISTRATION]
         if fit is not None:
             parts = fit.moved.rotation, fit.moved.translation_m, fit.covariance, np.array([fit.noise, fit.cells])
             numbers += [part.tobytes() for part in parts]

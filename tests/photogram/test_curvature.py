@@ -9,10 +9,10 @@ import pytest
 from scipy.signal import savgol_coeffs
 
 from photogram.bspline import spline_of_image
+from photogram.subsets.find import find_anew
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
 from photogram.subsets.icgn_torch import register_frames, spline_frames, torch_reference
 from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
-from photogram.subsets.track import find_anew
 
 SIZE, MIDDLE, AMPLITUDE_PX = (640, 121), 60.0, 0.5
 CONTRAST, NOISE, FRAMES = 36.0, 2.1, 5
