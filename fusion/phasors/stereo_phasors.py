@@ -16,7 +16,7 @@ from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading
 from fusion.phasors.channels import spread_lines
 from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, sensor_from_camera
 from fusion.phasors.timing import Lateness, Sight, TimeBase, together
-from photogram.arrays import RunningMean
+from photogram.arrays import RunningMean, spread_choice
 from photogram.camera import StereoRig, principal_components, triangulate
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
@@ -39,7 +39,7 @@ from shaker.sine.solve import SineFit, SineModel
 if TYPE_CHECKING:
     from photogram.epipolar import EpipolarCheck
 
-MIN_SUBSETS, SEEN_SHARE = 6, 0.5
+MIN_SUBSETS, SEEN_SHARE, EFFECT_SUBSETS = 6, 0.5, 200
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
 BIAS_STEP_PX = 0.01
 STEP, FEWEST_BESIDE = 20.0, 4  # of the noise: a step that no chance makes; frames beyond the unknowns of the lines
@@ -475,15 +475,18 @@ def _calibration_effects(measured: StereoMotion, view: ImageView, sums: SineSums
 def _phasor_frames(sums: SineSums, samples: int) -> tuple[FloatArray, FloatArray]:
     """Return left and right positions (1 + 2K, N, 2): mean, mean + Re and mean + Im of each line's displacement.
 
-    Of the subsets that are seen in most frames, each by its own: in a long recording all are lost now and then.
+    Of the subsets that are seen in most frames, each by its own: in a long recording all are lost now and then. Some
+    200 of them are enough, since what the calibration does is smooth over the picture.
     """
     mean, phasors, _ = sums.solved(1)
     good = np.isfinite(mean).all(axis=1) & (sums.count >= SEEN_SHARE * samples)
     if np.count_nonzero(good) < MIN_SUBSETS:
         share = f"{np.count_nonzero(good)} subsets are followed through half of the frames"
         raise ComputeError(f"only {share}; look at the images")
-    parts = [part[good] for value in phasors for part in (value.real, value.imag)]
-    frames = np.stack([mean[good], *(mean[good] + part for part in parts)])
+    some = np.flatnonzero(good)
+    some = some[spread_choice(np.arange(len(some)), EFFECT_SUBSETS / len(some))]
+    parts = [part[some] for value in phasors for part in (value.real, value.imag)]
+    frames = np.stack([mean[some], *(mean[some] + part for part in parts)])
     return frames[..., :2], frames[..., 2:]
 
 
