@@ -197,8 +197,8 @@ def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTran
         for view, told in zip(views, compared, strict=True):
             used = _rigid_cells(view, told, pose)
             gain = np.where(used, told.gain, 0.0)
-            for total, each in zip(both, (view.information, view.information_noise), strict=True):
-                total += gain**2 @ each.reshape(-1, 36)
+            both[0] += gain**2 @ view.information.reshape(-1, 36)
+            both[1] += gain**2 @ view.information_noise.reshape(-1, 36)
             slope += (np.where(used[:, None], told.slope, 0.0) * gain[:, None]).ravel() @ view.rates.reshape(-1, 6)
             expected = told.misfit_noise[used]
             rounding = QUANTISATION * expected * (view.cells.weight / view.cells.count)[used]
