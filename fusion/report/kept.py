@@ -19,6 +19,7 @@ import jinja2
 from jinja2.bccache import Bucket
 
 from fusion.report.files import write_file
+from photogram.kernels import user_cache
 
 UNUSED_S = 30 * 86400.0
 """Age after which what is kept is made anew, so that nothing of older versions stays."""
@@ -54,13 +55,8 @@ class CompiledTemplates(jinja2.BytecodeCache):
         return f"{jinja2.__version__} {sys.version} {bucket.checksum} {how}"
 
 
-def _folder() -> Path:
-    home = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else os.environ.get("XDG_CACHE_HOME")
-    return Path(home or Path.home() / ".cache") / "shakercal" / "pages"
-
-
 def _place(name: str, key: str) -> Path:
-    return _folder() / hashlib.sha256(f"{name} {key}".encode()).hexdigest()[:32]
+    return user_cache("pages") / hashlib.sha256(f"{name} {key}".encode()).hexdigest()[:32]
 
 
 def _find(name: str, key: str) -> bytes | None:

@@ -95,14 +95,19 @@ def _sources_digest() -> str:
     return digest.hexdigest()
 
 
+def user_cache(room: str) -> Path:
+    """Folder of the user's caches of this program for one kind of content; `RuntimeError` for a user without a home."""
+    home = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else os.environ.get("XDG_CACHE_HOME")
+    return Path(home or Path.home() / ".cache") / "shakercal" / room
+
+
 @cache
 def _cache_folder() -> Path | None:
     """The user's folder of kernels compiled from these sources, shared by all checkouts; None where it cannot be.
 
     Kernels of other versions that nobody has used for a month are removed.
     """
-    home = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else os.environ.get("XDG_CACHE_HOME")
-    kernels = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(home or Path.home() / ".cache") / "shakercal" / "kernels")
+    kernels = Path(os.environ.get("NUMBA_CACHE_DIR") or user_cache("kernels"))
     folder = kernels / _sources_digest()[:16]
     try:
         folder.mkdir(parents=True, exist_ok=True)
