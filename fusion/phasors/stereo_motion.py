@@ -304,11 +304,11 @@ def _answer(images: OpenImages, pending: Pending) -> Any:
 
 
 def _prepared(images: OpenImages, settings: Settings, lines: int | None) -> BodyScene:  # a task, so of this module
-    from photogram.measure.follow import prepare_body
+    from photogram.measure.follow import KnownBody, prepare_body
     from photogram.subsets.track import resolve_device
 
     inputs = body_inputs(images, settings, lines)
-    return prepare_body(*inputs, resolve_device(settings.device), depth_m=images.depth_m)
+    return prepare_body(*inputs, resolve_device(settings.device), known=KnownBody(images.depth_m))
 
 
 def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, as above
@@ -421,6 +421,9 @@ def packed(block: FollowedBlock) -> bytes:
     arrays["rotation"] = np.array([fit.moved.rotation for _, fit in fits]).reshape(-1, 3, 3)
     arrays["translation"] = np.array([fit.moved.translation_m for _, fit in fits]).reshape(-1, 3)
     arrays["covariance"] = np.array([fit.covariance for _, fit in fits]).reshape(-1, 6, 6)
+    shapes = len(fits[0][1].amplitude) if fits else 0
+    arrays["amplitude"] = np.array([fit.amplitude for _, fit in fits]).reshape(-1, shapes)
+    arrays["shape-covariance"] = np.array([fit.amplitude_covariance for _, fit in fits]).reshape(-1, shapes, shapes)
     arrays["noise"] = np.array([fit.noise for _, fit in fits], dtype=np.float64)
     arrays["cells"] = np.array([fit.cells for _, fit in fits], dtype=np.int64)
     content = io.BytesIO()
@@ -441,9 +444,11 @@ def unpacked(content: bytes, frames: int) -> FollowedBlock | None:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         fits: list[DirectFit | None] = [None] * frames
-        of_fits = (arrays[name] for name in ("fitted", "rotation", "translation", "covariance", "noise", "cells"))
-        for number, rotation, translation, covariance, noise, cells in zip(*of_fits, strict=True):
-            fits[number] = DirectFit(RigidTransform(rotation, translation), covariance, float(noise), int(cells))
+        names_of_fits = ("rotation", "translation", "covariance", "noise", "cells", "amplitude", "shape-covariance")
+        of_fits = (arrays[name] for name in ("fitted", *names_of_fits))
+        for number, rotation, translation, covariance, noise, cells, *shapes in zip(*of_fits, strict=True):
+            moved = RigidTransform(rotation, translation)
+            fits[number] = DirectFit(moved, covariance, float(noise), int(cells), *shapes)
         found: list[tuple[Registration, Registration] | None] = [None] * frames
         for k, number in enumerate(arrays["sought"].tolist()):
             left, right = (Registration(*(arrays[f"{name}-{side}"][k].copy() for name in names)) for side in range(2))

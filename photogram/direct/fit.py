@@ -12,7 +12,16 @@ from photogram.bspline import Spline
 from photogram.direct.cells import Cells, CellSums, chosen, compare_cells, pixel_residuals, prepare_cells, reweighted
 from photogram.geometry import RigidTransform, pose_rate
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
-from photogram.motion import MEDIAN_CHI2_OF_TWO, Patches, PlacedCamera, body_patches, patch_rates, patch_warps
+from photogram.modes import Shapes
+from photogram.motion import (
+    MEDIAN_CHI2_OF_TWO,
+    Patches,
+    PlacedCamera,
+    body_patches,
+    patch_rates,
+    patch_warps,
+    shape_rates,
+)
 
 REACH_CELLS = 4.0  # how far from the nearest known point a cell's surface may lie
 EVALUATIONS = 12
@@ -30,12 +39,12 @@ SMALLEST_MISFIT = 1e-12  # of the expected one: images without noise
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BodyView(Arrays, shapes="rates C 6 6; information C 6 6; information_noise C 6 6; translation C 2 2"):
+class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise C p p; translation C 2 2"):
     """A body at rest as one camera sees it: cells of its image, their surface, and how both answer to a motion.
 
-    rates (C, 6, 6): change of the affine warps by the six components; information (C, 6, 6): of each cell about them,
-    per unit of gain², and information_noise (C, 6, 6) the part of it that is noise; translation (C, 2, 2): inverse
-    Hessian of the cell's own shift.
+    rates (C, 6, p): change of the affine warps by the six components and p - 6 amplitudes of its shapes; information
+    (C, p, p): of each cell about them, per unit of gain², and information_noise (C, p, p) the part of it that is noise;
+    translation (C, 2, 2): inverse Hessian of the cell's own shift.
     """
 
     camera: PlacedCamera
@@ -48,29 +57,41 @@ class BodyView(Arrays, shapes="rates C 6 6; information C 6 6; information_noise
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DirectFit(Arrays, shapes="covariance 6 6"):
+class DirectFit(Arrays, shapes="covariance 6 6; amplitude S; amplitude_covariance S S"):
     """One frame: moved = body's motion from rest, covariance (6, 6) of x y z (m) and the rotation vector (rad).
 
     noise: variance of the grey values over the one that the noise models state; cells: used of all that are seen.
+    amplitude (S,): of the body's shapes beside that motion, with covariance (S, S) (`modes.ShapeAmplitudes`).
     """
 
     moved: RigidTransform
     covariance: FloatArray
     noise: float
     cells: int
+    amplitude: FloatArray
+    amplitude_covariance: FloatArray
 
 
 def view_body(
-    camera: PlacedCamera, image: tuple[Spline, BoolArray, float], known_m: FloatArray, side_px: int, noise: NoiseModel
+    camera: PlacedCamera,
+    image: tuple[Spline, BoolArray, float],
+    known_m: FloatArray,
+    side_px: int,
+    noise: NoiseModel,
+    shapes: Shapes | None = None,
 ) -> BodyView:
     """Return the body at rest in one camera: `image` = its spline, its textured area (H, W), and full scale.
 
-    known_m (N, 3): points of its surface in the body's frame, from which that of all cells is interpolated.
+    known_m (N, 3): points of its surface in the body's frame, from which that of all cells is interpolated. `shapes`:
+    in which it may deform beside its motion.
     """
     spline, area, full_scale = image
     cells = prepare_cells(spline, area, side_px, noise, full_scale)
     patches = body_patches(camera, known_m, cells.centre_px, side_px / 4, REACH_CELLS * side_px)
-    return _answering(camera, cells, patches, patch_rates(camera, patches))
+    rates = patch_rates(camera, patches)
+    if shapes is not None:
+        rates = np.concatenate([rates, shape_rates(camera, patches, shapes)], axis=2)
+    return _answering(camera, cells, patches, rates)
 
 
 def reweighted_view(view: BodyView, noise: NoiseModel, degree: int) -> BodyView:
@@ -112,6 +133,8 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
     The covariance is s²·H′⁻¹·H·H′⁻¹ with H′ = H less what the reference's noise adds to it, and s² the misfit per
     expected misfit of the pixels used, at least that of rounding: a frame like the reference to the last bit has none.
     It is that of the frame's own noise; the reference's moves all frames alike.
+
+    Shapes take no part in the motion: their amplitudes are what the same sums say of them beside it (`beside`).
     """
     moved = start
     for _ in range(EVALUATIONS):
@@ -120,8 +143,10 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
             return None
         moved = moved @ RigidTransform.from_pose(step.pose).inverse()
         if step.size < LARGEST_STEP and step.left * step.size < LEFT_OVER:
-            covariance = step.scale * pose_covariance(step.information, step.scale * step.noise_part, moved)
-            return DirectFit(moved, covariance, step.scale, step.cells)
+            information = step.information[:6, :6], step.scale * step.noise_part[:6, :6]
+            covariance = step.scale * pose_covariance(*information, moved)
+            shapes = beside(step.pose, step.slope, (step.information, step.noise_part), step.scale)
+            return DirectFit(moved, covariance, step.scale, step.cells, *shapes)
     return None
 
 
@@ -169,13 +194,15 @@ def thinned(views: Sequence[BodyView]) -> tuple[BodyView, ...]:
 class _Step:
     """One step of the fit: pose (6,) of δ, its size in standard uncertainties, and the share of it that may be left.
 
-    scale: variance of the grey values over that of the noise models; information and noise_part (6, 6): of all cells.
+    scale: variance of the grey values over that of the noise models; slope (p,), information and noise_part (p, p): of
+    all cells.
     """
 
     pose: FloatArray
     size: float
     left: float
     scale: float
+    slope: FloatArray
     information: FloatArray
     noise_part: FloatArray
     cells: int
@@ -191,36 +218,70 @@ def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTran
         compare_cells(view.cells, target, patch_warps(view.camera, view.patches, moved))
         for view, target in zip(views, targets, strict=True)
     ]
-    pose = np.zeros(6)
+    pose, size = np.zeros(6), views[0].rates.shape[2]
     for _ in range(2):
-        both, slope, sums = np.zeros((2, 36)), np.zeros(6), np.zeros(4)
+        both, slope, sums = np.zeros((2, size**2)), np.zeros(size), np.zeros(4)
         for view, told in zip(views, compared, strict=True):
             used = _rigid_cells(view, told, pose)
             gain = np.where(used, told.gain, 0.0)
-            both[0] += gain**2 @ view.information.reshape(-1, 36)
-            both[1] += gain**2 @ view.information_noise.reshape(-1, 36)
-            slope += (np.where(used[:, None], told.slope, 0.0) * gain[:, None]).ravel() @ view.rates.reshape(-1, 6)
+            both[0] += gain**2 @ view.information.reshape(-1, size**2)
+            both[1] += gain**2 @ view.information_noise.reshape(-1, size**2)
+            slope += (np.where(used[:, None], told.slope, 0.0) * gain[:, None]).ravel() @ view.rates.reshape(-1, size)
             expected = told.misfit_noise[used]
             rounding = QUANTISATION * expected * (view.cells.weight / view.cells.count)[used]
             sums += told.misfit[used].sum(), expected.sum(), rounding.sum(), len(expected)
-        information, noise_part = both.reshape(2, 6, 6)
+        whole, whole_noise = both.reshape(2, size, size)
+        information, noise_part = whole[:6, :6], whole_noise[:6, :6]
         misfit, noise, least, cells = sums.tolist()
         if cells < FEWEST_CELLS or not np.linalg.eigvalsh(_scaled(information))[0] > SINGULAR:
             return None
         scale = max(misfit, least) / noise
         clean = without_noise(information, scale * noise_part)
-        pose = np.asarray(np.linalg.solve(clean, slope), dtype=np.float64)
-    size = float(np.sqrt(pose @ information @ pose / scale))
+        pose = np.asarray(np.linalg.solve(clean, slope[:6]), dtype=np.float64)
+    length = float(np.sqrt(pose @ information @ pose / scale))
     share = scale * float(np.trace(np.linalg.solve(information, noise_part))) / 6.0
     left = share if clean is information else CORRECTED * share
-    return _Step(pose, size, left, scale, information, noise_part, int(cells))
+    return _Step(pose, length, left, scale, slope, whole, whole_noise, int(cells))
 
 
 def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:
     """Return the covariance (6, 6) of a frame like the reference with `noise` times the models' noise variance."""
-    information = np.sum([view.information.sum(axis=0) for view in views], axis=0)
-    noise_part = np.sum([view.information_noise.sum(axis=0) for view in views], axis=0)
+    information, noise_part = (part[:6, :6] for part in rest_information(views))
     return noise * pose_covariance(information, noise * noise_part, RigidTransform.identity())
+
+
+def rest_information(views: Sequence[BodyView]) -> tuple[FloatArray, FloatArray]:
+    """Return the information (p, p) of a frame like the reference, and the part of it that is noise."""
+    information = np.sum([view.information.sum(axis=0) for view in views], axis=0)
+    return information, np.sum([view.information_noise.sum(axis=0) for view in views], axis=0)
+
+
+def beside(
+    pose: FloatArray, slope: FloatArray, whole: tuple[FloatArray, FloatArray], scale: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the amplitudes (S,) of shapes beside the motion that a last step leads to, with covariance (S, S).
+
+    pose (6,) of the step, slope (p,), whole: information (p, p) and the part of it that is noise, per `scale`. What the
+    motion leaves of the sums that ask for a shape, g − H·δ, over what it leaves of their information: the amplitudes of
+    a joint fit. The motion is the one without shapes, with which they are therefore uncorrelated (Frisch and Waugh 1933,
+    Econometrica 1, 387). NaN where motion and shapes cannot be told apart.
+    """
+    shapes = len(slope) - 6
+    if not shapes:
+        return np.zeros(0), np.zeros((0, 0))
+    clean = without_noise(whole[0], scale * whole[1])
+    if not np.linalg.eigvalsh(_scaled(clean))[0] > SINGULAR:
+        return np.full(shapes, np.nan), np.full((shapes, shapes), np.nan)
+    mixed = clean[6:, :6]
+    inverse = np.linalg.inv(clean[6:, 6:] - mixed @ np.linalg.solve(clean[:6, :6], mixed.T))
+    amplitude = -inverse @ (slope[6:] - mixed @ pose)
+    return np.asarray(amplitude), np.asarray(scale * (inverse + inverse.T) / 2.0)
+
+
+def rigid_share(views: Sequence[BodyView]) -> FloatArray:
+    """Return the motion (6, S) by which a rigid body would best explain a unit amplitude of each shape."""
+    information, _ = rest_information(views)
+    return np.asarray(np.linalg.solve(information[:6, :6], information[:6, 6:]))
 
 
 def _rigid_cells(view: BodyView, sums: CellSums, step: FloatArray) -> BoolArray:
@@ -230,12 +291,12 @@ def _rigid_cells(view: BodyView, sums: CellSums, step: FloatArray) -> BoolArray:
     """
     ratio = sums.misfit / sums.misfit_noise
     known = np.isfinite(ratio) & np.isfinite(sums.slope).all(axis=1) & np.isfinite(view.translation[:, 0, 0])
-    known &= view.rates.any(axis=(1, 2))
+    known &= view.rates[:, :, :6].any(axis=(1, 2))
     if not known.any():
         return known
     typical = max(float(np.median(ratio[known])), SMALLEST_MISFIT)
     known &= np.where(known, ratio, np.inf) <= MISFIT * typical
-    carried = np.einsum("cij,cj->ci", view.cells.hessian[:, [0, 3]], view.rates @ step)
+    carried = np.einsum("cij,cj->ci", view.cells.hessian[:, [0, 3]], view.rates[:, :, :6] @ step)
     slope = sums.slope[:, [0, 3]] - sums.gain[:, None] * carried
     squares = np.einsum("ci,cij,cj->c", slope, view.translation, slope) / typical
     limit = REJECTED * max(1.0, float(np.median(squares[known])) / MEDIAN_CHI2_OF_TWO)

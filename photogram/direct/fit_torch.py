@@ -27,6 +27,7 @@ from photogram.direct.fit import (
     SMALLEST_MISFIT,
     BodyView,
     DirectFit,
+    beside,
     pose_covariance,
 )
 from photogram.geometry import RigidTransform
@@ -109,7 +110,7 @@ def torch_view(view: BodyView, device: str, precision: str) -> TorchView:
     pixels[own, :, row * side + column] = cells.pixels.T
     down, across = (grid.ravel() - reach for grid in np.mgrid[:side, :side])
     shape = shape_values(np.column_stack([across, down]), 1)
-    steady = np.isfinite(view.translation[:, 0, 0]) & view.rates.any(axis=(1, 2))
+    steady = np.isfinite(view.translation[:, 0, 0]) & view.rates[:, :, :6].any(axis=(1, 2))
 
     from_cells = ("centre_px", "mean", "weight", "energy", "count", "removed", "hessian")
     from_view = ("rates", "information", "information_noise", "translation")
@@ -145,7 +146,9 @@ def fit_frames(
     rotation = torch.from_numpy(np.array([start.rotation for start in starts])).to(device)
     shift = torch.from_numpy(np.array([start.translation_m for start in starts])).to(device)
     numbers = [torch.tensor(list(which), device=device) for _, which in targets]
-    matrices = torch.zeros((2, len(starts), 6, 6), dtype=torch.float64, device=device)
+    size = views[0].rates.shape[2]
+    matrices = torch.zeros((2, len(starts), size, size), dtype=torch.float64, device=device)
+    slopes = torch.zeros((2, len(starts), size), dtype=torch.float64, device=device)  # what is asked for, the last step
     scales, counts = torch.full((2, len(starts)), torch.nan, dtype=torch.float64, device=device)
     active = torch.arange(len(starts), device=device)
     for _ in range(EVALUATIONS):
@@ -157,33 +160,38 @@ def fit_frames(
         for _ in range(2):  # which cells count is judged where the step of all of them leads
             parts = [_told(view, cells, step) for view, cells in zip(views, compared, strict=True)]
             told = _Told(*(torch.stack(values).sum(dim=0) for values in zip(*parts, strict=True)))
-            lowest = torch.linalg.eigvalsh(_scaled(told.information))[:, 0]
+            of_motion, noise_part = told.information[:, :6, :6], told.noise_part[:, :6, :6]
+            lowest = torch.linalg.eigvalsh(_scaled(of_motion))[:, 0]
             solvable = (told.count >= FEWEST_CELLS) & (lowest > SINGULAR)
-            information = torch.where(solvable[:, None, None], told.information, torch.eye(6).to(told.information))
+            information = torch.where(solvable[:, None, None], of_motion, torch.eye(6).to(of_motion))
             scale = torch.maximum(told.misfit, told.rounding) / told.expected
-            clean = information - torch.where(solvable, scale, 0.0)[:, None, None] * told.noise_part
+            clean = information - torch.where(solvable, scale, 0.0)[:, None, None] * noise_part
             enough = solvable & (torch.linalg.eigvalsh(_scaled(clean))[:, 0] > SMALLEST_EXCESS * lowest)
-            step = torch.linalg.solve(torch.where(enough[:, None, None], clean, information), told.slope)
+            step = torch.linalg.solve(torch.where(enough[:, None, None], clean, information), told.slope[:, :6])
         turned, moved = _moved_back(rotation[active], shift[active], step)
-        size = torch.sqrt(torch.einsum("ai,aij,aj->a", step, information, step) / scale)
-        noise = torch.linalg.solve(information, told.noise_part).diagonal(dim1=1, dim2=2).sum(dim=1)
+        length = torch.sqrt(torch.einsum("ai,aij,aj->a", step, information, step) / scale)
+        noise = torch.linalg.solve(information, noise_part).diagonal(dim1=1, dim2=2).sum(dim=1)
         left = scale * noise / 6.0 * torch.where(enough, CORRECTED, 1.0)
-        found = solvable & (size < LARGEST_STEP) & (left * size < LEFT_OVER)
+        found = solvable & (length < LARGEST_STEP) & (left * length < LEFT_OVER)
         rotation[active], shift[active] = turned, moved
-        matrices[0, active], matrices[1, active] = information, told.noise_part
+        matrices[0, active], matrices[1, active] = told.information, told.noise_part
+        slopes[0, active], slopes[1, active, :6] = told.slope, step
         scales[active], counts[active] = torch.where(found, scale, torch.nan), told.count.to(scales)
         active = active[solvable & ~found]
         if len(active) == 0:
             break
-    turns, shifts, both, levels, cells = (part.cpu().numpy() for part in (rotation, shift, matrices, scales, counts))
+    turns, shifts, both, asked, levels, cells = (
+        part.cpu().numpy() for part in (rotation, shift, matrices, slopes, scales, counts)
+    )
     fits: list[DirectFit | None] = []
     for f, level in enumerate(levels):
         if not np.isfinite(level):
             fits.append(None)
             continue
         moved_by = RigidTransform(turns[f], shifts[f])
-        covariance = level * pose_covariance(both[0, f], level * both[1, f], moved_by)
-        fits.append(DirectFit(moved_by, covariance, float(level), int(cells[f])))
+        covariance = level * pose_covariance(both[0, f, :6, :6], level * both[1, f, :6, :6], moved_by)
+        shapes = beside(asked[1, f, :6], asked[0, f], (both[0, f], both[1, f]), float(level))
+        fits.append(DirectFit(moved_by, covariance, float(level), int(cells[f]), *shapes))
     return fits
 
 
@@ -240,7 +248,7 @@ def _told(view: TorchView, cells: _Compared, step: Tensor) -> _Told:
     import torch
 
     gain, misfit, expected, slope = cells
-    carried = torch.einsum("cij,acj->aci", view.hessian, torch.einsum("cij,aj->aci", view.rates, step))
+    carried = torch.einsum("cij,acj->aci", view.hessian, torch.einsum("cij,aj->aci", view.rates[:, :, :6], step))
     used = _rigid_cells(view, misfit / expected, slope - gain[..., None] * carried)
 
     def over_cells(values: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, Notice, RunningMean, Sample
 from photogram.camera import Points, StereoRig, triangulate
-from photogram.direct.fit import rest_covariance
+from photogram.direct.fit import rest_covariance, rigid_share
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
@@ -19,12 +19,14 @@ from photogram.measure.follow import (
     BodyScene,
     FollowedBlock,
     Found,
+    KnownBody,
     Progress,
     carried_px,
     follow_block,
     in_turn,
     prepare_body,
 )
+from photogram.modes import ShapeAmplitudes
 from photogram.motion import Deformation, DeformationMean, RigidMotion, fit_motion, overlap_correlation
 from photogram.subsets.find import BodyNotFound, DepthRange
 from photogram.subsets.icgn import TrackSettings
@@ -52,7 +54,8 @@ class BodyMotion(Arrays):
     motion: fitted to the grey values of all pixels, `motion_of_points` to the points alone, in the frames `sought` (F,)
     in which subsets were looked for; the others have a motion with residual NaN and no points. Of the left and the
     right camera: noise models, and quality, what the subsets promised before they were tracked; None when no frame
-    could be fitted to the grey values. subsets_px: where the left camera sees the subsets first; medians over subsets
+    could be fitted to the grey values. deformed: how it deforms beside the motion, by the shapes that it was prepared
+    with (`modes.PlainShapes` where none were known). subsets_px: where the left camera sees the subsets first; medians over subsets
     and frames: sigma_px, standard deviation that the noise gives to their positions, and `zncc` in the left camera.
     `tracked` and `surface` go through the subsets and points, and what these do beside the motion, some frames at a
     time, made anew from what was followed; `tracks` and `points` are those of all frames at once.
@@ -60,6 +63,7 @@ class BodyMotion(Arrays):
 
     motion: RigidMotion
     motion_of_points: RigidMotion
+    deformed: ShapeAmplitudes
     sought: BoolArray
     reprojection_px: float
     subsets_px: FloatArray
@@ -128,7 +132,8 @@ def measure_body(
     >>> f"{1e3 * body.motion.pose[1, 0]:.1f} mm"
     '1.0 mm'
     """
-    scene = prepare_body(images, rig, body_from_left, settings, device, progress, depth_m)
+    known = KnownBody(depth_m)
+    scene = prepare_body(images, rig, body_from_left, settings, device, progress, known)
     return body_motion(scene, [follow_block(scene, block, device, progress) for block in scene.blocks])
 
 
@@ -173,6 +178,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     return BodyMotion(
         motion=motion,
         motion_of_points=of_points,
+        deformed=ShapeAmplitudes(fits.amplitude, fits.amplitude_covariance, rigid_share(scene.views)),
         sought=np.isin(np.arange(len(motion.pose)), tracked.frames),
         reprojection_px=float(np.sqrt(sums.reprojection[0] / max(sums.reprojection[1], 1))),
         subsets_px=sums.subsets_px,
@@ -260,11 +266,13 @@ class Surface(Arrays):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Fits(Arrays, shapes="pose F 6; covariance F 6 6"):
+class _Fits(Arrays, shapes="pose F 6; covariance F 6 6; amplitude F S; amplitude_covariance F S S"):
     """The direct fits of all frames, NaN for none; the first frame has the covariance of a typical one."""
 
     pose: FloatArray
     covariance: FloatArray
+    amplitude: FloatArray
+    amplitude_covariance: FloatArray
 
     @property
     def missed(self) -> int:
@@ -322,27 +330,29 @@ class _Sums:
 def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked, _Fits]:
     """Go through what was followed for what it takes all frames to know: noise, remarks, and the direct fits."""
     course, noise = StereoCourse(scene.rig), (RunningMean(), RunningMean())
-    poses, covariances, levels, frames = list[FloatArray](), list[FloatArray](), list[float](), list[int]()
-    nothing = np.full(6, np.nan), np.full((6, 6), np.nan)
+    levels, frames, fits = list[float](), list[int](), list[tuple[FloatArray, ...]]()
+    shapes = scene.views[0].rates.shape[2] - 6
+    nothing = tuple(np.full(shape, np.nan) for shape in (6, (6, 6), shapes, (shapes, shapes)))
     for block in in_turn(scene, blocks):
         for sought, group in groupby(block, lambda one: one[0] is not None):
             run = list(group)
             if sought:
-                frames += range(len(poses), len(poses) + len(run))
+                frames += range(len(fits), len(fits) + len(run))
                 _take_in(scene, [both for both, _ in run if both is not None], course, noise)
             for _, fit in run:
-                pose, covariance = nothing if fit is None else (fit.moved.pose, fit.covariance)
-                poses.append(pose)
-                covariances.append(covariance)
+                if fit is None:
+                    fits.append(nothing)
+                else:
+                    fits.append((fit.moved.pose, fit.covariance, fit.amplitude, fit.amplitude_covariance))
                 levels += [] if fit is None else [fit.noise]
                 if fit is not None and not sought:
                     left, right = (np.nanmedian(carried_px(seen, fit.moved), axis=0) for seen in scene.seen)
                     course.carry((left, right))
     if levels:
-        covariances[0] = rest_covariance(scene.views, float(np.median(levels)))
+        fits[0] = (nothing[0], rest_covariance(scene.views, float(np.median(levels))), *nothing[2:])
     grey = np.sqrt(noise[0].mean), np.sqrt(noise[1].mean)
     told = course.told(scene.first, scene.grid, scene.settings, grey)
-    return Tracked(scene, blocks, np.array(frames), grey, course, told), _Fits(np.array(poses), np.array(covariances))
+    return Tracked(scene, blocks, np.array(frames), grey, course, told), _Fits(*map(np.array, zip(*fits, strict=True)))
 
 
 def _take_in(

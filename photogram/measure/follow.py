@@ -25,6 +25,7 @@ from photogram.direct.fit import (
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage, ImageSequence
+from photogram.modes import PlainShapes, Shapes
 from photogram.motion import PlacedCamera, SeenPoints, fit_motion, motion_of_places, see_points
 from photogram.subsets.find import BodyNotFound, DepthRange, Follower, identity
 from photogram.subsets.icgn import Registration, TrackSettings
@@ -83,6 +84,18 @@ class BodyScene(Arrays, shapes="rest_m N 3; sought F"):
     sought: BoolArray
 
 
+@dataclass(frozen=True)
+class KnownBody:
+    """What is known of a body before it is seen.
+
+    `depth_m`: nearest and farthest depth in the left camera at which it can be, where its pattern may repeat. `shapes`:
+    in which it may deform, `PlainShapes` where none are known.
+    """
+
+    depth_m: DepthRange | None = None
+    shapes: Shapes | None = None
+
+
 def prepare_body(
     images: tuple[ImageSequence, ImageSequence],
     rig: StereoRig,
@@ -90,25 +103,26 @@ def prepare_body(
     settings: TrackSettings,
     device: str = "cpu",
     progress: Progress | None = None,
-    depth_m: DepthRange | None = None,
+    known: KnownBody | None = None,
 ) -> BodyScene:
     """Return what following a body needs: its subsets, its surface, and the noise of the images.
 
-    `depth_m`: nearest and farthest depth in the left camera at which the body can be, where its pattern may repeat.
     Blocks have `BLOCK_FRAMES` frames, on a GPU `GPU_BLOCK_FRAMES`.
     """
-    grid = lay_stereo_grid(*images, rig, settings, depth_m)
+    body = known or KnownBody()
+    grid = lay_stereo_grid(*images, rig, settings, body.depth_m)
     left, right = (
         prepare_sequence(side, px, settings) for side, px in zip(images, (grid.left_px, grid.right_px), strict=True)
     )
     first = images[0].read(0), images[1].read(0)
-    known = images, first, rig, body_from_left, settings, grid, (left, right)
+    fixed = images, first, rig, body_from_left, settings, grid, (left, right)
     every = np.ones(len(images[0]), dtype=np.bool_)
-    scene = BodyScene(*known, np.empty((0, 3)), (), (), (), None, (), (), every)
+    scene = BodyScene(*fixed, np.empty((0, 3)), (), (), (), None, (), (), every)
     rest_m = _place(scene, (identity(left), identity(right))).position_m[0]
     splines = spline_of_image(first[0], settings.degree), spline_of_image(first[1], settings.degree)
     seen = tuple(see_points(camera, rest_m) for camera in _cameras(scene, rest_m))
-    scene = replace(scene, rest_m=rest_m, seen=seen, views=_views(scene, splines, seen))
+    shapes = PlainShapes.of(rest_m) if body.shapes is None else body.shapes
+    scene = replace(scene, rest_m=rest_m, seen=seen, views=_views(scene, splines, seen, shapes))
     _tell(progress, 1)
     scene = _with_noise(scene, device, progress)
     rest = range(1 + len(scene.lead), len(images[0]))
@@ -329,11 +343,13 @@ def _cameras(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, Placed
     )
 
 
-def _views(scene: BodyScene, splines: Splines, seen: Sequence[SeenPoints]) -> tuple[BodyView, ...]:
+def _views(
+    scene: BodyScene, splines: Splines, seen: Sequence[SeenPoints], shapes: Shapes
+) -> tuple[BodyView, ...]:
     """The body at rest in both cameras, all pixels equally trusted."""
     side_px = 2 * scene.settings.radius_px + 1
     return tuple(
-        view_body(one.camera, (spline, area, float(images.full_scale)), one.points_m, side_px, UNIFORM)
+        view_body(one.camera, (spline, area, float(images.full_scale)), one.points_m, side_px, UNIFORM, shapes)
         for one, spline, area, images in zip(seen, splines, scene.grid.areas, scene.images, strict=True)
     )
 

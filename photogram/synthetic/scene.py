@@ -267,6 +267,30 @@ def render(view: View, face: Face, poses: FloatArray, weights: FloatArray, nodes
     return image * view.light
 
 
+def bent(view: View, face: Face, pose: FloatArray, shape_m: Callable[[FloatArray, FloatArray], FloatArray]) -> View:
+    """Return the view in which the undeformed face, in `pose` (6,), shows itself as it is seen deformed.
+
+    `shape_m` gives the small displacement (..., 3) along u, v and the normal of face points u, v (...). A ray that meets
+    the plane at (u, v) sees the material that comes to lie on it, displaced by d: it is d_n·r/r_n - d off along the
+    face, r the ray's direction, and the ray is replaced by the one to where that was. Of second order in d.
+    """
+    hit = np.concatenate([view.ray, np.ones((*view.ray.shape[:2], 1))], axis=2) @ view.homography(face, pose).T
+    u, v = hit[..., 0] / hit[..., 2], hit[..., 1] / hit[..., 2]
+    camera_from_body = view.camera_from_world @ RigidTransform.from_pose(pose)
+    axes = np.column_stack([face.axis_u, face.axis_v, np.cross(face.axis_u, face.axis_v)])
+    to_camera = camera_from_body.rotation @ axes
+    origin = camera_from_body.apply(face.origin_m)
+
+    def place(u: FloatArray, v: FloatArray) -> FloatArray:
+        return np.asarray(origin + np.stack([u, v, np.zeros_like(u)], axis=-1) @ to_camera.T)
+
+    along = place(u, v) @ to_camera
+    d = shape_m(u, v)
+    off = d[..., 2:] * along[..., :2] / along[..., 2:] - d[..., :2]
+    seen = place(u + off[..., 0], v + off[..., 1])
+    return replace(view, ray=np.ascontiguousarray(seen[..., :2] / seen[..., 2:]))
+
+
 def render_exposure(
     view: View, face: Face, pose_at: Callable[[float], FloatArray], middle_s: float, exposure_s: float, nodes: int = 2
 ) -> FloatArray:
