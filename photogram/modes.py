@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from photogram.arrays import Arrays, FloatArray
 
-Shapes = Callable[[FloatArray], FloatArray]
-"""Points (N, 3) of a body at rest, in its frame, to their displacement (S, N, 3) in each of S shapes of amplitude 1."""
-PLAIN_SHAPES = ("bowl", "saddle", "twist", "breathing", "stretch", "shear")
+
+class Shapes(Protocol):
+    """Some shapes in which a body may deform, by their names, in the body's frame."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return what the S shapes are called."""
+
+    def __call__(self, points_m: FloatArray) -> FloatArray:
+        """Return the displacement (S, N, 3) of points (N, 3) at rest in each shape of amplitude 1, finite everywhere."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,6 +47,11 @@ class PlainShapes(Arrays, shapes="middle_m 3; axes 3 3"):
         reach = np.linalg.norm(known - middle, axis=1).max()
         return cls(middle, np.stack([along, np.cross(normal, along), normal]), float(reach))
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return what the shapes are called."""
+        return ("bowl", "saddle", "twist", "breathing", "stretch", "shear")
+
     def __call__(self, points_m: FloatArray) -> FloatArray:
         """Return the displacement (6, N, 3) of points (N, 3)."""
         u, v = ((points_m - self.middle_m) @ self.axes[:2].T / self.reach_m).T
@@ -49,7 +61,7 @@ class PlainShapes(Arrays, shapes="middle_m 3; axes 3 3"):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ShapeAmplitudes(Arrays, shapes="amplitude F S; covariance F S S; share 6 S"):
-    """By how much a body deformed in S shapes in each of F frames, as fitted to the grey values beside its motion.
+    """By how much a body deformed in its S `shapes` in each of F frames, as fitted to the grey values beside its motion.
 
     amplitude (F, S) and covariance (F, S, S) of the frame's noise, NaN where the motion was not so fitted; the first
     frame is that against which deformation counts. They are uncorrelated with the motion, which is the one that
@@ -57,6 +69,7 @@ class ShapeAmplitudes(Arrays, shapes="amplitude F S; covariance F S S; share 6 S
     beside the shape is what remains.
     """
 
+    shapes: Shapes
     amplitude: FloatArray
     covariance: FloatArray
     share: FloatArray

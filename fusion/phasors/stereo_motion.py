@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from photogram.images.noise import NoiseModel
     from photogram.measure.body import BodyMotion
     from photogram.measure.follow import BodyScene, FollowedBlock
+    from photogram.modes import ShapeAmplitudes
     from photogram.subsets.icgn import TrackSettings
     from photogram.subsets.texture import SubsetQuality
     from photogram.subsets.track import StereoTracks
@@ -93,7 +94,7 @@ class OpenImages:
 class ImageView:
     """What the images of one stereo pair gave: tracked subsets of some frames at a time, their rig, the first left
     image, the noise models of both cameras and what their subsets promised, whether the pair still is what was
-    calibrated, and medians: standard deviation that the noise gives to positions, and `zncc` in the left camera."""
+    calibrated, how the body deforms in shapes that all pixels tell, and medians: standard deviation that the noise gives to positions, and `zncc` in the left camera."""
 
     tracks: Iterable[StereoTracks]
     rig: StereoRig
@@ -101,6 +102,7 @@ class ImageView:
     noise: tuple[NoiseModel, NoiseModel] | None
     quality: tuple[SubsetQuality, SubsetQuality] | None
     epipolar: EpipolarCheck
+    deformed: ShapeAmplitudes
     sigma_px: float
     zncc: float
 
@@ -484,12 +486,15 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
         with as_input_error(*images.sight.where):
             raise BodyNotFound(f"{NO_MOTION}; look at the images")
     epipolar = check_epipolar(body.tracked, images.rig, body.sought)
+    medians = body.sigma_px, body.zncc
     return StereoMotion(
         images.sight,
         body.motion,
         body.surface,
         body.reprojection_px,
-        ImageView(body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, body.sigma_px, body.zncc),
+        ImageView(
+            body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, body.deformed, *medians
+        ),
         (*images.notices, *body.notices, *epipolar.notices),
         body.sought,
     )

@@ -14,6 +14,7 @@ from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading
 from fusion.phasors.channels import spread_lines
+from fusion.phasors.deformation import DeflectionShape, ShapePhasors, deflection_shape, shape_phasors
 from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, sensor_from_camera
 from fusion.phasors.timing import Lateness, Sight, TimeBase, together
 from photogram.arrays import RunningMean, spread_choice
@@ -21,6 +22,7 @@ from photogram.camera import StereoRig, principal_components, triangulate
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage
+from photogram.modes import Shapes
 from photogram.motion import Deformation, RigidMotion, fit_motion, relative_to
 from shaker.arrays import ComplexArray, FloatArray, Notice, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
@@ -56,7 +58,7 @@ class StereoResult:
     of which it leaves `residual` (F, 6).
     `reference_image` (H, W) and `subsets_px` (N, 2): first left image and the subsets tracked in it, None for points
     of another program. `usable` (K,): which lines of the recording this camera rate can tell apart. `deflection`: what
-    the points do beside the rigid motion at the usable lines. `noise`: of the left and the right camera. `sigma_px`
+    the points do beside the rigid motion at the usable lines, `shapes` what all pixels tell of it. `noise`: of the left and the right camera. `sigma_px`
     (2,): median standard deviation of a subset's coordinate, as predicted from the first images and as found.
     `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
     `stationarity`: the six components over blocks of whole beats, exposure loss not corrected. `u_exposure_s`: 0 where
@@ -80,6 +82,7 @@ class StereoResult:
     noise_grey: float | None = None
     median_zncc: float | None = None
     deflection: DeflectionShape | None = None
+    shapes: ShapePhasors | None = None
     surface: Iterable[Deformation] | None = None
     noise: tuple[NoiseModel, ...] = ()
     sigma_px: FloatArray | None = None
@@ -182,11 +185,12 @@ def stereo_phasors(
     if strength is not None:
         errors += _left_out(measured, fit, lines, usable, gain * strength)
     errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]
+    effects, of_shapes = ({}, None) if view is None else _image_effects(measured, view, frequency_hz, usable, gain)
     reading = StereoReading(
         name=name,
         pair=sight.pair,
         phasors=spread_lines(fit.phasors, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None]),
-        effects={} if view is None else _image_effects(measured, view, frequency_hz, usable, gain),
+        effects=effects,
         clock_uncertainty=base.records[0].entry.clock_uncertainty,
         errors=(*errors, *exposure.errors(lines.frequency_hz)),
         face_m=np.asarray(np.nanmean(next(iter(measured.deformation)).reference_m, axis=0)),
@@ -194,6 +198,10 @@ def stereo_phasors(
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     own = [*(n for n in fit.notices if n.severity == "warning"), *steps]
     own += _short_notices(lines, usable, sight.time_s, reading) + _jitter_notices(base, sight, lines, usable, reading)
+    shapes = None
+    if view is not None and of_shapes is not None:
+        shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, of_shapes)
+        own += [] if shapes is None else shapes.notices()
     told += [(name, notice) for notice in own]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
     pose = from_mean.pose.copy()
@@ -214,13 +222,14 @@ def stereo_phasors(
         deflection=deflection_shape(measured.points_time_s, frequency_hz, measured.deformation, exposure.length_s),
         stationarity=stationarity(time_s, pose, frequency_hz, MOTION_COMPONENTS),
     )
-    return StereoPhasors(result if view is None else _with_view(result, view), reading, notices)
+    return StereoPhasors(result if view is None else _with_view(replace(result, shapes=shapes), view), reading, notices)
 
 
 def _image_effects(
     measured: StereoMotion, view: ImageView, frequency_hz: FloatArray, usable: NDArray[np.bool_], gain: FloatArray
-) -> dict[str, ComplexArray]:
-    """Return what calibration and errors periodic in the pixel do to the phasors, NaN at lines not `usable`."""
+) -> tuple[dict[str, ComplexArray], ComplexArray]:
+    """Return what calibration and errors periodic in the pixel do to the phasors, NaN at lines not `usable`, and to
+    amplitudes of shapes at those that are."""
     sums, means = None, (RunningMean(), RunningMean())
     for block in view.tracks:
         positions = block.left.position_px, block.right.position_px
@@ -232,15 +241,13 @@ def _image_effects(
             running.add(position)
     assert sums is not None
     places = means[0].mean, means[1].mean
-    changes = {
-        CALIBRATION: _calibration_effects(measured, view, sums, len(frequency_hz)),
-        PERIODIC: _periodic_effects(measured, view, places, bias_px, len(frequency_hz)),
-    }
-    effects = {}
-    for what, change in changes.items():
+    of_calibration = _calibration_effects(measured, view, sums, len(frequency_hz))
+    periodic, periodic_of_shapes = _periodic_effects(measured, view, places, bias_px, len(frequency_hz))
+    effects, loss = {}, gain[usable][:, None]
+    for what, change in ((CALIBRATION, of_calibration[..., :6]), (PERIODIC, periodic)):
         effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
-        effects[what][:, usable] = change / gain[usable][:, None]
-    return effects
+        effects[what][:, usable] = change / loss
+    return effects, np.asarray(np.concatenate([of_calibration[..., 6:], periodic_of_shapes]) / loss)
 
 
 def _left_out(
@@ -419,7 +426,7 @@ def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray)
 
 def _periodic_effects(
     measured: StereoMotion, view: ImageView, means: tuple[FloatArray, FloatArray], bias_px: FloatArray, lines: int
-) -> ComplexArray:
+) -> tuple[ComplexArray, ComplexArray]:
     """Return (12·K, K, 6): what errors periodic in the pixel may do to the phasors, each at one line only.
 
     A mean error B·sin(2πu + φ) of all subsets moving as u(t) = a·cos ωt is at most 2·B·J₁(1.84) = 1.16·B at any
@@ -427,42 +434,52 @@ def _periodic_effects(
     alike. Since u differs across the image, it counts for x and y of either camera as a shift of all subsets by B and
     as displacements growing to B at the body's rim, along and across: twelve patterns, each on its own, of which the
     motion has six independent combinations. `means` (N, 2): the subsets' positions in both cameras.
+
+    Beside it (2S·K, K, S): what they do to the amplitudes of shapes, for which displacements of second order over the
+    picture count as well.
     """
     seen = np.isfinite(means[0]).all(axis=1) & np.isfinite(means[1]).all(axis=1)
     motions: list[FloatArray] = []
     places = [mean[seen] for mean in means]
     for side, bias in enumerate(np.nan_to_num(bias_px)):
         centred = places[side] - places[side].mean(axis=0)
-        patterns = np.column_stack([np.ones(len(centred)), centred / np.abs(centred).max(axis=0)])
-        for pattern in patterns.T:
+        x, y = (centred / np.abs(centred).max(axis=0)).T
+        for pattern in (np.ones(len(x)), x, y, x * x, x * y, y * y):
             moved = [np.repeat(place[None], 3, axis=0) for place in places]  # at rest, along x, along y
             moved[side][[1, 2], :, [0, 1]] += BIAS_STEP_PX * pattern
-            (both,) = _phasor_motion(view.rig, sensor_from_camera(measured.sight.pair), (moved[0], moved[1]))
+            pose, shapes = sensor_from_camera(measured.sight.pair), view.deformed.shapes
+            (both,) = _phasor_motion(view.rig, pose, (moved[0], moved[1]), shapes)
             motions += [PERIODIC_SHARE * bias / BIAS_STEP_PX * part for part in (both.real, both.imag)]
-    combined = np.asarray(np.linalg.qr(np.array(motions), mode="r"))
-    parts = np.concatenate([combined, 1j * combined])
-    return np.asarray(np.einsum("kl,pc->kplc", np.eye(lines), parts).reshape(-1, lines, 6))
+    of_order = np.arange(len(motions)) // 2 % 6 // 3  # 0 for patterns up to first order
+    effects = []
+    for rows in (np.array(motions)[of_order == 0, :6], np.array(motions)[:, 6:]):
+        combined = np.asarray(np.linalg.qr(rows, mode="r"))
+        parts = np.concatenate([combined, 1j * combined])
+        each_line = np.einsum("kl,pc->kplc", np.eye(lines), parts)
+        effects.append(np.asarray(each_line.reshape(-1, lines, combined.shape[1])))
+    return effects[0], effects[1]
 
 
 def _calibration_effects(measured: StereoMotion, view: ImageView, sums: SineSums, lines: int) -> ComplexArray:
-    """Return (P, K, 6): the displacement phasors' change for each principal component of the calibration.
+    """Return (P, K, 6 + S): the displacement phasors' change for each principal component of the calibration, and that
+    of the amplitudes of shapes.
 
     The path from the tracks onward is evaluated again with each perturbed rig. Phasors are linear in small pixel
     displacements, so instead of all frames only the mean positions of the subsets and their displacement phasors at
     each line are triangulated and fitted: 1 + 2K frames.
     """
-    covariance = view.rig.covariance
+    covariance, shapes = view.rig.covariance, view.deformed.shapes
     if covariance is None:
-        return np.empty((0, lines, 6), dtype=np.complex128)
+        return np.empty((0, lines, 6 + len(shapes.names)), dtype=np.complex128)
     frames = _phasor_frames(sums, len(measured.points_time_s))
     change, pose = measured.sight.pair.pose_by_calibration, sensor_from_camera(measured.sight.pair)
     answer = np.zeros((6, len(covariance))) if change is None else np.array(change)  # the pose was found with this rig
-    nominal = _phasor_motion(view.rig, pose, frames)
+    nominal = _phasor_motion(view.rig, pose, frames, shapes)
     changes = []
     for step in principal_components(covariance):
         moved = RigidTransform.from_pose(answer @ step) @ pose
         try:
-            changes.append(_phasor_motion(view.rig.perturbed(step), moved, frames) - nominal)
+            changes.append(_phasor_motion(view.rig.perturbed(step), moved, frames, shapes) - nominal)
         except ValueError as error:
             file = measured.sight.pair.calibration or measured.sight.where[0]
             found = "rays that meet nowhere in front of the cameras when it is off by its own standard uncertainty"
@@ -490,11 +507,22 @@ def _phasor_frames(sums: SineSums, samples: int) -> tuple[FloatArray, FloatArray
     return frames[..., :2], frames[..., 2:]
 
 
-def _phasor_motion(rig: StereoRig, pose: RigidTransform, frames: tuple[FloatArray, FloatArray]) -> ComplexArray:
-    """Return the displacement phasors (K, 6) that a rig, its left camera in this pose, makes of phasor frames."""
+def _phasor_motion(
+    rig: StereoRig, pose: RigidTransform, frames: tuple[FloatArray, FloatArray], shapes: Shapes
+) -> ComplexArray:
+    """Return the displacement phasors (K, 6) that a rig, its left camera in this pose, makes of phasor frames, and the
+    amplitudes (K, S) of shapes beside them, by least squares of the points with what depth is worth in them."""
     points = triangulate(rig, frames[0], frames[1], None, None).transformed(pose)
     poses = fit_motion(points, None, np.zeros(3)).pose[1:]
-    return np.asarray(poses[0::2] + 1j * poses[1::2])
+    rest, known = points.position_m[0], np.isfinite(points.position_m).all(axis=(0, 2))
+    columns = [*np.broadcast_to(np.eye(3)[:, None], (3, len(rest), 3)), *np.cross(np.eye(3)[:, None], rest)]
+    design = np.stack([*columns, *shapes(rest)])[:, known].reshape(6 + len(shapes.names), -1)
+    weighted = np.einsum("pni,nij->pnj", design.reshape(len(design), -1, 3), np.linalg.inv(points.covariance_m2[0][known]))
+    weighted = weighted.reshape(len(design), -1)
+    moved = (points.position_m[1:] - rest)[:, known].reshape(len(poses), -1)
+    amplitude = np.linalg.lstsq(weighted @ design.T, weighted @ moved.T, rcond=None)[0][6:].T
+    both = np.concatenate([poses, amplitude], axis=1)
+    return np.asarray(both[0::2] + 1j * both[1::2])
 
 
 def unseen_fundamentals(
@@ -514,44 +542,3 @@ def unseen_fundamentals(
     return tuple(
         Notice("warning", f"no instrument sees the motion at {f:.6g} Hz, a driven line", f"{f:.6g} Hz") for f in lost
     )
-
-
-# Operating deflection shape: phasors of what a body does beside its rigid motion, point by point.
-
-
-LEAST_FREEDOM = 4  # frames beyond the unknowns of the fit that make a scatter
-
-
-@dataclass(frozen=True, eq=False)
-class DeflectionShape:
-    """Complex deflection of N points of a body at K lines, in m, peak values, in the body's axes.
-
-    `frequency_hz` (K,); `reference_m` (N, 3); `value` (K, N, 3) of x(t) = Re{X exp(jωt)}, exposure loss corrected;
-    `u` (K, N, 3): standard uncertainty of the real and of the imaginary part. A point seen too rarely is NaN.
-    """
-
-    frequency_hz: FloatArray
-    reference_m: FloatArray
-    value: ComplexArray
-    u: FloatArray
-
-    __repr__ = brief
-
-
-def deflection_shape(
-    time_s: FloatArray, frequency_hz: FloatArray, deformation: Iterable[Deformation], exposure_s: float
-) -> DeflectionShape:
-    """Return the phasors of a deformation of F frames at times (F,) and lines (K,), by sine approximation.
-
-    Least squares with all lines and an offset, as `fit_sines` does for the rigid motion, on the frames in which the
-    point is seen; u² = s²·(2/S)·(XᵀX)⁻¹ with the variance s² of the point's own residual, mean of both parts.
-    `deformation`: of some frames after the other.
-    """
-    sums = None
-    for part in deformation:
-        sums = SineSums(time_s, frequency_hz, np.zeros_like(part.reference_m)) if sums is None else sums
-        sums.add(part.residual_m)
-    assert sums is not None
-    _, value, u = sums.solved(LEAST_FREEDOM)
-    gain = exposure_gain(frequency_hz, exposure_s)[:, None, None]
-    return DeflectionShape(frequency_hz, part.reference_m, np.asarray(value / gain), u / gain)

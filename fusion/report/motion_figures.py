@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.base import prefix
-from fusion.phasors.stereo_phasors import DeflectionShape, StereoResult
+from fusion.phasors.deformation import DeflectionShape
+from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report.figure import (
     BLACK,
     BLUE,

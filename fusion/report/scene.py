@@ -19,8 +19,9 @@ from fusion.base import PROGRAM, InputError, __version__, prefix
 from fusion.estimation.coverage import Polar
 from fusion.estimation.fuse import Acceleration
 from fusion.instruments.transducer import TRANSDUCERS, Beams, aimed, mirror_of, placed_at, unit_direction
+from fusion.phasors.deformation import DeflectionShape
 from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
-from fusion.phasors.stereo_phasors import DeflectionShape, StereoResult
+from fusion.phasors.stereo_phasors import StereoResult
 from fusion.recording.files import split_scan
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import SCAN, ChannelEntry

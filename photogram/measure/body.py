@@ -178,7 +178,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     return BodyMotion(
         motion=motion,
         motion_of_points=of_points,
-        deformed=ShapeAmplitudes(fits.amplitude, fits.amplitude_covariance, rigid_share(scene.views)),
+        deformed=ShapeAmplitudes(scene.shapes, fits.amplitude, fits.amplitude_covariance, rigid_share(scene.views)),
         sought=np.isin(np.arange(len(motion.pose)), tracked.frames),
         reprojection_px=float(np.sqrt(sums.reprojection[0] / max(sums.reprojection[1], 1))),
         subsets_px=sums.subsets_px,

@@ -56,6 +56,18 @@ FollowedBlock = tuple[FollowedFrame, ...]
 the direct fit, None for none."""
 
 
+@dataclass(frozen=True)
+class KnownBody:
+    """What is known of a body before it is seen.
+
+    `depth_m`: nearest and farthest depth in the left camera at which it can be, where its pattern may repeat. `shapes`:
+    in which it may deform, `PlainShapes` where none are known.
+    """
+
+    depth_m: DepthRange | None = None
+    shapes: Shapes | None = None
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class BodyScene(Arrays, shapes="rest_m N 3; sought F"):
     """What stays the same through a series, whoever follows which of its frames.
@@ -74,6 +86,7 @@ class BodyScene(Arrays, shapes="rest_m N 3; sought F"):
     settings: TrackSettings
     grid: StereoGrid
     references: tuple[Reference, Reference]
+    body: KnownBody
     rest_m: FloatArray
     views: tuple[BodyView, ...]
     near: tuple[BodyView, ...]
@@ -83,17 +96,10 @@ class BodyScene(Arrays, shapes="rest_m N 3; sought F"):
     blocks: tuple[range, ...]
     sought: BoolArray
 
-
-@dataclass(frozen=True)
-class KnownBody:
-    """What is known of a body before it is seen.
-
-    `depth_m`: nearest and farthest depth in the left camera at which it can be, where its pattern may repeat. `shapes`:
-    in which it may deform, `PlainShapes` where none are known.
-    """
-
-    depth_m: DepthRange | None = None
-    shapes: Shapes | None = None
+    @property
+    def shapes(self) -> Shapes:
+        """In which the body may deform."""
+        return self.body.shapes or PlainShapes.of(self.rest_m)
 
 
 def prepare_body(
@@ -109,20 +115,20 @@ def prepare_body(
 
     Blocks have `BLOCK_FRAMES` frames, on a GPU `GPU_BLOCK_FRAMES`.
     """
-    body = known or KnownBody()
-    grid = lay_stereo_grid(*images, rig, settings, body.depth_m)
+    known = known or KnownBody()
+    grid = lay_stereo_grid(*images, rig, settings, known.depth_m)
     left, right = (
         prepare_sequence(side, px, settings) for side, px in zip(images, (grid.left_px, grid.right_px), strict=True)
     )
     first = images[0].read(0), images[1].read(0)
     fixed = images, first, rig, body_from_left, settings, grid, (left, right)
     every = np.ones(len(images[0]), dtype=np.bool_)
-    scene = BodyScene(*fixed, np.empty((0, 3)), (), (), (), None, (), (), every)
+    scene = BodyScene(*fixed, known, np.empty((0, 3)), (), (), (), None, (), (), every)
     rest_m = _place(scene, (identity(left), identity(right))).position_m[0]
     splines = spline_of_image(first[0], settings.degree), spline_of_image(first[1], settings.degree)
     seen = tuple(see_points(camera, rest_m) for camera in _cameras(scene, rest_m))
-    shapes = PlainShapes.of(rest_m) if body.shapes is None else body.shapes
-    scene = replace(scene, rest_m=rest_m, seen=seen, views=_views(scene, splines, seen, shapes))
+    scene = replace(scene, rest_m=rest_m, seen=seen)
+    scene = replace(scene, views=_views(scene, splines))
     _tell(progress, 1)
     scene = _with_noise(scene, device, progress)
     rest = range(1 + len(scene.lead), len(images[0]))
@@ -343,14 +349,12 @@ def _cameras(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, Placed
     )
 
 
-def _views(
-    scene: BodyScene, splines: Splines, seen: Sequence[SeenPoints], shapes: Shapes
-) -> tuple[BodyView, ...]:
+def _views(scene: BodyScene, splines: Splines) -> tuple[BodyView, ...]:
     """The body at rest in both cameras, all pixels equally trusted."""
-    side_px = 2 * scene.settings.radius_px + 1
+    side_px, shapes = 2 * scene.settings.radius_px + 1, scene.shapes
     return tuple(
         view_body(one.camera, (spline, area, float(images.full_scale)), one.points_m, side_px, UNIFORM, shapes)
-        for one, spline, area, images in zip(seen, splines, scene.grid.areas, scene.images, strict=True)
+        for one, spline, area, images in zip(scene.seen, splines, scene.grid.areas, scene.images, strict=True)
     )
 
 

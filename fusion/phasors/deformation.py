@@ -1,0 +1,186 @@
+"""What a body does beside its rigid motion at the lines: its points one by one, and shapes fitted to all grey values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import fdtrc
+
+from photogram.modes import ShapeAmplitudes
+from photogram.motion import Deformation
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
+from shaker.sine.aliasing import exposure_gain, sine_columns
+from shaker.sine.fit import fit_sines
+from shaker.sine.normal_equations import SineSums
+from shaker.sine.phasor import Phasors
+from shaker.sine.solve import SineFit, SineModel
+
+# Operating deflection shape: phasors of what a body does beside its rigid motion, point by point.
+
+
+LEAST_FREEDOM = 4  # frames beyond the unknowns of the fit that make a scatter
+
+
+@dataclass(frozen=True, eq=False)
+class DeflectionShape:
+    """Complex deflection of N points of a body at K lines, in m, peak values, in the body's axes.
+
+    `frequency_hz` (K,); `reference_m` (N, 3); `value` (K, N, 3) of x(t) = Re{X exp(jωt)}, exposure loss corrected;
+    `u` (K, N, 3): standard uncertainty of the real and of the imaginary part. A point seen too rarely is NaN.
+    """
+
+    frequency_hz: FloatArray
+    reference_m: FloatArray
+    value: ComplexArray
+    u: FloatArray
+
+    __repr__ = brief
+
+
+def deflection_shape(
+    time_s: FloatArray, frequency_hz: FloatArray, deformation: Iterable[Deformation], exposure_s: float
+) -> DeflectionShape:
+    """Return the phasors of a deformation of F frames at times (F,) and lines (K,), by sine approximation.
+
+    Least squares with all lines and an offset, as `fit_sines` does for the rigid motion, on the frames in which the
+    point is seen; u² = s²·(2/S)·(XᵀX)⁻¹ with the variance s² of the point's own residual, mean of both parts.
+    `deformation`: of some frames after the other.
+    """
+    sums = None
+    for part in deformation:
+        sums = SineSums(time_s, frequency_hz, np.zeros_like(part.reference_m)) if sums is None else sums
+        sums.add(part.residual_m)
+    assert sums is not None
+    _, value, u = sums.solved(LEAST_FREEDOM)
+    gain = exposure_gain(frequency_hz, exposure_s)[:, None, None]
+    return DeflectionShape(frequency_hz, part.reference_m, np.asarray(value / gain), u / gain)
+
+
+# Shapes whose amplitudes the grey values of all pixels tell, and whether there is any deformation at all.
+
+LEVEL = 0.01
+"""Chance at which a rigid body seems to deform, over all lines of a recording."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePhasors:
+    """Amplitudes of S shapes of a body at K lines, in m, peak values, exposure loss corrected.
+
+    `phasors`: with the covariance of their noise; `effects` (P, K, S): changes by one standard uncertainty of unknowns
+    that all frames share (calibration, errors periodic in the pixel). `share` (6, S): rigid motion that a unit amplitude
+    puts into that of the pair. `chance` (K,): of an F at least as large on a rigid body; `modes`: how many independent
+    shapes stand out at the lines together.
+    """
+
+    phasors: Phasors
+    effects: ComplexArray
+    share: FloatArray
+    f: FloatArray
+    chance: FloatArray
+    modes: int
+
+    __repr__ = brief
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (K, 2S, 2S) of all real and all imaginary parts, noise and effects."""
+        return _with_effects(self.phasors, self.effects)
+
+    @property
+    def deforms(self) -> BoolArray:
+        """At which lines (K,) a deformation is as good as sure, at 1 % over all of them."""
+        return np.asarray(self.chance < LEVEL / len(self.chance))
+
+    def notices(self) -> list[Notice]:
+        """Say at which lines the body deforms, in which shape most, and by how much."""
+        told = []
+        size = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).reshape(len(self.f), 2, -1).sum(axis=1) / 2.0)
+        for k in np.flatnonzero(self.deforms):
+            most = int(np.argmax(np.abs(self.phasors.value[k]) / size[k]))
+            hertz = f"{self.phasors.frequency_hz[k]:.6g} Hz"
+            amplitude, u = 1e9 * float(np.abs(self.phasors.value[k, most])), 1e9 * float(size[k, most])
+            text = (
+                f"its body deforms at {hertz}: {self.phasors.channels[most]} of {amplitude:.3g} nm (u {u:.2g} nm), "
+                f"by chance once in {1.0 / max(float(self.chance[k]), 1e-12):.2g} recordings of a rigid body; it is not "
+                "rigid there, or its cameras are not what was calibrated"
+            )
+            told.append(Notice("warning", text, hertz))
+        return told
+
+
+def shape_phasors(
+    time_s: FloatArray, frequency_hz: FloatArray, deformed: ShapeAmplitudes, exposure_s: float, effects: ComplexArray
+) -> ShapePhasors | None:
+    """Return the phasors of amplitudes (F, S) at times (F,) and lines (K,), by sine approximation; None for too few frames.
+
+    Hotelling's T² = xᵀ·C⁻¹·x of the 2S parts of a line, C of ν degrees of freedom with the `effects` (P, K, S) added, is
+    2Sν/(ν − 2S + 1) times F(2S, ν − 2S + 1) on a rigid body.
+    """
+    names, count = deformed.shapes.names, len(deformed.shapes.names)
+    gain = exposure_gain(frequency_hz, exposure_s)[:, None]
+    try:
+        model = SineModel(robust=True)
+        fit = fit_sines(time_s, deformed.amplitude, frequency_hz, names, ("m",) * count, model=model)
+    except ValueError:
+        return None
+    phasors = _steady_noise(time_s, deformed.amplitude, fit)
+    free = phasors.dof - 2 * count + 1
+    if free.min() < 1.0:
+        return None
+    phasors = phasors.scaled(1.0 / gain)
+    covariance = _with_effects(phasors, effects)
+    both = np.concatenate([phasors.value.real, phasors.value.imag], axis=1)
+    square = np.einsum("ki,ki->k", both, np.linalg.solve(covariance, both[..., None])[..., 0])
+    f = square * free / (2 * count * phasors.dof)
+    chance = fdtrc(2.0 * count, free, f)
+    return ShapePhasors(phasors, effects, deformed.share, f, chance, _independent(phasors, covariance))
+
+
+def _steady_noise(time_s: FloatArray, amplitude: FloatArray, fit: SineFit) -> Phasors:
+    """Return the phasors of a fit with the noise of all frames, which is that of pixels and white.
+
+    At a slow beat the density around a line has two degrees of freedom, which test nothing. It counts where it is
+    higher, in the mean over the shapes: air and lamps are not white.
+    """
+    used = np.isfinite(amplitude).all(axis=1)
+    used[fit.spikes] = False
+    columns, count = sine_columns(time_s[used], fit.phasors.frequency_hz), amplitude.shape[1]
+    left = fit.residual_of(time_s, amplitude)[used]
+    dof = len(left) - columns.shape[1]
+    sigma = left.T @ left / max(dof, 1)
+    inverse = np.linalg.inv(columns.T @ columns) * 2.0 / len(left)
+    covariance = np.empty_like(fit.phasors.covariance)
+    for k, local in enumerate(fit.phasors.covariance):
+        parts = inverse[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        white = np.kron(parts, sigma)
+        louder = np.diagonal(local).reshape(2, count).sum(axis=0) / np.diagonal(white).reshape(2, count).sum(axis=0)
+        covariance[k] = max(1.0, float(louder.mean())) * white
+    return replace(fit.phasors, covariance=covariance, dof=np.full(len(covariance), float(max(dof, 1))))
+
+
+def _with_effects(phasors: Phasors, effects: ComplexArray) -> FloatArray:
+    """Covariance (K, 2S, 2S) of phasors with their noise and effects (P, K, S) of unknowns."""
+    both = np.concatenate([effects.real, effects.imag], axis=2)
+    return np.asarray(phasors.covariance + np.einsum("pki,pkj->kij", both, both))
+
+
+def _independent(phasors: Phasors, covariance: FloatArray) -> int:
+    """Return how many independent shapes stand out of the amplitudes of all lines.
+
+    Real and imaginary parts of K lines as 2K rows, in units of their uncertainty, have rank r and noise: what is left
+    beside the first r singular values is then nearly χ² of (2K − r)(S − r) (Malinowski 1989, J. Chemometrics 3, 49);
+    the first r for which that is no rare value, 1 %, is the number.
+    """
+    count = phasors.value.shape[1]
+    of_parts = (covariance[:, :count, :count] + covariance[:, count:, count:]) / 2.0
+    lower = np.linalg.cholesky(of_parts)
+    parts = np.concatenate([phasors.value.real, phasors.value.imag])[..., None]
+    rows = np.linalg.solve(np.concatenate([lower, lower]), parts)[..., 0]
+    singular = np.linalg.svd(rows, compute_uv=False)
+    for rank in range(len(singular)):
+        numbers = (len(rows) - rank) * (count - rank)
+        if fdtrc(numbers, phasors.dof.min(), float(np.sum(singular[rank:] ** 2)) / numbers) > LEVEL:
+            return rank
+    return len(singular)
