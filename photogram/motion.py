@@ -22,7 +22,6 @@ from photogram.geometry import (
     vector_from_rotation,
 )
 from photogram.kernels import njit
-from photogram.modes import Shapes
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array, sparray
@@ -481,10 +480,10 @@ def body_patches(
 
 def patch_warps(camera: PlacedCamera, patches: Patches, moved: RigidTransform) -> FloatArray:
     """Return the affine warps (C, 6) [u u_x u_y v v_x v_y] of the patches when the body moves by `moved`, in px."""
-    return _warps_to(camera, patches, moved.apply(patches.points_m))
+    return warps_to(camera, patches, moved.apply(patches.points_m))
 
 
-def _warps_to(camera: PlacedCamera, patches: Patches, points_m: FloatArray) -> FloatArray:
+def warps_to(camera: PlacedCamera, patches: Patches, points_m: FloatArray) -> FloatArray:
     """Return the affine warps (C, 6) of the patches when their points come to places (C, 5, 3)."""
     shift = camera.project(points_m) - patches.rest_px
     warp = np.empty((len(shift), 6))
@@ -497,17 +496,6 @@ def _warps_to(camera: PlacedCamera, patches: Patches, points_m: FloatArray) -> F
 def patch_rates(camera: PlacedCamera, patches: Patches) -> FloatArray:
     """Return the derivatives (C, 6, 6) of the patches' affine warps by x y z (m) and rx ry rz (rad) at rest."""
     return derivatives(lambda pose: patch_warps(camera, patches, RigidTransform.from_pose(pose)), np.full(6, RATE_STEP))
-
-
-def shape_rates(camera: PlacedCamera, patches: Patches, shapes: Shapes) -> FloatArray:
-    """Return the derivatives (C, 6, S) of the patches' affine warps by the amplitudes of S shapes at rest."""
-    shape = shapes(patches.points_m.reshape(-1, 3))
-    moved = shape.reshape(len(shape), *patches.points_m.shape)
-
-    def warps(amplitude: FloatArray) -> FloatArray:
-        return _warps_to(camera, patches, patches.points_m + np.tensordot(amplitude, moved, 1))
-
-    return derivatives(warps, np.full(len(shape), RATE_STEP))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

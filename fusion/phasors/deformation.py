@@ -1,4 +1,4 @@
-"""What a body does beside its rigid motion at the lines: its points one by one, and shapes fitted to all grey values."""
+"""What a body does beside its rigid motion at the lines: point by point, and in shapes fitted to all grey values."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc
 
-from photogram.modes import ShapeAmplitudes
+from photogram.direct.shapes import ShapeAmplitudes
 from photogram.motion import Deformation
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
 from shaker.sine.aliasing import exposure_gain, sine_columns
@@ -69,9 +69,9 @@ class ShapePhasors:
     """Amplitudes of S shapes of a body at K lines, in m, peak values, exposure loss corrected.
 
     `phasors`: with the covariance of their noise; `effects` (P, K, S): changes by one standard uncertainty of unknowns
-    that all frames share (calibration, errors periodic in the pixel). `share` (6, S): rigid motion that a unit amplitude
-    puts into that of the pair. `chance` (K,): of an F at least as large on a rigid body; `modes`: how many independent
-    shapes stand out at the lines together.
+    that all frames share (calibration, errors periodic in the pixel). `share` (6, S): rigid motion that an amplitude of
+    1 m puts into that of the pair. `chance` (K,): of an F at least as large on a rigid body; `modes`: how many
+    independent shapes stand out at the lines together.
     """
 
     phasors: Phasors
@@ -89,6 +89,12 @@ class ShapePhasors:
         return _with_effects(self.phasors, self.effects)
 
     @property
+    def u_size(self) -> FloatArray:
+        """Standard uncertainty (K, S) of a part of each amplitude, the mean of both."""
+        variance = np.diagonal(self.covariance, axis1=1, axis2=2).reshape(len(self.f), 2, -1)
+        return np.asarray(np.sqrt(variance.mean(axis=1)))
+
+    @property
     def deforms(self) -> BoolArray:
         """At which lines (K,) a deformation is as good as sure, at 1 % over all of them."""
         return np.asarray(self.chance < LEVEL / len(self.chance))
@@ -96,15 +102,15 @@ class ShapePhasors:
     def notices(self) -> list[Notice]:
         """Say at which lines the body deforms, in which shape most, and by how much."""
         told = []
-        size = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).reshape(len(self.f), 2, -1).sum(axis=1) / 2.0)
+        size = self.u_size
         for k in np.flatnonzero(self.deforms):
             most = int(np.argmax(np.abs(self.phasors.value[k]) / size[k]))
             hertz = f"{self.phasors.frequency_hz[k]:.6g} Hz"
             amplitude, u = 1e9 * float(np.abs(self.phasors.value[k, most])), 1e9 * float(size[k, most])
             text = (
-                f"its body deforms at {hertz}: {self.phasors.channels[most]} of {amplitude:.3g} nm (u {u:.2g} nm), "
-                f"by chance once in {1.0 / max(float(self.chance[k]), 1e-12):.2g} recordings of a rigid body; it is not "
-                "rigid there, or its cameras are not what was calibrated"
+                f"its body deforms at {hertz}: {self.phasors.channels[most]} of {amplitude:.3g} nm (u {u:.2g} nm), which "
+                f"a rigid body shows once in {1.0 / max(float(self.chance[k]), 1e-12):.1e} recordings; it bends or "
+                "stretches (state [[load.elastic]] with measured_by), or a camera moves against the other"
             )
             told.append(Notice("warning", text, hertz))
         return told
@@ -113,10 +119,10 @@ class ShapePhasors:
 def shape_phasors(
     time_s: FloatArray, frequency_hz: FloatArray, deformed: ShapeAmplitudes, exposure_s: float, effects: ComplexArray
 ) -> ShapePhasors | None:
-    """Return the phasors of amplitudes (F, S) at times (F,) and lines (K,), by sine approximation; None for too few frames.
+    """Return the phasors of amplitudes (F, S) at times (F,) and lines (K,); None for too few frames.
 
-    Hotelling's T² = xᵀ·C⁻¹·x of the 2S parts of a line, C of ν degrees of freedom with the `effects` (P, K, S) added, is
-    2Sν/(ν − 2S + 1) times F(2S, ν − 2S + 1) on a rigid body.
+    By sine approximation. Hotelling's T² = xᵀ·C⁻¹·x of the 2S parts of a line, C of ν degrees of freedom with the
+    `effects` (P, K, S) added, is 2Sν/(ν − 2S + 1) times F(2S, ν − 2S + 1) on a rigid body.
     """
     names, count = deformed.shapes.names, len(deformed.shapes.names)
     gain = exposure_gain(frequency_hz, exposure_s)[:, None]

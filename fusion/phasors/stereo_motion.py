@@ -37,6 +37,7 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE
+from fusion.sensitivity.mode_shapes import ModeShapes, mode_shapes
 from photogram.calibration.file import read_calibration
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform
@@ -49,11 +50,11 @@ from shaker.lines.frequencies import Lines, find_lines
 from shaker.sine.aliasing import usable_lines
 
 if TYPE_CHECKING:
+    from photogram.direct.shapes import ShapeAmplitudes
     from photogram.epipolar import EpipolarCheck
     from photogram.images.noise import NoiseModel
     from photogram.measure.body import BodyMotion
     from photogram.measure.follow import BodyScene, FollowedBlock
-    from photogram.modes import ShapeAmplitudes
     from photogram.subsets.icgn import TrackSettings
     from photogram.subsets.texture import SubsetQuality
     from photogram.subsets.track import StereoTracks
@@ -76,8 +77,8 @@ class OpenImages:
     """The images of one stereo pair, opened and checked: its sight, both sequences, its rig, the first left image.
 
     `notices`: what the files do to the grey values, and what they say against the manifest.
-    `depth_m`: nearest and farthest depth in the left camera where its body can be (`known_depth`), None if not known.
-    `entry`: as the manifest states them.
+    `depth_m`: nearest and farthest depth in the left camera where its body can be (`known_depth`), None if not known;
+    `modes`: of an elastic load, whose amplitudes they tell. `entry`: as the manifest states them.
     """
 
     sight: Sight
@@ -87,6 +88,7 @@ class OpenImages:
     first: GreyImage
     notices: tuple[AnyNotice, ...]
     depth_m: tuple[float, float] | None
+    modes: ModeShapes | None
     entry: Images
 
 
@@ -94,7 +96,8 @@ class OpenImages:
 class ImageView:
     """What the images of one stereo pair gave: tracked subsets of some frames at a time, their rig, the first left
     image, the noise models of both cameras and what their subsets promised, whether the pair still is what was
-    calibrated, how the body deforms in shapes that all pixels tell, and medians: standard deviation that the noise gives to positions, and `zncc` in the left camera."""
+    calibrated, how the body deforms in shapes that all pixels tell, and medians: standard deviation that the noise
+    gives to positions, and `zncc` in the left camera."""
 
     tracks: Iterable[StereoTracks]
     rig: StereoRig
@@ -180,8 +183,8 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
     if x >= left.size_px[0] or y >= left.size_px[1]:
         expected = f"a part of pictures of {left.size_px[0]} x {left.size_px[1]} px"
         raise InputError(manifest.path, f"{key}.region", found=str(list(entry.region or ())), expected=expected)
-    depth_m = known_depth(manifest, pair)
-    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0], tuple(told), depth_m, entry)
+    known = known_depth(manifest, pair), mode_shapes(manifest.rig.load, sight.name) if pair.body == "load" else None
+    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0], tuple(told), *known, entry)
 
 
 def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> float:
@@ -310,7 +313,7 @@ def _prepared(images: OpenImages, settings: Settings, lines: int | None) -> Body
     from photogram.subsets.track import resolve_device
 
     inputs = body_inputs(images, settings, lines)
-    return prepare_body(*inputs, resolve_device(settings.device), known=KnownBody(images.depth_m))
+    return prepare_body(*inputs, resolve_device(settings.device), known=KnownBody(images.depth_m, images.modes))
 
 
 def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, as above

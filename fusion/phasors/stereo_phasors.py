@@ -19,10 +19,10 @@ from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, senso
 from fusion.phasors.timing import Lateness, Sight, TimeBase, together
 from photogram.arrays import RunningMean, spread_choice
 from photogram.camera import StereoRig, principal_components, triangulate
+from photogram.direct.shapes import PlainShapes, Shapes
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage
-from photogram.modes import Shapes
 from photogram.motion import Deformation, RigidMotion, fit_motion, relative_to
 from shaker.arrays import ComplexArray, FloatArray, Notice, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
@@ -58,8 +58,9 @@ class StereoResult:
     of which it leaves `residual` (F, 6).
     `reference_image` (H, W) and `subsets_px` (N, 2): first left image and the subsets tracked in it, None for points
     of another program. `usable` (K,): which lines of the recording this camera rate can tell apart. `deflection`: what
-    the points do beside the rigid motion at the usable lines, `shapes` what all pixels tell of it. `noise`: of the left and the right camera. `sigma_px`
-    (2,): median standard deviation of a subset's coordinate, as predicted from the first images and as found.
+    the points do beside the rigid motion at the usable lines, `shapes` what all pixels tell of it. `noise`: of the left
+    and the right camera. `sigma_px` (2,): median standard deviation of a subset's coordinate, as predicted from the
+    first images and as found.
     `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
     `stationarity`: the six components over blocks of whole beats, exposure loss not corrected. `u_exposure_s`: 0 where
     the exposure is stated. `u_rate`: relative, of the rate at which its frames were taken. `surface`: the points, and
@@ -201,7 +202,8 @@ def stereo_phasors(
     shapes = None
     if view is not None and of_shapes is not None:
         shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, of_shapes)
-        own += [] if shapes is None else shapes.notices()
+        if shapes is not None and isinstance(view.deformed.shapes, PlainShapes):
+            own += shapes.notices()
     told += [(name, notice) for notice in own]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
     pose = from_mean.pose.copy()
@@ -517,8 +519,8 @@ def _phasor_motion(
     rest, known = points.position_m[0], np.isfinite(points.position_m).all(axis=(0, 2))
     columns = [*np.broadcast_to(np.eye(3)[:, None], (3, len(rest), 3)), *np.cross(np.eye(3)[:, None], rest)]
     design = np.stack([*columns, *shapes(rest)])[:, known].reshape(6 + len(shapes.names), -1)
-    weighted = np.einsum("pni,nij->pnj", design.reshape(len(design), -1, 3), np.linalg.inv(points.covariance_m2[0][known]))
-    weighted = weighted.reshape(len(design), -1)
+    weight = np.linalg.inv(points.covariance_m2[0][known])
+    weighted = np.einsum("pni,nij->pnj", design.reshape(len(design), -1, 3), weight).reshape(len(design), -1)
     moved = (points.position_m[1:] - rest)[:, known].reshape(len(poses), -1)
     amplitude = np.linalg.lstsq(weighted @ design.T, weighted @ moved.T, rcond=None)[0][6:].T
     both = np.concatenate([poses, amplitude], axis=1)

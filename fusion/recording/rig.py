@@ -225,6 +225,7 @@ class ElasticMode(Block):
     participation: Annotated[Vector6, BeforeValidator(vector(6))]
     modal_mass: Positive = 1.0
     displacement: Annotated[dict[str, tuple[float, ...]], BeforeValidator(_displacements)]
+    surface: ExistingFile | None = None
 
     @model_validator(mode="after")
     def _frequency_is_known(self) -> Self:
@@ -284,7 +285,19 @@ class Elastic(Block):
     damping_uncertainty: NotNegative = 0.0
     frequencies_uncertainty: Annotated[float, Field(ge=0, lt=1)] = 0.0
     participation_uncertainty: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    measured_by: Annotated[tuple[str, ...], BeforeValidator(texts)] = ()
     mode: Annotated[tuple[ElasticMode, ...], BeforeValidator(array_of_tables)] = ()
+
+    @model_validator(mode="after")
+    def _is_measured_against_what_is_stated(self) -> Self:
+        if not self.measured_by:
+            return self
+        stated = (getattr(self, key) for key in type(self).model_fields if key.endswith("_uncertainty"))
+        if not any(stated) and not any(mode.frequency_uncertainty for mode in self.mode):
+            raise refusal("an uncertainty, such as frequencies_uncertainty = 0.1", "none", key="measured_by")
+        if self.shape == "modes" and not any(mode.surface for mode in self.mode):
+            raise refusal("the surface of at least one mode, which pictures show", "none", key="measured_by")
+        return self
 
     @model_validator(mode="after")
     def _has_what_its_shape_needs(self) -> Self:
@@ -295,6 +308,7 @@ class Elastic(Block):
             "damping_uncertainty",
             "frequencies_uncertainty",
             "participation_uncertainty",
+            "measured_by",
         }
         own = OWN_OF_SHAPE[self.shape]
         known = {*of_modes, *(name for key in own for name in (key, f"{key}_uncertainty"))}
@@ -539,6 +553,16 @@ class Rig(Block):
         refuse_as_file_names(self.stereo, "stereo")
         return self
 
+    @model_validator(mode="after")
+    def _modes_are_measured_on_the_load(self) -> Self:
+        seen = [name for name, pair in self.stereo.items() if pair.body == "load"]
+        for part in self.load.elastic if self.load is not None else ():
+            for name in part.measured_by:
+                if name not in seen:
+                    expected = f"a stereo pair that sees the load ({', '.join(seen) or 'none does'})"
+                    raise refusal(expected, name, key=f"load.elastic.{part.name}.measured_by")
+        return self
+
     def unit_of(self, channel: ChannelEntry) -> str:
         """Return the unit of a channel after its scale."""
         if channel.quantity == "output":
@@ -553,4 +577,7 @@ class Rig(Block):
     @property
     def files(self) -> tuple[Path, ...]:
         """Files that rig.toml names."""
-        return tuple(pair.calibration for pair in self.stereo.values() if pair.calibration is not None)
+        calibrations = [pair.calibration for pair in self.stereo.values()]
+        parts = self.load.elastic if self.load is not None else ()
+        surfaces = [mode.surface for part in parts for mode in part.mode]
+        return tuple(file for file in (*calibrations, *surfaces) if file is not None)

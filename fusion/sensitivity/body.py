@@ -392,7 +392,7 @@ def elastic_part(table: Elastic) -> ElasticPart:
         stated, u = 1.0 if key in FACTORS else getattr(table, key), getattr(table, f"{key}_uncertainty")
 
         def other(value: float, key: str = key) -> Modes:
-            return _modes(table, {key: value})
+            return stated_modes(table, {key: value})
 
         if stated is not None:
             add(key.replace("_", " "), stated, u, unit, scope, other)
@@ -400,14 +400,14 @@ def elastic_part(table: Elastic) -> ElasticPart:
 
         def shifted(frequency: float, place: int = place, mode: ElasticMode = mode) -> Modes:
             moved = mode.model_copy(update={"frequency": frequency})
-            return _modes(table, {"mode": (*table.mode[:place], moved, *table.mode[place + 1 :])})
+            return stated_modes(table, {"mode": (*table.mode[:place], moved, *table.mode[place + 1 :])})
 
         add("frequency", mode.frequency, mode.frequency_uncertainty, "Hz", "rig", shifted)
-    mass = None if table.shape == "modes" else _drawn(table).mass_kg
-    return ElasticPart(table.name, _modes(table, {}), tuple(variants), mass)
+    mass = None if table.shape == "modes" else drawn(table).mass_kg
+    return ElasticPart(table.name, stated_modes(table, {}), tuple(variants), mass)
 
 
-def _drawn(table: Elastic) -> Rod | Plate:
+def drawn(table: Elastic) -> Rod | Plate:
     """Return the rod or plate of a block."""
     foot, axis = np.array(table.foot), np.array(table.axis or (0.0, 0.0, 1.0))
     material = table.young_modulus or 0.0, table.density or 0.0, table.poisson_ratio
@@ -417,13 +417,13 @@ def _drawn(table: Elastic) -> Rod | Plate:
     return Plate(foot, axis, table.thickness or 0.0, across_it, table.clamped_diameter or 0.0, *material)
 
 
-def _modes(table: Elastic, change: Mapping[str, Any]) -> Modes:
+def stated_modes(table: Elastic, change: Mapping[str, Any]) -> Modes:
     """Return the modes of a block of which some values are others."""
     table = table.model_copy(update={key: value for key, value in change.items() if key not in FACTORS})
     if table.shape == "modes":
         modes = _tabled(table)
     else:
-        families = _drawn(table).families()
+        families = drawn(table).families()
         for kind, tapped in (("axial", table.axial_frequency), ("bending", table.bending_frequency)):
             if tapped is not None:
                 natural = families[kind].frequency_hz

@@ -16,7 +16,7 @@ from scipy.linalg import eigh
 
 from fusion.estimation.uncertainty import Scope, Unknown
 from fusion.instruments.transducer import across
-from shaker.arrays import ComplexArray, FloatArray
+from shaker.arrays import ComplexArray, FloatArray, IntArray
 
 ONLY_NAMED = 1.0 / np.sqrt(3.0)
 """Standard uncertainty of an effect between nothing and the whole, or its opposite, over the whole."""
@@ -40,21 +40,54 @@ class Place:
 
 
 @dataclass(frozen=True)
+class MeasuredModes:
+    """What a stereo `pair` saw of the M modes `which` of a load at the K lines of a recording.
+
+    `response` (K, M): motion of the modes in proportion to that of their foot; `gain` (K, 2M, 2M): its weight in the
+    mean with the stated one, of all real and all imaginary parts; `share` (M, 6): rigid motion of the sensor origin
+    that a unit of each mode puts into that of the pair.
+    """
+
+    pair: str
+    which: IntArray
+    response: ComplexArray
+    gain: FloatArray
+    share: FloatArray
+
+    def mean(self, stated: ComplexArray) -> ComplexArray:
+        """Return responses (K, N) of all modes as they are stated and measured."""
+        count, mean = len(self.which), stated.copy()
+        off = self.response - stated[:, self.which]
+        change = np.einsum("kij,kj->ki", self.gain, np.concatenate([off.real, off.imag], axis=1))
+        mean[:, self.which] += change[:, :count] + 1j * change[:, count:]
+        return mean
+
+
+@dataclass(frozen=True)
 class Modes:
     """N natural modes of a load whose foot is held, for a modal mass of 1 kg.
 
     `frequency_hz`, `damping` (N,); `participation` (N, 6): what the foot feels of a unit acceleration of each mode, as
-    a wrench at the sensor origin; `motion` of a place: (N, 6) its displacement and its rotation.
+    a wrench at the sensor origin; `motion` of a place: (N, 6) its displacement and its rotation. `measured`: what is
+    known of some of them at the lines of a recording, at which alone they are then asked for.
     """
 
     frequency_hz: FloatArray
     damping: FloatArray
     participation: FloatArray
     motion: Callable[[Place], FloatArray]
+    measured: tuple[MeasuredModes, ...] = ()
+
+    def moved(self, frequency_hz: FloatArray) -> ComplexArray:
+        """Return (K, N): motion of the modes in proportion to that of their foot."""
+        moved = response(frequency_hz, self.frequency_hz, self.damping)
+        for measured in self.measured:
+            moved = measured.mean(moved)
+        return moved
 
     def wrench(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return (K, 6, 6): load beside that of the rigid body = matrix · acceleration of the foot."""
-        moved = response(frequency_hz, self.frequency_hz, self.damping)
+        moved = self.moved(frequency_hz)
         return np.asarray(np.einsum("kn,ni,nj->kij", moved, self.participation, self.participation))
 
     def stretch(self, frequency_hz: FloatArray, place: Place) -> ComplexArray:
@@ -65,7 +98,10 @@ class Modes:
         """
         own = self.motion(place)
         about = np.concatenate([own[:, :3] - np.cross(own[:, 3:], place.point_m), own[:, 3:]], axis=1)
-        moved = response(frequency_hz, self.frequency_hz, self.damping)
+        for measured in self.measured:
+            if measured.pair == place.name:
+                about[measured.which] = measured.share
+        moved = self.moved(frequency_hz)
         return np.asarray(np.einsum("kn,ni,nj->kij", moved, about, self.participation))
 
 

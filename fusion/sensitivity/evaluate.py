@@ -24,8 +24,10 @@ from fusion.sensitivity.disturbances import (
     with_base_strain,
     with_support_motion,
 )
+from fusion.sensitivity.mode_shapes import with_measured_modes
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.ratio import driven_component, with_ratios
+from shaker.arrays import Notice
 
 
 def evaluate_recording(
@@ -56,6 +58,9 @@ def evaluate_recording(
     observations = joined.observed(surroundings.free_fall_mps2[0])
     observations = with_support_motion(observations, surroundings.support_motion)
     unseen = unseen_fundamentals(observations, joined.lines, joined.aliased)
+    measured: tuple[Notice, ...] = ()
+    if body is not None:
+        body, measured = with_measured_modes(body, manifest.rig.load, joined.stereo)
     rows = observations if body is None else elastic_rows(observations, body.elastic)
     outputs = None if sensor is None else sensor_outputs(joined.readings, sensor.channels)
     if sensor is not None and outputs is not None:
@@ -74,7 +79,8 @@ def evaluate_recording(
         entries = [reading.entry for reading in joined.readings]
         found = analysis.element or analysis.sensitivity
         missing += unstated_chain(found, entries, driven_component(direction, sensor.capacity))
-    told = [*manifest.expired, *doubts(manifest), *joined.notices, *parallel, *unseen, *analysis.notices, *missing]
+    told = [*manifest.expired, *doubts(manifest), *joined.notices, *parallel, *unseen, *measured]
+    told += [*analysis.notices, *missing]
     notices = [*told, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,

@@ -116,6 +116,22 @@ class PartSpec:
 
 
 @dataclass(frozen=True, config=CHECKED)
+class PlateSpec:
+    """A plate on top of the load that bends (`fusion.simulate.bending`), as the laboratory states it.
+
+    Its mass is part of the load's; natural frequency with its standard uncertainty (relative), damping ratio;
+    `measured_by`: stereo pairs that are to measure it.
+    """
+
+    mass: float
+    radius: float
+    frequency: float
+    frequency_uncertainty: float
+    damping: float
+    measured_by: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, config=CHECKED)
 class HeadSpec:
     """A laser head as stated: standard uncertainties of its turn about each axis (rad) and of its place (m)."""
 
@@ -197,6 +213,7 @@ class Preset:
     daqs: tuple[DaqSpec, ...]
     parts: tuple[PartSpec, ...] = ()
     heads: tuple[HeadSpec, ...] = ()
+    plate: PlateSpec | None = None
     as_points: bool = False
     down: Vector = (0.0, 0.0, -1.0)
 

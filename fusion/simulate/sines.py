@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from fusion.base import ProgressCallback, no_progress
 from fusion.recording.toml import to_toml
 from fusion.report.files import write_file
+from fusion.simulate import bending
 from fusion.simulate.preset import (
     ChannelSpec,
     DaqSpec,
@@ -180,7 +181,7 @@ def rig_tables(world: World, own: tuple[PartSpec, ...] = ()) -> dict[str, Any]:
         "format": 1,
         "name": preset.rig_name,
         "sensor": sensor_keys(preset, world.static_stated),
-        "load": part_keys(preset.load),
+        "load": part_keys(preset.load) | bending.elastic_keys(preset),
     }
     parts = [part_table(part) for part in preset.parts if part not in own]
     if parts:
@@ -454,7 +455,8 @@ def write_run(
     if world.stereo:
         _write_images(recording, world, draws, options, progress)
     if not (folder / run.rig_file).exists():
-        write_texts(folder, {run.rig_file: to_toml(draws.broken("rig", rig_tables(world, run.parts)))})
+        rig = to_toml(draws.broken("rig", rig_tables(world, run.parts)))
+        write_texts(folder, {run.rig_file: rig, **bending.surface_files(preset)})
     return recording
 
 
@@ -470,6 +472,10 @@ def _write_images(
     def shoot(stereo: TrueStereo, face: Face, view: View, series: Path, number: int, frame: int) -> None:
         middle = float(world.trigger_s[frame] + stereo.delay_s + exposure / 2)
         pose_at = world.seen(draws, stereo.setup.body, "camera", np.array(stereo.setup.face_centre)).pose
+        plate = world.preset.plate
+        if plate is not None and stereo.setup.body == "load":
+            up_m = bending.rim_m(plate, world.motion["load"], draws, middle, exposure)
+            view = bending.bent_view(plate, view, face, pose_at(middle), up_m)
         image = render_exposure(view, face, pose_at, middle, exposure, 4 if options.aliased else 2)
         image = draws.broken("image", image, series.name, middle, frame / frames)
         rng = draws.stream(f"{series.name}.{frame}") if options.image_noise else None

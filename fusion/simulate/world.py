@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.simulate import bending
 from fusion.simulate.preset import PartSpec, Preset, StereoSetup, camera_pose, face_of, nominal_rig, read_preset
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
@@ -225,7 +226,10 @@ class World:
 
     def seen(self, draws: Draws, body: str, instrument: str, point: FloatArray) -> Motion:
         """Return the motion of a body as a kind of instrument (`velocity`, `acceleration`, `camera`) sees it there."""
-        return draws.broken("seen", self.motion[body], self, body, instrument, point)
+        motion, plate = self.motion[body], self.preset.plate
+        if plate is not None and body == "load":
+            motion = bending.seen(plate, motion, draws, point)
+        return draws.broken("seen", motion, self, body, instrument, point)
 
 
 def make_world(preset: Preset, draws: Draws, jitter_s: float) -> World:
@@ -237,6 +241,8 @@ def make_world(preset: Preset, draws: Draws, jitter_s: float) -> World:
     parts = [true_part(spec, draws) for spec in (preset.load, preset.internal, *preset.parts)]
     sign = 1.0 if preset.sense == "on_load" else -1.0
     force = sign * wrench(load, parts, gravity)
+    if preset.plate is not None:
+        force = force + sign * bending.plate_wrench(preset.plate, load, draws)
     stated, true = static_sensitivity(preset, draws)
     matrix = sensitivity(frequency, true, np.array(preset.damping_s), preset.lag_s)
     outputs = np.einsum("kcj,kj->kc", matrix, force)

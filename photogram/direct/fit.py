@@ -10,18 +10,10 @@ import numpy as np
 from photogram.arrays import Arrays, BoolArray, FloatArray, spread_choice
 from photogram.bspline import Spline
 from photogram.direct.cells import Cells, CellSums, chosen, compare_cells, pixel_residuals, prepare_cells, reweighted
+from photogram.direct.shapes import Shapes, shape_rates
 from photogram.geometry import RigidTransform, pose_rate
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
-from photogram.modes import Shapes
-from photogram.motion import (
-    MEDIAN_CHI2_OF_TWO,
-    Patches,
-    PlacedCamera,
-    body_patches,
-    patch_rates,
-    patch_warps,
-    shape_rates,
-)
+from photogram.motion import MEDIAN_CHI2_OF_TWO, Patches, PlacedCamera, body_patches, patch_rates, patch_warps
 
 REACH_CELLS = 4.0  # how far from the nearest known point a cell's surface may lie
 EVALUATIONS = 12
@@ -61,7 +53,7 @@ class DirectFit(Arrays, shapes="covariance 6 6; amplitude S; amplitude_covarianc
     """One frame: moved = body's motion from rest, covariance (6, 6) of x y z (m) and the rotation vector (rad).
 
     noise: variance of the grey values over the one that the noise models state; cells: used of all that are seen.
-    amplitude (S,): of the body's shapes beside that motion, with covariance (S, S) (`modes.ShapeAmplitudes`).
+    amplitude (S,): of the body's shapes beside that motion, with covariance (S, S) (`shapes.ShapeAmplitudes`).
     """
 
     moved: RigidTransform
@@ -263,8 +255,8 @@ def beside(
 
     pose (6,) of the step, slope (p,), whole: information (p, p) and the part of it that is noise, per `scale`. What the
     motion leaves of the sums that ask for a shape, g − H·δ, over what it leaves of their information: the amplitudes of
-    a joint fit. The motion is the one without shapes, with which they are therefore uncorrelated (Frisch and Waugh 1933,
-    Econometrica 1, 387). NaN where motion and shapes cannot be told apart.
+    a joint fit. The motion is the one without shapes, with which they are therefore uncorrelated (Frisch and Waugh
+    1933, Econometrica 1, 387). NaN where motion and shapes cannot be told apart.
     """
     shapes = len(slope) - 6
     if not shapes:

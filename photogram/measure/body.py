@@ -12,6 +12,7 @@ import numpy as np
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, Notice, RunningMean, Sample
 from photogram.camera import Points, StereoRig, triangulate
 from photogram.direct.fit import rest_covariance, rigid_share
+from photogram.direct.shapes import ShapeAmplitudes
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
@@ -26,7 +27,6 @@ from photogram.measure.follow import (
     in_turn,
     prepare_body,
 )
-from photogram.modes import ShapeAmplitudes
 from photogram.motion import Deformation, DeformationMean, RigidMotion, fit_motion, overlap_correlation
 from photogram.subsets.find import BodyNotFound, DepthRange
 from photogram.subsets.icgn import TrackSettings
@@ -55,8 +55,9 @@ class BodyMotion(Arrays):
     in which subsets were looked for; the others have a motion with residual NaN and no points. Of the left and the
     right camera: noise models, and quality, what the subsets promised before they were tracked; None when no frame
     could be fitted to the grey values. deformed: how it deforms beside the motion, by the shapes that it was prepared
-    with (`modes.PlainShapes` where none were known). subsets_px: where the left camera sees the subsets first; medians over subsets
-    and frames: sigma_px, standard deviation that the noise gives to their positions, and `zncc` in the left camera.
+    with (`direct.shapes.PlainShapes` where none were known). subsets_px: where the left camera sees the subsets first;
+    medians over subsets and frames: sigma_px, standard deviation that the noise gives to their positions, and `zncc` in
+    the left camera.
     `tracked` and `surface` go through the subsets and points, and what these do beside the motion, some frames at a
     time, made anew from what was followed; `tracks` and `points` are those of all frames at once.
     """

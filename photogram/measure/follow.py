@@ -22,10 +22,10 @@ from photogram.direct.fit import (
     thinned,
     view_body,
 )
+from photogram.direct.shapes import PlainShapes, Shapes
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage, ImageSequence
-from photogram.modes import PlainShapes, Shapes
 from photogram.motion import PlacedCamera, SeenPoints, fit_motion, motion_of_places, see_points
 from photogram.subsets.find import BodyNotFound, DepthRange, Follower, identity
 from photogram.subsets.icgn import Registration, TrackSettings

@@ -270,9 +270,9 @@ def render(view: View, face: Face, poses: FloatArray, weights: FloatArray, nodes
 def bent(view: View, face: Face, pose: FloatArray, shape_m: Callable[[FloatArray, FloatArray], FloatArray]) -> View:
     """Return the view in which the undeformed face, in `pose` (6,), shows itself as it is seen deformed.
 
-    `shape_m` gives the small displacement (..., 3) along u, v and the normal of face points u, v (...). A ray that meets
-    the plane at (u, v) sees the material that comes to lie on it, displaced by d: it is d_n·r/r_n - d off along the
-    face, r the ray's direction, and the ray is replaced by the one to where that was. Of second order in d.
+    `shape_m` gives the small displacement (..., 3) along u, v and the normal of face points u, v (...). A ray that
+    meets the plane at (u, v) sees the material that comes to lie on it, displaced by d: it is d_n·r/r_n - d off along
+    the face, r the ray's direction, and the ray is replaced by the one to where that was. Of second order in d.
     """
     hit = np.concatenate([view.ray, np.ones((*view.ray.shape[:2], 1))], axis=2) @ view.homography(face, pose).T
     u, v = hit[..., 0] / hit[..., 2], hit[..., 1] / hit[..., 2]

@@ -7,7 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from photogram.arrays import Arrays, FloatArray
+from photogram.arrays import Arrays, FloatArray, derivatives
+from photogram.motion import RATE_STEP, Patches, PlacedCamera, warps_to
 
 
 class Shapes(Protocol):
@@ -18,7 +19,7 @@ class Shapes(Protocol):
         """Return what the S shapes are called."""
 
     def __call__(self, points_m: FloatArray) -> FloatArray:
-        """Return the displacement (S, N, 3) of points (N, 3) at rest in each shape of amplitude 1, finite everywhere."""
+        """Return the displacement (S, N, 3) of points (N, 3) at rest in shapes of amplitude 1, finite everywhere."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,7 +37,7 @@ class PlainShapes(Arrays, shapes="middle_m 3; axes 3 3"):
 
     @classmethod
     def of(cls, points_m: FloatArray) -> PlainShapes:
-        """Return the shapes of a face by points (N, 3) of it; u is the frame's axis that lies nearest along the face."""
+        """Return the shapes of a face by points (N, 3) of it; u is the frame's axis that lies most along the face."""
         known = points_m[np.isfinite(points_m).all(axis=1)]
         middle = known.mean(axis=0)
         normal = np.linalg.svd(known - middle, full_matrices=False)[2][2]
@@ -61,7 +62,7 @@ class PlainShapes(Arrays, shapes="middle_m 3; axes 3 3"):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ShapeAmplitudes(Arrays, shapes="amplitude F S; covariance F S S; share 6 S"):
-    """By how much a body deformed in its S `shapes` in each of F frames, as fitted to the grey values beside its motion.
+    """By how much a body deformed in its S `shapes` in each of F frames, fitted to the grey values beside its motion.
 
     amplitude (F, S) and covariance (F, S, S) of the frame's noise, NaN where the motion was not so fitted; the first
     frame is that against which deformation counts. They are uncorrelated with the motion, which is the one that
@@ -73,3 +74,14 @@ class ShapeAmplitudes(Arrays, shapes="amplitude F S; covariance F S S; share 6 S
     amplitude: FloatArray
     covariance: FloatArray
     share: FloatArray
+
+
+def shape_rates(camera: PlacedCamera, patches: Patches, shapes: Shapes) -> FloatArray:
+    """Return the derivatives (C, 6, S) of the patches' affine warps by the amplitudes of S shapes at rest."""
+    shape = shapes(patches.points_m.reshape(-1, 3))
+    moved = shape.reshape(len(shape), *patches.points_m.shape)
+
+    def warps(amplitude: FloatArray) -> FloatArray:
+        return warps_to(camera, patches, patches.points_m + np.tensordot(amplitude, moved, 1))
+
+    return derivatives(warps, np.full(len(shape), RATE_STEP))

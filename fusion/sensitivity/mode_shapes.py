@@ -1,0 +1,266 @@
+"""Modes of a load as stereo pairs see them: their shapes for the fit to grey values, and what their amplitudes tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import chdtrc
+
+from fusion.base import as_input_error
+from fusion.instruments.transducer import across
+from fusion.sensitivity.body import Body, drawn, stated_modes
+from fusion.sensitivity.elastic import ElasticPart, MeasuredModes, Modes, Place, Rod, Variant, response
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice
+from shaker.io.text import read_table_columns
+from shaker.sine.aliasing import exposure_gain
+from shaker.sine.phasor import real_stacked_diagonal
+
+if TYPE_CHECKING:
+    from fusion.phasors.stereo_phasors import StereoResult
+    from fusion.recording.rig import Elastic, Load
+
+CONTRADICTED = 0.01
+"""Chance below which a response is not the stated one."""
+NOT_DRIVEN = 1e-6  # of the modes' drives, below which a mode's response shows nothing
+NEIGHBOURS = 30  # points of a surface that tell how it moves between them
+COLUMNS = ("x", "y", "z", "ux", "uy", "uz")
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """The modes of one elastic part that pictures tell: their numbers among all of it, what they are called."""
+
+    table: Elastic
+    which: tuple[int, ...]
+    labels: tuple[str, ...]
+
+    @classmethod
+    def of(cls, table: Elastic) -> _Chosen:
+        """Choose of a table the modes whose surface is known, of a drawing the first along and across its axis."""
+        if table.shape == "modes":
+            known = [number for number, mode in enumerate(table.mode) if mode.surface is not None]
+            return cls(table, tuple(known), tuple(f"mode {number + 1}" for number in known))
+        which, labels, start = list[int](), list[str](), 0
+        for kind, modes in drawn(table).families().items():
+            sides = {"axial": 1, "bending": 2}.get(kind, 0)
+            each = len(modes.frequency_hz) // max(sides, 1)
+            which += [start + side * each for side in range(sides)]
+            labels += [f"{kind} {side + 1}" if sides > 1 else kind for side in range(sides)]
+            start += len(modes.frequency_hz)
+        return cls(table, tuple(which), tuple(labels))
+
+    def surface(self, number: int) -> FloatArray:
+        """Return places and displacements (P, 6) of a mode of a table on the surface that pictures show."""
+        path = self.table.mode[number].surface
+        assert path is not None
+        with as_input_error(path):
+            return read_table_columns(path, COLUMNS)
+
+    def displacement(self, points_m: FloatArray) -> FloatArray:
+        """Return the displacement (M, N, 3) of points (N, 3) for a unit of each mode."""
+        if self.table.shape == "modes":
+            return np.stack([_between(self.surface(number), points_m) for number in self.which])
+        motion = stated_modes(self.table, {}).motion
+        return np.stack([motion(Place("", point))[list(self.which), :3] for point in points_m], axis=1)
+
+    def size(self) -> FloatArray:
+        """Return the displacement (M,) for a unit of each mode where it is largest, in the table or along a drawing."""
+        if self.table.shape == "modes":
+            return np.array([np.linalg.norm(self.surface(number)[:, 3:], axis=1).max() for number in self.which])
+        shape = drawn(self.table)
+        if isinstance(shape, Rod):
+            places = shape.foot_m + np.linspace(0.0, shape.length_m, 9)[:, None] * shape.axis
+        else:
+            angle, sides = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False), np.array(across(shape.axis))
+            around = np.column_stack([np.cos(angle), np.sin(angle)]) @ sides
+            places = shape.foot_m + shape.diameter_m / 2.0 * around
+        return np.asarray(np.linalg.norm(self.displacement(places), axis=2).max(axis=1))
+
+
+def _between(surface: FloatArray, points_m: FloatArray) -> FloatArray:
+    """Return the displacement (N, 3) of points (N, 3) by places and displacements (P, 6) of a surface.
+
+    Thin plate splines over its plane, which go on straight beyond its rim.
+    """
+    from scipy.interpolate import RBFInterpolator
+
+    middle = surface[:, :3].mean(axis=0)
+    plane = np.linalg.svd(surface[:, :3] - middle, full_matrices=False)[2][:2].T
+    moved, known = np.full(points_m.shape, np.nan), np.isfinite(points_m).all(axis=1)
+    neighbours = min(NEIGHBOURS, len(surface))
+    spline = RBFInterpolator((surface[:, :3] - middle) @ plane, surface[:, 3:], neighbors=neighbours)
+    moved[known] = spline((points_m[known] - middle) @ plane)
+    return moved
+
+
+@dataclass(frozen=True)
+class ModeShapes:
+    """The modes of elastic parts of a load whose amplitudes a stereo pair tells, as `photogram` fits them.
+
+    An amplitude is the displacement in m where a mode is largest, on the surface of its table or along its drawing.
+    """
+
+    parts: tuple[_Chosen, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the modes as "plate: axial"."""
+        return tuple(f"{part.table.name}: {label}" for part in self.parts for label in part.labels)
+
+    def __call__(self, points_m: FloatArray) -> FloatArray:
+        """Return the displacement (S, N, 3) of points (N, 3) at rest in each mode of amplitude 1 m."""
+        return np.concatenate([part.displacement(points_m) / part.size()[:, None, None] for part in self.parts])
+
+
+def mode_shapes(load: Load | None, pair: str) -> ModeShapes | None:
+    """Return the modes of a load that a stereo pair is to measure (`measured_by`); None for none."""
+    tables = () if load is None else load.elastic
+    parts = tuple(_Chosen.of(table) for table in tables if pair.rpartition(": ")[2] in table.measured_by)
+    return ModeShapes(parts) if parts else None
+
+
+# What measured amplitudes say of the responses of modes, in the mean with what is stated of them.
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """One stereo pair at the lines (U,) that it tells apart: what it saw of the load and its modes.
+
+    `foot` (U, 6): acceleration of the load's foot; `modal` (U, S): of the modes' amplitudes in m/s², with `covariance`
+    (U, 2S, 2S) of all real and imaginary parts; `share` (6, S).
+    """
+
+    pair: StereoResult
+    foot: ComplexArray
+    modal: ComplexArray
+    covariance: FloatArray
+    share: FloatArray
+
+    @classmethod
+    def of(cls, pair: StereoResult, parts: Sequence[tuple[ElasticPart, IntArray]]) -> _Seen:
+        """Return it; `parts`: elastic parts of the load with the numbers of the modes that the pair measures."""
+        assert pair.shapes is not None
+        frequency, shapes = pair.fit.phasors.frequency_hz, pair.shapes
+        square = -((2.0 * np.pi * frequency[:, None]) ** 2)
+        rigid = square * pair.fit.phasors.value / exposure_gain(frequency, pair.exposure_s)[:, None]
+        modal = square * shapes.phasors.value
+        others = np.zeros((len(frequency), 6, 6), np.complex128)
+        face_m = np.asarray(np.nanmean(next(iter(pair.surface or ())).reference_m, axis=0))
+        for part, which in parts:
+            participation = part.modes.participation.copy()
+            participation[which] = 0.0
+            others += replace(part.modes, participation=participation).stretch(frequency, Place(pair.name, face_m))
+        moved = rigid - modal @ shapes.share.T
+        foot = np.linalg.solve(np.eye(6) + others, moved[..., None])[..., 0]
+        return cls(pair, np.asarray(foot), np.asarray(modal), square[..., None] ** 2 * shapes.covariance, shapes.share)
+
+
+def with_measured_modes(
+    body: Body, load: Load | None, stereo: Sequence[StereoResult]
+) -> tuple[Body, tuple[Notice, ...]]:
+    """Return a load with the responses of modes that stereo pairs measured, in the mean with those stated.
+
+    The response G = q̈/(Lᵀ·A) of a mode with participation L follows from its amplitude and the motion of the foot that
+    the same pictures show, so that scale and clock of the pair cancel. What is stated of natural frequencies and
+    damping is its prior, where the part has any uncertainty; a response that contradicts that at 1 % stands alone.
+    """
+    parts, told = {part.name: part for part in body.elastic}, list[Notice]()
+    for pair in stereo:
+        shapes = mode_shapes(load, pair.name) if pair.body == "load" else None
+        if shapes is None or pair.shapes is None or pair.shapes.phasors.channels != shapes.names:
+            continue
+        chosen = {part.table.name: np.array(part.which, dtype=np.int64) for part in shapes.parts}
+        nothing, start = np.zeros(0, np.int64), 0
+        seen = _Seen.of(pair, [(part, chosen.get(name, nothing)) for name, part in parts.items()])
+        for one in shapes.parts:
+            columns = np.arange(start, start + len(one.which))
+            start += len(one.which)
+            name = one.table.name
+            size = one.size() / np.sqrt([one.table.mode[n].modal_mass if one.table.mode else 1.0 for n in one.which])
+            parts[name], notices = _measured(parts[name], chosen[name], seen, columns, size)
+            told += notices
+    return replace(body, elastic=tuple(parts.values())), tuple(told)
+
+
+def _measured(
+    part: ElasticPart, which: IntArray, seen: _Seen, columns: IntArray, size: FloatArray
+) -> tuple[ElasticPart, list[Notice]]:
+    """Return a part with the responses of some modes as they were seen; `size` (M,) in m for a unit of each."""
+    pair, count, both = seen.pair, len(which), np.concatenate([columns, columns + seen.share.shape[1]])
+    drive = seen.foot @ part.modes.participation[which].T
+    driven = np.abs(drive) > NOT_DRIVEN * np.abs(drive).max(initial=1e-300)
+    scale = np.where(driven, 1.0 / (np.where(driven, drive, 1.0) * size), 0.0)
+    moved = seen.modal[:, columns] * scale
+    turn = real_stacked_diagonal(scale)
+    covariance = turn @ seen.covariance[:, both[:, None], both] @ turn.swapaxes(1, 2)
+    frequency = pair.fit.phasors.frequency_hz
+    gain, contradicted = _gain(part, which, frequency, moved, covariance)
+    gain *= np.tile(driven, 2)[:, None, :]
+    lines = len(pair.usable)
+    whole, weight = np.zeros((lines, count), np.complex128), np.zeros((lines, 2 * count, 2 * count))
+    whole[pair.usable], weight[pair.usable] = moved, gain
+    measured = MeasuredModes(pair.name, which, whole, weight, (seen.share[:, columns] * size).T)
+
+    def carrying(modes: Modes, change: ComplexArray | float = 0.0) -> Modes:
+        return replace(modes, measured=(*modes.measured, replace(measured, response=whole + change)))
+
+    variants = [replace(v, above=carrying(v.above), below=carrying(v.below)) for v in part.variants]
+    label = f"elastic {part.name}: as stereo {pair.name} sees it"
+    for line, hertz, root in zip(np.flatnonzero(pair.usable), frequency, _roots(covariance), strict=True):
+        for number, column in enumerate(root.T):
+            change = np.zeros_like(whole)
+            change[line] = column[:count] + 1j * column[count:]
+            sides = carrying(part.modes, change), carrying(part.modes, -change)
+            variants.append(Variant(f"{label}, {hertz:.9g} Hz {number}", label, 1.0, "1", "recording", *sides))
+    found = replace(part, modes=carrying(part.modes), variants=tuple(variants))
+    return found, _told(part, which, seen, columns, contradicted)
+
+
+def _gain(
+    part: ElasticPart, which: IntArray, frequency_hz: FloatArray, found: ComplexArray, covariance: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return the weight (U, 2M, 2M) of measured responses (U, M) against stated ones, and where these contradict.
+
+    P·(P + C)⁻¹ with P what is stated and C what is measured of the covariance; 1 where they contradict each other.
+    """
+
+    def stated(modes: Modes) -> FloatArray:
+        moved = response(frequency_hz, modes.frequency_hz, modes.damping)[:, which]
+        return np.concatenate([moved.real, moved.imag], axis=1)
+
+    effects = np.stack([(stated(v.above) - stated(v.below)) / 2.0 for v in part.variants])
+    prior = np.einsum("vui,vuj->uij", effects, effects)
+    off = np.concatenate([found.real, found.imag], axis=1) - stated(part.modes)
+    inverse = np.linalg.pinv(prior + covariance, hermitian=True)
+    square = np.einsum("ui,uij,uj->u", off, inverse, off)
+    contradicted = np.asarray(chdtrc(float(off.shape[1]), square) < CONTRADICTED / len(off))
+    gain = prior @ inverse
+    gain[contradicted] = np.eye(off.shape[1])
+    return gain, contradicted
+
+
+def _roots(covariance: FloatArray) -> FloatArray:
+    """Return roots (U, 2M, 2M) of covariances, a column for each independent unknown."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+
+
+def _told(part: ElasticPart, which: IntArray, seen: _Seen, columns: IntArray, contradicted: BoolArray) -> list[Notice]:
+    """Say what was measured of a part where its modes move most, and where that is not what is stated of it."""
+    assert seen.pair.shapes is not None
+    found, name = seen.pair.shapes, seen.pair.name
+    line = int(np.argmax(np.abs(found.phasors.value[:, columns]).max(axis=1)))
+    hertz, size = f"{found.phasors.frequency_hz[line]:.6g} Hz", found.u_size[line, columns]
+    amplitudes = zip(np.array(found.phasors.channels)[columns], found.phasors.value[line, columns], size, strict=True)
+    seen_of = ", ".join(f"{mode} {1e9 * abs(a):.3g} nm (u {1e9 * u:.2g} nm)" for mode, a, u in amplitudes)
+    told = [Notice("info", f"stereo pair {name} measures at {hertz}: {seen_of}", name)]
+    for k in np.flatnonzero(contradicted):
+        text = (
+            f"the elastic {part.name} of the load moves at {found.phasors.frequency_hz[k]:.6g} Hz otherwise than its "
+            f"stated frequencies and damping say; what stereo pair {name} measures counts"
+        )
+        told.append(Notice("warning", text, f"{found.phasors.frequency_hz[k]:.6g} Hz"))
+    return told

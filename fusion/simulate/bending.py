@@ -1,0 +1,111 @@
+"""A load whose top bends: a plate held in its middle, as the simulator moves, loads and renders it.
+
+The plate is a disc of even mass m about the axis z of the sensor, with the shape s(ρ) = ρ²·(1.4 − 0.4·ρ²) over the
+radius ρ = r/R. Its rim moves by q against its middle, m·⟨s²⟩·(q̈ + 2ζω₀·q̇ + ω₀²·q) = −m·⟨s⟩·a, and the foot carries
+m·⟨s⟩·q̈ beside the rigid load. Means over the disc are sums over rings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fusion.simulate.preset import PlateSpec, Preset
+from photogram.synthetic.scene import Face, View, bent
+from shaker.arrays import ComplexArray, FloatArray
+
+if TYPE_CHECKING:
+    from fusion.simulate.world import Draws, Motion
+
+SURFACE_FILE = "plate-mode-1.csv"
+RINGS, SPOKES = 12, 24  # of the surface's table
+SUM = (np.arange(20000) + 0.5) / 20000
+
+
+def shape(rho: FloatArray) -> FloatArray:
+    """Return the displacement over that of the rim at radii over that of the rim."""
+    return np.asarray(rho**2 * (1.4 - 0.4 * rho**2))
+
+
+MEAN, MEAN_SQUARE = (float(np.sum(shape(SUM) ** power * SUM) / np.sum(SUM)) for power in (1, 2))
+
+
+def _at(plate: PlateSpec, point: Sequence[float]) -> float:
+    return float(shape(np.hypot(point[0], point[1]) / plate.radius))
+
+
+def rim(plate: PlateSpec, motion: Motion, draws: Draws) -> ComplexArray:
+    """Return the acceleration phasors (K,) of the rim against the middle, the natural frequency as it is drawn."""
+    natural = 2.0 * np.pi * plate.frequency * (1.0 + float(draws.normal("plate.frequency", plate.frequency_uncertainty)))
+    omega = motion.omega
+    answer = natural**2 - omega**2 + 2j * plate.damping * natural * omega
+    return np.asarray(omega**2 * MEAN / MEAN_SQUARE * motion.acceleration[:, 2] / answer)
+
+
+def seen(plate: PlateSpec, motion: Motion, draws: Draws, point: FloatArray) -> Motion:
+    """Return what an instrument at a point of the plate takes for the motion of the load."""
+    moved = motion.acceleration.copy()
+    moved[:, 2] += _at(plate, point) * rim(plate, motion, draws)
+    return replace(motion, acceleration=moved)
+
+
+def plate_wrench(plate: PlateSpec, motion: Motion, draws: Draws) -> ComplexArray:
+    """Return what moves the plate (K, 6) beside the rigid load."""
+    total = np.zeros((len(motion.frequency_hz), 6), np.complex128)
+    total[:, 2] = plate.mass * MEAN * rim(plate, motion, draws)
+    return total
+
+
+def rim_m(plate: PlateSpec, motion: Motion, draws: Draws, middle_s: float, exposure_s: float) -> float:
+    """Return how far the rim is from where it is at rest, against the middle, in the mean over an exposure."""
+    omega = motion.omega
+    lost = np.sinc(omega * exposure_s / (2.0 * np.pi))
+    return float(np.sum(-rim(plate, motion, draws) / omega**2 * lost * np.exp(1j * omega * middle_s)).real)
+
+
+def bent_view(plate: PlateSpec, view: View, face: Face, pose: FloatArray, rim_m: float) -> View:
+    """Return a view in which the face, across z, shows itself bent by so much at the rim."""
+
+    def bending(u: FloatArray, v: FloatArray) -> FloatArray:
+        place = face.origin_m + u[..., None] * face.axis_u + v[..., None] * face.axis_v
+        up = rim_m * shape(np.hypot(place[..., 0], place[..., 1]) / plate.radius)
+        none = np.zeros_like(up)
+        return np.stack([none, none, up * np.cross(face.axis_u, face.axis_v)[2]], axis=-1)
+
+    return bent(view, face, pose, bending)
+
+
+def elastic_keys(preset: Preset) -> dict[str, Any]:
+    """Return what the load's table says of the plate, nothing where there is none."""
+    plate = preset.plate
+    if plate is None:
+        return {}
+    places = {spec.name: spec.point for daq in preset.daqs for spec in daq.channels if spec.body == "load"}
+    places |= {setup.name: setup.face_centre for setup in preset.stereo if setup.body == "load"}
+    mode = {
+        "frequency": plate.frequency,
+        "frequency_uncertainty": plate.frequency * plate.frequency_uncertainty,
+        "participation": [0.0, 0.0, plate.mass * MEAN, 0.0, 0.0, 0.0],
+        "modal_mass": plate.mass * MEAN_SQUARE,
+        "displacement": {name: [0.0, 0.0, _at(plate, point)] for name, point in places.items()},
+        "surface": SURFACE_FILE,
+    }
+    measured = {"measured_by": list(plate.measured_by)} if plate.measured_by else {}
+    return {"elastic": [{"name": "plate", "shape": "modes", "damping": plate.damping, **measured, "mode": [mode]}]}
+
+
+def surface_files(preset: Preset) -> dict[str, str]:
+    """Return the table of the mode on the top face by its file, none without a plate."""
+    plate = preset.plate
+    if plate is None:
+        return {}
+    height_m = max(setup.face_centre[2] for setup in preset.stereo if setup.body == "load")
+    rho, angle = np.linspace(0.1, 1.1, RINGS)[:, None], np.linspace(0.0, 2.0 * np.pi, SPOKES, endpoint=False)
+    x, y = (plate.radius * rho * turn for turn in (np.cos(angle), np.sin(angle)))
+    up = np.broadcast_to(shape(rho), x.shape)
+    rows = np.stack([x, y, np.full_like(x, height_m), 0.0 * x, 0.0 * x, up], axis=-1).reshape(-1, 6).tolist()
+    lines = [",".join(f"{value:.9g}" for value in row) for row in rows]
+    return {SURFACE_FILE: "\n".join(["x,y,z,ux,uy,uz", *lines]) + "\n"}
