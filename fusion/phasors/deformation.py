@@ -11,7 +11,7 @@ from scipy.special import fdtrc
 from photogram.direct.shapes import ShapeAmplitudes
 from photogram.motion import Deformation
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
-from shaker.sine.aliasing import exposure_gain, sine_columns
+from shaker.sine.aliasing import alias_frequency, exposure_gain, sine_columns
 from shaker.sine.fit import fit_sines
 from shaker.sine.normal_equations import SineSums
 from shaker.sine.phasor import Phasors
@@ -62,6 +62,7 @@ def deflection_shape(
 
 LEVEL = 0.01
 """Chance at which a rigid body seems to deform, over all lines of a recording."""
+LOUDER, SLOW = 0.001, 3.09  # chance at which white noise seems louder around a line; its quantile
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +109,9 @@ class ShapePhasors:
             hertz = f"{self.phasors.frequency_hz[k]:.6g} Hz"
             amplitude, u = 1e9 * float(np.abs(self.phasors.value[k, most])), 1e9 * float(size[k, most])
             text = (
-                f"its body deforms at {hertz}: {self.phasors.channels[most]} of {amplitude:.3g} nm (u {u:.2g} nm), which "
-                f"a rigid body shows once in {1.0 / max(float(self.chance[k]), 1e-12):.1e} recordings; it bends or "
-                "stretches (state [[load.elastic]] with measured_by), or a camera moves against the other"
+                f"its body deforms at {hertz}: {self.phasors.channels[most]} of {amplitude:.3g} nm (u {u:.2g} nm), "
+                f"which a rigid body shows once in {1.0 / max(float(self.chance[k]), 1e-12):.1e} recordings; it bends "
+                "or stretches (state [[load.elastic]] with measured_by), or a camera moves against the other"
             )
             told.append(Notice("warning", text, hertz))
         return told
@@ -131,10 +132,8 @@ def shape_phasors(
         fit = fit_sines(time_s, deformed.amplitude, frequency_hz, names, ("m",) * count, model=model)
     except ValueError:
         return None
-    phasors = _steady_noise(time_s, deformed.amplitude, fit)
-    free = phasors.dof - 2 * count + 1
-    if free.min() < 1.0:
-        return None
+    phasors = _tested_noise(time_s, deformed.amplitude, fit)
+    free = np.maximum(phasors.dof - 2 * count + 1, 1.0)
     phasors = phasors.scaled(1.0 / gain)
     covariance = _with_effects(phasors, effects)
     both = np.concatenate([phasors.value.real, phasors.value.imag], axis=1)
@@ -144,26 +143,39 @@ def shape_phasors(
     return ShapePhasors(phasors, effects, deformed.share, f, chance, _independent(phasors, covariance))
 
 
-def _steady_noise(time_s: FloatArray, amplitude: FloatArray, fit: SineFit) -> Phasors:
-    """Return the phasors of a fit with the noise of all frames, which is that of pixels and white.
+def _tested_noise(time_s: FloatArray, amplitude: FloatArray, fit: SineFit) -> Phasors:
+    """Return the phasors of a fit with the noise of all frames where it is white, as that of pixels is.
 
-    At a slow beat the density around a line has two degrees of freedom, which test nothing. It counts where it is
-    higher, in the mean over the shapes: air and lamps are not white.
+    At a slow beat the density at a line has two degrees of freedom, which test nothing. It counts where noise surely is
+    slow, by the mean square of successive differences (von Neumann 1941, Ann. Math. Stat. 12, 367), or surely is louder
+    around the line, in all shapes together: air and lamps are not white.
     """
     used = np.isfinite(amplitude).all(axis=1)
     used[fit.spikes] = False
-    columns, count = sine_columns(time_s[used], fit.phasors.frequency_hz), amplitude.shape[1]
-    left = fit.residual_of(time_s, amplitude)[used]
-    dof = len(left) - columns.shape[1]
-    sigma = left.T @ left / max(dof, 1)
+    times, frequency = time_s[used], fit.phasors.frequency_hz
+    columns, left = sine_columns(times, frequency), fit.residual_of(time_s, amplitude)[used]
+    dof = float(max(len(left) - columns.shape[1], 1))
+    sigma = left.T @ left / dof
     inverse = np.linalg.inv(columns.T @ columns) * 2.0 / len(left)
-    covariance = np.empty_like(fit.phasors.covariance)
-    for k, local in enumerate(fit.phasors.covariance):
+    white = np.linalg.solve(np.linalg.cholesky(sigma), left.T)
+    slow = 1.0 - 0.5 * float(np.sum(np.diff(white) ** 2) / np.sum(white**2)) > SLOW / np.sqrt(white.size)
+    covariance, freedom = np.empty_like(fit.phasors.covariance), np.full(len(frequency), dof)
+    for k in range(len(frequency)):
         parts = inverse[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] * np.array([[1.0, -1.0], [-1.0, 1.0]])
-        white = np.kron(parts, sigma)
-        louder = np.diagonal(local).reshape(2, count).sum(axis=0) / np.diagonal(white).reshape(2, count).sum(axis=0)
-        covariance[k] = max(1.0, float(louder.mean())) * white
-    return replace(fit.phasors, covariance=covariance, dof=np.full(len(covariance), float(max(dof, 1))))
+        covariance[k] = np.kron(parts, sigma)
+        beside = _beside(times, frequency, k)
+        power = np.abs(white @ np.exp(-2j * np.pi * np.multiply.outer(times, beside))) ** 2 / len(times)
+        if slow or (power.size and fdtrc(2.0 * power.size, dof, float(power.mean())) < LOUDER):
+            covariance[k], freedom[k] = fit.phasors.covariance[k], min(fit.phasors.dof[k], dof)
+    return replace(fit.phasors, covariance=covariance, dof=freedom)
+
+
+def _beside(time_s: FloatArray, frequency_hz: FloatArray, line: int) -> FloatArray:
+    """Return frequencies at which the density around a line is read, apart from those that the fit has emptied."""
+    bin_hz, rate_hz = 1.0 / float(np.ptp(time_s)), (len(time_s) - 1) / float(np.ptp(time_s))
+    around = frequency_hz[line] + bin_hz * np.array([-3.5, -2.5, -1.5, 1.5, 2.5, 3.5])
+    folded, taken = alias_frequency(around, rate_hz), np.append(alias_frequency(frequency_hz, rate_hz), 0.0)
+    return np.asarray(around[np.abs(folded[:, None] - taken).min(axis=1) > bin_hz])
 
 
 def _with_effects(phasors: Phasors, effects: ComplexArray) -> FloatArray:

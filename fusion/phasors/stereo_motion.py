@@ -495,9 +495,7 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
         body.motion,
         body.surface,
         body.reprojection_px,
-        ImageView(
-            body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, body.deformed, *medians
-        ),
+        ImageView(body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, body.deformed, *medians),
         (*images.notices, *body.notices, *epipolar.notices),
         body.sought,
     )

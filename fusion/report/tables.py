@@ -308,6 +308,26 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
     return side_by_side("Stereo pairs", heads, facts, stereo) if stereo else None
 
 
+def shape_table(evaluation: Evaluation) -> Table | None:
+    """How bodies deform in shapes that all pixels tell, at the strongest line and wherever they surely do."""
+    rows, line = [], main_line(evaluation)
+    for pair in evaluation.stereo:
+        found = pair.shapes
+        for k in range(0 if found is None else len(found.f)):
+            assert found is not None
+            if np.flatnonzero(pair.usable)[k] != line and not found.deforms[k]:
+                continue
+            for s, name in enumerate(found.phasors.channels):
+                amplitude, u = found.phasors.value[k, s], float(found.u_size[k, s])
+                size = measured(1e9 * float(np.abs(amplitude)), 2e9 * u)
+                turn = f"{np.angle(amplitude):.2f}" if np.abs(amplitude) > 3.0 * u else WEAK
+                rows.append(
+                    (pair.name, f"{found.phasors.frequency_hz[k]:.4f}", name, size, turn, f"{found.chance[k]:.1g}")
+                )
+    head = ("pair", "frequency / Hz", "shape", "amplitude / nm", "phase / rad", "chance on a rigid body")
+    return Table("Deformation fitted to the grey values, U = 2u", head, "lrlrrr", tuple(rows)) if rows else None
+
+
 def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int) -> list[Headline]:
     """Magnitude with its deviation from the static value, and phase."""
     channel, component = driven_channel(evaluation), driven_component(evaluation)

@@ -39,7 +39,9 @@ def _at(plate: PlateSpec, point: Sequence[float]) -> float:
 
 def rim(plate: PlateSpec, motion: Motion, draws: Draws) -> ComplexArray:
     """Return the acceleration phasors (K,) of the rim against the middle, the natural frequency as it is drawn."""
-    natural = 2.0 * np.pi * plate.frequency * (1.0 + float(draws.normal("plate.frequency", plate.frequency_uncertainty)))
+    natural = (
+        2.0 * np.pi * plate.frequency * (1.0 + float(draws.normal("plate.frequency", plate.frequency_uncertainty)))
+    )
     omega = motion.omega
     answer = natural**2 - omega**2 + 2j * plate.damping * natural * omega
     return np.asarray(omega**2 * MEAN / MEAN_SQUARE * motion.acceleration[:, 2] / answer)

@@ -354,20 +354,33 @@ def _cover(size: FloatArray, u: float, v: float) -> float:
 _POSE_STEP = np.array([2e-6] * 3 + [2e-5] * 3)  # m and, at 0.1 m from the origin, rad: a few hundredths of a pixel
 
 
-def motion_bound(views: Sequence[View], face: Face, sensor: ImageSensor, pose: FloatArray | None = None) -> FloatArray:
+def motion_bound(
+    views: Sequence[View],
+    face: Face,
+    sensor: ImageSensor,
+    pose: FloatArray | None = None,
+    shapes: Sequence[Callable[[FloatArray, FloatArray], FloatArray]] = (),
+) -> FloatArray:
     """Return the smallest covariance (6, 6) of x y z rx ry rz (m, rad, at the world origin) of one frame.
 
     (Σ w·JᵀJ)⁻¹ over all pixels of all views: J = ∂grey/∂pose by central differences of the rendered images,
-    w = 1/noise variance. Gain, offset and a reference's noise are no unknowns; estimating them costs more.
+    w = 1/noise variance. Gain, offset and a reference's noise are no unknowns; estimating them costs more. With S
+    `shapes` in which the face may bend (`bent`) the covariance (6 + S, 6 + S) of all at once, amplitudes in m.
     """
     start = np.zeros(6) if pose is None else np.asarray(pose, dtype=np.float64)
 
-    def grey(view: View, change: FloatArray) -> FloatArray:
-        return render(view, face, (start + change)[None], np.ones(1)) * sensor.full_scale
+    def bending(amplitude: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
+        return np.asarray(sum(a * shape(u, v) for a, shape in zip(amplitude, shapes, strict=True)))
 
-    information = np.zeros((6, 6))
+    def grey(view: View, change: FloatArray) -> FloatArray:
+        moved, amplitude = start + change[:6], change[6:]
+        seen = bent(view, face, moved, partial(bending, amplitude)) if amplitude.any() else view
+        return render(seen, face, moved[None], np.ones(1)) * sensor.full_scale
+
+    steps = np.concatenate([_POSE_STEP, np.full(len(shapes), _POSE_STEP[0])])
+    information = np.zeros((len(steps), len(steps)))
     for view in views:
-        slope, variance = derivatives(partial(grey, view), _POSE_STEP), sensor.variance(grey(view, np.zeros(6)))
+        slope, variance = derivatives(partial(grey, view), steps), sensor.variance(grey(view, np.zeros(len(steps))))
         information += np.einsum("hwi,hwj,hw->ij", slope, slope, 1 / variance, optimize=True)
     return np.asarray(np.linalg.inv(information))
 

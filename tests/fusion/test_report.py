@@ -13,7 +13,7 @@ from evaluation_factory import FREQUENCY_HZ, Choice, make_evaluation
 from markupsafe import Markup
 from page_outline import outline, self_contained
 
-from fusion.phasors.stereo_phasors import DeflectionShape, deflection_shape
+from fusion.phasors.deformation import DeflectionShape, deflection_shape
 from fusion.report.figure import Figure, extremes, padded, power_text, thin_out
 from fusion.report.motion_figures import (
     beat_curve,

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from take_factory import POINTS, Shot, write_takes
 
 from fusion.cli import main
-from fusion.phasors.stereo_phasors import DeflectionShape
+from fusion.phasors.deformation import DeflectionShape
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.rig import Head, NamedHead
 from fusion.report.folder import render_page
