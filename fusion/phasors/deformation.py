@@ -150,7 +150,7 @@ def _tested_noise(time_s: FloatArray, amplitude: FloatArray, fit: SineFit) -> Ph
     slow, by the mean square of successive differences (von Neumann 1941, Ann. Math. Stat. 12, 367), or surely is louder
     around the line, in all shapes together: air and lamps are not white.
     """
-    used = np.isfinite(amplitude).all(axis=1)
+    used = np.array(np.isfinite(amplitude).all(axis=1))
     used[fit.spikes] = False
     times, frequency = time_s[used], fit.phasors.frequency_hz
     columns, left = sine_columns(times, frequency), fit.residual_of(time_s, amplitude)[used]

@@ -33,7 +33,7 @@ def shape(rho: FloatArray) -> FloatArray:
 MEAN, MEAN_SQUARE = (float(np.sum(shape(SUM) ** power * SUM) / np.sum(SUM)) for power in (1, 2))
 
 
-def _at(plate: PlateSpec, point: Sequence[float]) -> float:
+def _at(plate: PlateSpec, point: Sequence[float] | FloatArray) -> float:
     return float(shape(np.hypot(point[0], point[1]) / plate.radius))
 
 
