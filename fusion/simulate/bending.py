@@ -18,7 +18,7 @@ from photogram.synthetic.scene import Face, View, bent
 from shaker.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
-    from fusion.simulate.world import Draws, Motion
+    from fusion.simulate.world import Draws, Motion, World
 
 SURFACE_FILE = "plate-mode-1.csv"
 RINGS, SPOKES = 12, 24  # of the surface's table
@@ -61,15 +61,17 @@ def plate_wrench(plate: PlateSpec, motion: Motion, draws: Draws) -> ComplexArray
     return total
 
 
-def rim_m(plate: PlateSpec, motion: Motion, draws: Draws, middle_s: float, exposure_s: float) -> float:
-    """Return how far the rim is from where it is at rest, against the middle, in the mean over an exposure."""
+def bent_view(world: World, draws: Draws, view: View, face: Face, instant: tuple[float, float]) -> View:
+    """Return a view in which the face of the load, across z, shows itself bent as in the mean over an exposure.
+
+    instant: middle and length of the exposure in s.
+    """
+    plate, motion, (middle_s, exposure_s) = world.preset.plate, world.motion["load"], instant
+    if plate is None:
+        return view
     omega = motion.omega
     lost = np.sinc(omega * exposure_s / (2.0 * np.pi))
-    return float(np.sum(-rim(plate, motion, draws) / omega**2 * lost * np.exp(1j * omega * middle_s)).real)
-
-
-def bent_view(plate: PlateSpec, view: View, face: Face, pose: FloatArray, rim_m: float) -> View:
-    """Return a view in which the face, across z, shows itself bent by so much at the rim."""
+    rim_m = float(np.sum(-rim(plate, motion, draws) / omega**2 * lost * np.exp(1j * omega * middle_s)).real)
 
     def bending(u: FloatArray, v: FloatArray) -> FloatArray:
         place = face.origin_m + u[..., None] * face.axis_u + v[..., None] * face.axis_v
@@ -77,7 +79,7 @@ def bent_view(plate: PlateSpec, view: View, face: Face, pose: FloatArray, rim_m:
         none = np.zeros_like(up)
         return np.stack([none, none, up * np.cross(face.axis_u, face.axis_v)[2]], axis=-1)
 
-    return bent(view, face, pose, bending)
+    return bent(view, face, motion.pose(middle_s), bending)
 
 
 def elastic_keys(preset: Preset) -> dict[str, Any]:
@@ -105,7 +107,10 @@ def surface_files(preset: Preset) -> dict[str, str]:
     if plate is None:
         return {}
     height_m = max(setup.face_centre[2] for setup in preset.stereo if setup.body == "load")
-    rho, angle = np.linspace(0.1, 1.1, RINGS)[:, None], np.linspace(0.0, 2.0 * np.pi, SPOKES, endpoint=False)
+    rho, angle = (
+        np.linspace(1.0, 0.0, RINGS, endpoint=False)[:, None],
+        np.linspace(0.0, 2.0 * np.pi, SPOKES, endpoint=False),
+    )
     x, y = (plate.radius * rho * turn for turn in (np.cos(angle), np.sin(angle)))
     up = np.broadcast_to(shape(rho), x.shape)
     rows = np.stack([x, y, np.full_like(x, height_m), 0.0 * x, 0.0 * x, up], axis=-1).reshape(-1, 6).tolist()

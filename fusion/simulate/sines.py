@@ -472,10 +472,8 @@ def _write_images(
     def shoot(stereo: TrueStereo, face: Face, view: View, series: Path, number: int, frame: int) -> None:
         middle = float(world.trigger_s[frame] + stereo.delay_s + exposure / 2)
         pose_at = world.seen(draws, stereo.setup.body, "camera", np.array(stereo.setup.face_centre)).pose
-        plate = world.preset.plate
-        if plate is not None and stereo.setup.body == "load":
-            up_m = bending.rim_m(plate, world.motion["load"], draws, middle, exposure)
-            view = bending.bent_view(plate, view, face, pose_at(middle), up_m)
+        if stereo.setup.body == "load":
+            view = bending.bent_view(world, draws, view, face, (middle, exposure))
         image = render_exposure(view, face, pose_at, middle, exposure, 4 if options.aliased else 2)
         image = draws.broken("image", image, series.name, middle, frame / frames)
         rng = draws.stream(f"{series.name}.{frame}") if options.image_noise else None

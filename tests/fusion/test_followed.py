@@ -47,7 +47,8 @@ def drawn_block(seed: int) -> FollowedBlock:
         return Registration(rng.normal(size=(5, 6)), *rng.normal(size=(3, 5)), status, rng.integers(0, 9, 5))
 
     moved = RigidTransform.from_pose(rng.normal(size=6))
-    fits = [None, DirectFit(moved, rng.normal(size=(6, 6)), 1.1, 7), None]
+    shapes = rng.normal(size=4), rng.normal(size=(4, 4))
+    fits = [None, DirectFit(moved, rng.normal(size=(6, 6)), 1.1, 7, *shapes), None]
     return tuple(((found(), found()) if fit is None else None, fit) for fit in fits)
 
 
@@ -58,7 +59,7 @@ def bits(block: FollowedBlock) -> list[bytes]:
         numbers += [np.asarray(getattr(side, name)).tobytes() for side in sides or () for name in REGISTRATION]
         if fit is not None:
             parts = fit.moved.rotation, fit.moved.translation_m, fit.covariance, np.array([fit.noise, fit.cells])
-            numbers += [part.tobytes() for part in parts]
+            numbers += [part.tobytes() for part in (*parts, fit.amplitude, fit.amplitude_covariance)]
     return numbers
 
 
