@@ -13,11 +13,11 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from marked import markdown_table, write_marked
 
 from fusion import evaluate_recording, load_manifest, simulate_preset
 from fusion.report.tables import sensitivity_element
 from fusion.sensitivity.analyse import Evaluation
-from marked import markdown_table, write_marked
 
 BLOCK = re.compile(r"\[\[load\.elastic\]\].*?(?=\n\[environment\])", re.DOTALL)
 TREATMENTS = {

@@ -27,7 +27,6 @@ from fusion.sensitivity.disturbances import (
 from fusion.sensitivity.mode_shapes import with_measured_modes
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.ratio import driven_component, with_ratios
-from shaker.arrays import Notice
 
 
 def evaluate_recording(
@@ -58,9 +57,7 @@ def evaluate_recording(
     observations = joined.observed(surroundings.free_fall_mps2[0])
     observations = with_support_motion(observations, surroundings.support_motion)
     unseen = unseen_fundamentals(observations, joined.lines, joined.aliased)
-    measured: tuple[Notice, ...] = ()
-    if body is not None:
-        body, measured = with_measured_modes(body, manifest.rig.load, joined.stereo)
+    body, measured = with_measured_modes(body, manifest.rig.load, joined.stereo)
     rows = observations if body is None else elastic_rows(observations, body.elastic)
     outputs = None if sensor is None else sensor_outputs(joined.readings, sensor.channels)
     if sensor is not None and outputs is not None:

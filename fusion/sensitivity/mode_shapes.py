@@ -159,14 +159,16 @@ class _Seen:
 
 
 def with_measured_modes(
-    body: Body, load: Load | None, stereo: Sequence[StereoResult]
-) -> tuple[Body, tuple[Notice, ...]]:
+    body: Body | None, load: Load | None, stereo: Sequence[StereoResult]
+) -> tuple[Body | None, tuple[Notice, ...]]:
     """Return a load with the responses of modes that stereo pairs measured, in the mean with those stated.
 
     The response G = q̈/(Lᵀ·A) of a mode with participation L follows from its amplitude and the motion of the foot that
     the same pictures show, so that scale and clock of the pair cancel. What is stated of natural frequencies and
     damping is its prior, where the part has any uncertainty; a response that contradicts that at 1 % stands alone.
     """
+    if body is None:
+        return None, ()
     parts, told = {part.name: part for part in body.elastic}, list[Notice]()
     for pair in stereo:
         shapes = mode_shapes(load, pair.name) if pair.body == "load" else None
