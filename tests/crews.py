@@ -20,6 +20,9 @@ PATIENCE_S = 300.0
 ROOT = Path(__file__).resolve().parents[1]
 
 
+ENDING_S = 20.0
+
+
 class Cluster:
     """A scheduler and two workers, each a process of its own, as a laboratory starts them.
 
@@ -45,7 +48,11 @@ class Cluster:
         """Kill the scheduler, with which workers and nannies end, and start all again after a while, at its address."""
         for process in self._processes:
             process.kill() if process is self._processes[0] else process.terminate()
-            process.wait()
+            try:
+                process.wait(ENDING_S)
+            except subprocess.TimeoutExpired:  # a nanny that is just losing its worker may never end by itself
+                process.kill()
+                process.wait()
         time.sleep(away_s)
         self._processes = [self._scheduler(self.address.rpartition(":")[2])]
         self.workers = [self._worker(self.folder, self.nanny) for _ in self.workers]

@@ -123,7 +123,7 @@ TOLD = {
     "deflection/value": Told("frequency_hz point axis", "m", "deflection beside the rigid motion, peak phasors"),
     "deflection/u": Told("frequency_hz point axis", "m", "standard uncertainty of either part"),
     "shapes/effects": Told("unknown frequency_hz channels", "m", "change of the amplitudes by 1 u of an unknown"),
-    "shapes/share": Told("component channels", text="rigid motion that an amplitude of 1 m puts into that of the pair"),
+    "shapes/share": Told("component channels", "1, rad/m", "rigid motion per amplitude in that of the pair"),
     "shapes/f": Told(K, "1", "F of the amplitudes of all shapes against a rigid body"),
     "shapes/chance": Told(K, "1", "chance of an F as large on a rigid body"),
     "shapes/modes": Told("", "1", "number of independent shapes that stand out"),
