@@ -21,7 +21,7 @@ from fusion.instruments.channel import ChainUncertainty, Reading
 from fusion.phasors.channels import ChannelResult, folding, folding_told, folds_told
 from fusion.phasors.setup import distortions
 from fusion.recording.manifest import ChannelEntry
-from fusion.simulate import RECORDINGS, simulate
+from fusion.simulate import simulate
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.sines import recorded_phasors, runs
 from fusion.simulate.violations import CATALOGUE, GRAVITY_UNIT, violations
