@@ -172,8 +172,8 @@ def test_less_than_a_third_of_a_beat_is_left_out_with_its_harmonics():
 @pytest.mark.parametrize("noise", [1.0, 0.3])
 @pytest.mark.parametrize("beats", [0.38, 0.46, 0.61, 0.91, 1.5, 2.0, 3.0])
 def test_records_of_any_length_err_as_they_state(beats, noise):
-    share, _ = held_over(beats, 400, noise, 2)
-    assert share.min() >= binom.ppf(1e-3 / 12, 400, 0.95) / 400
+    share, _ = held_over(beats, 200, noise, 2)
+    assert share.min() >= binom.ppf(1e-3 / 12, 200, 0.95) / 200
 
 
 def test_a_line_found_in_the_motion_is_on_the_clock_of_its_trigger():
@@ -193,7 +193,7 @@ def test_a_line_found_in_the_motion_is_on_the_clock_of_its_trigger():
 
 
 @pytest.mark.parametrize(
-    ("periods", "trials"), [(0.6, 30), *(pytest.param(p, 150, marks=pytest.mark.slow) for p in (0.6, 1.3, 3.0))]
+    ("periods", "trials"), [(0.6, 30), *(pytest.param(p, 80, marks=pytest.mark.slow) for p in (0.6, 1.3, 3.0))]
 )
 def test_channels_on_a_tied_clock_err_as_they_state(periods, trials):
     # A channel of another DAQ: its time axis is the tie's, whose rate is uncertain; a slow line of few periods.
