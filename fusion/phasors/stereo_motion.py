@@ -37,7 +37,6 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE
-from fusion.sensitivity.mode_shapes import ModeShapes, mode_shapes
 from photogram.calibration.file import read_calibration
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform
@@ -50,6 +49,7 @@ from shaker.lines.frequencies import Lines, find_lines
 from shaker.sine.aliasing import usable_lines
 
 if TYPE_CHECKING:
+    from fusion.sensitivity.mode_shapes import ModeShapes
     from photogram.direct.shapes import ShapeAmplitudes
     from photogram.epipolar import EpipolarCheck
     from photogram.images.noise import NoiseModel
@@ -183,8 +183,12 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
     if x >= left.size_px[0] or y >= left.size_px[1]:
         expected = f"a part of pictures of {left.size_px[0]} x {left.size_px[1]} px"
         raise InputError(manifest.path, f"{key}.region", found=str(list(entry.region or ())), expected=expected)
-    known = known_depth(manifest, pair), mode_shapes(manifest.rig.load, sight.name) if pair.body == "load" else None
-    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0], tuple(told), *known, entry)
+    known, load, modes = known_depth(manifest, pair), manifest.rig.load, None
+    if pair.body == "load" and load is not None and any(part.measured_by for part in load.elastic):
+        from fusion.sensitivity.mode_shapes import mode_shapes
+
+        modes = mode_shapes(load, sight.name)
+    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0], tuple(told), known, modes, entry)
 
 
 def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> float:

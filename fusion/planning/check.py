@@ -253,7 +253,21 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest], already: AlreadyRea
     mounted = [f"{part.name} {part.true_mass:g} kg on the {part.body}" for part in manifest.part]
     if manifest.rig.load is not None:
         contents.append(f"load mass: {manifest.rig.load.true_mass:g} kg" + "".join(f", {part}" for part in mounted))
+    contents += _measured_modes(manifest, takes)
     return contents, problems
+
+
+def _measured_modes(manifest: Manifest, takes: Sequence[Manifest]) -> list[str]:
+    """One line for each stereo pair that measures modes of the load."""
+    load, told = manifest.rig.load, []
+    asked = {name for part in (load.elastic if load is not None else ()) for name in part.measured_by}
+    for name in dict.fromkeys(images.stereo for take in takes for images in take.images):
+        if name in asked:
+            from fusion.sensitivity.mode_shapes import mode_shapes  # what the other recordings do without
+
+            shapes = mode_shapes(load, name)
+            told.append(f"stereo {name} measures modes of the load: {', '.join(shapes.names if shapes else ())}")
+    return told
 
 
 def _without_place(manifest: Manifest, takes: Sequence[Manifest]) -> list[str]:

@@ -6,7 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from contracts import refused
 
+from fusion.base import InputError
 from fusion.phasors.deformation import ShapePhasors, shape_phasors
 from fusion.recording.rig import Elastic
 from fusion.sensitivity.body import Body, elastic_part, stated_modes
@@ -176,3 +178,32 @@ def test_where_a_pair_tells_nothing_what_is_stated_stays():
         same, told = with_measured_modes(stated, SimpleNamespace(elastic=(PLATE,)), (other,))
         assert told == ()
         assert pulled(same) == pulled(stated)
+
+
+def test_modes_of_a_table_lie_on_its_surface_and_those_of_a_drawing_on_it(tmp_path):
+    """Between the points of a table a mode is smooth; a plate's shapes are those of its own formula."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    x, y = (np.outer(np.linspace(0.1, 1.0, 10), turn(angle)).ravel() * 0.05 for turn in (np.cos, np.sin))
+    up = 3.0 * (x**2 + y**2) / 0.05**2
+    table = np.column_stack([x, y, np.full_like(x, 0.09), 0.0 * x, 0.0 * x, up])
+    rows = "\n".join(",".join(f"{number:.9g}" for number in row) for row in table)
+    (tmp_path / "mode.csv").write_text(f"x,y,z,ux,uy,uz\n{rows}\n", encoding="utf-8")
+    mode = SimpleNamespace(surface=tmp_path / "mode.csv")
+    tabled = SimpleNamespace(
+        name="face", shape="modes", mode=(SimpleNamespace(surface=None), mode), measured_by=("top",)
+    )
+    shapes = mode_shapes(SimpleNamespace(elastic=(tabled, PLATE)), "top")
+    assert shapes is not None
+    assert shapes.names == ("face: mode 2", "plate: axial", "plate: bending 1", "plate: bending 2")
+    points = np.array([[0.013, 0.021, 0.09], [-0.04, 0.002, 0.09], [np.nan, 0.0, 0.09]])
+    moved = shapes(points)
+    expected = np.sum(points[:2, :2] ** 2, axis=1) / 0.05**2
+    np.testing.assert_allclose(moved[0, :2, 2], expected, atol=0.01)
+    assert np.abs(moved[0, :2, :2]).max() < 1e-9
+    assert np.isnan(moved[0, 2]).all()
+    rim = shapes(np.array([[0.055, 0.0, 0.09], [0.0, 0.055, 0.09]]))
+    np.testing.assert_allclose(np.abs(rim[1, :, 2]), 1.0, rtol=1e-9)  # the umbrella, alike all around
+    assert sorted(np.abs(rim[2:, 0, 2]).round(6)) == [0.0, 1.0]  # one bends about x, one about y
+    assert mode_shapes(SimpleNamespace(elastic=(tabled, PLATE)), "other") is None
+    mode.surface.write_text("x,y,z,ux,uy\n1,2,3,4,5\n", encoding="utf-8")
+    refused("mode.csv", mode_shapes(SimpleNamespace(elastic=(tabled,)), "top"), points, error=InputError)

@@ -433,6 +433,20 @@ def test_a_compact_load_at_80_hz_is_rigid(demo_evaluation):
             r"inner_diameter: expected less than the diameter",
         ),
         ('shape = "beam"', "'rod', 'plate' or 'modes'"),
+        (
+            'shape = "rod"\nlength = 0.1\ndiameter = 0.02\nyoung_modulus = 2e11\ndensity = 7e3\nmeasured_by = ["top"]',
+            r"elastic\.rod\.measured_by: expected an uncertainty",
+        ),
+        (
+            'shape = "rod"\nlength = 0.1\ndiameter = 0.02\nyoung_modulus = 2e11\ndensity = 7e3\nmeasured_by = ["base"]'
+            "\nfrequencies_uncertainty = 0.1",
+            r"elastic\.rod\.measured_by: expected a stereo pair that sees the load \(top\), found base",
+        ),
+        (
+            'shape = "modes"\nmeasured_by = ["top"]\nfrequencies_uncertainty = 0.1\n[[load.elastic.mode]]\n'
+            "frequency = 900.0\nparticipation = [0, 0, 1, 0, 0, 0]\ndisplacement = { top = [0, 0, 1] }",
+            r"elastic\.rod\.measured_by: expected the surface of at least one mode",
+        ),
     ],
 )
 def test_wrong_blocks_are_refused(make_campaign, text, sentence):
