@@ -212,7 +212,7 @@ def render_report(evaluation: Evaluation) -> str:
         "budgets": uncertainty_tables.budget_tables(evaluation),
         "monte_carlo": uncertainty_tables.monte_carlo_tables(evaluation),
         "stereo": tables.stereo_table(evaluation.stereo),
-        "shapes": tables.shape_table(evaluation),
+        "shapes": tables.shape_tables(evaluation),
         "lines": tables.lines_table(evaluation),
         "channels": tables.channels_table(evaluation),
         "drift": tables.drift_table(evaluation),

@@ -308,24 +308,27 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
     return side_by_side("Stereo pairs", heads, facts, stereo) if stereo else None
 
 
-def shape_table(evaluation: Evaluation) -> Table | None:
-    """How bodies deform in shapes that all pixels tell, at the strongest line and wherever they surely do."""
-    rows, line = [], main_line(evaluation)
+def shape_tables(evaluation: Evaluation) -> list[Table]:
+    """How bodies deform in shapes that all pixels tell, at the strongest line and wherever they surely do.
+
+    A table for each set of shapes: the plain ones, and the modes that a pair measures.
+    """
+    rows, line = dict[tuple[str, ...], list[tuple[str, ...]]](), main_line(evaluation)
     for pair in evaluation.stereo:
         found = pair.shapes
-        for k in range(0 if found is None else len(found.f)):
-            assert found is not None
-            if np.flatnonzero(pair.usable)[k] != line and not found.deforms[k]:
-                continue
-            for s, name in enumerate(found.phasors.channels):
-                amplitude, u = found.phasors.value[k, s], float(found.u_size[k, s])
-                size = measured(1e9 * float(np.abs(amplitude)), 2e9 * u)
-                turn = f"{np.angle(amplitude):.2f}" if np.abs(amplitude) > 3.0 * u else WEAK
-                rows.append(
-                    (pair.name, f"{found.phasors.frequency_hz[k]:.4f}", name, size, turn, f"{found.chance[k]:.1g}")
-                )
-    head = ("pair", "frequency / Hz", "shape", "amplitude / nm", "phase / rad", "chance on a rigid body")
-    return Table("Deformation fitted to the grey values, U = 2u", head, "lrlrrr", tuple(rows)) if rows else None
+        if found is None:
+            continue
+        for k, place in enumerate(np.flatnonzero(pair.usable)):
+            if place == line or found.deforms[k]:
+                sizes = zip(np.abs(found.phasors.value[k]), found.u_size[k], strict=True)
+                amplitudes = (measured(1e9 * float(size), 2e9 * float(u)) for size, u in sizes)
+                cells = pair.name, f"{found.phasors.frequency_hz[k]:.4f}", *amplitudes, f"{found.chance[k]:.1g}"
+                rows.setdefault(found.phasors.channels, []).append(cells)
+    caption = "Deformation fitted to the grey values: amplitudes in nm with U = 2u, and how often a rigid body shows more"
+    return [
+        Table(caption, ("pair", "frequency / Hz", *names, "chance"), "lr" + "r" * (len(names) + 1), tuple(cells))
+        for names, cells in rows.items()
+    ]
 
 
 def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int) -> list[Headline]:
