@@ -28,9 +28,10 @@ TREATMENTS = {
 
 
 def error(evaluation: Evaluation, recording: Path) -> tuple[float, float]:
-    """Return the error of the driven element's magnitude and its U, both relative."""
+    """Return the error of the driven element's magnitude and its U, relative; NaN where instruments contradict."""
     truth, found = json.loads((recording / "truth.json").read_text(encoding="utf-8")), evaluation.element
-    assert found is not None
+    if found is None or not np.isfinite(found.value[0, 2, 2]):
+        return np.nan, np.nan
     true = abs(complex(truth["sensitivity"]["re"][0][2][2], truth["sensitivity"]["im"][0][2][2]))
     polar = sensitivity_element(found, 0, 2, 2)
     return polar.magnitude / true - 1.0, polar.expanded_magnitude / true
@@ -66,13 +67,18 @@ def main() -> None:
         ]
     rows = []
     for name in TREATMENTS:
-        errors, u = (np.array([each[name][part] for each in found]) for part in (0, 1))
+        every = np.array([each[name] for each in found])
+        (errors, u), refused = every[np.isfinite(every[:, 0])].T, int(np.sum(np.isnan(every[:, 0])))
+        if len(errors) < 2:
+            rows.append(f"| {name} | – | – | – | – | {refused} |")
+            continue
         mean, spread, inside = 100 * errors.mean(), 100 * errors.std(ddof=1), int(np.sum(np.abs(errors) <= u))
         largest = 100 * np.abs(errors).max()
         rows.append(
-            f"| {name} | {mean:+.3f} ± {spread:.3f} | {largest:.3f} | {100 * u.mean():.3f} | {inside} of {len(u)} |"
+            f"| {name} | {mean:+.3f} ± {spread:.3f} | {largest:.3f} | {100 * u.mean():.3f} | {inside} of {len(u)} "
+            f"| {refused} |"
         )
-    head = "| load | error / %, mean ± scatter | largest / % | U / % | within U |"
+    head = "| load | error / %, mean ± scatter | largest / % | U / % | within U | no result: instruments contradict |"
     table = markdown_table(head, rows)
     pictures = (
         f"{options.draws} recordings of {options.frames} frames, pictures of {round(640 * options.scale)} px width."
