@@ -13,6 +13,7 @@ from fusion.base import AnyNotice, ComputeError, InputError, Threads
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading
+from fusion.instruments.transducer import ROOM
 from fusion.phasors.channels import spread_lines
 from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, sensor_from_camera
 from fusion.phasors.timing import Lateness, Sight, TimeBase, together
@@ -186,7 +187,10 @@ def stereo_phasors(
         name=name,
         pair=sight.pair,
         phasors=spread_lines(fit.phasors, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None]),
-        effects={} if view is None else _image_effects(measured, view, frequency_hz, usable, gain),
+        # What these do grows with the motion seen, of which a room has next to none.
+        effects={}
+        if view is None or sight.pair.body == ROOM
+        else _image_effects(measured, view, frequency_hz, usable, gain),
         clock_uncertainty=base.records[0].entry.clock_uncertainty,
         errors=(*errors, *exposure.errors(lines.frequency_hz)),
         face_m=np.asarray(np.nanmean(next(iter(measured.deformation)).reference_m, axis=0)),

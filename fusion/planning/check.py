@@ -11,7 +11,7 @@ import numpy as np
 
 from fusion.base import ComputeError, InputError, rounded
 from fusion.instruments.stereo import GEOMETRY
-from fusion.instruments.transducer import TRANSDUCERS, main_direction, placed_at
+from fusion.instruments.transducer import HEAD, ROOM, TRANSDUCERS, main_direction, placed_at
 from fusion.instruments.vibrometer import beam_notices
 from fusion.phasors.channels import folding, folds_told
 from fusion.phasors.timing import no_pulse_width
@@ -381,7 +381,7 @@ def _observed(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
                 rows.append(TRANSDUCERS[entry.quantity].geometry(placed_at(entry), main_direction(entry)))
     single += [Observability(body, name, np.stack(rows)) for (body, name), rows in groups.items()]
     observed = []
-    for body in BODIES:
+    for body in (*BODIES, ROOM, HEAD):
         own = [item for item in single if item.body == body]
         observed += own
         if len(own) > 1:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from fusion.base import Identity, InputError
-from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, unit_direction, wrong_aim
+from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, ROOM, unit_direction, wrong_aim
 from fusion.recording.certified import CertifiedInputs, certified_inputs
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
 from fusion.recording.manifest import (
@@ -403,8 +403,15 @@ def _of_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFiles]
     """Images need a calibration; a scale needs an uncertainty, stated or from the calibration."""
     pictured = [images.stereo for _, block in blocks for images in block.images]
     tabled = [points.stereo for _, block in blocks for points in block.points]
-    for name in dict.fromkeys(pictured + tabled):
+    recorded = dict.fromkeys(pictured + tabled)
+    carried = {rig.stereo[name].support or name for name in recorded if rig.stereo[name].body != ROOM}
+    for name in recorded:
         pair = rig.stereo[name]
+        if pair.body == ROOM and pair.support not in carried:
+            listed = ", ".join(sorted(carried)) or "none"
+            expected = "what cameras at the load or the base stand on as well: their support, or the name of their pair"
+            found = f"{describe(pair.support)}; others stand on {listed}"
+            yield InputError(rig_path, f"stereo.{quoted(name)}.support", found, expected)
         if name in pictured and pair.calibration is None:
             expected = f"the calibration that the images of {name} need"
             yield InputError(rig_path, f"stereo.{quoted(name)}.calibration", "no calibration", expected)

@@ -28,7 +28,9 @@ from fusion.simulate.preset import (
     StereoSetup,
     camera_pose,
     face_of,
+    patches_of,
     read_preset,
+    region_of,
 )
 from fusion.simulate.violations import violations
 from fusion.simulate.world import (
@@ -56,7 +58,7 @@ from fusion.simulate.write import (
 )
 from photogram.calibration.file import write_calibration
 from photogram.geometry import RigidTransform
-from photogram.synthetic.scene import Face, View, render_exposure
+from photogram.synthetic.scene import Face, View, beside, render_exposure
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS
 
@@ -65,6 +67,7 @@ from shaker.labels import LOAD_COMPONENTS
 RESPONSE_HZ = np.array([0.0, 20.0, 50.0, *np.arange(100.0, 3001.0, 100.0)])
 _RESPONSE_U = (1e-4, 1e-4)  # relative magnitude, phase in rad
 _PULSE_S = 2e-3
+SUPPORT = "frame"  # all cameras of a set-up stand on it
 _HIGH_V = 5.0
 
 
@@ -189,7 +192,7 @@ def rig_tables(world: World, own: tuple[PartSpec, ...] = ()) -> dict[str, Any]:
     if preset.heads:
         keys = ("rotation_uncertainty", "point_uncertainty")
         tables["head"] = {head.name: {key: getattr(head, key) for key in keys} for head in preset.heads}
-    return tables | {"stereo": {setup.name: _stereo_keys(setup, preset) for setup in preset.stereo}}
+    return tables | {"stereo": dict(keys for setup in preset.stereo for keys in _pairs(setup, preset))}
 
 
 def sensor_keys(preset: Preset, static: NDArray[np.float64]) -> dict[str, Any]:
@@ -227,6 +230,14 @@ def part_keys(spec: PartSpec) -> dict[str, Any]:
 def part_table(spec: PartSpec) -> dict[str, Any]:
     """Return the block of a further part of the load."""
     return {"name": spec.name, "body": "load", **part_keys(spec)}
+
+
+def _pairs(setup: StereoSetup, preset: Preset) -> list[tuple[str, dict[str, Any]]]:
+    """Return the blocks of a stereo pair by name, of one that sees a patch at rest two, on one support."""
+    own = _stereo_keys(setup, preset)
+    names = dict.fromkeys(patch.name for patch in patches_of(setup))
+    stands = {"support": SUPPORT} if names else {}
+    return [(setup.name, own | stands), *((name, {**own, "body": "room", **stands}) for name in names)]
 
 
 def _stereo_keys(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
@@ -283,13 +294,22 @@ def recording_tables(run: Run) -> dict[str, Any]:
         columns = {"columns": list(COLUMNS), "scale": POINTS_SCALE}
         tables["points"] = [{"stereo": setup.name, "files": points_file(setup), **columns} for setup in preset.stereo]
     elif preset.stereo:
-        tables["images"] = [
-            {"stereo": setup.name, **{side: f"{setup.name}-{side}/*.tif" for side in ("left", "right")}}
-            for setup in preset.stereo
-        ]
+        tables["images"] = [block for setup in preset.stereo for block in _images(setup)]
     for block in (*tables.get("points", ()), *tables.get("images", ())):
         block["trigger"] = "camera_trigger"
     return tables
+
+
+def _images(setup: StereoSetup) -> list[dict[str, Any]]:
+    """Return the images of a pair, and again those of the patch at rest in them."""
+    files, patches = {side: f"{setup.name}-{side}/*.tif" for side in ("left", "right")}, patches_of(setup)
+    if not patches:
+        return [{"stereo": setup.name, **files}]
+    body, room = region_of(setup, setup), region_of(setup, *patches)
+    return [
+        {"stereo": setup.name, **files, "region": body},
+        {"stereo": patches[0].name, **files, "region": room, "mask": [body]},
+    ]
 
 
 def _channel(spec: ChannelSpec, response: str) -> dict[str, Any]:
@@ -467,10 +487,17 @@ def _write_images(
     done, frames, exposure = 0, world.preset.frames, world.preset.exposure_s
     whole: dict[str, Any] = {"photometric": "minisblack", "compression": "zlib", "metadata": None, "software": False}
 
-    def shoot(stereo: TrueStereo, face: Face, view: View, series: Path, number: int, frame: int) -> None:
+    def shoot(
+        stereo: TrueStereo, faces: Sequence[Face], view: View, series: Path, number: int, frame: int
+    ) -> None:
+        face, *patches = faces
         middle = float(world.trigger_s[frame] + stereo.delay_s + exposure / 2)
         pose_at = world.seen(draws, stereo.setup.body, "camera", np.array(stereo.setup.face_centre)).pose
-        image = render_exposure(view, face, pose_at, middle, exposure, 4 if options.aliased else 2)
+        nodes = 4 if options.aliased else 2
+        image = render_exposure(view, face, pose_at, middle, exposure, nodes)
+        still = world.seen(draws, "room", "camera", np.array(stereo.setup.face_centre)).pose
+        for patch in patches:
+            image = beside(image, view, patch, still, (middle, exposure), nodes)
         image = draws.broken("image", image, series.name, middle, frame / frames)
         rng = draws.stream(f"{series.name}.{frame}") if options.image_noise else None
         stream = io.BytesIO()
@@ -483,11 +510,17 @@ def _write_images(
             name = stereo.setup.name
             face = face_of(stereo.setup, options.aliased, draws.stream(f"{name}.speckle"))
             face = draws.broken("face", face)
+            patches = [
+                face_of(patch, options.aliased, draws.stream(f"{patch.name}-{number}.speckle"))
+                for number, patch in enumerate(patches_of(stereo.setup))
+            ]
             stored = draws.broken("frames", np.arange(frames), stereo.setup).tolist()
             for side, view in zip(("left", "right"), stereo.views, strict=True):
                 series = folder / f"{name}-{side}"
                 series.mkdir()
-                tasks = [pool.submit(shoot, stereo, face, view, series, *place) for place in enumerate(stored)]
+                tasks = [
+                    pool.submit(shoot, stereo, (face, *patches), view, series, *place) for place in enumerate(stored)
+                ]
                 for task in tasks:
                     task.result()
                     done += 1

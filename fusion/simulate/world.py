@@ -224,8 +224,16 @@ class World:
     stereo: tuple[TrueStereo, ...]
 
     def seen(self, draws: Draws, body: str, instrument: str, point: FloatArray) -> Motion:
-        """Return the motion of a body as a kind of instrument (`velocity`, `acceleration`, `camera`) sees it there."""
-        return draws.broken("seen", self.motion[body], self, body, instrument, point)
+        """Return the motion of a body as a kind of instrument (`velocity`, `acceleration`, `camera`) sees it there.
+
+        The room stands still; the head of the lasers moves as much as they see the room move, the other way.
+        """
+        if body == "head":
+            seen = self.seen(draws, "room", "velocity", point)
+            return Motion(seen.frequency_hz, -seen.acceleration)
+        load = self.motion["load"]
+        still = Motion(load.frequency_hz, np.zeros_like(load.acceleration))
+        return draws.broken("seen", self.motion.get(body, still), self, body, instrument, point)
 
 
 def make_world(preset: Preset, draws: Draws, jitter_s: float) -> World:

@@ -1,0 +1,358 @@
+"""The motion of what carries cameras and lasers, from what looks at the room or sits on a head; instruments without it.
+
+A support moves by H, six components as a body does, and an instrument on it reads rows·(A - H). A patch at rest in the
+view of cameras, or a beam at the room, reads -rows·H, an accelerometer on a head rows·H. Of H is known before how large
+it may be: readings and that are one linear model for each line, solved here before the bodies are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.special import chdtrc
+
+from fusion.estimation.measurement_model import BODY_SIZE_M, CommonError, Observation
+from fusion.estimation.uncertainty import as_complex, real_design, real_stack
+from fusion.instruments.channel import ChannelGeometry
+from fusion.instruments.stereo import StereoReading
+from fusion.instruments.transducer import HEAD, ROOM, placed_at
+from photogram.geometry import skew
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
+from shaker.labels import MOTION_COMPONENTS
+
+if TYPE_CHECKING:
+    from fusion.recording.manifest import ChannelEntry
+
+SHARES, RATIOS = np.geomspace(1e-5, 0.1, 9), (1.0, 0.3, 0.1)
+"""Where nothing is stated: possible standard deviations of the largest translation of a support over the motion
+measured, and those of the other translations over that of the largest."""
+CONTRADICTED = 1e-3
+"""Probability of readings below which a stated `support_motion` is not believed."""
+SMALL = 0.03
+"""Of the standard deviation of H: errors of a reference that do less to it are left out."""
+MATTERS = 1e-3
+"""Of the motion measured: standard uncertainty of a support's motion from which on a better reference is asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class SupportMotion:
+    """How one support moved: acceleration phasors of the point of it at the sensor origin, by what was measured of it.
+
+    `value` (K, 6) in m/s^2 and rad/s^2, with the `covariance` (K, 12, 12) of [Re, Im]; NaN at lines that no reference
+    shows and nothing is stated of. `measured` (K,): the largest translation that the instruments on it measure.
+    `references`: what tells of it; `carried`: the rows of instruments it was taken off, by their names.
+    """
+
+    name: str
+    frequency_hz: FloatArray
+    value: ComplexArray
+    covariance: FloatArray
+    measured: FloatArray
+    references: tuple[str, ...]
+    carried: tuple[str, ...]
+
+    __repr__ = brief
+
+
+class _Seen(NamedTuple):
+    """Some `columns` of an observation, all on one support; `sign` of what they read of it, for references."""
+
+    observation: Observation
+    columns: list[int]
+    sign: float
+
+    def rows(self, line: int) -> ComplexArray:
+        return np.asarray(self.sign * self.observation.design[line, self.columns])
+
+    def values(self, line: int) -> ComplexArray:
+        return self.observation.phasors.value[line, self.columns]
+
+
+def without_supports(
+    observations: Sequence[Observation], limit: float | None
+) -> tuple[tuple[Observation, ...], tuple[SupportMotion, ...], tuple[Notice, ...]]:
+    """Take the motion of every support with a reference off the instruments on it, and leave out the references.
+
+    `limit`: largest amplitude of that motion over the motion measured (`environment.support_motion`), None where it is
+    not stated. What is left open of H are unknowns of all instruments on it, by name.
+    """
+    bodies = [o for o in observations if o.body not in (ROOM, HEAD)]
+    found, told = list[SupportMotion](), list[Notice]()
+    for name, references in _by_support(o for o in observations if o.body in (ROOM, HEAD)).items():
+        carried = _by_support(bodies).get(name, [])
+        if not carried:
+            continue
+        moved, errors, notices = _settled(name, references, carried, limit)
+        found.append(moved)
+        told += notices
+        names = {member for one in carried for member in _members(one)}
+        bodies = [_corrected(o, [m in names for m in o.members], moved, errors) for o in bodies]
+    return tuple(bodies), tuple(found), tuple(told)
+
+
+def _members(seen: _Seen) -> list[str]:
+    return [seen.observation.members[column] for column in seen.columns]
+
+
+def _by_support(observations: Sequence[Observation] | Iterator[Observation]) -> dict[str, list[_Seen]]:
+    """Return the rows of observations by the name of what they are on; channels without a head are on nothing."""
+    groups: dict[str, list[_Seen]] = {}
+    for observation in observations:
+        own: dict[str, list[int]] = {}
+        geometry = observation.geometry
+        if isinstance(geometry, StereoReading):
+            own[f"cameras {geometry.pair.support or geometry.name}"] = list(range(len(observation.members)))
+        elif isinstance(geometry, ChannelGeometry):
+            for column, entry in enumerate(geometry.entries):
+                if entry.head is not None and (observation.kind == "vibrometer" or entry.body == HEAD):
+                    own.setdefault(f"head {entry.head.name}", []).append(column)
+        for name, columns in own.items():
+            groups.setdefault(name, []).append(_Seen(observation, columns, -1.0 if observation.body == ROOM else 1.0))
+    return groups
+
+
+# One support: what is known of its motion before, and with the readings of its references.
+
+
+def _settled(
+    name: str, references: Sequence[_Seen], carried: Sequence[_Seen], limit: float | None
+) -> tuple[SupportMotion, list[CommonError], list[Notice]]:
+    """Return the motion of one support, what is uncertain of it as (K, 6) `offset`s, and what to tell."""
+    frequency = carried[0].observation.phasors.frequency_hz
+    shape = _shape([*references, *carried])
+    value = np.full((len(frequency), 6), complex(np.nan, np.nan))
+    covariance = np.full((len(frequency), 12, 12), np.nan)
+    gains, dof, told = list[FloatArray | None](), np.full(len(frequency), np.inf), list[Notice]()
+    measured = np.array([_size(carried, line) for line in range(len(frequency))])
+    for line, size in enumerate(measured.tolist()):
+        rows, readings, noise, dof[line] = _stacked(references, line)
+        gains.append(None)
+        if (len(readings) == 0 and limit is None) or not size > 0.0:
+            continue
+        stated = None if limit is None else limit / 2.0
+        one = _estimate(rows, readings, noise, shape * size, stated)
+        if one.contradicts:
+            where = f"{frequency[line]:.6g} Hz"
+            text = f"{name} moves by more than environment.support_motion states, {limit:g} of the motion measured"
+            told.append(Notice("warning", f"{text}, at {where}: what it moves is taken from its reference alone", name))
+        value[line], covariance[line], gains[-1] = as_complex(one.mean), one.covariance, one.gain
+    titles = tuple(dict.fromkeys(member for seen in references for member in _members(seen)))
+    members = tuple(dict.fromkeys(member for seen in carried for member in _members(seen)))
+    moved = SupportMotion(name, frequency, value, covariance, measured, titles, members)
+    return moved, [*_open(moved, dof), *_of_references(moved, references, gains)], told + [*_weak(moved)]
+
+
+def _shape(seen: Sequence[_Seen]) -> FloatArray:
+    """Return (6, 6) columns that make [Re H, Im H]'s covariance of squares of six standard deviations of size 1.
+
+    Translations where the support is, rotations as large as these over the distance L to what is measured: cameras that
+    rock about a place at that distance. H is that of the sensor origin, t - θ × p of a support at p.
+    """
+    pivots, points = list[FloatArray](), list[FloatArray]()
+    for observation, columns, _ in seen:
+        geometry = observation.geometry
+        if isinstance(geometry, StereoReading):
+            pivots.append(np.array(geometry.pair.translation))
+            points.append(np.zeros(3) if geometry.face_m is None else geometry.face_m)
+        elif isinstance(geometry, ChannelGeometry):
+            entries = [geometry.entries[column] for column in columns]
+            pivots += [place for entry in entries if (place := _stands(entry)) is not None]
+            points += [placed_at(entry) for entry in entries if entry.body != HEAD]
+    middle = np.mean(points, axis=0) if points else np.zeros(3)
+    pivot = np.mean(pivots, axis=0) if pivots else middle
+    length = max(float(np.linalg.norm(pivot - middle)), BODY_SIZE_M)
+    moved = np.eye(6)
+    moved[:3, 3:] = skew(pivot)
+    return moved @ np.diag(np.repeat([1.0, 1.0 / length], 3))
+
+
+def _stands(entry: ChannelEntry) -> FloatArray | None:
+    """Return where a head is, as far as a channel tells: its mirror, else what sits on it."""
+    if entry.head is not None and entry.head.stated.mirror is not None:
+        return np.array(entry.head.stated.mirror)
+    return placed_at(entry) if entry.body == HEAD else None
+
+
+def _size(carried: Sequence[_Seen], line: int) -> float:
+    """Return the largest translation, as acceleration, that instruments on a support read at a line."""
+    size = 0.0
+    for seen in carried:
+        along = np.linalg.norm(seen.rows(line)[:, :3], axis=1)
+        read = np.abs(np.nan_to_num(seen.values(line)))
+        size = max(size, float(np.max(read[along > 0.0] / along[along > 0.0], initial=0.0)))
+    return size
+
+
+def _stacked(references: Sequence[_Seen], line: int) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return real rows (N, 12), readings (N,), their noise (N, N) at a line, and its fewest degrees of freedom."""
+    rows, readings, blocks, dof = [np.zeros((0, 12))], [np.zeros(0)], list[FloatArray](), np.inf
+    for seen in references:
+        phasors, value = seen.observation.phasors, seen.values(line)
+        known = np.flatnonzero(np.isfinite(value))
+        if len(known):
+            columns = np.array(seen.columns)[known]
+            both = np.concatenate([columns, columns + phasors.value.shape[1]])
+            rows.append(real_design(seen.rows(line)[known]))
+            readings.append(real_stack(value[known]))
+            blocks.append(phasors.covariance[line][np.ix_(both, both)])
+            dof = min(dof, float(phasors.dof[line]))
+    count = sum(map(len, blocks))
+    noise, start = np.zeros((count, count)), 0
+    for block in blocks:
+        noise[start : start + len(block), start : start + len(block)] = block
+        start += len(block)
+    return np.concatenate(rows), np.concatenate(readings), noise, dof
+
+
+class _Estimate(NamedTuple):
+    """[Re H, Im H] (12,), covariance (12, 12), gain (12, N), and whether readings contradict what is stated of H."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    gain: FloatArray
+    contradicts: bool
+
+
+def _estimate(
+    rows: FloatArray, readings: FloatArray, noise: FloatArray, shape: FloatArray, stated: float | None
+) -> _Estimate:
+    """Return the best linear estimate of H from readings y = rows·H + noise.
+
+    H has the covariance S = shape·diag(s²)·shapeᵀ in either part: the mean is S·Dᵀ·(D·S·Dᵀ + N)⁻¹·y, with what that
+    leaves as covariance (Henderson 1975, Biometrics 31, 423). `stated`: the standard deviation s of every translation.
+    Where none is stated, or the readings refute it, s is one of `SHARES` (even in its logarithm) for the largest
+    translation, of the others that times one of `RATIOS`; rotations have their mean square. The estimate is then the mean over
+    s, weighted by the probability density of the readings, and the covariance holds what s leaves open: readings far
+    above their noise are taken as they are, readings within it for hardly more than nothing.
+    """
+    contradicts, spreads = False, np.full((1, 3), stated or 0.0)
+    if stated is not None and len(readings):
+        whole = _prior(shape, spreads)[0]
+        chi2 = float(readings @ np.linalg.solve(rows @ whole @ rows.T + noise, readings))
+        contradicts = bool(chdtrc(len(readings), chi2) < CONTRADICTED)
+    if stated is None or contradicts:
+        ratios = np.array([some for some in product(RATIOS, repeat=3) if max(some) == 1.0])
+        spreads = (SHARES[:, None, None] * ratios).reshape(-1, 3)
+    prior = _prior(shape, spreads)
+    across = prior @ rows.T
+    total = rows @ across + noise
+    gains = np.linalg.solve(total, across.swapaxes(1, 2)).swapaxes(1, 2)
+    means = gains @ readings
+    chi2 = readings @ np.linalg.solve(total, np.broadcast_to(readings[:, None], (len(total), len(readings), 1)))[..., 0].T
+    density = -0.5 * (chi2 + np.linalg.slogdet(total)[1])
+    weight = np.exp(density - density.max())
+    weight /= weight.sum()
+    mean = weight @ means
+    left = prior - gains @ across.swapaxes(1, 2)
+    off = means - mean
+    covariance = np.einsum("g,gij->ij", weight, left) + np.einsum("g,gi,gj->ij", weight, off, off)
+    return _Estimate(mean, covariance, np.einsum("g,gij->ij", weight, gains), contradicts)
+
+
+def _prior(shape: FloatArray, spreads: FloatArray) -> FloatArray:
+    """Return covariances (G, 12, 12) of [Re H, Im H] for standard deviations (G, 3) of the translations."""
+    turned = np.sqrt(np.mean(spreads**2, axis=1, keepdims=True))
+    scaled = shape * np.concatenate([spreads, np.repeat(turned, 3, axis=1)], axis=1)[:, None, :]
+    return np.asarray(np.kron(np.eye(2), scaled @ scaled.swapaxes(1, 2)))
+
+
+# What is uncertain of a support's motion, and what it does to the instruments that it carries.
+
+
+def _open(moved: SupportMotion, dof: FloatArray) -> Iterator[CommonError]:
+    """Yield what readings and prior leave open of H at each line, as independent unknowns; `offset` (K, 6) of H."""
+    for line in np.flatnonzero(np.isfinite(moved.covariance).all(axis=(1, 2))):
+        scale = np.sqrt(np.diagonal(moved.covariance[line]))
+        scale = np.where(scale > 0.0, scale, 1.0)
+        values, vectors = np.linalg.eigh(moved.covariance[line] / np.outer(scale, scale))
+        for part, (value, vector) in enumerate(zip(values[::-1].tolist(), vectors.T[::-1], strict=True), 1):
+            if value > 0.0:
+                name = f"motion of {moved.name} at {moved.frequency_hz[line]:.9g} Hz, part {part}"
+                offset = np.zeros((len(dof), 6), dtype=np.complex128)
+                offset[line] = as_complex(scale * vector * np.sqrt(value))
+                yield _unknown(name, f"motion of {moved.name}", 1.0, "1", offset, dof=float(dof[line]))
+
+
+def _of_references(
+    moved: SupportMotion, references: Sequence[_Seen], gains: Sequence[FloatArray | None]
+) -> Iterator[CommonError]:
+    """Yield what errors of the references' own chains and places, by their names, do to H."""
+    names = dict.fromkeys(error.name for seen in references for error in seen.observation.common)
+    known = [line for line, gain in enumerate(gains) if gain is not None and np.any(gain)]
+    for name in names:
+        offset, model, size = np.zeros_like(moved.value), None, 0.0
+        for line in known:
+            read = list[ComplexArray]()
+            for seen in references:
+                error = next((e for e in seen.observation.common if e.name == name), None)
+                own = np.zeros(len(seen.columns), dtype=np.complex128)
+                if error is not None:
+                    model, motion = error, seen.sign * np.nan_to_num(moved.value)
+                    own = np.nan_to_num(error.effect(motion)[line, seen.columns])
+                read.append(real_stack(own[np.isfinite(seen.values(line))]))
+            gain = gains[line]
+            assert gain is not None
+            change = gain @ np.concatenate(read)
+            spread = np.sqrt(np.diagonal(moved.covariance[line]))
+            size = max(size, float(np.max(np.abs(change)[spread > 0.0] / spread[spread > 0.0], initial=0.0)))
+            offset[line] = as_complex(change)
+        if model is not None and size > SMALL:
+            own_kind = {"scope": model.scope, "type": model.type, "dof": model.dof}
+            yield replace(_unknown(name, model.label, model.u, model.unit, offset), **own_kind)
+
+
+def _unknown(name: str, label: str, u: float, unit: str, offset: ComplexArray, dof: float = np.inf) -> CommonError:
+    none = np.zeros((*offset.shape, 6), dtype=np.complex128)
+    return CommonError(name, label, u, unit, "recording", none, offset, "A", dof)
+
+
+def _corrected(
+    observation: Observation, on_it: Sequence[bool], moved: SupportMotion, errors: Sequence[CommonError]
+) -> Observation:
+    """Return an observation that reads the motion of its body, with what is uncertain of that of its support."""
+    mine: BoolArray = np.array(on_it, dtype=np.bool_)
+    if not mine.any():
+        return observation
+
+    def read(motion: ComplexArray) -> ComplexArray:
+        return np.where(mine, np.einsum("kmj,kj->km", observation.design, np.nan_to_num(motion)), 0.0)
+
+    common: dict[str, CommonError] = {error.name: error for error in observation.common}
+    for error in errors:  # what a reading is given too much, its body does not have
+        own = replace(error, slope=np.zeros_like(observation.design), offset=read(error.offset))
+        before = common.get(error.name)
+        if before is not None:
+            own = replace(before, offset=before.offset + own.offset)
+        common[error.name] = own
+    phasors = replace(observation.phasors, value=observation.phasors.value + read(moved.value))
+    return replace(observation, phasors=phasors, common=tuple(common.values()))
+
+
+def _weak(moved: SupportMotion) -> Iterator[Notice]:
+    """Yield where a support's motion remains so uncertain that its reference should be better."""
+    u = np.sqrt(np.diagonal(moved.covariance, axis1=1, axis2=2)).reshape(-1, 2, 6)[:, :, :3].max(axis=(1, 2))
+    strongest = int(np.argmax(moved.measured))
+    share = float(u[strongest] / moved.measured[strongest])
+    if share > MATTERS:
+        text = (
+            f"its motion remains uncertain by {share:.2g} of the motion measured at "
+            f"{moved.frequency_hz[strongest]:.6g} Hz (standard uncertainty, {', '.join(moved.references)}): a larger or "
+            "nearer reference at rest, or more frames, tell it better"
+        )
+        yield Notice("info", f"{moved.name}: {text}", moved.name)
+
+
+def carried_by(supports: Sequence[SupportMotion]) -> frozenset[str]:
+    """Return the rows of instruments whose support's motion was measured, by their names."""
+    return frozenset(member for moved in supports for member in moved.carried)
+
+
+def told_motion(moved: SupportMotion, line: int) -> Iterator[tuple[str, complex, FloatArray]]:
+    """Yield name, phasor and covariance (2, 2) of each component of a support's motion at a line."""
+    for place, component in enumerate(MOTION_COMPONENTS):
+        both = np.ix_([place, place + 6], [place, place + 6])
+        yield component, complex(moved.value[line, place]), moved.covariance[line][both]
