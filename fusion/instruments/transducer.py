@@ -87,6 +87,12 @@ def unit_direction(entry: ChannelEntry) -> FloatArray:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
+def carrier(entry: ChannelEntry) -> str | None:
+    """Return what carries a laser beam, or an accelerometer that tells of it: the head that it names."""
+    optical = entry.quantity in TRANSDUCERS and TRANSDUCERS[entry.quantity].kind == "vibrometer"
+    return f"head {entry.head.name}" if entry.head is not None and (optical or entry.body == HEAD) else None
+
+
 def aimed(entry: ChannelEntry) -> bool:
     """Whether the direction of a channel is that from its point to the mirror of its head."""
     return entry.direction is None and entry.head is not None and entry.head.stated.mirror is not None

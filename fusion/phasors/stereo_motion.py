@@ -567,7 +567,8 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
         expected = "the frequencies of the lines, since no channel shows them"
         raise InputError(manifest.path, "excitation.frequencies", found="none", expected=expected)
     reasons: list[str] = []
-    for first in [motion for motion in motions if motion.sight.pair.body != ROOM] or motions:  # whose frames tell a fundamental from zero, the Nyquist rate and the others
+    moving = [motion for motion in motions if motion.sight.pair.body != ROOM]
+    for first in moving or motions:  # whose frames tell a fundamental from zero, the Nyquist rate and the others
         usable, notices = usable_lines(first.sight.time_s, np.array(excitation.frequencies, dtype=np.float64))
         if usable.any():
             break

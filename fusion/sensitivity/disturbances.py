@@ -98,12 +98,10 @@ def with_support_motion(
     def shaken(observation: Observation) -> Observation:
         none: ComplexArray = np.zeros_like(observation.phasors.value)
         open_ = np.array([member not in measured for member in observation.members])
-        rows = np.where(open_[:, None], observation.design, 0.0)
+        rows: ComplexArray = observation.design * open_[:, None]
         parts = ("in phase", 1.0), ("in quadrature", 1.0j)
         own = [
-            CommonError(
-                f"{label}, {observation.body}, {part}", label, u, "1", "mounting", turn * u * rows, none
-            )
+            CommonError(f"{label}, {observation.body}, {part}", label, u, "1", "mounting", turn * u * rows, none)
             for part, turn in parts
         ]
         return replace(observation, common=(*observation.common, *own)) if open_.any() else observation
@@ -149,7 +147,8 @@ def not_assessed(
         keys = ["sensor.base_strain_sensitivity"] * (sensor.base_strain_sensitivity is None)
         keys += ["environment.base_strain"] * (environment.base_strain is None)
         told.append(f"strain of the sensor's foot by bending of what it stands on ({', '.join(keys)})")
-    optical = {member for o in observations if o.body == "load" and o.kind in OPTICAL and o.stated for member in o.members}
+    seeing = [o for o in observations if o.body == "load" and o.kind in OPTICAL and o.stated]
+    optical = {member for observation in seeing for member in observation.members}
     if environment.support_motion is None and optical - set(measured):
         text = (
             "motion that all lasers and cameras share with what carries them (environment.support_motion): a "

@@ -78,7 +78,8 @@ def evaluate_recording(
         entries = [reading.entry for reading in joined.readings]
         found = analysis.element or analysis.sensitivity
         missing += unstated_chain(found, entries, driven_component(direction, sensor.capacity))
-    told = [*manifest.expired, *doubts(manifest), *joined.notices, *shaken, *parallel, *unseen, *analysis.notices, *missing]
+    told = [*manifest.expired, *doubts(manifest), *joined.notices, *shaken, *parallel, *unseen]
+    told += [*analysis.notices, *missing]
     notices = [*told, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,

@@ -13,23 +13,24 @@ from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.linalg import block_diag
 
 from fusion.estimation.measurement_model import BODY_SIZE_M, CommonError, Observation
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
+from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import ChannelGeometry
-from fusion.instruments.stereo import StereoReading
-from fusion.instruments.transducer import HEAD, ROOM, placed_at
+from fusion.instruments.stereo import StereoReading, carrier_of
+from fusion.instruments.transducer import HEAD, ROOM, carrier, placed_at
 from photogram.geometry import skew
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, brief
 from shaker.labels import MOTION_COMPONENTS
 
 if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
 
-SHARES, RATIOS = np.geomspace(1e-5, 0.1, 9), (1.0, 0.3, 0.1)
-"""Where nothing is stated: possible standard deviations of the largest translation of a support over the motion
-measured, and those of the other translations over that of the largest."""
+SHARES, RATIOS = np.geomspace(1e-5, 0.1, 13), (1.0, 0.3, 0.1)
+"""Where nothing is stated: possible standard deviations of a support's translation along what it measures, over the
+motion measured, and those of the translations across over that."""
 CONTRADICTED = 1e-3
 """Probability of readings below which a stated `support_motion` is not believed."""
 SMALL = 0.03
@@ -105,11 +106,12 @@ def _by_support(observations: Sequence[Observation] | Iterator[Observation]) -> 
         own: dict[str, list[int]] = {}
         geometry = observation.geometry
         if isinstance(geometry, StereoReading):
-            own[f"cameras {geometry.pair.support or geometry.name}"] = list(range(len(observation.members)))
+            own[carrier_of(geometry.name, geometry.pair)] = list(range(len(observation.members)))
         elif isinstance(geometry, ChannelGeometry):
             for column, entry in enumerate(geometry.entries):
-                if entry.head is not None and (observation.kind == "vibrometer" or entry.body == HEAD):
-                    own.setdefault(f"head {entry.head.name}", []).append(column)
+                name = carrier(entry)
+                if name is not None:
+                    own.setdefault(name, []).append(column)
         for name, columns in own.items():
             groups.setdefault(name, []).append(_Seen(observation, columns, -1.0 if observation.body == ROOM else 1.0))
     return groups
@@ -127,14 +129,15 @@ def _settled(
     value = np.full((len(frequency), 6), complex(np.nan, np.nan))
     covariance = np.full((len(frequency), 12, 12), np.nan)
     gains, dof, told = list[FloatArray | None](), np.full(len(frequency), np.inf), list[Notice]()
-    measured = np.array([_size(carried, line) for line in range(len(frequency))])
+    sizes = np.array([_sizes(carried, line) for line in range(len(frequency))])
+    measured, stated = sizes.max(axis=1), None if limit is None else limit / 2.0
     for line, size in enumerate(measured.tolist()):
-        rows, readings, noise, dof[line] = _stacked(references, line)
+        read = _Readings.of(references, line)
+        dof[line] = read.dof
         gains.append(None)
-        if (len(readings) == 0 and limit is None) or not size > 0.0:
+        if (len(read.values) == 0 and stated is None) or not size > 0.0:
             continue
-        stated = None if limit is None else limit / 2.0
-        one = _estimate(rows, readings, noise, shape * size, stated)
+        one = _estimate(read, shape * size, int(np.argmax(sizes[line])), stated)
         if one.contradicts:
             where = f"{frequency[line]:.6g} Hz"
             text = f"{name} moves by more than environment.support_motion states, {limit:g} of the motion measured"
@@ -143,7 +146,7 @@ def _settled(
     titles = tuple(dict.fromkeys(member for seen in references for member in _members(seen)))
     members = tuple(dict.fromkeys(member for seen in carried for member in _members(seen)))
     moved = SupportMotion(name, frequency, value, covariance, measured, titles, members)
-    return moved, [*_open(moved, dof), *_of_references(moved, references, gains)], told + [*_weak(moved)]
+    return moved, [*_open(moved, dof), *_of_references(moved, references, gains)], [*told, *_weak(moved)]
 
 
 def _shape(seen: Sequence[_Seen]) -> FloatArray:
@@ -177,35 +180,44 @@ def _stands(entry: ChannelEntry) -> FloatArray | None:
     return placed_at(entry) if entry.body == HEAD else None
 
 
-def _size(carried: Sequence[_Seen], line: int) -> float:
-    """Return the largest translation, as acceleration, that instruments on a support read at a line."""
-    size = 0.0
+def _sizes(carried: Sequence[_Seen], line: int) -> FloatArray:
+    """Return the largest translations (3,) along the axes, as acceleration, that instruments read at a line."""
+    sizes = np.zeros(3)
     for seen in carried:
-        along = np.linalg.norm(seen.rows(line)[:, :3], axis=1)
-        read = np.abs(np.nan_to_num(seen.values(line)))
-        size = max(size, float(np.max(read[along > 0.0] / along[along > 0.0], initial=0.0)))
-    return size
+        along = np.abs(seen.rows(line)[:, :3])
+        square = np.maximum(np.sum(along**2, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+        read = np.abs(np.nan_to_num(seen.values(line)))[:, None] * along / square
+        sizes = np.maximum(sizes, read.max(axis=0))
+    return np.asarray(sizes)
 
 
-def _stacked(references: Sequence[_Seen], line: int) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Return real rows (N, 12), readings (N,), their noise (N, N) at a line, and its fewest degrees of freedom."""
-    rows, readings, blocks, dof = [np.zeros((0, 12))], [np.zeros(0)], list[FloatArray](), np.inf
-    for seen in references:
-        phasors, value = seen.observation.phasors, seen.values(line)
-        known = np.flatnonzero(np.isfinite(value))
-        if len(known):
-            columns = np.array(seen.columns)[known]
+class _Readings(NamedTuple):
+    """What references read at a line: real `rows` (N, 12), `values` (N,), their `noise` (N, N), how well it is `known`,
+    and its fewest degrees of freedom."""
+
+    rows: FloatArray
+    values: FloatArray
+    noise: FloatArray
+    known: EstimatedNoise
+    dof: float
+
+    @classmethod
+    def of(cls, references: Sequence[_Seen], line: int) -> _Readings:
+        rows, values, count = [np.zeros((0, 12))], [np.zeros(0)], 0
+        parts = list[tuple[IntArray, FloatArray, float]]()
+        for seen in references:
+            phasors, value = seen.observation.phasors, seen.values(line)
+            there = np.flatnonzero(np.isfinite(value))
+            columns = np.array(seen.columns)[there]
             both = np.concatenate([columns, columns + phasors.value.shape[1]])
-            rows.append(real_design(seen.rows(line)[known]))
-            readings.append(real_stack(value[known]))
-            blocks.append(phasors.covariance[line][np.ix_(both, both)])
-            dof = min(dof, float(phasors.dof[line]))
-    count = sum(map(len, blocks))
-    noise, start = np.zeros((count, count)), 0
-    for block in blocks:
-        noise[start : start + len(block), start : start + len(block)] = block
-        start += len(block)
-    return np.concatenate(rows), np.concatenate(readings), noise, dof
+            rows.append(real_design(seen.rows(line)[there]))
+            values.append(real_stack(value[there]))
+            own = count + np.arange(len(both))
+            parts.append((own, phasors.covariance[line][np.ix_(both, both)], float(phasors.dof[line])))
+            count += len(both)
+        noise = np.asarray(block_diag(*(covariance for _, covariance, _ in parts)))
+        known, dof = EstimatedNoise.of_parts(parts, count), [dof for own, _, dof in parts if len(own)]
+        return cls(np.concatenate(rows), np.concatenate(values), noise[:count, :count], known, min(dof, default=np.inf))
 
 
 class _Estimate(NamedTuple):
@@ -217,40 +229,43 @@ class _Estimate(NamedTuple):
     contradicts: bool
 
 
-def _estimate(
-    rows: FloatArray, readings: FloatArray, noise: FloatArray, shape: FloatArray, stated: float | None
-) -> _Estimate:
+def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | None) -> _Estimate:
     """Return the best linear estimate of H from readings y = rows·H + noise.
 
     H has the covariance S = shape·diag(s²)·shapeᵀ in either part: the mean is S·Dᵀ·(D·S·Dᵀ + N)⁻¹·y, with what that
     leaves as covariance (Henderson 1975, Biometrics 31, 423). `stated`: the standard deviation s of every translation.
-    Where none is stated, or the readings refute it, s is one of `SHARES` (even in its logarithm) for the largest
-    translation, of the others that times one of `RATIOS`; rotations have their mean square. The estimate is then the mean over
-    s, weighted by the probability density of the readings, and the covariance holds what s leaves open: readings far
-    above their noise are taken as they are, readings within it for hardly more than nothing.
+    Where none is stated, or the readings refute it, s is one of `SHARES` (even in its logarithm) for the translation
+    along the `main` axis, of the others that times one of `RATIOS`; rotations have their mean square. The estimate is
+    then the mean over s, weighted by the probability density of the readings (of Student's t, since N is estimated),
+    and the covariance holds what s leaves open: readings far above their noise are taken as they are, readings within
+    it for hardly more than nothing.
     """
+    rows, values, count = read.rows, read.values, len(read.values)
     contradicts, spreads = False, np.full((1, 3), stated or 0.0)
-    if stated is not None and len(readings):
-        whole = _prior(shape, spreads)[0]
-        chi2 = float(readings @ np.linalg.solve(rows @ whole @ rows.T + noise, readings))
-        contradicts = bool(chdtrc(len(readings), chi2) < CONTRADICTED)
+    if stated is not None and count:
+        whole = rows @ _prior(shape, spreads)[0] @ rows.T + read.noise
+        weights = np.linalg.inv(whole)
+        contradicts = read.known.probability(float(values @ weights @ values), count, weights) < CONTRADICTED
     if stated is None or contradicts:
-        ratios = np.array([some for some in product(RATIOS, repeat=3) if max(some) == 1.0])
+        ratios = np.insert(np.array(list(product(RATIOS, repeat=2))), main, 1.0, axis=1)
         spreads = (SHARES[:, None, None] * ratios).reshape(-1, 3)
     prior = _prior(shape, spreads)
     across = prior @ rows.T
-    total = rows @ across + noise
-    gains = np.linalg.solve(total, across.swapaxes(1, 2)).swapaxes(1, 2)
-    means = gains @ readings
-    chi2 = readings @ np.linalg.solve(total, np.broadcast_to(readings[:, None], (len(total), len(readings), 1)))[..., 0].T
-    density = -0.5 * (chi2 + np.linalg.slogdet(total)[1])
-    weight = np.exp(density - density.max())
-    weight /= weight.sum()
-    mean = weight @ means
+    total = rows @ across + read.noise
+    weights = np.linalg.inv(total)
+    gains = across @ weights
+    means = gains @ values
+    squares = weights @ values @ values
+    heavy = squares if np.isinf(read.dof) else (read.dof + 1.0) * np.log1p(squares / read.dof)
+    density = -0.5 * (heavy + np.linalg.slogdet(total)[1])
+    share = np.exp(density - density.max())
+    share /= share.sum()
+    mean, gain = share @ means, np.einsum("g,gij->ij", share, gains)
     left = prior - gains @ across.swapaxes(1, 2)
     off = means - mean
-    covariance = np.einsum("g,gij->ij", weight, left) + np.einsum("g,gi,gj->ij", weight, off, off)
-    return _Estimate(mean, covariance, np.einsum("g,gij->ij", weight, gains), contradicts)
+    covariance = np.einsum("g,gij->ij", share, left) + np.einsum("g,gi,gj->ij", share, off, off)
+    lost = read.known.lost(np.einsum("g,gij->ij", share, weights), gain[None], np.arange(count))[0]
+    return _Estimate(mean, covariance + lost, gain, contradicts)
 
 
 def _prior(shape: FloatArray, spreads: FloatArray) -> FloatArray:
@@ -274,7 +289,9 @@ def _open(moved: SupportMotion, dof: FloatArray) -> Iterator[CommonError]:
                 name = f"motion of {moved.name} at {moved.frequency_hz[line]:.9g} Hz, part {part}"
                 offset = np.zeros((len(dof), 6), dtype=np.complex128)
                 offset[line] = as_complex(scale * vector * np.sqrt(value))
-                yield _unknown(name, f"motion of {moved.name}", 1.0, "1", offset, dof=float(dof[line]))
+                none = np.zeros((*offset.shape, 6), dtype=np.complex128)
+                label = f"motion of {moved.name}"
+                yield CommonError(name, label, 1.0, "1", "recording", none, offset, "A", float(dof[line]))
 
 
 def _of_references(
@@ -286,7 +303,7 @@ def _of_references(
     for name in names:
         offset, model, size = np.zeros_like(moved.value), None, 0.0
         for line in known:
-            read = list[ComplexArray]()
+            read = list[FloatArray]()
             for seen in references:
                 error = next((e for e in seen.observation.common if e.name == name), None)
                 own = np.zeros(len(seen.columns), dtype=np.complex128)
@@ -301,13 +318,8 @@ def _of_references(
             size = max(size, float(np.max(np.abs(change)[spread > 0.0] / spread[spread > 0.0], initial=0.0)))
             offset[line] = as_complex(change)
         if model is not None and size > SMALL:
-            own_kind = {"scope": model.scope, "type": model.type, "dof": model.dof}
-            yield replace(_unknown(name, model.label, model.u, model.unit, offset), **own_kind)
-
-
-def _unknown(name: str, label: str, u: float, unit: str, offset: ComplexArray, dof: float = np.inf) -> CommonError:
-    none = np.zeros((*offset.shape, 6), dtype=np.complex128)
-    return CommonError(name, label, u, unit, "recording", none, offset, "A", dof)
+            none = np.zeros((*offset.shape, 6), dtype=np.complex128)
+            yield replace(model, slope=none, offset=offset)
 
 
 def _corrected(
@@ -340,8 +352,8 @@ def _weak(moved: SupportMotion) -> Iterator[Notice]:
     if share > MATTERS:
         text = (
             f"its motion remains uncertain by {share:.2g} of the motion measured at "
-            f"{moved.frequency_hz[strongest]:.6g} Hz (standard uncertainty, {', '.join(moved.references)}): a larger or "
-            "nearer reference at rest, or more frames, tell it better"
+            f"{moved.frequency_hz[strongest]:.6g} Hz (standard uncertainty, by {', '.join(moved.references)}): a "
+            "larger or nearer reference, or more frames, tell it better"
         )
         yield Notice("info", f"{moved.name}: {text}", moved.name)
 

@@ -263,8 +263,8 @@ def patches_of(setup: StereoSetup) -> tuple[StereoSetup, ...]:
     patches = []
     for sign in (1.0, -1.0) if half else ():
         x, y, z = (np.array(setup.face_centre) + sign * aside * side).tolist()
-        own = {"name": f"{setup.name}-room", "body": "room", "face_centre": (x, y, z), "half_size": (half[0], half[1])}
-        patches.append(replace(setup, **own, round=False, at_rest=()))
+        patch = replace(setup, name=f"{setup.name}-room", body="room", face_centre=(x, y, z), at_rest=())
+        patches.append(replace(patch, half_size=(half[0], half[1]), round=False))
     return tuple(patches)
 
 

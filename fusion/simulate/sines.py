@@ -25,12 +25,9 @@ from fusion.simulate.preset import (
     DaqSpec,
     PartSpec,
     Preset,
-    StereoSetup,
-    camera_pose,
     face_of,
     patches_of,
     read_preset,
-    region_of,
 )
 from fusion.simulate.violations import violations
 from fusion.simulate.world import (
@@ -51,7 +48,11 @@ from fusion.simulate.write import (
     POINTS_SCALE,
     RIG_FILE,
     Record,
+    calibration_file,
     complex_table,
+    images,
+    pairs,
+    points_file,
     points_text,
     write_recording,
     write_texts,
@@ -67,7 +68,6 @@ from shaker.labels import LOAD_COMPONENTS
 RESPONSE_HZ = np.array([0.0, 20.0, 50.0, *np.arange(100.0, 3001.0, 100.0)])
 _RESPONSE_U = (1e-4, 1e-4)  # relative magnitude, phase in rad
 _PULSE_S = 2e-3
-SUPPORT = "frame"  # all cameras of a set-up stand on it
 _HIGH_V = 5.0
 
 
@@ -192,7 +192,7 @@ def rig_tables(world: World, own: tuple[PartSpec, ...] = ()) -> dict[str, Any]:
     if preset.heads:
         keys = ("rotation_uncertainty", "point_uncertainty")
         tables["head"] = {head.name: {key: getattr(head, key) for key in keys} for head in preset.heads}
-    return tables | {"stereo": dict(keys for setup in preset.stereo for keys in _pairs(setup, preset))}
+    return tables | {"stereo": dict(keys for setup in preset.stereo for keys in pairs(setup, preset))}
 
 
 def sensor_keys(preset: Preset, static: NDArray[np.float64]) -> dict[str, Any]:
@@ -232,41 +232,6 @@ def part_table(spec: PartSpec) -> dict[str, Any]:
     return {"name": spec.name, "body": "load", **part_keys(spec)}
 
 
-def _pairs(setup: StereoSetup, preset: Preset) -> list[tuple[str, dict[str, Any]]]:
-    """Return the blocks of a stereo pair by name, of one that sees a patch at rest two, on one support."""
-    own = _stereo_keys(setup, preset)
-    names = dict.fromkeys(patch.name for patch in patches_of(setup))
-    stands = {"support": SUPPORT} if names else {}
-    return [(setup.name, own | stands), *((name, {**own, "body": "room", **stands}) for name in names)]
-
-
-def _stereo_keys(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
-    """Return the block of a stereo pair, or of one whose points another program computed."""
-    placed, images = camera_pose(setup), not preset.as_points
-    return {
-        "body": setup.body,
-        **({"calibration": calibration_file(setup)} if images else {}),
-        "rotation": placed.rotation.tolist(),
-        "translation": placed.translation_m.tolist(),
-        "pose_uncertainty": list(setup.pose_uncertainty),
-        "scale_uncertainty": setup.scale_uncertainty,
-        **({"bit_depth": setup.bit_depth} if images else {}),
-        "exposure": preset.exposure_s,
-        "delay": 0.0,
-        "delay_uncertainty": setup.delay_uncertainty,
-    }
-
-
-def calibration_file(setup: StereoSetup) -> str:
-    """Return the place of a pair's calibration in its campaign."""
-    return f"calibration/{setup.name}.json"
-
-
-def points_file(setup: StereoSetup) -> str:
-    """Return the name of the table of a stereo pair's points."""
-    return f"points-{setup.name}.csv"
-
-
 def recording_tables(run: Run) -> dict[str, Any]:
     """Return recording.toml as nested dictionaries."""
     preset = run.preset
@@ -294,22 +259,10 @@ def recording_tables(run: Run) -> dict[str, Any]:
         columns = {"columns": list(COLUMNS), "scale": POINTS_SCALE}
         tables["points"] = [{"stereo": setup.name, "files": points_file(setup), **columns} for setup in preset.stereo]
     elif preset.stereo:
-        tables["images"] = [block for setup in preset.stereo for block in _images(setup)]
+        tables["images"] = [block for setup in preset.stereo for block in images(setup)]
     for block in (*tables.get("points", ()), *tables.get("images", ())):
         block["trigger"] = "camera_trigger"
     return tables
-
-
-def _images(setup: StereoSetup) -> list[dict[str, Any]]:
-    """Return the images of a pair, and again those of the patch at rest in them."""
-    files, patches = {side: f"{setup.name}-{side}/*.tif" for side in ("left", "right")}, patches_of(setup)
-    if not patches:
-        return [{"stereo": setup.name, **files}]
-    body, room = region_of(setup, setup), region_of(setup, *patches)
-    return [
-        {"stereo": setup.name, **files, "region": body},
-        {"stereo": patches[0].name, **files, "region": room, "mask": [body]},
-    ]
 
 
 def _channel(spec: ChannelSpec, response: str) -> dict[str, Any]:
@@ -487,9 +440,7 @@ def _write_images(
     done, frames, exposure = 0, world.preset.frames, world.preset.exposure_s
     whole: dict[str, Any] = {"photometric": "minisblack", "compression": "zlib", "metadata": None, "software": False}
 
-    def shoot(
-        stereo: TrueStereo, faces: Sequence[Face], view: View, series: Path, number: int, frame: int
-    ) -> None:
+    def shoot(stereo: TrueStereo, faces: Sequence[Face], view: View, series: Path, number: int, frame: int) -> None:
         face, *patches = faces
         middle = float(world.trigger_s[frame] + stereo.delay_s + exposure / 2)
         pose_at = world.seen(draws, stereo.setup.body, "camera", np.array(stereo.setup.face_centre)).pose
