@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from fusion.estimation.measurement_model import BODY_SIZE_M, CommonError, Observation
+from fusion.base import rounded
+from fusion.estimation.least_squares import RANK_TOLERANCE, RESOLUTION_TOLERANCE
+from fusion.estimation.measurement_model import BODY_SIZE_M, SCALE, CommonError, Observation
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import ChannelGeometry
@@ -23,7 +25,8 @@ from fusion.instruments.stereo import StereoReading, carrier_of
 from fusion.instruments.transducer import HEAD, ROOM, carrier, placed_at
 from photogram.geometry import skew
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, brief
-from shaker.labels import MOTION_COMPONENTS
+from shaker.labels import MOTION_COMPONENTS, component_units
+from shaker.sine.phasor import Phasors
 
 if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
@@ -35,24 +38,26 @@ CONTRADICTED = 1e-3
 """Probability of readings below which a stated `support_motion` is not believed."""
 SMALL = 0.03
 """Of the standard deviation of H: errors of a reference that do less to it are left out."""
-MATTERS = 1e-3
+NOTED, SURE = 1e-4, 4.0
+"""Of the motion measured, and of its standard uncertainty: what motion of a support is worth a word."""
+WEAK = 1e-3
 """Of the motion measured: standard uncertainty of a support's motion from which on a better reference is asked for."""
 
 
 @dataclass(frozen=True, eq=False)
 class SupportMotion:
-    """How one support moved: acceleration phasors of the point of it at the sensor origin, by what was measured of it.
+    """How one support moved: `phasors` of acceleration of the point of it that is at the sensor origin.
 
-    `value` (K, 6) in m/s^2 and rad/s^2, with the `covariance` (K, 12, 12) of [Re, Im]; NaN at lines that no reference
-    shows and nothing is stated of. `measured` (K,): the largest translation that the instruments on it measure.
-    `references`: what tells of it; `carried`: the rows of instruments it was taken off, by their names.
+    They are NaN at lines that no reference shows and of which nothing is stated. `observed` (K, 6): components that the
+    references tell by themselves, of the others only how large they may be is known. `measured_mps2` (K,): the largest
+    translation that the instruments on it measure. `references`: what tells of it; `carried`: rows of the instruments
+    that it was taken off, by their names.
     """
 
     name: str
-    frequency_hz: FloatArray
-    value: ComplexArray
-    covariance: FloatArray
-    measured: FloatArray
+    phasors: Phasors
+    observed: BoolArray
+    measured_mps2: FloatArray
     references: tuple[str, ...]
     carried: tuple[str, ...]
 
@@ -125,7 +130,7 @@ def _settled(
 ) -> tuple[SupportMotion, list[CommonError], list[Notice]]:
     """Return the motion of one support, what is uncertain of it as (K, 6) `offset`s, and what to tell."""
     frequency = carried[0].observation.phasors.frequency_hz
-    shape = _shape([*references, *carried])
+    shape, observed = _shape([*references, *carried]), np.zeros((len(frequency), 6), dtype=np.bool_)
     value = np.full((len(frequency), 6), complex(np.nan, np.nan))
     covariance = np.full((len(frequency), 12, 12), np.nan)
     gains, dof, told = list[FloatArray | None](), np.full(len(frequency), np.inf), list[Notice]()
@@ -133,7 +138,7 @@ def _settled(
     measured, stated = sizes.max(axis=1), None if limit is None else limit / 2.0
     for line, size in enumerate(measured.tolist()):
         read = _Readings.of(references, line)
-        dof[line] = read.dof
+        dof[line], observed[line] = read.dof, read.observed
         gains.append(None)
         if (len(read.values) == 0 and stated is None) or not size > 0.0:
             continue
@@ -145,8 +150,13 @@ def _settled(
         value[line], covariance[line], gains[-1] = as_complex(one.mean), one.covariance, one.gain
     titles = tuple(dict.fromkeys(member for seen in references for member in _members(seen)))
     members = tuple(dict.fromkeys(member for seen in carried for member in _members(seen)))
-    moved = SupportMotion(name, frequency, value, covariance, measured, titles, members)
-    return moved, [*_open(moved, dof), *_of_references(moved, references, gains)], [*told, *_weak(moved)]
+    phasors = Phasors(frequency, value, covariance, MOTION_COMPONENTS, component_units(2), dof)
+    moved = SupportMotion(name, phasors, observed, measured, titles, members)
+    own = [*_of_references(moved, references, gains)]
+    effects = np.stack([np.zeros((len(frequency), 12)), *(real_stack(error.offset) for error in own)])
+    whole = replace(phasors, covariance=covariance + np.einsum("eki,ekj->kij", effects, effects))
+    told += _notices(replace(moved, phasors=whole))
+    return replace(moved, phasors=whole), [*_open(moved), *own], told
 
 
 def _shape(seen: Sequence[_Seen]) -> FloatArray:
@@ -200,6 +210,13 @@ class _Readings(NamedTuple):
     noise: FloatArray
     known: EstimatedNoise
     dof: float
+
+    @property
+    def observed(self) -> BoolArray:
+        """Components (6,) that lie in the space of the rows."""
+        _, singular, right = np.linalg.svd(self.rows * np.tile(SCALE, 2), full_matrices=False)
+        basis = right[singular > RANK_TOLERANCE * singular.max(initial=0.0)]
+        return np.asarray(np.sum(basis[:, :6] ** 2, axis=0) > 1.0 - RESOLUTION_TOLERANCE)
 
     @classmethod
     def of(cls, references: Sequence[_Seen], line: int) -> _Readings:
@@ -278,20 +295,24 @@ def _prior(shape: FloatArray, spreads: FloatArray) -> FloatArray:
 # What is uncertain of a support's motion, and what it does to the instruments that it carries.
 
 
-def _open(moved: SupportMotion, dof: FloatArray) -> Iterator[CommonError]:
+def _open(moved: SupportMotion) -> Iterator[CommonError]:
     """Yield what readings and prior leave open of H at each line, as independent unknowns; `offset` (K, 6) of H."""
-    for line in np.flatnonzero(np.isfinite(moved.covariance).all(axis=(1, 2))):
-        scale = np.sqrt(np.diagonal(moved.covariance[line]))
+    phasors, label = moved.phasors, f"motion of {moved.name}"
+    for line in np.flatnonzero(np.isfinite(phasors.value).all(axis=1)):
+        scale = np.sqrt(np.diagonal(phasors.covariance[line]))
         scale = np.where(scale > 0.0, scale, 1.0)
-        values, vectors = np.linalg.eigh(moved.covariance[line] / np.outer(scale, scale))
+        values, vectors = np.linalg.eigh(phasors.covariance[line] / np.outer(scale, scale))
         for part, (value, vector) in enumerate(zip(values[::-1].tolist(), vectors.T[::-1], strict=True), 1):
             if value > 0.0:
-                name = f"motion of {moved.name} at {moved.frequency_hz[line]:.9g} Hz, part {part}"
-                offset = np.zeros((len(dof), 6), dtype=np.complex128)
+                name = f"{label} at {phasors.frequency_hz[line]:.9g} Hz, part {part}"
+                offset = np.zeros_like(phasors.value)
                 offset[line] = as_complex(scale * vector * np.sqrt(value))
-                none = np.zeros((*offset.shape, 6), dtype=np.complex128)
-                label = f"motion of {moved.name}"
-                yield CommonError(name, label, 1.0, "1", "recording", none, offset, "A", float(dof[line]))
+                yield CommonError(name, label, 1.0, "1", "recording", _none(offset), offset, "A", phasors.dof[line])
+
+
+def _none(offset: ComplexArray) -> ComplexArray:
+    """Return the slope (K, 6, 6) of what does not change with a body's motion."""
+    return np.zeros((*offset.shape, 6), dtype=np.complex128)
 
 
 def _of_references(
@@ -301,25 +322,24 @@ def _of_references(
     names = dict.fromkeys(error.name for seen in references for error in seen.observation.common)
     known = [line for line, gain in enumerate(gains) if gain is not None and np.any(gain)]
     for name in names:
-        offset, model, size = np.zeros_like(moved.value), None, 0.0
+        offset, model, size = np.zeros_like(moved.phasors.value), None, 0.0
         for line in known:
             read = list[FloatArray]()
             for seen in references:
                 error = next((e for e in seen.observation.common if e.name == name), None)
                 own = np.zeros(len(seen.columns), dtype=np.complex128)
                 if error is not None:
-                    model, motion = error, seen.sign * np.nan_to_num(moved.value)
+                    model, motion = error, seen.sign * np.nan_to_num(moved.phasors.value)
                     own = np.nan_to_num(error.effect(motion)[line, seen.columns])
                 read.append(real_stack(own[np.isfinite(seen.values(line))]))
             gain = gains[line]
             assert gain is not None
             change = gain @ np.concatenate(read)
-            spread = np.sqrt(np.diagonal(moved.covariance[line]))
+            spread = np.sqrt(np.diagonal(moved.phasors.covariance[line]))
             size = max(size, float(np.max(np.abs(change)[spread > 0.0] / spread[spread > 0.0], initial=0.0)))
             offset[line] = as_complex(change)
         if model is not None and size > SMALL:
-            none = np.zeros((*offset.shape, 6), dtype=np.complex128)
-            yield replace(model, slope=none, offset=offset)
+            yield replace(model, slope=_none(offset), offset=offset)
 
 
 def _corrected(
@@ -340,20 +360,32 @@ def _corrected(
         if before is not None:
             own = replace(before, offset=before.offset + own.offset)
         common[error.name] = own
-    phasors = replace(observation.phasors, value=observation.phasors.value + read(moved.value))
+    phasors = replace(observation.phasors, value=observation.phasors.value + read(moved.phasors.value))
     return replace(observation, phasors=phasors, common=tuple(common.values()))
 
 
-def _weak(moved: SupportMotion) -> Iterator[Notice]:
-    """Yield where a support's motion remains so uncertain that its reference should be better."""
-    u = np.sqrt(np.diagonal(moved.covariance, axis1=1, axis2=2)).reshape(-1, 2, 6)[:, :, :3].max(axis=(1, 2))
-    strongest = int(np.argmax(moved.measured))
-    share = float(u[strongest] / moved.measured[strongest])
-    if share > MATTERS:
+def _notices(moved: SupportMotion) -> Iterator[Notice]:
+    """Yield how a support moved at the strongest line, where that stands out, and that its reference tells little."""
+    line = int(np.argmax(moved.measured_mps2))
+    value, size = moved.phasors.value[line, :3], float(moved.measured_mps2[line])
+    if not (np.isfinite(value).all() and size > 0.0):
+        return
+    u = np.maximum(moved.phasors.u_re, moved.phasors.u_im)[line, :3]
+    seen = np.flatnonzero(moved.observed[line, :3])
+    where, by = f"{moved.phasors.frequency_hz[line]:.6g} Hz", ", ".join(moved.references)
+    shaken = [c for c in seen if abs(value[c]) > SURE * u[c] and abs(value[c]) > NOTED * size]
+    if shaken:
+        c = max(shaken, key=lambda c: float(abs(value[c])))
+        share = rounded(100.0 * float(abs(value[c])) / size, 200.0 * float(u[c]) / size, 0)
         text = (
-            f"its motion remains uncertain by {share:.2g} of the motion measured at "
-            f"{moved.frequency_hz[strongest]:.6g} Hz (standard uncertainty, by {', '.join(moved.references)}): a "
-            "larger or nearer reference, or more frames, tell it better"
+            f"what carries the instruments shakes with the excitation, along {'xyz'[c]} by ({share.value} ± "
+            f"{share.expanded}) % of the motion measured at {where} (U, k = 2, by {by}); it is taken off"
+        )
+        yield Notice("info", f"{moved.name}: {text}", moved.name)
+    if len(seen) and float(u[seen].max()) > WEAK * size:
+        text = (
+            f"its motion remains uncertain by {float(u[seen].max()) / size:.2g} of the motion measured at {where} "
+            f"(standard uncertainty, by {by}): a larger or nearer reference, or more frames, tell it better"
         )
         yield Notice("info", f"{moved.name}: {text}", moved.name)
 
@@ -361,10 +393,3 @@ def _weak(moved: SupportMotion) -> Iterator[Notice]:
 def carried_by(supports: Sequence[SupportMotion]) -> frozenset[str]:
     """Return the rows of instruments whose support's motion was measured, by their names."""
     return frozenset(member for moved in supports for member in moved.carried)
-
-
-def told_motion(moved: SupportMotion, line: int) -> Iterator[tuple[str, complex, FloatArray]]:
-    """Yield name, phasor and covariance (2, 2) of each component of a support's motion at a line."""
-    for place, component in enumerate(MOTION_COMPONENTS):
-        both = np.ix_([place, place + 6], [place, place + 6])
-        yield component, complex(moved.value[line, place]), moved.covariance[line][both]
