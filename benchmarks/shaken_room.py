@@ -1,6 +1,6 @@
 """What a reference at rest makes of a room that shakes: coverage, and what it costs where nothing moves.
 
-    python benchmarks/shaken_room.py [--trials 1000] [--only NAME ...] [--write docs/room.md]
+    python benchmarks/shaken_room.py [--trials 1000] [--rendered SEEDS] [--only NAME ...] [--write docs/room.md]
 
 Phasors at one line, 80 Hz, 82 m/s²: a stereo pair and three laser points on the load, patches at rest in the pair's
 view, an accelerometer on the laser head. Cameras and head move as rigid bodies about a place of their own; noise and
@@ -12,6 +12,9 @@ of an hour on one core.
 from __future__ import annotations
 
 import argparse
+import json
+import tempfile
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,10 +28,17 @@ from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import polar_elements
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels
 from fusion.instruments.stereo import StereoReading
+from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Head, NamedHead, Stereo
+from fusion.recording.toml import to_toml
 from fusion.sensitivity.disturbances import with_support_motion
+from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.sensitivity.supports import carried_by, without_supports
+from fusion.simulate import simulate
+from fusion.simulate.preset import Preset, face_of, patches_of, read_preset
+from fusion.simulate.world import Draws, make_world
+from photogram.synthetic.scene import motion_bound
 from shaker.sine.phasor import Phasors
 
 FloatArray = NDArray[np.float64]
@@ -211,6 +221,71 @@ def row(case: Case, trials: int) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
+# Rendered recordings of the preset `room`: what is found, and what the pictures of the patches allow.
+
+
+def bound(seed: int) -> FloatArray:
+    """Return the Cramér–Rao bound (6,) of one part of a line of the cameras' motion, m and rad at the sensor origin.
+
+    The information of all pixels of both patches in both cameras of both pairs; a sine over F frames has the variance
+    2/F of one frame in either part.
+    """
+    draws = Draws(seed, False)
+    world = make_world(read_preset(Preset, "room"), draws, 0.0)
+    information = np.zeros((6, 6))
+    for stereo in world.stereo:
+        for number, patch in enumerate(patches_of(stereo.setup)):
+            face = face_of(patch, False, draws.stream(f"{patch.name}-{number}.speckle"))
+            information += np.linalg.inv(motion_bound(stereo.views, face, stereo.setup.sensor))
+    return np.sqrt(np.diagonal(np.linalg.inv(information)) * 2.0 / world.preset.frames)
+
+
+def without_references(campaign: Path) -> None:
+    """Take what looks at the room, or sits on the head, out of a recording."""
+    (path,) = campaign.glob("*/recording.toml")
+    tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    tables["images"] = [block for block in tables["images"] if not block["stereo"].endswith("-room")]
+    for daq in tables["daq"]:
+        daq["channel"] = [entry for entry in daq["channel"] if entry.get("body") != "head"]
+    path.write_text(to_toml(tables), encoding="utf-8")
+
+
+def rendered_row(seed: int, violate: Sequence[str]) -> list[str]:
+    """Return the rows of one rendered recording: of the sensor's element, of the load by cameras and by lasers."""
+    with tempfile.TemporaryDirectory() as folder:
+        recording = simulate(f"{folder}/room", "room", seed, violate=tuple(violate), systematic_errors=False)
+        truth = json.loads((recording / "truth.json").read_text(encoding="utf-8"))
+        after = evaluate_recording(load_manifest(recording))
+        without_references(Path(folder) / "room")
+        before = evaluate_recording(load_manifest(recording))
+    drive = complex(truth["acceleration"]["load"]["re"][0][2], truth["acceleration"]["load"]["im"][0][2])
+    element = complex(truth["sensitivity"]["re"][0][2][2], truth["sensitivity"]["im"][0][2][2])
+    rows = []
+    for name in ("element", "photogrammetry", "vibrometer"):
+        cells = [
+            f"{', '.join(violate) or 'nothing'}, seed {seed}",
+            "element Fz" if name == "element" else f"z by {name}",
+        ]
+        for evaluation in (before, after):
+            if name == "element":
+                found, true = evaluation.element, element
+                assert found is not None
+                one = polar_elements(found.value[:, 2:3, 2], found.uncertainty.at([found.elements.index((2, 2))]))[0][0]
+            else:
+                seen = next(a for a in evaluation.accelerations if (a.body, a.source) == ("load", name))
+                one, true = polar_elements(seen.phasors.value, seen.uncertainty)[0][2], drive
+            assert one is not None
+            off = 100.0 * (one.magnitude / abs(true) - 1.0)
+            cells += [f"{off:+.4f}", f"{100.0 * one.u_magnitude / abs(true):.4f}"]
+        rows.append("| " + " | ".join(cells) + " |")
+    cameras = next(moved for moved in after.supports if moved.name.startswith("cameras")).phasors
+    shares = 100.0 * (2 * np.pi * FREQUENCY_HZ) ** 2 * bound(seed)[:3] / abs(drive)
+    u = 100.0 * np.hypot(cameras.u_re, cameras.u_im)[0, :3] / np.sqrt(2.0) / abs(drive)
+    print(f"cameras' motion x, y, z, %: u {u.round(4).tolist()}, bound of the pictures {shares.round(4).tolist()}")
+    return rows
+
+
+RENDERED = "| what shakes | of | error before, % | u before, % | error, % | u, % |"
 HEADING = (
     "| what moves | error before, % | error, % | u before, % | u, % | magnitude held, % | phase held, % "
     "| all components held, % |"
@@ -223,15 +298,22 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=1000)
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--write", type=Path)
+    parser.add_argument("--rendered", type=int, default=2, metavar="SEEDS")
     options = parser.parse_args()
     chosen = [case for case in CASES if not options.only or case.name in options.only]
-    rows = []
+    told = list[str]()
+    for seed in range(1, options.rendered + 1):
+        for violate in ((), ("floor-shake",)):
+            told += rendered_row(seed, violate)
+            print("\n".join(told[-3:]), flush=True)
+    rows = list[str]()
     print(HEADING)
     for case in chosen:
         rows.append(row(case, options.trials))
         print(rows[-1], flush=True)
     if options.write is not None:
-        write_marked(options.write, {"shaken room": markdown_table(HEADING, rows)})
+        parts = {"shaken room": markdown_table(HEADING, rows)}
+        write_marked(options.write, parts | {"rendered room": markdown_table(RENDERED, told)})
 
 
 if __name__ == "__main__":

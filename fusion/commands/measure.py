@@ -151,7 +151,7 @@ def _simulate_options(parser: Parser) -> None:
     parser.choice("--preset", PRESETS, text)
     parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
     text = (
-        "break one assumption of the program in demo, nitsche2018, sweep or matrix, may be repeated; "
+        "break one assumption of the program in demo, nitsche2018, sweep, matrix or room, may be repeated; "
         "docs/assumptions.md lists the names, units and default sizes"
     )
     parser.add_argument("--violate", action="append", metavar="NAME[=SIZE]", default=[], help=text)

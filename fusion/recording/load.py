@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from fusion.base import Identity, InputError
-from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, ROOM, unit_direction, wrong_aim
+from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, HEAD, ROOM, carrier, unit_direction, wrong_aim
 from fusion.recording.certified import CertifiedInputs, certified_inputs
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
 from fusion.recording.manifest import (
@@ -369,6 +369,7 @@ def _contradictions(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
         if wrong is not None:
             yield InputError(path, f"{key}.direction", wrong[1], wrong[0])
     yield from _of_standoffs((item for located in channels for item in located), path)
+    yield from _of_carriers([item for located in channels for item in located], path)
     first: dict[str, ChannelEntry] = {}  # channels of one instrument share a relative error, hence measure one quantity
     for key, _, entry in (item for located in channels for item in located if item[2].common is not None):
         model = first.setdefault(str(entry.common), entry)
@@ -397,6 +398,15 @@ def _of_standoffs(located: Iterable[tuple[str, Daq, ChannelEntry]], path: Path) 
             if unit_direction(model) @ unit_direction(entry) < np.cos(CLOSE_TO_AXIS_RAD):
                 expected = f"nearly the direction of channel {model.name}, whose beam leaves head {entry.head.name} too"
                 yield InputError(path, f"{key}.direction", f"{list(entry.direction or ())}", expected)
+
+
+def _of_carriers(located: Sequence[tuple[str, Daq, ChannelEntry]], path: Path) -> Iterator[InputError]:
+    """What tells how a head moves belongs to one whose beams look at what is measured."""
+    carried = {carrier(entry) for _, _, entry in located if entry.body not in (ROOM, HEAD)}
+    for key, _, entry in located:
+        if entry.body in (ROOM, HEAD) and entry.head is not None and carrier(entry) not in carried:
+            expected = "a head with a laser beam at the load or the base"
+            yield InputError(path, f"{key}.head", f'"{entry.head.name}"', expected)
 
 
 def _of_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFiles]]) -> Iterator[InputError]:

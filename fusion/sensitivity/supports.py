@@ -16,9 +16,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from fusion.base import rounded
+from fusion.estimation.coverage import polar
 from fusion.estimation.least_squares import RANK_TOLERANCE, RESOLUTION_TOLERANCE
 from fusion.estimation.measurement_model import BODY_SIZE_M, SCALE, CommonError, Observation
-from fusion.estimation.uncertainty import as_complex, real_design, real_stack
+from fusion.estimation.uncertainty import as_complex, element_covariance, real_design, real_stack
 from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading, carrier_of
@@ -278,7 +279,8 @@ def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | Non
     share = np.exp(density - density.max())
     share /= share.sum()
     mean, gain = share @ means, np.einsum("g,gij->ij", share, gains)
-    left = prior - gains @ across.swapaxes(1, 2)
+    kept = np.eye(12) - gains @ rows  # in squares, so that rounding leaves no negative variance
+    left = kept @ prior @ kept.swapaxes(1, 2) + gains @ read.noise @ gains.swapaxes(1, 2)
     off = means - mean
     covariance = np.einsum("g,gij->ij", share, left) + np.einsum("g,gi,gj->ij", share, off, off)
     lost = read.known.lost(np.einsum("g,gij->ij", share, weights), gain[None], np.arange(count))[0]
@@ -367,16 +369,17 @@ def _corrected(
 def _notices(moved: SupportMotion) -> Iterator[Notice]:
     """Yield how a support moved at the strongest line, where that stands out, and that its reference tells little."""
     line = int(np.argmax(moved.measured_mps2))
-    value, size = moved.phasors.value[line, :3], float(moved.measured_mps2[line])
+    value, size = moved.phasors.value[line], float(moved.measured_mps2[line])
     if not (np.isfinite(value).all() and size > 0.0):
         return
-    u = np.maximum(moved.phasors.u_re, moved.phasors.u_im)[line, :3]
+    u = np.maximum(moved.phasors.u_re, moved.phasors.u_im)[line]
     seen = np.flatnonzero(moved.observed[line, :3])
     where, by = f"{moved.phasors.frequency_hz[line]:.6g} Hz", ", ".join(moved.references)
-    shaken = [c for c in seen if abs(value[c]) > SURE * u[c] and abs(value[c]) > NOTED * size]
+    shaken = [c for c in seen.tolist() if abs(value[c]) > max(SURE * u[c], NOTED * size)]
     if shaken:
         c = max(shaken, key=lambda c: float(abs(value[c])))
-        share = rounded(100.0 * float(abs(value[c])) / size, 200.0 * float(u[c]) / size, 0)
+        found = polar(complex(value[c]), element_covariance(moved.phasors.covariance[line], c))
+        share = rounded(100.0 * found.magnitude / size, 200.0 * found.u_magnitude / size, 0)
         text = (
             f"what carries the instruments shakes with the excitation, along {'xyz'[c]} by ({share.value} ± "
             f"{share.expanded}) % of the motion measured at {where} (U, k = 2, by {by}); it is taken off"

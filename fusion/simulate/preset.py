@@ -219,7 +219,8 @@ class Preset:
         for setup in self.stereo:
             width, height = (max(64, round(n * image_scale)) for n in setup.size_px)
             half = (setup.half_size[0] * image_scale, setup.half_size[1] * image_scale)
-            stereo.append(replace(setup, size_px=(width, height), half_size=half))
+            rest = tuple(length * image_scale for length in setup.at_rest)
+            stereo.append(replace(setup, size_px=(width, height), half_size=half, at_rest=rest))
         return replace(self, frames=self.frames if frames is None else frames, stereo=tuple(stereo))
 
 
