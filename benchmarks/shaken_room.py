@@ -32,9 +32,8 @@ from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Head, NamedHead, Stereo
 from fusion.recording.toml import to_toml
-from fusion.sensitivity.disturbances import with_support_motion
 from fusion.sensitivity.evaluate import evaluate_recording
-from fusion.sensitivity.supports import carried_by, without_supports
+from fusion.sensitivity.supports import without_supports
 from fusion.simulate import simulate
 from fusion.simulate.preset import Preset, face_of, patches_of, read_preset
 from fusion.simulate.world import Draws, make_world
@@ -188,8 +187,7 @@ class Found:
 
 def estimate(observations: Sequence[Observation], limit: float | None) -> tuple[ComplexArray, FloatArray, FloatArray]:
     """Return acceleration (6,), standard uncertainties (2, 6) and expanded ones of magnitude and phase."""
-    known, supports, _ = without_supports(observations, limit)
-    fused = fuse(with_support_motion(known, limit, carried_by(supports)))
+    fused = fuse(without_supports(observations, limit)[0])
     (line,) = polar_elements(fused.phasors.value, fused.uncertainty)
     u = [[np.nan, np.nan] if p is None else [p.u_magnitude, p.u_phase_rad] for p in line]
     expanded = [[np.nan] * 2 if p is None else [p.expanded_magnitude, p.expanded_phase_rad] for p in line]

@@ -22,7 +22,6 @@ from fusion.sensitivity.disturbances import (
     not_assessed,
     unstated_chain,
     with_base_strain,
-    with_support_motion,
 )
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.ratio import driven_component, with_ratios
@@ -56,8 +55,6 @@ def evaluate_recording(
     sensor, surroundings, body = manifest.rig.sensor, manifest.rig.surroundings, load_body(manifest.rig, manifest.part)
     observations = joined.observed(surroundings.free_fall_mps2[0])
     observations, supports, shaken = without_supports(observations, surroundings.support_motion)
-    steady = carried_by(supports)
-    observations = with_support_motion(observations, surroundings.support_motion, steady)
     unseen = unseen_fundamentals(observations, joined.lines, joined.aliased)
     rows = observations if body is None else elastic_rows(observations, body.elastic)
     outputs = None if sensor is None else sensor_outputs(joined.readings, sensor.channels)
@@ -73,7 +70,7 @@ def evaluate_recording(
     parallel = beam_notices([reading.entry for reading in joined.readings])
     folded = [text for set_up in set_ups for text in set_up.not_assessed]
     lowest_hz = float(np.min(joined.lines.frequency_hz))
-    missing = [*not_assessed(manifest.rig, observations, body, lowest_hz, folded, steady)]
+    missing = [*not_assessed(manifest.rig, observations, body, lowest_hz, folded, carried_by(supports))]
     if sensor is not None and direction is not None:
         entries = [reading.entry for reading in joined.readings]
         found = analysis.element or analysis.sensitivity

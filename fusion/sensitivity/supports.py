@@ -24,6 +24,7 @@ from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading, carrier_of
 from fusion.instruments.transducer import HEAD, ROOM, carrier, placed_at
+from fusion.sensitivity.disturbances import with_support_motion
 from photogram.geometry import skew
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
@@ -85,7 +86,7 @@ def without_supports(
     """Take the motion of every support with a reference off the instruments on it, and leave out the references.
 
     `limit`: largest amplitude of that motion over the motion measured (`environment.support_motion`), None where it is
-    not stated. What is left open of H are unknowns of all instruments on it, by name.
+    not stated, for supports without a reference too. What is left open of H are unknowns of all instruments on it.
     """
     bodies = [o for o in observations if o.body not in (ROOM, HEAD)]
     found, told = list[SupportMotion](), list[Notice]()
@@ -98,7 +99,7 @@ def without_supports(
         told += notices
         names = {member for one in carried for member in _members(one)}
         bodies = [_corrected(o, [m in names for m in o.members], moved, errors) for o in bodies]
-    return tuple(bodies), tuple(found), tuple(told)
+    return with_support_motion(bodies, limit, carried_by(found)), tuple(found), tuple(told)
 
 
 def _members(seen: _Seen) -> list[str]:

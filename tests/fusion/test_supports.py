@@ -17,9 +17,8 @@ from fusion.planning.check import check
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Head, NamedHead
-from fusion.sensitivity.disturbances import with_support_motion
 from fusion.sensitivity.evaluate import evaluate_recording
-from fusion.sensitivity.supports import carried_by, without_supports
+from fusion.sensitivity.supports import without_supports
 from fusion.simulate import simulate
 
 QUIET = Case("at rest")
@@ -86,8 +85,8 @@ def test_a_beam_at_the_room_reads_the_head_the_other_way():
 @pytest.mark.parametrize(("noise", "u"), [(5e-5, 2.6e-4), (1.0, 2.6e-3)])
 def test_a_stated_bound_remains_where_a_patch_tells_nothing_and_is_used_up_where_it_tells(noise, u):
     """0.005 of the motion in any phase: 0.0025 in either part, as without a patch; with a good one only its noise."""
-    known, supports, notices = without_supports(readings(Case("", 0.0, noise=noise), np.random.default_rng(1)), 5e-3)
-    found = fuse(with_support_motion(known, 5e-3, carried_by(supports)))
+    known, _, notices = without_supports(readings(Case("", 0.0, noise=noise), np.random.default_rng(1)), 5e-3)
+    found = fuse(known)
     assert found.phasors.u_re[0, 2] / abs(DRIVE) == pytest.approx(u, rel=0.15)
     assert "motion of the supports of lasers and cameras" not in {part.label for part in found.contributions}
     assert any("remains uncertain" in notice.text for notice in notices) == (noise > 1e-3)
