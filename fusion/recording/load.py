@@ -359,6 +359,7 @@ def _contradictions(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
         for prefix, block in blocks
     ]
     yield from _of_stereo(rig, rig_path, blocks)
+    yield from _of_pictures(rig, blocks, path)
     for (prefix, block), located in zip(blocks, channels, strict=True):
         yield from _of_triggers(
             block, {entry.name for _, _, entry in located if entry.quantity == "trigger"}, prefix, path
@@ -441,6 +442,17 @@ def _has_covariance(pair: Stereo) -> bool:
     except (ValueError, RecursionError) as error:
         raise InputError(pair.calibration, "", str(error), "JSON") from error
     return isinstance(content, dict) and content.get("covariance") is not None
+
+
+def _of_pictures(rig: Rig, blocks: Iterable[tuple[str, SetUpFiles]], path: Path) -> Iterator[InputError]:
+    """Where one picture shows a body and what stands still, each has its part of it."""
+    for prefix, block in blocks:
+        shown = {images.left for images in block.images if rig.stereo[images.stereo].body == ROOM}
+        for images in block.images:
+            if images.left in shown and images.region is None and not images.mask:
+                part = "what stands still" if rig.stereo[images.stereo].body == ROOM else "the body"
+                expected = f"the part of the pictures that shows {part}, since they show both"
+                yield InputError(path, f"{prefix}images.{quoted(images.stereo)}.region", "nothing", expected)
 
 
 def _of_triggers(block: SetUpFiles, triggers: set[str], prefix: str, path: Path) -> Iterator[InputError]:

@@ -395,5 +395,6 @@ def _notices(moved: SupportMotion) -> Iterator[Notice]:
 
 
 def carried_by(supports: Sequence[SupportMotion]) -> frozenset[str]:
-    """Return the rows of instruments whose support's motion was measured, by their names."""
-    return frozenset(member for moved in supports for member in moved.carried)
+    """Return the rows of instruments, by their names, whose support's motion is known at some line."""
+    known = [moved for moved in supports if np.isfinite(moved.phasors.value).any()]
+    return frozenset(member for moved in known for member in moved.carried)

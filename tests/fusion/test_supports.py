@@ -145,11 +145,17 @@ ON_HEAD = """
 
 @pytest.fixture
 def make_room(make_campaign: Callable[..., Path], format_examples: dict[str, str]) -> Callable[..., Path]:
-    def make(wall: str = WALL, on_head: str = ON_HEAD, laser: str = 'quantity = "velocity"\n  head = "psv"') -> Path:
+    def make(
+        wall: str = WALL,
+        on_head: str = ON_HEAD,
+        laser: str = 'quantity = "velocity"\n  head = "psv"',
+        region: str = "region = [80, 0, 64, 64]",
+    ) -> Path:
         recording = format_examples["recording"].replace('quantity = "velocity"', laser, 1)
         recording = recording.replace("  direction = [0.0, 0.0, 1.0]           # positive sense\n", "", 1)
         first = recording.index('\n[[daq]]\nname = "bridge"')
         recording = recording[:first] + on_head + recording[first:]
+        recording = recording.replace("first_edge = 0 ", f"{region}\nfirst_edge = 0 ", 1)
         at = recording.index("\n[[points]]")
         return make_campaign(format_examples["rig"] + wall + BASE, recording[:at] + IMAGES + recording[at:])
 
@@ -183,6 +189,7 @@ def test_a_manifest_states_what_is_at_rest(make_room):
             {"laser": 'quantity = "velocity"\n  direction = [0.0, 0.0, 1.0]'},
             r'channel.h.head: expected a head with a laser beam .* found "psv"',
         ),
+        ({"region": ""}, r"images.top.region: expected the part of the pictures that shows the body, since they show"),
         ({"on_head": ON_HEAD.replace('  head = "psv"\n', "")}, r'channel.h.head: expected .* body = "head"'),
         ({"on_head": ON_HEAD.replace("acceleration", "velocity")}, r"channel.h.body: expected an accelerometer on the"),
         (
