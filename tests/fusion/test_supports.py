@@ -17,6 +17,7 @@ from fusion.planning.check import check
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Head, NamedHead
+from fusion.report.tables import supports_table
 from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.sensitivity.supports import without_supports
 from fusion.simulate import simulate
@@ -217,3 +218,9 @@ def test_a_rendered_recording_on_a_floor_that_shakes(tmp_path):
     assert {moved.name for moved in found["floor-shake",].supports} == {"cameras frame", "head psv"}
     assert sum("shakes with the excitation" in notice.text for notice in found["floor-shake",].notices) == 2
     assert not any("support_motion" in notice.text for notice in found["floor-shake",].notices)
+    page = supports_table(found["floor-shake",])
+    assert [row[3] for row in page.rows if row[0] == "cameras frame"][:6] == ["x", "y", "z", "rx", "ry", "rz"]
+    shares = {row[3]: row[5] for row in reversed(page.rows)}
+    assert shares["z"].startswith("0.5")
+    labels = {part.label for part in found["floor-shake",].element.uncertainty.grouped()}
+    assert {"motion of cameras frame", "motion of head psv", "head_acceleration: scale"} <= labels
