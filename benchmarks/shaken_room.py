@@ -214,7 +214,8 @@ def row(case: Case, trials: int) -> str:
     held = np.array([f.held for f in found]).mean(axis=0)
     u, u_before = np.mean([f.u for f in found]), np.mean([f.before[1] for f in found])
     rms, rms_before = np.sqrt(np.mean(error.real**2)), np.sqrt(np.mean(before.real**2))
-    cells = [case.name, f"{100 * rms_before:.4f}", f"{100 * rms:.4f}", f"{100 * u_before:.4f}", f"{100 * u:.4f}"]
+    figures = (rms_before, rms, u_before, u)
+    cells = [case.name, *(f"{100 * figure:.4f}" if np.isfinite(figure) else "no mean" for figure in figures)]
     cells += [f"{100 * part:.1f}" for part in held]
     return "| " + " | ".join(cells) + " |"
 

@@ -19,7 +19,7 @@ from fusion.base import rounded
 from fusion.estimation.coverage import polar
 from fusion.estimation.least_squares import RANK_TOLERANCE, RESOLUTION_TOLERANCE
 from fusion.estimation.measurement_model import BODY_SIZE_M, SCALE, CommonError, Observation
-from fusion.estimation.uncertainty import as_complex, element_covariance, real_design, real_stack
+from fusion.estimation.uncertainty import Kind, as_complex, element_covariance, real_design, real_stack
 from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading, carrier_of
@@ -310,7 +310,9 @@ def _open(moved: SupportMotion) -> Iterator[CommonError]:
                 name = f"{label} at {phasors.frequency_hz[line]:.9g} Hz, part {part}"
                 offset = np.zeros_like(phasors.value)
                 offset[line] = as_complex(scale * vector * np.sqrt(value))
-                yield CommonError(name, label, 1.0, "1", "recording", _none(offset), offset, "A", phasors.dof[line])
+                dof = float(phasors.dof[line])
+                kind: Kind = "A" if np.isfinite(dof) else "B"
+                yield CommonError(name, label, 1.0, "1", "recording", _none(offset), offset, kind, dof)
 
 
 def _none(offset: ComplexArray) -> ComplexArray:
