@@ -253,14 +253,14 @@ def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | Non
 
     H has the covariance S = shape·diag(s²)·shapeᵀ in either part: the mean is S·Dᵀ·(D·S·Dᵀ + N)⁻¹·y, with what that
     leaves as covariance (Henderson 1975, Biometrics 31, 423). `stated`: the standard deviation s of every translation.
-    Where none is stated, or the readings refute it, s is one of `SHARES` (even in its logarithm) for the translation
-    along the `main` axis, of the others that times one of `RATIOS`; rotations have their mean square. The estimate is
-    then the mean over s, weighted by the probability density of the readings (of Student's t, since N is estimated),
-    and the covariance holds what s leaves open: readings far above their noise are taken as they are, readings within
-    it for hardly more than nothing.
+    Where none is stated, or the readings refute it, s is one of `SHARES` (even in its square root, between even in the
+    logarithm, which believes in rest, and even in s, which does not) for the translation along the `main` axis, of the
+    others that times one of `RATIOS`; rotations have their mean square. The estimate is then the mean over s, weighted
+    by the probability density of the readings (of Student's t, since N is estimated), and the covariance holds what s
+    leaves open: readings far above their noise are taken as they are, of readings within it hardly anything is.
     """
     rows, values, count = read.rows, read.values, len(read.values)
-    contradicts, spreads = False, np.full((1, 3), stated or 0.0)
+    contradicts, spreads, likely = False, np.full((1, 3), stated or 0.0), np.zeros(1)
     if stated is not None and count:
         whole = rows @ _prior(shape, spreads)[0] @ rows.T + read.noise
         weights = np.linalg.inv(whole)
@@ -268,6 +268,7 @@ def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | Non
     if stated is None or contradicts:
         ratios = np.insert(np.array(list(product(RATIOS, repeat=2))), main, 1.0, axis=1)
         spreads = (SHARES[:, None, None] * ratios).reshape(-1, 3)
+        likely = 0.5 * np.log(spreads[:, main])
     prior = _prior(shape, spreads)
     across = prior @ rows.T
     total = rows @ across + read.noise
@@ -276,7 +277,7 @@ def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | Non
     means = gains @ values
     squares = weights @ values @ values
     heavy = squares if np.isinf(read.dof) else (read.dof + 1.0) * np.log1p(squares / read.dof)
-    density = -0.5 * (heavy + np.linalg.slogdet(total)[1])
+    density = likely - 0.5 * (heavy + np.linalg.slogdet(total)[1])
     share = np.exp(density - density.max())
     share /= share.sum()
     mean, gain = share @ means, np.einsum("g,gij->ij", share, gains)
