@@ -5,8 +5,8 @@
 Phasors at one line, 80 Hz, 82 m/s²: a stereo pair and three laser points on the load, patches at rest in the pair's
 view, an accelerometer on the laser head. Cameras and head move as rigid bodies about a place of their own; noise and
 the stated errors are drawn, noise with a covariance that was estimated. Truth and readings come from the kinematics
-below, which share nothing with the estimator. *Before*: the same draws without references. 1000 trials take a quarter
-of an hour on one core.
+below, which share nothing with the estimator. *Before*: the same draws without references. 1000 trials take half an
+hour on one core.
 """
 
 from __future__ import annotations
