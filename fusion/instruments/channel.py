@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
 from fusion.estimation.uncertainty import Contribution, Scope, Uncertainty, Unknown, added_up, as_complex, real_stack
 from fusion.instruments.transducer import (
+    HEAD,
     TRANSDUCERS,
     TRANSVERSE,
     Beams,
@@ -228,9 +229,9 @@ def _head_errors(transducer: Transducer, entry: ChannelEntry, beams: Beams) -> l
     the body. Otherwise the points stay, as those of an accelerometer do and spots that were measured on the body. An
     offset moves all points alike, a misplaced mirror turns aimed beams about their points. Beams stated as parallel
     lean towards the centre of the points where they leave one mirror: their change is taken with its second order,
-    d·cos θ, which is all of it for a motion along d.
+    d·cos θ, which is all of it for a motion along d. What sits on the head itself is placed by itself.
     """
-    if entry.head is None:
+    if entry.head is None or entry.body == HEAD:
         return []
     stated, title = entry.head.stated, f"head {entry.head.name}"
     point, direction, mirror = placed_at(entry), unit_direction(entry), mirror_of(entry)

@@ -24,6 +24,11 @@ GEOMETRY = np.eye(6)
 """What a pair can observe, as rows (6, 6) on the motion of the sensor origin: every component by itself."""
 
 
+def carrier_of(name: str, pair: Stereo) -> str:
+    """Return what carries the cameras of a pair: its support, or something of its own."""
+    return f"cameras {pair.support or name}"
+
+
 @dataclass(frozen=True)
 class Exposure:
     """How long frames at the edges of a `trigger` are exposed.

@@ -18,6 +18,8 @@ from shaker.sine.phasor import derivative_factor
 if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
 
+ROOM, HEAD = "room", "head"
+"""What instruments see beside the bodies: what stands still in the room, and the head that other channels leave."""
 TRANSVERSE = "transverse sensitivity"
 CLOSE_TO_AXIS_RAD = 0.5
 """Beams of a head that differ less from a sensor axis observe what a beam along that axis does."""
@@ -85,6 +87,12 @@ def unit_direction(entry: ChannelEntry) -> FloatArray:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
+def carrier(entry: ChannelEntry) -> str | None:
+    """Return what carries a laser beam, or an accelerometer that tells of it: the head that it names."""
+    optical = entry.quantity in TRANSDUCERS and TRANSDUCERS[entry.quantity].kind == "vibrometer"
+    return f"head {entry.head.name}" if entry.head is not None and (optical or entry.body == HEAD) else None
+
+
 def aimed(entry: ChannelEntry) -> bool:
     """Whether the direction of a channel is that from its point to the mirror of its head."""
     return entry.direction is None and entry.head is not None and entry.head.stated.mirror is not None
@@ -114,7 +122,7 @@ def wrong_aim(entry: ChannelEntry) -> tuple[str, str] | None:
 
     Beyond three combined standard uncertainties, and a milliradian; either sense of the direction counts.
     """
-    if entry.head is None or entry.head.stated.mirror is None or entry.direction is None:
+    if entry.head is None or entry.body == HEAD or entry.head.stated.mirror is None or entry.direction is None:
         return None
     stated, line = entry.head.stated, mirror_of(entry) - placed_at(entry)
     distance = float(np.linalg.norm(line))
@@ -142,7 +150,7 @@ class Beams:
     @classmethod
     def of(cls, entries: Iterable[ChannelEntry]) -> Beams:
         """Find the heads and the parallel beams among channels; others than vibrometers have none."""
-        lasers = [entry for entry in entries if entry.quantity in ("displacement", "velocity")]
+        lasers = [e for e in entries if e.quantity in ("displacement", "velocity") and e.body != ROOM]
         points: dict[str, dict[tuple[float, ...], None]] = {}
         parallel: dict[tuple[str, tuple[float, ...]], dict[tuple[float, ...], None]] = {}
         for entry in lasers:

@@ -31,6 +31,7 @@ from fusion.base import (
     Threads,
     as_input_error,
 )
+from fusion.instruments.transducer import ROOM
 from fusion.phasors.timing import Sight, TimeBase, see
 from fusion.recording.files import AlreadyRead
 from fusion.recording.load import Manifest
@@ -581,7 +582,8 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
         expected = "the frequencies of the lines, since no channel shows them"
         raise InputError(manifest.path, "excitation.frequencies", found="none", expected=expected)
     reasons: list[str] = []
-    for first in motions:  # whose frames tell a fundamental from zero, the Nyquist rate and the others
+    moving = [motion for motion in motions if motion.sight.pair.body != ROOM]
+    for first in moving or motions:  # whose frames tell a fundamental from zero, the Nyquist rate and the others
         usable, notices = usable_lines(first.sight.time_s, np.array(excitation.frequencies, dtype=np.float64))
         if usable.any():
             break

@@ -13,6 +13,7 @@ from fusion.base import AnyNotice, ComputeError, InputError, Threads
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading
+from fusion.instruments.transducer import ROOM
 from fusion.phasors.channels import spread_lines
 from fusion.phasors.deformation import DeflectionShape, ShapePhasors, deflection_shape, shape_phasors
 from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, sensor_from_camera
@@ -186,7 +187,9 @@ def stereo_phasors(
     if strength is not None:
         errors += _left_out(measured, fit, lines, usable, gain * strength)
     errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]
-    effects, of_shapes = ({}, None) if view is None else _image_effects(measured, view, frequency_hz, usable, gain)
+    effects, of_shapes = dict[str, ComplexArray](), None
+    if view is not None and sight.pair.body != ROOM:  # they grow with the motion seen, of which a room has next to none
+        effects, of_shapes = _image_effects(measured, view, frequency_hz, usable, gain)
     reading = StereoReading(
         name=name,
         pair=sight.pair,

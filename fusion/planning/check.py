@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from fusion.base import ComputeError, InputError, rounded
-from fusion.instruments.stereo import GEOMETRY
-from fusion.instruments.transducer import TRANSDUCERS, main_direction, placed_at
+from fusion.instruments.stereo import GEOMETRY, carrier_of
+from fusion.instruments.transducer import ROOM, TRANSDUCERS, carrier, main_direction, placed_at
 from fusion.instruments.vibrometer import beam_notices
 from fusion.phasors.channels import folding, folds_told
 from fusion.phasors.timing import no_pulse_width
@@ -384,18 +384,24 @@ def _observed(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
     """Rows of every instrument, then of all instruments of a body together.
 
     A stereo pair determines all six components of the body it sees. Channels of one `common` name are one instrument.
+    Of what looks at the room or sits on a head it is the motion of what carries it.
     """
-    pairs = dict.fromkeys(entry.stereo for take in takes for entry in (*take.images, *take.points))
-    single = [Observability(rig.stereo[name].body, f"stereo {name}", GEOMETRY) for name in pairs]
+    names = dict.fromkeys(entry.stereo for take in takes for entry in (*take.images, *take.points))
+    pairs = [(name, rig.stereo[name]) for name in names]
+    single = [
+        Observability(carrier_of(name, pair) if pair.body == ROOM else pair.body, f"stereo {name}", GEOMETRY)
+        for name, pair in pairs
+    ]
     groups: dict[tuple[str, str], list[FloatArray]] = {}
     for daq in (daq for take in takes for daq in take.daq):
         for entry in daq.channel:
             if entry.quantity in TRANSDUCERS and entry.body is not None:
-                rows = groups.setdefault((entry.body, entry.common or f"{daq.name}.{entry.name}"), [])
+                seen = entry.body if entry.body in BODIES else carrier(entry) or entry.body
+                rows = groups.setdefault((seen, entry.common or f"{daq.name}.{entry.name}"), [])
                 rows.append(TRANSDUCERS[entry.quantity].geometry(placed_at(entry), main_direction(entry)))
     single += [Observability(body, name, np.stack(rows)) for (body, name), rows in groups.items()]
     observed = []
-    for body in BODIES:
+    for body in dict.fromkeys((*BODIES, *(item.body for item in single))):
         own = [item for item in single if item.body == body]
         observed += own
         if len(own) > 1:

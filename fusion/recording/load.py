@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from fusion.base import Identity, InputError
-from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, unit_direction, wrong_aim
+from fusion.instruments.transducer import CLOSE_TO_AXIS_RAD, HEAD, ROOM, carrier, unit_direction, wrong_aim
 from fusion.recording.certified import CertifiedInputs, certified_inputs
 from fusion.recording.excitation import KINDS, ONE_SET_UP, Excitation, kinds_of, listed
 from fusion.recording.manifest import (
@@ -359,6 +359,7 @@ def _contradictions(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
         for prefix, block in blocks
     ]
     yield from _of_stereo(rig, rig_path, blocks)
+    yield from _of_pictures(rig, blocks, path)
     for (prefix, block), located in zip(blocks, channels, strict=True):
         yield from _of_triggers(
             block, {entry.name for _, _, entry in located if entry.quantity == "trigger"}, prefix, path
@@ -369,6 +370,7 @@ def _contradictions(rig: Rig, rig_path: Path, record: RecordingFile, path: Path)
         if wrong is not None:
             yield InputError(path, f"{key}.direction", wrong[1], wrong[0])
     yield from _of_standoffs((item for located in channels for item in located), path)
+    yield from _of_carriers([item for located in channels for item in located], path)
     first: dict[str, ChannelEntry] = {}  # channels of one instrument share a relative error, hence measure one quantity
     for key, _, entry in (item for located in channels for item in located if item[2].common is not None):
         model = first.setdefault(str(entry.common), entry)
@@ -399,12 +401,28 @@ def _of_standoffs(located: Iterable[tuple[str, Daq, ChannelEntry]], path: Path) 
                 yield InputError(path, f"{key}.direction", f"{list(entry.direction or ())}", expected)
 
 
+def _of_carriers(located: Sequence[tuple[str, Daq, ChannelEntry]], path: Path) -> Iterator[InputError]:
+    """What tells how a head moves belongs to one whose beams look at what is measured."""
+    carried = {carrier(entry) for _, _, entry in located if entry.body not in (ROOM, HEAD)}
+    for key, _, entry in located:
+        if entry.body in (ROOM, HEAD) and entry.head is not None and carrier(entry) not in carried:
+            expected = "a head with a laser beam at the load or the base"
+            yield InputError(path, f"{key}.head", f'"{entry.head.name}"', expected)
+
+
 def _of_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFiles]]) -> Iterator[InputError]:
     """Images need a calibration; a scale needs an uncertainty, stated or from the calibration."""
     pictured = [images.stereo for _, block in blocks for images in block.images]
     tabled = [points.stereo for _, block in blocks for points in block.points]
-    for name in dict.fromkeys(pictured + tabled):
+    recorded = dict.fromkeys(pictured + tabled)
+    carried = {rig.stereo[name].support or name for name in recorded if rig.stereo[name].body != ROOM}
+    for name in recorded:
         pair = rig.stereo[name]
+        if pair.body == ROOM and pair.support not in carried:
+            listed = ", ".join(sorted(carried)) or "none"
+            expected = "what cameras at the load or the base stand on as well: their support, or the name of their pair"
+            found = f"{describe(pair.support)}; others stand on {listed}"
+            yield InputError(rig_path, f"stereo.{quoted(name)}.support", found, expected)
         if name in pictured and pair.calibration is None:
             expected = f"the calibration that the images of {name} need"
             yield InputError(rig_path, f"stereo.{quoted(name)}.calibration", "no calibration", expected)
@@ -424,6 +442,17 @@ def _has_covariance(pair: Stereo) -> bool:
     except (ValueError, RecursionError) as error:
         raise InputError(pair.calibration, "", str(error), "JSON") from error
     return isinstance(content, dict) and content.get("covariance") is not None
+
+
+def _of_pictures(rig: Rig, blocks: Iterable[tuple[str, SetUpFiles]], path: Path) -> Iterator[InputError]:
+    """Where one picture shows a body and what stands still, each has its part of it."""
+    for prefix, block in blocks:
+        shown = {images.left for images in block.images if rig.stereo[images.stereo].body == ROOM}
+        for images in block.images:
+            if images.left in shown and images.region is None and not images.mask:
+                part = "what stands still" if rig.stereo[images.stereo].body == ROOM else "the body"
+                expected = f"the part of the pictures that shows {part}, since they show both"
+                yield InputError(path, f"{prefix}images.{quoted(images.stereo)}.region", "nothing", expected)
 
 
 def _of_triggers(block: SetUpFiles, triggers: set[str], prefix: str, path: Path) -> Iterator[InputError]:

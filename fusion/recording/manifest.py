@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
 
-from fusion.instruments.transducer import TRANSDUCERS
+from fusion.instruments.transducer import HEAD, ROOM, TRANSDUCERS
 from fusion.recording.dsi import parse_unit
 from fusion.recording.excitation import Excitation
 from fusion.recording.rig import Environment, NamedHead, Part, Shaker
@@ -18,7 +18,6 @@ from fusion.recording.values import (
     ZERO3,
     Angle,
     Block,
-    BodyName,
     Context,
     Delay,
     Direction,
@@ -126,13 +125,14 @@ class ResponseColumns(Block):
 class ChannelEntry(Block):
     """One channel of a DAQ file: true phasor = file value · scale · exp(+jω·delay) / response(f).
 
-    `in_file`: its name in the file, where that is not `name`, by which the recording knows it.
+    `in_file`: its name in the file, where that is not `name`, by which the recording knows it. `body` "head": it sits
+    on its `head`; "room": a beam of that head at what stands still. Both tell how the head moves.
     """
 
     name: Text
     in_file: Text | None = None
     quantity: Quantity
-    body: BodyName | None = None
+    body: Literal["load", "base", "room", "head"] | None = None
     point: Place | None = None
     point_uncertainty: Spread3 = ZERO3
     direction: Direction | None = None
@@ -174,8 +174,13 @@ class ChannelEntry(Block):
         why = f'quantity = "{self.quantity}"'
         if self.quantity in TRANSDUCERS:
             transducer = TRANSDUCERS[self.quantity]
-            aimed = self.head is not None and self.head.stated.mirror is not None
-            if self.head is not None and transducer.kind != "vibrometer" and (aimed or self.head.stated.standoff):
+            aimed = self.head is not None and self.head.stated.mirror is not None and self.body != HEAD
+            if self.body in (ROOM, HEAD):
+                refuse_missing(self, ("head",), f'body = "{self.body}"')
+                if (self.body == HEAD) != (transducer.kind == "accelerometer"):
+                    expected = "an accelerometer on the head, or a laser beam at the room"
+                    raise refusal(expected, f'{why} with body = "{self.body}"', key="body")
+            elif self.head is not None and transducer.kind != "vibrometer" and (aimed or self.head.stated.standoff):
                 raise refusal(f"a head without mirror and standoff for {why}", f'"{self.head.name}"', key="head")
             refuse_missing(self, ("body",) if transducer.turning else ("body", "point"), why)
             if not aimed:

@@ -436,9 +436,13 @@ class Environment(Block):
 
 
 class Stereo(Block):
-    """A stereo pair: x_sensor = rotation · x_left_camera + translation at rest, and when its frames are exposed."""
+    """A stereo pair: x_sensor = rotation · x_left_camera + translation at rest, and when its frames are exposed.
 
-    body: BodyName
+    `body` "room": what it sees stands still, so that it tells how its `support` moves, with all cameras on that.
+    """
+
+    body: Literal["load", "base", "room"]
+    support: Text | None = None
     calibration: ExistingFile | None = None
     rotation: Rotation
     translation: Annotated[FreeVector, FAR]

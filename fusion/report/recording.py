@@ -217,6 +217,7 @@ def render_report(evaluation: Evaluation) -> str:
         "channels": tables.channels_table(evaluation),
         "drift": tables.drift_table(evaluation),
         "takes": tables.takes_table(evaluation),
+        "supports": tables.supports_table(evaluation),
         "clocks": tables.clocks_table(evaluation),
         "stated": uncertainty_tables.inputs_table(evaluation.manifest.inputs),
         **origin_frame(evaluation, evaluation.notices),

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from fusion.base import DASH, prefix
 from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.fuse import Acceleration
-from fusion.estimation.uncertainty import polar_elements
+from fusion.estimation.uncertainty import Contribution, Uncertainty, polar_elements
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.setup import LineStationarity, line_stationarity
 from fusion.phasors.stereo_phasors import StereoResult
@@ -324,7 +324,9 @@ def shape_tables(evaluation: Evaluation) -> list[Table]:
                 amplitudes = (measured(1e9 * float(size), 2e9 * float(u)) for size, u in sizes)
                 cells = pair.name, f"{found.phasors.frequency_hz[k]:.4f}", *amplitudes, f"{found.chance[k]:.1g}"
                 rows.setdefault(found.phasors.channels, []).append(cells)
-    caption = "Deformation fitted to the grey values: amplitudes in nm with U = 2u, and how often a rigid body shows more"
+    caption = (
+        "Deformation fitted to the grey values: amplitudes in nm with U = 2u, and how often a rigid body shows more"
+    )
     return [
         Table(caption, ("pair", "frequency / Hz", *names, "chance"), "lr" + "r" * (len(names) + 1), tuple(cells))
         for names, cells in rows.items()
@@ -378,6 +380,39 @@ def takes_table(evaluation: Evaluation) -> Table | None:
         "noise, and the angle by which all phasors of the take were turned"
     )
     return Table(caption, head, "lrrrr", tuple(rows))
+
+
+def supports_table(evaluation: Evaluation) -> Table | None:
+    """Return the motion of what carries cameras and lasers, at every line; None where nothing at rest tells of it."""
+    rows = []
+    for moved in evaluation.supports:
+        spread = Uncertainty((Contribution("", "A", moved.phasors.covariance, moved.phasors.dof),))
+        found = polar_elements(moved.phasors.value, spread)
+        for k, c in np.argwhere(moved.observed & np.isfinite(moved.phasors.value)).tolist():
+            one, unit = found[k][c], moved.phasors.unit[c]
+            if one is not None:
+                share = (
+                    fixed(
+                        100.0 * one.magnitude / moved.measured_mps2[k],
+                        100.0 * one.expanded_magnitude / moved.measured_mps2[k],
+                        0,
+                    )
+                    if c < 3
+                    else DASH
+                )
+                told = (moved.name, ", ".join(moved.references), f"{moved.phasors.frequency_hz[k]:.4f}")
+                size = measured(one.magnitude, one.expanded_magnitude, unit)
+                rows.append((*told, MOTION_COMPONENTS[c], size, share))
+    head = (
+        "what moves",
+        "told by",
+        "line / Hz",
+        "component",
+        "acceleration at the origin",
+        "of the motion measured / %",
+    )
+    caption = "Motion of what carries cameras and lasers, taken off their readings, with U (95 %)"
+    return Table(caption, head, "llrlrr", tuple(rows)) if rows else None
 
 
 # Tables of signals: lines, channels, what drifted, clocks and triggers.

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from fusion.phasors.timing import ClockResult
     from fusion.recording.load import Manifest
     from fusion.recording.rig import Sensor
+    from fusion.sensitivity.supports import SupportMotion
 
 # Instruments on an elastic load: rows that tell the motion of its foot.
 
@@ -316,7 +317,8 @@ class Evaluation:
     `accelerations`: one entry per body and source (`fused` first). `load`: wrench phasors at the sensor origin, N and
     N.m, with the manifest's sense. `outputs`: of the sensor. `sensitivity`: ratios; `element`: the sensor's elements
     under the driven load, where its matrix is known. `points`: vibrometer points that look along one direction.
-    `monte_carlo`: where it was asked for. `set_ups`: what ties them, none for one alone. `settings`, `versions`,
+    `monte_carlo`: where it was asked for. `set_ups`: what ties them, none for one alone. `supports`: what carries
+    cameras and lasers and has a reference at rest. `settings`, `versions`,
     `input_hashes` (file -> SHA-256) say what was run on what.
     """
 
@@ -338,5 +340,6 @@ class Evaluation:
     points: tuple[PointSpread, ...] = ()
     monte_carlo: MonteCarlo | None = None
     element: Sensitivity | None = None
+    supports: tuple[SupportMotion, ...] = ()
 
     __repr__ = brief

@@ -5,7 +5,7 @@ Each is a named unknown where the rig states it; of what it does not state the u
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -81,12 +81,15 @@ def with_base_strain(outputs: Outputs, sensor: Sensor, environment: Environment)
     return Outputs(phasors, uncertainty, tuple(one.name for one in own))
 
 
-def with_support_motion(observations: Sequence[Observation], limit: float | None) -> tuple[Observation, ...]:
+def with_support_motion(
+    observations: Sequence[Observation], limit: float | None, measured: Collection[str] = ()
+) -> tuple[Observation, ...]:
     """Return the observations, those of lasers and cameras with the motion of what carries them as common errors.
 
     `limit`: largest amplitude of that motion over the motion measured. Its phasor, anywhere in a disc of that radius,
     has the standard uncertainty limit/2 in either part. One unknown for all optical instruments of a body: they stand
-    on one floor, so that they cannot tell it from motion of the body; accelerometers can.
+    on one floor, so that they cannot tell it from motion of the body; accelerometers can. `measured`: rows of
+    instruments whose support's motion was measured, for which the limit is part of that.
     """
     if not limit:
         return tuple(observations)
@@ -94,14 +97,14 @@ def with_support_motion(observations: Sequence[Observation], limit: float | None
 
     def shaken(observation: Observation) -> Observation:
         none: ComplexArray = np.zeros_like(observation.phasors.value)
+        open_ = np.array([member not in measured for member in observation.members])
+        rows: ComplexArray = observation.design * open_[:, None]
         parts = ("in phase", 1.0), ("in quadrature", 1.0j)
         own = [
-            CommonError(
-                f"{label}, {observation.body}, {part}", label, u, "1", "mounting", turn * u * observation.design, none
-            )
+            CommonError(f"{label}, {observation.body}, {part}", label, u, "1", "mounting", turn * u * rows, none)
             for part, turn in parts
         ]
-        return replace(observation, common=(*observation.common, *own))
+        return replace(observation, common=(*observation.common, *own)) if open_.any() else observation
 
     return tuple(shaken(o) if o.kind in OPTICAL else o for o in observations)
 
@@ -112,10 +115,12 @@ def not_assessed(
     body: Body | None,
     frequency_hz: float,
     further: Iterable[str] = (),
+    measured: Collection[str] = (),
 ) -> Iterator[Notice]:
     """Yield what is said of influences that the rig does not state, so that U has no part of them.
 
-    `frequency_hz`: the lowest line; `body`: what the sensor moves there; `further`: what else is not assessed.
+    `frequency_hz`: the lowest line; `body`: what the sensor moves there; `further`: what else is not assessed;
+    `measured`: rows of instruments whose support's motion is known.
     """
     kinds = {observation.kind for observation in observations if observation.body == "load" and observation.stated}
     sensor, environment = rig.sensor, rig.surroundings
@@ -142,7 +147,9 @@ def not_assessed(
         keys = ["sensor.base_strain_sensitivity"] * (sensor.base_strain_sensitivity is None)
         keys += ["environment.base_strain"] * (environment.base_strain is None)
         told.append(f"strain of the sensor's foot by bending of what it stands on ({', '.join(keys)})")
-    if environment.support_motion is None and kinds & set(OPTICAL):
+    seeing = [o for o in observations if o.body == "load" and o.kind in OPTICAL and o.stated]
+    optical = {member for observation in seeing for member in observation.members}
+    if environment.support_motion is None and optical - set(measured):
         text = (
             "motion that all lasers and cameras share with what carries them (environment.support_motion): a "
             "thousandth of the motion measured would change the sensitivity by as much"

@@ -22,11 +22,11 @@ from fusion.sensitivity.disturbances import (
     not_assessed,
     unstated_chain,
     with_base_strain,
-    with_support_motion,
 )
 from fusion.sensitivity.mode_shapes import with_measured_modes
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.ratio import driven_component, with_ratios
+from fusion.sensitivity.supports import carried_by, without_supports
 
 
 def evaluate_recording(
@@ -55,7 +55,7 @@ def evaluate_recording(
     joined = join_set_ups(set_ups)
     sensor, surroundings, body = manifest.rig.sensor, manifest.rig.surroundings, load_body(manifest.rig, manifest.part)
     observations = joined.observed(surroundings.free_fall_mps2[0])
-    observations = with_support_motion(observations, surroundings.support_motion)
+    observations, supports, shaken = without_supports(observations, surroundings.support_motion)
     unseen = unseen_fundamentals(observations, joined.lines, joined.aliased)
     body, measured = with_measured_modes(body, manifest.rig.load, joined.stereo)
     rows = observations if body is None else elastic_rows(observations, body.elastic)
@@ -71,12 +71,13 @@ def evaluate_recording(
         points = tuple(with_ratios(spread, outputs, analysis.sensitivity, body) for spread in points)
     parallel = beam_notices([reading.entry for reading in joined.readings])
     folded = [text for set_up in set_ups for text in set_up.not_assessed]
-    missing = [*not_assessed(manifest.rig, observations, body, float(np.min(joined.lines.frequency_hz)), folded)]
+    lowest_hz = float(np.min(joined.lines.frequency_hz))
+    missing = [*not_assessed(manifest.rig, observations, body, lowest_hz, folded, carried_by(supports))]
     if sensor is not None and direction is not None:
         entries = [reading.entry for reading in joined.readings]
         found = analysis.element or analysis.sensitivity
         missing += unstated_chain(found, entries, driven_component(direction, sensor.capacity))
-    told = [*manifest.expired, *doubts(manifest), *joined.notices, *parallel, *unseen, *measured]
+    told = [*manifest.expired, *doubts(manifest), *joined.notices, *shaken, *parallel, *unseen, *measured]
     told += [*analysis.notices, *missing]
     notices = [*told, *(drawn.notices if drawn else ())]
     return Evaluation(
@@ -98,4 +99,5 @@ def evaluate_recording(
         points=points,
         monte_carlo=drawn,
         element=analysis.element,
+        supports=supports,
     )

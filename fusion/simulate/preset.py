@@ -75,6 +75,8 @@ class StereoSetup:
     """A stereo pair on one face: `tilt_deg` from its normal towards `face_up`, `stereo_deg` between the cameras.
 
     `pixel_m` is the size of a pixel on the face; `face_up` the direction in the face that is up in the images.
+    `at_rest`: of two patches that stand still in the face's plane, to its right and left: distance of their centres
+    from the face's, half width and height, m; none where empty.
     """
 
     name: str
@@ -95,6 +97,7 @@ class StereoSetup:
     delay_uncertainty: float = 3e-7
     scale_uncertainty: float = 2e-4
     pose_uncertainty: tuple[float, ...] = (1e-4, 1e-4, 1e-4, 5e-4, 5e-4, 5e-4)
+    at_rest: tuple[float, ...] = ()
 
     @property
     def sensor(self) -> ImageSensor:
@@ -233,7 +236,8 @@ class Preset:
         for setup in self.stereo:
             width, height = (max(64, round(n * image_scale)) for n in setup.size_px)
             half = (setup.half_size[0] * image_scale, setup.half_size[1] * image_scale)
-            stereo.append(replace(setup, size_px=(width, height), half_size=half))
+            rest = tuple(length * image_scale for length in setup.at_rest)
+            stereo.append(replace(setup, size_px=(width, height), half_size=half, at_rest=rest))
         return replace(self, frames=self.frames if frames is None else frames, stereo=tuple(stereo))
 
 
@@ -268,6 +272,33 @@ def camera_pose(setup: StereoSetup, sign: float = -1.0) -> RigidTransform:
     right = np.cross(-towards, screen_up)
     rotation = np.column_stack([right, -screen_up, -towards])
     return RigidTransform(rotation, centre + setup.focal_px * setup.pixel_m * towards)
+
+
+def patches_of(setup: StereoSetup) -> tuple[StereoSetup, ...]:
+    """Return the patches at rest beside a face as faces of the room."""
+    aside, *half = setup.at_rest or (0.0,)
+    side = np.cross(np.array(setup.face_up), np.array(setup.face_normal))
+    patches = []
+    for sign in (1.0, -1.0) if half else ():
+        x, y, z = (np.array(setup.face_centre) + sign * aside * side).tolist()
+        patch = replace(setup, name=f"{setup.name}-room", body="room", face_centre=(x, y, z), at_rest=())
+        patches.append(replace(patch, half_size=(half[0], half[1]), round=False))
+    return tuple(patches)
+
+
+def region_of(setup: StereoSetup, *faces: StereoSetup) -> list[int]:
+    """Return x, y, width, height in px that hold faces in the left picture of a pair, as it is stated."""
+    rig, placed = nominal_rig(setup)
+    corners = []
+    for face in faces:
+        normal, up = np.array(face.face_normal), np.array(face.face_up)
+        across, along = face.half_size[0], face.half_size[0 if face.round else 1]
+        ends = [i * across * np.cross(up, normal) + j * along * up for i in (-1, 1) for j in (-1, 1)]
+        corners += [np.array(face.face_centre) + end for end in ends]
+    px = rig.left.project(placed.inverse().apply(np.array(corners)))
+    low = np.maximum(np.floor(px.min(axis=0)), 0).astype(int)
+    high = np.minimum(np.ceil(px.max(axis=0)) + 1, np.array(setup.size_px)).astype(int)
+    return [*low.tolist(), *(high - low).tolist()]
 
 
 def face_of(setup: StereoSetup, aliased: bool, rng: np.random.Generator) -> Face:

@@ -26,9 +26,8 @@ from fusion.simulate.preset import (
     DaqSpec,
     PartSpec,
     Preset,
-    StereoSetup,
-    camera_pose,
     face_of,
+    patches_of,
     read_preset,
 )
 from fusion.simulate.violations import violations
@@ -50,14 +49,18 @@ from fusion.simulate.write import (
     POINTS_SCALE,
     RIG_FILE,
     Record,
+    calibration_file,
     complex_table,
+    images,
+    pairs,
+    points_file,
     points_text,
     write_recording,
     write_texts,
 )
 from photogram.calibration.file import write_calibration
 from photogram.geometry import RigidTransform
-from photogram.synthetic.scene import Face, View, render_exposure
+from photogram.synthetic.scene import Face, View, beside, render_exposure
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS
 
@@ -190,7 +193,7 @@ def rig_tables(world: World, own: tuple[PartSpec, ...] = ()) -> dict[str, Any]:
     if preset.heads:
         keys = ("rotation_uncertainty", "point_uncertainty")
         tables["head"] = {head.name: {key: getattr(head, key) for key in keys} for head in preset.heads}
-    return tables | {"stereo": {setup.name: _stereo_keys(setup, preset) for setup in preset.stereo}}
+    return tables | {"stereo": dict(keys for setup in preset.stereo for keys in pairs(setup, preset))}
 
 
 def sensor_keys(preset: Preset, static: NDArray[np.float64]) -> dict[str, Any]:
@@ -230,33 +233,6 @@ def part_table(spec: PartSpec) -> dict[str, Any]:
     return {"name": spec.name, "body": "load", **part_keys(spec)}
 
 
-def _stereo_keys(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
-    """Return the block of a stereo pair, or of one whose points another program computed."""
-    placed, images = camera_pose(setup), not preset.as_points
-    return {
-        "body": setup.body,
-        **({"calibration": calibration_file(setup)} if images else {}),
-        "rotation": placed.rotation.tolist(),
-        "translation": placed.translation_m.tolist(),
-        "pose_uncertainty": list(setup.pose_uncertainty),
-        "scale_uncertainty": setup.scale_uncertainty,
-        **({"bit_depth": setup.bit_depth} if images else {}),
-        "exposure": preset.exposure_s,
-        "delay": 0.0,
-        "delay_uncertainty": setup.delay_uncertainty,
-    }
-
-
-def calibration_file(setup: StereoSetup) -> str:
-    """Return the place of a pair's calibration in its campaign."""
-    return f"calibration/{setup.name}.json"
-
-
-def points_file(setup: StereoSetup) -> str:
-    """Return the name of the table of a stereo pair's points."""
-    return f"points-{setup.name}.csv"
-
-
 def recording_tables(run: Run) -> dict[str, Any]:
     """Return recording.toml as nested dictionaries."""
     preset = run.preset
@@ -284,10 +260,7 @@ def recording_tables(run: Run) -> dict[str, Any]:
         columns = {"columns": list(COLUMNS), "scale": POINTS_SCALE}
         tables["points"] = [{"stereo": setup.name, "files": points_file(setup), **columns} for setup in preset.stereo]
     elif preset.stereo:
-        tables["images"] = [
-            {"stereo": setup.name, **{side: f"{setup.name}-{side}/*.tif" for side in ("left", "right")}}
-            for setup in preset.stereo
-        ]
+        tables["images"] = [block for setup in preset.stereo for block in images(setup)]
     for block in (*tables.get("points", ()), *tables.get("images", ())):
         block["trigger"] = "camera_trigger"
     return tables
@@ -469,12 +442,17 @@ def _write_images(
     done, frames, exposure = 0, world.preset.frames, world.preset.exposure_s
     whole: dict[str, Any] = {"photometric": "minisblack", "compression": "zlib", "metadata": None, "software": False}
 
-    def shoot(stereo: TrueStereo, face: Face, view: View, series: Path, number: int, frame: int) -> None:
+    def shoot(stereo: TrueStereo, faces: Sequence[Face], view: View, series: Path, number: int, frame: int) -> None:
+        face, *patches = faces
         middle = float(world.trigger_s[frame] + stereo.delay_s + exposure / 2)
         pose_at = world.seen(draws, stereo.setup.body, "camera", np.array(stereo.setup.face_centre)).pose
-        if stereo.setup.body == "load":
-            view = bending.bent_view(world, draws, view, face, (middle, exposure))
-        image = render_exposure(view, face, pose_at, middle, exposure, 4 if options.aliased else 2)
+        load = stereo.setup.body == "load"
+        bent = bending.bent_view(world, draws, view, face, (middle, exposure)) if load else view
+        nodes = 4 if options.aliased else 2
+        image = render_exposure(bent, face, pose_at, middle, exposure, nodes)
+        still = world.seen(draws, "room", "camera", np.array(stereo.setup.face_centre)).pose
+        for patch in patches:
+            image = beside(image, view, patch, still, (middle, exposure), nodes)
         image = draws.broken("image", image, series.name, middle, frame / frames)
         rng = draws.stream(f"{series.name}.{frame}") if options.image_noise else None
         stream = io.BytesIO()
@@ -487,11 +465,17 @@ def _write_images(
             name = stereo.setup.name
             face = face_of(stereo.setup, options.aliased, draws.stream(f"{name}.speckle"))
             face = draws.broken("face", face)
+            patches = [
+                face_of(patch, options.aliased, draws.stream(f"{patch.name}-{number}.speckle"))
+                for number, patch in enumerate(patches_of(stereo.setup))
+            ]
             stored = draws.broken("frames", np.arange(frames), stereo.setup).tolist()
             for side, view in zip(("left", "right"), stereo.views, strict=True):
                 series = folder / f"{name}-{side}"
                 series.mkdir()
-                tasks = [pool.submit(shoot, stereo, face, view, series, *place) for place in enumerate(stored)]
+                tasks = [
+                    pool.submit(shoot, stereo, (face, *patches), view, series, *place) for place in enumerate(stored)
+                ]
                 for task in tasks:
                     task.result()
                     done += 1

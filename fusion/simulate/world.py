@@ -225,10 +225,17 @@ class World:
     stereo: tuple[TrueStereo, ...]
 
     def seen(self, draws: Draws, body: str, instrument: str, point: FloatArray) -> Motion:
-        """Return the motion of a body as a kind of instrument (`velocity`, `acceleration`, `camera`) sees it there."""
-        motion, plate = self.motion[body], self.preset.plate
-        if plate is not None and body == "load":
-            motion = bending.seen(plate, motion, draws, point)
+        """Return the motion of a body as a kind of instrument (`velocity`, `acceleration`, `camera`) sees it there.
+
+        The room stands still; the head of the lasers moves as much as they see the room move, the other way.
+        """
+        if body == "head":
+            seen = self.seen(draws, "room", "velocity", point)
+            return Motion(seen.frequency_hz, -seen.acceleration)
+        load = self.motion["load"]
+        motion = self.motion.get(body, Motion(load.frequency_hz, np.zeros_like(load.acceleration)))
+        if self.preset.plate is not None and body == "load":
+            motion = bending.seen(self.preset.plate, motion, draws, point)
         return draws.broken("seen", motion, self, body, instrument, point)
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fusion.recording.toml import to_toml
 from fusion.report.files import write_file, write_files
+from fusion.simulate.preset import Preset, StereoSetup, camera_pose, patches_of, region_of
 from shaker.arrays import FloatArray
 
 MANIFEST_FILE, RIG_FILE, TRUTH_FILE = "recording.toml", "rig.toml", "truth.json"
@@ -95,3 +96,55 @@ def points_text(position_m: FloatArray) -> str:
 def complex_table(value: NDArray[np.complex128]) -> dict[str, Any]:
     """Return real and imaginary part as nested lists."""
     return {"re": value.real.tolist(), "im": value.imag.tolist()}
+
+
+# What manifests say of stereo pairs.
+
+SUPPORT = "frame"  # all cameras of a set-up stand on it
+
+
+def pairs(setup: StereoSetup, preset: Preset) -> list[tuple[str, dict[str, Any]]]:
+    """Return the blocks of a stereo pair by name, of one that sees a patch at rest two, on one support."""
+    own = _stereo_keys(setup, preset)
+    names = dict.fromkeys(patch.name for patch in patches_of(setup))
+    stands = {"support": SUPPORT} if names else {}
+    return [(setup.name, own | stands), *((name, {**own, "body": "room", **stands}) for name in names)]
+
+
+def _stereo_keys(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
+    """Return the block of a stereo pair, or of one whose points another program computed."""
+    placed, images = camera_pose(setup), not preset.as_points
+    return {
+        "body": setup.body,
+        **({"calibration": calibration_file(setup)} if images else {}),
+        "rotation": placed.rotation.tolist(),
+        "translation": placed.translation_m.tolist(),
+        "pose_uncertainty": list(setup.pose_uncertainty),
+        "scale_uncertainty": setup.scale_uncertainty,
+        **({"bit_depth": setup.bit_depth} if images else {}),
+        "exposure": preset.exposure_s,
+        "delay": 0.0,
+        "delay_uncertainty": setup.delay_uncertainty,
+    }
+
+
+def calibration_file(setup: StereoSetup) -> str:
+    """Return the place of a pair's calibration in its campaign."""
+    return f"calibration/{setup.name}.json"
+
+
+def points_file(setup: StereoSetup) -> str:
+    """Return the name of the table of a stereo pair's points."""
+    return f"points-{setup.name}.csv"
+
+
+def images(setup: StereoSetup) -> list[dict[str, Any]]:
+    """Return the images of a pair, and again those of the patch at rest in them."""
+    files, patches = {side: f"{setup.name}-{side}/*.tif" for side in ("left", "right")}, patches_of(setup)
+    if not patches:
+        return [{"stereo": setup.name, **files}]
+    body, room = region_of(setup, setup), region_of(setup, *patches)
+    return [
+        {"stereo": setup.name, **files, "region": body},
+        {"stereo": patches[0].name, **files, "region": room, "mask": [body]},
+    ]

@@ -304,6 +304,18 @@ def render_exposure(
     return render(view, face, poses, shares, nodes)
 
 
+def beside(
+    image: FloatArray,
+    view: View,
+    face: Face,
+    pose_at: Callable[[float], FloatArray],
+    exposed: tuple[float, float],
+    nodes: int = 2,
+) -> FloatArray:
+    """Return an image (H, W) with one more face, which covers none that is there; `exposed`: middle and length in s."""
+    return image + render_exposure(view, face, pose_at, *exposed, nodes) - face.background * view.light
+
+
 def _gauss_legendre(nodes: int, length: float) -> tuple[FloatArray, FloatArray]:
     """Return the points and weights (nodes,) of the mean over an interval of `length` around zero."""
     points, weights = np.polynomial.legendre.leggauss(nodes)
