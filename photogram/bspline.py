@@ -47,7 +47,6 @@ POLES = {
     5: (sqrt(67.5 - sqrt(4436.25)) + sqrt(26.25) - 6.5, sqrt(67.5 + sqrt(4436.25)) - sqrt(26.25) - 6.5),
     7: (-0.53528043079643816554, -0.12255461519232669052, -0.0091486948096082769286),
 }
-SMALLEST_TERM = 1e-17
 REACH = 32  # pixels after which the slowest of all poles leaves 2·10⁻⁹ of a start
 LINES, TILE = 32, 8  # rows or columns that are filtered at once; pixels of a row that change places at once
 
@@ -124,8 +123,8 @@ def _at_pixels(degree: int) -> tuple[FloatArray, FloatArray]:
     return values[:degree], slopes[:degree]
 
 
-def _weighted(rows: FloatArray, weights: FloatArray) -> FloatArray:
-    """Weighted sums of as many neighbouring rows as there are weights, without the frame around the image."""
+def _weighted(rows: NDArray[np.floating], weights: FloatArray) -> FloatArray:
+    """Weighted sums, float64, of as many neighbouring rows as there are weights, without the frame around the image."""
     first, height = PADDING_PX - len(weights) // 2, len(rows) - 2 * PADDING_PX
     total = weights[0] * rows[first : first + height]
     for k, weight in enumerate(weights[1:], 1):

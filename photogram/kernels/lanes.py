@@ -22,7 +22,7 @@ _NAMES = {FLOAT: "f32", DOUBLE: "f64"}
 
 @dataclass(frozen=True)
 class Lanes:
-    """`FLOATS` or `DOUBLES` with the arithmetic that formulas are written in; `factors` are kept for a product's sum."""
+    """`FLOATS` or `DOUBLES` with the arithmetic that formulas are written in; `factors` of a product, for its sum."""
 
     builder: Any
     value: Any

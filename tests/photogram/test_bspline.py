@@ -32,7 +32,7 @@ from photogram.subsets.reference import AFFINE_SUMS, CURVED_SUMS, RUN_SUMS, affi
 
 
 def rounding(spline: Spline) -> float:
-    """Twice the rounding of the largest coefficient, float32: of white noise ten to a hundred times the grey values."""
+    """Twice the step of float32 at the largest coefficient, which of white noise is many times the grey values."""
     return 2.0 * float(np.finfo(np.float32).eps) * float(np.abs(spline.coefficients).max())
 
 
@@ -43,7 +43,8 @@ def test_coefficients_and_values_are_scipys(degree, shape):
     image = rng.normal(size=shape)
     spline = spline_of_image(image, degree)
     inside = spline.coefficients[PADDING_PX:-PADDING_PX, PADDING_PX:-PADDING_PX]
-    np.testing.assert_allclose(inside, ndimage.spline_filter(image, degree, mode="mirror"), rtol=0.0, atol=rounding(spline))
+    filtered = ndimage.spline_filter(image, degree, mode="mirror")
+    np.testing.assert_allclose(inside, filtered, rtol=0.0, atol=rounding(spline))
     points = rng.uniform(0, [shape[1] - 1, shape[0] - 1], (500, 2))
     expected = ndimage.map_coordinates(image, points[:, ::-1].T, order=degree, mode="mirror")
     np.testing.assert_allclose(evaluate(spline, points)[0], expected, rtol=0.0, atol=rounding(spline))
