@@ -48,6 +48,7 @@ POLES = {
     7: (-0.53528043079643816554, -0.12255461519232669052, -0.0091486948096082769286),
 }
 REACH = 32  # pixels after which the slowest of all poles leaves 2·10⁻⁹ of a start
+DARK = np.float32(1e-20)  # far below rounding; what rings on in pure black else gets too small for fast arithmetic
 LINES, TILE = 32, 8  # rows or columns that are filtered at once; pixels of a row that change places at once
 
 
@@ -226,15 +227,15 @@ def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
 
 @njit()
 def _copy(source, target, gain):  # type: ignore[no-untyped-def]
-    """Copy rows (n,W) times a gain, tile by tile: pixels near each other in either array stay in reach."""
+    """Copy rows (n,W) times a gain, plus `DARK`, tile by tile: pixels near each other in either array stay in reach."""
     whole = source.shape[1] - source.shape[1] % TILE
     for begin in range(0, whole, TILE):
         for i in range(source.shape[0]):
             for k in range(TILE):
-                target[i, begin + k] = gain * np.float32(source[i, begin + k])
+                target[i, begin + k] = gain * np.float32(source[i, begin + k]) + DARK
     for i in range(source.shape[0]):
         for k in range(whole, source.shape[1]):
-            target[i, k] = gain * np.float32(source[i, k])
+            target[i, k] = gain * np.float32(source[i, k]) + DARK
 
 
 @njit()

@@ -68,6 +68,14 @@ def test_the_spline_passes_through_the_pixels_and_polynomials_are_exact_far_from
     np.testing.assert_allclose(gradients[:, 1], degree * v ** (degree - 1) / 10, rtol=0.0, atol=1e-6)
 
 
+def test_black_around_a_bright_spot_rings_down_to_no_number_that_is_slow_to_compute_with():
+    image = np.zeros((200, 210), np.uint16)
+    image[20:30, 20:30] = 4095
+    coefficients = np.abs(spline_of_image(image, 7).coefficients)
+    assert coefficients.min() > 1e3 * np.finfo(np.float32).smallest_normal
+    assert coefficients[100:, 100:].max() < 1e-10
+
+
 def test_speckle_is_interpolated_to_the_known_accuracy(make_texture):
     texture = make_texture(seed=6, s=1.5)
     image = texture.image((64, 64))
