@@ -2,6 +2,7 @@
 
 Usage: python benchmarks/tracking.py [--programs NAME ...] [--peer-python PATH] [--threads 1]
        [--recordings 3]
+       python benchmarks/tracking.py --rounding docs/tracking.md
 
 Renders 21 frames of 1024 x 1024 px exactly (no interpolation; see speckle_plane.py), with dots 4.5 px wide at half
 height: a sine of 3 px along x and 2 px along y with 2 mrad of rotation, noise of 1 grey level of 255, stored in 8 and
@@ -20,6 +21,10 @@ docs/performance.md; with all programs a quarter of an hour.
   over several tenths, so that the mean over it hides some of what interpolation does.
 
 The second table shows what interpolation leaves without noise, stored in 16 bit, for dots of several sizes.
+
+--rounding writes the table of what float32 grey values do instead: pairs of frames shifted by tenths of a pixel,
+registered by the compiled engine and by the batched one in float64 throughout. bias: mean error of a shift over all
+subsets, largest of ten shifts and of x and y; bound as above; a subset: largest difference of one subset's places.
 """
 
 from __future__ import annotations
@@ -29,15 +34,20 @@ import os
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import tifffile
+from marked import markdown_table, write_marked
 from numpy.typing import NDArray
 from speckle_plane import Motion, Plane, gradients, render, speckled_plane
 from tracking_programs import NOT_INSTALLED, PROGRAMS, Grid
 
+from photogram.bspline import Spline, spline_of_image
+from photogram.subsets.icgn import TrackSettings, register
+from photogram.subsets.icgn_torch import register_frames, spline_frames, torch_reference
+from photogram.subsets.reference import prepare_reference
 from photogram.subsets.texture import subset_mean
 
 FloatArray = NDArray[np.float64]
@@ -48,6 +58,7 @@ PEAK_PX, PEAK_RAD, CYCLES_PER_FRAME = (3.0, -2.0), 2e-3, 0.0977
 NOISE_GREY = 1.0
 ADAPTERS = Path(__file__).with_name("tracking_programs.py")
 OWN = "shakercal"
+SHIFTS_PX, STEP = np.stack([np.arange(10) / 10, np.roll(np.arange(10) / 10, 3)], axis=1), 2 * GRID.radius + 1
 MPX = 1e-3
 
 
@@ -88,7 +99,13 @@ def main() -> None:
     parser.add_argument("--peer-python", type=Path, default=Path(sys.executable), help="interpreter with the peers")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--recordings", type=int, default=3)
+    parser.add_argument("--rounding", type=Path, metavar="PAGE", help="write the table of float32 there, and end")
     options = parser.parse_args()
+    if options.rounding:
+        head = "| noise | degree | bias in mpx, float64 | float32 | a subset, mpx | std/bound, float64 | float32 |"
+        rows = rounding_rows(np.random.default_rng(3))
+        write_marked(options.rounding, {"rounding": markdown_table(head, rows)})
+        return
     own = [name for name in options.programs if name.startswith(OWN)]
     pythons = {name: Path(sys.executable) if name in own else options.peer_python for name in options.programs}
     rng = np.random.default_rng(1)
@@ -202,6 +219,46 @@ def print_clean(name: str, dot_px: float, recording: Recording, python: Path, th
             f"{pixel_bias(result) / MPX:.3f}",
             f"{np.nanstd(result.error) / MPX:.3f}",
         )
+
+
+def rounding_rows(rng: np.random.Generator) -> list[str]:
+    """Rows of the table of float32, for noise as that of the first table and none, not even rounding."""
+    plane = speckled_plane((SIZE_PX, SIZE_PX), DOT_PX, MARGIN_PX, rng)
+    shifted = Motion(np.concatenate([np.zeros((1, 2)), SHIFTS_PX]), np.zeros(1 + len(SHIFTS_PX)), np.zeros(2))
+    exact = [render(plane, shifted, frame) for frame in range(len(shifted))]
+    line = np.arange(GRID.first, GRID.last, STEP, dtype=np.float64)
+    centres = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    rows = []
+    for name, full_scale in (("none", 65535), ("12 bit", 4095), ("8 bit", 255)):
+        sigma = NOISE_GREY * full_scale / 255
+        images = [image * full_scale for image in exact]
+        if name != "none":
+            images = [np.rint(image + sigma * rng.standard_normal(image.shape)) for image in images]
+        limit = np.sqrt(2.0) * bound(Recording(plane, (), full_scale, sigma), centres)
+        for degree in (5, 7):
+            errors = [found - SHIFTS_PX[:, None] for found in both_engines(images, centres, degree)]
+            bias = [f"{np.abs(np.nanmean(error, axis=1)).max() / MPX:.4f}" for error in errors]
+            scatter = [f"{np.sqrt(np.nanmean(np.nanvar(error / limit, axis=1))):.5f}" for error in errors]
+            apart = np.nanmax(np.abs(errors[1] - errors[0])) / MPX
+            cells = [name, f"{degree}", *bias, f"{apart:.4f}", *(["–", "–"] if name == "none" else scatter)]
+            rows.append(f"| {' | '.join(cells)} |")
+    return rows
+
+
+def both_engines(images: list[FloatArray], centres: FloatArray, degree: int) -> list[FloatArray]:
+    """Shifts (F,N,2) of the subsets in all images but the first: batched in float64, compiled with float32 values."""
+    settings = TrackSettings(radius_px=GRID.radius, degree=degree)
+    frames = spline_frames(np.stack(images), degree, "cpu", "float64")
+    first, later = frames.coefficients[0].numpy(), replace(frames, coefficients=frames.coefficients[1:])
+    start = np.zeros((len(images) - 1, len(centres), 6))
+    precise = torch_reference(prepare_reference(Spline(first, degree), centres, GRID.radius), "cpu", "float64")
+    batched = register_frames(precise, later, start, settings)
+    reference = prepare_reference(spline_of_image(images[0], degree), centres, GRID.radius)
+    compiled = [
+        register(reference, spline_of_image(image, degree), rest, settings)
+        for image, rest in zip(images[1:], start, strict=True)
+    ]
+    return [np.stack([one.warp[:, [0, 3]] for one in found]) for found in (batched, compiled)]
 
 
 def true_positions(centres: FloatArray) -> FloatArray:

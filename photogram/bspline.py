@@ -1,8 +1,11 @@
 """B-spline interpolation of images: coefficients, values and gradients, and values along lines of points.
 
 Lines are the inner loop of every registration. Neighbouring points of a line read neighbouring coefficients as long as
-it does not pass into another row or drift by a column. Such runs are computed with vectors of eight points, written out
-here: compilers cannot know that the grey values written are no coefficients.
+it does not pass into another row or drift by a column. Such runs are computed with vectors of sixteen points, written
+out here: compilers cannot know that the grey values written are no coefficients.
+
+Coefficients and grey values along lines are float32, whose rounding is 10⁻⁷ of full scale against the 10⁻⁵ of a pixel
+of 16 bit. Places are split into whole pixels and fraction before they are rounded.
 """
 
 from __future__ import annotations
@@ -23,10 +26,12 @@ from numpy.typing import NDArray
 from photogram.arrays import Arrays, FloatArray, check_shape
 from photogram.kernels import njit
 from photogram.kernels.lanes import (
+    DOUBLE,
+    FLOATS,
     INDEX,
-    REAL,
     Lanes,
     array_of,
+    constant,
     counted,
     element,
     filling,
@@ -42,15 +47,16 @@ POLES = {
     5: (sqrt(67.5 - sqrt(4436.25)) + sqrt(26.25) - 6.5, sqrt(67.5 + sqrt(4436.25)) - sqrt(26.25) - 6.5),
     7: (-0.53528043079643816554, -0.12255461519232669052, -0.0091486948096082769286),
 }
-SMALLEST_TERM = 1e-17
-ROWS, COLUMNS, TILE = 16, 64, 8  # of an image that are filtered at once; pixels of a row that change places at once
+REACH = 32  # pixels after which the slowest of all poles leaves 2·10⁻⁹ of a start
+DARK = np.float32(1e-20)  # far below rounding; what rings on in pure black else gets too small for fast arithmetic
+LINES, TILE = 32, 8  # rows or columns that are filtered at once; pixels of a row that change places at once
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Spline(Arrays, shapes="coefficients H W"):
     """An image as a B-spline of `degree` 3, 5 or 7: coefficients (H+8,W+8), mirrored by four pixels on every side."""
 
-    coefficients: FloatArray
+    coefficients: NDArray[np.float32]
     degree: int
 
     def __post_init__(self) -> None:
@@ -68,17 +74,18 @@ def poles_of(degree: int) -> tuple[float, ...]:
 def spline_of_image(image: NDArray[np.generic], degree: int = 5) -> Spline:
     """The spline that passes exactly through the grey values of image (H,W), mirrored at the outermost pixels.
 
-    Recursive prefilter c = Π_z (1−z)(1−1/z) · causal and anticausal first-order filters with the poles z of the
-    B-spline (Unser, Aldroubi, Eden 1993, IEEE Trans. Signal Process. 41, 834, eqs 2.4 and 2.5), in rows and columns.
+    Recursive prefilter c = Π_z (1−z)² · causal and anticausal first-order filters with the poles z of the B-spline
+    (Unser, Aldroubi, Eden 1993, IEEE Trans. Signal Process. 41, 834, eqs 2.4 and 2.5), in rows and columns. Either
+    starts from nothing `REACH` pixels out in the mirror image.
     """
     check_shape("image", image, (None, None))
     if min(image.shape) < 2 * PADDING_PX:
         raise ValueError(f"image: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {image.shape}")
-    poles = np.array(poles_of(degree))
-    gain = float(np.prod((1.0 - poles) * (1.0 - 1.0 / poles)) ** 2)
+    first, second, third = (*poles_of(degree), 0.0, 0.0)[:3]
+    gain = ((1.0 - first) * (1.0 - second) * (1.0 - third)) ** 4
     kept = image.dtype in (np.uint8, np.uint16) and image.flags.c_contiguous and image.flags.writeable
     inside = image if kept else np.array(image, np.float64)  # a kernel is compiled for each kind of array
-    coefficients = _prefilter(inside, poles, gain, PADDING_PX)
+    coefficients = _prefilter(inside, (first, second, third), gain, PADDING_PX)
     # Fill the frame of PADDING_PX around an image with its mirror image
     for lines in (coefficients, coefficients.T):
         for k in range(1, PADDING_PX + 1):
@@ -117,8 +124,8 @@ def _at_pixels(degree: int) -> tuple[FloatArray, FloatArray]:
     return values[:degree], slopes[:degree]
 
 
-def _weighted(rows: FloatArray, weights: FloatArray) -> FloatArray:
-    """Weighted sums of as many neighbouring rows as there are weights, without the frame around the image."""
+def _weighted(rows: NDArray[np.floating], weights: FloatArray) -> FloatArray:
+    """Weighted sums, float64, of as many neighbouring rows as there are weights, without the frame around the image."""
     first, height = PADDING_PX - len(weights) // 2, len(rows) - 2 * PADDING_PX
     total = weights[0] * rows[first : first + height]
     for k, weight in enumerate(weights[1:], 1):
@@ -196,67 +203,75 @@ def _cardinal(x: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
 def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
     """Spline coefficients of an image inside a frame of `padding` pixels that are still open, for a gain of all poles.
 
-    Several rows, brought side by side, or columns, as they lie, make each step of the recursion at once.
+    Several rows, brought side by side, or columns make each step of the recursion at once.
     """
     height, width = image.shape
-    out = np.empty((height + 2 * padding, width + 2 * padding))
-    for block in range((height + ROWS - 1) // ROWS):
-        first = block * ROWS
-        count = min(ROWS, height - first)
-        lines = np.zeros((width, ROWS))
-        _copy(image[first : first + count], lines.T, gain)
-        for pole in poles:
-            _filter(lines, 0, width, 0, ROWS, pole)
-        _copy(lines.T[:count], out[padding + first :, padding:], 1.0)
-    for block in range((width + COLUMNS - 1) // COLUMNS):
-        first = block * COLUMNS
-        for pole in poles:
-            _filter(out, padding, height, padding + first, min(COLUMNS, width - first), pole)
+    out = np.empty((height + 2 * padding, width + 2 * padding), np.float32)
+    inside = out[padding : padding + height, padding : padding + width]
+    rows = np.zeros((width + 2 * REACH, LINES), np.float32)
+    columns = np.zeros((height + 2 * REACH, LINES), np.float32)
+    for first in range(0, height, LINES):
+        turned = rows[REACH : REACH + width].T[: min(LINES, height - first)]
+        _copy(image[first : first + LINES], turned, np.float32(gain))
+        _mirror(rows, width)
+        _recurse(rows, poles)
+        _copy(turned, inside[first : first + LINES], np.float32(1.0))
+    for first in range(0, width, LINES):
+        block = inside[:, first : first + LINES]
+        columns[REACH : REACH + height, : block.shape[1]] = block
+        _mirror(columns, height)
+        _recurse(columns, poles)
+        block[:] = columns[REACH : REACH + height, : block.shape[1]]
     return out
 
 
 @njit()
 def _copy(source, target, gain):  # type: ignore[no-untyped-def]
-    """Copy rows (n,W) times a gain, tile by tile: pixels near each other in either array stay in reach."""
+    """Copy rows (n,W) times a gain, plus `DARK`, tile by tile: pixels near each other in either array stay in reach."""
     whole = source.shape[1] - source.shape[1] % TILE
     for begin in range(0, whole, TILE):
         for i in range(source.shape[0]):
             for k in range(TILE):
-                target[i, begin + k] = gain * source[i, begin + k]
+                target[i, begin + k] = gain * np.float32(source[i, begin + k]) + DARK
     for i in range(source.shape[0]):
         for k in range(whole, source.shape[1]):
-            target[i, k] = gain * source[i, k]
+            target[i, k] = gain * np.float32(source[i, k]) + DARK
 
 
 @njit()
-def _filter(lines, row, count, column, width, pole):  # type: ignore[no-untyped-def]
-    """Both recursions of one pole, without its gain, down `count` rows from `row` on, for `width` columns, mirrored."""
-    last = row + count - 1
-    _begin(lines, row, count, column, width, pole)
-    for k in range(row + 1, last + 1):
-        for i in range(column, column + width):
-            lines[k, i] += pole * lines[k - 1, i]
-    turn = pole / (pole * pole - 1.0)
-    for i in range(column, column + width):
-        lines[last, i] = turn * (pole * lines[last - 1, i] + lines[last, i])
-    for k in range(last - 1, row - 1, -1):
-        for i in range(column, column + width):
-            lines[k, i] = pole * (lines[k + 1, i] - lines[k, i])
+def _mirror(lines, count):  # type: ignore[no-untyped-def]
+    """Fill the first and last `REACH` rows with mirror images of the `count` rows between them."""
+    period = 2 * count - 2
+    for k in range(1, REACH + 1):
+        before, behind = k % period, (count - 1 + k) % period
+        lines[REACH - k] = lines[REACH + min(before, period - before)]
+        lines[REACH + count - 1 + k] = lines[REACH + min(behind, period - behind)]
 
 
-@njit()
-def _begin(lines, row, count, column, width, pole):  # type: ignore[no-untyped-def]
-    """First value of the causal recursion: the sum over the line and its mirror images before it."""
-    total, power = lines[row, column : column + width].copy(), pole
-    for k in range(1, 2 * count - 2):
-        if abs(power) < SMALLEST_TERM:
-            break
-        source = row + (k if k < count else 2 * count - 2 - k)
-        for i in range(width):
-            total[i] += power * lines[source, column + i]
-        power *= pole
-    for i in range(width):
-        lines[row, column + i] = total[i] / (1.0 - power)
+@intrinsic
+def _recurse(typing, lines, poles):  # type: ignore[no-untyped-def]
+    """In place down the rows of lines (n, LINES) y_k = x_k + z·y_k−1 for three poles z one after the other, then up."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
+        table = array_of(context, builder, signature, arguments, 0)
+        factors = [spread(builder, pole, FLOATS) for pole in cgutils.unpack_tuple(builder, arguments[1], 3)]
+        (count, _), nothing = cgutils.unpack_tuple(builder, table.shape), constant(FLOATS, 0.0)
+        last = builder.sub(count, ir.Constant(INDEX, 1))
+        columns = range(0, LINES, FLOATS.count)
+        for upward in (False, True):
+            states = [[cgutils.alloca_once_value(builder, nothing) for _ in factors] for _ in columns]
+            with cgutils.for_range(builder, count) as loop:
+                row = builder.sub(last, loop.index) if upward else loop.index
+                for column, before in zip(columns, states, strict=True):
+                    place = element(builder, table, row, ir.Constant(INDEX, column))
+                    value = load(builder, place, FLOATS)
+                    for factor, state in zip(factors, before, strict=True):
+                        value = factor * Lanes(builder, builder.load(state)) + value
+                        builder.store(value.value, state)
+                    store(builder, value, place)
+        return context.get_dummy_value()
+
+    return filling(lines, poles), generate
 
 
 def weights_cubic(t: Lanes) -> tuple[Lanes, ...]:
@@ -355,7 +370,7 @@ def _evaluate(coefficients, degree, points, values, gradients):  # type: ignore[
         gradients[m, 1] = down
 
 
-# Spline values along straight lines of points, eight points at a time: the inner loop of every registration.
+# Spline values along straight lines of points, sixteen points at a time: the inner loop of every registration.
 
 SMALLEST_DRIFT = 1e-30
 
@@ -372,25 +387,28 @@ def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> Flo
 
 
 @njit()
-def sample_line(c, degree, x, y, step_x, step_y, grey):  # type: ignore[no-untyped-def]
-    """Fill grey (n,) with values of a spline of degree 3, 5 or 7 at (x, y) + i·(step_x, step_y), all within the image.
+def sample_line(c, degree, first, step, grey, span):  # type: ignore[no-untyped-def]
+    """Fill grey[begin:end], float32, with spline values at (x, y) + i·(step_x, step_y), i = 0, 1 …, all in the image.
 
-    c (H+8,W+8): `Spline.coefficients`. Runs in which int(x)−i and int(y) stay the same are computed eight points at a
-    time; the polynomials of two runs agree where they meet, so that it does not matter to which run a point is given.
+    c (H+8,W+8): `Spline.coefficients` of degree 3, 5 or 7; pairs first: x, y, and span: begin, end. Runs in which
+    int(x)−i and int(y) stay the same are computed sixteen points at a time; the polynomials of two runs agree where
+    they meet, so that it does not matter to which run a point is given. A span, not a slice: numba counts who holds a
+    slice, which keeps the processor from going on to the next line.
     """
-    start = 0
-    while start < grey.size:
-        at_x, at_y = x + start * step_x, y + start * step_y
-        stop = _end_of_run(start, grey.size, at_x - int(at_x), at_y - int(at_y), step_x - 1.0, step_y)
-        _run(c, degree, (at_x, at_y), (step_x - 1.0, step_y), grey, (start, stop))
+    begin, end = span
+    start = begin
+    while start < end:
+        at_x, at_y = first[0] + (start - begin) * step[0], first[1] + (start - begin) * step[1]
+        stop = _end_of_run(start, end, at_x - int(at_x), at_y - int(at_y), step[0] - 1.0, step[1])
+        _run(c, degree, (at_x, at_y), (step[0] - 1.0, step[1]), grey, (start, stop))
         start = stop
 
 
 @njit()
-def sample_points(c, degree, x, y, grey):  # type: ignore[no-untyped-def]
-    """Fill grey (n,) with spline values of degree 3, 5 or 7 at any points x (n,), y (n,) within the image."""
-    for i in range(grey.size):
-        _run(c, degree, (x[i], y[i]), (0.0, 0.0), grey, (i, i + 1))
+def sample_points(c, degree, places, grey, span):  # type: ignore[no-untyped-def]
+    """Fill grey[begin:end], float32, with spline values at places (2,n) [x, y], any points within the image."""
+    for i in range(places.shape[1]):
+        _run(c, degree, (places[0, i], places[1, i]), (0.0, 0.0), grey, (span[0] + i, span[0] + i + 1))
 
 
 @njit(inline="always")
@@ -460,27 +478,30 @@ def _sample_square(c, degree, x, y, side, square):  # type: ignore[no-untyped-de
 
 
 def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:
-    """Kernel of one run for the B-spline `weights` of one degree: whole blocks of eight points, then a masked one."""
+    """Kernel of one run for the B-spline `weights` of one degree: whole blocks of points, then a masked one."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
         table, grey = (array_of(context, builder, signature, arguments, k) for k in (0, 4))
         corner, offset, drift, span = (cgutils.unpack_tuple(builder, arguments[k], 2) for k in (1, 2, 3, 5))
 
         def block(index: Any, mask: Any) -> None:
-            points, column = counted(builder, builder.sitofp(index, REAL)), builder.add(corner[1], index)
+            first = spread(builder, builder.sitofp(index, DOUBLE), FLOATS)
+            points, column = counted(builder, FLOATS) + first, builder.add(corner[1], index)
             along, down = (
-                weights(points * spread(builder, step) + spread(builder, begin))
+                weights(points * spread(builder, step, FLOATS) + spread(builder, begin, FLOATS))
                 for begin, step in zip(offset, drift, strict=True)
             )
             lines = []
             for k in range(len(down)):
-                first = element(builder, table, builder.add(corner[0], ir.Constant(INDEX, k)), column)
-                taps = [load(builder, builder.gep(first, [ir.Constant(INDEX, j)]), mask) for j in range(len(along))]
+                place = element(builder, table, builder.add(corner[0], ir.Constant(INDEX, k)), column)
+                taps = [
+                    load(builder, builder.gep(place, [ir.Constant(INDEX, j)]), FLOATS, mask) for j in range(len(along))
+                ]
                 lines.append(reduce(add, map(mul, along, taps)))
             place = builder.gep(grey.data, [builder.add(span[0], index)])
             store(builder, reduce(add, map(mul, down, lines)), place, mask)
 
-        in_blocks(builder, builder.sub(span[1], span[0]), block)
+        in_blocks(builder, builder.sub(span[1], span[0]), FLOATS, block)
         return context.get_dummy_value()
 
     @intrinsic

@@ -181,22 +181,17 @@ def compare_cells(cells: Cells, target: Spline, warp: FloatArray) -> CellSums:
     interpolation leaves (`noise_gain`), varies with the sub-pixel position and is averaged over nine points.
     """
     check_shape("warp", warp, (len(cells.centre_px), 6))
-    sums = np.full((len(warp), 9), np.nan)
-    _sum_cells(
-        cells.layout, cells.pixels, cells.mean, (target.coefficients, target.degree), np.ascontiguousarray(warp), sums
-    )
-    gain = sums[:, 2] / cells.energy
-    misfit = np.maximum(0.0, sums[:, 1] - sums[:, 0] ** 2 / cells.weight - gain**2 * cells.energy)
-    slope = sums[:, 3:] - cells.removed[:, 0] * sums[:, :1] - cells.removed[:, 1] * sums[:, 2:3]
-    known = gain > SMALLEST_GAIN
-    slope[~known] = np.nan
+    gain, misfit, slope = np.full(len(warp), np.nan), np.full(len(warp), np.nan), np.full((len(warp), 6), np.nan)
+    known = cells.pixels, cells.mean, cells.weight, cells.energy, cells.removed
+    image = target.coefficients, target.degree
+    _compare(cells.layout, known, image, np.ascontiguousarray(warp), (gain, misfit, slope))
     kept = _interpolated_noise(cells, warp, target.degree)
-    return CellSums(np.where(known, gain, np.nan), misfit, slope, (cells.count - 2) * (kept + gain**2))
+    return CellSums(gain, misfit, slope, (cells.count - 2) * (kept + gain**2))
 
 
 def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return grey value f and squared residual (g − a − b·f)²/(κ_g + b²) (P,) of every pixel, a, b fitted per cell."""
-    grey = np.full(cells.pixels.shape[1], np.nan)
+    grey = np.full(cells.pixels.shape[1], np.nan, np.float32)
     _sample_cells(cells.layout, (target.coefficients, target.degree), np.ascontiguousarray(warp), grey)
     count = len(cells.centre_px)
     cell = cells.of_pixels
@@ -259,47 +254,53 @@ def _prepare(centre, runs, first, pixels, scalars, moments, extent):  # type: ig
         scalars[c, 0], scalars[c, 1], scalars[c, 2] = mean, total, moments[c, 1, 1]
 
 
-@njit(inline="always")
-def _sample_run(run, centre_x, centre_y, target, warp, grey):  # type: ignore[no-untyped-def]
-    """Grey values of the target along one warped run."""
-    coefficients, degree = target
-    dx, dy = run[1] - centre_x, run[0] - centre_y
-    x = run[1] + warp[0] + warp[1] * dx + warp[2] * dy
-    y = run[0] + warp[3] + warp[4] * dx + warp[5] * dy
-    sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], grey)
-
-
 @njit()
-def _sum_cells(shape, pixels, means, target, warps, sums):  # type: ignore[no-untyped-def]
-    """Per cell Σw·g, Σw·g², Σw·f̃·g and the six Σw·SD·g, g without the mean of f; NaN where a cell leaves the image."""
-    centres, runs, first, reach = shape
+def _compare(shape, known, target, warps, found):  # type: ignore[no-untyped-def]
+    """Fill gain, misfit and slope of every cell that has contrast and lies in the image; others stay as they are."""
+    (centres, runs, first, reach), (coefficients, degree) = shape, target
+    (pixels, means, weights, energies, removed), (gains, misfits, slopes) = known, found
+    line, row, sums = np.empty(int(2 * reach) + 1, np.float32), np.empty(RUN_SUMS), np.empty(9)
     for c in range(centres.shape[0]):
-        centre_x, centre_y, warp = centres[c, 0], centres[c, 1], warps[c]
-        if not warp_inside(target[0], centre_x, centre_y, reach, warp):
+        warp, mean, energy = warps[c], means[c], energies[c]
+        inside = warp_inside(coefficients, centres[c, 0], centres[c, 1], reach, warp)
+        if not (inside and energy > 0.0):
             continue
-        line, row = np.empty(int(2 * reach) + 1), np.empty(RUN_SUMS)
-        found, mean = np.zeros(9), means[c]
+        # Σw·g, Σw·g², Σw·f̃·g and the six Σw·SD·g, g without the mean of f
+        sums[:] = 0.0
         for r in range(first[c], first[c + 1]):
-            length, start = runs[r, 2], runs[r, 3]
-            grey = line[:length]
-            _sample_run(runs[r], centre_x, centre_y, target, warp, grey)
-            dy = runs[r, 0] - centre_y
-            run_sums(grey, mean, pixels, start, runs[r, 1] - centre_x, row)
+            dx, dy, length = runs[r, 1] - centres[c, 0], runs[r, 0] - centres[c, 1], runs[r, 2]
+            place = _warped(runs[r, 1], runs[r, 0], centres[c, 0], centres[c, 1], warp)
+            sample_line(coefficients, degree, place, (1.0 + warp[1], warp[4]), line, (0, length))
+            run_sums(line, mean, pixels, (runs[r, 3], length), dx, row)
             for k in range(5):
-                found[k] += row[k]
-            found[5] += row[3] * dy
-            found[6] += row[5]
-            found[7] += row[6]
-            found[8] += row[5] * dy
-        sums[c] = found
+                sums[k] += row[k]
+            sums[5] += row[3] * dy
+            sums[6] += row[5]
+            sums[7] += row[6]
+            sums[8] += row[5] * dy
+        gain = sums[2] / energy
+        misfits[c] = max(0.0, sums[1] - sums[0] ** 2 / weights[c] - gain**2 * energy)
+        if gain > SMALLEST_GAIN:
+            gains[c] = gain
+            for k in range(6):
+                slopes[c, k] = sums[3 + k] - removed[c, 0, k] * sums[0] - removed[c, 1, k] * sums[2]
 
 
 @njit()
 def _sample_cells(shape, target, warps, grey):  # type: ignore[no-untyped-def]
     """Grey values of the target at all warped pixels."""
-    centres, runs, first, reach = shape
+    (centres, runs, first, reach), (coefficients, degree) = shape, target
     for c in range(centres.shape[0]):
-        if warp_inside(target[0], centres[c, 0], centres[c, 1], reach, warps[c]):
+        warp = warps[c]
+        if warp_inside(coefficients, centres[c, 0], centres[c, 1], reach, warp):
             for r in range(first[c], first[c + 1]):
-                piece = grey[runs[r, 3] : runs[r, 3] + runs[r, 2]]
-                _sample_run(runs[r], centres[c, 0], centres[c, 1], target, warps[c], piece)
+                place = _warped(runs[r, 1], runs[r, 0], centres[c, 0], centres[c, 1], warp)
+                span = runs[r, 3], runs[r, 3] + runs[r, 2]
+                sample_line(coefficients, degree, place, (1.0 + warp[1], warp[4]), grey, span)
+
+
+@njit()
+def _warped(x, y, centre_x, centre_y, warp):  # type: ignore[no-untyped-def]
+    """Where a pixel of a cell lies in the target."""
+    dx, dy = x - centre_x, y - centre_y
+    return x + warp[0] + warp[1] * dx + warp[2] * dy, y + warp[3] + warp[4] * dx + warp[5] * dy

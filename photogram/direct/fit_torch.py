@@ -267,7 +267,7 @@ def _told(view: TorchView, cells: _Compared, step: Tensor) -> _Told:
 
 
 def _cell_sums(view: TorchView, frames: TorchSplines, number: Tensor, warp: Tensor) -> Tensor:
-    """Sums (A, C, 9) of `cells._sum_cells` over frames `number` (A,) at warps (A, C, 6); NaN outside the image."""
+    """Sums (A, C, 9) of `cells._compare` over frames `number` (A,) at warps (A, C, 6); NaN outside the image."""
     import torch
 
     count, size = len(view.centre_px), view.shape.shape[1]

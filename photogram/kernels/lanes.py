@@ -1,4 +1,4 @@
-"""Eight doubles at a time in code that is being generated, with arithmetic that leaves a compiler no choice.
+"""Sixteen floats or eight doubles at a time in generated code, with arithmetic that leaves a compiler no choice.
 
 A product that goes into a sum is fused with it, and lanes are added in pairs.
 """
@@ -13,19 +13,16 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-LANES = 8
-REAL = ir.DoubleType()
-REALS = ir.VectorType(REAL, LANES)
+FLOAT, DOUBLE = ir.FloatType(), ir.DoubleType()
+FLOATS, DOUBLES = ir.VectorType(FLOAT, 16), ir.VectorType(DOUBLE, 8)  # 64 bytes, one register of the widest machines
 INDEX = ir.IntType(64)
-INDICES = ir.VectorType(INDEX, LANES)
-MASK = ir.VectorType(ir.IntType(1), LANES)
-NOTHING = ir.Constant(REALS, [0.0] * LANES)
 _WORD = ir.IntType(32)
+_NAMES = {FLOAT: "f32", DOUBLE: "f64"}
 
 
 @dataclass(frozen=True)
 class Lanes:
-    """Eight doubles, with the arithmetic that formulas are written in; `factors` of a product are kept for its sum."""
+    """`FLOATS` or `DOUBLES` with the arithmetic that formulas are written in; `factors` of a product, for its sum."""
 
     builder: Any
     value: Any
@@ -61,24 +58,29 @@ class Lanes:
     __radd__, __rmul__ = __add__, __mul__
 
     def _like(self, other: Any) -> Lanes:
-        """Lanes as they are; a number stands for eight of it."""
-        return other if isinstance(other, Lanes) else Lanes(self.builder, ir.Constant(REALS, [float(other)] * LANES))
+        """Lanes as they are; a number stands for as many of it."""
+        return other if isinstance(other, Lanes) else Lanes(self.builder, constant(self.value.type, float(other)))
 
     def _plus_product(self, factors: tuple[Any, Any]) -> Lanes:
         """The sum with a product, rounded once."""
-        kind = ir.FunctionType(REALS, [REALS, REALS, REALS])
-        fused = cgutils.get_or_insert_function(self.builder.module, kind, f"llvm.fma.v{LANES}f64")
+        kind = self.value.type
+        fused = _vector_code(self.builder, "fma", kind, "", ir.FunctionType(kind, [kind, kind, kind]))
         return Lanes(self.builder, self.builder.call(fused, [*factors, self.value]))
 
 
-def counted(builder: Any, begin: Any) -> Lanes:
-    """The numbers begin, begin + 1 … of eight lanes; begin is a double."""
-    return spread(builder, begin) + Lanes(builder, ir.Constant(REALS, [float(lane) for lane in range(LANES)]))
+def constant(kind: Any, number: float) -> Any:
+    """One number in every lane."""
+    return ir.Constant(kind, [number] * kind.count)
 
 
-def spread(builder: Any, scalar: Any) -> Lanes:
-    """A double eight times."""
-    return Lanes(builder, _spread(builder, scalar, REALS))
+def counted(builder: Any, kind: Any) -> Lanes:
+    """The numbers 0, 1 … of all lanes."""
+    return Lanes(builder, ir.Constant(kind, [float(lane) for lane in range(kind.count)]))
+
+
+def spread(builder: Any, scalar: Any, kind: Any) -> Lanes:
+    """A double in every lane, rounded to what lanes hold."""
+    return Lanes(builder, _spread(builder, scalar if kind == DOUBLES else builder.fptrunc(scalar, FLOAT), kind))
 
 
 def array_of(context: Any, builder: Any, signature: Any, arguments: Sequence[Any], number: int) -> Any:
@@ -93,30 +95,35 @@ def element(builder: Any, table: Any, row: Any, column: Any) -> Any:
     return builder.gep(table.data, [builder.add(builder.mul(row, width), column)])
 
 
-def load(builder: Any, pointer: Any, mask: Any = None) -> Lanes:
-    """Eight doubles in a row, those outside the mask zero and their memory untouched."""
-    place = builder.bitcast(pointer, REALS.as_pointer())
+def load(builder: Any, pointer: Any, kind: Any, mask: Any = None) -> Lanes:
+    """Numbers in a row, those outside the mask zero and their memory untouched; doubles may be read from floats."""
+    held = pointer.type.pointee
+    stored = ir.VectorType(held, kind.count)
+    place, align = builder.bitcast(pointer, stored.as_pointer()), 8 if held == DOUBLE else 4
     if mask is None:
-        return Lanes(builder, builder.load(place, align=8))
-    kind = ir.FunctionType(REALS, [place.type, _WORD, MASK, REALS])
-    masked = cgutils.get_or_insert_function(builder.module, kind, f"llvm.masked.load.v{LANES}f64.p0")
-    return Lanes(builder, builder.call(masked, [place, ir.Constant(_WORD, 8), mask, NOTHING]))
+        value = builder.load(place, align=align)
+    else:
+        form = ir.FunctionType(stored, [place.type, _WORD, mask.type, stored])
+        masked = _vector_code(builder, "masked.load", stored, ".p0", form)
+        value = builder.call(masked, [place, ir.Constant(_WORD, align), mask, constant(stored, 0.0)])
+    return Lanes(builder, value if stored == kind else builder.fpext(value, kind))
 
 
 def store(builder: Any, lanes: Lanes, pointer: Any, mask: Any = None) -> None:
-    """Write eight doubles in a row, only those of the mask."""
-    place = builder.bitcast(pointer, REALS.as_pointer())
+    """Write numbers in a row where such numbers stand, only those of the mask."""
+    kind = lanes.value.type
+    place, align = builder.bitcast(pointer, kind.as_pointer()), 8 if kind == DOUBLES else 4
     if mask is None:
-        builder.store(lanes.value, place, align=8)
+        builder.store(lanes.value, place, align=align)
         return
-    kind = ir.FunctionType(ir.VoidType(), [REALS, place.type, _WORD, MASK])
-    masked = cgutils.get_or_insert_function(builder.module, kind, f"llvm.masked.store.v{LANES}f64.p0")
-    builder.call(masked, [lanes.value, place, ir.Constant(_WORD, 8), mask])
+    form = ir.FunctionType(ir.VoidType(), [kind, place.type, _WORD, mask.type])
+    masked = _vector_code(builder, "masked.store", kind, ".p0", form)
+    builder.call(masked, [lanes.value, place, ir.Constant(_WORD, align), mask])
 
 
 def across(builder: Any, lanes: Lanes) -> Any:
-    """The sum of eight lanes, a double: halves added to each other until one is left."""
-    value, width = lanes.value, LANES
+    """The sum of all lanes: halves added to each other until one is left."""
+    value, width = lanes.value, lanes.value.type.count
     while width > 1:
         width //= 2
         low, high = (ir.Constant(ir.VectorType(_WORD, width), list(range(at, at + width))) for at in (0, width))
@@ -124,26 +131,34 @@ def across(builder: Any, lanes: Lanes) -> Any:
     return builder.extract_element(value, ir.Constant(_WORD, 0))
 
 
-def in_blocks(builder: Any, count: Any, block: Any) -> None:
-    """Code that calls block(index, mask) for every eight of `count` points, the last time with a mask if need be."""
-    full = builder.and_(count, ir.Constant(INDEX, -LANES))
-    with cgutils.for_range_slice(builder, ir.Constant(INDEX, 0), full, ir.Constant(INDEX, LANES), INDEX) as (index, _):
+def in_blocks(builder: Any, count: Any, kind: Any, block: Any) -> None:
+    """Code that calls block(index, mask) for as many of `count` points as lanes, at last with a mask if need be."""
+    full = builder.and_(count, ir.Constant(INDEX, -kind.count))
+    zero, step = ir.Constant(INDEX, 0), ir.Constant(INDEX, kind.count)
+    with cgutils.for_range_slice(builder, zero, full, step, INDEX) as (index, _):
         block(index, None)
     with builder.if_then(builder.icmp_signed("<", full, count)):
-        lanes = ir.Constant(INDICES, list(range(LANES)))
-        block(full, builder.icmp_signed("<", lanes, _spread(builder, builder.sub(count, full), INDICES)))
+        indices = ir.VectorType(INDEX, kind.count)
+        lanes = ir.Constant(indices, list(range(kind.count)))
+        block(full, builder.icmp_signed("<", lanes, _spread(builder, builder.sub(count, full), indices)))
 
 
 def _spread(builder: Any, scalar: Any, kind: Any) -> Any:
-    """A vector that holds the scalar eight times."""
+    """A vector that holds the scalar in every lane."""
     single = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar, ir.Constant(_WORD, 0))
-    return builder.shuffle_vector(single, single, ir.Constant(ir.VectorType(_WORD, LANES), [0] * LANES))
+    return builder.shuffle_vector(single, single, ir.Constant(ir.VectorType(_WORD, kind.count), [0] * kind.count))
+
+
+def _vector_code(builder: Any, name: str, kind: Any, suffix: str, form: Any) -> Any:
+    """What LLVM calls by this name for vectors of this kind."""
+    whole = f"llvm.{name}.v{kind.count}{_NAMES[kind.element]}{suffix}"
+    return cgutils.get_or_insert_function(builder.module, form, whole)
 
 
 def filling(*kinds: Any) -> Any:
-    """Type of generated code that fills arrays: these must be contiguous doubles; whole numbers stay whole."""
+    """Type of generated code that fills arrays: contiguous floats or doubles; whole numbers stay whole."""
     for kind in kinds:
-        if isinstance(kind, types.Array) and (kind.layout, kind.dtype) != ("C", types.float64):
-            raise TypeError(f"expected contiguous float64 arrays, found {kind}")
+        if isinstance(kind, types.Array) and (kind.layout != "C" or kind.dtype not in (types.float32, types.float64)):
+            raise TypeError(f"expected contiguous arrays of floats or doubles, found {kind}")
     kept = types.Array | types.Integer | types.UniTuple
     return types.void(*(kind if isinstance(kind, kept) else types.float64 for kind in kinds))

@@ -279,7 +279,7 @@ def _register_one(subset, solved, target, limits, warp, scores):  # type: ignore
     count, parameters = (2 * radius + 1) ** 2, inverse.shape[0]
     sums = np.empty(max(AFFINE_SUMS, 3 + parameters))
     solution, slope = np.empty(parameters), np.empty(parameters)
-    step, grey, room = np.zeros(warp.size), np.empty(count), np.empty((2, 2 * radius + 1))
+    step, grey, room = np.zeros(warp.size), np.empty(count, np.float32), np.empty((2, 2 * radius + 1))
     for value in warp:
         if not np.isfinite(value):
             return 6, 0
@@ -350,7 +350,7 @@ def _sample(subset, target, warp, grey, room):  # type: ignore[no-untyped-def]
     coefficients, degree = target
     width = room.shape[1]
     for number in range(width):
-        dy, row = number - radius, grey[number * width : (number + 1) * width]
+        dy, span = number - radius, (number * width, (number + 1) * width)
         x = centre_x + warp[0] + warp[2] * dy - (1.0 + warp[1]) * radius
         y = centre_y + warp[3] + (1.0 + warp[5]) * dy - warp[4] * radius
         if warp.size == 12:
@@ -359,9 +359,9 @@ def _sample(subset, target, warp, grey, room):  # type: ignore[no-untyped-def]
                 curved_x = 0.5 * warp[6] * dx * dx + warp[7] * dx * dy + 0.5 * warp[8] * dy * dy
                 curved_y = 0.5 * warp[9] * dx * dx + warp[10] * dx * dy + 0.5 * warp[11] * dy * dy
                 room[0, i], room[1, i] = x + i * (1.0 + warp[1]) + curved_x, y + i * warp[4] + curved_y
-            sample_points(coefficients, degree, room[0], room[1], row)
+            sample_points(coefficients, degree, room, grey, span)
         else:
-            sample_line(coefficients, degree, x, y, 1.0 + warp[1], warp[4], row)
+            sample_line(coefficients, degree, (x, y), (1.0 + warp[1], warp[4]), grey, span)
 
 
 @njit()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray, check_shape
-from photogram.bspline import PADDING_PX, SMALLEST_TERM, poles_of
+from photogram.bspline import PADDING_PX, poles_of
 from photogram.subsets.icgn import (
     GAIN_AND_OFFSET,
     LINEAR_PX,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 # Images as B-splines on a device: coefficients of a stack of frames, and their values at many points.
 
 PRECISIONS = ("float64", "float32")
-BLOCK = 128
+BLOCK, SMALLEST_TERM = 128, 1e-17
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,13 @@ from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
 from photogram.bspline import Spline, grey_values, noise_gain, sample_squares, slope_noise_gain
 from photogram.kernels import njit
 from photogram.kernels.lanes import (
+    DOUBLE,
+    DOUBLES,
     INDEX,
-    NOTHING,
-    REAL,
-    REALS,
     Lanes,
     across,
     array_of,
+    constant,
     counted,
     element,
     filling,
@@ -67,57 +67,62 @@ def _subset_code(terms: Callable[..., _Terms], number: int) -> Callable[..., Any
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
         grey, pixels, offsets, sums = (array_of(context, builder, signature, arguments, k) for k in (0, 2, 3, 4))
-        mean = spread(builder, arguments[1])
+        mean = spread(builder, arguments[1], DOUBLES)
 
         def block(index: Any, mask: Any) -> _Terms:
             rows = [(pixels, 0), (pixels, 1), (pixels, 2), (offsets, 0), (offsets, 1)]
-            read = [load(builder, element(builder, table, row, index), mask) for table, row in rows]
-            g = load(builder, builder.gep(grey.data, [index]), mask) - mean
+            read = [load(builder, element(builder, table, row, index), DOUBLES, mask) for table, row in rows]
+            g = load(builder, builder.gep(grey.data, [index]), DOUBLES, mask) - mean
             return terms(_within(builder, g, mask), *read)
 
-        _sum(builder, grey, number, block, sums)
+        (count,) = cgutils.unpack_tuple(builder, grey.shape)
+        _sum(builder, count, number, block, sums)
         return context.get_dummy_value()
 
     return generate
 
 
 @intrinsic
-def run_sums(typing, grey, mean, pixels, start, dx, sums):  # type: ignore[no-untyped-def]
-    """Fill sums (7,) with Σw·g, Σw·g², Σw·f̃·g, Σw·f_x·g, Σw·f_x·dx·g, Σw·f_y·g, Σw·f_y·dx·g, g = grey (n,) − mean.
+def run_sums(typing, grey, mean, pixels, span, dx, sums):  # type: ignore[no-untyped-def]
+    """Fill sums (7,) with Σw·g, Σw·g², Σw·f̃·g, Σw·f_x·g, Σw·f_x·dx·g, Σw·f_y·g, Σw·f_y·dx·g, g = grey − mean.
 
-    pixels (4,P): w, w·f̃, w·f_x, w·f_y, of which n from `start` on; dx: of the first one, the others a pixel apart.
+    pixels (4,P): w, w·f̃, w·f_x, w·f_y; span: from which one on, and how many, the first with the first of grey; dx: of
+    the first one, the others a pixel apart.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
         values, table, totals = (array_of(context, builder, signature, arguments, k) for k in (0, 2, 5))
-        level, begin = spread(builder, arguments[1]), counted(builder, arguments[4])
+        start, count = cgutils.unpack_tuple(builder, arguments[3], 2)
+        level = spread(builder, arguments[1], DOUBLES)
+        begin = spread(builder, arguments[4], DOUBLES) + counted(builder, DOUBLES)
 
         def block(index: Any, mask: Any) -> _Terms:
-            place = builder.add(arguments[3], index)
-            weight, f, along, down = (load(builder, element(builder, table, row, place), mask) for row in range(4))
-            g = _within(builder, load(builder, builder.gep(values.data, [index]), mask) - level, mask)
-            offset = begin + spread(builder, builder.sitofp(index, REAL))
+            place = builder.add(start, index)
+            weight, f, along, down = (
+                load(builder, element(builder, table, row, place), DOUBLES, mask) for row in range(4)
+            )
+            g = _within(builder, load(builder, builder.gep(values.data, [index]), DOUBLES, mask) - level, mask)
+            offset = begin + spread(builder, builder.sitofp(index, DOUBLE), DOUBLES)
             w, a, d = weight * g, along * g, down * g
             return w, w * g, f * g, a, a * offset, d, d * offset
 
-        _sum(builder, values, RUN_SUMS, block, totals)
+        _sum(builder, count, RUN_SUMS, block, totals)
         return context.get_dummy_value()
 
-    return filling(grey, mean, pixels, start, dx, sums), generate
+    return filling(grey, mean, pixels, span, dx, sums), generate
 
 
-def _sum(builder: Any, grey: Any, number: int, block: Callable[..., _Terms], sums: Any) -> None:
-    """Code that adds the `number` terms of all blocks of grey values lane by lane, then the lanes."""
-    (count,) = cgutils.unpack_tuple(builder, grey.shape)
-    totals = [cgutils.alloca_once(builder, REALS) for _ in range(number)]
+def _sum(builder: Any, count: Any, number: int, block: Callable[..., _Terms], sums: Any) -> None:
+    """Code that adds the `number` terms of all blocks of `count` grey values lane by lane, then the lanes."""
+    totals = [cgutils.alloca_once(builder, DOUBLES) for _ in range(number)]
     for total in totals:
-        builder.store(NOTHING, total)
+        builder.store(constant(DOUBLES, 0.0), total)
 
     def add(index: Any, mask: Any) -> None:
         for total, term in zip(totals, block(index, mask), strict=True):
             builder.store((Lanes(builder, builder.load(total)) + term).value, total)
 
-    in_blocks(builder, count, add)
+    in_blocks(builder, count, DOUBLES, add)
     for k, total in enumerate(totals):
         place = builder.gep(sums.data, [ir.Constant(INDEX, k)])
         builder.store(across(builder, Lanes(builder, builder.load(total))), place)
@@ -125,13 +130,13 @@ def _sum(builder: Any, grey: Any, number: int, block: Callable[..., _Terms], sum
 
 def _within(builder: Any, lanes: Lanes, mask: Any) -> Lanes:
     """The lanes of the mask, zero in the others."""
-    return lanes if mask is None else Lanes(builder, builder.select(mask, lanes.value, NOTHING))
+    return lanes if mask is None else Lanes(builder, builder.select(mask, lanes.value, constant(lanes.value.type, 0.0)))
 
 
 # Subsets of a reference image, prepared once: grey values, gradients, Hessians, and what the texture determines.
 
 SMALLEST_NOISE = 1e-9
-SMALLEST_CONTRAST = 1e-9
+SMALLEST_CONTRAST = 1e-6  # of the mean: ten times the rounding of float32
 LEAST_RATIO = 4.0
 CURVED_MARGIN = 1.2
 SMALLEST_EXCESS = 1e-2

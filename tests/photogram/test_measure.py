@@ -56,13 +56,16 @@ def chosen(images: ImageSequence, *frames: int | None) -> ImageSequence:
 
 @pytest.mark.parametrize(("bits", "degree"), [(8, 5), (12, 7)])
 def test_a_body_at_rest_without_noise_is_at_rest_within_the_rounding(bits, degree):
-    """All frames are the reference to the last bit, which says no more than that nothing moves by its rounding."""
+    """All frames are the reference to the last bit, which says no more than that nothing moves by its rounding.
+
+    Rotations count as what they move at the rim; 10⁻³ of a grey level of 12 bit is what float32 keeps of one.
+    """
     (left, right), *others = rendered(np.zeros((3, 6)), (0.015, 0.013), (100, 90), 31, ImageSensor(bits), noisy=False)
     body = measure_body((left, right), *others, TrackSettings(radius_px=8, degree=degree))
     assert body.notices == ()
     step_px = PIXEL_M / 2**bits
     for motion in (body.motion, body.motion_of_points):
-        np.testing.assert_allclose(motion.pose, 0.0, atol=1e-3 * step_px)
+        np.testing.assert_allclose(motion.pose * [1, 1, 1, 0.0075, 0.0075, 0.0075], 0.0, atol=1e-3 * step_px)
         u = np.sqrt(np.diagonal(motion.covariance, axis1=1, axis2=2))
         assert np.all((u[:, :2] > 1e-3 * step_px) & (u[:, :2] < step_px))
 
@@ -599,13 +602,15 @@ def test_sums_of_a_cell_against_numpy(make_texture, degree):
     offset, gain = np.linalg.solve(normal, base.T @ (w * g))
     residual = g - offset - gain * base[:, 1]
     projected = steepest - base @ np.linalg.solve(normal, base.T @ (w[:, None] * steepest))
-    np.testing.assert_allclose(found.gain, gain, rtol=1e-10)
-    np.testing.assert_allclose(found.misfit, np.sum(w * residual**2), rtol=1e-7)
-    np.testing.assert_allclose(found.slope[0], projected.T @ (w * g), rtol=1e-7, atol=1e-6)
-    np.testing.assert_allclose(cells.hessian[0], projected.T @ (w[:, None] * projected), rtol=1e-8, atol=1e-6)
+    np.testing.assert_allclose(found.gain, gain, rtol=1e-7)  # here and below: of grey values in float32
+    np.testing.assert_allclose(found.misfit, np.sum(w * residual**2), rtol=2e-5)
+    hessian = projected.T @ (w[:, None] * projected)
+    slope_off = (found.slope[0] - projected.T @ (w * g)) / np.sqrt(np.diagonal(hessian))  # in standard uncertainties
+    np.testing.assert_allclose(slope_off, 0.0, atol=1e-4)
+    np.testing.assert_allclose(cells.hessian[0], hessian, rtol=1e-8, atol=1e-6)
     grey, squares = pixel_residuals(cells, second, warp)
     np.testing.assert_allclose(grey, f, rtol=1e-10)
-    np.testing.assert_allclose(squares / squares.sum(), residual**2 / np.sum(residual**2), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(squares / squares.sum(), residual**2 / np.sum(residual**2), rtol=0.0, atol=1e-5)
 
 
 def test_cells_that_leave_the_image_and_saturated_pixels_do_not_count(make_texture):

@@ -119,7 +119,7 @@ def test_gain_and_offset_change_nothing(gain, offset):
     centres = np.array([[25.0, 25.0], [38.0, 31.0]])
     _, plain = find(first, second, centres)
     _, changed = find(first, gain * second + offset, centres)
-    np.testing.assert_allclose(changed.warp, plain.warp, atol=1e-6)
+    np.testing.assert_allclose(changed.warp, plain.warp, atol=1e-5)  # float32 rounds other grey values otherwise
     np.testing.assert_allclose(changed.zncc, plain.zncc, atol=1e-9)
     np.testing.assert_allclose(changed.gain, gain * plain.gain, rtol=1e-6)
 
@@ -305,13 +305,16 @@ def both_engines(
 
 
 def assert_same(expected: Registration, found: Registration, atol_px: float = 1e-6) -> None:
-    """Same statuses, iterations, numbers, and NaN in the same places; scores where there is any contrast."""
+    """Same statuses, iterations, numbers, and NaN in the same places; scores where there is any contrast.
+
+    The compiled engine rounds grey values to float32, 10⁻³ of a grey level of 12 bit: nothing less is left over.
+    """
     np.testing.assert_array_equal(found.status, expected.status)
     np.testing.assert_array_equal(found.iterations, expected.iterations)
     np.testing.assert_allclose(found.warp, expected.warp, atol=atol_px)
-    seen = ~(expected.residual_grey2 < 1e-6)
+    seen = ~(expected.residual_grey2 < 1e-5)
     np.testing.assert_allclose(found.zncc[seen], expected.zncc[seen], atol=atol_px)
-    np.testing.assert_allclose(found.gain[seen], expected.gain[seen], atol=atol_px)
+    np.testing.assert_allclose(found.gain[seen], expected.gain[seen], rtol=1e-6, atol=atol_px)
     np.testing.assert_allclose(found.residual_grey2[seen], expected.residual_grey2[seen], rtol=1e-3)
 
 
@@ -322,7 +325,8 @@ def test_prefilter_is_the_recursion(degree, shape):
     found = spline_frames(images, degree, "cpu").coefficients.numpy()
     for image, coefficients in zip(images, found, strict=True):
         expected = spline_of_image(image, degree).coefficients
-        np.testing.assert_allclose(coefficients, expected, atol=1e-10 * np.abs(expected).max())
+        rounding = 2.0 * np.finfo(np.float32).eps * np.abs(expected).max()
+        np.testing.assert_allclose(coefficients, expected, rtol=0.0, atol=rounding)
 
 
 @pytest.mark.parametrize("kind", ["uint8", "uint16", ">u2", "float32", "float64"])
