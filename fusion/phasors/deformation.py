@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc
 
-from photogram.direct.shapes import ShapeAmplitudes
+from photogram.direct.shapes import PLAIN, ShapeAmplitudes
 from photogram.motion import Deformation
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
 from shaker.sine.aliasing import alias_frequency, exposure_gain, sine_columns
@@ -101,8 +101,10 @@ class ShapePhasors:
         return np.asarray(self.chance < LEVEL / len(self.chance))
 
     def notices(self) -> list[Notice]:
-        """Say at which lines the body deforms, in which shape most, and by how much."""
-        told = []
+        """Say at which lines the body deforms, in which shape most, and by how much; nothing of modes that are stated."""
+        told = list[Notice]()
+        if self.phasors.channels != PLAIN:
+            return told
         size = self.u_size
         for k in np.flatnonzero(self.deforms):
             most = int(np.argmax(np.abs(self.phasors.value[k]) / size[k]))

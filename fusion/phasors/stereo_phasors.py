@@ -20,7 +20,7 @@ from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, senso
 from fusion.phasors.timing import Lateness, Sight, TimeBase, together
 from photogram.arrays import RunningMean, spread_choice
 from photogram.camera import StereoRig, principal_components, triangulate
-from photogram.direct.shapes import PlainShapes, Shapes
+from photogram.direct.shapes import Shapes
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage
@@ -187,9 +187,10 @@ def stereo_phasors(
     if strength is not None:
         errors += _left_out(measured, fit, lines, usable, gain * strength)
     errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]
-    effects, of_shapes = dict[str, ComplexArray](), None
+    effects, shapes = dict[str, ComplexArray](), None
     if view is not None and sight.pair.body != ROOM:  # they grow with the motion seen, of which a room has next to none
         effects, of_shapes = _image_effects(measured, view, frequency_hz, usable, gain)
+        shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, of_shapes)
     reading = StereoReading(
         name=name,
         pair=sight.pair,
@@ -200,13 +201,8 @@ def stereo_phasors(
         face_m=np.asarray(np.nanmean(next(iter(measured.deformation)).reference_m, axis=0)),
     )
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
-    own = [*(n for n in fit.notices if n.severity == "warning"), *steps]
+    own = [*(n for n in fit.notices if n.severity == "warning"), *steps, *(shapes.notices() if shapes else ())]
     own += _short_notices(lines, usable, sight.time_s, reading) + _jitter_notices(base, sight, lines, usable, reading)
-    shapes = None
-    if view is not None and of_shapes is not None:
-        shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, of_shapes)
-        if shapes is not None and isinstance(view.deformed.shapes, PlainShapes):
-            own += shapes.notices()
     told += [(name, notice) for notice in own]
     notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
     pose = from_mean.pose.copy()

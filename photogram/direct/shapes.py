@@ -22,6 +22,9 @@ class Shapes(Protocol):
         """Return the displacement (S, N, 3) of points (N, 3) at rest in shapes of amplitude 1, finite everywhere."""
 
 
+PLAIN = ("bowl", "saddle", "twist", "breathing", "stretch", "shear")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class PlainShapes(Arrays, shapes="middle_m 3; axes 3 3"):
     """The six ways in which a face bends or stretches that need no knowledge of it: second order across, first along.
@@ -51,7 +54,7 @@ class PlainShapes(Arrays, shapes="middle_m 3; axes 3 3"):
     @property
     def names(self) -> tuple[str, ...]:
         """Return what the shapes are called."""
-        return ("bowl", "saddle", "twist", "breathing", "stretch", "shear")
+        return PLAIN
 
     def __call__(self, points_m: FloatArray) -> FloatArray:
         """Return the displacement (6, N, 3) of points (N, 3)."""
