@@ -101,7 +101,7 @@ class ShapePhasors:
         return np.asarray(self.chance < LEVEL / len(self.chance))
 
     def notices(self) -> list[Notice]:
-        """Say at which lines the body deforms, in which shape most, and by how much; nothing of modes that are stated."""
+        """Say at which lines the body deforms, in which shape most, by how much; nothing of modes that are stated."""
         told = list[Notice]()
         if self.phasors.channels != PLAIN:
             return told

@@ -78,8 +78,7 @@ def evaluate_recording(
         found = analysis.element or analysis.sensitivity
         missing += unstated_chain(found, entries, driven_component(direction, sensor.capacity))
     told = [*manifest.expired, *doubts(manifest), *joined.notices, *shaken, *parallel, *unseen, *measured]
-    told += [*analysis.notices, *missing]
-    notices = [*told, *(drawn.notices if drawn else ())]
+    told += [*analysis.notices, *missing, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,
         lines=joined.lines,
@@ -90,7 +89,7 @@ def evaluate_recording(
         load=analysis.load,
         outputs=outputs,
         sensitivity=analysis.sensitivity,
-        notices=tuple(dict.fromkeys(notices)),
+        notices=tuple(dict.fromkeys(told)),
         settings=settings.as_dict(),
         versions=versions(),
         input_hashes=dict(input_hashes or {}),
