@@ -13,8 +13,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from shaker.timebase.edges import Edges, find_edges
+from shaker.timebase.intervals import Posterior, line_posterior
 from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
-from shaker.timebase.trigger import Posterior, TriggerFit, fit_trigger, line_posterior, pulse_width
+from shaker.timebase.trigger import TriggerFit, fit_trigger, pulse_width
 
 PERIOD_S = 1.0 / 52.874
 EDGES, FEW = 211, 80
