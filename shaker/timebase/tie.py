@@ -183,9 +183,7 @@ class ClockLine:
         return ClockLine(-self.offset_s * rate, rate, covariance, noise=noise)
 
 
-def clock_line(
-    base: TriggerFit, other: TriggerFit, shift: int, rate: tuple[float, float] | None = None
-) -> ClockLine:
+def clock_line(base: TriggerFit, other: TriggerFit, shift: int, rate: tuple[float, float] | None = None) -> ClockLine:
     """Return the line from the other clock to the base clock; `shift` is the base edge that is the other's edge 0.
 
     The trigger's jitter is the same in both records and cancels in the differences of paired edges; what sampling

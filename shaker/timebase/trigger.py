@@ -235,9 +235,9 @@ class TriggerFit:
         if abs(apart) > CONTRADICTS * both:
             way = "longer" if apart > 0.0 else "shorter"
             text = (
-                f"what moves at a known frequency says that the period is {abs(apart) / self.period_s:.2g} of itself "
-                f"{way} than its edges (standard uncertainty {both / self.period_s:.2g}), which stand: frames are "
-                f"missing, or what moved was not what the lines were found in"
+                f"what its frames show, or other records, says that its period is {abs(apart) / self.period_s:.2g} of "
+                f"itself {way} than its edges do (standard uncertainty {both / self.period_s:.2g}), which stand: "
+                f"frames or edges are missing, or what moved was not what the lines were found in"
             )
             return replace(self, notices=(*self.notices, Notice("warning", text, "trigger")))
         half, number = self.number[-1] / 2.0, self.number

@@ -1,0 +1,179 @@
+"""Clocks tied by the motion: the period of a camera trigger from a line that its frames and the channels see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fusion.phasors.channels import APART_PERIODS, STEADY, line_rates, line_stretch, with_ties
+from fusion.phasors.stereo_motion import StereoMotion
+from fusion.phasors.stereo_phasors import lines_seen
+from fusion.phasors.timing import TimeBase, see
+from fusion.recording.load import Manifest
+from fusion.recording.manifest import Images, PointFiles
+from shaker.labels import MOTION_COMPONENTS, component_units
+from shaker.lines.frequencies import Lines
+from shaker.sine.aliasing import alias_frequency
+from shaker.sine.fit import fit_sines
+from shaker.sine.solve import SineModel
+from shaker.timebase.tie import ClockTie, tie_clocks
+from shaker.timebase.trigger import TriggerFit
+
+OPEN = 0.1
+"""Of a sample, over the length of the burst: nearly locked edges leave about a third, others a few hundredths."""
+KNOWS_MORE = 0.5
+"""Of the u that edges leave of a trigger's period: what that of another answer must fall below to count."""
+
+Known = tuple[float, float]
+"""A value, and its standard uncertainty."""
+
+
+def tied_by_motion(
+    manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion], lines: Lines
+) -> tuple[TimeBase, tuple[StereoMotion, ...], Lines]:
+    """Return clocks, exposures and lines with the periods of camera triggers that edges leave open and others tell.
+
+    What moves at a frequency f that channels know turns by 2πfT from frame to frame: its alias in the frames tells the
+    trigger's period T. Another block that records the trigger tells it by its edges, on a clock whose rate the lines
+    tell. Edges that fall on the same places between samples leave T open by a sample over the record; with T known, the
+    intervals of edges that pass a sample tell the instants of all, and with them what the ties leave open. A phase
+    tells no instant: that of the outputs is the measurand, and where cameras and others see one body the fusion
+    compares their delays. A period that contradicts the edges is told and changes nothing; where none is open, the
+    same objects come back.
+    """
+    tied = base
+    for trigger in dict.fromkeys(measured.sight.exposure.trigger for measured in motions):
+        own = [measured for measured in motions if measured.sight.exposure.trigger == trigger]
+        tied, lines = _refined(tied, own, lines, trigger)
+    if tied is base:
+        return base, tuple(motions), lines
+    entries: dict[str, Images | PointFiles] = {entry.stereo: entry for entry in manifest.images}
+    entries |= {entry.stereo: entry for entry in manifest.points}
+    renewed = []
+    for measured in motions:
+        sight = measured.sight
+        again = see(manifest, tied, entries[sight.name], len(sight.time_s))
+        sight = replace(sight, time_s=again.time_s, model_share=again.model_share)
+        renewed.append(replace(measured, sight=sight))
+    return tied, tuple(renewed), lines
+
+
+def nearly_locked(fit: TriggerFit) -> bool:
+    """Whether edges leave the length of the burst open to `OPEN` of a sample and more (standard uncertainty)."""
+    return float(np.sqrt(fit.covariance[1, 1])) * fit.edges > OPEN * fit.sample_s
+
+
+def _refined(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, trigger: str) -> tuple[TimeBase, Lines]:
+    """Return clocks and lines with the periods of one trigger that its edges leave open in some blocks.
+
+    Each block gets the mean of what the motion and the edges in other blocks tell; a tie, which reads the edges of both
+    its blocks, what the motion and the lines tell.
+    """
+    fits = {daq: fit for (daq, name), fit in base.triggers.items() if name == trigger}
+    first, origin = next(iter(fits)), base.records[0].entry.name
+    if not any(nearly_locked(fit) for fit in fits.values()):
+        return base, lines
+    seen = seen_period(base, motions, lines)
+    others = [daq for daq in fits if daq != origin and base.shared_triggers(origin, daq)[:1] == [trigger]]
+    rates = {first: (1.0, 0.0), **line_rates(base, lines, others)}  # seconds of the first clock in one of the block's
+    told = {daq: _times((fits[daq].period_s, float(fits[daq].covariance[1, 1] ** 0.5)), rates[daq]) for daq in rates}
+    triggers, ties, paired = dict(base.triggers), dict[str, ClockTie](), dict(fits)
+    for daq, rate in rates.items():
+        fit, limit, back = fits[daq], KNOWS_MORE * told[daq][1], (1.0 / rate[0], rate[1] / rate[0] ** 2)
+        known = [*(() if seen is None else (seen,)), *(period for name, period in told.items() if name != daq)]
+        if known and nearly_locked(fit) and _mean(known)[1] < limit:
+            triggers[daq, trigger] = fit.with_period(*_times(_mean(known), back))
+        fit = fit if seen is None or seen[1] > limit else fit.with_period(*_times(seen, back))
+        paired[daq] = replace(fit, open_s=min(fit.open_s, triggers[daq, trigger].open_s))
+        tie = base.ties[daq]
+        if daq != first and tie is not None and (nearly_locked(fits[first]) or nearly_locked(fits[daq])):
+            agreed = tie.with_rate(*rate)
+            if len(agreed.notices) == len(tie.notices):
+                again = tie_clocks(paired[first], paired[daq], tie.shift, rate=rate)
+                agreed = replace(again, decided_by=tie.decided_by, notices=(*tie.notices, *again.notices))
+            ties[daq] = agreed
+    return with_ties(replace(base, triggers=triggers), lines, ties)
+
+
+def _times(one: Known, other: Known) -> Known:
+    """Return the product of two independent quantities."""
+    return one[0] * other[0], float(np.hypot(one[1] * other[0], other[1] * one[0]))
+
+
+def _mean(readings: Sequence[Known]) -> Known:
+    """Return the mean of independent readings of one quantity, weighted by their variances.
+
+    Readings that differ by more than they state make it more uncertain (Birge ratio).
+    """
+    value, u = np.array(readings).T
+    weight = u**-2.0
+    mean = float(weight @ value / np.sum(weight))
+    birge = max(1.0, float(weight @ (value - mean) ** 2) / max(len(value) - 1, 1))
+    return mean, float(np.sqrt(birge / np.sum(weight)))
+
+
+def seen_period(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines) -> Known | None:
+    """Return the period of the trigger that some pairs follow as their motion tells it; None where its edges do better.
+
+    On the clock of the first block that records the trigger. Lines are compared with the channels that see the same
+    body while the frames are taken, before all on that block, else with all channels: the frequencies that these find
+    are off as its clock is, and so is the period.
+    """
+    daq, fit = base.first_with(motions[0].sight.exposure.trigger)
+    limit = KNOWS_MORE * float(np.sqrt(fit.covariance[1, 1]))
+    frames = [(measured, seen) for measured in motions if (seen := frame_stretch(measured, lines)) is not None]
+    if not frames or _mean([seen for _, seen in frames])[1] * fit.period_s > limit:
+        return None
+    tie, periods, u_lines = base.ties[daq], [], STEADY
+    for measured, (stretch, u) in frames:
+        reference = _reference(base, daq, measured, lines)
+        if reference is None:
+            return None
+        # Where edges jitter, the frames' times follow what was seen of them: the mean of their distances is compared.
+        time_s = measured.sight.time_s / (1.0 if tie is None else tie.rate)
+        distance_s = float(np.polynomial.Polynomial.fit(np.arange(len(time_s)), time_s, 1).convert().coef[1])
+        periods.append((distance_s * (1.0 + stretch) / (1.0 + reference[0]), distance_s * u))
+        u_lines = max(u_lines, reference[1])
+    period_s, u = _mean(periods)
+    u = float(np.hypot(u, u_lines * period_s))
+    return (period_s, u) if u < limit else None
+
+
+def frame_stretch(measured: StereoMotion, lines: Lines) -> Known | None:
+    """Return by how much all lines seem higher in a pair's frames, with its u; None where they show too little.
+
+    A fit with one free change of all frequencies (IEEE 1057, four parameters). Of lines whose beat comes round twice or
+    more: over less, a change of frequency looks like the offset and the line itself.
+    """
+    time_s = measured.sight.time_s
+    frequency_hz = lines.frequency_hz[lines_seen(measured, lines)[0]]
+    length_s = float(np.ptp(time_s))
+    rate_hz = (len(time_s) - 1) / length_s
+    alias = alias_frequency(frequency_hz, rate_hz)
+    beats = length_s * np.minimum(alias, rate_hz / 2.0 - alias)
+    free = np.where(beats >= APART_PERIODS, 0, -1)
+    if not np.any(free == 0):
+        return None
+    model, first = SineModel(free=tuple(free.tolist()), robust=True), int(np.argmax(free == 0))
+    try:
+        fit = fit_sines(time_s, measured.motion.pose, frequency_hz, MOTION_COMPONENTS, component_units(0), model=model)
+    except ValueError:
+        return None
+    ratio = float(fit.phasors.frequency_hz[first] / frequency_hz[first])
+    return ratio - 1.0, float(fit.u_frequency_hz[first] / frequency_hz[first])
+
+
+def _reference(base: TimeBase, daq: str, measured: StereoMotion, lines: Lines) -> Known | None:
+    """Return by how much the lines seem higher in the channels that a pair's frames are compared with."""
+    sight = measured.sight
+    span_s = float(sight.time_s.min()), float(sight.time_s.max())
+    names = sorted((record.entry.name for record in base.records), key=lambda name: name != daq)
+    for body in (sight.pair.body, ""):
+        for name in names:
+            found = line_stretch(base, name, lines, body, span_s)
+            if found is not None:
+                clocks = [] if name == daq else [*base.tie_errors(name), *base.tie_errors(daq)]
+                return found[0], float(np.linalg.norm([found[1], *(error.rate for error in clocks)]))
+    return None
