@@ -21,8 +21,9 @@ from shaker.sine.solve import SineModel
 from shaker.timebase.tie import ClockTie, tie_clocks
 from shaker.timebase.trigger import TriggerFit
 
-OPEN = 0.1
-"""Of a sample, over the length of the burst: nearly locked edges leave about a third, others a few hundredths."""
+OPEN, JITTERS = 0.15, 3.0
+"""Of a sample, over the length of the burst: nearly locked edges leave about a third, others a few hundredths. And of
+what jitter leaves."""
 KNOWS_MORE = 0.5
 """Of the u that edges leave of a trigger's period: what that of another answer must fall below to count."""
 
@@ -61,8 +62,13 @@ def tied_by_motion(
 
 
 def nearly_locked(fit: TriggerFit) -> bool:
-    """Whether edges leave the length of the burst open to `OPEN` of a sample and more (standard uncertainty)."""
-    return float(np.sqrt(fit.covariance[1, 1])) * fit.edges > OPEN * fit.sample_s
+    """Whether the places of edges between samples leave the length of the burst open to `OPEN` of a sample and more.
+
+    As standard uncertainty. What jitter leaves of the slope of a line through E edges, σ·√(12/E) over their length, is
+    the same in all blocks that record them, and is left as it is.
+    """
+    length = float(np.sqrt(fit.covariance[1, 1])) * fit.edges
+    return bool(length > max(OPEN * fit.sample_s, JITTERS * fit.jitter_s * np.sqrt(12.0 / fit.edges)))
 
 
 def _refined(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, trigger: str) -> tuple[TimeBase, Lines]:
