@@ -444,7 +444,8 @@ def edge_instants(
     """Return the instants of the base record's edges numbered (F,), with what other records saw of the same edges.
 
     An edge is the model's time plus a Gaussian deviation of the size of the jitter. Resolved crossings update it as
-    readings with their own noise; intervals truncate what is left. So edges without jitter follow the model, those with
+    readings with their own noise, those of locked edges with what the shape of the rise may do to them; intervals
+    truncate what is left. So edges without jitter follow the model, those with
     much follow what was seen, and one that no record has seen keeps the model's time and the jitter as uncertainty.
     """
     records = [(base, base.number, None), *((fit, fit.number + tie.shift, tie) for fit, tie in others)]
@@ -460,8 +461,11 @@ def edge_instants(
         )
         if fit.kind == "resolved":
             u_tie = np.zeros(len(at)) if tie is None else tie.u_to_base_s(fit.edge_s[which])
-            noise = np.maximum(fit.resolution_s**2 / 12.0 + u_tie**2, 1e-30)
-            gain = variance[at] / (variance[at] + noise)
+            u_shape = fit.u_shape_s[which]
+            noise = np.maximum(fit.resolution_s**2 / 12.0 + u_tie**2 + u_shape**2, 1e-30)
+            # Where edges err by the shape of their rise so does the model, which is no better known for them.
+            own = np.where(u_shape > 0.0, np.minimum(base.jitter_s**2, variance[at]), variance[at])
+            gain = own / (variance[at] + noise)
             mean[at] += gain * (edge - mean[at])
             variance[at] *= 1.0 - gain
         else:
