@@ -21,9 +21,8 @@ from shaker.sine.solve import SineModel
 from shaker.timebase.tie import ClockTie, tie_clocks
 from shaker.timebase.trigger import TriggerFit
 
-OPEN, JITTERS = 0.15, 3.0
-"""Of a sample, over the length of the burst: nearly locked edges leave about a third, others a few hundredths. And of
-what jitter leaves."""
+OPEN, JITTERS = {"sampled": 0.15, "resolved": 0.03}, 3.0
+"""Of a sample, over the length of the burst: nearly locked edges leave more, others less. And of what jitter leaves."""
 KNOWS_MORE = 0.5
 """Of the u that edges leave of a trigger's period: what that of another answer must fall below to count."""
 
@@ -68,14 +67,14 @@ def nearly_locked(fit: TriggerFit) -> bool:
     the same in all blocks that record them, and is left as it is.
     """
     length = float(np.sqrt(fit.covariance[1, 1])) * fit.edges
-    return bool(length > max(OPEN * fit.sample_s, JITTERS * fit.jitter_s * np.sqrt(12.0 / fit.edges)))
+    return bool(length > max(OPEN[fit.kind] * fit.sample_s, JITTERS * fit.jitter_s * np.sqrt(12.0 / fit.edges)))
 
 
 def _refined(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, trigger: str) -> tuple[TimeBase, Lines]:
     """Return clocks and lines with the periods of one trigger that its edges leave open in some blocks.
 
-    Each block gets the mean of what the motion and the edges in other blocks tell; a tie, which reads the edges of both
-    its blocks, what the motion and the lines tell.
+    Each block gets the mean of what the motion and the edges in other blocks tell, where these are not open themselves;
+    a tie, which reads the edges of both its blocks, what the motion and the lines tell.
     """
     fits = {daq: fit for (daq, name), fit in base.triggers.items() if name == trigger}
     first, origin = next(iter(fits)), base.records[0].entry.name
@@ -88,7 +87,10 @@ def _refined(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, trig
     triggers, ties, paired = dict(base.triggers), dict[str, ClockTie](), dict(fits)
     for daq, rate in rates.items():
         fit, limit, back = fits[daq], KNOWS_MORE * told[daq][1], (1.0 / rate[0], rate[1] / rate[0] ** 2)
-        known = [*(() if seen is None else (seen,)), *(period for name, period in told.items() if name != daq)]
+        known = [
+            *(() if seen is None else (seen,)),
+            *(told[n] for n in rates if n != daq and not nearly_locked(fits[n])),
+        ]
         if known and nearly_locked(fit) and _mean(known)[1] < limit:
             triggers[daq, trigger] = fit.with_period(*_times(_mean(known), back))
         fit = fit if seen is None or seen[1] > limit else fit.with_period(*_times(seen, back))
@@ -128,47 +130,46 @@ def seen_period(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines) -
     are off as its clock is, and so is the period.
     """
     daq, fit = base.first_with(motions[0].sight.exposure.trigger)
-    limit = KNOWS_MORE * float(np.sqrt(fit.covariance[1, 1]))
-    frames = [(measured, seen) for measured in motions if (seen := frame_stretch(measured, lines)) is not None]
-    if not frames or _mean([seen for _, seen in frames])[1] * fit.period_s > limit:
+    limit, tie = KNOWS_MORE * float(np.sqrt(fit.covariance[1, 1])), base.ties[daq]
+    frames = [(measured, seen) for measured in motions if (seen := frame_distance(measured, lines)) is not None]
+    if not frames or _mean([seen for _, seen in frames])[1] > limit:
         return None
-    tie, periods, u_lines = base.ties[daq], [], STEADY
-    for measured, (stretch, u) in frames:
+    periods, u_lines = [], STEADY
+    for measured, seen in frames:
         reference = _reference(base, daq, measured, lines)
         if reference is None:
             return None
-        # Where edges jitter, the frames' times follow what was seen of them: the mean of their distances is compared.
-        time_s = measured.sight.time_s / (1.0 if tie is None else tie.rate)
-        distance_s = float(np.polynomial.Polynomial.fit(np.arange(len(time_s)), time_s, 1).convert().coef[1])
-        periods.append((distance_s * (1.0 + stretch) / (1.0 + reference[0]), distance_s * u))
+        periods.append(_times(seen, (1.0 / (1.0 + reference[0]) / (1.0 if tie is None else tie.rate), 0.0)))
         u_lines = max(u_lines, reference[1])
     period_s, u = _mean(periods)
     u = float(np.hypot(u, u_lines * period_s))
     return (period_s, u) if u < limit else None
 
 
-def frame_stretch(measured: StereoMotion, lines: Lines) -> Known | None:
-    """Return by how much all lines seem higher in a pair's frames, with its u; None where they show too little.
+def frame_distance(measured: StereoMotion, lines: Lines) -> Known | None:
+    """Return the time from frame to frame on the clock on which the lines have these frequencies, with its u.
 
-    A fit with one free change of all frequencies (IEEE 1057, four parameters). Of lines whose beat comes round twice or
-    more: over less, a change of frequency looks like the offset and the line itself.
+    A fit with one free change of all frequencies (four parameters, IEEE 1057) to frames as if evenly spaced, at the
+    mean distance that they are taken to have: that is too short by as much as the lines seem too high. Of lines whose
+    beat comes round twice or more; over less, a change of frequency looks like the offset and the line itself. None
+    where no line does.
     """
-    time_s = measured.sight.time_s
+    number, time_s = np.arange(len(measured.sight.time_s)), measured.sight.time_s
+    start_s, distance_s = np.polynomial.Polynomial.fit(number, time_s, 1).convert().coef.tolist()
     frequency_hz = lines.frequency_hz[lines_seen(measured, lines)[0]]
-    length_s = float(np.ptp(time_s))
-    rate_hz = (len(time_s) - 1) / length_s
-    alias = alias_frequency(frequency_hz, rate_hz)
-    beats = length_s * np.minimum(alias, rate_hz / 2.0 - alias)
+    alias = alias_frequency(frequency_hz, 1.0 / distance_s)
+    beats = len(number) * distance_s * np.minimum(alias, 0.5 / distance_s - alias)
     free = np.where(beats >= APART_PERIODS, 0, -1)
     if not np.any(free == 0):
         return None
-    model, first = SineModel(free=tuple(free.tolist()), robust=True), int(np.argmax(free == 0))
+    even_s, model = start_s + distance_s * number, SineModel(free=tuple(free.tolist()), robust=True)
+    names, units, first = MOTION_COMPONENTS, component_units(0), int(np.argmax(free == 0))
     try:
-        fit = fit_sines(time_s, measured.motion.pose, frequency_hz, MOTION_COMPONENTS, component_units(0), model=model)
+        fit = fit_sines(even_s, measured.motion.pose, frequency_hz, names, units, model=model)
     except ValueError:
         return None
-    ratio = float(fit.phasors.frequency_hz[first] / frequency_hz[first])
-    return ratio - 1.0, float(fit.u_frequency_hz[first] / frequency_hz[first])
+    found = float(fit.phasors.frequency_hz[first]), float(fit.u_frequency_hz[first])
+    return _times((distance_s, 0.0), (found[0] / frequency_hz[first], found[1] / frequency_hz[first]))
 
 
 def _reference(base: TimeBase, daq: str, measured: StereoMotion, lines: Lines) -> Known | None:

@@ -444,13 +444,16 @@ def edge_instants(
     """Return the instants of the base record's edges numbered (F,), with what other records saw of the same edges.
 
     An edge is the model's time plus a Gaussian deviation of the size of the jitter. Resolved crossings update it as
-    readings with their own noise, those of locked edges with what the shape of the rise may do to them; intervals
-    truncate what is left. So edges without jitter follow the model, those with
+    readings with their own noise, intervals truncate what is left. So edges without jitter follow the model, those with
     much follow what was seen, and one that no record has seen keeps the model's time and the jitter as uncertainty.
+    What is open of a model is told by single edges, too, but not where all of them leave it open alike, or another
+    answer than theirs went into it: there the jitter alone moves them, less where the shape of a rise may be all of it.
     """
     records = [(base, base.number, None), *((fit, fit.number + tie.shift, tie) for fit, tie in others)]
-    first = base.jitter_s**2 + base.u_time_s(number) ** 2
-    mean, variance = np.zeros(len(number)), first.copy()
+    alike = base.locked or base.known_period_s is not None
+    u_model = base.u_time_s(number)
+    first = base.jitter_s**2 + (0.0 if alike else u_model**2)
+    mean, variance = np.zeros(len(number)), np.full(len(number), first)
     below, above = np.full(len(number), -np.inf), np.full(len(number), np.inf)
     model = base.time_s(number)
     for fit, seen, tie in records:
@@ -461,19 +464,16 @@ def edge_instants(
         )
         if fit.kind == "resolved":
             u_tie = np.zeros(len(at)) if tie is None else tie.u_to_base_s(fit.edge_s[which])
-            u_shape = fit.u_shape_s[which]
-            noise = np.maximum(fit.resolution_s**2 / 12.0 + u_tie**2 + u_shape**2, 1e-30)
-            # Where edges err by the shape of their rise so does the model, which is no better known for them.
-            own = np.where(u_shape > 0.0, np.minimum(base.jitter_s**2, variance[at]), variance[at])
-            gain = own / (variance[at] + noise)
+            noise = np.maximum(fit.resolution_s**2 / 12.0 + u_tie**2 + fit.u_shape_s[which] ** 2, 1e-30)
+            gain = variance[at] / (variance[at] + noise)
             mean[at] += gain * (edge - mean[at])
             variance[at] *= 1.0 - gain
         else:
             below[at], above[at] = np.maximum(below[at], lower), np.minimum(above[at], upper)
     mean, variance = _truncated(mean, variance, below, above)
     # A prior's mean moves that of the posterior by the ratio of their variances, for readings and for bounds alike.
-    share = np.divide(variance, first, out=np.ones_like(first), where=first > 0.0)
-    return EdgeInstants(model + mean, np.sqrt(variance), share)
+    share = np.divide(variance, first, out=np.ones_like(variance), where=variance > 0.0)
+    return EdgeInstants(model + mean, np.sqrt(variance + (share * u_model) ** 2 * alike), share)
 
 
 def _truncated(
