@@ -147,8 +147,9 @@ def simulate(case: Case, rng: np.random.Generator) -> Simulated:
 
 @dataclass(frozen=True)
 class Found:
-    """Errors and their standard uncertainties (4, 2): exposures in the middle (s) and their rate, the phase along z
-    (rad), the tie in the middle (s); `told`: whether a period is said to contradict its edges."""
+    """Errors and their standard uncertainties (5, 2): exposures in the middle (s) and their rate, the phase along z
+    (rad), the tie in the middle (s), exposures as the bridge's clock has them; `told`: whether a period is said to
+    contradict its edges."""
 
     errors: FloatArray
     told: bool
@@ -170,11 +171,15 @@ def found(one: Simulated, base: TimeBase, motion: StereoMotion, lines: Lines) ->
     tie = base.ties["bridge"]
     assert tie is not None
     there, here = float(np.mean(one.bridge_s)), float(np.mean(one.first_s))
+    behind = {e.name: e.offset_s + e.rate * here for e in base.tie_errors("bridge")}
+    ahead = {e.name: e.offset_s + e.rate * here for e in errors}
+    apart = [ahead.get(name, 0.0) - behind.get(name, 0.0) for name in ahead | behind]
     pairs = (
         (float(np.mean(late)), u_time),
         (slope, float(np.linalg.norm([e.rate for e in errors]))),
         (float(np.angle(value / one.truth[2])), u_phase),
-        (float(tie.to_base_s(np.array(there))) - here, float(tie.u_to_base_s(np.array(there)))),
+        (float(tie.to_base_s(np.array(there))) - here, float(np.linalg.norm(list(behind.values())))),
+        (float(np.mean(late)) - float(tie.to_base_s(np.array(there))) + here, float(np.linalg.norm(apart))),
     )
     told = any("its period is" in n.text for fit in base.triggers.values() for n in fit.notices)
     return Found(np.array(pairs), told)
@@ -198,7 +203,8 @@ def bound() -> float:
 
 HEAD = (
     "| edges move by, in samples | by | exposures: median, rms, u / µs | rate: rms, u / 10⁻⁶ "
-    "| tie: median, rms, u / µs | phase: rms, u / mrad | within 2 u: exposures, rate, tie, phase | told |"
+    "| tie: median, rms, u / µs | camera to bridge: rms, u / µs | phase: rms, u / mrad "
+    "| within 2 u: exposures, rate, tie, camera to bridge, phase | told |"
 )
 
 
@@ -210,7 +216,8 @@ def cells(case: str, by: str, draws: list[Found]) -> str:
     micro = [f"{1e6 * median[k]:.3f}, {1e6 * size[k]:.3f}, {1e6 * stated[k]:.3f}" for k in (0, 3)]
     columns = (
         case, by, micro[0], f"{1e6 * size[1]:.3f}, {1e6 * stated[1]:.3f}", micro[1],
-        f"{1e3 * size[2]:.3f}, {1e3 * stated[2]:.3f}", ", ".join(f"{inside[k]:.0f}" for k in (0, 1, 3, 2)) + " %",
+        f"{1e6 * size[4]:.3f}, {1e6 * stated[4]:.3f}", f"{1e3 * size[2]:.3f}, {1e3 * stated[2]:.3f}",
+        ", ".join(f"{inside[k]:.0f}" for k in (0, 1, 3, 4, 2)) + " %",
         f"{sum(one.told for one in draws)}",
     )  # fmt: skip
     return "| " + " | ".join(columns) + " |"

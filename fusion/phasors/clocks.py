@@ -21,7 +21,7 @@ from shaker.sine.solve import SineModel
 from shaker.timebase.tie import ClockTie, tie_clocks
 from shaker.timebase.trigger import TriggerFit
 
-OPEN, JITTERS = {"sampled": 0.15, "resolved": 0.03}, 3.0
+OPEN, JITTERS = {"sampled": 0.15, "resolved": 0.01}, 3.0
 """Of a sample, over the length of the burst: nearly locked edges leave more, others less. And of what jitter leaves."""
 KNOWS_MORE = 0.5
 """Of the u that edges leave of a trigger's period: what that of another answer must fall below to count."""

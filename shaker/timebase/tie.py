@@ -154,13 +154,15 @@ _DIFFERENCE = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
 class ClockLine:
     """t_base = offset_s + rate·t_other with covariance (2, 2) of (offset_s, rate).
 
-    `noise` (2, 2): what of it is by noise of the samples, and so another error in every record.
+    `noise` (2, 2): what of it is by noise of the samples, and so another error in every record. `follows` (2, 2): what
+    an error of the base trigger's (start_s, period_s) makes of it, where that is known; `covariance` holds it.
     """
 
     offset_s: float
     rate: float
     covariance: FloatArray
     noise: FloatArray = field(default_factory=lambda: np.zeros((2, 2)), kw_only=True)
+    follows: FloatArray | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         check_shape("covariance", self.covariance, (2, 2))
@@ -296,8 +298,11 @@ def _from_intervals(
     stretch = 1.0 + tilted / line[1]
     offset = shifted - tilted * line[0] / line[1] + stretch * start.offset_s
     jacobian = np.array([[1.0, (start.offset_s - line[0]) / line[1]], [0.0, start.rate / line[1]]])
-    covariance = jacobian @ _DIFFERENCE @ both.covariance @ _DIFFERENCE.T @ jacobian.T
-    return ClockLine(float(offset), float(stretch * start.rate), covariance)
+    into_line = jacobian @ _DIFFERENCE
+    covariance = into_line @ both.covariance @ into_line.T
+    # By regression: the base trigger's own line is among what was estimated.
+    follows = into_line @ both.covariance[:, :2] @ np.linalg.solve(both.covariance[:2, :2], to_middle)
+    return ClockLine(float(offset), float(stretch * start.rate), covariance, follows=follows)
 
 
 def _slopes(half: float, base: TriggerFit, ratio: float, u_ratio: float) -> Slopes:
@@ -408,14 +413,23 @@ def tie_clocks(
     pairs, _, there = np.intersect1d(base.number, other.number + decided.edges, return_indices=True)
     # Always from the coarser to the finer record, so that exchanged roles give the same tie.
     finer = min((base, other), key=lambda fit: (fit.resolution_s, fit.edges, fit.start_s))
-    if finer is other:
-        swapped = None if rate is None else (1.0 / rate[0], rate[1] / rate[0] ** 2)
-        line = clock_line(other, base, -decided.edges, swapped).inverse()
+    if finer is other and rate is None:
+        line = clock_line(other, base, -decided.edges).inverse()
     else:
         line = clock_line(base, other, decided.edges, rate)
     middle_s = float(np.mean(other.edge_s[there] if len(pairs) else other.edge_s))
-    own = line.offset_s, line.rate, line.covariance
-    tie = ClockTie(*own, decided.edges, decided.decided_by, len(pairs), middle_s, notices, noise=line.noise)
+    tie = ClockTie(
+        line.offset_s,
+        line.rate,
+        line.covariance,
+        decided.edges,
+        decided.decided_by,
+        len(pairs),
+        middle_s,
+        notices,
+        noise=line.noise,
+        follows=None if rate is None else line.follows,
+    )
     return tie if rate is None or base.kind == other.kind == "sampled" else tie.with_rate(*rate)
 
 
