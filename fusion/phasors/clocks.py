@@ -13,13 +13,14 @@ from fusion.phasors.stereo_phasors import lines_seen
 from fusion.phasors.timing import TimeBase, see
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles
+from shaker.arrays import Notice
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import Lines
 from shaker.sine.aliasing import alias_frequency
 from shaker.sine.fit import fit_sines
 from shaker.sine.solve import SineModel
 from shaker.timebase.tie import ClockTie, tie_clocks
-from shaker.timebase.trigger import TriggerFit
+from shaker.timebase.trigger import CONTRADICTS, TriggerFit
 
 OPEN, JITTERS = {"sampled": 0.15, "resolved": 0.01}, 3.0
 """Of a sample, over the length of the burst: nearly locked edges leave more, others less. And of what jitter leaves."""
@@ -84,25 +85,50 @@ def _refined(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, trig
     others = [daq for daq in fits if daq != origin and base.shared_triggers(origin, daq)[:1] == [trigger]]
     rates = {first: (1.0, 0.0), **line_rates(base, lines, others)}  # seconds of the first clock in one of the block's
     told = {daq: _times((fits[daq].period_s, float(fits[daq].covariance[1, 1] ** 0.5)), rates[daq]) for daq in rates}
-    triggers, ties, paired = dict(base.triggers), dict[str, ClockTie](), dict(fits)
+    triggers, ties, by_motion = dict(base.triggers), dict[str, ClockTie](), dict(fits)
     for daq, rate in rates.items():
         fit, limit, back = fits[daq], KNOWS_MORE * told[daq][1], (1.0 / rate[0], rate[1] / rate[0] ** 2)
-        known = [
-            *(() if seen is None else (seen,)),
-            *(told[n] for n in rates if n != daq and not nearly_locked(fits[n])),
-        ]
-        if known and nearly_locked(fit) and _mean(known)[1] < limit:
-            triggers[daq, trigger] = fit.with_period(*_times(_mean(known), back))
-        fit = fit if seen is None or seen[1] > limit else fit.with_period(*_times(seen, back))
-        paired[daq] = replace(fit, open_s=min(fit.open_s, triggers[daq, trigger].open_s))
+        known = [] if seen is None else [seen]
+        known += [told[name] for name in rates if name != daq and not nearly_locked(fits[name])]
+        if known and nearly_locked(fit):
+            triggers[daq, trigger] = _with_period(fit, known, limit, back)
+        if seen is not None and seen[1] < limit:
+            by_motion[daq] = fit.with_period(*_times(seen, back))
         tie = base.ties[daq]
-        if daq != first and tie is not None and (nearly_locked(fits[first]) or nearly_locked(fits[daq])):
-            agreed = tie.with_rate(*rate)
-            if len(agreed.notices) == len(tie.notices):
-                again = tie_clocks(paired[first], paired[daq], tie.shift, rate=rate)
-                agreed = replace(again, decided_by=tie.decided_by, notices=(*tie.notices, *again.notices))
-            ties[daq] = agreed
+        found = [triggers[name, trigger] for name in (first, daq)]
+        if daq != first and tie is not None and any(fit.known_period_s for fit in found):
+            pair = [replace(by_motion[n], open_s=own.open_s) for n, own in zip((first, daq), found, strict=True)]
+            ties[daq] = _read_again(tie, *pair, rate=rate)
     return with_ties(replace(base, triggers=triggers), lines, ties)
+
+
+def _with_period(fit: TriggerFit, known: Sequence[Known], limit: float, back: Known) -> TriggerFit:
+    """Return a trigger with the mean of what is known of its period, if that is below a limit, on its own clock.
+
+    Answers that contradict each other are told and change nothing.
+    """
+    mean = _mean(known)
+    apart, both = float(np.ptp([value for value, _ in known])), float(np.linalg.norm([u for _, u in known]))
+    if apart > CONTRADICTS * both:
+        text = (
+            f"what its frames show, and what other records do, differ by {apart / mean[0]:.2g} of its period (standard "
+            f"uncertainty {both / mean[0]:.2g}), so that its own edges stand: frames or edges are missing, or what "
+            f"moved was not what the lines were found in"
+        )
+        return replace(fit, notices=(*fit.notices, Notice("warning", text, "trigger")))
+    return fit.with_period(*_times(mean, back)) if mean[1] < limit else fit
+
+
+def _read_again(tie: ClockTie, base: TriggerFit, other: TriggerFit, *, rate: Known) -> ClockTie:
+    """Return a tie from the edges in both blocks with the rate that lines tell of their clocks, if it agrees with them.
+
+    Of edges that leave a gap open as much is taken to be open as the triggers by themselves leave.
+    """
+    agreed = tie.with_rate(*rate)
+    if len(agreed.notices) > len(tie.notices):
+        return replace(tie, notices=tuple(dict.fromkeys(agreed.notices)))
+    again = tie_clocks(base, other, tie.shift, rate=rate)
+    return replace(again, decided_by=tie.decided_by, notices=(*tie.notices, *again.notices))
 
 
 def _times(one: Known, other: Known) -> Known:
