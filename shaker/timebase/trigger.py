@@ -376,6 +376,10 @@ def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
     if fit.jitter_s > 1e-3 * fit.period_s:
         warnings.append(f"jitter of {fit.jitter_s * 1e6:.3g} us, over 0.1 % of the period")
     notices = [Notice("warning", text, "trigger") for text in warnings]
+    if fit.known_period_s:
+        period, u = fit.known_period_s
+        text = f"its edges leave its period open; what its frames show, or other records, tells it to {u / period:.2g}"
+        notices.append(Notice("info", f"{text} of itself (standard uncertainty)", "trigger"))
     if fit.locked:
         u_middle = float(fit.u_time_s(np.asarray(fit.edges // 2)))
         text = (
