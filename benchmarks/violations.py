@@ -97,7 +97,6 @@ CASES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("full", ("trigger-jitter",)),
     ("slow beat", ("trigger-jitter",)),
     ("full", ("locked-clocks",)),
-    ("slow beat", ("locked-clocks",)),
     ("slow beat", ("lens-drift",)),
     ("full", ("frames-lost",)),
     ("slow beat", ("frames-lost",)),
