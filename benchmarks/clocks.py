@@ -195,7 +195,7 @@ def both(one: Simulated) -> tuple[Found, Found]:
 def bound() -> float:
     """Return the Cramér–Rao bound of the period, relative: √(24/F)·σ/(A·ω·T) of F frames in T seconds, along z.
 
-    Rife and Boorstyn (IEEE Trans. Inf. Theory 20, 1974), eq. 19, for one real line in white noise.
+    Rife and Boorstyn (IEEE Trans. Inf. Theory 20, 1974, 591), for one real line in white noise.
     """
     length_s = FRAMES * WHOLE / RATE_HZ
     return float(np.sqrt(24.0 / FRAMES) * NOISE[2] / (SIZE[2] * 2.0 * np.pi * LINE_HZ * length_s))
