@@ -75,7 +75,8 @@ def _refined(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, trig
     """Return clocks and lines with the periods of one trigger that its edges leave open in some blocks.
 
     Each block gets the mean of what the motion and the edges in other blocks tell, where these are not open themselves;
-    a tie, which reads the edges of both its blocks, what the motion and the lines tell.
+    a tie, which reads the intervals of both its blocks, what the motion and the lines tell. Of resolved edges the
+    crossings are paired as they are: that both rises err alike is not known.
     """
     fits = {daq: fit for (daq, name), fit in base.triggers.items() if name == trigger}
     first, origin = next(iter(fits)), base.records[0].entry.name
@@ -96,7 +97,8 @@ def _refined(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, trig
             by_motion[daq] = fit.with_period(*_times(seen, back))
         tie = base.ties[daq]
         found = [triggers[name, trigger] for name in (first, daq)]
-        if daq != first and tie is not None and any(fit.known_period_s for fit in found):
+        sampled = all(fit.kind == "sampled" for fit in found)
+        if daq != first and tie is not None and sampled and any(fit.known_period_s for fit in found):
             pair = [replace(by_motion[n], open_s=own.open_s) for n, own in zip((first, daq), found, strict=True)]
             ties[daq] = _read_again(tie, *pair, rate=rate)
     return with_ties(replace(base, triggers=triggers), lines, ties)

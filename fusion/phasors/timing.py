@@ -201,12 +201,10 @@ class TimeBase:
             return ()
         found: list[Lateness] = []
         own = tie.covariance - tie.noise
-        if tie.follows is not None:
+        if tie.follows is not None and tie.beside is not None:
             name = self.shared_triggers(self.records[0].entry.name, daq)[0]
             fit = self.first_with(name)[1]
-            line, shared = _Straight.of(fit.covariance), tie.follows @ fit.covariance @ tie.follows.T
-            left, turn = np.linalg.eigh(own - shared)
-            own = (turn * np.maximum(left, 0.0)) @ turn.T
+            line, own = _Straight.of(fit.covariance), tie.beside
             errors = [np.array([line.u_value, 0.0]), line.u_slope * np.array([-line.at, 1.0])]
             dof = float(max(len(fit.number) - 2, 1))
             for kind, u, error in zip(

@@ -150,6 +150,7 @@ TOLD = {
     "trigger/covariance": Told("parameter other", "s^2", "covariance of start_s and period_s"),
     "trigger/known_period_s": Told("parts", text="period as known otherwise than by its edges, and its u"),
     "tie/follows": Told("parameter other", "[s, 1]/s", "what errors of the first start_s and period_s make of it"),
+    "tie/beside": Told("parameter other", "[s, 1]^2", "covariance of the rest"),
     "tie/covariance": Told("parameter other", "[s, 1]^2", "covariance of offset_s and rate"),
     "tie/noise": Told("parameter other", "[s, 1]^2", "its part that the noise of the edges makes"),
     "axes": Told("across axis", "1", "directions across that of the points"),

@@ -155,7 +155,8 @@ class ClockLine:
     """t_base = offset_s + rate·t_other with covariance (2, 2) of (offset_s, rate).
 
     `noise` (2, 2): what of it is by noise of the samples, and so another error in every record. `follows` (2, 2): what
-    an error of the base trigger's (start_s, period_s) makes of it, where that is known; `covariance` holds it.
+    an error of the base trigger's (start_s, period_s) makes of it, where that is known, and `beside` (2, 2) the
+    covariance of the rest; `covariance` holds both.
     """
 
     offset_s: float
@@ -163,6 +164,7 @@ class ClockLine:
     covariance: FloatArray
     noise: FloatArray = field(default_factory=lambda: np.zeros((2, 2)), kw_only=True)
     follows: FloatArray | None = field(default=None, kw_only=True)
+    beside: FloatArray | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         check_shape("covariance", self.covariance, (2, 2))
@@ -221,7 +223,9 @@ def clock_line(base: TriggerFit, other: TriggerFit, shift: int, rate: tuple[floa
     else:
         rises = sum(f.open_s**2 for f in fits if f.kind == "resolved") / 12.0
     known = float(line.u_to_base_s(np.asarray(np.mean(other.edge_s[there])))) ** 2
-    return replace(line, covariance=line.covariance + np.diag([rises + max(gaps - known, 0.0), 0.0]))
+    more = np.diag([rises + max(gaps - known, 0.0), 0.0])
+    beside = None if line.beside is None else line.beside + more
+    return replace(line, covariance=line.covariance + more, beside=beside)
 
 
 def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
@@ -301,8 +305,15 @@ def _from_intervals(
     into_line = jacobian @ _DIFFERENCE
     covariance = into_line @ both.covariance @ into_line.T
     # By regression: the base trigger's own line is among what was estimated.
-    follows = into_line @ both.covariance[:, :2] @ np.linalg.solve(both.covariance[:2, :2], to_middle)
-    return ClockLine(float(offset), float(stretch * start.rate), covariance, follows=follows)
+    on_base = np.linalg.solve(both.covariance[:2, :2], both.covariance[:2]).T
+    beside = both.covariance - on_base @ both.covariance[:2]
+    return ClockLine(
+        float(offset),
+        float(stretch * start.rate),
+        covariance,
+        follows=into_line @ on_base @ to_middle,
+        beside=into_line @ beside @ into_line.T,
+    )
 
 
 def _slopes(half: float, base: TriggerFit, ratio: float, u_ratio: float) -> Slopes:
@@ -383,7 +394,7 @@ def tie_clocks(
     `shift` is the number of the base edge that is the other record's edge 0. Where it is not given, it is found
     (`decide_shift`), with `start_difference_s` (how much later the other record started) among the evidence; where
     nothing decides it, `ValueError`. The line is that of `clock_line`. `rate`: that of the clocks with its standard
-    uncertainty where it is known otherwise and agrees with the edges (`ClockTie.with_rate`).
+    uncertainty where it is known otherwise and agrees with the edges, with which intervals in both are read.
 
     >>> import numpy as np
     >>> from shaker import find_edges, fit_trigger, tie_clocks
@@ -418,7 +429,7 @@ def tie_clocks(
     else:
         line = clock_line(base, other, decided.edges, rate)
     middle_s = float(np.mean(other.edge_s[there] if len(pairs) else other.edge_s))
-    tie = ClockTie(
+    return ClockTie(
         line.offset_s,
         line.rate,
         line.covariance,
@@ -429,8 +440,8 @@ def tie_clocks(
         notices,
         noise=line.noise,
         follows=None if rate is None else line.follows,
+        beside=None if rate is None else line.beside,
     )
-    return tie if rate is None or base.kind == other.kind == "sampled" else tie.with_rate(*rate)
 
 
 # Instants of single trigger edges from all records that saw them: the periodic model and each edge's own deviation.

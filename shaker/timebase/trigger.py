@@ -236,8 +236,8 @@ class TriggerFit:
 
         Intervals are read again with it: edges that pass one sample in the record then tell the instants of all. Of the
         gap between the places of locked edges (`open_s`) what the intervals leave of it is open then, since no other
-        period is possible. What is open of resolved rises is normal, and follows in proportion. A period that
-        contradicts the edges is told and changes nothing.
+        period is possible. Of resolved rises, whose shape is open, the line turns about the middle of the burst. A
+        period that contradicts the edges is told and changes nothing.
         """
         apart, both = period_s - self.period_s, np.hypot(u_period_s, np.sqrt(self.covariance[1, 1]))
         if abs(apart) > CONTRADICTS * both:
@@ -251,8 +251,13 @@ class TriggerFit:
         half, number = self.number[-1] / 2.0, self.number
         slopes = Slopes(np.array([half * period_s]), np.array([[(half * u_period_s) ** -2.0]]))
         to_middle = np.array([[1.0, half], [0.0, half]])
-        own = to_middle @ np.array([self.start_s, self.period_s]), to_middle @ self.covariance @ to_middle.T
-        line = slopes.applied(Posterior(*own, self.jitter_s))
+        mean, covariance = (
+            to_middle @ np.array([self.start_s, self.period_s]),
+            to_middle @ self.covariance @ to_middle.T,
+        )
+        if self.kind == "resolved":  # no one shape of a rise makes both of a slope and of the middle
+            covariance = np.diag(covariance.diagonal())
+        line = slopes.applied(Posterior(mean, covariance, self.jitter_s))
         if self.kind == "sampled":
             intervals = (number - half) / half, self.lower_s[None], self.upper_s[None]
             line = line_posterior(*intervals, line, LEAST_JITTER * self.sample_s, slopes)
