@@ -489,7 +489,7 @@ def edge_instants(
         )
         if fit.kind == "resolved":
             u_tie = np.zeros(len(at)) if tie is None else tie.u_to_base_s(fit.edge_s[which])
-            noise = np.maximum(fit.resolution_s**2 / 12.0 + u_tie**2 + fit.u_shape_s[which] ** 2, 1e-30)
+            noise = np.maximum(fit.resolution_s**2 / 12.0 + u_tie**2 + fit.u_shape_s**2, 1e-30)
             gain = variance[at] / (variance[at] + noise)
             mean[at] += gain * (edge - mean[at])
             variance[at] *= 1.0 - gain

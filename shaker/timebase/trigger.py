@@ -214,12 +214,12 @@ class TriggerFit:
         return float(np.median(self.upper_s - self.lower_s))
 
     @property
-    def u_shape_s(self) -> FloatArray:
-        """What the shape of a resolved rise leaves open of each edge (E,) where these were too alike to learn it."""
-        rise = self.rise
-        if self.kind == "sampled" or not (rise.locked or self.known_period_s):
-            return np.zeros(len(self.number))
-        return np.asarray(np.linalg.norm(rise.sines * _LOCKED_SINES[0] * _ORDER ** -_LOCKED_SINES[1], axis=1))
+    def u_shape_s(self) -> float:
+        """What the shape of a resolved rise leaves open of one edge where these are too alike to learn it (rms)."""
+        if self.kind == "sampled" or not (self.locked or self.known_period_s):
+            return 0.0
+        size, power = _LOCKED_SINES
+        return self.sample_s * size * float(np.sqrt(0.5 * np.sum(_ORDER ** (-2.0 * power))))
 
     def time_s(self, number: IntArray) -> FloatArray:
         """Return the modelled times of the edges numbered (any shape), seconds from the record's first sample."""
