@@ -477,7 +477,8 @@ def edge_instants(
     records = [(base, base.number, None), *((fit, fit.number + tie.shift, tie) for fit, tie in others)]
     alike = base.locked or base.known_period_s is not None
     u_model = base.u_time_s(number)
-    first = base.jitter_s**2 + (0.0 if alike else u_model**2)
+    shape = min(base.u_shape_s, base.jitter_s) ** 2  # of what edges scatter by
+    first = base.jitter_s**2 - shape + (0.0 if alike else u_model**2)
     mean, variance = np.zeros(len(number)), np.full(len(number), first)
     below, above = np.full(len(number), -np.inf), np.full(len(number), np.inf)
     model = base.time_s(number)
@@ -497,8 +498,8 @@ def edge_instants(
             below[at], above[at] = np.maximum(below[at], lower), np.minimum(above[at], upper)
     mean, variance = _truncated(mean, variance, below, above)
     # A prior's mean moves that of the posterior by the ratio of their variances, for readings and for bounds alike.
-    share = np.divide(variance, first, out=np.ones_like(variance), where=variance > 0.0)
-    return EdgeInstants(model + mean, np.sqrt(variance + (share * u_model) ** 2 * alike), share)
+    share = np.divide(variance, first, out=np.ones_like(variance), where=np.asarray(first) > 0.0)
+    return EdgeInstants(model + mean, np.sqrt(variance + shape + (share * u_model) ** 2 * alike), share)
 
 
 def _truncated(
