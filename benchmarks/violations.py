@@ -96,6 +96,7 @@ CASES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("full", ("folded-harmonic",)),
     ("full", ("trigger-jitter",)),
     ("slow beat", ("trigger-jitter",)),
+    ("full", ("locked-clocks",)),
     ("slow beat", ("lens-drift",)),
     ("full", ("frames-lost",)),
     ("slow beat", ("frames-lost",)),

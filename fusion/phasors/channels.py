@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ import numpy as np
 
 from fusion.base import AnyNotice, InputError, as_input_error
 from fusion.instruments.channel import NOISE_REACH, ChainUncertainty, Reading, acting, chain_errors
-from fusion.instruments.transducer import TRANSDUCERS
+from fusion.instruments.transducer import HEAD, ROOM, TRANSDUCERS
 from fusion.phasors.timing import Lateness, TimeBase, together
 from fusion.recording.response import read_response
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, Stacked, brief
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from fusion.recording.load import Manifest
     from fusion.recording.manifest import ChannelEntry
     from shaker.frf.chain import ChainResponse
+    from shaker.timebase.tie import ClockTie
 
 EXCERPT_PERIODS = 4
 MOST_BINS = 1 << 18
@@ -104,16 +105,26 @@ def line_clock(base: TimeBase) -> tuple[Lateness, ...]:
 
 
 def _fastest(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
-    """Return the fastest channel and its block, of equally fast ones the first by quantity and place."""
+    """Return the fastest channel and its block, of equally fast ones the first by quantity and place.
+
+    What tells of a room or a laser head, which should stand still, is the last choice.
+    """
     candidates = [
-        (-record.raw[channel.name].sample_rate_hz, LINE_QUANTITIES.index(channel.quantity), place, record, channel)
+        (
+            channel.body in (ROOM, HEAD),
+            -record.raw[channel.name].sample_rate_hz,
+            LINE_QUANTITIES.index(channel.quantity),
+            place,
+            record,
+            channel,
+        )
         for place, record in enumerate(base.records)
         for channel in record.entry.channel
         if channel.quantity in LINE_QUANTITIES
     ]
     if not candidates:
         return None
-    *_, record, channel = min(candidates, key=lambda item: item[:3])
+    *_, record, channel = min(candidates, key=lambda item: item[:4])
     return record, channel
 
 
@@ -137,62 +148,90 @@ def find_channel_lines(manifest: Manifest, base: TimeBase) -> Lines | None:
 def refine_ties(base: TimeBase, lines: Lines) -> tuple[TimeBase, Lines]:
     """Return ties whose rates the lines refine, and the lines on the base clock as it is known then.
 
-    One generator makes the lines that all blocks record, so that the ratio of two clocks' rates is that of the
-    frequencies that they find, known orders of magnitude better than from edges between samples. A wrong rate r costs
-    a sine over T seconds (πfTr)²/6 of its amplitude, of which no first-order uncertainty knows; ties whose u of the
-    rate turns every line by less than `TURN` over half the record stay as they are. Frequencies that contradict the
-    edges are told and change nothing.
+    A wrong rate r costs a sine over T seconds (πfTr)²/6 of its amplitude, of which no first-order uncertainty knows;
+    ties whose u of the rate turns every line by less than `TURN` over half the record stay as they are. Frequencies
+    that contradict the edges are told and change nothing.
     """
-    fastest, first = _fastest(base), base.records[0].entry.name
     length_s = max(float(np.ptp(fit.edge_s)) for fit in base.triggers.values()) if base.triggers else 0.0
     turn = np.pi * float(lines.frequency_hz.max()) * length_s
-    open_ties = [
-        name for name, tie in base.ties.items() if tie is not None and turn * tie.covariance[1, 1] ** 0.5 > TURN
-    ]
-    if fastest is None or not open_ties:
-        return base, lines
-    found_in, clock = fastest[0].entry.name, float(np.linalg.norm([error.rate for error in line_clock(base)]))
-    own = np.sqrt(np.maximum((lines.u_frequency_hz / lines.frequency_hz) ** 2 - clock**2, 0.0))
-    stretches = {found_in: (0.0, float(own.min()))}
-    for name in {first, *open_ties} - {found_in}:
-        stretches |= _stretch(base, name, lines)
-    if first not in stretches:
-        return base, lines
-    reference, u_reference = stretches[first]
-    ties = dict(base.ties)
-    for name in (name for name in open_ties if name in stretches):
-        tie, (stretch, u) = base.ties[name], stretches[name]
-        assert tie is not None
-        seen = tie.rate * (1.0 + stretch) / (1.0 + reference)
-        ties[name] = tie.with_rate(seen, tie.rate * float(np.linalg.norm([u, u_reference, STEADY])))
-    refined = replace(base, ties=ties)
-    if ties[found_in] is base.ties[found_in]:
+    open_ties = {
+        name: tie for name, tie in base.ties.items() if tie is not None and turn * tie.covariance[1, 1] ** 0.5 > TURN
+    }
+    seen = line_rates(base, lines, list(open_ties))
+    ties = {name: tie.with_rate(*seen[name]) for name, tie in open_ties.items() if name in seen}
+    return (base, lines) if not ties else with_ties(base, lines, ties)
+
+
+def with_ties(base: TimeBase, lines: Lines, ties: Mapping[str, ClockTie]) -> tuple[TimeBase, Lines]:
+    """Return a time base with some other ties, and the lines on its clock, whose rate was that of the tie before."""
+    fastest, refined = _fastest(base), replace(base, ties={**base.ties, **ties})
+    if fastest is None or fastest[0].entry.name not in ties:
         return refined, lines
-    scale = base.ties[found_in].rate / ties[found_in].rate  # type: ignore[union-attr]
+    found_in = fastest[0].entry.name
+    scale = base.ties[found_in].rate / refined.ties[found_in].rate  # type: ignore[union-attr]
     plain = replace(
         lines,
         frequency_hz=lines.frequency_hz * scale,
-        u_frequency_hz=own * lines.frequency_hz,
+        u_frequency_hz=_own(base, lines) * lines.frequency_hz,
         nuisance_hz=lines.nuisance_hz * scale,
     )
     return refined, refined.on_clock(plain, line_clock(refined))
 
 
-def _stretch(base: TimeBase, name: str, lines: Lines) -> dict[str, tuple[float, float]]:
-    """Return by how much all lines seem higher in a block, relative, with its u; nothing where it shows none."""
+def _own(base: TimeBase, lines: Lines) -> FloatArray:
+    """Return the relative u (K,) of the frequencies on the clock on which they were found."""
+    clock = float(np.linalg.norm([error.rate for error in line_clock(base)]))
+    return np.sqrt(np.maximum((lines.u_frequency_hz / lines.frequency_hz) ** 2 - clock**2, 0.0))
+
+
+def line_rates(base: TimeBase, lines: Lines, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return the rates of other blocks' ties, with their u, as the lines tell them without any edge.
+
+    One generator makes the lines that all blocks record, so that the ratio of two clocks' rates is that of the
+    frequencies that they find, known orders of magnitude better than from edges between samples. Blocks without lines
+    are left out.
+    """
+    fastest, first = _fastest(base), base.records[0].entry.name
+    if fastest is None or not names:
+        return {}
+    found_in = fastest[0].entry.name
+    stretches = {found_in: (0.0, float(_own(base, lines).min()))}
+    for name in {first, *names} - {found_in}:
+        found = line_stretch(base, name, lines)
+        stretches |= {} if found is None else {name: found}
+    rates = {}
+    for name in (name for name in names if name in stretches and first in stretches):
+        tie, (stretch, u), (reference, u_reference) = base.ties[name], stretches[name], stretches[first]
+        assert tie is not None
+        seen = tie.rate * (1.0 + stretch) / (1.0 + reference)
+        rates[name] = seen, tie.rate * float(np.linalg.norm([u, u_reference, STEADY]))
+    return rates
+
+
+def line_stretch(
+    base: TimeBase, name: str, lines: Lines, body: str = "", span_s: tuple[float, float] = (-np.inf, np.inf)
+) -> tuple[float, float] | None:
+    """Return by how much all lines seem higher in a block, relative, with its u; None where it shows none.
+
+    In channels that see the motion of a `body`, if one is named; in the samples from one time to another.
+    """
     record = base.record(name)
     groups = sorted(_same_times(record), key=lambda group: -record.raw[group[0].name].sample_rate_hz)
     for group in groups:
+        chosen = [c for c in group if not body or (c.quantity in TRANSDUCERS and c.body == body)]
+        if not chosen:
+            continue
         rate_hz = record.raw[group[0].name].sample_rate_hz
         frequency_hz = lines.frequency_hz[lines.frequency_hz < rate_hz / 2.0]
         time_s = base.to_base_s(name, record.time_s(group[0].name))
-        values, names = record.stacked(group), [member.name for member in group]
+        inside = (time_s >= span_s[0]) & (time_s <= span_s[1])
         with suppress(ValueError):
-            free = SineModel(free=(0,) * len(frequency_hz))
-            fit = fit_sines(time_s, values, frequency_hz, names, names, model=free)
+            names, free = [member.name for member in chosen], SineModel(free=(0,) * len(frequency_hz))
+            values = record.stacked(chosen).kept(None if inside.all() else inside)
+            fit = fit_sines(time_s[inside], values, frequency_hz, names, names, model=free)
             ratio = float(fit.phasors.frequency_hz[0] / frequency_hz[0])
-            return {name: (ratio - 1.0, float(fit.u_frequency_hz[0] / frequency_hz[0]))}
-    return {}
+            return ratio - 1.0, float(fit.u_frequency_hz[0] / frequency_hz[0])
+    return None
 
 
 def lines_in(manifest: Manifest, chosen: LineRecord) -> Lines:

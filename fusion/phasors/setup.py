@@ -29,6 +29,7 @@ from fusion.phasors.channels import (
     line_strength,
     refine_ties,
 )
+from fusion.phasors.clocks import tied_by_motion
 from fusion.phasors.stereo_motion import (
     LeftOut,
     OpenImages,
@@ -153,6 +154,9 @@ def measure_set_up(
         left_out = [item for item in seen if isinstance(item, LeftOut)]
         motions = (*(item for item in seen if isinstance(item, StereoMotion)), *opened.points)
         _check_left(opened, motions, left_out)
+        if opened.lines is not None:
+            opened, motions = _tied(opened, motions)
+            base = opened.base
         if opened.lines is None:
             lines, first = motion_lines(manifest, base, motions)
             clock = base.sight_errors(first)
@@ -168,6 +172,16 @@ def measure_set_up(
     readings = tuple(_doubted(reading, doubts) for reading in opened.readings)
     told = tuple(item.notice for item in left_out)
     return SetUp(replace(opened, readings=readings), lines, stereo, (*told, *aliased))
+
+
+def _tied(opened: OpenSetUp, motions: tuple[StereoMotion, ...]) -> tuple[OpenSetUp, tuple[StereoMotion, ...]]:
+    """Return a set-up, and what its pairs saw, with clocks that the motion ties; channels on other times anew."""
+    assert opened.lines is not None
+    base, renewed, lines = tied_by_motion(opened.manifest, opened.base, motions, opened.lines)
+    if any(tie is not opened.base.ties[name] for name, tie in base.ties.items()):
+        channels, readings = channel_phasors(opened.manifest, base, lines)
+        opened = replace(opened, channels=channels, readings=readings)
+    return replace(opened, base=base, lines=lines), renewed
 
 
 def _check_left(opened: OpenSetUp, stereo: Sequence[object], left_out: Sequence[LeftOut]) -> None:

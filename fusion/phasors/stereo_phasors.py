@@ -132,7 +132,7 @@ def pairs_phasors(
     told_apart = []
     for measured in motions:
         name = measured.sight.name
-        usable, aliased = _usable(measured, lines)
+        usable, aliased = lines_seen(measured, lines)
         notices += [Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in aliased]
         if usable.any():
             told_apart.append(measured)
@@ -148,7 +148,7 @@ def pairs_phasors(
     return tuple(fitted), tuple(notices), tuple(unfitted)
 
 
-def _usable(measured: StereoMotion, lines: Lines) -> tuple[NDArray[np.bool_], tuple[Notice, ...]]:
+def lines_seen(measured: StereoMotion, lines: Lines) -> tuple[NDArray[np.bool_], tuple[Notice, ...]]:
     """Return which lines (K,) the frames tell apart, and a notice for each that is dropped."""
     order = np.lexsort((lines.frequency_hz, lines.multiple))  # fundamentals have precedence over harmonics
     usable = np.zeros(len(order), dtype=np.bool_)
@@ -176,7 +176,7 @@ def stereo_phasors(
     """
     sight, view = measured.sight, measured.view
     name, time_s, exposure = sight.name, sight.time_s, sight.exposure
-    usable, _ = _usable(measured, lines)
+    usable, _ = lines_seen(measured, lines)
     if not usable.any():
         raise ComputeError(f"stereo pair {name}: {NO_LINE}")
     frequency_hz = lines.frequency_hz[usable]

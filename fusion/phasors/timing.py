@@ -192,20 +192,41 @@ class TimeBase:
         return next((daq, fit) for (daq, name), fit in self.triggers.items() if name == trigger)
 
     def tie_errors(self, daq: str) -> tuple[Lateness, ...]:
-        """Return what the tie of a block's clock to the first one leaves open, none for the first."""
+        """Return what the tie of a block's clock to the first one leaves open, none for the first.
+
+        What it follows of an error of the first block's trigger is that unknown, which the frames have, too.
+        """
         tie = self.ties[daq]
         if tie is None:
             return ()
         found: list[Lateness] = []
+        own = tie.covariance - tie.noise
+        if tie.follows is not None and tie.beside is not None:
+            name = self.shared_triggers(self.records[0].entry.name, daq)[0]
+            fit = self.first_with(name)[1]
+            line, own = _Straight.of(fit.covariance), tie.beside
+            errors = [np.array([line.u_value, 0.0]), line.u_slope * np.array([-line.at, 1.0])]
+            dof = float(max(len(fit.number) - 2, 1))
+            for kind, u, error in zip(
+                ("time", "rate"), (line.u_value, line.u_slope / fit.period_s), errors, strict=True
+            ):
+                offset_s, rate = tie.follows @ error
+                rate /= tie.rate  # on the first clock
+                unit, offset_s = ("s", "1")[kind == "rate"], offset_s - rate * tie.offset_s
+                found.append(
+                    Lateness(
+                        f"{name}: {kind}", float(u), unit, float(offset_s), float(rate), np.zeros(()), dof, "start"
+                    )
+                )
         parts: tuple[tuple[str, FloatArray, Scope], ...] = (
-            ("", tie.covariance - tie.noise, "start"),
+            ("", own, "start"),
             (" (noise of its edges)", tie.noise, "recording"),
         )
         for what, covariance, scope in parts:
             line = _Straight.of(covariance)
             at_s, rate = float(tie.to_base_s(np.asarray(line.at))), line.u_slope / tie.rate
             found += _straight_errors(f"clock {daq}{what}", at_s, line.u_value, rate, tie.pairs, scope)
-        return tuple(found)
+        return tuple(error for error in found if error.u > 0.0)
 
     def sight_errors(self, sight: Sight) -> tuple[Lateness, ...]:
         """Return what the trigger's periodic model, and the tie of its clock, leave open of the frames' instants.

@@ -230,6 +230,15 @@ def _trigger_jitter(world: World, size: float) -> World:
     return replace(world, trigger_s=edges + size * np.sin(2 * np.pi * frequency_hz * edges + 0.4))
 
 
+def _locked_clocks(world: World, size: float) -> World:
+    """Take frames every so many whole samples of the first recorder, but for `size` samples over the record."""
+    number, edges = np.arange(len(world.trigger_s)), world.trigger_s
+    sample_s = 1.0 / world.preset.daqs[0].sample_rate_hz
+    slope = float(np.polyfit(number, edges, 1)[0])
+    period_s = sample_s * (round(slope / sample_s) + size / number[-1])
+    return replace(world, trigger_s=edges + (period_s - slope) * number)
+
+
 # Records: what recorders do to channels, and what people do.
 
 
@@ -460,6 +469,14 @@ CATALOGUE: dict[str, Violation] = {
         "trigger edges and exposures come early and late with this amplitude at twice the driven frequency",
         ("trigger", "edge", "jitter", *_CAMERAS),
         {"world": _trigger_jitter},
+        "cameras",
+    ),
+    "locked-clocks": Violation(
+        "samples",
+        0.6,
+        "the camera takes a frame every so many whole samples of the first recorder, but for this much over the record",
+        ("same places", "simple multiple"),
+        {"world": _locked_clocks},
         "cameras",
     ),
     "lens-drift": Violation(

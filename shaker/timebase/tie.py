@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from shaker.arrays import FloatArray, IntArray, Notice, check_shape, check_shapes
+from shaker.timebase.intervals import Posterior, Slopes, line_posterior
 from shaker.timebase.trigger import (
+    CONTRADICTS,
     LEAST_JITTER,
     RINGING,
-    Posterior,
     TriggerFit,
     fit_resolved,
-    line_posterior,
     straight_line,
 )
 
@@ -154,13 +154,17 @@ _DIFFERENCE = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
 class ClockLine:
     """t_base = offset_s + rate·t_other with covariance (2, 2) of (offset_s, rate).
 
-    `noise` (2, 2): what of it is by noise of the samples, and so another error in every record.
+    `noise` (2, 2): what of it is by noise of the samples, and so another error in every record. `follows` (2, 2): what
+    an error of the base trigger's (start_s, period_s) makes of it, where that is known, and `beside` (2, 2) the
+    covariance of the rest; `covariance` holds both.
     """
 
     offset_s: float
     rate: float
     covariance: FloatArray
     noise: FloatArray = field(default_factory=lambda: np.zeros((2, 2)), kw_only=True)
+    follows: FloatArray | None = field(default=None, kw_only=True)
+    beside: FloatArray | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         check_shape("covariance", self.covariance, (2, 2))
@@ -183,13 +187,14 @@ class ClockLine:
         return ClockLine(-self.offset_s * rate, rate, covariance, noise=noise)
 
 
-def clock_line(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
+def clock_line(base: TriggerFit, other: TriggerFit, shift: int, rate: tuple[float, float] | None = None) -> ClockLine:
     """Return the line from the other clock to the base clock; `shift` is the base edge that is the other's edge 0.
 
     The trigger's jitter is the same in both records and cancels in the differences of paired edges; what sampling
     leaves open is not. Where both records give intervals, both lines and the common jitter are estimated together;
     where one resolves its edges, they take the period's place for the other's intervals; where both do, the
-    differences are fitted. Two periodic models one by one are the start, and the result where they know more.
+    differences are fitted. Two periodic models one by one are the start, and the result where they know more. `rate`:
+    that of the clocks and its standard uncertainty as found otherwise, which intervals are read with.
     """
     _, here, there = np.intersect1d(base.number, other.number + shift, return_indices=True)
     single = _from_models(base, other, shift)
@@ -200,7 +205,7 @@ def clock_line(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
         middle = np.asarray(np.mean(other.edge_s[there]))
         line = paired if paired.u_to_base_s(middle) < single.u_to_base_s(middle) else single
         if base.kind == "sampled":
-            line = _from_intervals(base, other, shift, line, line is paired)
+            line = _from_intervals(base, other, shift, (line, line is paired), rate)
         elif line is single:
             variance = float(line.u_to_base_s(middle)) ** 2
             opened = (base.open_s**2 + other.open_s**2) / 12.0
@@ -218,7 +223,9 @@ def clock_line(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
     else:
         rises = sum(f.open_s**2 for f in fits if f.kind == "resolved") / 12.0
     known = float(line.u_to_base_s(np.asarray(np.mean(other.edge_s[there])))) ** 2
-    return replace(line, covariance=line.covariance + np.diag([rises + max(gaps - known, 0.0), 0.0]))
+    more = np.diag([rises + max(gaps - known, 0.0), 0.0])
+    beside = None if line.beside is None else line.beside + more
+    return replace(line, covariance=line.covariance + more, beside=beside)
 
 
 def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
@@ -260,11 +267,19 @@ def _from_one_resolved(resolved: TriggerFit, sampled: TriggerFit, here: IntArray
     return unscale(line_posterior(place, lower[None], upper[None], start, LEAST_JITTER * width))
 
 
-def _from_intervals(base: TriggerFit, other: TriggerFit, shift: int, start: ClockLine, paired: bool) -> ClockLine:
+def _from_intervals(
+    base: TriggerFit,
+    other: TriggerFit,
+    shift: int,
+    begin: tuple[ClockLine, bool],
+    rate: tuple[float, float] | None,
+) -> ClockLine:
     """Estimate both lines and the common jitter from the intervals of both records.
 
-    The other record's intervals are read on the base clock by `start`; the two lines then differ by what `start` lacks.
+    The other record's intervals are read on the base clock by the line to `begin` with, which was found from pairs or
+    not; the two lines then differ by what it lacks.
     """
+    start, paired = begin
     numbers = np.union1d(base.number, other.number + shift)
     centre, half = (numbers[0] + numbers[-1]) / 2.0, (numbers[-1] - numbers[0]) / 2.0
     lower, upper = np.full((2, len(numbers)), -np.inf), np.full((2, len(numbers)), np.inf)
@@ -280,14 +295,33 @@ def _from_intervals(base: TriggerFit, other: TriggerFit, shift: int, start: Cloc
     cross, second = (own, own + difference) if paired else (np.zeros((2, 2)), difference - own)
     covariance = np.block([[own, cross], [cross, second]])
     both = Posterior(np.tile(line, 2), covariance, max(base.jitter_s, other.jitter_s))
-    both = line_posterior((numbers - centre) / half, lower, upper, both, LEAST_JITTER * base.resolution_s)
+    slopes = None if rate is None else _slopes(half, base, rate[0] / start.rate, rate[1] / start.rate)
+    both = line_posterior((numbers - centre) / half, lower, upper, both, LEAST_JITTER * base.resolution_s, slopes)
     shifted, tilted = _DIFFERENCE @ both.mean
     # On the base clock: later by shifted + tilted·(time - line[0]) / line[1].
     stretch = 1.0 + tilted / line[1]
     offset = shifted - tilted * line[0] / line[1] + stretch * start.offset_s
     jacobian = np.array([[1.0, (start.offset_s - line[0]) / line[1]], [0.0, start.rate / line[1]]])
-    covariance = jacobian @ _DIFFERENCE @ both.covariance @ _DIFFERENCE.T @ jacobian.T
-    return ClockLine(float(offset), float(stretch * start.rate), covariance)
+    into_line = jacobian @ _DIFFERENCE
+    covariance = into_line @ both.covariance @ into_line.T
+    # By regression: the base trigger's own line is among what was estimated.
+    on_base = np.linalg.solve(both.covariance[:2, :2], both.covariance[:2]).T
+    beside = both.covariance - on_base @ both.covariance[:2]
+    return ClockLine(
+        float(offset),
+        float(stretch * start.rate),
+        covariance,
+        follows=into_line @ on_base @ to_middle,
+        beside=into_line @ beside @ into_line.T,
+    )
+
+
+def _slopes(half: float, base: TriggerFit, ratio: float, u_ratio: float) -> Slopes:
+    """Return what is known of the half spans of `half` periods of two lines: their ratio, and the base line's own."""
+    period, u_period = base.known_period_s or (base.period_s, np.inf)
+    span, apart = half * period, np.array([1.0, -1.0])
+    weight = np.diag([(half * u_period) ** -2.0, 0.0]) + np.multiply.outer(apart, apart) / (u_ratio * span) ** 2
+    return Slopes(span * np.array([1.0, 2.0 - ratio]), weight)
 
 
 def _scaled(time: FloatArray) -> tuple[FloatArray, Callable[[Posterior], ClockLine]]:
@@ -304,7 +338,6 @@ def _scaled(time: FloatArray) -> tuple[FloatArray, Callable[[Posterior], ClockLi
 
 # One clock against another by the edges of the trigger that both have recorded.
 
-_CONTRADICTS = 5.0  # standard uncertainties
 _SAME_PERIOD = 0.01  # relative: clocks differ by less, two triggers by more
 
 
@@ -328,7 +361,7 @@ class ClockTie(ClockLine):
         One that contradicts the edges is told and changes nothing.
         """
         both, apart = float(self.covariance[1, 1]) + u_rate**2, rate - self.rate
-        if abs(apart) > _CONTRADICTS * np.sqrt(both):
+        if abs(apart) > CONTRADICTS * np.sqrt(both):
             way = "higher" if apart > 0.0 else "lower"
             text = (
                 f"its lines are {abs(apart):.2g} of themselves {way} than the edges of the trigger let expect "
@@ -349,13 +382,19 @@ class ClockTie(ClockLine):
 
 
 def tie_clocks(
-    base: TriggerFit, other: TriggerFit, shift: int | None = None, *, start_difference_s: float | None = None
+    base: TriggerFit,
+    other: TriggerFit,
+    shift: int | None = None,
+    *,
+    start_difference_s: float | None = None,
+    rate: tuple[float, float] | None = None,
 ) -> ClockTie:
     """Tie another DAQ's clock to the base clock by the trigger both have recorded: t_base = offset_s + rate·t_other.
 
     `shift` is the number of the base edge that is the other record's edge 0. Where it is not given, it is found
     (`decide_shift`), with `start_difference_s` (how much later the other record started) among the evidence; where
-    nothing decides it, `ValueError`. The line is that of `clock_line`.
+    nothing decides it, `ValueError`. The line is that of `clock_line`. `rate`: that of the clocks with its standard
+    uncertainty where it is known otherwise and agrees with the edges, with which intervals in both are read.
 
     >>> import numpy as np
     >>> from shaker import find_edges, fit_trigger, tie_clocks
@@ -385,13 +424,24 @@ def tie_clocks(
     pairs, _, there = np.intersect1d(base.number, other.number + decided.edges, return_indices=True)
     # Always from the coarser to the finer record, so that exchanged roles give the same tie.
     finer = min((base, other), key=lambda fit: (fit.resolution_s, fit.edges, fit.start_s))
-    if finer is other:
+    if finer is other and rate is None:
         line = clock_line(other, base, -decided.edges).inverse()
     else:
-        line = clock_line(base, other, decided.edges)
+        line = clock_line(base, other, decided.edges, rate)
     middle_s = float(np.mean(other.edge_s[there] if len(pairs) else other.edge_s))
-    own = line.offset_s, line.rate, line.covariance
-    return ClockTie(*own, decided.edges, decided.decided_by, len(pairs), middle_s, notices, noise=line.noise)
+    return ClockTie(
+        line.offset_s,
+        line.rate,
+        line.covariance,
+        decided.edges,
+        decided.decided_by,
+        len(pairs),
+        middle_s,
+        notices,
+        noise=line.noise,
+        follows=None if rate is None else line.follows,
+        beside=None if rate is None else line.beside,
+    )
 
 
 # Instants of single trigger edges from all records that saw them: the periodic model and each edge's own deviation.
@@ -419,12 +469,17 @@ def edge_instants(
     """Return the instants of the base record's edges numbered (F,), with what other records saw of the same edges.
 
     An edge is the model's time plus a Gaussian deviation of the size of the jitter. Resolved crossings update it as
-    readings with their own noise; intervals truncate what is left. So edges without jitter follow the model, those with
+    readings with their own noise, intervals truncate what is left. So edges without jitter follow the model, those with
     much follow what was seen, and one that no record has seen keeps the model's time and the jitter as uncertainty.
+    What is open of a model is told by single edges, too, but not where all of them leave it open alike, or another
+    answer than theirs went into it: there the jitter alone moves them, less where the shape of a rise may be all of it.
     """
     records = [(base, base.number, None), *((fit, fit.number + tie.shift, tie) for fit, tie in others)]
-    first = base.jitter_s**2 + base.u_time_s(number) ** 2
-    mean, variance = np.zeros(len(number)), first.copy()
+    alike = base.locked or base.known_period_s is not None
+    u_model = base.u_time_s(number)
+    shape = min(base.u_shape_s, base.jitter_s) ** 2  # of what edges scatter by
+    first = base.jitter_s**2 - shape + (0.0 if alike else u_model**2)
+    mean, variance = np.zeros(len(number)), np.full(len(number), first)
     below, above = np.full(len(number), -np.inf), np.full(len(number), np.inf)
     model = base.time_s(number)
     for fit, seen, tie in records:
@@ -435,7 +490,7 @@ def edge_instants(
         )
         if fit.kind == "resolved":
             u_tie = np.zeros(len(at)) if tie is None else tie.u_to_base_s(fit.edge_s[which])
-            noise = np.maximum(fit.resolution_s**2 / 12.0 + u_tie**2, 1e-30)
+            noise = np.maximum(fit.resolution_s**2 / 12.0 + u_tie**2 + fit.u_shape_s**2, 1e-30)
             gain = variance[at] / (variance[at] + noise)
             mean[at] += gain * (edge - mean[at])
             variance[at] *= 1.0 - gain
@@ -443,8 +498,8 @@ def edge_instants(
             below[at], above[at] = np.maximum(below[at], lower), np.minimum(above[at], upper)
     mean, variance = _truncated(mean, variance, below, above)
     # A prior's mean moves that of the posterior by the ratio of their variances, for readings and for bounds alike.
-    share = np.divide(variance, first, out=np.ones_like(first), where=first > 0.0)
-    return EdgeInstants(model + mean, np.sqrt(variance), share)
+    share = np.divide(variance, first, out=np.ones_like(variance), where=np.asarray(first) > 0.0)
+    return EdgeInstants(model + mean, np.sqrt(variance + shape + (share * u_model) ** 2 * alike), share)
 
 
 def _truncated(

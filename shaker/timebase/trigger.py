@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import product
 from typing import Literal
 
@@ -12,196 +11,7 @@ import numpy as np
 
 from shaker.arrays import FloatArray, IntArray, Notice, check_shape, check_shapes
 from shaker.timebase.edges import EdgeKind, Edges, find_edges, number_edges
-
-# What intervals say about straight lines: the posterior of a trigger's model by adaptive importance sampling.
-
-_POINTS, _LAST_POINTS = 500, 1000  # while the proposals settle, and afterwards
-_WIDER = 1.35  # of the standard deviation: proposals reach over the corners of a polygon
-_ROUNDS = 30
-_SETTLED = 0.15  # relative change of the standard deviations below which the sampling has settled
-_STRAY = 1e-6  # probability of an edge that the model does not explain
-_STEP = 1.0  # in the logarithm of the jitter
-_STEEP = 2.0  # change of the log-likelihood from step to step above which a step is halved
-_LEAST_STEP = 0.02
-_NO_MATTER = 0.1  # of the line's smallest standard deviation: jitter below it changes nothing any more
-_NO_CHANCE = 1e-4  # share of the whole below which a step of the jitter does not count
-
-
-@dataclass(frozen=True)
-class Posterior:
-    """Mean (P,) and covariance (P, P) of the parameters, and the mean jitter, in seconds."""
-
-    mean: FloatArray
-    covariance: FloatArray
-    jitter_s: float
-
-    def __post_init__(self) -> None:
-        check_shape("covariance", self.covariance, (len(self.mean), len(self.mean)))
-
-
-def line_posterior(
-    place: FloatArray, lower: FloatArray, upper: FloatArray, start: Posterior, least_jitter_s: float
-) -> Posterior:
-    """Return what intervals (R, E) in R records say about one line of instants per record.
-
-    Record r puts edge e, with jitter ε_e common to all records, at m_r + h_r·place_e + ε_e, which lies in
-    (lower_re, upper_re]; infinite bounds stand for an edge that record has not seen. Parameters: m_1 h_1 m_2 h_2 …
-    Likelihood of an edge: Φ(b/σ) - Φ(a/σ) with a the largest lower and b the smallest upper bound less its line;
-    Gaussian jitter σ of unknown size, log-uniform above `least_jitter_s`. The posterior tends to the polygon of all
-    intervals as the jitter vanishes and to the paired differences as it grows. `start` need only be roughly right.
-
-    The lines are sampled for one jitter after the other, from the largest down to where it no longer matters, with
-    smaller steps where the likelihood is steep, and averaged: together with the jitter they fill a funnel that no
-    Gaussian proposal fits.
-    """
-    width = upper - lower
-    most = 3.0 * start.jitter_s + 0.3 * float(np.median(width[np.isfinite(width)]))
-    left = float(np.log(max(most / least_jitter_s, 3.0)))
-    intervals, line = (place, lower, upper), (start.mean, start.covariance)
-    steps: list[_Step] = []
-    while left > 0.0:
-        step = _at_jitter(float(np.log(least_jitter_s)) + left, min(left, _STEP), line, intervals)
-        best, line = max([step.log_weight, *(s.log_weight for s in steps)]), (step.mean, step.covariance)
-        settled = step.jitter_s < _NO_MATTER * np.sqrt(np.diagonal(step.covariance).min())
-        steps.append(replace(step, width=left) if settled else step)
-        left -= left if settled or step.log_weight < best + np.log(_NO_CHANCE) else step.width
-    while True:
-        level = np.array([s.log_weight - np.log(s.width) for s in steps])
-        counts = _shares(steps) > 0.01
-        steep = np.abs(np.diff(level)) > _STEEP
-        halved = (
-            counts
-            & (np.array([s.width for s in steps]) > _LEAST_STEP)
-            & (np.append(steep, False) | np.append(False, steep))
-        )
-        if not halved.any():
-            break
-        steps = [
-            part for s, split in zip(steps, halved, strict=True) for part in (s.halves(intervals) if split else (s,))
-        ]
-    steps = [s.again(intervals) for s, share in zip(steps, _shares(steps), strict=True) if share > _NO_CHANCE]
-    share = _shares(steps)
-    means = np.array([s.mean for s in steps])
-    mean = share @ means
-    covariance = np.einsum("j,jpq->pq", share, np.array([s.covariance for s in steps]))
-    covariance += (share[:, None] * (means - mean)).T @ (means - mean)
-    return Posterior(mean, covariance, float(share @ [s.jitter_s for s in steps]))
-
-
-_Intervals = tuple[FloatArray, FloatArray, FloatArray]
-
-
-@dataclass(frozen=True)
-class _Step:
-    """Lines at the middle jitter of a step of its logarithm, `width` down from `top`: mean (P,), covariance (P, P)."""
-
-    top: float
-    width: float
-    log_likelihood: float
-    mean: FloatArray
-    covariance: FloatArray
-
-    @property
-    def log_weight(self) -> float:
-        """Logarithm of the integral of the likelihood over the step."""
-        return self.log_likelihood + float(np.log(self.width))
-
-    @property
-    def jitter_s(self) -> float:
-        """Jitter in the middle of the step."""
-        return float(np.exp(self.top - 0.5 * min(self.width, _STEP)))
-
-    def halves(self, intervals: _Intervals) -> tuple[_Step, _Step]:
-        """Return the two halves of the step."""
-        line, half = (self.mean, self.covariance), 0.5 * self.width
-        return _at_jitter(self.top, half, line, intervals), _at_jitter(self.top - half, half, line, intervals)
-
-    def again(self, intervals: _Intervals) -> _Step:
-        """Return the step from more points."""
-        normal = _normal_points(len(self.mean))
-        log_likelihood, mean, covariance, _ = _sampled(self.jitter_s, (self.mean, self.covariance), normal, intervals)
-        return _Step(self.top, self.width, log_likelihood, mean, covariance)
-
-
-def _shares(steps: Sequence[_Step]) -> FloatArray:
-    """Return the share of each step in the integral of the likelihood."""
-    log_weight = np.array([step.log_weight for step in steps])
-    weight = np.exp(log_weight - log_weight.max())
-    return np.asarray(weight / weight.sum())
-
-
-def _at_jitter(top: float, width: float, line: tuple[FloatArray, FloatArray], intervals: _Intervals) -> _Step:
-    """Return a step of the jitter. `line`: mean and covariance to begin with.
-
-    Gaussian proposals are fitted to the weighted points, tempered where few points carry the weight, until they settle
-    (Cappé et al., Statistics and Computing 18, 2008: adaptive importance sampling). No random numbers: the points are
-    a low-discrepancy sequence.
-    """
-    step = _Step(top, width, -np.inf, *line)
-    normal = _normal_points(len(step.mean))[:_POINTS]
-    for _ in range(_ROUNDS):
-        old = step.covariance
-        log_likelihood, mean, covariance, power = _sampled(step.jitter_s, (step.mean, old), normal, intervals)
-        step = _Step(top, width, log_likelihood, mean, covariance)
-        change = np.sqrt(np.diagonal(step.covariance) / np.diagonal(old)) - 1.0
-        if power == 1.0 and np.max(np.abs(change)) < _SETTLED:
-            break
-    return step
-
-
-def _sampled(
-    jitter_s: float, line: tuple[FloatArray, FloatArray], normal: FloatArray, intervals: _Intervals
-) -> tuple[float, FloatArray, FloatArray, float]:
-    """Return the logarithm of the mean likelihood of lines under a jitter, their mean and covariance from points with
-    their weights to a power, and that power, 1 where at least a twentieth of the points counts."""
-    mean, covariance = line
-    root = _WIDER * np.linalg.cholesky(covariance)
-    points = mean + normal @ root.T
-    log_weight = _log_likelihood(points, jitter_s, *intervals) + 0.5 * np.sum(normal**2, axis=1)
-    highest = float(log_weight.max())
-    size = highest + float(np.log(np.mean(np.exp(log_weight - highest))) + np.sum(np.log(np.diagonal(root))))
-    power = 1.0
-    while True:
-        weight = np.exp(power * (log_weight - highest))
-        weight /= weight.sum()
-        if 1.0 / np.sum(weight**2) >= len(weight) / 20.0:
-            break
-        power *= 0.7
-    mean = weight @ points
-    centred = points - mean
-    return size, mean, (weight[:, None] * centred).T @ centred, power
-
-
-def _log_likelihood(
-    points: FloatArray, jitter: float, place: FloatArray, lower: FloatArray, upper: FloatArray
-) -> FloatArray:
-    """Return the log-likelihood (N,) of points (N, 2R), a line per record, under a jitter."""
-    from scipy.special import ndtr
-
-    below = np.full((len(points), len(place)), -np.inf)
-    above = np.full((len(points), len(place)), np.inf)
-    for record, (low, high) in enumerate(zip(lower, upper, strict=True)):
-        line = points[:, 2 * record, None] + points[:, 2 * record + 1, None] * place
-        below, above = np.maximum(below, low - line), np.minimum(above, high - line)
-    # Edges whose intervals hold every line with room to spare say nothing.
-    telling = (below.max(axis=0) > -6.0 * jitter) | (above.min(axis=0) < 6.0 * jitter)
-    share = np.maximum(ndtr(above[:, telling] / jitter) - ndtr(below[:, telling] / jitter), 0.0) + _STRAY
-    return np.asarray(np.log(share).sum(axis=1))
-
-
-@cache
-def _normal_points(dimensions: int) -> FloatArray:
-    """Return standard normal points (N, D) from the additive recurrence with the generalised golden ratio."""
-    from scipy.special import ndtri
-
-    ratio = 1.5
-    for _ in range(50):  # ratio^(D + 1) = ratio + 1
-        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
-    step = ratio ** -np.arange(1.0, dimensions + 1)
-    points = np.asarray(ndtri((0.5 + np.arange(1.0, _LAST_POINTS + 1)[:, None] * step) % 1.0))
-    points.flags.writeable = False
-    return points
-
+from shaker.timebase.intervals import Posterior, Slopes, line_posterior
 
 # Crossings of a resolved rise: what its shape adds to the reconstruction, learnt from all edges.
 
@@ -326,6 +136,7 @@ def fit_resolved(
 LEAST_JITTER = 5e-6  # of a sample: 0.1 ns at 51.2 kHz, what a logic output that a quartz drives has at least
 _IDLE = 1.05  # periods without an edge at an end of the record that show the burst to begin or end there
 _LOCKED = 0.15  # of a sample: no edge over this range of phases once there are enough of them
+CONTRADICTS = 5.0  # standard uncertainties by which two answers to one question may differ
 RINGING = 1e-3  # of a sample: interval that the ringing of the pulse's other edge leaves open of a resolved one
 
 
@@ -340,7 +151,7 @@ class TriggerFit:
     for the shape of a resolved rise or the ringing of others. `covariance` (2, 2) of (start_s, period_s); `jitter_s`
     standard deviation of the edges about the model beyond what sampling explains; `missing` numbers without an edge,
     `doubled` and `spurious` edges dropped. `idle_before`, `idle_after`: the record shows that the burst begins or ends
-    here.
+    here. `known_period_s`: the period and its standard uncertainty as found otherwise than from edges (`with_period`).
     """
 
     start_s: float
@@ -361,6 +172,7 @@ class TriggerFit:
     resolution_s: float
     open_s: float
     notices: tuple[Notice, ...]
+    known_period_s: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         check_shape("number", self.number, (None,))
@@ -401,6 +213,14 @@ class TriggerFit:
         """Sampling interval."""
         return float(np.median(self.upper_s - self.lower_s))
 
+    @property
+    def u_shape_s(self) -> float:
+        """What the shape of a resolved rise leaves open of one edge where these are too alike to learn it (rms)."""
+        if self.kind == "sampled" or not (self.locked or self.known_period_s):
+            return 0.0
+        size, power = _LOCKED_SINES
+        return self.sample_s * size * float(np.sqrt(0.5 * np.sum(_ORDER ** (-2.0 * power))))
+
     def time_s(self, number: IntArray) -> FloatArray:
         """Return the modelled times of the edges numbered (any shape), seconds from the record's first sample."""
         return np.asarray(self.start_s + self.period_s * np.asarray(number, dtype=np.float64))
@@ -410,6 +230,49 @@ class TriggerFit:
         k = np.asarray(number, dtype=np.float64)
         c = self.covariance
         return np.asarray(np.sqrt(c[0, 0] + 2.0 * k * c[0, 1] + k**2 * c[1, 1]))
+
+    def with_period(self, period_s: float, u_period_s: float) -> TriggerFit:
+        """Return the fit with a period that was also found otherwise, which is a reading of the line's slope.
+
+        Intervals are read again with it: edges that pass one sample in the record then tell the instants of all. Of the
+        gap between the places of locked edges (`open_s`) what the intervals leave of it is open then, since no other
+        period is possible. Of resolved rises, whose shape is open, the line turns about the middle of the burst. A
+        period that contradicts the edges is told and changes nothing.
+        """
+        apart, both = period_s - self.period_s, np.hypot(u_period_s, np.sqrt(self.covariance[1, 1]))
+        if abs(apart) > CONTRADICTS * both:
+            way = "longer" if apart > 0.0 else "shorter"
+            text = (
+                f"what its frames show, or other records, says that its period is {abs(apart) / self.period_s:.2g} of "
+                f"itself {way} than its edges do (standard uncertainty {both / self.period_s:.2g}), which stand: "
+                f"frames or edges are missing, or what moved was not what the lines were found in"
+            )
+            return replace(self, notices=(*self.notices, Notice("warning", text, "trigger")))
+        half, number = self.number[-1] / 2.0, self.number
+        slopes = Slopes(np.array([half * period_s]), np.array([[(half * u_period_s) ** -2.0]]))
+        to_middle = np.array([[1.0, half], [0.0, half]])
+        mean, covariance = (
+            to_middle @ np.array([self.start_s, self.period_s]),
+            to_middle @ self.covariance @ to_middle.T,
+        )
+        if self.kind == "resolved":  # no one shape of a rise makes both of a slope and of the middle
+            covariance = np.diag(covariance.diagonal())
+        line = slopes.applied(Posterior(mean, covariance, self.jitter_s))
+        if self.kind == "sampled":
+            intervals = (number - half) / half, self.lower_s[None], self.upper_s[None]
+            line = line_posterior(*intervals, line, LEAST_JITTER * self.sample_s, slopes)
+        jacobian = np.array([[1.0, -1.0], [0.0, 1.0 / half]])
+        start, period = jacobian @ line.mean
+        fit = replace(
+            self,
+            start_s=float(start),
+            period_s=float(period),
+            covariance=jacobian @ line.covariance @ jacobian.T,
+            jitter_s=line.jitter_s,
+            open_s=min(self.open_s, float(np.sqrt(12.0 * line.covariance[0, 0]))),
+            known_period_s=(period_s, u_period_s),
+        )
+        return replace(fit, notices=_notices(fit))
 
     def later_by(self, lag_s: float) -> TriggerFit:
         """Return the same trigger on a time axis on which it comes `lag_s` later."""
@@ -518,6 +381,10 @@ def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
     if fit.jitter_s > 1e-3 * fit.period_s:
         warnings.append(f"jitter of {fit.jitter_s * 1e6:.3g} us, over 0.1 % of the period")
     notices = [Notice("warning", text, "trigger") for text in warnings]
+    if fit.known_period_s:
+        period, u = fit.known_period_s
+        text = f"its edges leave its period open; what its frames show, or other records, tells it to {u / period:.2g}"
+        notices.append(Notice("info", f"{text} of itself (standard uncertainty)", "trigger"))
     if fit.locked:
         u_middle = float(fit.u_time_s(np.asarray(fit.edges // 2)))
         text = (

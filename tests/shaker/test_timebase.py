@@ -13,8 +13,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from shaker.timebase.edges import Edges, find_edges
+from shaker.timebase.intervals import Posterior, Slopes, line_posterior
 from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
-from shaker.timebase.trigger import Posterior, TriggerFit, fit_trigger, line_posterior, pulse_width
+from shaker.timebase.trigger import TriggerFit, fit_trigger, pulse_width
 
 PERIOD_S = 1.0 / 52.874
 EDGES, FEW = 211, 80
@@ -300,6 +301,52 @@ def test_posterior_is_that_of_direct_integration():
         found = line_posterior(place, lower[None], upper[None], start, least)
         np.testing.assert_allclose(found.mean, corner.mean(axis=1), atol=0.25 * scale.min())
         np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), scale, rtol=wider)
+
+
+def test_a_known_slope_cuts_the_polygon():
+    """Likelihood of lines, even over those that pass through all intervals, times the normal density of the slope."""
+    place, centre = np.array([-1.0, -0.3, 0.4, 1.0]), np.array([0.3, -0.2, 0.1, 0.35])
+    m, h = np.meshgrid(np.linspace(-1, 1, 801), np.linspace(-1, 1, 801), indexing="ij")
+    line = m[..., None] + h[..., None] * place
+    weight = np.all((line > centre[:, None, None].T - 0.5) & (line <= centre[:, None, None].T + 0.5), axis=-1)
+    weight = weight * np.exp(-0.5 * ((h - 0.25) / 0.05) ** 2)
+    mean = np.array([np.sum(weight * m), np.sum(weight * h)]) / weight.sum()
+    spread = np.sqrt(
+        np.array([np.sum(weight * (m - mean[0]) ** 2), np.sum(weight * (h - mean[1]) ** 2)]) / weight.sum()
+    )
+    start, known = Posterior(np.zeros(2), 0.3 * np.eye(2), 1e-4), Slopes(np.array([0.25]), np.array([[0.05**-2]]))
+    found = line_posterior(place, (centre - 0.5)[None], (centre + 0.5)[None], start, 1e-12, known)
+    np.testing.assert_allclose(found.mean, mean, atol=0.2 * spread.min())
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), spread, rtol=0.12)
+
+
+def test_a_known_period_tells_where_edges_pass_a_sample():
+    drift = 0.8 / (FEW - 1)  # samples from edge to edge
+    for place in (0.7, 0.5, 0.3):  # of a sample, of the first: a later one is the next sample's
+        instants = (5000.0 + place) / RATE_HZ + (968.0 + drift) / RATE_HZ * np.arange(FEW)
+        alone = fit_trigger(_latched(instants, RATE_HZ))
+        known = alone.with_period((968.0 + drift) / RATE_HZ, 1e-8 / RATE_HZ)
+        error = known.time_s(np.arange(FEW)) - instants
+        assert np.max(np.abs(error)) < 0.75 * drift / RATE_HZ
+        assert float(known.u_time_s(np.array(40))) < 0.5 * drift / RATE_HZ
+        assert float(alone.u_time_s(np.array(40))) > 4.0 * drift / RATE_HZ
+    wrong = alone.with_period((968.0 + drift) / RATE_HZ * (1.0 + 1e-4), 1e-8 / RATE_HZ)
+    assert wrong.time_s(np.array(40)) == alone.time_s(np.array(40))
+    assert "its period is 0.0001 of itself longer than its edges do" in wrong.notices[-1].text
+
+
+def test_the_shape_of_a_locked_rise_moves_no_exposure():
+    """Crossings err by up to a tenth of a sample along with their place; single exposures do not follow them."""
+    rng = np.random.default_rng(43)
+    instants = 0.1 + rng.uniform(0.0, PERIOD_S) + 968.005 / RATE_HZ * np.arange(FEW)  # 0.4 of a sample in all
+    fit = _filtered(_charging, instants, RATE_HZ, rng)
+    assert fit.jitter_s > 1.5 * fit.resolution_s / np.sqrt(12.0)  # with which single edges would count
+    found = edge_instants(fit, np.arange(FEW))
+    assert np.median(found.model_share) > 0.9
+    shape_s = np.ptp(fit.edge_s - instants)
+    straight = edge_instants(fit.with_period(968.005 / RATE_HZ, 1e-9 / RATE_HZ), np.arange(FEW)).time_s - instants
+    assert shape_s > 0.5e-6
+    assert np.std(straight) < 0.3 * np.std(fit.edge_s - instants)
 
 
 @pytest.mark.parametrize("rise", [_ramp, _charging, _half_band])

@@ -1,0 +1,216 @@
+"""Clocks tied by the motion: the period of a camera trigger from a line that its frames and the channels see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fusion.instruments.transducer import ROOM
+from fusion.phasors.channels import APART_PERIODS, STEADY, line_rates, line_stretch, with_ties
+from fusion.phasors.stereo_motion import StereoMotion
+from fusion.phasors.stereo_phasors import lines_seen
+from fusion.phasors.timing import TimeBase, see
+from fusion.recording.load import Manifest
+from fusion.recording.manifest import Images, PointFiles
+from shaker.arrays import Notice
+from shaker.labels import MOTION_COMPONENTS, component_units
+from shaker.lines.frequencies import Lines
+from shaker.sine.aliasing import alias_frequency
+from shaker.sine.fit import fit_sines
+from shaker.sine.solve import SineModel
+from shaker.timebase.tie import ClockTie, tie_clocks
+from shaker.timebase.trigger import CONTRADICTS, TriggerFit
+
+OPEN, JITTERS = {"sampled": 0.15, "resolved": 0.01}, 3.0
+"""Of a sample, over the length of the burst: nearly locked edges leave more, others less. And of what jitter leaves."""
+KNOWS_MORE = 0.5
+"""Of the u that edges leave of a trigger's period: what that of another answer must fall below to count."""
+
+Known = tuple[float, float]
+"""A value, and its standard uncertainty."""
+
+
+def tied_by_motion(
+    manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion], lines: Lines
+) -> tuple[TimeBase, tuple[StereoMotion, ...], Lines]:
+    """Return clocks, exposures and lines with the periods of camera triggers that edges leave open and others tell.
+
+    What moves at a frequency f that channels know turns by 2πfT from frame to frame: its alias in the frames tells the
+    trigger's period T. Another block that records the trigger tells it by its edges, on a clock whose rate the lines
+    tell. Edges that fall on the same places between samples leave T open by a sample over the record; with T known, the
+    intervals of edges that pass a sample tell the instants of all, and with them what the ties leave open. A phase
+    tells no instant: that of the outputs is the measurand, and where cameras and others see one body the fusion
+    compares their delays. A period that contradicts the edges is told and changes nothing; where none is open, the
+    same objects come back.
+    """
+    tied = base
+    for trigger in dict.fromkeys(measured.sight.exposure.trigger for measured in motions):
+        own = [measured for measured in motions if measured.sight.exposure.trigger == trigger]
+        tied, lines = _refined(tied, own, lines, trigger)
+    if tied is base:
+        return base, tuple(motions), lines
+    entries: dict[str, Images | PointFiles] = {entry.stereo: entry for entry in manifest.images}
+    entries |= {entry.stereo: entry for entry in manifest.points}
+    renewed = []
+    for measured in motions:
+        sight = measured.sight
+        again = see(manifest, tied, entries[sight.name], len(sight.time_s))
+        sight = replace(sight, time_s=again.time_s, model_share=again.model_share)
+        renewed.append(replace(measured, sight=sight))
+    return tied, tuple(renewed), lines
+
+
+def nearly_locked(fit: TriggerFit) -> bool:
+    """Whether the places of edges between samples leave the length of the burst open to `OPEN` of a sample and more.
+
+    As standard uncertainty. What jitter leaves of the slope of a line through E edges, σ·√(12/E) over their length, is
+    the same in all blocks that record them, and is left as it is.
+    """
+    length = float(np.sqrt(fit.covariance[1, 1])) * fit.edges
+    return bool(length > max(OPEN[fit.kind] * fit.sample_s, JITTERS * fit.jitter_s * np.sqrt(12.0 / fit.edges)))
+
+
+def _refined(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines, trigger: str) -> tuple[TimeBase, Lines]:
+    """Return clocks and lines with the periods of one trigger that its edges leave open in some blocks.
+
+    Each block gets the mean of what the motion and the edges in other blocks tell, where these are not open themselves;
+    a tie, which reads the intervals of both its blocks, what the motion and the lines tell. Of resolved edges the
+    crossings are paired as they are: that both rises err alike is not known.
+    """
+    fits = {daq: fit for (daq, name), fit in base.triggers.items() if name == trigger}
+    first, origin = next(iter(fits)), base.records[0].entry.name
+    if not any(nearly_locked(fit) for fit in fits.values()):
+        return base, lines
+    seen = seen_period(base, motions, lines)
+    others = [daq for daq in fits if daq != origin and base.shared_triggers(origin, daq)[:1] == [trigger]]
+    rates = {first: (1.0, 0.0), **line_rates(base, lines, others)}  # seconds of the first clock in one of the block's
+    told = {daq: _times((fits[daq].period_s, float(fits[daq].covariance[1, 1] ** 0.5)), rates[daq]) for daq in rates}
+    triggers, ties, by_motion = dict(base.triggers), dict[str, ClockTie](), dict(fits)
+    for daq, rate in rates.items():
+        fit, limit, back = fits[daq], KNOWS_MORE * told[daq][1], (1.0 / rate[0], rate[1] / rate[0] ** 2)
+        known = [] if seen is None else [seen]
+        known += [told[name] for name in rates if name != daq and not nearly_locked(fits[name])]
+        if known and nearly_locked(fit):
+            triggers[daq, trigger] = _with_period(fit, known, limit, back)
+        if seen is not None and seen[1] < limit:
+            by_motion[daq] = fit.with_period(*_times(seen, back))
+        tie = base.ties[daq]
+        found = [triggers[name, trigger] for name in (first, daq)]
+        sampled = all(fit.kind == "sampled" for fit in found)
+        if daq != first and tie is not None and sampled and any(fit.known_period_s for fit in found):
+            pair = [replace(by_motion[n], open_s=own.open_s) for n, own in zip((first, daq), found, strict=True)]
+            ties[daq] = _read_again(tie, *pair, rate=rate)
+    return with_ties(replace(base, triggers=triggers), lines, ties)
+
+
+def _with_period(fit: TriggerFit, known: Sequence[Known], limit: float, back: Known) -> TriggerFit:
+    """Return a trigger with the mean of what is known of its period, if that is below a limit, on its own clock.
+
+    Answers that contradict each other are told and change nothing.
+    """
+    mean = _mean(known)
+    apart, both = float(np.ptp([value for value, _ in known])), float(np.linalg.norm([u for _, u in known]))
+    if apart > CONTRADICTS * both:
+        text = (
+            f"what its frames show, and what other records do, differ by {apart / mean[0]:.2g} of its period (standard "
+            f"uncertainty {both / mean[0]:.2g}), so that its own edges stand: frames or edges are missing, or what "
+            f"moved was not what the lines were found in"
+        )
+        return replace(fit, notices=(*fit.notices, Notice("warning", text, "trigger")))
+    return fit.with_period(*_times(mean, back)) if mean[1] < limit else fit
+
+
+def _read_again(tie: ClockTie, base: TriggerFit, other: TriggerFit, *, rate: Known) -> ClockTie:
+    """Return a tie from the edges in both blocks with the rate that lines tell of their clocks, if it agrees with them.
+
+    Of edges that leave a gap open as much is taken to be open as the triggers by themselves leave.
+    """
+    agreed = tie.with_rate(*rate)
+    if len(agreed.notices) > len(tie.notices):
+        return replace(tie, notices=tuple(dict.fromkeys(agreed.notices)))
+    again = tie_clocks(base, other, tie.shift, rate=rate)
+    return replace(again, decided_by=tie.decided_by, notices=(*tie.notices, *again.notices))
+
+
+def _times(one: Known, other: Known) -> Known:
+    """Return the product of two independent quantities."""
+    return one[0] * other[0], float(np.hypot(one[1] * other[0], other[1] * one[0]))
+
+
+def _mean(readings: Sequence[Known]) -> Known:
+    """Return the mean of independent readings of one quantity, weighted by their variances.
+
+    Readings that differ by more than they state make it more uncertain (Birge ratio).
+    """
+    value, u = np.array(readings).T
+    weight = u**-2.0
+    mean = float(weight @ value / np.sum(weight))
+    birge = max(1.0, float(weight @ (value - mean) ** 2) / max(len(value) - 1, 1))
+    return mean, float(np.sqrt(birge / np.sum(weight)))
+
+
+def seen_period(base: TimeBase, motions: Sequence[StereoMotion], lines: Lines) -> Known | None:
+    """Return the period of the trigger that some pairs follow as their motion tells it; None where its edges do better.
+
+    On the clock of the first block that records the trigger. Lines are compared with the channels that see the same
+    body while the frames are taken, before all on that block, else with all channels: the frequencies that these find
+    are off as its clock is, and so is the period.
+    """
+    daq, fit = base.first_with(motions[0].sight.exposure.trigger)
+    limit, tie = KNOWS_MORE * float(np.sqrt(fit.covariance[1, 1])), base.ties[daq]
+    moving = [measured for measured in motions if measured.sight.pair.body != ROOM]
+    frames = [(measured, seen) for measured in moving if (seen := frame_distance(measured, lines)) is not None]
+    if not frames or _mean([seen for _, seen in frames])[1] > limit:
+        return None
+    periods, u_lines = [], STEADY
+    for measured, seen in frames:
+        reference = _reference(base, daq, measured, lines)
+        if reference is None:
+            return None
+        periods.append(_times(seen, (1.0 / (1.0 + reference[0]) / (1.0 if tie is None else tie.rate), 0.0)))
+        u_lines = max(u_lines, reference[1])
+    period_s, u = _mean(periods)
+    u = float(np.hypot(u, u_lines * period_s))
+    return (period_s, u) if u < limit else None
+
+
+def frame_distance(measured: StereoMotion, lines: Lines) -> Known | None:
+    """Return the time from frame to frame on the clock on which the lines have these frequencies, with its u.
+
+    A fit with one free change of all frequencies (four parameters, IEEE 1057) to frames as if evenly spaced, at the
+    mean distance that they are taken to have: that is too short by as much as the lines seem too high. Of lines whose
+    beat comes round twice or more; over less, a change of frequency looks like the offset and the line itself. None
+    where no line does.
+    """
+    number, time_s = np.arange(len(measured.sight.time_s)), measured.sight.time_s
+    start_s, distance_s = np.polynomial.Polynomial.fit(number, time_s, 1).convert().coef.tolist()
+    frequency_hz = lines.frequency_hz[lines_seen(measured, lines)[0]]
+    alias = alias_frequency(frequency_hz, 1.0 / distance_s)
+    beats = len(number) * distance_s * np.minimum(alias, 0.5 / distance_s - alias)
+    free = np.where(beats >= APART_PERIODS, 0, -1)
+    if not np.any(free == 0):
+        return None
+    even_s, model = start_s + distance_s * number, SineModel(free=tuple(free.tolist()), robust=True)
+    names, units, first = MOTION_COMPONENTS, component_units(0), int(np.argmax(free == 0))
+    try:
+        fit = fit_sines(even_s, measured.motion.pose, frequency_hz, names, units, model=model)
+    except ValueError:
+        return None
+    found = float(fit.phasors.frequency_hz[first]), float(fit.u_frequency_hz[first])
+    return _times((distance_s, 0.0), (found[0] / frequency_hz[first], found[1] / frequency_hz[first]))
+
+
+def _reference(base: TimeBase, daq: str, measured: StereoMotion, lines: Lines) -> Known | None:
+    """Return by how much the lines seem higher in the channels that a pair's frames are compared with."""
+    sight = measured.sight
+    span_s = float(sight.time_s.min()), float(sight.time_s.max())
+    names = sorted((record.entry.name for record in base.records), key=lambda name: name != daq)
+    for body in (sight.pair.body, ""):
+        for name in names:
+            found = line_stretch(base, name, lines, body, span_s)
+            if found is not None:
+                clocks = [] if name == daq else [*base.tie_errors(name), *base.tie_errors(daq)]
+                return found[0], float(np.linalg.norm([found[1], *(error.rate for error in clocks)]))
+    return None

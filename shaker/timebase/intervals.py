@@ -1,0 +1,232 @@
+"""What intervals say about straight lines: the posterior of a trigger's model by adaptive importance sampling."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from shaker.arrays import FloatArray, check_shape
+
+_POINTS, _LAST_POINTS = 500, 1000  # while the proposals settle, and afterwards
+_WIDER = 1.35  # of the standard deviation: proposals reach over the corners of a polygon
+_ROUNDS = 30
+_SETTLED = 0.15  # relative change of the standard deviations below which the sampling has settled
+_STRAY = 1e-6  # probability of an edge that the model does not explain
+_STEP = 1.0  # in the logarithm of the jitter
+_STEEP = 2.0  # change of the log-likelihood from step to step above which a step is halved
+_LEAST_STEP = 0.02
+_NO_MATTER = 0.1  # of the line's smallest standard deviation: jitter below it changes nothing any more
+_NO_CHANCE = 1e-4  # share of the whole below which a step of the jitter does not count
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Mean (P,) and covariance (P, P) of the parameters, and the mean jitter, in seconds."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    jitter_s: float
+
+    def __post_init__(self) -> None:
+        check_shape("covariance", self.covariance, (len(self.mean), len(self.mean)))
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """What is known of the half spans h (R,) of R lines by other means: normal about `mean` (R,) with the inverse
+    covariance `weight` (R, R), which is singular where only a combination of them is known.
+    """
+
+    mean: FloatArray
+    weight: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("weight", self.weight, (len(self.mean), len(self.mean)))
+
+    def applied(self, line: Posterior) -> Posterior:
+        """Return normal lines with this taken for a reading of theirs, by linear least squares."""
+        select = np.kron(np.eye(len(self.mean)), [0.0, 1.0])
+        cross = line.covariance @ select.T
+        own, apart = select @ cross, self.mean - select @ line.mean
+        gain = cross @ np.linalg.solve(np.eye(len(own)) + self.weight @ own, self.weight)
+        left = line.covariance - gain @ cross.T
+        return Posterior(line.mean + gain @ apart, (left + left.T) / 2.0, line.jitter_s)
+
+    def log_likelihood(self, points: FloatArray) -> FloatArray:
+        """Return the log-likelihood (N,) of lines (N, 2R)."""
+        off = points[:, 1::2] - self.mean
+        return np.asarray(-0.5 * np.einsum("nr,rs,ns->n", off, self.weight, off))
+
+
+def line_posterior(
+    place: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    start: Posterior,
+    least_jitter_s: float,
+    slopes: Slopes | None = None,
+) -> Posterior:
+    """Return what intervals (R, E) in R records say about one line of instants per record.
+
+    Record r puts edge e, with jitter ε_e common to all records, at m_r + h_r·place_e + ε_e, which lies in
+    (lower_re, upper_re]; infinite bounds stand for an edge that record has not seen. Parameters: m_1 h_1 m_2 h_2 …
+    Likelihood of an edge: Φ(b/σ) - Φ(a/σ) with a the largest lower and b the smallest upper bound less its line;
+    Gaussian jitter σ of unknown size, log-uniform above `least_jitter_s`. The posterior tends to the polygon of all
+    intervals as the jitter vanishes and to the paired differences as it grows. `start` need only be roughly right;
+    `slopes` is what else is known, a further factor of the likelihood.
+
+    The lines are sampled for one jitter after the other, from the largest down to where it no longer matters, with
+    smaller steps where the likelihood is steep, and averaged: together with the jitter they fill a funnel that no
+    Gaussian proposal fits.
+    """
+    width = upper - lower
+    most = 3.0 * start.jitter_s + 0.3 * float(np.median(width[np.isfinite(width)]))
+    left = float(np.log(max(most / least_jitter_s, 3.0)))
+    start = start if slopes is None else slopes.applied(start)
+    intervals, line = (place, lower, upper, slopes), (start.mean, start.covariance)
+    steps: list[_Step] = []
+    while left > 0.0:
+        step = _at_jitter(float(np.log(least_jitter_s)) + left, min(left, _STEP), line, intervals)
+        best, line = max([step.log_weight, *(s.log_weight for s in steps)]), (step.mean, step.covariance)
+        settled = step.jitter_s < _NO_MATTER * np.sqrt(np.diagonal(step.covariance).min())
+        steps.append(replace(step, width=left) if settled else step)
+        left -= left if settled or step.log_weight < best + np.log(_NO_CHANCE) else step.width
+    while True:
+        level = np.array([s.log_weight - np.log(s.width) for s in steps])
+        counts = _shares(steps) > 0.01
+        steep = np.abs(np.diff(level)) > _STEEP
+        halved = (
+            counts
+            & (np.array([s.width for s in steps]) > _LEAST_STEP)
+            & (np.append(steep, False) | np.append(False, steep))
+        )
+        if not halved.any():
+            break
+        steps = [
+            part for s, split in zip(steps, halved, strict=True) for part in (s.halves(intervals) if split else (s,))
+        ]
+    steps = [s.again(intervals) for s, share in zip(steps, _shares(steps), strict=True) if share > _NO_CHANCE]
+    share = _shares(steps)
+    means = np.array([s.mean for s in steps])
+    mean = share @ means
+    covariance = np.einsum("j,jpq->pq", share, np.array([s.covariance for s in steps]))
+    covariance += (share[:, None] * (means - mean)).T @ (means - mean)
+    return Posterior(mean, covariance, float(share @ [s.jitter_s for s in steps]))
+
+
+_Intervals = tuple[FloatArray, FloatArray, FloatArray, Slopes | None]
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Lines at the middle jitter of a step of its logarithm, `width` down from `top`: mean (P,), covariance (P, P)."""
+
+    top: float
+    width: float
+    log_likelihood: float
+    mean: FloatArray
+    covariance: FloatArray
+
+    @property
+    def log_weight(self) -> float:
+        """Logarithm of the integral of the likelihood over the step."""
+        return self.log_likelihood + float(np.log(self.width))
+
+    @property
+    def jitter_s(self) -> float:
+        """Jitter in the middle of the step."""
+        return float(np.exp(self.top - 0.5 * min(self.width, _STEP)))
+
+    def halves(self, intervals: _Intervals) -> tuple[_Step, _Step]:
+        """Return the two halves of the step."""
+        line, half = (self.mean, self.covariance), 0.5 * self.width
+        return _at_jitter(self.top, half, line, intervals), _at_jitter(self.top - half, half, line, intervals)
+
+    def again(self, intervals: _Intervals) -> _Step:
+        """Return the step from more points."""
+        normal = _normal_points(len(self.mean))
+        log_likelihood, mean, covariance, _ = _sampled(self.jitter_s, (self.mean, self.covariance), normal, intervals)
+        return _Step(self.top, self.width, log_likelihood, mean, covariance)
+
+
+def _shares(steps: Sequence[_Step]) -> FloatArray:
+    """Return the share of each step in the integral of the likelihood."""
+    log_weight = np.array([step.log_weight for step in steps])
+    weight = np.exp(log_weight - log_weight.max())
+    return np.asarray(weight / weight.sum())
+
+
+def _at_jitter(top: float, width: float, line: tuple[FloatArray, FloatArray], intervals: _Intervals) -> _Step:
+    """Return a step of the jitter. `line`: mean and covariance to begin with.
+
+    Gaussian proposals are fitted to the weighted points, tempered where few points carry the weight, until they settle
+    (Cappé et al., Statistics and Computing 18, 2008: adaptive importance sampling). No random numbers: the points are
+    a low-discrepancy sequence.
+    """
+    step = _Step(top, width, -np.inf, *line)
+    normal = _normal_points(len(step.mean))[:_POINTS]
+    for _ in range(_ROUNDS):
+        old = step.covariance
+        log_likelihood, mean, covariance, power = _sampled(step.jitter_s, (step.mean, old), normal, intervals)
+        step = _Step(top, width, log_likelihood, mean, covariance)
+        change = np.sqrt(np.diagonal(step.covariance) / np.diagonal(old)) - 1.0
+        if power == 1.0 and np.max(np.abs(change)) < _SETTLED:
+            break
+    return step
+
+
+def _sampled(
+    jitter_s: float, line: tuple[FloatArray, FloatArray], normal: FloatArray, intervals: _Intervals
+) -> tuple[float, FloatArray, FloatArray, float]:
+    """Return the logarithm of the mean likelihood of lines under a jitter, their mean and covariance from points with
+    their weights to a power, and that power, 1 where at least a twentieth of the points counts."""
+    mean, covariance = line
+    root = _WIDER * np.linalg.cholesky(covariance)
+    points = mean + normal @ root.T
+    log_weight = _log_likelihood(points, jitter_s, intervals) + 0.5 * np.sum(normal**2, axis=1)
+    highest = float(log_weight.max())
+    size = highest + float(np.log(np.mean(np.exp(log_weight - highest))) + np.sum(np.log(np.diagonal(root))))
+    power = 1.0
+    while True:
+        weight = np.exp(power * (log_weight - highest))
+        weight /= weight.sum()
+        if 1.0 / np.sum(weight**2) >= len(weight) / 20.0:
+            break
+        power *= 0.7
+    mean = weight @ points
+    centred = points - mean
+    return size, mean, (weight[:, None] * centred).T @ centred, power
+
+
+def _log_likelihood(points: FloatArray, jitter: float, intervals: _Intervals) -> FloatArray:
+    """Return the log-likelihood (N,) of points (N, 2R), a line per record, under a jitter."""
+    from scipy.special import ndtr
+
+    place, lower, upper, slopes = intervals
+    below = np.full((len(points), len(place)), -np.inf)
+    above = np.full((len(points), len(place)), np.inf)
+    for record, (low, high) in enumerate(zip(lower, upper, strict=True)):
+        line = points[:, 2 * record, None] + points[:, 2 * record + 1, None] * place
+        below, above = np.maximum(below, low - line), np.minimum(above, high - line)
+    # Edges whose intervals hold every line with room to spare say nothing.
+    telling = (below.max(axis=0) > -6.0 * jitter) | (above.min(axis=0) < 6.0 * jitter)
+    share = np.maximum(ndtr(above[:, telling] / jitter) - ndtr(below[:, telling] / jitter), 0.0) + _STRAY
+    own = np.log(share).sum(axis=1)
+    return np.asarray(own if slopes is None else own + slopes.log_likelihood(points))
+
+
+@cache
+def _normal_points(dimensions: int) -> FloatArray:
+    """Return standard normal points (N, D) from the additive recurrence with the generalised golden ratio."""
+    from scipy.special import ndtri
+
+    ratio = 1.5
+    for _ in range(50):  # ratio^(D + 1) = ratio + 1
+        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
+    step = ratio ** -np.arange(1.0, dimensions + 1)
+    points = np.asarray(ndtri((0.5 + np.arange(1.0, _LAST_POINTS + 1)[:, None] * step) % 1.0))
+    points.flags.writeable = False
+    return points

@@ -1,0 +1,136 @@
+"""Clocks whose edges are nearly locked, and a line that frames and channels see: what is reached, what is left alone.
+
+Recordings are drawn by `benchmarks/clocks.py`: edges, samples and poses at instants that no formula of the estimate
+enters. Bounds: Rife and Boorstyn's for a frequency; rectangular distributions over what edges leave open.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2
+
+from fusion.phasors.channels import refine_ties
+from fusion.phasors.clocks import frame_distance, seen_period, tied_by_motion
+from fusion.simulate.preset import Preset, read_preset
+from fusion.simulate.violations import violations
+from fusion.simulate.world import Draws, make_world
+
+
+@pytest.fixture(scope="module")
+def benchmark() -> Iterator[ModuleType]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+        yield importlib.import_module("clocks")
+
+
+@pytest.fixture(scope="module")
+def locked(benchmark: ModuleType) -> Any:
+    """A recording whose edges fall on one place."""
+    return benchmark.simulate(benchmark.CASES["0"], np.random.default_rng(2))
+
+
+def test_frames_tell_their_distance_as_well_as_their_noise_allows(benchmark: ModuleType) -> None:
+    rng, errors, stated = np.random.default_rng(3), [], []
+    for _ in range(5):
+        one = benchmark.simulate(benchmark.CASES["0"], rng)
+        true_s = float(np.mean(np.diff(one.middle_s)))
+        found = seen_period(one.base, [one.motion], one.lines)
+        assert found is not None
+        errors.append(found[0] / true_s - 1.0)
+        stated.append(found[1] / true_s)
+    low, high = np.sqrt(chi2.ppf([1e-3, 1.0 - 1e-3], 5) / 5.0)
+    assert low < np.sqrt(np.mean(np.square(errors))) / benchmark.bound() < high
+    assert 0.85 < np.sqrt(np.mean(np.square(stated))) / benchmark.bound() < 1.2
+
+
+def test_edges_that_pass_one_sample_tell_all_instants_once_the_period_is_known(benchmark: ModuleType) -> None:
+    """Sure to a step from edge to edge, 0.9/95 of a sample of 39 us, and to what the period leaves over a second."""
+    rng = np.random.default_rng(5)
+    while True:  # one in ten draws has no such edge
+        one = benchmark.simulate(benchmark.CASES["0.9"], rng)
+        upper = one.base.triggers["vibrometer", "camera"].upper_s * benchmark.RATE_HZ
+        places = np.rint(upper - benchmark.WHOLE * np.arange(benchmark.FRAMES))
+        if 20 < np.count_nonzero(places == places[0]) < 76:
+            break
+    before, after = benchmark.both(one)
+    assert before.errors[0, 1] > 2e-6
+    assert after.errors[0, 1] < 0.5e-6
+    assert abs(after.errors[0, 0]) < 2.5 * after.errors[0, 1]
+    assert after.errors[1, 1] == pytest.approx(benchmark.bound(), rel=0.35)
+    assert after.errors[1, 1] < 0.1 * before.errors[1, 1]
+    assert after.errors[3, 1] < 0.5 * before.errors[3, 1]
+
+
+def test_what_locked_edges_leave_of_the_frames_is_in_the_tie_too(benchmark: ModuleType, locked: Any) -> None:
+    """Edges at one place: a sample, rectangular, in each block; the tie has the difference, the frames the first."""
+    one = locked
+    base, lines = refine_ties(one.base, one.lines)
+    tied, (motion,), _ = tied_by_motion(one.manifest, base, [one.motion], lines)
+    of_frames = {e.name: e for e in tied.sight_errors(motion.sight)}
+    of_tie = {e.name: e for e in tied.tie_errors("bridge")}
+    gap_s = 1.0 / benchmark.RATE_HZ / np.sqrt(12.0)
+    assert of_frames["camera: time"].u == pytest.approx(gap_s, rel=0.1)
+    assert of_tie["camera: time"].offset_s == pytest.approx(of_frames["camera: time"].offset_s, rel=0.25)
+    assert of_tie["clock bridge: time"].u == pytest.approx(gap_s, rel=0.1)
+    # Before: as if both were independent.
+    assert {e.name.split(":")[0] for e in base.tie_errors("bridge")} == {"clock bridge"}
+
+
+def test_edges_that_tell_enough_are_left_alone(benchmark: ModuleType) -> None:
+    one = benchmark.simulate(benchmark.CASES["no lock: 500.382 samples"], np.random.default_rng(1))
+    base, motions, lines = tied_by_motion(one.manifest, one.base, [one.motion], one.lines)
+    assert base is one.base
+    assert motions == (one.motion,)
+    assert lines is one.lines
+
+
+def test_a_motion_that_contradicts_the_edges_is_told_and_changes_nothing(benchmark: ModuleType, locked: Any) -> None:
+    one = locked
+    number, sight = np.arange(benchmark.FRAMES), one.motion.sight
+    line = benchmark.LINE_HZ * (1.0 + 1e-4)  # not what drives the channels
+    pose = np.real(np.exp(2j * np.pi * line * one.middle_s)[:, None] * one.truth)
+    other = replace(one.motion, motion=replace(one.motion.motion, pose=pose - pose[0]))
+    base, (motion,), _ = tied_by_motion(one.manifest, one.base, [other], one.lines)
+    before, after = (b.triggers["vibrometer", "camera"] for b in (one.base, base))
+    assert after.time_s(number) == pytest.approx(before.time_s(number), abs=0.0)
+    assert motion.sight.time_s == pytest.approx(sight.time_s, abs=0.0)
+    assert base.ties["bridge"].rate == pytest.approx(one.base.ties["bridge"].rate, abs=1e-5)
+    (text,) = (n.text for n in after.notices if n.severity == "warning")
+    assert "its period is 0.0001 of itself longer than its edges do" in text
+
+
+def test_less_than_two_beats_tell_no_period(benchmark: ModuleType, locked: Any) -> None:
+    one = locked
+    distance_s = float(np.mean(np.diff(one.middle_s)))
+    slow = 2.0 / distance_s + 1.5 / (benchmark.FRAMES * distance_s)  # 1.5 beats
+    assert frame_distance(one.motion, replace(one.lines, frequency_hz=np.array([slow]))) is None
+    assert frame_distance(one.motion, one.lines) is not None
+
+
+def test_simulated_frames_drift_past_the_samples_by_as_much_as_asked_for() -> None:
+    preset = read_preset(Preset, "sweep")
+    world = make_world(preset, Draws(1, False, broken=violations(("locked-clocks=0.4",), preset)), 0.0)
+    place = world.trigger_s * preset.daqs[0].sample_rate_hz
+    assert (place - place[0] - np.rint(place - place[0]))[-1] == pytest.approx(0.4, abs=1e-6)
+    assert np.ptp(np.diff(place)) < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["0.3", "0.9"])
+def test_locked_clocks_err_as_they_state(name: str, benchmark: ModuleType) -> None:
+    draws, rng = 30, np.random.default_rng(6)
+    found = [benchmark.both(benchmark.simulate(benchmark.CASES[name], rng))[1] for _ in range(draws)]
+    error, u = np.array([one.errors for one in found]).transpose(2, 1, 0)
+    inside = np.sum(np.abs(error) <= 2.0 * u, axis=1)
+    assert inside.min() >= binom.ppf(1e-3 / 5, draws, 0.95)
+    low, high = np.sqrt(chi2.ppf([1e-3, 1.0 - 1e-3], draws) / draws)
+    assert low < np.sqrt(np.mean((error[1] / u[1]) ** 2)) < high  # the rate, whose error is normal
+    assert not any(one.told for one in found)
