@@ -180,7 +180,7 @@ def test_a_wrong_violation_is_refused_in_one_sentence(tmp_path: Path, refused: R
         (
             "steps",
             "mass",
-            "--violate: expected one of the presets demo, nitsche2018, bending, room, sweep, matrix, found steps",
+            "--violate: expected one of the presets demo, nitsche2018, bending, room, laboratory, sweep, matrix, found steps",
         ),
     ):
         assert said in refused("simulate", str(tmp_path / "new"), "--preset", preset, "--violate", text)
