@@ -205,19 +205,15 @@ class TimeBase:
             name = self.shared_triggers(self.records[0].entry.name, daq)[0]
             fit = self.first_with(name)[1]
             line, own = _Straight.of(fit.covariance), tie.beside
-            errors = [np.array([line.u_value, 0.0]), line.u_slope * np.array([-line.at, 1.0])]
             dof = float(max(len(fit.number) - 2, 1))
-            for kind, u, error in zip(
-                ("time", "rate"), (line.u_value, line.u_slope / fit.period_s), errors, strict=True
+            for kind, unit, u, error in (
+                ("time", "s", line.u_value, np.array([line.u_value, 0.0])),
+                ("rate", "1", line.u_slope / fit.period_s, line.u_slope * np.array([-line.at, 1.0])),
             ):
-                offset_s, rate = tie.follows @ error
+                offset_s, rate = (tie.follows @ error).tolist()
                 rate /= tie.rate  # on the first clock
-                unit, offset_s = ("s", "1")[kind == "rate"], offset_s - rate * tie.offset_s
-                found.append(
-                    Lateness(
-                        f"{name}: {kind}", float(u), unit, float(offset_s), float(rate), np.zeros(()), dof, "start"
-                    )
-                )
+                offset_s -= rate * tie.offset_s
+                found.append(Lateness(f"{name}: {kind}", u, unit, offset_s, rate, np.zeros(()), dof, "start"))
         parts: tuple[tuple[str, FloatArray, Scope], ...] = (
             ("", own, "start"),
             (" (noise of its edges)", tie.noise, "recording"),
