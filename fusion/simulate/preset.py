@@ -289,13 +289,15 @@ def patches_of(setup: StereoSetup) -> tuple[StereoSetup, ...]:
 def region_of(setup: StereoSetup, *faces: StereoSetup) -> list[int]:
     """Return x, y, width, height in px that hold faces in the left picture of a pair, as it is stated."""
     rig, placed = nominal_rig(setup)
-    corners = []
+    rim, angle = [], np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
     for face in faces:
         normal, up = np.array(face.face_normal), np.array(face.face_up)
-        across, along = face.half_size[0], face.half_size[0 if face.round else 1]
-        ends = [i * across * np.cross(up, normal) + j * along * up for i in (-1, 1) for j in (-1, 1)]
-        corners += [np.array(face.face_centre) + end for end in ends]
-    px = rig.left.project(placed.inverse().apply(np.array(corners)))
+        along = face.half_size[0 if face.round else 1]
+        ends = np.stack([np.cos(angle), np.sin(angle)]) if face.round else np.array([[-1, -1, 1, 1], [-1, 1, -1, 1]])
+        rim.append(
+            np.array(face.face_centre) + ends.T @ np.stack([face.half_size[0] * np.cross(up, normal), along * up])
+        )
+    px = rig.left.project(placed.inverse().apply(np.concatenate(rim)))
     low = np.maximum(np.floor(px.min(axis=0)), 0).astype(int)
     high = np.minimum(np.ceil(px.max(axis=0)) + 1, np.array(setup.size_px)).astype(int)
     return [*low.tolist(), *(high - low).tolist()]
