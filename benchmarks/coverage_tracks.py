@@ -37,6 +37,7 @@ from fusion.simulate.sines import record, recording_tables, rendered_run, rig_ta
 from fusion.simulate.world import Draws, TrueStereo, World, make_world
 from photogram.calibration.file import read_calibration, write_calibration
 from photogram.camera import triangulate
+from photogram.direct.shapes import PlainShapes, ShapeAmplitudes
 from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.motion import deformation, fit_motion
@@ -163,7 +164,12 @@ def stereo_motion(manifest: Manifest, base: TimeBase, world: World, draws: Draws
     ).transformed(sensor_from_camera(pair))
     motion = fit_motion(points, None, np.zeros(3))
     epipolar = check_epipolar(tracks, rig)
-    view = ImageView((tracks,), rig, np.zeros((1, 1)), None, None, epipolar, np.nan, np.nan)
+    frames, shapes = len(motion.pose), PlainShapes.of(points.position_m[0])
+    nothing = np.full((frames, len(shapes.names)), np.nan)  # no grey values that tell of shapes
+    deformed = ShapeAmplitudes(
+        shapes, nothing, nothing[:, :, None] * nothing[:, None], np.zeros((6, len(shapes.names)))
+    )
+    view = ImageView((tracks,), rig, np.zeros((1, 1)), None, None, epipolar, deformed, np.nan, np.nan)
     reprojection = float(np.sqrt(np.mean(points.reprojection_px**2)))
     sight = see(manifest, base, entry, world.preset.frames)
     return StereoMotion(sight, motion, (deformation(points, motion),), reprojection, view, epipolar.notices)

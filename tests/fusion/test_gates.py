@@ -30,7 +30,7 @@ PATH_KEYS = {
     "Stereo.calibration", "ChannelEntry.response", "Daq.file", "Images.left", "Images.right", "PointFiles.files",
     "Excitation.file", "AlignmentFile.calibration", "OtherPair.calibration", "Face.pixels", "TargetViewBlock.left",
     "TargetViewBlock.right", "CommonView.left", "CommonView.right", "CommonView.other_left", "CommonView.other_right",
-    "Motion.recordings", "AxisBlock.recordings", "ElementFile.measured",
+    "Motion.recordings", "AxisBlock.recordings", "ElementFile.measured", "ElasticMode.surface",
 }  # fmt: skip
 
 
