@@ -129,6 +129,8 @@ def shape_phasors(
     """
     names, count = deformed.shapes.names, len(deformed.shapes.names)
     gain = exposure_gain(frequency_hz, exposure_s)[:, None]
+    if np.count_nonzero(np.isfinite(deformed.amplitude).all(axis=1)) < 2 * len(frequency_hz) + 1 + LEAST_FREEDOM:
+        return None
     try:
         model = SineModel(robust=True)
         fit = fit_sines(time_s, deformed.amplitude, frequency_hz, names, ("m",) * count, model=model)
