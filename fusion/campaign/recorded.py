@@ -10,10 +10,9 @@ from functools import partial
 from pathlib import Path
 
 import h5py
-import numpy as np
 
 from fusion.base import InputError
-from fusion.campaign.drive import Drive, line_drives, once
+from fusion.campaign.drive import Drive, line_drives
 from fusion.campaign.unknowns import Knowledge
 from fusion.instruments.channel import Outputs
 from fusion.phasors.timing import Grid
@@ -143,12 +142,9 @@ def _knowledge(file: h5py.File) -> Callable[[], Knowledge] | None:
     fused = file.get("accelerations/load-fused", {})
     if "load" not in file or "posterior" not in fused:
         return None
-    influences = read_uncertainty(fused["uncertainty"]).influences
-    about = tuple(once(i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences)
-    both = set(_texts(file["load"], "both") if "both" in file["load"] else ())
-    shared = np.array([one[4] in ("rig", "mounting") and one[0] not in both for one in about], dtype=np.bool_)
+    both = _texts(file["load"], "both") if "both" in file["load"] else ()
     numbers = (fused[name][()] for name in ("unknowns/estimate", "posterior", "products"))
-    known = Knowledge(about, shared, *numbers)
+    known = Knowledge.of(read_uncertainty(fused["uncertainty"]).influences, both, *numbers)
     return partial(_held, known)
 
 

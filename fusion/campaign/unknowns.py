@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import chi2 as chi_square
 
-from fusion.campaign.drive import About, Drive, Stored
+from fusion.campaign.drive import About, Drive, Stored, once
 from fusion.estimation.consistency import UNTESTED
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, as_complex
 from fusion.estimation.variance_components import TEST_LEVEL
@@ -50,6 +50,13 @@ class Knowledge:
     estimate: FloatArray
     covariance: FloatArray
     products: FloatArray
+
+    @classmethod
+    def of(cls, influences: Sequence[Influence], both: Sequence[str], *numbers: FloatArray) -> Knowledge:
+        """Return it of unknowns as they act on the motion; `both`: those that act on the load by themselves, too."""
+        about = tuple(once(i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences)
+        shared = [one[4] in ("rig", "mounting") and one[0] not in both for one in about]
+        return cls(about, np.array(shared, dtype=np.bool_), *numbers)
 
     @cached_property
     def beyond(self) -> FloatArray:

@@ -179,7 +179,7 @@ def fuse(
         leaked=leaked,
         probability=EstimatedNoise.of(system, first.effects).probability(first.chi2, first.dof, first.projector),
     )
-    if (body, source) == ("load", "fused") and not solved.contradicted:
+    if (body, source) == ("load", "fused") and system.common and not solved.contradicted:
         result = replace(result, posterior=final.posterior, products=products(system, final.acceleration))
     swapped = exchanged(system, first, open_) if any(one.gross for one in open_) else ()
     contradicted = _enough(system, first, unknowns) if solved.contradicted else None

@@ -169,6 +169,7 @@ def test_a_recording_tells_its_unknowns_by_signs_and_units_of_the_fusion() -> No
     fused = fuse(own)
     assert fused.posterior is not None
     assert fused.products is not None
+    assert fuse([replace(observation, common=()) for observation in own]).posterior is None
     system = build_system(own, inputs.unseen)
     solution = solve(system)
     design, effects, noise = system.design, solution.effects, np.linalg.inv(solution.noise)
