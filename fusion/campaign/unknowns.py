@@ -162,8 +162,8 @@ class _Mounted:
 class Joint:
     """Posterior of what recordings of a campaign share: `estimate` (W,) and `covariance` (W, W) of wide unknowns.
 
-    Every recording's information adds up, 1 + ΣM_i, the score likewise (recursive least squares; Rao 1973, Linear
-    Statistical Inference, 4a). Unknowns of one mounting are eliminated mounting by mounting, so that time grows as the
+    Every recording's information adds up, 1 + ΣM_i, the score likewise (Plackett 1950, Biometrika 37,
+    149: least squares to which observations are added). Unknowns of one mounting are eliminated mounting by mounting, so that time grows as the
     recordings. `about`: the wide unknowns, those of the rig and, where all recordings are of one mounting, of that.
     """
 
