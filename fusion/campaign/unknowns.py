@@ -41,8 +41,8 @@ class Knowledge:
     `about` (E): the unknowns; `shared` (E,): those that other recordings may have, too, and that act on its load
     through the motion alone. With A₀ = A at no errors, K its change by one u of each shared unknown, N all else that
     is uncertain, P = N⁻¹ - N⁻¹X(XᵀN⁻¹X)⁻¹XᵀN⁻¹ and E the effects of the shared unknowns on the readings y = X·A + E·ε
-    + n, readings tell of ε through EᵀPy = M·ε + noise of covariance M alone, M = EᵀPE. Of the rig they tell of it as
-    far as ε is ε_rig + η, η of covariance T what first order leaves: the squares of `BEYOND` and of `products` (E,).
+    + n, readings tell of ε through EᵀPy = M·ε + noise of covariance M alone, M = EᵀPE. What they tell of it holds of
+    the rig as far as ε = ε_rig + η, η of covariance T what first order leaves: squares of `BEYOND` and `products` (E,).
     """
 
     about: tuple[About, ...]
@@ -162,9 +162,10 @@ class _Mounted:
 class Joint:
     """Posterior of what recordings of a campaign share: `estimate` (W,) and `covariance` (W, W) of wide unknowns.
 
-    Every recording's information adds up, 1 + ΣM_i, the score likewise (Plackett 1950, Biometrika 37,
-    149: least squares to which observations are added). Unknowns of one mounting are eliminated mounting by mounting, so that time grows as the
-    recordings. `about`: the wide unknowns, those of the rig and, where all recordings are of one mounting, of that.
+    Every recording's information adds up, 1 + ΣM_i, the score likewise (Plackett 1950, Biometrika 37, 149: least
+    squares to which observations are added). Unknowns of one mounting are eliminated mounting by mounting, so that time
+    grows as the recordings. `about`: the wide unknowns, those of the rig and, where all recordings are of one mounting,
+    of that.
     """
 
     campaign: str
@@ -387,5 +388,6 @@ def _notices(unknowns: Sequence[JointUnknown], aside: int) -> tuple[Notice, ...]
     better = [unknown for unknown in unknowns if not unknown.stated]
     text = f"of {len(unknowns)} unknowns of the rig that readings may tell of, all recordings together know "
     text += f"{len(better)} better than stated; the others stay as stated"
-    text += f"; {aside} recordings whose instruments contradict each other take no part" if aside else ""
+    if aside:
+        text += f"; recordings without a load, or whose instruments contradict each other, tell nothing: {aside}"
     return (Notice("info", text, "campaign"),)
