@@ -7,7 +7,7 @@ import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from fusion.sensitivity.load import LoadResult
 
 
+Kept = TypeVar("Kept")
 Numbers = tuple[tuple[Contribution, ...], FloatArray]
 About = tuple[str, str, float, str, Scope, Kind, float, Distribution]
 """An unknown without its effect: name, label, standard uncertainty, unit, scope, type, degrees of freedom, kind."""
@@ -46,7 +47,7 @@ class Stored(Uncertainty):
         influences = known.influences
         own = ((i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences)
         effects = np.array([influence.effect for influence in influences])
-        return cls(tuple(_once(*about) for about in own), partial(_held, (known.random, effects)))
+        return cls(tuple(once(*about) for about in own), partial(_held, (known.random, effects)))
 
     @property
     def random(self) -> tuple[Contribution, ...]:
@@ -73,7 +74,7 @@ def _held(numbers: Numbers) -> Numbers:
 
 
 @lru_cache(maxsize=4096)
-def _once(*about: *About) -> About:
+def once(*about: *About) -> About:
     """Return the same object for the same unknown."""
     return about
 
@@ -89,17 +90,19 @@ class Shelf:
         load, outputs = (self._put(u) for u in (drive.load_uncertainty, drive.outputs_uncertainty))
         return replace(drive, load_uncertainty=load, outputs_uncertainty=outputs)
 
+    def keep(self, kept: Kept) -> Callable[[], Kept]:
+        """Put anything on the shelf and return what takes it from there."""
+        place = self._file.seek(0, os.SEEK_END)
+        pickle.dump(kept, self._file, protocol=pickle.HIGHEST_PROTOCOL)
+        return partial(self._get, place)
+
     def _put(self, known: Uncertainty) -> Stored:
         stored = known if isinstance(known, Stored) else Stored.of(known)
-        numbers = stored.numbers()  # which may come from this file
-        place = self._file.seek(0, os.SEEK_END)
-        pickle.dump(numbers, self._file, protocol=pickle.HIGHEST_PROTOCOL)
-        return Stored(stored.about, partial(self._get, place))
+        return Stored(stored.about, self.keep(stored.numbers()))  # which may come from this file
 
-    def _get(self, place: int) -> Numbers:
+    def _get(self, place: int) -> Any:
         self._file.seek(place)
-        numbers: Numbers = pickle.load(self._file)
-        return numbers
+        return pickle.load(self._file)
 
 
 LOADS = 6

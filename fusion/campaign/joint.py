@@ -27,6 +27,7 @@ from fusion.campaign.matrix import CrossTalk, MatrixFit, cross_talk, fit_matrix
 from fusion.campaign.matrix_solve import MissingExcitationError
 from fusion.campaign.recorded import Recorded, SensorFacts
 from fusion.campaign.repeats import Repeats, at_frequencies, find_repeats, means_once, repeat_notices
+from fusion.campaign.unknowns import JointUnknown, carry_unknowns
 from fusion.estimation.coverage import Polar
 from fusion.report.table import (
     Column,
@@ -62,7 +63,8 @@ class CampaignEvaluation:
     `curves`: ratios by driven component, the sensor's elements likewise where its matrix is stated, elements of
     matrices; `relative`: each over its static sensitivity, None where none is stated; `repeats`: every excitation that
     was recorded more than once; `matrices` and `cross_talks` (none where rated loads are not stated): one per frequency
-    that determines a matrix; `refused`: why the other frequencies do not.
+    that determines a matrix; `refused`: why the other frequencies do not; `unknowns`: what all say together of those
+    of the rig, none where nothing of it is in the loads.
     """
 
     name: str
@@ -77,6 +79,7 @@ class CampaignEvaluation:
     cross_talks: tuple[CrossTalk, ...]
     refused: tuple[Notice, ...]
     notices: tuple[Notice, ...]
+    unknowns: tuple[JointUnknown, ...] = ()
 
     @property
     def drives(self) -> tuple[Drive, ...]:
@@ -84,30 +87,16 @@ class CampaignEvaluation:
         return tuple(drive for entry in self.recorded for drive in entry.drives)
 
 
-def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[str, str]) -> CampaignEvaluation:
+def evaluate_campaign(
+    name: str, recorded: Sequence[Recorded], failed: Mapping[str, str], keep: Callable[[Drive], Drive] = lambda d: d
+) -> CampaignEvaluation:
     """Evaluate the recordings of a campaign together, in the order given.
 
     A name that occurs twice gets the folder's beside it, since unknowns of single recordings are known by the
-    recording's name. Recordings of several sensors have nothing to say together.
+    recording's name. Recordings of several sensors have nothing to say together. `keep`: where drives are put whose
+    load the campaign knows better than their recording.
     """
-    count = Counter(entry.name for entry in recorded)
-    known = []
-    for entry in recorded:
-        name_known = entry.name if count[entry.name] == 1 else f"{entry.name} [{entry.folder}]"
-        drives = tuple(replace(drive, recording=name_known) for drive in entry.drives)
-        known.append(replace(entry, name=name_known, drives=drives))
-    started = iter(with_starts(drive for entry in known for drive in entry.drives))
-    known = [replace(entry, drives=tuple(islice(started, len(entry.drives)))) for entry in known]
-    sensors = {(entry.sensor.name, entry.sensor.serial): entry.sensor for entry in known if entry.sensor is not None}
-    sensor = next(iter(sensors.values())) if len(sensors) == 1 else None
-    notices = []
-    if len(sensors) > 1:
-        tested = ", ".join(f"{name} {serial}".strip() for name, serial in sensors)
-        text = f"the recordings tested several sensors ({tested}): no joint sensitivity; a campaign has one sensor"
-        notices.append(Notice("warning", text, "campaign"))
-    if failed:
-        text = f"{len(failed)} of the recordings could not be evaluated and are in no result: {', '.join(failed)}"
-        notices.append(Notice("warning", text, "campaign"))
+    known, sensor, unknowns, notices = _joined(name, recorded, failed, keep)
     driven = [drive for entry in known for drive in entry.drives] if sensor is not None else []
     capacity = None if sensor is None or sensor.capacity is None else sensor.capacity.tolist()
     matrices, refused = _fit_matrices(driven, () if sensor is None else sensor.channels)
@@ -133,7 +122,7 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
         notices.append(Notice("info", text, "repeats"))
     return CampaignEvaluation(
         name=name,
-        recorded=tuple(known),
+        recorded=known,
         failed=dict(failed),
         sensor=sensor,
         curves=curves,
@@ -144,7 +133,34 @@ def evaluate_campaign(name: str, recorded: Sequence[Recorded], failed: Mapping[s
         cross_talks=() if capacity is None else tuple(cross_talk(fit, capacity) for fit in matrices),
         refused=refused,
         notices=tuple(notices),
+        unknowns=unknowns,
     )
+
+
+def _joined(
+    name: str, recorded: Sequence[Recorded], failed: Mapping[str, str], keep: Callable[[Drive], Drive]
+) -> tuple[tuple[Recorded, ...], SensorFacts | None, tuple[JointUnknown, ...], list[Notice]]:
+    """Return recordings under names and with loads that hold in the campaign, its sensor, its unknowns, and notices."""
+    count = Counter(entry.name for entry in recorded)
+    known = []
+    for entry in recorded:
+        name_known = entry.name if count[entry.name] == 1 else f"{entry.name} [{entry.folder}]"
+        drives = tuple(replace(drive, recording=name_known) for drive in entry.drives)
+        known.append(replace(entry, name=name_known, drives=drives))
+    started = iter(with_starts(drive for entry in known for drive in entry.drives))
+    known = [replace(entry, drives=tuple(islice(started, len(entry.drives)))) for entry in known]
+    sensors = {(entry.sensor.name, entry.sensor.serial): entry.sensor for entry in known if entry.sensor is not None}
+    sensor = next(iter(sensors.values())) if len(sensors) == 1 else None
+    notices = []
+    if len(sensors) > 1:
+        tested = ", ".join(f"{name} {serial}".strip() for name, serial in sensors)
+        text = f"the recordings tested several sensors ({tested}): no joint sensitivity; a campaign has one sensor"
+        notices.append(Notice("warning", text, "campaign"))
+    if failed:
+        text = f"{len(failed)} of the recordings could not be evaluated and are in no result: {', '.join(failed)}"
+        notices.append(Notice("warning", text, "campaign"))
+    carried, unknowns, told = carry_unknowns(name, known, keep)
+    return carried, sensor, unknowns, [*notices, *told]
 
 
 def _attempt(what: str, make: Callable[[], tuple[Joint, ...]], notices: list[Notice]) -> tuple[Joint, ...]:

@@ -32,6 +32,7 @@ from fusion.campaign.matrix import CrossTalk
 from fusion.campaign.matrix_solve import LEAST_SINGULAR
 from fusion.campaign.recorded import Recorded, read_recorded
 from fusion.campaign.repeats import Repeats
+from fusion.campaign.unknowns import JointUnknown
 from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.uncertainty import polar_elements
 from fusion.report.files import workshop, write_files, write_together, writing
@@ -63,6 +64,7 @@ from fusion.report.table import (
     capital,
     csv_text,
     fixed,
+    measured,
     number,
     on_page,
     polar_columns,
@@ -147,7 +149,7 @@ def _beside_the_main(found: CrossTalk) -> Iterator[CrossTalkElement]:
 # campaign.h5: what the recordings of a campaign say together, every covariance and every correlation written out.
 
 
-JOINT_FIELDS = ("curves", "repeats", "linearity", "matrices", "cross_talks", "notices")
+JOINT_FIELDS = ("curves", "repeats", "linearity", "matrices", "cross_talks", "unknowns", "notices")
 
 
 def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
@@ -319,6 +321,25 @@ def linearity_table(evaluation: CampaignEvaluation) -> Table | None:
     return table(caption, columns, evaluation.linearity)
 
 
+def unknowns_table(evaluation: CampaignEvaluation) -> Table | None:
+    """What all recordings together say of every unknown of the rig: first what they know best."""
+
+    def value(found: JointUnknown) -> str:
+        unit = "" if found.unit == "1" else found.unit
+        return measured(found.u * found.estimate, 2.0 * found.u * found.remaining, unit)
+
+    columns: list[Column[JointUnknown]] = [
+        on_page("unknown", lambda found: found.name, "l"),
+        on_page("stated u", lambda found: f"{found.u:.2g} {'' if found.unit == '1' else typeset(found.unit)}".strip()),
+        on_page("value by the campaign", value),
+        on_page("u / u stated", lambda found: f"{found.remaining:.2f}"),
+        on_page("recordings that tell of it", lambda found: str(found.recordings)),
+        on_page("", lambda found: "stays as stated" if found.stated else "", "l"),
+    ]
+    caption = "What the recordings together say of the rig: deviation from what is stated, with U (k = 2)"
+    return table(caption, columns, sorted(evaluation.unknowns, key=lambda found: found.remaining)[:MOST_ROWS])
+
+
 def _crosstalk_table(found: CrossTalk) -> Table:
     """Cross-talk at one frequency in per cent: outputs down, loads across; an upper bound where a region holds zero."""
     rows = []
@@ -371,6 +392,7 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         "agreement": _agreement_table(evaluation),
         "repeats": repeats_table(evaluation),
         "linearity": linearity_table(evaluation),
+        "unknowns": unknowns_table(evaluation),
         "recordings": recordings_table(evaluation),
         **frame,
     }
@@ -414,9 +436,15 @@ def join_campaign(
         with writing(top):
             shelf = Shelf(stack.enter_context(TemporaryFile(dir=workshop(top))))
             entries = (read_recorded(folder) for folder in folders)
-            recorded = [replace(entry, drives=tuple(map(shelf.put, entry.drives))) for entry in entries]
-        evaluation = evaluate_campaign(name, recorded, failed)
+            recorded = [_shelved(entry, shelf) for entry in entries]
+        evaluation = evaluate_campaign(name, recorded, failed, shelf.put)
         return evaluation, _write(top, evaluation, folders, inputs)
+
+
+def _shelved(entry: Recorded, shelf: Shelf) -> Recorded:
+    """Return a recording of which the large tables are on the shelf."""
+    knowledge = None if entry.knowledge is None else shelf.keep(entry.knowledge())
+    return replace(entry, drives=tuple(map(shelf.put, entry.drives)), knowledge=knowledge)
 
 
 def _write(top: Path, evaluation: CampaignEvaluation, folders: Sequence[Path], inputs: InputFiles) -> list[Path]:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import date as Date
+from functools import partial
 from pathlib import Path
 
 import h5py
 
 from fusion.base import InputError
 from fusion.campaign.drive import Drive, line_drives
+from fusion.campaign.unknowns import Knowledge
 from fusion.instruments.channel import Outputs
 from fusion.phasors.timing import Grid
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT, Provenance, provenance_of
@@ -60,7 +62,8 @@ class Recorded:
 
     `kind`, `direction`, `frequencies` of the excitation as they were stated; `drives`: its driven lines with load and
     outputs, none where there was no load, no output or no stated direction; `notices` of its own report; `date`: as
-    the recording states it; `evidence`: which of its unknowns certificates and files state.
+    the recording states it; `evidence`: which of its unknowns certificates and files state; `knowledge`: yields what
+    its readings say of its unknowns, None without a load or where its instruments contradict each other.
     """
 
     folder: str
@@ -76,6 +79,7 @@ class Recorded:
     origin: Provenance
     date: Date | None = None
     evidence: tuple[Evidence, ...] = ()
+    knowledge: Callable[[], Knowledge] | None = None
 
 
 def read_recorded(folder: str | Path) -> Recorded:
@@ -106,6 +110,7 @@ def read_recorded(folder: str | Path) -> Recorded:
             origin=provenance_of(file),
             date=Date.fromisoformat(file.attrs["date"]) if "date" in file.attrs else None,
             evidence=read_evidence(file),
+            knowledge=_knowledge(file),
         )
 
 
@@ -130,6 +135,21 @@ def _drives(file: h5py.File) -> tuple[Drive, ...]:
     names = str(file.attrs["recording"]), str(file.attrs["mounting"])
     driven = line_drives(*names, direction, lines["nominal_hz"][()], lines["multiple"][()], wrench, outputs)
     return tuple(replace(drive, grids=_grids(file)) for drive in driven)
+
+
+def _knowledge(file: h5py.File) -> Callable[[], Knowledge] | None:
+    """What the readings say of the unknowns that they share."""
+    fused = file.get("accelerations/load-fused", {})
+    if "load" not in file or "posterior" not in fused:
+        return None
+    both = _texts(file["load"], "both") if "both" in file["load"] else ()
+    numbers = (fused[name][()] for name in ("unknowns/estimate", "posterior", "products"))
+    known = Knowledge.of(read_uncertainty(fused["uncertainty"]).influences, both, *numbers)
+    return partial(_held, known)
+
+
+def _held(known: Knowledge) -> Knowledge:
+    return known
 
 
 def _grids(file: h5py.File) -> tuple[Grid, ...]:

@@ -37,6 +37,7 @@ from fusion.estimation.least_squares import (
     Solution,
     System,
     build_system,
+    products,
     solve,
 )
 from fusion.estimation.measurement_model import SCALE, Observation, UnseenMotion
@@ -81,7 +82,9 @@ class Acceleration:
     by gross errors and nothing decides between them; None where there are none. `unseen`: what is assumed of components
     that are not observed, and `leaked` (K, 12, 12): what one standard uncertainty of their [Re, Im] adds to [Re, Im] of
     the values. `unnoticed`: of the fused estimate, which components an error of a single channel may move by more than
-    U although no test sees it.
+    U although no test sees it. `posterior` (E, E): covariance of the `unknowns` after the estimate, in their u; of the
+    fused load only, and None where its instruments contradict each other, which tells nothing of unknowns. `products`
+    (E,): by how much, in their u, these act otherwise than to first order (`least_squares.products`).
     """
 
     body: str
@@ -102,6 +105,8 @@ class Acceleration:
     unnoticed: tuple[Unnoticed, ...] = ()
     leaked: FloatArray | None = None
     probability: float = float("nan")
+    posterior: FloatArray | None = None
+    products: FloatArray | None = None
 
     __repr__ = brief
 
@@ -174,6 +179,8 @@ def fuse(
         leaked=leaked,
         probability=EstimatedNoise.of(system, first.effects).probability(first.chi2, first.dof, first.projector),
     )
+    if (body, source) == ("load", "fused") and system.common and not solved.contradicted:
+        result = replace(result, posterior=final.posterior, products=products(system, final.acceleration))
     swapped = exchanged(system, first, open_) if any(one.gross for one in open_) else ()
     contradicted = _enough(system, first, unknowns) if solved.contradicted else None
     return replace(result, notices=_notices(result, bool(stated), contradicted, swapped))
@@ -262,7 +269,7 @@ def fuse_sources(
             used = any(observation.title in fused.instruments for observation in alone)
             same = len(alone) == len(own)
             result = (
-                replace(fused, source=source)
+                replace(fused, source=source, posterior=None, products=None)
                 if same
                 else fuse(alone, body, source, fused.scatter if used else None, unseen)
             )

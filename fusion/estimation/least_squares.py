@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 from scipy.sparse import csr_array, diags_array
 
-from fusion.estimation.measurement_model import SCALE, UnseenMotion
+from fusion.estimation.measurement_model import SCALE, UnseenMotion, relative_change
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.labels import MOTION_COMPONENTS
@@ -263,6 +263,33 @@ def _ways(rows: IntArray, errors: Sequence[RowErrors], count: int) -> tuple[IntA
     return rows, csr_array(ways.reshape(len(rows), 12 * count))
 
 
+def products(system: System, acceleration: ComplexArray) -> FloatArray:
+    """Return (E,): by how much a common error acts otherwise than to first order, relative to how it acts, rms.
+
+    A relative error c multiplies what a channel reads, which differs from the prediction r at A (K, 6) by the effects
+    e_k of all other errors on it: √(Σ w|c|²Σ_k|e_k|² / Σ w|c|²|r|²) over all readings, w the inverse of the noise's
+    variance. What leaks across a channel's axis may be as large as the small motion along that axis. Zero for errors
+    that are not relative, of which the products with relative ones are small beside their own effects.
+    """
+    changed, plain = (np.zeros(len(system.common)) for _ in range(2))
+    columns = {error.name: column for column, error in enumerate(system.common)}
+    for o in system.observations:
+        usable = np.isfinite(o.phasors.value)
+        both = o.phasors.covariance.diagonal(axis1=1, axis2=2)
+        variance = np.where(usable, both[:, : usable.shape[1]] + both[:, usable.shape[1] :], 1.0)
+        weight = np.divide(1.0, variance, out=np.zeros(usable.shape), where=usable & (variance > 0.0))
+        reading = np.abs(np.einsum("kmj,kj->km", o.design, acceleration)) ** 2
+        effects = {error.name: np.abs(error.effect(acceleration)) ** 2 for error in o.common}
+        total = np.sum([np.zeros(usable.shape), *effects.values()], axis=0)
+        for error in o.common:
+            relative = relative_change(error, o.design)
+            if relative is not None:
+                share = weight * np.abs(relative) ** 2
+                changed[columns[error.name]] += np.sum(np.nan_to_num(share * (total - effects[error.name])))
+                plain[columns[error.name]] += np.sum(np.nan_to_num(share * reading))
+    return np.asarray(np.sqrt(np.divide(changed, plain, out=np.zeros_like(plain), where=plain > 0.0)))
+
+
 # Whitened least squares: accelerations and common errors estimated together, with all that follows from it.
 
 
@@ -274,7 +301,8 @@ CONVERGED = 1e-10
 class Solution:
     """Estimate of a system: `acceleration` (K, 6), `errors` (E,) in standard uncertainties, `effects` (N, E) there.
 
-    `remaining` (E,): standard uncertainty of the errors after the estimate over that before.
+    `remaining` (E,): standard uncertainty of the errors after the estimate over that before; `posterior` (E, E): their
+    covariance after it, in standard uncertainties.
     `gain` (12K, N): estimate = gain · readings; `projector` (N, N) = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1 with V the
     covariance of noise and common errors, so that `chi2` = y^T P y; `dof`; `noise` (N, N) as it was used, with the
     discrepancy and the covariance of what is `hidden` in it.
@@ -283,6 +311,7 @@ class Solution:
     acceleration: ComplexArray
     errors: FloatArray
     remaining: FloatArray
+    posterior: FloatArray
     effects: FloatArray
     gain: FloatArray
     projector: FloatArray
@@ -372,6 +401,7 @@ def _solution(system: System, step: _Step) -> Solution:
         acceleration=system.acceleration(inverse[:unknowns] @ step.readings / step.scale),
         errors=inverse[unknowns:] @ step.readings,
         remaining=np.linalg.norm(after, axis=1),
+        posterior=after @ after.T,
         effects=step.effects,
         gain=system.expand @ (gain[:unknowns] / step.scale[:, None]),
         projector=solve_triangular(step.root, left[:, :count].T, lower=True, trans="T", check_finite=False),

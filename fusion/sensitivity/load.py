@@ -53,7 +53,8 @@ class LoadResult:
 
     `value` (K, 6): the whole estimate, with components of the motion that nobody observed at zero; NaN at lines without
     any reading. `uncertainty`: of all six, in which those components are contributions of their own. `observed` (K, 6):
-    which components are given as results, since the unobserved ones matter little to them.
+    which components are given as results, since the unobserved ones matter little to them. `both`: names of unknowns
+    that act on the load through the motion and by themselves, as what is elastic of it does; None where none does.
     """
 
     frequency_hz: FloatArray
@@ -61,6 +62,7 @@ class LoadResult:
     uncertainty: Uncertainty
     observed: BoolArray
     notices: tuple[AnyNotice, ...]
+    both: tuple[str, ...] | None = None
 
     __repr__ = brief
 
@@ -115,7 +117,9 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     # What is elastic acts on instruments and load by one name.
     total = Uncertainty((*carried.random, *hidden.values()), added_up((*carried.influences, *own)))
     rigid = np.einsum("kij,kj->ki", seen * body.rigid.load_matrix(frequency), known)
-    result = LoadResult(frequency, value, total, observed, ())
+    moved = {influence.name for influence in carried.influences}
+    both = tuple(c.name for c in own if c.name in moved) or None
+    result = LoadResult(frequency, value, total, observed, (), both)
     notices = (
         *_notices(acceleration, total, value, observed, hidden),
         *_elastic_notices(body, frequency, value, rigid),

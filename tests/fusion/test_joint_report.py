@@ -29,9 +29,11 @@ from fusion.campaign.joint_report import (
     linearity_table,
     render_campaign,
     repeats_table,
+    unknowns_table,
     write_campaign,
 )
 from fusion.campaign.recorded import Recorded, SensorFacts
+from fusion.campaign.unknowns import JointUnknown
 from fusion.estimation.coverage import coverage_factor
 from fusion.phasors.timing import Grid
 from fusion.report import recording as results
@@ -192,6 +194,20 @@ def test_every_number_of_a_campaign_has_unit_words_and_named_axes(swept, matrix)
         units = fit["uncertainty/effect"].attrs["units"].strip("[]").split(", ")
         assert units == 6 * (3 * ["(V/V)/N"] + 3 * ["(V/V)/(N.m)"])
         assert file["cross_talks/000/value"].attrs["units"] == "1"
+
+
+def test_what_is_known_of_poses_and_scales_stands_in_file_and_page(matrix):
+    turned = JointUnknown("stereo top: pose rotation x", "stereo top: pose", 5e-3, "rad", 0.5, 0.2, 8)
+    found = replace(matrix, unknowns=(JointUnknown("clock rate", "clock", 1e-6, "1", 0.0, 1.0, 0), turned))
+    with h5py.File(io.BytesIO(campaign_h5(found, []))) as file:
+        assert untold(file) == []
+        assert file["unknowns/remaining"][()].tolist() == [1.0, 0.2]
+    told = unknowns_table(found)
+    assert [row[0] for row in told.rows] == [turned.name, "clock rate"]
+    assert told.rows[0][1:5] == ("0.005 rad", "(2.5 ± 2.0) × 10<sup>−3</sup> rad", "0.20", "8")
+    assert told.rows[1][5] == "stays as stated"
+    assert "Poses and scales" in render_campaign(found)
+    assert "Poses and scales" not in render_campaign(matrix)
 
 
 def test_equal_input_gives_equal_bytes_and_without_six_loads_there_is_no_matrix(swept):

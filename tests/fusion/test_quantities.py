@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support import untold
 
+from fusion.campaign.recorded import read_recorded
 from fusion.cli import main
 from fusion.report.recording import write_h5
 from fusion.sensitivity.analyse import Evaluation
@@ -23,6 +24,8 @@ STATED = {
     "load/uncertainty/u": ("[unit]", "name"),
     "accelerations/load-fused/phasors/value": (MOTIONS, "frequency_hz channels"),
     "accelerations/load-fused/observed": ("1", "frequency_hz channels"),
+    "accelerations/load-fused/posterior": ("1", "unknown unknown_of"),
+    "accelerations/load-fused/products": ("1", "unknown"),
     "outputs/phasors/covariance": ("(V/V)^2", "frequency_hz row column"),
     "sensitivity/value": (RATIOS, "frequency_hz channels components"),
     "sensitivity/uncertainty/covariance": ("((V/V)/N)^2", "frequency_hz row column"),
@@ -70,6 +73,16 @@ def test_labels_of_axes_are_those_of_the_values(result, demo_evaluation):
         assert file["stereo/top/channels"].asstr()[()].tolist() == ["x", "y", "z", "rx", "ry", "rz"]
         frequency = demo_evaluation.load.frequency_hz
         assert np.array_equal(file["accelerations/load-fused/frequency_hz"], frequency)
+
+
+def test_a_campaign_reads_what_the_recording_knows_of_its_unknowns(result, demo_evaluation):
+    fused = demo_evaluation.accelerations[0]
+    known = read_recorded(result.parent).knowledge()
+    assert np.array_equal(known.covariance, fused.posterior)
+    assert [about[:4] for about in known.about] == [(u.name, u.label, u.u, u.unit) for u in fused.unknowns]
+    shared = {about[0] for about, own in zip(known.about, known.shared, strict=True) if own}
+    assert "stereo top: pose rotation x" in shared
+    assert not any(name.startswith("frequency of") for name in shared)
 
 
 def test_xarray_opens_groups_with_named_dimensions_and_the_numbers(result, demo_evaluation):

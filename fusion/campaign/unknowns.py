@@ -1,0 +1,393 @@
+"""What the recordings of a campaign know together of unknowns that they share, and what that makes of their loads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import chi2 as chi_square
+
+from fusion.campaign.drive import About, Drive, Stored, once
+from fusion.estimation.consistency import UNTESTED
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, as_complex
+from fusion.estimation.variance_components import TEST_LEVEL
+from shaker.arrays import BoolArray, FloatArray, IntArray, Notice
+
+if TYPE_CHECKING:
+    from fusion.campaign.recorded import Recorded
+
+AS_STATED = 0.95
+"""Standard uncertainty after the joint estimate over that stated, above which an unknown stays as stated."""
+NOISE = "noise of the joint estimate of unknowns"
+"""Label of what the noise of all recordings leaves of unknowns that they estimate together."""
+BEYOND = 0.05
+"""Standard uncertainty, in that stated, by which an unknown as one recording sees it differs from that of the rig.
+
+What first order leaves: a direction 10 mrad off shortens a reading by 5e-5, a tenth of the u of a laser's scale, and
+recordings with little noise would take such differences for contradictions.
+"""
+SECOND = "unknowns beyond first order"
+ROUNDING = 1e-12
+MOST_NAMED = 5
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What the readings of one recording say of its E unknowns: posterior mean and covariance, in their u.
+
+    `about` (E): the unknowns; `shared` (E,): those that other recordings may have, too, and that act on its load
+    through the motion alone. With A₀ = A at no errors, K its change by one u of each shared unknown, N all else that
+    is uncertain, P = N⁻¹ - N⁻¹X(XᵀN⁻¹X)⁻¹XᵀN⁻¹ and E the effects of the shared unknowns on the readings y = X·A + E·ε
+    + n, readings tell of ε through EᵀPy = M·ε + noise of covariance M alone, M = EᵀPE. What they tell of it holds of
+    the rig as far as ε = ε_rig + η, η of covariance T what first order leaves: squares of `BEYOND` and `products` (E,).
+    """
+
+    about: tuple[About, ...]
+    shared: BoolArray
+    estimate: FloatArray
+    covariance: FloatArray
+    products: FloatArray
+
+    @classmethod
+    def of(cls, influences: Sequence[Influence], both: Sequence[str], *numbers: FloatArray) -> Knowledge:
+        """Return it of unknowns as they act on the motion; `both`: those that act on the load by themselves, too."""
+        about = tuple(once(i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences)
+        shared = [one[4] in ("rig", "mounting") and one[0] not in both for one in about]
+        return cls(about, np.array(shared, dtype=np.bool_), *numbers)
+
+    @cached_property
+    def beyond(self) -> FloatArray:
+        """Return T, of which the off-diagonal elements are zero."""
+        return np.diag(BEYOND**2 + self.products[self.shared] ** 2)
+
+    @cached_property
+    def inverse(self) -> FloatArray:
+        """Return 1 + M, the inverse of the covariance of the shared unknowns, all others marginalised."""
+        return np.asarray(np.linalg.inv(self.covariance[np.ix_(self.shared, self.shared)]))
+
+    @cached_property
+    def passed(self) -> FloatArray:
+        """Return (1 + MT)⁻¹, which what a recording tells of the rig passes, and transposed what it is told."""
+        size = np.eye(len(self.inverse))
+        return np.asarray(np.linalg.inv(size + (self.inverse - size) @ self.beyond))
+
+    @property
+    def information(self) -> FloatArray:
+        """Return what the recording tells of the rig: (1 + MT)⁻¹M."""
+        product = self.passed @ (self.inverse - np.eye(len(self.inverse)))
+        return np.asarray((product + product.T) / 2.0)
+
+    @property
+    def score(self) -> FloatArray:
+        """Return (1 + MT)⁻¹EᵀPy."""
+        return np.asarray(self.passed @ self.inverse @ self.estimate[self.shared])
+
+    @property
+    def local(self) -> FloatArray:
+        """Return EᵀP times the effects of the unknowns that are not shared, on the readings."""
+        return np.asarray(-self.inverse @ self.covariance[np.ix_(self.shared, ~self.shared)])
+
+
+@dataclass(frozen=True)
+class JointUnknown:
+    """One unknown of the rig: `estimate` and `remaining` uncertainty over the stated `u` (in `unit`) by the campaign.
+
+    `recordings`: how many tell of it, by more than 1 % of its u each.
+    """
+
+    name: str
+    label: str
+    u: float
+    unit: str
+    estimate: float
+    remaining: float
+    recordings: int
+
+    @property
+    def stated(self) -> bool:
+        """Return whether the campaign leaves it as stated."""
+        return self.remaining > AS_STATED
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A recording and where its knowledge comes from."""
+
+    recording: str
+    mounting: str
+    known: Callable[[], Knowledge]
+
+
+@dataclass(frozen=True)
+class _Member:
+    """One recording of a mounting: where its shared unknowns stand among the wide, then those of the mounting."""
+
+    recording: str
+    known: Knowledge
+    places: IntArray
+
+
+@dataclass(frozen=True)
+class _Mounted:
+    """The recordings of one mounting: information and score of W wide unknowns and n of the mounting, joined."""
+
+    members: tuple[_Member, ...]
+    about: tuple[About, ...]
+    information: FloatArray
+    score: FloatArray
+    wide: int
+
+    @cached_property
+    def conditional(self) -> FloatArray:
+        """Return the covariance (n, n) of the mounting's unknowns where the wide ones are known."""
+        own = self.information[self.wide :, self.wide :]
+        return np.asarray(np.linalg.inv(np.eye(len(own)) + own))
+
+    @cached_property
+    def slope(self) -> FloatArray:
+        """Return by how much (n, W) the wide unknowns lower the estimate of those of the mounting."""
+        return np.asarray(self.conditional @ self.information[self.wide :, : self.wide])
+
+    def of_wide(self) -> tuple[FloatArray, FloatArray]:
+        """Return information and score of the wide unknowns, those of the mounting marginalised."""
+        own, mixed = slice(self.wide), self.information[: self.wide, self.wide :]
+        rest = self.conditional @ self.score[self.wide :]
+        return self.information[own, own] - mixed @ self.slope, self.score[own] - mixed @ rest
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Posterior of what recordings of a campaign share: `estimate` (W,) and `covariance` (W, W) of wide unknowns.
+
+    Every recording's information adds up, 1 + ΣM_i, the score likewise (Plackett 1950, Biometrika 37, 149: least
+    squares to which observations are added). Unknowns of one mounting are eliminated mounting by mounting, so that time
+    grows as the recordings. `about`: the wide unknowns, those of the rig and, where all recordings are of one mounting,
+    of that.
+    """
+
+    campaign: str
+    sources: tuple[_Source, ...]
+    single: bool
+    about: tuple[About, ...]
+    estimate: FloatArray
+    covariance: FloatArray
+    information: FloatArray
+    recordings: IntArray
+
+    @classmethod
+    def of(cls, campaign: str, recorded: Sequence[Recorded]) -> Joint:
+        """Return what recordings tell together."""
+        sources = tuple(_Source(e.name, e.mounting, e.knowledge) for e in recorded if e.knowledge is not None)
+        single = len({source.mounting for source in sources}) < 2
+        about: dict[str, About] = {}
+        count: dict[str, int] = {}
+        for source in sources:
+            known = source.known()
+            remaining = np.sqrt(np.diag(known.covariance))
+            for place in np.flatnonzero(known.shared).tolist():
+                if single or known.about[place][4] == "rig":
+                    name = known.about[place][0]
+                    about.setdefault(name, known.about[place])
+                    count[name] = count.get(name, 0) + bool(remaining[place] < UNTESTED)
+        none = np.zeros(len(about))
+        joint = cls(
+            campaign, sources, single, tuple(about.values()), none, np.eye(len(about)), np.outer(none, none),
+            np.array([count[name] for name in about], dtype=np.int64),
+        )  # fmt: skip
+        information, score = np.outer(none, none), none
+        for mounted in joint._mounted():
+            more, told = mounted.of_wide()
+            information, score = information + more, score + told
+        covariance = np.asarray(np.linalg.inv(np.eye(len(none)) + information), dtype=np.float64)
+        return replace(joint, information=information, covariance=covariance, estimate=covariance @ score)
+
+    def unknowns(self) -> tuple[JointUnknown, ...]:
+        """Return what the campaign says of every wide unknown."""
+        remaining = np.sqrt(np.diag(self.covariance))
+        columns = self.about, self.estimate.tolist(), remaining.tolist(), self.recordings.tolist()
+        return tuple(JointUnknown(*about[:4], *numbers) for about, *numbers in zip(*columns, strict=True))
+
+    def _mounted(self) -> Iterator[_Mounted]:
+        """Yield the recordings of every mounting, joined."""
+        wide = {about[0]: place for place, about in enumerate(self.about)}
+        groups: dict[str, list[_Source]] = {}
+        for source in self.sources:
+            groups.setdefault("" if self.single else source.mounting, []).append(source)
+        for group in groups.values():
+            places, about, members = dict(wide), list[About](), list[_Member]()
+            for source in group:
+                known = source.known()
+                own = [known.about[place] for place in np.flatnonzero(known.shared).tolist()]
+                for one in own:
+                    if one[0] not in places:
+                        places[one[0]] = len(places)
+                        about.append(one)
+                members.append(_Member(source.recording, known, np.array([places[one[0]] for one in own], np.int64)))
+            information, score = np.zeros((len(places), len(places))), np.zeros(len(places))
+            for member in members:
+                information[np.ix_(member.places, member.places)] += member.known.information
+                score[member.places] += member.known.score
+            yield _Mounted(tuple(members), tuple(about), information, score, len(wide))
+
+    def _all(self, mounted: _Mounted) -> tuple[FloatArray, FloatArray]:
+        """Return estimate and covariance of the wide unknowns and those of one mounting."""
+        slope, told = mounted.slope, mounted.score[mounted.wide :]
+        mixed = -slope @ self.covariance
+        estimate = np.concatenate([self.estimate, mounted.conditional @ told - slope @ self.estimate])
+        return estimate, np.block([[self.covariance, mixed.T], [mixed, mounted.conditional - mixed @ slope.T]])
+
+    def contradicting(self) -> tuple[str, ...]:
+        """Return the recordings that contradict, at 1 % together, what all others say of the unknowns they share."""
+        found: list[tuple[float, str]] = []
+        for mounted in self._mounted():
+            estimate, covariance = self._all(mounted)
+            for member in mounted.members:
+                own = member.places
+                p = _contradiction(member.known, estimate[own], covariance[np.ix_(own, own)])
+                found.append((p, member.recording))
+        limit = 1.0 - TEST_LEVEL ** (1.0 / max(len(found), 1))
+        return tuple(name for p, name in sorted(found) if p < limit)
+
+    def carries(self) -> Iterator[tuple[str, Carry]]:
+        """Yield for every recording what carries the joint estimate into its loads."""
+        root = _root(self.information)
+        for mounted in self._mounted():
+            estimate, _ = self._all(mounted)
+            for member in mounted.members:
+                yield member.recording, Carry(self, mounted, member, estimate[member.places], root)
+
+
+def _contradiction(known: Knowledge, estimate: FloatArray, covariance: FloatArray) -> float:
+    """Return how likely a recording's readings lie as far from what all others say of its unknowns, or further.
+
+    Without it the joint estimate has S = (S_joint⁻¹ - M)⁻¹; the score less M times that has the covariance M + MSM.
+    Only directions count of which the recording by itself knows more than 1 % beyond what is stated.
+    """
+    values, vectors = np.linalg.eigh(known.information)
+    kept = values > 1.0 / UNTESTED**2 - 1.0
+    if not np.any(kept):
+        return 1.0
+    inverse = np.linalg.inv(covariance)
+    others = np.linalg.inv(inverse - known.information)
+    off = known.score - known.information @ (others @ (inverse @ estimate - known.score))
+    root, turned = np.sqrt(values[kept]), vectors[:, kept]
+    white = turned.T @ off / root
+    spread = np.eye(len(root)) + root[:, None] * (turned.T @ others @ turned) * root
+    return float(chi_square.sf(white @ np.linalg.solve(spread, white), len(root)))
+
+
+@dataclass(frozen=True)
+class Carry:
+    """What the joint estimate changes of a recording's loads, to first order in the unknowns.
+
+    A load l found with its recording's own estimate ε_i becomes l - K·(ε - ε_i), K = e·(1 + M) of its influences e.
+    What is then uncertain of it is (a) what is its own, N carried through: influences of its own unknowns and noise
+    lose what went through ε_i; (b) K·(ε - ε_joint), which of the wide unknowns is S·ε less S times the noise of all
+    scores, of covariance ΣM: the first by their names, the second by unknowns of the campaign; of those of the
+    mounting, where the wide are known, it is by their names a symmetric root of what is left.
+    """
+
+    joint: Joint
+    mounted: _Mounted
+    member: _Member
+    estimate: FloatArray
+    root: FloatArray
+
+    def of(self, drive: Drive) -> Drive:
+        """Return a drive with the load and its uncertainty as the campaign knows them."""
+        known, wide = self.member.known, self.mounted.wide
+        uncertainty = drive.load_uncertainty
+        old = {influence.name: influence for influence in uncertainty.influences}
+        none = np.zeros((1, uncertainty.random[0].covariance.shape[1]))
+        effects = np.array([old[about[0]].effect[0] if about[0] in old else none[0] for about in known.about])
+        shared, local = effects[known.shared], effects[~known.shared] + known.local.T @ effects[known.shared]
+        gain = known.passed @ known.inverse @ shared
+        full = np.zeros((len(self.mounted.score), none.shape[1]))
+        full[self.member.places] = gain
+        through = full[:wide] - self.mounted.slope.T @ full[wide:]
+        remaining = self.joint.covariance @ through
+        narrow = _root(self.mounted.conditional) @ full[wide:]
+        both = zip((*self.joint.about, *self.mounted.about), (*remaining, *narrow), strict=True)
+        found = dict(old)
+        own = [about for about, mine in zip(known.about, known.shared, strict=True) if not mine]
+        for about, effect in (*both, *zip(own, local, strict=True)):
+            if about[0] in old or np.any(effect):
+                found[about[0]] = Influence(*about[:4], effect[None], *about[4:])
+        for number, effect in enumerate(self.root.T @ remaining):
+            name = f"campaign {self.joint.campaign}: noise of unknowns {number + 1}"
+            found[name] = Influence(name, NOISE, 1.0, "1", effect[None], "rig", "A")
+        # Of N = n + E_l·E_lᵀ the noise n alone: its own part and that of the recording's own unknowns cancel together.
+        mixed = local.T @ known.local.T @ shared
+        size = np.eye(len(shared))
+        lost = shared.T @ (known.inverse - size - known.local @ known.local.T) @ shared + mixed + mixed.T
+        beyond = shared.T @ known.inverse @ known.beyond @ gain
+        random = (*_without(uncertainty.random, lost), Contribution(SECOND, "B", beyond[None]))
+        # The recording's own part of ε_i is T(1 + MT)⁻¹EᵀPy beside what the rig's unknowns make of it.
+        own_part = known.beyond @ known.score @ known.inverse @ shared
+        change = self.estimate @ gain + own_part - known.estimate[known.shared] @ known.inverse @ shared
+        return replace(
+            drive,
+            load=drive.load - as_complex(change),
+            load_uncertainty=Stored.of(Uncertainty(random, tuple(found.values()))),
+        )
+
+
+def _root(matrix: FloatArray) -> FloatArray:
+    """Return a symmetric root of a covariance."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def _without(random: Sequence[Contribution], lost: FloatArray) -> tuple[Contribution, ...]:
+    """Return contributions (K = 1) that add up to a covariance less by `lost` (12, 12), and to none below zero.
+
+    Each is turned by R^½(1 - R^-½·D·R^-½)^½R^-½, R being their sum and D what is lost: nothing where D is nothing.
+    """
+    total = np.sum([part.covariance[0] for part in random], axis=0)
+    size = np.sqrt(np.maximum(np.diag(total), 0.0))
+    size = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(total / np.outer(size, size))
+    kept = values > ROUNDING * values[-1]
+    root, turned = np.sqrt(values[kept]), vectors[:, kept]
+    share, ways = np.linalg.eigh((turned.T @ (lost / np.outer(size, size)) @ turned) / np.outer(root, root))
+    inner = (ways * np.sqrt(1.0 - np.minimum(share, 1.0))) @ ways.T
+    turn = (size[:, None] * turned * root) @ inner @ (turned / root / size[:, None]).T
+    return tuple(replace(part, covariance=(turn @ part.covariance[0] @ turn.T)[None]) for part in random)
+
+
+def carry_unknowns(
+    campaign: str, recorded: Sequence[Recorded], keep: Callable[[Drive], Drive]
+) -> tuple[tuple[Recorded, ...], tuple[JointUnknown, ...], tuple[Notice, ...]]:
+    """Return recordings whose loads rest on the joint estimate of all unknowns they share, and what that says.
+
+    Where a recording contradicts the others, all keep what they have. `keep`: where changed drives are put.
+    """
+    joint = Joint.of(campaign, recorded)
+    if len(joint.sources) < 2 or not joint.about:
+        return tuple(recorded), (), ()
+    contradicting = joint.contradicting()
+    if contradicting:
+        named = ", ".join(contradicting[:MOST_NAMED])
+        text = f"what {named} says of poses, scales and other unknowns of the rig contradicts all others at 1 %: the "
+        text += "recordings keep what each says of them by itself"
+        return tuple(recorded), (), (Notice("warning", text, "campaign"),)
+    unknowns = joint.unknowns()
+    places = {entry.name: place for place, entry in enumerate(recorded)}
+    found = list(recorded)
+    for name, carry in joint.carries():
+        entry = recorded[places[name]]
+        found[places[name]] = replace(entry, drives=tuple(keep(carry.of(drive)) for drive in entry.drives))
+    return tuple(found), unknowns, _notices(unknowns, len(recorded) - len(joint.sources))
+
+
+def _notices(unknowns: Sequence[JointUnknown], aside: int) -> tuple[Notice, ...]:
+    """Say what the campaign knows better than a recording, and what it takes as stated."""
+    better = [unknown for unknown in unknowns if not unknown.stated]
+    text = f"of {len(unknowns)} unknowns of the rig that readings may tell of, all recordings together know "
+    text += f"{len(better)} better than stated; the others stay as stated"
+    if aside:
+        text += f"; recordings without a load, or whose instruments contradict each other, tell nothing: {aside}"
+    return (Notice("info", text, "campaign"),)
