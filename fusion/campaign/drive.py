@@ -47,7 +47,7 @@ class Stored(Uncertainty):
         influences = known.influences
         own = ((i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences)
         effects = np.array([influence.effect for influence in influences])
-        return cls(tuple(once(*about) for about in own), partial(_held, (known.random, effects)))
+        return cls(tuple(once(*about) for about in own), partial(held, (known.random, effects)))
 
     @property
     def random(self) -> tuple[Contribution, ...]:
@@ -66,11 +66,12 @@ class Stored(Uncertainty):
         random, effects = self.numbers()
         mapped = tuple(replace(part, covariance=of_covariance(part.covariance)) for part in random)
         effects = np.ascontiguousarray(of_effect(effects)) if self.about else effects
-        return Stored(self.about, partial(_held, (mapped, effects)))
+        return Stored(self.about, partial(held, (mapped, effects)))
 
 
-def _held(numbers: Numbers) -> Numbers:
-    return numbers
+def held(kept: Kept) -> Kept:
+    """Return what is kept, for those that ask for it by a call."""
+    return kept
 
 
 @lru_cache(maxsize=4096)

@@ -12,7 +12,7 @@ from pathlib import Path
 import h5py
 
 from fusion.base import InputError
-from fusion.campaign.drive import Drive, line_drives
+from fusion.campaign.drive import Drive, held, line_drives
 from fusion.campaign.unknowns import Knowledge
 from fusion.instruments.channel import Outputs
 from fusion.phasors.timing import Grid
@@ -145,11 +145,7 @@ def _knowledge(file: h5py.File) -> Callable[[], Knowledge] | None:
     both = _texts(file["load"], "both") if "both" in file["load"] else ()
     numbers = (fused[name][()] for name in ("unknowns/estimate", "posterior", "products"))
     known = Knowledge.of(read_uncertainty(fused["uncertainty"]).influences, both, *numbers)
-    return partial(_held, known)
-
-
-def _held(known: Knowledge) -> Knowledge:
-    return known
+    return partial(held, known)
 
 
 def _grids(file: h5py.File) -> tuple[Grid, ...]:

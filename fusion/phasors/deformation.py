@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc
 
+from fusion.estimation.uncertainty import real_stack
 from photogram.direct.shapes import PLAIN, ShapeAmplitudes
 from photogram.motion import Deformation
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
@@ -140,7 +141,7 @@ def shape_phasors(
     free = np.maximum(phasors.dof - 2 * count + 1, 1.0)
     phasors = phasors.scaled(1.0 / gain)
     covariance = _with_effects(phasors, effects)
-    both = np.concatenate([phasors.value.real, phasors.value.imag], axis=1)
+    both = real_stack(phasors.value)
     square = np.einsum("ki,ki->k", both, np.linalg.solve(covariance, both[..., None])[..., 0])
     f = square * free / (2 * count * phasors.dof)
     chance = fdtrc(2.0 * count, free, f)
@@ -184,7 +185,7 @@ def _beside(time_s: FloatArray, frequency_hz: FloatArray, line: int) -> FloatArr
 
 def _with_effects(phasors: Phasors, effects: ComplexArray) -> FloatArray:
     """Covariance (K, 2S, 2S) of phasors with their noise and effects (P, K, S) of unknowns."""
-    both = np.concatenate([effects.real, effects.imag], axis=2)
+    both = real_stack(effects)
     return np.asarray(phasors.covariance + np.einsum("pki,pkj->kij", both, both))
 
 

@@ -253,21 +253,26 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest], already: AlreadyRea
     mounted = [f"{part.name} {part.true_mass:g} kg on the {part.body}" for part in manifest.part]
     if manifest.rig.load is not None:
         contents.append(f"load mass: {manifest.rig.load.true_mass:g} kg" + "".join(f", {part}" for part in mounted))
-    contents += _measured_modes(manifest, takes)
-    return contents, problems
+    measured, wrong = _measured_modes(manifest, takes)
+    return [*contents, *measured], [*problems, *wrong]
 
 
-def _measured_modes(manifest: Manifest, takes: Sequence[Manifest]) -> list[str]:
-    """One line for each stereo pair that measures modes of the load."""
-    load, told = manifest.rig.load, []
+def _measured_modes(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list[str], list[str]]:
+    """One line for each stereo pair that measures modes of the load, and what is wrong with their tables."""
+    load, told, wrong = manifest.rig.load, list[str](), dict[str, None]()
     asked = {name for part in (load.elastic if load is not None else ()) for name in part.measured_by}
     for name in dict.fromkeys(images.stereo for take in takes for images in take.images):
         if name in asked:
             from fusion.sensitivity.mode_shapes import mode_shapes  # what the other recordings do without
 
             shapes = mode_shapes(load, name)
-            told.append(f"stereo {name} measures modes of the load: {', '.join(shapes.names if shapes else ())}")
-    return told
+            if shapes is not None:
+                told.append(f"stereo {name} measures modes of the load: {', '.join(shapes.names)}")
+                try:
+                    shapes(np.zeros((1, 3)))
+                except InputError as error:
+                    wrong[str(error)] = None
+    return told, list(wrong)
 
 
 def _without_place(manifest: Manifest, takes: Sequence[Manifest]) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.linalg import eigh
 
-from fusion.estimation.uncertainty import Scope, Unknown
+from fusion.estimation.uncertainty import Scope, Unknown, as_complex, real_stack
 from fusion.instruments.transducer import across
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 
@@ -56,10 +56,9 @@ class MeasuredModes:
 
     def mean(self, stated: ComplexArray) -> ComplexArray:
         """Return responses (K, N) of all modes as they are stated and measured."""
-        count, mean = len(self.which), stated.copy()
+        mean = stated.copy()
         off = self.response - stated[:, self.which]
-        change = np.einsum("kij,kj->ki", self.gain, np.concatenate([off.real, off.imag], axis=1))
-        mean[:, self.which] += change[:, :count] + 1j * change[:, count:]
+        mean[:, self.which] += as_complex(np.einsum("kij,kj->ki", self.gain, real_stack(off)))
         return mean
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtrc
 
 from fusion.base import as_input_error
+from fusion.estimation.uncertainty import as_complex, real_stack
 from fusion.instruments.transducer import across
 from fusion.sensitivity.body import Body, drawn, stated_modes
 from fusion.sensitivity.elastic import ElasticPart, MeasuredModes, Modes, Place, Rod, Variant, response
@@ -52,24 +55,32 @@ class _Chosen:
             start += len(modes.frequency_hz)
         return cls(table, tuple(which), tuple(labels))
 
-    def surface(self, number: int) -> FloatArray:
-        """Return places and displacements (P, 6) of a mode of a table on the surface that pictures show."""
-        path = self.table.mode[number].surface
-        assert path is not None
-        with as_input_error(path):
-            return read_table_columns(path, COLUMNS)
+    @cached_property
+    def surfaces(self) -> tuple[tuple[Path, FloatArray], ...]:
+        """Files of the modes of a table, with places and displacements (P, 6) on the surface that pictures show."""
+        found = []
+        for path in (self.table.mode[number].surface for number in self.which):
+            assert path is not None
+            with as_input_error(path):
+                found.append((path, read_table_columns(path, COLUMNS)))
+        return tuple(found)
 
     def displacement(self, points_m: FloatArray) -> FloatArray:
         """Return the displacement (M, N, 3) of points (N, 3) for a unit of each mode."""
         if self.table.shape == "modes":
-            return np.stack([_between(self.surface(number), points_m) for number in self.which])
+            moved = []
+            for path, surface in self.surfaces:
+                with as_input_error(path):
+                    moved.append(_between(surface, points_m))
+            return np.stack(moved)
         motion = stated_modes(self.table, {}).motion
         return np.stack([motion(Place("", point))[list(self.which), :3] for point in points_m], axis=1)
 
+    @cached_property
     def size(self) -> FloatArray:
-        """Return the displacement (M,) for a unit of each mode where it is largest, in the table or along a drawing."""
+        """The displacement (M,) for a unit of each mode where it is largest, in the table or along a drawing."""
         if self.table.shape == "modes":
-            return np.array([np.linalg.norm(self.surface(number)[:, 3:], axis=1).max() for number in self.which])
+            return np.array([np.linalg.norm(rows[:, 3:], axis=1).max() for _, rows in self.surfaces])
         shape = drawn(self.table)
         if isinstance(shape, Rod):
             places = shape.foot_m + np.linspace(0.0, shape.length_m, 9)[:, None] * shape.axis
@@ -112,7 +123,7 @@ class ModeShapes:
 
     def __call__(self, points_m: FloatArray) -> FloatArray:
         """Return the displacement (S, N, 3) of points (N, 3) at rest in each mode of amplitude 1 m."""
-        return np.concatenate([part.displacement(points_m) / part.size()[:, None, None] for part in self.parts])
+        return np.concatenate([part.displacement(points_m) / part.size[:, None, None] for part in self.parts])
 
 
 def mode_shapes(load: Load | None, pair: str) -> ModeShapes | None:
@@ -181,7 +192,7 @@ def with_measured_modes(
             columns = np.arange(start, start + len(one.which))
             start += len(one.which)
             name = one.table.name
-            size = one.size() / np.sqrt([one.table.mode[n].modal_mass if one.table.mode else 1.0 for n in one.which])
+            size = one.size / np.sqrt([one.table.mode[n].modal_mass if one.table.mode else 1.0 for n in one.which])
             parts[name], notices = _measured(parts[name], chosen[name], seen, columns, size)
             told += notices
     return replace(body, elastic=tuple(parts.values())), tuple(told)
@@ -214,7 +225,7 @@ def _measured(
     for line, hertz, root in zip(np.flatnonzero(pair.usable), frequency, _roots(covariance), strict=True):
         for number, column in enumerate(root.T):
             change = np.zeros_like(whole)
-            change[line] = column[:count] + 1j * column[count:]
+            change[line] = as_complex(column)
             sides = carrying(part.modes, change), carrying(part.modes, -change)
             variants.append(Variant(f"{label}, {hertz:.9g} Hz {number}", label, 1.0, "1", "recording", *sides))
     found = replace(part, modes=carrying(part.modes), variants=tuple(variants))
@@ -231,11 +242,11 @@ def _gain(
 
     def stated(modes: Modes) -> FloatArray:
         moved = response(frequency_hz, modes.frequency_hz, modes.damping)[:, which]
-        return np.concatenate([moved.real, moved.imag], axis=1)
+        return real_stack(moved)
 
     effects = np.stack([(stated(v.above) - stated(v.below)) / 2.0 for v in part.variants])
     prior = np.einsum("vui,vuj->uij", effects, effects)
-    off = np.concatenate([found.real, found.imag], axis=1) - stated(part.modes)
+    off = real_stack(found) - stated(part.modes)
     inverse = np.linalg.pinv(prior + covariance, hermitian=True)
     square = np.einsum("ui,uij,uj->u", off, inverse, off)
     contradicted = np.asarray(chdtrc(float(off.shape[1]), square) < CONTRADICTED / len(off))

@@ -10,6 +10,8 @@ from contracts import refused
 
 from fusion.base import InputError
 from fusion.phasors.deformation import ShapePhasors, shape_phasors
+from fusion.planning.check import _measured_modes
+from fusion.recording.load import load_manifest
 from fusion.recording.rig import Elastic
 from fusion.sensitivity.body import Body, elastic_part, stated_modes
 from fusion.sensitivity.mode_shapes import mode_shapes, with_measured_modes
@@ -115,7 +117,7 @@ def seen_plate(rng: np.random.Generator, off: float, u_m: float) -> tuple[Simple
     (part,) = shapes.parts
     r = HERTZ[:, None] / true.frequency_hz
     moved = r**2 / (1.0 - r**2) * (FOOT @ true.participation.T)  # (K, N), no damping
-    size, square = part.size(), -((2.0 * np.pi * HERTZ[:, None]) ** 2)
+    size, square = part.size, -((2.0 * np.pi * HERTZ[:, None]) ** 2)
     amplitude = moved[:, list(part.which)] * size / square
     share = np.concatenate([SHARE, np.zeros((6, 2))], axis=1)
     rigid = FOOT / square + amplitude @ share.T
@@ -207,3 +209,16 @@ def test_modes_of_a_table_lie_on_its_surface_and_those_of_a_drawing_on_it(tmp_pa
     assert mode_shapes(SimpleNamespace(elastic=(tabled, PLATE)), "other") is None
     mode.surface.write_text("x,y,z,ux,uy\n1,2,3,4,5\n", encoding="utf-8")
     refused("mode.csv", mode_shapes(SimpleNamespace(elastic=(tabled,)), "top"), points, error=InputError)
+
+
+def test_check_tells_of_a_table_that_tells_no_surface(make_campaign):
+    block = (
+        '[[load.elastic]]\nname = "plate"\nshape = "modes"\nfrequencies_uncertainty = 0.1\nmeasured_by = ["top"]\n'
+        '[[load.elastic.mode]]\nfrequency = 900.0\nparticipation = [0, 0, 1, 0, 0, 0]\nsurface = "mode.csv"\n'
+        "displacement = { top = [0, 0, 1] }\n\n[[part]]"
+    )
+    folder = make_campaign(replace=(("rig.toml", "[[part]]", block),))
+    (folder.parent / "mode.csv").write_text("x,y,z,ux,uy\n1,2,3,4,5\n", encoding="utf-8")
+    told = _measured_modes(load_manifest(folder), (load_manifest(folder),))
+    assert told[0] == ["stereo top measures modes of the load: plate: mode 1"]
+    assert "mode.csv" in told[1][0]
