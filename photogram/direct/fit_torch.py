@@ -33,14 +33,7 @@ from photogram.direct.fit import (
 from photogram.geometry import RigidTransform
 from photogram.images.noise import QUANTISATION
 from photogram.motion import MEDIAN_CHI2_OF_TWO
-from photogram.subsets.icgn_torch import (
-    NUMBERS_PER_PIXEL,
-    WORKING_BYTES,
-    TorchSplines,
-    basis_polynomials,
-    torch_type,
-    warped,
-)
+from photogram.subsets.icgn_torch import Squares, TorchSplines, square_sums, torch_type
 from photogram.subsets.reference import shape_values
 
 if TYPE_CHECKING:
@@ -48,19 +41,14 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class TorchView:
-    """A `BodyView` on a device: C cells of side² = S pixels, those outside the body with weight 0.
+class TorchView(Squares):
+    """A `BodyView` on a device: C cells, of whose pixels those outside the body have weight 0.
 
-    pixels (C, 4, S): w, w·f̃, w·f_x, w·f_y; shape (3, S): [1, dx, dy], both of the precision of sampling. All else
-    float64: what `Cells`, `BodyView` and `Patches` call so; points_m (5·C, 3) in the camera's frame, turn (3, 3)
-    and origin_m (3,) from the body's frame to it; steady (C,): whether a cell can tell a motion.
+    All else float64: what `Cells`, `BodyView` and `Patches` call so; points_m (5·C, 3) in the camera's frame, turn
+    (3, 3) and origin_m (3,) from the body's frame to it; steady (C,): whether a cell can tell a motion.
     """
 
     source: BodyView
-    pixels: Tensor
-    shape: Tensor
-    centre_px: Tensor
-    mean: Tensor
     weight: Tensor
     energy: Tensor
     count: Tensor
@@ -270,27 +258,15 @@ def _cell_sums(view: TorchView, frames: TorchSplines, number: Tensor, warp: Tens
     """Sums (A, C, 9) of `cells._compare` over frames `number` (A,) at warps (A, C, 6); NaN outside the image."""
     import torch
 
-    count, size = len(view.centre_px), view.shape.shape[1]
+    count = len(view.centre_px)
     flat, cell = warp.reshape(-1, 6), torch.arange(warp.shape[0] * count, device=warp.device) % count
-    frame = number.repeat_interleave(count)
     middle = view.centre_px[cell] + flat[:, [0, 3]]
     reach = flat.reshape(-1, 2, 3)[:, :, 1:] + torch.eye(2).to(flat)
     room = reach.abs().sum(dim=2) * (view.source.cells.side_px - 1) / 2
     last = torch.tensor(frames.size_px).to(flat) - 1.0
     inside = ((middle >= room) & (middle + room <= last)).all(dim=1)
-    sums = torch.full((len(flat), 9), torch.nan, dtype=torch.float64, device=warp.device)
-    basis = torch.from_numpy(basis_polynomials(frames.degree)).to(view.pixels)
-    portion = max(1, WORKING_BYTES[warp.device.type] // (NUMBERS_PER_PIXEL * size * view.pixels.element_size()))
-    for pairs in torch.nonzero(inside)[:, 0].split(portion):
-        own = cell[pairs]
-        grey = warped(frames, (frame[pairs], view.centre_px[own], flat[pairs]), view.shape, basis)
-        grey -= view.mean[own, None].to(grey.dtype)
-        products = view.pixels[own].mul_(grey[:, None])
-        sums[pairs, 0] = products[:, 0].sum(dim=1, dtype=torch.float64)
-        sums[pairs, 1] = products[:, 0].mul_(grey).sum(dim=1, dtype=torch.float64)
-        sums[pairs, 2] = products[:, 1].sum(dim=1, dtype=torch.float64)
-        sums[pairs, 3:] = torch.matmul(products[:, 2:], view.shape.T).flatten(1).to(torch.float64)
-    return sums.reshape(*warp.shape[:2], 9)
+    frame = number.repeat_interleave(count)
+    return square_sums(view, frames, (frame, cell, flat), inside).reshape(*warp.shape[:2], 9)
 
 
 def _interpolated_noise(view: TorchView, warp: Tensor, degree: int) -> Tensor:

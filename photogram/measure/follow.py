@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import chain, groupby
+from itertools import chain
 
 import numpy as np
 
@@ -31,7 +30,7 @@ from photogram.subsets.find import BodyNotFound, DepthRange, Follower, identity
 from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.reference import Reference
 from photogram.subsets.search import HISTORY, foretold, predict_warp
-from photogram.subsets.track import FollowedImage, StereoGrid, follow_sequence, lay_stereo_grid, prepare_sequence
+from photogram.subsets.track import StereoGrid, lay_stereo_grid, prepare_sequence
 
 Progress = Callable[[int], None]
 Splines = tuple[Spline, Spline]
@@ -44,6 +43,7 @@ GPU_BLOCK_FRAMES = 1024
 """On a GPU, which follows frames in batches: more than most series have, few enough to hold."""
 FORETELLING = 4
 """Frames in a row that foretell the next: as many as the rule of one sine about any mean takes."""
+FITS_KEPT = 64  # as far back as sines are fitted that foretell many frames
 FEW_MORE = 1.25  # times the frames wanted, below which subsets are looked for in all
 LOUDER = 4.0
 """Times the noise of the frames before, beyond which a foretold fit is not believed without subsets."""
@@ -130,7 +130,7 @@ def prepare_body(
     scene = replace(scene, rest_m=rest_m, seen=seen)
     scene = replace(scene, views=_views(scene, splines))
     _tell(progress, 1)
-    scene = _with_noise(scene, device, progress)
+    scene = _with_noise(scene, progress)
     rest = range(1 + len(scene.lead), len(images[0]))
     length = BLOCK_FRAMES if device == "cpu" else GPU_BLOCK_FRAMES
     blocks = tuple(rest[start : start + length] for start in range(0, len(rest), length))
@@ -156,9 +156,8 @@ def follow_block(
     scene: BodyScene, frames: range, device: str = "cpu", progress: Progress | None = None
 ) -> FollowedBlock:
     """Follow the body through a block of later frames; the first of them is found from the reference alone."""
-    fitted = _fitted_in_turn(scene, frames) if device == "cpu" else _fitted_together(scene, frames, device)
     followed = []
-    for number, one in zip(frames, fitted, strict=True):
+    for number, one in zip(frames, _found(Course(scene), frames, device), strict=True):
         followed.append(one)
         _tell(progress, number + 1)
     return tuple(followed)
@@ -172,45 +171,66 @@ def in_turn(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> Iterator[Follo
             yield block[start : start + BLOCK_FRAMES]
 
 
-def _fitted_in_turn(scene: BodyScene, frames: range) -> Iterator[FollowedFrame]:
-    """Some frames one by one: the body from where the last frames foretell it, and its subsets from there.
+def _found(course: Course, frames: range, device: str) -> Iterator[FollowedFrame]:
+    """The body and its subsets in some frames in turn; on a GPU together as far as they are foretold."""
+    if device != "cpu":
+        from photogram.measure.follow_torch import found_together
 
-    Where nothing is foretold, or the subsets are elsewhere, the body is fitted from its subsets, which are looked for.
+        yield from found_together(course, frames, device)
+        return
+    read = zip(*(images.read_ahead(frames) for images in course.scene.images), strict=True)
+    for number, (left, right) in zip(frames, read, strict=True):
+        yield course.find(number, (left, right))
+
+
+class Course:
+    """A body followed from frame to frame of a block: what those so far foretell of the next.
+
+    fits: of the last frames in a row that have one, at most `FITS_KEPT`.
     """
-    sides = _followers(scene)
-    fits, history, last = list[DirectFit](), list[Found](), list[Found]()
-    read = zip(*(images.read_ahead(frames) for images in scene.images), strict=True)
-    for number, images in zip(frames, read, strict=True):
-        left, right = (spline_of_image(image, scene.settings.degree) for image in images)
-        fit = _foretold_fit(scene, fits, (left, right))
+
+    def __init__(self, scene: BodyScene) -> None:
+        self.scene, self.fits = scene, list[DirectFit]()
+        self.sides = followers(scene)
+        self._history, self._last = list[Found](), list[Found]()
+
+    def find(self, number: int, images: tuple[GreyImage, GreyImage]) -> FollowedFrame:
+        """Fit the body from where the last frames foretell it, and look for its subsets from there.
+
+        Where nothing is foretold, or the subsets are elsewhere, it is fitted from its subsets, which are looked for.
+        """
+        left, right = (spline_of_image(image, self.scene.settings.degree) for image in images)
+        fit = _foretold_fit(self.scene, self.fits, (left, right))
         here: Found | None = None
-        if fit is None or scene.sought[number]:
-            starts = _starts(scene, fit, history, last)
-            here = sides[0].find((images[0], left), starts[0]), sides[1].find((images[1], right), starts[1])
-            if fit is None or any(_elsewhere(one, start) for one, start in zip(here, starts, strict=True)):
-                fit = _fit(scene, here, (left, right))
-            last, history = [here], [*history[1 - HISTORY :], here]
+        if fit is None or self.scene.sought[number]:
+            starts = self.starts(fit)
+            here = self.sides[0].find((images[0], left), starts[0]), self.sides[1].find((images[1], right), starts[1])
+            if fit is None or any(elsewhere(one, start) for one, start in zip(here, starts, strict=True)):
+                fit = _fit(self.scene, here, (left, right))
+        return self.took(here, fit)
+
+    def starts(self, fit: DirectFit | None) -> list[FloatArray | None]:
+        """Where both cameras' subsets are to be looked for: where a fit takes those that were found last, else where
+        the frames before foretell them; None where nothing does."""
+        starts: list[FloatArray | None] = []
+        for side, seen in enumerate(self.scene.seen):
+            start = None
+            if fit is not None:
+                start = self._last[0][side].warp.copy()
+                start[:, [0, 3]] = carried_px(seen, fit.moved)
+            elif self._history:
+                start = predict_warp([both[side].warp for both in self._history])
+            starts.append(start)
+        return starts
+
+    def took(self, here: Found | None, fit: DirectFit | None) -> FollowedFrame:
+        """Take in what was found in the next frame."""
+        if here is None:
+            self._history = []
         else:
-            history = []
-        fits = [] if fit is None else [*fits[1 - HISTORY :], fit]
-        yield here, fit
-
-
-def _starts(
-    scene: BodyScene, fit: DirectFit | None, history: Sequence[Found], last: Sequence[Found]
-) -> list[FloatArray | None]:
-    """Where both cameras' subsets are to be looked for: where a fit takes those that were found `last`, else where the
-    frames before, `history`, foretell them; None where nothing does."""
-    starts: list[FloatArray | None] = []
-    for side, seen in enumerate(scene.seen):
-        start = None
-        if fit is not None:
-            start = last[0][side].warp.copy()
-            start[:, [0, 3]] = carried_px(seen, fit.moved)
-        elif history:
-            start = predict_warp([both[side].warp for both in history])
-        starts.append(start)
-    return starts
+            self._last, self._history = [here], [*self._history[1 - HISTORY :], here]
+        self.fits = [] if fit is None else [*self.fits[1 - FITS_KEPT :], fit]
+        return here, fit
 
 
 def carried_px(seen: SeenPoints, moved: RigidTransform) -> FloatArray:
@@ -222,14 +242,25 @@ def _foretold_fit(scene: BodyScene, fits: Sequence[DirectFit], splines: Splines)
     """The direct fit of a frame from where those before it foretell the body; None where it has none like theirs."""
     if len(fits) < FORETELLING:
         return None
-    pose = foretold([fit.moved.pose for fit in fits], 1.0 / np.sqrt(np.diagonal(fits[-1].covariance)))
-    start = RigidTransform.from_pose(pose)
+    start = foretold_motion(fits)
     near = approach(scene.near, splines, start) if scene.near else start
     fit = None if near is None else fit_direct(scene.views, splines, near)
-    return None if fit is None or fit.noise > LOUDER * np.median([before.noise for before in fits]) else fit
+    return None if fit is None or too_loud(fit, fits) else fit
 
 
-def _elsewhere(found: Registration, start: FloatArray | None) -> bool:
+def foretold_motion(fits: Sequence[DirectFit]) -> RigidTransform:
+    """Return the motion that the last frames foretell of the next."""
+    last = fits[-HISTORY:]
+    weights = 1.0 / np.sqrt(np.diagonal(last[-1].covariance))
+    return RigidTransform.from_pose(foretold([fit.moved.pose for fit in last], weights))
+
+
+def too_loud(fit: DirectFit, before: Sequence[DirectFit]) -> bool:
+    """Whether a fit leaves far more noise than those before it, as in a place that is not the body's."""
+    return bool(fit.noise > LOUDER * np.median([one.noise for one in before[-HISTORY:]]))
+
+
+def elsewhere(found: Registration, start: FloatArray | None) -> bool:
     """Whether most of the subsets are not where they were looked for."""
     if start is None:
         return True
@@ -238,8 +269,8 @@ def _elsewhere(found: Registration, start: FloatArray | None) -> bool:
     return not (len(away) and np.median(np.where(np.isnan(away), np.inf, away)) < ELSEWHERE_PX)
 
 
-def _followers(scene: BodyScene) -> tuple[Follower, Follower]:
-    """What finds the subsets of the left and of the right camera."""
+def followers(scene: BodyScene) -> tuple[Follower, Follower]:
+    """Return what finds the subsets of the left and of the right camera."""
     left, right = (
         Follower(reference, first, images.full_scale, scene.settings)
         for reference, first, images in zip(scene.references, scene.first, scene.images, strict=True)
@@ -247,73 +278,28 @@ def _followers(scene: BodyScene) -> tuple[Follower, Follower]:
     return left, right
 
 
-def _fitted_together(scene: BodyScene, frames: range, device: str) -> Iterator[FollowedFrame]:
-    """Some frames in turn, fitted together as far as their splines lie together on the device.
-
-    Subsets, which are looked for in all of them, count where `_fitted_in_turn` would have looked for them.
-    """
-    from photogram.direct.fit_torch import fit_frames, torch_view
-    from photogram.subsets.icgn_stream import PRECISION, OnDevice
-
-    views = [torch_view(view, device, PRECISION) for view in scene.views]
-
-    def together(pair: tuple[FollowedImage, FollowedImage]) -> tuple[int, ...]:
-        return tuple(id(side.spline.frames) for side in pair if isinstance(side.spline, OnDevice))
-
-    sought = iter(scene.sought[frames.start : frames.stop].tolist())
-    for _, group in groupby(_sides(scene, frames, device), together):
-        pairs = list(group)
-        starts = [motion_of_places(scene.seen, _places(scene, (left.found, right.found))) for left, right in pairs]
-        known = [k for k, start in enumerate(starts) if start is not None]
-        targets = []
-        for side in zip(*pairs, strict=True):
-            there = [frame.spline for frame in side if isinstance(frame.spline, OnDevice)]
-            targets.append((there[0].frames, [there[k].number for k in known]))
-        begun = [start for start in starts if start is not None]
-        fits = dict(zip(known, fit_frames(views, targets, begun) if begun else [], strict=True))
-        for k, (left, right) in enumerate(pairs):
-            found, fit = (left.found, right.found), fits.get(k)
-            if fit is None:  # one that is lost is tried again as the CPU would
-                fit = _fit(scene, found, _splines(scene, (left, right)))
-            wanted = next(sought)
-            yield found if wanted or fit is None else None, fit
-
-
-def _with_noise(scene: BodyScene, device: str, progress: Progress | None) -> BodyScene:
+def _with_noise(scene: BodyScene, progress: Progress | None) -> BodyScene:
     """The scene with the noise models of the first frame that can be fitted, and what was found up to it."""
+    sides = followers(scene)
     for number in range(1, len(scene.images[0])):
-        (pair,) = _sides(scene, range(number, number + 1), device)
-        found, splines = (pair[0].found, pair[1].found), _splines(scene, pair)
+        images = scene.images[0].read(number), scene.images[1].read(number)
+        left, right = (spline_of_image(image, scene.settings.degree) for image in images)
+        found, splines = (
+            (sides[0].find((images[0], left), None), sides[1].find((images[1], right), None)),
+            (left, right),
+        )
         fit = _fit(scene, found, splines)
         if fit is not None:
-            left, right = map(partial(image_noise, moved=fit.moved), scene.views, splines)
-            weighed = zip(scene.views, (left, right), strict=True)
+            models = [image_noise(*one, moved=fit.moved) for one in zip(scene.views, splines, strict=True)]
+            weighed = zip(scene.views, models, strict=True)
             views = tuple(reweighted_view(view, model, scene.settings.degree) for view, model in weighed)
-            scene = replace(scene, noise=(left, right), views=views)
+            scene = replace(scene, noise=(models[0], models[1]), views=views)
             fit = _fit(scene, found, splines)
         scene = replace(scene, lead=(*scene.lead, (found, fit)))
         _tell(progress, number + 1)
         if scene.noise is not None:
             break
     return scene
-
-
-def _sides(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[FollowedImage, FollowedImage]]:
-    """Some frames of both cameras in turn."""
-    left, right = (
-        follow_sequence(images, reference, scene.settings, device, frames)
-        for images, reference in zip(scene.images, scene.references, strict=True)
-    )
-    return zip(left, right, strict=True)
-
-
-def _splines(scene: BodyScene, pair: tuple[FollowedImage, FollowedImage]) -> Splines:
-    """The splines of a frame in memory."""
-    left, right = (
-        side.spline if isinstance(side.spline, Spline) else spline_of_image(side.image, scene.settings.degree)
-        for side in pair
-    )
-    return left, right
 
 
 def _tell(progress: Progress | None, frames: int) -> None:

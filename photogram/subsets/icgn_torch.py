@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
+from importlib.util import find_spec
 from math import ceil, comb, factorial, log
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
 # Images as B-splines on a device: coefficients of a stack of frames, and their values at many points.
 
 PRECISIONS = ("float64", "float32")
+PRECISION = "float32"
+"""Of pixels and coefficients of what is followed on a GPU; sums over them are float64."""
 BLOCK, SMALLEST_TERM = 128, 1e-17
 
 
@@ -63,22 +67,27 @@ def spline_frames(images: NDArray[np.generic], degree: int, device: str, precisi
     check_shape("images", images, (None, None, None))
     if min(images.shape[1:]) < 2 * PADDING_PX:
         raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
-    return splines_of(uploaded(images, device), degree, precision)
+    return splines_of(uploaded(list(images), device), degree, precision)
 
 
-def uploaded(images: NDArray[np.generic], device: str) -> Tensor:
-    """Images (B,H,W) on the device; to a GPU from pinned memory by a stream of its own, beside what it computes."""
+def uploaded(images: Sequence[NDArray[np.generic]], device: str) -> Tensor:
+    """B images (H,W) on the device; to a GPU from pinned memory by a stream of its own, beside what it computes."""
     import torch
 
-    native = torch.from_numpy(np.ascontiguousarray(images, dtype=images.dtype.newbyteorder("=")))
-    if torch.device(device).type != "cuda":
-        return native.to(device)
+    kind = np.result_type(*{image.dtype for image in images}).newbyteorder("=")
+    on_gpu = torch.device(device).type == "cuda"
+    there = torch.from_numpy(np.empty(0, kind)).dtype
+    stack = torch.empty((len(images), *images[0].shape), dtype=there, pin_memory=on_gpu)
+    for image, place in zip(images, stack.numpy(), strict=True):
+        np.copyto(place, image)
+    if not on_gpu:
+        return stack.to(device)
     stream = torch.cuda.Stream(device)
     with torch.cuda.stream(stream):
-        there = native.pin_memory().to(device, non_blocking=True)
+        raw = stack.to(device, non_blocking=True)
     stream.synchronize()
-    there.record_stream(torch.cuda.default_stream(device))
-    return there
+    raw.record_stream(torch.cuda.default_stream(device))
+    return raw
 
 
 def splines_of(raw: Tensor, degree: int, precision: str) -> TorchSplines:
@@ -101,6 +110,7 @@ def torch_type(precision: str) -> Any:
     return getattr(torch, precision)
 
 
+@lru_cache(maxsize=4)
 def basis_polynomials(degree: int) -> FloatArray:
     """Coefficients (degree+1 powers of t, degree+1 splines) of the B-splines that reach the offset t in [0,1).
 
@@ -175,7 +185,7 @@ def _filtered(lines: Tensor, degree: int) -> Tensor:
     """Coefficients (...,n+8) of lines of n pixels (...,n), mirrored by four at both ends."""
     import torch
 
-    inverse = torch.from_numpy(_inverse_filter(lines.shape[-1], degree)).to(lines)
+    inverse = _inverse_filter(lines.shape[-1], degree, lines.device, lines.dtype)
     reach = 2 * PADDING_PX + ceil(log(SMALLEST_TERM) / log(max(map(abs, poles_of(degree)))))
     coefficients = lines.new_empty((*lines.shape[:-1], len(inverse)))
     for first in range(0, len(inverse), BLOCK):
@@ -184,9 +194,11 @@ def _filtered(lines: Tensor, degree: int) -> Tensor:
     return coefficients
 
 
-@lru_cache(maxsize=4)
-def _inverse_filter(size: int, degree: int) -> FloatArray:
+@lru_cache(maxsize=8)
+def _inverse_filter(size: int, degree: int, device: Any, kind: Any) -> Tensor:
     """Matrix (size+8,size) from the pixels of a line to its spline coefficients, mirrored by four at both ends."""
+    import torch
+
     reach = degree // 2
     values = basis_polynomials(degree)[0, : 2 * reach + 1]
     sampled = np.zeros((size, size))
@@ -196,33 +208,96 @@ def _inverse_filter(size: int, degree: int) -> FloatArray:
         np.add.at(sampled, (pixel, np.minimum(neighbour, 2 * (size - 1) - neighbour)), value)
     inverse = np.linalg.inv(sampled)
     inverse[np.abs(inverse) < SMALLEST_TERM] = 0.0
-    return np.pad(inverse, ((PADDING_PX, PADDING_PX), (0, 0)), mode="reflect")
+    padded = np.pad(inverse, ((PADDING_PX, PADDING_PX), (0, 0)), mode="reflect")
+    return torch.from_numpy(padded).to(device, kind)
 
 
-# Gauss-Newton registration of all subsets in all frames of a batch at once, by the algorithm of `subsets.icgn`.
+# Sums over the pixels of squares that are warped into frames: of subsets, and of the cells of `direct.fit_torch`.
 
-RUNNING = -1
 WORKING_BYTES = {"cpu": 2**26, "cuda": 2**31}
 NUMBERS_PER_PIXEL = 48
 
 
 @dataclass(frozen=True)
-class TorchReference:
-    """A `Reference` on a device: N subsets of P pixels, with m = 2, 6 or 12 parameters of order 0, 1 or 2.
+class Squares:
+    """N squares of P pixels on a device.
 
-    pixels (N,3,P) and shape (s,P) = [1, dx, dy, dx²/2, dx dy, dy²/2], s = 3 or for order 2 six, in the precision of the
-    sampling; in float64 rim (s,): the largest values of these shape functions, centre_px (N,2), mean (N,), energy (N,),
-    removed (N,2,m), inverse_hessian (N,m,m); status (N,). source: what it was made of; affine: of order 2 the same
-    subsets with order 1.
+    pixels (N,3,P) = f̃, f_x, f_y or, with a weight w of each, (N,4,P) = w, w·f̃, w·f_x, w·f_y, and shape (s,P) =
+    [1, dx, dy] or [1, dx, dy, dx²/2, dx dy, dy²/2], in the precision of the sampling; in float64 centre_px (N,2) and
+    mean (N,), of the grey values in the reference.
+    """
+
+    pixels: Tensor
+    shape: Tensor
+    centre_px: Tensor
+    mean: Tensor
+
+
+Pairs = tuple["Tensor", "Tensor", "Tensor"]
+"""Frames (n,) and squares (n,) that are compared, and the warps (n,6 or 12)."""
+
+
+def square_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, alive: Tensor) -> Tensor:
+    """Sums (n,3+2s) in float64 of w·g, w·g², w·f̃·g, w·f_x·g and w·f_y·g, the last two times the s shape functions.
+
+    g is the warped square's grey values without the mean of the reference. NaN where a pair is not alive (n,). One
+    kernel on a GPU for which Triton is there; else torch's operations, in portions that need about 64 MiB on a CPU, 2
+    GiB on a GPU.
+    """
+    import torch
+
+    frame, own, warp = pairs
+    sums = warp.new_full((len(warp), 3 + warp.shape[1]), torch.nan)
+    if frames.coefficients.is_cuda and frames.coefficients.dtype == torch.float32 and (kernel := _kernel()):
+        kernel(squares, frames, pairs, alive, sums)
+        return sums
+    basis = torch.from_numpy(basis_polynomials(frames.degree)).to(squares.pixels)
+    size = NUMBERS_PER_PIXEL * squares.shape.shape[1] * squares.shape.element_size()
+    for some in torch.nonzero(alive)[:, 0].split(max(1, WORKING_BYTES[warp.device.type] // size)):
+        sums[some] = _portion_sums(squares, frames, (frame[some], own[some], warp[some]), basis)
+    return sums
+
+
+@cache
+def _kernel() -> Callable[..., None] | None:
+    """`sums_triton.square_sums` where Triton is installed, which PyTorch for CUDA brings on Linux."""
+    if find_spec("triton") is None:
+        return None
+    from photogram.subsets.sums_triton import square_sums as kernel
+
+    return kernel
+
+
+def _portion_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, basis: Tensor) -> Tensor:
+    """The sums (n,3+2s) by torch's operations; basis: `basis_polynomials` on the device."""
+    import torch
+
+    frame, own, warp = pairs
+    grey = warped(frames, (frame, squares.centre_px[own], warp), squares.shape, basis)
+    grey -= squares.mean[own, None].to(grey.dtype)
+    products = squares.pixels[own].mul_(grey[:, None])
+    weighted = products[:, 0] if products.shape[1] > 3 else grey
+    exact = [weighted, weighted * grey, products[:, -3]]
+    slopes = torch.matmul(products[:, -2:], squares.shape.T).flatten(1).to(torch.float64)
+    return torch.cat([torch.stack([one.sum(dim=1, dtype=torch.float64) for one in exact], dim=1), slopes], dim=1)
+
+
+# Gauss-Newton registration of all subsets in all frames of a batch at once, by the algorithm of `subsets.icgn`.
+
+RUNNING = -1
+
+
+@dataclass(frozen=True)
+class TorchReference(Squares):
+    """A `Reference` on a device: N subsets with m = 2, 6 or 12 parameters of order 0, 1 or 2.
+
+    In float64 rim (s,): the largest values of the shape functions, energy (N,), removed (N,2,m), inverse_hessian
+    (N,m,m); status (N,). source: what it was made of; affine: of order 2 the same subsets with order 1.
     """
 
     radius_px: int
     order: int
-    pixels: Tensor
-    shape: Tensor
     rim: Tensor
-    centre_px: Tensor
-    mean: Tensor
     energy: Tensor
     removed: Tensor
     inverse_hessian: Tensor
@@ -247,11 +322,11 @@ def torch_reference(reference: Reference, device: str, precision: str = "float64
     def prepared(source: Reference, values: FloatArray, affine: TorchReference | None) -> TorchReference:
         fields = ("centre_px", "mean", "energy", "removed", "inverse_hessian", "status")
         return TorchReference(
-            source.radius_px,
-            source.order,
-            pixels,
-            torch.from_numpy(values).to(device, pixel_type),
-            torch.from_numpy(values.max(axis=1)).to(device),
+            pixels=pixels,
+            shape=torch.from_numpy(values).to(device, pixel_type),
+            rim=torch.from_numpy(values.max(axis=1)).to(device),
+            radius_px=source.radius_px,
+            order=source.order,
             **{name: torch.from_numpy(getattr(source, name)).to(device) for name in fields},
             source=source,
             affine=affine,
@@ -269,8 +344,7 @@ def register_frames(
     """Find every subset in every frame, beginning at the warps `start` (B,N,6); NaN = no start. One result per frame.
 
     Order 2 has warps (N,12), takes starts (B,N,12) as well, and starts from order 1. Same steps, stopping rule and
-    statuses as `photogram.subsets.icgn.register`. Pairs of frame and subset are worked through in portions that need
-    about 64 MiB on a CPU, 2 GiB on a GPU.
+    statuses as `photogram.subsets.icgn.register`.
     """
     if reference.affine is None:
         return _frames_found(reference, frames, start, settings)
@@ -299,9 +373,8 @@ def _frames_found(
     usable = reference.status.repeat(len(start)).to(torch.int64)
     ready = torch.where(warp.isfinite().all(dim=1), RUNNING, int(TrackStatus.NO_START))
     outcome[:, 0] = torch.where(usable == TrackStatus.OK, ready, usable)
-    size = NUMBERS_PER_PIXEL * reference.shape.shape[1] * reference.shape.element_size()
-    for pairs in torch.nonzero(outcome[:, 0] == RUNNING)[:, 0].split(max(1, WORKING_BYTES[device.type] // size)):
-        _register_pairs(reference, frames, settings, pairs, (warp, scores, outcome))
+    running = torch.nonzero(outcome[:, 0] == RUNNING)[:, 0]
+    _register_pairs(reference, frames, settings, running, (warp, scores, outcome))
     warps, ratings, outcomes = (
         values.cpu().numpy().reshape(-1, count, values.shape[1]) for values in (warp, scores, outcome)
     )
@@ -328,18 +401,17 @@ def _register_pairs(
 
     all_warp, all_scores, outcome = state
     first_shift = all_warp[pairs][:, :6:3]
-    basis = torch.from_numpy(basis_polynomials(frames.degree)).to(reference.pixels)
     for iteration in range(1, settings.max_iterations + 1):
+        if len(pairs) == 0:
+            return
         warp = all_warp[pairs]
         frame, subset = pairs // len(reference.centre_px), pairs % len(reference.centre_px)
         gone = _gone(reference, frames, subset, warp, first_shift)
-        sums = _correlate(reference, frames, (frame, subset, warp, gone), basis)
+        sums = square_sums(reference, frames, (frame, subset, warp), gone == RUNNING)
         step, scores, fate = _solve(reference, settings, (subset, gone), sums)
         all_warp[pairs], all_scores[pairs] = _compose_inverse(warp, step), scores
         outcome[pairs] = torch.stack([fate, torch.full_like(fate, iteration)], dim=1)
         going_on = torch.nonzero(fate == RUNNING)[:, 0]
-        if len(going_on) == 0:
-            return
         pairs, first_shift = pairs[going_on], first_shift[going_on]
     outcome[pairs, 0] = int(TrackStatus.NOT_CONVERGED)
 
@@ -358,27 +430,8 @@ def _gone(reference: TorchReference, frames: TorchSplines, subset: Tensor, warp:
     return fate.masked_fill_(far, int(TrackStatus.NOT_CONVERGED))
 
 
-def _correlate(
-    reference: TorchReference, frames: TorchSplines, pair: tuple[Tensor, Tensor, Tensor, Tensor], basis: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Sums (n,) of g and of g², sums (n,3,s) of f̃g, f_x g, f_y g times the shape functions; g without the mean of f.
-
-    Pairs are frame, subset, warp and gone; those that are gone are looked at where they were at rest.
-    """
-    import torch
-
-    frame, subset, warp, gone = pair
-    within = warp.masked_fill((gone != RUNNING)[:, None], 0.0)
-    grey = warped(frames, (frame, reference.centre_px[subset], within), reference.shape, basis)
-    grey -= reference.mean[subset, None].to(grey.dtype)
-    products = reference.pixels[subset].mul_(grey[:, None])
-    moments = torch.matmul(products, reference.shape.T).to(torch.float64)
-    moments[:, 0, 0] = products[:, 0].sum(dim=1, dtype=torch.float64)
-    return grey.sum(dim=1, dtype=torch.float64), grey.square().sum(dim=1, dtype=torch.float64), moments
-
-
 def _solve(
-    reference: TorchReference, settings: TrackSettings, pair: tuple[Tensor, Tensor], sums: tuple[Tensor, Tensor, Tensor]
+    reference: TorchReference, settings: TrackSettings, pair: tuple[Tensor, Tensor], sums: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Steps (n,6 or 12), scores (n,3) = [zncc, gain, residual variance] of those that then stand still, and statuses.
 
@@ -386,11 +439,11 @@ def _solve(
     """
     import torch
 
-    (subset, gone), (total, square, moments), rim = pair, sums, reference.rim
+    (subset, gone), (total, square, product), rim = pair, sums[:, :3].unbind(dim=1), reference.rim
     size, energy, removed = reference.shape.shape[1], reference.energy[subset], reference.removed[subset]
-    product = moments[:, 0, 0]
     spread, gain = square - total.square() / size, product / energy
-    slope = moments[:, 1:, 0] if reference.order == 0 else _columns(moments[:, 1:])
+    moments = sums[:, 3:].unflatten(1, (2, -1))
+    slope = moments[:, :, 0] if reference.order == 0 else _columns(moments)
     slope = slope - removed[:, 0] * total[:, None] - removed[:, 1] * product[:, None]
     step = torch.matmul(reference.inverse_hessian[subset], slope[:, :, None])[:, :, 0] / gain[:, None]
     improvement = (step * slope).sum(dim=1)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import count
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,9 +44,6 @@ from photogram.subsets.texture import (
     textured_area,
     without_saturated,
 )
-
-if TYPE_CHECKING:
-    from photogram.subsets.icgn_stream import OnDevice
 
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -131,10 +128,10 @@ class StereoTracks(Arrays, shapes="speckle_px 2; noise_grey 2; bias_px 2"):
 
 @dataclass(frozen=True)
 class FollowedImage:
-    """One image, its spline, in memory or on a device, and where the subsets are in it."""
+    """One image, its spline, and where the subsets are in it."""
 
     image: GreyImage
-    spline: Spline | OnDevice
+    spline: Spline
     found: Registration
 
 
@@ -189,17 +186,12 @@ def prepare_sequence(sequence: ImageSequence, points_px: FloatArray, settings: T
 
 
 def follow_sequence(
-    sequence: ImageSequence,
-    reference: Reference,
-    settings: TrackSettings,
-    device: str = "cpu",
-    frames: range | None = None,
+    sequence: ImageSequence, reference: Reference, settings: TrackSettings, frames: range | None = None
 ) -> Iterator[FollowedImage]:
     """Every frame, or only some, in turn with where the subsets of `reference` (`prepare_sequence`) are in it.
 
-    On the `device` "cpu" frames are read and held one at a time, and each starts from where the last ones foretell the
-    subsets, the first after frame 0 or of later `frames` from the reference alone; on "cuda" they are registered in
-    batches (`icgn_torch.follow_frames`), to the same positions.
+    Frames are read and held one at a time, and each starts from where the last ones foretell the subsets, the first
+    after frame 0 or of later `frames` from the reference alone.
     """
     wanted = range(len(sequence)) if frames is None else frames
     first = sequence.read(0)
@@ -207,12 +199,6 @@ def follow_sequence(
         yield FollowedImage(first, spline_of_image(first, settings.degree), identity(reference))
     later = range(max(1, wanted.start), wanted.stop)
     follower = Follower(reference, first, sequence.full_scale, settings)
-    if device != "cpu":
-        from photogram.subsets.icgn_stream import follow_frames
-
-        for image, found, spline in follow_frames(reference, first, sequence.read_ahead(later), settings, device):
-            yield FollowedImage(image, spline, follower.unsaturated(image, found))
-        return
     history = [identity(reference)] if later.start == 1 else []
     for number, image in zip(later, sequence.read_ahead(later), strict=True):
         target = spline_of_image(image, settings.degree)

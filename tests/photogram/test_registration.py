@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -16,9 +15,7 @@ from scipy.ndimage import gaussian_filter
 
 from photogram.bspline import spline_of_image
 from photogram.subsets import icgn_torch as engine
-from photogram.subsets.find import follow, identity
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
-from photogram.subsets.icgn_stream import follow_frames, forecast_warps
 from photogram.subsets.icgn_torch import (
     TorchSplines,
     basis_polynomials,
@@ -34,7 +31,6 @@ from photogram.subsets.reference import (
     shape_values,
     subset_offsets,
 )
-from photogram.subsets.search import predict_warp
 
 SIZE = (150, 108)
 CENTRES = np.array([(x, y) for y in range(20, 90, 22) for x in range(20, 132, 22)], dtype=float)
@@ -420,104 +416,10 @@ def test_every_tensor_is_made_on_the_device(noisy_frames, order):
     frame = subset = torch.zeros(9, dtype=torch.int64, device="meta")
     basis = torch.from_numpy(basis_polynomials(5)).to(reference.pixels)
     gone = engine._gone(reference, frames, subset, start, start[:, :6:3])
-    sums = engine._correlate(reference, frames, (frame, subset, start, gone), basis)
+    sums = engine._portion_sums(reference, frames, (frame, subset, start), basis)
     step, scores, fate = engine._solve(reference, SETTINGS, (subset, gone), sums)
     for tensor in (fate, scores, engine._compose_inverse(start, step)):
         assert tensor.device.type == "meta"
-
-
-def swinging(texture, count: int, amplitude_px: float) -> tuple[list[np.ndarray], np.ndarray]:
-    """Noisy frames of a body that swings, beginning at rest in the middle; and its true shifts (count,2)."""
-    rng = np.random.default_rng(24)
-    shifts = amplitude_px * np.sin(0.9 * np.arange(count))[:, None] * [1.0, -0.5]
-    return [image + rng.normal(0, NOISE, image.shape) for image in (moved(texture, s) for s in shifts)], shifts
-
-
-def one_by_one(images: list[np.ndarray]) -> Iterator[Registration]:
-    """The frames after the first, followed by the compiled engine."""
-    reference = prepare_reference(spline_of_image(images[0]), OFF_PIXEL, SETTINGS.radius_px)
-    history = [identity(reference).warp]
-    for image in images[1:]:
-        here = follow(reference, images[0], (image, spline_of_image(image)), predict_warp(history[-6:]), SETTINGS)
-        history.append(here.warp)
-        yield here
-
-
-def in_batches(images: list[np.ndarray], batch_frames: int) -> tuple[Registration, ...]:
-    """The same by the engine of a device; the images come back one by one."""
-    reference = prepare_reference(spline_of_image(images[0]), OFF_PIXEL, SETTINGS.radius_px)
-    later = iter(images[1:])
-    back, found, _ = zip(*follow_frames(reference, images[0], later, SETTINGS, "cpu", batch_frames), strict=True)
-    assert [id(image) for image in back] == [id(image) for image in images[1:]]
-    return found
-
-
-def test_series_is_followed_like_by_the_compiled_engine_and_a_large_swing_found_as_there(texture):
-    images, _ = swinging(texture, 12, 0.8)
-    for found, expected in zip(in_batches(images, 4), one_by_one(images), strict=True):
-        np.testing.assert_array_equal(found.status, expected.status)
-        apart = (found.warp - expected.warp)[:, [0, 3]]
-        assert np.nanmax(np.abs(apart)) < 2e-3  # the last step is a tenth of the standard uncertainty at most
-        assert np.sqrt(np.nanmean(apart**2)) < 3e-4
-    # Nine pixels are out of reach of the first starts: search, then the sine foretold over whole batches.
-    images, shifts = swinging(texture, 24, 9.0)
-    for here, want, shift in zip(in_batches(images, 8), one_by_one(images), shifts[1:], strict=True):
-        right = [np.abs(engine.warp[:, [0, 3]] - shift).max(axis=1) < 0.05 for engine in (here, want)]
-        assert right[0].sum() >= right[1].sum() - 1
-        assert np.sum(here.status == TrackStatus.OK) <= right[0].sum() + 1
-
-
-def test_a_jump_within_a_batch_is_survived(texture):
-    """Rest, then a jump that no prediction foretells: it is searched in each frame of that batch, later foretold."""
-    rng = np.random.default_rng(25)
-    rest, jumped = moved(texture, [0, 0]), moved(texture, [6.3, -5.2])
-    images = [frame + rng.normal(0, NOISE, rest.shape) for frame in [rest] * 9 + [jumped] * 4]
-    for here in in_batches(images, 8)[8:]:
-        np.testing.assert_allclose(np.nanmedian(here.warp[:, [0, 3]], axis=0), [6.3, -5.2], atol=2e-3)
-
-
-@pytest.mark.parametrize("frequency", [0.17, 0.9, 3.0])
-def test_a_sine_is_foretold_over_a_whole_batch(frequency):
-    """Also one that is sampled about once a period; a subset that was lost once or always does not spoil the others."""
-    rng = np.random.default_rng(26)
-    amplitude, mean = rng.normal(0, 2, (2, 20, 6))
-    frames = np.arange(80)[:, None, None]
-    truth = mean + amplitude * np.sin(frequency * frames + rng.uniform(0, 6, 20)[:, None])
-    seen = truth + rng.normal(0, 5e-3, truth.shape)
-    seen[20, 3], seen[:, 4] = np.nan, np.nan
-    found = forecast_warps(list(seen[:48]), 32)
-    assert found.shape == (32, 20, 6)
-    assert np.isnan(found[:, 4]).all()
-    clean = np.setdiff1d(np.arange(20), [3, 4])
-    assert np.sqrt(np.mean((found - truth[48:])[:, clean] ** 2)) < 5e-3
-    assert np.nanmax(np.abs((found - truth[48:])[:, 3])) < 1.0
-
-
-def test_rest_is_expected_to_stay_and_what_cannot_be_foretold_is_taken_frame_by_frame():
-    """Rest; random motion; too short a past; nothing found so far."""
-    rest = forecast_warps(list(np.random.default_rng(27).normal(0, 1e-2, (20, 5, 6))), 12)
-    assert rest.shape == (12, 5, 6)
-    assert np.abs(rest).max() < 0.1
-    jumps = list(np.random.default_rng(28).normal(0, 3, (20, 5, 6)))
-    for past in (jumps, [np.zeros((5, 6))] * 3, [np.full((5, 6), np.nan)] * 20):
-        np.testing.assert_array_equal(forecast_warps(past, 12), predict_warp(past[-6:])[None])
-    assert len(forecast_warps([np.zeros((5, 6))] * 14, 32)) == 14
-
-
-def test_no_more_than_two_batches_are_read_ahead(texture):
-    read = []
-
-    def images() -> Iterator[np.ndarray]:
-        for count in range(40):
-            read.append(count)
-            yield still
-
-    still = moved(texture, [0, 0])
-    reference = prepare_reference(spline_of_image(still), OFF_PIXEL[:4], 10)
-    series = follow_frames(reference, still, images(), TrackSettings(), "cpu", batch_frames=4)
-    for count, _ in enumerate(series):
-        assert len(read) <= count + 1 + 2 * 4
-    assert count == 39
 
 
 def test_wrong_calls_are_refused(noisy_frames, prepared):
@@ -534,5 +436,3 @@ def test_wrong_calls_are_refused(noisy_frames, prepared):
     refused("degree: expected 3, 5 or 7, found 4", TorchSplines, frames.coefficients, 4)
     refused("coefficients: expected a contiguous tensor", TorchSplines, frames.coefficients[0], 5)
     refused("precision: expected one of float64, float32, found 'half'", torch_reference, prepared, "cpu", "half")
-    series = follow_frames(prepared, noisy_frames[0], noisy_frames[1:], TrackSettings(), "cpu", batch_frames=0)
-    refused("batch_frames: expected at least 1, found 0", next, series)

@@ -28,10 +28,8 @@ from photogram.subsets.reference import TrackStatus
 from photogram.subsets.search import predict_warp
 from photogram.subsets.track import (
     Tracks,
-    follow_sequence,
     lay_stereo_grid,
     match_stereo,
-    prepare_sequence,
     resolve_device,
     track_sequence,
     track_stereo,
@@ -164,22 +162,6 @@ def test_saturated_absent_and_leaving_subsets_are_told_apart(make_texture):
     assert tracks.status.tolist() == [first, first, [*first[:3], TrackStatus.LEFT_IMAGE]]
     for found in (tracks.position_px, tracks.covariance_px2, tracks.zncc):
         assert np.isnan(found[tracks.status != TrackStatus.OK]).all()
-
-
-def test_frames_in_batches_lead_to_the_same_tracks(make_texture):
-    """The engine for a GPU, here on torch's CPU device, in place of the compiled one; one frame is blank."""
-    rng, shifts = np.random.default_rng(25), np.outer(np.arange(5), [0.3, -0.2])
-    images = shifted(make_texture(seed=25), (70, 60), shifts)
-    images = [(image + np.round(rng.normal(0, 5, image.shape))).astype(np.uint16) for image in images]
-    images[3][:] = 4095
-    frames, settings = sequence(images), TrackSettings(radius_px=8)
-    reference = prepare_sequence(frames, np.array([[25.0, 30.0], [42.0, 30.0]]), settings)
-    here = [frame.found for frame in follow_sequence(frames, reference, settings)]
-    batched = [frame.found for frame in follow_sequence(frames, reference, settings, device="cpu:0")]
-    assert len(here) == len(batched) == 5
-    for one, other in zip(here, batched, strict=True):
-        assert np.array_equal(one.status == TrackStatus.OK, other.status == TrackStatus.OK)
-        np.testing.assert_allclose(one.warp, other.warp, atol=1e-4)
 
 
 @pytest.mark.parametrize("step", [0.1, 1.2, 2.9])

@@ -1,0 +1,140 @@
+"""Sums over the pixels of warped squares on a GPU, in one kernel: `icgn_torch.square_sums` by Triton.
+
+A program takes one square. Grey values, for which `icgn_torch.sample` writes every pixel's weights to memory, stay in
+registers: a square reads its pixels once, and pictures' coefficients from the cache.
+"""
+
+from __future__ import annotations
+
+from math import isqrt
+from typing import TYPE_CHECKING
+
+import triton
+import triton.language as tl
+
+from photogram.bspline import PADDING_PX
+from photogram.subsets.icgn_torch import Pairs, Squares, TorchSplines, basis_polynomials
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+BLOCK = 128
+
+
+@triton.jit
+def _weight(t, which: tl.constexpr, TAPS: tl.constexpr, BASIS: tl.constexpr):  # type: ignore[no-untyped-def]
+    """B-spline `which` of those that reach the offsets t in [0,1): a row of `basis_polynomials`."""
+    value = tl.zeros_like(t) + BASIS[(TAPS - 1) * TAPS + which]
+    for k in tl.static_range(TAPS - 1):
+        value = value * t + BASIS[(TAPS - 2 - k) * TAPS + which]
+    return value
+
+
+@triton.jit
+def _interpolated(near, width, t, s, inside, TAPS: tl.constexpr, BASIS: tl.constexpr):  # type: ignore[no-untyped-def]
+    """Grey values at the offsets t along x and s along y from pixels whose first coefficients are at `near`."""
+    grey = tl.zeros_like(t)
+    for j in tl.static_range(TAPS):
+        line = tl.zeros_like(t)
+        for i in tl.static_range(TAPS):
+            line += _weight(t, i, TAPS, BASIS) * tl.load(near + j * width + i, mask=inside, other=0.0)
+        grey += _weight(s, j, TAPS, BASIS) * line
+    return grey
+
+
+@triton.jit
+def _shape_functions(dx, dy, ROWS: tl.constexpr):  # type: ignore[no-untyped-def]
+    """[1, dx, dy] and, in eight rows, [dx²/2, dx dy, dy²/2] (ROWS, pixels); zeros below."""
+    row, x, y = tl.arange(0, ROWS)[:, None], dx[None, :], dy[None, :]
+    values = tl.where(row == 0, 1.0, tl.where(row == 1, x, tl.where(row == 2, y, 0.0)))
+    if ROWS > 4:
+        curved = tl.where(row == 3, 0.5 * x * x, tl.where(row == 4, x * y, 0.5 * y * y))
+        values = tl.where((row > 2) & (row < 6), curved, values)
+    return values
+
+
+@triton.jit
+def _sums_of_square(  # type: ignore[no-untyped-def]
+    frames,
+    squares,
+    pairs,
+    alive,
+    sums,
+    SIDE: tl.constexpr,
+    SHAPES: tl.constexpr,
+    LAYERS: tl.constexpr,
+    TAPS: tl.constexpr,
+    BASIS: tl.constexpr,
+    BLOCK: tl.constexpr,
+):
+    coefficients, height, width = frames
+    pixels, centre, mean = squares
+    frame, square, warp = pairs
+    ROWS: tl.constexpr = 4 if SHAPES == 3 else 8
+    COUNT: tl.constexpr = SIDE * SIDE
+    pair = tl.program_id(0).to(tl.int64)
+    if tl.load(alive + pair) == 0:
+        return
+    own = tl.load(square + pair)
+    warp += 2 * SHAPES * pair
+    pixels += LAYERS * COUNT * own
+    across, down = tl.load(centre + 2 * own) + tl.load(warp), tl.load(centre + 2 * own + 1) + tl.load(warp + 3)
+    column, row = tl.floor(across), tl.floor(down)  # places in float32 are relative to this pixel, good to 1e-6 px
+    corner = (tl.load(frame + pair) * height + row.to(tl.int64)) * width + column.to(tl.int64)
+    level = tl.load(mean + own).to(tl.float32)
+    total, square_sum, product = (tl.zeros((BLOCK,), tl.float64),) * 3
+    along, steep = (tl.zeros((ROWS, BLOCK), tl.float64),) * 2
+    for begin in range(0, COUNT, BLOCK):
+        pixel = begin + tl.arange(0, BLOCK)
+        inside = pixel < COUNT
+        dx, dy = (pixel % SIDE - SIDE // 2).to(tl.float32), (pixel // SIDE - SIDE // 2).to(tl.float32)
+        x, y = (across - column).to(tl.float32) + dx, (down - row).to(tl.float32) + dy
+        x += tl.load(warp + 1).to(tl.float32) * dx + tl.load(warp + 2).to(tl.float32) * dy
+        y += tl.load(warp + 4).to(tl.float32) * dx + tl.load(warp + 5).to(tl.float32) * dy
+        if SHAPES == 6:
+            xx, xy, yy = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
+            x += tl.load(warp + 6).to(tl.float32) * xx + tl.load(warp + 7).to(tl.float32) * xy
+            x += tl.load(warp + 8).to(tl.float32) * yy
+            y += tl.load(warp + 9).to(tl.float32) * xx + tl.load(warp + 10).to(tl.float32) * xy
+            y += tl.load(warp + 11).to(tl.float32) * yy
+        left, top = tl.floor(x), tl.floor(y)
+        near = coefficients + corner + top.to(tl.int64) * width + left.to(tl.int64)
+        grey = tl.where(inside, _interpolated(near, width, x - left, y - top, inside, TAPS, BASIS) - level, 0.0)
+        here = pixels + pixel
+        weighted = grey
+        if LAYERS == 4:
+            weighted = grey * tl.load(here, mask=inside, other=0.0)
+        total += weighted.to(tl.float64)
+        square_sum += (weighted * grey).to(tl.float64)
+        product += (grey * tl.load(here + (LAYERS - 3) * COUNT, mask=inside, other=0.0)).to(tl.float64)
+        shape = _shape_functions(dx, dy, ROWS)
+        along += (shape * (grey * tl.load(here + (LAYERS - 2) * COUNT, mask=inside, other=0.0))[None, :]).to(tl.float64)
+        steep += (shape * (grey * tl.load(here + (LAYERS - 1) * COUNT, mask=inside, other=0.0))[None, :]).to(tl.float64)
+    sums += (3 + 2 * SHAPES) * pair
+    tl.store(sums, tl.sum(total))
+    tl.store(sums + 1, tl.sum(square_sum))
+    tl.store(sums + 2, tl.sum(product))
+    which = tl.arange(0, ROWS)
+    tl.store(sums + 3 + which, tl.sum(along, axis=1), mask=which < SHAPES)
+    tl.store(sums + 3 + SHAPES + which, tl.sum(steep, axis=1), mask=which < SHAPES)
+
+
+def square_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, alive: Tensor, sums: Tensor) -> None:
+    """Write the sums of the pairs that are alive (n,) into sums (n,3+2s)."""
+    if not len(sums):
+        return
+    _, height, width = frames.coefficients.shape
+    first = PADDING_PX - frames.degree // 2  # of the coefficients that reach a pixel, as against the pixel's own place
+    _sums_of_square[(len(sums),)](
+        (frames.coefficients.view(-1)[first * (width + 1) :], height, width),
+        (squares.pixels, squares.centre_px, squares.mean),
+        tuple(one.contiguous() for one in pairs),
+        alive.contiguous(),
+        sums,
+        SIDE=isqrt(squares.pixels.shape[2]),
+        SHAPES=pairs[2].shape[1] // 2,
+        LAYERS=squares.pixels.shape[1],
+        TAPS=frames.degree + 1,
+        BASIS=tuple(basis_polynomials(frames.degree).ravel().tolist()),
+        BLOCK=BLOCK,
+    )
