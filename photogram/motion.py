@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -505,6 +506,11 @@ class SeenPoints(Arrays, shapes="points_m N 3; rates N 2 6"):
     camera: PlacedCamera
     points_m: FloatArray
     rates: FloatArray
+
+    @cached_property
+    def rest_px(self) -> FloatArray:
+        """Where the camera shows them at rest, (N, 2)."""
+        return self.camera.project(self.points_m)
 
 
 def see_points(camera: PlacedCamera, points_m: FloatArray) -> SeenPoints:

@@ -11,7 +11,7 @@ from photogram.arrays import Arrays, BoolArray, FloatArray, spread_choice
 from photogram.bspline import Spline
 from photogram.direct.cells import Cells, CellSums, chosen, compare_cells, pixel_residuals, prepare_cells, reweighted
 from photogram.direct.shapes import Shapes, shape_rates
-from photogram.geometry import RigidTransform, pose_rate
+from photogram.geometry import RigidTransform, rotation_vector_rate, vector_from_rotation
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
 from photogram.motion import MEDIAN_CHI2_OF_TWO, Patches, PlacedCamera, body_patches, patch_rates, patch_warps
 
@@ -136,7 +136,7 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
         moved = moved @ RigidTransform.from_pose(step.pose).inverse()
         if step.size < LARGEST_STEP and step.left * step.size < LEFT_OVER:
             information = step.information[:6, :6], step.scale * step.noise_part[:6, :6]
-            covariance = step.scale * pose_covariance(*information, moved)
+            covariance = step.scale * pose_covariance(*information, moved.rotation)
             shapes = beside(step.pose, step.slope, (step.information, step.noise_part), step.scale)
             return DirectFit(moved, covariance, step.scale, step.cells, *shapes)
     return None
@@ -232,14 +232,14 @@ def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTran
         pose = np.asarray(np.linalg.solve(clean, slope[:6]), dtype=np.float64)
     length = float(np.sqrt(pose @ information @ pose / scale))
     share = scale * float(np.trace(np.linalg.solve(information, noise_part))) / 6.0
-    left = share if clean is information else CORRECTED * share
+    left = share if np.array_equal(clean, information) else CORRECTED * share
     return _Step(pose, length, left, scale, slope, whole, whole_noise, int(cells))
 
 
 def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:
     """Return the covariance (6, 6) of a frame like the reference with `noise` times the models' noise variance."""
     information, noise_part = (part[:6, :6] for part in rest_information(views))
-    return noise * pose_covariance(information, noise * noise_part, RigidTransform.identity())
+    return noise * pose_covariance(information, noise * noise_part, np.eye(3))
 
 
 def rest_information(views: Sequence[BodyView]) -> tuple[FloatArray, FloatArray]:
@@ -249,25 +249,26 @@ def rest_information(views: Sequence[BodyView]) -> tuple[FloatArray, FloatArray]
 
 
 def beside(
-    pose: FloatArray, slope: FloatArray, whole: tuple[FloatArray, FloatArray], scale: float
+    pose: FloatArray, slope: FloatArray, whole: tuple[FloatArray, FloatArray], scale: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the amplitudes (S,) of shapes beside the motion that a last step leads to, with covariance (S, S).
+    """Return amplitudes (..., S) of shapes beside the motion that a last step leads to, with covariance (..., S, S).
 
-    pose (6,) of the step, slope (p,), whole: information (p, p) and the part of it that is noise, per `scale`. What the
-    motion leaves of the sums that ask for a shape, g − H·δ, over what it leaves of their information: the amplitudes of
-    a joint fit. The motion is the one without shapes, with which they are therefore uncorrelated (Frisch and Waugh
-    1933, Econometrica 1, 387). NaN where motion and shapes cannot be told apart.
+    pose (..., 6) of the step, slope (..., p), whole: information (..., p, p) and the part of it that is noise, per
+    `scale` (...). What the motion leaves of the sums that ask for a shape, g − H·δ, over what it leaves of their
+    information: the amplitudes of a joint fit. The motion is the one without shapes, with which they are therefore
+    uncorrelated (Frisch and Waugh 1933, Econometrica 1, 387). NaN where motion and shapes cannot be told apart.
     """
-    shapes = len(slope) - 6
+    shapes, each = slope.shape[-1] - 6, np.asarray(scale)[..., None, None]
     if not shapes:
-        return np.zeros(0), np.zeros((0, 0))
-    clean = without_noise(whole[0], scale * whole[1])
-    if not np.linalg.eigvalsh(_scaled(clean))[0] > SINGULAR:
-        return np.full(shapes, np.nan), np.full((shapes, shapes), np.nan)
-    mixed = clean[6:, :6]
-    inverse = np.linalg.inv(clean[6:, 6:] - mixed @ np.linalg.solve(clean[:6, :6], mixed.T))
-    amplitude = -inverse @ (slope[6:] - mixed @ pose)
-    return np.asarray(amplitude), np.asarray(scale * (inverse + inverse.T) / 2.0)
+        return np.zeros((*slope.shape[:-1], 0)), np.zeros((*slope.shape[:-1], 0, 0))
+    clean = without_noise(whole[0], each * whole[1])
+    told = (np.linalg.eigvalsh(_scaled(clean))[..., 0] > SINGULAR)[..., None, None]
+    clean = np.where(told, clean, np.eye(6 + shapes))
+    mixed = clean[..., 6:, :6]
+    inverse = np.linalg.inv(clean[..., 6:, 6:] - mixed @ np.linalg.solve(clean[..., :6, :6], mixed.mT))
+    amplitude = -inverse @ (slope[..., 6:] - (mixed @ pose[..., None])[..., 0])[..., None]
+    covariance = each * (inverse + inverse.mT) / 2.0
+    return np.where(told, amplitude, np.nan)[..., 0], np.where(told, covariance, np.nan)
 
 
 def rigid_share(views: Sequence[BodyView]) -> FloatArray:
@@ -296,21 +297,27 @@ def _rigid_cells(view: BodyView, sums: CellSums, step: FloatArray) -> BoolArray:
 
 
 def _scaled(matrix: FloatArray) -> FloatArray:
-    """Return a symmetric matrix scaled to a unit diagonal; zeros where the diagonal is not positive."""
-    diagonal = np.diagonal(matrix)
+    """Return symmetric matrices (..., p, p) scaled to a unit diagonal; zeros where the diagonal is not positive."""
+    diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
     scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 0.0)
-    return np.asarray(matrix * np.outer(scale, scale))
+    return np.asarray(matrix * (scale[..., :, None] * scale[..., None, :]))
 
 
 def without_noise(information: FloatArray, noise_part: FloatArray) -> FloatArray:
-    """Return `information` without the part of it that is noise; as it is where too little would remain."""
+    """Return `information` (..., p, p) without the part of it that is noise; as it is where too little would remain."""
     clean = information - noise_part
-    enough = SMALLEST_EXCESS * np.linalg.eigvalsh(_scaled(information))[0]
-    return clean if np.linalg.eigvalsh(_scaled(clean))[0] > enough else information
+    enough = SMALLEST_EXCESS * np.linalg.eigvalsh(_scaled(information))[..., 0]
+    kept = np.linalg.eigvalsh(_scaled(clean))[..., 0] > enough
+    return np.where(kept[..., None, None], clean, information)
 
 
-def pose_covariance(information: FloatArray, noise_part: FloatArray, moved: RigidTransform) -> FloatArray:
-    """Return H′⁻¹·H·H′⁻¹ of a right-multiplied δ as that (6, 6) of translation and rotation vector of `moved`."""
+def pose_covariance(information: FloatArray, noise_part: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Return H′⁻¹·H·H′⁻¹ of right-multiplied δ as that (..., 6, 6) of translation and rotation vector.
+
+    information, noise_part (..., 6, 6); rotation (..., 3, 3) of the motion.
+    """
     inverse = np.linalg.inv(without_noise(information, noise_part))
-    turn = pose_rate(moved.pose) @ np.kron(np.eye(2), moved.rotation)
-    return np.asarray(turn @ inverse @ information @ inverse @ turn.T)
+    turn = np.zeros((*rotation.shape[:-2], 6, 6))
+    turn[..., :3, :3] = rotation
+    turn[..., 3:, 3:] = rotation_vector_rate(vector_from_rotation(rotation)) @ rotation
+    return np.asarray(turn @ inverse @ information @ inverse @ turn.mT)

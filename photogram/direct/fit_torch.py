@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -37,6 +38,7 @@ from photogram.subsets.icgn_torch import Squares, TorchSplines, square_sums, tor
 from photogram.subsets.reference import shape_values
 
 if TYPE_CHECKING:
+    import torch
     from torch import Tensor
 
 
@@ -63,6 +65,7 @@ class TorchView(Squares):
     rest_px: Tensor
     turn: Tensor
     origin_m: Tensor
+    nine_points: Tensor
 
 
 class _Compared(NamedTuple):
@@ -107,7 +110,7 @@ def torch_view(view: BodyView, device: str, precision: str) -> TorchView:
         **{name: getattr(cells, name) for name in from_cells},
         **{name: getattr(view, name) for name in from_view},
         **{"points_m": placed, "rest_px": view.patches.rest_px, "turn": camera_from_body.rotation},
-        **{"origin_m": camera_from_body.translation_m},
+        **{"origin_m": camera_from_body.translation_m, "nine_points": nine_points(side)},
     }
     return TorchView(
         source=view,
@@ -151,7 +154,7 @@ def fit_frames(
             of_motion, noise_part = told.information[:, :6, :6], told.noise_part[:, :6, :6]
             lowest = torch.linalg.eigvalsh(_scaled(of_motion))[:, 0]
             solvable = (told.count >= FEWEST_CELLS) & (lowest > SINGULAR)
-            information = torch.where(solvable[:, None, None], of_motion, torch.eye(6).to(of_motion))
+            information = torch.where(solvable[:, None, None], of_motion, _eye(6, of_motion))
             scale = torch.maximum(told.misfit, told.rounding) / told.expected
             clean = information - torch.where(solvable, scale, 0.0)[:, None, None] * noise_part
             enough = solvable & (torch.linalg.eigvalsh(_scaled(clean))[:, 0] > SMALLEST_EXCESS * lowest)
@@ -171,15 +174,15 @@ def fit_frames(
     turns, shifts, both, asked, levels, cells = (
         part.cpu().numpy() for part in (rotation, shift, matrices, slopes, scales, counts)
     )
-    fits: list[DirectFit | None] = []
-    for f, level in enumerate(levels):
-        if not np.isfinite(level):
-            fits.append(None)
-            continue
-        moved_by = RigidTransform(turns[f], shifts[f])
-        covariance = level * pose_covariance(both[0, f, :6, :6], level * both[1, f, :6, :6], moved_by)
-        shapes = beside(asked[1, f, :6], asked[0, f], (both[0, f], both[1, f]), float(level))
-        fits.append(DirectFit(moved_by, covariance, float(level), int(cells[f]), *shapes))
+    fits: list[DirectFit | None] = [None] * len(starts)
+    known = np.flatnonzero(np.isfinite(levels))
+    whole, level = both[:, known], levels[known]
+    each, size = level[:, None, None], slice(6)
+    covariances = each * pose_covariance(whole[0, :, size, size], each * whole[1, :, size, size], turns[known])
+    amplitudes, of_shapes = beside(asked[1, known, :6], asked[0, known], (whole[0], whole[1]), level)
+    for k, f in enumerate(known):
+        moved = RigidTransform(turns[f], shifts[f])
+        fits[f] = DirectFit(moved, covariances[k], float(level[k]), int(cells[f]), amplitudes[k], of_shapes[k])
     return fits
 
 
@@ -191,13 +194,36 @@ def _moved_back(rotation: Tensor, shift: Tensor, step: Tensor) -> tuple[Tensor, 
     return turned, shift - (turned @ step[:, :3, None])[..., 0]
 
 
+@lru_cache(maxsize=16)
+def _lens(camera: Camera, device: torch.device) -> tuple[Tensor, Tensor]:
+    """The camera's matrix and distortion on a device."""
+    import torch
+
+    matrix, lens = (torch.from_numpy(part).to(device) for part in (camera.matrix, camera.distortion))
+    return matrix, lens
+
+
+@lru_cache(maxsize=4)
+def _noise_gains(degree: int, device: torch.device) -> Tensor:
+    """`bspline.noise_gain_table` on a device."""
+    import torch
+
+    return torch.from_numpy(noise_gain_table(degree)).to(device)
+
+
+def _eye(size: int, like: Tensor) -> Tensor:
+    import torch
+
+    return torch.eye(size, dtype=like.dtype, device=like.device)
+
+
 def torch_project(camera: Camera, points_m: Tensor) -> Tensor:
     """Return `camera.project` of points (..., 3) in the camera frame, float64, on their device."""
     import torch
     from kornia.geometry.calibration import distort_points
 
-    plain = torch.eye(3).to(points_m)
-    matrix, lens = (torch.from_numpy(part).to(points_m) for part in (camera.matrix, camera.distortion))
+    matrix, lens = _lens(camera, points_m.device)
+    plain = _eye(3, points_m)
     depth = torch.where(points_m[..., 2:] > 0.0, points_m[..., 2:], torch.nan)
     normal = (points_m[..., :2] / depth).reshape(1, -1, 2)
     distorted = distort_points(normal, plain[None], lens[None], plain[None]).reshape(*points_m.shape[:-1], 2)
@@ -260,11 +286,11 @@ def _cell_sums(view: TorchView, frames: TorchSplines, number: Tensor, warp: Tens
 
     count = len(view.centre_px)
     flat, cell = warp.reshape(-1, 6), torch.arange(warp.shape[0] * count, device=warp.device) % count
-    middle = view.centre_px[cell] + flat[:, [0, 3]]
-    reach = flat.reshape(-1, 2, 3)[:, :, 1:] + torch.eye(2).to(flat)
+    middle = view.centre_px[cell] + flat[:, ::3]
+    reach = flat.reshape(-1, 2, 3)[:, :, 1:] + _eye(2, flat)
     room = reach.abs().sum(dim=2) * (view.source.cells.side_px - 1) / 2
-    last = torch.tensor(frames.size_px).to(flat) - 1.0
-    inside = ((middle >= room) & (middle + room <= last)).all(dim=1)
+    (right, bottom), after = frames.size_px, middle + room
+    inside = (middle >= room).all(dim=1) & (after[:, 0] <= right - 1.0) & (after[:, 1] <= bottom - 1.0)
     frame = number.repeat_interleave(count)
     return square_sums(view, frames, (frame, cell, flat), inside).reshape(*warp.shape[:2], 9)
 
@@ -273,11 +299,10 @@ def _interpolated_noise(view: TorchView, warp: Tensor, degree: int) -> Tensor:
     """Variance (A, C) of interpolated white noise at warps (A, C, 6): `bspline.mean_noise_gain` at nine points."""
     import torch
 
-    table = torch.from_numpy(noise_gain_table(degree)).to(warp)
-    offset = torch.from_numpy(nine_points(view.source.cells.side_px)).to(warp)
-    turned = warp.reshape(*warp.shape[:2], 2, 3)[..., 1:] + torch.eye(2).to(warp)
-    middle = view.centre_px + warp[..., [0, 3]]
-    place = torch.einsum("acij,pj->acpi", turned, offset) + middle[:, :, None]
+    table = _noise_gains(degree, warp.device)
+    turned = warp.reshape(*warp.shape[:2], 2, 3)[..., 1:] + _eye(2, warp)
+    middle = view.centre_px + warp[..., ::3]
+    place = torch.einsum("acij,pj->acpi", turned, view.nine_points) + middle[:, :, None]
     place = torch.nan_to_num(place - place.floor()) * (len(table) - 1)
     low = place.floor().to(torch.int64).clamp(0, len(table) - 2)
     gains = table[low] + (place - low) * (table[low + 1] - table[low])
@@ -289,7 +314,7 @@ def _rigid_cells(view: TorchView, ratio: Tensor, slope: Tensor) -> Tensor:
     known = ratio.isfinite() & slope.isfinite().all(dim=2) & view.steady
     typical = _median(ratio, known).clamp(min=SMALLEST_MISFIT)[:, None]
     known &= ratio <= MISFIT * typical
-    own = slope[..., [0, 3]]
+    own = slope[..., ::3]
     squares = (own[..., None] * own[..., None, :] * view.translation).sum(dim=(2, 3)) / typical
     limit = REJECTED * (_median(squares, known) / MEDIAN_CHI2_OF_TWO).clamp(min=1.0)
     return known & (squares <= limit[:, None])

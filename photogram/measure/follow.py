@@ -205,7 +205,7 @@ class Course:
         if fit is None or self.scene.sought[number]:
             starts = self.starts(fit)
             here = self.sides[0].find((images[0], left), starts[0]), self.sides[1].find((images[1], right), starts[1])
-            if fit is None or any(elsewhere(one, start) for one, start in zip(here, starts, strict=True)):
+            if fit is None or any(elsewhere(one.warp, start) for one, start in zip(here, starts, strict=True)):
                 fit = _fit(self.scene, here, (left, right))
         return self.took(here, fit)
 
@@ -235,7 +235,7 @@ class Course:
 
 def carried_px(seen: SeenPoints, moved: RigidTransform) -> FloatArray:
     """By how much a body's motion moves its points (N, 2) in a camera."""
-    return seen.camera.project(moved.apply(seen.points_m)) - seen.camera.project(seen.points_m)
+    return np.asarray(seen.camera.project(moved.apply(seen.points_m)) - seen.rest_px)
 
 
 def _foretold_fit(scene: BodyScene, fits: Sequence[DirectFit], splines: Splines) -> DirectFit | None:
@@ -260,13 +260,13 @@ def too_loud(fit: DirectFit, before: Sequence[DirectFit]) -> bool:
     return bool(fit.noise > LOUDER * np.median([one.noise for one in before[-HISTORY:]]))
 
 
-def elsewhere(found: Registration, start: FloatArray | None) -> bool:
-    """Whether most of the subsets are not where they were looked for."""
+def elsewhere(warp: FloatArray, start: FloatArray | None) -> BoolArray:
+    """Whether not even half of the subsets (..., N, p) are where they were looked for, or nothing foretold them."""
     if start is None:
-        return True
-    looked_for = np.isfinite(start).all(axis=1)
-    away = np.hypot(*(found.warp - start)[looked_for][:, [0, 3]].T)
-    return not (len(away) and np.median(np.where(np.isnan(away), np.inf, away)) < ELSEWHERE_PX)
+        return np.asarray(True)
+    near = np.hypot(*np.moveaxis((warp - start)[..., [0, 3]], -1, 0)) < ELSEWHERE_PX
+    looked_for = np.isfinite(start).all(axis=-1)
+    return np.asarray(2 * near.sum(axis=-1) <= looked_for.sum(axis=-1))
 
 
 def followers(scene: BodyScene) -> tuple[Follower, Follower]:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from photogram.arrays import FloatArray
+from photogram.arrays import BoolArray, FloatArray
 from photogram.direct.fit_torch import fit_frames, torch_view
-from photogram.geometry import RigidTransform
+from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.images.sequence import GreyImage
 from photogram.measure.follow import FORETELLING, Course, FollowedFrame, elsewhere, foretold_motion, too_loud
 from photogram.subsets.find import MORE_LOST, NEIGHBOUR_ROUNDS, merged
@@ -31,16 +31,17 @@ Pair = tuple[GreyImage, GreyImage]
 
 @dataclass(frozen=True)
 class _Batch:
-    """Successive frames, in memory and on the device."""
+    """Successive frames, in memory and on the device; full (n, 2): which pictures have pixels at full scale."""
 
     numbers: range
     images: Sequence[Pair]
     raw: tuple[Tensor, Tensor]
+    full: BoolArray
 
     def part(self, first: int, count: int) -> _Batch:
         """Some of the frames."""
         own = slice(first, first + count)
-        return _Batch(self.numbers[own], self.images[own], (self.raw[0][own], self.raw[1][own]))
+        return _Batch(self.numbers[own], self.images[own], (self.raw[0][own], self.raw[1][own]), self.full[own])
 
 
 def found_together(course: Course, frames: range, device: str) -> Iterator[FollowedFrame]:
@@ -63,16 +64,18 @@ def found_together(course: Course, frames: range, device: str) -> Iterator[Follo
 def _read_ahead(course: Course, frames: range, device: str) -> Iterator[_Batch]:
     """Frames in batches; a thread reads and uploads the next one in advance."""
     width, height = course.scene.images[0].size_px
-    most = max(1, min(MOST_FRAMES, BATCH_PIXELS // (2 * width * height)))
+    scales = [images.full_scale for images in course.scene.images]
+    length = max(1, min(MOST_FRAMES, BATCH_PIXELS // (2 * width * height)))
     source = zip(*(images.read_ahead(frames) for images in course.scene.images), strict=True)
 
     def read(numbers: range) -> _Batch:
         images = [(left, right) for left, right in islice(source, len(numbers))]
         left, right = (uploaded(side, device) for side in zip(*images, strict=True))
-        return _Batch(numbers, images, (left, right))
+        full = np.array([[one.max() >= most for one, most in zip(pair, scales, strict=True)] for pair in images])
+        return _Batch(numbers, images, (left, right), full)
 
     with ThreadPoolExecutor(max_workers=1) as reader:
-        parts = [frames[first : first + most] for first in range(0, len(frames), most)]
+        parts = [frames[first : first + length] for first in range(0, len(frames), length)]
         coming = reader.submit(read, parts[0])
         for following in (*parts[1:], None):
             batch = coming.result()
@@ -137,13 +140,16 @@ class _Engine:
             better = {k: merged(found[k], more) for k, more in registered(again).items()}
             going_on = [k for k, one in better.items() if not np.array_equal(one.status, found[k].status)]
             found |= better
-        kept = dict[int, Registration]()
+        follower = self._course.sides[side]
         for k, here in found.items():
-            one = self._course.sides[side].unsaturated(batch.images[k][side], resolved(reference, here))
-            lost = np.count_nonzero(usable & (one.status != TrackStatus.OK))
-            if lost <= MORE_LOST * len(usable) and not elsewhere(one, starts[k]):
-                kept[k] = one
-        return kept
+            whole = resolved(reference, here)
+            found[k] = follower.unsaturated(batch.images[k][side], whole) if batch.full[k, side] else whole
+        warps, begun_at = (
+            np.stack(arrays) for arrays in zip(*((found[k].warp, starts[k]) for k in found), strict=True)
+        )
+        lost = np.array([np.count_nonzero(usable & (here.status != TrackStatus.OK)) for here in found.values()])
+        there = ~elsewhere(warps, begun_at) & (lost <= MORE_LOST * len(usable))
+        return {k: here for (k, here), kept in zip(found.items(), there, strict=True) if kept}
 
 
 # What the frames before foretell of many.
@@ -165,10 +171,12 @@ def foretold_motions(course: Course, most: int) -> list[RigidTransform]:
     fits = course.fits
     if len(fits) < FORETELLING:
         return []
-    poses, tested = np.array([fit.moved.pose for fit in fits]), len(fits) // 4
+    tested = len(fits) // 4
     count, known = min(most, len(fits)), len(fits) - tested
     if count == 1 or known < FEWEST:
         return [foretold_motion(fits)]
+    turned = vector_from_rotation(np.array([fit.moved.rotation for fit in fits]))
+    poses = np.hstack([np.array([fit.moved.translation_m for fit in fits]), turned])
     moved_px = poses @ _some_rates(course).T
     lines, miss = _lines_of(moved_px[:known], moved_px[known:])
     if miss > TRUSTED_PX:
