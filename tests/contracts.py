@@ -10,9 +10,13 @@ import pytest
 from numpy.typing import ArrayLike
 from scipy.stats import binom, chi2
 
+from photogram.subsets.track import resolve_device
+
 LEVEL = 0.95
 CHANCE = 1e-3
 """Chance that a perfect estimator fails a contract."""
+
+NEEDS_GPU = pytest.mark.skipif(resolve_device("auto") == "cpu", reason="no GPU that torch can use")
 
 
 def acceptance(trials: int, values: int = 1) -> tuple[int, int]:

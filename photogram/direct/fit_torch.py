@@ -8,10 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from photogram.arrays import FloatArray
 from photogram.bspline import noise_gain_table
 from photogram.camera import Camera
 from photogram.direct.cells import SMALLEST_GAIN, nine_points, pixel_places
@@ -31,7 +33,7 @@ from photogram.direct.fit import (
     beside,
     pose_covariance,
 )
-from photogram.geometry import RigidTransform
+from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.images.noise import QUANTISATION
 from photogram.motion import MEDIAN_CHI2_OF_TWO
 from photogram.subsets.icgn_torch import Squares, TorchSplines, square_sums, torch_type
@@ -121,12 +123,24 @@ def torch_view(view: BodyView, device: str, precision: str) -> TorchView:
     )
 
 
+_LOADING = Lock()
+
+
+def load_solvers(device: str) -> None:
+    """Make torch load its solvers for a device, which it does on their first call and not in two threads at once."""
+    import torch
+
+    with _LOADING:
+        one = torch.eye(1, dtype=torch.float64, device=device)
+        torch.linalg.solve(one, torch.linalg.eigvalsh(one)[:, None])
+
+
 def fit_frames(
     views: Sequence[TorchView],
     targets: Sequence[tuple[TorchSplines, Sequence[int]]],
-    starts: Sequence[RigidTransform],
+    starts: FloatArray,
 ) -> list[DirectFit | None]:
-    """Return what `fit_direct` returns for each of F frames from its start, all of them at once.
+    """Return what `fit_direct` returns for each of F frames from the pose (F, 6) that it starts from, all at once.
 
     targets: for each view the splines on its device, and which F of them are the frames. Frames leave the iteration as
     they converge; only motions, covariances and sums come back.
@@ -134,8 +148,8 @@ def fit_frames(
     import torch
 
     device = views[0].centre_px.device
-    rotation = torch.from_numpy(np.array([start.rotation for start in starts])).to(device)
-    shift = torch.from_numpy(np.array([start.translation_m for start in starts])).to(device)
+    rotation = torch.from_numpy(rotation_from_vector(starts[:, 3:])).to(device)
+    shift = torch.tensor(starts[:, :3], device=device)
     numbers = [torch.tensor(list(which), device=device) for _, which in targets]
     size = views[0].rates.shape[2]
     matrices = torch.zeros((2, len(starts), size, size), dtype=torch.float64, device=device)

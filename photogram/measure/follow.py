@@ -43,7 +43,7 @@ GPU_BLOCK_FRAMES = 1024
 """On a GPU, which follows frames in batches: more than most series have, few enough to hold."""
 FORETELLING = 4
 """Frames in a row that foretell the next: as many as the rule of one sine about any mean takes."""
-FITS_KEPT = 64  # as far back as sines are fitted that foretell many frames
+FITS_KEPT = 128  # as far back as sines are fitted that foretell many frames
 FEW_MORE = 1.25  # times the frames wanted, below which subsets are looked for in all
 LOUDER = 4.0
 """Times the noise of the frames before, beyond which a foretold fit is not believed without subsets."""
@@ -192,7 +192,7 @@ class Course:
     def __init__(self, scene: BodyScene) -> None:
         self.scene, self.fits = scene, list[DirectFit]()
         self.sides = followers(scene)
-        self._history, self._last = list[Found](), list[Found]()
+        self._history, self._last = list[Found](), [found for found, _ in scene.lead[-1:] if found is not None]
 
     def find(self, number: int, images: tuple[GreyImage, GreyImage]) -> FollowedFrame:
         """Fit the body from where the last frames foretell it, and look for its subsets from there.

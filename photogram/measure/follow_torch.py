@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, pairwise, zip_longest
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from photogram.arrays import BoolArray, FloatArray
-from photogram.direct.fit_torch import fit_frames, torch_view
-from photogram.geometry import RigidTransform, vector_from_rotation
+from photogram.arrays import FloatArray
+from photogram.direct.fit import DirectFit
+from photogram.direct.fit_torch import fit_frames, load_solvers, torch_view
+from photogram.geometry import vector_from_rotation
 from photogram.images.sequence import GreyImage
 from photogram.measure.follow import FORETELLING, Course, FollowedFrame, elsewhere, foretold_motion, too_loud
 from photogram.subsets.find import MORE_LOST, NEIGHBOUR_ROUNDS, merged
@@ -24,24 +25,25 @@ from photogram.subsets.search import neighbour_starts
 if TYPE_CHECKING:
     from torch import Tensor
 
-MOST_FRAMES, BATCH_PIXELS = 64, 2**28
-"""Frames of a batch, and pixels of both cameras' pictures in it, of which it holds some 20 bytes each."""
+MOST_FRAMES, FIRST_FRAMES = 128, 12
+"""Frames of a batch, and of the first one, which nothing foretells."""
+BYTES_PER_PIXEL, SHARE_OF_MEMORY = 32, 0.2
+"""What a batch holds for each pixel of its pictures, and how much of the memory of a device it may take."""
 Pair = tuple[GreyImage, GreyImage]
 
 
 @dataclass(frozen=True)
 class _Batch:
-    """Successive frames, in memory and on the device; full (n, 2): which pictures have pixels at full scale."""
+    """Successive frames, in memory and on the device."""
 
     numbers: range
     images: Sequence[Pair]
     raw: tuple[Tensor, Tensor]
-    full: BoolArray
 
     def part(self, first: int, count: int) -> _Batch:
         """Some of the frames."""
         own = slice(first, first + count)
-        return _Batch(self.numbers[own], self.images[own], (self.raw[0][own], self.raw[1][own]), self.full[own])
+        return _Batch(self.numbers[own], self.images[own], (self.raw[0][own], self.raw[1][own]))
 
 
 def found_together(course: Course, frames: range, device: str) -> Iterator[FollowedFrame]:
@@ -49,52 +51,62 @@ def found_together(course: Course, frames: range, device: str) -> Iterator[Follo
 
     What is not foretold, not found where it is foretold, or has lost subsets there, is found as on a CPU.
     """
-    engine, done = _Engine(course, device), 0
+    engine = _Engine(course, device)
     for batch in _read_ahead(course, frames, device):
         done = 0
         while done < len(batch.numbers):
-            starts = foretold_motions(course, len(batch.numbers) - done)
-            here = batch.part(done, max(1, len(starts)))
-            done += len(here.numbers)
-            found = engine.find(here, starts) if starts else [None]
+            starts = foretold_poses(course, len(batch.numbers) - done)
+            here, lost = batch.part(done, max(1, len(starts))), False
+            found = engine.find(here, starts) if len(starts) else [None]
             for number, images, one in zip(here.numbers, here.images, found, strict=True):
+                if one is None and lost:  # two in a row: what was foretold is not so
+                    break
                 yield course.find(number, images) if one is None else course.took(*one)
+                done, lost = done + 1, one is None
 
 
 def _read_ahead(course: Course, frames: range, device: str) -> Iterator[_Batch]:
-    """Frames in batches; a thread reads and uploads the next one in advance."""
+    """Frames in batches; two threads, one for each camera, read and upload the next one in advance."""
+    sources = [images.read_ahead(frames) for images in course.scene.images]
     width, height = course.scene.images[0].size_px
-    scales = [images.full_scale for images in course.scene.images]
-    length = max(1, min(MOST_FRAMES, BATCH_PIXELS // (2 * width * height)))
-    source = zip(*(images.read_ahead(frames) for images in course.scene.images), strict=True)
+    length = _most_frames(2 * width * height, device)
+    ends = [0, *range(min(FIRST_FRAMES, length), len(frames), length), len(frames)]
 
-    def read(numbers: range) -> _Batch:
-        images = [(left, right) for left, right in islice(source, len(numbers))]
-        left, right = (uploaded(side, device) for side in zip(*images, strict=True))
-        full = np.array([[one.max() >= most for one, most in zip(pair, scales, strict=True)] for pair in images])
-        return _Batch(numbers, images, (left, right), full)
+    def read(side: int, count: int) -> tuple[list[GreyImage], Tensor]:
+        images = list(islice(sources[side], count))
+        return images, uploaded(images, device)
 
-    with ThreadPoolExecutor(max_workers=1) as reader:
-        parts = [frames[first : first + length] for first in range(0, len(frames), length)]
-        coming = reader.submit(read, parts[0])
-        for following in (*parts[1:], None):
-            batch = coming.result()
-            if following is not None:
-                coming = reader.submit(read, following)
-            yield batch
+    with ThreadPoolExecutor(max_workers=len(sources)) as readers:
+        parts = [frames[first:end] for first, end in pairwise(ends)]
+        coming = [readers.submit(read, side, len(parts[0])) for side in (0, 1)]
+        for numbers, following in zip_longest(parts, parts[1:]):
+            (left, left_raw), (right, right_raw) = (one.result() for one in coming)
+            coming = [readers.submit(read, side, len(following)) for side in (0, 1) if following is not None]
+            yield _Batch(numbers, list(zip(left, right, strict=True)), (left_raw, right_raw))
+
+
+def _most_frames(pixels: int, device: str) -> int:
+    """How many frames of so many pixels, of both cameras, a batch has."""
+    import torch
+
+    if torch.device(device).type != "cuda":
+        return MOST_FRAMES
+    _, memory = torch.cuda.mem_get_info(device)
+    return max(1, min(MOST_FRAMES, int(SHARE_OF_MEMORY * memory / (BYTES_PER_PIXEL * pixels))))
 
 
 class _Engine:
     """What stays on the device while a body is followed."""
 
     def __init__(self, course: Course, device: str) -> None:
+        load_solvers(device)
         self._course, scene = course, course.scene
         self._views = [torch_view(view, device, PRECISION) for view in scene.views]
         self._references = [torch_reference(reference, device, PRECISION) for reference in scene.references]
 
-    def find(self, batch: _Batch, starts: Sequence[RigidTransform]) -> list[FollowedFrame | None]:
-        """The body in frames from the motions foretold of them, its subsets where they are sought; None where lost."""
-        scene, before = self._course.scene, self._course.fits
+    def find(self, batch: _Batch, starts: FloatArray) -> list[FollowedFrame | None]:
+        """The body in frames from poses (n, 6) foretold of them, its subsets where they are sought; None where lost."""
+        scene, before = self._course.scene, fits_before(self._course)
         splines = [splines_of(raw, scene.settings.degree, PRECISION) for raw in batch.raw]
         everywhere = range(len(starts))
         fits = fit_frames(self._views, [(one, everywhere) for one in splines], starts)
@@ -140,10 +152,11 @@ class _Engine:
             better = {k: merged(found[k], more) for k, more in registered(again).items()}
             going_on = [k for k, one in better.items() if not np.array_equal(one.status, found[k].status)]
             found |= better
-        follower = self._course.sides[side]
+        follower, brightest = self._course.sides[side], batch.raw[side].float().amax(dim=(1, 2)).cpu().numpy()
         for k, here in found.items():
-            whole = resolved(reference, here)
-            found[k] = follower.unsaturated(batch.images[k][side], whole) if batch.full[k, side] else whole
+            found[k] = resolved(reference, here)
+            if brightest[k] >= scene.images[side].full_scale:
+                found[k] = follower.unsaturated(batch.images[k][side], found[k])
         warps, begun_at = (
             np.stack(arrays) for arrays in zip(*((found[k].warp, starts[k]) for k in found), strict=True)
         )
@@ -161,32 +174,38 @@ POINTS = 16
 FINER, REFINEMENTS = 33, 4
 
 
-def foretold_motions(course: Course, most: int) -> list[RigidTransform]:
-    """Return the motions that the fits so far foretell of the next frames, at most so many; none where they do not.
+def fits_before(course: Course) -> list[DirectFit]:
+    """Return the fits of the frames in a row before the next, or those that gave the noise of the images."""
+    return course.fits or [fit for _, fit in course.scene.lead[-1:] if fit is not None]
+
+
+def foretold_poses(course: Course, most: int) -> FloatArray:
+    """Return the poses (n, 6) that the fits so far foretell of the next frames, at most so many; none from no fits.
 
     The body stays where it was, or moves by up to `LINES` sines about a drifting mean, taken from the strongest on:
     whatever would have foretold the last quarter of the frames best. No more frames are foretold than there were, and
-    only the next one, by `foretold_motion`, where that last quarter would have been missed by half a pixel.
+    only the next one, by `foretold_motion`, where that last quarter would have been missed by half a pixel. After
+    fewer than `FORETELLING` frames it is looked for near the last place in `FIRST_FRAMES`, which finds small motions.
     """
-    fits = course.fits
-    if len(fits) < FORETELLING:
-        return []
-    tested = len(fits) // 4
-    count, known = min(most, len(fits)), len(fits) - tested
-    if count == 1 or known < FEWEST:
-        return [foretold_motion(fits)]
+    fits = fits_before(course)
+    if not fits:
+        return np.empty((0, 6))
     turned = vector_from_rotation(np.array([fit.moved.rotation for fit in fits]))
     poses = np.hstack([np.array([fit.moved.translation_m for fit in fits]), turned])
+    if len(fits) < FORETELLING:
+        return np.tile(poses[-1], (min(most, FIRST_FRAMES), 1))
+    tested = len(fits) // 4
+    count, known = min(most, len(fits)), len(fits) - tested
     moved_px = poses @ _some_rates(course).T
-    lines, miss = _lines_of(moved_px[:known], moved_px[known:])
+    lines, miss = _lines_of(moved_px[:known], moved_px[known:]) if count > 1 and known >= FEWEST else (0, np.inf)
     if miss > TRUSTED_PX:
-        return [foretold_motion(fits)]
+        return foretold_motion(fits).pose[None]
     if lines == 0:
-        return [fits[-1].moved] * count
+        return np.tile(poses[-1], (count, 1))
     frequencies = np.zeros(0)
     for _ in range(lines):
         frequencies = _next_line(moved_px, frequencies)
-    return [RigidTransform.from_pose(pose) for pose in _continued(poses, frequencies, count)]
+    return _continued(poses, frequencies, count)
 
 
 def _some_rates(course: Course) -> FloatArray:

@@ -6,11 +6,13 @@ import pickle
 import tracemalloc
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 import torch
-from contracts import refused
+from contracts import NEEDS_GPU, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from speckle import PIXEL_M, SENSOR, Stereo, camera, face, rendered, sequence, two_places
@@ -18,8 +20,10 @@ from speckle import PIXEL_M, SENSOR, Stereo, camera, face, rendered, sequence, t
 from photogram import arrays
 from photogram.bspline import Spline, evaluate, spline_of_image
 from photogram.camera import Camera, StereoRig
+from photogram.direct import fit as direct_fit
+from photogram.direct import fit_torch
 from photogram.direct.cells import LEAST_FILLED, compare_cells, lay_cells, pixel_residuals, prepare_cells
-from photogram.direct.fit import BodyView, approach, fit_direct, image_noise, rest_covariance, view_body
+from photogram.direct.fit import BodyView, DirectFit, approach, fit_direct, image_noise, rest_covariance, view_body
 from photogram.direct.fit_torch import fit_frames, torch_project, torch_view
 from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
@@ -27,7 +31,8 @@ from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
 from photogram.measure import follow
 from photogram.measure.body import BodyMotion, body_motion, measure_body
-from photogram.measure.follow import FollowedBlock, follow_block, prepare_body
+from photogram.measure.follow import Course, FollowedBlock, follow_block, prepare_body
+from photogram.measure.follow_torch import foretold_poses
 from photogram.motion import PlacedCamera, body_patches, deformation, patch_rates, patch_warps
 from photogram.subsets.find import dropped
 from photogram.subsets.icgn import TrackSettings
@@ -509,7 +514,8 @@ def test_frames_fitted_together_on_a_device_are_those_fitted_one_by_one(plate, p
         for pair, start in zip(stored, starts, strict=True)
     ]
     targets = [(spline_frames(np.stack(side), 5, "cpu", precision), range(5)) for side in zip(*stored, strict=True)]
-    together = fit_frames([torch_view(view, "cpu", precision) for view in views], targets, starts)
+    begun = np.array([start.pose for start in starts])
+    together = fit_frames([torch_view(view, "cpu", precision) for view in views], targets, begun)
     assert [fit is None for fit in together] == [False, False, True, True, False] == [fit is None for fit in alone]
     for one, other in zip(alone, together, strict=True):
         if one is not None:
@@ -535,17 +541,58 @@ def test_a_device_projects_as_the_camera_does():
     assert np.isfinite(seen[1:]).all()
 
 
-def test_a_body_followed_on_a_device_moves_as_on_the_cpu(series):
-    """Batches of both cameras, one frame dark: motion within 0.01 of its uncertainty, the same frames lost."""
+@pytest.mark.parametrize("device", ["cpu:0", pytest.param("cuda", marks=NEEDS_GPU)])
+def test_a_body_followed_on_a_device_moves_as_on_the_cpu(series, device, monkeypatch):
+    """Batches of both cameras, one frame dark, then a jump by 12 px: the same motion, the same frames lost."""
+    monkeypatch.setattr(direct_fit, "LEFT_OVER", 1e-4)
+    monkeypatch.setattr(fit_torch, "LEFT_OVER", 1e-4)
     (left, right), *others = series
-    pairs = tuple(chosen(side, 0, 1, 2, None, 3) for side in (left, right))
-    here, there = (measure_body(pairs, *others, device=device) for device in ("cpu", "cpu:0"))
+    pairs = tuple(chosen(side, 0, 1, 2, None, 3, 4) for side in (left, right))
+    here, there = (measure_body(pairs, *others, device=where) for where in ("cpu", device))
     assert np.array_equal(np.isfinite(there.motion.pose), np.isfinite(here.motion.pose))
     assert not np.isfinite(here.motion.pose[3]).any()
     u = np.sqrt(np.diagonal(here.motion.covariance, axis1=1, axis2=2))
     assert np.nanmax(np.abs(there.motion.pose - here.motion.pose) / u) < 0.01
     np.testing.assert_allclose(there.motion.covariance, here.motion.covariance, rtol=0.01, atol=1e-25)
     assert np.array_equal(there.tracks.left.status, here.tracks.left.status)
+
+
+def course_of(poses: np.ndarray) -> Course:
+    """A body whose frames so far gave these poses, and of which 20 points are seen at 1 px by 0.1 mm or 2 mrad."""
+    rng = np.random.default_rng(29)
+    rates = rng.normal(0.0, [1e4, 1e4, 1e4, 500, 500, 500], (20, 2, 6))
+    covariance = np.diag([1e-8, 1e-8, 1e-8, 1e-7, 1e-7, 1e-7]) ** 2
+    fits = [
+        DirectFit(RigidTransform.from_pose(pose), covariance, 1.0, 99, np.zeros(0), np.zeros((0, 0))) for pose in poses
+    ]
+    scene = SimpleNamespace(seen=[SimpleNamespace(rates=rates)], lead=((None, fits[0]),) if fits else ())
+    return cast("Course", SimpleNamespace(fits=fits, scene=scene))
+
+
+AMPLITUDE = np.array([5e-4, -3e-4, 2e-4, 1e-3, -2e-3, 2e-3])
+
+
+@pytest.mark.parametrize("lines", [(0.17,), (0.9,), (3.0,), (0.9, 2.1), (0.4, 1.3, 2.2)])
+def test_sines_are_foretold_over_a_whole_batch(lines):
+    """Also one that is sampled about once a period, and several at once, about a mean that is not rest."""
+    frames = np.arange(110)[:, None]
+    swings = [np.sin(line * frames + k) * np.roll(AMPLITUDE, k) / (1 + k) for k, line in enumerate(lines)]
+    truth = 2 * AMPLITUDE + np.sum(swings, axis=0)
+    noisy = truth + np.random.default_rng(30).normal(0, 1e-3, truth.shape) * np.abs(AMPLITUDE)
+    found = foretold_poses(course_of(noisy[:60]), 50)
+    assert found.shape == (50, 6)
+    assert np.sqrt(np.mean(((found - truth[60:]) / AMPLITUDE) ** 2)) < 0.02
+
+
+def test_rest_is_expected_to_stay_and_what_cannot_be_foretold_is_taken_frame_by_frame():
+    """Rest, random motion, too few frames for sines, too few for any rule, none."""
+    rng = np.random.default_rng(31)
+    rest, jumps = rng.normal(0, 1e-6, (20, 6)), rng.normal(0, 1e-3, (20, 6))
+    np.testing.assert_allclose(foretold_poses(course_of(rest), 12), np.tile(rest[-1], (12, 1)), atol=1e-12)
+    for past in (jumps, jumps[:8]):
+        assert foretold_poses(course_of(past), 12).shape == (1, 6)
+    np.testing.assert_allclose(foretold_poses(course_of(jumps[:3]), 9), np.tile(jumps[2], (9, 1)), atol=1e-12)
+    assert foretold_poses(course_of(jumps[:0]), 9).shape == (0, 6)
 
 
 # Cells of an area: every pixel once, sums against plain numpy, and the surface they lie on.

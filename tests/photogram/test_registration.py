@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from contracts import refused
+from contracts import NEEDS_GPU, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -436,3 +436,25 @@ def test_wrong_calls_are_refused(noisy_frames, prepared):
     refused("degree: expected 3, 5 or 7, found 4", TorchSplines, frames.coefficients, 4)
     refused("coefficients: expected a contiguous tensor", TorchSplines, frames.coefficients[0], 5)
     refused("precision: expected one of float64, float32, found 'half'", torch_reference, prepared, "cpu", "half")
+
+
+@NEEDS_GPU
+@pytest.mark.parametrize(("degree", "order"), [(3, 1), (5, 0), (5, 2), (7, 1)])
+def test_one_kernel_on_a_gpu_sums_what_torch_does(noisy_frames, degree, order):
+    """Subsets in all frames at warps of their size, some of them left out."""
+    import torch
+
+    prepared = prepare_reference(spline_of_image(noisy_frames[0], degree), OFF_PIXEL, 10, order)
+    reference = torch_reference(prepared, "cuda", "float32")
+    frames = spline_frames(noisy_frames, degree, "cuda", "float32")
+    own = torch.arange(len(OFF_PIXEL), device="cuda").repeat(4)
+    frame = torch.arange(4, device="cuda").repeat_interleave(len(OFF_PIXEL))
+    warp = torch.from_numpy(np.random.default_rng(32).normal(0, 0.01, (len(own), reference.columns))).to("cuda")
+    warp[:, 6:] *= 0.1
+    alive = torch.arange(len(own), device="cuda") % 7 > 0
+    found = engine.square_sums(reference, frames, (frame, own, warp), alive)
+    basis = torch.from_numpy(basis_polynomials(degree)).to(reference.pixels)
+    expected = engine._portion_sums(reference, frames, (frame, own, warp), basis)
+    assert found[~alive].isnan().all()
+    scale = expected.abs().amax(dim=0)
+    assert ((found - expected).abs() / scale)[alive].max() < 1e-5
