@@ -54,6 +54,16 @@ def _shape_functions(dx, dy, ROWS: tl.constexpr):  # type: ignore[no-untyped-def
 
 
 @triton.jit
+def _stretched(slopes, curvatures, dx, dy, SHAPES: tl.constexpr):  # type: ignore[no-untyped-def]
+    """What the slopes u_x, u_y of a warp and, of six shapes, its curvatures u_xx, u_xy, u_yy add to a shift."""
+    shift = tl.load(slopes).to(tl.float32) * dx + tl.load(slopes + 1).to(tl.float32) * dy
+    if SHAPES == 6:
+        shift += tl.load(curvatures).to(tl.float32) * (0.5 * dx * dx) + tl.load(curvatures + 1).to(tl.float32) * dx * dy
+        shift += tl.load(curvatures + 2).to(tl.float32) * (0.5 * dy * dy)
+    return shift
+
+
+@triton.jit
 def _sums_of_square(  # type: ignore[no-untyped-def]
     frames,
     squares,
@@ -88,15 +98,8 @@ def _sums_of_square(  # type: ignore[no-untyped-def]
         pixel = begin + tl.arange(0, BLOCK)
         inside = pixel < COUNT
         dx, dy = (pixel % SIDE - SIDE // 2).to(tl.float32), (pixel // SIDE - SIDE // 2).to(tl.float32)
-        x, y = (across - column).to(tl.float32) + dx, (down - row).to(tl.float32) + dy
-        x += tl.load(warp + 1).to(tl.float32) * dx + tl.load(warp + 2).to(tl.float32) * dy
-        y += tl.load(warp + 4).to(tl.float32) * dx + tl.load(warp + 5).to(tl.float32) * dy
-        if SHAPES == 6:
-            xx, xy, yy = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
-            x += tl.load(warp + 6).to(tl.float32) * xx + tl.load(warp + 7).to(tl.float32) * xy
-            x += tl.load(warp + 8).to(tl.float32) * yy
-            y += tl.load(warp + 9).to(tl.float32) * xx + tl.load(warp + 10).to(tl.float32) * xy
-            y += tl.load(warp + 11).to(tl.float32) * yy
+        x = (across - column).to(tl.float32) + dx + _stretched(warp + 1, warp + 6, dx, dy, SHAPES)
+        y = (down - row).to(tl.float32) + dy + _stretched(warp + 4, warp + 9, dx, dy, SHAPES)
         left, top = tl.floor(x), tl.floor(y)
         near = coefficients + corner + top.to(tl.int64) * width + left.to(tl.int64)
         grey = tl.where(inside, _interpolated(near, width, x - left, y - top, inside, TAPS, BASIS) - level, 0.0)
