@@ -141,9 +141,9 @@ def stages(body: Body, device: str) -> dict[str, Callable[[], object]]:
     scene = body.scene
     stack, right = ([side[1 + k % POSES] for k in range(MOST_FRAMES)] for side in body.pictures)
     reference = torch_reference(scene.references[0], device, PRECISION)
-    there = uploaded(stack, device)
+    _, there = uploaded(stack, device)
     splines = splines_of(there, SETTINGS.degree, PRECISION)
-    other = splines_of(uploaded(right, device), SETTINGS.degree, PRECISION)
+    other = splines_of(uploaded(right, device)[1], SETTINGS.degree, PRECISION)
     targets = [(one, range(MOST_FRAMES)) for one in (splines, other)]
     true = follow_block(scene, range(1, 1 + MOST_FRAMES))
     start = np.stack([found[0].warp for found, _ in true])

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice, pairwise, zip_longest
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray
 from photogram.direct.fit import DirectFit
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
 
 MOST_FRAMES, FIRST_FRAMES = 128, 12
 """Frames of a batch, and of the first one, which nothing foretells."""
-BYTES_PER_PIXEL, SHARE_OF_MEMORY = 32, 0.2
-"""What a batch holds for each pixel of its pictures, and how much of the memory of a device it may take."""
+MOST_PIXELS, BYTES_PER_PIXEL, SHARE_OF_MEMORY = 2**28, 32, 0.2
+"""Pixels of a batch, what it holds on a device for each, and how much of the device's memory it may take."""
 Pair = tuple[GreyImage, GreyImage]
 
 
@@ -72,9 +73,8 @@ def _read_ahead(course: Course, frames: range, device: str) -> Iterator[_Batch]:
     length = _most_frames(2 * width * height, device)
     ends = [0, *range(min(FIRST_FRAMES, length), len(frames), length), len(frames)]
 
-    def read(side: int, count: int) -> tuple[list[GreyImage], Tensor]:
-        images = list(islice(sources[side], count))
-        return images, uploaded(images, device)
+    def read(side: int, count: int) -> tuple[NDArray[Any], Tensor]:
+        return uploaded(list(islice(sources[side], count)), device)
 
     with ThreadPoolExecutor(max_workers=len(sources)) as readers:
         parts = [frames[first:end] for first, end in pairwise(ends)]
@@ -89,10 +89,11 @@ def _most_frames(pixels: int, device: str) -> int:
     """How many frames of so many pixels, of both cameras, a batch has."""
     import torch
 
-    if torch.device(device).type != "cuda":
-        return MOST_FRAMES
-    _, memory = torch.cuda.mem_get_info(device)
-    return max(1, min(MOST_FRAMES, int(SHARE_OF_MEMORY * memory / (BYTES_PER_PIXEL * pixels))))
+    most = MOST_PIXELS
+    if torch.device(device).type == "cuda":
+        _, memory = torch.cuda.mem_get_info(device)
+        most = min(most, int(SHARE_OF_MEMORY * memory / BYTES_PER_PIXEL))
+    return max(1, min(MOST_FRAMES, most // pixels))
 
 
 class _Engine:
@@ -160,8 +161,8 @@ class _Engine:
         warps, begun_at = (
             np.stack(arrays) for arrays in zip(*((found[k].warp, starts[k]) for k in found), strict=True)
         )
-        lost = np.array([np.count_nonzero(usable & (here.status != TrackStatus.OK)) for here in found.values()])
-        there = ~elsewhere(warps, begun_at) & (lost <= MORE_LOST * len(usable))
+        missing = np.array([np.count_nonzero(usable & (here.status != TrackStatus.OK)) for here in found.values()])
+        there = ~elsewhere(warps, begun_at) & (missing <= MORE_LOST * len(usable))
         return {k: here for (k, here), kept in zip(found.items(), there, strict=True) if kept}
 
 

@@ -67,27 +67,29 @@ def spline_frames(images: NDArray[np.generic], degree: int, device: str, precisi
     check_shape("images", images, (None, None, None))
     if min(images.shape[1:]) < 2 * PADDING_PX:
         raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
-    return splines_of(uploaded(list(images), device), degree, precision)
+    _, raw = uploaded(list(images), device)
+    return splines_of(raw, degree, precision)
 
 
-def uploaded(images: Sequence[NDArray[np.generic]], device: str) -> Tensor:
-    """B images (H,W) on the device; to a GPU from pinned memory by a stream of its own, beside what it computes."""
+def uploaded(images: Sequence[NDArray[np.generic]], device: str) -> tuple[NDArray[np.generic], Tensor]:
+    """B images (B,H,W) in memory and on the device; to a GPU they go from pinned memory, beside what it computes."""
     import torch
 
     kind = np.result_type(*{image.dtype for image in images}).newbyteorder("=")
     on_gpu = torch.device(device).type == "cuda"
     there = torch.from_numpy(np.empty(0, kind)).dtype
     stack = torch.empty((len(images), *images[0].shape), dtype=there, pin_memory=on_gpu)
-    for image, place in zip(images, stack.numpy(), strict=True):
+    here: NDArray[np.generic] = stack.numpy()
+    for image, place in zip(images, here, strict=True):
         np.copyto(place, image)
     if not on_gpu:
-        return stack.to(device)
+        return here, stack.to(device)
     stream = torch.cuda.Stream(device)
     with torch.cuda.stream(stream):
         raw = stack.to(device, non_blocking=True)
     stream.synchronize()
     raw.record_stream(torch.cuda.default_stream(device))
-    return raw
+    return here, raw
 
 
 def splines_of(raw: Tensor, degree: int, precision: str) -> TorchSplines:
