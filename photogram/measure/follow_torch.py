@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 MOST_FRAMES, FIRST_FRAMES = 128, 12
 """Frames of a batch, and of the first one, which nothing foretells."""
-MOST_PIXELS, BYTES_PER_PIXEL, SHARE_OF_MEMORY = 2**28, 32, 0.2
+MOST_PIXELS, BYTES_PER_PIXEL, SHARE_OF_MEMORY = 2**29, 32, 0.2
 """Pixels of a batch, what it holds on a device for each, and how much of the device's memory it may take."""
 Pair = tuple[GreyImage, GreyImage]
 
