@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from fusion.base import AnyNotice, ComputeError, InputError, Threads
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import FittedError
-from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading
+from fusion.instruments.stereo import CALIBRATION, PERIODIC, SURFACE, StereoReading
 from fusion.instruments.transducer import ROOM
 from fusion.phasors.channels import spread_lines
 from fusion.phasors.deformation import DeflectionShape, ShapePhasors, deflection_shape, shape_phasors
 from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, sensor_from_camera
 from fusion.phasors.timing import Lateness, Sight, TimeBase, together
 from photogram.arrays import RunningMean, spread_choice
-from photogram.camera import StereoRig, principal_components, triangulate
+from photogram.camera import CAMERA_PARAMETERS, FaceCamera, Rig, StereoRig, locate, principal_components
 from photogram.direct.shapes import Shapes
-from photogram.geometry import RigidTransform
+from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage
 from photogram.motion import Deformation, RigidMotion, fit_motion, relative_to
@@ -47,6 +47,7 @@ PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an 
 BIAS_STEP_PX = 0.01
 STEP, FEWEST_BESIDE = 20.0, 4  # of the noise: a step that no chance makes; frames beyond the unknowns of the lines
 ONE_BEAT = 1.1  # periods of a line's alias: in less, a slope looks like the line
+THROUGH = "pose through the surface"
 NO_LINE = "its camera rate tells no line of the recording apart"
 
 
@@ -59,9 +60,9 @@ class StereoResult:
     of which it leaves `residual` (F, 6).
     `reference_image` (H, W) and `subsets_px` (N, 2): first left image and the subsets tracked in it, None for points
     of another program. `usable` (K,): which lines of the recording this camera rate can tell apart. `deflection`: what
-    the points do beside the rigid motion at the usable lines, `shapes` what all pixels tell of it. `noise`: of the left
-    and the right camera. `sigma_px` (2,): median standard deviation of a subset's coordinate, as predicted from the
-    first images and as found.
+    the points do beside the rigid motion at the usable lines, `shapes` what all pixels tell of it, both None of a
+    camera alone, which does not tell depth from stretch. `noise`: of each camera. `sigma_px` (2,): median standard
+    deviation of a subset's coordinate, as predicted from the first images and as found.
     `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
     `stationarity`: the six components over blocks of whole beats, exposure loss not corrected. `u_exposure_s`: 0 where
     the exposure is stated. `u_rate`: relative, of the rate at which its frames were taken. `surface`: the points, and
@@ -190,7 +191,8 @@ def stereo_phasors(
     effects, shapes = dict[str, ComplexArray](), None
     if view is not None and sight.pair.body != ROOM:  # they grow with the motion seen, of which a room has next to none
         effects, of_shapes = _image_effects(measured, view, frequency_hz, usable, gain)
-        shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, of_shapes)
+        if isinstance(view.rig, StereoRig):
+            shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, of_shapes)
     reading = StereoReading(
         name=name,
         pair=sight.pair,
@@ -199,6 +201,7 @@ def stereo_phasors(
         clock_uncertainty=base.records[0].entry.clock_uncertainty,
         errors=(*errors, *exposure.errors(lines.frequency_hz)),
         face_m=np.asarray(np.nanmean(next(iter(measured.deformation)).reference_m, axis=0)),
+        through_surface=effects.pop(THROUGH, None),
     )
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     own = [*(n for n in fit.notices if n.severity == "warning"), *steps, *(shapes.notices() if shapes else ())]
@@ -220,20 +223,31 @@ def stereo_phasors(
         usable=usable,
         reprojection_px=measured.reprojection_px,
         surface=measured.deformation,
-        deflection=deflection_shape(measured.points_time_s, frequency_hz, measured.deformation, exposure.length_s),
+        deflection=_deflection(measured, frequency_hz),
         stationarity=stationarity(time_s, pose, frequency_hz, MOTION_COMPONENTS),
     )
     return StereoPhasors(result if view is None else _with_view(replace(result, shapes=shapes), view), reading, notices)
+
+
+def _deflection(measured: StereoMotion, frequency_hz: FloatArray) -> DeflectionShape | None:
+    """Return what the points do beside the rigid motion; None of a camera alone, which does not see them out of it."""
+    if measured.view is not None and isinstance(measured.view.rig, FaceCamera):
+        return None
+    exposure_s = measured.sight.exposure.length_s
+    return deflection_shape(measured.points_time_s, frequency_hz, measured.deformation, exposure_s)
 
 
 def _image_effects(
     measured: StereoMotion, view: ImageView, frequency_hz: FloatArray, usable: NDArray[np.bool_], gain: FloatArray
 ) -> tuple[dict[str, ComplexArray], ComplexArray]:
     """Return what calibration and errors periodic in the pixel do to the phasors, NaN at lines not `usable`, and to
-    amplitudes of shapes at those that are."""
-    sums, means = None, (RunningMean(), RunningMean())
+    amplitudes of shapes at those that are.
+
+    Of a camera alone also what the stated surface does, and what the pose does through it (THROUGH).
+    """
+    sums, means = None, tuple(RunningMean() for _ in view.rig.placed)
     for block in view.tracks:
-        positions = block.left.position_px, block.right.position_px
+        positions = [camera.position_px for camera in block.cameras]
         both = np.concatenate(positions, axis=2)
         if sums is None:
             sums, bias_px = SineSums(measured.points_time_s, frequency_hz, np.nan_to_num(both[0])), block.bias_px
@@ -241,11 +255,16 @@ def _image_effects(
         for running, position in zip(means, positions, strict=True):
             running.add(position)
     assert sums is not None
-    places = means[0].mean, means[1].mean
-    of_calibration = _calibration_effects(measured, view, sums, len(frequency_hz))
+    places = [running.mean for running in means]
+    # Without a covariance there is nothing that needs the displacement of each subset.
+    frames = _phasor_frames(sums, len(measured.points_time_s)) if view.rig.covariance is not None else []
+    of_calibration = _calibration_effects(measured, view, frames, len(frequency_hz))
     periodic, periodic_of_shapes = _periodic_effects(measured, view, places, bias_px, len(frequency_hz))
+    changes = {CALIBRATION: of_calibration[..., :6], PERIODIC: periodic}
+    if isinstance(view.rig, FaceCamera):
+        changes |= _surface_effects(measured, view.rig, frames, view.deformed.shapes)
     effects, loss = {}, gain[usable][:, None]
-    for what, change in ((CALIBRATION, of_calibration[..., :6]), (PERIODIC, periodic)):
+    for what, change in changes.items():
         effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
         effects[what][:, usable] = change / loss
     return effects, np.asarray(np.concatenate([of_calibration[..., 6:], periodic_of_shapes]) / loss)
@@ -360,7 +379,7 @@ def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
         median_zncc=view.zncc,
         noise=view.noise or (),
         sigma_px=sigma_px,
-        epipolar=replace(view.epipolar, notices=()),
+        epipolar=None if view.epipolar is None else replace(view.epipolar, notices=()),
     )
 
 
@@ -426,7 +445,7 @@ def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray)
 
 
 def _periodic_effects(
-    measured: StereoMotion, view: ImageView, means: tuple[FloatArray, FloatArray], bias_px: FloatArray, lines: int
+    measured: StereoMotion, view: ImageView, means: Sequence[FloatArray], bias_px: FloatArray, lines: int
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return (12·K, K, 6): what errors periodic in the pixel may do to the phasors, each at one line only.
 
@@ -434,12 +453,13 @@ def _periodic_effects(
     multiple of ω; over amplitudes and phases that is about 0.4·B, as a standard uncertainty of real and imaginary part
     alike. Since u differs across the image, it counts for x and y of either camera as a shift of all subsets by B and
     as displacements growing to B at the body's rim, along and across: twelve patterns, each on its own, of which the
-    motion has six independent combinations. `means` (N, 2): the subsets' positions in both cameras.
+    motion has six independent combinations. A camera alone sees tilts by patterns of second order, which then count as
+    well. `means` (N, 2): the subsets' positions in each camera.
 
     Beside it (2S·K, K, S): what they do to the amplitudes of shapes, for which displacements of second order over the
     picture count as well.
     """
-    seen = np.isfinite(means[0]).all(axis=1) & np.isfinite(means[1]).all(axis=1)
+    seen = np.isfinite(np.concatenate(means, axis=1)).all(axis=1)
     motions: list[FloatArray] = []
     places = [mean[seen] for mean in means]
     for side, bias in enumerate(np.nan_to_num(bias_px)):
@@ -449,11 +469,11 @@ def _periodic_effects(
             moved = [np.repeat(place[None], 3, axis=0) for place in places]  # at rest, along x, along y
             moved[side][[1, 2], :, [0, 1]] += BIAS_STEP_PX * pattern
             pose, shapes = sensor_from_camera(measured.sight.pair), view.deformed.shapes
-            (both,) = _phasor_motion(view.rig, pose, (moved[0], moved[1]), shapes)
+            (both,) = _phasor_motion(view.rig, pose, moved, shapes)
             motions += [PERIODIC_SHARE * bias / BIAS_STEP_PX * part for part in (both.real, both.imag)]
     of_order = np.arange(len(motions)) // 2 % 6 // 3  # 0 for patterns up to first order
     effects = []
-    for rows in (np.array(motions)[of_order == 0, :6], np.array(motions)[:, 6:]):
+    for rows in (np.array(motions)[of_order <= (len(means) == 1), :6], np.array(motions)[:, 6:]):
         combined = np.asarray(np.linalg.qr(rows, mode="r"))
         parts = np.concatenate([combined, 1j * combined])
         each_line = np.einsum("kl,pc->kplc", np.eye(lines), parts)
@@ -461,18 +481,21 @@ def _periodic_effects(
     return effects[0], effects[1]
 
 
-def _calibration_effects(measured: StereoMotion, view: ImageView, sums: SineSums, lines: int) -> ComplexArray:
+def _calibration_effects(
+    measured: StereoMotion, view: ImageView, frames: Sequence[FloatArray], lines: int
+) -> ComplexArray:
     """Return (P, K, 6 + S): the displacement phasors' change for each principal component of the calibration, and that
     of the amplitudes of shapes.
 
     The path from the tracks onward is evaluated again with each perturbed rig. Phasors are linear in small pixel
     displacements, so instead of all frames only the mean positions of the subsets and their displacement phasors at
-    each line are triangulated and fitted: 1 + 2K frames.
+    each line are triangulated and fitted: 1 + 2K `frames`. Of a camera alone without what is open of its surface.
     """
     covariance, shapes = view.rig.covariance, view.deformed.shapes
     if covariance is None:
         return np.empty((0, lines, 6 + len(shapes.names)), dtype=np.complex128)
-    frames = _phasor_frames(sums, len(measured.points_time_s))
+    if isinstance(view.rig, FaceCamera):
+        covariance = np.where(np.arange(len(covariance)) < len(CAMERA_PARAMETERS), covariance, 0.0)
     change, pose = measured.sight.pair.pose_by_calibration, sensor_from_camera(measured.sight.pair)
     answer = np.zeros((6, len(covariance))) if change is None else np.array(change)  # the pose was found with this rig
     nominal = _phasor_motion(view.rig, pose, frames, shapes)
@@ -490,8 +513,30 @@ def _calibration_effects(measured: StereoMotion, view: ImageView, sums: SineSums
     return np.array(changes)
 
 
-def _phasor_frames(sums: SineSums, samples: int) -> tuple[FloatArray, FloatArray]:
-    """Return left and right positions (1 + 2K, N, 2): mean, mean + Re and mean + Im of each line's displacement.
+def _surface_effects(
+    measured: StereoMotion, rig: FaceCamera, frames: Sequence[FloatArray], shapes: Shapes
+) -> dict[str, ComplexArray]:
+    """Return what the surface before a camera alone leaves open of the displacement phasors, by what it is due to.
+
+    SURFACE (3, K, 6): its place along its normal and its two tilts, one standard uncertainty of each. THROUGH (6, K,
+    6): the pose, in the order of its uncertainties, because the surface stays where it is in the sensor frame: with the
+    camera's frame elsewhere by E the pixels were seen on S⁻¹·E⁻¹·S of the surface, S = sensor_from_camera.
+    """
+    pair, pose, own = measured.sight.pair, sensor_from_camera(measured.sight.pair), len(CAMERA_PARAMETERS)
+    assert rig.covariance is not None
+    nominal, u = _phasor_motion(rig, pose, frames, shapes), np.array(pair.pose_uncertainty)
+
+    def seen_on(other: FaceCamera) -> ComplexArray:
+        return np.asarray((nominal - _phasor_motion(other, pose, frames, shapes))[:, :6])
+
+    stated = [rig.perturbed(step) for step in np.diag(np.sqrt(np.diagonal(rig.covariance)))[own:]]
+    errors = [RigidTransform(rotation_from_vector(-step[3:]), step[:3]) for step in np.diag(u)]
+    moved = [rig.moved(pose.inverse() @ error.inverse() @ pose) for error in errors]
+    return {SURFACE: np.array([*map(seen_on, stated)]), THROUGH: np.array([*map(seen_on, moved)])}
+
+
+def _phasor_frames(sums: SineSums, samples: int) -> list[FloatArray]:
+    """Return positions (1 + 2K, N, 2) in each camera: mean, mean + Re and mean + Im of each line's displacement.
 
     Of the subsets that are seen in most frames, each by its own: in a long recording all are lost now and then. Some
     200 of them are enough, since what the calibration does is smooth over the picture.
@@ -505,15 +550,13 @@ def _phasor_frames(sums: SineSums, samples: int) -> tuple[FloatArray, FloatArray
     some = some[spread_choice(np.arange(len(some)), EFFECT_SUBSETS / len(some))]
     parts = [part[some] for value in phasors for part in (value.real, value.imag)]
     frames = np.stack([mean[some], *(mean[some] + part for part in parts)])
-    return frames[..., :2], frames[..., 2:]
+    return [np.ascontiguousarray(frames[..., side : side + 2]) for side in range(0, frames.shape[2], 2)]
 
 
-def _phasor_motion(
-    rig: StereoRig, pose: RigidTransform, frames: tuple[FloatArray, FloatArray], shapes: Shapes
-) -> ComplexArray:
+def _phasor_motion(rig: Rig, pose: RigidTransform, frames: Sequence[FloatArray], shapes: Shapes) -> ComplexArray:
     """Return the displacement phasors (K, 6) that a rig, its left camera in this pose, makes of phasor frames, and the
     amplitudes (K, S) of shapes beside them, by least squares of the points with what depth is worth in them."""
-    points = triangulate(rig, frames[0], frames[1], None, None).transformed(pose)
+    points = locate(rig, frames).transformed(pose)
     poses = fit_motion(points, None, np.zeros(3)).pose[1:]
     rest, known = points.position_m[0], np.isfinite(points.position_m).all(axis=(0, 2))
     columns = [*np.broadcast_to(np.eye(3)[:, None], (3, len(rest), 3)), *np.cross(np.eye(3)[:, None], rest)]

@@ -1,4 +1,4 @@
-"""A body followed through series of stereo images: what stays the same, and where it is frame by frame."""
+"""A body followed by a pair or by one camera: what stays the same through a series, and where it is frame by frame."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, spread_choice
 from photogram.bspline import Spline, spline_of_image
-from photogram.camera import Points, StereoRig, triangulate
+from photogram.camera import Points, Rig, StereoRig, locate
 from photogram.direct.fit import (
     BodyView,
     DirectFit,
@@ -31,12 +31,20 @@ from photogram.subsets.find import BodyNotFound, DepthRange, Follower, identity
 from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.reference import Reference
 from photogram.subsets.search import HISTORY, foretold, predict_warp
-from photogram.subsets.track import FollowedImage, StereoGrid, follow_sequence, lay_stereo_grid, prepare_sequence
+from photogram.subsets.track import (
+    FollowedImage,
+    StereoGrid,
+    follow_sequence,
+    lay_single_grid,
+    lay_stereo_grid,
+    prepare_sequence,
+)
 
 Progress = Callable[[int], None]
-Splines = tuple[Spline, Spline]
-Noise = tuple[NoiseModel, NoiseModel]
-Found = tuple[Registration, Registration]
+Splines = tuple[Spline, ...]
+Noise = tuple[NoiseModel, ...]
+Found = tuple[Registration, ...]
+"""Of each camera: the left and the right one of a pair, or the only one."""
 UNIFORM = NoiseModel(1.0, 0.0)
 BLOCK_FRAMES = 32
 """A constant, so that results do not depend on who computes them; few enough to share, many enough to start seldom."""
@@ -52,7 +60,7 @@ ELSEWHERE_PX = 0.5
 
 FollowedFrame = tuple[Found | None, DirectFit | None]
 FollowedBlock = tuple[FollowedFrame, ...]
-"""Successive frames: where the subsets are in the left and the right camera, None where they were not looked for, and
+"""Successive frames: where the subsets are in each camera, None where they were not looked for, and
 the direct fit, None for none."""
 
 
@@ -79,13 +87,13 @@ class BodyScene(Arrays, shapes="rest_m N 3; sought F"):
     subsets are looked for, whatever the direct fit says.
     """
 
-    images: tuple[ImageSequence, ImageSequence]
-    first: tuple[GreyImage, GreyImage]
-    rig: StereoRig
+    images: tuple[ImageSequence, ...]
+    first: tuple[GreyImage, ...]
+    rig: Rig
     body_from_left: RigidTransform
     settings: TrackSettings
     grid: StereoGrid
-    references: tuple[Reference, Reference]
+    references: tuple[Reference, ...]
     body: KnownBody
     rest_m: FloatArray
     views: tuple[BodyView, ...]
@@ -103,8 +111,8 @@ class BodyScene(Arrays, shapes="rest_m N 3; sought F"):
 
 
 def prepare_body(
-    images: tuple[ImageSequence, ImageSequence],
-    rig: StereoRig,
+    images: tuple[ImageSequence, ...],
+    rig: Rig,
     body_from_left: RigidTransform,
     settings: TrackSettings,
     device: str = "cpu",
@@ -113,19 +121,23 @@ def prepare_body(
 ) -> BodyScene:
     """Return what following a body needs: its subsets, its surface, and the noise of the images.
 
-    Blocks have `BLOCK_FRAMES` frames, on a GPU `GPU_BLOCK_FRAMES`.
+    The surface is triangulated by a pair; of a camera alone it is the face that its rig states. Blocks have
+    `BLOCK_FRAMES` frames, on a GPU `GPU_BLOCK_FRAMES`.
     """
     known = known or KnownBody()
-    grid = lay_stereo_grid(*images, rig, settings, known.depth_m)
-    left, right = (
-        prepare_sequence(side, px, settings) for side, px in zip(images, (grid.left_px, grid.right_px), strict=True)
-    )
-    first = images[0].read(0), images[1].read(0)
-    fixed = images, first, rig, body_from_left, settings, grid, (left, right)
+    if isinstance(rig, StereoRig):
+        left, right = images
+        grid = lay_stereo_grid(left, right, rig, settings, known.depth_m)
+    else:
+        grid = lay_single_grid(images[0], settings)
+    placed = zip(images, grid.places_px, strict=True)
+    references = tuple(prepare_sequence(side, px, settings) for side, px in placed)
+    first = tuple(side.read(0) for side in images)
+    fixed = images, first, rig, body_from_left, settings, grid, references
     every = np.ones(len(images[0]), dtype=np.bool_)
     scene = BodyScene(*fixed, known, np.empty((0, 3)), (), (), (), None, (), (), every)
-    rest_m = _place(scene, (identity(left), identity(right))).position_m[0]
-    splines = spline_of_image(first[0], settings.degree), spline_of_image(first[1], settings.degree)
+    rest_m = _place(scene, tuple(map(identity, references))).position_m[0]
+    splines = tuple(spline_of_image(image, settings.degree) for image in first)
     seen = tuple(see_points(camera, rest_m) for camera in _cameras(scene, rest_m))
     scene = replace(scene, rest_m=rest_m, seen=seen)
     scene = replace(scene, views=_views(scene, splines))
@@ -166,7 +178,7 @@ def follow_block(
 
 def in_turn(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> Iterator[FollowedBlock]:
     """The scene's frames from the reference on, no more than `BLOCK_FRAMES` at a time."""
-    own = identity(scene.references[0]), identity(scene.references[1])
+    own = tuple(map(identity, scene.references))
     for block in chain([((own, None), *scene.lead)], blocks):
         for start in range(0, len(block), BLOCK_FRAMES):
             yield block[start : start + BLOCK_FRAMES]
@@ -181,14 +193,15 @@ def _fitted_in_turn(scene: BodyScene, frames: range) -> Iterator[FollowedFrame]:
     fits, history, last = list[DirectFit](), list[Found](), list[Found]()
     read = zip(*(images.read_ahead(frames) for images in scene.images), strict=True)
     for number, images in zip(frames, read, strict=True):
-        left, right = (spline_of_image(image, scene.settings.degree) for image in images)
-        fit = _foretold_fit(scene, fits, (left, right))
+        splines = tuple(spline_of_image(image, scene.settings.degree) for image in images)
+        fit = _foretold_fit(scene, fits, splines)
         here: Found | None = None
         if fit is None or scene.sought[number]:
             starts = _starts(scene, fit, history, last)
-            here = sides[0].find((images[0], left), starts[0]), sides[1].find((images[1], right), starts[1])
+            seen = zip(sides, images, splines, starts, strict=True)
+            here = tuple(side.find((image, spline), start) for side, image, spline, start in seen)
             if fit is None or any(_elsewhere(one, start) for one, start in zip(here, starts, strict=True)):
-                fit = _fit(scene, here, (left, right))
+                fit = _fit(scene, here, splines)
             last, history = [here], [*history[1 - HISTORY :], here]
         else:
             history = []
@@ -199,7 +212,7 @@ def _fitted_in_turn(scene: BodyScene, frames: range) -> Iterator[FollowedFrame]:
 def _starts(
     scene: BodyScene, fit: DirectFit | None, history: Sequence[Found], last: Sequence[Found]
 ) -> list[FloatArray | None]:
-    """Where both cameras' subsets are to be looked for: where a fit takes those that were found `last`, else where the
+    """Where each camera's subsets are to be looked for: where a fit takes those that were found `last`, else where the
     frames before, `history`, foretell them; None where nothing does."""
     starts: list[FloatArray | None] = []
     for side, seen in enumerate(scene.seen):
@@ -238,13 +251,12 @@ def _elsewhere(found: Registration, start: FloatArray | None) -> bool:
     return not (len(away) and np.median(np.where(np.isnan(away), np.inf, away)) < ELSEWHERE_PX)
 
 
-def _followers(scene: BodyScene) -> tuple[Follower, Follower]:
-    """What finds the subsets of the left and of the right camera."""
-    left, right = (
+def _followers(scene: BodyScene) -> tuple[Follower, ...]:
+    """What finds the subsets of each camera."""
+    return tuple(
         Follower(reference, first, images.full_scale, scene.settings)
         for reference, first, images in zip(scene.references, scene.first, scene.images, strict=True)
     )
-    return left, right
 
 
 def _fitted_together(scene: BodyScene, frames: range, device: str) -> Iterator[FollowedFrame]:
@@ -257,24 +269,25 @@ def _fitted_together(scene: BodyScene, frames: range, device: str) -> Iterator[F
 
     views = [torch_view(view, device, PRECISION) for view in scene.views]
 
-    def together(pair: tuple[FollowedImage, FollowedImage]) -> tuple[int, ...]:
-        return tuple(id(side.spline.frames) for side in pair if isinstance(side.spline, OnDevice))
+    def together(frame: tuple[FollowedImage, ...]) -> tuple[int, ...]:
+        return tuple(id(side.spline.frames) for side in frame if isinstance(side.spline, OnDevice))
 
     sought = iter(scene.sought[frames.start : frames.stop].tolist())
     for _, group in groupby(_sides(scene, frames, device), together):
-        pairs = list(group)
-        starts = [motion_of_places(scene.seen, _places(scene, (left.found, right.found))) for left, right in pairs]
+        taken = list(group)
+        where = [tuple(side.found for side in frame) for frame in taken]
+        starts = [motion_of_places(scene.seen, _places(scene, found)) for found in where]
         known = [k for k, start in enumerate(starts) if start is not None]
         targets = []
-        for side in zip(*pairs, strict=True):
+        for side in zip(*taken, strict=True):
             there = [frame.spline for frame in side if isinstance(frame.spline, OnDevice)]
             targets.append((there[0].frames, [there[k].number for k in known]))
         begun = [start for start in starts if start is not None]
         fits = dict(zip(known, fit_frames(views, targets, begun) if begun else [], strict=True))
-        for k, (left, right) in enumerate(pairs):
-            found, fit = (left.found, right.found), fits.get(k)
+        for k, (found, frame) in enumerate(zip(where, taken, strict=True)):
+            fit = fits.get(k)
             if fit is None:  # one that is lost is tried again as the CPU would
-                fit = _fit(scene, found, _splines(scene, (left, right)))
+                fit = _fit(scene, found, _splines(scene, frame))
             wanted = next(sought)
             yield found if wanted or fit is None else None, fit
 
@@ -282,14 +295,14 @@ def _fitted_together(scene: BodyScene, frames: range, device: str) -> Iterator[F
 def _with_noise(scene: BodyScene, device: str, progress: Progress | None) -> BodyScene:
     """The scene with the noise models of the first frame that can be fitted, and what was found up to it."""
     for number in range(1, len(scene.images[0])):
-        (pair,) = _sides(scene, range(number, number + 1), device)
-        found, splines = (pair[0].found, pair[1].found), _splines(scene, pair)
+        (frame,) = _sides(scene, range(number, number + 1), device)
+        found, splines = tuple(side.found for side in frame), _splines(scene, frame)
         fit = _fit(scene, found, splines)
         if fit is not None:
-            left, right = map(partial(image_noise, moved=fit.moved), scene.views, splines)
-            weighed = zip(scene.views, (left, right), strict=True)
+            noise = tuple(map(partial(image_noise, moved=fit.moved), scene.views, splines))
+            weighed = zip(scene.views, noise, strict=True)
             views = tuple(reweighted_view(view, model, scene.settings.degree) for view, model in weighed)
-            scene = replace(scene, noise=(left, right), views=views)
+            scene = replace(scene, noise=noise, views=views)
             fit = _fit(scene, found, splines)
         scene = replace(scene, lead=(*scene.lead, (found, fit)))
         _tell(progress, number + 1)
@@ -298,59 +311,52 @@ def _with_noise(scene: BodyScene, device: str, progress: Progress | None) -> Bod
     return scene
 
 
-def _sides(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[FollowedImage, FollowedImage]]:
-    """Some frames of both cameras in turn."""
-    left, right = (
+def _sides(scene: BodyScene, frames: range, device: str) -> Iterator[tuple[FollowedImage, ...]]:
+    """Some frames of all cameras in turn."""
+    followed = (
         follow_sequence(images, reference, scene.settings, device, frames)
         for images, reference in zip(scene.images, scene.references, strict=True)
     )
-    return zip(left, right, strict=True)
+    return zip(*followed, strict=True)
 
 
-def _splines(scene: BodyScene, pair: tuple[FollowedImage, FollowedImage]) -> Splines:
+def _splines(scene: BodyScene, frame: tuple[FollowedImage, ...]) -> Splines:
     """The splines of a frame in memory."""
-    left, right = (
+    return tuple(
         side.spline if isinstance(side.spline, Spline) else spline_of_image(side.image, scene.settings.degree)
-        for side in pair
+        for side in frame
     )
-    return left, right
 
 
 def _tell(progress: Progress | None, frames: int) -> None:
-    """Say that both images of so many frames are done."""
+    """Say that all images of so many frames are done, two of each, as of a pair."""
     if progress is not None:
         progress(2 * frames)
 
 
-def _places(scene: BodyScene, found: Found) -> tuple[FloatArray, FloatArray]:
-    """Where the subsets (N, 2) of one frame are in both cameras, NaN where they are not found."""
-    left, right = (
-        reference.centre_px + here.warp[:, [0, 3]] for reference, here in zip(scene.references, found, strict=True)
-    )
-    return left, right
+def _places(scene: BodyScene, found: Found) -> tuple[FloatArray, ...]:
+    """Where the subsets (N, 2) of one frame are in each camera, NaN where they are not found."""
+    both = zip(scene.references, found, strict=True)
+    return tuple(reference.centre_px + here.warp[:, [0, 3]] for reference, here in both)
 
 
 def _place(scene: BodyScene, found: Found) -> Points:
     """Points (1, N) of one frame in the body's frame, all subsets equally trusted."""
-    left, right = _places(scene, found)
-    return triangulate(scene.rig, left[None], right[None]).transformed(scene.body_from_left)
+    return locate(scene.rig, [place[None] for place in _places(scene, found)]).transformed(scene.body_from_left)
 
 
-def _cameras(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, PlacedCamera]:
-    """Both cameras about the body; `BodyNotFound` where the calibration places no points of it."""
+def _cameras(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, ...]:
+    """The cameras about the body; `BodyNotFound` where the calibration places no points of it."""
     placed = int(np.count_nonzero(np.isfinite(rest_m).all(axis=1)))
     if placed < 3:
         text = f"at least 3 points that both cameras see in one place, found {placed} of {len(rest_m)}"
         raise BodyNotFound(f"rig: expected {text}; the calibration does not belong to these images")
     left_from_body = scene.body_from_left.inverse()
-    return (
-        PlacedCamera(scene.rig.left, left_from_body),
-        PlacedCamera(scene.rig.right, scene.rig.right_from_left @ left_from_body),
-    )
+    return tuple(PlacedCamera(camera, from_left @ left_from_body) for camera, from_left in scene.rig.placed)
 
 
 def _views(scene: BodyScene, splines: Splines) -> tuple[BodyView, ...]:
-    """The body at rest in both cameras, all pixels equally trusted."""
+    """The body at rest in each camera, all pixels equally trusted."""
     side_px, shapes = 2 * scene.settings.radius_px + 1, scene.shapes
     return tuple(
         view_body(one.camera, (spline, area, float(images.full_scale)), one.points_m, side_px, UNIFORM, shapes)
