@@ -449,6 +449,19 @@ def _without_calibration_share(stereo: Stereo, rig: Rig) -> Stereo:
     return stereo.model_copy(update={"pose_uncertainty": tuple(left.tolist())})
 
 
+def lines_seen(measured: StereoMotion, lines: Lines) -> tuple[BoolArray, tuple[Notice, ...]]:
+    """Return which lines (K,) the frames tell apart, and a notice for each that is dropped."""
+    order = np.lexsort((lines.frequency_hz, lines.multiple))  # fundamentals have precedence over harmonics
+    usable = np.zeros(len(order), dtype=np.bool_)
+    usable[order], aliased = usable_lines(measured.sight.time_s, lines.frequency_hz[order])
+    for k in np.flatnonzero(usable & (lines.multiple > 1)):
+        driven = (lines.nominal_hz == lines.nominal_hz[k]) & (lines.multiple == 1)
+        if driven.any() and not usable[driven].all():  # a fit without the strong line is none of the weak one
+            usable[k], where = False, f"{lines.frequency_hz[k]:.6g} Hz"
+            aliased += (Notice("warning", f"{where} is dropped with its fundamental", where),)
+    return usable, aliased
+
+
 def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion]) -> tuple[Lines, Sight]:
     """Find the lines in the motion itself, for recordings without any channel that shows the excitation.
 
