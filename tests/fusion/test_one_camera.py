@@ -16,8 +16,10 @@ from fusion.instruments.stereo import SURFACE, StereoReading
 from fusion.phasors.image_effects import THROUGH, phasor_motion, surface_effects, with_surface_at_rest
 from fusion.phasors.stereo_motion import StereoMotion
 from fusion.planning.check import check
+from fusion.planning.look.look import look
 from fusion.recording.load import load_manifest
 from fusion.recording.rig import Stereo
+from fusion.report.recording import render_report
 from fusion.sensitivity.evaluate import evaluate_recording
 from fusion.simulate import simulate
 from photogram.camera import Camera, FaceCamera, locate
@@ -190,3 +192,8 @@ def test_a_recording_before_one_camera_holds_the_truth_and_check_says_what_is_se
         assert (np.abs(found.phasors.value[0] - truth) <= coverage_factor(float(found.phasors.dof[0])) * u).all()
     pair = next(pair for pair in evaluation.stereo if pair.name == "top")
     assert pair.epipolar is pair.deflection is pair.shapes is None
+    assert look(recording).level == "good"
+    page = render_report(evaluation)
+    assert "one camera before a stated surface" in page
+    assert "stereo top: surface" in page
+    assert "Epipolar residuals of top" not in page
