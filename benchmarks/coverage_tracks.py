@@ -189,7 +189,7 @@ def subset_tracks(world: World, stereo: TrueStereo, draws: Draws) -> StereoTrack
     moved = np.stack([RigidTransform.from_pose(pose).apply(face) for pose in poses])
     pixels = stereo.rig.project(stereo.left_from_sensor.apply(moved))
     sides = [_track(place, draws.stream(f"subsets.{name}")) for name, place in zip("lr", pixels, strict=True)]
-    return StereoTracks(sides[0], sides[1], (), np.full(2, 5.0), np.full(2, 6.0), np.zeros(2))
+    return StereoTracks((sides[0], sides[1]), (), np.full(2, 5.0), np.full(2, 6.0), np.zeros(2))
 
 
 def _track(place: FloatArray, rng: np.random.Generator) -> Tracks:

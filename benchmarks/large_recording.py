@@ -33,8 +33,9 @@ import tifffile
 from numpy.typing import NDArray
 
 from fusion.base import Settings
+from fusion.phasors.followed import Followed
 from fusion.phasors.setup import OpenSetUp, open_set_ups
-from fusion.phasors.stereo_motion import Followed, OpenImages, body_inputs, seen_motion
+from fusion.phasors.stereo_motion import OpenImages, body_inputs, seen_motion
 from fusion.phasors.stereo_phasors import stereo_phasors
 from fusion.recording.load import load_manifest
 from fusion.report.files import Kept

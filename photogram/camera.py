@@ -1,4 +1,4 @@
-"""Cameras and stereo pairs: projection with distortion, its inverse, triangulation by maximum likelihood.
+"""Cameras alone and in pairs: projection with distortion, its inverse, points by triangulation or on a known face.
 
 To the compiled kernels a camera is the vector [fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s]; the model is OpenCV's rational
 one (Brown 1971, Photogrammetric Engineering 37, 855; Claus and Fitzgibbon 2005, CVPR, 213) with skew: with r² = x² + y²
@@ -10,12 +10,13 @@ u = fx·x_d + s·y_d + cx,  v = fy·y_d + cy.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
+from photogram.arrays import Arrays, FloatArray, IntArray, check_shape, derivatives
 from photogram.geometry import RigidTransform, invert, rotation_from_vector, skew
 from photogram.kernels import njit
 
@@ -223,6 +224,11 @@ class StereoRig(Arrays, shapes="covariance 32 32"):
                 )
 
     @property
+    def placed(self) -> tuple[tuple[Camera, RigidTransform], ...]:
+        """Both cameras, each with camera_from_left."""
+        return (self.left, RigidTransform.identity()), (self.right, self.right_from_left)
+
+    @property
     def values(self) -> FloatArray:
         """The values (32,) of `RIG_PARAMETERS`, zero for those of the rotation."""
         values = np.zeros(len(RIG_PARAMETERS))
@@ -353,6 +359,98 @@ def triangulate(
         position.reshape(frames, points, 3),
         covariance.reshape(frames, points, 3, 3),
         reprojection.reshape(frames, points),
+    )
+
+
+# A camera alone: what it sees lies on a face that is known otherwise.
+
+FACE_PARAMETERS = (*CAMERA_PARAMETERS, "face.distance", "face.tilt_1", "face.tilt_2")
+ALONG = 1e4  # standard deviation along a ray over that across it: an open depth, and matrices that can be inverted
+_FACE_STEP_M = 1e-6  # of the derivative of a pixel by its point
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FaceCamera(Arrays, shapes="point_m 3; normal 3; covariance 16 16"):
+    """A camera alone, and the plane in its frame in which the face of a body lies at rest.
+
+    point_m (3,) of the plane and its unit normal (3,); covariance (16, 16) of `FACE_PARAMETERS` or None: the camera's,
+    the plane's place along its normal (m), and its turns (rad) through the point about two axes across the normal.
+
+    >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
+    >>> rig = FaceCamera(camera, np.array([0.0, 0.0, 0.5]), np.array([0.0, 0.0, -1.0]))
+    >>> locate(rig, [np.array([[[520.0, 240.0]]])]).position_m.round(6)
+    array([[[0.1, 0. , 0.5]]])
+    """
+
+    camera: Camera
+    point_m: FloatArray
+    normal: FloatArray
+    covariance: FloatArray | None = None
+
+    parameters: ClassVar[tuple[str, ...]] = FACE_PARAMETERS
+
+    @property
+    def placed(self) -> tuple[tuple[Camera, RigidTransform], ...]:
+        """The camera, in its own frame."""
+        return ((self.camera, RigidTransform.identity()),)
+
+    def moved(self, by: RigidTransform) -> FaceCamera:
+        """Return the camera with the face elsewhere at rest, by a rigid motion in the camera's frame."""
+        return replace(self, point_m=by.apply(self.point_m), normal=by.rotation @ self.normal)
+
+    def perturbed(self, delta: FloatArray) -> FaceCamera:
+        """Return the camera and the face with their parameters changed by delta (16,), as in `FACE_PARAMETERS`."""
+        own = len(CAMERA_PARAMETERS)
+        first = np.cross(self.normal, np.eye(3)[int(np.argmin(np.abs(self.normal)))])
+        first /= np.linalg.norm(first)
+        turn = rotation_from_vector(delta[own + 1] * first + delta[own + 2] * np.cross(self.normal, first))
+        return replace(
+            self,
+            camera=Camera.from_parameters(self.camera.parameters + delta[:own], self.camera.size_px),
+            point_m=self.point_m + delta[own] * self.normal,
+            normal=turn @ self.normal,
+        )
+
+
+Rig = StereoRig | FaceCamera
+
+
+def locate(
+    rig: Rig,
+    places_px: Sequence[FloatArray],
+    covariances_px2: Sequence[FloatArray] | None = None,
+    moved: FloatArray | None = None,
+) -> Points:
+    """Return points (F, N) in the frame of the first camera, for pixels (F, N, 2) of each camera.
+
+    Of a pair as `triangulate` does. Of a camera alone where their rays meet the face, in frames in which it has `moved`
+    (F, 6) about the camera's centre there; what a ray leaves open is 10⁴ times as uncertain along it as across it, so
+    that a fit of the points by their covariances takes the distances of the rays, and nothing is left over
+    (`reprojection_px` NaN).
+    """
+    if isinstance(rig, StereoRig):
+        return triangulate(rig, *places_px, *(covariances_px2 or ()))
+    (pixels,) = places_px
+    check_shape("places_px", pixels, (None, None, 2))
+    poses = np.zeros((len(pixels), 6)) if moved is None else moved
+    faces = [rig.moved(RigidTransform.from_pose(pose)) for pose in poses]
+    rays = np.concatenate([rig.camera.undistort(pixels), np.ones((*pixels.shape[:2], 1))], axis=2)
+    normal = np.array([face.normal for face in faces])
+    height = np.array([face.normal @ face.point_m for face in faces])
+    position = rays * (height[:, None] / np.einsum("fni,fi->fn", rays, normal))[..., None]
+    position[~(position[..., 2] > 0.0)] = np.nan
+    slope = derivatives(lambda step: rig.camera.project(position + step), np.full(3, _FACE_STEP_M))
+    weight = np.eye(2) if covariances_px2 is None else covariances_px2[0]
+    known = np.asarray(np.isfinite(slope).all(axis=(2, 3)) & np.isfinite(weight).all(axis=(-2, -1)))
+    weight = np.linalg.inv(np.where(known[..., None, None], weight, np.eye(2)))
+    across = np.swapaxes(slope, 2, 3) @ weight @ slope
+    open_ = np.einsum("fni,fnj->fnij", rays, rays) / np.sum(rays**2, axis=2)[..., None, None]
+    precision = across + open_ * (np.trace(across, axis1=2, axis2=3) / (2.0 * ALONG**2))[..., None, None]
+    covariance = np.linalg.inv(np.where(known[..., None, None], precision, np.eye(3)))
+    return Points(
+        np.where(known[..., None], position, np.nan),
+        np.where(known[..., None, None], covariance, np.nan),
+        np.full(known.shape, np.nan),
     )
 
 

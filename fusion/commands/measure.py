@@ -143,8 +143,9 @@ def _simulate_options(parser: Parser) -> None:
 
     parser.value("out", path, "OUT", "campaign folder to create")
     text = (
-        "which rig (default: demo); room: on a floor that may shake, with patches at rest; sweep, matrix: campaigns "
-        "for a curve over frequency and for the 6x6; targets: a camera calibration; chirp: a recording for shakercal "
+        "which rig (default: demo); single: before one camera; room: on a floor that may shake, with patches at rest; "
+        "sweep, matrix: campaigns for a curve over frequency and for the 6x6; targets: a camera calibration; chirp: a "
+        "recording for shakercal "
         "transfer; masses, pitching: campaigns of two loads for shakercal identify; rotation: a campaign for shakercal "
         "rotate; steps: one for shakercal step; loads: one for shakercal load; elastomer: a geometry for shakercal "
         "elastomer"

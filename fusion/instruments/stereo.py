@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from fusion.recording.rig import Stereo
 
 CALIBRATION = "calibration"
+SURFACE = "surface"
 PERIODIC = "error periodic in the pixel"
+SCOPES: dict[str, Scope] = {SURFACE: "mounting", PERIODIC: "recording"}
 GEOMETRY = np.eye(6)
 """What a pair can observe, as rows (6, 6) on the motion of the sensor origin: every component by itself."""
 
@@ -60,10 +62,12 @@ class StereoReading(Geometry):
     """One stereo pair: `pair` as rig.toml has it, displacement phasors (K, 6) in m and rad about the sensor origin.
 
     `effects`: by name, changes (P, K, 6) of the phasors for one standard uncertainty of further unknowns, such as the
-    principal components of the calibration's covariance (CALIBRATION, which counts as stated). `clock_uncertainty`:
-    relative, of the time base. `errors`: those that hold for one recording, such as those of the trigger's instants and
-    of the lines' frequencies, each one unknown for all pairs that follow it. `face_m` (3,): the middle of the points
-    that it follows, at rest, where that is known.
+    principal components of the calibration's covariance (CALIBRATION), or of the surface that a camera alone sees
+    (SURFACE), which both count as stated. `through_surface` (6, K, 6): what errors of the pose do to that camera's
+    phasors because its distance from the surface is another one, None of a pair. `clock_uncertainty`: relative, of the
+    time base. `errors`: those that hold for one recording, such as those of the trigger's instants and of the lines'
+    frequencies, each one unknown for all pairs that follow it. `face_m` (3,): the middle of the points that it follows,
+    at rest, where that is known.
     """
 
     name: str
@@ -73,6 +77,7 @@ class StereoReading(Geometry):
     clock_uncertainty: float = 0.0
     errors: tuple[RelativeError, ...] = ()
     face_m: FloatArray | None = None
+    through_surface: ComplexArray | None = None
 
     def observed(self) -> Observation:
         """Return the rows of the pair: displacement phasors = -A/ω², and their common errors by name.
@@ -84,17 +89,19 @@ class StereoReading(Geometry):
         factor = derivative_factor(frequency, -2)
         design = factor[:, None, None] * GEOMETRY
         none = np.zeros_like(self.phasors.value)
+        beside = [none] * 7 if self.through_surface is None else [none, *self.through_surface[[0, 3, 1, 4, 2, 5]]]
         common = [
-            CommonError(name, label, u, unit, "rig", factor[:, None, None] * (u * change), none)
-            for name, label, u, unit, change in self._frame_errors()
+            CommonError(name, label, u, unit, "rig", factor[:, None, None] * (u * change), offset)
+            for (name, label, u, unit, change), offset in zip(self._frame_errors(), beside, strict=True)
             if u > 0.0
         ]
         delay = late(f"{title}: delay", frequency, self.pair.delay_uncertainty, "rig")
         common += [error.of_rows(design) for error in delay]
-        stated = bool(common) or len(self.effects.get(CALIBRATION, ())) > 0
+        stated = bool(common) or any(len(self.effects.get(what, ())) for what in (CALIBRATION, SURFACE))
         for what, changes in self.effects.items():
             label = f"{title}: {what}"
-            scope: Scope = "recording" if what.startswith(PERIODIC) else "rig"
+            scopes = [scope for begins, scope in SCOPES.items() if what.startswith(begins)]
+            scope: Scope = scopes[0] if scopes else "rig"
             for place, effect in enumerate(np.asarray(changes)):
                 common.append(CommonError(f"{label} {place}", label, 1.0, "1", scope, np.zeros_like(design), effect))
         common += [error.of_rows(design) for error in self.errors]
@@ -128,7 +135,12 @@ class StereoReading(Geometry):
 
     @property
     def unknowns(self) -> frozenset[str]:
-        """Return the names of the unknowns of the pose, which `moved` draws."""
+        """Return the names of the unknowns of the pose, which `moved` draws.
+
+        Those of a camera alone act to first order.
+        """
+        if self.through_surface is not None:
+            return frozenset()
         return frozenset(name for kind in ("position", "rotation") for name in self._pose_names(kind))
 
     def _pose_names(self, kind: str) -> list[str]:
@@ -136,6 +148,8 @@ class StereoReading(Geometry):
 
     def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
         """Return displacement phasors (N, K, 6) in frames elsewhere: t' = R (t + theta × p), theta' = R theta."""
+        if not self.unknowns:
+            return readings
         u = np.asarray(self.pair.pose_uncertainty, dtype=np.float64)
         position, rotation = (
             np.stack([deviates.normal(name) for name in self._pose_names(kind)], axis=1)

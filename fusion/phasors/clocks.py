@@ -9,8 +9,7 @@ import numpy as np
 
 from fusion.instruments.transducer import ROOM
 from fusion.phasors.channels import APART_PERIODS, STEADY, line_rates, line_stretch, with_ties
-from fusion.phasors.stereo_motion import StereoMotion
-from fusion.phasors.stereo_phasors import lines_seen
+from fusion.phasors.stereo_motion import StereoMotion, lines_seen
 from fusion.phasors.timing import TimeBase, see
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles

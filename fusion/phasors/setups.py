@@ -104,7 +104,9 @@ class ReferenceTie:
         }
         named = [replace(e, name=f"{self.name}: {e.name}", label=f"{self.name}: {e.label}") for e in pair.errors]
         own = [error.scaled(self.factor[:, None]) for error in named]
-        return replace(pair, phasors=self.phasors(pair.phasors), effects=effects, errors=(*own, *self.errors))
+        through = None if pair.through_surface is None else pair.through_surface * self.factor[:, None]
+        phasors, errors = self.phasors(pair.phasors), (*own, *self.errors)
+        return replace(pair, phasors=phasors, effects=effects, errors=errors, through_surface=through)
 
 
 def reference_ties(set_ups: Sequence[OpenSetUp]) -> tuple[ReferenceTie, ...]:

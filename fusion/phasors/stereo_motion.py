@@ -6,15 +6,10 @@ follows them brings numba, which opening them does without: it is imported by th
 
 from __future__ import annotations
 
-import hashlib
-import io
-import weakref
-import zipfile
-import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from tempfile import SpooledTemporaryFile
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -32,14 +27,15 @@ from fusion.base import (
     as_input_error,
 )
 from fusion.instruments.transducer import ROOM
+from fusion.phasors.followed import Followed, follow
 from fusion.phasors.timing import Sight, TimeBase, see
 from fusion.recording.files import AlreadyRead
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles
 from fusion.recording.rig import Stereo
-from fusion.recording.values import FILE
-from photogram.calibration.file import read_calibration
-from photogram.camera import StereoRig
+from fusion.recording.values import FILE, Surface
+from photogram.calibration.file import read_calibration, read_camera
+from photogram.camera import FaceCamera, Rig, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images.files import open_sequence
 from photogram.images.sequence import GreyImage, ImageSequence, saturated_fraction
@@ -55,12 +51,12 @@ if TYPE_CHECKING:
     from photogram.epipolar import EpipolarCheck
     from photogram.images.noise import NoiseModel
     from photogram.measure.body import BodyMotion
-    from photogram.measure.follow import BodyScene, FollowedBlock
+    from photogram.measure.follow import BodyScene
     from photogram.subsets.icgn import TrackSettings
     from photogram.subsets.texture import SubsetQuality
     from photogram.subsets.track import StereoTracks
 
-    BodyInputs = tuple[tuple[ImageSequence, ImageSequence], StereoRig, RigidTransform, TrackSettings]
+    BodyInputs = tuple[tuple[ImageSequence, ...], Rig, RigidTransform, TrackSettings]
 
 T = TypeVar("T")
 
@@ -69,13 +65,16 @@ SAME_EXPOSURE = 0.02  # relative difference of exposures that are told apart
 SAME_RATE = 0.01  # of frames on the camera's clock and of edges on that of a DAQ
 FEWEST_SOUGHT, SPARED, TIMES_UNKNOWNS = 48, 4, 2  # frames with subsets, at least: so many, a share, and by the lines
 FEWEST_PLACES = 3  # on a body that tell where it is
-HELD = 1 << 26
+ALONE = (
+    "one camera before a stated surface: how the body deforms, whether it lies on that surface, and whether the camera "
+    "still is what was calibrated, is not told"
+)
 NO_MOTION = "no frame has enough points for a rigid motion"
 
 
 @dataclass(frozen=True)
 class OpenImages:
-    """The images of one stereo pair, opened and checked: its sight, both sequences, its rig, the first left image.
+    """The images of one stereo pair, opened and checked: its sight, those of each camera, its rig, the first left one.
 
     `notices`: what the files do to the grey values, and what they say against the manifest.
     `depth_m`: nearest and farthest depth in the left camera where its body can be (`known_depth`), None if not known;
@@ -83,29 +82,33 @@ class OpenImages:
     """
 
     sight: Sight
-    left: ImageSequence
-    right: ImageSequence
-    rig: StereoRig
+    cameras: tuple[ImageSequence, ...]
+    rig: Rig
     first: GreyImage
     notices: tuple[AnyNotice, ...]
     depth_m: tuple[float, float] | None
     modes: ModeShapes | None
     entry: Images
 
+    @property
+    def left(self) -> ImageSequence:
+        """The images of the left camera, or of the only one."""
+        return self.cameras[0]
+
 
 @dataclass(frozen=True)
 class ImageView:
     """What the images of one stereo pair gave: tracked subsets of some frames at a time, their rig, the first left
-    image, the noise models of both cameras and what their subsets promised, whether the pair still is what was
-    calibrated, how the body deforms in shapes that all pixels tell, and medians: standard deviation that the noise
-    gives to positions, and `zncc` in the left camera."""
+    image, the noise models of its cameras and what their subsets promised, whether the pair still is what was
+    calibrated (None of a camera alone), how the body deforms in shapes that all pixels tell, and medians: standard
+    deviation that the noise gives to positions, and `zncc` in the left camera."""
 
     tracks: Iterable[StereoTracks]
-    rig: StereoRig
+    rig: Rig
     reference_image: GreyImage
-    noise: tuple[NoiseModel, NoiseModel] | None
-    quality: tuple[SubsetQuality, SubsetQuality] | None
-    epipolar: EpipolarCheck
+    noise: tuple[NoiseModel, ...] | None
+    quality: tuple[SubsetQuality, ...] | None
+    epipolar: EpipolarCheck | None
     deformed: ShapeAmplitudes
     sigma_px: float
     zncc: float
@@ -160,20 +163,21 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
     A saturated image is refused when it is read; the first ones are read here.
     """
     key, sequences, opened = f"images.{entry.stereo}", [], {} if already is None else already.images
-    for side, paths in (("left", entry.left), ("right", entry.right)):
+    for side, paths in entry.cameras:
         with as_input_error(manifest.path, f"{key}.{side}"):
             sequence = opened.get((paths, entry.bit_depth)) or open_sequence(paths, entry.bit_depth)
             sequences.append(replace(sequence, reader=partial(_read_unsaturated, sequence)))
-    left, right = sequences
-    if len(left) != len(right):
-        found, expected = f"{len(right)} images", f"{len(left)} as on the left"
-        raise InputError(manifest.path, f"{key}.right", found=found, expected=expected)
+    left = sequences[0]
+    for other in sequences[1:]:
+        if len(left) != len(other):
+            found, expected = f"{len(other)} images", f"{len(left)} as on the left"
+            raise InputError(manifest.path, f"{key}.right", found=found, expected=expected)
     if entry.exposure == FILE:
         entry = entry.model_copy(update={"exposure": _stated_exposure(manifest, entry, sequences)})
     sight = see(manifest, base, entry, len(left))
     rig = read_rig(sight.pair, sequences)
     first = []
-    for side, sequence in (("left", left), ("right", right)):
+    for (side, _), sequence in zip(entry.cameras, sequences, strict=True):
         with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequence.read(0))
     pair = _without_calibration_share(sight.pair, rig)
@@ -189,14 +193,14 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
         from fusion.sensitivity.mode_shapes import mode_shapes
 
         modes = mode_shapes(load, sight.name)
-    return OpenImages(replace(sight, pair=pair), left, right, rig, first[0], tuple(told), known, modes, entry)
+    return OpenImages(replace(sight, pair=pair), tuple(sequences), rig, first[0], tuple(told), known, modes, entry)
 
 
 def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[ImageSequence]) -> float:
-    """Return the exposure in s that both cameras' files state."""
+    """Return the exposure in s that the files of all cameras state."""
     stated = [images.exposure_s for images in sequences]
     both = [exposure for exposure in stated if exposure is not None]
-    if len(both) < 2 or max(both) - min(both) > SAME_EXPOSURE * max(both):
+    if len(both) < len(stated) or max(both) - min(both) > SAME_EXPOSURE * max(both):
         told = " and ".join("no exposure" if exposure is None else f"{1e6 * exposure:g} µs" for exposure in stated)
         found = f'"{FILE}", but the files state {told}'
         raise InputError(manifest.path, f"images.{entry.stereo}.exposure", found=found, expected="the exposure in s")
@@ -266,7 +270,7 @@ def measure_pairs(
             scene: BodyScene | LeftOut = _attempted(item, partial(_answer, item, pending))
             followed = scene if isinstance(scene, LeftOut) else Followed(item, scene, device, kept)
             shares = () if isinstance(followed, LeftOut) else followed.missing()
-            asked = {share: crew.submit(1, _followed, pending, share, device) for share in shares}
+            asked = {share: crew.submit(1, follow, pending, share, device) for share in shares}
             begun.append((item, followed, asked))
         moved = list[LeftOut | Pending]()
         for item, followed, asked in begun:  # so that no block waits in memory for the motion of another pair
@@ -321,151 +325,12 @@ def _prepared(images: OpenImages, settings: Settings, lines: int | None) -> Body
     return prepare_body(*inputs, resolve_device(settings.device), known=KnownBody(images.depth_m, images.modes))
 
 
-def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, as above
-    from photogram.measure.follow import follow_block
-    from photogram.subsets.track import resolve_device
-
-    return follow_block(scene, frames, resolve_device(device))
-
-
 def measure_images(images: OpenImages, settings: Settings, progress: ProgressCallback) -> StereoMotion:
     """Track the image pairs of one stereo pair and fit the rigid motion of the body it sees."""
     (found,) = measure_pairs((images,), settings, progress)
     if isinstance(found, LeftOut):
         raise found.error
     return found
-
-
-# Blocks of frames on a disk: a motion is computed from them one at a time, and a run that was ended goes on from them.
-
-
-class Followed:
-    """The blocks of a pair's frames that were followed, read one at a time, in their order, as often as asked for.
-
-    They lie where they are kept. What is kept nowhere is in memory up to `HELD` bytes, beyond that in a temporary file
-    on the disk of the results, in the system's folder for such files where there are none; the file has no name where
-    the system permits it, and is gone with this object or its process. What was kept and is no longer there is followed
-    again. A pickle holds all blocks, of whatever size, and is opened in memory and the system's folder.
-    """
-
-    def __init__(self, images: OpenImages, scene: BodyScene, device: str, kept: Keeper | None) -> None:
-        self.scene = scene
-        self._device, self._kept = device, kept if len(scene.blocks) > 1 else None
-        pair = "\n".join([images.sight.name, *images.left.names[:1]])  # the first image tells it from that of a take
-        self._sight, self._pair = images.sight.name, hashlib.sha256(pair.encode()).hexdigest()[:12]
-        self._hold(None if kept is None else str(kept.disk))
-
-    def _hold(self, folder: str | None) -> None:
-        self._places: dict[range, tuple[int, int]] = {}
-        self._held = SpooledTemporaryFile(max_size=HELD, dir=folder)  # noqa: SIM115  (closed with this object)
-        weakref.finalize(self, self._held.close)
-
-    def __getstate__(self) -> dict[str, Any]:
-        content = {frames: packed(block) for frames, block in zip(self.scene.blocks, self, strict=True)}
-        plain = {name: self.__dict__[name] for name in ("scene", "_device", "_sight", "_pair")}
-        return {**plain, "content": content}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        content = state.pop("content")
-        self.__dict__.update(state, _kept=None)
-        self._hold(None)
-        for frames, block in content.items():
-            self._put(frames, block)
-
-    def missing(self) -> list[range]:
-        """Return the blocks that have to be followed."""
-        return [frames for frames in self.scene.blocks if self._found(frames) is None]
-
-    def add(self, frames: range, block: FollowedBlock) -> None:
-        """Put a block where it is found again."""
-        content = packed(block)
-        if self._kept is None or not self._kept.put(self._name(frames), content):
-            self._put(frames, content)
-
-    def _put(self, frames: range, content: bytes) -> None:
-        start = self._held.seek(0, io.SEEK_END)
-        try:
-            self._held.write(content)
-            self._held.flush()
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            text = "its subsets found place neither beside the results nor in a temporary file"
-            where = f"stereo pair {self._sight}, frames {frames.start} to {frames.stop - 1}"
-            raise ComputeError(f"{where}: {text} ({reason})") from error
-        self._places[frames] = start, len(content)
-
-    def __iter__(self) -> Iterator[FollowedBlock]:
-        for frames in self.scene.blocks:
-            block = self._found(frames)
-            if block is None:
-                block = _followed(self.scene, frames, self._device)
-                self.add(frames, block)
-            yield block
-
-    def _name(self, frames: range) -> str:
-        return f"{self._pair}-{frames.start}-{frames.stop}"
-
-    def _found(self, frames: range) -> FollowedBlock | None:
-        content = None
-        if frames in self._places:
-            start, length = self._places[frames]
-            self._held.seek(start)
-            content = self._held.read(length)
-        elif self._kept is not None:
-            content = self._kept.get(self._name(frames))
-        return None if content is None else unpacked(content, len(frames))
-
-
-def packed(block: FollowedBlock) -> bytes:
-    """Return a block of frames as a file."""
-    from photogram.subsets.icgn import Registration
-
-    arrays: dict[str, Any] = {}
-    sought = [(number, found) for number, (found, _) in enumerate(block) if found is not None]
-    arrays["sought"] = np.array([number for number, _ in sought], dtype=np.int64)
-    for side in range(2):
-        for name in (field.name for field in fields(Registration)):
-            arrays[f"{name}-{side}"] = np.array([getattr(found[side], name) for _, found in sought])
-    fits = [(number, fit) for number, (_, fit) in enumerate(block) if fit is not None]
-    arrays["fitted"] = np.array([number for number, _ in fits], dtype=np.int64)
-    arrays["rotation"] = np.array([fit.moved.rotation for _, fit in fits]).reshape(-1, 3, 3)
-    arrays["translation"] = np.array([fit.moved.translation_m for _, fit in fits]).reshape(-1, 3)
-    arrays["covariance"] = np.array([fit.covariance for _, fit in fits]).reshape(-1, 6, 6)
-    shapes = len(fits[0][1].amplitude) if fits else 0
-    arrays["amplitude"] = np.array([fit.amplitude for _, fit in fits]).reshape(-1, shapes)
-    arrays["shape-covariance"] = np.array([fit.amplitude_covariance for _, fit in fits]).reshape(-1, shapes, shapes)
-    arrays["noise"] = np.array([fit.noise for _, fit in fits], dtype=np.float64)
-    arrays["cells"] = np.array([fit.cells for _, fit in fits], dtype=np.int64)
-    content = io.BytesIO()
-    np.savez(content, **arrays)
-    return content.getvalue() + zlib.crc32(content.getbuffer()).to_bytes(4, "big")
-
-
-def unpacked(content: bytes, frames: int) -> FollowedBlock | None:
-    """Return a block of frames that was `packed`, to the last bit; None for a damaged one."""
-    from photogram.direct.fit import DirectFit
-    from photogram.subsets.icgn import Registration
-
-    content, check = content[:-4], content[-4:]
-    if zlib.crc32(content).to_bytes(4, "big") != check:
-        return None
-    names = [field.name for field in fields(Registration)]
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        fits: list[DirectFit | None] = [None] * frames
-        names_of_fits = ("rotation", "translation", "covariance", "noise", "cells", "amplitude", "shape-covariance")
-        of_fits = (arrays[name] for name in ("fitted", *names_of_fits))
-        for number, rotation, translation, covariance, noise, cells, *shapes in zip(*of_fits, strict=True):
-            moved = RigidTransform(rotation, translation)
-            fits[number] = DirectFit(moved, covariance, float(noise), int(cells), *shapes)
-        found: list[tuple[Registration, Registration] | None] = [None] * frames
-        for k, number in enumerate(arrays["sought"].tolist()):
-            left, right = (Registration(*(arrays[f"{name}-{side}"][k].copy() for name in names)) for side in range(2))
-            found[number] = left, right
-    except (ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile):
-        return None
-    return tuple(zip(found, fits, strict=True))
 
 
 def body_inputs(images: OpenImages, settings: Settings, lines: int | None = None) -> BodyInputs:
@@ -482,7 +347,7 @@ def body_inputs(images: OpenImages, settings: Settings, lines: int | None = None
     if lines is not None and not settings.save_points:
         frames = max(FEWEST_SOUGHT, len(images.left) // SPARED, TIMES_UNKNOWNS * (2 * lines + 1))
     options = TrackSettings(radius, degree=settings.spline_degree, region=entry.region, mask=entry.mask, frames=frames)
-    return (images.left, images.right), images.rig, sensor_from_camera(images.sight.pair), options
+    return images.cameras, images.rig, sensor_from_camera(images.sight.pair), options
 
 
 def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
@@ -493,7 +358,10 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
     if not np.isfinite(body.motion.pose).all(axis=1).any():
         with as_input_error(*images.sight.where):
             raise BodyNotFound(f"{NO_MOTION}; look at the images")
-    epipolar = check_epipolar(body.tracked, images.rig, body.sought)
+    epipolar, told = None, tuple[AnyNotice, ...]([Notice("info", ALONE, "camera")])
+    if isinstance(images.rig, StereoRig):
+        epipolar = check_epipolar(body.tracked, images.rig, body.sought)
+        told = epipolar.notices
     medians = body.sigma_px, body.zncc
     return StereoMotion(
         images.sight,
@@ -501,14 +369,15 @@ def seen_motion(images: OpenImages, body: BodyMotion) -> StereoMotion:
         body.surface,
         body.reprojection_px,
         ImageView(body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, body.deformed, *medians),
-        (*images.notices, *body.notices, *epipolar.notices),
+        (*images.notices, *body.notices, *told),
         body.sought,
     )
 
 
 def still_calibrated(motion: StereoMotion) -> StereoMotion | LeftOut:
     """Return the motion of a pair that can be what was calibrated; any other pair is left out."""
-    name, why = motion.sight.name, "" if motion.view is None else motion.view.epipolar.refuted
+    epipolar = None if motion.view is None else motion.view.epipolar
+    name, why = motion.sight.name, "" if epipolar is None else epipolar.refuted
     return LeftOut(name, ComputeError(f"{why}; calibrate again")) if why else motion
 
 
@@ -542,14 +411,14 @@ def _read_unsaturated(sequence: ImageSequence, index: int) -> GreyImage:
     return image
 
 
-def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> StereoRig:
+def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> Rig:
     """Read a stereo pair's calibration; `InputError` where it is none, or one made for images of another size."""
     path = stereo.calibration
     if path is None:
         raise ComputeError("a stereo pair with images has no calibration")
     with as_input_error(path):
-        rig = read_calibration(path)
-    size = [int(length) for length in rig.left.size_px]
+        rig = read_calibration(path) if stereo.surface is None else _before_surface(stereo, path, stereo.surface)
+    size = [int(length) for length in rig.placed[0][0].size_px]
     for images in sequences:
         if size != list(images.size_px):
             expected = f"{list(images.size_px)}, the size of {images.names[0]}"
@@ -557,7 +426,17 @@ def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> StereoRig:
     return rig
 
 
-def _without_calibration_share(stereo: Stereo, rig: StereoRig) -> Stereo:
+def _before_surface(stereo: Stereo, calibration: Path, surface: Surface) -> FaceCamera:
+    """Return the camera of a file before the surface that its pair states, both with what is uncertain of them."""
+    camera, own = read_camera(calibration)
+    stated = np.square([surface.distance_uncertainty, surface.tilt_uncertainty, surface.tilt_uncertainty])
+    covariance = np.pad(own, (0, len(stated)))
+    covariance[len(own) :, len(own) :] = np.diag(stated)
+    place = sensor_from_camera(stereo).inverse()
+    return FaceCamera(camera, place.apply(np.array(surface.point)), place.rotation @ surface.normal, covariance)
+
+
+def _without_calibration_share(stereo: Stereo, rig: Rig) -> Stereo:
     """Return the pair with the uncertainty of its pose as it were with an exact calibration.
 
     The calibration's share, X·C·Xᵀ with X = `pose_by_calibration`, comes back with the calibration's own effects.
@@ -568,6 +447,19 @@ def _without_calibration_share(stereo: Stereo, rig: StereoRig) -> Stereo:
     share = np.einsum("ij,jk,ik->i", answer, rig.covariance, answer)
     left = np.sqrt(np.maximum(np.square(stereo.pose_uncertainty) - share, 0.0))
     return stereo.model_copy(update={"pose_uncertainty": tuple(left.tolist())})
+
+
+def lines_seen(measured: StereoMotion, lines: Lines) -> tuple[BoolArray, tuple[Notice, ...]]:
+    """Return which lines (K,) the frames tell apart, and a notice for each that is dropped."""
+    order = np.lexsort((lines.frequency_hz, lines.multiple))  # fundamentals have precedence over harmonics
+    usable = np.zeros(len(order), dtype=np.bool_)
+    usable[order], aliased = usable_lines(measured.sight.time_s, lines.frequency_hz[order])
+    for k in np.flatnonzero(usable & (lines.multiple > 1)):
+        driven = (lines.nominal_hz == lines.nominal_hz[k]) & (lines.multiple == 1)
+        if driven.any() and not usable[driven].all():  # a fit without the strong line is none of the weak one
+            usable[k], where = False, f"{lines.frequency_hz[k]:.6g} Hz"
+            aliased += (Notice("warning", f"{where} is dropped with its fundamental", where),)
+    return usable, aliased
 
 
 def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion]) -> tuple[Lines, Sight]:

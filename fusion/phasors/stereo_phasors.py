@@ -9,22 +9,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.base import AnyNotice, ComputeError, InputError, Threads
+from fusion.base import AnyNotice, ComputeError, Threads
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import FittedError
-from fusion.instruments.stereo import CALIBRATION, PERIODIC, StereoReading
+from fusion.instruments.stereo import StereoReading
 from fusion.instruments.transducer import ROOM
 from fusion.phasors.channels import spread_lines
 from fusion.phasors.deformation import DeflectionShape, ShapePhasors, deflection_shape, shape_phasors
-from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, sensor_from_camera
+from fusion.phasors.image_effects import THROUGH, image_effects, with_surface_at_rest
+from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, lines_seen
 from fusion.phasors.timing import Lateness, Sight, TimeBase, together
-from photogram.arrays import RunningMean, spread_choice
-from photogram.camera import StereoRig, principal_components, triangulate
-from photogram.direct.shapes import Shapes
-from photogram.geometry import RigidTransform
+from photogram.camera import FaceCamera, StereoRig
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage
-from photogram.motion import Deformation, RigidMotion, fit_motion, relative_to
+from photogram.motion import Deformation, RigidMotion, relative_to
 from shaker.arrays import ComplexArray, FloatArray, Notice, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import Lines
@@ -33,18 +31,14 @@ from shaker.sine.aliasing import (
     exposure_gain,
     nearest_clear_rate,
     sine_columns,
-    usable_lines,
 )
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
-from shaker.sine.normal_equations import SineSums, sine_amplitudes
+from shaker.sine.normal_equations import sine_amplitudes
 from shaker.sine.solve import SineFit, SineModel
 
 if TYPE_CHECKING:
     from photogram.epipolar import EpipolarCheck
 
-MIN_SUBSETS, SEEN_SHARE, EFFECT_SUBSETS = 6, 0.5, 200
-PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
-BIAS_STEP_PX = 0.01
 STEP, FEWEST_BESIDE = 20.0, 4  # of the noise: a step that no chance makes; frames beyond the unknowns of the lines
 ONE_BEAT = 1.1  # periods of a line's alias: in less, a slope looks like the line
 NO_LINE = "its camera rate tells no line of the recording apart"
@@ -59,9 +53,9 @@ class StereoResult:
     of which it leaves `residual` (F, 6).
     `reference_image` (H, W) and `subsets_px` (N, 2): first left image and the subsets tracked in it, None for points
     of another program. `usable` (K,): which lines of the recording this camera rate can tell apart. `deflection`: what
-    the points do beside the rigid motion at the usable lines, `shapes` what all pixels tell of it. `noise`: of the left
-    and the right camera. `sigma_px` (2,): median standard deviation of a subset's coordinate, as predicted from the
-    first images and as found.
+    the points do beside the rigid motion at the usable lines, `shapes` what all pixels tell of it, both None of a
+    camera alone, which does not tell depth from stretch. `noise`: of each camera. `sigma_px` (2,): median standard
+    deviation of a subset's coordinate, as predicted from the first images and as found.
     `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
     `stationarity`: the six components over blocks of whole beats, exposure loss not corrected. `u_exposure_s`: 0 where
     the exposure is stated. `u_rate`: relative, of the rate at which its frames were taken. `surface`: the points, and
@@ -148,19 +142,6 @@ def pairs_phasors(
     return tuple(fitted), tuple(notices), tuple(unfitted)
 
 
-def lines_seen(measured: StereoMotion, lines: Lines) -> tuple[NDArray[np.bool_], tuple[Notice, ...]]:
-    """Return which lines (K,) the frames tell apart, and a notice for each that is dropped."""
-    order = np.lexsort((lines.frequency_hz, lines.multiple))  # fundamentals have precedence over harmonics
-    usable = np.zeros(len(order), dtype=np.bool_)
-    usable[order], aliased = usable_lines(measured.sight.time_s, lines.frequency_hz[order])
-    for k in np.flatnonzero(usable & (lines.multiple > 1)):
-        driven = (lines.nominal_hz == lines.nominal_hz[k]) & (lines.multiple == 1)
-        if driven.any() and not usable[driven].all():  # a fit without the strong line is none of the weak one
-            usable[k], where = False, f"{lines.frequency_hz[k]:.6g} Hz"
-            aliased += (Notice("warning", f"{where} is dropped with its fundamental", where),)
-    return usable, aliased
-
-
 def stereo_phasors(
     base: TimeBase,
     measured: StereoMotion,
@@ -181,7 +162,7 @@ def stereo_phasors(
         raise ComputeError(f"stereo pair {name}: {NO_LINE}")
     frequency_hz = lines.frequency_hz[usable]
     steps = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
-    from_mean, fit = _fit_about_mean(name, measured, frequency_hz)
+    measured, from_mean, fit = _fit_about_mean(name, measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, exposure.length_s)
     errors = [error.through(fit, usable, 2) for error in together([*base.sight_errors(sight), *line_errors])]
     if strength is not None:
@@ -189,8 +170,9 @@ def stereo_phasors(
     errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]
     effects, shapes = dict[str, ComplexArray](), None
     if view is not None and sight.pair.body != ROOM:  # they grow with the motion seen, of which a room has next to none
-        effects, of_shapes = _image_effects(measured, view, frequency_hz, usable, gain)
-        shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, of_shapes)
+        effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain)
+        if isinstance(view.rig, StereoRig):
+            shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, of_shapes)
     reading = StereoReading(
         name=name,
         pair=sight.pair,
@@ -199,6 +181,7 @@ def stereo_phasors(
         clock_uncertainty=base.records[0].entry.clock_uncertainty,
         errors=(*errors, *exposure.errors(lines.frequency_hz)),
         face_m=np.asarray(np.nanmean(next(iter(measured.deformation)).reference_m, axis=0)),
+        through_surface=effects.pop(THROUGH, None),
     )
     told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     own = [*(n for n in fit.notices if n.severity == "warning"), *steps, *(shapes.notices() if shapes else ())]
@@ -220,35 +203,18 @@ def stereo_phasors(
         usable=usable,
         reprojection_px=measured.reprojection_px,
         surface=measured.deformation,
-        deflection=deflection_shape(measured.points_time_s, frequency_hz, measured.deformation, exposure.length_s),
+        deflection=_deflection(measured, frequency_hz),
         stationarity=stationarity(time_s, pose, frequency_hz, MOTION_COMPONENTS),
     )
     return StereoPhasors(result if view is None else _with_view(replace(result, shapes=shapes), view), reading, notices)
 
 
-def _image_effects(
-    measured: StereoMotion, view: ImageView, frequency_hz: FloatArray, usable: NDArray[np.bool_], gain: FloatArray
-) -> tuple[dict[str, ComplexArray], ComplexArray]:
-    """Return what calibration and errors periodic in the pixel do to the phasors, NaN at lines not `usable`, and to
-    amplitudes of shapes at those that are."""
-    sums, means = None, (RunningMean(), RunningMean())
-    for block in view.tracks:
-        positions = block.left.position_px, block.right.position_px
-        both = np.concatenate(positions, axis=2)
-        if sums is None:
-            sums, bias_px = SineSums(measured.points_time_s, frequency_hz, np.nan_to_num(both[0])), block.bias_px
-        sums.add(both)
-        for running, position in zip(means, positions, strict=True):
-            running.add(position)
-    assert sums is not None
-    places = means[0].mean, means[1].mean
-    of_calibration = _calibration_effects(measured, view, sums, len(frequency_hz))
-    periodic, periodic_of_shapes = _periodic_effects(measured, view, places, bias_px, len(frequency_hz))
-    effects, loss = {}, gain[usable][:, None]
-    for what, change in ((CALIBRATION, of_calibration[..., :6]), (PERIODIC, periodic)):
-        effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
-        effects[what][:, usable] = change / loss
-    return effects, np.asarray(np.concatenate([of_calibration[..., 6:], periodic_of_shapes]) / loss)
+def _deflection(measured: StereoMotion, frequency_hz: FloatArray) -> DeflectionShape | None:
+    """Return what the points do beside the rigid motion; None of a camera alone, which does not see them out of it."""
+    if measured.view is not None and isinstance(measured.view.rig, FaceCamera):
+        return None
+    exposure_s = measured.sight.exposure.length_s
+    return deflection_shape(measured.points_time_s, frequency_hz, measured.deformation, exposure_s)
 
 
 def _left_out(
@@ -360,7 +326,7 @@ def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
         median_zncc=view.zncc,
         noise=view.noise or (),
         sigma_px=sigma_px,
-        epipolar=replace(view.epipolar, notices=()),
+        epipolar=None if view.epipolar is None else replace(view.epipolar, notices=()),
     )
 
 
@@ -405,11 +371,19 @@ def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: F
     return [Notice("warning", f"{text}: was it touched? What that does to the lines is in U", f"frame {frames}")]
 
 
-def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray) -> tuple[RigidMotion, SineFit]:
-    """Fit the lines again about the mean pose, the offset of a fit, to which the motion is re-referred."""
+def _fit_about_mean(
+    name: str, measured: StereoMotion, frequency_hz: FloatArray
+) -> tuple[StereoMotion, RigidMotion, SineFit]:
+    """Fit the lines again about the mean pose, the offset of a fit, to which the motion is re-referred.
+
+    That pose is also where the surface before a camera alone lies as it is stated.
+    """
     motion, fit = measured.motion, None
     try:
-        for _ in range(3):
+        for number in range(3):
+            if fit is not None and number == 1:
+                measured = with_surface_at_rest(measured, fit.offset)
+                motion = measured.motion
             motion = motion if fit is None else relative_to(motion, fit.offset)
             fit = fit_sines(
                 measured.sight.time_s,
@@ -422,108 +396,7 @@ def _fit_about_mean(name: str, measured: StereoMotion, frequency_hz: FloatArray)
     except ValueError as error:
         raise ComputeError(f"stereo pair {name}: the lines cannot be fitted to its motion ({error})") from error
     assert fit is not None
-    return motion, fit
-
-
-def _periodic_effects(
-    measured: StereoMotion, view: ImageView, means: tuple[FloatArray, FloatArray], bias_px: FloatArray, lines: int
-) -> tuple[ComplexArray, ComplexArray]:
-    """Return (12·K, K, 6): what errors periodic in the pixel may do to the phasors, each at one line only.
-
-    A mean error B·sin(2πu + φ) of all subsets moving as u(t) = a·cos ωt is at most 2·B·J₁(1.84) = 1.16·B at any
-    multiple of ω; over amplitudes and phases that is about 0.4·B, as a standard uncertainty of real and imaginary part
-    alike. Since u differs across the image, it counts for x and y of either camera as a shift of all subsets by B and
-    as displacements growing to B at the body's rim, along and across: twelve patterns, each on its own, of which the
-    motion has six independent combinations. `means` (N, 2): the subsets' positions in both cameras.
-
-    Beside it (2S·K, K, S): what they do to the amplitudes of shapes, for which displacements of second order over the
-    picture count as well.
-    """
-    seen = np.isfinite(means[0]).all(axis=1) & np.isfinite(means[1]).all(axis=1)
-    motions: list[FloatArray] = []
-    places = [mean[seen] for mean in means]
-    for side, bias in enumerate(np.nan_to_num(bias_px)):
-        centred = places[side] - places[side].mean(axis=0)
-        x, y = (centred / np.abs(centred).max(axis=0)).T
-        for pattern in (np.ones(len(x)), x, y, x * x, x * y, y * y):
-            moved = [np.repeat(place[None], 3, axis=0) for place in places]  # at rest, along x, along y
-            moved[side][[1, 2], :, [0, 1]] += BIAS_STEP_PX * pattern
-            pose, shapes = sensor_from_camera(measured.sight.pair), view.deformed.shapes
-            (both,) = _phasor_motion(view.rig, pose, (moved[0], moved[1]), shapes)
-            motions += [PERIODIC_SHARE * bias / BIAS_STEP_PX * part for part in (both.real, both.imag)]
-    of_order = np.arange(len(motions)) // 2 % 6 // 3  # 0 for patterns up to first order
-    effects = []
-    for rows in (np.array(motions)[of_order == 0, :6], np.array(motions)[:, 6:]):
-        combined = np.asarray(np.linalg.qr(rows, mode="r"))
-        parts = np.concatenate([combined, 1j * combined])
-        each_line = np.einsum("kl,pc->kplc", np.eye(lines), parts)
-        effects.append(np.asarray(each_line.reshape(-1, lines, combined.shape[1])))
-    return effects[0], effects[1]
-
-
-def _calibration_effects(measured: StereoMotion, view: ImageView, sums: SineSums, lines: int) -> ComplexArray:
-    """Return (P, K, 6 + S): the displacement phasors' change for each principal component of the calibration, and that
-    of the amplitudes of shapes.
-
-    The path from the tracks onward is evaluated again with each perturbed rig. Phasors are linear in small pixel
-    displacements, so instead of all frames only the mean positions of the subsets and their displacement phasors at
-    each line are triangulated and fitted: 1 + 2K frames.
-    """
-    covariance, shapes = view.rig.covariance, view.deformed.shapes
-    if covariance is None:
-        return np.empty((0, lines, 6 + len(shapes.names)), dtype=np.complex128)
-    frames = _phasor_frames(sums, len(measured.points_time_s))
-    change, pose = measured.sight.pair.pose_by_calibration, sensor_from_camera(measured.sight.pair)
-    answer = np.zeros((6, len(covariance))) if change is None else np.array(change)  # the pose was found with this rig
-    nominal = _phasor_motion(view.rig, pose, frames, shapes)
-    changes = []
-    for step in principal_components(covariance):
-        moved = RigidTransform.from_pose(answer @ step) @ pose
-        try:
-            changes.append(_phasor_motion(view.rig.perturbed(step), moved, frames, shapes) - nominal)
-        except ValueError as error:
-            file = measured.sight.pair.calibration or measured.sight.where[0]
-            found = "rays that meet nowhere in front of the cameras when it is off by its own standard uncertainty"
-            raise InputError(
-                file, "matrix", found, "focal lengths in px and a translation in m of this pair"
-            ) from error
-    return np.array(changes)
-
-
-def _phasor_frames(sums: SineSums, samples: int) -> tuple[FloatArray, FloatArray]:
-    """Return left and right positions (1 + 2K, N, 2): mean, mean + Re and mean + Im of each line's displacement.
-
-    Of the subsets that are seen in most frames, each by its own: in a long recording all are lost now and then. Some
-    200 of them are enough, since what the calibration does is smooth over the picture.
-    """
-    mean, phasors, _ = sums.solved(1)
-    good = np.isfinite(mean).all(axis=1) & (sums.count >= SEEN_SHARE * samples)
-    if np.count_nonzero(good) < MIN_SUBSETS:
-        share = f"{np.count_nonzero(good)} subsets are followed through half of the frames"
-        raise ComputeError(f"only {share}; look at the images")
-    some = np.flatnonzero(good)
-    some = some[spread_choice(np.arange(len(some)), EFFECT_SUBSETS / len(some))]
-    parts = [part[some] for value in phasors for part in (value.real, value.imag)]
-    frames = np.stack([mean[some], *(mean[some] + part for part in parts)])
-    return frames[..., :2], frames[..., 2:]
-
-
-def _phasor_motion(
-    rig: StereoRig, pose: RigidTransform, frames: tuple[FloatArray, FloatArray], shapes: Shapes
-) -> ComplexArray:
-    """Return the displacement phasors (K, 6) that a rig, its left camera in this pose, makes of phasor frames, and the
-    amplitudes (K, S) of shapes beside them, by least squares of the points with what depth is worth in them."""
-    points = triangulate(rig, frames[0], frames[1], None, None).transformed(pose)
-    poses = fit_motion(points, None, np.zeros(3)).pose[1:]
-    rest, known = points.position_m[0], np.isfinite(points.position_m).all(axis=(0, 2))
-    columns = [*np.broadcast_to(np.eye(3)[:, None], (3, len(rest), 3)), *np.cross(np.eye(3)[:, None], rest)]
-    design = np.stack([*columns, *shapes(rest)])[:, known].reshape(6 + len(shapes.names), -1)
-    weight = np.linalg.inv(points.covariance_m2[0][known])
-    weighted = np.einsum("pni,nij->pnj", design.reshape(len(design), -1, 3), weight).reshape(len(design), -1)
-    moved = (points.position_m[1:] - rest)[:, known].reshape(len(poses), -1)
-    amplitude = np.linalg.lstsq(weighted @ design.T, weighted @ moved.T, rcond=None)[0][6:].T
-    both = np.concatenate([poses, amplitude], axis=1)
-    return np.asarray(both[0::2] + 1j * both[1::2])
+    return measured, motion, fit
 
 
 def unseen_fundamentals(

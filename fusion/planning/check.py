@@ -29,7 +29,8 @@ from shaker.arrays import BoolArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 
 BODIES = ("load", "base")
-NO_REFERENCE = "no channel"
+NO_REFERENCE, TOGETHER = "no channel", "all together"
+EXACT, FEWEST_SUBSETS = 1e-4, 6
 ROW_TOLERANCE = 1e-9
 """Relative singular value below which instruments do not tell two motions apart."""
 
@@ -126,12 +127,14 @@ def check(manifest: Manifest) -> CheckReport:
     takes = [take for _, block in manifest.set_ups for take in _takes(block)]
     contents, problems = _contents(manifest, takes, already)
     observed = _observed(manifest.rig, takes)
+    told_alone = _alone(manifest.rig, takes, observed, already)
     # Every channel once by its name.
     placed = [entry for take in takes for daq in take.daq for entry in daq.channel]
     entries = list({entry.name: entry for entry in placed}.values())
     contents += _heads(placed)
     if kind.remarks is None:
         remarks += [f"{notice.where}: {notice.text}" for notice in beam_notices(placed)]
+        remarks += told_alone
         remarks += _motion_remarks(manifest.rig, excitation.direction or (), entries, observed)
         remarks += [remark for take in takes for remark in _clock_remarks(take.daq)]
         problems += _without_place(manifest, takes) if "run" in kind.commands else []
@@ -329,21 +332,22 @@ def _read_daq(block: Manifest, daq: Daq, where: str, already: AlreadyRead) -> tu
 
 
 def _read_images(images: Images, pair: Stereo, already: AlreadyRead) -> tuple[str, list[str]]:
-    """Frames of both cameras, with their size as the files have it, and whether the pair's calibration is one of it."""
+    """Frames of each camera, with their size as the files have it, and whether the pair's calibration is one of it."""
     from photogram.images.files import open_sequence
 
     told = f"images {images.stereo}: {_size([*images.left, *images.right])}"
     try:
-        for paths in (images.left, images.right):
+        for _, paths in images.cameras:
             already.images[paths, images.bit_depth] = open_sequence(paths, images.bit_depth)
     except (OSError, ValueError) as error:
         return told, [f"images {images.stereo}: {' '.join(str(error).split())}", *_no_rig(pair, ())]
-    left, right = (already.images[paths, images.bit_depth] for paths in (images.left, images.right))
+    sequences = [already.images[paths, images.bit_depth] for _, paths in images.cameras]
+    left = sequences[0]
     told += f", {len(left)} frames of {left.size_px[0]} x {left.size_px[1]} px, grey values up to {left.full_scale:g}"
     told += f", exposure {1e6 * left.exposure_s:.4g} µs by the file" if left.exposure_s is not None else ""
-    wrong = _no_rig(pair, (left, right))
-    if len(left) != len(right):
-        wrong.append(f"images {images.stereo}: {len(left)} frames left and {len(right)} right")
+    wrong = _no_rig(pair, sequences)
+    if len(left) != len(sequences[-1]):
+        wrong.append(f"images {images.stereo}: {len(left)} frames left and {len(sequences[-1])} right")
     if len(left) < 3:
         wrong.append(f"images {images.stereo}: {len(left)} frames, at least 3 are needed")
     return told, wrong
@@ -410,8 +414,76 @@ def _observed(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
         own = [item for item in single if item.body == body]
         observed += own
         if len(own) > 1:
-            observed.append(Observability(body, "all together", np.concatenate([item.rows for item in own])))
+            observed.append(Observability(body, TOGETHER, np.concatenate([item.rows for item in own])))
     return observed
+
+
+def _alone(rig: Rig, takes: Sequence[Manifest], observed: Sequence[Observability], already: AlreadyRead) -> list[str]:
+    """What each camera alone tells of its body, and what is left open beside the other instruments there."""
+    told = []
+    for images in {images.stereo: images for take in takes for images in take.images}.values():
+        name, pair, first = (
+            images.stereo,
+            rig.stereo[images.stereo],
+            already.images.get((images.left, images.bit_depth)),
+        )
+        if pair.surface is None or first is None or _no_rig(pair, (first,)):
+            continue
+        seen = _seen_alone(name, pair, first)
+        if seen is None:
+            continue
+        own, whole = 1e6 * np.sqrt(np.diagonal(seen[0])), seen[1]
+        told.append(
+            f"stereo {name} is one camera; of a frame it tells, by noise alone (standard uncertainty, its own axes, "
+            f"middle of the face), {own[:2].max():.2g} µm across its axis and {own[2]:.2g} µm along it, "
+            f"{own[5]:.2g} µrad about it and {own[3:5].max():.2g} µrad of tilts"
+        )
+        text = f"{pair.body}, at the sensor origin: {_sizes(whole, whole)} by stereo {name} alone"
+        instruments = {item.instrument: item.rows for item in observed if item.body == pair.body}
+        others = {key: rows for key, rows in instruments.items() if key not in (TOGETHER, f"stereo {name}")}
+        if others:
+            rows = np.concatenate(list(others.values()))
+            gain = whole @ rows.T @ np.linalg.pinv(rows @ whole @ rows.T, hermitian=True)
+            text += (
+                f"; {_sizes(np.asarray(whole - gain @ rows @ whole), whole)} beside {', '.join(others)}, taken as exact"
+            )
+        told.append(text)
+    return told
+
+
+def _seen_alone(name: str, pair: Stereo, images: ImageSequence) -> tuple[FloatArray, FloatArray] | None:
+    """Covariance (6, 6) of one frame's motion by the noise of the first image; None where that is of no use.
+
+    (Σ JᵀJ/σ²)⁻¹ over the subsets, J the rates of their pixels: about the middle of the face in the camera's axes, and
+    about the sensor origin in those of the sensor.
+    """
+    from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
+    from fusion.planning.look.pictures import look_at_camera
+    from photogram.camera import FaceCamera, locate
+    from photogram.geometry import RigidTransform
+    from photogram.motion import PlacedCamera, see_points
+
+    face, (_, look) = read_rig(pair, (images,)), look_at_camera(name, images)
+    if look is None or len(look.points_px) < FEWEST_SUBSETS or not isinstance(face, FaceCamera):
+        return None
+    points = locate(face, [look.points_px[None]]).position_m[0]
+
+    def covariance(camera_from_body: RigidTransform) -> FloatArray:
+        seen = see_points(PlacedCamera(face.camera, camera_from_body), camera_from_body.inverse().apply(points))
+        rates = seen.rates.reshape(-1, 6)
+        return np.asarray(np.linalg.inv(rates.T @ rates / look.sigma_px**2), dtype=np.float64)
+
+    middle = RigidTransform(np.eye(3), points.mean(axis=0))
+    return covariance(middle), covariance(sensor_from_camera(pair).inverse())
+
+
+def _sizes(covariance: FloatArray, before: FloatArray) -> str:
+    """Standard uncertainties of the six components, without those that are exact beside what they were `before`."""
+    u = 1e6 * np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    open_ = u > EXACT * 1e6 * np.sqrt(np.diagonal(before))
+    units = ("µm",) * 3 + ("µrad",) * 3
+    sizes = [f"{MOTION_COMPONENTS[i]} {u[i]:.2g} {units[i]}" for i in np.flatnonzero(open_)]
+    return ", ".join(sizes) or "nothing left open"
 
 
 def _motion_remarks(

@@ -48,6 +48,8 @@ from shaker.io import refused_suffix
 log = logging.getLogger("shakercal")
 RECORDING_NAME = "recording.toml"
 FAR_AWAY_M = 1e6
+MOST_TURNED_DEG = 80.0
+"""Of the surface before a camera alone."""
 
 
 @dataclass(frozen=True)
@@ -426,7 +428,17 @@ def _of_stereo(rig: Rig, rig_path: Path, blocks: Iterable[tuple[str, SetUpFiles]
         if name in pictured and pair.calibration is None:
             expected = f"the calibration that the images of {name} need"
             yield InputError(rig_path, f"stereo.{quoted(name)}.calibration", "no calibration", expected)
-        if pair.scale_uncertainty is None and (name in tabled or not _has_covariance(pair)):
+        if pair.surface is not None:
+            key, looks = f"stereo.{quoted(name)}.surface", np.array(pair.rotation)[:, 2]
+            away = float(looks @ np.subtract(pair.surface.point, pair.translation))
+            turned = float(np.degrees(np.arccos(min(1.0, abs(float(looks @ np.array(pair.surface.normal)))))))
+            if name in tabled:
+                yield InputError(rig_path, key, "one", "no such key where points in space are given")
+            elif away <= 0.0 or turned > MOST_TURNED_DEG:
+                found = f"one {away:.3g} m before it, turned by {turned:.3g}°"
+                expected = f"a plane before the camera, turned from facing it by at most {MOST_TURNED_DEG:g}°"
+                yield InputError(rig_path, key, found, expected)
+        if pair.surface is None and pair.scale_uncertainty is None and (name in tabled or not _has_covariance(pair)):
             expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
             yield InputError(rig_path, f"stereo.{quoted(name)}.scale_uncertainty", "nothing", expected)
 
@@ -445,8 +457,16 @@ def _has_covariance(pair: Stereo) -> bool:
 
 
 def _of_pictures(rig: Rig, blocks: Iterable[tuple[str, SetUpFiles]], path: Path) -> Iterator[InputError]:
-    """Where one picture shows a body and what stands still, each has its part of it."""
+    """A pair has two cameras, unless it states the surface that one alone sees; where one picture shows a body and what
+    stands still, each has its part of it."""
     for prefix, block in blocks:
+        for images in block.images:
+            alone, key = rig.stereo[images.stereo].surface is not None, f"{prefix}images.{quoted(images.stereo)}.right"
+            if alone and images.right:
+                yield InputError(path, key, "images", "none of a camera alone, whose surface rig.toml states")
+            if not alone and not images.right:
+                expected = "the right camera's images (of a camera alone rig.toml states the surface that it sees)"
+                yield InputError(path, key, "nothing", expected)
         shown = {images.left for images in block.images if rig.stereo[images.stereo].body == ROOM}
         for images in block.images:
             if images.left in shown and images.region is None and not images.mask:

@@ -267,21 +267,27 @@ class Frames(Block):
 class Images(Frames):
     """Image sequences of the left and right camera of a stereo pair, frame by frame in natural order.
 
-    Subsets lie in the `region` of the first left picture alone, and in no `mask`: x, y, width, height in px.
+    `right` is empty of a camera alone. Subsets lie in the `region` of the first left picture alone, and in no `mask`:
+    x, y, width, height in px.
     """
 
     left: ExistingFiles
-    right: ExistingFiles
+    right: ExistingFiles = ()
     bit_depth: Annotated[int, Field(ge=1, le=16)] | None
     region: Region | None = None
     mask: Mask = ()
 
     INHERITED: ClassVar[tuple[str, ...]] = (*Frames.INHERITED, "bit_depth")
 
+    @property
+    def cameras(self) -> tuple[tuple[str, tuple[Path, ...]], ...]:
+        """The files of each camera by its key."""
+        return (("left", self.left), ("right", self.right)) if self.right else (("left", self.left),)
+
     @model_validator(mode="after")
     def _as_many_left_as_right(self) -> Self:
         left, right = len(self.left), len(self.right)
-        if left != right:
+        if self.right and left != right:
             raise refusal("as many images left as right", f"{left} left and {right} right", key="right")
         if 1 < left < MINIMUM_FRAMES:
             raise refusal(f"at least {MINIMUM_FRAMES} frames", f"{left}", key="left")

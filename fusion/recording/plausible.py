@@ -148,9 +148,9 @@ def _pairs(rig: Rig) -> Iterator[tuple[str, str]]:
         if pair.calibration is None:
             continue
         apart, away = np.nan, float(np.linalg.norm(pair.translation))
-        with suppress(OSError, ValueError):  # whoever reads it says what is wrong
+        with suppress(OSError, ValueError):  # whoever reads it says what is wrong; a camera alone is none of a pair
             apart = float(np.linalg.norm(read_calibration(pair.calibration).right_from_left.translation_m))
-        if away > 0.0 and apart > WIDEST * away:
+        if away > 0.0 and apart > WIDEST * away and pair.surface is None:
             yield (
                 f"stereo.{quoted(name)}.calibration",
                 f"its cameras are {apart:.3g} m apart and the left one {away:.3g} m from the sensor: is the "

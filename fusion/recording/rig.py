@@ -43,6 +43,7 @@ from fusion.recording.values import (
     Rotation,
     Share,
     Spread3,
+    Surface,
     Text,
     Vector3,
     Vector6,
@@ -438,12 +439,14 @@ class Environment(Block):
 class Stereo(Block):
     """A stereo pair: x_sensor = rotation · x_left_camera + translation at rest, and when its frames are exposed.
 
-    `body` "room": what it sees stands still, so that it tells how its `support` moves, with all cameras on that.
+    `body` "room": what it sees stands still, so that it tells how its `support` moves, with all cameras on that. A pair
+    with a `surface` is one camera alone, its left one.
     """
 
     body: Literal["load", "base", "room"]
     support: Text | None = None
     calibration: ExistingFile | None = None
+    surface: Surface | None = None
     rotation: Rotation
     translation: Annotated[FreeVector, FAR]
     pose_uncertainty: PoseSpread = ZERO6
@@ -453,6 +456,12 @@ class Stereo(Block):
     exposure: Exposure
     delay: Delay = 0.0
     delay_uncertainty: Annotated[NotNegative, SECONDS] = 0.0
+
+    @model_validator(mode="after")
+    def _one_way_to_depth(self) -> Self:
+        if self.surface is not None and self.pose_by_calibration is not None:
+            raise refusal("no such key of a camera alone, which states a surface", "one", key="pose_by_calibration")
+        return self
 
 
 class Head(Block):
@@ -559,11 +568,11 @@ class Rig(Block):
 
     @model_validator(mode="after")
     def _modes_are_measured_on_the_load(self) -> Self:
-        seen = [name for name, pair in self.stereo.items() if pair.body == "load"]
+        seen = [name for name, pair in self.stereo.items() if pair.body == "load" and pair.surface is None]
         for part in self.load.elastic if self.load is not None else ():
             for name in part.measured_by:
                 if name not in seen:
-                    expected = f"a stereo pair that sees the load ({', '.join(seen) or 'none does'})"
+                    expected = f"a stereo pair of two cameras that sees the load ({', '.join(seen) or 'none does'})"
                     raise refusal(expected, name, key=f"load.elastic.{part.name}.measured_by")
         return self
 

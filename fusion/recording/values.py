@@ -499,3 +499,16 @@ ExistingFiles = Annotated[
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 ZERO6: Vector6 = (0.0,) * 6
 ZERO33: Matrix3 = (ZERO3, ZERO3, ZERO3)
+
+
+class Surface(Block):
+    """The plane in which the face before a camera alone lies at rest: a point of it, m, and its normal, sensor frame.
+
+    `distance_uncertainty` m along the normal, `tilt_uncertainty` rad about each of two axes across it: of the drawing
+    and the mounting, beside the uncertainty of the camera's pose.
+    """
+
+    point: Place
+    normal: Direction
+    distance_uncertainty: Annotated[NotNegative, NEAR]
+    tilt_uncertainty: Angle

@@ -33,7 +33,7 @@ from fusion.report.table import measured
 from fusion.report.tables import result_elements
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.body import Part, make_part, moving_parts
-from photogram.camera import Camera
+from photogram.camera import Camera, FaceCamera
 from photogram.geometry import RigidTransform
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.labels import MOTION_COMPONENTS
@@ -357,15 +357,18 @@ def _pair(name: str, pair: Stereo, surface: FloatArray | None) -> tuple[list[Sha
         rig = read_rig(pair, ())
     except InputError:
         return [], np.zeros((0, 3)), "not drawn, for its calibration cannot be read"
-    poses = {"left": (rig.left, pose), "right": (rig.right, pose @ rig.right_from_left.inverse())}
+    placed = [(camera, pose @ from_left.inverse()) for camera, from_left in rig.placed]
     told = "the frusta end at the tracked points"
-    if middle is None:
-        middle = _fixation(poses["left"][1], poses["right"][1])
+    if middle is None and isinstance(rig, FaceCamera):
+        middle, told = pose.apply(rig.point_m), "the frustum ends at the stated surface"
+    elif middle is None:
+        middle = _fixation(placed[0][1], placed[1][1])
         told = "the frusta end where the axes of both cameras come nearest to each other"
     if middle is None:
         middle = pose.apply(np.array([0.0, 0.0, max(-(pose.rotation.T @ origin)[2], 0.5 * aside)]))
         told = "the axes of the cameras do not meet, and the frusta end abreast of the sensor origin"
-    shapes = [_camera(f"{name} {side}", pair.body, *own, middle) for side, own in poses.items()]
+    names = [f"{name} {side}" for side in ("left", "right")] if len(placed) > 1 else [name]
+    shapes = [_camera(own, pair.body, *of, middle) for own, of in zip(names, placed, strict=True)]
     return shapes, middle[None] if surface is None else surface, told
 
 

@@ -95,7 +95,7 @@ def _stems(manifest: Manifest) -> Iterator[tuple[str, str, str, Path | None]]:
     yield "environment.gravity", "gravity", "gravity", None
     yield "sensor.static_sensitivity", "static sensitivity", "static sensitivity", None
     for name, pair in rig.stereo.items():
-        for what, file in (("scale", None), ("delay", None), ("calibration", pair.calibration)):
+        for what, file in (("scale", None), ("delay", None), ("calibration", pair.calibration), ("surface", None)):
             yield f"stereo.{quoted(name)}.{what}", f"stereo {name}: {what}", f"{what} of cameras", file
     for prefix, block in manifest.set_ups:
         for daq in block.daq:

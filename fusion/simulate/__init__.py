@@ -10,7 +10,7 @@ from typing import Any
 from fusion.base import InputError, ProgressCallback, no_progress
 from fusion.report.files import write_together
 
-RECORDINGS = ("demo", "nitsche2018", "bending", "room", "laboratory", "sweep", "matrix")
+RECORDINGS = ("demo", "nitsche2018", "bending", "room", "single", "laboratory", "sweep", "matrix")
 """Presets of sines, which take the switches of `SimulationOptions`."""
 PRESETS = (*RECORDINGS, "targets", "chirp", "masses", "pitching", "rotation", "steps", "loads", "elastomer")
 

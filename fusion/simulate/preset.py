@@ -47,11 +47,11 @@ def read_preset(kind: type[_T], name: str, **changes: Any) -> _T:
 
 
 def _read(place: str) -> dict[str, Any]:
-    """Return a file of presets, or one of its tables (`FILE.TABLE`), completed by what it is like."""
+    """Return a file of presets, or a table of it (`FILE.TABLE`, of several by name), completed by what it is like."""
     name, *keys = place.split(".")
     table = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
     for key in keys:
-        table = table[key]
+        table = table[key] if isinstance(table, dict) else next(item for item in table if item["name"] == key)
     completed: dict[str, Any] = _completed(table)
     return completed
 
@@ -76,7 +76,8 @@ class StereoSetup:
 
     `pixel_m` is the size of a pixel on the face; `face_up` the direction in the face that is up in the images.
     `at_rest`: of two patches that stand still in the face's plane, to its right and left: distance of their centres
-    from the face's, half width and height, m; none where empty.
+    from the face's, half width and height, m; none where empty. `surface_uncertainty`: of the face's distance, m, and
+    tilts, rad, where its left camera is alone; a pair where empty.
     """
 
     name: str
@@ -98,6 +99,12 @@ class StereoSetup:
     scale_uncertainty: float = 2e-4
     pose_uncertainty: tuple[float, ...] = (1e-4, 1e-4, 1e-4, 5e-4, 5e-4, 5e-4)
     at_rest: tuple[float, ...] = ()
+    surface_uncertainty: tuple[float, ...] = ()
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Its cameras by name."""
+        return ("left",) if self.surface_uncertainty else ("left", "right")
 
     @property
     def sensor(self) -> ImageSensor:

@@ -470,7 +470,7 @@ def _write_images(
                 for number, patch in enumerate(patches_of(stereo.setup))
             ]
             stored = draws.broken("frames", np.arange(frames), stereo.setup).tolist()
-            for side, view in zip(("left", "right"), stereo.views, strict=True):
+            for side, view in zip(stereo.setup.sides, stereo.views, strict=True):
                 series = folder / f"{name}-{side}"
                 series.mkdir()
                 tasks = [
@@ -479,7 +479,7 @@ def _write_images(
                 for task in tasks:
                     task.result()
                     done += 1
-                    progress("render", done, 2 * len(world.stereo) * frames)
+                    progress("render", done, sum(len(pair.setup.sides) for pair in world.stereo) * frames)
     finally:
         pool.shutdown(cancel_futures=True)  # who interrupts need not wait for the images that are left
 

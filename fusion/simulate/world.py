@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -190,7 +190,10 @@ def acceleration_at(motion: Motion, point: FloatArray, direction: FloatArray, gr
 
 @dataclass(frozen=True, eq=False)
 class TrueStereo:
-    """A stereo pair as stated (`nominal`, `sensor_from_left`) and as it is (`rig`, `left_from_sensor`, delay)."""
+    """A stereo pair as stated (`nominal`, `sensor_from_left`) and as it is (`rig`, `left_from_sensor`, delay).
+
+    `setup` with the face where it is, which differs from what is stated of a camera alone.
+    """
 
     setup: StereoSetup
     nominal: StereoRig
@@ -200,10 +203,10 @@ class TrueStereo:
     delay_s: float
 
     @property
-    def views(self) -> tuple[View, View]:
-        """What the left and the right camera see."""
-        right_from_sensor = self.rig.right_from_left @ self.left_from_sensor
-        return view_of(self.rig.left, self.left_from_sensor), view_of(self.rig.right, right_from_sensor)
+    def views(self) -> tuple[View, ...]:
+        """What its cameras see, by `StereoSetup.sides`."""
+        placed = zip(self.setup.sides, self.rig.placed, strict=False)
+        return tuple(view_of(camera, from_left @ self.left_from_sensor) for _, (camera, from_left) in placed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,12 +298,27 @@ def true_stereo(setup: StereoSetup, draws: Draws) -> TrueStereo:
     covariance = nominal.covariance
     assert covariance is not None
     rig = nominal.perturbed(draws.covariant(f"{setup.name}.calibration", covariance))
-    scale = 1 + float(draws.normal(f"{setup.name}.scale", setup.scale_uncertainty))
+    scale = 1.0
+    if not setup.surface_uncertainty:
+        scale += float(draws.normal(f"{setup.name}.scale", setup.scale_uncertainty))
     between = rig.right_from_left
     rig = StereoRig(rig.left, rig.right, RigidTransform(between.rotation, between.translation_m * scale))
     true = true_pose(setup, sensor_from_left, scale, draws)
     delay = float(draws.normal(f"{setup.name}.delay", setup.delay_uncertainty))
-    return TrueStereo(setup, nominal, sensor_from_left, rig, true.inverse(), delay)
+    return TrueStereo(_true_face(setup, draws), nominal, sensor_from_left, rig, true.inverse(), delay)
+
+
+def _true_face(setup: StereoSetup, draws: Draws) -> StereoSetup:
+    """Return a set-up with its face where it is, before a camera alone: off along its normal, and tilted."""
+    if not setup.surface_uncertainty:
+        return setup
+    distance, tilt = setup.surface_uncertainty
+    error = draws.normal(f"{setup.name}.surface", np.array([distance, tilt, tilt]), 3)
+    normal, up = np.array(setup.face_normal), np.array(setup.face_up)
+    turn = rotation_from_vector(error[1] * up + error[2] * np.cross(up, normal))
+    (a, b, c), (d, e, f) = (turn @ normal).tolist(), (turn @ up).tolist()
+    x, y, z = (np.array(setup.face_centre) + error[0] * normal).tolist()
+    return replace(setup, face_centre=(x, y, z), face_normal=(a, b, c), face_up=(d, e, f))
 
 
 def true_pose(setup: StereoSetup, stated: RigidTransform, scale: float, draws: Draws) -> RigidTransform:

@@ -114,13 +114,18 @@ def pairs(setup: StereoSetup, preset: Preset) -> list[tuple[str, dict[str, Any]]
 def _stereo_keys(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
     """Return the block of a stereo pair, or of one whose points another program computed."""
     placed, images = camera_pose(setup), not preset.as_points
+    lengths: dict[str, Any] = {"scale_uncertainty": setup.scale_uncertainty}
+    if setup.surface_uncertainty:
+        distance, tilt = setup.surface_uncertainty
+        known = {"point": list(setup.face_centre), "normal": list(setup.face_normal)}
+        lengths = {"surface": {**known, "distance_uncertainty": distance, "tilt_uncertainty": tilt}}
     return {
         "body": setup.body,
         **({"calibration": calibration_file(setup)} if images else {}),
         "rotation": placed.rotation.tolist(),
         "translation": placed.translation_m.tolist(),
         "pose_uncertainty": list(setup.pose_uncertainty),
-        "scale_uncertainty": setup.scale_uncertainty,
+        **lengths,
         **({"bit_depth": setup.bit_depth} if images else {}),
         "exposure": preset.exposure_s,
         "delay": 0.0,
@@ -140,7 +145,7 @@ def points_file(setup: StereoSetup) -> str:
 
 def images(setup: StereoSetup) -> list[dict[str, Any]]:
     """Return the images of a pair, and again those of the patch at rest in them."""
-    files, patches = {side: f"{setup.name}-{side}/*.tif" for side in ("left", "right")}, patches_of(setup)
+    files, patches = {side: f"{setup.name}-{side}/*.tif" for side in setup.sides}, patches_of(setup)
     if not patches:
         return [{"stereo": setup.name, **files}]
     body, room = region_of(setup, setup), region_of(setup, *patches)

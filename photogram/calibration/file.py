@@ -131,10 +131,17 @@ def write_camera(path: str | Path, calibration: Calibration) -> None:
 
 
 def read_camera(path: str | Path) -> tuple[Camera, FloatArray]:
-    """Return a single camera and the covariance (13, 13) of its parameters from a file of `write_camera`."""
+    """Return a single camera and the covariance (13, 13) of its parameters from a file of `write_camera`.
+
+    Of the file of a stereo pair it is the left one.
+    """
     path = Path(path)
     content = _content(path)
     try:
+        if isinstance(content, dict) and "left" in content:
+            rig = plausible(_rig(content))
+            whole = np.zeros((len(RIG_PARAMETERS),) * 2) if rig.covariance is None else rig.covariance
+            return rig.left, whole[np.ix_(LEFT, LEFT)]
         _check_keys("", content, _CAMERA_KEYS)
         if isinstance(content["format"], bool) or content["format"] != 1:
             raise ValueError(f"format: expected 1, found {content['format']!r:.60}")

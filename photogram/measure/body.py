@@ -10,7 +10,7 @@ from itertools import groupby
 import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, Notice, RunningMean, Sample
-from photogram.camera import Points, StereoRig, triangulate
+from photogram.camera import Points, Rig, StereoRig, locate
 from photogram.direct.fit import rest_covariance, rigid_share
 from photogram.direct.shapes import ShapeAmplitudes
 from photogram.geometry import RigidTransform
@@ -29,15 +29,13 @@ from photogram.measure.follow import (
 )
 from photogram.motion import Deformation, DeformationMean, RigidMotion, fit_motion, overlap_correlation
 from photogram.subsets.find import BodyNotFound, DepthRange
-from photogram.subsets.icgn import TrackSettings
+from photogram.subsets.icgn import TrackSettings, noise_of, places_of
 from photogram.subsets.texture import SubsetQuality, assess
 from photogram.subsets.track import (
     StereoCourse,
     StereoTracks,
     Told,
     Tracks,
-    noise_of,
-    places_of,
     tracks_of,
     without_aside,
 )
@@ -49,12 +47,12 @@ LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BodyMotion(Arrays):
-    """The motion of a body seen by a stereo pair, and what the user should know.
+    """The motion of a body seen by a stereo pair or by a camera alone, and what the user should know.
 
     motion: fitted to the grey values of all pixels, `motion_of_points` to the points alone, in the frames `sought` (F,)
-    in which subsets were looked for; the others have a motion with residual NaN and no points. Of the left and the
-    right camera: noise models, and quality, what the subsets promised before they were tracked; None when no frame
-    could be fitted to the grey values. deformed: how it deforms beside the motion, by the shapes that it was prepared
+    in which subsets were looked for; the others have a motion with residual NaN and no points. Of each camera: noise
+    models, and quality, what the subsets promised before they were tracked; None when no frame could be fitted to the
+    grey values. deformed: how it deforms beside the motion, by the shapes that it was prepared
     with (`direct.shapes.PlainShapes` where none were known). subsets_px: where the left camera sees the subsets first;
     medians over subsets and frames: sigma_px, standard deviation that the noise gives to their positions, and `zncc` in
     the left camera.
@@ -70,8 +68,8 @@ class BodyMotion(Arrays):
     subsets_px: FloatArray
     sigma_px: float
     zncc: float
-    noise: tuple[NoiseModel, NoiseModel] | None
-    quality: tuple[SubsetQuality, SubsetQuality] | None
+    noise: tuple[NoiseModel, ...] | None
+    quality: tuple[SubsetQuality, ...] | None
     notices: tuple[Notice, ...]
     tracked: Tracked
     surface: Surface
@@ -80,7 +78,7 @@ class BodyMotion(Arrays):
     def tracks(self) -> StereoTracks:
         """Subsets of all frames in which they were looked for, some 500 bytes for each in every frame."""
         blocks = list(self.tracked)
-        left, right = (
+        whole = (
             Tracks(
                 np.concatenate([track.position_px for track in side]),
                 np.concatenate([track.covariance_px2 for track in side]),
@@ -88,9 +86,9 @@ class BodyMotion(Arrays):
                 np.concatenate([track.status for track in side]),
                 side[0].noise_grey,
             )
-            for side in ([block.left for block in blocks], [block.right for block in blocks])
+            for side in zip(*(block.cameras for block in blocks), strict=True)
         )
-        return self.tracked.told.of((left, right))
+        return self.tracked.told.of(tuple(whole))
 
     @cached_property
     def points(self) -> Points:
@@ -104,8 +102,8 @@ class BodyMotion(Arrays):
 
 
 def measure_body(
-    images: tuple[ImageSequence, ImageSequence],
-    rig: StereoRig,
+    images: tuple[ImageSequence, ...],
+    rig: Rig,
     body_from_left: RigidTransform,
     settings: TrackSettings,
     progress: Progress | None = None,
@@ -114,11 +112,11 @@ def measure_body(
 ) -> BodyMotion:
     """Follow a body through the left and right `images` and fit its six components, about the origin of its frame.
 
-    Subsets are tracked; from the motion that brings the body to where they are (`motion.motion_of_places`) it is fitted
-    to the grey values (`direct.fit.fit_direct`), weighted by the noise that the first frame so fitted shows. A frame in
-    which this fails has the motion of its triangulated points (`motion.fit_motion`). `progress` is called with the
-    number of finished images, 1…2F. `prepare_body`, `follow_block` for each of the blocks and `body_motion` are the
-    same in parts, for several threads.
+    Of a camera alone, whose `rig` states the face that it sees, it takes the one series of images. Subsets are tracked;
+    from the motion that brings the body to where they are (`motion.motion_of_places`) it is fitted to the grey values
+    (`direct.fit.fit_direct`), weighted by the noise that the first frame so fitted shows. A frame in which this fails
+    has the motion of its points (`motion.fit_motion`). `progress` is called with the number of finished images, 1…2F.
+    `prepare_body`, `follow_block` for each of the blocks and `body_motion` are the same in parts, for several threads.
 
     >>> from scipy.ndimage import gaussian_filter
     >>> rng = np.random.default_rng(1)
@@ -146,14 +144,12 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     """
     tracked, fits = _tracked(scene, blocks)
     settings, references, noise = scene.settings, scene.references, scene.noise
-    full_scales = [images.full_scale for images in scene.images]
     quality, remarks = None, list[Notice]()
     if noise is not None:
-        quality = (
-            assess(references[0], scene.first[0], noise[0], full_scales[0]),
-            assess(references[1], scene.first[1], noise[1], full_scales[1]),
-        )
-        remarks = [*quality[0].notices("left camera"), *quality[1].notices("right camera")]
+        sides = zip(references, scene.first, noise, scene.images, strict=True)
+        quality = tuple(assess(reference, first, own, side.full_scale) for reference, first, own, side in sides)
+        named = zip(("left camera", "right camera"), quality, strict=False)
+        remarks = [notice for where, told in named for notice in told.notices(where)]
     shared = None
     if settings.grid_step_px <= 2 * settings.radius_px:
         shared = overlap_correlation(scene.grid.left_px, settings.radius_px)
@@ -162,7 +158,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
         if sums.mean is None:
             seen = int(np.count_nonzero(np.isfinite(points.position_m[0]).all(axis=1)))  # in some later frame as well
             if seen < 3:
-                text = f"at least 3 points that both cameras see in a later frame too, found {seen}"
+                text = f"at least 3 points that every camera sees in a later frame too, found {seen}"
                 raise BodyNotFound(f"rig: expected {text}")
             sums.mean, sums.subsets_px = DeformationMean(points.position_m[0]), block.left.position_px[0]
         of_points = fit_motion(points, sums.mean.reference_m, np.zeros(3), shared)
@@ -181,7 +177,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
         motion_of_points=of_points,
         deformed=ShapeAmplitudes(scene.shapes, fits.amplitude, fits.amplitude_covariance, rigid_share(scene.views)),
         sought=np.isin(np.arange(len(motion.pose)), tracked.frames),
-        reprojection_px=float(np.sqrt(sums.reprojection[0] / max(sums.reprojection[1], 1))),
+        reprojection_px=float(np.sqrt(sums.reprojection[0] / (sums.reprojection[1] or np.nan))),
         subsets_px=sums.subsets_px,
         sigma_px=float(np.sqrt(sums.variance_px2.median)),
         zncc=sums.zncc.median,
@@ -197,18 +193,19 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Tracked(Arrays, shapes="frames S"):
+class Tracked(Arrays, shapes="frames S; pose S 6"):
     """Tracked subsets of a body, some frames at a time from the first one on, as often as they are asked for.
 
-    frames (S,): in which they were looked for. noise_grey: image noise (N,) at the subsets of the left and the right
-    camera, over these. `told`: what they say of both cameras. `held`: all of a short series with its points, once these
-    have been gone through.
+    frames (S,): in which they were looked for, pose (S, 6): of the body there. noise_grey: image noise (N,) at the
+    subsets of each camera, over these. `told`: what they say of the cameras. `held`: all of a short series with its
+    points, once these have been gone through.
     """
 
     scene: BodyScene
     blocks: Iterable[FollowedBlock]
     frames: IntArray
-    noise_grey: tuple[FloatArray, FloatArray]
+    pose: FloatArray
+    noise_grey: tuple[FloatArray, ...]
     course: StereoCourse
     told: Told
     held: list[tuple[StereoTracks, Points]] = field(default_factory=list)
@@ -222,9 +219,10 @@ class Tracked(Arrays, shapes="frames S"):
             yield from self.held
             return
         short = len(self.frames) * len(self.scene.grid.left_px) <= MOST_HELD
-        seen = []
+        seen, start = [], 0
         for tracks in self._computed():
-            both = tracks, self._points(tracks)
+            stop = start + len(tracks.left.position_px)
+            both, start = (tracks, self._points(tracks, self.pose[start:stop])), stop
             if short:
                 seen.append(both)
             yield both
@@ -235,19 +233,23 @@ class Tracked(Arrays, shapes="frames S"):
             found = [both for both, _ in block if both is not None]
             if not found:
                 continue
-            left, right = (
+            cameras = tuple(
                 tracks_of(
                     [both[side] for both in found], self.scene.references[side], self.scene.settings.degree, noise
                 )
                 for side, noise in enumerate(self.noise_grey)
             )
-            aside = self.course.aside((left.position_px, right.position_px))
-            yield self.told.of(without_aside((left, right), aside))
+            aside = self.course.aside(tuple(camera.position_px for camera in cameras))
+            yield self.told.of(without_aside(cameras, aside))
 
-    def _points(self, tracks: StereoTracks) -> Points:
-        left, right = tracks.left, tracks.right
-        pixels = left.position_px, right.position_px, left.covariance_px2, right.covariance_px2
-        return triangulate(self.scene.rig, *pixels).transformed(self.scene.body_from_left)
+    def _points(self, tracks: StereoTracks, pose: FloatArray) -> Points:
+        """Points of some frames, of a camera alone on the face where the body in its `pose` (F, 6) takes it."""
+        rig, placed, moved = self.scene.rig, self.scene.body_from_left, None
+        if not isinstance(rig, StereoRig):
+            turns = (placed.inverse() @ RigidTransform.from_pose(one) @ placed for one in np.nan_to_num(pose))
+            moved = np.array([turn.pose for turn in turns])
+        places = [camera.position_px for camera in tracks.cameras]
+        return locate(rig, places, [camera.covariance_px2 for camera in tracks.cameras], moved).transformed(placed)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -318,7 +320,7 @@ class _Sums:
         squares = points.reprojection_px**2
         total, count = self.reprojection
         self.reprojection = total + float(np.nansum(squares)), count + int(np.count_nonzero(np.isfinite(squares)))
-        sides = [np.diagonal(side.covariance_px2, axis1=2, axis2=3) for side in (tracks.left, tracks.right)]
+        sides = [np.diagonal(side.covariance_px2, axis1=2, axis2=3) for side in tracks.cameras]
         self.variance_px2.add(np.stack(sides, axis=1))
         self.zncc.add(tracks.left.zncc)
         variance = np.trace(points.covariance_m2, axis1=2, axis2=3) / 3.0
@@ -330,7 +332,8 @@ class _Sums:
 
 def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked, _Fits]:
     """Go through what was followed for what it takes all frames to know: noise, remarks, and the direct fits."""
-    course, noise = StereoCourse(scene.rig), (RunningMean(), RunningMean())
+    course = StereoCourse(scene.rig if isinstance(scene.rig, StereoRig) else None)
+    noise = tuple(RunningMean() for _ in scene.images)
     levels, frames, fits = list[float](), list[int](), list[tuple[FloatArray, ...]]()
     shapes = scene.views[0].rates.shape[2] - 6
     nothing = tuple(np.full(shape, np.nan) for shape in (6, (6, 6), shapes, (shapes, shapes)))
@@ -347,22 +350,20 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
                     fits.append((fit.moved.pose, fit.covariance, fit.amplitude, fit.amplitude_covariance))
                 levels += [] if fit is None else [fit.noise]
                 if fit is not None and not sought:
-                    left, right = (np.nanmedian(carried_px(seen, fit.moved), axis=0) for seen in scene.seen)
-                    course.carry((left, right))
+                    course.carry(tuple(np.nanmedian(carried_px(seen, fit.moved), axis=0) for seen in scene.seen))
     if levels:
         fits[0] = (nothing[0], rest_covariance(scene.views, float(np.median(levels))), *nothing[2:])
-    grey = np.sqrt(noise[0].mean), np.sqrt(noise[1].mean)
+    grey = tuple(np.sqrt(side.mean) for side in noise)
     told = course.told(scene.first, scene.grid, scene.settings, grey)
-    return Tracked(scene, blocks, np.array(frames), grey, course, told), _Fits(*map(np.array, zip(*fits, strict=True)))
+    whole, numbers = _Fits(*map(np.array, zip(*fits, strict=True))), np.array(frames)
+    return Tracked(scene, blocks, numbers, whole.pose[numbers], grey, course, told), whole
 
 
-def _take_in(
-    scene: BodyScene, found: Sequence[Found], course: StereoCourse, noise: tuple[RunningMean, RunningMean]
-) -> None:
+def _take_in(scene: BodyScene, found: Sequence[Found], course: StereoCourse, noise: tuple[RunningMean, ...]) -> None:
     """Add the subsets of successive frames to what all frames say."""
-    sides = [[both[side] for both in found] for side in range(2)]
-    left, right = (places_of(*both) for both in zip(sides, scene.references, strict=True))
-    course.add((left[0], right[0]), (left[1], right[1]))
+    sides = [list(side) for side in zip(*found, strict=True)]
+    positions, statuses = zip(*(places_of(*both) for both in zip(sides, scene.references, strict=True)), strict=True)
+    course.add(positions, statuses)
     for running, side, reference in zip(noise, sides, scene.references, strict=True):
         running.add(noise_of(side, reference, scene.settings.degree) ** 2)
 

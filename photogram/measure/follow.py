@@ -1,4 +1,4 @@
-"""A body followed through series of stereo images: what stays the same, and where it is frame by frame."""
+"""A body followed by a pair or by one camera: what stays the same through a series, and where it is frame by frame."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, spread_choice
 from photogram.bspline import Spline, spline_of_image
-from photogram.camera import Points, StereoRig, triangulate
+from photogram.camera import Points, Rig, StereoRig, locate
 from photogram.direct.fit import (
     BodyView,
     DirectFit,
@@ -30,12 +30,13 @@ from photogram.subsets.find import BodyNotFound, DepthRange, Follower, identity
 from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.reference import Reference
 from photogram.subsets.search import HISTORY, foretold, predict_warp
-from photogram.subsets.track import StereoGrid, lay_stereo_grid, prepare_sequence
+from photogram.subsets.track import StereoGrid, lay_single_grid, lay_stereo_grid, prepare_sequence
 
 Progress = Callable[[int], None]
-Splines = tuple[Spline, Spline]
-Noise = tuple[NoiseModel, NoiseModel]
-Found = tuple[Registration, Registration]
+Splines = tuple[Spline, ...]
+Noise = tuple[NoiseModel, ...]
+Found = tuple[Registration, ...]
+"""Of each camera: the left and the right one of a pair, or the only one."""
 UNIFORM = NoiseModel(1.0, 0.0)
 BLOCK_FRAMES = 32
 """A constant, so that results do not depend on who computes them; few enough to share, many enough to start seldom."""
@@ -52,7 +53,7 @@ ELSEWHERE_PX = 0.5
 
 FollowedFrame = tuple[Found | None, DirectFit | None]
 FollowedBlock = tuple[FollowedFrame, ...]
-"""Successive frames: where the subsets are in the left and the right camera, None where they were not looked for, and
+"""Successive frames: where the subsets are in each camera, None where they were not looked for, and
 the direct fit, None for none."""
 
 
@@ -79,13 +80,13 @@ class BodyScene(Arrays, shapes="rest_m N 3; sought F"):
     subsets are looked for, whatever the direct fit says.
     """
 
-    images: tuple[ImageSequence, ImageSequence]
-    first: tuple[GreyImage, GreyImage]
-    rig: StereoRig
+    images: tuple[ImageSequence, ...]
+    first: tuple[GreyImage, ...]
+    rig: Rig
     body_from_left: RigidTransform
     settings: TrackSettings
     grid: StereoGrid
-    references: tuple[Reference, Reference]
+    references: tuple[Reference, ...]
     body: KnownBody
     rest_m: FloatArray
     views: tuple[BodyView, ...]
@@ -103,8 +104,8 @@ class BodyScene(Arrays, shapes="rest_m N 3; sought F"):
 
 
 def prepare_body(
-    images: tuple[ImageSequence, ImageSequence],
-    rig: StereoRig,
+    images: tuple[ImageSequence, ...],
+    rig: Rig,
     body_from_left: RigidTransform,
     settings: TrackSettings,
     device: str = "cpu",
@@ -113,19 +114,23 @@ def prepare_body(
 ) -> BodyScene:
     """Return what following a body needs: its subsets, its surface, and the noise of the images.
 
-    Blocks have `BLOCK_FRAMES` frames, on a GPU `GPU_BLOCK_FRAMES`.
+    The surface is triangulated by a pair; of a camera alone it is the face that its rig states. Blocks have
+    `BLOCK_FRAMES` frames, on a GPU `GPU_BLOCK_FRAMES`.
     """
     known = known or KnownBody()
-    grid = lay_stereo_grid(*images, rig, settings, known.depth_m)
-    left, right = (
-        prepare_sequence(side, px, settings) for side, px in zip(images, (grid.left_px, grid.right_px), strict=True)
-    )
-    first = images[0].read(0), images[1].read(0)
-    fixed = images, first, rig, body_from_left, settings, grid, (left, right)
+    if isinstance(rig, StereoRig):
+        left, right = images
+        grid = lay_stereo_grid(left, right, rig, settings, known.depth_m)
+    else:
+        grid = lay_single_grid(images[0], settings)
+    placed = zip(images, grid.places_px, strict=True)
+    references = tuple(prepare_sequence(side, px, settings) for side, px in placed)
+    first = tuple(side.read(0) for side in images)
+    fixed = images, first, rig, body_from_left, settings, grid, references
     every = np.ones(len(images[0]), dtype=np.bool_)
     scene = BodyScene(*fixed, known, np.empty((0, 3)), (), (), (), None, (), (), every)
-    rest_m = _place(scene, (identity(left), identity(right))).position_m[0]
-    splines = spline_of_image(first[0], settings.degree), spline_of_image(first[1], settings.degree)
+    rest_m = _place(scene, tuple(map(identity, references))).position_m[0]
+    splines = tuple(spline_of_image(image, settings.degree) for image in first)
     seen = tuple(see_points(camera, rest_m) for camera in _cameras(scene, rest_m))
     scene = replace(scene, rest_m=rest_m, seen=seen)
     scene = replace(scene, views=_views(scene, splines))
@@ -165,7 +170,7 @@ def follow_block(
 
 def in_turn(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> Iterator[FollowedBlock]:
     """The scene's frames from the reference on, no more than `BLOCK_FRAMES` at a time."""
-    own = identity(scene.references[0]), identity(scene.references[1])
+    own = tuple(map(identity, scene.references))
     for block in chain([((own, None), *scene.lead)], blocks):
         for start in range(0, len(block), BLOCK_FRAMES):
             yield block[start : start + BLOCK_FRAMES]
@@ -179,8 +184,8 @@ def _found(course: Course, frames: range, device: str) -> Iterator[FollowedFrame
         yield from found_together(course, frames, device)
         return
     read = zip(*(images.read_ahead(frames) for images in course.scene.images), strict=True)
-    for number, (left, right) in zip(frames, read, strict=True):
-        yield course.find(number, (left, right))
+    for number, images in zip(frames, read, strict=True):
+        yield course.find(number, images)
 
 
 class Course:
@@ -194,23 +199,24 @@ class Course:
         self.sides = followers(scene)
         self._history, self._last = list[Found](), [found for found, _ in scene.lead[-1:] if found is not None]
 
-    def find(self, number: int, images: tuple[GreyImage, GreyImage]) -> FollowedFrame:
+    def find(self, number: int, images: tuple[GreyImage, ...]) -> FollowedFrame:
         """Fit the body from where the last frames foretell it, and look for its subsets from there.
 
         Where nothing is foretold, or the subsets are elsewhere, it is fitted from its subsets, which are looked for.
         """
-        left, right = (spline_of_image(image, self.scene.settings.degree) for image in images)
-        fit = _foretold_fit(self.scene, self.fits, (left, right))
+        splines = tuple(spline_of_image(image, self.scene.settings.degree) for image in images)
+        fit = _foretold_fit(self.scene, self.fits, splines)
         here: Found | None = None
         if fit is None or self.scene.sought[number]:
             starts = self.starts(fit)
-            here = self.sides[0].find((images[0], left), starts[0]), self.sides[1].find((images[1], right), starts[1])
+            seen = zip(self.sides, images, splines, starts, strict=True)
+            here = tuple(side.find((image, spline), start) for side, image, spline, start in seen)
             if fit is None or any(elsewhere(one.warp, start) for one, start in zip(here, starts, strict=True)):
-                fit = _fit(self.scene, here, (left, right))
+                fit = _fit(self.scene, here, splines)
         return self.took(here, fit)
 
     def starts(self, fit: DirectFit | None) -> list[FloatArray | None]:
-        """Where both cameras' subsets are to be looked for: where a fit takes those that were found last, else where
+        """Where each camera's subsets are to be looked for: where a fit takes those that were found last, else where
         the frames before foretell them; None where nothing does."""
         starts: list[FloatArray | None] = []
         for side, seen in enumerate(self.scene.seen):
@@ -269,31 +275,28 @@ def elsewhere(warp: FloatArray, start: FloatArray | None) -> BoolArray:
     return np.asarray(2 * near.sum(axis=-1) <= looked_for.sum(axis=-1))
 
 
-def followers(scene: BodyScene) -> tuple[Follower, Follower]:
-    """Return what finds the subsets of the left and of the right camera."""
-    left, right = (
+def followers(scene: BodyScene) -> tuple[Follower, ...]:
+    """Return what finds the subsets of each camera."""
+    return tuple(
         Follower(reference, first, images.full_scale, scene.settings)
         for reference, first, images in zip(scene.references, scene.first, scene.images, strict=True)
     )
-    return left, right
 
 
 def _with_noise(scene: BodyScene, progress: Progress | None) -> BodyScene:
     """The scene with the noise models of the first frame that can be fitted, and what was found up to it."""
     sides = followers(scene)
     for number in range(1, len(scene.images[0])):
-        images = scene.images[0].read(number), scene.images[1].read(number)
-        left, right = (spline_of_image(image, scene.settings.degree) for image in images)
-        found, splines = (
-            (sides[0].find((images[0], left), None), sides[1].find((images[1], right), None)),
-            (left, right),
-        )
+        images = [one.read(number) for one in scene.images]
+        splines = tuple(spline_of_image(image, scene.settings.degree) for image in images)
+        seen = zip(sides, images, splines, strict=True)
+        found = tuple(side.find((image, spline), None) for side, image, spline in seen)
         fit = _fit(scene, found, splines)
         if fit is not None:
-            models = [image_noise(*one, moved=fit.moved) for one in zip(scene.views, splines, strict=True)]
-            weighed = zip(scene.views, models, strict=True)
+            noise = tuple(image_noise(*one, moved=fit.moved) for one in zip(scene.views, splines, strict=True))
+            weighed = zip(scene.views, noise, strict=True)
             views = tuple(reweighted_view(view, model, scene.settings.degree) for view, model in weighed)
-            scene = replace(scene, noise=(models[0], models[1]), views=views)
+            scene = replace(scene, noise=noise, views=views)
             fit = _fit(scene, found, splines)
         scene = replace(scene, lead=(*scene.lead, (found, fit)))
         _tell(progress, number + 1)
@@ -303,40 +306,34 @@ def _with_noise(scene: BodyScene, progress: Progress | None) -> BodyScene:
 
 
 def _tell(progress: Progress | None, frames: int) -> None:
-    """Say that both images of so many frames are done."""
+    """Say that all images of so many frames are done, two of each, as of a pair."""
     if progress is not None:
         progress(2 * frames)
 
 
-def _places(scene: BodyScene, found: Found) -> tuple[FloatArray, FloatArray]:
-    """Where the subsets (N, 2) of one frame are in both cameras, NaN where they are not found."""
-    left, right = (
-        reference.centre_px + here.warp[:, [0, 3]] for reference, here in zip(scene.references, found, strict=True)
-    )
-    return left, right
+def _places(scene: BodyScene, found: Found) -> tuple[FloatArray, ...]:
+    """Where the subsets (N, 2) of one frame are in each camera, NaN where they are not found."""
+    both = zip(scene.references, found, strict=True)
+    return tuple(reference.centre_px + here.warp[:, [0, 3]] for reference, here in both)
 
 
 def _place(scene: BodyScene, found: Found) -> Points:
     """Points (1, N) of one frame in the body's frame, all subsets equally trusted."""
-    left, right = _places(scene, found)
-    return triangulate(scene.rig, left[None], right[None]).transformed(scene.body_from_left)
+    return locate(scene.rig, [place[None] for place in _places(scene, found)]).transformed(scene.body_from_left)
 
 
-def _cameras(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, PlacedCamera]:
-    """Both cameras about the body; `BodyNotFound` where the calibration places no points of it."""
+def _cameras(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, ...]:
+    """The cameras about the body; `BodyNotFound` where the calibration places no points of it."""
     placed = int(np.count_nonzero(np.isfinite(rest_m).all(axis=1)))
     if placed < 3:
         text = f"at least 3 points that both cameras see in one place, found {placed} of {len(rest_m)}"
         raise BodyNotFound(f"rig: expected {text}; the calibration does not belong to these images")
     left_from_body = scene.body_from_left.inverse()
-    return (
-        PlacedCamera(scene.rig.left, left_from_body),
-        PlacedCamera(scene.rig.right, scene.rig.right_from_left @ left_from_body),
-    )
+    return tuple(PlacedCamera(camera, from_left @ left_from_body) for camera, from_left in scene.rig.placed)
 
 
 def _views(scene: BodyScene, splines: Splines) -> tuple[BodyView, ...]:
-    """The body at rest in both cameras, all pixels equally trusted."""
+    """The body at rest in each camera, all pixels equally trusted."""
     side_px, shapes = 2 * scene.settings.radius_px + 1, scene.shapes
     return tuple(
         view_body(one.camera, (spline, area, float(images.full_scale)), one.points_m, side_px, UNIFORM, shapes)

@@ -30,7 +30,6 @@ MOST_FRAMES, FIRST_FRAMES = 128, 12
 """Frames of a batch, and of the first one, which nothing foretells."""
 MOST_PIXELS, BYTES_PER_PIXEL, SHARE_OF_MEMORY = 2**29, 32, 0.2
 """Pixels of a batch, what it holds on a device for each, and how much of the device's memory it may take."""
-Pair = tuple[GreyImage, GreyImage]
 
 
 @dataclass(frozen=True)
@@ -38,13 +37,13 @@ class _Batch:
     """Successive frames, in memory and on the device."""
 
     numbers: range
-    images: Sequence[Pair]
-    raw: tuple[Tensor, Tensor]
+    images: Sequence[tuple[GreyImage, ...]]
+    raw: Sequence[Tensor]
 
     def part(self, first: int, count: int) -> _Batch:
         """Some of the frames."""
         own = slice(first, first + count)
-        return _Batch(self.numbers[own], self.images[own], (self.raw[0][own], self.raw[1][own]))
+        return _Batch(self.numbers[own], self.images[own], [one[own] for one in self.raw])
 
 
 def found_together(course: Course, frames: range, device: str) -> Iterator[FollowedFrame]:
@@ -67,26 +66,25 @@ def found_together(course: Course, frames: range, device: str) -> Iterator[Follo
 
 
 def _read_ahead(course: Course, frames: range, device: str) -> Iterator[_Batch]:
-    """Frames in batches; two threads, one for each camera, read and upload the next one in advance."""
+    """Frames in batches; a thread for each camera reads and uploads the next one in advance."""
     sources = [images.read_ahead(frames) for images in course.scene.images]
-    width, height = course.scene.images[0].size_px
-    length = _most_frames(2 * width * height, device)
+    length = _most_frames(sum(images.size_px[0] * images.size_px[1] for images in course.scene.images), device)
     ends = [0, *range(min(FIRST_FRAMES, length), len(frames), length), len(frames)]
 
-    def read(side: int, count: int) -> tuple[NDArray[Any], Tensor]:
-        return uploaded(list(islice(sources[side], count)), device)
+    def read(source: Iterator[GreyImage], count: int) -> tuple[NDArray[Any], Tensor]:
+        return uploaded(list(islice(source, count)), device)
 
     with ThreadPoolExecutor(max_workers=len(sources)) as readers:
         parts = [frames[first:end] for first, end in pairwise(ends)]
-        coming = [readers.submit(read, side, len(parts[0])) for side in (0, 1)]
+        coming = [readers.submit(read, source, len(parts[0])) for source in sources]
         for numbers, following in zip_longest(parts, parts[1:]):
-            (left, left_raw), (right, right_raw) = (one.result() for one in coming)
-            coming = [readers.submit(read, side, len(following)) for side in (0, 1) if following is not None]
-            yield _Batch(numbers, list(zip(left, right, strict=True)), (left_raw, right_raw))
+            images, raw = zip(*(one.result() for one in coming), strict=True)
+            coming = [readers.submit(read, source, len(following)) for source in sources if following is not None]
+            yield _Batch(numbers, list(zip(*images, strict=True)), raw)
 
 
 def _most_frames(pixels: int, device: str) -> int:
-    """How many frames of so many pixels, of both cameras, a batch has."""
+    """How many frames of so many pixels, of all cameras, a batch has."""
     import torch
 
     most = MOST_PIXELS
@@ -114,14 +112,12 @@ class _Engine:
         kept = [None if fit is None or too_loud(fit, before) else fit for fit in fits]
         sought = [k for k, fit in enumerate(kept) if fit is not None and scene.sought[batch.numbers[k]]]
         begun = {k: self._course.starts(kept[k]) for k in sought}
-        left, right = (self._subsets(side, splines[side], batch, begun) for side in (0, 1))
+        sides = [self._subsets(side, one, batch, begun) for side, one in enumerate(splines)]
         found: list[FollowedFrame | None] = []
         for k, fit in enumerate(kept):
-            one, other = left.get(k), right.get(k)
-            if fit is None or (k in begun and (one is None or other is None)):
-                found.append(None)
-            else:
-                found.append((None if one is None or other is None else (one, other), fit))
+            here = tuple(side[k] for side in sides if k in side)
+            lost = fit is None or (k in begun and len(here) < len(sides))
+            found.append(None if lost else (here if k in begun else None, fit))
         return found
 
     def _subsets(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -395,3 +396,18 @@ def _matrix_of(warp):  # type: ignore[no-untyped-def]
         matrix[row, 5] = p[5] * q[5]
     matrix[5, 5] = 1.0
     return matrix
+
+
+def places_of(found: Sequence[Registration], reference: Reference) -> tuple[FloatArray, NDArray[np.int8]]:
+    """Positions (F,N,2) of all frames, NaN where a subset is not found, and statuses (F,N)."""
+    status = np.stack([here.status for here in found])
+    position = np.stack([reference.centre_px + here.warp[:, [0, 3]] for here in found])
+    position[status != TrackStatus.OK] = np.nan
+    return position, status
+
+
+def noise_of(found: Sequence[Registration], reference: Reference, degree: int) -> FloatArray:
+    """Image noise (F,N) of all frames at each subset, NaN where it is not found."""
+    noise = np.stack([noise_of_residual(reference, here, degree) for here in found])
+    noise[np.stack([here.status for here in found]) != TrackStatus.OK] = np.nan
+    return noise

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, Notice, RunningMean, check_shape
+from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, Notice, RunningMean, check_shape
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
 from photogram.images.sequence import GreyImage, ImageSequence
@@ -29,7 +29,7 @@ from photogram.subsets.find import (
     find_on_lines,
     identity,
 )
-from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance
+from photogram.subsets.icgn import Registration, TrackSettings, noise_of, places_of, position_covariance
 from photogram.subsets.reference import Reference, TrackStatus, prepare_reference
 from photogram.subsets.search import HISTORY, predict_warp
 from photogram.subsets.sweep import TOLERANCE_PX
@@ -106,16 +106,15 @@ class Tracks(Arrays, shapes="position_px F N 2; covariance_px2 F N 2 2; zncc F N
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StereoTracks(Arrays, shapes="speckle_px 2; noise_grey 2; bias_px 2"):
-    """One body seen by two cameras: the same N subsets in `left` and `right`, and what the images are like.
+class StereoTracks(Arrays, shapes="cameras C; speckle_px C; noise_grey C; bias_px C"):
+    """One body seen by C cameras, two as a rule: the same N subsets in each, and what the images are like.
 
-    speckle_px (2,): speckle size, noise_grey (2,): image noise in grey values, bias_px (2,): amplitude of the error,
+    speckle_px (C,): speckle size, noise_grey (C,): image noise in grey values, bias_px (C,): amplitude of the error,
     periodic in the pixel, that sampling and interpolation may leave in the mean of all subsets (`aliasing_bias`), NaN
-    where it cannot be told; of the left and the right camera.
+    where it cannot be told; of the left and the right camera, or of the only one, which counts as a left one.
     """
 
-    left: Tracks
-    right: Tracks
+    cameras: tuple[Tracks, ...]
     notices: tuple[Notice, ...]
     speckle_px: FloatArray
     noise_grey: FloatArray
@@ -123,7 +122,18 @@ class StereoTracks(Arrays, shapes="speckle_px 2; noise_grey 2; bias_px 2"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_shape("right.position_px", self.right.position_px, self.left.position_px.shape)
+        for other in self.cameras[1:]:
+            check_shape("right.position_px", other.position_px, self.left.position_px.shape)
+
+    @property
+    def left(self) -> Tracks:
+        """The subsets in the left camera, or in the only one."""
+        return self.cameras[0]
+
+    @property
+    def right(self) -> Tracks:
+        """The subsets in the right camera of a pair."""
+        return self.cameras[1]
 
 
 @dataclass(frozen=True)
@@ -136,13 +146,22 @@ class FollowedImage:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StereoGrid(Arrays, shapes="left_px N 2; right_px N 2"):
-    """Subsets of one body in the first images: left_px (N,2), right_px (N,2), the textured areas (H,W), and remarks."""
+class StereoGrid(Arrays):
+    """Subsets of one body in the first image of each camera: places (N,2), the textured areas (H,W), and remarks."""
 
-    left_px: FloatArray
-    right_px: FloatArray
-    areas: tuple[BoolArray, BoolArray]
+    places_px: tuple[FloatArray, ...]
+    areas: tuple[BoolArray, ...]
     notices: tuple[Notice, ...]
+
+    @property
+    def left_px(self) -> FloatArray:
+        """Their places in the left camera, or in the only one."""
+        return self.places_px[0]
+
+    @property
+    def right_px(self) -> FloatArray:
+        """Their places in the right camera of a pair."""
+        return self.places_px[1]
 
 
 def match_stereo(
@@ -241,13 +260,8 @@ def lay_stereo_grid(
     if len(left) != len(right):
         raise ValueError(f"right: expected {len(left)} frames as in left, found {len(right)}")
     images = left.read(0), right.read(0)
-    areas = _inner_area(images[0]), _inner_area(images[1])
-    chosen = _chosen_part(areas[0].shape, settings)
-    if chosen is not None:
-        areas = areas[0] & chosen, areas[1]
-    points = lay_grid(areas[0], settings.radius_px, settings.grid_step_px)
-    if len(points) < 3:
-        raise BodyNotFound(f"left: expected a speckled body, found room for {len(points)} subsets in {left.names[0]}")
+    own, points = _laid(left.names[0], images[0], settings)
+    areas, chosen = (own, _inner_area(images[1])), _chosen_part(own.shape, settings)
     matched = match_stereo(images[0], images[1], points, settings, rig, depth_m)
     right_px = matched.position_px[0]
     kept = (matched.status[0] == TrackStatus.OK) & (subset_mean(areas[1], right_px, settings.radius_px) >= OVERLAP)
@@ -278,7 +292,33 @@ def lay_stereo_grid(
         )
     if chosen is not None:
         areas = areas[0], areas[1] & _covered(areas[1].shape, right_px[kept], settings.radius_px)
-    return StereoGrid(points[kept], right_px[kept], areas, tuple(notices))
+    return StereoGrid((points[kept], right_px[kept]), areas, tuple(notices))
+
+
+def lay_single_grid(images: ImageSequence, settings: TrackSettings) -> StereoGrid:
+    """Lay a grid over the textured body in the first image of a camera alone, without subsets that are saturated.
+
+    Raises `BodyNotFound` when fewer than three subsets are left.
+    """
+    first = images.read(0)
+    area, points = _laid(images.names[0], first, settings)
+    kept = points[~saturated(first, images.full_scale, points, settings.radius_px)]
+    if len(kept) < 3:
+        raise BodyNotFound(
+            f"left: expected a speckled body, found {len(kept)} unsaturated subsets in {images.names[0]}"
+        )
+    return StereoGrid((kept,), (area,), ())
+
+
+def _laid(name: str, image: Image, settings: TrackSettings) -> tuple[BoolArray, FloatArray]:
+    """The textured area (H,W) of the first left image, as far as it is chosen, and the grid (N,2) over it."""
+    area = _inner_area(image)
+    chosen = _chosen_part(area.shape, settings)
+    area = area if chosen is None else area & chosen
+    points = lay_grid(area, settings.radius_px, settings.grid_step_px)
+    if len(points) < 3:
+        raise BodyNotFound(f"left: expected a speckled body, found room for {len(points)} subsets in {name}")
+    return area, points
 
 
 def stereo_tracks(
@@ -300,7 +340,7 @@ def stereo_tracks(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Told(Arrays, shapes="speckle_px 2; noise_grey 2; bias_px 2"):
+class Told(Arrays, shapes="speckle_px C; noise_grey C; bias_px C"):
     """What `StereoTracks` say beside the tracks, once all frames are known."""
 
     notices: tuple[Notice, ...]
@@ -308,9 +348,9 @@ class Told(Arrays, shapes="speckle_px 2; noise_grey 2; bias_px 2"):
     noise_grey: FloatArray
     bias_px: FloatArray
 
-    def of(self, tracks: tuple[Tracks, Tracks]) -> StereoTracks:
+    def of(self, tracks: tuple[Tracks, ...]) -> StereoTracks:
         """Return the tracks of all frames, or of some, with it."""
-        return StereoTracks(*tracks, self.notices, self.speckle_px, self.noise_grey, self.bias_px)
+        return StereoTracks(tracks, self.notices, self.speckle_px, self.noise_grey, self.bias_px)
 
 
 class StereoCourse:
@@ -321,18 +361,17 @@ class StereoCourse:
 
     def __init__(self, rig: StereoRig | None) -> None:
         self._rig = rig
-        self._first: tuple[FloatArray, FloatArray] | None = None
+        self._first: tuple[FloatArray, ...] = ()
         self._residual = np.empty(0)
         self._common: list[FloatArray] = []
-        self._moved: tuple[list[FloatArray], list[FloatArray]] = [], []
-        self._statuses = np.zeros((2, len(TrackStatus)), np.int64)
+        self._moved: tuple[list[FloatArray], ...] = ()
+        self._statuses: IntArray = np.empty(0, np.int64)
 
-    def add(
-        self, positions_px: tuple[FloatArray, FloatArray], statuses: tuple[NDArray[np.int8], NDArray[np.int8]]
-    ) -> BoolArray:
-        """Take in further frames, positions (F,N,2) and statuses (F,N) of both cameras; return which are none (F,N)."""
-        if self._first is None:
-            self._first = positions_px[0][0], positions_px[1][0]
+    def add(self, positions_px: tuple[FloatArray, ...], statuses: tuple[NDArray[np.int8], ...]) -> BoolArray:
+        """Take in further frames, positions (F,N,2) and statuses (F,N) of each camera; return which are none (F,N)."""
+        if not self._first:
+            self._first, self._moved = tuple(side[0] for side in positions_px), tuple([] for _ in positions_px)
+            self._statuses = np.zeros((len(positions_px), len(TrackStatus)), np.int64)
             if self._rig is not None:
                 self._residual = epipolar_residual(self._rig, *self._first)[0]
         common, aside = self._apart(positions_px)
@@ -347,17 +386,17 @@ class StereoCourse:
             self._statuses[side] += np.bincount(counted.ravel(), minlength=len(TrackStatus))
         return aside
 
-    def carry(self, moved_px: tuple[FloatArray, FloatArray]) -> None:
-        """Take in a frame without subsets, from how far the body has moved in both cameras, (2,) each."""
+    def carry(self, moved_px: tuple[FloatArray, ...]) -> None:
+        """Take in a frame without subsets, from how far the body has moved in each camera, (2,)."""
         self._common.append(np.full(1, np.nan))
         for side, moved in enumerate(moved_px):
             self._moved[side].append(moved[None])
 
-    def aside(self, positions_px: tuple[FloatArray, FloatArray]) -> BoolArray:
+    def aside(self, positions_px: tuple[FloatArray, ...]) -> BoolArray:
         """Which places (F,N) of frames that were added are none."""
         return self._apart(positions_px)[1]
 
-    def _apart(self, positions_px: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, BoolArray]:
+    def _apart(self, positions_px: tuple[FloatArray, ...]) -> tuple[FloatArray, BoolArray]:
         """By how much all subsets left their epipolar lines (F,), and which (F,N) are elsewhere than the others."""
         if self._rig is None:
             return np.zeros(len(positions_px[0])), np.zeros(positions_px[0].shape[:2], np.bool_)
@@ -367,18 +406,17 @@ class StereoCourse:
 
     def told(
         self,
-        images: tuple[GreyImage, GreyImage],
+        images: tuple[GreyImage, ...],
         grid: StereoGrid,
         settings: TrackSettings,
-        noise_grey: tuple[FloatArray, FloatArray],
+        noise_grey: tuple[FloatArray, ...],
     ) -> Told:
-        """Remarks on both cameras, whose subsets have the noise (N,); `BodyNotFound` as `stereo_tracks` raises it."""
-        assert self._first is not None
+        """Remarks on the cameras, whose subsets have the noise (N,); `BodyNotFound` as `stereo_tracks` raises it."""
         self._refuse_copies(images[0], settings)
-        for image, first, moved, side in zip(images, self._first, self._moved, ("left", "right"), strict=True):
+        for image, first, moved, side in zip(images, self._first, self._moved, ("left", "right"), strict=False):
             _refuse_jumps(image, first, np.concatenate(moved), settings, side)
         notices, speckle, levels, biases = list(grid.notices), [], [], []
-        cameras = zip(images, grid.areas, noise_grey, self._statuses, ("left camera", "right camera"), strict=True)
+        cameras = zip(images, grid.areas, noise_grey, self._statuses, ("left camera", "right camera"), strict=False)
         for image, area, noises, counts, where in cameras:
             noise = _middle(noises)
             bias = aliasing_bias(image, area, noise, settings.radius_px, settings.degree)
@@ -402,7 +440,7 @@ class StereoCourse:
         """
         common = np.concatenate(self._common)
         jumps = np.flatnonzero(np.abs(common) > TOLERANCE_PX)
-        if not len(jumps) or self._first is None:
+        if not len(jumps):
             return
         period = repeat_px(image, self._first[0], settings.radius_px)
         if np.isfinite(period):
@@ -438,9 +476,9 @@ def _refuse_jumps(image: Image, first_px: FloatArray, moved: FloatArray, setting
         )
 
 
-def without_aside(tracks: tuple[Tracks, Tracks], aside: BoolArray) -> tuple[Tracks, Tracks]:
-    """The tracks of both cameras with subsets lost where they are `aside` (F,N) (`StereoCourse`)."""
-    return (_without(tracks[0], aside), _without(tracks[1], aside)) if aside.any() else tracks
+def without_aside(tracks: tuple[Tracks, ...], aside: BoolArray) -> tuple[Tracks, ...]:
+    """The tracks of each camera with subsets lost where they are `aside` (F,N) (`StereoCourse`)."""
+    return tuple(_without(track, aside) for track in tracks) if aside.any() else tracks
 
 
 def _without(track: Tracks, which: BoolArray) -> Tracks:
@@ -523,21 +561,6 @@ def _middle(values: FloatArray) -> float:
     """Median of the finite values."""
     finite = values[np.isfinite(values)]
     return float(np.median(finite)) if len(finite) else float("nan")
-
-
-def places_of(found: Sequence[Registration], reference: Reference) -> tuple[FloatArray, NDArray[np.int8]]:
-    """Positions (F,N,2) of all frames, NaN where a subset is not found, and statuses (F,N)."""
-    status = np.stack([here.status for here in found])
-    position = np.stack([reference.centre_px + here.warp[:, [0, 3]] for here in found])
-    position[status != TrackStatus.OK] = np.nan
-    return position, status
-
-
-def noise_of(found: Sequence[Registration], reference: Reference, degree: int) -> FloatArray:
-    """Image noise (F,N) of all frames at each subset, NaN where it is not found."""
-    noise = np.stack([noise_of_residual(reference, here, degree) for here in found])
-    noise[np.stack([here.status for here in found]) != TrackStatus.OK] = np.nan
-    return noise
 
 
 def tracks_of(

@@ -440,7 +440,7 @@ def test_a_compact_load_at_80_hz_is_rigid(demo_evaluation):
         (
             'shape = "rod"\nlength = 0.1\ndiameter = 0.02\nyoung_modulus = 2e11\ndensity = 7e3\nmeasured_by = ["base"]'
             "\nfrequencies_uncertainty = 0.1",
-            r"elastic\.rod\.measured_by: expected a stereo pair that sees the load \(top\), found base",
+            r"elastic\.rod\.measured_by: expected a stereo pair of two cameras that sees the load \(top\), found base",
         ),
         (
             'shape = "modes"\nmeasured_by = ["top"]\nfrequencies_uncertainty = 0.1\n[[load.elastic.mode]]\n'

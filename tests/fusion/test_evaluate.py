@@ -168,7 +168,7 @@ def test_subsets_that_are_lost_now_and_then_tell_what_the_calibration_does(tmp_p
     def losing(share: float) -> np.ndarray:
         aside = rng.random(whole.left.status.shape) < share
         left, right = without_aside((whole.left, whole.right), aside)
-        view = replace(measured.view, tracks=(replace(whole, left=left, right=right),))
+        view = replace(measured.view, tracks=(replace(whole, cameras=(left, right)),))
         assert aside.any(axis=0).all()
         return stereo_phasors(base, replace(measured, view=view), lines).reading.effects[CALIBRATION]
 

@@ -36,6 +36,7 @@ from fusion.recording.rig import (
     Warming,
 )
 from fusion.recording.toml import expand_statements, uncertain_inputs
+from fusion.recording.values import Surface
 from photogram.calibration.file import read_calibration
 
 Campaign = Callable[..., Path]
@@ -177,6 +178,7 @@ MODELS: dict[str, type[BaseModel]] = {
     "`[[part]]`, in rig.toml or recording.toml": Part,
     "`[environment]`": Environment,
     "`[stereo.NAME]`": Stereo,
+    "`[stereo.NAME.surface]`": Surface,
     "`[head.NAME]`": Head,
     "`[shaker]`, in rig.toml or recording.toml": Shaker,
     "`[model]`": ModelChanges,

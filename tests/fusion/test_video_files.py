@@ -57,7 +57,7 @@ def test_frames_and_exposure_of_the_files_are_those_of_the_pictures(tmp_path, de
     assert images.sight.exposure.length_s == pytest.approx(EXPOSURE_S, abs=1e-9)
     np.testing.assert_allclose(images.sight.time_s, pictures.sight.time_s, atol=1e-9)
     for frame in (0, 7):
-        np.testing.assert_array_equal(images.right.read(frame), pictures.right.read(frame))
+        np.testing.assert_array_equal(images.cameras[1].read(frame), pictures.cameras[1].read(frame))
     assert "exposure 60 µs by the file" in str(check(load_manifest(run)))
 
 

@@ -408,8 +408,8 @@ def test_a_single_camera_is_calibrated_with_the_same_care(tmp_path):
     camera, covariance = read_camera(tmp_path / "camera.json")
     np.testing.assert_array_equal(camera.parameters, found.rig.left.parameters)
     np.testing.assert_allclose(np.sqrt(np.diagonal(covariance)[:9]), [item.u for item in found.parameters])
-    write_calibration(tmp_path / "rig.json", RIG)
-    refused("left: unknown key", read_camera, tmp_path / "rig.json")
+    (tmp_path / "lens.json").write_text('{"format": 1, "lens": []}', encoding="utf-8")
+    refused("lens: unknown key", read_camera, tmp_path / "lens.json")
 
 
 def test_a_bowed_target_is_found_where_it_is_asked_for():

@@ -70,7 +70,7 @@ def _tracks(
     seen = [rig.project(points_m + shift) for rig, shift in zip(rigs, moved_m, strict=True)]
     left, right = (np.array([frame[side] for frame in seen]) for side in (0, 1))
     sides = _side(left, rng, noise_px, 0.0), _side(right, rng, noise_px, 1.5 * noise_px)
-    return StereoTracks(sides[0], sides[1], (), np.full(2, 4.0), np.full(2, 5.0), np.full(2, 0.0))
+    return StereoTracks((sides[0], sides[1]), (), np.full(2, 4.0), np.full(2, 5.0), np.full(2, 0.0))
 
 
 def _turned(rig: StereoRig, axis: int, angle_rad: float) -> StereoRig:
@@ -212,7 +212,7 @@ def test_missing_points_and_outliers_do_not_disturb_and_too_few_say_nothing():
     position[:, 3] += 1.5  # a wrong match, constant in time
     position[10:, 20:60] = np.nan
     position[25] = np.nan
-    check = check_epipolar(replace(tracks, right=replace(tracks.right, position_px=position)), RIG)
+    check = check_epipolar(replace(tracks, cameras=(tracks.left, replace(tracks.right, position_px=position))), RIG)
     assert check.notices == ()
     assert np.isnan(check.residual_px[3])
     assert np.isnan(check.course_px[25]).all()
@@ -227,7 +227,7 @@ def test_a_real_pair_at_fifteen_places_of_a_stage(data_dir):
     folder = data_dir / "duodic_rigid"
     points = np.load(folder / "matched_points.npz")
     left, right = (_found(points[side], 0.02) for side in ("left", "right"))
-    tracks = StereoTracks(left, right, (), np.full(2, np.nan), np.full(2, np.nan), np.full(2, np.nan))
+    tracks = StereoTracks((left, right), (), np.full(2, np.nan), np.full(2, np.nan), np.full(2, np.nan))
     (notice,) = check_epipolar(tracks, read_calibration(folder / "calibration.json")).notices
     assert "the epipolar residual is 0.125 px" in notice.text
     assert "as if" not in notice.text  # no turn explains it: the lenses are not described to the last

@@ -29,6 +29,7 @@ from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import Images
 from fusion.report.files import write_whole
 from fusion.report.terminal import stdout_console
+from photogram.camera import StereoRig
 from photogram.images.files import open_sequence
 from shaker.timebase.trigger import TriggerFit
 
@@ -137,21 +138,22 @@ def _look_at(block: Manifest) -> tuple[list[Finding], list[Strength], dict[str, 
 
 
 def _look_at_images(block: Manifest, images: Images) -> tuple[list[Finding], PairLook | None, int]:
-    """Look at the pictures of a stereo pair, and count its frames."""
+    """Look at the pictures of a stereo pair, and count its frames; of a camera alone there is nothing to compare."""
     where, pair = images.stereo, block.rig.stereo[images.stereo]
     try:
-        sequences = [open_sequence(paths, images.bit_depth) for paths in (images.left, images.right)]
+        sequences = [open_sequence(paths, images.bit_depth) for _, paths in images.cameras]
         rig = read_rig(pair, sequences)
-        looks = [look_at_camera(f"{where} {side}", s) for side, s in zip(("left", "right"), sequences, strict=True)]
+        named = zip(images.cameras, sequences, strict=True)
+        looks = [look_at_camera(f"{where} {side}", sequence) for (side, _), sequence in named]
     except (OSError, ValueError, InputError) as error:
         return [Finding("wrong", where, _short(error))], None, 0
     found = [finding for own, _ in looks for finding in own]
-    counts = [len(sequence) for sequence in sequences]
-    if counts[0] != counts[1]:
+    counts, seen_by = [len(sequence) for sequence in sequences], [seen for _, seen in looks if seen is not None]
+    if counts[0] != counts[-1]:
         found.append(Finding("wrong", where, f"{counts[0]} frames left and {counts[1]} right"))
-    left, right = (seen for _, seen in looks)
-    if left is None or right is None:
+    if not isinstance(rig, StereoRig) or len(seen_by) < len(looks):
         return found, None, counts[0]
+    left, right = seen_by
     own, seen = look_at_pair(where, rig, left, right)
     return found + own, seen, counts[0]
 

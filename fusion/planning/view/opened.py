@@ -20,7 +20,7 @@ from fusion.recording.manifest import ChannelEntry, Daq, Images
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import opened_results
 from fusion.report.labelled import CAMPAIGN_FILE, LabelledPhasors, read_results
-from photogram.camera import StereoRig
+from photogram.camera import Rig
 from photogram.images.files import open_sequence
 from photogram.images.sequence import ImageSequence
 from shaker.io.channel import RawChannel
@@ -77,19 +77,18 @@ class Pair:
     entry: Images
 
     @cached_property
-    def sequences(self) -> tuple[ImageSequence, ImageSequence]:
-        """Images of the left and the right camera."""
-        left, right = (open_sequence(paths, self.entry.bit_depth) for paths in (self.entry.left, self.entry.right))
-        return left, right
+    def sequences(self) -> tuple[ImageSequence, ...]:
+        """Images of the left and the right camera, or of the only one."""
+        return tuple(open_sequence(paths, self.entry.bit_depth) for _, paths in self.entry.cameras)
 
     @cached_property
-    def rig(self) -> StereoRig:
+    def rig(self) -> Rig:
         """The calibrated cameras."""
         return read_rig(self.manifest.rig.stereo[self.entry.stereo], self.sequences)
 
     @cached_property
     def shades(self) -> tuple[np.typing.NDArray[np.uint8], ...]:
-        """What is shown of each grey value, for the left and the right camera."""
+        """What is shown of each grey value, for each camera."""
         return tuple(_shades(images) for images in self.sequences)
 
     def picture(self, side: int, frame: int) -> bytes:
@@ -173,10 +172,9 @@ class Opened:
         """Return what the page has to know first."""
         pairs = []
         for number, pair in enumerate(self.pairs):
-            left, right = pair.sequences
-            sizes = [list(images.size_px) for images in (left, right)]
-            frames = min(len(left), len(right))
-            files = [[Path(name).name for name in images.names] for images in (left, right)]
+            sizes = [list(images.size_px) for images in pair.sequences]
+            frames = min(map(len, pair.sequences))
+            files = [[Path(name).name for name in images.names] for images in pair.sequences]
             pairs.append({"number": number, "name": pair.name, "frames": frames, "sizes": sizes, "files": files})
         channels = [
             {"name": one.entry.name, "daq": one.daq.name, "quantity": one.entry.quantity, "unit": one.unit}

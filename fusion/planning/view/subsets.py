@@ -20,6 +20,7 @@ from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import opened_results
 from fusion.report.motion_figures import neighbour_distance
 from fusion.report.points import HEAD
+from photogram.camera import StereoRig
 from photogram.geometry import rotation_from_vector
 from shaker.arrays import FloatArray
 from shaker.labels import AXES
@@ -33,6 +34,7 @@ LINES_ONLY = (
 )
 EVERY_FRAME = "Subsets and what is not rigid of them as measured in every frame (points-NAME.csv)."
 NO_RESIDUALS = "Of epipolar residuals results keep the mean of each subset over the frames, not every frame's."
+SIDES = ("left", "right")
 FARTHEST, NEAREST, STEPS = 1e3, 2.0, 400  # of an epipolar line, in distances of the cameras
 
 
@@ -136,27 +138,32 @@ class Subsets:
         return None
 
     def frame(self, number: int, frame: int) -> Mapping[str, Any]:
-        """Return where both cameras see the subsets (N, 2) in a frame, and what of it is not rigid, in px."""
+        """Return where each camera sees the subsets (N, 2) in a frame, and what of it is not rigid, in px."""
         kept = self.kept[number]
         if kept is None or not 0 <= frame < len(kept.time_s):
             return {"told": ""}
         if not np.isfinite(kept.pose[frame]).all():
             return {"told": "No motion was found in this frame."}
         whole, rigid = (self._seen(number, kept.moved_m(frame, rigid=only)) for only in (False, True))
-        sides = {side: _pairs(own) for side, own in zip(("left", "right"), whole, strict=True)}
-        rest = {side: _pairs(a - b) for side, a, b in zip(("left", "right"), whole, rigid, strict=True)}
+        sides = {side: _pairs(own) for side, own in zip(SIDES, whole, strict=False)}
+        rest = {side: _pairs(a - b) for side, a, b in zip(SIDES, whole, rigid, strict=False)}
         return {**sides, "residual": rest, "radius": kept.radius_px, "told": ""}
 
-    def _seen(self, number: int, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the pixels (N, 2) at which both cameras see points (N, 3) of the sensor frame."""
+    def _seen(self, number: int, points_m: FloatArray) -> list[FloatArray]:
+        """Return the pixels (N, 2) at which each camera sees points (N, 3) of the sensor frame."""
         pair = self.opened.pairs[number]
-        camera = sensor_from_camera(pair.manifest.rig.stereo[pair.entry.stereo]).inverse()
-        return pair.rig.project(camera.apply(points_m))
+        left = sensor_from_camera(pair.manifest.rig.stereo[pair.entry.stereo]).inverse().apply(points_m)
+        return [camera.project(from_left.apply(left)) for camera, from_left in pair.rig.placed]
 
     def epipolar(self, number: int, side: int, place: tuple[float, float]) -> Mapping[str, Any]:
-        """Return a place of one camera and the line in the other one on which it lies, as pixels within the picture."""
+        """Return a place of one camera and the line in the other one on which it lies, as pixels within the picture.
+
+        Of a camera alone the place itself.
+        """
         pair = self.opened.pairs[number]
         rig = pair.rig
+        if not isinstance(rig, StereoRig):
+            return {SIDES[side]: [list(place)]}
         cameras = (rig.left, rig.right)
         other_from_own = rig.right_from_left if side == 0 else rig.right_from_left.inverse()
         ray = np.append(cameras[side].undistort(np.array([place]))[0], 1.0)
@@ -165,8 +172,7 @@ class Subsets:
         pixels = cameras[1 - side].project(other_from_own.apply(depth[:, None] * ray))
         width, height = pair.sequences[1 - side].size_px
         inside = ((pixels >= -0.1 * width) & (pixels <= 1.1 * np.array([width, height]))).all(axis=1)
-        names = ("left", "right")
-        return {names[side]: [list(place)], names[1 - side]: pixels[inside & np.isfinite(pixels).all(axis=1)].tolist()}
+        return {SIDES[side]: [list(place)], SIDES[1 - side]: pixels[inside & np.isfinite(pixels).all(axis=1)].tolist()}
 
     def track(self, number: int, point: int) -> bytes:
         """Return curves of a subset: its motion, what of it is not rigid, and the spectrum of both."""

@@ -78,9 +78,10 @@
   async function show() {
     if (view.tab !== "images") return;
     const asked = ++state.asked, frame = number(), one = pair();
-    const [left, right, subsets] = await Promise.all([picture(0, frame), picture(1, frame), view.ask("subsets", { pair: one.number, frame })]);
+    const pictures = one.sizes.map((_, side) => picture(side, frame));
+    const [subsets, ...frames] = await Promise.all([view.ask("subsets", { pair: one.number, frame }), ...pictures]);
     if (asked !== state.asked) return;
-    state.frames = [left, right];
+    state.frames = frames;
     state.subsets = subsets;
     paint();
     const phase = one.phases?.[Number(view.get("order").value) - 1]?.[frame];
@@ -91,6 +92,8 @@
     view.get("frame-told").textContent = told.join(", ");
     view.get("frame").setAttribute("aria-valuetext", told.join(", "));
     SIDES.forEach((side, i) => {
+      view.get(side).parentElement.hidden = i >= frames.length;
+      if (i >= frames.length) return;  // a camera alone
       view.get(`${side}-told`).textContent = `${side}: ${one.files[i][frame]}`;
       view.get(side).setAttribute("aria-label", `Image of the ${side} camera of ${one.name}, ${told.join(", ")}`);
     });

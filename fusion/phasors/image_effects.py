@@ -1,0 +1,206 @@
+"""What all frames of a pair share: its calibration, the surface before a camera alone, errors periodic in the pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.base import ComputeError, InputError
+from fusion.instruments.stereo import CALIBRATION, PERIODIC, SURFACE
+from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
+from photogram.arrays import RunningMean, spread_choice
+from photogram.camera import CAMERA_PARAMETERS, FaceCamera, Rig, locate, principal_components
+from photogram.direct.shapes import Shapes
+from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.motion import PlacedCamera, fit_motion, see_points
+from shaker.arrays import ComplexArray, FloatArray
+from shaker.sine.normal_equations import SineSums
+
+MIN_SUBSETS, SEEN_SHARE, EFFECT_SUBSETS = 6, 0.5, 200
+PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
+BIAS_STEP_PX = 0.01
+THROUGH = "pose through the surface"
+
+
+def image_effects(
+    measured: StereoMotion, view: ImageView, frequency_hz: FloatArray, usable: NDArray[np.bool_], gain: FloatArray
+) -> tuple[dict[str, ComplexArray], ComplexArray]:
+    """Return what calibration and errors periodic in the pixel do to the phasors, NaN at lines not `usable`, and to
+    amplitudes of shapes at those that are.
+
+    Of a camera alone also what the stated surface does, and what the pose does through it (THROUGH).
+    """
+    sums, means = None, tuple(RunningMean() for _ in view.rig.placed)
+    for block in view.tracks:
+        positions = [camera.position_px for camera in block.cameras]
+        both = np.concatenate(positions, axis=2)
+        if sums is None:
+            sums, bias_px = SineSums(measured.points_time_s, frequency_hz, np.nan_to_num(both[0])), block.bias_px
+        sums.add(both)
+        for running, position in zip(means, positions, strict=True):
+            running.add(position)
+    assert sums is not None
+    places = [running.mean for running in means]
+    # Without a covariance there is nothing that needs the displacement of each subset.
+    frames = _phasor_frames(sums, len(measured.points_time_s)) if view.rig.covariance is not None else []
+    of_calibration = _calibration_effects(measured, view, frames, len(frequency_hz))
+    periodic, periodic_of_shapes = _periodic_effects(measured, view, places, bias_px, len(frequency_hz))
+    changes = {CALIBRATION: of_calibration[..., :6], PERIODIC: periodic}
+    if isinstance(view.rig, FaceCamera):
+        changes |= surface_effects(measured, view.rig, frames, view.deformed.shapes)
+    effects, loss = {}, gain[usable][:, None]
+    for what, change in changes.items():
+        effects[what] = np.full((len(change), len(usable), 6), np.nan, dtype=np.complex128)
+        effects[what][:, usable] = change / loss
+    return effects, np.asarray(np.concatenate([of_calibration[..., 6:], periodic_of_shapes]) / loss)
+
+
+def _periodic_effects(
+    measured: StereoMotion, view: ImageView, means: Sequence[FloatArray], bias_px: FloatArray, lines: int
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return (12·K, K, 6): what errors periodic in the pixel may do to the phasors, each at one line only.
+
+    A mean error B·sin(2πu + φ) of all subsets moving as u(t) = a·cos ωt is at most 2·B·J₁(1.84) = 1.16·B at any
+    multiple of ω; over amplitudes and phases that is about 0.4·B, as a standard uncertainty of real and imaginary part
+    alike. Since u differs across the image, it counts for x and y of either camera as a shift of all subsets by B and
+    as displacements growing to B at the body's rim, along and across: twelve patterns, each on its own, of which the
+    motion has six independent combinations. A camera alone sees tilts by patterns of second order, which then count as
+    well. `means` (N, 2): the subsets' positions in each camera.
+
+    Beside it (2S·K, K, S): what they do to the amplitudes of shapes, for which displacements of second order over the
+    picture count as well.
+    """
+    seen = np.isfinite(np.concatenate(means, axis=1)).all(axis=1)
+    motions: list[FloatArray] = []
+    places = [mean[seen] for mean in means]
+    for side, bias in enumerate(np.nan_to_num(bias_px)):
+        centred = places[side] - places[side].mean(axis=0)
+        x, y = (centred / np.abs(centred).max(axis=0)).T
+        for pattern in (np.ones(len(x)), x, y, x * x, x * y, y * y):
+            moved = [np.repeat(place[None], 3, axis=0) for place in places]  # at rest, along x, along y
+            moved[side][[1, 2], :, [0, 1]] += BIAS_STEP_PX * pattern
+            pose, shapes = sensor_from_camera(measured.sight.pair), view.deformed.shapes
+            (both,) = phasor_motion(view.rig, pose, moved, shapes)
+            motions += [PERIODIC_SHARE * bias / BIAS_STEP_PX * part for part in (both.real, both.imag)]
+    of_order = np.arange(len(motions)) // 2 % 6 // 3  # 0 for patterns up to first order
+    effects = []
+    for rows in (np.array(motions)[of_order <= (len(means) == 1), :6], np.array(motions)[:, 6:]):
+        combined = np.asarray(np.linalg.qr(rows, mode="r"))
+        parts = np.concatenate([combined, 1j * combined])
+        each_line = np.einsum("kl,pc->kplc", np.eye(lines), parts)
+        effects.append(np.asarray(each_line.reshape(-1, lines, combined.shape[1])))
+    return effects[0], effects[1]
+
+
+def _calibration_effects(
+    measured: StereoMotion, view: ImageView, frames: Sequence[FloatArray], lines: int
+) -> ComplexArray:
+    """Return (P, K, 6 + S): the displacement phasors' change for each principal component of the calibration, and that
+    of the amplitudes of shapes.
+
+    The path from the tracks onward is evaluated again with each perturbed rig. Phasors are linear in small pixel
+    displacements, so instead of all frames only the mean positions of the subsets and their displacement phasors at
+    each line are triangulated and fitted: 1 + 2K `frames`. Of a camera alone without what is open of its surface.
+    """
+    covariance, shapes = view.rig.covariance, view.deformed.shapes
+    if covariance is None:
+        return np.empty((0, lines, 6 + len(shapes.names)), dtype=np.complex128)
+    if isinstance(view.rig, FaceCamera):
+        covariance = np.where(np.arange(len(covariance)) < len(CAMERA_PARAMETERS), covariance, 0.0)
+    change, pose = measured.sight.pair.pose_by_calibration, sensor_from_camera(measured.sight.pair)
+    answer = np.zeros((6, len(covariance))) if change is None else np.array(change)  # the pose was found with this rig
+    nominal = phasor_motion(view.rig, pose, frames, shapes)
+    changes = []
+    for step in principal_components(covariance):
+        moved = RigidTransform.from_pose(answer @ step) @ pose
+        try:
+            changes.append(phasor_motion(view.rig.perturbed(step), moved, frames, shapes) - nominal)
+        except ValueError as error:
+            file = measured.sight.pair.calibration or measured.sight.where[0]
+            found = "rays that meet nowhere in front of the cameras when it is off by its own standard uncertainty"
+            raise InputError(
+                file, "matrix", found, "focal lengths in px and a translation in m of this pair"
+            ) from error
+    return np.array(changes)
+
+
+def surface_effects(
+    measured: StereoMotion, rig: FaceCamera, frames: Sequence[FloatArray], shapes: Shapes
+) -> dict[str, ComplexArray]:
+    """Return what the surface before a camera alone leaves open of the displacement phasors, by what it is due to.
+
+    SURFACE (3, K, 6): its place along its normal and its two tilts, one standard uncertainty of each. THROUGH (6, K,
+    6): the pose, in the order of its uncertainties, because the surface stays where it is in the sensor frame: with the
+    camera's frame elsewhere by E the pixels were seen on S⁻¹·E⁻¹·S of the surface, S = sensor_from_camera.
+    """
+    pair, pose, own = measured.sight.pair, sensor_from_camera(measured.sight.pair), len(CAMERA_PARAMETERS)
+    assert rig.covariance is not None
+    nominal, u = phasor_motion(rig, pose, frames, shapes), np.array(pair.pose_uncertainty)
+
+    def seen_on(other: FaceCamera) -> ComplexArray:
+        return np.asarray((nominal - phasor_motion(other, pose, frames, shapes))[:, :6])
+
+    stated = [rig.perturbed(step) for step in np.diag(np.sqrt(np.diagonal(rig.covariance)))[own:]]
+    errors = [RigidTransform(rotation_from_vector(-step[3:]), step[:3]) for step in np.diag(u)]
+    moved = [rig.moved(pose.inverse() @ error.inverse() @ pose) for error in errors]
+    return {SURFACE: np.array([*map(seen_on, stated)]), THROUGH: np.array([*map(seen_on, moved)])}
+
+
+def _phasor_frames(sums: SineSums, samples: int) -> list[FloatArray]:
+    """Return positions (1 + 2K, N, 2) in each camera: mean, mean + Re and mean + Im of each line's displacement.
+
+    Of the subsets that are seen in most frames, each by its own: in a long recording all are lost now and then. Some
+    200 of them are enough, since what the calibration does is smooth over the picture.
+    """
+    mean, phasors, _ = sums.solved(1)
+    good = np.isfinite(mean).all(axis=1) & (sums.count >= SEEN_SHARE * samples)
+    if np.count_nonzero(good) < MIN_SUBSETS:
+        share = f"{np.count_nonzero(good)} subsets are followed through half of the frames"
+        raise ComputeError(f"only {share}; look at the images")
+    some = np.flatnonzero(good)
+    some = some[spread_choice(np.arange(len(some)), EFFECT_SUBSETS / len(some))]
+    parts = [part[some] for value in phasors for part in (value.real, value.imag)]
+    frames = np.stack([mean[some], *(mean[some] + part for part in parts)])
+    return [np.ascontiguousarray(frames[..., side : side + 2]) for side in range(0, frames.shape[2], 2)]
+
+
+def phasor_motion(rig: Rig, pose: RigidTransform, frames: Sequence[FloatArray], shapes: Shapes) -> ComplexArray:
+    """Return the displacement phasors (K, 6) that a rig, its left camera in this pose, makes of phasor frames, and the
+    amplitudes (K, S) of shapes beside them, by least squares of the points with what depth is worth in them."""
+    points = locate(rig, frames).transformed(pose)
+    poses = fit_motion(points, None, np.zeros(3)).pose[1:]
+    rest, known = points.position_m[0], np.isfinite(points.position_m).all(axis=(0, 2))
+    columns = [*np.broadcast_to(np.eye(3)[:, None], (3, len(rest), 3)), *np.cross(np.eye(3)[:, None], rest)]
+    design = np.stack([*columns, *shapes(rest)])[:, known].reshape(6 + len(shapes.names), -1)
+    weight = np.linalg.inv(points.covariance_m2[0][known])
+    weighted = np.einsum("pni,nij->pnj", design.reshape(len(design), -1, 3), weight).reshape(len(design), -1)
+    moved = (points.position_m[1:] - rest)[:, known].reshape(len(poses), -1)
+    amplitude = np.linalg.lstsq(weighted @ design.T, weighted @ moved.T, rcond=None)[0][6:].T
+    both = np.concatenate([poses, amplitude], axis=1)
+    return np.asarray(both[0::2] + 1j * both[1::2])
+
+
+def with_surface_at_rest(measured: StereoMotion, mean_pose: FloatArray) -> StereoMotion:
+    """Return the motion of a camera alone, whose stated surface is that of the mean pose (6,), not of the first frame.
+
+    The frames were fitted with the surface stated for the first one, which is as far from rest as the body is then. A
+    motion p that shifts pixels by J₀·p there shifts them as (JᵀJ)⁻¹·Jᵀ·J₀·p does on the surface where it was, J the
+    rates of the subsets' pixels by the six components; what is left is of second order in the motion over the distance.
+    """
+    view, pose = measured.view, sensor_from_camera(measured.sight.pair)
+    if view is None or not isinstance(view.rig, FaceCamera):
+        return measured
+    places = next(iter(view.tracks)).left.position_px[:1]
+    camera, rates = PlacedCamera(view.rig.camera, pose.inverse()), []
+    for rig in (view.rig, view.rig.moved(pose.inverse() @ RigidTransform.from_pose(mean_pose).inverse() @ pose)):
+        rates.append(see_points(camera, locate(rig, [places]).transformed(pose).position_m[0]).rates)
+    known = np.isfinite(rates).all(axis=(0, 2, 3))
+    stated, true = (one[known].reshape(-1, 6) for one in rates)
+    scale = np.linalg.norm(true, axis=0)
+    answer = np.linalg.lstsq(true / scale, stated, rcond=None)[0] / scale[:, None]
+    motion = measured.motion
+    covariance = answer @ motion.covariance @ answer.T
+    return replace(measured, motion=replace(motion, pose=motion.pose @ answer.T, covariance=covariance))
