@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2 as chi_square
+from scipy.special import chdtrc
 
 from fusion.campaign.drive import About, Drive, Stored, once
 from fusion.estimation.consistency import UNTESTED
@@ -276,7 +276,7 @@ def _contradiction(known: Knowledge, estimate: FloatArray, covariance: FloatArra
     root, turned = np.sqrt(values[kept]), vectors[:, kept]
     white = turned.T @ off / root
     spread = np.eye(len(root)) + root[:, None] * (turned.T @ others @ turned) * root
-    return float(chi_square.sf(white @ np.linalg.solve(spread, white), len(root)))
+    return float(chdtrc(float(len(root)), white @ np.linalg.solve(spread, white)))
 
 
 @dataclass(frozen=True)
