@@ -73,8 +73,16 @@ class _Chosen:
                 with as_input_error(path):
                     moved.append(_between(surface, points_m))
             return np.stack(moved)
-        motion = stated_modes(self.table, {}).motion
+        motion = self._drawn_modes.motion
         return np.stack([motion(Place("", point))[list(self.which), :3] for point in points_m], axis=1)
+
+    @cached_property
+    def _drawn_modes(self) -> Modes:
+        return stated_modes(self.table, {})
+
+    def __reduce__(self) -> tuple[type[_Chosen], tuple[Elastic, tuple[int, ...], tuple[str, ...]]]:
+        """Leave behind what was computed: the modes of a drawing are functions, which reach no other process."""
+        return _Chosen, (self.table, self.which, self.labels)
 
     @cached_property
     def size(self) -> FloatArray:
