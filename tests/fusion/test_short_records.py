@@ -195,7 +195,8 @@ def test_a_line_found_in_the_motion_is_on_the_clock_of_its_trigger():
 
 
 @pytest.mark.parametrize(
-    ("periods", "trials"), [(0.6, 30), *(pytest.param(p, 80, marks=pytest.mark.slow) for p in (0.6, 1.3, 3.0))]
+    ("periods", "trials"),
+    [(0.6, 30), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0.6, 80), (1.3, 60), (3.0, 30)))],
 )
 def test_channels_on_a_tied_clock_err_as_they_state(periods, trials):
     # A channel of another DAQ: its time axis is the tie's, whose rate is uncertain; a slow line of few periods.
