@@ -6,7 +6,7 @@ export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OMP_WAIT_POLICY := passive
 
-.PHONY: demo test validate lint types platforms docs docs-pictures sample-images benchmark wheel clean
+.PHONY: demo test validate test-all lint types platforms win32 darwin docs docs-pictures sample-images benchmark wheel clean
 
 demo: .venv/installed
 	$(BIN)/shakercal run sample_images/demo -o demo-results --force
@@ -20,6 +20,10 @@ test: lint types
 validate: .venv/dev
 	$(PYTEST) -m slow
 
+# Both at once: tests are collected, and what several of them share is made, only once.
+test-all: lint types
+	$(PYTEST)
+
 lint: .venv/dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -27,10 +31,11 @@ lint: .venv/dev
 types: .venv/dev
 	$(BIN)/mypy
 
-# The same for the other systems, whose branches no check on this one sees: two minutes the first time.
-platforms: .venv/dev
-	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32
-	$(BIN)/mypy --platform darwin --cache-dir .mypy_cache/darwin
+# The same for the other systems, whose branches no check on this one sees: a minute each the first time.
+platforms: win32 darwin
+
+win32 darwin: .venv/dev
+	$(BIN)/mypy --platform $@ --cache-dir .mypy_cache/$@
 
 # Pages as a site that opens without a network; every warning is an error.
 docs: .venv/docs
@@ -64,15 +69,18 @@ benchmark: .venv/dev
 wheel: .venv/dev
 	$(BIN)/python -m build
 
-.venv/installed: pyproject.toml constraints.txt
+.venv/made:
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "shakercal needs Python 3.11 or newer")'
 	$(PYTHON) -m venv .venv
+	touch $@
+
+.venv/installed: .venv/made pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --editable .
 	touch $@
 
-.venv/dev: .venv/installed
+.venv/dev: .venv/made pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --editable ".[dev]"
-	touch $@
+	touch .venv/installed $@
 
 clean:
 	rm -rf .venv build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache demo-results

@@ -17,6 +17,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
@@ -486,6 +487,9 @@ LIBRARIES = {
 }
 
 
+_version = cache(importlib.metadata.version)  # it searches a folder and parses a file, a millisecond each
+
+
 def versions() -> dict[str, str]:
     """Versions of this program, of Python, of the system, and of the libraries that have been imported."""
     found = {PROGRAM: __version__, "python": platform.python_version()}
@@ -493,7 +497,7 @@ def versions() -> dict[str, str]:
         if module not in sys.modules:
             continue
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[distribution] = importlib.metadata.version(distribution)
+            found[distribution] = _version(distribution)
     found["platform"] = f"{platform.system()} {platform.machine()}"
     return found
 

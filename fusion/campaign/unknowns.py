@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2 as chi_square
+from scipy.special import chdtrc
 
 from fusion.campaign.drive import About, Drive, Stored, once
 from fusion.estimation.consistency import UNTESTED
@@ -125,8 +125,7 @@ class _Source:
 class _Member:
     """One recording of a mounting: where its shared unknowns stand among the wide, then those of the mounting."""
 
-    recording: str
-    known: Knowledge
+    source: _Source
     places: IntArray
 
 
@@ -218,18 +217,19 @@ class Joint:
             groups.setdefault("" if self.single else source.mounting, []).append(source)
         for group in groups.values():
             places, about, members = dict(wide), list[About](), list[_Member]()
+            information, score = np.zeros((len(places), len(places))), np.zeros(len(places))
             for source in group:
-                known = source.known()
+                known = source.known()  # of one recording at a time, or memory grows as the campaign
                 own = [known.about[place] for place in np.flatnonzero(known.shared).tolist()]
                 for one in own:
                     if one[0] not in places:
                         places[one[0]] = len(places)
                         about.append(one)
-                members.append(_Member(source.recording, known, np.array([places[one[0]] for one in own], np.int64)))
-            information, score = np.zeros((len(places), len(places))), np.zeros(len(places))
-            for member in members:
-                information[np.ix_(member.places, member.places)] += member.known.information
-                score[member.places] += member.known.score
+                more = len(places) - len(score)
+                information, score = np.pad(information, (0, more)), np.pad(score, (0, more))
+                members.append(_Member(source, np.array([places[one[0]] for one in own], np.int64)))
+                information[np.ix_(members[-1].places, members[-1].places)] += known.information
+                score[members[-1].places] += known.score
             yield _Mounted(tuple(members), tuple(about), information, score, len(wide))
 
     def _all(self, mounted: _Mounted) -> tuple[FloatArray, FloatArray]:
@@ -246,8 +246,8 @@ class Joint:
             estimate, covariance = self._all(mounted)
             for member in mounted.members:
                 own = member.places
-                p = _contradiction(member.known, estimate[own], covariance[np.ix_(own, own)])
-                found.append((p, member.recording))
+                p = _contradiction(member.source.known(), estimate[own], covariance[np.ix_(own, own)])
+                found.append((p, member.source.recording))
         limit = 1.0 - TEST_LEVEL ** (1.0 / max(len(found), 1))
         return tuple(name for p, name in sorted(found) if p < limit)
 
@@ -257,7 +257,7 @@ class Joint:
         for mounted in self._mounted():
             estimate, _ = self._all(mounted)
             for member in mounted.members:
-                yield member.recording, Carry(self, mounted, member, estimate[member.places], root)
+                yield member.source.recording, Carry(self, mounted, member, estimate[member.places], root)
 
 
 def _contradiction(known: Knowledge, estimate: FloatArray, covariance: FloatArray) -> float:
@@ -276,7 +276,7 @@ def _contradiction(known: Knowledge, estimate: FloatArray, covariance: FloatArra
     root, turned = np.sqrt(values[kept]), vectors[:, kept]
     white = turned.T @ off / root
     spread = np.eye(len(root)) + root[:, None] * (turned.T @ others @ turned) * root
-    return float(chi_square.sf(white @ np.linalg.solve(spread, white), len(root)))
+    return float(chdtrc(float(len(root)), white @ np.linalg.solve(spread, white)))
 
 
 @dataclass(frozen=True)
@@ -298,7 +298,7 @@ class Carry:
 
     def of(self, drive: Drive) -> Drive:
         """Return a drive with the load and its uncertainty as the campaign knows them."""
-        known, wide = self.member.known, self.mounted.wide
+        known, wide = self.member.source.known(), self.mounted.wide
         uncertainty = drive.load_uncertainty
         old = {influence.name: influence for influence in uncertainty.influences}
         none = np.zeros((1, uncertainty.random[0].covariance.shape[1]))

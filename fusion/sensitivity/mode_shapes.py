@@ -16,6 +16,7 @@ from fusion.estimation.uncertainty import as_complex, real_stack
 from fusion.instruments.transducer import across
 from fusion.sensitivity.body import Body, drawn, stated_modes
 from fusion.sensitivity.elastic import ElasticPart, MeasuredModes, Modes, Place, Rod, Variant, response
+from photogram.camera import principal_components
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice
 from shaker.io.text import read_table_columns
 from shaker.sine.aliasing import exposure_gain
@@ -73,8 +74,16 @@ class _Chosen:
                 with as_input_error(path):
                     moved.append(_between(surface, points_m))
             return np.stack(moved)
-        motion = stated_modes(self.table, {}).motion
+        motion = self._drawn_modes.motion
         return np.stack([motion(Place("", point))[list(self.which), :3] for point in points_m], axis=1)
+
+    @cached_property
+    def _drawn_modes(self) -> Modes:
+        return stated_modes(self.table, {})
+
+    def __reduce__(self) -> tuple[type[_Chosen], tuple[Elastic, tuple[int, ...], tuple[str, ...]]]:
+        """Leave behind what was computed: the modes of a drawing are functions, which reach no other process."""
+        return _Chosen, (self.table, self.which, self.labels)
 
     @cached_property
     def size(self) -> FloatArray:
@@ -222,10 +231,10 @@ def _measured(
 
     variants = [replace(v, above=carrying(v.above), below=carrying(v.below)) for v in part.variants]
     label = f"elastic {part.name}: as stereo {pair.name} sees it"
-    for line, hertz, root in zip(np.flatnonzero(pair.usable), frequency, _roots(covariance), strict=True):
-        for number, column in enumerate(root.T):
+    for line, hertz, own in zip(np.flatnonzero(pair.usable), frequency, covariance, strict=True):
+        for number, step in enumerate(principal_components(own)):
             change = np.zeros_like(whole)
-            change[line] = as_complex(column)
+            change[line] = as_complex(step)
             sides = carrying(part.modes, change), carrying(part.modes, -change)
             variants.append(Variant(f"{label}, {hertz:.9g} Hz {number}", label, 1.0, "1", "recording", *sides))
     found = replace(part, modes=carrying(part.modes), variants=tuple(variants))
@@ -253,12 +262,6 @@ def _gain(
     gain = prior @ inverse
     gain[contradicted] = np.eye(off.shape[1])
     return gain, contradicted
-
-
-def _roots(covariance: FloatArray) -> FloatArray:
-    """Return roots (U, 2M, 2M) of covariances, a column for each independent unknown."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
 
 
 def _told(part: ElasticPart, which: IntArray, seen: _Seen, columns: IntArray, contradicted: BoolArray) -> list[Notice]:

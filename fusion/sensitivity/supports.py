@@ -25,6 +25,7 @@ from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading, carrier_of
 from fusion.instruments.transducer import HEAD, ROOM, carrier, placed_at
 from fusion.sensitivity.disturbances import with_support_motion
+from photogram.camera import principal_components
 from photogram.geometry import skew
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
@@ -303,17 +304,13 @@ def _open(moved: SupportMotion) -> Iterator[CommonError]:
     """Yield what readings and prior leave open of H at each line, as independent unknowns; `offset` (K, 6) of H."""
     phasors, label = moved.phasors, f"motion of {moved.name}"
     for line in np.flatnonzero(np.isfinite(phasors.value).all(axis=1)):
-        scale = np.sqrt(np.diagonal(phasors.covariance[line]))
-        scale = np.where(scale > 0.0, scale, 1.0)
-        values, vectors = np.linalg.eigh(phasors.covariance[line] / np.outer(scale, scale))
-        for part, (value, vector) in enumerate(zip(values[::-1].tolist(), vectors.T[::-1], strict=True), 1):
-            if value > 0.0:
-                name = f"{label} at {phasors.frequency_hz[line]:.9g} Hz, part {part}"
-                offset = np.zeros_like(phasors.value)
-                offset[line] = as_complex(scale * vector * np.sqrt(value))
-                dof = float(phasors.dof[line])
-                kind: Kind = "A" if np.isfinite(dof) else "B"
-                yield CommonError(name, label, 1.0, "1", "recording", _none(offset), offset, kind, dof)
+        for part, step in enumerate(principal_components(phasors.covariance[line])[::-1], 1):
+            name = f"{label} at {phasors.frequency_hz[line]:.9g} Hz, part {part}"
+            offset = np.zeros_like(phasors.value)
+            offset[line] = as_complex(step)
+            dof = float(phasors.dof[line])
+            kind: Kind = "A" if np.isfinite(dof) else "B"
+            yield CommonError(name, label, 1.0, "1", "recording", _none(offset), offset, kind, dof)
 
 
 def _none(offset: ComplexArray) -> ComplexArray:

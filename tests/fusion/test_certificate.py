@@ -25,19 +25,24 @@ from fusion.sensor.certificate.report import certificate_page
 from fusion.sensor.compare.read import read_result
 
 
-@pytest.fixture
-def campaign(
-    demo_recording: Path, demo_evaluation: Evaluation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Path:
+@pytest.fixture(scope="module")
+def evaluated(demo_recording: Path, demo_evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The demo with its results and a filled certificate.toml."""
-    without_pages(monkeypatch)
-    folder = tmp_path / "demo"
+    folder = tmp_path_factory.mktemp("evaluated") / "demo"
     shutil.copytree(demo_recording, folder)
     manifest = load_manifest(folder / "Fz-0080")
     hashes = hash_files(manifest.files, manifest.root).hashes
-    write_results(replace(demo_evaluation, input_hashes=hashes), folder / "results" / "Fz-0080")
+    with pytest.MonkeyPatch.context() as patch:
+        without_pages(patch)
+        write_results(replace(demo_evaluation, input_hashes=hashes), folder / "results" / "Fz-0080")
     (folder / "certificate.toml").write_text(FORM, encoding="utf-8")
     return folder
+
+
+@pytest.fixture
+def campaign(evaluated: Path, tmp_path: Path, no_pages: None) -> Path:
+    """A copy of it that may be changed."""
+    return Path(shutil.copytree(evaluated, tmp_path / "demo"))
 
 
 def test_the_numbers_are_those_of_the_table_and_the_xml_is_valid(

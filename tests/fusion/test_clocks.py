@@ -126,7 +126,7 @@ def test_simulated_frames_drift_past_the_samples_by_as_much_as_asked_for() -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["0.3", "0.9"])
 def test_locked_clocks_err_as_they_state(name: str, benchmark: ModuleType) -> None:
-    draws, rng = 30, np.random.default_rng(6)
+    draws, rng = 20, np.random.default_rng(6)
     found = [benchmark.both(benchmark.simulate(benchmark.CASES[name], rng))[1] for _ in range(draws)]
     error, u = np.array([one.errors for one in found]).transpose(2, 1, 0)
     inside = np.sum(np.abs(error) <= 2.0 * u, axis=1)

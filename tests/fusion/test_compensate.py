@@ -18,6 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from page_outline import self_contained
+from scipy.stats import binom
 from support import block, channel, rows
 
 from fusion.base import InputError
@@ -369,6 +370,9 @@ def test_what_cannot_be_read_is_named(tmp_path, content, told):
     assert caught.value.file == path
 
 
+DRAWN = 200
+
+
 @pytest.mark.parametrize("times", [1.0, pytest.param(10.0, marks=pytest.mark.slow)])
 def test_figures_carry_what_is_open_of_all_poles_and_zeros(tmp_path, times):
     # Truth: indices of models drawn from the covariance, through the filter that was made for the one found.
@@ -382,7 +386,7 @@ def test_figures_carry_what_is_open_of_all_poles_and_zeros(tmp_path, times):
     found = evaluate_compensation(read_sources([file]), Wish(frequency_hz=1000.0, damping_ratio=0.5), None, {})
     ((made,),) = (subject.filters for subject in found.subjects)
     rng, drawn = np.random.default_rng(8), []
-    for vector in model.vector + spread * rng.normal(size=(400, len(spread))):
+    for vector in model.vector + spread * rng.normal(size=(DRAWN, len(spread))):
         sensor = model.with_vector(vector).system
         drawn.append([indices(one) for one in (sensor, sensor.times(made.compensation.system))])
     for place, figures in enumerate((made.before, made.after)):
@@ -391,8 +395,8 @@ def test_figures_carry_what_is_open_of_all_poles_and_zeros(tmp_path, times):
             assert u is not None
             values = [one[place].figures()[name] for one in drawn]
             value = figures.indices.figures()[name]
-            assert times > 1.0 or u == pytest.approx(np.std(values), rel=0.15), (place, name)
-            assert np.mean(np.abs(np.array(values) - value) <= 2.0 * u) >= 0.93, (place, name)
+            assert times > 1.0 or u == pytest.approx(np.std(values), rel=3.0 / np.sqrt(2 * DRAWN)), (place, name)
+            assert np.sum(np.abs(np.array(values) - value) <= 2.0 * u) >= binom.ppf(1e-2, DRAWN, 0.954), (place, name)
 
 
 def test_a_band_that_a_peak_may_cut_short_is_covered(tmp_path):
@@ -426,9 +430,9 @@ def test_a_band_that_a_peak_may_cut_short_is_covered(tmp_path):
 
 @pytest.mark.slow
 def test_bands_and_overshoot_of_simulated_campaigns_hold_the_truth(monkeypatch):
-    """Each of 24 figures per row is held 95 times in 100: fewer than 20 are seen by chance once in 200."""
+    """Each of 18 figures per row is held 95 times in 100: fewer than 15 are seen by chance once in 90."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     found = import_module("steps").errors_over_u
-    ratio = np.abs(np.array([one for seed in (1, 3, 6, 20) for one in found(seed).values()]))
-    assert ratio.shape == (24, 3, 2)
-    assert np.min(np.sum(ratio <= 1.0, axis=0)) >= 20
+    ratio = np.abs(np.array([one for seed in (1, 3, 6) for one in found(seed).values()]))
+    assert ratio.shape == (18, 3, 2)
+    assert np.min(np.sum(ratio <= 1.0, axis=0)) >= 15

@@ -315,15 +315,28 @@ def test_repeats_of_one_load_make_a_model_of_two_masses(tmp_path, capsys, monkey
     assert float(stiffness["value"]) == pytest.approx(0.2 * (2 * 3.141592653589793 * 100) ** 2, rel=0.02)
 
 
+EXAMPLES = {
+    **dict.fromkeys(("rig", "loads", "loads rig", "element", "measured", "models"), 4),
+    **dict.fromkeys(("options of decouple", "options of elastomer", "options of lines"), 4),
+}
+"""Fewer where a valid example is seconds of work; `benchmarks/fuzz_manifests.py` tries hundreds of each."""
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where valid inputs are simulated, once per preset; what commands leave there is taken away again."""
+    return tmp_path_factory.mktemp("inputs")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", fuzz_manifests.KINDS, ids=lambda kind: kind.name)
-def test_wrong_manifests_end_with_one_sentence(kind, tmp_path):
-    told = fuzz_manifests.fuzzed(kind, tmp_path, 12)
+def test_wrong_manifests_end_with_one_sentence(kind, inputs):
+    told = fuzz_manifests.fuzzed(kind, inputs, EXAMPLES.get(kind.name, 12))
     assert not told.broken
     assert not told.unnoticed
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", list(fuzz_manifests.OPTIONS))
-def test_wrong_options_end_with_one_sentence(command, tmp_path):
-    assert not fuzz_manifests.fuzzed_options(command, tmp_path, 12).broken
+def test_wrong_options_end_with_one_sentence(command, inputs):
+    assert not fuzz_manifests.fuzzed_options(command, inputs, EXAMPLES.get(f"options of {command}", 12)).broken

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -41,6 +42,7 @@ def foil(half_m: tuple[float, float], turn_deg: float = 0.0, period_m: float = P
     return turned(replace(face(half_m, 5), texture=tiled(wide(5), period_m)), (0, 0, turn_deg))
 
 
+@cache
 def wide(seed: int):  # type: ignore[no-untyped-def]
     """Speckle over 120 mm."""
     from photogram.synthetic.scene import speckle_texture

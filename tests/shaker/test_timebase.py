@@ -11,6 +11,7 @@ import pytest
 from contracts import refused
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.stats import chi2
 
 from shaker.timebase.edges import Edges, find_edges
 from shaker.timebase.intervals import Posterior, Slopes, line_posterior
@@ -415,9 +416,9 @@ def test_common_jitter_cancels_between_intervals():
 @pytest.mark.slow
 @pytest.mark.parametrize("jitter_s", [2e-6, 20e-6])
 def test_stated_uncertainty_is_calibrated_under_jitter(jitter_s):
-    normalised = _deviations(23, 40, jitter_s)[1]
-    # 40 draws: the standard deviation scatters by 11 %.
-    assert 0.65 < np.sqrt(np.mean(np.square(normalised))) < 1.4
+    normalised = _deviations(23, 20, jitter_s)[1]
+    low, high = np.sqrt(chi2.ppf([1e-3, 1.0 - 1e-3], 20) / 20)
+    assert low < np.sqrt(np.mean(np.square(normalised))) < high
 
 
 @pytest.mark.slow

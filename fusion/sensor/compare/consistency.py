@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from fusion.estimation.coverage import along_and_across, region_factor
 from shaker.arrays import ComplexArray, FloatArray
@@ -102,7 +102,7 @@ def reference_value(value: FloatArray, covariance: FloatArray) -> Reference:
             own = np.array(subset)
             found.append((weighted_mean(value[own], covariance[np.ix_(own, own)])[3], subset))
         squared, subset = min(found)
-        tried.append(float(chi2.sf(squared, size - 1)))
+        tried.append(float(chdtrc(size - 1.0, max(squared, 0.0))))
         if tried[-1] >= SIGNIFICANCE:
             break
     else:
