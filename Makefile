@@ -6,7 +6,7 @@ export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OMP_WAIT_POLICY := passive
 
-.PHONY: demo test validate test-all lint types platforms win32 darwin docs docs-pictures sample-images benchmark wheel clean
+.PHONY: demo test validate lint types platforms win32 darwin docs docs-pictures sample-images benchmark wheel clean
 
 demo: .venv/installed
 	$(BIN)/shakercal run sample_images/demo -o demo-results --force
@@ -19,10 +19,6 @@ test: lint types
 
 validate: .venv/dev
 	$(PYTEST) -m slow
-
-# Both at once: tests are collected, and what several of them share is made, only once.
-test-all: lint types
-	$(PYTEST)
 
 lint: .venv/dev
 	$(BIN)/ruff check .
