@@ -190,7 +190,7 @@ def acceleration_at(motion: Motion, point: FloatArray, direction: FloatArray, gr
 
 @dataclass(frozen=True, eq=False)
 class TrueStereo:
-    """A stereo pair as stated (`nominal`, `sensor_from_left`) and as it is (`rig`, `left_from_sensor`, delay)."""
+    """A stereo pair as stated (`nominal`, `sensor_from_left`) and as it is (`rig`, `left_from_sensor`, times)."""
 
     setup: StereoSetup
     nominal: StereoRig
@@ -198,12 +198,20 @@ class TrueStereo:
     rig: StereoRig
     left_from_sensor: RigidTransform
     delay_s: float
+    row_time_s: float
 
     @property
     def views(self) -> tuple[View, View]:
         """What the left and the right camera see."""
         right_from_sensor = self.rig.right_from_left @ self.left_from_sensor
         return view_of(self.rig.left, self.left_from_sensor), view_of(self.rig.right, right_from_sensor)
+
+    def exposed(self, edge_s: float, exposure_s: float) -> float | FloatArray:
+        """Return the middle of the exposure after a trigger's edge, of a rolling shutter that of every row (H,)."""
+        first, rows = edge_s + self.delay_s + exposure_s / 2, np.arange(self.setup.size_px[1])
+        if self.setup.row_time == 0.0:
+            return first
+        return np.asarray(first + abs(self.row_time_s) * (rows if self.setup.row_time > 0.0 else rows[::-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +308,8 @@ def true_stereo(setup: StereoSetup, draws: Draws) -> TrueStereo:
     rig = StereoRig(rig.left, rig.right, RigidTransform(between.rotation, between.translation_m * scale))
     true = true_pose(setup, sensor_from_left, scale, draws)
     delay = float(draws.normal(f"{setup.name}.delay", setup.delay_uncertainty))
-    return TrueStereo(setup, nominal, sensor_from_left, rig, true.inverse(), delay)
+    row_time = setup.row_time + float(draws.normal(f"{setup.name}.row_time", setup.row_time_uncertainty))
+    return TrueStereo(setup, nominal, sensor_from_left, rig, true.inverse(), delay, row_time)
 
 
 def true_pose(setup: StereoSetup, stated: RigidTransform, scale: float, draws: Draws) -> RigidTransform:
