@@ -29,6 +29,7 @@ from photogram.motion import RigidMotion
 from shaker.arrays import Notice
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import Lines
+from shaker.sine.aliasing import exposure_gain
 from shaker.sine.fit import fit_sines
 from shaker.sine.phasor import Phasors
 from shaker.timebase.tie import ClockTie
@@ -222,6 +223,7 @@ def _stereo(name: str, body: str, choice: Choice, rng: np.random.Generator) -> S
         motion=RigidMotion(pose - pose[0], covariance, residual, points, np.zeros(3)),
         motion_from_mean=RigidMotion(pose, covariance, residual, points, np.zeros(3)),
         fit=fit,
+        phasors=fit.phasors.scaled(1.0 / exposure_gain(FREQUENCY_HZ, 40e-6)[:, None]),
         usable=np.ones(3, dtype=bool),
         reprojection_px=0.021,
         reference_image=_speckle(rng),

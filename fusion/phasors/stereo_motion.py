@@ -32,6 +32,7 @@ from fusion.base import (
     as_input_error,
 )
 from fusion.instruments.transducer import ROOM
+from fusion.phasors.shutter import Turned
 from fusion.phasors.timing import Sight, TimeBase, see
 from fusion.recording.files import AlreadyRead
 from fusion.recording.load import Manifest
@@ -98,7 +99,7 @@ class ImageView:
     """What the images of one stereo pair gave: tracked subsets of some frames at a time, their rig, the first left
     image, the noise models of both cameras and what their subsets promised, whether the pair still is what was
     calibrated, how the body deforms in shapes that all pixels tell, and medians: standard deviation that the noise
-    gives to positions, and `zncc` in the left camera."""
+    gives to positions, and `zncc` in the left camera. `turned`: of a rolling shutter, once it was looked at again."""
 
     tracks: Iterable[StereoTracks]
     rig: StereoRig
@@ -109,6 +110,7 @@ class ImageView:
     deformed: ShapeAmplitudes
     sigma_px: float
     zncc: float
+    turned: Turned | None = None
 
 
 @dataclass(frozen=True)
@@ -170,16 +172,15 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
         raise InputError(manifest.path, f"{key}.right", found=found, expected=expected)
     if entry.exposure == FILE:
         entry = entry.model_copy(update={"exposure": _stated_exposure(manifest, entry, sequences)})
-    sight = see(manifest, base, entry, len(left))
+    sight = see(manifest, base, entry, len(left), left.size_px[1])
     rig = read_rig(sight.pair, sequences)
     first = []
     for side, sequence in (("left", left), ("right", right)):
         with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequence.read(0))
     pair = _without_calibration_share(sight.pair, rig)
-    told: list[AnyNotice] = []
-    for images in sequences:
-        told += [*images.notices, *_contradictions(sight, images)]
+    told: list[AnyNotice] = [told for images in sequences for told in images.notices]
+    told += [told for images in sequences for told in _contradictions(sight, images)]
     x, y, *_ = entry.region or (0, 0)
     if x >= left.size_px[0] or y >= left.size_px[1]:
         expected = f"a part of pictures of {left.size_px[0]} x {left.size_px[1]} px"
@@ -317,8 +318,8 @@ def _prepared(images: OpenImages, settings: Settings, lines: int | None) -> Body
     from photogram.measure.follow import KnownBody, prepare_body
     from photogram.subsets.track import resolve_device
 
-    inputs = body_inputs(images, settings, lines)
-    return prepare_body(*inputs, resolve_device(settings.device), known=KnownBody(images.depth_m, images.modes))
+    known = KnownBody(images.depth_m, images.modes, any(images.sight.pair.row_time))
+    return prepare_body(*body_inputs(images, settings, lines), resolve_device(settings.device), known=known)
 
 
 def _followed(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, as above
@@ -431,9 +432,9 @@ def packed(block: FollowedBlock) -> bytes:
     arrays["rotation"] = np.array([fit.moved.rotation for _, fit in fits]).reshape(-1, 3, 3)
     arrays["translation"] = np.array([fit.moved.translation_m for _, fit in fits]).reshape(-1, 3)
     arrays["covariance"] = np.array([fit.covariance for _, fit in fits]).reshape(-1, 6, 6)
-    shapes = len(fits[0][1].amplitude) if fits else 0
-    arrays["amplitude"] = np.array([fit.amplitude for _, fit in fits]).reshape(-1, shapes)
-    arrays["shape-covariance"] = np.array([fit.amplitude_covariance for _, fit in fits]).reshape(-1, shapes, shapes)
+    shape = len(fits), len(fits[0][1].amplitude) if fits else 0
+    arrays["amplitude"] = np.array([fit.amplitude for _, fit in fits]).reshape(shape)
+    arrays["shape-covariance"] = np.array([fit.amplitude_covariance for _, fit in fits]).reshape(*shape, shape[1])
     arrays["noise"] = np.array([fit.noise for _, fit in fits], dtype=np.float64)
     arrays["cells"] = np.array([fit.cells for _, fit in fits], dtype=np.int64)
     content = io.BytesIO()
@@ -479,7 +480,7 @@ def body_inputs(images: OpenImages, settings: Settings, lines: int | None = None
 
     radius = settings.subset_radius_px or suggested_radius_px(images.first)
     entry, frames = images.entry, None
-    if lines is not None and not settings.save_points:
+    if lines is not None and not settings.save_points and not any(images.sight.pair.row_time):
         frames = max(FEWEST_SOUGHT, len(images.left) // SPARED, TIMES_UNKNOWNS * (2 * lines + 1))
     options = TrackSettings(radius, degree=settings.spline_degree, region=entry.region, mask=entry.mask, frames=frames)
     return (images.left, images.right), images.rig, sensor_from_camera(images.sight.pair), options

@@ -18,6 +18,7 @@ from fusion.recording.values import (
     HERTZ,
     MODULUS,
     NEAR,
+    ROWS,
     SECONDS,
     SHARE,
     WEIGHT,
@@ -41,6 +42,7 @@ from fusion.recording.values import (
     PoseSpread,
     Positive,
     Rotation,
+    RowTime,
     Share,
     Spread3,
     Text,
@@ -438,6 +440,9 @@ class Environment(Block):
 class Stereo(Block):
     """A stereo pair: x_sensor = rotation · x_left_camera + translation at rest, and when its frames are exposed.
 
+    `row_time`: s from row to row of the left and the right camera, negative where the last row is read first; 0 where
+    all are exposed at once.
+
     `body` "room": what it sees stands still, so that it tells how its `support` moves, with all cameras on that.
     """
 
@@ -453,6 +458,12 @@ class Stereo(Block):
     exposure: Exposure
     delay: Delay = 0.0
     delay_uncertainty: Annotated[NotNegative, SECONDS] = 0.0
+    row_time: RowTime = (0.0, 0.0)
+    row_time_uncertainty: Annotated[NotNegative, ROWS] = 0.0
+
+    def readout_s(self, rows: int) -> float:
+        """Return how much later the last of some rows is exposed than the first one read."""
+        return max(map(abs, self.row_time)) * (rows - 1)
 
 
 class Head(Block):

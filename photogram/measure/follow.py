@@ -61,11 +61,13 @@ class KnownBody:
     """What is known of a body before it is seen.
 
     `depth_m`: nearest and farthest depth in the left camera at which it can be, where its pattern may repeat. `shapes`:
-    in which it may deform, `PlainShapes` where none are known.
+    in which it may deform, `PlainShapes` where none are known. `rolls`: rows of its pictures are exposed one after the
+    other, so that they show no rigid body before its motion is known: subsets alone are followed.
     """
 
     depth_m: DepthRange | None = None
     shapes: Shapes | None = None
+    rolls: bool = False
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -126,9 +128,9 @@ def prepare_body(
     scene = BodyScene(*fixed, known, np.empty((0, 3)), (), (), (), None, (), (), every)
     rest_m = _place(scene, (identity(left), identity(right))).position_m[0]
     splines = spline_of_image(first[0], settings.degree), spline_of_image(first[1], settings.degree)
-    seen = tuple(see_points(camera, rest_m) for camera in _cameras(scene, rest_m))
+    seen = tuple(see_points(camera, rest_m) for camera in cameras_about(scene, rest_m))
     scene = replace(scene, rest_m=rest_m, seen=seen)
-    scene = replace(scene, views=_views(scene, splines))
+    scene = replace(scene, views=body_views(scene, splines))
     _tell(progress, 1)
     scene = _with_noise(scene, device, progress)
     rest = range(1 + len(scene.lead), len(images[0]))
@@ -156,7 +158,8 @@ def follow_block(
     scene: BodyScene, frames: range, device: str = "cpu", progress: Progress | None = None
 ) -> FollowedBlock:
     """Follow the body through a block of later frames; the first of them is found from the reference alone."""
-    fitted = _fitted_in_turn(scene, frames) if device == "cpu" else _fitted_together(scene, frames, device)
+    alone = device == "cpu" or scene.body.rolls
+    fitted = _fitted_in_turn(scene, frames) if alone else _fitted_together(scene, frames, device)
     followed = []
     for number, one in zip(frames, fitted, strict=True):
         followed.append(one)
@@ -281,7 +284,7 @@ def _fitted_together(scene: BodyScene, frames: range, device: str) -> Iterator[F
 
 def _with_noise(scene: BodyScene, device: str, progress: Progress | None) -> BodyScene:
     """The scene with the noise models of the first frame that can be fitted, and what was found up to it."""
-    for number in range(1, len(scene.images[0])):
+    for number in range(1, 1 if scene.body.rolls else len(scene.images[0])):
         (pair,) = _sides(scene, range(number, number + 1), device)
         found, splines = (pair[0].found, pair[1].found), _splines(scene, pair)
         fit = _fit(scene, found, splines)
@@ -336,7 +339,7 @@ def _place(scene: BodyScene, found: Found) -> Points:
     return triangulate(scene.rig, left[None], right[None]).transformed(scene.body_from_left)
 
 
-def _cameras(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, PlacedCamera]:
+def cameras_about(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, PlacedCamera]:
     """Both cameras about the body; `BodyNotFound` where the calibration places no points of it."""
     placed = int(np.count_nonzero(np.isfinite(rest_m).all(axis=1)))
     if placed < 3:
@@ -349,7 +352,7 @@ def _cameras(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, Placed
     )
 
 
-def _views(scene: BodyScene, splines: Splines) -> tuple[BodyView, ...]:
+def body_views(scene: BodyScene, splines: Splines) -> tuple[BodyView, ...]:
     """The body at rest in both cameras, all pixels equally trusted."""
     side_px, shapes = 2 * scene.settings.radius_px + 1, scene.shapes
     return tuple(
@@ -360,6 +363,8 @@ def _views(scene: BodyScene, splines: Splines) -> tuple[BodyView, ...]:
 
 def _fit(scene: BodyScene, found: Found, splines: Splines) -> DirectFit | None:
     """The direct fit of one frame, begun where its subsets are; None where it has none."""
+    if scene.body.rolls:
+        return None
     start = motion_of_places(scene.seen, _places(scene, found))
     fit = None if start is None else fit_direct(scene.views, splines, start)
     if fit is None:  # from all that the points tell, whatever it costs
