@@ -122,9 +122,14 @@ def trials(case: Case, recordings: int, without: Callable[[Path], object]) -> tu
             continue
         size = np.abs(np.concatenate(over_u))
         rms = np.sqrt(np.mean(np.square([(e.real, e.imag) for e in relative]), axis=0))
-        cells += [f"{100.0 * rms[0]:.2g} %, {1e3 * rms[1]:.2g} mrad", f"{100.0 * np.mean(size < 2.0):.0f} %"]
-        cells.append(f"{np.sqrt(np.mean(size**2)):.2g}")
+        cells += [f"{brief(100.0 * rms[0])} %, {brief(1e3 * rms[1])} mrad", f"{100.0 * np.mean(size < 2.0):.0f} %"]
+        cells.append(brief(float(np.sqrt(np.mean(size**2)))))
     return cells, f"{100.0 * u:.2g} %"
+
+
+def brief(value: float) -> str:
+    """Return two digits of a number, all before the point."""
+    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
 
 
 def without_rows(recording: Path) -> None:
