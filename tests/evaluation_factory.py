@@ -19,7 +19,8 @@ from fusion.instruments.channel import Outputs
 from fusion.phasors.channels import ChannelResult
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult, Grid
-from fusion.recording.rig import Environment, Load, Rig, Sensor
+from fusion.recording.environment import Environment
+from fusion.recording.rig import Load, Rig, Sensor
 from fusion.recording.toml import Stated, UncertainInput
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.load import LoadResult
@@ -29,6 +30,7 @@ from photogram.motion import RigidMotion
 from shaker.arrays import Notice
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import Lines
+from shaker.sine.aliasing import exposure_gain
 from shaker.sine.fit import fit_sines
 from shaker.sine.phasor import Phasors
 from shaker.timebase.tie import ClockTie
@@ -222,6 +224,7 @@ def _stereo(name: str, body: str, choice: Choice, rng: np.random.Generator) -> S
         motion=RigidMotion(pose - pose[0], covariance, residual, points, np.zeros(3)),
         motion_from_mean=RigidMotion(pose, covariance, residual, points, np.zeros(3)),
         fit=fit,
+        phasors=fit.phasors.scaled(1.0 / exposure_gain(FREQUENCY_HZ, 40e-6)[:, None]),
         usable=np.ones(3, dtype=bool),
         reprojection_px=0.021,
         reference_image=_speckle(rng),

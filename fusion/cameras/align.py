@@ -37,6 +37,7 @@ from fusion.cameras.align_manifest import (
     still_evidence,
 )
 from fusion.instruments.stereo import CALIBRATION
+from fusion.phasors.again import looked_again
 from fusion.phasors.channels import find_channel_lines
 from fusion.phasors.stereo_motion import (
     StereoMotion,
@@ -198,6 +199,8 @@ def _record(
         raise InputError(path, "calibration", found, f"the one that {manifest.rig_path} names for {file.stereo}")
     opened = replace(open_images(manifest, base, images), depth_m=None)  # by the pose that is sought
     measured = measure_images(opened, settings, progress)
+    lines = find_channel_lines(manifest, base) or motion_lines(manifest, base, [measured])[0]
+    measured = looked_again(measured, (opened,), lines)
     fixed = measured.sight.pair.model_copy(update={"pose_by_calibration": None})  # effects in the camera's own frame
     return _Recorded(manifest, base, replace(measured, sight=replace(measured.sight, pair=fixed)))
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import fdtrc
 
 from fusion.estimation.uncertainty import real_stack
+from fusion.phasors.shutter import Turned
 from photogram.direct.shapes import PLAIN, ShapeAmplitudes
 from photogram.motion import Deformation
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Notice, brief
@@ -121,23 +123,34 @@ class ShapePhasors:
 
 
 def shape_phasors(
-    time_s: FloatArray, frequency_hz: FloatArray, deformed: ShapeAmplitudes, exposure_s: float, effects: ComplexArray
+    time_s: FloatArray,
+    frequency_hz: FloatArray,
+    deformed: ShapeAmplitudes,
+    exposure_s: float,
+    effects: ComplexArray,
+    moved: Phasors | None = None,
+    turned: Turned | None = None,
 ) -> ShapePhasors | None:
     """Return the phasors of amplitudes (F, S) at times (F,) and lines (K,); None for too few frames.
 
     By sine approximation. Hotelling's T² = xᵀ·C⁻¹·x of the 2S parts of a line, C of ν degrees of freedom with the
-    `effects` (P, K, S) added, is 2Sν/(ν − 2S + 1) times F(2S, ν − 2S + 1) on a rigid body.
+    `effects` (P, K, S) added, is 2Sν/(ν − 2S + 1) times F(2S, ν − 2S + 1) on a rigid body. `turned`: frames of a
+    rolling shutter, that show a body `moved` so.
     """
     names, count = deformed.shapes.names, len(deformed.shapes.names)
     gain = exposure_gain(frequency_hz, exposure_s)[:, None]
-    if np.count_nonzero(np.isfinite(deformed.amplitude).all(axis=1)) < 2 * len(frequency_hz) + 1 + LEAST_FREEDOM:
+    freedom = max(LEAST_FREEDOM, count if turned is None else 2 * count)
+    if np.count_nonzero(np.isfinite(deformed.amplitude).all(axis=1)) < 2 * len(frequency_hz) + 1 + freedom:
         return None
     try:
         model = SineModel(robust=True)
         fit = fit_sines(time_s, deformed.amplitude, frequency_hz, names, ("m",) * count, model=model)
     except ValueError:
         return None
-    phasors = _tested_noise(time_s, deformed.amplitude, fit)
+    if turned is None or moved is None:
+        phasors = _tested_noise(time_s, deformed.amplitude, fit)
+    else:
+        phasors = turned.shapes(time_s, fit, moved, partial(_tested_noise, time_s))
     free = np.maximum(phasors.dof - 2 * count + 1, 1.0)
     phasors = phasors.scaled(1.0 / gain)
     covariance = _with_effects(phasors, effects)

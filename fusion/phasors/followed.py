@@ -127,9 +127,9 @@ def packed(block: FollowedBlock) -> bytes:
     arrays["rotation"] = np.array([fit.moved.rotation for _, fit in fits]).reshape(-1, 3, 3)
     arrays["translation"] = np.array([fit.moved.translation_m for _, fit in fits]).reshape(-1, 3)
     arrays["covariance"] = np.array([fit.covariance for _, fit in fits]).reshape(-1, 6, 6)
-    shapes = len(fits[0][1].amplitude) if fits else 0
-    arrays["amplitude"] = np.array([fit.amplitude for _, fit in fits]).reshape(-1, shapes)
-    arrays["shape-covariance"] = np.array([fit.amplitude_covariance for _, fit in fits]).reshape(-1, shapes, shapes)
+    shape = len(fits), len(fits[0][1].amplitude) if fits else 0
+    arrays["amplitude"] = np.array([fit.amplitude for _, fit in fits]).reshape(shape)
+    arrays["shape-covariance"] = np.array([fit.amplitude_covariance for _, fit in fits]).reshape(*shape, shape[1])
     arrays["noise"] = np.array([fit.noise for _, fit in fits], dtype=np.float64)
     arrays["cells"] = np.array([fit.cells for _, fit in fits], dtype=np.int64)
     content = io.BytesIO()

@@ -17,6 +17,7 @@ from fusion.estimation.coverage import coverage_factor
 from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import Reading, RelativeError, acting
 from fusion.instruments.transducer import TRANSDUCERS
+from fusion.phasors.again import looked_again
 from fusion.phasors.channels import (
     APART_PERIODS,
     HARMONICS,
@@ -148,7 +149,7 @@ def measure_set_up(
     with told_in(manifest.path, opened.where, opened.name):
         known = None if opened.lines is None else len(opened.lines.frequency_hz)
         seen = [
-            item if isinstance(item, LeftOut) else still_calibrated(item)
+            item if isinstance(item, LeftOut) or any(item.sight.pair.row_time) else still_calibrated(item)
             for item in measure_pairs(opened.images, settings, progress, executor, kept, known)
         ]
         left_out = [item for item in seen if isinstance(item, LeftOut)]
@@ -162,6 +163,10 @@ def measure_set_up(
             clock = base.sight_errors(first)
         else:
             lines, clock = opened.lines, line_clock(base)
+        again = [still_calibrated(looked_again(item, opened.images, lines)) for item in motions]
+        left_out += [item for item in again if isinstance(item, LeftOut)]
+        motions = tuple(item for item in again if isinstance(item, StereoMotion))
+        _check_left(opened, motions, left_out)
         strength = line_strength(opened.readings, lines)
         stereo, aliased, unfitted = pairs_phasors(base, motions, lines, base.line_errors(lines, clock), strength)
         left_out += unfitted

@@ -28,6 +28,7 @@ from fusion.base import (
 )
 from fusion.instruments.transducer import ROOM
 from fusion.phasors.followed import Followed, follow
+from fusion.phasors.shutter import Turned
 from fusion.phasors.timing import Sight, TimeBase, see
 from fusion.recording.files import AlreadyRead
 from fusion.recording.load import Manifest
@@ -101,7 +102,8 @@ class ImageView:
     """What the images of one stereo pair gave: tracked subsets of some frames at a time, their rig, the first left
     image, the noise models of its cameras and what their subsets promised, whether the pair still is what was
     calibrated (None of a camera alone), how the body deforms in shapes that all pixels tell, and medians: standard
-    deviation that the noise gives to positions, and `zncc` in the left camera."""
+    deviation that the noise gives to positions, and `zncc` in the left camera. `turned`: of a rolling
+    shutter, once it was looked at again."""
 
     tracks: Iterable[StereoTracks]
     rig: Rig
@@ -112,6 +114,7 @@ class ImageView:
     deformed: ShapeAmplitudes
     sigma_px: float
     zncc: float
+    turned: Turned | None = None
 
 
 @dataclass(frozen=True)
@@ -174,16 +177,15 @@ def open_images(manifest: Manifest, base: TimeBase, entry: Images, already: Alre
             raise InputError(manifest.path, f"{key}.right", found=found, expected=expected)
     if entry.exposure == FILE:
         entry = entry.model_copy(update={"exposure": _stated_exposure(manifest, entry, sequences)})
-    sight = see(manifest, base, entry, len(left))
+    sight = see(manifest, base, entry, len(left), left.size_px[1])
     rig = read_rig(sight.pair, sequences)
     first = []
     for (side, _), sequence in zip(entry.cameras, sequences, strict=True):
         with as_input_error(manifest.path, f"{key}.{side}"):
             first.append(sequence.read(0))
     pair = _without_calibration_share(sight.pair, rig)
-    told: list[AnyNotice] = []
-    for images in sequences:
-        told += [*images.notices, *_contradictions(sight, images)]
+    told: list[AnyNotice] = [told for images in sequences for told in images.notices]
+    told += [told for images in sequences for told in _contradictions(sight, images)]
     x, y, *_ = entry.region or (0, 0)
     if x >= left.size_px[0] or y >= left.size_px[1]:
         expected = f"a part of pictures of {left.size_px[0]} x {left.size_px[1]} px"
@@ -321,8 +323,8 @@ def _prepared(images: OpenImages, settings: Settings, lines: int | None) -> Body
     from photogram.measure.follow import KnownBody, prepare_body
     from photogram.subsets.track import resolve_device
 
-    inputs = body_inputs(images, settings, lines)
-    return prepare_body(*inputs, resolve_device(settings.device), known=KnownBody(images.depth_m, images.modes))
+    known = KnownBody(images.depth_m, images.modes, any(images.sight.pair.row_time))
+    return prepare_body(*body_inputs(images, settings, lines), resolve_device(settings.device), known=known)
 
 
 def measure_images(images: OpenImages, settings: Settings, progress: ProgressCallback) -> StereoMotion:
@@ -344,7 +346,7 @@ def body_inputs(images: OpenImages, settings: Settings, lines: int | None = None
 
     radius = settings.subset_radius_px or suggested_radius_px(images.first)
     entry, frames = images.entry, None
-    if lines is not None and not settings.save_points:
+    if lines is not None and not settings.save_points and not any(images.sight.pair.row_time):
         frames = max(FEWEST_SOUGHT, len(images.left) // SPARED, TIMES_UNKNOWNS * (2 * lines + 1))
     options = TrackSettings(radius, degree=settings.spline_degree, region=entry.region, mask=entry.mask, frames=frames)
     return images.cameras, images.rig, sensor_from_camera(images.sight.pair), options

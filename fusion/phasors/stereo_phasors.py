@@ -34,6 +34,7 @@ from shaker.sine.aliasing import (
 )
 from shaker.sine.fit import Stationarity, fit_sines, stationarity
 from shaker.sine.normal_equations import sine_amplitudes
+from shaker.sine.phasor import Phasors
 from shaker.sine.solve import SineFit, SineModel
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class StereoResult:
 
     `time_s` (F,): exposure middles on the first DAQ's clock. `motion`: from the first frame's pose.
     `motion_from_mean`: re-referred to the mean pose, the series that `fit` (six components, m and rad) describes and
-    of which it leaves `residual` (F, 6).
+    of which it leaves `residual` (F, 6). `phasors` (K, 6): of the body's displacement, exposure loss corrected.
     `reference_image` (H, W) and `subsets_px` (N, 2): first left image and the subsets tracked in it, None for points
     of another program. `usable` (K,): which lines of the recording this camera rate can tell apart. `deflection`: what
     the points do beside the rigid motion at the usable lines, `shapes` what all pixels tell of it, both None of a
@@ -69,6 +70,7 @@ class StereoResult:
     motion: RigidMotion
     motion_from_mean: RigidMotion
     fit: SineFit
+    phasors: Phasors
     residual: FloatArray = field(init=False)
     usable: NDArray[np.bool_]
     reprojection_px: float
@@ -162,24 +164,26 @@ def stereo_phasors(
         raise ComputeError(f"stereo pair {name}: {NO_LINE}")
     frequency_hz = lines.frequency_hz[usable]
     steps = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
-    measured, from_mean, fit = _fit_about_mean(name, measured, frequency_hz)
+    measured, from_mean, fit = fit_about_mean(measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, exposure.length_s)
     errors = [error.through(fit, usable, 2) for error in together([*base.sight_errors(sight), *line_errors])]
     if strength is not None:
         errors += _left_out(measured, fit, lines, usable, gain * strength)
     errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]
-    effects, shapes = dict[str, ComplexArray](), None
+    moved, effects, shapes = displacement(measured, fit), dict[str, ComplexArray](), None
+    phasors = spread_lines(moved, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None])
     if view is not None and sight.pair.body != ROOM:  # they grow with the motion seen, of which a room has next to none
         effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain)
         if isinstance(view.rig, StereoRig):
-            shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, of_shapes)
+            of_motion = of_shapes, moved, view.turned
+            shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, *of_motion)
     reading = StereoReading(
         name=name,
         pair=sight.pair,
-        phasors=spread_lines(fit.phasors, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None]),
+        phasors=phasors,
         effects=effects,
         clock_uncertainty=base.records[0].entry.clock_uncertainty,
-        errors=(*errors, *exposure.errors(lines.frequency_hz)),
+        errors=(*errors, *_row_time_error(measured, phasors), *exposure.errors(lines.frequency_hz)),
         face_m=np.asarray(np.nanmean(next(iter(measured.deformation)).reference_m, axis=0)),
         through_surface=effects.pop(THROUGH, None),
     )
@@ -200,6 +204,7 @@ def stereo_phasors(
         motion=measured.motion,
         motion_from_mean=from_mean,
         fit=fit,
+        phasors=moved.scaled((1.0 / gain[usable])[:, None]),
         usable=usable,
         reprojection_px=measured.reprojection_px,
         surface=measured.deformation,
@@ -209,12 +214,30 @@ def stereo_phasors(
     return StereoPhasors(result if view is None else _with_view(replace(result, shapes=shapes), view), reading, notices)
 
 
+def _row_time_error(measured: StereoMotion, phasors: Phasors) -> list[FittedError]:
+    """Return what one standard uncertainty of the row time does: rows seem later by u times their number."""
+    turned, pair = None if measured.view is None else measured.view.turned, measured.sight.pair
+    if turned is None or pair.row_time_uncertainty == 0.0:
+        return []
+    later = 2j * np.pi * phasors.frequency_hz[:, None] * (np.nan_to_num(phasors.value) @ turned.late.T)
+    name, none = f"stereo {measured.sight.name}: row time", np.zeros((len(later), 1), np.complex128)
+    u = pair.row_time_uncertainty
+    return [FittedError(name, name, u, "s", none, "rig", rest=u * later)]
+
+
 def _deflection(measured: StereoMotion, frequency_hz: FloatArray) -> DeflectionShape | None:
-    """Return what the points do beside the rigid motion; None of a camera alone, which does not see them out of it."""
+    """Return what the points do beside the motion at the lines, of a rolling shutter by the delays of their rows.
+
+    None of a camera alone, which does not see them out of it.
+    """
     if measured.view is not None and isinstance(measured.view.rig, FaceCamera):
         return None
-    exposure_s = measured.sight.exposure.length_s
-    return deflection_shape(measured.points_time_s, frequency_hz, measured.deformation, exposure_s)
+    length_s = measured.sight.exposure.length_s
+    shape = deflection_shape(measured.points_time_s, frequency_hz, measured.deformation, length_s)
+    if measured.view is None or measured.view.turned is None:
+        return shape
+    turn = np.exp(-2j * np.pi * np.multiply.outer(frequency_hz, measured.view.turned.delay_s))
+    return replace(shape, value=shape.value * turn[..., None])
 
 
 def _left_out(
@@ -371,9 +394,13 @@ def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: F
     return [Notice("warning", f"{text}: was it touched? What that does to the lines is in U", f"frame {frames}")]
 
 
-def _fit_about_mean(
-    name: str, measured: StereoMotion, frequency_hz: FloatArray
-) -> tuple[StereoMotion, RigidMotion, SineFit]:
+def displacement(measured: StereoMotion, fit: SineFit) -> Phasors:
+    """Return the phasors of a body's motion at the lines of its fit, each as the mean over an exposure."""
+    turned = None if measured.view is None else measured.view.turned
+    return fit.phasors if turned is None else turned.motion(measured.sight.time_s, fit)
+
+
+def fit_about_mean(measured: StereoMotion, frequency_hz: FloatArray) -> tuple[StereoMotion, RigidMotion, SineFit]:
     """Fit the lines again about the mean pose, the offset of a fit, to which the motion is re-referred.
 
     That pose is also where the surface before a camera alone lies as it is stated.
@@ -394,7 +421,8 @@ def _fit_about_mean(
                 model=SineModel(robust=True),
             )
     except ValueError as error:
-        raise ComputeError(f"stereo pair {name}: the lines cannot be fitted to its motion ({error})") from error
+        told = f"stereo pair {measured.sight.name}: the lines cannot be fitted to its motion ({error})"
+        raise ComputeError(told) from error
     assert fit is not None
     return measured, motion, fit
 

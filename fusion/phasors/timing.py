@@ -338,8 +338,10 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
     return time_base
 
 
-def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int) -> Sight:
+def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int, rows: int = 1) -> Sight:
     """Return how long and when each of some frames was exposed: its middle is edge + delay + exposure / 2.
+
+    Of pictures with so many rows the one that a rolling shutter reads first.
 
     The edge is the periodic model's where the trigger has no jitter, and follows what was seen of it where it has: also
     what other blocks saw of it, where these edges tie them to the trigger's block. The exposure is as stated, or as
@@ -377,6 +379,10 @@ def see(manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: 
         file, own = _exposure_key(manifest, entry, exposure.length_s)
         found, expected = f"{exposure.length_s:g} s", f"less than the {trigger.period_s:.4g} s from frame to frame"
         raise InputError(file, own, found=found, expected=expected)
+    read_s = manifest.rig.stereo[entry.stereo].readout_s(rows)
+    if read_s > trigger.period_s:
+        found, expected = f"{read_s:g} s for {rows} rows", f"less than the {trigger.period_s:.4g} s from frame to frame"
+        raise InputError(manifest.rig_path, f"stereo.{entry.stereo}.row_time", found=found, expected=expected)
     middle_s = base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0
     pair = manifest.rig.stereo[entry.stereo].model_copy(update={"delay_uncertainty": entry.delay_uncertainty})
     share = float(np.mean(edges.model_share))

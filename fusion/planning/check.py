@@ -236,7 +236,8 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest], already: AlreadyRea
         contents.append(f"takes: {len(takes)}, tied by {reference}")
     for where, block in manifest.set_ups:
         told = [_read_daq(block, daq, where, already) for daq in block.daq]
-        told += [_read_images(images, manifest.rig.stereo[images.stereo], already) for images in block.images]
+        highest = max(block.excitation.frequencies or (0.0,))
+        told += [_read_images(images, manifest.rig.stereo[images.stereo], already, highest) for images in block.images]
         for points in block.points:
             empty = [path.name for path in points.files if path.stat().st_size == 0]
             wrong = [f"points {points.stereo}: {empty[0]} is empty ({len(empty)} such files)"] if empty else []
@@ -331,8 +332,11 @@ def _read_daq(block: Manifest, daq: Daq, where: str, already: AlreadyRead) -> tu
     return told, [f"daq {daq.name}: channel {name} holds values that are no finite numbers" for name in holes]
 
 
-def _read_images(images: Images, pair: Stereo, already: AlreadyRead) -> tuple[str, list[str]]:
-    """Frames of each camera, with their size as the files have it, and whether the pair's calibration is one of it."""
+def _read_images(images: Images, pair: Stereo, already: AlreadyRead, highest_hz: float) -> tuple[str, list[str]]:
+    """Frames of each camera, with their size as the files have it, and whether the pair's calibration is one of it.
+
+    Of a rolling shutter also how much later the last row is exposed, and how far a line at most turns meanwhile.
+    """
     from photogram.images.files import open_sequence
 
     told = f"images {images.stereo}: {_size([*images.left, *images.right])}"
@@ -345,6 +349,10 @@ def _read_images(images: Images, pair: Stereo, already: AlreadyRead) -> tuple[st
     left = sequences[0]
     told += f", {len(left)} frames of {left.size_px[0]} x {left.size_px[1]} px, grey values up to {left.full_scale:g}"
     told += f", exposure {1e6 * left.exposure_s:.4g} µs by the file" if left.exposure_s is not None else ""
+    if any(pair.row_time):
+        read_s = pair.readout_s(left.size_px[1])
+        told += f", rows exposed one after the other over {1e3 * read_s:.4g} ms"
+        told += f" ({360.0 * highest_hz * read_s:.3g}° at {highest_hz:g} Hz)" if highest_hz else ""
     wrong = _no_rig(pair, sequences)
     if len(left) != len(sequences[-1]):
         wrong.append(f"images {images.stereo}: {len(left)} frames left and {len(sequences[-1])} right")

@@ -10,8 +10,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, mod
 
 from fusion.instruments.transducer import HEAD, ROOM, TRANSDUCERS
 from fusion.recording.dsi import parse_unit
+from fusion.recording.environment import Environment
 from fusion.recording.excitation import Excitation
-from fusion.recording.rig import Environment, NamedHead, Part, Shaker
+from fusion.recording.rig import NamedHead, Part, Shaker
 from fusion.recording.values import (
     HERTZ,
     SECONDS,
@@ -247,6 +248,7 @@ class Frames(Block):
     delay_uncertainty: Annotated[NotNegative, SECONDS]
 
     INHERITED: ClassVar[tuple[str, ...]] = ("exposure", "delay", "delay_uncertainty")
+    TELLS_ROWS: ClassVar[bool] = False
 
     @model_validator(mode="before")
     @classmethod
@@ -261,6 +263,9 @@ class Frames(Block):
         if name not in known:
             found = f'"{name}"; rig.toml has {", ".join(known) or "none"}'
             raise refusal("the name of a stereo pair of rig.toml", found, key="stereo")
+        if any(known[name].row_time) and not cls.TELLS_ROWS:
+            expected = "images, which tell when the rows of a rolling shutter (row_time) showed what they show"
+            raise refusal(expected, f'points of "{name}"', key="stereo")
         return {key: getattr(known[name], key) for key in cls.INHERITED} | value
 
 
@@ -278,6 +283,7 @@ class Images(Frames):
     mask: Mask = ()
 
     INHERITED: ClassVar[tuple[str, ...]] = (*Frames.INHERITED, "bit_depth")
+    TELLS_ROWS: ClassVar[bool] = True
 
     @property
     def cameras(self) -> tuple[tuple[str, tuple[Path, ...]], ...]:

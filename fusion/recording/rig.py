@@ -12,12 +12,14 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.estimation.measurement_model import UnseenMotion
 from fusion.instruments.transducer import TRANSDUCERS
+from fusion.recording.environment import Environment
 from fusion.recording.values import (
     DENSITY,
     FAR,
     HERTZ,
     MODULUS,
     NEAR,
+    ROWS,
     SECONDS,
     SHARE,
     WEIGHT,
@@ -26,6 +28,7 @@ from fusion.recording.values import (
     ZERO33,
     Block,
     BodyName,
+    Celsius,
     Delay,
     Direction,
     ExistingFile,
@@ -41,6 +44,7 @@ from fusion.recording.values import (
     PoseSpread,
     Positive,
     Rotation,
+    RowTime,
     Share,
     Spread3,
     Surface,
@@ -60,9 +64,7 @@ from fusion.recording.values import (
     spread,
     texts,
     vector,
-    within,
 )
-from shaker.static_rotation.harmonics import Known, air_density_at, gravity_at
 
 if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
@@ -70,24 +72,9 @@ if TYPE_CHECKING:
 OTHER_UNITS = {"force": "N", "voltage": "V"}
 CONVENTIONAL_AIR_DENSITY = 1.2  # kg/m^3, OIML D 28
 CONVENTIONAL_WEIGHT_DENSITY = 8000.0  # kg/m^3, OIML D 28
-GRAVITY_ON_EARTH = (9.7, 9.9)  # m/s^2
 DENSEST_KGM3 = 22_600.0  # osmium
 FARTHEST_M = 5.0  # radius of gyration of anything on a shaker
-U_STATED_AIR = 0.01  # relative, of an air density without any other statement
-STRAIN = within(0.0, 0.01, "m/m", **{"µm/m": 1e-6})
-AIR = within(0.01, 20.0, "kg/m^3", **{"g/cm^3": 1e3})
-Celsius = Annotated[float, Field(ge=-100, le=200, allow_inf_nan=False)]
 """A temperature in °C; one in kelvin lies beyond."""
-
-
-def _gravity(value: object) -> tuple[float, ...]:
-    """The acceleration of free fall as it is on Earth."""
-    elements = vector(3)(value)
-    low, high = GRAVITY_ON_EARTH
-    length = float(np.linalg.norm(elements))
-    if not low <= length <= high:
-        raise refusal(f"an acceleration of {low} to {high} m/s^2 (or no such key)", f"{length:g} m/s^2")
-    return elements
 
 
 def _outputs(value: object) -> tuple[str, ...]:
@@ -378,69 +365,14 @@ class Part(Mounted):
     below_joint: bool = False
 
 
-class Environment(Block):
-    """The surroundings: gravity m/s^2 in sensor axes, the place, the air, temperatures, and what moves along.
-
-    `latitude` °, `height` m above the sea; `temperature` °C of the air, `air_density` kg/m^3, `pressure` Pa, relative
-    `humidity`; `sensor_temperature` °C. `support_motion`: how much what carries lasers and cameras may move, over the
-    motion that they measure. `base_strain`: largest amplitude of strain of what the sensor stands on, m/m.
-    """
-
-    gravity: Annotated[Vector3 | None, BeforeValidator(_gravity)] = None
-    gravity_uncertainty: Spread3 = ZERO3
-    down: Direction | None = None
-    temperature: Celsius | None = None
-    air_density: Annotated[Positive, AIR] | None = None
-    latitude: Annotated[float | None, Field(ge=-90, le=90, allow_inf_nan=False)] = None
-    height: Annotated[float | None, Field(ge=-500, le=9000, allow_inf_nan=False)] = None
-    pressure: Annotated[float | None, Field(ge=3e4, le=1.2e5, allow_inf_nan=False)] = None
-    humidity: Annotated[float | None, Field(ge=0, le=1, allow_inf_nan=False)] = None
-    sensor_temperature: Celsius | None = None
-    sensor_temperature_uncertainty: NotNegative = 0.0
-    support_motion: Share | None = None
-    base_strain: Annotated[NotNegative, STRAIN] | None = None
-
-    @model_validator(mode="after")
-    def _gravity_is_told_whole(self) -> Self:
-        if self.latitude is not None and self.height is None and self.gravity is None:
-            raise refusal("the height above the sea in m that belongs to latitude", "nothing", key="height")
-        if self.gravity is not None and self.down is not None:
-            raise refusal("no such key beside gravity, which points down", describe(self.down), key="down")
-        if self.down is not None and self.latitude is None:
-            raise refusal(
-                "the latitude in degrees, of which and of height gravity along down follows", "nothing", key="latitude"
-            )
-        return self
-
-    @property
-    def free_fall_mps2(self) -> tuple[Vector3 | None, Vector3]:
-        """Return gravity (3,) in sensor axes with its u, as stated, or of latitude and height along `down`; else None.
-
-        The direction of `down` counts as exact; who knows how exact it is states `gravity` and its uncertainty.
-        """
-        if self.gravity is not None or self.down is None or self.latitude is None:
-            return self.gravity, self.gravity_uncertainty
-        size = gravity_at(float(np.radians(self.latitude)), self.height or 0.0)
-        x, y, z = self.down
-        spread = (size.u * abs(x), size.u * abs(y), size.u * abs(z))
-        return (size.value * x, size.value * y, size.value * z), spread
-
-    @property
-    def air(self) -> Known:
-        """Return the density of the air, kg/m^3: as stated, else what pressure, temperature, humidity and height say.
-
-        Of what is not stated the usual conditions of a laboratory are taken, with their uncertainty.
-        """
-        if self.air_density is not None:
-            return Known(self.air_density, U_STATED_AIR * self.air_density, "stated in rig.toml")
-        return air_density_at(self.height, self.pressure, self.temperature, self.humidity)
-
-
 class Stereo(Block):
     """A stereo pair: x_sensor = rotation · x_left_camera + translation at rest, and when its frames are exposed.
 
+    `row_time`: s from row to row of the left and the right camera, negative where the last row is read first; 0 where
+    all are exposed at once.
+
     `body` "room": what it sees stands still, so that it tells how its `support` moves, with all cameras on that. A pair
-    with a `surface` is one camera alone, its left one.
+    with a `surface` is one camera alone, its left one, all rows of which are exposed at once.
     """
 
     body: Literal["load", "base", "room"]
@@ -456,11 +388,19 @@ class Stereo(Block):
     exposure: Exposure
     delay: Delay = 0.0
     delay_uncertainty: Annotated[NotNegative, SECONDS] = 0.0
+    row_time: RowTime = (0.0, 0.0)
+    row_time_uncertainty: Annotated[NotNegative, ROWS] = 0.0
+
+    def readout_s(self, rows: int) -> float:
+        """Return how much later the last of some rows is exposed than the first one read."""
+        return max(map(abs, self.row_time)) * (rows - 1)
 
     @model_validator(mode="after")
     def _one_way_to_depth(self) -> Self:
         if self.surface is not None and self.pose_by_calibration is not None:
             raise refusal("no such key of a camera alone, which states a surface", "one", key="pose_by_calibration")
+        if self.surface is not None and any(self.row_time):
+            raise refusal("0 of a camera alone, which states a surface", f"{self.row_time[0]:g} s", key="row_time")
         return self
 
 

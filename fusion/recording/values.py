@@ -281,6 +281,12 @@ def spread(count: int, each: str = "") -> Callable[[Any], tuple[float, ...]]:
     return check
 
 
+def each_of(count: int) -> Callable[[Any], tuple[float, ...]]:
+    """Validator of `count` numbers, or of one that holds for all."""
+    expected = f"a number or {count} numbers"
+    return lambda value: (float(value),) * count if is_number(value) else _numbers(value, count, expected)
+
+
 def positive(check: Callable[[Any], tuple[float, ...]], expected: str) -> Callable[[Any], tuple[float, ...]]:
     """Validator of numbers that another one takes, all above 0."""
 
@@ -468,9 +474,12 @@ MODULUS = within(1e4, 2e12, "Pa", GPa=1e9, MPa=1e6)
 SHARE = within(0.0, 1.0, "", percent=1e-2, ppm=1e-6)
 RADIANS = within(0.0, 3.15, "rad", degrees=np.pi / 180)
 SECONDS = within(0.0, 10.0, "s", ms=1e-3, µs=1e-6)
+ROWS = within(1e-10, 1e-3, "s", µs=1e-6, ns=1e-9)
+ROWS = within(1e-10, 1e-3, "s", µs=1e-6, ns=1e-9)
 HERTZ = within(1e-4, 1e8, "Hz")
 """What keys can mean at all: sizes beyond are those of another unit."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
+Celsius = Annotated[float, Field(ge=-100, le=200, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Version = Annotated[Literal[1], BeforeValidator(_version)]
@@ -483,6 +492,7 @@ Share = Annotated[NotNegative, SHARE]
 Angle = Annotated[NotNegative, RADIANS]
 Mass = Annotated[Positive, WEIGHT]
 Delay = Annotated[Number, SECONDS]
+RowTime = Annotated[tuple[float, float], BeforeValidator(each_of(2)), ROWS]
 Direction = Annotated[Vector3, BeforeValidator(unit_vector)]
 Spread3 = Annotated[Vector3, BeforeValidator(spread(3))]
 PoseSpread = Annotated[Vector6, BeforeValidator(spread(6, "3 in m, 3 in rad"))]

@@ -17,8 +17,9 @@ from fusion.instruments.channel import Outputs
 from shaker.arrays import ComplexArray, Notice
 
 if TYPE_CHECKING:
+    from fusion.recording.environment import Environment
     from fusion.recording.manifest import ChannelEntry
-    from fusion.recording.rig import Environment, Rig, Sensor
+    from fusion.recording.rig import Rig, Sensor
     from fusion.sensitivity.body import Body
     from fusion.sensitivity.ratio import Sensitivity
 

@@ -19,7 +19,6 @@ from fusion.sensitivity.elastic import ElasticPart, MeasuredModes, Modes, Place,
 from photogram.camera import principal_components
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Notice
 from shaker.io.text import read_table_columns
-from shaker.sine.aliasing import exposure_gain
 from shaker.sine.phasor import real_stacked_diagonal
 
 if TYPE_CHECKING:
@@ -163,9 +162,9 @@ class _Seen:
     def of(cls, pair: StereoResult, parts: Sequence[tuple[ElasticPart, IntArray]]) -> _Seen:
         """Return it; `parts`: elastic parts of the load with the numbers of the modes that the pair measures."""
         assert pair.shapes is not None
-        frequency, shapes = pair.fit.phasors.frequency_hz, pair.shapes
+        frequency, shapes = pair.phasors.frequency_hz, pair.shapes
         square = -((2.0 * np.pi * frequency[:, None]) ** 2)
-        rigid = square * pair.fit.phasors.value / exposure_gain(frequency, pair.exposure_s)[:, None]
+        rigid = square * pair.phasors.value
         modal = square * shapes.phasors.value
         others = np.zeros((len(frequency), 6, 6), np.complex128)
         face_m = np.asarray(np.nanmean(next(iter(pair.surface or ())).reference_m, axis=0))
@@ -218,7 +217,7 @@ def _measured(
     moved = seen.modal[:, columns] * scale
     turn = real_stacked_diagonal(scale)
     covariance = turn @ seen.covariance[:, both[:, None], both] @ turn.swapaxes(1, 2)
-    frequency = pair.fit.phasors.frequency_hz
+    frequency = pair.phasors.frequency_hz
     gain, contradicted = _gain(part, which, frequency, moved, covariance)
     gain *= np.tile(driven, 2)[:, None, :]
     lines = len(pair.usable)

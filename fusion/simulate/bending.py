@@ -61,17 +61,18 @@ def plate_wrench(plate: PlateSpec, motion: Motion, draws: Draws) -> ComplexArray
     return total
 
 
-def bent_view(world: World, draws: Draws, view: View, face: Face, instant: tuple[float, float]) -> View:
+def bent_view(world: World, draws: Draws, view: View, face: Face, instant: tuple[float | FloatArray, float]) -> View:
     """Return a view in which the face of the load, across z, shows itself bent as in the mean over an exposure.
 
-    instant: middle and length of the exposure in s.
+    instant: middle of the exposure, or (H,) of that of each row, and its length, in s.
     """
     plate, motion, (middle_s, exposure_s) = world.preset.plate, world.motion["load"], instant
     if plate is None:
         return view
     omega = motion.omega
     lost = np.sinc(omega * exposure_s / (2.0 * np.pi))
-    rim_m = float(np.sum(-rim(plate, motion, draws) / omega**2 * lost * np.exp(1j * omega * middle_s)).real)
+    turn = np.exp(1j * np.multiply.outer(middle_s, omega))
+    rim_m = np.sum(-rim(plate, motion, draws) / omega**2 * lost * turn, axis=-1).real[..., None]
 
     def bending(u: FloatArray, v: FloatArray) -> FloatArray:
         place = face.origin_m + u[..., None] * face.axis_u + v[..., None] * face.axis_v
@@ -79,7 +80,7 @@ def bent_view(world: World, draws: Draws, view: View, face: Face, instant: tuple
         none = np.zeros_like(up)
         return np.stack([none, none, up * np.cross(face.axis_u, face.axis_v)[2]], axis=-1)
 
-    return bent(view, face, motion.pose(middle_s), bending)
+    return bent(view, face, motion.pose(float(np.mean(middle_s))), bending)
 
 
 def elastic_keys(preset: Preset) -> dict[str, Any]:

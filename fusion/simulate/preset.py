@@ -75,6 +75,7 @@ class StereoSetup:
     """A stereo pair on one face: `tilt_deg` from its normal towards `face_up`, `stereo_deg` between the cameras.
 
     `pixel_m` is the size of a pixel on the face; `face_up` the direction in the face that is up in the images.
+    `row_time`: s from row to row of a rolling shutter, negative where the last row is read first, 0 without one.
     `at_rest`: of two patches that stand still in the face's plane, to its right and left: distance of their centres
     from the face's, half width and height, m; none where empty. `surface_uncertainty`: of the face's distance, m, and
     tilts, rad, where its left camera is alone; a pair where empty.
@@ -96,6 +97,8 @@ class StereoSetup:
     electrons_per_grey: float = 8.0
     read_noise_grey: float = 6.0
     delay_uncertainty: float = 3e-7
+    row_time: float = 0.0
+    row_time_uncertainty: float = 0.0
     scale_uncertainty: float = 2e-4
     pose_uncertainty: tuple[float, ...] = (1e-4, 1e-4, 1e-4, 5e-4, 5e-4, 5e-4)
     at_rest: tuple[float, ...] = ()

@@ -324,6 +324,7 @@ def truth_tables(run: Run, world: World, draws: Draws) -> dict[str, Any]:
 # One rendered recording, campaigns over frequency and of six components.
 
 TRIGGER_JITTER_S = 30e-9
+TIMES_A_PERIOD = 40  # in which an exposure of one period would be rendered
 LEAD_S = 0.1  # of the first frame after the first recorder's start, and of a record's end after the last frame
 DRIVE_MPS2 = 60.0
 STEP_HZ = 53.7
@@ -440,20 +441,21 @@ def _write_images(
     import tifffile
 
     done, frames, exposure = 0, world.preset.frames, world.preset.exposure_s
+    times = max(2, int(np.ceil(TIMES_A_PERIOD * exposure * float(world.preset.frequencies_hz.max()))))
     whole: dict[str, Any] = {"photometric": "minisblack", "compression": "zlib", "metadata": None, "software": False}
 
     def shoot(stereo: TrueStereo, faces: Sequence[Face], view: View, series: Path, number: int, frame: int) -> None:
         face, *patches = faces
-        middle = float(world.trigger_s[frame] + stereo.delay_s + exposure / 2)
+        middle = stereo.exposed(float(world.trigger_s[frame]), exposure)
         pose_at = world.seen(draws, stereo.setup.body, "camera", np.array(stereo.setup.face_centre)).pose
         load = stereo.setup.body == "load"
         bent = bending.bent_view(world, draws, view, face, (middle, exposure)) if load else view
         nodes = 4 if options.aliased else 2
-        image = render_exposure(bent, face, pose_at, middle, exposure, nodes)
+        image = render_exposure(bent, face, pose_at, middle, exposure, nodes, times)
         still = world.seen(draws, "room", "camera", np.array(stereo.setup.face_centre)).pose
         for patch in patches:
             image = beside(image, view, patch, still, (middle, exposure), nodes)
-        image = draws.broken("image", image, series.name, middle, frame / frames)
+        image = draws.broken("image", image, series.name, float(np.mean(middle)), frame / frames)
         rng = draws.stream(f"{series.name}.{frame}") if options.image_noise else None
         stream = io.BytesIO()
         tifffile.imwrite(stream, stereo.setup.sensor.digitise(image, rng), **whole)

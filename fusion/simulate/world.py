@@ -190,7 +190,7 @@ def acceleration_at(motion: Motion, point: FloatArray, direction: FloatArray, gr
 
 @dataclass(frozen=True, eq=False)
 class TrueStereo:
-    """A stereo pair as stated (`nominal`, `sensor_from_left`) and as it is (`rig`, `left_from_sensor`, delay).
+    """A stereo pair as stated (`nominal`, `sensor_from_left`) and as it is (`rig`, `left_from_sensor`, times).
 
     `setup` with the face where it is, which differs from what is stated of a camera alone.
     """
@@ -201,12 +201,20 @@ class TrueStereo:
     rig: StereoRig
     left_from_sensor: RigidTransform
     delay_s: float
+    row_time_s: float
 
     @property
     def views(self) -> tuple[View, ...]:
         """What its cameras see, by `StereoSetup.sides`."""
         placed = zip(self.setup.sides, self.rig.placed, strict=False)
         return tuple(view_of(camera, from_left @ self.left_from_sensor) for _, (camera, from_left) in placed)
+
+    def exposed(self, edge_s: float, exposure_s: float) -> float | FloatArray:
+        """Return the middle of the exposure after a trigger's edge, of a rolling shutter that of every row (H,)."""
+        first, rows = edge_s + self.delay_s + exposure_s / 2, np.arange(self.setup.size_px[1])
+        if self.setup.row_time == 0.0:
+            return first
+        return np.asarray(first + abs(self.row_time_s) * (rows if self.setup.row_time > 0.0 else rows[::-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +313,8 @@ def true_stereo(setup: StereoSetup, draws: Draws) -> TrueStereo:
     rig = StereoRig(rig.left, rig.right, RigidTransform(between.rotation, between.translation_m * scale))
     true = true_pose(setup, sensor_from_left, scale, draws)
     delay = float(draws.normal(f"{setup.name}.delay", setup.delay_uncertainty))
-    return TrueStereo(_true_face(setup, draws), nominal, sensor_from_left, rig, true.inverse(), delay)
+    row_time = setup.row_time + float(draws.normal(f"{setup.name}.row_time", setup.row_time_uncertainty))
+    return TrueStereo(_true_face(setup, draws), nominal, sensor_from_left, rig, true.inverse(), delay, row_time)
 
 
 def _true_face(setup: StereoSetup, draws: Draws) -> StereoSetup:

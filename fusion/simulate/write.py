@@ -130,6 +130,7 @@ def _stereo_keys(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
         "exposure": preset.exposure_s,
         "delay": 0.0,
         "delay_uncertainty": setup.delay_uncertainty,
+        **({name: getattr(setup, name) for name in ("row_time", "row_time_uncertainty")} if setup.row_time else {}),
     }
 
 

@@ -4,16 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, spread_choice
+from photogram.arrays import Arrays, BoolArray, ComplexArray, FloatArray, spread_choice
 from photogram.bspline import Spline
-from photogram.direct.cells import Cells, CellSums, chosen, compare_cells, pixel_residuals, prepare_cells, reweighted
+from photogram.direct.cells import (
+    Cells,
+    CellSums,
+    chosen,
+    compare_cells,
+    pixel_places,
+    pixel_residuals,
+    prepare_cells,
+    reweighted,
+)
 from photogram.direct.shapes import Shapes, shape_rates
 from photogram.geometry import RigidTransform, rotation_vector_rate, vector_from_rotation
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
-from photogram.motion import MEDIAN_CHI2_OF_TWO, Patches, PlacedCamera, body_patches, patch_rates, patch_warps
+from photogram.motion import MEDIAN_CHI2_OF_TWO, Patches, PlacedCamera, body_patches, patch_rates, warps_to
 
 REACH_CELLS = 4.0  # how far from the nearest known point a cell's surface may lie
 EVALUATIONS = 12
@@ -36,7 +46,8 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
 
     rates (C, 6, p): change of the affine warps by the six components and p - 6 amplitudes of its shapes; information
     (C, p, p): of each cell about them, per unit of gain², and information_noise (C, p, p) the part of it that is noise;
-    translation (C, 2, 2): inverse Hessian of the cell's own shift.
+    translation (C, 2, 2): inverse Hessian of the cell's own shift. `carried`: rotations (C, 5, 3, 3) and shifts
+    (C, 5, 3) that the points of its patches have in one frame beyond the body's motion, None for none.
     """
 
     camera: PlacedCamera
@@ -46,6 +57,14 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
     information: FloatArray
     information_noise: FloatArray
     translation: FloatArray
+    carried: tuple[FloatArray, FloatArray] | None = None
+
+    def warps(self, moved: RigidTransform) -> FloatArray:
+        """Return the affine warps (C, 6) of the cells when the body has moved by `moved`."""
+        points = moved.apply(self.patches.points_m)
+        if self.carried is not None:
+            points = np.einsum("ckij,ckj->cki", self.carried[0], points) + self.carried[1]
+        return warps_to(self.camera, self.patches, points)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,15 +102,15 @@ def view_body(
     rates = patch_rates(camera, patches)
     if shapes is not None:
         rates = np.concatenate([rates, shape_rates(camera, patches, shapes)], axis=2)
-    return _answering(camera, cells, patches, rates)
+    return answering(camera, cells, patches, rates)
 
 
 def reweighted_view(view: BodyView, noise: NoiseModel, degree: int) -> BodyView:
     """Return the body at rest, seen as a spline of that degree, with the weights of another noise model."""
-    return _answering(view.camera, reweighted(view.cells, noise, degree), view.patches, view.rates)
+    return answering(view.camera, reweighted(view.cells, noise, degree), view.patches, view.rates)
 
 
-def _answering(camera: PlacedCamera, cells: Cells, patches: Patches, rates: FloatArray) -> BodyView:
+def answering(camera: PlacedCamera, cells: Cells, patches: Patches, rates: FloatArray) -> BodyView:
     """Return a view whose rates are zero where they or the cell are not known, with what these tell."""
     known = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(cells.energy)
     rates = np.where(known[:, None, None], rates, 0.0)
@@ -107,7 +126,7 @@ def _answering(camera: PlacedCamera, cells: Cells, patches: Patches, rates: Floa
 
 def image_noise(view: BodyView, target: Spline, moved: RigidTransform) -> NoiseModel:
     """Return the noise model that explains what is left over in one frame, the body having moved by `moved`."""
-    grey, squares = pixel_residuals(view.cells, target, patch_warps(view.camera, view.patches, moved))
+    grey, squares = pixel_residuals(view.cells, target, view.warps(moved))
     known = np.isfinite(squares)
     return fit_noise_model(grey[known], squares[known])
 
@@ -206,23 +225,21 @@ def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTran
     Which cells count is judged where the step that all of them ask for would take them, so that it does not hang on the
     start.
     """
-    compared = [
-        compare_cells(view.cells, target, patch_warps(view.camera, view.patches, moved))
-        for view, target in zip(views, targets, strict=True)
-    ]
+    both = zip(views, targets, strict=True)
+    compared = [compare_cells(view.cells, target, view.warps(moved)) for view, target in both]
     pose, size = np.zeros(6), views[0].rates.shape[2]
     for _ in range(2):
-        both, slope, sums = np.zeros((2, size**2)), np.zeros(size), np.zeros(4)
+        parts, slope, sums = np.zeros((2, size**2)), np.zeros(size), np.zeros(4)
         for view, told in zip(views, compared, strict=True):
             used = _rigid_cells(view, told, pose)
             gain = np.where(used, told.gain, 0.0)
-            both[0] += gain**2 @ view.information.reshape(-1, size**2)
-            both[1] += gain**2 @ view.information_noise.reshape(-1, size**2)
+            parts[0] += gain**2 @ view.information.reshape(-1, size**2)
+            parts[1] += gain**2 @ view.information_noise.reshape(-1, size**2)
             slope += (np.where(used[:, None], told.slope, 0.0) * gain[:, None]).ravel() @ view.rates.reshape(-1, size)
             expected = told.misfit_noise[used]
             rounding = QUANTISATION * expected * (view.cells.weight / view.cells.count)[used]
             sums += told.misfit[used].sum(), expected.sum(), rounding.sum(), len(expected)
-        whole, whole_noise = both.reshape(2, size, size)
+        whole, whole_noise = parts.reshape(2, size, size)
         information, noise_part = whole[:6, :6], whole_noise[:6, :6]
         misfit, noise, least, cells = sums.tolist()
         if cells < FEWEST_CELLS or not np.linalg.eigvalsh(_scaled(information))[0] > SINGULAR:
@@ -234,6 +251,64 @@ def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTran
     share = scale * float(np.trace(np.linalg.solve(information, noise_part))) / 6.0
     left = share if np.array_equal(clean, information) else CORRECTED * share
     return _Step(pose, length, left, scale, slope, whole, whole_noise, int(cells))
+
+
+def turned_pose(
+    views: Sequence[BodyView],
+    targets: Sequence[Spline],
+    fit: DirectFit,
+    turns: Sequence[ComplexArray],
+    pose: FloatArray,
+) -> ComplexArray:
+    """Return what each of the K `turns` (C,), a factor of the cells of every view, makes of a fitted frame: (K, p).
+
+    y = E·Σ turn·B·(slopes that the fit leaves, and those that took it by `pose` (6,) to where it is), E what turns the
+    sums into motion and shapes beside it: Σ turn·H_c·ξ_c over Σ H_c of the small motions ξ_c of the cells.
+    """
+    size = views[0].rates.shape[2]
+    sums, whole = np.zeros((len(turns[0]), size), np.complex128), np.zeros((size, size))
+    for view, target, turn in zip(views, targets, turns, strict=True):
+        told = compare_cells(view.cells, target, view.warps(fit.moved))
+        used = _rigid_cells(view, told, np.zeros(6))
+        gain = np.where(used, told.gain, 0.0)
+        information = gain[:, None, None] ** 2 * (view.information - fit.noise * view.information_noise)
+        slope = np.where(used[:, None], told.slope, 0.0) * gain[:, None]
+        sums += turn @ (information[:, :, :6] @ pose - np.einsum("ckp,ck->cp", view.rates, slope))
+        whole += information.sum(axis=0)
+    return np.asarray(sums @ estimating(whole).T)
+
+
+def estimating(whole: FloatArray) -> FloatArray:
+    """Return E (p, p), which turns sums over cells of this information into a motion, and the shapes beside it."""
+    estimate = np.linalg.inv(whole)
+    estimate[:6] = 0.0
+    estimate[:6, :6] = np.linalg.inv(whole[:6, :6])
+    return np.asarray(estimate)
+
+
+def row_information(view: BodyView) -> FloatArray:
+    """Return what the rows of all cells, by their place in the cell, add to the information of a view: (side, p, p).
+
+    N = Σ w·ã·aᵀ over their pixels, a the change of grey by motion and shapes, ã what gain and offset of the cell leave
+    of it: Σ N_r·x_r is what the sums are of motions x_r that differ from row to row.
+    """
+    cells, size = view.cells, view.rates.shape[2]
+    column, row = pixel_places(cells.runs).T
+    cell = cells.of_pixels
+    along, down = column - cells.centre_px[cell, 0], row - cells.centre_px[cell, 1]
+    place = np.rint(down + (cells.side_px - 1) / 2).astype(np.int64)
+    order = np.argsort(place, kind="stable")
+    parts = np.searchsorted(place[order], np.arange(cells.side_px + 1))
+    removed, information = cells.removed @ view.rates, np.zeros((cells.side_px, size, size))
+    for k, (start, stop) in enumerate(pairwise(parts.tolist())):
+        own = order[start:stop]
+        rates, (w, w_f, w_x, w_y) = view.rates[cell[own]], cells.pixels[:, own]
+        offset = np.stack([np.ones(len(own)), along[own], down[own]])
+        u, v = (np.einsum("kn,nkp->np", offset, part) for part in (rates[:, :3], rates[:, 3:]))
+        change = w_x[:, None] * u + w_y[:, None] * v
+        kept = change - np.einsum("kn,nkp->np", np.stack([w, w_f]), removed[cell[own]])
+        information[k] = kept.T @ (change / np.where(w > 0.0, w, 1.0)[:, None])
+    return information
 
 
 def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:

@@ -62,11 +62,13 @@ class KnownBody:
     """What is known of a body before it is seen.
 
     `depth_m`: nearest and farthest depth in the left camera at which it can be, where its pattern may repeat. `shapes`:
-    in which it may deform, `PlainShapes` where none are known.
+    in which it may deform, `PlainShapes` where none are known. `rolls`: rows of its pictures are exposed one after the
+    other, so that they show no rigid body before its motion is known: subsets alone are followed.
     """
 
     depth_m: DepthRange | None = None
     shapes: Shapes | None = None
+    rolls: bool = False
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -131,9 +133,9 @@ def prepare_body(
     scene = BodyScene(*fixed, known, np.empty((0, 3)), (), (), (), None, (), (), every)
     rest_m = _place(scene, tuple(map(identity, references))).position_m[0]
     splines = tuple(spline_of_image(image, settings.degree) for image in first)
-    seen = tuple(see_points(camera, rest_m) for camera in _cameras(scene, rest_m))
+    seen = tuple(see_points(camera, rest_m) for camera in cameras_about(scene, rest_m))
     scene = replace(scene, rest_m=rest_m, seen=seen)
-    scene = replace(scene, views=_views(scene, splines))
+    scene = replace(scene, views=body_views(scene, splines))
     _tell(progress, 1)
     scene = _with_noise(scene, progress)
     rest = range(1 + len(scene.lead), len(images[0]))
@@ -178,7 +180,7 @@ def in_turn(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> Iterator[Follo
 
 def _found(course: Course, frames: range, device: str) -> Iterator[FollowedFrame]:
     """The body and its subsets in some frames in turn; on a GPU together as far as they are foretold."""
-    if device != "cpu":
+    if device != "cpu" and not course.scene.body.rolls:
         from photogram.measure.follow_torch import found_together
 
         yield from found_together(course, frames, device)
@@ -286,7 +288,7 @@ def followers(scene: BodyScene) -> tuple[Follower, ...]:
 def _with_noise(scene: BodyScene, progress: Progress | None) -> BodyScene:
     """The scene with the noise models of the first frame that can be fitted, and what was found up to it."""
     sides = followers(scene)
-    for number in range(1, len(scene.images[0])):
+    for number in range(1, 1 if scene.body.rolls else len(scene.images[0])):
         images = [one.read(number) for one in scene.images]
         splines = tuple(spline_of_image(image, scene.settings.degree) for image in images)
         seen = zip(sides, images, splines, strict=True)
@@ -322,7 +324,7 @@ def _place(scene: BodyScene, found: Found) -> Points:
     return locate(scene.rig, [place[None] for place in _places(scene, found)]).transformed(scene.body_from_left)
 
 
-def _cameras(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, ...]:
+def cameras_about(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, ...]:
     """The cameras about the body; `BodyNotFound` where the calibration places no points of it."""
     placed = int(np.count_nonzero(np.isfinite(rest_m).all(axis=1)))
     if placed < 3:
@@ -332,7 +334,7 @@ def _cameras(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, ...]:
     return tuple(PlacedCamera(camera, from_left @ left_from_body) for camera, from_left in scene.rig.placed)
 
 
-def _views(scene: BodyScene, splines: Splines) -> tuple[BodyView, ...]:
+def body_views(scene: BodyScene, splines: Splines) -> tuple[BodyView, ...]:
     """The body at rest in each camera, all pixels equally trusted."""
     side_px, shapes = 2 * scene.settings.radius_px + 1, scene.shapes
     return tuple(
@@ -343,6 +345,8 @@ def _views(scene: BodyScene, splines: Splines) -> tuple[BodyView, ...]:
 
 def _fit(scene: BodyScene, found: Found, splines: Splines) -> DirectFit | None:
     """The direct fit of one frame, begun where its subsets are; None where it has none."""
+    if scene.body.rolls:
+        return None
     start = motion_of_places(scene.seen, _places(scene, found))
     fit = None if start is None else fit_direct(scene.views, splines, start)
     if fit is None:  # from all that the points tell, whatever it costs

@@ -245,9 +245,10 @@ _FAR = 4.0  # rim blur in σ beyond which a point is wholly inside or outside
 def render(view: View, face: Face, poses: FloatArray, weights: FloatArray, nodes: int = 2) -> FloatArray:
     """Return the noise-free image (H, W), fractions of full scale, of the body in `poses` (E, 6), weighted (E,).
 
-    Every pixel is the mean over its square by `nodes` x `nodes` Gauss-Legendre points, and over the poses by the
-    weights (summing to 1). A ray meets the moved face at homography·(x, y, 1); the rim is an error function of the
-    distance from it, the face's texture carries the lens blur already.
+    Poses (H, E, 6) are those of each row of the image. Every pixel is the mean over its square by `nodes` x `nodes`
+    Gauss-Legendre points, and over the poses by the weights (summing to 1). A ray meets the moved face at
+    homography·(x, y, 1); the rim is an error function of the distance from it, the face's texture carries the lens blur
+    already.
 
     >>> texture = speckle_texture((0.02, 0.02), 1e-3, 1e-4, 1e-4, np.random.default_rng(1))
     >>> face = Face(np.zeros(3), np.eye(3)[0], np.eye(3)[1], np.array([0.01, 0.01]), False, texture, edge_blur_m=1e-4)
@@ -256,7 +257,7 @@ def render(view: View, face: Face, poses: FloatArray, weights: FloatArray, nodes
     >>> render(view, face, np.zeros((1, 6)), np.ones(1)).shape
     (48, 64)
     """
-    maps = np.stack([view.homography(face, pose) for pose in poses])
+    maps = np.stack([view.homography(face, pose) for pose in poses.reshape(-1, 6)]).reshape(-1, len(weights), 3, 3)
     offsets, shares = _gauss_legendre(nodes, 1.0)
     image = np.empty(view.ray.shape[:2])
     tone = np.array([face.dark, face.bright - face.dark, face.background])
@@ -292,15 +293,23 @@ def bent(view: View, face: Face, pose: FloatArray, shape_m: Callable[[FloatArray
 
 
 def render_exposure(
-    view: View, face: Face, pose_at: Callable[[float], FloatArray], middle_s: float, exposure_s: float, nodes: int = 2
+    view: View,
+    face: Face,
+    pose_at: Callable[[float], FloatArray],
+    middle_s: float | FloatArray,
+    exposure_s: float,
+    nodes: int = 2,
+    times: int = 2,
 ) -> FloatArray:
     """Return the image (H, W) of a body moving as `pose_at(time)` (6,) over a rectangular exposure.
 
-    Two Gauss-Legendre times: for a line at f the error of the mean is (π·f·T)⁴/1080 of its amplitude, below 10⁻⁸
-    at f·T = 0.02.
+    `middle_s`: of the exposure of the frame, or (H,) of each of its rows, as a rolling shutter exposes them. Of two
+    Gauss-Legendre `times` the error of the mean is (π·f·T)⁴/1080 of the amplitude of a line at f, below 10⁻⁸ at
+    f·T = 0.02.
     """
-    offsets, shares = _gauss_legendre(2, exposure_s)
-    poses = np.stack([pose_at(middle_s + offset) for offset in offsets])
+    offsets, shares = _gauss_legendre(times, exposure_s)
+    instants = np.add.outer(np.atleast_1d(middle_s), offsets)
+    poses = np.stack([pose_at(instant) for instant in instants.flat]).reshape(*instants.shape, 6)
     return render(view, face, poses, shares, nodes)
 
 
@@ -309,7 +318,7 @@ def beside(
     view: View,
     face: Face,
     pose_at: Callable[[float], FloatArray],
-    exposed: tuple[float, float],
+    exposed: tuple[float | FloatArray, float],
     nodes: int = 2,
 ) -> FloatArray:
     """Return an image (H, W) with one more face, which covers none that is there; `exposed`: middle and length in s."""
@@ -330,6 +339,7 @@ def _integrate(rays, motion, aperture, texture, size, tone, image):  # type: ign
     rows, columns = image.shape
     nodes, poses = offsets.size, weights.size
     for i in range(rows):
+        own = maps[min(i, maps.shape[0] - 1)]
         for j in range(columns):
             centre_x, centre_y = ray[i, j, 0], ray[i, j, 1]
             total = 0.0
@@ -339,9 +349,9 @@ def _integrate(rays, motion, aperture, texture, size, tone, image):  # type: ign
                 y = centre_y + across * ray_x[i, j, 1] + down * ray_y[i, j, 1]
                 share = shares[q // nodes] * shares[q % nodes]
                 for e in range(poses):
-                    w = 1.0 / (maps[e, 2, 0] * x + maps[e, 2, 1] * y + maps[e, 2, 2])
-                    u = (maps[e, 0, 0] * x + maps[e, 0, 1] * y + maps[e, 0, 2]) * w
-                    v = (maps[e, 1, 0] * x + maps[e, 1, 1] * y + maps[e, 1, 2]) * w
+                    w = 1.0 / (own[e, 2, 0] * x + own[e, 2, 1] * y + own[e, 2, 2])
+                    u = (own[e, 0, 0] * x + own[e, 0, 1] * y + own[e, 0, 2]) * w
+                    v = (own[e, 1, 0] * x + own[e, 1, 1] * y + own[e, 1, 2]) * w
                     cover = _cover(size, u, v)
                     value = tone[2]
                     if cover > 0.0:

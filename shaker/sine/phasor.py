@@ -93,6 +93,17 @@ class Phasors:
             unit=self.unit if unit is None else tuple(unit),
         )
 
+    def combined(self, matrix: ComplexArray, channels: Sequence[str], unit: Sequence[str]) -> Phasors:
+        """Return D `channels` that complex matrices (K, D, C) make of these, with the covariance carried along."""
+        jacobian = np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])
+        return replace(
+            self,
+            value=(matrix @ self.value[..., None])[..., 0],
+            covariance=jacobian @ self.covariance @ jacobian.swapaxes(1, 2),
+            channels=tuple(channels),
+            unit=tuple(unit),
+        )
+
     def differentiated(self, order: int, unit: Sequence[str]) -> Phasors:
         """Return the phasors of the `order`-th time derivative (negative: integral), in the units named."""
         return self.scaled(derivative_factor(self.frequency_hz, order)[:, None], unit)

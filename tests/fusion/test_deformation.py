@@ -16,7 +16,6 @@ from fusion.recording.rig import Elastic
 from fusion.sensitivity.body import Body, elastic_part, stated_modes
 from fusion.sensitivity.mode_shapes import mode_shapes, with_measured_modes
 from photogram.direct.shapes import PlainShapes, ShapeAmplitudes
-from shaker.sine.aliasing import exposure_gain
 from shaker.sine.phasor import Phasors
 
 SHAPES = PlainShapes(np.zeros(3), np.eye(3), 0.05)
@@ -126,11 +125,10 @@ def seen_plate(rng: np.random.Generator, off: float, u_m: float) -> tuple[Simple
     phasors = Phasors(HERTZ, value, u_m**2 * np.eye(6)[None], shapes.names, ("m",) * 3, np.array([200.0]))
     found = ShapePhasors(phasors, np.zeros((0, 1, 3), np.complex128), share, np.ones(1), np.ones(1), 1)
     face = SimpleNamespace(reference_m=np.array([[0.0, 0.0, 0.09]]))
-    fit = SimpleNamespace(phasors=SimpleNamespace(frequency_hz=HERTZ, value=rigid))
+    seen = SimpleNamespace(frequency_hz=HERTZ, value=rigid)
     pair = SimpleNamespace(
-        name="top", body="load", usable=np.array([True]), fit=fit, exposure_s=4e-5, surface=(face,), shapes=found
+        name="top", body="load", usable=np.array([True]), phasors=seen, surface=(face,), shapes=found
     )
-    pair.fit.phasors.value = rigid * exposure_gain(HERTZ, 4e-5)[:, None]
     return pair, np.asarray((moved @ true.participation)[0])
 
 

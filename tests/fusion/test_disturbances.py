@@ -10,8 +10,9 @@ from fusion.estimation.fuse import fuse
 from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import Contribution, Uncertainty
 from fusion.instruments.channel import ChainUncertainty, Reading, observe_channels, output_phasors
+from fusion.recording.environment import Environment
 from fusion.recording.manifest import ChannelEntry
-from fusion.recording.rig import Environment, Load, Rig, Sensor
+from fusion.recording.rig import Load, Rig, Sensor
 from fusion.sensitivity.body import load_body
 from fusion.sensitivity.disturbances import (
     at_reference_temperature,

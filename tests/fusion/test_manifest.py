@@ -16,6 +16,7 @@ from pydantic import BaseModel
 from support import DOCS, examples, key_tables, told_keys
 
 from fusion.base import InputError
+from fusion.recording.environment import Environment
 from fusion.recording.excitation import KINDS, Excitation
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Images, PointFiles, RecordingFile, ResponseColumns, Take
@@ -24,7 +25,6 @@ from fusion.recording.rig import (
     Change,
     Elastic,
     ElasticMode,
-    Environment,
     Head,
     Load,
     ModelChanges,

@@ -112,6 +112,8 @@ CASES = [
     (RIG, "exposure = 40e-6", "exposure = -1e-6", "stereo.top.exposure", "at least 0", "-1e-06"),
     (RIG, "exposure = 40e-6", "exposure = nan", "stereo.top.exposure", "at least 0", "nan"),
     (RIG, "exposure = 40e-6", "exposure = true", "stereo.top.exposure", "a number", "true"),
+    (RIG, "exposure = 40e-6", "exposure = 4e-5\nrow_time = 10", "top.row_time", "0.001 s", "10 (1e-05 s if"),
+    (RIG, "exposure = 40e-6", "exposure = 4e-5\nrow_time = [1e-5]", "top.row_time", "or 2 numbers", "1 elements"),
     (RIG, "format = 1", "format = 2", "format", "1", "2"),
     (RIG, "format = 1", "format = ", "", "TOML", "line 1"),
     (RIG, "[sensor]", "[snsor]", "snsor", 'probably "sensor"', "unknown key"),

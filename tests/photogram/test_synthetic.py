@@ -90,6 +90,15 @@ def test_exposure_blurs_a_moving_wave_by_the_integral_over_its_path():
     np.testing.assert_allclose(moved - middle, gain * (still - middle), atol=2e-6)
 
 
+def test_each_row_of_a_rolling_shutter_is_that_of_a_picture_at_its_time():
+    face, speed = _face(_wave(8 * PIXEL_M)), np.array([0.4, 0.0, 0.1, 0.0, 0.3, 0.0])
+    middle = 1e-3 + 20e-6 * np.arange(64)
+    rolled = render_exposure(IDEAL, face, lambda t: speed * t, middle, 50e-6)
+    for row in (0, 31, 63):
+        whole = render_exposure(IDEAL, face, lambda t: speed * t, float(middle[row]), 50e-6)
+        np.testing.assert_array_equal(rolled[row], whole[row])
+
+
 def test_rim_of_a_face_is_an_error_function():
     plain = texture_from_samples(np.ones((40, 40)), 1e-3)
     image = _still(IDEAL, _face(plain, (20.3 * PIXEL_M, 0.05)))
