@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from fusion.base import Threads
+from fusion.phasors.image_effects import displacement, fit_about_mean
 from fusion.phasors.shutter import Turned
 from fusion.phasors.stereo_motion import OpenImages, StereoMotion, lines_seen, seen_motion
-from fusion.phasors.stereo_phasors import displacement, fit_about_mean
 from photogram.measure.again import Again, Swing, prepare_again, row_delay_s
 from photogram.measure.body import Tracked, body_motion
 from photogram.measure.follow import FollowedFrame, in_turn

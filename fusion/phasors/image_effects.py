@@ -1,4 +1,4 @@
-"""What all frames of a pair share: its calibration, the surface before a camera alone, errors periodic in the pixel."""
+"""What all frames of a pair share: its mean pose, calibration, the surface before one camera, errors of the pixel grid."""
 
 from __future__ import annotations
 
@@ -15,9 +15,13 @@ from photogram.arrays import RunningMean, spread_choice
 from photogram.camera import CAMERA_PARAMETERS, FaceCamera, Rig, locate, principal_components
 from photogram.direct.shapes import Shapes
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.motion import PlacedCamera, fit_motion, see_points
+from photogram.motion import PlacedCamera, RigidMotion, fit_motion, relative_to, see_points
 from shaker.arrays import ComplexArray, FloatArray
+from shaker.labels import MOTION_COMPONENTS, component_units
+from shaker.sine.fit import fit_sines
 from shaker.sine.normal_equations import SineSums
+from shaker.sine.phasor import Phasors
+from shaker.sine.solve import SineFit, SineModel
 
 MIN_SUBSETS, SEEN_SHARE, EFFECT_SUBSETS = 6, 0.5, 200
 PERIODIC_SHARE = 0.4  # standard uncertainty of a line over the amplitude of an error periodic in the pixel
@@ -204,3 +208,36 @@ def with_surface_at_rest(measured: StereoMotion, mean_pose: FloatArray) -> Stere
     motion = measured.motion
     covariance = answer @ motion.covariance @ answer.T
     return replace(measured, motion=replace(motion, pose=motion.pose @ answer.T, covariance=covariance))
+
+
+def displacement(measured: StereoMotion, fit: SineFit) -> Phasors:
+    """Return the phasors of a body's motion at the lines of its fit, each as the mean over an exposure."""
+    turned = None if measured.view is None else measured.view.turned
+    return fit.phasors if turned is None else turned.motion(measured.sight.time_s, fit)
+
+
+def fit_about_mean(measured: StereoMotion, frequency_hz: FloatArray) -> tuple[StereoMotion, RigidMotion, SineFit]:
+    """Fit the lines again about the mean pose, the offset of a fit, to which the motion is re-referred.
+
+    That pose is also where the surface before a camera alone lies as it is stated.
+    """
+    motion, fit = measured.motion, None
+    try:
+        for number in range(3):
+            if fit is not None and number == 1:
+                measured = with_surface_at_rest(measured, fit.offset)
+                motion = measured.motion
+            motion = motion if fit is None else relative_to(motion, fit.offset)
+            fit = fit_sines(
+                measured.sight.time_s,
+                motion.pose,
+                frequency_hz,
+                MOTION_COMPONENTS,
+                component_units(0),
+                model=SineModel(robust=True),
+            )
+    except ValueError as error:
+        told = f"stereo pair {measured.sight.name}: the lines cannot be fitted to its motion ({error})"
+        raise ComputeError(told) from error
+    assert fit is not None
+    return measured, motion, fit

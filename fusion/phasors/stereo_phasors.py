@@ -16,13 +16,13 @@ from fusion.instruments.stereo import StereoReading
 from fusion.instruments.transducer import ROOM
 from fusion.phasors.channels import spread_lines
 from fusion.phasors.deformation import DeflectionShape, ShapePhasors, deflection_shape, shape_phasors
-from fusion.phasors.image_effects import THROUGH, image_effects, with_surface_at_rest
+from fusion.phasors.image_effects import THROUGH, displacement, fit_about_mean, image_effects
 from fusion.phasors.stereo_motion import ImageView, LeftOut, StereoMotion, lines_seen
 from fusion.phasors.timing import Lateness, Sight, TimeBase, together
 from photogram.camera import FaceCamera, StereoRig
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage
-from photogram.motion import Deformation, RigidMotion, relative_to
+from photogram.motion import Deformation, RigidMotion
 from shaker.arrays import ComplexArray, FloatArray, Notice, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import Lines
@@ -32,10 +32,10 @@ from shaker.sine.aliasing import (
     nearest_clear_rate,
     sine_columns,
 )
-from shaker.sine.fit import Stationarity, fit_sines, stationarity
+from shaker.sine.fit import Stationarity, stationarity
 from shaker.sine.normal_equations import sine_amplitudes
 from shaker.sine.phasor import Phasors
-from shaker.sine.solve import SineFit, SineModel
+from shaker.sine.solve import SineFit
 
 if TYPE_CHECKING:
     from photogram.epipolar import EpipolarCheck
@@ -167,8 +167,7 @@ def stereo_phasors(
     measured, from_mean, fit = fit_about_mean(measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, exposure.length_s)
     errors = [error.through(fit, usable, 2) for error in together([*base.sight_errors(sight), *line_errors])]
-    if strength is not None:
-        errors += _left_out(measured, fit, lines, usable, gain * strength)
+    errors += [] if strength is None else _left_out(measured, fit, lines, usable, gain * strength)
     errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]
     moved, effects, shapes = displacement(measured, fit), dict[str, ComplexArray](), None
     phasors = spread_lines(moved, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None])
@@ -187,11 +186,8 @@ def stereo_phasors(
         face_m=np.asarray(np.nanmean(next(iter(measured.deformation)).reference_m, axis=0)),
         through_surface=effects.pop(THROUGH, None),
     )
-    told = [(f"{name}, {notice.where}", notice) for notice in measured.notices]
     own = [*(n for n in fit.notices if n.severity == "warning"), *steps, *(shapes.notices() if shapes else ())]
     own += _short_notices(lines, usable, sight.time_s, reading) + _jitter_notices(base, sight, lines, usable, reading)
-    told += [(name, notice) for notice in own]
-    notices = tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
     pose = from_mean.pose.copy()
     pose[fit.spikes] = np.nan
     result = StereoResult(
@@ -211,7 +207,15 @@ def stereo_phasors(
         deflection=_deflection(measured, frequency_hz),
         stationarity=stationarity(time_s, pose, frequency_hz, MOTION_COMPONENTS),
     )
-    return StereoPhasors(result if view is None else _with_view(replace(result, shapes=shapes), view), reading, notices)
+    whole = result if view is None else _with_view(replace(result, shapes=shapes), view)
+    return StereoPhasors(whole, reading, _named(measured, own))
+
+
+def _named(measured: StereoMotion, own: Sequence[AnyNotice]) -> tuple[Notice, ...]:
+    """Return the notices of a motion and those that are its phasors' own, with the name of the pair."""
+    name = measured.sight.name
+    told = [*((f"{name}, {notice.where}", notice) for notice in measured.notices), *((name, notice) for notice in own)]
+    return tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
 
 
 def _row_time_error(measured: StereoMotion, phasors: Phasors) -> list[FittedError]:
@@ -392,39 +396,6 @@ def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: F
         why = "it was touched, or a copy on a pattern that repeats was taken for it"
         raise ComputeError(f"stereo pair {name}: {text}: {why}")
     return [Notice("warning", f"{text}: was it touched? What that does to the lines is in U", f"frame {frames}")]
-
-
-def displacement(measured: StereoMotion, fit: SineFit) -> Phasors:
-    """Return the phasors of a body's motion at the lines of its fit, each as the mean over an exposure."""
-    turned = None if measured.view is None else measured.view.turned
-    return fit.phasors if turned is None else turned.motion(measured.sight.time_s, fit)
-
-
-def fit_about_mean(measured: StereoMotion, frequency_hz: FloatArray) -> tuple[StereoMotion, RigidMotion, SineFit]:
-    """Fit the lines again about the mean pose, the offset of a fit, to which the motion is re-referred.
-
-    That pose is also where the surface before a camera alone lies as it is stated.
-    """
-    motion, fit = measured.motion, None
-    try:
-        for number in range(3):
-            if fit is not None and number == 1:
-                measured = with_surface_at_rest(measured, fit.offset)
-                motion = measured.motion
-            motion = motion if fit is None else relative_to(motion, fit.offset)
-            fit = fit_sines(
-                measured.sight.time_s,
-                motion.pose,
-                frequency_hz,
-                MOTION_COMPONENTS,
-                component_units(0),
-                model=SineModel(robust=True),
-            )
-    except ValueError as error:
-        told = f"stereo pair {measured.sight.name}: the lines cannot be fitted to its motion ({error})"
-        raise ComputeError(told) from error
-    assert fit is not None
-    return measured, motion, fit
 
 
 def unseen_fundamentals(
