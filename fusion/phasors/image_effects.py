@@ -1,4 +1,4 @@
-"""What all frames of a pair share: its mean pose, calibration, the surface before one camera, errors of the pixel grid."""
+"""What all frames of a pair share: mean pose, calibration, the surface before one camera, errors of the pixel grid."""
 
 from __future__ import annotations
 
