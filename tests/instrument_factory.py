@@ -100,7 +100,8 @@ def channel_entry(**changes: Any) -> Any:
 def stereo_entry(**changes: Any) -> Any:
     """A camera pair as the manifest has it, without any error."""
     exact = {"body": "load", "scale_uncertainty": 0.0, "pose_uncertainty": (0.0,) * 6, "delay_uncertainty": 0.0}
-    return SimpleNamespace(**(exact | changes))
+    at_once = {"row_time": (0.0, 0.0), "row_time_uncertainty": 0.0, "readout_s": lambda rows: 0.0}
+    return SimpleNamespace(**(exact | at_once | changes))
 
 
 def channels(rows: Sequence[tuple[str, Any, Any]], noise: np.ndarray, quantity: str, **stated: Any) -> Observation:

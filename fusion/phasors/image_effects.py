@@ -194,9 +194,10 @@ def with_surface_at_rest(measured: StereoMotion, mean_pose: FloatArray) -> Stere
     motion p that shifts pixels by J₀·p there shifts them as (JᵀJ)⁻¹·Jᵀ·J₀·p does on the surface where it was, J the
     rates of the subsets' pixels by the six components; what is left is of second order in the motion over the distance.
     """
-    view, pose = measured.view, sensor_from_camera(measured.sight.pair)
+    view = measured.view
     if view is None or not isinstance(view.rig, FaceCamera):
         return measured
+    pose = sensor_from_camera(measured.sight.pair)
     places = next(iter(view.tracks)).left.position_px[:1]
     camera, rates = PlacedCamera(view.rig.camera, pose.inverse()), []
     for rig in (view.rig, view.rig.moved(pose.inverse() @ RigidTransform.from_pose(mean_pose).inverse() @ pose)):
